@@ -1,0 +1,38 @@
+"""The only reader of a clock. Everything else takes `now_ns` as an argument."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """Nanoseconds since the run began."""
+
+    def now_ns(self) -> int: ...
+
+
+class SystemClock:
+    """Monotonic time since this object was made."""
+
+    def __init__(self) -> None:
+        self._start_ns = time.monotonic_ns()
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns() - self._start_ns
+
+
+class ManualClock:
+    """Time that moves when told to."""
+
+    def __init__(self, now_ns: int = 0) -> None:
+        self._now_ns = now_ns
+
+    def now_ns(self) -> int:
+        return self._now_ns
+
+    def set(self, now_ns: int) -> None:
+        """Move to `now_ns`; time never runs backwards."""
+        if now_ns < self._now_ns:
+            raise ValueError(f"clock at {self._now_ns} ns cannot go back to {now_ns} ns")
+        self._now_ns = now_ns

@@ -1,0 +1,1 @@
+"""One YAML file a sensor model; read by `emulator.spec`."""

@@ -1,0 +1,80 @@
+"""The contract of a link: bytes and times, nothing else.
+
+Input comes with the connection it came on. Output is handed over with the instant its first byte is due and leaves at
+the pace of the line: each byte takes ten bit times after the later of `due_ns` and the end of what was queued before,
+whenever `flush` is called (late calls catch up, they never shift the schedule).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+
+from protocols.session import LinkKind
+
+
+@dataclass(frozen=True)
+class Received:
+    """Something that came in on a link."""
+
+    peer: int
+    "Number of the connection, remote port, or CAN identifier (bit 31: extended)."
+    data: bytes = b""
+    opened: bool = False
+    "A stream's host has connected."
+    closed: bool = False
+    "A stream's host has gone."
+
+
+@dataclass
+class LinkStats:
+    """Counters of a link since it was opened."""
+
+    bytes_in: int = 0
+    bytes_out: int = 0
+    "Bytes handed to the operating system."
+    bytes_lost: int = 0
+    "Bytes that left on the line and that nobody read: no host, or a host that does not read."
+    payloads_dropped: int = 0
+    "Whole payloads given up before their first byte left, because a host reads too slowly."
+    bytes_garbled: int = 0
+    "Bytes sent or received while host and device were set to different line speeds."
+    lateness_ns: list[int] = field(default_factory=list)
+    "Actual minus scheduled instant of the first byte of each payload; the daemon drains it."
+
+
+class Link(ABC):
+    """One outlet of a sensor. Never blocks; a host's behaviour never raises."""
+
+    kind: LinkKind
+
+    def __init__(self) -> None:
+        self.stats = LinkStats()
+
+    @property
+    @abstractmethod
+    def url(self) -> str:
+        """What a host needs to connect, with the real path or port."""
+
+    @abstractmethod
+    def filenos(self) -> tuple[int, ...]:
+        """Descriptors that become readable when `receive` has something; may change from call to call."""
+
+    @abstractmethod
+    def receive(self, now_ns: int) -> list[Received]:
+        """Everything that came in, in order."""
+
+    @abstractmethod
+    def send(self, payload: bytes, due_ns: int, peer: int | None = None, line_speed: int | None = None) -> None:
+        """Queue a payload for `peer` (None: all). `line_speed`: the speed of the line once it has left."""
+
+    @abstractmethod
+    def flush(self, now_ns: int) -> int | None:
+        """Move what is due by `now_ns`; when to be called again, None when nothing is queued."""
+
+    def set_speed(self, baud: int | None) -> None:
+        """Set the line's speed at once (power-on); None: not paced. Links without a speed ignore it."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release everything, remove what was made in the file system. May be called twice."""

@@ -1,0 +1,102 @@
+"""What crosses the border between a device's conversation and the world: the sweep it wants, and what came back.
+
+Arrays are read-only by convention. Units are SI, angles ISO 8855 in the sensor's own frame: x forward, y left, z up;
+azimuth 0 is the x axis, positive to the left, elevation positive upwards. Codecs turn them into the wire's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+DAZZLED = 1
+"Bit of `Scan.flags`: background light saturates the receiver, the beam gives no echo."
+SATURATED = 2
+"Bit of `Scan.flags`: the echo's peak was clipped."
+
+
+@dataclass(frozen=True, eq=False)
+class ScanPlan:
+    """One sweep that the device wants measured: n beams, each with its own direction and instant."""
+
+    epoch: int
+    "Number of the settings it was made under; a scan of another epoch is refused."
+    sweep: int
+    "Number of the sweep since power-on; with scenario seed and sensor it keys every random draw."
+    start_ns: int
+    "Instant to which `fire_offset_s` refers, nanoseconds since the run began."
+    azimuth_rad: Floats
+    "(n,)"
+    elevation_rad: Floats
+    "(n,)"
+    fire_offset_s: Floats
+    "(n,) instant of each beam after `start_ns`; not necessarily ascending (interlaced combs)."
+    duration_s: float = 0.0
+    "From `start_ns` until the device can have evaluated the whole sweep."
+    max_echoes: int = 1
+    max_range_m: float = float("inf")
+    "Farther echoes cannot be reported in the present setting and need not be computed."
+    gain: float = 1.0
+    "Receiver sensitivity against the model's standard setting: factor on the received power."
+    wants_intensity: bool = False
+    wants_objects: bool = False
+
+    def __len__(self) -> int:
+        return len(self.azimuth_rad)
+
+
+@dataclass(frozen=True)
+class DetectedObject:
+    """One object of an object list, in the frame of the sensor that lists it."""
+
+    track: int
+    "Number that stays with the object over scans."
+    position_m: tuple[float, float, float]
+    "Centre of the box."
+    velocity_m_s: tuple[float, float, float]
+    "Relative to the sensor."
+    size_m: tuple[float, float, float]
+    "Length, width, height of the box."
+    yaw_rad: float
+    category: str
+    "car | truck | motorcycle | bicycle | pedestrian | wide | point | unknown"
+    age_s: float = 0.0
+    existence: float = 1.0
+    "Probability that it is there, 0..1."
+    position_std_m: tuple[float, float] = (0.0, 0.0)
+    velocity_std_m_s: tuple[float, float] = (0.0, 0.0)
+    acceleration_m_s2: tuple[float, float] = (0.0, 0.0)
+    reflectance: float = 0.0
+    "Lambert-equivalent, mean of its echoes."
+    actor: str | None = None
+    "Truth, for recordings and reports; no encoder reads it."
+    coasting_s: float = 0.0
+    "Time since the last echo was seen; 0 when it was seen in this scan."
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """What a sweep brought back: k echoes a beam, nearest first, NaN where there is none."""
+
+    plan: ScanPlan
+    range_m: Floats
+    "(n, k) unrounded; the codec alone rounds and writes the words for overflow, no echo, dazzled."
+    intensity: Floats
+    "(n, k) peak of the echo's signal over the receiver's detection threshold, >= 1; NaN where there is no echo."
+    flags: NDArray[np.uint8]
+    "(n,) DAZZLED | SATURATED"
+    actor: Ints
+    "(n, k) truth: index of the actor hit, -1 none or weather. For recordings and object lists; no codec reads it."
+    objects: tuple[DetectedObject, ...] = field(default=())
+
+    @classmethod
+    def empty(cls, plan: ScanPlan, echoes: int = 1) -> Scan:
+        """A sweep without a single echo."""
+        n = len(plan)
+        nothing = np.full((n, echoes), np.nan)
+        return cls(plan, nothing, nothing.copy(), np.zeros(n, np.uint8), np.full((n, echoes), -1, np.int32))

@@ -1,0 +1,182 @@
+"""The contract of a device's conversation: bytes and times in, bytes and times out.
+
+A session owns no clock, no port and no randomness. It is asked, never ticks: feed `receive`, call `advance` at
+`next_deadline`, measure `next_plan`, hand the scan to `submit`, send what `take_emissions` gives when it is due.
+Times are integer nanoseconds since the run began.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any, NamedTuple, Protocol
+
+from protocols.scan import Scan, ScanPlan
+
+
+class Address(NamedTuple):
+    """Whom bytes came from or go to."""
+
+    link: int
+    "Index into the sensor's list of links."
+    peer: int
+    "Number of the connection on a stream, remote port of a datagram, identifier of a CAN frame (bit 31: extended)."
+
+
+class LinkKind(Enum):
+    """How a link carries a telegram; a family may frame differently on each."""
+
+    SERIAL = "serial"
+    "A line with a speed and no connections: pty, serial port, a serial device server's TCP port, loop."
+    STREAM = "stream"
+    "TCP connections."
+    DATAGRAM = "datagram"
+    CAN = "can"
+
+
+@dataclass(frozen=True)
+class Emission:
+    """Bytes that leave together: one telegram, one datagram, one CAN frame, one ACK."""
+
+    due_ns: int
+    "When the first byte should leave."
+    payload: bytes
+    address: Address | None = None
+    "None: every link of the sensor."
+    sweep: int | None = None
+    "Sweep whose scan it carries (its first one); None for a reply."
+    line_speed: int | None = None
+    "The line changes to this many baud as soon as the last bit of this payload has left."
+    label: str = ""
+    "What it is, for traces: `B0`, `ACK`, `A0`."
+
+
+class DropReason(Enum):
+    """Why something that arrived, or was measured, went no further."""
+
+    NO_START_BYTE = "no start byte"
+    BAD_CHECKSUM = "bad checksum"
+    BAD_LENGTH = "bad length"
+    OVERLONG = "overlong"
+    TIMEOUT = "inter-byte time-out"
+    OTHER_ADDRESS = "for another address"
+    UNKNOWN_COMMAND = "unknown command"
+    WRONG_MODE = "not allowed in this mode"
+    BAD_ARGUMENT = "bad argument"
+    REFUSED = "known command that no source settles; refused"
+    BOOTING = "device is starting"
+    LINE_BUSY = "line slower than the scan rate"
+    STALE = "withdrawn by a changed setting"
+    HOST_SLOW = "host reads too slowly"
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """Bytes or a scan that went no further."""
+
+    at_ns: int
+    reason: DropReason
+    detail: str = ""
+    count: int = 1
+    "Bytes of input, or scans, or frames: whatever was dropped."
+
+
+@dataclass(frozen=True)
+class CommandHandled:
+    """A host's command was understood and answered."""
+
+    at_ns: int
+    command: str
+    outcome: str
+    "`done` or the name of the refusal."
+
+
+@dataclass(frozen=True)
+class ModeChanged:
+    """The device entered another mode."""
+
+    at_ns: int
+    mode: str
+
+
+@dataclass(frozen=True)
+class Restarted:
+    """The device reset itself or was switched on; its sweep counter begins again."""
+
+    at_ns: int
+
+
+Event = Dropped | CommandHandled | ModeChanged | Restarted
+
+
+class Session(ABC):
+    """One device talking to its hosts."""
+
+    @abstractmethod
+    def power_on(self, now_ns: int) -> None:
+        """Switch the device on (again): volatile settings are lost, boot time and boot text follow."""
+
+    def connected(self, now_ns: int, address: Address, kind: LinkKind) -> None:
+        """A link is there (serial, CAN, datagram: once, at start) or a stream's host has connected."""
+
+    def disconnected(self, now_ns: int, address: Address) -> None:
+        """A stream's host has gone."""
+
+    @abstractmethod
+    def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
+        """Bytes of a host, in any chunking. Never raises, whatever they are."""
+
+    @abstractmethod
+    def advance(self, now_ns: int) -> None:
+        """Let time-outs, warm-up and modes that end by themselves take effect up to `now_ns`."""
+
+    @abstractmethod
+    def next_deadline(self) -> int | None:
+        """When `advance` or `take_emissions` has something to do even without input; None: never."""
+
+    @abstractmethod
+    def next_plan(self) -> ScanPlan | None:
+        """The sweep wanted next, the same until submitted or withdrawn; None: nothing to measure now."""
+
+    @abstractmethod
+    def submit(self, scan: Scan) -> None:
+        """Take the sweep of `next_plan`. Raises `ScanRefused` when the settings have changed since."""
+
+    @abstractmethod
+    def take_emissions(self, now_ns: int) -> list[Emission]:
+        """What is due by `now_ns`, in the order it leaves. What is not yet due can still be withdrawn."""
+
+    @abstractmethod
+    def take_events(self) -> list[Event]:
+        """What happened since the last call."""
+
+
+@dataclass(frozen=True)
+class CommandRow:
+    """One line of a family's coverage table, derived from the table that dispatches its commands."""
+
+    code: str
+    name: str
+    status: str
+    "`done`, `refused` (named, answered as the device refuses) or `absent`."
+    source: str
+    note: str = ""
+
+
+class Family(Protocol):
+    """What a module of `protocols` offers as `FAMILY`."""
+
+    @property
+    def name(self) -> str: ...
+
+    def new_session(self, device: Mapping[str, Any], facts: Mapping[str, Any]) -> Session:
+        """A session of one device, switched off.
+
+        `device` is the scenario's table of what a real one keeps over power-off, `facts` the spec's `device` table
+        of the model. Raises `DeviceSettingError` for a key or value that this model does not have.
+        """
+
+    def commands(self) -> tuple[CommandRow, ...]:
+        """The coverage table."""

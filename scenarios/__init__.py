@@ -1,0 +1,1 @@
+"""The built-in scenarios and their meshes, found by name from any folder."""
