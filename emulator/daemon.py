@@ -1,0 +1,271 @@
+"""The sending process: waits for hosts and deadlines, steps the instruments, and accounts for every scan.
+
+Deadlines are absolute on the monotonic clock: a late wake-up is caught up, never added to the next one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import os
+import select
+import selectors
+import signal
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from types import FrameType
+from typing import Any
+
+import numpy as np
+
+from emulator.clock import Clock
+from emulator.errors import LinkError
+from emulator.instrument import Instrument
+from emulator.measuring import Workers
+
+LATENESS_KEPT = 200_000
+"Sends of which the lateness is kept for the report; an hour of one LMS291 at 37.5 Hz with its replies is 135 000."
+
+PR_SET_TIMERSLACK = 29
+
+
+def sharpen_timers() -> None:
+    """Ask the kernel to wake this process within a microsecond of its deadlines instead of fifty."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1000, 0, 0, 0)
+
+
+class Daemon:
+    """Runs instruments on a real clock until told to stop."""
+
+    def __init__(
+        self,
+        instruments: Sequence[Instrument],
+        clock: Clock,
+        workers: Workers | None = None,
+        on_failure: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self._instruments = list(instruments)
+        self._clock = clock
+        self._workers = workers
+        self._on_failure = on_failure
+        self._stop = False
+        self._selector = selectors.DefaultSelector()
+        self._watched: dict[int, tuple[int, ...]] = {}
+        self._watch_state: dict[int, tuple[int, tuple[int, ...]]] = {}
+        self._wake: dict[int, int | None] = {}
+        self._lost: set[int] = set()
+        self.lost_links: list[str] = []
+
+    def stop(self) -> None:
+        """End the run after the present step; safe in a signal handler."""
+        self._stop = True
+
+    @contextlib.contextmanager
+    def signals(self) -> Iterator[None]:
+        """SIGINT and SIGTERM stop the run while this lasts."""
+        reader, writer = socket.socketpair()
+        reader.setblocking(False)
+        writer.setblocking(False)
+        old_fd = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
+
+        def handler(_number: int, _frame: FrameType | None) -> None:
+            self.stop()
+
+        old = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
+        self._selector.register(reader, selectors.EVENT_READ)
+        try:
+            yield
+        finally:
+            self._selector.unregister(reader)
+            for number, action in old.items():
+                signal.signal(number, action)
+            signal.set_wakeup_fd(old_fd)
+            reader.close()
+            writer.close()
+
+    def power_on(self) -> None:
+        """Switch every device on."""
+        now_ns = self._clock.now_ns()
+        for index, instrument in enumerate(self._instruments):
+            instrument.power_on(now_ns)
+            self._wake[index] = now_ns
+
+    def run(self, until_ns: int | None = None, while_true: Callable[[], bool] | None = None) -> None:
+        """Serve until `stop`, until `until_ns`, or until `while_true` says no (asked about ten times a second)."""
+        sharpen_timers()
+        gc.collect()
+        gc.freeze()  # what lives as long as the run is not walked again by the collector
+        while not self._stop:
+            now_ns = self._clock.now_ns()
+            if until_ns is not None and now_ns >= until_ns:
+                return
+            if while_true is not None and not while_true():
+                return
+            self._step_due(now_ns)
+            self._wait(until_ns, 100_000_000 if while_true is not None else None)
+
+    def _step_due(self, now_ns: int) -> None:
+        for index, instrument in enumerate(self._instruments):
+            wake = self._wake.get(index)
+            if wake is not None and wake <= now_ns and index not in self._lost:
+                self._step(index, instrument)
+
+    def _step(self, index: int, instrument: Instrument) -> None:
+        now_ns = self._clock.now_ns()
+        try:
+            self._wake[index] = instrument.step(now_ns)
+        except LinkError as error:
+            self._lost.add(index)
+            self.lost_links.append(str(error))
+            self._on_failure(str(error))
+            self._unwatch(index)
+            return
+        self._note_lateness(instrument, self._clock.now_ns() - now_ns)
+        self._watch(index, instrument)
+
+    def _note_lateness(self, instrument: Instrument, step_ns: int) -> None:
+        kept = instrument.stats.lateness_ns
+        for link in instrument.links:
+            if link.stats.lateness_ns:
+                # the link knows when the step began; what the step took until the bytes were handed over is added
+                kept.extend(late + step_ns for late in link.stats.lateness_ns)
+                link.stats.lateness_ns.clear()
+        if len(kept) > 2 * LATENESS_KEPT:
+            del kept[:-LATENESS_KEPT]
+
+    def _watch(self, index: int, instrument: Instrument) -> None:
+        wanted = tuple(number for link in instrument.links for number in link.filenos())
+        state = (instrument.connections_seen, wanted)
+        if state == self._watch_state.get(index):
+            return
+        self._watch_state[index] = state
+        self._unwatch(index)
+        for number in wanted:
+            self._selector.register(number, selectors.EVENT_READ, index)
+        self._watched[index] = wanted
+
+    def _unwatch(self, index: int) -> None:
+        for number in self._watched.pop(index, ()):
+            # a descriptor that its link has closed in the meantime has left the kernel's set by itself
+            with contextlib.suppress(KeyError, ValueError, OSError):
+                self._selector.unregister(number)
+
+    def _wait(self, until_ns: int | None, at_most_ns: int | None) -> None:
+        wakes = [wake for index, wake in self._wake.items() if wake is not None and index not in self._lost]
+        if until_ns is not None:
+            wakes.append(until_ns)
+        timeout_s = None
+        if wakes:
+            timeout_s = max(0.0, (min(wakes) - self._clock.now_ns()) * 1e-9)
+        if at_most_ns is not None:
+            timeout_s = at_most_ns * 1e-9 if timeout_s is None else min(timeout_s, at_most_ns * 1e-9)
+        for key in self._ready(timeout_s):
+            if key.data == "workers":
+                self._take_results()
+            elif isinstance(key.data, int):
+                self._wake[key.data] = self._clock.now_ns()
+
+    def _ready(self, timeout_s: float | None) -> list[selectors.SelectorKey]:
+        # epoll_wait counts milliseconds; select on the epoll descriptor itself waits to the microsecond.
+        number = getattr(self._selector, "fileno", None)
+        if number is not None:
+            with contextlib.suppress(InterruptedError):
+                select.select([number()], [], [], timeout_s)
+            timeout_s = 0
+        return [key for key, _ in self._selector.select(timeout_s)]
+
+    def _take_results(self) -> None:
+        if self._workers is None:
+            return
+        fresh = self._workers.poll()
+        for text in self._workers.failures:
+            self._on_failure(text)
+        self._workers.failures.clear()
+        now_ns = self._clock.now_ns()
+        for index, instrument in enumerate(self._instruments):
+            if instrument.sensor in fresh:
+                self._wake[index] = now_ns
+        self.watch_workers()
+
+    def watch_workers(self) -> None:
+        """Wake up when a worker has finished a scan; called again when workers were replaced."""
+        if self._workers is None:
+            return
+        for key in [key for key in self._selector.get_map().values() if key.data == "workers"]:
+            if key.fd not in self._workers.filenos():
+                with contextlib.suppress(KeyError, ValueError, OSError):
+                    self._selector.unregister(key.fd)
+        for number in self._workers.filenos():
+            if number not in self._selector.get_map():
+                self._selector.register(number, selectors.EVENT_READ, "workers")
+
+    def close(self) -> None:
+        """Close every link and end the workers."""
+        for instrument in self._instruments:
+            instrument.close()
+        if self._workers is not None:
+            self._workers.close()
+        self._selector.close()
+
+
+@dataclass(frozen=True)
+class Lateness:
+    """How late payloads left, against the schedule."""
+
+    count: int
+    median_us: float
+    p99_us: float
+    worst_us: float
+
+    @classmethod
+    def of(cls, lateness_ns: Sequence[int]) -> Lateness:
+        """Of a list of nanoseconds; NaN when it is empty."""
+        if not lateness_ns:
+            return cls(0, float("nan"), float("nan"), float("nan"))
+        median, p99, worst = np.percentile(np.asarray(lateness_ns) * 1e-3, [50, 99, 100])
+        return cls(len(lateness_ns), float(median), float(p99), float(worst))
+
+
+def summary(instrument: Instrument) -> dict[str, Any]:
+    """What a sensor did, ready for JSON; rates are NaN-free (None where there is none)."""
+    stats = instrument.stats
+    late = Lateness.of(stats.lateness_ns)
+
+    def number(value: float) -> float | None:
+        return None if value != value else round(value, 4)
+
+    return {
+        "id": instrument.sensor,
+        "scans_sent": stats.scans_sent,
+        "scans_measured": stats.scans_measured,
+        "scans_per_s": number(stats.rate_hz),
+        "scans_dropped": dict(stats.scans_dropped),
+        "replies_sent": stats.replies_sent,
+        "input_dropped": dict(stats.input_dropped),
+        "restarts": stats.restarts,
+        "lateness_us": {
+            "sends": late.count,
+            "median": number(late.median_us),
+            "p99": number(late.p99_us),
+            "worst": number(late.worst_us),
+        },
+        "links": [
+            {
+                "url": link.url,
+                "bytes_in": link.stats.bytes_in,
+                "bytes_out": link.stats.bytes_out,
+                "bytes_lost": link.stats.bytes_lost,
+                "bytes_garbled": link.stats.bytes_garbled,
+                "payloads_dropped": link.stats.payloads_dropped,
+            }
+            for link in instrument.links
+        ],
+    }
+
+
+def worker_count(sensors: int) -> int:
+    """One core is left to the sender."""
+    return max(1, min(sensors, len(os.sched_getaffinity(0)) - 1))

@@ -1,0 +1,192 @@
+"""One sensor on its links: one session, the links its hosts use, and whoever measures for it.
+
+Nothing here knows a protocol, a mesh or a clock: `step(now_ns)` moves bytes and scans, and says when to be called again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from emulator.transports.link import Link
+from protocols.errors import ScanRefused
+from protocols.scan import Scan, ScanPlan
+from protocols.session import Address, CommandHandled, Dropped, Emission, Event, LinkKind, Restarted, Session
+
+LOOK_AHEAD_NS = 250_000_000
+"A sweep is measured at most this long before it begins, so that a changed setting wastes little."
+
+MAX_ROUNDS = 64
+"A step that does not come to rest ends after this many rounds and is called again at once: one sensor cannot starve others."
+
+
+class Measuring(Protocol):
+    """Whoever turns plans into scans: in place, or in worker processes."""
+
+    def request(self, sensor: str, plan: ScanPlan) -> None: ...
+
+    def collect(self, sensor: str) -> list[Scan]:
+        """Scans of this sensor that have been finished since the last call."""
+
+
+@dataclass
+class InstrumentStats:
+    """What one sensor did, for the report at the end of a run."""
+
+    scans_measured: int = 0
+    scans_sent: int = 0
+    replies_sent: int = 0
+    first_scan_due_ns: int | None = None
+    last_scan_due_ns: int | None = None
+    scans_dropped: Counter[str] = field(default_factory=Counter)
+    input_dropped: Counter[str] = field(default_factory=Counter)
+    commands: Counter[str] = field(default_factory=Counter)
+    restarts: int = 0
+    lateness_ns: list[int] = field(default_factory=list)
+    "Actual minus scheduled instant of the first byte of each payload, newest last; bounded by the daemon."
+
+    @property
+    def rate_hz(self) -> float:
+        """Scans a second between the first and the last one sent; NaN below two."""
+        if self.first_scan_due_ns is None or self.last_scan_due_ns is None or self.scans_sent < 2:
+            return math.nan
+        span_ns = self.last_scan_due_ns - self.first_scan_due_ns
+        return math.nan if span_ns <= 0 else (self.scans_sent - 1) * 1e9 / span_ns
+
+
+SCAN_REASONS = frozenset({"line slower than the scan rate", "withdrawn by a changed setting", "host reads too slowly"})
+"`DropReason` values that count scans rather than input bytes."
+
+
+class Instrument:
+    """One sensor: asks its session what is wanted, has it measured, and sends what is due."""
+
+    def __init__(
+        self,
+        sensor: str,
+        session: Session,
+        links: Sequence[Link],
+        measuring: Measuring,
+        look_ahead_ns: int = LOOK_AHEAD_NS,
+    ) -> None:
+        self.sensor = sensor
+        self.session = session
+        self.links = tuple(links)
+        self.stats = InstrumentStats()
+        self._measuring = measuring
+        self._look_ahead_ns = look_ahead_ns
+        self._asked: tuple[int, int] | None = None
+        self.connections_seen = 0
+        "Connections opened and closed so far: a descriptor's number may have a new owner when this has moved."
+        self._events: list[Event] = []
+
+    def power_on(self, now_ns: int) -> None:
+        """Tell the session of its fixed links and switch the device on."""
+        for index, link in enumerate(self.links):
+            if link.kind is not LinkKind.STREAM:
+                self.session.connected(now_ns, Address(index, 0), link.kind)
+        self.session.power_on(now_ns)
+
+    def step(self, now_ns: int) -> int | None:
+        """Do all that can be done by `now_ns`; the instant of the next step, None while only a host can wake it."""
+        self._take_input(now_ns)
+        self.session.advance(now_ns)
+        for _ in range(MAX_ROUNDS):
+            moved = self._take_scans(now_ns)
+            moved = self._ask_for_scan(now_ns) or moved
+            moved = self._send_due(now_ns) or moved
+            if not moved:
+                break
+        else:
+            return now_ns
+        self._note_events()
+        wakes = [link.flush(now_ns) for link in self.links]
+        wakes.append(self.session.next_deadline())
+        plan = self.session.next_plan()
+        if plan is not None and self._key(plan) != self._asked:
+            wakes.append(plan.start_ns - self._look_ahead_ns)
+        due = [wake for wake in wakes if wake is not None]
+        return min(due) if due else None
+
+    def take_events(self) -> list[Event]:
+        """Events of the session since the last call, already counted in `stats`."""
+        events, self._events = self._events, []
+        return events
+
+    def close(self) -> None:
+        """Close every link."""
+        for link in self.links:
+            link.close()
+
+    def _take_input(self, now_ns: int) -> None:
+        for index, link in enumerate(self.links):
+            for received in link.receive(now_ns):
+                address = Address(index, received.peer)
+                if received.opened or received.closed:
+                    self.connections_seen += 1
+                if received.opened:
+                    self.session.connected(now_ns, address, link.kind)
+                if received.data:
+                    self.session.receive(received.data, now_ns, address)
+                if received.closed:
+                    self.session.disconnected(now_ns, address)
+
+    def _take_scans(self, now_ns: int) -> bool:
+        moved = False
+        for scan in self._measuring.collect(self.sensor):
+            self.stats.scans_measured += 1
+            if self._key(scan.plan) == self._asked:
+                self._asked = None
+            try:
+                self.session.submit(scan)
+            except ScanRefused:
+                self.stats.scans_dropped["withdrawn by a changed setting"] += 1
+            moved = True
+        return moved
+
+    def _ask_for_scan(self, now_ns: int) -> bool:
+        plan = self.session.next_plan()
+        if plan is None or self._key(plan) == self._asked or plan.start_ns > now_ns + self._look_ahead_ns:
+            return False
+        self._asked = self._key(plan)
+        self._measuring.request(self.sensor, plan)
+        return True
+
+    def _send_due(self, now_ns: int) -> bool:
+        emissions = self.session.take_emissions(now_ns)
+        for emission in emissions:
+            self._send(emission)
+        return bool(emissions)
+
+    def _send(self, emission: Emission) -> None:
+        address = emission.address
+        targets = self.links if address is None else self.links[address.link : address.link + 1]
+        for link in targets:
+            peer = None if address is None else address.peer
+            link.send(emission.payload, emission.due_ns, peer, emission.line_speed)
+        if emission.sweep is None:
+            self.stats.replies_sent += 1
+            return
+        self.stats.scans_sent += 1
+        if self.stats.first_scan_due_ns is None:
+            self.stats.first_scan_due_ns = emission.due_ns
+        self.stats.last_scan_due_ns = emission.due_ns
+
+    def _note_events(self) -> None:
+        for event in self.session.take_events():
+            self._events.append(event)
+            if isinstance(event, Dropped):
+                reason = event.reason.value
+                kind = self.stats.scans_dropped if reason in SCAN_REASONS else self.stats.input_dropped
+                kind[reason] += event.count
+            elif isinstance(event, CommandHandled):
+                self.stats.commands[f"{event.command}: {event.outcome}"] += 1
+            elif isinstance(event, Restarted):
+                self.stats.restarts += 1
+
+    @staticmethod
+    def _key(plan: ScanPlan) -> tuple[int, int]:
+        return plan.epoch, plan.sweep

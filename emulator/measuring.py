@@ -1,0 +1,172 @@
+"""Who turns plans into scans: in place (virtual time, tests), or worker processes ahead of the sender.
+
+A worker builds the scene for itself and keeps it; plans go in and scans come out over a pipe. The sending process
+imports neither embreex nor trimesh, and a slow scan costs it nothing but the scan.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+
+from emulator.errors import EmulatorError, SceneError
+from protocols.scan import Scan, ScanPlan
+
+Measure = Callable[[ScanPlan], Scan]
+BuildMeasures = Callable[[], Mapping[str, Measure]]
+"Builds the measuring function of every sensor; must be picklable or inherited by fork."
+
+NICENESS = 5
+"Workers yield to the sender when both want the same core."
+
+
+class InPlace:
+    """Measures when asked, in the caller's own time."""
+
+    def __init__(self, measures: Mapping[str, Measure]) -> None:
+        self._measures = measures
+        self._done: dict[str, list[Scan]] = {}
+
+    def request(self, sensor: str, plan: ScanPlan) -> None:
+        self._done.setdefault(sensor, []).append(self._measures[sensor](plan))
+
+    def collect(self, sensor: str) -> list[Scan]:
+        return self._done.pop(sensor, [])
+
+
+def _close_inherited(keep: int) -> None:
+    """Close what fork handed down: another worker's pipe, or a host's connection, must not be held open here."""
+    for name in os.listdir("/proc/self/fd") if os.path.isdir("/proc/self/fd") else map(str, range(3, 1024)):
+        number = int(name)
+        if number > 2 and number != keep:
+            with contextlib.suppress(OSError):
+                os.close(number)
+
+
+def _serve(connection: Connection, build: BuildMeasures) -> None:
+    """Body of a worker: build once, then answer plans with scans until the pipe closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    _close_inherited(connection.fileno())
+    with contextlib.suppress(OSError):
+        os.nice(NICENESS)
+    try:
+        measures = build()
+    except EmulatorError as error:
+        connection.send(("refused", type(error), str(error)))
+        return
+    connection.send(("ready", None, sorted(measures)))
+    with contextlib.suppress(EOFError, OSError, BrokenPipeError):
+        while True:
+            sensor, plan = connection.recv()
+            try:
+                connection.send(("scan", sensor, measures[sensor](plan)))
+            except (ArithmeticError, ValueError, LookupError, TypeError, RuntimeError, MemoryError) as error:
+                connection.send(("failed", sensor, (plan, f"{type(error).__name__}: {error}")))
+
+
+class Workers:
+    """Worker processes, each serving a fixed share of the sensors. Must be made before any link is opened.
+
+    A worker that dies is started again and given the plans it still owed; a sweep that cannot be measured is reported
+    in `failures` and comes back without echoes, so that one sensor's fault does not stop the others.
+    """
+
+    def __init__(self, build: BuildMeasures, sensors: Sequence[str], count: int) -> None:
+        self._build = build
+        self._context = multiprocessing.get_context("fork")
+        self._workers: list[tuple[BaseProcess, Connection]] = []
+        self._home = {sensor: index % max(1, count) for index, sensor in enumerate(sensors)}
+        self._owed: list[deque[tuple[str, ScanPlan]]] = []
+        self._done: dict[str, list[Scan]] = {}
+        self._deaths = 0
+        self.failures: list[str] = []
+        for _ in range(max(1, min(count, len(sensors)))):
+            self._workers.append(self._start())
+            self._owed.append(deque())
+        try:
+            for _, connection in self._workers:
+                self._await_ready(connection)
+        except BaseException:
+            self.close()
+            raise
+
+    def _start(self) -> tuple[BaseProcess, Connection]:
+        ours, theirs = self._context.Pipe()
+        process = self._context.Process(target=_serve, args=(theirs, self._build), daemon=True, name="lidaremu-measure")
+        process.start()
+        theirs.close()
+        return process, ours
+
+    @staticmethod
+    def _await_ready(connection: Connection) -> None:
+        try:
+            word, kind, detail = connection.recv()
+        except EOFError:
+            raise SceneError("the measuring process ended while it built the scene (out of memory?)") from None
+        if word == "refused":
+            raise kind(detail)
+
+    def filenos(self) -> tuple[int, ...]:
+        """Descriptors that become readable when a scan is ready."""
+        return tuple(connection.fileno() for _, connection in self._workers)
+
+    def request(self, sensor: str, plan: ScanPlan) -> None:
+        home = self._home[sensor]
+        self._owed[home].append((sensor, plan))
+        if len(self._owed[home]) == 1:
+            self._hand_over(home)
+
+    def _hand_over(self, home: int) -> None:
+        # One plan at a time: an idle worker reads at once, so that a plan larger than the pipe cannot block the sender.
+        if self._owed[home]:
+            with contextlib.suppress(OSError):  # a dead worker is replaced by `poll`
+                self._workers[home][1].send(self._owed[home][0])
+
+    def poll(self) -> set[str]:
+        """Take in finished scans; the sensors that have some."""
+        fresh: set[str] = set()
+        for home, (_, connection) in enumerate(self._workers):
+            try:
+                while connection.poll():
+                    word, sensor, result = connection.recv()
+                    self._owed[home].popleft()
+                    self._hand_over(home)
+                    if word == "failed":
+                        plan, why = result
+                        self.failures.append(f"{sensor}: sweep {plan.sweep}: {why}")
+                        result = Scan.empty(plan)
+                    self._done.setdefault(sensor, []).append(result)
+                    fresh.add(sensor)
+            except (EOFError, OSError):
+                self._replace(home)
+        return fresh
+
+    def _replace(self, home: int) -> None:
+        self._deaths += 1
+        process, connection = self._workers[home]
+        connection.close()
+        process.join(timeout=1.0)
+        self.failures.append(f"measuring process {home} ended with code {process.exitcode}; started again")
+        if self._deaths > 10:
+            raise SceneError("measuring processes keep ending; see the messages above")
+        self._workers[home] = self._start()
+        self._await_ready(self._workers[home][1])
+        self._hand_over(home)
+
+    def collect(self, sensor: str) -> list[Scan]:
+        return self._done.pop(sensor, [])
+
+    def close(self) -> None:
+        """End the workers."""
+        for process, connection in self._workers:
+            connection.close()
+            process.terminate()
+        for process, _ in self._workers:
+            process.join(timeout=2.0)
