@@ -171,6 +171,10 @@ class Family(Protocol):
     @property
     def name(self) -> str: ...
 
+    @property
+    def tcp_is_line(self) -> bool:
+        """Whether a TCP link is a serial line behind a device server (paced, no connections), or the device's own."""
+
     def new_session(self, device: Mapping[str, Any], facts: Mapping[str, Any]) -> Session:
         """A session of one device, switched off.
 

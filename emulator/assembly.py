@@ -1,0 +1,76 @@
+"""From a scenario to running parts: measuring functions in the workers, instruments in the sender."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+from emulator.clock import Clock
+from emulator.daemon import Daemon, worker_count
+from emulator.instrument import Instrument
+from emulator.measuring import Measure, Measuring, Workers
+from emulator.scenario import Scenario
+from emulator.spec import load_spec
+from emulator.transports import open_link
+from emulator.transports.link import Link
+from protocols import family
+from protocols.errors import DeviceSettingError
+from protocols.session import Session
+
+
+def build_measures(scenario: Scenario) -> Mapping[str, Measure]:
+    """Scene and measuring function of every sensor; imports the ray caster, so it runs where scans are measured."""
+    from emulator import raycast, scene, sensing
+
+    world = scene.build(scenario)
+    caster = raycast.Caster(world)
+    return {sensor.id: sensing.build(scenario, world, caster, sensor.id) for sensor in scenario.sensors}
+
+
+def new_session(scenario: Scenario, index: int) -> Session:
+    """The conversation of one sensor, switched off; `ScenarioError` when its `device` table does not fit the model."""
+    sensor = scenario.sensors[index]
+    spec = load_spec(sensor.model)
+    try:
+        return family(spec.family).new_session(sensor.device, spec.device)
+    except DeviceSettingError as error:
+        raise scenario.fault(f"sensors.{index}.device.{error.key}", error.found, error.allowed) from None
+
+
+def new_sessions(scenario: Scenario) -> list[Session]:
+    """The conversations of all sensors, in the scenario's order."""
+    return [new_session(scenario, index) for index in range(len(scenario.sensors))]
+
+
+def open_instruments(scenario: Scenario, sessions: Sequence[Session], measuring: Measuring) -> list[Instrument]:
+    """Open every link of every sensor; when one cannot be opened, the others are closed again."""
+    opened: list[Link] = []
+    instruments = []
+    try:
+        for sensor, session in zip(scenario.sensors, sessions, strict=True):
+            tcp_is_line = family(load_spec(sensor.model).family).tcp_is_line
+            links = []
+            for url in sensor.links:
+                links.append(open_link(url, tcp_is_line))
+                opened.append(links[-1])
+            instruments.append(Instrument(sensor.id, session, links, measuring))
+    except BaseException:
+        for link in opened:
+            link.close()
+        raise
+    return instruments
+
+
+def start(scenario: Scenario, clock: Clock, workers: int | None = None) -> tuple[Daemon, list[Instrument]]:
+    """Everything of a real-time run, devices still switched off: workers first, links after them."""
+    sessions = new_sessions(scenario)
+    names = [sensor.id for sensor in scenario.sensors]
+    measuring = Workers(partial(build_measures, scenario), names, workers or worker_count(len(names)))
+    try:
+        instruments = open_instruments(scenario, sessions, measuring)
+    except BaseException:
+        measuring.close()
+        raise
+    daemon = Daemon(instruments, clock, measuring)
+    daemon.watch_workers()
+    return daemon, instruments
