@@ -1,0 +1,85 @@
+"""The `physics:` table of a sensor in a scenario: how its beams are computed in this run.
+
+Everything left out is taken from the model's spec. Facts of the model stay in the spec; weather in `weather`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+BundleRule = Literal["axis", "laguerre", "spiral", "grid", "adaptive"]
+Profile = Literal["gauss", "tophat"]
+PulseShape = Literal["sin2", "gauss"]
+DetectionMethod = Literal["leading_edge", "constant_fraction", "peak", "centroid"]
+EchoChoice = Literal["first", "strongest", "last", "all"]
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Divergence = Annotated[float, Field(ge=0.0, le=20.0)]
+
+
+class WindscreenOptions(BaseModel):
+    """A laminated pane in front of the sensor, every beam through it both ways."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    rake_deg: Annotated[float, Field(ge=0.0, lt=90.0)] = 60.0
+    "Between a beam along the sensor's x axis and the pane's normal, which leans back."
+    internal_transmission: Annotated[float, Field(gt=0.0, le=1.0)] = 0.8
+    "One way: 0.8 clear to 0.3 heat-absorbing at 905 nm."
+    index: Annotated[float, Field(ge=1.0, le=4.0)] = 1.5
+
+
+class PhysicsOptions(BaseModel):
+    """Choices of a run; None: as the model's spec has it."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    rule: BundleRule | None = None
+    sub_beams: Annotated[int, Field(ge=1, le=65536)] | None = None
+    depth: Annotated[int, Field(ge=0, le=8)] = 3
+    "Levels of splitting of rule `adaptive`."
+    profile: Profile | None = None
+    divergence_deg: Divergence | tuple[Divergence, Divergence] | None = None
+    "Full angle, or in and across the scan plane."
+    roll_deg: float | None = None
+    exit_diameter_mm: NotNegative | None = None
+    pulse: PulseShape | None = None
+    pulse_fwhm_ns: Annotated[float, Field(ge=0.01, le=1e5)] | None = None
+    wavelength_nm: Annotated[float, Field(ge=300.0, le=3000.0)] | None = None
+    system_constant_m2: Positive | None = None
+    threshold_to_noise: Positive | None = None
+    false_alarms_per_gate: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
+    "Sets the threshold from the mean count of noise echoes a beam."
+    detection: DetectionMethod | None = None
+    walk_table: bool | None = None
+    echoes: EchoChoice | None = None
+    max_echoes: Annotated[int, Field(ge=1, le=64)] | None = None
+    bin_ns: Positive | None = None
+    "Step of a sampled waveform; None: 1 ns, finer for pulses under 4 ns."
+    range_noise_mm: NotNegative | None = None
+    systematic_mm: float | None = None
+    near_gate_m: NotNegative | None = None
+    gate_m: Positive | None = None
+    floor_reflectance: Positive | Literal["off"] | None = None
+    recovery_ns: NotNegative | None = None
+    full_scale_snr: Positive | Literal["off"] | None = None
+    noise: bool = True
+    "Draw noise of amplitude and range (mode operational)."
+    false_alarms: bool = True
+    background: bool = True
+    weather_echoes: bool = True
+    "Backscatter of fog, rain, snow, dust, spray."
+    bounces: Annotated[int, Field(ge=0, le=2)] = 2
+    "Rays continued at mirrors and through glass."
+    windscreen: WindscreenOptions | None = None
+
+    @model_validator(mode="after")
+    def _one_threshold(self) -> PhysicsOptions:
+        if self.threshold_to_noise is not None and self.false_alarms_per_gate is not None:
+            raise ValueError("threshold_to_noise and false_alarms_per_gate; want one of them")
+        if self.gate_m is not None and self.near_gate_m is not None and self.near_gate_m >= self.gate_m:
+            raise ValueError(f"near_gate_m {self.near_gate_m} not before gate_m {self.gate_m}; want it smaller")
+        return self
