@@ -13,9 +13,13 @@ class Clock(Protocol):
 
 
 class SystemClock:
-    """Monotonic time since this object was made."""
+    """Monotonic time since this object was made, or since `restart`."""
 
     def __init__(self) -> None:
+        self._start_ns = time.monotonic_ns()
+
+    def restart(self) -> None:
+        """Begin again at zero; before the run begins, never during it."""
         self._start_ns = time.monotonic_ns()
 
     def now_ns(self) -> int:

@@ -50,7 +50,7 @@ class Daemon:
         self._instruments = list(instruments)
         self._clock = clock
         self._workers = workers
-        self._on_failure = on_failure
+        self.on_failure = on_failure
         self._stop = False
         self._selector = selectors.DefaultSelector()
         self._watched: dict[int, tuple[int, ...]] = {}
@@ -120,7 +120,7 @@ class Daemon:
         except LinkError as error:
             self._lost.add(index)
             self.lost_links.append(str(error))
-            self._on_failure(str(error))
+            self.on_failure(str(error))
             self._unwatch(index)
             return
         self._note_lateness(instrument, self._clock.now_ns() - now_ns)
@@ -182,7 +182,7 @@ class Daemon:
             return
         fresh = self._workers.poll()
         for text in self._workers.failures:
-            self._on_failure(text)
+            self.on_failure(text)
         self._workers.failures.clear()
         now_ns = self._clock.now_ns()
         for index, instrument in enumerate(self._instruments):

@@ -1,0 +1,5 @@
+"""`python -m emulator` is `lidaremu`."""
+
+from emulator.cli import entry
+
+entry()

@@ -1,0 +1,323 @@
+"""The command line: reads arguments, prints, and turns errors into exit codes. The only place that prints.
+
+Exit codes: 0 held, or stopped as asked; 1 an expectation failed; 2 cannot run: bad scenario, spec or arguments;
+3 a link could not be opened or was lost. Parts are imported by the command that needs them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from emulator import __version__
+from emulator.errors import EmulatorError, LinkError
+
+if TYPE_CHECKING:
+    from emulator.instrument import Instrument
+    from emulator.scenario import Scenario
+
+OK, FAILED, CANNOT_RUN, LINK_LOST = 0, 1, 2, 3
+
+
+def say(text: str) -> None:
+    """One line for the user, at once."""
+    click.echo(text)
+    sys.stdout.flush()
+
+
+def note(text: str) -> None:
+    """One line of the log, on standard error."""
+    click.echo(f"lidaremu: {text}", err=True)
+
+
+def entry() -> None:
+    """Entry point of the installed command."""
+    sys.exit(main(sys.argv[1:]))
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run one command and return its exit code; bad input gives a message, never a traceback."""
+    try:
+        result = commands.main(args=list(argv), prog_name="lidaremu", standalone_mode=False)
+    except click.exceptions.Exit as stop:
+        return stop.exit_code
+    except click.Abort:
+        return CANNOT_RUN
+    except click.ClickException as error:
+        error.show()
+        return CANNOT_RUN
+    except EmulatorError as error:
+        note(str(error))
+        return error.exit_code
+    except BrokenPipeError:  # the reader of our output has gone, as with `| head`
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+        return OK
+    return result if isinstance(result, int) else OK
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(__version__, prog_name="lidaremu")
+def commands() -> None:
+    """Software that behaves on the wire exactly like a real lidar."""
+
+
+# ---------------------------------------------------------------- scenarios
+
+
+def scenario_options(function: Any) -> Any:
+    """Options common to all commands that read a scenario."""
+    for option in (
+        click.option("--set", "overrides", multiple=True, metavar="a.b=c", help="Set any key of the scenario."),
+        click.option("--seed", type=int, help="Seed of every random draw."),
+        click.option("--link", "links", multiple=True, metavar="SENSOR=URL", help="Replace that sensor's links."),
+    ):
+        function = option(function)
+    return function
+
+
+def load_scenario(name: str, overrides: Sequence[str], seed: int | None, links: Sequence[str]) -> Scenario:
+    """The scenario of that path or built-in name, with the command line's changes."""
+    from emulator import scenario
+
+    replaced: dict[str, list[str]] = {}
+    for text in links:
+        sensor, separator, url = text.partition("=")
+        if not separator or not sensor or not url:
+            raise click.BadParameter(f"{text!r}; want SENSOR=URL", param_hint="--link")
+        replaced.setdefault(sensor, []).append(url)
+    return scenario.load(name, overrides, seed, replaced)
+
+
+@commands.command()
+@click.argument("scenarios", nargs=-1, required=True, metavar="SCENARIO...")
+@scenario_options
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a scenario.")
+def check(
+    scenarios: Sequence[str], overrides: Sequence[str], seed: int | None, links: Sequence[str], as_json: bool
+) -> int:
+    """Validate scenario files, their meshes and their devices' settings."""
+    from emulator import scene
+    from emulator.assembly import new_sessions
+
+    code = OK
+    for name in scenarios:
+        try:
+            loaded = load_scenario(name, overrides, seed, links)
+            new_sessions(loaded)
+            world = scene.build(loaded)
+        except EmulatorError as error:
+            code = max(code, error.exit_code)
+            if as_json:
+                say(json.dumps({"scenario": name, "ok": False, "faults": str(error).splitlines()}))
+            else:
+                click.echo(str(error), err=True)
+            continue
+        triangles = sum(len(body.faces) for body in world.bodies)
+        if as_json:
+            say(json.dumps({"scenario": name, "ok": True, "actors": len(world.actors), "triangles": triangles}))
+        else:
+            say(f"{name}: ok: {len(loaded.sensors)} sensors, {len(world.actors)} actors, {triangles} triangles")
+    return code
+
+
+# ---------------------------------------------------------------- run
+
+
+@commands.command(context_settings={"ignore_unknown_options": False})
+@click.argument("scenario")
+@click.argument("command", nargs=-1, type=click.UNPROCESSED)
+@scenario_options
+@click.option("--duration", type=click.FloatRange(min=0.0), metavar="S", help="Stop after this many seconds.")
+@click.option("--workers", type=click.IntRange(min=1), help="Measuring processes (default: cores less one).")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line on standard output.")
+@click.option("--shim", is_flag=True, help="Give COMMAND the preload shim for drivers that set 500 kBd by TIOCSSERIAL.")
+def run(
+    scenario: str,
+    command: Sequence[str],
+    overrides: Sequence[str],
+    seed: int | None,
+    links: Sequence[str],
+    duration: float | None,
+    workers: int | None,
+    as_json: bool,
+    shim: bool,
+) -> int:
+    """Open every link of SCENARIO and answer hosts until SIGINT, SIGTERM or --duration.
+
+    After `--` a COMMAND may follow: it is started once every link accepts a host, with the path or address of each
+    sensor's first link in the variable LIDAREMU_<SENSOR>, and the run ends with it.
+    """
+    if shim and not command:
+        raise click.UsageError("--shim wants the driver's command: lidaremu run SCENARIO --shim -- ./driver ARGS")
+    environment = dict(os.environ)
+    if shim:
+        from emulator.transports.shim import shim_environment
+
+        environment = shim_environment(environment)
+    loaded = load_scenario(scenario, overrides, seed, links)
+
+    from emulator import assembly
+    from emulator.clock import SystemClock
+
+    clock = SystemClock()
+    daemon, instruments = assembly.start(loaded, clock, workers)
+    daemon.on_failure = note
+    driver: subprocess.Popen[bytes] | None = None
+    try:
+        with daemon.signals():
+            clock.restart()
+            daemon.power_on()
+            announce_ready(loaded, instruments, as_json)
+            until = duration if duration is not None else loaded.duration_s
+            until_ns = None if until is None else int(until * 1e9)
+            if command:
+                environment |= {variable_of(item.sensor): place_of(item.links[0].url) for item in instruments if item.links}
+                driver = start_driver(command, environment)
+            daemon.run(until_ns, None if driver is None else lambda: driver.poll() is None)
+    finally:
+        daemon.close()
+        driver_code = None if driver is None else end_driver(driver)
+    announce_end(instruments, as_json)
+    if daemon.lost_links:
+        return LINK_LOST
+    return OK if driver_code in (None, 0) else FAILED
+
+
+def variable_of(sensor: str) -> str:
+    """Name of the environment variable that tells a driver where a sensor is."""
+    return "LIDAREMU_" + "".join(letter if letter.isalnum() else "_" for letter in sensor.upper())
+
+
+def place_of(url: str) -> str:
+    """The path or address in a link's URL."""
+    return url.partition(":")[2].partition("?")[0]
+
+
+def start_driver(command: Sequence[str], environment: dict[str, str]) -> subprocess.Popen[bytes]:
+    """The driver under test as a child process."""
+    try:
+        return subprocess.Popen(list(command), env=environment)
+    except OSError as error:
+        raise EmulatorError(f"cannot start {command[0]}: {error.strerror}") from None
+
+
+def end_driver(driver: subprocess.Popen[bytes]) -> int:
+    """Its exit code; a driver still running is asked to end, then made to."""
+    if driver.poll() is None:
+        driver.terminate()
+        try:
+            driver.wait(timeout=5.0)
+        except subprocess.TimeoutExpired:
+            driver.kill()
+            driver.wait()
+        return 0
+    return driver.returncode
+
+
+def announce_ready(scenario: Scenario, instruments: Sequence[Instrument], as_json: bool) -> None:
+    """Say where hosts can connect; every link accepts one by now."""
+    models = {sensor.id: sensor.model for sensor in scenario.sensors}
+    if as_json:
+        sensors = [
+            {"id": item.sensor, "model": models[item.sensor], "links": [link.url for link in item.links]}
+            for item in instruments
+        ]
+        say(json.dumps({"event": "ready", "sensors": sensors, "control": None}))
+        return
+    for item in instruments:
+        for link in item.links:
+            say(f"ready: {item.sensor} ({models[item.sensor]}) on {link.url}")
+
+
+def announce_end(instruments: Sequence[Instrument], as_json: bool) -> None:
+    """Say what each sensor did: scans sent, dropped, rate, lateness of sends."""
+    from emulator.daemon import summary
+
+    totals = [summary(item) for item in instruments]
+    if as_json:
+        say(json.dumps({"event": "stopped", "sensors": totals}))
+        return
+    for total in totals:
+        dropped = ", ".join(f"{count} {reason}" for reason, count in total["scans_dropped"].items()) or "none"
+        rate = "-" if total["scans_per_s"] is None else f"{total['scans_per_s']:.3f}/s"
+        say(f"{total['id']}: {total['scans_sent']} scans sent, {rate}; dropped: {dropped}")
+        late = total["lateness_us"]
+        if late["sends"]:
+            say(
+                f"{total['id']}: lateness of {late['sends']} sends: median {late['median']:.0f} us,"
+                f" p99 {late['p99']:.0f} us, worst {late['worst']:.0f} us"
+            )
+        ignored = ", ".join(f"{count} {reason}" for reason, count in total["input_dropped"].items())
+        if ignored:
+            say(f"{total['id']}: input not taken: {ignored}")
+
+
+# ---------------------------------------------------------------- hosts of our own
+
+
+@commands.command()
+@click.option("--scenario", default="crossing_car", show_default=True, help="Built-in name or path.")
+@click.option("--sensor", help="Which of its sensors to look through (default: the first).")
+@click.option("--duration", type=click.FloatRange(min=0.0), default=None, metavar="S", help="Stop after so long.")
+@click.option("--baud", type=int, default=500_000, show_default=True, help="Line speed the host asks for.")
+def demo(scenario: str, sensor: str | None, duration: float | None, baud: int) -> int:
+    """A built-in scenario with a built-in host on the other end, drawn live in the terminal."""
+    from emulator.demo import run_demo
+
+    return run_demo(scenario, sensor, duration, baud, say)
+
+
+@commands.command()
+@click.argument("link")
+@click.option("--family", "family_name", default="lms2xx", show_default=True, help="Protocol to speak.")
+@click.option("--baud", type=int, default=38_400, show_default=True, help="Line speed to ask for (serial).")
+@click.option("--scans", type=click.IntRange(min=1), help="Stop after so many scans.")
+@click.option("--duration", type=click.FloatRange(min=0.0), metavar="S", help="Stop after so many seconds.")
+@click.option("--png", type=click.Path(dir_okay=False, path_type=Path), help="Draw the last scan into FILE.")
+@click.option("--csv", type=click.Path(dir_okay=False, path_type=Path), help="Write every scan's points to FILE.")
+def look(
+    link: str,
+    family_name: str,
+    baud: int,
+    scans: int | None,
+    duration: float | None,
+    png: Path | None,
+    csv: Path | None,
+) -> int:
+    """Connect to LINK (pty:PATH, serial:DEVICE or tcp:HOST:PORT) as a host, decode and draw. Real devices too."""
+    from emulator.look import run_look
+
+    return run_look(link, family_name, baud, scans, duration, png, csv, say)
+
+
+# ---------------------------------------------------------------- what there is
+
+
+LISTABLE = ("sensors", "scenarios", "materials", "links", "commands")
+
+
+@commands.command(name="list")
+@click.argument("what", type=click.Choice(LISTABLE))
+@click.argument("family_name", required=False, metavar="[FAMILY]")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
+def list_(what: str, family_name: str | None, as_json: bool) -> int:
+    """Sensors, scenarios, materials, links, or the commands of a protocol FAMILY."""
+    from emulator import catalogue
+
+    try:
+        rows = catalogue.rows(what, family_name)
+    except KeyError as error:
+        raise click.UsageError(str(error.args[0])) from None
+    for row in rows:
+        say(json.dumps(row) if as_json else "  ".join(str(value) for value in row.values() if value != ""))
+    return OK
+
+
+__all__ = ["LinkError", "entry", "main"]
