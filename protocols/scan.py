@@ -77,6 +77,12 @@ class DetectedObject:
     "Truth, for recordings and reports; no encoder reads it."
     coasting_s: float = 0.0
     "Time since the last echo was seen; 0 when it was seen in this scan."
+    acceleration_std_m_s2: tuple[float, float] | None = None
+    "None: not known."
+    yaw_std_rad: float | None = None
+    "None: not known."
+    contour_m: tuple[tuple[float, float], ...] = ()
+    "Outline as seen, x and y in the sensor's frame, in the order of azimuth; empty: only the box is known."
 
 
 @dataclass(frozen=True, eq=False)
