@@ -1,6 +1,6 @@
 """YAML files read with the place of every key, and faults told as `file:line: dotted.key: found; want allowed`.
 
-Belongs here: reading, line numbers, turning pydantic's errors into such lines. What the keys mean stays with the models.
+Belongs here: reading, line numbers, turning pydantic errors into such lines. What the keys mean stays with the models.
 """
 
 from __future__ import annotations

@@ -1,0 +1,66 @@
+"""Random numbers keyed by what they are for: scenario seed, sensor, term, sweep, beam.
+
+A draw depends on nothing else: not on the order in which sweeps are computed, nor on the terms that are left out, nor on
+the number of beams. Each number is one word of a counter-based generator, turned into its law by the inverse of the
+distribution function, so element j of a draw belongs to beam j whatever the others are.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_TO_UNIT = 2.0**-53
+MANY = 1000.0
+"Mean count from which a Poisson law is drawn as a normal one."
+
+
+@dataclass(frozen=True)
+class Draws:
+    """All random numbers of one sensor in one scenario."""
+
+    seed: int
+    sensor: str
+
+    def uniform(self, term: str, sweep: int, beams: int, columns: int = 1) -> Floats:
+        """Uniform numbers in (0, 1), shape (beams, columns); row j is the same for every `beams` > j."""
+        words = self._bits(term, sweep).random_raw(beams * columns)
+        return ((words >> np.uint64(11)) + 0.5).reshape(beams, columns) * _TO_UNIT
+
+    def normal(self, term: str, sweep: int, beams: int, columns: int = 1) -> Floats:
+        """Standard normal numbers, shape (beams, columns)."""
+        return np.asarray(special.ndtri(self.uniform(term, sweep, beams, columns)), dtype=np.float64)
+
+    def poisson(self, term: str, sweep: int, mean: Floats) -> Ints:
+        """Counts with the given means (beams,); above a mean of `MANY` by the normal law."""
+        mean = np.asarray(mean, dtype=np.float64)
+        count = np.zeros(mean.shape, dtype=np.int64)
+        chance = self.uniform(term, sweep, mean.size)[:, 0]
+        largest = float(mean.max(initial=0.0))
+        if largest == 0.0:
+            return count
+        many = mean > MANY
+        if largest > MANY:
+            centre = np.rint(mean[many] + np.sqrt(mean[many]) * special.ndtri(chance[many]))
+            count[many] = np.maximum(centre, 0.0).astype(np.int64)
+        left = np.flatnonzero(~many & (chance > np.exp(-mean)))
+        limit = int(min(largest, MANY) + 60.0 * np.sqrt(MANY) + 60.0)
+        for step in range(1, limit):
+            if left.size == 0:
+                break
+            count[left] = step
+            left = left[chance[left] > special.pdtr(step, mean[left])]
+        return count
+
+    def _bits(self, term: str, sweep: int) -> np.random.Philox:
+        text = f"{self.seed}\0{self.sensor}\0{term}".encode()
+        digest = hashlib.blake2b(text, digest_size=16).digest()
+        key = np.frombuffer(digest, dtype="<u8")
+        return np.random.Philox(key=key, counter=np.array([0, 0, sweep & (2**64 - 1), 0], dtype=np.uint64))
