@@ -1,6 +1,6 @@
 """Random numbers keyed by what they are for: scenario seed, sensor, term, sweep, beam.
 
-A draw depends on nothing else: not on the order in which sweeps are computed, nor on the terms that are left out, nor on
+A draw depends on nothing else: not on the order in which sweeps are computed, nor on the terms left out, nor on
 the number of beams. Each number is one word of a counter-based generator, turned into its law by the inverse of the
 distribution function, so element j of a draw belongs to beam j whatever the others are.
 """
@@ -32,7 +32,8 @@ class Draws:
     def uniform(self, term: str, sweep: int, beams: int, columns: int = 1) -> Floats:
         """Uniform numbers in (0, 1), shape (beams, columns); row j is the same for every `beams` > j."""
         words = self._bits(term, sweep).random_raw(beams * columns)
-        return ((words >> np.uint64(11)) + 0.5).reshape(beams, columns) * _TO_UNIT
+        unit = ((words >> np.uint64(11)).astype(np.float64) + 0.5) * _TO_UNIT
+        return unit.reshape(beams, columns)
 
     def normal(self, term: str, sweep: int, beams: int, columns: int = 1) -> Floats:
         """Standard normal numbers, shape (beams, columns)."""
