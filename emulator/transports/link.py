@@ -8,9 +8,13 @@ whenever `flush` is called (late calls catch up, they never shift the schedule).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import deque
 from dataclasses import dataclass, field
 
 from protocols.session import LinkKind
+
+LATENESS_KEPT = 65_536
+"Figures of lateness a link keeps when nobody drains them."
 
 
 @dataclass(frozen=True)
@@ -39,12 +43,18 @@ class LinkStats:
     "Whole payloads given up before their first byte left, because a host reads too slowly."
     bytes_garbled: int = 0
     "Bytes sent or received while host and device were set to different line speeds."
-    lateness_ns: list[int] = field(default_factory=list)
-    "Actual minus scheduled instant of the first byte of each payload; the daemon drains it."
+    hosts_refused: int = 0
+    "Connections turned away, or closed while silent, because all places were taken."
+    lateness_ns: deque[int] = field(default_factory=lambda: deque(maxlen=LATENESS_KEPT))
+    """Actual minus scheduled instant at which each payload had wholly left (unpaced: was handed over); never negative.
+    The daemon drains it. The last byte, because the first ones of a paced payload wait for their group on purpose."""
 
 
 class Link(ABC):
-    """One outlet of a sensor. Never blocks; a host's behaviour never raises."""
+    """One outlet of a sensor. Never blocks; a host's behaviour never raises.
+
+    Only `receive` may raise, `LinkError`, once, when what carries the link is gone for good (an adapter pulled out).
+    """
 
     kind: LinkKind
 
@@ -74,6 +84,10 @@ class Link(ABC):
 
     def set_speed(self, baud: int | None) -> None:
         """Set the line's speed at once (power-on); None: not paced. Links without a speed ignore it."""
+
+    def clear(self) -> int:
+        """Forget what has not left yet (power cut); how many bytes those were."""
+        return 0
 
     @abstractmethod
     def close(self) -> None:
