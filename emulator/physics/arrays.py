@@ -1,0 +1,72 @@
+"""Array types of the physics library and the few guards every formula needs.
+
+Here: type aliases, the exponential that never warns, sums and ramps over ragged groups. Not here: any physics.
+All values are float64. A function of the library takes scalars or arrays of any shape that broadcast and returns what
+numpy returns for them.
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats: TypeAlias = NDArray[np.float64]
+Ints: TypeAlias = NDArray[np.int64]
+Bools: TypeAlias = NDArray[np.bool_]
+Values: TypeAlias = float | NDArray[np.float64]
+"What a formula accepts: one number or an array of them."
+
+LOG_NOTHING = -575.0
+"Natural logarithm of 1e-250: a factor below it is nothing at any receiver, and products of it cannot underflow."
+
+
+def floats(values: Values) -> Floats:
+    """The values as a float64 array."""
+    return np.asarray(values, dtype=np.float64)
+
+
+def exp_or_zero(exponent: Values) -> Floats:
+    """exp(exponent), exactly 0 below `LOG_NOTHING` so that neither it nor its products underflow."""
+    x = floats(exponent)
+    return np.where(x < LOG_NOTHING, 0.0, np.exp(np.maximum(x, LOG_NOTHING)))
+
+
+def group_starts(groups: Ints) -> Ints:
+    """First index of every run of equal numbers in a sorted array; empty for an empty one."""
+    if groups.size == 0:
+        return np.zeros(0, np.int64)
+    return np.flatnonzero(np.concatenate(([True], groups[1:] != groups[:-1])))
+
+
+def ramp(counts: Ints) -> Ints:
+    """0..c-1 for every count c, one after another: position within its group of each element of a ragged array."""
+    total = int(counts.sum())
+    ends = np.cumsum(counts)
+    return np.arange(total) - np.repeat(ends - counts, counts)
+
+
+def require_positive(name: str, values: Values) -> None:
+    """Refuse values that are not finite and above zero, by name."""
+    x = floats(values)
+    if not bool(np.all(np.isfinite(x) & (x > 0.0))):
+        raise ValueError(f"{name}: {_first(x, ~(np.isfinite(x) & (x > 0.0)))}; want a number > 0")
+
+
+def require_not_negative(name: str, values: Values) -> None:
+    """Refuse values that are not finite or below zero, by name."""
+    x = floats(values)
+    if not bool(np.all(np.isfinite(x) & (x >= 0.0))):
+        raise ValueError(f"{name}: {_first(x, ~(np.isfinite(x) & (x >= 0.0)))}; want a number >= 0")
+
+
+def require_share(name: str, values: Values) -> None:
+    """Refuse values outside 0..1, by name."""
+    x = floats(values)
+    if not bool(np.all((x >= 0.0) & (x <= 1.0))):
+        raise ValueError(f"{name}: {_first(x, ~((x >= 0.0) & (x <= 1.0)))}; want a number from 0 to 1")
+
+
+def _first(values: Floats, wrong: Bools) -> float:
+    return float(np.atleast_1d(values)[np.atleast_1d(wrong)][0])

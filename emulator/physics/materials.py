@@ -1,0 +1,321 @@
+"""Materials by name: reflectance per wavelength, reflection model, parameters, source; and what they send back.
+
+Here: the table that ships with the package, the check of materials a user adds, and `SurfaceTable`, which evaluates
+whole arrays of hits at once. Not here: the reflection models themselves (brdf).
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib import resources
+from types import MappingProxyType
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from emulator.physics import brdf
+from emulator.physics.arrays import Floats, Ints, floats
+from emulator.physics.constants import WATER_INDEX_905
+
+Model = Literal["lambert", "oren_nayar", "phong", "ggx", "coated", "mirror", "glass", "retro"]
+MODELS: tuple[str, ...] = get_args(Model)
+WAVELENGTH_TOLERANCE_NM = 45.0
+"A reflectance holds this far from the wavelength it is given for (850 to 950 nm for 905); farther is refused."
+
+
+class MaterialError(ValueError):
+    """A material that cannot be: carries the key, what was found and what is allowed."""
+
+    def __init__(self, key: str, found: object, allowed: str) -> None:
+        super().__init__(f"{key}: {found}; want {allowed}")
+        self.key, self.found, self.allowed = key, found, allowed
+
+
+@dataclass(frozen=True)
+class Material:
+    """One surface. Parameters that its model does not use keep their defaults."""
+
+    name: str
+    rho: tuple[tuple[float, float], ...]
+    "(wavelength in nm, diffuse reflectance) in rising order; one pair of wavelength 0 holds for every wavelength."
+    model: Model = "lambert"
+    range_905: tuple[float, float] | None = None
+    "Spread of rho over specimens of that name."
+    slope_rad: float = 0.0
+    "Oren-Nayar: standard deviation of the slopes."
+    f0: float = brdf.COAT_OUTSIDE
+    "GGX lobe: mirror reflectance at normal incidence."
+    roughness: float = 0.1
+    "GGX lobe: alpha."
+    lobe_share: float = 1.0
+    "GGX: share of the surface that has the lobe."
+    rho_specular: float = 0.0
+    "Phong: energy in the lobe."
+    exponent: float = 20.0
+    "Phong."
+    specular: float | None = None
+    "Mirror: share sent on in the mirror direction; None: Fresnel's for `index`."
+    index: float = 1.5
+    "Refractive index of glass, or of the liquid of a mirror."
+    internal: float = 1.0
+    "Glass: what one pass inside the pane leaves."
+    retro_cd_lx_m2: float = 0.0
+    "Coefficient R_A of retroreflective sheeting."
+    wet: bool = False
+    "Covered with a film of water: darker diffuse part."
+    evidence: str = "user"
+    source: str = ""
+
+    def reflectance(self, wavelength_nm: float) -> float:
+        """Diffuse reflectance at this wavelength, wetness included; refuses a wavelength that it has no value for.
+
+        The value given for the nearest wavelength is taken, if that is within `WAVELENGTH_TOLERANCE_NM`; nothing is
+        interpolated, because spectra have bands between 905 and 1550 nm.
+        """
+        nearest, rho = min(self.rho, key=lambda pair: abs(pair[0] - wavelength_nm))
+        if nearest != 0.0 and abs(nearest - wavelength_nm) > WAVELENGTH_TOLERANCE_NM:
+            known = ", ".join(f"{nm:g}" for nm, _ in self.rho)
+            raise MaterialError(
+                f"materials.{self.name}.rho",
+                f"no value for {wavelength_nm:g} nm",
+                f"one within {WAVELENGTH_TOLERANCE_NM:g} nm of it; given for {known} nm",
+            )
+        return float(brdf.wet_reflectance(rho, WATER_INDEX_905)) if self.wet else rho
+
+
+# ------------------------------------------------------------------------------- table and users' materials
+def known_materials() -> tuple[str, ...]:
+    """Names of the materials that ship with the package, in the order of their table."""
+    return tuple(_table())
+
+
+def material(name: str, extra: Mapping[str, Material] = MappingProxyType({})) -> Material:
+    """A material by name, the user's own first; an unknown name is refused with the nearest known one."""
+    found = extra.get(name) or _table().get(name)
+    if found is None:
+        names = [*extra, *known_materials()]
+        near = difflib.get_close_matches(name, names, 1)
+        raise MaterialError(
+            "material", name, f"a known one (did you mean {near[0]}?)" if near else f"one of {', '.join(names)}"
+        )
+    return found
+
+
+def material_from_mapping(name: str, entry: Mapping[str, Any]) -> Material:
+    """A user's material from the mapping in a scenario.
+
+    Keys: those of `materials.yaml`; `rho` is one number for every wavelength or a mapping of nm to numbers.
+    ``like: NAME`` starts from a known material and changes only the keys given. ``k_over_s`` (number or mapping)
+    instead of rho: Kubelka-Munk layer; under model `coated` its clear coat is added by Saunderson's formula.
+    """
+    where = f"materials.{name}"
+    if not isinstance(entry, Mapping):
+        raise MaterialError(where, repr(entry), "a mapping with rho and model")
+    base: Material | None = None
+    if "like" in entry:
+        try:
+            base = material(str(entry["like"]))
+        except MaterialError as error:
+            raise MaterialError(f"{where}.like", error.found, error.allowed) from None
+    for key in entry:
+        if key not in _KEYS:
+            near = difflib.get_close_matches(str(key), _KEYS, 1)
+            raise MaterialError(f"{where}.{key}", "unknown key", near[0] if near else f"one of {', '.join(_KEYS)}")
+    made = base or Material(name, ())
+    model = entry.get("model", made.model)
+    if model not in MODELS:
+        raise MaterialError(f"{where}.model", repr(model), f"one of {', '.join(MODELS)}")
+    fields: dict[str, Any] = {"name": name, "model": model}
+    for key in ("source", "evidence"):
+        if key in entry:
+            fields[key] = str(entry[key])
+        elif base is None or key == "evidence":
+            fields[key] = "user" if key == "evidence" else ""
+    for key, (low, high, text) in _NUMBERS.items():
+        if key in entry:
+            fields[key] = _number(f"{where}.{key}", entry[key], low, high, text)
+    if "specular" in entry:
+        value = entry["specular"]
+        fields["specular"] = None if value == "fresnel" else _number(f"{where}.specular", value, 0, 1, _SHARE)
+    elif base is None and model == "mirror" and "index" not in entry:
+        raise MaterialError(f"{where}.specular", "missing", "a share from 0 to 1, or fresnel with an index")
+    if "wet" in entry:
+        if not isinstance(entry["wet"], bool):
+            raise MaterialError(f"{where}.wet", repr(entry["wet"]), "true or false")
+        fields["wet"] = entry["wet"]
+    if "range" in entry:
+        pair = entry["range"]
+        if not isinstance(pair, Sequence) or isinstance(pair, str) or len(pair) != 2:
+            raise MaterialError(f"{where}.range", repr(pair), "two numbers, least and largest")
+        low, high = (_number(f"{where}.range", value, 0.0, 1.0, _SHARE) for value in pair)
+        fields["range_905"] = (min(low, high), max(low, high))
+    elif base is not None:
+        fields["range_905"] = None if "rho" in entry or "k_over_s" in entry else base.range_905
+    if "rho" in entry and "k_over_s" in entry:
+        raise MaterialError(f"{where}.k_over_s", "given beside rho", "one of the two")
+    if "rho" in entry:
+        fields["rho"] = _spectrum(f"{where}.rho", entry["rho"], 0.0, 1.0, _SHARE)
+    elif "k_over_s" in entry:
+        pairs = _spectrum(f"{where}.k_over_s", entry["k_over_s"], 0.0, math.inf, "a number >= 0")
+        layer = tuple((nm, float(brdf.kubelka_munk(x))) for nm, x in pairs)
+        if model == "coated":
+            layer = tuple((nm, float(brdf.saunderson_diffuse(rho))) for nm, rho in layer)
+        fields["rho"] = layer
+    elif base is None:
+        raise MaterialError(f"{where}.rho", "missing", "a number from 0 to 1, or a mapping of wavelength in nm to one")
+    result = replace(made, **fields)
+    if result.model == "retro" and result.retro_cd_lx_m2 <= 0.0:
+        raise MaterialError(f"{where}.retro_cd_lx_m2", "missing", "a number > 0, in cd/lx/m2")
+    return result
+
+
+_SHARE = "a number from 0 to 1"
+_NUMBERS: Mapping[str, tuple[float, float, str]] = MappingProxyType(
+    {
+        "slope_rad": (0.0, math.pi / 2.0, "a number from 0 to 1.57"),
+        "f0": (0.0, 1.0, _SHARE),
+        "roughness": (
+            brdf.MIN_ROUGHNESS,
+            1.0,
+            f"a number from {brdf.MIN_ROUGHNESS} to 1; a smoother surface is model mirror",
+        ),
+        "lobe_share": (0.0, 1.0, _SHARE),
+        "rho_specular": (0.0, 1.0, _SHARE),
+        "exponent": (0.0, 1e6, "a number from 0 to 1e6"),
+        "index": (1.0, 4.0, "a number from 1 to 4"),
+        "internal": (0.0, 1.0, _SHARE),
+        "retro_cd_lx_m2": (0.0, 2000.0, "a number from 0 to 2000, in cd/lx/m2"),
+    }
+)
+_KEYS = ("rho", "k_over_s", "model", "like", "range", "specular", "wet", "source", "evidence", *_NUMBERS)
+
+
+def _number(where: str, value: object, low: float, high: float, allowed: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high or value == math.inf:
+        raise MaterialError(where, repr(value), allowed)
+    return float(value)
+
+
+def _spectrum(where: str, value: object, low: float, high: float, allowed: str) -> tuple[tuple[float, float], ...]:
+    if not isinstance(value, Mapping):
+        return ((0.0, _number(where, value, low, high, allowed)),)
+    if not value:
+        raise MaterialError(where, "an empty mapping", f"wavelength in nm: {allowed}")
+    pairs = []
+    for key, rho in value.items():
+        try:
+            nm = float(key)
+        except (TypeError, ValueError):
+            nm = math.nan
+        if not 300.0 <= nm <= 3000.0:
+            raise MaterialError(f"{where}.{key}", repr(key), "a wavelength from 300 to 3000 nm")
+        pairs.append((nm, _number(f"{where}.{key}", rho, low, high, allowed)))
+    return tuple(sorted(pairs))
+
+
+@cache
+def _table() -> Mapping[str, Material]:
+    from ruamel.yaml import YAML
+
+    text = resources.files("emulator.physics").joinpath("materials.yaml").read_text(encoding="utf-8")
+    entries = YAML(typ="safe", pure=True).load(text)
+    return MappingProxyType({name: material_from_mapping(name, entry) for name, entry in entries.items()})
+
+
+# ------------------------------------------------------------------------------- whole scans of hits
+@dataclass(frozen=True, eq=False)
+class SurfaceTable:
+    """The materials of a scene at one wavelength, evaluated for arrays of hits without a loop over hits."""
+
+    materials: tuple[Material, ...]
+    wavelength_nm: float
+    rho: Floats
+    "(materials,) diffuse reflectance at the wavelength."
+
+    @classmethod
+    def of(cls, materials: Sequence[Material], wavelength_nm: float, wet: bool = False) -> SurfaceTable:
+        """Table of these materials; `wet` wets every surface that is not glass or water."""
+        kept = tuple(replace(m, wet=True) if wet and m.model not in ("glass", "mirror") else m for m in materials)
+        rho = np.array([m.reflectance(wavelength_nm) for m in kept], dtype=np.float64)
+        return cls(kept, wavelength_nm, rho)
+
+    def back(self, index: Ints, cosine: Floats) -> Floats:
+        """pi f cos of every hit: reflectance equivalent to a Lambert plate seen face-on.
+
+        Parameters
+        ----------
+        index : (m,) material of each hit, in the order of `materials`
+        cosine : (m,) cosine of incidence, 0..1; its sign is ignored
+
+        Mirrors and glass give their diffuse part only; what they send on is `mirror_share` and `transmission`.
+        """
+        index = np.asarray(index)
+        c = np.minimum(np.abs(floats(cosine)), 1.0)
+        result = self.rho[index] * c
+        for model in {m.model for m in self.materials} & {"oren_nayar", "phong", "ggx", "coated", "retro"}:
+            chosen = np.array([m.model == model for m in self.materials])[index]
+            if not bool(np.any(chosen)):
+                continue
+            k, cs = index[chosen], c[chosen]
+            if model == "oren_nayar":
+                result[chosen] = brdf.oren_nayar_cos(self.rho[k], self._column("slope_rad")[k], cs)
+            elif model == "phong":
+                specular, exponent = self._column("rho_specular")[k], self._column("exponent")[k]
+                result[chosen] = brdf.phong_cos(self.rho[k], specular, exponent, cs)
+            elif model == "retro":
+                result[chosen] += brdf.retro_equivalent(self._column("retro_cd_lx_m2")[k])
+            else:
+                lobe = brdf.ggx_cos(self._column("f0")[k], self._column("roughness")[k], cs)
+                result[chosen] += self._column("lobe_share")[k] * lobe
+        return result
+
+    def mirror_share(self, index: Ints, cosine: Floats) -> Floats:
+        """Share of the light of every hit that goes on in the mirror direction."""
+        index = np.asarray(index)
+        c = np.minimum(np.abs(floats(cosine)), 1.0)
+        result = np.zeros(c.shape)
+        for number, m in enumerate(self.materials):
+            chosen = index == number
+            if m.model == "glass":
+                result[chosen] = brdf.pane_reflection_cos(m.index, c[chosen], m.internal)
+            elif m.model == "mirror" and m.specular is None:
+                rs, rp = brdf.fresnel_cos(m.index, c[chosen])
+                result[chosen] = 0.5 * (rs + rp)
+            elif m.model == "mirror":
+                result[chosen] = m.specular
+        return result
+
+    def transmission(self, index: Ints, cosine: Floats) -> Floats:
+        """Share of the light of every hit that passes the pane, one way; 0 for what is not glass."""
+        index = np.asarray(index)
+        c = np.minimum(np.abs(floats(cosine)), 1.0)
+        result = np.zeros(c.shape)
+        for number, m in enumerate(self.materials):
+            if m.model == "glass":
+                chosen = index == number
+                result[chosen] = brdf.pane_internal_transmission_cos(m.index, c[chosen], m.internal)
+        return result
+
+    @property
+    def largest(self) -> Floats:
+        """(materials,) largest value that `back` can take at any incidence, lobes and sheeting included."""
+        top = self.back(
+            np.repeat(np.arange(len(self.materials)), 91),
+            np.tile(np.cos(np.radians(np.arange(91.0))), len(self.materials)),
+        )
+        return floats(top.reshape(len(self.materials), 91).max(axis=1))
+
+    @property
+    def sends_on(self) -> bool:
+        """True when a material has a mirrored or transmitted share above one per cent: rays must be continued."""
+        return any(
+            m.model in ("glass", "mirror") and (m.model == "glass" or m.specular is None or m.specular > 0.01)
+            for m in self.materials
+        )
+
+    def _column(self, name: str) -> Floats:
+        return np.array([getattr(m, name) for m in self.materials], dtype=np.float64)
