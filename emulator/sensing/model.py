@@ -1,0 +1,266 @@
+"""What sensing must know of one sensor, in SI units: the spec, the choices of the scenario, and what follows of them.
+
+Belongs here: merging spec and options, system constant, baseline noise, threshold. Not: anything of a scene or a scan.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+from emulator.physics import noise, radiometry
+from emulator.physics.beams import BeamShape
+from emulator.physics.constants import SPEED_OF_LIGHT_M_S
+from emulator.physics.pulse import Pulse
+from emulator.physics_options import (
+    BundleRule,
+    DetectionMethod,
+    EchoChoice,
+    PhysicsOptions,
+    Profile,
+    WindscreenOptions,
+)
+from emulator.spec import DetectionSpec, Fact, OpticsSpec, PulseSpec, ReceiverSpec, SensorSpec
+
+Value = TypeVar("Value")
+
+RECEIVER_TEMPERATURE_K = 293.15
+FINEST_BIN_SHARE = 16
+"Bins of a sampled pulse's FWHM at the least: a parabola then finds its peak to 1e-4 of it."
+
+
+@dataclass(frozen=True)
+class Receiver:
+    """Detector and amplifier, for the noise of background light."""
+
+    responsivity_a_w: float
+    gain: float
+    ionisation_ratio: float
+    dark_bulk_a: float
+    dark_surface_a: float
+    amplifier_a_rthz: float
+    load_ohm: float
+    bandwidth_hz: float
+    adc_noise_a: float
+    field_of_view_rad: float
+    "Full angle."
+    filter_nm: float
+    saturation_a: float
+    baseline_a: float
+    "Rms noise without signal and background."
+
+    def noise_a(self, background_w: float) -> float:
+        """Rms noise current with this background on the detector. [A]"""
+        return float(
+            noise.noise_current(
+                0.0,
+                background_w,
+                self.responsivity_a_w,
+                self.gain,
+                self.ionisation_ratio,
+                self.dark_bulk_a,
+                self.dark_surface_a,
+                self.amplifier_a_rthz,
+                self.load_ohm,
+                RECEIVER_TEMPERATURE_K,
+                self.bandwidth_hz,
+                self.adc_noise_a,
+            )
+        )
+
+
+@dataclass(frozen=True)
+class SensorModel:
+    """One sensor of a run. Amplitudes are in rms noise of the dark receiver."""
+
+    seed_mode: bool
+    wavelength_m: float
+    beam: BeamShape
+    rule: BundleRule
+    sub_beams: int
+    depth: int
+    pulse: Pulse
+    k_m2: float
+    "Amplitude of an ideal white plate at 1 m."
+    peak_w: float
+    aperture_radius_m: float
+    efficiency: float
+    receiver: Receiver
+    signal_shot: float
+    "s in noise^2 = 1 + s amplitude: shot noise of the echo itself."
+    overlap_start_m: float
+    overlap_full_m: float
+    near_gate_m: float
+    gate_m: float
+    threshold: float
+    floor_m2: float
+    "Near by the threshold is floor_m2 / (R^2 + a^2), where that is more; 0: one threshold at all ranges."
+    method: DetectionMethod
+    walk_table: bool
+    echoes: EchoChoice
+    max_echoes: int
+    bin_m: float
+    "Step of a sampled waveform in apparent range."
+    lsb_m: float
+    range_noise_m: float
+    systematic_m: float
+    full_scale: float
+    recovery_m: float
+    noise: bool
+    false_alarms: bool
+    background: bool
+    weather_echoes: bool
+    bounces: int
+    windscreen: WindscreenOptions | None
+
+    @property
+    def divergence_rad(self) -> float:
+        """The larger full angle."""
+        return 2.0 * max(self.beam.half_angle_x_rad, self.beam.half_angle_y_rad)
+
+    @property
+    def pulse_energy_j(self) -> float:
+        """Energy of the emitted pulse."""
+        return self.peak_w / float(self.pulse.peak_power(1.0))
+
+
+def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> SensorModel:
+    """Spec and options as one; options win. `mode` is `operational` or `seed`."""
+    optics, pulse_spec, receiver = _need(spec.optics), _need(spec.pulse), _need(spec.receiver)
+    detection, bundle = _need(spec.detection), _need(spec.bundle)
+    seed = mode == "seed"
+    pulse = Pulse(1e-9 * _or(options.pulse_fwhm_ns, pulse_spec.fwhm_ns), _or(options.pulse, pulse_spec.shape))
+    profile = _or(options.profile, optics.profile)
+    detector = _receiver(receiver, options, pulse)
+    nep_w = float(noise.noise_equivalent_power(detector.baseline_a, detector.responsivity_a_w, detector.gain))
+    aperture_m, efficiency = 0.5e-3 * receiver.aperture_mm.value, receiver.efficiency.value
+    k_m2, peak_w = _power(receiver, pulse_spec, options, pulse, aperture_m, efficiency, nep_w)
+    gate_m = _or(options.gate_m, receiver.gate_m)
+    threshold = 1.0 if seed else _threshold(options, detection, detector, gate_m)
+    floor = receiver.floor_reflectance.value if receiver.floor_reflectance is not None else 0.0
+    if options.floor_reflectance is not None:
+        floor = 0.0 if options.floor_reflectance == "off" else options.floor_reflectance
+    full_scale = receiver.full_scale_snr.value if receiver.full_scale_snr is not None else math.inf
+    if options.full_scale_snr is not None:
+        full_scale = math.inf if options.full_scale_snr == "off" else options.full_scale_snr
+    bin_s = 1e-9 * options.bin_ns if options.bin_ns is not None else min(1e-9, pulse.fwhm_s / FINEST_BIN_SHARE)
+    return SensorModel(
+        seed_mode=seed,
+        wavelength_m=1e-9 * _or(options.wavelength_nm, optics.wavelength_nm),
+        beam=_beam(optics, options, profile),
+        rule=_or(options.rule, bundle.rule),
+        sub_beams=_or(options.sub_beams, bundle.sub_beams),
+        depth=options.depth,
+        pulse=pulse,
+        k_m2=k_m2,
+        peak_w=peak_w,
+        aperture_radius_m=aperture_m,
+        efficiency=efficiency,
+        receiver=detector,
+        signal_shot=float(
+            noise.signal_shot_factor(
+                detector.gain, detector.ionisation_ratio, detector.bandwidth_hz, detector.baseline_a
+            )
+        ),
+        overlap_start_m=receiver.overlap_start_m.value,
+        overlap_full_m=receiver.overlap_full_m.value,
+        near_gate_m=_or(options.near_gate_m, receiver.near_gate_m, 0.0),
+        gate_m=gate_m,
+        threshold=threshold,
+        floor_m2=0.0 if seed else floor * k_m2,
+        method=_or(options.detection, detection.method),
+        walk_table=_or(options.walk_table, detection.walk_table),
+        echoes=_or(options.echoes, detection.echoes),
+        max_echoes=_or(options.max_echoes, detection.max_echoes),
+        bin_m=0.5 * SPEED_OF_LIGHT_M_S * bin_s,
+        lsb_m=1e-3 * detection.lsb_mm.value,
+        range_noise_m=1e-3 * _or(options.range_noise_mm, detection.range_noise_mm),
+        systematic_m=1e-3 * _or(options.systematic_mm, detection.systematic_mm),
+        full_scale=full_scale,
+        recovery_m=0.5e-9 * SPEED_OF_LIGHT_M_S * _or(options.recovery_ns, receiver.recovery_ns, 0.0),
+        noise=options.noise and not seed,
+        false_alarms=options.false_alarms and options.noise and not seed,
+        background=options.background,
+        weather_echoes=options.weather_echoes and not seed,
+        bounces=options.bounces,
+        windscreen=options.windscreen,
+    )
+
+
+def _need(part: Value | None) -> Value:
+    if part is None:
+        raise ValueError("this model lists objects; it has no beam of its own")
+    return part
+
+
+def _or(choice: Value | None, fact: Fact[Value] | None, default: Value | None = None) -> Value:
+    if choice is not None:
+        return choice
+    if fact is not None:
+        return fact.value
+    if default is None:
+        raise ValueError("neither chosen nor known")
+    return default
+
+
+def _beam(optics: OpticsSpec, options: PhysicsOptions, profile: Profile) -> BeamShape:
+    x_rad, y_rad = 0.5e-3 * optics.divergence_x_mrad.value, 0.5e-3 * optics.divergence_y_mrad.value
+    if options.divergence_deg is not None:
+        both = options.divergence_deg
+        x_deg, y_deg = both if isinstance(both, tuple) else (both, both)
+        x_rad, y_rad = math.radians(0.5 * x_deg), math.radians(0.5 * y_deg)
+    exit_mm = _or(options.exit_diameter_mm, optics.exit_diameter_mm, 0.0)
+    return BeamShape(x_rad, y_rad, profile, math.radians(_or(options.roll_deg, optics.roll_deg, 0.0)), 0.5e-3 * exit_mm)
+
+
+def _receiver(spec: ReceiverSpec, options: PhysicsOptions, pulse: Pulse) -> Receiver:
+    bandwidth_hz = 1e6 * spec.bandwidth_mhz.value
+    if options.pulse_fwhm_ns is not None:
+        bandwidth_hz = float(noise.noise_bandwidth(pulse.fwhm_s))
+    dark = Receiver(
+        responsivity_a_w=spec.responsivity_a_w.value,
+        gain=spec.gain.value,
+        ionisation_ratio=spec.ionisation_ratio.value,
+        dark_bulk_a=1e-9 * spec.dark_bulk_na.value,
+        dark_surface_a=1e-9 * spec.dark_surface_na.value,
+        amplifier_a_rthz=1e-12 * spec.amplifier_pa_rthz.value,
+        load_ohm=spec.load_ohm.value if spec.load_ohm is not None else math.inf,
+        bandwidth_hz=bandwidth_hz,
+        adc_noise_a=0.0,
+        field_of_view_rad=1e-3 * spec.field_of_view_mrad.value,
+        filter_nm=spec.filter_nm.value,
+        saturation_a=1e-3 * spec.saturation_ma.value,
+        baseline_a=1.0,
+    )
+    baseline_a = dark.noise_a(0.0)
+    if spec.adc_bits is not None and spec.full_scale_snr is not None:
+        step = float(noise.adc_noise(spec.full_scale_snr.value * baseline_a, spec.adc_bits.value))
+        baseline_a = math.hypot(baseline_a, step)
+        return replace(dark, adc_noise_a=step, baseline_a=baseline_a)
+    return replace(dark, baseline_a=baseline_a)
+
+
+def _power(
+    receiver: ReceiverSpec,
+    pulse_spec: PulseSpec,
+    options: PhysicsOptions,
+    pulse: Pulse,
+    aperture_m: float,
+    efficiency: float,
+    nep_w: float,
+) -> tuple[float, float]:
+    """System constant and peak power, each from the other."""
+    k_m2 = options.system_constant_m2
+    if k_m2 is None and receiver.system_constant_m2 is not None:
+        k_m2 = receiver.system_constant_m2.value
+    if k_m2 is not None:
+        return k_m2, k_m2 * nep_w / (aperture_m**2 * efficiency)
+    peak_w = float(pulse.peak_power(1e-6 * _need(pulse_spec.energy_uj).value))
+    return float(radiometry.system_constant(peak_w, aperture_m, efficiency, nep_w)), peak_w
+
+
+def _threshold(options: PhysicsOptions, detection: DetectionSpec, receiver: Receiver, gate_m: float) -> float:
+    if options.false_alarms_per_gate is not None:
+        return float(noise.tnr_for_false_alarms(options.false_alarms_per_gate, receiver.bandwidth_hz, gate_m))
+    return _or(options.threshold_to_noise, detection.threshold_to_noise)

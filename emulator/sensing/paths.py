@@ -1,0 +1,288 @@
+"""Where the light goes: rays cast on the scene, continued at mirrors and through glass, and what each brings back.
+
+Belongs here: hits -> sub-echoes (beam, range, amplitude, actor). Not: how a receiver makes echoes of them (echoes),
+what the air does between (air), reflection models (physics.brdf).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emulator.physics import radiometry
+from emulator.physics.arrays import Floats, Ints, exp_or_zero
+from emulator.physics.materials import SurfaceTable
+from emulator.sensing.model import SensorModel
+from emulator.sensing.rays import Bundles, Rays
+
+WEAKEST_SECOND_RAY = 1e-3
+"A ray whose way there and back leaves less than this share of the light is not continued, times what sheeting sends."
+BEHIND_M = 1e-4
+"A second ray starts this far behind the surface, and a thousandth of it more per metre: the caster works in float32."
+
+
+class Hits(Protocol):
+    """What a cast gives, see raycast."""
+
+    range_m: Floats
+    actor: NDArray[np.int32]
+    material: NDArray[np.int32]
+    normal: Floats
+
+
+class Caster(Protocol):
+    """Whoever finds the first surface on rays."""
+
+    def first_hits(self, origin_m: Floats, direction: Floats, t_s: Floats) -> Hits: ...
+
+
+class Medium(Protocol):
+    """Whoever knows the extinction along rays."""
+
+    def depth(self, origin_m: Floats, direction: Floats, length_m: Floats, t_s: Floats) -> Floats: ...
+
+
+@dataclass(frozen=True, eq=False)
+class SubEchoes:
+    """Single reflections, sorted by beam, then range. Amplitudes in rms noise of the dark receiver."""
+
+    beam: Ints
+    "(k,)"
+    range_m: Floats
+    "(k,) along the light's way, which is where the receiver puts it."
+    amplitude: Floats
+    "(k,)"
+    actor: NDArray[np.int32]
+    "(k,)"
+    first_m: Floats
+    "(n, m) range of each sub-beam's first surface, infinite where there is none: there its soft target ends."
+    axis_material: NDArray[np.int32]
+    "(n,) material of the surface that the first sub-beam of each beam meets, -1 none."
+    axis_normal: Floats
+    "(n, 3)"
+
+    def __len__(self) -> int:
+        return len(self.beam)
+
+
+@dataclass(eq=False)
+class _Front:
+    """Rays under way: what has been met so far."""
+
+    origin_m: Floats
+    direction: Floats
+    t_s: Floats
+    beam: Ints
+    weight: Floats
+    "Share of the beam's power, times all losses there and back."
+    length_m: Floats
+    depth: Floats
+
+
+def trace(
+    rays: Rays,
+    bundles: Bundles,
+    caster: Caster,
+    surfaces: SurfaceTable,
+    air: Medium,
+    model: SensorModel,
+    gain: float = 1.0,
+    farthest_m: float = np.inf,
+) -> SubEchoes:
+    """Everything that comes back from surfaces, for all sub-beams of a sweep."""
+    n, m = len(rays.axis), bundles.sub_beams
+    hits = caster.first_hits(rays.origin_m, rays.direction, rays.t_s)
+    reach = min(model.gate_m, farthest_m) + 4.0 * model.pulse.half_support_m
+    met = np.flatnonzero(hits.range_m <= reach)
+    first_m = np.where(np.isnan(hits.range_m), np.inf, hits.range_m).reshape(n, m)
+    share = np.broadcast_to(bundles.share, (n, m)).reshape(-1)
+    weight = share[met] * gain
+    parts = []
+    if len(met):
+        normal, direction = hits.normal[met], rays.direction[met]
+        front = _Front(
+            rays.origin_m[met], direction, rays.t_s[met], met // m, weight, np.zeros(len(met)), np.zeros(len(met))
+        )
+        found, going_on = _meet(front, hits.range_m[met], hits.material[met], normal, rays, surfaces, air, model)
+        parts.append((*found, hits.actor[met]))
+        if surfaces.sends_on and model.bounces:
+            parts += _continue(front, going_on, caster, surfaces, air, model, rays, reach)
+    beam, range_m, amplitude, actor = _joined(parts)
+    axis = slice(None, None, m)
+    return SubEchoes(
+        *_in_order(beam, range_m, amplitude, actor, n), first_m, hits.material[axis], hits.normal[axis]
+    )  # fmt: skip
+
+
+@dataclass(eq=False)
+class _Onward:
+    """Where a met surface sends light: indexes into the front, the new direction, share kept one way."""
+
+    index: Ints
+    direction: Floats
+    share: Floats
+    length_m: Floats
+    depth: Floats
+
+
+def _meet(
+    front: _Front,
+    range_m: Floats,
+    material: NDArray[np.int32],
+    normal: Floats,
+    rays: Rays,
+    surfaces: SurfaceTable,
+    air: Medium,
+    model: SensorModel,
+) -> tuple[tuple[Ints, Floats, Floats], list[_Onward]]:
+    """Sub-echoes of the surfaces met, and the rays that go on from them."""
+    cosine = -np.einsum("ij,ij->i", normal, front.direction)
+    length = front.length_m + range_m
+    depth = front.depth + air.depth(front.origin_m, front.direction, range_m, front.t_s)
+    kind = material.astype(np.int64)
+    reflectance = surfaces.back(kind, cosine)
+    scale = front.weight * _collected(length, depth, model)
+    onward = []
+    if surfaces.sends_on and model.bounces:
+        mirrored = surfaces.mirror_share(kind, cosine)
+        through = surfaces.transmission(kind, cosine)
+        index = np.flatnonzero(mirrored > 0.0)
+        if len(index):
+            reflectance[index] += _face_on(front, index, normal, mirrored, length, rays, model)
+            turned = front.direction[index] + 2.0 * cosine[index, None] * normal[index]
+            onward.append(_Onward(index, turned, mirrored[index], length[index], depth[index]))
+        index = np.flatnonzero(through > 0.0)
+        if len(index):
+            onward.append(_Onward(index, front.direction[index], through[index], length[index], depth[index]))
+    return (front.beam, length, scale * reflectance), onward
+
+
+def _collected(length_m: Floats, depth: Floats, model: SensorModel) -> Floats:
+    """Amplitude of a white plate met face-on by the whole beam."""
+    overlap: Floats | float = 1.0
+    if length_m.size and float(length_m.min()) < model.overlap_full_m:
+        overlap = radiometry.overlap(length_m, model.overlap_start_m, model.overlap_full_m)
+    lost = exp_or_zero(-2.0 * depth)
+    return np.asarray(model.k_m2 * overlap * lost / (length_m * length_m + model.aperture_radius_m**2))
+
+
+def _face_on(
+    front: _Front, index: Ints, normal: Floats, mirrored: Floats, length: Floats, rays: Rays, model: SensorModel
+) -> Floats:
+    """Equivalent reflectance of a flat mirror that sends the beam back into the lens.
+
+    The lens collects the share of the mirrored beam that falls on it: a disc off axis in a beam of radius w(2 R). Over
+    what a white plate sends there, a^2 / (R^2 + a^2).
+    """
+    axis = rays.axis[front.beam[index]]
+    across = np.linalg.norm(np.cross(normal[index], axis), axis=1)
+    along = np.abs(np.einsum("ij,ij->i", normal[index], axis))
+    radius_x, radius_y = model.beam.radius_m(2.0 * length[index])
+    offset = 2.0 * length[index] * across / np.maximum(along, 1e-6)
+    near = offset < 6.0 * np.maximum(radius_x, radius_y) + model.aperture_radius_m
+    extra = np.zeros(len(index))
+    if bool(np.any(near)):
+        a = model.aperture_radius_m
+        fill = radiometry.fill_disc_offset(a, np.sqrt(radius_x * radius_y)[near], offset[near])
+        lens = a * a / (length[index][near] ** 2 + a * a)
+        extra[near] = mirrored[index][near] * fill / lens
+    return extra
+
+
+def _continue(
+    front: _Front,
+    onward: list[_Onward],
+    caster: Caster,
+    surfaces: SurfaceTable,
+    air: Medium,
+    model: SensorModel,
+    rays: Rays,
+    reach_m: float,
+) -> list[tuple[Ints, Floats, Floats, NDArray[np.int32]]]:
+    """Ghost points and what lies behind glass: rays continued up to the allowed number of bounces."""
+    strongest = float(surfaces.largest.max(initial=1.0))
+    parts = []
+    for bounce in range(model.bounces):
+        fronts = []
+        for one in onward:
+            weight = front.weight[one.index] * one.share**2
+            kept = (weight * strongest > WEAKEST_SECOND_RAY * front.weight[one.index]) & (one.length_m < reach_m)
+            if not bool(np.any(kept)):
+                continue
+            index, step = one.index[kept], BEHIND_M * (1.0 + one.length_m[kept] / 1000.0)
+            reached = one.length_m[kept] - front.length_m[index]
+            origin = (
+                front.origin_m[index]
+                + front.direction[index] * reached[:, None]
+                + one.direction[kept] * step[:, None]
+            )  # fmt: skip
+            fronts.append(
+                _Front(
+                    origin,
+                    one.direction[kept],
+                    front.t_s[index],
+                    front.beam[index],
+                    weight[kept],
+                    one.length_m[kept] + step,
+                    one.depth[kept],
+                )
+            )
+        if not fronts:
+            break
+        front = _merged(fronts)
+        hits = caster.first_hits(front.origin_m, front.direction, front.t_s)
+        met = np.flatnonzero(front.length_m + hits.range_m <= reach_m)
+        if not len(met):
+            break
+        front = _taken(front, met)
+        last = bounce + 1 == model.bounces
+        found, onward = _meet(
+            front, hits.range_m[met], hits.material[met], hits.normal[met], rays, surfaces, air, model
+        )  # fmt: skip
+        parts.append((*found, hits.actor[met]))
+        if last:
+            break
+    return parts
+
+
+def _merged(fronts: list[_Front]) -> _Front:
+    if len(fronts) == 1:
+        return fronts[0]
+    names = ("origin_m", "direction", "t_s", "beam", "weight", "length_m", "depth")
+    return _Front(*(np.concatenate([getattr(one, name) for one in fronts]) for name in names))
+
+
+def _taken(front: _Front, index: Ints) -> _Front:
+    names = ("origin_m", "direction", "t_s", "beam", "weight", "length_m", "depth")
+    return _Front(*(getattr(front, name)[index] for name in names))
+
+
+def _joined(
+    parts: list[tuple[Ints, Floats, Floats, NDArray[np.int32]]],
+) -> tuple[Ints, Floats, Floats, NDArray[np.int32]]:
+    if not parts:
+        return np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0, np.int32)
+    if len(parts) == 1:
+        return parts[0]
+    beam, range_m, amplitude, actor = zip(*parts, strict=True)
+    return np.concatenate(beam), np.concatenate(range_m), np.concatenate(amplitude), np.concatenate(actor)
+
+
+def _in_order(
+    beam: Ints, range_m: Floats, amplitude: Floats, actor: NDArray[np.int32], beams: int
+) -> tuple[Ints, Floats, Floats, NDArray[np.int32]]:
+    """Sorted by beam, then range; what brings nothing back left out."""
+    if len(beam) and not bool(np.all(amplitude > 0.0)):
+        kept = amplitude > 0.0
+        beam, range_m, amplitude, actor = beam[kept], range_m[kept], amplitude[kept], actor[kept]
+    if len(beam) < 2:
+        return beam, range_m, amplitude, actor
+    if bool(np.all(beam[1:] > beam[:-1])):
+        return beam, range_m, amplitude, actor
+    span = float(range_m.max()) + 1.0
+    # one key instead of two: its rounding, 1e-9 m at a thousand beams and a kilometre, only swaps equals
+    order = np.argsort(beam * span + range_m, kind="stable")
+    return beam[order], range_m[order], amplitude[order], actor[order]
