@@ -1,0 +1,198 @@
+"""The world of a run: rigid bodies with mesh, materials and motion; their poses and the sensors' at given times.
+
+Belongs here: scenario -> bodies, poses. Not: reading mesh files (mesh_files), casting rays (raycast), what a material
+reflects (physics).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emulator import mesh_files, triangles
+from emulator.errors import SceneError
+from emulator.motion import Floats, Motion, Pose, Steady, Waypoints
+from emulator.scenario import Actor, MotionConfig, Mount, Scenario, Shape, WorldItem
+from emulator.triangles import Geometry, Ints
+
+WORLD = 0
+"Index of the actor that everything of the scenario's `world` belongs to."
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """One rigid mesh with its materials and its motion."""
+
+    actor: int
+    geometry: Geometry
+    part_material: Ints
+    "(p,) index into `Scene.materials` of each part."
+    motion: Motion
+
+    @property
+    def vertices(self) -> Floats:
+        """(v, 3) about the body's own origin."""
+        return self.geometry.vertices
+
+    @property
+    def faces(self) -> Ints:
+        """(f, 3)"""
+        return self.geometry.faces
+
+    @property
+    def face_material(self) -> Ints:
+        """(f,) index into `Scene.materials`."""
+        return self.part_material[self.geometry.face_part]
+
+    @property
+    def centre_m(self) -> Floats:
+        """Centre of the bounding sphere about the body's origin."""
+        return self.geometry.centre
+
+    @property
+    def radius_m(self) -> float:
+        """Radius of the bounding sphere."""
+        return self.geometry.radius
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Everything that beams can meet, and where it is at any time."""
+
+    actors: tuple[str, ...]
+    "Names; index 0 is `world`, then the scenario's actors in its order."
+    classes: tuple[str, ...]
+    "Category of each actor, for object lists; `unknown` where the scenario gives none."
+    motions: tuple[Motion, ...]
+    materials: tuple[str, ...]
+    bodies: tuple[Body, ...]
+    warnings: tuple[str, ...] = ()
+    "What was odd about the meshes, one line each."
+
+    @cached_property
+    def index(self) -> dict[str, int]:
+        """Name of an actor -> its index."""
+        return {name: number for number, name in enumerate(self.actors)}
+
+    def pose(self, actor: int, t_s: Floats) -> Pose:
+        """Pose of an actor at times (n,)."""
+        return self.motions[actor].pose(t_s)
+
+    def velocity(self, actor: int, t_s: Floats) -> Floats:
+        """Velocity of an actor's origin in the world at times (n,): (n, 3). [m/s]"""
+        return self.motions[actor].velocity(np.atleast_1d(np.asarray(t_s, dtype=np.float64)))
+
+    def sensor_pose(self, mount: Mount, t_s: Floats) -> Pose:
+        """Optical centre and axes of a sensor at times (n,)."""
+        times = np.atleast_1d(np.asarray(t_s, dtype=np.float64))
+        own = Steady(mount.at_m, mount.yaw_deg, mount.pitch_deg, mount.roll_deg).pose(times)
+        return own if mount.actor is None else own.after(self.pose(self.index[mount.actor], times))
+
+
+def build(scenario: Scenario) -> Scene:
+    """Load the meshes of a scenario and place its bodies; `SceneError` with one line a fault."""
+    builder = _Builder(scenario)
+    for number, item in enumerate(scenario.world):
+        placed = Steady(item.at_m, item.yaw_deg, item.pitch_deg, item.roll_deg)
+        builder.add(WORLD, item, item, placed, f"world.{number}")
+    motions: list[Motion] = [Steady()]
+    for number, actor in enumerate(scenario.actors):
+        motions.append(motion_of(actor.motion))
+        if actor.shape is not None:
+            builder.add(number + 1, actor.shape, actor, motions[-1], f"actors.{number}")
+    if builder.faults:
+        raise SceneError("\n".join(builder.faults))
+    return Scene(
+        ("world", *(actor.id for actor in scenario.actors)),
+        ("unknown", *(actor.class_ for actor in scenario.actors)),
+        tuple(motions),
+        tuple(builder.materials),
+        tuple(builder.bodies),
+        tuple(builder.warnings),
+    )
+
+
+def motion_of(config: MotionConfig) -> Motion:
+    """The motion that a scenario describes."""
+    if config.waypoints:
+        return Waypoints.through(
+            [point.t_s for point in config.waypoints],
+            [point.at_m for point in config.waypoints],
+            [(point.yaw_deg, point.pitch_deg, point.roll_deg) for point in config.waypoints],
+            config.loop,
+        )
+    return Steady(
+        config.at_m, config.yaw_deg, config.pitch_deg, config.roll_deg, config.velocity_m_s, config.yaw_rate_deg_s
+    )
+
+
+class _Builder:
+    """Collects bodies; meshes of the same file and primitives of the same size are made once."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self._made: dict[object, Geometry] = {}
+        self.materials: dict[str, int] = {}
+        self.bodies: list[Body] = []
+        self.faults: list[str] = []
+        self.warnings: list[str] = []
+
+    def add(self, actor: int, shape: Shape, owner: Actor | WorldItem, motion: Motion, dotted: str) -> None:
+        below = f"{dotted}.shape" if isinstance(owner, Actor) else dotted
+        try:
+            geometry = self._geometry(shape, self._scenario.label(f"{below}.{shape.kind}"))
+            names = self._part_materials(geometry, owner, dotted)
+        except SceneError as error:
+            self.faults.append(str(error))
+            return
+        numbers = [self.materials.setdefault(name, len(self.materials)) for name in names]
+        self.bodies.append(Body(actor, geometry, np.array(numbers, np.int32), motion))
+
+    def _geometry(self, shape: Shape, where: str) -> Geometry:
+        key = shape.model_dump_json(include={"mesh", "plane", "box", "cylinder", "sphere", "up", "scale"})
+        if key not in self._made:
+            self._made[key] = geometry = self._make(shape, where)
+            if geometry.dropped:
+                self.warnings.append(f"{where}: {geometry.dropped} triangles of no area left out")
+            if geometry.twins:
+                self.warnings.append(
+                    f"{where}: {geometry.twins} triangles lie on one of another part; which is seen is arbitrary"
+                )
+        return self._made[key]
+
+    def _make(self, shape: Shape, where: str) -> Geometry:
+        if shape.mesh is not None:
+            return mesh_files.load(self._scenario.resolve(shape.mesh), shape.up, shape.scale, where)
+        if shape.plane is not None:
+            return triangles.plane(*shape.plane.size_m)
+        if shape.box is not None:
+            return triangles.box(*shape.box.size_m)
+        if shape.cylinder is not None:
+            return triangles.cylinder(shape.cylinder.radius_m, shape.cylinder.height_m, shape.cylinder.segments)
+        assert shape.sphere is not None
+        return triangles.sphere(shape.sphere.radius_m, shape.sphere.segments)
+
+    def _part_materials(self, geometry: Geometry, owner: Actor | WorldItem, dotted: str) -> list[str]:
+        """Material of each part: its own entry, else `material`, else a part that bears a material's name."""
+        allowed = ", ".join(geometry.parts)
+        for part in owner.materials:
+            if part not in geometry.parts:
+                where = self._scenario.label(f"{dotted}.materials.{part}")
+                raise SceneError(f"{where}: no such part; want one of {allowed}")
+        known = self._scenario.known_materials
+        names = [
+            owner.materials.get(part, owner.material or (part if part in known else None)) for part in geometry.parts
+        ]
+        missing = [part for part, name in zip(geometry.parts, names, strict=True) if name is None]
+        if missing:
+            where = self._scenario.label(dotted)
+            raise SceneError(f"{where}: no material for {', '.join(missing)}; want `material` or `materials` for them")
+        return [name for name in names if name is not None]
+
+
+def face_vertices(body: Body) -> NDArray[np.float64]:
+    """Corners of every face about the body's origin, (f, 3, 3)."""
+    return body.vertices[body.faces]

@@ -1,0 +1,208 @@
+"""A checked triangle mesh: float64 vertices, faces, named parts; and the primitives as such meshes.
+
+Belongs here: what can be said of triangles alone (finite, closed, wound outwards, bounding sphere). Not: files
+(mesh_files), materials and motion (scene), rays (raycast).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from emulator.errors import SceneError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+MOST_SHELLS_NESTED = 2000
+"Above so many closed shells in one mesh none is taken for a cavity of another: the test is quadratic."
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """A triangle mesh about its own origin; shared by all bodies of the same shape."""
+
+    vertices: Floats
+    "(v, 3) [m]"
+    faces: Ints
+    "(f, 3) indexes of vertices; counter-clockwise seen from outside where the face belongs to a closed shell."
+    face_part: Ints
+    "(f,) index into `parts`."
+    parts: tuple[str, ...]
+    normals: Floats
+    "(f, 3) unit, by the winding."
+    closed: NDArray[np.bool_]
+    "(f,) belongs to a shell without border that is wound consistently."
+    centre: Floats
+    "(3,) of the bounding sphere."
+    radius: float
+    dropped: int = 0
+    "Triangles of no area that were left out."
+    twins: int = 0
+    "Triangles that lie on another one of a different part: which of them a beam meets is arbitrary."
+
+
+def checked(
+    vertices: Floats, faces: NDArray[np.integer], face_part: NDArray[np.integer], parts: tuple[str, ...], where: str
+) -> Geometry:
+    """Check a raw mesh and prepare it; `where` begins the message of a `SceneError`."""
+    vertices = np.ascontiguousarray(vertices, dtype=np.float64)
+    indices = np.asarray(faces, dtype=np.int64)
+    part = np.asarray(face_part, dtype=np.int32)
+    if len(indices) == 0:
+        raise SceneError(f"{where}: no triangles; want a mesh with at least one")
+    if indices.min() < 0 or indices.max() >= len(vertices):
+        bad = int(np.flatnonzero(((indices < 0) | (indices >= len(vertices))).any(axis=1))[0])
+        raise SceneError(f"{where}: triangle {bad} names vertex {indices[bad].tolist()}; want 0..{len(vertices) - 1}")
+    finite = np.asarray(np.isfinite(vertices).all(axis=1))
+    if not finite.all():
+        bad_faces = np.flatnonzero(~finite[indices].all(axis=1))
+        if len(bad_faces):
+            bad = int(bad_faces[0])
+            corner = vertices[indices[bad]][~finite[indices[bad]]][0].tolist()
+            raise SceneError(
+                f"{where}: triangle {bad} has the vertex {corner} ({len(bad_faces)} such in all); want finite numbers"
+            )
+        vertices = np.where(finite[:, None], vertices, 0.0)  # not used by any triangle
+    used = vertices[np.unique(indices)]
+    low, high = used.min(axis=0), used.max(axis=0)
+    centre = low + (high - low) / 2.0
+    local = vertices - centre
+    a, b, c = (local[indices[:, k]] for k in range(3))
+    cross = np.cross(b - a, c - a)
+    double_area = np.linalg.norm(cross, axis=1)
+    longest = np.sqrt(
+        np.maximum.reduce([((b - a) ** 2).sum(axis=1), ((c - b) ** 2).sum(axis=1), ((a - c) ** 2).sum(axis=1)])
+    )
+    keep = double_area > 1e-14 * longest * longest  # height below 1e-14 of the length: rounding, no surface
+    dropped = int(len(keep) - keep.sum())
+    if dropped:
+        indices, part, cross, double_area = indices[keep], part[keep], cross[keep], double_area[keep]
+        if len(indices) == 0:
+            raise SceneError(f"{where}: all {dropped} triangles have no area; want a surface")
+    normals = cross / double_area[:, None]
+    closed, flip, twins = _shells(local, indices, part)
+    if flip.any():
+        indices[flip] = indices[flip][:, ::-1]
+        normals[flip] = -normals[flip]
+    radius = float(np.sqrt((local[np.unique(indices)] ** 2).sum(axis=1).max()))
+    return Geometry(vertices, indices.astype(np.int32), part, parts, normals, closed, centre, radius, dropped, twins)
+
+
+def _shells(local: Floats, faces: NDArray[np.int64], part: Ints) -> tuple[NDArray[np.bool_], NDArray[np.bool_], int]:
+    """Which faces belong to closed shells, which of them to turn so that they face outwards, and coplanar twins."""
+    order = np.lexsort(local.T)
+    step = np.ones(len(local), dtype=np.int64)
+    step[1:] = (local[order][1:] != local[order][:-1]).any(axis=1)
+    welded = np.zeros(len(local), dtype=np.int64)
+    welded[order] = np.cumsum(step) - 1
+    corners = welded[faces]
+    count = int(welded.max()) + 1
+
+    sets = np.sort(corners, axis=1)
+    rows = np.lexsort((part, sets[:, 2], sets[:, 1], sets[:, 0]))
+    same = (sets[rows][1:] == sets[rows][:-1]).all(axis=1)
+    twins = int((same & (part[rows][1:] != part[rows][:-1])).sum())
+
+    start = corners.ravel()
+    end = corners[:, [1, 2, 0]].ravel()
+    directed, backwards = start * count + end, end * count + start
+    by_key = np.argsort(directed, kind="stable")
+    keys = directed[by_key]
+    first, last = np.searchsorted(keys, backwards, "left"), np.searchsorted(keys, backwards, "right")
+    once = np.searchsorted(keys, directed, "right") - np.searchsorted(keys, directed, "left") == 1
+    good = once & (last - first == 1)
+    mine = np.flatnonzero(good)
+    face, other = mine // 3, by_key[first[mine]] // 3
+    graph = coo_array((np.ones(len(face), dtype=np.int8), (face, other)), shape=(len(faces), len(faces)))
+    shells, shell = connected_components(graph, directed=False)
+    whole = np.ones(shells, dtype=bool)
+    whole[shell[~good.reshape(-1, 3).all(axis=1)]] = False
+
+    a, b, c = (local[faces[:, k]] for k in range(3))
+    volume = np.bincount(shell, weights=np.einsum("ij,ij->i", a, np.cross(b, c)), minlength=shells)
+    inwards = whole & (volume < 0.0)
+    if inwards.any() and shells <= MOST_SHELLS_NESTED:
+        low = np.full((shells, 3), np.inf)
+        high = np.full((shells, 3), -np.inf)
+        for corner in (a, b, c):
+            np.minimum.at(low, shell, corner)
+            np.maximum.at(high, shell, corner)
+        outer = np.flatnonzero(whole)
+        for k in np.flatnonzero(inwards):
+            holds = (low[outer] < low[k]).all(axis=1) & (high[outer] > high[k]).all(axis=1)
+            inwards[k] = not holds.any()  # a cavity faces its own inside
+    return whole[shell], inwards[shell], twins
+
+
+# ---------------------------------------------------------------- primitives
+
+
+def _geometry(vertices: Floats, faces: NDArray[np.integer]) -> Geometry:
+    return checked(vertices, faces, np.zeros(len(faces), np.int32), ("surface",), "primitive")
+
+
+def plane(length_m: float, width_m: float) -> Geometry:
+    """A rectangle centred on the origin, `length_m` along x, `width_m` along y, normal +z."""
+    x, y = length_m / 2.0, width_m / 2.0
+    return _geometry(np.array([[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
+
+
+def box(length_m: float, width_m: float, height_m: float) -> Geometry:
+    """A closed box standing on the origin."""
+    x, y, z = length_m / 2.0, width_m / 2.0, height_m
+    corners = np.array([[i * x, j * y, k] for k in (0.0, z) for j in (-1, 1) for i in (-1, 1)])
+    quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    faces = [face for p, q, r, s in quads for face in ((p, q, r), (p, r, s))]
+    return _geometry(corners, np.array(faces))
+
+
+def cylinder(radius_m: float, height_m: float, segments: int) -> Geometry:
+    """A closed upright cylinder standing on the origin; its edges lie on the circle."""
+    around = 2.0 * math.pi * np.arange(segments) / segments
+    ring = np.column_stack([radius_m * np.cos(around), radius_m * np.sin(around)])
+    vertices = np.zeros((2 * segments + 2, 3))
+    vertices[:segments, :2] = ring
+    vertices[segments : 2 * segments, :2] = ring
+    vertices[segments : 2 * segments, 2] = vertices[-1, 2] = height_m
+    i = np.arange(segments)
+    j = (i + 1) % segments
+    faces = np.concatenate(
+        [
+            np.column_stack([i, j, j + segments]),
+            np.column_stack([i, j + segments, i + segments]),
+            np.column_stack([np.full(segments, 2 * segments), j, i]),
+            np.column_stack([np.full(segments, 2 * segments + 1), i + segments, j + segments]),
+        ]
+    )
+    return _geometry(vertices, faces)
+
+
+def sphere(radius_m: float, segments: int) -> Geometry:
+    """A closed sphere standing on the origin: `segments` meridians, half as many rings; vertices lie on the sphere."""
+    rings = max(2, segments // 2)
+    polar = math.pi * np.arange(1, rings) / rings
+    around = 2.0 * math.pi * np.arange(segments) / segments
+    grid = np.stack(
+        [
+            np.outer(np.sin(polar), np.cos(around)),
+            np.outer(np.sin(polar), np.sin(around)),
+            np.outer(-np.cos(polar), np.ones(segments)),
+        ],
+        axis=-1,
+    ).reshape(-1, 3)
+    unit = np.concatenate([[[0.0, 0.0, -1.0]], grid, [[0.0, 0.0, 1.0]]])
+    i = np.arange(segments)
+    j = (i + 1) % segments
+    top = 1 + (rings - 2) * segments
+    pieces = [np.column_stack([np.zeros(segments, int), 1 + j, 1 + i])]
+    for ring in range(rings - 2):
+        low, high = 1 + ring * segments, 1 + (ring + 1) * segments
+        pieces += [np.column_stack([low + i, low + j, high + j]), np.column_stack([low + i, high + j, high + i])]
+    pieces.append(np.column_stack([top + i, top + j, np.full(segments, len(unit) - 1)]))
+    return _geometry(radius_m * (unit + np.array([0.0, 0.0, 1.0])), np.concatenate(pieces))
