@@ -1,0 +1,233 @@
+"""A pseudo-terminal that behaves like a serial port with a device behind it. Linux only.
+
+The host opens PATH, a symbolic link to the slave; we hold the master alone. That keeps the terminal and its settings alive
+between hosts, and the kernel reports exactly (POLLHUP) whether anybody has the slave open:
+
+- nobody: bytes that leave are lost, as on a real line; a host that comes later finds nothing stale;
+- a host that does not read: the kernel's buffer (about 20 kB) fills up, further bytes are lost, like a UART's overrun;
+- the host's speed is read from its terminal settings at each look; at another speed than the device's both ends get
+  framing garbage (`uart`).
+
+Named limits: the kernel forces eight data bits and no parity on a pseudo-terminal, so those are not seen; modem lines and
+break do not exist; TCIOFLUSH by the host also takes what we have not read yet; a host that closes and another that opens
+within the same instant cannot be told apart from one that stays.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import errno
+import fcntl
+import os
+import select
+import termios
+
+from emulator.errors import LinkError
+from emulator.transports.inotify import OpenWatch
+from emulator.transports.link import Link, Received
+from emulator.transports.pacing import Left, PacedLine
+from emulator.transports.stable_path import StablePath
+from emulator.transports.tty_modes import TtyModes, read_modes, set_raw
+from emulator.transports.uart import Receiver, resample, same_speed
+from emulator.transports.urls import parse_url
+from protocols.session import LinkKind
+
+TIOCGPTPEER = 0x5441
+"linux/asm-generic/ioctls.h: opens the slave of a master without its path."
+
+SPEED_RULES = ("strict", "custom_divisor", "ignore")
+"""strict: the host must have the device's speed. custom_divisor: a host at 38 400 also hears a device at 500 000, as drivers
+set it by TIOCSSERIAL and a divisor. ignore: any speed of the host will do."""
+
+CHUNK = 65_536
+READ_LIMIT = 1_048_576
+"Bytes taken from the host in one call of `receive`; a host cannot keep us in it."
+POLL_NS = 10_000_000
+"How often a closed slave is looked at where the kernel has no inotify left."
+
+
+def check_link_pty(url: str) -> None:
+    """Judge the text of a `pty:` link; raises ValueError."""
+    parts = parse_url(url)
+    parts.allow("speed")
+    parts.choice("speed", SPEED_RULES)
+
+
+def open_link_pty(url: str) -> PseudoTerminal:
+    """Make the pseudo-terminal that `pty:PATH[?speed=...]` names; raises LinkError."""
+    parts = parse_url(url)
+    return PseudoTerminal(parts.target, parts.choice("speed", SPEED_RULES))
+
+
+class PseudoTerminal(Link):
+    """One serial line, its host on a pseudo-terminal."""
+
+    kind = LinkKind.SERIAL
+
+    def __init__(self, path: str, speed_rule: str = "strict") -> None:
+        super().__init__()
+        self._rule = speed_rule
+        self._line = PacedLine()
+        self._to_host: Receiver | None = None
+        self._watch: OpenWatch | None = None
+        try:
+            self._master, slave = os.openpty()
+        except OSError as error:
+            raise LinkError(f"pty:{path}: no pseudo-terminal: {error.strerror}") from None
+        try:
+            os.set_blocking(self._master, False)
+            self.slave_path = os.ttyname(slave)
+            set_raw(slave)
+            with contextlib.suppress(OSError):  # too many inotify instances: we look every POLL_NS instead
+                self._watch = OpenWatch(self.slave_path)
+            self._place = StablePath(path, self.slave_path)
+        except BaseException:
+            os.close(self._master)
+            if self._watch is not None:
+                self._watch.close()
+            raise
+        finally:
+            os.close(slave)
+        self._poll = select.poll()
+        self._poll.register(self._master, 0)
+        self._open = False
+        atexit.register(self.close)
+
+    @property
+    def url(self) -> str:
+        return f"pty:{self._place.path}"
+
+    @property
+    def host_present(self) -> bool:
+        """Somebody had the slave open when we looked last."""
+        return self._open
+
+    def host_modes(self) -> TtyModes:
+        """The terminal settings of the host."""
+        return read_modes(self._master)
+
+    def filenos(self) -> tuple[int, ...]:
+        if self._master < 0:
+            return ()
+        watch = () if self._watch is None else (self._watch.fileno(),)
+        # a master without a host is readable for ever (POLLHUP)
+        return (self._master, *watch) if self._open else watch
+
+    def receive(self, now_ns: int) -> list[Received]:
+        if self._master < 0:
+            return []
+        self.flush(now_ns)
+        data = self._read()
+        if not data:
+            return []
+        self.stats.bytes_in += len(data)
+        modes = self.host_modes()
+        device = self._line.speed
+        if device is not None and not self._hear_each_other(modes.sends_baud, device):
+            self.stats.bytes_garbled += len(data)
+            data = resample(data, modes.sends_baud, device).values.tobytes() if modes.sends_baud else b""
+        return [Received(0, data)] if data else []
+
+    def _read(self) -> bytes:
+        chunks, size = [], 0
+        while size < READ_LIMIT:
+            try:
+                chunk = os.read(self._master, CHUNK)
+            except BlockingIOError:
+                break
+            except OSError as error:
+                if error.errno != errno.EIO:  # EIO: no host
+                    raise
+                break
+            chunks.append(chunk)
+            size += len(chunk)
+        return b"".join(chunks)
+
+    def _hear_each_other(self, host_baud: int, device_baud: int) -> bool:
+        if self._rule == "ignore" or same_speed(host_baud, device_baud):
+            return True
+        return self._rule == "custom_divisor" and (host_baud, device_baud) == (38_400, 500_000)
+
+    def send(self, payload: bytes, due_ns: int, peer: int | None = None, line_speed: int | None = None) -> None:
+        if self._master >= 0 and not self._line.put(payload, due_ns, line_speed):
+            self.stats.payloads_dropped += 1
+
+    def flush(self, now_ns: int) -> int | None:
+        if self._master < 0:
+            return None
+        self._look()
+        left = self._line.take(now_ns)
+        if left:
+            self._write(b"".join(self._as_heard(left)))
+            late = (now_ns - item.last_ns for item in left if item.ends)
+            self.stats.lateness_ns.extend(max(0, value) for value in late)
+        wake = self._line.next_ns(now_ns)
+        if self._watch is None and not self._open:
+            return now_ns + POLL_NS if wake is None else min(wake, now_ns + POLL_NS)
+        return wake
+
+    def _look(self) -> None:
+        """See whether a host is there. What the last one left unread goes with it, as a port's buffer does."""
+        if self._watch is not None:
+            self._watch.drain()
+        was_open, self._open = self._open, not self._hung_up()
+        if was_open and not self._open:
+            # the pending input of the terminal itself: only a slave descriptor can flush it
+            with contextlib.suppress(OSError):
+                slave = fcntl.ioctl(self._master, TIOCGPTPEER, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+                try:
+                    termios.tcflush(slave, termios.TCIFLUSH)
+                finally:
+                    os.close(slave)
+
+    def _hung_up(self) -> bool:
+        return any(events & select.POLLHUP for _, events in self._poll.poll(0))
+
+    def _as_heard(self, left: list[Left]) -> list[bytes]:
+        """The bytes as the host's UART takes them from the line."""
+        if not self._open:
+            self.stats.bytes_lost += sum(len(item.data) for item in left)
+            return []
+        modes = self.host_modes()
+        return [self._heard(item, modes) for item in left]
+
+    def _heard(self, item: Left, modes: TtyModes) -> bytes:
+        host_baud = modes.receives_baud
+        if item.speed is None or self._hear_each_other(host_baud, item.speed):
+            return item.data
+        self.stats.bytes_garbled += len(item.data)
+        if not host_baud:  # hung up (B0)
+            return b""
+        if self._to_host is None or item.starts or self._to_host.speeds != (item.speed, host_baud):
+            self._to_host = Receiver(item.speed, host_baud)
+        sampled = self._to_host.feed(item.data, idle_after=item.ends)
+        return sampled.as_tty(modes.ignore_break, modes.ignore_errors, modes.zero_errors)
+
+    def _write(self, data: bytes) -> None:
+        while data:
+            try:
+                written = os.write(self._master, data)
+            except BlockingIOError:
+                written = 0
+            self.stats.bytes_out += written
+            data = data[written:]
+            if not written:
+                self.stats.bytes_lost += len(data)
+                return
+
+    def set_speed(self, baud: int | None) -> None:
+        self._line.set_speed(baud)
+
+    def clear(self) -> int:
+        return self._line.clear()
+
+    def close(self) -> None:
+        if self._master < 0:
+            return
+        atexit.unregister(self.close)
+        self._place.remove()
+        if self._watch is not None:
+            self._watch.close()
+        os.close(self._master)
+        self._master = -1
