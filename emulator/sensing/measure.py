@@ -97,7 +97,7 @@ def build(scenario: Scenario, scene: Scene, caster: Caster, sensor_id: str) -> M
         config.mount,
         caster,
         surfaces,
-        Air(scenario.weather, model),
+        Air(scenario.weather, model, scene),
         Draws(scenario.seed, sensor_id),
     )
 
