@@ -80,7 +80,7 @@ def test_an_extending_file_takes_what_it_does_not_say() -> None:
 
 def test_an_unknown_model_names_the_nearest_one() -> None:
     with pytest.raises(SpecError, match=r"did you mean sick-lms291-s05\?"):
-        load_spec("sick-lms291-so5")
+        load_spec("sick-lsm291-s05")
 
 
 def spec_file(folder: Path, name: str, text: str) -> Path:
