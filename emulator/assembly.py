@@ -7,15 +7,16 @@ from functools import partial
 
 from emulator.clock import Clock
 from emulator.daemon import Daemon, worker_count
-from emulator.instrument import Instrument
-from emulator.measuring import Measure, Measuring, Workers
+from emulator.instrument import Instrument, Measuring
+from emulator.measuring import Measure, Workers
 from emulator.scenario import Scenario
 from emulator.spec import load_spec
 from emulator.transports import open_link
 from emulator.transports.link import Link
+from emulator.transports.loopback import Loops
 from protocols import family
 from protocols.errors import DeviceSettingError
-from protocols.session import Session
+from protocols.session import Family, Session
 
 
 def build_measures(scenario: Scenario) -> Mapping[str, Measure]:
@@ -27,12 +28,21 @@ def build_measures(scenario: Scenario) -> Mapping[str, Measure]:
     return {sensor.id: sensing.build(scenario, world, caster, sensor.id) for sensor in scenario.sensors}
 
 
+def family_of(scenario: Scenario, index: int) -> Family:
+    """The protocol family of a sensor; `ScenarioError` for a model without a wire protocol."""
+    name = load_spec(scenario.sensors[index].model).family
+    if name is None:
+        raise scenario.fault(
+            f"sensors.{index}.model", scenario.sensors[index].model, "a model with a wire protocol (see `list sensors`)"
+        )
+    return family(name)
+
+
 def new_session(scenario: Scenario, index: int) -> Session:
     """The conversation of one sensor, switched off; `ScenarioError` when its `device` table does not fit the model."""
     sensor = scenario.sensors[index]
-    spec = load_spec(sensor.model)
     try:
-        return family(spec.family).new_session(sensor.device, spec.device)
+        return family_of(scenario, index).new_session(sensor.device, load_spec(sensor.model).device)
     except DeviceSettingError as error:
         raise scenario.fault(f"sensors.{index}.device.{error.key}", error.found, error.allowed) from None
 
@@ -42,16 +52,21 @@ def new_sessions(scenario: Scenario) -> list[Session]:
     return [new_session(scenario, index) for index in range(len(scenario.sensors))]
 
 
-def open_instruments(scenario: Scenario, sessions: Sequence[Session], measuring: Measuring) -> list[Instrument]:
-    """Open every link of every sensor; when one cannot be opened, the others are closed again."""
+def open_instruments(
+    scenario: Scenario, sessions: Sequence[Session], measuring: Measuring, loops: Loops | None = None
+) -> list[Instrument]:
+    """Open every link of every sensor; when one cannot be opened, the others are closed again.
+
+    `loops` holds the host's end of every `loop:NAME`.
+    """
     opened: list[Link] = []
     instruments = []
     try:
-        for sensor, session in zip(scenario.sensors, sessions, strict=True):
-            tcp_is_line = family(load_spec(sensor.model).family).tcp_is_line
+        for index, (sensor, session) in enumerate(zip(scenario.sensors, sessions, strict=True)):
+            tcp_is_line = family_of(scenario, index).tcp_is_line
             links = []
             for url in sensor.links:
-                links.append(open_link(url, tcp_is_line))
+                links.append(open_link(url, tcp_is_line, loops=loops))
                 opened.append(links[-1])
             instruments.append(Instrument(sensor.id, session, links, measuring))
     except BaseException:

@@ -1,0 +1,65 @@
+"""What there is to choose from, as rows for `lidaremu list`: read from the tables that do the work, never written twice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+Row = dict[str, object]
+
+
+def sensors() -> list[Row]:
+    """Every sensor model and the family whose protocol it speaks."""
+    from emulator.spec import list_models, load_spec
+
+    specs = [load_spec(name) for name in list_models()]
+    return [{"model": spec.model, "family": spec.family or "-", "title": spec.title} for spec in specs]
+
+
+def scenarios() -> list[Row]:
+    """Every built-in scenario, with its first comment."""
+    from emulator.scenario import builtin_names, builtin_summary
+
+    return [{"scenario": name, "summary": builtin_summary(name)} for name in builtin_names()]
+
+
+def materials() -> list[Row]:
+    """Every material with its reflectance at 905 nm and 1550 nm."""
+    from emulator.physics.materials import builtin_materials
+
+    return [
+        {"material": name, "rho_905": found.rho[905], "rho_1550": found.rho.get(1550, ""), "source": found.source}
+        for name, found in sorted(builtin_materials().items())
+    ]
+
+
+def links() -> list[Row]:
+    """Every kind of link."""
+    from emulator.transports import LINK_SCHEMES
+
+    return [{"form": scheme.form, "help": scheme.help} for scheme in LINK_SCHEMES.values()]
+
+
+def commands(family_name: str | None) -> list[Row]:
+    """Every command of a protocol family; `KeyError` names the families."""
+    from protocols import FAMILIES, family
+
+    if family_name is None:
+        raise KeyError(f"commands of which family? known: {', '.join(sorted(FAMILIES))}")
+    return [
+        {"code": row.code, "name": row.name, "status": row.status, "source": row.source, "note": row.note}
+        for row in family(family_name).commands()
+    ]
+
+
+TABLES: dict[str, Callable[[], list[Row]]] = {
+    "sensors": sensors,
+    "scenarios": scenarios,
+    "materials": materials,
+    "links": links,
+}
+"What `lidaremu list` knows, beside `commands FAMILY`."
+
+
+def rows(what: str, family_name: str | None = None) -> list[Row]:
+    """Rows of one table; `KeyError` with what there is when the name is unknown."""
+    return commands(family_name) if what == "commands" else TABLES[what]()

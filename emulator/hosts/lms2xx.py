@@ -1,0 +1,139 @@
+"""A host for the SICK LMS2xx: finds the line speed, asks for a stream, decodes it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from emulator.clock import SystemClock
+from emulator.errors import LinkError
+from emulator.hosts.lines import Line, SocketLine
+from emulator.hosts.scans import HostScan
+from protocols.lms2xx.telegrams import MeasuredValues, Telegram, open_frame, read_values, request
+from protocols.lms2xx.values import COUNTS_PER_METRE, MEASURING_MODES
+from protocols.receive_buffer import ReceiveBuffer
+
+RATE_CODES = {500_000: 0x48, 38_400: 0x40, 19_200: 0x41, 9_600: 0x42}
+"Line speed -> sub-code of command 20."
+
+ACK = b"\x06"
+HEADER_BYTES, OTHER_BYTES = 4, 6
+MAX_PAYLOAD = 820
+SECONDS_FOR_A_REPLY = 3.5
+"A mode change may take three seconds."
+
+
+class Lms2xxHost:
+    """Connects in the constructor; raises `LinkError` when nothing answers."""
+
+    def __init__(self, line: Line, baud: int) -> None:
+        if baud not in RATE_CODES:
+            raise LinkError(f"line speed {baud}; an LMS2xx has {', '.join(map(str, sorted(RATE_CODES)))}")
+        self._line = line
+        self._clock = SystemClock()
+        self._buffer = ReceiveBuffer(4 * MAX_PAYLOAD)
+        self._find(baud)
+        self.title = self._ask(b"\x3a", 0xBA).data[:-1].decode("ascii", "replace").strip()
+        status = self._ask(b"\x31", 0xB1).data
+        self._mode = MEASURING_MODES.get(status[101], MEASURING_MODES[0])
+        self._field_deg = int.from_bytes(status[106:108], "little")
+        self._step_deg = int.from_bytes(status[108:110], "little") / 100.0
+        self._ask(b"\x20\x24", 0xA0)
+
+    def scans(self, timeout_s: float) -> Iterator[HostScan | None]:
+        """Scans as they arrive; None when none came for `timeout_s`."""
+        number = 0
+        while True:
+            telegram = self._next(timeout_s)
+            values = read_values(telegram) if telegram is not None else None
+            if telegram is None:
+                yield None
+            elif values is not None:
+                yield self._decode(number, values)
+                number += 1
+
+    def close(self) -> None:
+        """Back to request mode and 9600 baud, as the device was found after power-on."""
+        try:
+            self._ask(b"\x20\x25", 0xA0)
+            self._ask(b"\x20\x42", 0xA0)
+        except LinkError:
+            pass  # a device that has gone need not be left tidy
+        self._line.close()
+
+    def _decode(self, number: int, values: MeasuredValues) -> HostScan:
+        raw = values.values & self._mode.mask
+        metres = raw / COUNTS_PER_METRE.get(values.header.unit, 100)
+        metres[raw > self._mode.largest] = np.nan
+        beams = values.first - 1 + np.arange(len(raw))
+        step, offset = self._step_deg, 0.0
+        if values.header.partial is not None:
+            step, offset = 1.0, 0.25 * values.header.partial
+        field = 180.0 if values.header.partial is not None else self._field_deg
+        azimuth = np.radians(beams * step + offset - field / 2.0)
+        return HostScan(number, azimuth, metres, f"status {values.status:02X}")
+
+    def _find(self, baud: int) -> None:
+        """Stop a stream at whatever speed the device has, then change to `baud`."""
+        if isinstance(self._line, SocketLine):
+            self._ask(b"\x20\x25", 0xA0)
+            return
+        for tried in dict.fromkeys((9_600, baud, *RATE_CODES)):
+            self._line.set_baud(tried)
+            self._line.flush_input()
+            try:
+                self._ask(b"\x20\x25", 0xA0, tries=2, seconds=1.0)
+            except LinkError:
+                continue
+            if tried != baud:
+                self._ask(bytes((0x20, RATE_CODES[baud])), 0xA0)
+                self._line.set_baud(baud)
+            return
+        raise LinkError("no LMS2xx answers at 9600, 19200, 38400 or 500000 baud")
+
+    def _ask(self, payload: bytes, reply: int, tries: int = 3, seconds: float = SECONDS_FOR_A_REPLY) -> Telegram:
+        for _ in range(tries):
+            self._line.write(request(payload))
+            end_ns = self._clock.now_ns() + int(seconds * 1e9)
+            while self._clock.now_ns() < end_ns:
+                telegram = self._next((end_ns - self._clock.now_ns()) * 1e-9)
+                if telegram is not None and telegram.command == reply:
+                    return telegram
+                if telegram is not None and telegram.command == 0x92:
+                    raise LinkError(f"the device refuses request {payload.hex(' ')}")
+        raise LinkError(f"no reply {reply:02X} to request {payload.hex(' ')}")
+
+    def _next(self, timeout_s: float) -> Telegram | None:
+        """The next telegram with a good CRC; None when there is none in time."""
+        end_ns = self._clock.now_ns() + int(timeout_s * 1e9)
+        while True:
+            telegram = self._take()
+            if telegram is not None:
+                return telegram
+            left_ns = end_ns - self._clock.now_ns()
+            data = self._line.read(max(0, left_ns) * 1e-9)
+            if not data and left_ns <= 0:
+                return None
+            while data:
+                data = data[self._buffer.add(data) :]
+                if data:  # full of noise: keep the newest
+                    self._buffer.take(MAX_PAYLOAD)
+
+    def _take(self) -> Telegram | None:
+        while True:
+            self._buffer.skip_to(b"\x02")
+            head = self._buffer.peek(HEADER_BYTES)
+            if head is None:
+                return None
+            length = int.from_bytes(head[2:4], "little")
+            if not head[1] & 0x80 or not 1 <= length <= MAX_PAYLOAD:
+                self._buffer.take(1)
+                continue
+            whole = self._buffer.peek(length + OTHER_BYTES)
+            if whole is None:
+                return None
+            telegram = open_frame(whole)
+            self._buffer.take(1 if telegram is None else len(whole))
+            if telegram is not None:
+                return telegram
