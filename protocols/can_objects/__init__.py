@@ -1,0 +1,47 @@
+"""Object lists on CAN: one session a format, each with its DBC file as the only layout.
+
+Belongs here: which formats there are. A format's module is imported when a device of it is made, so that cantools is
+loaded only by runs that use it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any
+
+from protocols.errors import DeviceSettingError
+from protocols.session import CommandRow, Session
+
+FORMATS = {
+    "ars408": "protocols.can_objects.ars408",
+    "ldmrs": "protocols.can_objects.ldmrs",
+    "esr": "protocols.can_objects.esr",
+    "leddar_vu8": "protocols.can_objects.leddar_vu8",
+}
+"Format name -> module."
+
+
+class CanObjects:
+    """The family of sensors that list objects on CAN."""
+
+    name = "can_objects"
+
+    def new_session(self, device: Mapping[str, Any], facts: Mapping[str, Any]) -> Session:
+        """A session in the format that the model, or the scenario, names."""
+        table = {**facts, **device}
+        wanted = table.get("format")
+        if not isinstance(wanted, str) or wanted not in FORMATS:
+            raise DeviceSettingError("format", wanted, " | ".join(FORMATS))
+        rest = [{key: value for key, value in part.items() if key != "format"} for part in (device, facts)]
+        session: Session = import_module(FORMATS[wanted]).new_session(*rest)
+        return session
+
+    def commands(self) -> tuple[CommandRow, ...]:
+        """Every message of every format, hosts' first, from the tables that dispatch them."""
+        from protocols.can_objects.coverage import rows
+
+        return rows(FORMATS)
+
+
+FAMILY = CanObjects()

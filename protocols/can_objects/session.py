@@ -1,0 +1,385 @@
+"""What all formats share: power, boot, list raster, frames one after the other at the bit rate, host frames by table.
+
+Belongs here: when a frame leaves. Not: what is in it (the formats), and who else is on the bus (the link).
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from protocols.can_frame import frame_bits, frames_bits
+from protocols.can_objects.e2e import Protection
+from protocols.can_objects.layout import Layout, load
+from protocols.can_objects.settings import CommonSettings
+from protocols.can_objects.table import ObjectTable
+from protocols.errors import ScanRefused
+from protocols.scan import Scan, ScanPlan
+from protocols.session import (
+    Address,
+    CommandHandled,
+    Dropped,
+    DropReason,
+    Emission,
+    Event,
+    LinkKind,
+    ModeChanged,
+    Restarted,
+    Session,
+)
+
+SECOND_NS = 1_000_000_000
+
+
+class Frame(NamedTuple):
+    """One frame to be sent."""
+
+    identifier: int
+    payload: bytes
+    label: str
+    "Name of the message in the DBC."
+
+
+@dataclass(frozen=True)
+class HostMessage:
+    """One message that hosts send: the row that dispatches it and that the coverage table shows."""
+
+    name: str
+    "Name in the DBC."
+    handler: Callable[..., None]
+    "(session, data, now_ns, link)"
+    min_bytes: int
+    source: str
+    shifted: bool = True
+    "The identifier moves with the sensor id or base id."
+    note: str = ""
+
+
+@dataclass
+class Timer:
+    """Something that happens again and again."""
+
+    due_ns: int
+    period_ns: int
+    action: Callable[[int], None]
+
+
+@dataclass
+class _Bus:
+    """Frames that wait, and when the device's own frames leave the bus free."""
+
+    free_ns: int = 0
+    replies: deque[tuple[int, int | None, Frame]] = field(default_factory=deque)
+    "(not before, link or all, frame): between any two frames."
+    cyclic: deque[tuple[int, Frame]] = field(default_factory=deque)
+    "(not before, frame): between lists."
+    current: deque[tuple[Frame, int]] = field(default_factory=deque)
+    "Rest of the list that is being sent, with the time each frame takes; check headers are in."
+    sweep: int | None = None
+    "Sweep of the list whose first frame has not left yet."
+
+
+class CanObjectSession(Session):
+    """A device that sends object lists; the formats derive from it."""
+
+    LAYOUT_FILE: ClassVar[str]
+    HOST_MESSAGES: ClassVar[tuple[HostMessage, ...]]
+
+    def __init__(self, common: CommonSettings) -> None:
+        self._common = common
+        self._layout: Layout = load(self.LAYOUT_FILE)
+        self._protection = Protection(common.e2e, self._layout) if common.e2e is not None else None
+        self._bit_ns = SECOND_NS / common.bitrate
+        self._events: list[Event] = []
+        self._links: list[int] = []
+        self._foreign: Counter[int] = Counter()
+        self._seen_foreign: set[int] = set()
+        self._dispatch: dict[int, HostMessage] = {}
+        self._ready_ns: int | None = None
+        "When the boot ends; None while switched off."
+        self._epoch = 0
+        self._bus = _Bus()
+        self._pending: deque[tuple[int, Scan]] = deque()
+        self._timers: list[Timer] = []
+        self._running = False
+        self._plan: ScanPlan | None = None
+        self._sweep = 0
+        self._next_start_ns = 0
+        self._list_duration_ns = 0
+        self._addresses: dict[tuple[int, int], Address] = {}
+
+    # What a format fills in
+
+    @abstractmethod
+    def _shift(self) -> int:
+        """Added to the DBC's identifiers at present."""
+
+    @abstractmethod
+    def _reset(self, now_ns: int) -> None:
+        """Volatile state as after power-on."""
+
+    @abstractmethod
+    def _start(self, now_ns: int) -> None:
+        """Boot is over: first frames and timers."""
+
+    @abstractmethod
+    def _cycle_ns(self) -> int:
+        """Time from list to list."""
+
+    @abstractmethod
+    def _lists_wanted(self) -> bool:
+        """Whether the device measures at present."""
+
+    @abstractmethod
+    def _encode_list(self, table: ObjectTable, now_ns: int, measured_ns: int) -> list[Frame]:
+        """The frames of one list, in order, that begins to leave at `now_ns`."""
+
+    # Session
+
+    def power_on(self, now_ns: int) -> None:
+        self._clear(now_ns)
+        self._reset(now_ns)
+        self._ready_ns = now_ns + self._common.boot_ns
+        self._rebuild_dispatch()
+        if self._protection is not None:
+            self._protection.reset()
+        self._events.append(Restarted(now_ns))
+
+    def connected(self, now_ns: int, address: Address, kind: LinkKind) -> None:
+        if kind is LinkKind.CAN and address.link not in self._links:
+            self._links.append(address.link)
+
+    def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
+        self.advance(now_ns)
+        if self._ready_ns is None:
+            return
+        if address is None or len(data) > 8:
+            self._drop(now_ns, DropReason.BAD_LENGTH, f"{len(data)} bytes are no CAN frame with an identifier")
+            return
+        if not self._running:
+            self._drop(now_ns, DropReason.BOOTING, f"frame 0x{address.peer:X}")
+            return
+        message = self._dispatch.get(address.peer)
+        if message is None:
+            self._note_foreign(address.peer, now_ns)
+        elif len(data) < message.min_bytes:
+            self._drop(
+                now_ns,
+                DropReason.BAD_LENGTH,
+                f"{message.name} has {len(data)} bytes; want {message.min_bytes}",
+            )
+        else:
+            message.handler(self, data, now_ns, address.link)
+
+    def advance(self, now_ns: int) -> None:
+        if self._ready_ns is None or now_ns < self._ready_ns:
+            return
+        if not self._running:
+            self._running = True
+            self._add_timer(self._ready_ns + SECOND_NS, SECOND_NS, self._report_foreign)
+            self._restart_raster(self._ready_ns)
+            self._start(self._ready_ns)
+        while due := [timer for timer in self._timers if timer.due_ns <= now_ns]:
+            timer = min(due, key=lambda timer: timer.due_ns)
+            if now_ns - timer.due_ns > 10 * timer.period_ns:  # nobody called for long: once is enough
+                timer.due_ns += (now_ns - timer.due_ns) // timer.period_ns * timer.period_ns
+            at_ns = timer.due_ns
+            timer.due_ns += timer.period_ns
+            timer.action(at_ns)
+
+    def next_deadline(self) -> int | None:
+        if self._ready_ns is None:
+            return None
+        if not self._running:
+            return self._ready_ns
+        times = [timer.due_ns for timer in self._timers]
+        candidate = self._next_frame()
+        if candidate is not None:
+            times.append(candidate[0])
+        return min(times) if times else None
+
+    def next_plan(self) -> ScanPlan | None:
+        if not self._running or not self._lists_wanted():
+            return None
+        if self._plan is None:
+            nothing = np.zeros(0)
+            self._plan = ScanPlan(
+                epoch=self._epoch,
+                sweep=self._sweep,
+                start_ns=self._next_start_ns,
+                azimuth_rad=nothing,
+                elevation_rad=nothing,
+                fire_offset_s=nothing,
+                duration_s=self._common.evaluation_ns * 1e-9,
+                wants_objects=True,
+            )
+        return self._plan
+
+    def submit(self, scan: Scan) -> None:
+        plan = self.next_plan()
+        if plan is None or (scan.plan.epoch, scan.plan.sweep) != (plan.epoch, plan.sweep):
+            raise ScanRefused(f"sweep {scan.plan.sweep} of epoch {scan.plan.epoch} is not wanted any more")
+        self._pending.append((plan.start_ns + self._common.evaluation_ns, scan))
+        # a list that takes longer than the cycle lengthens the cycle: no list begins before the last one has left
+        self._next_start_ns = max(
+            plan.start_ns + max(self._cycle_ns(), self._list_duration_ns),
+            self._bus.free_ns - self._common.evaluation_ns,
+        )
+        self._sweep += 1
+        self._plan = None
+
+    def take_emissions(self, now_ns: int) -> list[Emission]:
+        self.advance(now_ns)
+        out: list[Emission] = []
+        while (candidate := self._next_frame()) is not None and candidate[0] <= now_ns:
+            at_ns, kind = candidate
+            bus = self._bus
+            if kind == 0:
+                _, link, frame = bus.replies.popleft()
+                self._emit(out, frame, at_ns, [link] if link is not None else None)
+            elif kind == 1:
+                self._emit(out, bus.cyclic.popleft()[1], at_ns)
+            elif bus.current:
+                self._continue_list(out, now_ns)
+            else:
+                self._begin_list(at_ns)
+        return out
+
+    def take_events(self) -> list[Event]:
+        events, self._events = self._events, []
+        return events
+
+    # For the formats
+
+    def _send_cyclic(self, frames: Iterable[Frame], now_ns: int) -> None:
+        """Queue frames that go between lists."""
+        self._bus.cyclic.extend((now_ns, frame) for frame in frames)
+
+    def _send_reply(self, frames: Iterable[Frame], now_ns: int, link: int | None = None) -> None:
+        """Queue frames that go at once, between any two frames."""
+        self._bus.replies.extend((now_ns, link, frame) for frame in frames)
+
+    def _add_timer(self, first_ns: int, period_ns: int, action: Callable[[int], None]) -> Timer:
+        timer = Timer(first_ns, period_ns, action)
+        self._timers.append(timer)
+        return timer
+
+    def _restart_raster(self, now_ns: int) -> None:
+        """The next list is measured at `now_ns`; what was measured for the old raster is withdrawn."""
+        self._epoch += 1
+        self._plan = None
+        self._next_start_ns = now_ns
+        if self._pending:
+            self._events.append(Dropped(now_ns, DropReason.STALE, "list raster changed", len(self._pending)))
+            self._pending.clear()
+
+    def _frame(self, name: str, raw: Mapping[str, int] | None = None, **physical: float) -> Frame:
+        """One frame of a message, at its present identifier."""
+        message = self._layout[name]
+        return Frame(message.identifier + self._shift(), message.frame(raw, **physical), name)
+
+    def _drop(self, now_ns: int, reason: DropReason, detail: str, count: int = 1) -> None:
+        self._events.append(Dropped(now_ns, reason, detail, count))
+
+    def _handled(self, now_ns: int, command: str, outcome: str = "done") -> None:
+        self._events.append(CommandHandled(now_ns, command, outcome))
+
+    def _mode(self, now_ns: int, mode: str) -> None:
+        self._events.append(ModeChanged(now_ns, mode))
+
+    def _rebuild_dispatch(self) -> None:
+        """Host messages by identifier; call after every change of the shift."""
+        self._dispatch = {
+            self._layout.identifier(message.name) + (self._shift() if message.shifted else 0): message
+            for message in self.HOST_MESSAGES
+        }
+
+    # Own
+
+    def _clear(self, now_ns: int) -> None:
+        self._bus = _Bus(free_ns=now_ns)
+        self._pending.clear()
+        self._timers.clear()
+        self._running = False
+        self._plan = None
+        self._sweep = 0
+        self._next_start_ns = now_ns
+        self._list_duration_ns = 0
+        self._foreign.clear()
+        self._seen_foreign.clear()
+
+    def _next_frame(self) -> tuple[int, int] | None:
+        """Instant and kind (0 reply, 1 cyclic, 2 list) of the frame that leaves next."""
+        bus = self._bus
+        found: list[tuple[int, int]] = []
+        if bus.replies:
+            found.append((max(bus.free_ns, bus.replies[0][0]), 0))
+        if bus.current:
+            found.append((bus.free_ns, 2))
+        else:
+            if bus.cyclic:
+                found.append((max(bus.free_ns, bus.cyclic[0][0]), 1))
+            if self._pending:
+                found.append((max(bus.free_ns, self._pending[0][0]), 2))
+        return min(found) if found else None
+
+    def _begin_list(self, at_ns: int) -> None:
+        due_ns, scan = self._pending.popleft()
+        if not self._lists_wanted():
+            self._drop(at_ns, DropReason.STALE, "output switched off")
+            return
+        if at_ns - due_ns > self._cycle_ns():
+            self._drop(at_ns, DropReason.LINE_BUSY, "bus still full of the lists before")
+            return
+        frames = self._encode_list(ObjectTable.of(scan.objects), at_ns, scan.plan.start_ns)
+        if self._protection is not None:
+            frames = [frame._replace(payload=self._protection.protect(frame.label, frame.payload)) for frame in frames]
+        bits = frames_bits([frame.identifier for frame in frames], [frame.payload for frame in frames])
+        lengths_ns = np.rint(bits * self._bit_ns).astype(np.int64).tolist()
+        self._list_duration_ns = sum(lengths_ns)
+        self._bus.current.extend(zip(frames, lengths_ns, strict=True))
+        self._bus.sweep = scan.plan.sweep
+        self._bus.free_ns = max(self._bus.free_ns, at_ns)
+
+    def _continue_list(self, out: list[Emission], now_ns: int) -> None:
+        """Send frames of the list in progress up to `now_ns`, or until a reply comes between."""
+        bus = self._bus
+        while bus.current and bus.free_ns <= now_ns and not (bus.replies and bus.replies[0][0] <= bus.free_ns):
+            frame, length_ns = bus.current.popleft()
+            self._put(out, frame, bus.free_ns, self._links or [0], bus.sweep)
+            bus.sweep = None
+            bus.free_ns += length_ns
+
+    def _emit(self, out: list[Emission], frame: Frame, at_ns: int, links: list[int] | None = None) -> None:
+        if self._protection is not None:
+            frame = frame._replace(payload=self._protection.protect(frame.label, frame.payload))
+        self._put(out, frame, at_ns, links if links is not None else (self._links or [0]), None)
+        self._bus.free_ns = at_ns + round(frame_bits(frame.identifier, frame.payload) * self._bit_ns)
+
+    def _put(self, out: list[Emission], frame: Frame, at_ns: int, links: list[int], sweep: int | None) -> None:
+        """One emission a link; the first one of a list carries the sweep."""
+        for link in links:
+            key = (link, frame.identifier)
+            address = self._addresses.get(key)
+            if address is None:
+                address = self._addresses[key] = Address(*key)
+            out.append(Emission(at_ns, frame.payload, address, sweep, None, frame.label))
+            sweep = None
+
+    def _note_foreign(self, identifier: int, now_ns: int) -> None:
+        if identifier in self._seen_foreign or len(self._seen_foreign) >= 4096:
+            self._foreign[identifier] += 1
+            return
+        self._seen_foreign.add(identifier)
+        self._drop(now_ns, DropReason.OTHER_ADDRESS, f"frame 0x{identifier & 0x1FFFFFFF:X} is not for this device")
+
+    def _report_foreign(self, now_ns: int) -> None:
+        if self._foreign:
+            count = self._foreign.total()
+            self._drop(now_ns, DropReason.OTHER_ADDRESS, f"frames of {len(self._foreign)} other identifiers", count)
+            self._foreign.clear()
