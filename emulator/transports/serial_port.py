@@ -15,6 +15,7 @@ import contextlib
 import fcntl
 import os
 import select
+import termios
 from collections import deque
 from dataclasses import dataclass
 
@@ -33,6 +34,8 @@ TIOCSERGETLSR, TIOCSER_TEMT = 0x5459, 0x01
 RETRY_NS = 2_000_000
 "How often a full driver, or a transmitter that is not empty yet, is looked at again."
 READ_SIZE = 65_536
+FAULTS = (OSError, ValueError, termios.error)
+"What pyserial and the system raise at a port that has gone or does not know a setting."
 PARITIES = ("N", "E", "O", "M", "S")
 
 
@@ -71,7 +74,7 @@ class SerialPort(Link):
             self._port = serial.Serial(
                 device, baud, parity=parity, stopbits=stop, timeout=0, write_timeout=0, exclusive=True
             )
-        except (OSError, ValueError) as error:
+        except FAULTS as error:
             known = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
             reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
             raise LinkError(f"serial:{device}: cannot be opened: {reason}; ports of this machine: {known}") from None
@@ -142,7 +145,7 @@ class SerialPort(Link):
     def flush(self, now_ns: int) -> int | None:
         try:
             return None if self._gone else self._flush(now_ns)
-        except (OSError, ValueError) as error:
+        except FAULTS as error:
             self._lose(error)
             return now_ns  # at once, so that `receive` tells
 
@@ -198,14 +201,14 @@ class SerialPort(Link):
         self._new_speed = None
         try:
             self._port.baudrate = baud
-        except (OSError, ValueError) as error:
+        except FAULTS as error:
             self._lose(error)
 
     def clear(self) -> int:
         forgotten, self._queued = self._queued, 0
         self._queue.clear()
         if not self._gone:
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(*FAULTS):
                 self._port.reset_output_buffer()
         return forgotten
 
@@ -213,5 +216,5 @@ class SerialPort(Link):
         if self._fd < 0:
             return
         self._fd = -1
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(*FAULTS):
             self._port.close()
