@@ -67,6 +67,7 @@ class DropReason(Enum):
     BAD_ARGUMENT = "bad argument"
     REFUSED = "known command that no source settles; refused"
     BOOTING = "device is starting"
+    BUSY = "device busy with earlier requests"
     LINE_BUSY = "line slower than the scan rate"
     STALE = "withdrawn by a changed setting"
     HOST_SLOW = "host reads too slowly"

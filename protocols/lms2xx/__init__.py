@@ -1,0 +1,40 @@
+"""SICK LMS200, LMS211, LMS220, LMS221, LMS291: the device's side of their serial telegrams.
+
+Reading order: `telegrams` (bytes), `commands` (what each request does), `schedule` (when scans are sent), `session`.
+`settings.KEYS` lists what a scenario's `device:` table may say, `models.MODELS` what sets the models apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from protocols.lms2xx.commands import coverage_rows
+from protocols.lms2xx.models import model_of
+from protocols.lms2xx.session import Lms2xxSession
+from protocols.lms2xx.settings import KEYS, Key, read
+from protocols.session import CommandRow
+
+
+class Lms2xxFamily:
+    """The family as `protocols.family("lms2xx")` gives it."""
+
+    name = "lms2xx"
+    tcp_is_line = True
+    "TCP reaches an LMS2xx through a serial device server (ARIA connects so)."
+
+    def new_session(self, device: Mapping[str, Any], facts: Mapping[str, Any]) -> Lms2xxSession:
+        """A device that is switched off. Raises `DeviceSettingError`."""
+        model = model_of(facts)
+        return Lms2xxSession(model, read(device, model))
+
+    def commands(self) -> tuple[CommandRow, ...]:
+        """The coverage table."""
+        return coverage_rows()
+
+    def device_keys(self) -> tuple[Key, ...]:
+        """Every key of a scenario's `device:` table, with what is allowed, the default and the meaning."""
+        return KEYS
+
+
+FAMILY = Lms2xxFamily()

@@ -1,0 +1,160 @@
+"""The state of one LMS2xx and the blocks that tell of it: type, status. No time, no bytes of the line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from protocols.lms2xx import configuration as block
+from protocols.lms2xx.models import Model
+from protocols.lms2xx.outputs import Format, Output
+from protocols.lms2xx.settings import Settings
+from protocols.lms2xx.telegrams import word, words
+from protocols.lms2xx.values import MEASURING_MODES, MeasuringMode
+from protocols.lms2xx.variants import VARIANTS, Variant
+
+INSTALLATION = 0x00
+ON_REQUEST = 0x25
+
+FACTORY_BAUD = 9600
+RATE_CODES = {0x48: 500_000, 0x40: 38_400, 0x41: 19_200, 0x42: 9_600}
+"Sub-code of command 20 -> baud (listing, tables 7-17 and 7-18)."
+RATE_WORDS = {500_000: 0x8001, 38_400: 0x8019, 19_200: 0x8033, 9_600: 0x8067}
+"Baud -> word of the status telegram (listing p. 56)."
+
+STATUS_BYTES = 152
+"The listing's table adds up to 146; its example and every driver have 152."
+
+
+@dataclass(frozen=True)
+class Device:
+    """Everything that commands read and change; replaced as a whole."""
+
+    model: Model
+    settings: Settings
+    configuration: bytes
+    "EEPROM."
+    startup_baud: int
+    "EEPROM: line speed after power-on."
+    permanent_baud: bool
+    "EEPROM: whether that speed was made permanent."
+    switch_ons: int
+    "EEPROM."
+    baud: int
+    variant: Variant
+    mode: int = ON_REQUEST
+    "Sub-code of command 20."
+    stream: Output | None = None
+    "What the mode sends without being asked."
+    stream_number: int = 0
+    "One more with every mode that was entered, the same one again included."
+
+    @property
+    def status(self) -> int:
+        """The last byte of every reply."""
+        return self.model.status | self.settings.status_bits
+
+    @property
+    def unit(self) -> int:
+        return self.configuration[block.UNIT]
+
+    @property
+    def measuring_mode(self) -> MeasuringMode:
+        return MEASURING_MODES[self.configuration[block.MEASURING_MODE]]
+
+    @property
+    def gain(self) -> float:
+        """Receiver sensitivity against the standard setting."""
+        return block.receiver_gain(self.configuration, self.model.has_sensitivity)
+
+    @property
+    def format(self) -> Format:
+        """How measured values are written now."""
+        return Format(
+            self.measuring_mode,
+            self.unit,
+            bool(self.configuration[block.AVAILABILITY] & block.INDICES),
+            self.model.reflectivity_k_m2 * self.gain,
+        )
+
+    @property
+    def type_text(self) -> bytes:
+        """21 characters; in the 30106 and 30206 models a digit tells the unit (real LMS200: 3 in cm, 1 in mm)."""
+        digit = "1" if self.unit == block.MILLIMETRE else "3"
+        return self.model.type_text.replace("#", digit).encode("ascii")
+
+
+def new_device(model: Model, settings: Settings) -> Device:
+    """A device as it was stored: switched off, its EEPROM filled."""
+    return Device(
+        model=model,
+        settings=settings,
+        configuration=settings.configuration,
+        startup_baud=settings.startup_baud,
+        permanent_baud=settings.permanent_baud,
+        switch_ons=settings.switch_ons,
+        baud=settings.startup_baud,
+        variant=settings.variant,
+    )
+
+
+def restarted(device: Device, switched_on: bool) -> Device:
+    """After power-on or reset: EEPROM kept; mode, speed and variant as at every start."""
+    return replace(
+        device,
+        switch_ons=min(device.switch_ons + switched_on, 0xFFFF),
+        baud=device.startup_baud,
+        variant=device.settings.variant,
+        mode=ON_REQUEST,
+        stream=None,
+        stream_number=device.stream_number + 1,
+    )
+
+
+def find_variant(device: Device, data: bytes) -> Variant | None:
+    """The variant that a 3B asks for; None when this device does not have it."""
+    field_deg, step_cdeg = words(data)
+    for variant in () if device.model.fast else VARIANTS:
+        if (variant.field_deg, variant.step_cdeg) == (field_deg, step_cdeg):
+            return variant
+    return None
+
+
+def variant_words(device: Device) -> bytes:
+    """Field and step as in BB and B1."""
+    return word(device.variant.field_deg) + word(device.variant.step_cdeg)
+
+
+POLLUTION, POLLUTION_REFERENCE = 500, 600
+POLLUTION_CALIBRATION, REFERENCE_CALIBRATION = 510, 610
+MOTOR_REVOLUTIONS = 75
+"Values of a clean, healthy device; plausible, not measured."
+
+
+def status_block(device: Device) -> bytes:
+    """The 152 bytes of B1 (listing, table 7-33 with the offsets of sicktoolbox, Player, Robotics Library)."""
+    config = device.configuration
+    data = bytearray(STATUS_BYTES)
+
+    def put(offset: int, value: bytes) -> None:
+        data[offset : offset + len(value)] = value
+
+    put(0, device.model.firmware.encode("ascii"))
+    data[7] = device.mode
+    data[8] = 1 if device.settings.status_bits & 7 >= 3 else 0
+    put(9, device.settings.serial_number)
+    data[17] = 1 if device.model.fast else 0
+    put(18, word(POLLUTION) * 8 + word(POLLUTION_REFERENCE) * 4)
+    put(42, word(POLLUTION_CALIBRATION) * 8 + word(REFERENCE_CALIBRATION) * 4)
+    put(66, word(MOTOR_REVOLUTIONS))
+    data[101] = config[block.MEASURING_MODE]
+    put(106, variant_words(device))
+    data[110] = config[block.RESTART_MODE]
+    put(111, word(config[block.RESTART_TIME]))
+    put(115, word(RATE_WORDS[device.baud]))
+    data[117] = config[block.MULTIPLE_EVALUATION]
+    data[118] = device.permanent_baud
+    data[119] = device.settings.address
+    data[120] = 1
+    data[121] = device.unit
+    put(123, b"X01.03 ")
+    return bytes(data)

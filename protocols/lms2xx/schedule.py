@@ -1,0 +1,284 @@
+"""Which scans are measured, and when their telegrams begin: mirror and line brought together.
+
+A telegram of measured values begins where a scan ends (a slot). While one is sent, further scans pass unsent; the next
+slot is the end of the first scan for which the line is free again, from which the known rates follow. A slot is known
+as soon as the telegram before it has its own, so its scan can be measured ahead.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from protocols.errors import EncodeError, ScanRefused
+from protocols.lms2xx.device import Device
+from protocols.lms2xx.outputs import Format, Mean, Measured, Output, nearest
+from protocols.lms2xx.timing import TURN_DENOMINATOR, TURN_NUMERATOR_NS, Mirror, line_ns
+from protocols.lms2xx.variants import PARTIAL_SETS, Comb, comb
+from protocols.scan import Scan, ScanPlan
+
+TURN_NS = TURN_NUMERATOR_NS // TURN_DENOMINATOR
+AHEAD_SCANS = 2
+"A plan is given out this many scan times before its scan begins (at least `AHEAD_NS`): time to measure it."
+AHEAD_NS = 40_000_000
+
+
+class Line:
+    """The device's end of the line: its speed, and until when bytes already promised keep it busy."""
+
+    def __init__(self) -> None:
+        self.baud = 9600
+        self.free_ns = 0
+
+    def promise(self, start_ns: int, count: int) -> int:
+        """Let `count` bytes begin at `start_ns`; when they will have left."""
+        end_ns = start_ns + line_ns(count, self.baud)
+        self.free_ns = max(self.free_ns, end_ns)
+        return end_ns
+
+
+@dataclass
+class Slot:
+    """One telegram of measured values that is to be sent."""
+
+    output: Output
+    comb: Comb
+    part: int | None
+    form: Format
+    first_turn: int
+    send_ns: int
+    size: int
+    once: bool
+    "Asked for, and not part of the mode's stream."
+    reserved: bool
+    "The line is already promised to it."
+    measured: int = 0
+    mean: Mean | None = None
+    result: Measured | None = None
+
+    @property
+    def end_turn(self) -> int:
+        return self.first_turn + self.output.scans * self.comb.turns
+
+    @property
+    def scan_ns(self) -> int:
+        return self.comb.turns * TURN_NS
+
+    @property
+    def next_turn(self) -> int:
+        """First turn of the scan to be measured next."""
+        return self.first_turn + self.measured * self.comb.turns
+
+    def take(self, scan: Measured) -> None:
+        """Take the next scan."""
+        self.measured += 1
+        if self.output.scans == 1:
+            self.result = scan
+            return
+        if self.mean is None:
+            self.mean = Mean(self.comb.points, self.form.farthest_m)
+        self.mean.add(scan)
+        if self.measured == self.output.scans:
+            self.result = self.mean.result()
+
+
+class Schedule:
+    """The slots of one device, nearest first."""
+
+    def __init__(self, line: Line) -> None:
+        self._line = line
+        self._mirror = Mirror(0)
+        self._device: Device | None = None
+        self._stream: Output | None = None
+        self._stream_from_ns = 0
+        self._stream_turn = 0
+        "End of the last scan of the stream that has a slot."
+        self._sent_turn = 0
+        "End of the last scan of the stream that was sent; 0: none yet."
+        self._slots: deque[Slot] = deque()
+        self._telegrams = 0
+        "Of this stream so far, pending ones included: tells which partial scan is next."
+        self._epoch = 0
+        self._plan: ScanPlan | None = None
+
+    def restart(self, mirror: Mirror) -> None:
+        """The mirror begins to turn anew; nothing is wanted."""
+        self.withdraw()
+        self._mirror = mirror
+        self._stream = None
+
+    def withdraw(self) -> int:
+        """Forget every slot; how many had been measured in whole or in part."""
+        wasted = sum(slot.measured > 0 for slot in self._slots)
+        self._slots.clear()
+        self._forget_plan()
+        return wasted
+
+    def stream(self, device: Device, from_ns: int) -> int:
+        """Send what the device's mode sends from now on; scans begin at `from_ns` or later. Returns as `withdraw`."""
+        wasted = self.withdraw()
+        self._device = device
+        self._stream = device.stream
+        self._stream_from_ns = from_ns
+        self._stream_turn = self._sent_turn = 0
+        self._telegrams = 0
+        return wasted
+
+    def speed_changed(self, device: Device) -> None:
+        """The line has another speed: the stream goes on, in other slots."""
+        self._device = device
+        self._drop_stream_slots()
+
+    def once(self, device: Device, output: Output, ready_ns: int) -> None:
+        """Send one telegram that was asked for: the scan that ends at `ready_ns` or next.
+
+        Scans of a mean begin at `ready_ns`; requests that come while they are measured are answered before it is sent.
+        """
+        self._device = device
+        self._drop_stream_slots()
+        made = comb(device.variant, None)
+        size = output.telegram_bytes(made.points, device.format.indices)
+        free_ns = max(ready_ns, self._line.free_ns)
+        single = output.scans == 1
+        scan = self._scan_from(free_ns if single else ready_ns, made.turns) + (0 if single else output.scans)
+        scan = max(scan, output.scans)
+        send_ns = self._mirror.turn_ns(scan * made.turns)
+        first = (scan - output.scans) * made.turns
+        self._slots.append(Slot(output, made, None, device.format, first, send_ns, size, True, single))
+        if single:
+            self._line.promise(send_ns, size)
+
+    def line_moved(self) -> None:
+        """The line was promised to something else: slots that it took away move on."""
+        for slot in self._slots:
+            if slot.once or slot.send_ns >= self._line.free_ns:
+                continue
+            if slot.output.scans == 1 or not slot.measured:
+                self._drop_stream_slots()
+            else:
+                while len(self._slots) and self._slots[-1] is not slot:
+                    self._slots.pop()
+                slot.send_ns = self._mirror.turn_ns(self._mirror.first_turn_from(self._line.free_ns))
+                self._note_stream_end()
+                if slot.result is not None:
+                    self._forget_plan()
+            return
+
+    def next_plan(self, now_ns: int) -> ScanPlan | None:
+        """The scan wanted next, from `AHEAD_SCANS` before it begins."""
+        if self._plan is None:
+            slot = self._open_slot(now_ns)
+            if slot is not None and self._given_out_ns(slot) <= now_ns:
+                self._plan = self._make_plan(slot)
+        return self._plan
+
+    def submit(self, scan: Scan) -> None:
+        """Take the scan of `next_plan`. Raises `ScanRefused` for any other."""
+        plan = self._plan
+        if plan is None or (plan.epoch, plan.sweep) != (scan.plan.epoch, scan.plan.sweep):
+            raise ScanRefused(f"sweep {scan.plan.sweep} of epoch {scan.plan.epoch} is not wanted any more")
+        if len(scan.range_m) != len(plan):
+            raise EncodeError(f"{len(scan.range_m)} beams; the plan has {len(plan)}")
+        self._plan = None
+        next(slot for slot in self._slots if slot.result is None).take(nearest(scan))
+
+    def take_due(self, now_ns: int) -> Slot | None:
+        """The next slot whose time has come and whose scans are there, removed; call until None."""
+        if not self._slots or self._slots[0].result is None or self._slots[0].send_ns > now_ns:
+            return None
+        return self._slots.popleft()
+
+    def deadline(self, now_ns: int) -> int | None:
+        """When `take_due` or `next_plan` will have something without further input."""
+        times = []
+        if self._slots and self._slots[0].result is not None:
+            times.append(self._slots[0].send_ns)
+        if self._plan is None:
+            slot = self._open_slot(now_ns)
+            if slot is not None:
+                times.append(self._given_out_ns(slot))
+        return min(times, default=None)
+
+    def passed_over(self, slot: Slot) -> int:
+        """Scans that ended unsent between the stream's telegram before this one and this one."""
+        if slot.once:
+            return 0
+        passed = (slot.first_turn - self._sent_turn) // slot.comb.turns if self._sent_turn else 0
+        self._sent_turn = slot.end_turn
+        return passed
+
+    def _scan_from(self, time_ns: int, turns: int) -> int:
+        """Number of the first scan of so many turns that begins at `time_ns` or later."""
+        return -(-self._mirror.first_turn_from(time_ns) // turns)
+
+    def _given_out_ns(self, slot: Slot) -> int:
+        return self._mirror.turn_ns(slot.next_turn) - max(AHEAD_SCANS * slot.scan_ns, AHEAD_NS)
+
+    def _open_slot(self, now_ns: int) -> Slot | None:
+        """The first slot that still wants scans; the stream's next one is made when there is none."""
+        for slot in self._slots:
+            if slot.result is None:
+                return slot
+        if self._stream is None or self._device is None:
+            return None
+        slot = self._next_of_stream(self._stream, self._device, now_ns)
+        self._slots.append(slot)
+        self._note_stream_end()
+        self._telegrams += 1
+        return slot
+
+    def _next_of_stream(self, output: Output, device: Device, now_ns: int) -> Slot:
+        part = None
+        if output.partial:
+            sets = PARTIAL_SETS[device.variant.step_cdeg]
+            part = sets[self._telegrams % len(sets)]
+        made = comb(device.variant, part)
+        size = output.telegram_bytes(made.points, device.format.indices)
+        free_ns = self._line.free_ns
+        if self._slots:
+            last = self._slots[-1]
+            free_ns = max(free_ns, last.send_ns + line_ns(last.size, self._line.baud))
+        # A program that was held up does not make good more than the last scan.
+        free_ns = max(free_ns, now_ns - made.turns * TURN_NS)
+        end = max(
+            self._scan_from(free_ns, made.turns),
+            self._scan_from(self._stream_from_ns, made.turns) + output.scans,
+            -(-self._stream_turn // made.turns) + output.scans,
+        )
+        first_turn = (end - output.scans) * made.turns
+        send_ns = self._mirror.turn_ns(end * made.turns)
+        return Slot(output, made, part, device.format, first_turn, send_ns, size, False, False)
+
+    def _note_stream_end(self) -> None:
+        self._stream_turn = max((slot.end_turn for slot in self._slots if not slot.once), default=self._stream_turn)
+
+    def _drop_stream_slots(self) -> None:
+        """Take back what of the stream has not been sent; its place is found anew."""
+        kept = [slot for slot in self._slots if slot.once]
+        dropped = [slot for slot in self._slots if not slot.once]
+        if not dropped:
+            return
+        if all(slot.result is not None for slot in kept):
+            self._forget_plan()
+        self._slots = deque(kept)
+        self._telegrams -= len(dropped)
+        self._stream_turn = self._sent_turn
+
+    def _make_plan(self, slot: Slot) -> ScanPlan:
+        assert self._device is not None
+        return ScanPlan(
+            epoch=self._epoch,
+            sweep=slot.next_turn,
+            start_ns=self._mirror.turn_ns(slot.next_turn),
+            azimuth_rad=slot.comb.azimuth_rad,
+            elevation_rad=slot.comb.elevation_rad,
+            fire_offset_s=slot.comb.fire_offset_s,
+            duration_s=slot.comb.turns * TURN_NUMERATOR_NS / TURN_DENOMINATOR / 1e9,
+            max_range_m=slot.form.farthest_m,
+            gain=self._device.gain,
+            wants_intensity=slot.form.wants_intensity(slot.output),
+        )
+
+    def _forget_plan(self) -> None:
+        self._plan = None
+        self._epoch += 1

@@ -1,0 +1,316 @@
+"""The conversation of one LMS2xx: requests in, ACK and replies out, streams between them; power, boot and reset.
+
+Order on the line: a telegram that has begun is finished; then the ACK, then the reply, nothing of a stream between
+them; then the stream goes on in its next slot. Requests are answered one after the other in the order in which they came.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from enum import Enum
+
+from protocols.lms2xx import telegrams as wire
+from protocols.lms2xx.commands import KNOWN, Answer, answer, describe
+from protocols.lms2xx.device import Device, new_device, restarted
+from protocols.lms2xx.models import Model
+from protocols.lms2xx.outputs import encode
+from protocols.lms2xx.receiver import Fault, Receiver
+from protocols.lms2xx.schedule import Line, Schedule, Slot
+from protocols.lms2xx.settings import Settings
+from protocols.lms2xx.timing import Mirror
+from protocols.scan import Scan, ScanPlan
+from protocols.session import (
+    Address,
+    CommandHandled,
+    Dropped,
+    DropReason,
+    Emission,
+    Event,
+    LinkKind,
+    ModeChanged,
+    Restarted,
+    Session,
+)
+
+MAX_WAITING = 8
+"Requests that may wait for their reply; more are lost, as in a device whose input buffer is full."
+MAX_EVENTS = 10_000
+"Events kept for a caller that never takes them; the oldest go first."
+MAX_RECEIVERS = 64
+"Connections whose half telegrams are remembered."
+
+
+class Phase(Enum):
+    """Whether the device listens."""
+
+    OFF = "off"
+    BOOTING = "booting"
+    READY = "ready"
+    RESETTING = "resetting"
+    "The reply to a reset is on its way."
+
+
+class Lms2xxSession(Session):
+    """One device. Give it time and bytes; it owns neither."""
+
+    def __init__(self, model: Model, settings: Settings) -> None:
+        self._settings = settings
+        self._device = new_device(model, settings)
+        self._line = Line()
+        self._schedule = Schedule(self._line)
+        self._mirror = Mirror(0)
+        self._phase = Phase.OFF
+        self._phase_end_ns = 0
+        self._was_on = False
+        self._now_ns = 0
+        self._replies: deque[Emission] = deque()
+        self._reply_ends_ns: deque[int] = deque()
+        self._handed_out_ns = 0
+        "When the last emission handed out was due: nothing can be put before it."
+        self._telegram_index = 0
+        self._receivers: dict[tuple[int, int], Receiver] = {}
+        self._kinds: dict[int, LinkKind] = {}
+        self._events: deque[Event] = deque(maxlen=MAX_EVENTS)
+
+    @property
+    def device(self) -> Device:
+        """State of the device, for displays and tests."""
+        return self._device
+
+    @property
+    def line_speed(self) -> int:
+        """Baud of the line behind everything promised so far."""
+        return self._line.baud
+
+    # --- power ---
+
+    def power_on(self, now_ns: int) -> None:
+        """Switch on; with `start: running` the first time comes up at once and without a word."""
+        self._now_ns = now_ns
+        self._replies.clear()
+        self._reply_ends_ns.clear()
+        self._line.free_ns = self._handed_out_ns = now_ns
+        self._device = restarted(self._device, switched_on=True)
+        cold = self._was_on or not self._settings.starts_running
+        self._was_on = True
+        # An empty payload sets the links to the start-up rate.
+        self._replies.append(Emission(now_ns, b"", line_speed=self._device.baud, label="power-on"))
+        self._begin_boot(now_ns)
+        if not cold:
+            self._come_up(now_ns)
+
+    def _begin_boot(self, at_ns: int) -> None:
+        self._line.baud = self._device.baud
+        self._schedule.restart(Mirror(at_ns))
+        for receiver in self._receivers.values():
+            receiver.clear()
+        self._telegram_index = 0
+        self._events.append(Restarted(at_ns))
+        self._phase = Phase.BOOTING
+        self._phase_end_ns = at_ns + _ns(self._settings.delays.boot_s)
+
+    def _come_up(self, at_ns: int) -> None:
+        self._phase = Phase.READY
+        self._mirror = Mirror(at_ns)
+        self._schedule.restart(self._mirror)
+        self._events.append(ModeChanged(at_ns, f"{self._device.mode:02X}"))
+
+    def _run_phases(self, now_ns: int) -> None:
+        if self._phase is Phase.RESETTING and now_ns >= self._phase_end_ns:
+            self._device = restarted(self._device, switched_on=False)
+            self._begin_boot(self._phase_end_ns)
+        if self._phase is Phase.BOOTING and now_ns >= self._phase_end_ns:
+            at_ns = self._phase_end_ns
+            self._come_up(at_ns)
+            self._reply(at_ns, b"\x90" + self._device.type_text, "90")
+
+    # --- links ---
+
+    def connected(self, now_ns: int, address: Address, kind: LinkKind) -> None:
+        """Remember how the link carries bytes; a new connection begins with an empty receiver."""
+        self._kinds[address.link] = kind
+        self._receivers.pop(self._line_of(address), None)
+
+    def disconnected(self, now_ns: int, address: Address) -> None:
+        """A stream's host has gone, with what it had begun to say."""
+        self._receivers.pop(self._line_of(address), None)
+
+    def _line_of(self, address: Address | None) -> tuple[int, int]:
+        if address is None:
+            return -1, 0
+        return address.link, address.peer if self._kinds.get(address.link) is LinkKind.STREAM else 0
+
+    def _receiver(self, address: Address | None) -> Receiver:
+        key = self._line_of(address)
+        if key not in self._receivers:
+            if len(self._receivers) >= MAX_RECEIVERS:
+                self._receivers.pop(next(iter(self._receivers)))
+            self._receivers[key] = Receiver(KNOWN, self._settings.gap_ns, self._settings.strict_gap)
+        return self._receivers[key]
+
+    # --- input ---
+
+    def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
+        """Bytes of a host, in any chunking. Never raises."""
+        self.advance(now_ns)
+        if not data:
+            return
+        if self._phase is not Phase.READY:
+            self._drop(DropReason.BOOTING, self._phase.value, len(data))
+            return
+        for found in self._receiver(address).feed(data, now_ns, self._settings.address):
+            self._take(found)
+
+    def advance(self, now_ns: int) -> None:
+        """Let boot, time-outs and slots up to `now_ns` take effect."""
+        self._now_ns = max(self._now_ns, now_ns)
+        self._run_phases(self._now_ns)
+        for receiver in list(self._receivers.values()):
+            for found in receiver.expire(self._now_ns, self._settings.address):
+                self._take(found)
+        if self._phase is Phase.READY:
+            while slot := self._schedule.take_due(self._now_ns):
+                self._send_values(slot)
+
+    def _take(self, found: wire.Telegram | Fault) -> None:
+        if self._phase is not Phase.READY:
+            self._drop(DropReason.BOOTING, self._phase.value)
+            return
+        if isinstance(found, Fault) and found.reason is not DropReason.BAD_CHECKSUM:
+            self._drop(found.reason, found.detail, found.count)
+            return
+        while self._reply_ends_ns and self._reply_ends_ns[0] <= self._now_ns:
+            self._reply_ends_ns.popleft()
+        if len(self._reply_ends_ns) >= MAX_WAITING:
+            self._drop(DropReason.BUSY, f"{MAX_WAITING} requests wait for their replies")
+        elif isinstance(found, Fault):
+            self._drop(found.reason, found.detail, found.count)
+            self._say(wire.NAK, "NAK")
+            self._reply_ends_ns.append(self._line.free_ns)
+        else:
+            self._handle(found)
+            self._reply_ends_ns.append(self._line.free_ns)
+        self._schedule.line_moved()
+
+    def _handle(self, request: wire.Telegram) -> None:
+        before = self._device
+        self._device, reply = answer(before, request.command, request.data)
+        self._say(wire.ACK, "ACK")
+        if reply.once is not None:
+            self._schedule.once(self._device, reply.once, self._line.free_ns + _ns(self._settings.delays.scan_s))
+        else:
+            due_ns = self._line.free_ns + _ns(getattr(self._settings.delays, reply.delay))
+            label = f"{reply.payload[0]:02X}"
+            self._reply(due_ns, reply.payload, label, self._speed_after(reply))
+        self._note(request, reply)
+        if reply.resets:
+            self._phase, self._phase_end_ns = Phase.RESETTING, self._line.free_ns
+            self._stale(self._schedule.withdraw())
+        elif self._changed(before):
+            self._stale(self._schedule.stream(self._device, self._line.free_ns))
+        elif reply.new_baud is not None:
+            self._schedule.speed_changed(self._device)
+
+    def _speed_after(self, reply: Answer) -> int | None:
+        return self._device.startup_baud if reply.resets else reply.new_baud
+
+    def _changed(self, before: Device) -> bool:
+        """Whether scans measured until now are no longer what the device wants."""
+        after = self._device
+        return after.stream_number != before.stream_number or after.configuration != before.configuration
+
+    def _note(self, request: wire.Telegram, reply: Answer) -> None:
+        outcome = "done" if reply.refusal is None else reply.refusal.value
+        self._events.append(CommandHandled(self._now_ns, describe(request.command, request.data), outcome))
+        if reply.refusal is not None:
+            self._drop(reply.refusal, reply.detail)
+        elif request.command in (0x20, 0x3B) and reply.new_baud is None:
+            self._events.append(ModeChanged(self._now_ns, f"{self._device.mode:02X}"))
+
+    # --- output ---
+
+    def _say(self, byte: bytes, label: str) -> None:
+        """ACK or NAK, when the line is free and the device has understood."""
+        due_ns = max(self._now_ns + _ns(self._settings.delays.ack_s), self._line.free_ns)
+        self._replies.append(Emission(due_ns, byte, label=label))
+        self._line.promise(due_ns, len(byte))
+
+    def _reply(self, due_ns: int, payload: bytes, label: str, speed_after: int | None = None) -> None:
+        telegram = wire.reply(payload, self._device.status, self._settings.address)
+        self._replies.append(Emission(due_ns, telegram, line_speed=speed_after, label=label))
+        self._line.promise(due_ns, len(telegram))
+        if speed_after is not None:
+            self._line.baud = speed_after
+
+    def _send_values(self, slot: Slot) -> None:
+        """Begin a telegram of measured values.
+
+        A scan that came after its slot goes out at once. Less than a scan time late, it keeps its place in the schedule
+        (`due_ns` lies in the past and the line catches up); later than that, the line is busy from now on.
+        """
+        late = self._now_ns - slot.send_ns >= slot.scan_ns
+        due_ns = max(self._now_ns if late else slot.send_ns, self._handed_out_ns)
+        if not slot.reserved:
+            due_ns = max(due_ns, self._line.free_ns)
+        measured = slot.result
+        assert measured is not None
+        payload = encode(slot.output, measured, slot.form, slot.part)
+        if slot.form.indices:
+            payload += bytes((slot.end_turn & 0xFF, self._telegram_index & 0xFF))
+        self._telegram_index += 1
+        telegram = wire.reply(payload, self._device.status, self._settings.address)
+        place = len(self._replies)
+        while place and self._replies[place - 1].due_ns > due_ns:
+            place -= 1
+        self._replies.insert(
+            place, Emission(due_ns, telegram, sweep=slot.first_turn, label=f"{slot.output.command:02X}")
+        )
+        self._line.promise(due_ns, len(telegram))
+        if passed := self._schedule.passed_over(slot):
+            self._drop(DropReason.LINE_BUSY, f"{slot.output.command:02X}", passed)
+        self._schedule.line_moved()
+
+    def next_deadline(self) -> int | None:
+        """When `advance` or `take_emissions` has something to do even without input."""
+        times = [receiver.deadline() for receiver in self._receivers.values()]
+        if self._phase in (Phase.BOOTING, Phase.RESETTING):
+            times.append(self._phase_end_ns)
+        if self._phase is Phase.READY:
+            times.append(self._schedule.deadline(self._now_ns))
+        if self._replies:
+            times.append(self._replies[0].due_ns)
+        return min((time for time in times if time is not None), default=None)
+
+    def next_plan(self) -> ScanPlan | None:
+        """The scan wanted next, known some scan times before it begins."""
+        return self._schedule.next_plan(self._now_ns) if self._phase is Phase.READY else None
+
+    def submit(self, scan: Scan) -> None:
+        """Take the scan of `next_plan`; `ScanRefused` when it is not wanted any more."""
+        self._schedule.submit(scan)
+
+    def take_emissions(self, now_ns: int) -> list[Emission]:
+        """What is due by `now_ns`, in the order it leaves."""
+        self.advance(now_ns)
+        taken = []
+        while self._replies and self._replies[0].due_ns <= now_ns:
+            taken.append(self._replies.popleft())
+            self._handed_out_ns = taken[-1].due_ns
+        return taken
+
+    def take_events(self) -> list[Event]:
+        """What happened since the last call."""
+        events = list(self._events)
+        self._events.clear()
+        return events
+
+    def _drop(self, reason: DropReason, detail: str, count: int = 1) -> None:
+        self._events.append(Dropped(self._now_ns, reason, detail, count))
+
+    def _stale(self, count: int) -> None:
+        if count:
+            self._drop(DropReason.STALE, "measured, not sent", count)
+
+
+def _ns(seconds: float) -> int:
+    return round(seconds * 1e9)

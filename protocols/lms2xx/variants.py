@@ -1,0 +1,85 @@
+"""Angles: which beams a scan has, in which turn of the mirror each is fired, and when.
+
+The wire counts degrees from the right, 90 straight ahead, counter-clockwise seen from above; plans use azimuth 0 ahead,
+positive to the left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from protocols.lms2xx.timing import TURN_S
+from protocols.scan import Floats
+
+TURN_DEG = 360.0
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Field and step of a complete scan; reply BB, status bytes 106-109."""
+
+    field_deg: int
+    step_cdeg: int
+    turns: int
+    "Of the mirror, for one scan: point i is fired in turn i mod `turns`."
+
+    @property
+    def points(self) -> int:
+        return self.field_deg * 100 // self.step_cdeg + 1
+
+
+STANDARD = Variant(180, 50, 2)
+VARIANTS = (Variant(180, 100, 1), STANDARD, Variant(100, 100, 1), Variant(100, 50, 2), Variant(100, 25, 4))
+"All that 3B takes. 180 deg at 0.25 deg there is only in partial scans."
+FAST = Variant(90, 50, 1)
+"LMS2x1-S14: 45..135 deg, no 3B (sicktoolbox, MIT driver)."
+
+PARTIAL_SETS = {100: (0,), 50: (0, 2), 25: (0, 1, 2, 3)}
+"""Step in 1/100 deg -> partial scans in the order of their telegrams (quarters of a degree that the set starts at).
+Always over 180 deg: the MIT driver quotes the listing that the field asked for is ignored."""
+
+
+def partial_points(part: int) -> int:
+    """Values of partial scan 0..3: 181 where 180 deg itself belongs to the set, else 180."""
+    return 181 if part == 0 else 180
+
+
+@dataclass(frozen=True, eq=False)
+class Comb:
+    """Directions and instants of one scan's beams."""
+
+    azimuth_rad: Floats
+    elevation_rad: Floats
+    fire_offset_s: Floats
+    "After the beginning of the scan's first turn. Neighbours of a finer grid than a turn's lie one turn apart."
+    turns: int
+
+    @property
+    def points(self) -> int:
+        return len(self.azimuth_rad)
+
+
+@lru_cache(maxsize=16)
+def comb(variant: Variant, part: int | None) -> Comb:
+    """The beams of a complete scan, or of partial scan `part` (steps of 1 deg over 180 deg in one turn).
+
+    A beam at wire angle a is fired a/360 of a turn after its turn began: 180 deg take half a turn.
+    """
+    if part is None:
+        index = np.arange(variant.points)
+        first_deg = 90.0 - variant.field_deg / 2
+        angle_deg = first_deg + index * variant.step_cdeg / 100.0
+        turn, turns = index % variant.turns, variant.turns
+    else:
+        index = np.arange(partial_points(part))
+        angle_deg = part * 0.25 + index
+        turn, turns = np.zeros_like(index), 1
+    azimuth_rad: Floats = np.radians(angle_deg - 90.0).astype(np.float64)
+    elevation_rad: Floats = np.zeros(len(index))
+    fire_offset_s: Floats = (turn + angle_deg / TURN_DEG) * TURN_S
+    for array in (azimuth_rad, elevation_rad, fire_offset_s):
+        array.setflags(write=False)
+    return Comb(azimuth_rad, elevation_rad, fire_offset_s, turns)
