@@ -1,34 +1,68 @@
 """Facts of a run: a YAML file -> a frozen `Scenario`, every fault told as `file:line: key: found; want allowed`.
 
-Belongs here: the models of the file, and loading it. Not: meshes (scene), facts of a sensor model (spec), a device's
-own settings (its family checks them), what a weather means (weather).
+Belongs here: the models of the file; loading, dumping, the published JSON Schema. Not: meshes (scene), facts of a
+sensor model (spec), a device's own settings (its family checks them), the weather's table (weather), references
+between tables (scenario_checks).
 """
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
+from ruamel.yaml import YAML
 
+from emulator import overrides as changes
+from emulator import scenario_checks, yaml_lines
 from emulator.errors import ScenarioError
-from emulator.yaml_source import Source, fault_lines, read
+from emulator.weather import WeatherConfig
+from emulator.yaml_source import fault_lines
 
-Vector = tuple[float, float, float]
+MOST_ACTORS = 10_000
+MOST_SENSORS = 256
+MOST_WAYPOINTS = 100_000
+
+
+def _long_as(count: int) -> BeforeValidator:
+    """Tells a list of another length in one line instead of one a missing number."""
+
+    def check(value: Any) -> Any:
+        if isinstance(value, tuple) and len(value) != count:
+            raise ValueError(f"{len(value)} values; want a list of {count} numbers")
+        return value
+
+    return BeforeValidator(check)
+
+
+Vector = Annotated[tuple[float, float, float], _long_as(3)]
 Positive = Annotated[float, Field(gt=0.0)]
-Id = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_-]*$")]
+Id = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_-]{0,63}$")]
+
+SHAPES = ("mesh", "plane", "box", "cylinder", "sphere")
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, validate_by_name=False)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
+
+
+class Plane(_Table):
+    """A rectangle centred on its origin, normal +z, seen from both sides."""
+
+    size_m: Annotated[tuple[Positive, Positive], _long_as(2)]
+    "Along x, along y."
 
 
 class Box(_Table):
     """A closed box; its origin is the centre of its base."""
 
-    size_m: tuple[Positive, Positive, Positive]
+    size_m: Annotated[tuple[Positive, Positive, Positive], _long_as(3)]
+    "Along x, y, z."
 
 
 class Cylinder(_Table):
@@ -37,44 +71,45 @@ class Cylinder(_Table):
     radius_m: Positive
     height_m: Positive
     segments: Annotated[int, Field(ge=3, le=4096)] = 64
+    "Flat faces around; their edges lie on the circle."
 
 
 class Sphere(_Table):
-    """A closed sphere standing on its origin."""
+    """A closed sphere that stands on its origin."""
 
     radius_m: Positive
     segments: Annotated[int, Field(ge=4, le=2048)] = 64
-
-
-class Plane(_Table):
-    """A rectangle centred on its origin, normal +z, seen from both sides."""
-
-    size_m: tuple[Positive, Positive]
+    "Meridians; half as many rings. The corners lie on the sphere."
 
 
 class Shape(_Table):
     """Exactly one of a mesh file and the primitives."""
 
     mesh: str | None = None
+    "GLB, glTF, OBJ, PLY or STL; relative to this file, or `builtin:NAME`."
     plane: Plane | None = None
     box: Box | None = None
     cylinder: Cylinder | None = None
     sphere: Sphere | None = None
     up: Literal["y", "z"] | None = None
-    scale: Positive = 1.0
+    """Axis of the mesh file that points up. y: +z points forward, as glTF defines it; z: +x points forward.
+    By default y for glTF and GLB, z for the others."""
+    scale: Annotated[float, Field(gt=0.0, le=1e6)] = 1.0
+    "Metres per unit of the mesh file."
 
     @model_validator(mode="after")
     def _one_kind(self) -> Shape:
-        kinds = ("mesh", "plane", "box", "cylinder", "sphere")
-        given = [kind for kind in kinds if getattr(self, kind) is not None]
+        given = [kind for kind in SHAPES if getattr(self, kind) is not None]
         if len(given) != 1:
-            raise ValueError(f"{' and '.join(given) or 'no shape'}; want exactly one of {', '.join(kinds)}")
+            raise ValueError(f"{' and '.join(given) or 'no shape'}; want exactly one of {', '.join(SHAPES)}")
+        if self.mesh is None and self.model_fields_set & {"up", "scale"}:
+            raise ValueError(f"{given[0]} with up or scale; want these for a mesh only")
         return self
 
     @property
     def kind(self) -> str:
         """`mesh`, `plane`, `box`, `cylinder` or `sphere`."""
-        return next(kind for kind in ("mesh", "plane", "box", "cylinder", "sphere") if getattr(self, kind) is not None)
+        return next(kind for kind in SHAPES if getattr(self, kind) is not None)
 
 
 class WorldItem(Shape):
@@ -85,7 +120,9 @@ class WorldItem(Shape):
     pitch_deg: float = 0.0
     roll_deg: float = 0.0
     material: str | None = None
+    "Of all parts that `materials` does not name. A part that bears the name of a material needs neither."
     materials: dict[str, str] = Field(default_factory=dict)
+    "Part of the mesh (its material's or object's name in the file) -> material."
 
 
 class Waypoint(_Table):
@@ -106,9 +143,12 @@ class MotionConfig(_Table):
     pitch_deg: float = 0.0
     roll_deg: float = 0.0
     velocity_m_s: Vector = (0.0, 0.0, 0.0)
+    "In the world's frame; it does not turn with the actor."
     yaw_rate_deg_s: float = 0.0
-    waypoints: tuple[Waypoint, ...] = ()
+    waypoints: Annotated[tuple[Waypoint, ...], Field(max_length=MOST_WAYPOINTS)] = ()
+    "Straight lines between them, turning the shortest way; before the first and after the last it stands still."
     loop: bool = False
+    "From the last waypoint on it begins again at the first."
 
 
 Category = Literal["car", "truck", "motorcycle", "bicycle", "pedestrian", "wide", "point", "unknown"]
@@ -119,16 +159,21 @@ class Actor(_Table):
 
     id: Id
     shape: Shape | None = None
+    "None: it is not seen."
     material: str | None = None
+    "Of all parts that `materials` does not name. A part that bears the name of a material needs neither."
     materials: dict[str, str] = Field(default_factory=dict)
+    "Part of the mesh (its material's or object's name in the file) -> material."
     class_: Category = Field(default="unknown", alias="class")
-    motion: MotionConfig = MotionConfig()
+    "For object lists."
+    motion: MotionConfig = Field(default_factory=MotionConfig)
 
 
 class Mount(_Table):
     """Where a sensor's optical centre is, on an actor or in the world."""
 
     actor: str | None = None
+    "None: the world."
     at_m: Vector = (0.0, 0.0, 0.0)
     yaw_deg: float = 0.0
     pitch_deg: float = 0.0
@@ -140,11 +185,44 @@ class SensorConfig(_Table):
 
     id: Id
     model: str
-    mount: Mount = Mount()
+    "See `lidaremu list sensors`."
+    mount: Mount = Field(default_factory=Mount)
     device: dict[str, Any] = Field(default_factory=dict)
+    "What a real one keeps over power-off; the model's protocol family knows the keys."
     mode: Literal["operational", "seed"] = "operational"
-    links: tuple[str, ...] = ()
+    "seed: the deterministic model of the base paper, for its figures."
+    links: Annotated[tuple[str, ...], Field(max_length=64)] = ()
+    "See `lidaremu list links`."
     from_: tuple[str, ...] = Field(default=(), alias="from")
+    "Sensors from whose scans it makes its objects."
+
+
+class Fault(BaseModel):
+    """Something that goes wrong on purpose; its other keys depend on `do`."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, strict=True, allow_inf_nan=False)
+
+    on: str
+    do: str
+    at_s: Annotated[float, Field(ge=0.0)] | None = None
+
+
+class Expectation(BaseModel):
+    """What must hold at the end of a test run; its other keys depend on `that`."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, strict=True, allow_inf_nan=False)
+
+    that: str
+    within: Annotated[tuple[float, float], _long_as(2)] | None = None
+
+
+class Record(_Table):
+    """What a run keeps."""
+
+    wire: bool = False
+    "Bytes both ways."
+    truth: bool = False
+    "What each echo was."
 
 
 class Scenario(_Table):
@@ -152,17 +230,20 @@ class Scenario(_Table):
 
     schema_: Literal[1] = Field(alias="schema")
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    "Of every random draw."
     duration_s: Positive | None = None
-    world: tuple[WorldItem, ...] = ()
-    actors: tuple[Actor, ...] = ()
-    weather: Any = None
+    "None: until it is stopped."
+    world: Annotated[tuple[WorldItem, ...], Field(max_length=MOST_ACTORS)] = ()
+    actors: Annotated[tuple[Actor, ...], Field(max_length=MOST_ACTORS)] = ()
+    weather: WeatherConfig = Field(default_factory=WeatherConfig)
     materials: dict[str, dict[str, Any]] = Field(default_factory=dict)
-    sensors: tuple[SensorConfig, ...] = ()
-    faults: tuple[dict[str, Any], ...] = ()
-    expect: tuple[dict[str, Any], ...] = ()
-    record: dict[str, bool] = Field(default_factory=dict)
+    "Materials of this file beside those that come with the package."
+    sensors: Annotated[tuple[SensorConfig, ...], Field(max_length=MOST_SENSORS)] = ()
+    faults: tuple[Fault, ...] = ()
+    expect: tuple[Expectation, ...] = ()
+    record: Record = Field(default_factory=Record)
 
-    _source: Source = PrivateAttr()
+    _source: yaml_lines.Source = PrivateAttr()
 
     @property
     def source(self) -> Path:
@@ -177,26 +258,55 @@ class Scenario(_Table):
     @property
     def known_materials(self) -> frozenset[str]:
         """Names of all materials, the file's own included."""
-        return frozenset(self.materials)
+        from emulator.physics.materials import known_materials
 
-    def resolve(self, name: str) -> Path:
-        """A path of the file: relative ones start at its folder."""
-        return self.folder / name
+        return frozenset((*self.materials, *known_materials()))
 
-    def label(self, dotted: str) -> str:
-        """`file:line: dotted.key`, the beginning of a message about that key."""
-        loc = tuple(int(part) if part.isdigit() else part for part in dotted.split("."))
-        return f"{self._source.place(loc)}: {dotted}"
+    def resolve(self, mesh: str) -> Path:
+        """Where a mesh of this scenario lies."""
+        return scenario_checks.mesh_path(mesh, self.folder)
 
-    def fault(self, dotted: str, found: object, allowed: str) -> ScenarioError:
+    def label(self, key: str) -> str:
+        """`file:line: dotted.key`, the beginning of a message about that key (`sensors.0.device.unit`)."""
+        loc = tuple(int(part) if part.isdigit() else part for part in key.split("."))
+        return f"{self._source.place(loc)}: {self._source.dotted(loc)}"
+
+    def fault(self, key: str, found: object, allowed: str) -> ScenarioError:
         """An error that names file, line and key."""
-        loc = tuple(int(part) if part.isdigit() else part for part in dotted.split("."))
-        return ScenarioError(f"{self._source.place(loc)}: {dotted}: {found!r}; want {allowed}")
+        return ScenarioError(f"{self.label(key)}: {found!r}; want {allowed}")
+
+
+# ---------------------------------------------------------------- names
 
 
 def builtin_names() -> list[str]:
     """Names of the scenarios that come with the package."""
     return sorted(entry.name[:-5] for entry in files("scenarios").iterdir() if entry.name.endswith(".yaml"))
+
+
+def builtin_summary(name: str) -> str:
+    """First sentence of a built-in scenario's first comment."""
+    text = (files("scenarios") / f"{name}.yaml").read_text(encoding="utf-8")
+    lines = []
+    for line in text.splitlines():
+        if not line.startswith("#"):
+            break
+        lines.append(line[1:].strip())
+    sentence, stop, _ = " ".join(lines).partition(". ")
+    return sentence + stop.strip()
+
+
+def _path_of(name: str) -> Path:
+    path = Path(name)
+    names = builtin_names()
+    if name in names and not path.is_file():
+        return Path(str(files("scenarios") / f"{name}.yaml"))
+    if not path.exists() and path.suffix not in (".yaml", ".yml"):
+        raise ScenarioError(f"{name}: no such file or built-in scenario; want {scenario_checks.nearest(name, names)}")
+    return path
+
+
+# ---------------------------------------------------------------- loading
 
 
 def load(
@@ -205,22 +315,109 @@ def load(
     seed: int | None = None,
     links: Mapping[str, Sequence[str]] | None = None,
 ) -> Scenario:
-    """Load a scenario from a path or a built-in name."""
-    path = Path(path_or_builtin_name)
-    if path_or_builtin_name in builtin_names() and not path.is_file():
-        path = Path(str(files("scenarios") / f"{path_or_builtin_name}.yaml"))
-    source = read(path, ScenarioError)
+    """The scenario of a file or a built-in name, changed and judged.
+
+    Parameters
+    ----------
+    path_or_builtin_name : a path wins over a built-in name.
+    overrides : `a.b=value` each, through lists by number or id, value in YAML.
+    seed : replaces the file's.
+    links : sensor -> the links it gets instead of the file's.
+
+    Raises
+    ------
+    ScenarioError : one line a fault, all of them.
+    """
+    path = _path_of(path_or_builtin_name)
+    return _judged(
+        yaml_lines.parse(yaml_lines.read_text(path, ScenarioError), path, ScenarioError), overrides, seed, links
+    )
+
+
+def loads(text: str, path: Path, overrides: Sequence[str] = ()) -> Scenario:
+    """The same from a text, as if it stood in `path`."""
+    return _judged(yaml_lines.parse(text, path, ScenarioError), overrides, None, None)
+
+
+def _judged(
+    source: yaml_lines.Source,
+    overrides: Sequence[str],
+    seed: int | None,
+    links: Mapping[str, Sequence[str]] | None,
+) -> Scenario:
+    if source.data is None:
+        raise ScenarioError(f"{source.path}:1: file: empty; want a scenario, beginning with schema: 1")
+    source = changes.changed(source, overrides, seed, links)
+    told = list(source.faults)
     try:
         scenario = Scenario.model_validate(_frozen(source.data))
     except ValidationError as exc:
-        raise ScenarioError("\n".join(fault_lines(source, Scenario, exc))) from None
+        told += fault_lines(source, Scenario, exc)
+    told += scenario_checks.faults(source)
+    if told:
+        raise ScenarioError("\n".join(_in_file_order(told)))
     scenario._source = source
     return scenario
 
 
+def _in_file_order(told: Sequence[str]) -> list[str]:
+    """Faults by line, one for each key: what comes first in `told` explains what follows from it."""
+    first: dict[tuple[str, ...], str] = {}
+    for text in told:
+        first.setdefault(tuple(text.split(": ", 2)[:2]), text)
+
+    def line(text: str) -> tuple[str, int]:
+        file, _, number = text.partition(": ")[0].rpartition(":")
+        return (file, int(number)) if number.isdigit() else ("", 0)
+
+    return sorted(first.values(), key=line)
+
+
 def _frozen(data: Any) -> Any:
+    """Lists as tuples, which the strict models take."""
     if isinstance(data, dict):
         return {key: _frozen(value) for key, value in data.items()}
-    if isinstance(data, list):
-        return tuple(_frozen(value) for value in data)
-    return data
+    return tuple(_frozen(value) for value in data) if isinstance(data, list) else data
+
+
+# ---------------------------------------------------------------- telling
+
+
+def dump(scenario: Scenario) -> str:
+    """The scenario as YAML with every default filled in; meshes by absolute path, so that it can lie anywhere."""
+    data = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
+    for item, entry in zip(scenario.world, data["world"], strict=True):
+        _told_shape(scenario, item, entry)
+    for actor, entry in zip(scenario.actors, data["actors"], strict=True):
+        if actor.shape is not None:
+            _told_shape(scenario, actor.shape, entry["shape"])
+        motion = entry["motion"]
+        kept = {"waypoints", "loop"} if actor.motion.waypoints else set(motion) - {"waypoints", "loop"}
+        entry["motion"] = {key: value for key, value in motion.items() if key in kept}
+    for change, entry in zip(scenario.weather.changes, data["weather"].get("changes", ()), strict=True):
+        for key in set(entry) - change.model_fields_set:
+            del entry[key]  # what a change does not name goes on
+        entry.update({key: None for key in change.model_fields_set if getattr(change, key) is None})
+    yaml = YAML(typ="safe", pure=True)
+    yaml.default_flow_style = None
+    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    yaml.width = 120
+    out = io.StringIO()
+    yaml.dump(data, out)
+    return out.getvalue()
+
+
+def _told_shape(scenario: Scenario, shape: Shape, entry: dict[str, Any]) -> None:
+    if shape.mesh is None:
+        entry.pop("scale", None)
+    elif not shape.mesh.startswith(scenario_checks.BUILTIN):
+        path = scenario.resolve(shape.mesh).resolve()
+        own = scenario_checks.mesh_path(scenario_checks.BUILTIN + path.name, Path())
+        entry["mesh"] = scenario_checks.BUILTIN + path.name if path == own.resolve() else str(path)
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON Schema (2020-12) of a scenario file, for editors; references between tables are checked by `load` alone."""
+    schema = Scenario.model_json_schema(by_alias=True)
+    schema["title"] = "lidaremu scenario"
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
