@@ -1,0 +1,192 @@
+"""Fog, rain or dust of one scan as tables: what a medium adds to the waveform of every beam.
+
+Here: the running integrals of a homogeneous medium's backscatter, made once for a weather and a receiver. Not here: the
+closed form of one beam (softtarget) and the sum with surfaces (waveform).
+
+With the pulse (1 + cos k(x - r))/2 around its centre, the waveform of a medium between r = x - h and x + h is
+``[A]/2 + Re(exp(ikx) [B])/2`` with the running integrals A of its density g and B of g exp(-ikr). A surface at R stops
+the share of the beam that it blocks: the integrals of that share end at R.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from emulator.physics.arrays import Complexes, Floats, Ints, Values, exp_or_zero, floats, require_positive
+from emulator.physics.pulse import Pulse
+from emulator.physics.radiometry import overlap
+
+INVISIBLE = 1e-3
+"Amplitude in noise units below which the medium is left out."
+MARK = 1e-9
+"Amplitude of the markers that make the waveform be sampled where the medium has its maximum."
+
+
+@dataclass(frozen=True, eq=False)
+class SoftProfile:
+    """Tables of one medium on the global grid of bins j * bin_m; amplitudes in noise units."""
+
+    pulse: Pulse
+    bin_m: float
+    start_m: float
+    "Range at which the overlap starts to rise."
+    full_m: float
+    end_m: float
+    "Range behind which the medium adds less than `INVISIBLE`."
+    peak_m: float
+    "Apparent range of the largest return, counted like a surface's range (centre of the pulse)."
+    peak: float
+    "Largest return of a beam that nothing blocks."
+    density_scale: float
+    alpha: float
+    upper: Floats
+    "A + Re(exp(ikx) B) at the far end x + h of the pulse, by j - first."
+    lower: Floats
+    "The same at its near end x - h."
+    first: int
+    knots: Floats
+    "Ranges at which A and B are known."
+    a: Floats
+    b: Complexes
+
+    @classmethod
+    def of_medium(
+        cls,
+        pulse: Pulse,
+        bin_m: float,
+        scale: float,
+        alpha: float,
+        backscatter: float,
+        start_m: float,
+        full_m: float,
+        max_range_m: float,
+    ) -> SoftProfile | None:
+        """Tables of a homogeneous medium; None when its largest return is invisible.
+
+        Parameters
+        ----------
+        pulse, bin_m : pulse, and step of the sampled waveform in range. [m]
+        scale : pi K of the receiver: amplitude in noise units is scale backscatter int profile ov T^2/r^2 dr. [m^2]
+        alpha : total extinction of the air. [1/m]
+        backscatter : sum over the media of extinction over lidar ratio. [1/(m sr)]
+        start_m, full_m : overlap of beam and field of view; start > 0
+        max_range_m : end of the gate
+        """
+        require_positive("start_m", start_m)
+        density = scale * backscatter
+        if density <= 0.0:
+            return None
+        full = max(full_m, start_m)
+        half = pulse.half_support_m
+        end = _end_of_sight(density, alpha, half, full, max_range_m)
+        first = int(np.floor((start_m - half) / bin_m)) - 1
+        last = int(np.ceil((end + half) / bin_m)) + 2
+        x = bin_m * np.arange(first, last + 1, dtype=np.float64)
+        near = [start_m]
+        while near[-1] < end:
+            near.append(near[-1] + min(0.5 * bin_m, 0.05 * near[-1]))
+        knots = np.unique(np.concatenate([near, [full], x + half, x - half]))
+        knots = knots[(knots >= start_m) & (knots <= end)]
+        if knots.size < 2:
+            return None
+        k = pulse.wave_number
+        a, b = _running(knots, density, alpha, start_m, full, k)
+        turn = np.exp(1j * k * x)
+        reach_hi = np.clip(np.searchsorted(knots, x + half, side="right") - 1, 0, knots.size - 1)
+        reach_lo = np.clip(np.searchsorted(knots, x - half, side="right") - 1, 0, knots.size - 1)
+        upper = a[reach_hi] + np.real(turn * b[reach_hi])
+        lower = a[reach_lo] + np.real(turn * b[reach_lo])
+        if pulse.shape == "sin2":
+            wave = 0.5 * (upper - lower)
+        else:
+            wave = _gauss_wave(pulse, x, knots, a)
+        top = int(np.argmax(wave))
+        if wave[top] < INVISIBLE:
+            return None
+        return cls(
+            pulse, bin_m, start_m, full, end, float(x[top]), float(wave[top]), density, alpha, upper, lower, first,
+            knots, a, b,
+        )  # fmt: skip
+
+    def wave(self, x_m: Values) -> Floats:
+        """Return of a beam that nothing blocks at apparent range x, linear between the bins. [noise units]"""
+        x = floats(x_m)
+        grid = self.bin_m * np.arange(self.first, self.first + len(self.upper), dtype=np.float64)
+        if self.pulse.shape == "sin2":
+            values = 0.5 * (self.upper - self.lower)
+        else:
+            values = _gauss_wave(self.pulse, grid, self.knots, self.a)
+        return floats(np.interp(x, grid, np.maximum(values, 0.0), left=0.0, right=0.0))
+
+    def tables(self, j: Ints) -> tuple[Floats, Floats]:
+        """`upper` and `lower` at bins j; beyond the end they are equal, so that nothing is left."""
+        at = j - self.first
+        inside = (at >= 0) & (at < len(self.upper))
+        at = np.clip(at, 0, len(self.upper) - 1)
+        return np.where(inside, self.upper[at], 0.0), np.where(inside, self.lower[at], 0.0)
+
+    def integrals(self, range_m: Floats) -> tuple[Floats, Complexes]:
+        """A and B up to a range: cubic between the knots, from their values and the density itself."""
+        r = np.clip(floats(range_m), self.knots[0], self.knots[-1])
+        i = np.clip(np.searchsorted(self.knots, r, side="right") - 1, 0, self.knots.size - 2)
+        left, right = self.knots[i], self.knots[i + 1]
+        step = right - left
+        t = (r - left) / step
+        g0, g1 = self._density(left), self._density(right)
+        k = self.pulse.wave_number
+        h00, h10 = (1.0 + 2.0 * t) * (1.0 - t) ** 2, t * (1.0 - t) ** 2
+        h01, h11 = t * t * (3.0 - 2.0 * t), t * t * (t - 1.0)
+        a = h00 * self.a[i] + h01 * self.a[i + 1] + step * (h10 * g0 + h11 * g1)
+        turned = h10 * g0 * np.exp(-1j * k * left) + h11 * g1 * np.exp(-1j * k * right)
+        b = h00 * self.b[i] + h01 * self.b[i + 1] + step * turned
+        return floats(a), np.asarray(b, np.complex128)
+
+    def nodes(self) -> tuple[Floats, Floats]:
+        """The medium as point scatterers: ranges and amplitudes, a fifth of the pulse's FWHM apart or closer."""
+        edges = np.linspace(self.start_m, self.end_m, 2 + int(5.0 * (self.end_m - self.start_m) / self.pulse.fwhm_m))
+        near = self.start_m * 1.25 ** np.arange(24)
+        edges = np.unique(np.concatenate([edges, near[near < self.end_m]]))
+        a, _ = self.integrals(edges)
+        return 0.5 * (edges[1:] + edges[:-1]), np.maximum(np.diff(a), 0.0)
+
+    def _density(self, r: Floats) -> Floats:
+        return _density(r, self.density_scale, self.alpha, self.start_m, self.full_m)
+
+
+def _density(r: Floats, scale: float, alpha: float, start: float, full: float) -> Floats:
+    return scale * overlap(r, start, full) / (r * r) * exp_or_zero(-2.0 * alpha * r)
+
+
+def _end_of_sight(density: float, alpha: float, half: float, full: float, max_range_m: float) -> float:
+    """Range where the medium becomes invisible, between full overlap and the end of the gate."""
+    lo, hi = full, max(max_range_m, full)
+    for _ in range(50):
+        mid = 0.5 * (lo + hi)
+        visible = np.log(density * half / INVISIBLE) - 2.0 * alpha * mid - 2.0 * np.log(mid) > 0.0
+        lo, hi = (mid, hi) if visible else (lo, mid)
+    return hi
+
+
+def _running(
+    knots: Floats, density: float, alpha: float, start: float, full: float, k: float
+) -> tuple[Floats, Complexes]:
+    """Running integrals of the density, and of the density times exp(-ikr), 6 Gauss nodes between two knots."""
+    t, weight = special.roots_legendre(6)
+    half = 0.5 * np.diff(knots)[:, None]
+    r = knots[:-1, None] + half * (t + 1.0)
+    g = _density(r, density, alpha, start, full) * half * weight
+    a = np.concatenate([[0.0], np.cumsum(g.sum(axis=1))])
+    b = np.concatenate([[0.0], np.cumsum((g * np.exp(-1j * k * r)).sum(axis=1))])
+    return a, np.asarray(b, np.complex128)
+
+
+def _gauss_wave(pulse: Pulse, x: Floats, knots: Floats, a: Floats) -> Floats:
+    middle, piece = 0.5 * (knots[1:] + knots[:-1]), np.diff(a)
+    wave = np.zeros(x.shape)
+    for start in range(0, x.size, 256):  # keeps the table of pairs small
+        part = slice(start, start + 256)
+        wave[part] = pulse.profile(x[part, None] - middle) @ piece
+    return wave

@@ -1,0 +1,187 @@
+"""Sub-echoes of a scan as flat arrays, and how they fall into clusters that can interact.
+
+Here: the container, sorting, splitting into clusters, joining what no receiver can tell apart. Not here: the waveform
+that clusters make (waveform) and which echoes are reported (detection).
+Amplitudes are in units of the receiver's nominal rms noise: signal current at the peak of the pulse over noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from emulator.physics.arrays import Bools, Floats, Ints, floats, group_starts
+
+NO_SOURCE = -1
+
+
+@dataclass(frozen=True, eq=False)
+class SubEchoes:
+    """k sub-echoes, sorted by beam and, within a beam, by range; several may share a range, none is lost."""
+
+    beam: Ints
+    "(k,) ascending"
+    range_m: Floats
+    "(k,) ascending within a beam"
+    amplitude: Floats
+    "(k,) >= 0, in noise units"
+    blocked: Floats
+    "(k,) share of the beam's power that ends here and lights no fog behind; 0 for a drop."
+    source: Ints
+    "(k,) whatever the caller wants to find again, such as the actor; -1 none."
+    spread_m: Floats | None = None
+    "(k,) standard deviation of range of a sub-echo that is a whole tilted plane; None: all points."
+
+    def __len__(self) -> int:
+        return len(self.range_m)
+
+    @classmethod
+    def of(
+        cls,
+        beam: Ints,
+        range_m: Floats,
+        amplitude: Floats,
+        blocked: Floats | None = None,
+        source: Ints | None = None,
+        spread_m: Floats | None = None,
+    ) -> SubEchoes:
+        """Sub-echoes in any order; sorted, those that are not finite or have no amplitude dropped unless they block."""
+        beam, range_m, amplitude = np.asarray(beam, np.int64), floats(range_m), floats(amplitude)
+        stop = np.zeros(range_m.shape) if blocked is None else floats(blocked)
+        tag = np.full(range_m.shape, NO_SOURCE, np.int64) if source is None else np.asarray(source, np.int64)
+        kept = np.isfinite(range_m) & np.isfinite(amplitude) & ((amplitude > 0.0) | (stop > 0.0))
+        if not bool(np.all(kept)):
+            beam, range_m, amplitude, stop, tag = beam[kept], range_m[kept], amplitude[kept], stop[kept], tag[kept]
+            spread_m = None if spread_m is None else spread_m[kept]
+        later = (beam[1:] > beam[:-1]) | ((beam[1:] == beam[:-1]) & (range_m[1:] >= range_m[:-1]))
+        if not bool(np.all(later)):
+            # equal ranges are put in order of amplitude, so that a permuted input adds up alike
+            order = np.lexsort((amplitude, range_m, beam))
+            beam, range_m, amplitude, stop, tag = beam[order], range_m[order], amplitude[order], stop[order], tag[order]
+            spread_m = None if spread_m is None else spread_m[order]
+        return cls(beam, range_m, amplitude, stop, tag, spread_m)
+
+    @classmethod
+    def from_grid(
+        cls, range_m: Floats, amplitude: Floats, blocked: Floats | None = None, source: Ints | None = None
+    ) -> SubEchoes:
+        """From arrays (n, m) of n beams with m sub-beams each; NaN ranges are misses. Sorts each row."""
+        order = np.argsort(range_m, axis=1)  # NaN goes last
+        hit = np.isfinite(np.take_along_axis(range_m, order, 1))
+        beam = np.repeat(np.arange(range_m.shape[0]), np.count_nonzero(hit, axis=1))
+
+        def picked(values: Floats) -> Floats:
+            return floats(np.take_along_axis(np.broadcast_to(values, range_m.shape), order, 1)[hit])
+
+        tag = None
+        if source is not None:
+            tag = np.take_along_axis(np.broadcast_to(source, range_m.shape), order, 1)[hit].astype(np.int64)
+        return cls.of(beam, picked(range_m), picked(amplitude), None if blocked is None else picked(blocked), tag)
+
+    @classmethod
+    def joined(cls, *parts: SubEchoes) -> SubEchoes:
+        """All sub-echoes of several sources, surfaces and drops for instance."""
+        spread = None
+        if any(part.spread_m is not None for part in parts):
+            spread = np.concatenate([np.zeros(len(p)) if p.spread_m is None else p.spread_m for p in parts])
+        return cls.of(
+            np.concatenate([p.beam for p in parts]),
+            np.concatenate([p.range_m for p in parts]),
+            np.concatenate([p.amplitude for p in parts]),
+            np.concatenate([p.blocked for p in parts]),
+            np.concatenate([p.source for p in parts]),
+            spread,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Clusters:
+    """Sub-echoes joined where no receiver can tell them apart, and cut into clusters that do not overlap."""
+
+    beam: Ints
+    "(g,) of each joined sub-echo"
+    range_m: Floats
+    "(g,) energy-weighted mean"
+    amplitude: Floats
+    "(g,) sum"
+    blocked: Floats
+    "(g,) sum"
+    source: Ints
+    "(g,) of the strongest member"
+    cluster: Ints
+    "(g,) number of the cluster, ascending"
+    first: Ints
+    "(c,) index of the first joined sub-echo of each cluster"
+    count: Ints
+    "(c,) joined sub-echoes in each cluster"
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+
+def cluster(echoes: SubEchoes, support_m: float, resolution_m: float) -> Clusters:
+    """Join sub-echoes within a quarter of the range resolution; cut clusters where the gap exceeds the pulse.
+
+    Joining puts the summed amplitude at the energy-weighted mean; the error of the waveform is second order: half the
+    variance times the curvature of the pulse.
+    """
+    n = len(echoes)
+    if n == 0:
+        none, nothing = np.zeros(0, np.int64), np.zeros(0)
+        return Clusters(none, nothing, nothing, nothing, none, none, none, none)
+    beam, r = echoes.beam, echoes.range_m
+    cut = np.ones(n, np.bool_)
+    cut[1:] = (beam[1:] != beam[:-1]) | (r[1:] - r[:-1] > support_m)
+    number = np.cumsum(cut) - 1
+    start = np.flatnonzero(cut)
+    end = np.append(start[1:], n) - 1
+    quarter = 0.25 * resolution_m
+    narrow = r[end] - r[start] < quarter
+    joined = cut.copy()
+    if quarter > 0.0:
+        cell = np.floor((r - r[start][number]) / quarter)
+        joined[1:] |= (cell[1:] != cell[:-1]) & ~narrow[number[1:]]
+    else:
+        joined[1:] = True
+    first = np.flatnonzero(joined)
+    amplitude = np.add.reduceat(echoes.amplitude, first)
+    weight = np.where(amplitude > 0.0, amplitude, 1.0)
+    near = r[first]
+    offset = np.add.reduceat(echoes.amplitude * (r - np.repeat(near, np.diff(np.append(first, n)))), first) / weight
+    group = np.cumsum(joined) - 1
+    top = np.maximum.reduceat(echoes.amplitude, first)
+    strongest = np.flatnonzero(echoes.amplitude == top[group])
+    source = np.full(first.size, NO_SOURCE, np.int64)
+    source[group[strongest[::-1]]] = echoes.source[strongest[::-1]]  # the first of equals wins
+    mine = number[first]
+    head = group_starts(mine)
+    return Clusters(
+        beam[first],
+        near + offset,
+        amplitude,
+        np.add.reduceat(echoes.blocked, first),
+        source,
+        mine,
+        head,
+        np.diff(np.append(head, first.size)),
+    )
+
+
+def unfold_spread(echoes: SubEchoes, wide: Bools, nodes: int = 12) -> SubEchoes:
+    """Replace the chosen sub-echoes, whole tilted planes, by Gauss-Hermite nodes over their spread of ranges."""
+    if echoes.spread_m is None or not bool(np.any(wide)):
+        return SubEchoes(echoes.beam, echoes.range_m, echoes.amplitude, echoes.blocked, echoes.source)
+    x, weight = np.polynomial.hermite.hermgauss(nodes)
+    weight = weight / weight.sum()
+    kept = ~wide
+    spot = np.sqrt(2.0) * x
+    r = (echoes.range_m[wide][:, None] + echoes.spread_m[wide][:, None] * spot).ravel()
+    times = np.full(int(np.count_nonzero(wide)), nodes)
+    return SubEchoes.of(
+        np.concatenate([echoes.beam[kept], np.repeat(echoes.beam[wide], times)]),
+        np.concatenate([echoes.range_m[kept], np.maximum(r, 0.0)]),
+        np.concatenate([echoes.amplitude[kept], (echoes.amplitude[wide][:, None] * weight).ravel()]),
+        np.concatenate([echoes.blocked[kept], (echoes.blocked[wide][:, None] * weight).ravel()]),
+        np.concatenate([echoes.source[kept], np.repeat(echoes.source[wide], times)]),
+    )

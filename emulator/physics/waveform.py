@@ -1,0 +1,215 @@
+"""The received waveform of a scan, sampled only where something can be: one flat array over all clusters.
+
+Here: windows around clusters, exact sums of pulses in them, what a medium adds, exact values between the samples. Not
+here: how sub-echoes fall into clusters (subechoes) and what counts as an echo (detection).
+
+Sub-echoes keep their exact positions. For sin^2, a sum of pulses is a constant plus a cosine between the instants at
+which pulses start and end, so running sums of three numbers give it at every sample, however many sub-echoes there are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from emulator.physics.arrays import Bools, Floats, Ints, floats, ramp
+from emulator.physics.pulse import Pulse
+from emulator.physics.softprofile import SoftProfile
+from emulator.physics.subechoes import Clusters
+
+
+@dataclass(frozen=True, eq=False)
+class Waveform:
+    """Samples of w windows in one flat array of s; apparent range counts from the centre of the pulse."""
+
+    pulse: Pulse
+    bin_m: float
+    beam: Ints
+    "(w,)"
+    first_bin: Ints
+    "(w,) number of the first sample on the global grid"
+    start: Ints
+    "(w,) index of the first sample in the flat array"
+    count: Ints
+    "(w,) samples of the window; the first and the last lie outside every pulse"
+    value: Floats
+    "(s,) noise units, surfaces and medium"
+    soft: Floats
+    "(s,) the medium's part"
+    sub_first: Ints
+    "(w,) index of the window's first sub-echo in the arrays below"
+    sub_count: Ints
+    "(w,)"
+    sub_range: Floats
+    sub_amplitude: Floats
+    sub_source: Ints
+
+    @property
+    def window(self) -> Ints:
+        """(s,) window of each sample."""
+        return np.repeat(np.arange(self.start.size), self.count)
+
+    def position(self, index: Ints, window: Ints) -> Floats:
+        """Apparent range of samples by flat index and window. [m]"""
+        return self.bin_m * (self.first_bin[window] + (index - self.start[window])).astype(np.float64)
+
+    def surfaces_at(self, x_m: Floats, window: Ints) -> Floats:
+        """Exact value of the surfaces' part at any apparent range inside windows; same shape as x."""
+        if x_m.size == 0:
+            return np.zeros(0)
+        if self.pulse.shape == "sin2":
+            return self._sums.at(x_m, window)
+        count = self.sub_count[window]
+        member = np.repeat(self.sub_first[window], count) + ramp(count)
+        near = self.pulse.profile(np.repeat(x_m, count) - self.sub_range[member]) * self.sub_amplitude[member]
+        edge = np.cumsum(count) - count
+        return np.add.reduceat(near, edge)
+
+    def soft_at(self, x_m: Floats, window: Ints) -> Floats:
+        """The medium's part at any apparent range inside windows, linear between the samples."""
+        offset = np.clip(x_m / self.bin_m - self.first_bin[window], 0.0, self.count[window] - 1.000001)
+        whole = np.floor(offset).astype(np.int64)
+        at = self.start[window] + whole
+        part = offset - whole
+        return floats((1.0 - part) * self.soft[at] + part * self.soft[at + 1])
+
+    def at(self, x_m: Floats, window: Ints) -> Floats:
+        """Value at any apparent range inside windows."""
+        return np.maximum(self.surfaces_at(x_m, window) + self.soft_at(x_m, window), 0.0)
+
+    @cached_property
+    def _sums(self) -> _RunningSums:
+        return _RunningSums.of(self)
+
+
+def sample(
+    clusters: Clusters, chosen: Bools, pulse: Pulse, bin_m: float, soft: SoftProfile | None, clear_share: Floats
+) -> Waveform:
+    """Waveform of the chosen clusters.
+
+    Parameters
+    ----------
+    clusters : of the whole scan
+    chosen : (c,) which of them are sampled
+    soft : the medium, None for none; only with a sin^2 pulse, a Gaussian one takes its `nodes` as sub-echoes
+    clear_share : (c,) share of the beam that nothing before the cluster blocks
+    """
+    half = pulse.half_support_m
+    kept = chosen[clusters.cluster]
+    r, amplitude, blocked = clusters.range_m[kept], clusters.amplitude[kept], clusters.blocked[kept]
+    sub_count = clusters.count[chosen]
+    sub_first = np.cumsum(sub_count) - sub_count
+    window = np.repeat(np.arange(sub_count.size), sub_count)
+    low, high = r[sub_first], r[sub_first + sub_count - 1]
+    first_bin = np.floor((low - half) / bin_m).astype(np.int64) - 1
+    count = np.ceil((high + half) / bin_m).astype(np.int64) - first_bin + 2
+    start = np.cumsum(count) - count
+    total = int(count.sum())
+    base = (start - first_bin)[window]
+    on = base + np.ceil((r - half) / bin_m).astype(np.int64)
+    off = base + np.floor((r + half) / bin_m).astype(np.int64) + 1
+    local = ramp(count)
+    if pulse.shape == "sin2":
+        k = pulse.wave_number
+        phase = k * (r - (bin_m * first_bin)[window])
+        steps = np.concatenate([on, off])
+
+        # each window's running sums start from exactly 0: what rounding left in the last one is taken off
+        def running(weight: Floats) -> Floats:
+            sums = floats(np.cumsum(np.bincount(steps, np.concatenate([weight, -weight]), total)))
+            return sums - np.repeat(sums[start], count)
+
+        angle = k * bin_m * np.arange(int(count.max(initial=1)))
+        cosine, sine = np.cos(angle)[local], np.sin(angle)[local]
+        value = running(amplitude)
+        value += cosine * running(amplitude * np.cos(phase))
+        value += sine * running(amplitude * np.sin(phase))
+        value *= 0.5
+        np.maximum(value, 0.0, out=value)
+    else:
+        reach = off - on
+        member = np.repeat(np.arange(r.size), reach)
+        at = np.repeat(on, reach) + ramp(reach)
+        x = bin_m * (at - base[member]).astype(np.float64)
+        value = floats(np.bincount(at, amplitude[member] * pulse.profile(x - r[member]), total))
+        cosine = sine = np.zeros(0)
+    part = np.zeros(total)
+    if soft is not None and pulse.shape == "sin2" and total:
+        j = np.repeat(first_bin, count) + local
+        upper, lower = soft.tables(j)
+        open_far = np.repeat(clear_share[chosen], count)
+        open_near = open_far.copy()
+        stop = blocked > 0.0
+        near = stop & (r < soft.end_m + 2.0 * half)
+        if bool(np.any(near)):
+            a, b = soft.integrals(r[near])
+            b = b * np.exp(1j * k * (bin_m * first_bin)[window[near]])
+            share, into, out = blocked[near], on[near], off[near]
+            edge = np.concatenate([into, out])
+
+            def between(weight: Floats) -> Floats:
+                return np.cumsum(np.bincount(edge, np.concatenate([weight, -weight]), total))
+
+            def after(index: Ints) -> Floats:  # running share, restarted in every window
+                sums = np.cumsum(np.bincount(index, share, total))
+                return np.asarray(sums - np.repeat(sums[start], count))
+
+            open_far = open_far - after(into)
+            open_near = open_near - after(out)
+            part += between(share * a)
+            part += cosine * between(share * b.real)
+            part -= sine * between(share * b.imag)
+        part += np.maximum(open_far, 0.0) * upper - np.maximum(open_near, 0.0) * lower
+        part *= 0.5
+        np.maximum(part, 0.0, out=part)
+        value = value + part
+    return Waveform(
+        pulse, bin_m, clusters.beam[clusters.first[chosen]], first_bin, start, count, value, part,
+        sub_first, sub_count, r, amplitude, clusters.source[kept],
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _RunningSums:
+    """Running sums over the sub-echoes of a waveform: constant, cosine and sine part of the pulses under way."""
+
+    origin: Floats
+    key: Floats
+    length: float
+    constant: Floats
+    cosine: Floats
+    sine: Floats
+    half: float
+    k: float
+
+    @classmethod
+    def of(cls, wave: Waveform) -> _RunningSums:
+        window = np.repeat(np.arange(wave.sub_first.size), wave.sub_count)
+        origin = wave.sub_range[wave.sub_first]
+        offset = wave.sub_range - origin[window]
+        half, k = wave.pulse.half_support_m, wave.pulse.wave_number
+        length = float(offset.max(initial=0.0)) + 8.0 * half
+        zero = np.zeros(1)
+        return cls(
+            origin,
+            window * length + offset,
+            length,
+            np.concatenate([zero, np.cumsum(wave.sub_amplitude)]),
+            np.concatenate([zero, np.cumsum(wave.sub_amplitude * np.cos(k * offset))]),
+            np.concatenate([zero, np.cumsum(wave.sub_amplitude * np.sin(k * offset))]),
+            half,
+            k,
+        )
+
+    def at(self, x_m: Floats, window: Ints) -> Floats:
+        offset = x_m - self.origin[window]
+        low = window * self.length + np.clip(offset - self.half, -2.0 * self.half, self.length - 4.0 * self.half)
+        high = window * self.length + np.clip(offset + self.half, -2.0 * self.half, self.length - 4.0 * self.half)
+        lo, hi = np.searchsorted(self.key, low, side="left"), np.searchsorted(self.key, high, side="right")
+        angle = self.k * offset
+        value = self.constant[hi] - self.constant[lo]
+        value = value + np.cos(angle) * (self.cosine[hi] - self.cosine[lo])
+        value = value + np.sin(angle) * (self.sine[hi] - self.sine[lo])
+        return np.maximum(0.5 * value, 0.0)
