@@ -1,0 +1,67 @@
+"""The models of the family, and what a device of each says of itself when the scenario says nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from protocols.errors import DeviceSettingError
+
+IDENTITIES = {
+    0x0000: "sensor_part_number",
+    0x0001: "sensor_name",
+    0x0002: "sensor_version",
+    0x0003: "sensor_serial_number",
+    0x0004: "edm_serial_number",
+    0x0010: "firmware_part_number",
+    0x0011: "firmware_name",
+    0x0012: "firmware_version",
+    0x0020: "application_part_number",
+    0x0021: "application_name",
+    0x0022: "application_version",
+}
+"Items of GET_IDENTIFICATION (sicktoolbox)."
+
+
+@dataclass(frozen=True)
+class Model:
+    """Facts of one model that its conversation depends on."""
+
+    name: str
+    sensor_name: str
+    "As GET_IDENTIFICATION 0001 gives it."
+    max_range_m: float
+    "A farther echo is reported as none. 250 m: sicktoolbox_wrapper's range_max, Miro's no-echo limit."
+    near_field_m: float = 0.5
+    "Echoes nearer than this are passed over while near-field suppression is on; ours, from the wrapper's range_min."
+    has_interlace: bool = False
+    "Knows configuration item 0011 (LD-LRS36x1 only, by the C port of sicktoolbox)."
+
+    def identities(self) -> dict[str, str]:
+        """Texts by name; part numbers, serial numbers and versions are placeholders of ours."""
+        texts = dict.fromkeys(IDENTITIES.values(), "0000000")
+        texts |= {name: "V1.00" for name in texts if name.endswith("version")}
+        return texts | {"sensor_name": self.sensor_name, "firmware_name": "LD-FW", "application_name": "LD-APP"}
+
+
+MODELS = {
+    model.name: model
+    for model in (
+        Model("sick-ld-lrs1000", "LD-LRS1000", 250.0),
+        Model("sick-ld-oem1000", "LD-OEM1000", 250.0),
+        Model("sick-ld-lrs3611", "LD-LRS3611", 250.0, has_interlace=True),
+        Model("lase-eld-l-a", "ELD-L-A", 250.0),
+    )
+}
+
+
+def model_of(facts: Mapping[str, Any]) -> Model:
+    """The model that a spec's `device` table names; `DeviceSettingError` when it names none, or says more."""
+    for key in facts:
+        if key != "model":
+            raise DeviceSettingError(key, facts[key], "only `model` in the device table of an ld spec")
+    name = facts.get("model")
+    if not isinstance(name, str) or name not in MODELS:
+        raise DeviceSettingError("model", name, " | ".join(MODELS))
+    return MODELS[name]

@@ -1,0 +1,201 @@
+"""Which revolutions are to be measured, which were, and what their profiles will tell.
+
+The device measures a revolution only when somebody wants its profile. Revolutions are counted from the head's origin,
+so that a late scan never shifts the next one.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from protocols.errors import ScanRefused
+from protocols.ld.device import Device, Geometry
+from protocols.ld.head import SECOND_NS, Rotation
+from protocols.ld.profiles import Field, Layout, Revolution, Words, distance_words, echo_words, layout
+from protocols.ld.sectors import TICKS
+from protocols.scan import DAZZLED, Floats, Scan, ScanPlan
+
+MAX_AHEAD = 4
+"Revolutions that may be measured before the first of them has ended."
+
+MAX_LAYOUTS = 16
+"Formats of which the layout is kept; hosts use one or two."
+
+
+@dataclass(frozen=True)
+class Need:
+    """What one host still wants."""
+
+    first_ns: int
+    left: int | None
+    "None: no end."
+    echoes: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A revolution whose scan has come."""
+
+    sweep: int
+    revolution: int
+    start_ns: int
+    end_ns: int
+    distances: Words
+    echoes: Words | None
+
+
+@dataclass(frozen=True)
+class Outstanding:
+    """The plan given out last."""
+
+    revolution: int
+    plan: ScanPlan
+    end_ns: int
+
+
+class Revolutions:
+    """Plans and scans while the device is in MEASURE."""
+
+    def __init__(self) -> None:
+        self.epoch = 0
+        self.measured: deque[Measured] = deque()
+        self.late = 0
+        "Revolutions that passed without being measured, since last asked."
+        self._outstanding: Outstanding | None = None
+        self._next = 0
+        self._layouts: dict[int, Layout] = {}
+
+    def begin(self) -> int:
+        """Settings have changed: nothing planned or measured so far counts any more; how many scans that costs."""
+        gone = len(self.measured)
+        self.measured.clear()
+        self._outstanding = None
+        self._layouts.clear()
+        self._next = 0
+        self.epoch += 1
+        return gone
+
+    def rethink(self, now_ns: int) -> None:
+        """Somebody wants more of a revolution than was planned: plan those anew that have not begun."""
+        self._outstanding = None
+        self.epoch += 1
+        while self.measured and self.measured[-1].start_ns > now_ns:
+            self._next = self.measured.pop().revolution
+
+    def next_end_ns(self) -> int | None:
+        """When the next measured revolution has ended."""
+        return self.measured[0].end_ns if self.measured else None
+
+    def ended(self, now_ns: int) -> Iterator[Measured]:
+        """Take the measured revolutions that have ended."""
+        while self.measured and self.measured[0].end_ns <= now_ns:
+            yield self.measured.popleft()
+
+    def lacks_echoes(self) -> bool:
+        """Whether something planned or measured comes without amplitudes."""
+        planned = self._outstanding is not None and not self._outstanding.plan.wants_intensity
+        return planned or any(item.echoes is None for item in self.measured)
+
+    def plan(self, device: Device, needs: Sequence[Need], now_ns: int) -> ScanPlan | None:
+        """The revolution wanted next, the same until its scan comes."""
+        geometry, rotation = device.geometry, device.rotation
+        if geometry is None or rotation is None or not needs or len(self.measured) >= MAX_AHEAD:
+            self._outstanding = None
+            return None
+        if self._outstanding is None:
+            self._outstanding = self._choose(geometry, rotation, needs, device.model.max_range_m, now_ns)
+        return self._outstanding.plan if self._outstanding else None
+
+    def _choose(
+        self, geometry: Geometry, rotation: Rotation, needs: Sequence[Need], max_range_m: float, now_ns: int
+    ) -> Outstanding | None:
+        wanted = [
+            rotation.first_from(need.first_ns, geometry.first)
+            for need in needs
+            if need.left is None or need.left > sum(item.start_ns >= need.first_ns for item in self.measured)
+        ]
+        if not wanted:
+            return None
+        # one that has ended already is passed over: a device that cannot keep up skips, it does not lag
+        running = rotation.first_from(now_ns + 1, geometry.first) - 1
+        due = max(self._next, min(wanted))
+        revolution = max(due, running)
+        self.late += revolution - due
+        start_ns = rotation.passes_ns(revolution, geometry.first)
+        plan = ScanPlan(
+            epoch=self.epoch,
+            sweep=rotation.first_sweep + revolution,
+            start_ns=start_ns,
+            azimuth_rad=geometry.azimuth_rad,
+            elevation_rad=geometry.elevation_rad,
+            fire_offset_s=geometry.fire_offset_s,
+            duration_s=1.0 / rotation.hz,
+            max_echoes=2 if geometry.near_field_m else 1,
+            max_range_m=max_range_m,
+            wants_intensity=any(need.echoes for need in needs),
+        )
+        return Outstanding(revolution, plan, rotation.passes_ns(revolution + 1, geometry.first))
+
+    def submit(self, scan: Scan, geometry: Geometry | None, max_range_m: float) -> None:
+        """Take the scan of the plan given out; `ScanRefused` for any other."""
+        asked = self._outstanding
+        plan = scan.plan
+        if asked is None or geometry is None or (plan.epoch, plan.sweep) != (asked.plan.epoch, asked.plan.sweep):
+            raise ScanRefused(f"sweep {plan.sweep} of epoch {plan.epoch} is no longer wanted")
+        if len(scan.range_m) != len(asked.plan):
+            raise ScanRefused(f"{len(scan.range_m)} beams; the plan has {len(asked.plan)}")
+        range_m, intensity = _reported(scan, geometry.near_field_m)
+        distances = distance_words(range_m, max_range_m)
+        echoes = echo_words(intensity, distances) if plan.wants_intensity else None
+        self.measured.append(Measured(plan.sweep, asked.revolution, plan.start_ns, asked.end_ns, distances, echoes))
+        self._next = asked.revolution + 1
+        self._outstanding = None
+
+    def layout(self, form: int, geometry: Geometry) -> Layout:
+        """The layout of a format under the present geometry."""
+        found = self._layouts.get(form)
+        if found is None:
+            if len(self._layouts) >= MAX_LAYOUTS:
+                self._layouts.clear()
+            found = self._layouts[form] = layout(form, geometry.sectors, geometry.step)
+        return found
+
+
+def wants_echoes(form: int) -> bool:
+    """Whether a format holds amplitudes."""
+    return bool(form & Field.ECHO)
+
+
+def _reported(scan: Scan, near_field_m: float) -> tuple[Floats, Floats]:
+    """Range and intensity of the one echo a beam that the device reports: the nearest, behind the suppressed field."""
+    range_m, intensity = scan.range_m[:, 0], scan.intensity[:, 0]
+    if near_field_m:
+        shown = scan.range_m >= near_field_m
+        column = np.argmax(shown, axis=1)
+        beam = np.arange(len(column))
+        range_m = np.where(shown[beam, column], scan.range_m[beam, column], np.nan)
+        intensity = scan.intensity[beam, column]
+    if scan.flags.any():
+        range_m = np.where(scan.flags & DAZZLED, np.nan, range_m)
+    return range_m, intensity
+
+
+def revolution_of(item: Measured, device: Device, geometry: Geometry, rotation: Rotation) -> Revolution:
+    """What all profiles of a measured revolution have in common."""
+    rate = TICKS * rotation.hz
+
+    def clock(ticks: int) -> int:
+        return device.clock_ms(item.start_ns + (ticks * SECOND_NS + rate // 2) // rate) & 0xFFFF
+
+    return Revolution(
+        count=item.sweep & 0xFFFF,
+        distances=item.distances,
+        echoes=item.echoes,
+        start_ms=[clock(span.offset) for span in geometry.sectors],
+        end_ms=[clock(span.offset + span.length) for span in geometry.sectors],
+        status=device.status,
+    )
