@@ -51,6 +51,8 @@ class SoftProfile:
     "Ranges at which A and B are known."
     a: Floats
     b: Complexes
+    slope_a: Floats
+    slope_b: Complexes
 
     @classmethod
     def of_medium(
@@ -95,6 +97,7 @@ class SoftProfile:
         k = pulse.wave_number
         a, b = _running(knots, density, alpha, start_m, full, k)
         turn = np.exp(1j * k * x)
+        g = _density(knots, density, alpha, start_m, full)
         reach_hi = np.clip(np.searchsorted(knots, x + half, side="right") - 1, 0, knots.size - 1)
         reach_lo = np.clip(np.searchsorted(knots, x - half, side="right") - 1, 0, knots.size - 1)
         upper = a[reach_hi] + np.real(turn * b[reach_hi])
@@ -108,7 +111,7 @@ class SoftProfile:
             return None
         return cls(
             pulse, bin_m, start_m, full, end, float(x[top]), float(wave[top]), density, alpha, upper, lower, first,
-            knots, a, b,
+            knots, a, b, g, np.asarray(g * np.exp(-1j * k * knots), np.complex128),
         )  # fmt: skip
 
     def wave(self, x_m: Values) -> Floats:
@@ -135,13 +138,10 @@ class SoftProfile:
         left, right = self.knots[i], self.knots[i + 1]
         step = right - left
         t = (r - left) / step
-        g0, g1 = self._density(left), self._density(right)
-        k = self.pulse.wave_number
         h00, h10 = (1.0 + 2.0 * t) * (1.0 - t) ** 2, t * (1.0 - t) ** 2
         h01, h11 = t * t * (3.0 - 2.0 * t), t * t * (t - 1.0)
-        a = h00 * self.a[i] + h01 * self.a[i + 1] + step * (h10 * g0 + h11 * g1)
-        turned = h10 * g0 * np.exp(-1j * k * left) + h11 * g1 * np.exp(-1j * k * right)
-        b = h00 * self.b[i] + h01 * self.b[i + 1] + step * turned
+        a = h00 * self.a[i] + h01 * self.a[i + 1] + step * (h10 * self.slope_a[i] + h11 * self.slope_a[i + 1])
+        b = h00 * self.b[i] + h01 * self.b[i + 1] + step * (h10 * self.slope_b[i] + h11 * self.slope_b[i + 1])
         return floats(a), np.asarray(b, np.complex128)
 
     def nodes(self) -> tuple[Floats, Floats]:
@@ -151,9 +151,6 @@ class SoftProfile:
         edges = np.unique(np.concatenate([edges, near[near < self.end_m]]))
         a, _ = self.integrals(edges)
         return 0.5 * (edges[1:] + edges[:-1]), np.maximum(np.diff(a), 0.0)
-
-    def _density(self, r: Floats) -> Floats:
-        return _density(r, self.density_scale, self.alpha, self.start_m, self.full_m)
 
 
 def _density(r: Floats, scale: float, alpha: float, start: float, full: float) -> Floats:

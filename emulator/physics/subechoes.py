@@ -56,8 +56,8 @@ class SubEchoes:
             spread_m = None if spread_m is None else spread_m[kept]
         later = (beam[1:] > beam[:-1]) | ((beam[1:] == beam[:-1]) & (range_m[1:] >= range_m[:-1]))
         if not bool(np.all(later)):
-            # equal ranges are put in order of amplitude, so that a permuted input adds up alike
-            order = np.lexsort((amplitude, range_m, beam))
+            length = float(range_m.max()) - min(0.0, float(range_m.min())) + 1.0
+            order = np.argsort(beam * length + range_m, kind="stable")  # runs already in order cost little
             beam, range_m, amplitude, stop, tag = beam[order], range_m[order], amplitude[order], stop[order], tag[order]
             spread_m = None if spread_m is None else spread_m[order]
         return cls(beam, range_m, amplitude, stop, tag, spread_m)

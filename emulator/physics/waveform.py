@@ -118,8 +118,8 @@ def sample(
 
         # each window's running sums start from exactly 0: what rounding left in the last one is taken off
         def running(weight: Floats) -> Floats:
-            sums = floats(np.cumsum(np.bincount(steps, np.concatenate([weight, -weight]), total)))
-            return sums - np.repeat(sums[start], count)
+            sums = np.cumsum(_deposit(steps, np.concatenate([weight, -weight]), total))
+            return floats(sums - np.repeat(sums[start], count))
 
         angle = k * bin_m * np.arange(int(count.max(initial=1)))
         cosine, sine = np.cos(angle)[local], np.sin(angle)[local]
@@ -133,7 +133,7 @@ def sample(
         member = np.repeat(np.arange(r.size), reach)
         at = np.repeat(on, reach) + ramp(reach)
         x = bin_m * (at - base[member]).astype(np.float64)
-        value = floats(np.bincount(at, amplitude[member] * pulse.profile(x - r[member]), total))
+        value = _deposit(at, amplitude[member] * pulse.profile(x - r[member]), total)
         cosine = sine = np.zeros(0)
     part = np.zeros(total)
     if soft is not None and pulse.shape == "sin2" and total:
@@ -150,10 +150,10 @@ def sample(
             edge = np.concatenate([into, out])
 
             def between(weight: Floats) -> Floats:
-                return np.cumsum(np.bincount(edge, np.concatenate([weight, -weight]), total))
+                return np.cumsum(_deposit(edge, np.concatenate([weight, -weight]), total))
 
             def after(index: Ints) -> Floats:  # running share, restarted in every window
-                sums = np.cumsum(np.bincount(index, share, total))
+                sums = np.cumsum(_deposit(index, share, total))
                 return np.asarray(sums - np.repeat(sums[start], count))
 
             open_far = open_far - after(into)
@@ -169,6 +169,11 @@ def sample(
         pulse, bin_m, clusters.beam[clusters.first[chosen]], first_bin, start, count, value, part,
         sub_first, sub_count, r, amplitude, clusters.source[kept],
     )  # fmt: skip
+
+
+def _deposit(index: Ints, weight: Floats, length: int) -> Floats:
+    """Sum of the weights at every index below `length`."""
+    return np.bincount(index, weight, length).astype(np.float64, copy=False)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,117 @@
+"""Candidates for echoes: single clusters in closed form, and the maxima of the sampled waveform.
+
+Here: where maxima are, how high, which of them a valley separates, and where the rise of each begins. Not here: the
+range that a method reads off them (timing) and whether they are seen (detection).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from emulator.physics.arrays import Bools, Floats, Ints, ramp
+from emulator.physics.detector import Detector
+from emulator.physics.subechoes import Clusters
+from emulator.physics.waveform import Waveform
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Possible echoes of a scan, flat arrays."""
+
+    beam: Ints
+    centre_m: Floats
+    "Place of the maximum, apparent range from the centre of the pulse."
+    amplitude: Floats
+    "Height before clipping."
+    index: Ints
+    "Cluster (single) or flat sample of the maximum (mixed)."
+    window: Ints
+    "Mixed: window; single: -1."
+    begin: Ints
+    "Mixed: sample from which the rise of this echo is looked for."
+
+
+def single_candidates(clusters: Clusters, chosen: Bools, least: Floats) -> Candidates:
+    at = np.flatnonzero(chosen)
+    sub = clusters.first[at]
+    beam = clusters.beam[sub]
+    seen = clusters.amplitude[sub] >= least[beam]
+    at, sub, beam = at[seen], sub[seen], beam[seen]
+    minus = np.full(at.size, -1, np.int64)
+    return Candidates(beam, clusters.range_m[sub], clusters.amplitude[sub], sub, minus, minus)
+
+
+def wave_candidates(wave: Waveform, least: Floats, detector: Detector) -> Candidates:
+    """Maxima of the clipped waveform, joined where no valley separates them."""
+    n = wave.value.size
+    none = np.zeros(0, np.int64)
+    if n == 0:
+        return Candidates(none, np.zeros(0), np.zeros(0), none, none, none)
+    value = np.minimum(wave.value, detector.full_scale)
+    top = np.zeros(n, np.bool_)
+    top[1:-1] = (value[1:-1] > value[:-2]) & (value[1:-1] >= value[2:])
+    top[wave.start] = False
+    top[wave.start + wave.count - 1] = False
+    peak = np.flatnonzero(top)
+    window = np.searchsorted(wave.start, peak, side="right") - 1
+    beam = wave.beam[window]
+    seen = value[peak] >= 0.99 * least[beam]
+    peak, window, beam = peak[seen], window[seen], beam[seen]
+    while peak.size > 1:
+        valley = np.minimum.reduceat(value, peak)[:-1]  # between a maximum and the next
+        lower = np.minimum(value[peak[1:]], value[peak[:-1]])
+        apart = (lower - valley >= 1.0) | ((lower >= detector.threshold) & (valley < detector.threshold))
+        apart |= beam[1:] != beam[:-1]
+        if bool(np.all(apart)):
+            break
+        second = value[peak[1:]] <= value[peak[:-1]]
+        lost = np.zeros(peak.size, np.bool_)
+        lost[1:] |= ~apart & second
+        lost[:-1] |= ~apart & ~second
+        peak, window, beam = peak[~lost], window[~lost], beam[~lost]
+    if peak.size == 0:
+        return Candidates(none, np.zeros(0), np.zeros(0), none, none, none)
+    centre, height = _parabola(wave, value, peak, window, detector)
+    begin = wave.start[window]
+    inside = np.flatnonzero(window[1:] == window[:-1])
+    if inside.size:  # from the lowest sample since the last maximum of the window on
+        count = peak[inside + 1] - peak[inside]
+        flat = np.repeat(peak[inside], count) + ramp(count)
+        edge = np.cumsum(count) - count
+        lowest = np.minimum.reduceat(value[flat], edge)
+        at = np.flatnonzero(value[flat] == np.repeat(lowest, count))
+        owner = np.repeat(np.arange(inside.size), count)[at]
+        place = np.zeros(inside.size, np.int64)
+        place[owner] = flat[at]  # the last of equals
+        begin[inside + 1] = place
+    return Candidates(beam, centre, height, peak, window, begin)
+
+
+def _parabola(wave: Waveform, value: Floats, peak: Ints, window: Ints, detector: Detector) -> tuple[Floats, Floats]:
+    """Place and height of maxima by a parabola through three samples; of a clipped one the middle of its run."""
+    left, mid, right = wave.value[peak - 1], wave.value[peak], wave.value[peak + 1]
+    if detector.pulse.shape == "gauss":
+        tiny = 1e-9 * mid
+        left, mid, right = (np.log(np.maximum(v, tiny)) for v in (left, mid, right))
+    curve = left - 2.0 * mid + right
+    shift = np.where(curve < 0.0, 0.5 * (left - right) / np.where(curve < 0.0, curve, -1.0), 0.0)
+    shift = np.clip(shift, -0.5, 0.5)
+    height = mid - 0.25 * (left - right) * shift
+    if detector.pulse.shape == "gauss":
+        height = np.exp(height)
+    centre = wave.position(peak, window) + shift * wave.bin_m
+    clipped = value[peak] >= detector.full_scale
+    if bool(np.any(clipped)):
+        below = np.flatnonzero(value < detector.full_scale)
+        after = below[np.searchsorted(below, peak[clipped], side="right")]
+        before = peak[clipped] - 1
+        v = wave.value
+        limit = detector.full_scale
+        up = before + (limit - v[before]) / np.maximum(v[before + 1] - v[before], 1e-300)
+        down = after - (limit - v[after]) / np.maximum(v[after - 1] - v[after], 1e-300)
+        start, first = wave.start[window[clipped]], wave.first_bin[window[clipped]]
+        centre[clipped] = wave.bin_m * (0.5 * (up + down) - start + first)
+        height[clipped] = np.maximum(height[clipped], limit)
+    return centre, height

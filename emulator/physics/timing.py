@@ -1,0 +1,136 @@
+"""Where echoes of the sampled waveform lie by each method of timing, and what they are made of.
+
+Here: leading edge, constant fraction and centroid on maxima found by `candidates`; sources of echoes. Not here: single
+clusters, which have closed forms, and noise.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from emulator.physics.arrays import Floats, Ints, ramp
+from emulator.physics.candidates import Candidates
+from emulator.physics.constants import SPEED_OF_LIGHT_M_S
+from emulator.physics.detector import Detector
+from emulator.physics.subechoes import NO_SOURCE
+from emulator.physics.waveform import Waveform
+
+
+def edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -> Floats:
+    """First crossing of each echo's level between its begin and its maximum, exact to 1e-6 of a bin.
+
+    An echo that rises from a valley above its level never crosses it: it keeps the place that a single echo with this
+    maximum would have.
+    """
+    count = found.index - found.begin + 1
+    flat = np.repeat(found.begin, count) + ramp(count)
+    owner = np.repeat(np.arange(count.size), count)
+    over = np.flatnonzero(wave.value[flat] >= level[owner])
+    first = found.index.copy()
+    hit = np.zeros(count.size, np.bool_)
+    first[owner[over[::-1]]] = flat[over[::-1]]
+    hit[owner[over]] = True
+    top = ~hit  # the maximum between two samples reaches the level, the samples do not
+    before = np.maximum(first - 1, wave.start[found.window])
+    usable = (hit & (first > found.begin)) | (top & (found.index > found.begin))
+    lo, hi = wave.position(before, found.window), wave.position(first, found.window)
+    hi = np.where(top, np.maximum(found.centre_m, lo), hi)
+    root = np.sqrt(level)
+    f_lo = np.sqrt(wave.value[before]) - root
+    f_hi = np.maximum(np.sqrt(np.maximum(wave.value[first], level)) - root, 0.0)
+    window = found.window
+    x = hi
+    for _ in range(6):  # false position on the root of the signal, which is nearly straight; the stale end is halved
+        span = np.where(f_hi - f_lo > 0.0, f_hi - f_lo, 1.0)
+        x = np.clip(lo - f_lo * (hi - lo) / span, lo, hi)
+        f = np.sqrt(wave.at(x, window)) - root
+        up = f >= 0.0
+        f_lo = np.where(up, 0.5 * f_lo, f)
+        f_hi = np.where(up, f, 0.5 * f_hi)
+        lo, hi = np.where(up, lo, x), np.where(up, x, hi)
+        if float(np.max(np.where(usable, np.abs(f), 0.0) / root, initial=0.0)) < 1e-7:
+            break
+    return np.where(usable, x, otherwise)
+
+
+def _ends(wave: Waveform, found: Candidates) -> Ints:
+    """Sample at which the next echo of the window begins, or the window's last."""
+    end = wave.start[found.window] + wave.count[found.window] - 1
+    inside = np.flatnonzero(found.window[1:] == found.window[:-1])
+    end[inside] = found.begin[inside + 1]
+    return end
+
+
+def centroids(wave: Waveform, found: Candidates, detector: Detector) -> Floats:
+    """First moment of the clipped signal between the valleys on both sides of each echo."""
+    begin, end = found.begin, _ends(wave, found)
+    count = end - begin + 1
+    flat = np.repeat(begin, count) + ramp(count)
+    edge = np.cumsum(count) - count
+    value = np.minimum(wave.value[flat], detector.full_scale)
+    offset = (flat - np.repeat(found.index, count)).astype(np.float64)
+    total = np.add.reduceat(value, edge)
+    moment = np.add.reduceat(value * offset, edge)
+    return wave.position(found.index, found.window) + wave.bin_m * moment / np.where(total > 0.0, total, 1.0)
+
+
+def fractions(wave: Waveform, found: Candidates, detector: Detector) -> Floats:
+    """Constant fraction: where the delayed signal overtakes the attenuated one, less the lead of a single echo."""
+    delay = 0.5 * SPEED_OF_LIGHT_M_S * detector.cfd_delay_s
+    f = detector.fraction
+
+    def balance(x: Floats, window: Ints) -> Floats:
+        late = np.minimum(wave.at(x - delay, window), detector.full_scale)
+        return f * np.minimum(wave.at(x, window), detector.full_scale) - late
+
+    begin = found.begin
+    end = np.maximum(_ends(wave, found), begin + 2)
+    last = wave.start[found.window] + wave.count[found.window] - 1
+    end = np.minimum(end + int(np.ceil(delay / wave.bin_m)), last)
+    count = end - begin + 1
+    owner = np.repeat(np.arange(count.size), count)
+    flat = np.repeat(begin, count) + ramp(count)
+    window = found.window[owner]
+    y = balance(wave.position(flat, window), window)
+    falls = np.zeros(flat.size, np.bool_)
+    falls[:-1] = (y[:-1] > 0.0) & (y[1:] <= 0.0) & (owner[1:] == owner[:-1])
+    # armed by the threshold: the zero belongs to the rise that reached it
+    armed = np.minimum(wave.value[found.index], detector.threshold) * 0.5
+    value = np.minimum(wave.value[flat], detector.full_scale)
+    falls &= (value >= armed[owner]) | (flat >= found.index[owner])
+    at = np.flatnonzero(falls)
+    place = np.full(count.size, -1, np.int64)
+    place[owner[at[::-1]]] = at[::-1]
+    ok = place >= 0
+    i = np.where(ok, place, 0)
+    j = np.minimum(i + 1, flat.size - 1)
+    lo, hi = wave.position(flat[i], found.window), wave.position(flat[j], found.window)
+    f_lo, f_hi = y[i], y[j]
+    x = hi
+    for _ in range(6):
+        span = np.where(f_lo - f_hi > 0.0, f_lo - f_hi, 1.0)
+        x = np.clip(lo + f_lo * (hi - lo) / span, np.minimum(lo, hi), np.maximum(lo, hi))
+        v = balance(x, found.window)
+        up = v > 0.0
+        f_hi = np.where(up, 0.5 * f_hi, v)
+        f_lo = np.where(up, v, 0.5 * f_lo)
+        lo, hi = np.where(up, x, lo), np.where(up, hi, x)
+    return np.where(ok, x - detector.cfd_lead_m, found.centre_m)
+
+
+def sources(wave: Waveform, found: Candidates) -> Ints:
+    """Source of the sub-echo nearest to the maximum among those that stand under it; -1 where a medium is higher."""
+    if found.beam.size == 0:
+        return np.zeros(0, np.int64)
+    count = wave.sub_count[found.window]
+    member = np.repeat(wave.sub_first[found.window], count) + ramp(count)
+    owner = np.repeat(np.arange(count.size), count)
+    pull = wave.sub_amplitude[member] * wave.pulse.profile(found.centre_m[owner] - wave.sub_range[member])
+    best = np.maximum.reduceat(pull, np.cumsum(count) - count)
+    at = np.flatnonzero(pull == best[owner])
+    source = np.full(count.size, NO_SOURCE, np.int64)
+    source[owner[at[::-1]]] = wave.sub_source[member[at[::-1]]]
+    if wave.soft.size:
+        medium = wave.soft_at(found.centre_m, found.window)
+        source = np.where(medium > np.maximum(found.amplitude - medium, best), NO_SOURCE, source)
+    return source
