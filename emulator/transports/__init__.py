@@ -18,6 +18,7 @@ from emulator.transports.link import Link
 from emulator.transports.urls import parse_url
 
 if TYPE_CHECKING:
+    from emulator.transports.can_link import CanPorts
     from emulator.transports.loopback import Loops
 
 
@@ -73,20 +74,23 @@ LINK_SCHEMES = MappingProxyType(
         "socketcand": _scheme(
             "socketcand",
             "socketcand",
-            "socketcand:HOST:PORT/CHANNEL",
+            "socketcand:HOST:PORT/CHANNEL[?bitrate=500000]",
             "CAN: we are a socketcand server for any number of stock clients, no kernel module",
+            ("can_ports",),
         ),
         "slcan": _scheme(
             "slcan",
             "slcan",
-            "slcan:PATH",
+            "slcan:PATH[?bitrate=500000]",
             "CAN: we are a serial CAN adapter (LAWICEL) on a pseudo-terminal",
+            ("can_ports",),
         ),
         "can": _scheme(
             "can_bus",
             "can",
-            "can:INTERFACE:CHANNEL[?KEY=VALUE...]",
+            "can:INTERFACE:CHANNEL[?bitrate=500000&gap_us=N&KEY=VALUE...]",
             "CAN: any python-can interface: virtual, socketcan, pcan, kvaser, udp_multicast, ...",
+            ("can_ports",),
         ),
         "loop": _scheme(
             "loopback",
@@ -100,19 +104,22 @@ LINK_SCHEMES = MappingProxyType(
 "Scheme -> how it is written, what it is, who opens it."
 
 
-def open_link(url: str, serial_line: bool = True, *, loops: Loops | None = None) -> Link:
+def open_link(
+    url: str, serial_line: bool = True, *, loops: Loops | None = None, can_ports: CanPorts | None = None
+) -> Link:
     """Open the link that `url` names.
 
     `serial_line`: what TCP and UDP are to this sensor. True: a serial device server in front of its line (paced, no
     connections, `LinkKind.SERIAL`); False: the sensor's own network interface (`STREAM`, `DATAGRAM`, not paced).
-    `loops`: where the host's end of a `loop:` is found by its name. Raises `LinkError`.
+    `loops`: where the host's end of a `loop:` is found by its name. `can_ports`: the CAN buses of the run; sensors that
+    name the same one share it. Raises `LinkError`.
     """
     try:
         check_url(url)
     except ValueError as error:
         raise LinkError(str(error)) from None
     scheme = LINK_SCHEMES[url.partition(":")[0]]
-    given: dict[str, Any] = {"serial_line": serial_line, "loops": loops}
+    given: dict[str, Any] = {"serial_line": serial_line, "loops": loops, "can_ports": can_ports}
     opener = _function(scheme.opener)
     if opener is None:
         raise LinkError(f"{url}: {scheme.opener} is missing from this installation")

@@ -173,13 +173,17 @@ class PseudoTerminal(Link):
             self._watch.drain()
         was_open, self._open = self._open, not self._hung_up()
         if was_open and not self._open:
-            # the pending input of the terminal itself: only a slave descriptor can flush it
-            with contextlib.suppress(OSError):
-                slave = fcntl.ioctl(self._master, TIOCGPTPEER, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
-                try:
-                    termios.tcflush(slave, termios.TCIFLUSH)
-                finally:
-                    os.close(slave)
+            self._forget_unread()
+
+    def _forget_unread(self) -> None:
+        """Empty what is on its way in the kernel, then what the terminal holds: only a slave descriptor reaches that."""
+        with contextlib.suppress(OSError, termios.error):
+            termios.tcflush(self._master, termios.TCOFLUSH)
+            slave = fcntl.ioctl(self._master, TIOCGPTPEER, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+            try:
+                termios.tcflush(slave, termios.TCIFLUSH)
+            finally:
+                os.close(slave)
 
     def _hung_up(self) -> bool:
         return any(events & select.POLLHUP for _, events in self._poll.poll(0))
