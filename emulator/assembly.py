@@ -12,6 +12,7 @@ from emulator.measuring import Measure, Workers
 from emulator.scenario import Scenario
 from emulator.spec import load_spec
 from emulator.transports import open_link
+from emulator.transports.can_link import CanPorts
 from emulator.transports.link import Link
 from emulator.transports.loopback import Loops
 from protocols import family
@@ -60,13 +61,14 @@ def open_instruments(
     `loops` holds the host's end of every `loop:NAME`.
     """
     opened: list[Link] = []
+    can_ports = CanPorts()
     instruments = []
     try:
         for index, (sensor, session) in enumerate(zip(scenario.sensors, sessions, strict=True)):
             tcp_is_line = family_of(scenario, index).tcp_is_line
             links = []
             for url in sensor.links:
-                links.append(open_link(url, tcp_is_line, loops=loops))
+                links.append(open_link(url, tcp_is_line, loops=loops, can_ports=can_ports))
                 opened.append(links[-1])
             instruments.append(Instrument(sensor.id, session, links, measuring))
     except BaseException:

@@ -26,6 +26,7 @@ class CanObjects:
     """The family of sensors that list objects on CAN."""
 
     name = "can_objects"
+    tcp_is_line = False
 
     def new_session(self, device: Mapping[str, Any], facts: Mapping[str, Any]) -> Session:
         """A session in the format that the model, or the scenario, names."""

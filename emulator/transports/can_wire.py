@@ -1,0 +1,222 @@
+"""One CAN bus in time: who sends next, when its last bit has left, who has to stop. Nothing here reads a clock.
+
+Belongs here: arbitration between nodes, the bit rate, queues that overflow, the error counters of ISO 11898-1 with bus
+off and recovery, and how full the bus is. Not: who the nodes are, and how hosts are reached.
+
+A node sends its frames in the order in which it queued them. When several nodes have a frame due, the one with the
+lower identifier goes first; a frame that has begun is finished. Exact bit lengths come from `protocols.can_frame`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+from protocols.can_frame import MAX_DATA_BYTES, arbitration_key, frame_bits, is_identifier
+
+SECOND_NS = 1_000_000_000
+QUEUE_FRAMES = 1024
+"Frames that may wait at one node: three of the longest lists."
+RECOVERY_BITS = 128 * 11
+"ISO 11898-1: a controller that is off the bus comes back after 128 times 11 recessive bits."
+ERROR_PASSIVE, BUS_OFF = 128, 256
+ERROR_FRAME_BITS = 20
+"Error flags of both sides, delimiter and pause, as they follow a disturbed frame."
+TRANSMIT_ERROR = 8
+"Added to the transmit error counter by each disturbed frame; a good one takes 1 away."
+LOAD_WINDOW_NS = SECOND_NS
+
+
+@dataclass
+class Node:
+    """One controller on the bus."""
+
+    name: str
+    waiting: deque[_Waiting] = field(default_factory=deque)
+    error_counter: int = 0
+    disturbed: int = 0
+    "Frames of this node that will still be destroyed."
+    off_until_ns: int | None = None
+    "Off the bus until then."
+    sent: int = 0
+    dropped: int = 0
+    "Frames refused because the queue was full, or lost because the node was off the bus."
+    bus_offs: int = 0
+
+
+@dataclass(frozen=True)
+class _Waiting:
+    due_ns: int
+    peer: int
+    data: bytes
+    bits: int
+
+
+@dataclass(frozen=True)
+class Carried:
+    """A frame that everybody on the bus has received."""
+
+    node: Node
+    peer: int
+    data: bytes
+    due_ns: int
+    "When its sender wanted it to start."
+    start_ns: int
+    end_ns: int
+
+
+@dataclass(frozen=True)
+class Notice:
+    """A change of a node's error state."""
+
+    at_ns: int
+    node: Node
+    state: str
+    "error passive | bus off | recovered"
+
+
+class CanWire:
+    """The bus: `put` frames, `take` those that have been carried."""
+
+    def __init__(self, bitrate: int, queue_frames: int = QUEUE_FRAMES) -> None:
+        if bitrate < 1:
+            raise ValueError(f"bit rate {bitrate}; want bit/s > 0")
+        self.bitrate = bitrate
+        self._queue_frames = queue_frames
+        self._nodes: list[Node] = []
+        self._free_ns = 0
+        self._on_wire: tuple[Node, _Waiting, int, int] | None = None
+        self._busy: deque[tuple[int, int]] = deque()
+        "(end, length) of the frames of the last second."
+        self._busy_ns = 0
+        self.notices: list[Notice] = []
+        "Changes of error states, for the caller to take away."
+
+    def join(self, name: str) -> Node:
+        """A new controller on the bus."""
+        node = Node(name)
+        self._nodes.append(node)
+        return node
+
+    def leave(self, node: Node) -> None:
+        """A controller goes; a frame that it has begun is finished."""
+        if node in self._nodes:
+            self._nodes.remove(node)
+
+    def has_room(self, node: Node) -> bool:
+        """Whether `put` would take one more frame."""
+        return len(node.waiting) < self._queue_frames
+
+    def put(self, node: Node, peer: int, data: bytes, due_ns: int) -> bool:
+        """Queue a frame to start not before `due_ns`; False, and counted, when it is none, or there is no room."""
+        if not is_identifier(peer) or len(data) > MAX_DATA_BYTES or not self.has_room(node):
+            node.dropped += 1
+            return False
+        if node.off_until_ns is not None:
+            if due_ns < node.off_until_ns:
+                node.dropped += 1
+                return False
+            self._recover(node)
+        node.waiting.append(_Waiting(due_ns, peer, data, frame_bits(peer, data)))
+        return True
+
+    def take(self, now_ns: int) -> list[Carried]:
+        """Frames whose last bit has left by `now_ns` and that were not taken before, in order."""
+        carried: list[Carried] = []
+        while True:
+            if self._on_wire is None and not self._begin(now_ns):
+                break
+            if self._on_wire is None:
+                continue
+            node, frame, start_ns, end_ns = self._on_wire
+            if end_ns > now_ns:
+                break
+            self._on_wire = None
+            node.sent += 1
+            node.error_counter = max(0, node.error_counter - 1)
+            carried.append(Carried(node, frame.peer, frame.data, frame.due_ns, start_ns, end_ns))
+        for node in self._nodes:
+            if node.off_until_ns is not None and node.off_until_ns <= now_ns:
+                self._recover(node)
+        return carried
+
+    def next_ns(self) -> int | None:
+        """When `take` should be called again, None when nothing waits."""
+        if self._on_wire is not None:
+            return self._on_wire[3]
+        # when the next frame will have left, as far as can be said before the arbitration
+        ends = [
+            max(self._free_ns, node.waiting[0].due_ns) + self._duration_ns(node.waiting[0].bits)
+            for node in self._nodes
+            if node.waiting
+        ]
+        ends += [node.off_until_ns for node in self._nodes if node.off_until_ns is not None]
+        return min(ends) if ends else None
+
+    def clear(self, node: Node) -> int:
+        """Forget what a node has not begun to send; how many bytes of data those were."""
+        forgotten = sum(len(frame.data) for frame in node.waiting)
+        node.waiting.clear()
+        return forgotten
+
+    def disturb(self, node: Node, frames: int) -> None:
+        """Let the next `frames` frames of a node be destroyed on the bus: each is sent again, its errors count."""
+        node.disturbed += frames
+
+    def load(self, now_ns: int) -> float:
+        """Share of the last second in which the bus was taken, 0 to 1."""
+        while self._busy and self._busy[0][0] <= now_ns - LOAD_WINDOW_NS:
+            self._busy_ns -= self._busy.popleft()[1]
+        return min(1.0, self._busy_ns / LOAD_WINDOW_NS)
+
+    def _duration_ns(self, bits: int) -> int:
+        return (bits * SECOND_NS + self.bitrate // 2) // self.bitrate
+
+    def _begin(self, now_ns: int) -> bool:
+        """Let the winner of the next arbitration begin, when that is by `now_ns`."""
+        heads = [node for node in self._nodes if node.waiting]
+        if not heads:
+            return False
+        start_ns = max(self._free_ns, min(node.waiting[0].due_ns for node in heads))
+        if start_ns > now_ns:
+            return False
+        ready = [node for node in heads if node.waiting[0].due_ns <= start_ns]
+        winner = min(ready, key=lambda node: arbitration_key(node.waiting[0].peer))
+        frame = winner.waiting[0]
+        end_ns = start_ns + self._duration_ns(frame.bits)
+        if winner.disturbed:
+            self._destroy(winner, start_ns, end_ns)
+            return True
+        winner.waiting.popleft()
+        self._occupy(start_ns, end_ns)
+        self._on_wire = (winner, frame, start_ns, end_ns)
+        return True
+
+    def _destroy(self, node: Node, start_ns: int, end_ns: int) -> None:
+        """A frame that nobody received: the sender counts the error and tries again, or leaves the bus."""
+        node.disturbed -= 1
+        before = node.error_counter
+        node.error_counter += TRANSMIT_ERROR
+        end_ns += self._duration_ns(ERROR_FRAME_BITS)
+        self._occupy(start_ns, end_ns)
+        if before < ERROR_PASSIVE <= node.error_counter:
+            self.notices.append(Notice(end_ns, node, "error passive"))
+        if node.error_counter >= BUS_OFF:
+            node.bus_offs += 1
+            node.dropped += len(node.waiting)
+            node.waiting.clear()
+            node.disturbed = 0
+            node.off_until_ns = end_ns + self._duration_ns(RECOVERY_BITS)
+            self.notices.append(Notice(end_ns, node, "bus off"))
+
+    def _recover(self, node: Node) -> None:
+        if node.off_until_ns is not None:
+            self.notices.append(Notice(node.off_until_ns, node, "recovered"))
+        node.off_until_ns = None
+        node.error_counter = 0
+
+    def _occupy(self, start_ns: int, end_ns: int) -> None:
+        self._free_ns = end_ns
+        self._busy.append((end_ns, end_ns - start_ns))
+        self._busy_ns += end_ns - start_ns
+        self.load(end_ns)
