@@ -185,6 +185,8 @@ def run(
         daemon.close()
         driver_code = None if driver is None else end_driver(driver)
     announce_end(instruments, as_json)
+    for cause, count in daemon.failures.items():
+        note(f"{count} scans could not be measured: {cause}")
     if daemon.lost_links:
         return LINK_LOST
     return OK if driver_code in (None, 0) else FAILED

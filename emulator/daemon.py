@@ -13,6 +13,7 @@ import select
 import selectors
 import signal
 import socket
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from types import FrameType
@@ -58,6 +59,8 @@ class Daemon:
         self._wake: dict[int, int | None] = {}
         self._lost: set[int] = set()
         self.lost_links: list[str] = []
+        self.failures: Counter[str] = Counter()
+        "Scans that could not be measured, by cause."
 
     def stop(self) -> None:
         """End the run after the present step; safe in a signal handler."""
@@ -182,13 +185,20 @@ class Daemon:
             return
         fresh = self._workers.poll()
         for text in self._workers.failures:
-            self.on_failure(text)
+            self._say_once(text)
         self._workers.failures.clear()
         now_ns = self._clock.now_ns()
         for index, instrument in enumerate(self._instruments):
             if instrument.sensor in fresh:
                 self._wake[index] = now_ns
         self.watch_workers()
+
+    def _say_once(self, text: str) -> None:
+        """Say what failed the first time, and count: a fault that comes back with every scan would bury the log."""
+        cause = text.rpartition(": ")[2]
+        self.failures[cause] += 1
+        if self.failures[cause] == 1:
+            self.on_failure(text)
 
     def watch_workers(self) -> None:
         """Wake up when a worker has finished a scan; called again when workers were replaced."""

@@ -39,7 +39,17 @@ int main(int argc, char** argv)
 		laser.setScanResolution(std::atoi(argv[5]));
 
 		const auto start = Clock::now();
-		laser.turnOn();
+		{
+			// the driver connects in its first call
+			bool there = false, error = false;
+			mrpt::obs::CObservation2DRangeScan scan;
+			laser.doProcessSimple(there, scan, error);
+			if (error)
+			{
+				std::printf("hardware error\n");
+				return 1;
+			}
+		}
 		std::printf("connected %.6f\n", seconds_since(start));
 		std::fflush(stdout);
 
