@@ -17,6 +17,7 @@ from emulator.physics import atmosphere
 from emulator.physics.arrays import Floats
 from emulator.physics.constants import CLEAR_AIR_VISIBILITY_M
 from emulator.sensing.model import SensorModel
+from emulator.sensing.particles import Particles, rain_particles, snow_particles
 from emulator.weather import Dust, Fog, Layer, Plume, Rain, Smoke, Snow, Spray, Sun, WeatherConfig
 
 if TYPE_CHECKING:
@@ -61,8 +62,8 @@ class AirNow:
 
     everywhere: Medium
     volumes: tuple[Volume, ...]
-    rain: Rain | None
-    snow: Snow | None
+    particles: tuple[Particles, ...]
+    "What falls and is seen piece by piece; its extinction is in `everywhere`."
     sun: Sun | None
     wet: bool
 
@@ -105,17 +106,23 @@ def _air(config: WeatherConfig, model: SensorModel, scene: Scene, warnings: dict
     if not parts:  # a visibility given with fog, dust or smoke contains the clear air
         parts.append(clear)
     base = clear if len(parts) == 1 and parts[0] is clear else Medium(0.0, 0.0)
-    falling = [] if config.rain is None else [rain_medium(config.rain, model)]
-    falling += [] if config.snow is None else [snow_medium(config.snow, model)]
+    falling: list[tuple[Medium, Particles | None, str]] = []
+    if config.rain is not None:
+        falling.append((rain_medium(config.rain, model), rain_particles(config.rain, model), config.rain.echoes))
+    if config.snow is not None:
+        falling.append((snow_medium(config.snow, model), snow_particles(config.snow, model), config.snow.echoes))
+    particles = tuple(single for _, single, _ in falling if single is not None)
+    for medium, single, echoes in falling:
+        sends = single is None and echoes != "off"
+        parts.append(medium if sends else Medium(medium.extinction_per_m, 0.0))
     volumes = [_filled(layer, Slab(layer.bottom_m, layer.top_m), base, model, warnings) for layer in config.layers]
     volumes += [_filled(plume, Box.of(plume), base, model, warnings) for plume in config.plumes]
     if config.spray is not None:
         volumes += _wakes(config.spray, scene)
     return AirNow(
-        everywhere=_sum([*parts, *falling]),
+        everywhere=_sum(parts),
         volumes=tuple(volumes),
-        rain=config.rain,
-        snow=config.snow,
+        particles=particles,
         sun=config.sun,
         wet=config.rain is not None and config.rain.wets and config.rain.rate_mm_h > 0.0,
     )

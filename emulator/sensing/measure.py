@@ -1,6 +1,6 @@
 """One sensor's measuring function: a plan of a sweep in, a scan out.
 
-Belongs here: the order of the steps. Each step is in its own module: rays, paths, air, echoes, receiver.
+Belongs here: the order of the steps. Each step is in its own module.
 """
 
 from __future__ import annotations
@@ -15,12 +15,16 @@ from emulator.draws import Draws
 from emulator.motion import Pose
 from emulator.physics.arrays import Floats
 from emulator.physics.materials import Material, SurfaceTable, material, material_from_mapping
+from emulator.physics.subechoes import SubEchoes
 from emulator.physics_options import PhysicsOptions
-from emulator.sensing import receiver
 from emulator.sensing.air import Air
+from emulator.sensing.daylight import daylight
 from emulator.sensing.model import SensorModel, sensor_model
+from emulator.sensing.particles import seen_particles
 from emulator.sensing.paths import Caster, trace
 from emulator.sensing.rays import BundleCache, cast_rays
+from emulator.sensing.receiver import Receiver
+from emulator.sensing.soft import SoftTargets
 from emulator.spec import load_spec
 from protocols.scan import Scan, ScanPlan
 
@@ -38,7 +42,7 @@ class Measure:
         scene: Scene,
         mount: Mount,
         caster: Caster,
-        surfaces: SurfaceTable,
+        surfaces: tuple[SurfaceTable, SurfaceTable],
         air: Air,
         draws: Draws,
     ) -> None:
@@ -47,8 +51,10 @@ class Measure:
         self.air = air
         self._scene, self._mount = scene, mount
         self._caster = caster
-        self._surfaces = surfaces
+        self._dry, self._wet = surfaces
         self._bundles = BundleCache(model)
+        self._receiver = Receiver(model, draws)
+        self._soft = SoftTargets(model, self._receiver.detector.bin_m)
         still = mount.actor is None or scene.motions[scene.index[mount.actor]].still
         self._still_pose = scene.sensor_pose(mount, np.zeros(1)) if still else None
 
@@ -64,9 +70,27 @@ class Measure:
         t_s = 1e-9 * plan.start_ns + plan.fire_offset_s
         bundles = self._bundles.of(plan)
         rays = cast_rays(bundles, self._pose(t_s), t_s)
-        air = self.air.at(float(t_s[0]))
-        found = trace(rays, bundles, self._caster, self._surfaces, air, self.model, plan.gain, plan.max_range_m)
-        return receiver.receive(plan, found, self.model, self.draws)
+        air, gain = self.air.at(float(t_s[0])), plan.gain
+        surfaces = self._wet if air.wet else self._dry
+        seen = trace(rays, self._caster, surfaces, air, self.model, gain, plan.max_range_m)
+        parts = [seen.echoes]
+        for particles in air.particles:
+            drawn = seen_particles(
+                particles,
+                seen.nearest_m,
+                air.everywhere.extinction_per_m,
+                plan.sweep,
+                self.model,
+                self.draws,
+                gain,
+            )
+            parts += [] if drawn is None else [drawn]
+        if self._soft.uneven(air):
+            drawn = self._soft.points(air, rays, seen.echoes, t_s, gain)
+            parts += [] if drawn is None else [drawn]
+        echoes = SubEchoes.joined(*parts) if len(parts) > 1 else seen.echoes
+        light = daylight(air.sun, rays, seen, surfaces, self._caster, self.model)
+        return self._receiver.receive(plan, echoes, self._soft.everywhere(air, gain), light)
 
     def _pose(self, t_s: Floats) -> Pose:
         still = self._still_pose
@@ -90,7 +114,7 @@ def build(scenario: Scenario, scene: Scene, caster: Caster, sensor_id: str) -> M
     options = getattr(config, "physics", None) or PhysicsOptions()
     model = sensor_model(load_spec(config.model), options, config.mode)
     extra = {name: material_from_mapping(name, entry) for name, entry in scenario.materials.items()}
-    surfaces = surface_table(scene.materials, extra, model)
+    surfaces = surface_table(scene.materials, extra, model), surface_table(scene.materials, extra, model, wet=True)
     return Measure(
         model,
         scene,
@@ -102,7 +126,9 @@ def build(scenario: Scenario, scene: Scene, caster: Caster, sensor_id: str) -> M
     )
 
 
-def surface_table(names: tuple[str, ...], extra: Mapping[str, Material], model: SensorModel) -> SurfaceTable:
+def surface_table(
+    names: tuple[str, ...], extra: Mapping[str, Material], model: SensorModel, wet: bool = False
+) -> SurfaceTable:
     """Reflection of the scene's materials at the sensor's wavelength."""
     find = partial(material, extra=extra)
-    return SurfaceTable.of([find(name) for name in names], 1e9 * model.wavelength_m)
+    return SurfaceTable.of([find(name) for name in names], 1e9 * model.wavelength_m, wet)

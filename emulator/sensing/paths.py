@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from emulator.physics import radiometry
 from emulator.physics.arrays import Floats, Ints, exp_or_zero
 from emulator.physics.materials import SurfaceTable
+from emulator.physics.subechoes import SubEchoes
 from emulator.sensing.model import SensorModel
-from emulator.sensing.rays import Bundles, Rays
+from emulator.sensing.rays import Rays
 
 WEAKEST_SECOND_RAY = 1e-3
 "A ray whose way there and back leaves less than this share of the light is not continued, times what sheeting sends."
@@ -46,26 +47,17 @@ class Medium(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class SubEchoes:
-    """Single reflections, sorted by beam, then range. Amplitudes in rms noise of the dark receiver."""
+class Seen:
+    """What the rays of a sweep met."""
 
-    beam: Ints
-    "(k,)"
-    range_m: Floats
-    "(k,) along the light's way, which is where the receiver puts it."
-    amplitude: Floats
-    "(k,)"
-    actor: NDArray[np.int32]
-    "(k,)"
-    first_m: Floats
-    "(n, m) range of each sub-beam's first surface, infinite where there is none: there its soft target ends."
+    echoes: SubEchoes
+    "Single reflections; amplitudes in rms noise of the dark receiver, `source` the actor."
+    nearest_m: Floats
+    "(n,) first surface of any sub-beam, infinite where there is none."
     axis_material: NDArray[np.int32]
-    "(n,) material of the surface that the first sub-beam of each beam meets, -1 none."
+    "(n,) material of the surface that the sub-beam nearest the axis meets, -1 none."
     axis_normal: Floats
     "(n, 3)"
-
-    def __len__(self) -> int:
-        return len(self.beam)
 
 
 @dataclass(eq=False)
@@ -78,43 +70,61 @@ class _Front:
     beam: Ints
     weight: Floats
     "Share of the beam's power, times all losses there and back."
-    length_m: Floats
-    depth: Floats
+    length_m: Floats | float
+    depth: Floats | float
 
 
 def trace(
     rays: Rays,
-    bundles: Bundles,
     caster: Caster,
     surfaces: SurfaceTable,
     air: Medium,
     model: SensorModel,
     gain: float = 1.0,
     farthest_m: float = np.inf,
-) -> SubEchoes:
+) -> Seen:
     """Everything that comes back from surfaces, for all sub-beams of a sweep."""
-    n, m = len(rays.axis), bundles.sub_beams
     hits = caster.first_hits(rays.origin_m, rays.direction, rays.t_s)
+    return returned(hits, rays, caster, surfaces, air, model, gain, farthest_m)
+
+
+def returned(
+    hits: Hits,
+    rays: Rays,
+    caster: Caster,
+    surfaces: SurfaceTable,
+    air: Medium,
+    model: SensorModel,
+    gain: float = 1.0,
+    farthest_m: float = np.inf,
+) -> Seen:
+    """The same from the first hits of the rays."""
     reach = min(model.gate_m, farthest_m) + 4.0 * model.pulse.half_support_m
-    met = np.flatnonzero(hits.range_m <= reach)
-    first_m = np.where(np.isnan(hits.range_m), np.inf, hits.range_m).reshape(n, m)
-    share = np.broadcast_to(bundles.share, (n, m)).reshape(-1)
-    weight = share[met] * gain
+    index = np.flatnonzero(hits.range_m <= reach)
     parts = []
-    if len(met):
-        normal, direction = hits.normal[met], rays.direction[met]
+    if len(index):
+        every = len(index) == len(rays.beam)
+        met: Ints | slice = slice(None) if every else index
         front = _Front(
-            rays.origin_m[met], direction, rays.t_s[met], met // m, weight, np.zeros(len(met)), np.zeros(len(met))
+            rays.origin_m[met],
+            rays.direction[met],
+            rays.t_s[met],
+            rays.beam[met],
+            rays.share[met] * gain if gain != 1.0 else rays.share[met],
+            0.0,
+            0.0,
         )
-        found, going_on = _meet(front, hits.range_m[met], hits.material[met], normal, rays, surfaces, air, model)
-        parts.append((*found, hits.actor[met]))
-        if surfaces.sends_on and model.bounces:
-            parts += _continue(front, going_on, caster, surfaces, air, model, rays, reach)
-    beam, range_m, amplitude, actor = _joined(parts)
-    axis = slice(None, None, m)
-    return SubEchoes(
-        *_in_order(beam, range_m, amplitude, actor, n), first_m, hits.material[axis], hits.normal[axis]
-    )  # fmt: skip
+        found, onward = _meet(
+            front, hits.range_m[met], hits.material[met], hits.normal[met], rays, surfaces, air, model
+        )  # fmt: skip
+        parts.append((*found, rays.share[met], hits.actor[met]))
+        if onward:
+            parts += _continue(front, onward, caster, surfaces, air, model, rays, reach)
+    nearest = np.full(len(rays.axis), np.inf)
+    if len(index):
+        np.minimum.at(nearest, rays.beam[index], hits.range_m[index])
+    at_axis = rays.nearest_axis
+    return Seen(_in_order(*_joined(parts)), nearest, hits.material[at_axis], hits.normal[at_axis])
 
 
 @dataclass(eq=False)
@@ -151,7 +161,8 @@ def _meet(
         through = surfaces.transmission(kind, cosine)
         index = np.flatnonzero(mirrored > 0.0)
         if len(index):
-            reflectance[index] += _face_on(front, index, normal, mirrored, length, rays, model)
+            if isinstance(front.length_m, float):  # a beam already turned has no axis to measure the tilt from
+                reflectance[index] += _face_on(front, index, normal, mirrored, length, rays, model)
             turned = front.direction[index] + 2.0 * cosine[index, None] * normal[index]
             onward.append(_Onward(index, turned, mirrored[index], length[index], depth[index]))
         index = np.flatnonzero(through > 0.0)
@@ -201,7 +212,7 @@ def _continue(
     model: SensorModel,
     rays: Rays,
     reach_m: float,
-) -> list[tuple[Ints, Floats, Floats, NDArray[np.int32]]]:
+) -> list[_Part]:
     """Ghost points and what lies behind glass: rays continued up to the allowed number of bounces."""
     strongest = float(surfaces.largest.max(initial=1.0))
     parts = []
@@ -213,7 +224,8 @@ def _continue(
             if not bool(np.any(kept)):
                 continue
             index, step = one.index[kept], BEHIND_M * (1.0 + one.length_m[kept] / 1000.0)
-            reached = one.length_m[kept] - front.length_m[index]
+            before = front.length_m if isinstance(front.length_m, float) else front.length_m[index]
+            reached = one.length_m[kept] - before
             origin = (
                 front.origin_m[index]
                 + front.direction[index] * reached[:, None]
@@ -242,7 +254,7 @@ def _continue(
         found, onward = _meet(
             front, hits.range_m[met], hits.material[met], hits.normal[met], rays, surfaces, air, model
         )  # fmt: skip
-        parts.append((*found, hits.actor[met]))
+        parts.append((*found, np.zeros(len(met)), hits.actor[met]))
         if last:
             break
     return parts
@@ -260,29 +272,26 @@ def _taken(front: _Front, index: Ints) -> _Front:
     return _Front(*(getattr(front, name)[index] for name in names))
 
 
-def _joined(
-    parts: list[tuple[Ints, Floats, Floats, NDArray[np.int32]]],
-) -> tuple[Ints, Floats, Floats, NDArray[np.int32]]:
+_Part = tuple[Ints, Floats, Floats, Floats, NDArray[np.int32]]
+"Beam, range, amplitude, blocked share, actor."
+
+
+def _joined(parts: list[_Part]) -> _Part:
     if not parts:
-        return np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0, np.int32)
+        return np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, np.int32)
     if len(parts) == 1:
         return parts[0]
-    beam, range_m, amplitude, actor = zip(*parts, strict=True)
-    return np.concatenate(beam), np.concatenate(range_m), np.concatenate(amplitude), np.concatenate(actor)
+    beam, range_m, amplitude, blocked, actor = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return beam, range_m, amplitude, blocked, actor
 
 
-def _in_order(
-    beam: Ints, range_m: Floats, amplitude: Floats, actor: NDArray[np.int32], beams: int
-) -> tuple[Ints, Floats, Floats, NDArray[np.int32]]:
-    """Sorted by beam, then range; what brings nothing back left out."""
-    if len(beam) and not bool(np.all(amplitude > 0.0)):
-        kept = amplitude > 0.0
-        beam, range_m, amplitude, actor = beam[kept], range_m[kept], amplitude[kept], actor[kept]
-    if len(beam) < 2:
-        return beam, range_m, amplitude, actor
-    if bool(np.all(beam[1:] > beam[:-1])):
-        return beam, range_m, amplitude, actor
-    span = float(range_m.max()) + 1.0
-    # one key instead of two: its rounding, 1e-9 m at a thousand beams and a kilometre, only swaps equals
-    order = np.argsort(beam * span + range_m, kind="stable")
-    return beam[order], range_m[order], amplitude[order], actor[order]
+def _in_order(beam: Ints, range_m: Floats, amplitude: Floats, blocked: Floats, actor: NDArray[np.int32]) -> SubEchoes:
+    """Sorted by beam, then range, with one key instead of two.
+
+    The key's rounding, 1e-9 m at a thousand beams and a kilometre, only swaps what is equal for any receiver.
+    """
+    source = actor.astype(np.int64)
+    if len(beam) < 2 or bool(np.all(beam[1:] > beam[:-1])):
+        return SubEchoes(beam, range_m, amplitude, blocked, source)
+    order = np.argsort(beam * (float(range_m.max()) + 1.0) + range_m)
+    return SubEchoes(beam[order], range_m[order], amplitude[order], blocked[order], source[order])

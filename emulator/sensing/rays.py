@@ -13,7 +13,7 @@ import numpy as np
 
 from emulator.motion import Pose
 from emulator.physics import beams
-from emulator.physics.arrays import Floats
+from emulator.physics.arrays import Floats, Ints
 from emulator.sensing.model import SensorModel
 from protocols.scan import ScanPlan
 
@@ -33,6 +33,12 @@ class Bundles:
     "(n, m, 3) on the exit pupil; None: all from the optical centre."
     share: Floats
     "(m,) of the beam's power."
+    beam: Ints
+    "(n m,) of each sub-beam, flat."
+    flat_share: Floats
+    "(n m,)"
+    nearest_axis: Ints
+    "(n,) flat index of each beam's sub-beam nearest to its axis."
 
     @property
     def sub_beams(self) -> int:
@@ -41,7 +47,7 @@ class Bundles:
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """The same in the world, flat: ray i belongs to beam i // m."""
+    """The same in the world, flat."""
 
     origin_m: Floats
     "(n m, 3)"
@@ -49,6 +55,12 @@ class Rays:
     "(n m, 3)"
     t_s: Floats
     "(n m,)"
+    beam: Ints
+    "(n m,) ascending."
+    share: Floats
+    "(n m,) of the beam's power."
+    nearest_axis: Ints
+    "(n,) the ray of each beam that is nearest to its axis."
     centre_m: Floats
     "(n, 3) optical centre at each beam's instant."
     axis: Floats
@@ -79,11 +91,14 @@ class BundleCache:
 
     def _spread(self, azimuth_rad: Floats, elevation_rad: Floats) -> Bundles:
         axis = beams.axis_directions(azimuth_rad, elevation_rad)
-        if len(self._nodes) == 1:
-            return Bundles(axis, axis[:, None, :], None, self._nodes.share)
-        direction, start_m = beams.spread(self._nodes, self._model.beam, azimuth_rad, elevation_rad)
+        nodes, n, m = self._nodes, len(axis), len(self._nodes)
+        first = int(np.argmin(nodes.u**2 + nodes.v**2))
+        flat = np.repeat(np.arange(n), m), np.tile(nodes.share, n), np.arange(n) * m + first
+        if m == 1:
+            return Bundles(axis, axis[:, None, :], None, nodes.share, *flat)
+        direction, start_m = beams.spread(nodes, self._model.beam, azimuth_rad, elevation_rad)
         has_width = self._model.beam.exit_radius_m > 0.0
-        return Bundles(axis, direction, start_m if has_width else None, self._nodes.share)
+        return Bundles(axis, direction, start_m if has_width else None, nodes.share, *flat)
 
 
 def cast_rays(bundles: Bundles, pose: Pose, t_s: Floats) -> Rays:
@@ -99,6 +114,9 @@ def cast_rays(bundles: Bundles, pose: Pose, t_s: Floats) -> Rays:
         origin_m=np.ascontiguousarray(origin).reshape(n * m, 3),
         direction=direction.reshape(n * m, 3),
         t_s=np.repeat(t_s, m),
+        beam=bundles.beam,
+        share=bundles.flat_share,
+        nearest_axis=bundles.nearest_axis,
         centre_m=pose.position_m,
         axis=axis,
     )

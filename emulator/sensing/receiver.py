@@ -1,120 +1,124 @@
-"""The receiver: echoes over the threshold, with their noise, as the scan that a device reports.
+"""The receiver of one sensor: sub-echoes and media in, the scan that the device reports out.
 
-Belongs here: noise of amplitude and range, threshold, choice and order of echoes. Not: how sub-echoes merge (echoes).
+Belongs here: the sensor's detector and its random numbers, false alarms, the scan. Not: how echoes are found
+(physics.detection), background light (daylight).
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from emulator.draws import Draws
-from emulator.physics import pulse as pulses
-from emulator.physics.arrays import Bools, Floats, Ints
-from emulator.sensing.echoes import Echoes, clusters, merged, threshold_at
+from emulator.physics import noise
+from emulator.physics.arrays import Floats, Ints
+from emulator.physics.constants import SPEED_OF_LIGHT_M_S
+from emulator.physics.detection import detect
+from emulator.physics.detector import Detector, Echoes
+from emulator.physics.softprofile import SoftProfile
+from emulator.physics.subechoes import SubEchoes
+from emulator.sensing.daylight import NIGHT, Daylight
 from emulator.sensing.model import SensorModel
-from emulator.sensing.paths import SubEchoes
-from protocols.scan import SATURATED, Scan, ScanPlan
+from protocols.scan import DAZZLED, SATURATED, Scan, ScanPlan
 
-LIKELY_RMS = 6.0
-"An echo this many rms under the threshold is lifted over it once in a billion."
-
-
-def receive(plan: ScanPlan, found: SubEchoes, model: SensorModel, draws: Draws) -> Scan:
-    """The scan of a sweep from its sub-echoes."""
-    echoes = merged(found, clusters(found, 2.0 * model.pulse.half_support_m))
-    return report(plan, echoes, model, draws)
+NUMBERS_A_BEAM = 4
+"Random numbers a beam for the noise at its echoes; the fifth echo shares that of the first."
+RARE = 1e-6
+"Mean count of noise echoes a sweep below which none is drawn."
 
 
-def report(plan: ScanPlan, echoes: Echoes, model: SensorModel, draws: Draws) -> Scan:
-    """Noise, threshold and choice of echoes."""
-    n = len(plan)
-    echoes = _likely(echoes, model)
-    place = place_in_beam(echoes.beam)
-    amplitude = echoes.amplitude
-    threshold = threshold_at(echoes.range_m, model)
-    columns = int(place.max(initial=0)) + 1
-    if model.noise and len(echoes):
-        rms = np.sqrt(1.0 + model.signal_shot * amplitude)
-        amplitude = amplitude + rms * draws.normal("amplitude", plan.sweep, columns, n)[place, echoes.beam]
-    seen = amplitude >= threshold
-    range_m = echoes.range_m + model.systematic_m
-    if model.noise and len(echoes):
-        sigma = range_sigma(amplitude, threshold, model)
-        range_m = range_m + sigma * draws.normal("range", plan.sweep, columns, n)[place, echoes.beam]
-    chosen = choose(echoes.beam, amplitude, seen, model, plan.max_echoes)
-    return _scan(plan, echoes, chosen, range_m, np.minimum(amplitude, model.full_scale), amplitude, model)
+class Receiver:
+    """Turns what the light brings back into scans."""
+
+    def __init__(self, model: SensorModel, draws: Draws) -> None:
+        self._model, self._draws = model, draws
+        self._detector = Detector(
+            pulse=model.pulse,
+            threshold=model.threshold,
+            method=model.method,
+            walk_table=model.walk_table,
+            keep=model.echoes,
+            max_echoes=model.max_echoes,
+            resolution_m=model.lsb_m,
+            bin_s=2.0 * model.bin_m / SPEED_OF_LIGHT_M_S,
+            full_scale=model.full_scale,
+            recovery_s=2.0 * model.recovery_m / SPEED_OF_LIGHT_M_S,
+            shot_factor=0.0 if model.seed_mode else model.signal_shot,
+            floor_m2=model.floor_m2,
+            near_gate_m=model.near_gate_m,
+            far_gate_m=model.gate_m,
+        )
+        gate_m = max(model.gate_m - model.near_gate_m, 0.0)
+        self._false_alarms = float(noise.false_alarm_rice(model.threshold, model.receiver.bandwidth_hz, gate_m))
+
+    @property
+    def detector(self) -> Detector:
+        """Its settings, for whoever computes media on its bins."""
+        return self._detector
+
+    def receive(
+        self, plan: ScanPlan, found: SubEchoes, soft: SoftProfile | None = None, daylight: Daylight = NIGHT
+    ) -> Scan:
+        """The scan of a sweep."""
+        model, n = self._model, len(plan)
+        detector = self._detector
+        if plan.max_echoes < detector.max_echoes:
+            detector = replace(detector, max_echoes=plan.max_echoes)
+        if daylight.noise is not None:
+            # the threshold follows the noise: amplitudes over each beam's own
+            found = replace(found, amplitude=found.amplitude / daylight.noise[found.beam])
+        normals = self._draws.normal("receiver", plan.sweep, n, NUMBERS_A_BEAM) if model.noise else None
+        echoes = detect(
+            found,
+            n,
+            detector,
+            normals=normals,
+            soft=soft,
+            dazzled=daylight.dazzled,
+            noise_echoes=self._noise_echoes(plan) if model.false_alarms else None,
+        )
+        return self._scan(plan, echoes, daylight)
+
+    def _noise_echoes(self, plan: ScanPlan) -> tuple[Ints, Floats, Floats] | None:
+        """Crossings of the threshold by noise alone: anywhere in the gate."""
+        n, model = len(plan), self._model
+        if self._false_alarms * n < RARE:
+            return None
+        count = self._draws.poisson("false alarms", plan.sweep, np.full(n, self._false_alarms))
+        if not bool(np.any(count)):
+            return None
+        beam = np.repeat(np.arange(n), count)
+        most = int(count.max())
+        place = np.arange(len(beam)) - np.repeat(np.cumsum(count) - count, count)
+        where = self._draws.uniform("false alarm ranges", plan.sweep, most, n)[place, beam]
+        height = self._draws.uniform("false alarm heights", plan.sweep, most, n)[place, beam]
+        range_m = model.near_gate_m + where * (model.gate_m - model.near_gate_m)
+        amplitude = noise.noise_echo_amplitude(model.threshold, height)
+        if model.floor_m2 > 0.0:
+            kept = amplitude * range_m**2 >= model.floor_m2
+            beam, range_m, amplitude = beam[kept], range_m[kept], amplitude[kept]
+        return beam, range_m, amplitude
+
+    def _scan(self, plan: ScanPlan, echoes: Echoes, daylight: Daylight) -> Scan:
+        model, n = self._model, len(plan)
+        range_m = echoes.range_m
+        if model.systematic_m:
+            range_m = range_m + model.systematic_m
+        if model.noise and model.range_noise_m > 0.0:
+            spread = self._draws.normal("range", plan.sweep, n, range_m.shape[1])
+            range_m = np.maximum(range_m + model.range_noise_m * spread, 0.0)
+        flags: NDArray[np.uint8] = np.zeros(n, np.uint8)
+        if bool(np.any(echoes.saturated)):
+            flags[np.any(echoes.saturated, axis=1)] |= SATURATED
+        if daylight.dazzled is not None:
+            flags[daylight.dazzled] |= DAZZLED
+        intensity = np.maximum(echoes.amplitude / model.threshold, 1.0)
+        return Scan(plan, range_m, intensity, flags, echoes.source.astype(np.int32))
 
 
-def _likely(echoes: Echoes, model: SensorModel) -> Echoes:
-    """Without what no noise lifts over the threshold: a weak echo takes no random number from a strong one."""
-    margin = LIKELY_RMS if model.noise else 0.0
-    rms = np.sqrt(1.0 + model.signal_shot * echoes.amplitude)
-    kept = echoes.amplitude >= threshold_at(echoes.range_m, model) - margin * rms
-    kept &= (echoes.range_m >= model.near_gate_m) & (echoes.range_m <= model.gate_m)
-    if bool(np.all(kept)):
-        return echoes
-    return Echoes(echoes.beam[kept], echoes.range_m[kept], echoes.amplitude[kept], echoes.actor[kept])
-
-
-def range_sigma(amplitude: Floats, threshold: Floats | float, model: SensorModel) -> Floats:
-    """Standard deviation of the measured range: the sensor's own, and the leading edge's on a noisy signal.
-
-    The edge's law is infinite at the threshold; a crossing cannot stray farther than over the pulse's rise, which as a
-    uniform law has the standard deviation fwhm / sqrt 12.
-    """
-    law = pulses.edge_range_sigma_sin2 if model.pulse.shape == "sin2" else pulses.edge_range_sigma_gauss
-    least = threshold * (1.0 + 1e-9)
-    edge = law(model.pulse.fwhm_s, threshold, np.maximum(amplitude, least))
-    edge = np.minimum(edge, model.pulse.fwhm_m / math.sqrt(12.0))
-    return np.hypot(model.range_noise_m, edge)
-
-
-def place_in_beam(beam: Ints) -> Ints:
-    """Number of each echo within its beam, 0 the nearest; `beam` sorted."""
-    if not len(beam):
-        return np.zeros(0, np.int64)
-    starts = np.concatenate(([True], beam[1:] != beam[:-1]))
-    index = np.arange(len(beam))
-    return np.asarray(index - np.maximum.accumulate(np.where(starts, index, 0)))
-
-
-def choose(beam: Ints, amplitude: Floats, seen: Bools, model: SensorModel, most: int) -> Ints:
-    """Indexes of the echoes that are reported, in order."""
-    index = np.flatnonzero(seen)
-    most = min(most, model.max_echoes)
-    if model.echoes == "last":
-        rank = place_in_beam(beam[index][::-1])[::-1]
-    elif model.echoes == "strongest":
-        order = np.lexsort((-amplitude[index], beam[index]))
-        rank = np.zeros(len(index), np.int64)
-        rank[order] = place_in_beam(beam[index][order])
-    else:
-        rank = place_in_beam(beam[index])
-    return index[rank < most]
-
-
-def _scan(
-    plan: ScanPlan,
-    echoes: Echoes,
-    chosen: Ints,
-    range_m: Floats,
-    peak: Floats,
-    amplitude: Floats,
-    model: SensorModel,
-) -> Scan:
-    n = len(plan)
-    beam = echoes.beam[chosen]
-    column = place_in_beam(beam)
-    k = int(column.max(initial=0)) + 1
-    ranges, intensity = np.full((n, k), np.nan), np.full((n, k), np.nan)
-    actor = np.full((n, k), -1, np.int32)
-    ranges[beam, column] = range_m[chosen]
-    intensity[beam, column] = np.maximum(peak[chosen] / model.threshold, 1.0)
-    actor[beam, column] = echoes.actor[chosen]
-    flags: NDArray[np.uint8] = np.zeros(n, np.uint8)
-    clipped = beam[amplitude[chosen] > model.full_scale]
-    flags[clipped] |= SATURATED
-    return Scan(plan, ranges, intensity, flags, actor)
+def white_plate_scale(model: SensorModel) -> float:
+    """pi K: amplitude of a medium is this times backscatter times the integral of pulse, overlap and T^2 over r^2."""
+    return math.pi * model.k_m2

@@ -1,0 +1,144 @@
+"""Single drops and flakes in the beams of a sweep, where a medium is too thin to be a continuum.
+
+Belongs here: which of rain and snow are particles for a sensor, and the drawing of those that are seen. Not: spectra
+and thinning (physics.precipitation), extinction by them (air).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from emulator.draws import Draws
+from emulator.physics import atmosphere, noise, precipitation
+from emulator.physics.arrays import Floats, Ints
+from emulator.physics.subechoes import SubEchoes
+from emulator.sensing.model import SensorModel
+from emulator.weather import Rain, Snow
+
+RARE = 1e-3
+"Mean number of particles a sweep below which none is drawn."
+TYPICAL_M = 10.0
+"Where the pulse cell is taken that decides between particles and continuum."
+SMALLEST_COUNTED_MM = 0.5
+
+
+@dataclass(frozen=True)
+class Particles:
+    """What falls, for one sensor: a size spectrum, or one size."""
+
+    term: str
+    "Name of its random numbers."
+    spectrum: precipitation.Spectrum | None
+    diameter_mm: float = 0.0
+    number_m3: float = 0.0
+    kappa_sr: float = 0.0
+
+
+def rain_particles(rain: Rain | None, model: SensorModel) -> Particles | None:
+    """Rain as particles, or None where there is none or it is a continuum."""
+    if rain is None or rain.rate_mm_h == 0.0 or not model.weather_echoes or rain.echoes in ("off", "continuum"):
+        return None
+    kappa = rain.backscatter_per_d2_sr
+    if rain.drop_radius_mm is not None:
+        diameter_mm = 2.0 * rain.drop_radius_mm
+        volume_m3 = math.pi / 6.0 * (1e-3 * diameter_mm) ** 3
+        density = rain.rate_mm_h / 3.6e6 / (volume_m3 * float(atmosphere.fall_speed_atlas(diameter_mm)))
+        made = Particles("rain", None, diameter_mm, density, kappa)
+    else:
+        made = Particles("rain", precipitation.rain_spectrum(rain.rate_mm_h, kappa))
+    return made if rain.echoes == "drops" or _sparse(made, model) else None
+
+
+def snow_particles(snow: Snow | None, model: SensorModel) -> Particles | None:
+    """Snow as particles, or None where there is none or it is a continuum."""
+    if snow is None or snow.rate_mm_h == 0.0 or not model.weather_echoes or snow.echoes in ("off", "continuum"):
+        return None
+    made = Particles("snow", precipitation.snow_spectrum(snow.rate_mm_h, snow.flake_reflectance / 4.0))
+    return made if snow.echoes == "drops" or _sparse(made, model) else None
+
+
+def _sparse(particles: Particles, model: SensorModel) -> bool:
+    """Few enough in a pulse cell that they are seen one by one."""
+    radius = math.sqrt(math.prod(float(r) for r in model.beam.radius_m(TYPICAL_M)))
+    if particles.spectrum is not None:
+        count = float(
+            precipitation.particles_per_cell(particles.spectrum, SMALLEST_COUNTED_MM, radius, model.pulse.fwhm_s)
+        )
+    else:
+        count = particles.number_m3 * math.pi * radius**2 * model.pulse.fwhm_m
+    return count <= precipitation.CONTINUUM_PER_CELL
+
+
+def seen_particles(
+    particles: Particles,
+    far_m: Floats,
+    extinction_per_m: float,
+    sweep: int,
+    model: SensorModel,
+    draws: Draws,
+    gain: float = 1.0,
+) -> SubEchoes | None:
+    """Sub-echoes of the particles that alone reach the threshold, up to each beam's first surface, `far_m` (n,)."""
+    half_angle = math.sqrt(model.beam.half_angle_x_rad * model.beam.half_angle_y_rad)
+    near_m = max(model.overlap_start_m, model.near_gate_m)
+    if half_angle == 0.0 or near_m >= model.gate_m:
+        return None
+    nep_w = float(
+        noise.noise_equivalent_power(
+            model.receiver.baseline_a, model.receiver.responsivity_a_w, model.receiver.gain
+        )
+    )  # fmt: skip
+    area_m2 = math.pi * model.aperture_radius_m**2
+    kappa = particles.kappa_sr if particles.spectrum is None else particles.spectrum.kappa_sr
+    scale = float(
+        precipitation.detectable_scale(
+            half_angle, kappa, model.peak_w, area_m2, model.efficiency, model.threshold / gain * nep_w
+        )
+    )
+    far = np.minimum(far_m, model.gate_m)
+    if particles.spectrum is None:
+        beam, range_m, diameter_mm = _one_size(particles, scale, half_angle, near_m, far, sweep, draws)
+    else:
+        mean = precipitation.detectable_mean(particles.spectrum, scale, half_angle, near_m, far)
+        if float(mean.sum()) < RARE:
+            return None
+        count = draws.poisson(particles.term, sweep, mean)
+        uniform = _numbers(draws, particles.term, sweep, count)
+        beam, range_m, diameter_mm = precipitation.detectable_particles(
+            particles.spectrum, np.full(len(far), scale), half_angle, near_m, far, count, uniform
+        )
+    if len(beam) == 0:
+        return None
+    power_w = precipitation.particle_power(
+        diameter_mm, kappa, range_m, half_angle, extinction_per_m * range_m, model.peak_w, area_m2, model.efficiency
+    )
+    # near the window the beam is wider than its cone
+    cone = half_angle * range_m
+    power_w = power_w * (cone / (cone + model.beam.exit_radius_m)) ** 2
+    return SubEchoes.of(beam, range_m, gain * power_w / nep_w)
+
+
+def _one_size(
+    particles: Particles, scale: float, half_angle: float, near_m: float, far: Floats, sweep: int, draws: Draws
+) -> tuple[Ints, Floats, Floats]:
+    end = np.minimum(far, math.sqrt(particles.diameter_mm / scale))
+    end = np.maximum(end, near_m)
+    mean = particles.number_m3 * math.pi * half_angle**2 * (end**3 - near_m**3) / 3.0
+    if float(mean.sum()) < RARE:
+        return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
+    count = draws.poisson(particles.term, sweep, mean)
+    uniform = _numbers(draws, particles.term, sweep, count)[:, 0]
+    beam = np.repeat(np.arange(len(far)), count)
+    range_m = np.cbrt(near_m**3 + uniform * (end[beam] ** 3 - near_m**3))
+    return beam, range_m, np.full(len(beam), particles.diameter_mm)
+
+
+def _numbers(draws: Draws, term: str, sweep: int, count: Ints) -> Floats:
+    """Two uniform numbers for each particle; those of a beam do not depend on how many the others have."""
+    most = int(count.max(initial=0))
+    table = np.stack([draws.uniform(f"{term} {k}", sweep, len(count), 2) for k in range(most)] or [np.zeros((0, 2))])
+    taken = np.arange(most)[None, :] < count[:, None]
+    return np.asarray(np.moveaxis(table, 0, 1)[taken]) if most else np.zeros((0, 2))

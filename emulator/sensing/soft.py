@@ -1,0 +1,132 @@
+"""What the air itself sends back: one table where it is the same everywhere, points along each beam where it is not.
+
+Belongs here: which of both, and the points. Not: the tables (physics.softprofile), the media (air).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from emulator.physics import radiometry
+from emulator.physics.arrays import Floats, Ints, exp_or_zero
+from emulator.physics.softprofile import SoftProfile
+from emulator.physics.subechoes import SubEchoes
+from emulator.sensing.air import AirNow
+from emulator.sensing.model import SensorModel
+from emulator.sensing.rays import Rays
+
+POINTS_A_PULSE = 5
+"Points to a pulse's FWHM: sums of pulses so close are smooth to 1e-6."
+UNSEEN = 0.1
+"Share of the threshold which a medium's strongest return must reach to be computed."
+POINTS_AT_ONCE = 4096
+"Most points along one beam."
+
+
+class SoftTargets:
+    """Media as one sensor sees them."""
+
+    def __init__(self, model: SensorModel, bin_m: float) -> None:
+        self._model = model
+
+        @lru_cache(maxsize=16)
+        def table(extinction_per_m: float, backscatter: float, gain: float) -> SoftProfile | None:
+            start_m = max(model.overlap_start_m, model.near_gate_m)
+            if self._bound(backscatter, extinction_per_m, start_m) * gain < UNSEEN * model.threshold:
+                return None
+            made = SoftProfile.of_medium(
+                model.pulse,
+                bin_m,
+                math.pi * model.k_m2 * gain,
+                extinction_per_m,
+                backscatter,
+                model.overlap_start_m,
+                model.overlap_full_m,
+                model.gate_m,
+            )
+            return made if made is not None and self._shows(made) else None
+
+        self._table = table
+
+    def everywhere(self, air: AirNow, gain: float = 1.0) -> SoftProfile | None:
+        """The table of a medium that fills all the air; None where it is not seen."""
+        if not self._model.weather_echoes or self.uneven(air):
+            return None
+        return self._table(air.everywhere.extinction_per_m, air.everywhere.backscatter_per_m_sr, gain)
+
+    def uneven(self, air: AirNow) -> bool:
+        """Some volume sends back enough to be seen: all the air is then taken point by point."""
+        start_m = max(self._model.overlap_start_m, self._model.near_gate_m)
+        return self._model.weather_echoes and any(
+            self._bound(volume.medium.backscatter_per_m_sr, 0.0, start_m) >= UNSEEN * self._model.threshold
+            for volume in air.volumes
+        )
+
+    def _shows(self, made: SoftProfile) -> bool:
+        """Its return comes within a tenth of the threshold somewhere, sensitivity-time control included."""
+        model = self._model
+        x = np.linspace(made.start_m, made.end_m, 512)
+        x = np.unique(np.concatenate([x, made.start_m * 1.05 ** np.arange(100), [made.peak_m]]))
+        wanted = np.maximum(model.threshold, model.floor_m2 / np.maximum(x, 1e-3) ** 2)
+        return bool(np.any(made.wave(x) >= UNSEEN * wanted))
+
+    def _bound(self, backscatter: float, extinction_per_m: float, start_m: float) -> float:
+        """Upper bound of the return in rms noise, from `start_m` on: the pulse integrates to its FWHM."""
+        model = self._model
+        r = np.array([start_m, model.overlap_full_m, 2.0 * model.overlap_start_m])
+        r = np.maximum(r, start_m)
+        seen = radiometry.overlap(r, model.overlap_start_m, model.overlap_full_m) / (r * r)
+        lost = math.exp(-min(2.0 * extinction_per_m * start_m, 500.0))
+        return float(math.pi * model.k_m2 * abs(backscatter) * model.pulse.fwhm_m * seen.max() * lost)
+
+    def points(self, air: AirNow, rays: Rays, found: SubEchoes, t_s: Floats, gain: float = 1.0) -> SubEchoes | None:
+        """Media as point scatterers along the axis of every beam, as far as the beam is not stopped by surfaces."""
+        model, n = self._model, len(rays.axis)
+        edges = self._edges()
+        middle, step = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
+        m = len(middle)
+        backscatter = np.full((n, m), air.everywhere.backscatter_per_m_sr)
+        depth = np.broadcast_to(air.everywhere.extinction_per_m * middle, (n, m)).copy()
+        for volume in air.volumes:
+            enter, leave = volume.place.crossed(rays.centre_m, rays.axis, t_s)
+            if not bool(np.any(leave > enter)):
+                continue
+            strength = np.broadcast_to(volume.strength(t_s), (n,))[:, None]
+            low = np.clip(enter[:, None] - edges[:-1], 0.0, step)
+            high = np.clip(leave[:, None] - edges[:-1], 0.0, step)
+            filled = np.maximum(high - low, 0.0) / step
+            backscatter += filled * strength * volume.medium.backscatter_per_m_sr
+            inside = np.maximum(np.minimum(middle, leave[:, None]) - enter[:, None], 0.0)
+            depth += strength * volume.medium.extinction_per_m * inside
+        overlap = radiometry.overlap(middle, model.overlap_start_m, model.overlap_full_m)
+        scale = gain * math.pi * model.k_m2 * overlap * step / (middle * middle)
+        amplitude = scale * np.maximum(backscatter, 0.0) * exp_or_zero(-2.0 * depth)
+        kept = amplitude > UNSEEN * model.threshold / (4.0 * POINTS_A_PULSE)
+        if not bool(np.any(kept)):
+            return None
+        beam, column = (np.asarray(index, np.int64) for index in np.nonzero(kept))
+        clear = _clear_share(found, beam, middle[column], n)
+        return SubEchoes.of(beam, middle[column], amplitude[beam, column] * clear)
+
+    def _edges(self) -> Floats:
+        """Borders of the pieces: finer near the window, where 1/r^2 is steep, then a share of the pulse."""
+        model = self._model
+        start_m = max(model.overlap_start_m, model.near_gate_m)
+        step = model.pulse.fwhm_m / POINTS_A_PULSE
+        near = start_m * 1.1 ** np.arange(200)
+        near = near[(np.diff(near, append=np.inf) < step) & (near < model.gate_m)]
+        begin = float(near[-1]) if len(near) else start_m
+        count = min(int((model.gate_m - begin) / step) + 2, POINTS_AT_ONCE)
+        return np.unique(np.concatenate([near, np.linspace(begin, model.gate_m, count)]))
+
+
+def _clear_share(found: SubEchoes, beam: Ints, range_m: Floats, beams: int) -> Floats:
+    """Share of a beam that no surface stops before a range; `found` sorted."""
+    length = float(max(range_m.max(initial=0.0), found.range_m.max(initial=0.0))) + 1.0
+    passed = np.concatenate([[0.0], np.cumsum(found.blocked)])
+    head = np.searchsorted(found.beam, np.arange(beams))
+    at = np.searchsorted(found.beam * length + found.range_m, beam * length + range_m)
+    return np.asarray(np.clip(1.0 - (passed[at] - passed[head[beam]]), 0.0, 1.0))
