@@ -74,8 +74,8 @@ def _serve(connection: Connection, build: BuildMeasures) -> None:
 class Workers:
     """Worker processes, each serving a fixed share of the sensors. Must be made before any link is opened.
 
-    A worker that dies is started again and given the plans it still owed; a sweep that cannot be measured is reported
-    in `failures` and comes back without echoes, so that one sensor's fault does not stop the others.
+    A worker that dies is started again and given the plans it still owed. A sweep that cannot be measured, or that ends
+    its worker twice, is reported in `failures` and comes back without echoes: one sensor's fault stops no other.
     """
 
     def __init__(self, build: BuildMeasures, sensors: Sequence[str], count: int) -> None:
@@ -85,7 +85,7 @@ class Workers:
         self._home = {sensor: index % max(1, count) for index, sensor in enumerate(sensors)}
         self._owed: list[deque[tuple[str, ScanPlan]]] = []
         self._done: dict[str, list[Scan]] = {}
-        self._deaths = 0
+        self._suspect: dict[int, ScanPlan] = {}
         self.failures: list[str] = []
         for _ in range(max(1, min(count, len(sensors)))):
             self._workers.append(self._start())
@@ -145,20 +145,31 @@ class Workers:
                     self._done.setdefault(sensor, []).append(result)
                     fresh.add(sensor)
             except (EOFError, OSError):
-                self._replace(home)
+                given_up = self._replace(home)
+                if given_up is not None:
+                    fresh.add(given_up)
         return fresh
 
-    def _replace(self, home: int) -> None:
-        self._deaths += 1
+    def _replace(self, home: int) -> str | None:
+        """Start a dead worker again; the sensor whose sweep has now killed it twice and is given up."""
         process, connection = self._workers[home]
         connection.close()
         process.join(timeout=1.0)
-        self.failures.append(f"measuring process {home} ended with code {process.exitcode}; started again")
-        if self._deaths > 10:
-            raise SceneError("measuring processes keep ending; see the messages above")
+        self.failures.append(f"measuring process {home}: ended with code {process.exitcode}, started again")
+        given_up = None
+        if self._owed[home]:
+            sensor, plan = self._owed[home][0]
+            if self._suspect.get(home) is plan:
+                self._owed[home].popleft()
+                self.failures.append(f"{sensor}: sweep {plan.sweep}: ended the measuring process twice")
+                self._done.setdefault(sensor, []).append(Scan.empty(plan))
+                given_up = sensor
+            else:
+                self._suspect[home] = plan
         self._workers[home] = self._start()
         self._await_ready(self._workers[home][1])
         self._hand_over(home)
+        return given_up
 
     def collect(self, sensor: str) -> list[Scan]:
         return self._done.pop(sensor, [])
