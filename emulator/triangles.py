@@ -115,8 +115,8 @@ def _shells(local: Floats, faces: NDArray[np.int64], part: Ints) -> tuple[NDArra
     by_key = np.argsort(directed, kind="stable")
     keys = directed[by_key]
     first, last = np.searchsorted(keys, backwards, "left"), np.searchsorted(keys, backwards, "right")
-    once = np.searchsorted(keys, directed, "right") - np.searchsorted(keys, directed, "left") == 1
-    good = once & (last - first == 1)
+    alike = np.searchsorted(keys, directed, "right") - np.searchsorted(keys, directed, "left")
+    good = (last > first) & (last - first == alike)  # as often one way as the other: no border
     mine = np.flatnonzero(good)
     face, other = mine // 3, by_key[first[mine]] // 3
     graph = coo_array((np.ones(len(face), dtype=np.int8), (face, other)), shape=(len(faces), len(faces)))
