@@ -1,7 +1,7 @@
 """Background light on the detector: sunlit surfaces, sky, the sun itself, stray light; the optical filter; dazzle.
 
 Here: optical powers in W and when they blind the receiver. Not here: the noise that they make (noise).
-Angles between directions are taken by `angle_between`, which keeps its digits near 0 and pi.
+Angles between directions are taken by `geometry.angle_between`, which keeps its digits near 0 and pi.
 """
 
 from __future__ import annotations
@@ -124,12 +124,6 @@ def dazzled(
 ) -> Bools:
     """True where the photocurrent of the background exceeds what the receiver stands."""
     return np.asarray(floats(responsivity) * gain * background_w > saturation_current_a)
-
-
-def angle_between(a: Floats, b: Floats) -> Floats:
-    """Angle between vectors along the last axis by atan2 of cross and dot product. [rad]"""
-    cross = np.cross(a, b)
-    return floats(np.arctan2(np.sqrt(np.sum(cross * cross, axis=-1)), np.sum(floats(a) * b, axis=-1)))
 
 
 # ------------------------------------------------------------------------------- optical filter

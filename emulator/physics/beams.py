@@ -146,7 +146,7 @@ def grid(across: int, profile: Profile = "gauss") -> Bundle:
         return _bundle(u.ravel(), v.ravel(), np.outer(one, one).ravel())
     edges = np.linspace(-1.0, 1.0, n + 1)
     centre = 0.5 * (edges[1:] + edges[:-1])
-    corner = _disc_quadrant(edges[:, None], edges[None, :])
+    corner = disc_area(edges[:, None], edges[None, :])
     area = np.maximum(np.diff(np.diff(corner, axis=0), axis=1), 0.0)
     u, v = np.meshgrid(centre, centre, indexing="ij")
     kept = area.ravel() > 1e-15
@@ -306,7 +306,7 @@ def _radical_inverse(k: np.ndarray[tuple[int, ...], np.dtype[np.int64]], base: i
     return value
 
 
-def _disc_quadrant(x: Floats, y: Floats) -> Floats:
+def disc_area(x: Floats, y: Floats) -> Floats:
     """Area of the unit disc with abscissa below x and ordinate below y, for -1 <= x, y <= 1."""
     x, y = np.broadcast_arrays(x, y)
     end = np.sqrt(np.maximum(1.0 - y * y, 0.0))

@@ -74,9 +74,9 @@ def detect(
     """
     rms = np.broadcast_to(floats(noise), (beams,))
     with np.errstate(under="ignore"):
-        clusters, chosen, clear = _clusters_of(echoes, beams, detector, soft)
         least = detector.threshold - (_SIGMAS * rms if normals is not None else 0.0 * rms)
         least = np.maximum(least, 0.02 * detector.threshold)
+        clusters, chosen, clear = _clusters_of(echoes, beams, detector, soft, least)
         single = single_candidates(clusters, ~chosen, least)
         wave = sample(clusters, chosen, detector.pulse, detector.bin_m, soft, clear)
         mixed = wave_candidates(wave, least, detector)
@@ -96,13 +96,13 @@ def detect(
 
 # ------------------------------------------------------------------------------- clusters: closed form or sampled
 def _clusters_of(
-    echoes: SubEchoes, beams: int, detector: Detector, soft: SoftProfile | None
+    echoes: SubEchoes, beams: int, detector: Detector, soft: SoftProfile | None, least: Floats
 ) -> tuple[Clusters, Bools, Floats]:
     """Clusters of the scan, which of them need a waveform, and the share of the beam that reaches each."""
     pulse = detector.pulse
     echoes = _plane_echoes(echoes, detector)
     if soft is not None:
-        echoes = SubEchoes.joined(echoes, _soft_marks(echoes, beams, soft))
+        echoes = SubEchoes.joined(echoes, _soft_marks(echoes, beams, soft, least))
     clusters = cluster(echoes, 2.0 * pulse.half_support_m, detector.resolution_m)
     first = clusters.first
     before = np.cumsum(clusters.blocked) - clusters.blocked
@@ -137,23 +137,20 @@ def _plane_echoes(echoes: SubEchoes, detector: Detector) -> SubEchoes:
     return unfold_spread(flat, wide)
 
 
-def _soft_marks(echoes: SubEchoes, beams: int, soft: SoftProfile) -> SubEchoes:
+def _soft_marks(echoes: SubEchoes, beams: int, soft: SoftProfile, least: Floats) -> SubEchoes:
     """Markers that have the medium's maximum sampled in every beam; for a Gaussian pulse the medium itself."""
     if soft.pulse.shape == "sin2":
         r = np.array([min(soft.start_m, soft.peak_m), soft.peak_m])
-        r, strength = np.tile(r, beams), np.full(2 * beams, MARK)
-    else:
-        node, piece = soft.nodes()
-        order = np.searchsorted(echoes.beam, np.arange(beams + 1))
-        passed = np.concatenate([[0.0], np.cumsum(echoes.blocked)])
-        length = float(max(soft.end_m, echoes.range_m.max(initial=0.0))) + 1.0
-        key = echoes.beam * length + echoes.range_m
-        at = np.searchsorted(key, (np.arange(beams) * length)[:, None] + node, side="left")
-        clear = np.clip(1.0 - (passed[at] - passed[order[:-1]][:, None]), 0.0, 1.0)
-        r, strength = np.tile(node, beams), (clear * piece).ravel()
-    count = r.size // beams if beams else 0
-    beam = np.repeat(np.arange(beams), count)
-    return SubEchoes.of(beam, r, strength)
+        marked = np.flatnonzero(soft.peak >= least)
+        return SubEchoes.of(np.repeat(marked, 2), np.tile(r, marked.size), np.full(2 * marked.size, MARK))
+    node, piece = soft.nodes()
+    first = np.searchsorted(echoes.beam, np.arange(beams))
+    passed = np.concatenate([[0.0], np.cumsum(echoes.blocked)])
+    length = float(max(soft.end_m, echoes.range_m.max(initial=0.0))) + 1.0
+    key = echoes.beam * length + echoes.range_m
+    at = np.searchsorted(key, (np.arange(beams) * length)[:, None] + node, side="left")
+    clear = np.clip(1.0 - (passed[at] - passed[first][:, None]), 0.0, 1.0)
+    return SubEchoes.of(np.repeat(np.arange(beams), node.size), np.tile(node, beams), (clear * piece).ravel())
 
 
 # ------------------------------------------------------------------------------- seen, and where
@@ -207,6 +204,7 @@ def _measure(
     source[:k] = clusters.source[single.index]
     source[k:] = sources(wave, mixed)
     amplitude = np.clip(height + z * noise, detector.threshold, max(detector.full_scale, detector.threshold))
+    range_m = np.maximum(range_m, 0.0)  # a touching target is at 0, whatever the noise
     return _Found(beam[seen], range_m[seen], amplitude[seen], clipped[seen], source[seen])
 
 

@@ -54,9 +54,14 @@ def received_power(
     a2 = floats(aperture_radius_m) ** 2
     collected = a2 / (floats(range_m) ** 2 + a2)
     return (
-        floats(peak_w) * share * equivalent_reflectance * efficiency * overlap * collected
+        floats(peak_w)
+        * share
+        * equivalent_reflectance
+        * efficiency
+        * overlap
+        * collected
         * exp_or_zero(-2.0 * floats(optical_depth))
-    )  # fmt: skip
+    )
 
 
 def echo_extended(

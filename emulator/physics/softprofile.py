@@ -46,6 +46,8 @@ class SoftProfile:
     "A + Re(exp(ikx) B) at the far end x + h of the pulse, by j - first."
     lower: Floats
     "The same at its near end x - h."
+    free: Floats
+    "Return of a beam that nothing blocks, on the same bins."
     first: int
     knots: Floats
     "Ranges at which A and B are known."
@@ -110,19 +112,31 @@ class SoftProfile:
         if wave[top] < INVISIBLE:
             return None
         return cls(
-            pulse, bin_m, start_m, full, end, float(x[top]), float(wave[top]), density, alpha, upper, lower, first,
-            knots, a, b, g, np.asarray(g * np.exp(-1j * k * knots), np.complex128),
-        )  # fmt: skip
+            pulse,
+            bin_m,
+            start_m,
+            full,
+            end,
+            float(x[top]),
+            float(wave[top]),
+            density,
+            alpha,
+            upper,
+            lower,
+            np.maximum(wave, 0.0),
+            first,
+            knots,
+            a,
+            b,
+            g,
+            np.asarray(g * np.exp(-1j * k * knots), np.complex128),
+        )
 
     def wave(self, x_m: Values) -> Floats:
         """Return of a beam that nothing blocks at apparent range x, linear between the bins. [noise units]"""
         x = floats(x_m)
         grid = self.bin_m * np.arange(self.first, self.first + len(self.upper), dtype=np.float64)
-        if self.pulse.shape == "sin2":
-            values = 0.5 * (self.upper - self.lower)
-        else:
-            values = _gauss_wave(self.pulse, grid, self.knots, self.a)
-        return floats(np.interp(x, grid, np.maximum(values, 0.0), left=0.0, right=0.0))
+        return floats(np.interp(x, grid, self.free, left=0.0, right=0.0))
 
     def tables(self, j: Ints) -> tuple[Floats, Floats]:
         """`upper` and `lower` at bins j; beyond the end they are equal, so that nothing is left."""

@@ -166,9 +166,20 @@ def sample(
         np.maximum(part, 0.0, out=part)
         value = value + part
     return Waveform(
-        pulse, bin_m, clusters.beam[clusters.first[chosen]], first_bin, start, count, value, part,
-        sub_first, sub_count, r, amplitude, clusters.source[kept],
-    )  # fmt: skip
+        pulse,
+        bin_m,
+        clusters.beam[clusters.first[chosen]],
+        first_bin,
+        start,
+        count,
+        value,
+        part,
+        sub_first,
+        sub_count,
+        r,
+        amplitude,
+        clusters.source[kept],
+    )
 
 
 def _deposit(index: Ints, weight: Floats, length: int) -> Floats:
