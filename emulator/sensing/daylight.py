@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from emulator.physics import background, noise
+from emulator.physics import background, geometry, noise
 from emulator.physics.arrays import Bools, Floats
 from emulator.physics.constants import ELEMENTARY_CHARGE_C, SKY_RADIANCE_W_M2_SR_NM, SUN_TABLE_TOTAL_W_M2
 from emulator.physics.materials import SurfaceTable
@@ -127,7 +127,7 @@ def _diffuse_w(sun: Sun, towards: Floats, found: Seen, surfaces: SurfaceTable, m
 def _sun_w(sun: Sun, towards: Floats, rays: Rays, model: SensorModel) -> Floats:
     irradiance = background.solar_ground(model.wavelength_m, sun.total_w_m2, direct=True) * sun.cloud_factor
     half = 0.5 * model.receiver.field_of_view_rad
-    angle = background.angle_between(rays.axis, towards)
+    angle = geometry.angle_between(rays.axis, towards)
     return background.background_sun(
         irradiance, _band_m(model), model.aperture_radius_m, half, model.efficiency, angle
     )  # fmt: skip

@@ -17,11 +17,12 @@ from emulator.physics.arrays import Floats
 from emulator.physics.materials import Material, SurfaceTable, material, material_from_mapping
 from emulator.physics.subechoes import SubEchoes
 from emulator.physics_options import PhysicsOptions
+from emulator.sensing.adapt import adaptive_rays
 from emulator.sensing.air import Air
 from emulator.sensing.daylight import daylight
 from emulator.sensing.model import SensorModel, sensor_model
 from emulator.sensing.particles import seen_particles
-from emulator.sensing.paths import Caster, trace
+from emulator.sensing.paths import Caster, returned, trace
 from emulator.sensing.rays import BundleCache, cast_rays
 from emulator.sensing.receiver import Receiver
 from emulator.sensing.soft import SoftTargets
@@ -68,11 +69,15 @@ class Measure:
         if len(plan) == 0:
             return Scan.empty(plan)
         t_s = 1e-9 * plan.start_ns + plan.fire_offset_s
-        bundles = self._bundles.of(plan)
-        rays = cast_rays(bundles, self._pose(t_s), t_s)
+        pose = self._pose(t_s)
         air, gain = self.air.at(float(t_s[0])), plan.gain
         surfaces = self._wet if air.wet else self._dry
-        seen = trace(rays, self._caster, surfaces, air, self.model, gain, plan.max_range_m)
+        if self.model.rule == "adaptive" and not self.model.beam.is_ray:
+            rays, hits = adaptive_rays(plan, pose, t_s, self._caster, self.model)
+            seen = returned(hits, rays, self._caster, surfaces, air, self.model, gain, plan.max_range_m)
+        else:
+            rays = cast_rays(self._bundles.of(plan), pose, t_s)
+            seen = trace(rays, self._caster, surfaces, air, self.model, gain, plan.max_range_m)
         parts = [seen.echoes]
         for particles in air.particles:
             drawn = seen_particles(

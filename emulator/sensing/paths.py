@@ -28,10 +28,16 @@ BEHIND_M = 1e-4
 class Hits(Protocol):
     """What a cast gives, see raycast."""
 
-    range_m: Floats
-    actor: NDArray[np.int32]
-    material: NDArray[np.int32]
-    normal: Floats
+    @property
+    def range_m(self) -> Floats: ...
+    @property
+    def body(self) -> NDArray[np.int32]: ...
+    @property
+    def actor(self) -> NDArray[np.int32]: ...
+    @property
+    def material(self) -> NDArray[np.int32]: ...
+    @property
+    def normal(self) -> Floats: ...
 
 
 class Caster(Protocol):

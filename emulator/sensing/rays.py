@@ -104,12 +104,12 @@ class BundleCache:
 def cast_rays(bundles: Bundles, pose: Pose, t_s: Floats) -> Rays:
     """Rays in the world: `pose` of the sensor at the instants `t_s` (n,) of the beams."""
     n, m = len(t_s), bundles.sub_beams
-    direction = _turn(pose.rotation, bundles.direction)
-    axis = direction[:, 0, :] if m == 1 else _turn(pose.rotation, bundles.axis[:, None, :])[:, 0, :]
+    direction = turned(pose.rotation, bundles.direction)
+    axis = direction[:, 0, :] if m == 1 else turned(pose.rotation, bundles.axis[:, None, :])[:, 0, :]
     if bundles.start_m is None:
         origin = np.broadcast_to(pose.position_m[:, None, :], (n, m, 3))
     else:
-        origin = pose.position_m[:, None, :] + _turn(pose.rotation, bundles.start_m)
+        origin = pose.position_m[:, None, :] + turned(pose.rotation, bundles.start_m)
     return Rays(
         origin_m=np.ascontiguousarray(origin).reshape(n * m, 3),
         direction=direction.reshape(n * m, 3),
@@ -122,8 +122,8 @@ def cast_rays(bundles: Bundles, pose: Pose, t_s: Floats) -> Rays:
     )
 
 
-def _turn(rotation: Floats, vectors: Floats) -> Floats:
-    """Vectors (n, m, 3) turned by rotations (n, 3, 3), one product where all rotations are the same."""
+def turned(rotation: Floats, vectors: Floats) -> Floats:
+    """Vectors (n, m, 3) turned by rotations (n or more, 3, 3), one product where all rotations are the same."""
     first = rotation[0] if len(rotation) else np.eye(3)
     if rotation.strides[0] == 0 or bool(np.all(rotation == first)):
         return np.asarray((vectors.reshape(-1, 3) @ first.T).reshape(vectors.shape))
