@@ -1,4 +1,4 @@
-"""What there is to choose from, as rows for `lidaremu list`: read from the tables that do the work, never written twice."""
+"""What there is to choose from, as rows for `lidaremu list`: read from the tables that do the work."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def materials() -> list[Row]:
     from emulator.physics.materials import builtin_materials
 
     return [
-        {"material": name, "rho_905": found.rho[905], "rho_1550": found.rho.get(1550, ""), "source": found.source}
+        {"material": name, "rho_905": found.reflectance(905), "rho_1550": found.reflectance(1550), "source": found.source}
         for name, found in sorted(builtin_materials().items())
     ]
 

@@ -57,7 +57,7 @@ def main(argv: Sequence[str]) -> int:
         note(str(error))
         return error.exit_code
     except BrokenPipeError:  # the reader of our output has gone, as with `| head`
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+        sys.stdout = open(os.devnull, "w")
         return OK
     return result if isinstance(result, int) else OK
 
@@ -178,7 +178,8 @@ def run(
             until = duration if duration is not None else loaded.duration_s
             until_ns = None if until is None else int(until * 1e9)
             if command:
-                environment |= {variable_of(item.sensor): place_of(item.links[0].url) for item in instruments if item.links}
+                linked = [item for item in instruments if item.links]
+                environment |= {variable_of(item.sensor): place_of(item.links[0].url) for item in linked}
                 driver = start_driver(command, environment)
             daemon.run(until_ns, None if driver is None else lambda: driver.poll() is None)
     finally:

@@ -1,6 +1,6 @@
 """One sensor on its links: one session, the links its hosts use, and whoever measures for it.
 
-Nothing here knows a protocol, a mesh or a clock: `step(now_ns)` moves bytes and scans, and says when to be called again.
+Nothing here knows a protocol, a mesh or a clock: `step(now_ns)` moves bytes and scans, and says when to call again.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ LOOK_AHEAD_NS = 250_000_000
 "A sweep is measured at most this long before it begins, so that a changed setting wastes little."
 
 MAX_ROUNDS = 64
-"A step that does not come to rest ends after this many rounds and is called again at once: one sensor cannot starve others."
+"A step that does not come to rest ends after this many rounds and is called again: one sensor cannot starve others."
 
 
 class Measuring(Protocol):

@@ -1,4 +1,4 @@
-"""One sensor on its links: what is asked for, measured, sent and counted. The session is scripted; no clock, no port."""
+"""One sensor on its links: what is asked for, measured, sent and counted. The session is scripted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Worker processes: scans come back, faults stay with their sensor, a dead worker is replaced, nothing is left behind."""
+"""Worker processes: scans come back, faults stay with their sensor, a dead worker is replaced."""
 
 from __future__ import annotations
 

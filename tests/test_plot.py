@@ -37,7 +37,8 @@ def test_a_scan_without_an_echo_is_still_drawn() -> None:
 
 
 @pytest.mark.parametrize(
-    ("limit_m", "edge_m"), [(9.9, 10.0), (10.0, 10.0), (10.1, 20.0), (0.3, 0.5), (81.0, 100.0), (0.0, 10.0), (math.inf, 10.0)]
+    ("limit_m", "edge_m"),
+    [(9.9, 10.0), (10.0, 10.0), (10.1, 20.0), (0.3, 0.5), (81.0, 100.0), (0.0, 10.0), (math.inf, 10.0)],
 )
 def test_the_edge_is_a_round_number_beyond_the_farthest_point(limit_m: float, edge_m: float) -> None:
     assert nice_range(limit_m) == pytest.approx(edge_m)

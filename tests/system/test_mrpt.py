@@ -48,7 +48,9 @@ def missing(reason: str) -> None:
     pytest.skip(reason)
 
 
-def judge(program: Path, port: str, baud: int, mm: bool, field: int, step: int, scans: int, limit_s: float) -> Judgement:
+def judge(
+    program: Path, port: str, baud: int, mm: bool, field: int, step: int, scans: int, limit_s: float
+) -> Judgement:
     words = [str(program), port, str(baud), str(int(mm)), str(field), str(step), str(scans), str(limit_s)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=90, check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]

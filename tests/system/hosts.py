@@ -1,0 +1,85 @@
+"""A host written from the protocol's description alone, sharing no code with the product."""
+
+from __future__ import annotations
+
+import time
+
+import serial
+
+
+def crc(data: bytes) -> bytes:
+    """SICK's 16-bit CRC, bit by bit, low byte first."""
+    register = previous = 0
+    for byte in data:
+        top = register & 0x8000
+        register = (register << 1) & 0xFFFF
+        if top:
+            register ^= 0x8005
+        register ^= previous << 8 | byte
+        previous = byte
+    return register.to_bytes(2, "little")
+
+
+def telegram(payload: bytes) -> bytes:
+    frame = b"\x02\x00" + len(payload).to_bytes(2, "little") + payload
+    return frame + crc(frame)
+
+
+class LmsHost:
+    """Talks to an LMS2xx through pyserial."""
+
+    def __init__(self, path: str, baud: int = 9600) -> None:
+        self.port = serial.Serial(path, baud, timeout=0.05)
+        self.seen = b""
+
+    def __enter__(self) -> LmsHost:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.port.close()
+
+    def ask(self, payload: bytes, reply: int, seconds: float = 3.0) -> bytes:
+        """Send a request; the reply's payload. Stream telegrams on the way are skipped."""
+        self.port.write(telegram(payload))
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            got = self.next(max(0.0, end - time.monotonic()))
+            if got is not None and got[0] in (reply, 0x92):
+                return got
+        raise AssertionError(f"no reply {reply:02X}")
+
+    def next(self, seconds: float) -> bytes | None:
+        """Payload of the next telegram with a good CRC."""
+        end = time.monotonic() + seconds
+        while True:
+            start = self.seen.find(b"\x02\x80")
+            if start >= 0 and len(self.seen) >= start + 4:
+                length = int.from_bytes(self.seen[start + 2 : start + 4], "little")
+                whole = self.seen[start : start + length + 6]
+                if len(whole) == length + 6:
+                    if crc(whole[:-2]) == whole[-2:]:
+                        self.seen = self.seen[start + length + 6 :]
+                        return whole[4:-2]
+                    self.seen = self.seen[start + 1 :]
+                    continue
+            if time.monotonic() >= end:
+                return None
+            self.seen += self.port.read(max(1, self.port.in_waiting))
+
+    def set_baud(self, baud: int) -> None:
+        code = {9600: 0x42, 19200: 0x41, 38400: 0x40, 500000: 0x48}[baud]
+        assert self.ask(bytes((0x20, code)), 0xA0)[1] == 0
+        self.port.baudrate = baud
+
+    def stream(self) -> None:
+        assert self.ask(b"\x20\x24", 0xA0)[1] == 0
+
+    def scan(self, seconds: float = 3.0) -> list[int]:
+        """Raw value words of the next B0."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            got = self.next(max(0.0, end - time.monotonic()))
+            if got is not None and got[0] == 0xB0:
+                count = int.from_bytes(got[1:3], "little") & 0x3FF
+                return [int.from_bytes(got[3 + 2 * i : 5 + 2 * i], "little") for i in range(count)]
+        raise AssertionError("no scan")
