@@ -23,7 +23,7 @@ Divergence = Annotated[float, Field(ge=0.0, le=20.0)]
 class WindscreenOptions(BaseModel):
     """A laminated pane in front of the sensor, every beam through it both ways."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
     rake_deg: Annotated[float, Field(ge=0.0, lt=90.0)] = 60.0
     "Between a beam along the sensor's x axis and the pane's normal, which leans back."
@@ -35,7 +35,7 @@ class WindscreenOptions(BaseModel):
 class PhysicsOptions(BaseModel):
     """Choices of a run; None: as the model's spec has it."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
     rule: BundleRule | None = None
     sub_beams: Annotated[int, Field(ge=1, le=65536)] | None = None

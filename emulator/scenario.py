@@ -19,6 +19,7 @@ from ruamel.yaml import YAML
 from emulator import overrides as changes
 from emulator import scenario_checks, yaml_lines
 from emulator.errors import ScenarioError
+from emulator.physics_options import PhysicsOptions
 from emulator.weather import WeatherConfig
 from emulator.yaml_source import fault_lines
 
@@ -191,6 +192,8 @@ class SensorConfig(_Table):
     "What a real one keeps over power-off; the model's protocol family knows the keys."
     mode: Literal["operational", "seed"] = "operational"
     "seed: the deterministic model of the base paper, for its figures."
+    physics: PhysicsOptions = Field(default_factory=PhysicsOptions)
+    "How its beams are computed; what is left out is taken from the model."
     links: Annotated[tuple[str, ...], Field(max_length=64)] = ()
     "See `lidaremu list links`."
     from_: tuple[str, ...] = Field(default=(), alias="from")

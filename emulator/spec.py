@@ -32,7 +32,7 @@ checked; choice: ours; derived: follows from others; verified: seen on a real dr
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 class Fact(_Table, Generic[Value]):

@@ -70,7 +70,7 @@ def adaptive_rays(plan: ScanPlan, pose: Pose, t_s: Floats, caster: Caster, model
 
 
 def _rays(cells: adaptive.Cells, plan: ScanPlan, pose: Pose, t_s: Floats, model: SensorModel) -> Rays:
-    beam, share = cells.beam, cells.share
+    beam, share = cells.beam, cells.shares(model.beam.profile)
     u, v = cells.nodes(model.beam.profile)
     nodes = beams.Bundle(u[:, None], v[:, None], share[:, None])
     azimuth, elevation = plan.azimuth_rad[beam], plan.elevation_rad[beam]

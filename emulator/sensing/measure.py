@@ -16,7 +16,6 @@ from emulator.motion import Pose
 from emulator.physics.arrays import Floats
 from emulator.physics.materials import Material, SurfaceTable, material, material_from_mapping
 from emulator.physics.subechoes import SubEchoes
-from emulator.physics_options import PhysicsOptions
 from emulator.sensing.adapt import adaptive_rays
 from emulator.sensing.air import Air
 from emulator.sensing.daylight import daylight
@@ -116,8 +115,7 @@ def build(scenario: Scenario, scene: Scene, caster: Caster, sensor_id: str) -> M
     sensor_id : which of its sensors; one that sees beams
     """
     config = next(one for one in scenario.sensors if one.id == sensor_id)
-    options = getattr(config, "physics", None) or PhysicsOptions()
-    model = sensor_model(load_spec(config.model), options, config.mode)
+    model = sensor_model(load_spec(config.model), config.physics, config.mode)
     extra = {name: material_from_mapping(name, entry) for name, entry in scenario.materials.items()}
     surfaces = surface_table(scene.materials, extra, model), surface_table(scene.materials, extra, model, wet=True)
     return Measure(
