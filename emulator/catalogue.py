@@ -27,7 +27,12 @@ def materials() -> list[Row]:
     from emulator.physics.materials import builtin_materials
 
     return [
-        {"material": name, "rho_905": found.reflectance(905), "rho_1550": found.reflectance(1550), "source": found.source}
+        {
+            "material": name,
+            "rho_905": found.reflectance(905),
+            "rho_1550": found.reflectance(1550),
+            "source": found.source,
+        }
         for name, found in sorted(builtin_materials().items())
     ]
 

@@ -8,7 +8,7 @@ the casting of rays; whoever casts labels each cell by what it saw, and asks whi
         label = ...                      # object or facet seen by the node of each cell
         cells = split(cells, differing(cells, label))
 
-Cells are squares in the angular plane. Gaussian beams: out to `HALF_WIDTH`, the outermost extended to infinity. Top-hat:
+Cells are squares in the angular plane. Gaussian: out to `HALF_WIDTH`, the outermost extended to infinity. Top-hat:
 over the square about the circle, those outside have no share. Shares are exact and sum to 1 for every beam at every
 stage. A thin object between all nodes of the first cells is missed: start fine enough.
 """

@@ -93,6 +93,11 @@ def known_materials() -> tuple[str, ...]:
     return tuple(_table())
 
 
+def builtin_materials() -> Mapping[str, Material]:
+    """The materials that ship with the package, by name; read-only."""
+    return _table()
+
+
 def material(name: str, extra: Mapping[str, Material] = MappingProxyType({})) -> Material:
     """A material by name, the user's own first; an unknown name is refused with the nearest known one."""
     found = extra.get(name) or _table().get(name)
