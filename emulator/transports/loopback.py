@@ -1,8 +1,8 @@
 """A link in memory, for tests under a virtual clock: every byte with the nanosecond at which it left the line.
 
-`open_link("loop:front", loops=loops)` makes the device's end, `loops["front"].connect()` a host's. On a serial line every
-host hears everything, at any time; with a speed of its own (`baud`) it hears and sends garbage while the device has
-another one, and its bytes take their time on the line. On a stream hosts are connections with numbers.
+`open_link("loop:front", loops=loops)` makes the device's end, `loops["front"].connect()` a host's. On a serial line
+every host hears everything, at any time; with a speed of its own (`baud`) it hears and sends garbage while the device
+has another one, and its bytes take their time on the line. On a stream hosts are connections with numbers.
 """
 
 from __future__ import annotations

@@ -19,13 +19,13 @@ BYTE_NS_BAUD = 10_000_000_000
 "Ten bit times in nanoseconds, times the speed in baud."
 
 GROUP_NS = 2_000_000
-"""Bytes are handed over in groups of this duration. Measured on one core, sleeping by `select`: waking every 0.5 ms costs
-7.6 % of the core, every 1 ms 5.1 %, every 2 ms 3.2 %, every 4 ms 2.3 %. Drivers bear pauses of 6 ms and more between
-bytes (14 ms are the device's own limit), and a flush by the host loses at most this much."""
+"""Bytes are handed over in groups of this duration. Measured on one core, sleeping by `select`: waking every 0.5 ms
+costs 7.6 % of the core, every 1 ms 5.1 %, every 2 ms 3.2 %, every 4 ms 2.3 %. Drivers bear pauses of 6 ms and more
+between bytes (14 ms are the device's own limit), and a flush by the host loses at most this much."""
 
 QUEUE_LIMIT = 262_144
-"""Bytes that may wait for a line; one payload more is refused. Four minutes of 9 600 baud: a session that looks at its line
-never comes near, one that does not cannot fill the memory."""
+"""Bytes that may wait for a line; one payload more is refused. Four minutes of 9 600 baud: a session that looks at its
+line never comes near, one that does not cannot fill the memory."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ class PacedLine:
         return left
 
     def _run_of(self, head: _Waiting) -> tuple[int, int]:
-        """The run that the head of the queue belongs to, and the bytes before it: the present one, or after a pause its own."""
+        """The run that the head of the queue belongs to and the bytes before it: the present one, or a new one."""
         if head.begun:
             return self._run_ns, self._run_count
         if self._speed is None:

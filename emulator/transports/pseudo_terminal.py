@@ -1,16 +1,16 @@
 """A pseudo-terminal that behaves like a serial port with a device behind it. Linux only.
 
-The host opens PATH, a symbolic link to the slave; we hold the master alone. That keeps the terminal and its settings alive
-between hosts, and the kernel reports exactly (POLLHUP) whether anybody has the slave open:
+The host opens PATH, a symbolic link to the slave; we hold the master alone. That keeps the terminal and its settings
+alive between hosts, and the kernel reports exactly (POLLHUP) whether anybody has the slave open:
 
 - nobody: bytes that leave are lost, as on a real line; a host that comes later finds nothing stale;
 - a host that does not read: the kernel's buffer (about 20 kB) fills up, further bytes are lost, like a UART's overrun;
 - the host's speed is read from its terminal settings at each look; at another speed than the device's both ends get
   framing garbage (`uart`).
 
-Named limits: the kernel forces eight data bits and no parity on a pseudo-terminal, so those are not seen; modem lines and
-break do not exist; TCIOFLUSH by the host also takes what we have not read yet; a host that closes and another that opens
-within the same instant cannot be told apart from one that stays.
+Named limits: the kernel forces eight data bits and no parity on a pseudo-terminal, so those are not seen; modem lines
+and break do not exist; TCIOFLUSH by the host also takes what we have not read yet; a host that closes and another that
+opens within the same instant cannot be told apart from one that stays.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ TIOCGPTPEER = 0x5441
 "linux/asm-generic/ioctls.h: opens the slave of a master without its path."
 
 SPEED_RULES = ("strict", "custom_divisor", "ignore")
-"""strict: the host must have the device's speed. custom_divisor: a host at 38 400 also hears a device at 500 000, as drivers
-set it by TIOCSSERIAL and a divisor. ignore: any speed of the host will do."""
+"""strict: the host must have the device's speed. custom_divisor: a host at 38 400 also hears a device at 500 000, as
+drivers set it by TIOCSSERIAL and a divisor. ignore: any speed of the host will do."""
 
 CHUNK = 65_536
 READ_LIMIT = 1_048_576
@@ -176,7 +176,7 @@ class PseudoTerminal(Link):
             self._forget_unread()
 
     def _forget_unread(self) -> None:
-        """Empty what is on its way in the kernel, then what the terminal holds: only a slave descriptor reaches that."""
+        """Empty what is on its way in the kernel, then what the terminal holds; a slave descriptor reaches it."""
         with contextlib.suppress(OSError, termios.error):
             termios.tcflush(self._master, termios.TCOFLUSH)
             slave = fcntl.ioctl(self._master, TIOCGPTPEER, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)

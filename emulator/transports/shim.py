@@ -1,7 +1,7 @@
-"""The preload shim for drivers that reach 500 kBd by TIOCSSERIAL: built when asked for, put into a driver's environment.
+"""The preload shim for drivers that reach 500 kBd by TIOCSSERIAL: built when asked for, put into an environment.
 
-What it does, and its limits, stand at the head of `preload_shim.c`. Statically linked drivers are out of its reach; a pty
-with `?speed=custom_divisor` helps those that ignore the refused call.
+What it does, and its limits, stand at the head of `preload_shim.c`. Statically linked drivers are out of its reach; a
+pty with `?speed=custom_divisor` helps those that ignore the refused call.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def build_shim(environment: Mapping[str, str] | None = None) -> Path:
         if not library.exists():
             _compile(compiler, library)
     except OSError as error:
-        raise EmulatorError(f"cannot write {library}: {error.strerror}; set XDG_CACHE_HOME to a folder of yours") from None
+        raise EmulatorError(f"cannot write {library}: {error.strerror}; set XDG_CACHE_HOME") from None
     return library
 
 

@@ -1,8 +1,9 @@
 """A symbolic link under a name of the user's choice that belongs to one running process.
 
-Beside `front` lies `.front.lidaremu`, locked (flock) while its owner lives; the kernel lets go of the lock however the owner
-ends, so after `kill -9` the next start takes both over. Only what is plainly ours is replaced: a link into /dev/pts that leads
-nowhere, or one whose owner left its lock file behind. A file, a folder, a link of somebody else is never touched.
+Beside `front` lies `.front.lidaremu`, locked (flock) while its owner lives; the kernel lets go of the lock however the
+owner ends, so after `kill -9` the next start takes both over. Only what is plainly ours is replaced: a link into
+/dev/pts that leads nowhere, or one whose owner left its lock file behind. A file, a folder, a link of somebody else is
+never touched.
 """
 
 from __future__ import annotations

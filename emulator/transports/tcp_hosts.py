@@ -105,10 +105,11 @@ class Hosts:
 
     def next_ns(self) -> int | None:
         """When `poll` has something to do even if nothing happens."""
-        lingering = [host.half_closed_ns + LINGER_NS for host in self._hosts.values() if host.half_closed_ns is not None]
-        if self._pause_until_ns is not None:
-            lingering.append(self._pause_until_ns)
-        return min(lingering, default=None)
+        since = [host.half_closed_ns for host in self._hosts.values() if host.half_closed_ns is not None]
+        wakes = [] if self._pause_until_ns is None else [self._pause_until_ns]
+        if since:
+            wakes.append(min(since) + LINGER_NS)
+        return min(wakes, default=None)
 
     def send(self, host: Host, data: bytes, now_ns: int) -> None:
         """Send now what the kernel takes; the rest waits its turn. Errors are noticed by the next `poll`."""

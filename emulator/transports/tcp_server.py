@@ -4,10 +4,10 @@ TcpStream: connections are numbered and told to the session; each payload is one
 host or to all; nothing is paced. While a host reads too slowly, payloads for it are dropped whole and counted; what has
 been begun is always finished, so nothing is cut or interleaved.
 
-TcpLine: all connected hosts share the one line, as on a device server that allows several: each hears all that the device
-says, at the line's pace, and what they send arrives in the order in which it came, mixed where they talk at once. The
-device knows nothing of connections. Without a host, what leaves is lost; a host that connects in the middle of a telegram
-gets the rest of it.
+TcpLine: all connected hosts share the one line, as on a device server that allows several: each hears all that the
+device says, at the line's pace, and what they send arrives in the order in which it came, mixed where they talk at
+once. The device knows nothing of connections. Without a host, what leaves is lost; a host that connects in the middle
+of a telegram gets the rest of it.
 """
 
 from __future__ import annotations

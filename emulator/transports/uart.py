@@ -2,8 +2,8 @@
 
 Both ends send eight data bits, least significant first, between a start bit (low) and a stop bit (high); the line idles
 high. The receiver waits for a falling edge, looks again half a bit of its own later (a line that is high again was a
-glitch), then samples eight data bits and the stop bit in their middles. A low stop bit is a framing error; the next start
-is the next falling edge. Time is counted in exact integers, no rounding decides a bit.
+glitch), then samples eight data bits and the stop bit in their middles. A low stop bit is a framing error; the next
+start is the next falling edge. Time is counted in exact integers, no rounding decides a bit.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 FRAME_BITS = 10
 TOLERANCE = 0.02
-"Speeds closer than this are read without error: the last sample is 9.5 bits behind the edge, 0.5 / 9.5 = 5 % from going wrong."
+"Speeds closer than this are read without error: a sample 9.5 bits behind the edge goes wrong at 0.5 / 9.5 = 5 %."
 
 
 def same_speed(one: int, other: int) -> bool:

@@ -1,9 +1,9 @@
 """A sensor that sends datagrams, and may be sent some.
 
-Each payload is one datagram, sent when it is due; with `serial_line` when its last bit has left the paced line, as a device
-server in UDP mode packs it. Without `listen` nothing is received and the sending port is any. Multicast leaves by the
-interface given with `interface=` (an address of this machine), otherwise by the route the kernel has for it; it travels
-`ttl` networks far, 1 without it.
+Each payload is one datagram, sent when it is due; with `serial_line` when its last bit has left the paced line, as a
+device server in UDP mode packs it. Without `listen` nothing is received and the sending port is any. Multicast leaves
+by the interface given with `interface=` (an address of this machine), otherwise by the route the kernel has for it; it
+travels `ttl` networks far, 1 without it.
 """
 
 from __future__ import annotations

@@ -99,8 +99,8 @@ def test_732_bytes_at_500_kbd_take_14_64_ms_by_the_wall_clock(tmp_path: Path) ->
             host.write(telegram)
             assert host.read(732) == telegram
             took.append(time.perf_counter() - began)
-        assert min(took) >= 0.01464
-        assert min(took) < 0.050
+        # the server's step may have begun some microseconds before we wrote: to it that was the instant of our request
+        assert 0.0145 < min(took) < 0.050
 
 
 def test_the_stream_keeps_its_rate(tmp_path: Path) -> None:
@@ -112,7 +112,7 @@ def test_the_stream_keeps_its_rate(tmp_path: Path) -> None:
         data = b""
         for _ in range(40):
             while len(data) < 732:
-                select.select([host.fd], [], [], 5.0)
+                select.select([host.fileno()], [], [], 5.0)
                 data += host.read(host.in_waiting)
             data = data[732:]
             stamps.append(time.perf_counter())

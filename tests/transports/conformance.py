@@ -6,6 +6,7 @@ import os
 
 import pytest
 
+from emulator.transports.link import Received
 from protocols.session import LinkKind
 from tests.transports.rigs import RIGS, LoopStreamRig, Rig
 
@@ -64,7 +65,7 @@ class LinkConformance:
         second = rig.connect()
         first.write(b"1")
         second.write(b"2")
-        events = []
+        events: list[Received] = []
         while sum(len(event.data) for event in events) < 2:
             events += rig.wait_input()
         numbers = {event.peer for event in events}

@@ -54,7 +54,7 @@ def take(link: PseudoTerminal, now_ns: int = 0) -> bytes:
 def heard(end: serial.Serial, count: int) -> bytes:
     """`count` bytes, and whatever came with them: the kernel hands them over a moment after the write."""
     data = b""
-    while len(data) < count and select.select([end.fd], [], [], 1.0)[0]:
+    while len(data) < count and select.select([end.fileno()], [], [], 1.0)[0]:
         data += end.read(65_536)
     return data
 
@@ -112,9 +112,9 @@ def test_at_another_speed_both_get_what_a_uart_would(port: Path, device: int, ho
 
 def test_a_host_with_inpck_reads_framing_errors_as_zero(port: Path) -> None:
     with opened(f"pty:{port}", 9600) as link, host_at(port, 19_200) as end:
-        modes = termios.tcgetattr(end.fd)
+        modes = termios.tcgetattr(end.fileno())
         modes[0] |= termios.INPCK
-        termios.tcsetattr(end.fd, termios.TCSANOW, modes)
+        termios.tcsetattr(end.fileno(), termios.TCSANOW, modes)
         link.send(b"\x55", 0)
         link.flush(100 * MS)
         assert heard(end, 2) == b"\x00\xe6"
@@ -122,10 +122,10 @@ def test_a_host_with_inpck_reads_framing_errors_as_zero(port: Path) -> None:
 
 def test_a_host_that_hangs_up_hears_and_says_nothing(port: Path) -> None:
     with opened(f"pty:{port}", 9600) as link, host_at(port) as end:
-        modes = termios.tcgetattr(end.fd)
+        modes = termios.tcgetattr(end.fileno())
         modes[2] &= ~0o010017
         modes[4] = modes[5] = termios.B0
-        termios.tcsetattr(end.fd, termios.TCSANOW, modes)
+        termios.tcsetattr(end.fileno(), termios.TCSANOW, modes)
         end.write(TELEGRAM)
         assert take(link) == b""
         link.send(TELEGRAM, 0)
@@ -176,7 +176,7 @@ def test_what_a_host_did_not_read_goes_when_it_leaves(port: Path) -> None:
         with host_at(port, 500_000) as end:
             link.send(bytes(10_000), 0)  # more than the terminal itself holds: the rest waits on its way there
             link.flush(300 * MS)
-            select.select([end.fd], [], [], 1.0)
+            select.select([end.fileno()], [], [], 1.0)
             assert end.in_waiting > 0
         select.select(link.filenos(), [], [], 1.0)
         link.receive(301 * MS)
@@ -213,8 +213,8 @@ def test_a_host_that_flushes_loses_what_had_left_and_no_more(port: Path) -> None
     with opened(f"pty:{port}", 9600) as link, host_at(port) as end:
         link.send(b"ABCDEFGH", 0)
         link.flush(5 * MS)
-        select.select([end.fd], [], [], 1.0)
-        termios.tcflush(end.fd, termios.TCIOFLUSH)
+        select.select([end.fileno()], [], [], 1.0)
+        termios.tcflush(end.fileno(), termios.TCIOFLUSH)
         link.flush(100 * MS)
         assert heard(end, 4) == b"EFGH"
 
@@ -287,7 +287,7 @@ def test_a_flood_is_taken_in_bounded_pieces(port: Path) -> None:
         sent = got = 0
         for _ in range(300):
             with contextlib.suppress(BlockingIOError):
-                sent += os.write(end.fd, bytes(4096))
+                sent += os.write(end.fileno(), bytes(4096))
             data = b"".join(event.data for event in link.receive(0))
             assert len(data) <= pseudo_terminal.READ_LIMIT + pseudo_terminal.CHUNK
             got += len(data)
@@ -296,5 +296,5 @@ def test_a_flood_is_taken_in_bounded_pieces(port: Path) -> None:
 
 def test_the_struct_of_the_kernel_is_what_we_think_it_is(port: Path) -> None:
     with opened(f"pty:{port}"), host_at(port, 57_600) as end:
-        raw = ioctl(end.fd, 0x802C542A, bytes(44))
+        raw = ioctl(end.fileno(), 0x802C542A, bytes(44))
         assert struct.unpack_from("=2I", raw, 36) == (57_600, 57_600)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -23,8 +25,8 @@ def test_a_byte_on_the_line_is_start_eight_bits_lowest_first_stop() -> None:
 @pytest.mark.parametrize(
     ("sent", "slower", "faster", "expected"),
     [
-        # 55 in receiver bits is 00 11 00 11 00 11 00 11 00 11. Start, then 0 11 00 11 0: 66 lowest bit first, and the stop
-        # bit is low. The next edge is two bits on: start, then 0 11 00, the line idle from there: E6.
+        # 55 in receiver bits is 00 11 00 11 00 11 00 11 00 11. Start, then 0 11 00 11 0: 66 lowest bit first, and
+        # the stop bit is low. The next edge is two bits on: start, then 0 11 00, the line idle from there: E6.
         (b"\x55", 9600, 19_200, [(0x66, True), (0xE6, False)]),
         # FF is a start bit and nothing but high: two low receiver bits, the second one read as bit 0.
         (b"\xff", 9600, 19_200, [(0xFE, False)]),
@@ -43,8 +45,8 @@ def test_a_receiver_twice_as_fast_reads_each_bit_twice(
 
 
 def test_a_receiver_at_half_the_speed_reads_two_bytes_as_one() -> None:
-    # 00 00 at 19 200: nine low, one high, nine low, one high. At 9 600, in half bits from the edge: samples at 3, 5, 7 low,
-    # 9 high (the first stop bit), 11, 13, 15, 17 low, the stop sample at 19 high.
+    # 00 00 at 19 200: nine low, one high, nine low, one high. At 9 600, in half bits from the edge: samples at 3, 5, 7
+    # low, 9 high (the first stop bit), 11, 13, 15, 17 low, the stop sample at 19 high.
     assert text_of(resample(b"\x00\x00", 19_200, 9600)) == [(0x08, False)]
 
 
@@ -79,7 +81,7 @@ def test_garbage_does_not_depend_on_the_pieces_it_comes_in(
 ) -> None:
     whole = resample(data, sender, receiver)
     places = sorted({min(cut, len(data)) for cut in cuts} | {0, len(data)})
-    pieces = [data[start:end] for start, end in zip(places, places[1:], strict=False)] or [b""]
+    pieces = [data[start:end] for start, end in pairwise(places)] or [b""]
     machine = Receiver(sender, receiver)
     heard = [machine.feed(piece, idle_after=index == len(pieces) - 1) for index, piece in enumerate(pieces)]
     assert b"".join(part.values.tobytes() for part in heard) == whole.values.tobytes()

@@ -1,0 +1,207 @@
+"""The preload shim under a C program that does what the drivers do, on our pseudo-terminal."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from emulator.errors import EmulatorError
+from emulator.transports import open_link, shim
+from emulator.transports.pseudo_terminal import PseudoTerminal
+from emulator.transports.shim import build_shim, cache_folder, find_compiler, shim_environment
+
+HERE = Path(__file__).parent
+COMPILER = find_compiler(os.environ)
+
+needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler here (looked for cc, gcc, clang)")
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, str]]:
+    """The driver's program, and an environment with the shim, built in a cache of its own."""
+    folder = tmp_path_factory.mktemp("shim")
+    program = folder / "custom_speed"
+    source = HERE / "data" / "custom_speed.c"
+    flags = ["-O2", "-D_FORTIFY_SOURCE=2", "-Wall", "-Wextra", "-Werror"]
+    subprocess.run([str(COMPILER), *flags, "-o", program, source, "-lpthread"], check=True, timeout=60)
+    environment = shim_environment({**os.environ, "XDG_CACHE_HOME": str(folder / "cache")})
+    return program, environment
+
+
+class Driver:
+    """The driver's program on a link of ours."""
+
+    def __init__(self, program: Path, environment: dict[str, str], folder: Path) -> None:
+        link = open_link(f"pty:{folder / 'front'}")
+        assert isinstance(link, PseudoTerminal)
+        self.link = link
+        self.link.set_speed(9600)
+        self.process = subprocess.Popen(
+            [str(program), str(folder / "front")],
+            env=environment,
+            text=True,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
+
+    def do(self, command: str) -> str:
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.process.stdin.write(command + "\n")
+        self.process.stdin.flush()
+        return self.process.stdout.readline().strip()
+
+    def speed(self) -> int:
+        return self.link.host_modes().sends_baud
+
+    def close(self) -> str:
+        _, errors = self.process.communicate(timeout=10)
+        self.link.close()
+        return errors
+
+
+@pytest.fixture
+def driver(built: tuple[Path, dict[str, str]], tmp_path: Path) -> Iterator[Driver]:
+    driver = Driver(*built, tmp_path)
+    yield driver
+    driver.close()
+
+
+@needs_compiler
+@pytest.mark.parametrize("way", ["sicktoolbox 500000", "player 500000", "computed 500000", "ioctl 500000"])
+def test_every_known_way_to_500000_gets_there_and_back(driver: Driver, way: str) -> None:
+    assert driver.do("sicktoolbox 9600") == "ok"
+    assert driver.speed() == 9600
+    assert driver.do(way) == "ok"
+    assert driver.speed() == 500_000
+    assert driver.do("sicktoolbox 38400") == "ok"
+    assert driver.speed() == 38_400
+    assert driver.do(way) == "ok"
+    assert driver.speed() == 500_000
+    assert driver.do("sicktoolbox 9600") == "ok"
+    assert driver.speed() == 9600
+
+
+@needs_compiler
+def test_a_telegram_passes_at_500000_and_the_strict_rule_stays_on(driver: Driver) -> None:
+    driver.link.set_speed(500_000)
+    driver.do("sicktoolbox 38400")
+    driver.do("telegram")
+    (garbage,) = driver.link.receive(0)
+    assert set(garbage.data) == {0}  # to a receiver 13 times as fast every low bit is a break
+    driver.do("sicktoolbox 500000")
+    driver.do("telegram")
+    assert driver.link.receive(0)[0].data == bytes.fromhex("02000100311512")  # status request, sicktoolbox's bytes
+
+
+@needs_compiler
+def test_what_the_driver_reads_back_is_what_it_set(driver: Driver) -> None:
+    driver.do("sicktoolbox 500000")
+    assert driver.do("read back") == "speed B38400 flags 0x30 divisor 48 base 24000000 ok"
+    driver.do("sicktoolbox 38400")
+    assert driver.do("read back") == "speed B38400 flags 0 divisor 0 base 24000000 ok"
+
+
+@needs_compiler
+def test_a_cleared_flag_turns_the_speed_back_by_itself(driver: Driver) -> None:
+    driver.do("sicktoolbox 500000")
+    assert driver.do("clear") == "ok"
+    assert driver.speed() == 38_400
+
+
+@needs_compiler
+def test_other_speeds_pass_untouched_while_the_flag_is_set(driver: Driver) -> None:
+    driver.do("sicktoolbox 500000")
+    assert driver.do("ioctl 9600") == "ok"
+    assert driver.speed() == 9600
+    assert driver.do("native 500000") == "ok"
+    assert driver.speed() == 500_000
+
+
+@needs_compiler
+def test_the_other_special_speeds_of_setserial_work_too(driver: Driver) -> None:
+    assert driver.do("vhi") == "ok"
+    assert driver.speed() == 115_200
+
+
+@needs_compiler
+def test_threads_do_not_trip_over_each_other(driver: Driver) -> None:
+    assert driver.do("threads") == "ok"
+    assert driver.speed() == 500_000
+
+
+@needs_compiler
+def test_what_is_no_pseudo_terminal_is_left_to_the_kernel(driver: Driver) -> None:
+    assert driver.do("plain file") == "ok"
+
+
+@needs_compiler
+def test_it_says_loudly_that_it_is_there(built: tuple[Path, dict[str, str]], tmp_path: Path) -> None:
+    errors = Driver(*built, tmp_path).close()
+    assert errors.startswith("lidaremu shim: ACTIVE in process ")
+    assert "custom_speed" in errors
+    assert errors.count("\n") == 1
+
+
+@needs_compiler
+def test_without_the_shim_the_same_driver_fails(built: tuple[Path, dict[str, str]], tmp_path: Path) -> None:
+    driver = Driver(built[0], dict(os.environ), tmp_path)
+    assert driver.do("sicktoolbox 500000") == "failed Inappropriate ioctl for device"
+    assert driver.do("native 500000") == "ok"
+    assert driver.speed() == 500_000
+    assert driver.close() == ""
+
+
+@needs_compiler
+def test_it_is_built_once_and_stands_before_what_is_preloaded_already(tmp_path: Path) -> None:
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "LD_PRELOAD": "/lib/other.so"}
+    library = build_shim(environment)
+    first = library.stat().st_mtime_ns
+    assert build_shim(environment).stat().st_mtime_ns == first
+    assert shim_environment(environment)["LD_PRELOAD"] == f"{library}:/lib/other.so"
+    assert os.listdir(tmp_path / "lidaremu") == [library.name]
+
+
+@needs_compiler
+def test_the_source_compiles_without_a_warning(tmp_path: Path) -> None:
+    command = [str(COMPILER), *shim.FLAGS, "-Werror", "-Wshadow", "-Wconversion", "-D_FORTIFY_SOURCE=3"]
+    done = subprocess.run([*command, "-o", tmp_path / "s.so", shim.SOURCE], capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+
+
+def test_without_a_compiler_it_says_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(EmulatorError, match=r"none found \(looked for cc, gcc, clang\): install gcc or set CC"):
+        build_shim({"PATH": str(tmp_path)})
+    with pytest.raises(EmulatorError, match="looked for no-such-compiler"):
+        build_shim({"PATH": os.environ["PATH"], "CC": "no-such-compiler"})
+
+
+def test_a_compiler_that_fails_is_quoted(tmp_path: Path) -> None:
+    compiler = tmp_path / "cc"
+    compiler.write_text("#!/bin/sh\necho 'no headers here' >&2\nexit 1\n")
+    compiler.chmod(0o755)
+    environment = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    with pytest.raises(EmulatorError, match=r"does not compile with .*: no headers here"):
+        build_shim(environment)
+    assert os.listdir(tmp_path / "cache" / "lidaremu") == []
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no cc on this machine")
+def test_a_cache_that_cannot_be_preloaded_from_or_written_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(EmulatorError, match="no path with spaces or colons"):
+        build_shim({"PATH": os.environ["PATH"], "XDG_CACHE_HOME": str(tmp_path / "with space")})
+    (tmp_path / "file").write_text("")
+    with pytest.raises(EmulatorError, match=r"cannot write .*set XDG_CACHE_HOME"):
+        build_shim({"PATH": os.environ["PATH"], "XDG_CACHE_HOME": str(tmp_path / "file")})
+
+
+def test_the_cache_is_the_user_s_own() -> None:
+    assert cache_folder({}) == Path.home() / ".cache" / "lidaremu"
+    assert cache_folder({"XDG_CACHE_HOME": "relative"}) == Path.home() / ".cache" / "lidaremu"
+    assert cache_folder({"XDG_CACHE_HOME": "/var/cache/me"}) == Path("/var/cache/me/lidaremu")
