@@ -6,6 +6,7 @@ Belongs here: the order of the steps. Each step is in its own module.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -17,12 +18,12 @@ from emulator.physics.arrays import Floats
 from emulator.physics.materials import Material, SurfaceTable, material, material_from_mapping
 from emulator.physics.subechoes import SubEchoes
 from emulator.sensing.adapt import adaptive_rays
-from emulator.sensing.air import Air
+from emulator.sensing.air import Air, AirNow
 from emulator.sensing.daylight import daylight
 from emulator.sensing.model import SensorModel, sensor_model
 from emulator.sensing.particles import seen_particles
-from emulator.sensing.paths import Caster, returned, trace
-from emulator.sensing.rays import BundleCache, cast_rays
+from emulator.sensing.paths import Caster, Seen, returned, trace
+from emulator.sensing.rays import BundleCache, Rays, cast_rays
 from emulator.sensing.receiver import Receiver
 from emulator.sensing.soft import SoftTargets
 from emulator.spec import load_spec
@@ -31,6 +32,19 @@ from protocols.scan import Scan, ScanPlan
 if TYPE_CHECKING:
     from emulator.scenario import Mount, Scenario
     from emulator.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One sweep before the receiver: for the receiver, and for studies of accuracy."""
+
+    rays: Rays
+    seen: Seen
+    "Surfaces alone."
+    echoes: SubEchoes
+    "Surfaces, particles and uneven media."
+    air: AirNow
+    surfaces: SurfaceTable
 
 
 class Measure:
@@ -67,6 +81,12 @@ class Measure:
         """Measure one sweep."""
         if len(plan) == 0:
             return Scan.empty(plan)
+        view = self.view(plan)
+        light = daylight(view.air.sun, view.rays, view.seen, view.surfaces, self._caster, self.model)
+        return self._receiver.receive(plan, view.echoes, self._soft.everywhere(view.air, plan.gain), light)
+
+    def view(self, plan: ScanPlan) -> View:
+        """Everything that comes back in a sweep of at least one beam, before the receiver."""
         t_s = 1e-9 * plan.start_ns + plan.fire_offset_s
         pose = self._pose(t_s)
         air, gain = self.air.at(float(t_s[0])), plan.gain
@@ -92,9 +112,7 @@ class Measure:
         if self._soft.uneven(air):
             drawn = self._soft.points(air, rays, seen.echoes, t_s, gain)
             parts += [] if drawn is None else [drawn]
-        echoes = SubEchoes.joined(*parts) if len(parts) > 1 else seen.echoes
-        light = daylight(air.sun, rays, seen, surfaces, self._caster, self.model)
-        return self._receiver.receive(plan, echoes, self._soft.everywhere(air, gain), light)
+        return View(rays, seen, SubEchoes.joined(*parts) if len(parts) > 1 else seen.echoes, air, surfaces)
 
     def _pose(self, t_s: Floats) -> Pose:
         still = self._still_pose
