@@ -176,9 +176,8 @@ class PseudoTerminal(Link):
             self._forget_unread()
 
     def _forget_unread(self) -> None:
-        """Empty what is on its way in the kernel, then what the terminal holds; a slave descriptor reaches it."""
+        """Empty what the terminal holds and what is on its way there; only a slave descriptor reaches both."""
         with contextlib.suppress(OSError, termios.error):
-            termios.tcflush(self._master, termios.TCOFLUSH)
             slave = fcntl.ioctl(self._master, TIOCGPTPEER, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
             try:
                 termios.tcflush(slave, termios.TCIFLUSH)

@@ -115,12 +115,9 @@ class Hosts:
         """Send now what the kernel takes; the rest waits its turn. Errors are noticed by the next `poll`."""
         if host.broken:
             return
-        if host.half_closed_ns is not None:
-            host.half_closed_ns = now_ns
         host.waiting.append(memoryview(data))
         host.backlog += len(data)
-        if len(host.waiting) == 1:
-            self._send_waiting(host, now_ns)
+        self._send_waiting(host, now_ns)
 
     def close(self) -> None:
         """Close all connections and the listening socket; may be called twice."""

@@ -13,7 +13,7 @@ import pytest
 
 from emulator.errors import LinkError
 from emulator.transports import open_link, tcp_hosts
-from emulator.transports.link import Link, Received
+from emulator.transports.link import LATENESS_KEPT, Link, Received
 from emulator.transports.tcp_hosts import BACKLOG_LIMIT, LINGER_NS, MAX_HOSTS, NO_DESCRIPTOR_PAUSE_NS
 
 MS = 1_000_000
@@ -86,6 +86,8 @@ def test_nagle_is_off_and_a_telegram_is_one_segment() -> None:
             link.send(bytes([number]) * 700, 0)
             link.flush(0)
             assert host.recv(65_536) == bytes([number]) * 700
+        (ours,) = link._hosts.present()  # type: ignore[attr-defined]
+        assert ours.connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
 
 
 def test_a_host_that_closed_its_sending_half_still_gets_its_reply() -> None:
@@ -270,6 +272,26 @@ def test_a_flood_is_taken_in_bounded_pieces_and_the_other_host_is_heard() -> Non
             assert sum(len(event.data) for event in events) <= tcp_hosts.READ_LIMIT + tcp_hosts.READ_SIZE
             heard = heard or any(event.peer == 2 and event.data for event in events)
         assert heard
+
+
+def test_many_floods_at_once_are_taken_in_bounded_pieces_and_lose_nothing() -> None:
+    with opened() as link, contextlib.ExitStack() as stack:
+        hosts = [stack.enter_context(host_of(link)) for _ in range(30)]
+        for host in hosts:
+            host.sendall(bytes(60_000))
+        got, most = 0, 0
+        while got < 30 * 60_000:
+            size = sum(len(event.data) for event in events_of(link))
+            got, most = got + size, max(most, size)
+        assert tcp_hosts.READ_LIMIT // 2 < most <= tcp_hosts.READ_LIMIT + tcp_hosts.READ_SIZE
+
+
+def test_lateness_nobody_asks_for_is_kept_to_a_bound() -> None:
+    with opened() as link:
+        for number in range(LATENESS_KEPT + 10):
+            link.send(b"x", number)
+            link.flush(number)
+        assert len(link.stats.lateness_ns) == LATENESS_KEPT
 
 
 def test_on_a_line_all_hosts_hear_the_same_at_its_pace() -> None:
