@@ -45,6 +45,7 @@ class Slot:
     comb: Comb
     part: int | None
     form: Format
+    gain: float
     first_turn: int
     send_ns: int
     size: int
@@ -103,15 +104,23 @@ class Schedule:
 
     def restart(self, mirror: Mirror) -> None:
         """The mirror begins to turn anew; nothing is wanted."""
-        self.withdraw()
+        self._slots.clear()
+        self._forget_plan()
         self._mirror = mirror
         self._stream = None
 
     def withdraw(self) -> int:
-        """Forget every slot; how many had been measured in whole or in part."""
-        wasted = sum(slot.measured > 0 for slot in self._slots)
-        self._slots.clear()
+        """Forget every slot that the line is not promised to; how many had been measured in whole or in part.
+
+        A scan that was asked for before stays: its telegram comes before the ACK of whatever withdraws the others.
+        """
+        kept = [slot for slot in self._slots if slot.reserved]
+        wasted = sum(slot.measured > 0 for slot in self._slots if not slot.reserved)
+        plan = None if all(slot.result is not None for slot in kept) else self._plan
         self._forget_plan()
+        self._plan = plan
+        self._slots = deque(kept)
+        self._stream = None
         return wasted
 
     def stream(self, device: Device, from_ns: int) -> int:
@@ -144,7 +153,7 @@ class Schedule:
         scan = max(scan, output.scans)
         send_ns = self._mirror.turn_ns(scan * made.turns)
         first = (scan - output.scans) * made.turns
-        self._slots.append(Slot(output, made, None, device.format, first, send_ns, size, True, single))
+        self._slots.append(Slot(output, made, None, device.format, device.gain, first, send_ns, size, True, single))
         if single:
             self._line.promise(send_ns, size)
 
@@ -247,7 +256,7 @@ class Schedule:
         )
         first_turn = (end - output.scans) * made.turns
         send_ns = self._mirror.turn_ns(end * made.turns)
-        return Slot(output, made, part, device.format, first_turn, send_ns, size, False, False)
+        return Slot(output, made, part, device.format, device.gain, first_turn, send_ns, size, False, False)
 
     def _note_stream_end(self) -> None:
         self._stream_turn = max((slot.end_turn for slot in self._slots if not slot.once), default=self._stream_turn)
@@ -265,7 +274,6 @@ class Schedule:
         self._stream_turn = self._sent_turn
 
     def _make_plan(self, slot: Slot) -> ScanPlan:
-        assert self._device is not None
         return ScanPlan(
             epoch=self._epoch,
             sweep=slot.next_turn,
@@ -275,7 +283,7 @@ class Schedule:
             fire_offset_s=slot.comb.fire_offset_s,
             duration_s=slot.comb.turns * TURN_NUMERATOR_NS / TURN_DENOMINATOR / 1e9,
             max_range_m=slot.form.farthest_m,
-            gain=self._device.gain,
+            gain=slot.gain,
             wants_intensity=slot.form.wants_intensity(slot.output),
         )
 

@@ -1,7 +1,7 @@
 """The conversation of one LMS2xx: requests in, ACK and replies out, streams between them; power, boot and reset.
 
 Order on the line: a telegram that has begun is finished; then the ACK, then the reply, nothing of a stream between
-them; then the stream goes on in its next slot. Requests are answered one after the other in the order in which they came.
+them; then the stream goes on in its next slot. Requests are answered one after the other, as they came.
 """
 
 from __future__ import annotations
@@ -48,6 +48,10 @@ class Phase(Enum):
     READY = "ready"
     RESETTING = "resetting"
     "The reply to a reset is on its way."
+
+
+UP = (Phase.READY, Phase.RESETTING)
+"Phases in which what was promised is still measured and sent."
 
 
 class Lms2xxSession(Session):
@@ -168,7 +172,7 @@ class Lms2xxSession(Session):
         for receiver in list(self._receivers.values()):
             for found in receiver.expire(self._now_ns, self._settings.address):
                 self._take(found)
-        if self._phase is Phase.READY:
+        if self._phase in UP:
             while slot := self._schedule.take_due(self._now_ns):
                 self._send_values(slot)
 
@@ -275,7 +279,7 @@ class Lms2xxSession(Session):
         times = [receiver.deadline() for receiver in self._receivers.values()]
         if self._phase in (Phase.BOOTING, Phase.RESETTING):
             times.append(self._phase_end_ns)
-        if self._phase is Phase.READY:
+        if self._phase in UP:
             times.append(self._schedule.deadline(self._now_ns))
         if self._replies:
             times.append(self._replies[0].due_ns)
@@ -283,7 +287,7 @@ class Lms2xxSession(Session):
 
     def next_plan(self) -> ScanPlan | None:
         """The scan wanted next, known some scan times before it begins."""
-        return self._schedule.next_plan(self._now_ns) if self._phase is Phase.READY else None
+        return self._schedule.next_plan(self._now_ns) if self._phase in UP else None
 
     def submit(self, scan: Scan) -> None:
         """Take the scan of `next_plan`; `ScanRefused` when it is not wanted any more."""

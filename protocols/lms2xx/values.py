@@ -21,6 +21,8 @@ We send DAZZLE, and TOO_FAR for a beam without an echo or beyond the format."""
 
 COUNTS_PER_METRE = {0: 100, 1: 1000, 2: 10}
 "By configuration byte E: cm, mm, dm."
+BEYOND_M = 1e5
+"Farther than any format holds."
 
 
 @dataclass(frozen=True)
@@ -102,9 +104,10 @@ def value_words(
     """
     if mode.only_reflectivity:
         return reflectivity_words(rho, flags)
-    counts = np.floor(range_m * COUNTS_PER_METRE[unit] + 0.5)
+    within_m = np.minimum(np.maximum(range_m, 0.0), BEYOND_M)
+    counts = np.floor(within_m * COUNTS_PER_METRE[unit] + 0.5)
     far = mode.mask - TOO_FAR
-    words = np.where(counts <= mode.largest, np.maximum(counts, 0.0), far).astype(np.uint16)  # NaN compares false
+    words = np.where(counts <= mode.largest, counts, far).astype(np.uint16)  # NaN compares false
     if mode.reflectivity_bits and rho is not None:
         level = np.searchsorted(REFLECTOR_THRESHOLDS[mode.reflectivity_bits], rho, side="right").astype(np.uint16)
         level[words >= far] = 0  # NaN sorts above every threshold

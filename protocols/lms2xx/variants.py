@@ -70,16 +70,15 @@ def comb(variant: Variant, part: int | None) -> Comb:
     """
     if part is None:
         index = np.arange(variant.points)
-        first_deg = 90.0 - variant.field_deg / 2
-        angle_deg = first_deg + index * variant.step_cdeg / 100.0
+        angle_deg = 90.0 - variant.field_deg / 2 + index * variant.step_cdeg / 100.0
         turn, turns = index % variant.turns, variant.turns
     else:
         index = np.arange(partial_points(part))
-        angle_deg = part * 0.25 + index
+        angle_deg = (part * 0.25 + index).astype(np.float64)
         turn, turns = np.zeros_like(index), 1
-    azimuth_rad: Floats = np.radians(angle_deg - 90.0).astype(np.float64)
-    elevation_rad: Floats = np.zeros(len(index))
-    fire_offset_s: Floats = (turn + angle_deg / TURN_DEG) * TURN_S
+    azimuth_rad = np.radians(angle_deg - 90.0).astype(np.float64)
+    elevation_rad = np.zeros(len(index))
+    fire_offset_s = ((turn + angle_deg / TURN_DEG) * TURN_S).astype(np.float64)
     for array in (azimuth_rad, elevation_rad, fire_offset_s):
         array.setflags(write=False)
     return Comb(azimuth_rad, elevation_rad, fire_offset_s, turns)
