@@ -168,7 +168,7 @@ class Instrument:
             peer = None if address is None else address.peer
             link.send(emission.payload, emission.due_ns, peer, emission.line_speed)
         if emission.sweep is None:
-            self.stats.replies_sent += 1
+            self.stats.replies_sent += bool(emission.payload)  # an empty one only sets the line's speed
             return
         self.stats.scans_sent += 1
         if self.stats.first_scan_due_ns is None:
