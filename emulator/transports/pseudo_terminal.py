@@ -90,8 +90,11 @@ class PseudoTerminal(Link):
         finally:
             os.close(slave)
         self._poll = select.poll()
-        self._poll.register(self._master, 0)
+        self._poll.register(self._master, select.POLLIN)
+        if self._watch is not None:
+            self._poll.register(self._watch.fileno(), select.POLLIN)
         self._open = False
+        self._input_waits = False
         atexit.register(self.close)
 
     @property
@@ -118,7 +121,7 @@ class PseudoTerminal(Link):
         if self._master < 0:
             return []
         self.flush(now_ns)
-        data = self._read()
+        data = self._read() if self._input_waits else b""
         if not data:
             return []
         self.stats.bytes_in += len(data)
@@ -169,9 +172,13 @@ class PseudoTerminal(Link):
 
     def _look(self) -> None:
         """See whether a host is there. What the last one left unread goes with it, as a port's buffer does."""
-        if self._watch is not None:
+        events = dict(self._poll.poll(0))
+        if self._watch is not None and self._watch.fileno() in events:
             self._watch.drain()
-        was_open, self._open = self._open, not self._hung_up()
+            events = dict(self._poll.poll(0))  # an open that was drained just now must not be missed
+        state = events.get(self._master, 0)
+        was_open, self._open = self._open, not state & select.POLLHUP
+        self._input_waits = bool(state & select.POLLIN)
         if was_open and not self._open:
             self._forget_unread()
 
@@ -183,9 +190,6 @@ class PseudoTerminal(Link):
                 termios.tcflush(slave, termios.TCIFLUSH)
             finally:
                 os.close(slave)
-
-    def _hung_up(self) -> bool:
-        return any(events & select.POLLHUP for _, events in self._poll.poll(0))
 
     def _as_heard(self, left: list[Left]) -> list[bytes]:
         """The bytes as the host's UART takes them from the line."""
