@@ -1,7 +1,7 @@
 """LeddarTech Vu8 / M16: distances by segment, asked for or streamed, on identifiers 0x740 to 0x752 and up.
 
 Belongs here: the whole format. Bits from `leddar_vu8.dbc`, requests from LeddarTech's user documentation.
-Detections are made of the objects seen: one for every segment whose middle line meets an object's box.
+Detections are made of the objects seen: one for every segment that an object's box reaches into.
 """
 
 from __future__ import annotations
@@ -34,6 +34,8 @@ MULTI_ID = 1
 MAX_DETECTIONS = 96
 AMPLITUDE_AT_10_M = 20.0
 "Counts that a white surface gives at 10 m; ours: it follows reflectance over distance squared."
+LINES_PER_SEGMENT = 8
+"Directions in which each segment is looked along."
 REFUSAL = b"\xff" * 6
 
 
@@ -129,12 +131,13 @@ class LeddarVu8Session(CanObjectSession):
         ]
 
     def _segments(self, table: ObjectTable) -> tuple[Floats, Floats]:
-        """Distance and reflectance of the nearest box on the middle line of each segment, NaN where there is none.
+        """Distance and reflectance of the nearest box in each segment, NaN where there is none.
 
         Segment 0 is the leftmost one.
         """
         count, view = self._settings.segments, self._settings.view_rad
-        azimuth = view * (0.5 - (np.arange(count) + 0.5) / count)
+        lines = count * LINES_PER_SEGMENT
+        azimuth = view * (0.5 - (np.arange(lines) + 0.5) / lines)
         cosine, sine = np.cos(table.yaw_rad), np.sin(table.yaw_rad)
         # the sensor and the lines in each box's own frame
         origin = np.stack([-(table.x_m * cosine + table.y_m * sine), table.x_m * sine - table.y_m * cosine], axis=-1)
@@ -150,8 +153,9 @@ class LeddarVu8Session(CanObjectSession):
         distance = np.where(hit, entry, np.inf)
         if not len(table):
             return np.full(count, np.nan), np.zeros(count)
-        nearest = distance.argmin(axis=0)
-        best = distance[nearest, np.arange(count)]
+        by_segment = distance.reshape(len(table), count, LINES_PER_SEGMENT).min(axis=2)
+        nearest = by_segment.argmin(axis=0)
+        best = by_segment[nearest, np.arange(count)]
         return np.where(np.isfinite(best), best, np.nan), table.reflectance[nearest]
 
     def _request(self, data: bytes, now_ns: int, link: int) -> None:
