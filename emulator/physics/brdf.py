@@ -32,7 +32,7 @@ def oren_nayar_back(rho: Values, sigma_rad: Values, incidence_rad: Values) -> Fl
 
 def oren_nayar_cos(rho: Values, sigma_rad: Values, cosine: Values) -> Floats:
     """The same from the cosine: rho (A cos + B sin^2), which has no pole at grazing incidence."""
-    s2, c = floats(sigma_rad) ** 2, floats(cosine)
+    s2, c = floats(sigma_rad) ** 2, _clean(cosine)
     a = 1.0 - s2 / (2.0 * (s2 + 0.33))
     b = 0.45 * s2 / (s2 + 0.09)
     return rho * (a * c + b * (1.0 - c * c))
@@ -45,7 +45,7 @@ def phong_back(rho_d: Values, rho_s: Values, exponent: Values, incidence_rad: Va
 
 def phong_cos(rho_d: Values, rho_s: Values, exponent: Values, cosine: Values) -> Floats:
     """The same from the cosine."""
-    c, n = floats(cosine), floats(exponent)
+    c, n = _clean(cosine), floats(exponent)
     mirror = 2.0 * c * c - 1.0
     # the logarithm keeps high powers of small cosines from underflowing
     lobe = np.where(mirror > 0.0, exp_or_zero(n * np.log(np.maximum(mirror, 1e-300))), 0.0)
@@ -60,7 +60,7 @@ def ggx_back(f0: Values, alpha_g: Values, incidence_rad: Values) -> Floats:
 
 def ggx_cos(f0: Values, alpha_g: Values, cosine: Values) -> Floats:
     """The same from the cosine."""
-    c2 = floats(cosine) ** 2
+    c2 = _clean(cosine) ** 2
     return _ggx(f0, alpha_g, c2, np.maximum(1.0 - c2, 0.0))
 
 
@@ -68,6 +68,12 @@ def _ggx(f0: Values, alpha_g: Values, c2: Floats, s2: Floats) -> Floats:
     a2 = floats(alpha_g) ** 2
     spread = s2 + a2 * c2  # = c^2 (a^2 - 1) + 1 without the cancellation
     return f0 * a2 / (4.0 * spread * spread * np.sqrt(c2 + a2 * s2))
+
+
+def _clean(cosine: Values) -> Floats:
+    """The cosine, 0 where its square would underflow: that is grazing incidence."""
+    c = floats(cosine)
+    return np.where(np.abs(c) < 1e-75, 0.0, c)
 
 
 # ------------------------------------------------------------------------------- paint, water, sheeting
@@ -107,7 +113,7 @@ def fresnel(index: Values, incidence_rad: Values) -> tuple[Floats, Floats]:
 
 def fresnel_cos(index: Values, cosine: Values) -> tuple[Floats, Floats]:
     """The same from the cosine; 1 at grazing incidence."""
-    n, c = floats(index), floats(cosine)
+    n, c = floats(index), _clean(cosine)
     inside = np.sqrt(1.0 - (1.0 - c * c) / (n * n))
     # an index of 1 has no surface; at grazing incidence the quotient would be 0/0
     s_sum, p_sum = c + n * inside, n * c + inside

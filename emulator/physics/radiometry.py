@@ -19,6 +19,8 @@ _NODES_16, _WEIGHTS_16 = np.polynomial.legendre.leggauss(16)
 _NODES_64, _WEIGHTS_64 = np.polynomial.legendre.leggauss(64)
 _WIDE = 1e8
 "A target this many beam radii wide takes the whole beam; also what a beam of no width sees."
+_NARROW = 1e-140
+"A target this many beam radii wide takes nothing; its square would underflow."
 _LOG_LOST_BESIDE_ONE = -40.0
 "exp(-40) is lost beside 1 in float64."
 
@@ -114,7 +116,7 @@ def _radii(a_m: Values, w_m: Values) -> Floats:
     a, w = np.broadcast_arrays(floats(a_m), floats(w_m))
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         ratio = np.where(w > 0.0, a / np.where(w > 0.0, w, 1.0), np.where(a == 0.0, 0.0, np.sign(a) * _WIDE))
-    return np.clip(ratio, -_WIDE, _WIDE)
+    return np.where(np.abs(ratio) < _NARROW, 0.0, np.clip(ratio, -_WIDE, _WIDE))
 
 
 def fill_edge(x0_m: Values, w_m: Values) -> Floats:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import special
 
-from emulator.physics.arrays import Complexes, Floats, Values, exp_or_zero, floats, require_positive
+from emulator.physics.arrays import LOG_NOTHING, Complexes, Floats, Values, exp_or_zero, floats, require_positive
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 
 C = SPEED_OF_LIGHT_M_S
@@ -77,7 +77,7 @@ def _moments(
 def _primitive(z: Complexes, a: Floats, b: Floats, r1: Floats | None, r2: Floats | None) -> Complexes:
     """int_a^b exp(-z r)/r^2 dr, on the ramp times (r - r1)/(r2 - r1)."""
     ea, eb = _decay(z * a), _decay(z * b)
-    e1a, e1b = special.exp1(z * a), special.exp1(z * b)
+    e1a, e1b = _exponential_integral(z * a), _exponential_integral(z * b)
     two = (ea / a - z * e1a) - (eb / b - z * e1b)
     if r1 is None or r2 is None:
         return np.asarray(two, np.complex128)
@@ -116,6 +116,12 @@ def fog_shape_nodes(
         f = np.sin(phase) ** 2 * overlap / r * exp_or_zero(-2.0 * a[..., None] * (r - p[..., None]))
         total = total + np.where(on, half * (f @ weight) * exp_or_zero(-2.0 * a * p), 0.0)
     return floats(total / tau)
+
+
+def _exponential_integral(z: Complexes) -> Complexes:
+    """E1, exactly 0 where it would be below 1e-250."""
+    seen = z.real < -LOG_NOTHING
+    return np.asarray(np.where(seen, special.exp1(np.where(seen, z, 1.0)), 0.0), np.complex128)
 
 
 # ------------------------------------------------------------------------------- maximum and bound

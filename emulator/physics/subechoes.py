@@ -168,20 +168,27 @@ def cluster(echoes: SubEchoes, support_m: float, resolution_m: float) -> Cluster
     )
 
 
-def unfold_spread(echoes: SubEchoes, wide: Bools, nodes: int = 12) -> SubEchoes:
-    """Replace the chosen sub-echoes, whole tilted planes, by Gauss-Hermite nodes over their spread of ranges."""
+def unfold_spread(echoes: SubEchoes, wide: Bools, nodes: int = 20) -> SubEchoes:
+    """Replace the chosen sub-echoes, whole tilted planes, by Gauss-Hermite nodes over their spread of ranges.
+
+    Across a plane range goes with 1/(1 - T u) and energy with (1 - T u)^3, T u normal with deviation spread/range: the
+    echo is skew. Energy and mean range of the sub-echo are kept exactly.
+    """
     if echoes.spread_m is None or not bool(np.any(wide)):
         return SubEchoes(echoes.beam, echoes.range_m, echoes.amplitude, echoes.blocked, echoes.source)
-    x, weight = np.polynomial.hermite.hermgauss(nodes)
-    weight = weight / weight.sum()
+    z, weight = np.polynomial.hermite.hermgauss(nodes)
     kept = ~wide
-    spot = np.sqrt(2.0) * x
-    r = (echoes.range_m[wide][:, None] + echoes.spread_m[wide][:, None] * spot).ravel()
+    mean = echoes.range_m[wide][:, None]
+    slope = np.clip(1.0 - np.sqrt(2.0) * z * echoes.spread_m[wide][:, None] / np.maximum(mean, 1e-9), 0.2, 1.8)
+    share = weight * slope**3
+    share = share / share.sum(axis=1, keepdims=True)
+    r = 1.0 / slope
+    r = mean * (r - np.sum(share * r, axis=1, keepdims=True) + 1.0)
     times = np.full(int(np.count_nonzero(wide)), nodes)
     return SubEchoes.of(
         np.concatenate([echoes.beam[kept], np.repeat(echoes.beam[wide], times)]),
-        np.concatenate([echoes.range_m[kept], np.maximum(r, 0.0)]),
-        np.concatenate([echoes.amplitude[kept], (echoes.amplitude[wide][:, None] * weight).ravel()]),
-        np.concatenate([echoes.blocked[kept], (echoes.blocked[wide][:, None] * weight).ravel()]),
+        np.concatenate([echoes.range_m[kept], np.maximum(r, 0.0).ravel()]),
+        np.concatenate([echoes.amplitude[kept], (echoes.amplitude[wide][:, None] * share).ravel()]),
+        np.concatenate([echoes.blocked[kept], (echoes.blocked[wide][:, None] * share).ravel()]),
         np.concatenate([echoes.source[kept], np.repeat(echoes.source[wide], times)]),
     )

@@ -6,18 +6,23 @@ clusters, which have closed forms, and noise.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from emulator.physics.arrays import Floats, Ints, ramp
+from emulator.physics.arrays import Bools, Floats, Ints, ramp
 from emulator.physics.candidates import Candidates
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.detector import Detector
 from emulator.physics.subechoes import NO_SOURCE
 from emulator.physics.waveform import Waveform
 
+_EXACT_M = 1e-7
+"Crossings between the samples are found to this."
+
 
 def edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -> Floats:
-    """First crossing of each echo's level between its begin and its maximum, exact to 1e-6 of a bin.
+    """First crossing of each echo's level between its begin and its maximum, exact between the samples.
 
     An echo that rises from a valley above its level never crosses it: it keeps the place that a single echo with this
     maximum would have.
@@ -39,18 +44,42 @@ def edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -
     f_lo = np.sqrt(wave.value[before]) - root
     f_hi = np.maximum(np.sqrt(np.maximum(wave.value[first], level)) - root, 0.0)
     window = found.window
-    x = hi
-    for _ in range(6):  # false position on the root of the signal, which is nearly straight; the stale end is halved
-        span = np.where(f_hi - f_lo > 0.0, f_hi - f_lo, 1.0)
-        x = np.clip(lo - f_lo * (hi - lo) / span, lo, hi)
-        f = np.sqrt(wave.at(x, window)) - root
-        up = f >= 0.0
-        f_lo = np.where(up, 0.5 * f_lo, f)
-        f_hi = np.where(up, f, 0.5 * f_hi)
-        lo, hi = np.where(up, lo, x), np.where(up, x, hi)
-        if float(np.max(np.where(usable, np.abs(f), 0.0) / root, initial=0.0)) < 1e-7:
-            break
+
+    def over_level(x: Floats, at: Ints) -> Floats:
+        return np.sqrt(wave.at(x, window[at])) - root[at]
+
+    x = _crossing(over_level, lo, hi, f_lo, f_hi, usable)
     return np.where(usable, x, otherwise)
+
+
+def _crossing(
+    rises: Callable[[Floats, Ints], Floats], lo: Floats, hi: Floats, f_lo: Floats, f_hi: Floats, wanted: Bools
+) -> Floats:
+    """Zeros of functions that rise from f_lo < 0 at lo to f_hi >= 0 at hi, to `_EXACT_M`.
+
+    False position, the stale end halved (Illinois), every third step a bisection for functions with a corner; only
+    those not there yet are evaluated. Where there is no bracket the upper end is returned.
+    """
+    x = hi.copy()
+    live = np.flatnonzero(wanted & (f_lo < 0.0) & (f_hi > 0.0) & (hi > lo))
+    a, b, fa, fb = lo[live], hi[live], f_lo[live], f_hi[live]
+    side, last = np.zeros(live.size, np.int64), np.full(live.size, np.inf)
+    for step in range(60):
+        if live.size == 0:
+            break
+        mid = 0.5 * (a + b) if step % 3 == 2 else np.clip(a - fa * (b - a) / (fb - fa), a, b)
+        f = rises(mid, live)
+        up = f >= 0.0
+        fa = np.where(up, np.where(side == 1, 0.5 * fa, fa), f)
+        fb = np.where(up, f, np.where(side == -1, 0.5 * fb, fb))
+        a, b = np.where(up, a, mid), np.where(up, mid, b)
+        side = np.where(up, 1, -1)
+        x[live] = mid
+        more = (b - a > _EXACT_M) & (f != 0.0) & (fa < 0.0) & (fb > 0.0)
+        more &= np.abs(mid - last) > _EXACT_M  # hardly moved: false position is there though the bracket is wide
+        last = mid[more]
+        live, a, b, fa, fb, side = live[more], a[more], b[more], fa[more], fb[more], side[more]
+    return x
 
 
 def _ends(wave: Waveform, found: Candidates) -> Ints:
@@ -106,15 +135,7 @@ def fractions(wave: Waveform, found: Candidates, detector: Detector) -> Floats:
     j = np.minimum(i + 1, flat.size - 1)
     lo, hi = wave.position(flat[i], found.window), wave.position(flat[j], found.window)
     f_lo, f_hi = y[i], y[j]
-    x = hi
-    for _ in range(6):
-        span = np.where(f_lo - f_hi > 0.0, f_lo - f_hi, 1.0)
-        x = np.clip(lo + f_lo * (hi - lo) / span, np.minimum(lo, hi), np.maximum(lo, hi))
-        v = balance(x, found.window)
-        up = v > 0.0
-        f_hi = np.where(up, 0.5 * f_hi, v)
-        f_lo = np.where(up, v, 0.5 * f_lo)
-        lo, hi = np.where(up, x, lo), np.where(up, hi, x)
+    x = _crossing(lambda x, at: -balance(x, found.window[at]), lo, hi, -f_lo, -f_hi, ok)
     return np.where(ok, x - detector.cfd_lead_m, found.centre_m)
 
 

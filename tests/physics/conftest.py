@@ -1,4 +1,4 @@
-"""Every test of the physics runs with numpy's floating-point errors raised: no overflow, underflow or NaN is ignored."""
+"""Every test of the physics runs with numpy's floating-point errors raised: no overflow or underflow is ignored."""
 
 from __future__ import annotations
 
