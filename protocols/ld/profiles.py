@@ -63,7 +63,7 @@ def distance_words(range_m: Floats, largest_m: float = LARGEST_WIRE_M) -> Words:
 
 def echo_words(intensity: Floats, distances: Words) -> Words:
     """Amplitudes (peak over detection threshold) as words, at least 1 and at most 65535 for an echo, 0 for none."""
-    scaled = np.fmin(intensity * ECHO_UNITS + 0.5, 65535.0)
+    scaled = np.minimum(intensity * ECHO_UNITS + 0.5, 65535.0)
     heard = (distances > 0) & (scaled == scaled)
     return np.where(heard, np.fmax(scaled, 1.0), 0.0).astype(np.uint16)
 

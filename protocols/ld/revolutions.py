@@ -83,7 +83,7 @@ class Revolutions:
         """Somebody wants more of a revolution than was planned: plan those anew that have not begun."""
         self._outstanding = None
         self.epoch += 1
-        while self.measured and self.measured[-1].start_ns > now_ns:
+        while self.measured and self.measured[-1].start_ns >= now_ns:
             self._next = self.measured.pop().revolution
 
     def next_end_ns(self) -> int | None:

@@ -12,7 +12,7 @@ SINGLE = 0x0000
 MULTIPLE = 0xFFFF
 
 MAX_MESSAGE_WORDS = 2048
-"Longest message put together from a host's frames; ours."
+"Longest message put together from a host's frames, to within a frame; ours."
 
 
 def encode_segments(payload: bytes, identity: int) -> list[bytes]:
@@ -60,7 +60,7 @@ class SegmentJoiner:
             self._left = int.from_bytes(data[2:4], "big") - 1
             self._identity = int.from_bytes(data[4:6], "big")
             self._parts[:] = data[6:]
-            if self._left < 1 or 3 * self._left > MAX_MESSAGE_WORDS:
+            if self._left < 1 or 3 * self._left - 1 > MAX_MESSAGE_WORDS:
                 count, self._left = self._left + 1, 0
                 return Fault(DropReason.OVERLONG if count > 1 else DropReason.BAD_LENGTH, len(data), f"{count} frames")
             return None

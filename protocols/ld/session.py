@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 
+from protocols.errors import ScanRefused
 from protocols.ld.channels import MAX_INBOX, Channel, Line, Profiles, Request, new_channel
 from protocols.ld.device import Device, Geometry
 from protocols.ld.models import Model
@@ -362,6 +363,8 @@ class LdSession(Session):
         return plan
 
     def submit(self, scan: Scan) -> None:
+        if all(channel.profiles is None for channel in self._channels.values()):
+            raise ScanRefused("no host wants a profile any more")
         self._revolutions.submit(scan, self._geometry, self.device.model.max_range_m)
 
     def take_emissions(self, now_ns: int) -> list[Emission]:

@@ -1,0 +1,606 @@
+"""Revolutions: their instants, their beams, who gets which profile, and what happens when something is too slow."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocols.errors import ScanRefused
+from protocols.ld.head import Rotation
+from protocols.scan import DAZZLED, Scan, ScanPlan
+from protocols.session import Address, DropReason, LinkKind
+from tests.protocols.ld.reader import (
+    ProfileRead,
+    can_frames,
+    package,
+    read_can,
+    read_frames,
+    read_packages,
+    read_profile,
+    request,
+    words,
+)
+from tests.protocols.ld.rig import MS, SECOND, TCP, Rig, measuring, scan_of, ten_metres
+
+
+def profiles(rig: Rig, address: Address | None = None, points: list[int] | None = None) -> list[ProfileRead]:
+    sent = [emission for emission in rig.take(address) if emission.sweep is not None]
+    return [read_profile(payload, points) for emission in sent for payload in read_frames(emission.payload)]
+
+
+# the head
+
+
+@given(st.integers(5, 20), st.integers(0, 10**15), st.integers(0, 10**9), st.integers(-5760, 11520))
+def test_a_revolution_is_never_off_by_more_than_half_a_nanosecond(
+    hz: int, origin_ns: int, revolution: int, ticks: int
+) -> None:
+    passes = Rotation(origin_ns, hz, 0).passes_ns(revolution, ticks)
+    exact = origin_ns + Fraction((revolution * 5760 + ticks) * 10**9, 5760 * hz)
+    assert abs(passes - exact) <= Fraction(1, 2)
+
+
+@given(st.integers(5, 20), st.integers(0, 10**12), st.integers(0, 5759))
+def test_the_first_revolution_from_an_instant_is_the_first(hz: int, instant_ns: int, ticks: int) -> None:
+    rotation = Rotation(1_000_000_007, hz, 0)
+    revolution = rotation.first_from(instant_ns, ticks)
+    assert rotation.passes_ns(revolution, ticks) >= instant_ns
+    assert revolution == 0 or rotation.passes_ns(revolution - 1, ticks) < instant_ns
+
+
+@pytest.mark.parametrize("hz", [5, 7, 13, 20])
+def test_profiles_leave_once_a_revolution_without_drift(hz: int) -> None:
+    rig = measuring({"motor_hz": hz, "step_deg": 22.5})
+    rig.put(request(0x0301, 0, 0x0002))
+    rig.run(120 * SECOND)
+    sent = [emission for emission in rig.take() if emission.sweep is not None]
+    assert len(sent) == 120 * hz
+    for emission in sent:
+        assert emission.sweep is not None
+        exact = Fraction((emission.sweep + 1) * SECOND, hz)
+        assert abs(emission.due_ns - exact) <= Fraction(1, 2)
+    assert [emission.sweep for emission in sent] == list(range(120 * hz))
+
+
+# the beams
+
+
+def test_each_beam_has_its_own_instant_and_its_direction_clockwise() -> None:
+    rig = measuring({"motor_hz": 8, "step_deg": 0.5, "sectors": [{"from_deg": 90, "to_deg": 270}]})
+    rig.put(request(0x0301, 1, 0x0100))
+    rig.run(SECOND)
+    plan = rig.plans[0]
+    directions = np.arange(1440, 4321, 8)
+    assert len(plan) == 361
+    azimuth = -directions * 2 * np.pi / 5760
+    assert np.allclose(np.cos(plan.azimuth_rad), np.cos(azimuth), atol=1e-12)
+    assert np.allclose(np.sin(plan.azimuth_rad), np.sin(azimuth), atol=1e-12)
+    assert plan.azimuth_rad.min() >= -np.pi
+    assert plan.azimuth_rad.max() < np.pi
+    assert plan.elevation_rad.tolist() == [0.0] * 361
+    offsets = [Fraction(int(ticks) - 1440, 5760 * 8) for ticks in directions]
+    assert np.allclose(plan.fire_offset_s, [float(offset) for offset in offsets], rtol=1e-15, atol=0)
+    # the revolution begins where its first sector does: a quarter of a turn after the head passed direction 0
+    assert plan.start_ns == 125 * MS // 4
+    assert plan.duration_s == 0.125
+
+
+def test_direction_0_lies_where_the_scenario_says() -> None:
+    rig = measuring({"step_deg": 90, "zero_deg": 90})
+    rig.put(request(0x0301, 1, 0x0200))
+    rig.run(SECOND)
+    assert np.allclose(np.degrees(rig.plans[0].azimuth_rad), [90, 0, -90, -180])
+
+
+def test_sectors_are_measured_only_where_active_and_in_order() -> None:
+    table = [
+        {"stop_deg": 30, "function": "normal"},
+        {"stop_deg": 99.5, "function": "none"},
+        {"stop_deg": 120, "function": "reference"},
+        {"stop_deg": 350, "function": "none"},
+    ]
+
+    def by_direction(plan: ScanPlan) -> Scan:
+        return scan_of(plan, 1.0 + np.round(-np.degrees(plan.azimuth_rad) % 360 * 16) / 256)
+
+    rig = measuring({"sectors": table}, world=by_direction)
+    rig.put(request(0x0301, 1, 0x3FFF))
+    rig.run(SECOND)
+    (profile,) = profiles(rig)
+    assert [sector.count for sector in profile.sectors] == [80, 0, 41, 0]
+    for sector in profile.sectors:
+        assert sector.distances == [256 + direction for direction in sector.directions]
+    assert [(sector.start, sector.end) for sector in profile.sectors] == [
+        (5608, 480), (488, 1592), (1600, 1920), (1928, 5600),
+    ]  # fmt: skip
+
+
+def test_a_rested_device_asks_for_nothing() -> None:
+    rig = measuring()
+    rig.run(SECOND)
+    assert rig.session.next_plan() is None
+    assert rig.plans == []
+    assert rig.session.next_deadline() is None
+
+
+def test_amplitudes_are_asked_for_only_when_a_format_has_them() -> None:
+    rig = measuring()
+    rig.put(request(0x0301, 0, 0x0100))
+    rig.run(300 * MS)
+    assert not any(plan.wants_intensity for plan in rig.plans)
+    measured = len(rig.plans)
+    second = TCP._replace(peer=2)
+    rig.session.connected(rig.now_ns, second, LinkKind.STREAM)
+    rig.put(request(0x0301, 3, 0x0400), second)
+    rig.run(SECOND)
+    assert all(plan.wants_intensity for plan in rig.plans[measured : measured + 3])
+    assert not rig.plans[-1].wants_intensity
+    echoes = profiles(rig, second, [720])
+    assert [set(profile.sectors[0].echoes) for profile in echoes] == [{1600}] * 3
+    firsts = profiles(rig, TCP, [720])
+    assert len(firsts) == 13  # the first host lost none
+    assert [profile.sectors[0].distances[0] for profile in firsts] == [2560] * 13
+
+
+def test_near_echoes_are_passed_over_while_the_filter_is_on() -> None:
+    def two_echoes(plan: ScanPlan) -> Scan:
+        ranges = np.full((len(plan), 2), np.nan)
+        ranges[:, 0], ranges[1::2, 1] = 0.3, 7.0
+        size = ranges.shape
+        peaks = np.where(np.isnan(ranges), np.nan, ranges)
+        return Scan(plan, ranges, peaks, np.zeros(len(plan), np.uint8), np.zeros(size, np.int32))
+
+    rig = measuring({"step_deg": 90}, world=two_echoes)
+    rig.put(request(0x0301, 1, 0x0500))
+    rig.run(SECOND)
+    assert profiles(rig, points=[4])[0].sectors[0].distances == [77] * 4
+    rig.ask(0x0209, 1, 1)
+    rig.ask(0x0403, 0)
+    rig.ask(0x0404)
+    rig.put(request(0x0301, 1, 0x0500))
+    rig.run(SECOND)
+    sector = profiles(rig, points=[4])[0].sectors[0]
+    assert sector.distances == [0, 1792, 0, 1792]
+    assert sector.echoes == [0, 112, 0, 112]
+    assert rig.plans[-1].max_echoes == 2
+
+
+def test_a_dazzled_beam_has_no_echo() -> None:
+    def dazzled(plan: ScanPlan) -> Scan:
+        scan = ten_metres(plan)
+        scan.flags[1] = DAZZLED
+        return scan
+
+    rig = measuring({"step_deg": 90}, world=dazzled)
+    rig.put(request(0x0301, 1, 0x0500))
+    rig.run(SECOND)
+    (profile,) = profiles(rig, points=[4])
+    assert profile.sectors[0].distances == [2560, 0, 2560, 2560]
+    assert profile.sectors[0].echoes == [1600, 0, 1600, 1600]
+
+
+# who gets what
+
+
+def test_exactly_so_many_profiles_come_as_were_asked_for() -> None:
+    rig = measuring()
+    for number in (1, 3):
+        measured = len(rig.plans)
+        rig.put(request(0x0301, number, 0x0003))
+        rig.run(SECOND)
+        assert [profile.sent for profile in profiles(rig)] == list(range(1, number + 1))
+        assert len(rig.plans) - measured == number  # and no revolution is measured in vain
+
+
+def test_the_first_profile_is_that_of_the_first_whole_revolution() -> None:
+    rig = measuring()
+    rig.run(130 * MS)
+    rig.put(request(0x0301, 0, 0x0002))
+    rig.run(SECOND)
+    first = rig.take()[0]
+    assert (first.sweep, first.due_ns) == (2, 300 * MS)
+
+
+def test_a_new_request_replaces_the_old_one() -> None:
+    rig = measuring()
+    rig.put(request(0x0301, 0, 0x0001))
+    rig.run(450 * MS)
+    rig.put(request(0x0301, 2, 0x0003))
+    rig.run(SECOND)
+    found = profiles(rig)
+    assert [profile.form for profile in found] == [1, 1, 1, 1, 3, 3]
+
+
+def test_no_profile_follows_the_reply_to_a_cancel() -> None:
+    rig = measuring()
+    for instant in range(0, 100, 7):
+        rig.put(request(0x0301, 0, 0x0100))
+        rig.run((300 + instant) * MS)
+        rig.put(request(0x0302))
+        rig.run(500 * MS)
+        assert rig.take()[-1].label == "8302"
+
+
+@pytest.mark.parametrize(
+    ("asked_us", "order"),
+    [
+        (98_500, [("8102", 99_500), ("8301", 104_500)]),  # five milliseconds behind the reply
+        (99_500, [("8102", 100_500), ("8301", 105_500)]),  # and not before one that is on its way
+        (99_999, [("8102", 100_999), ("8301", 105_999)]),
+        (100_001, [("8301", 100_000), ("8102", 101_001)]),
+    ],
+)
+def test_a_profile_keeps_its_distance_behind_a_reply(asked_us: int, order: list[tuple[str, int]]) -> None:
+    rig = measuring()
+    rig.put(request(0x0301, 0, 0x0001))
+    rig.run(asked_us * 1000)
+    rig.put(request(0x0102))
+    rig.run(310 * MS - rig.now_ns)
+    sent = [(emission.label, emission.due_ns // 1000) for emission in rig.take()]
+    assert sent == [*order, ("8301", 200_000), ("8301", 300_000)]
+
+
+def test_profiles_end_when_another_host_takes_the_device_out_of_measure() -> None:
+    rig = measuring()
+    other = TCP._replace(peer=2)
+    rig.session.connected(0, other, LinkKind.STREAM)
+    rig.put(request(0x0301, 0, 0x0001))
+    rig.run(250 * MS)
+    assert words(rig.ask(0x0403, 0, address=other)) == [0x8403, 0, 2]
+    rig.take()
+    rig.run(SECOND)
+    assert rig.take() == []
+    assert rig.session.next_plan() is None
+    assert words(rig.ask(0x0404, address=other)) == [0x8404, 0, 3, 0]
+    rig.run(SECOND)
+    assert rig.take() == []  # to be asked for again
+
+
+def test_measure_told_again_without_a_change_disturbs_nobody() -> None:
+    rig = measuring()
+    other = TCP._replace(peer=2)
+    rig.session.connected(0, other, LinkKind.STREAM)
+    rig.put(request(0x0301, 0, 0x0001))
+    rig.run(250 * MS)
+    assert words(rig.ask(0x0404, address=other)) == [0x8404, 0, 3, 0]
+    rig.run(SECOND - rig.now_ns)
+    assert len(profiles(rig, TCP)) == 10
+
+
+def test_a_host_that_disappears_stops_its_profiles_and_no_others() -> None:
+    rig = measuring()
+    other = TCP._replace(peer=2)
+    rig.session.connected(0, other, LinkKind.STREAM)
+    rig.put(request(0x0301, 0, 0x0001))
+    rig.put(request(0x0301, 0, 0x0001), other)
+    rig.run(250 * MS)
+    rig.session.disconnected(rig.now_ns, other)
+    rig.run(250 * MS)
+    assert len(profiles(rig, other)) == 2
+    assert len(profiles(rig, TCP)) == 5
+    rig.session.disconnected(rig.now_ns, TCP)
+    rig.run(SECOND)
+    assert rig.take() == []
+    assert rig.session.next_plan() is None
+    rig.session.disconnected(rig.now_ns, TCP)
+    rig.session.connected(rig.now_ns, TCP, LinkKind.STREAM)
+    assert words(rig.ask(0x0102)) == [0x8102, 0, 3]  # the device went on all the time
+
+
+def test_a_faster_head_keeps_counting_revolutions() -> None:
+    rig = measuring({"step_deg": 0.75})
+    rig.put(request(0x0301, 0, 0x0002))
+    rig.run(550 * MS)
+    last = profiles(rig)[-1].counter
+    rig.ask(0x0403, 20)
+    assert words(rig.ask(0x0404)) == [0x8404, 0, 3, 0]
+    rig.put(request(0x0301, 2, 0x0002))
+    rig.run(SECOND)
+    first, second = rig.take()
+    assert second.due_ns - first.due_ns == 50 * MS
+    assert last is not None
+    assert first.sweep is not None
+    assert first.sweep > last
+    sweeps = [(plan.epoch, plan.sweep) for plan in rig.plans]
+    assert len(set(sweeps)) == len(sweeps)
+
+
+def test_time_stamps_follow_the_clock_and_the_arc() -> None:
+    rig = measuring({"motor_hz": 10, "sectors": [{"from_deg": 0, "to_deg": 180}], "clock_ms": 65400})
+    rig.put(request(0x0301, 4, 0x0840))
+    rig.run(SECOND)
+    found = profiles(rig, points=[361, 0])
+    starts = [profile.sectors[0].start_ms for profile in found]
+    assert starts == [65400, 65500, 64, 164]  # wraps at 65536
+    assert [profile.sectors[0].end_ms for profile in found] == [65450, 14, 114, 214]
+    assert [profile.sectors[1].end_ms for profile in found] == [65499, 63, 163, 263]
+
+
+# too slow
+
+
+def test_a_scan_of_other_settings_is_refused() -> None:
+    rig = measuring()
+    session = rig.session
+    session.receive(request(0x0301, 0, 0x0100), 0, TCP)
+    plan = session.next_plan()
+    assert plan is not None
+    assert session.next_plan() is plan
+    session.receive(request(0x0302), 0, TCP)
+    session.advance(SECOND)
+    with pytest.raises(ScanRefused):
+        session.submit(ten_metres(plan))
+    session.receive(request(0x0301, 0, 0x0100), SECOND, TCP)
+    plan = session.next_plan()
+    assert plan is not None
+    session.receive(request(0x0403, 0), SECOND, TCP)
+    session.advance(2 * SECOND)
+    with pytest.raises(ScanRefused):
+        session.submit(ten_metres(plan))
+
+
+def test_a_scan_of_another_size_is_refused() -> None:
+    rig = measuring()
+    rig.session.receive(request(0x0301, 0, 0x0100), 0, TCP)
+    plan = rig.session.next_plan()
+    assert plan is not None
+    scan = ten_metres(plan)
+    with pytest.raises(ScanRefused, match="719"):
+        rig.session.submit(Scan(plan, scan.range_m[1:], scan.intensity[1:], scan.flags[1:], scan.actor[1:]))
+
+
+def test_revolutions_that_are_not_measured_in_time_are_passed_over_and_counted() -> None:
+    rig = measuring()
+    session = rig.session
+    session.receive(request(0x0301, 0, 0x0002), 0, TCP)
+    plan = session.next_plan()
+    assert plan is not None
+    session.advance(730 * MS)  # the measurement took more than seven revolutions
+    session.submit(ten_metres(plan))
+    (late,) = session.take_emissions(730 * MS)
+    assert (late.sweep, late.due_ns) == (0, 100 * MS)  # sent late, with its own instant
+    rig.dropped()
+    plan = session.next_plan()
+    assert plan is not None
+    assert (plan.sweep, plan.start_ns) == (7, 700 * MS)
+    assert [(event.reason, event.count) for event in session.take_events()] == [(DropReason.STALE, 6)]  # type: ignore[union-attr]
+
+
+def test_no_more_than_four_revolutions_are_measured_ahead() -> None:
+    rig = measuring()
+    session = rig.session
+    session.receive(request(0x0301, 0, 0x0100), 0, TCP)
+    measured = 0
+    while (plan := session.next_plan()) is not None:
+        session.submit(ten_metres(plan))
+        measured += 1
+        assert measured < 10
+    assert measured == 4
+    assert session.take_emissions(99 * MS) == []
+    assert len(session.take_emissions(100 * MS)) == 1
+
+
+def test_a_serial_line_slower_than_the_head_drops_whole_profiles_and_counts_them() -> None:
+    rig = Rig({"mode": "measure", "motor_hz": 10, "step_deg": 1}, ten_metres, LinkKind.SERIAL, Address(0, 0))
+    rig.run(0)
+    rig.take()
+    rig.put(package(0x0010, 5, 0, 0x0301, 0, 0x0700))
+    rig.run(10 * SECOND)
+    sent = [emission for emission in rig.take() if emission.sweep is not None]
+    size = len(sent[0].payload)
+    assert size * 10 / 115200 == pytest.approx(0.389, abs=0.01)
+    assert len(sent) == 25  # every fourth of a hundred
+    assert rig.dropped().count(DropReason.LINE_BUSY) == 75
+    free_ns = 0
+    for emission in sent:
+        assert emission.due_ns >= free_ns  # never two on the line at once
+        free_ns = emission.due_ns + size * 10 * SECOND // 115200
+        ((address, message),) = read_packages(emission.payload)
+        assert (address, len(message)) == (0x1000, 3 + 3 * 360)
+    assert [read_packages(emission.payload)[0][1][3] for emission in sent] == [2560] * 25
+
+
+def test_a_bus_slower_than_the_head_drops_whole_profiles_and_counts_them() -> None:
+    rig = Rig({"mode": "measure", "can_kbit_s": 125}, ten_metres, LinkKind.CAN, Address(0, 0))
+    for data in can_frames(16, 0x0301, 0, 0x0100):
+        rig.put(data, Address(0, 0x2AB))
+    rig.run(5 * SECOND)
+    sent = rig.take()
+    messages = read_can([emission.payload for emission in sent][: len(sent) // 242 * 242])
+    assert all(len(message) == 723 for _, message in messages)
+    dropped = rig.dropped()
+    assert set(dropped) == {DropReason.LINE_BUSY}
+    assert sum(emission.sweep is not None for emission in sent) + len(dropped) == 50
+    gaps = np.diff([emission.due_ns for emission in sent[:242]])
+    assert gaps.min() >= 111 * SECOND // 125_000  # no frame before the bus can carry it
+
+
+def test_a_reply_waits_for_the_profile_that_is_on_the_serial_line() -> None:
+    rig = Rig({"mode": "measure", "step_deg": 1}, ten_metres, LinkKind.SERIAL, Address(0, 0))
+    rig.run(0)
+    rig.take()
+    rig.put(package(0x0010, 5, 0, 0x0301, 0, 0x0700))
+    rig.run(150 * MS)
+    rig.put(package(0x0010, 3, 0, 0x0302) + b"\x020\x03")
+    rig.run(SECOND)
+    profile, reply, nak = rig.take()
+    left_ns = profile.due_ns + len(profile.payload) * 10 * SECOND // 115200
+    assert (profile.label, reply.label, nak.label) == ("8301", "8302", "NAK")
+    assert reply.due_ns >= left_ns
+    assert nak.due_ns >= reply.due_ns + len(reply.payload) * 10 * SECOND // 115200
+
+
+def test_a_late_profile_does_not_overtake_the_one_on_the_serial_line() -> None:
+    session = Rig({"mode": "measure", "step_deg": 1}, ten_metres, LinkKind.SERIAL, Address(0, 0)).session
+    session.receive(package(0x0010, 5, 0, 0x0301, 0, 0x0700), 0, Address(0, 0))
+    session.take_emissions(0)
+    plans = []
+    for _ in range(4):
+        plan = session.next_plan()
+        assert plan is not None
+        plans.append(plan)
+        if len(plans) < 4:
+            session.submit(ten_metres(plan))
+    (first,) = session.take_emissions(399 * MS)
+    left_ns = first.due_ns + -(-len(first.payload) * 10 * SECOND // 115200)
+    session.advance(600 * MS)
+    session.submit(ten_metres(plans[3]))  # of the revolution that ended at 400 ms, when the line was not yet free
+    (late,) = session.take_emissions(600 * MS)
+    assert (late.sweep, late.due_ns) == (3, left_ns)
+
+
+def test_a_message_on_can_that_has_begun_is_finished_before_the_reply_to_a_cancel() -> None:
+    rig = Rig({"mode": "measure"}, ten_metres, LinkKind.CAN, Address(0, 0))
+    for data in can_frames(16, 0x0301, 0, 0x0100):
+        rig.put(data, Address(0, 0x2AB))
+    rig.run(110 * MS)
+    for data in can_frames(16, 0x0302):
+        rig.put(data, Address(0, 0x2AB))
+    rig.run(SECOND)
+    sent = rig.take()
+    messages = read_can([emission.payload for emission in sent])
+    assert [message[0] for _, message in messages] == [0x8301, 0x8302]
+    assert len(messages[0][1]) == 723
+    times = [emission.due_ns for emission in sent]
+    assert times == sorted(times)
+
+
+def test_a_reply_to_a_host_that_has_gone_is_not_sent() -> None:
+    rig = measuring()
+    rig.put(request(0x0102))
+    rig.session.disconnected(rig.now_ns, TCP)
+    rig.session.connected(rig.now_ns, TCP, LinkKind.STREAM)
+    rig.run(SECOND)
+    assert rig.take() == []
+
+
+def test_two_telegrams_on_one_channel_are_a_millisecond_apart() -> None:
+    session = measuring().session
+    channel = session._channels[TCP]
+    first = channel.telegram(b"\x81\x02", 0, SECOND, session.device)
+    second = channel.telegram(b"\x81\x02", 0, SECOND, session.device)
+    profile = channel.telegram(b"\x83\x01", 0, SECOND, session.device, sweep=1)
+    assert [sent.emissions[0].due_ns - SECOND for sent in (first, second, profile)] == [0, 1 * MS, 6 * MS]
+
+
+# datagrams: ours, not in the real device
+
+
+def test_a_link_that_only_listens_gets_profiles_by_itself() -> None:
+    rig = Rig({"delays": "fast", "udp_format": 0x39FF}, ten_metres, LinkKind.DATAGRAM, Address(0, 0))
+    rig.run(SECOND)
+    found = profiles(rig, Address(0, 0))
+    assert [profile.form for profile in found] == [0x39FF] * 10
+    assert [profile.counter for profile in found] == list(range(10))
+
+
+def test_a_sender_of_datagrams_is_answered_at_its_own_port() -> None:
+    rig = Rig({"mode": "idle"}, ten_metres, LinkKind.DATAGRAM, Address(0, 0))
+    rig.put(request(0x0102) + request(0x0205), Address(0, 40000))
+    rig.run(SECOND)
+    assert [emission.address for emission in rig.sent] == [Address(0, 40000)] * 2
+    assert [emission.label for emission in rig.take()] == ["8102", "8205"]
+
+
+def test_what_cannot_be_measured_is_not_begun_for_a_listener() -> None:
+    rig = Rig({"delays": "fast", "step_deg": 0.25}, ten_metres, LinkKind.DATAGRAM, Address(0, 0))
+    rig.run(SECOND)
+    assert rig.take() == []
+    assert rig.modes()[-1] == "rotate"
+
+
+# switching on
+
+
+def test_a_cold_device_boots_spins_up_and_measures_by_itself_when_told_to() -> None:
+    rig = Rig({"start": "cold", "mode": "measure"})
+    rig.put(request(0x0102))
+    rig.run(10 * SECOND)
+    assert rig.modes() == ["booting", "spinning up", "measure"]
+    assert rig.dropped() == [DropReason.BOOTING]
+    times = [event.at_ns for event in rig.events if type(event).__name__ == "ModeChanged"]
+    assert times == [0, 3000 * MS, 4500 * MS]
+
+
+def test_a_host_that_takes_over_ends_what_the_device_would_do_by_itself() -> None:
+    rig = Rig({"start": "cold", "mode": "measure"})
+    rig.run(3500 * MS)
+    assert words(rig.ask(0x0402)) == [0x8402, 0, 1]
+    rig.run(10 * SECOND)
+    assert rig.modes()[-1] == "idle"
+
+
+def test_a_power_cycle_forgets_hosts_requests_and_begins_to_count_anew() -> None:
+    rig = measuring()
+    rig.put(request(0x0301, 0, 0x0002))
+    rig.run(SECOND)
+    rig.put(request(0x0102)[:5])
+    rig.session.power_on(rig.now_ns)
+    rig.take()
+    rig.run(SECOND)
+    assert rig.take() == []
+    rig.put(request(0x0301, 1, 0x0002))
+    rig.run(SECOND)
+    (profile,) = profiles(rig)
+    assert profile.counter is not None
+    assert profile.counter < 20
+    epochs = [plan.epoch for plan in rig.plans]
+    assert epochs == sorted(epochs)
+    assert len({(plan.epoch, plan.sweep) for plan in rig.plans}) == len(rig.plans)
+
+
+def test_the_serial_line_is_set_to_the_configured_speed_and_changes_behind_the_reply() -> None:
+    rig = Rig({"baud": 9600}, ten_metres, LinkKind.SERIAL, Address(0, 0))
+    rig.run(0)
+    (speed,) = rig.take()
+    assert (speed.payload, speed.line_speed, speed.address) == (b"", 9600, Address(0, 0))
+    rig.put(package(0x1410, 8, 0, 0x0201, 1, 5, 0, 1, 8))
+    rig.run(SECOND)
+    (reply,) = rig.take()
+    assert reply.line_speed == 57600
+    assert read_packages(reply.payload) == [(0x1014, [0x8201, 0])]
+    rig.put(package(0x1410, 8, 0, 0x0201, 1, 5, 0, 1, 8))
+    rig.run(SECOND)
+    (reply,) = rig.take()
+    assert reply.line_speed is None  # nothing has changed
+
+
+def test_a_host_on_tcp_can_change_the_speed_of_the_serial_line() -> None:
+    rig = Rig()
+    rig.session.connected(0, Address(3, 0), LinkKind.SERIAL)
+    rig.ask(0x0201, 1, 2, 0, 1, 8)
+    rig.run(SECOND)
+    (speed,) = rig.take(Address(3, 0))
+    assert (speed.payload, speed.line_speed) == (b"", 9600)
+
+
+def test_a_new_sensor_id_moves_the_device_on_can() -> None:
+    rig = Rig({}, ten_metres, LinkKind.CAN, Address(0, 0))
+
+    def ask(identity: int, *message: int) -> list[str]:
+        for data in can_frames(identity, *message):
+            rig.put(data, Address(0, 0x2AB))
+        rig.run(SECOND)
+        return [f"{emission.address.peer:03X} {emission.payload.hex()}" for emission in rig.take() if emission.address]
+
+    assert ask(0x10, 0x0102) == ["710 ffff000200038102", "710 000100000001"]
+    ask(0x10, 0x0201, 0x0010, 0x20, 10, 8)
+    assert ask(0x10, 0x0102) == []
+    assert ask(0x20, 0x0102) == ["720 ffff000200038102", "720 000100000001"]
+    assert DropReason.OTHER_ADDRESS in rig.dropped()
+
+
+def test_frames_of_others_on_the_bus_are_left_alone() -> None:
+    rig = Rig({}, ten_metres, LinkKind.CAN, Address(0, 0))
+    for identifier in (0x100, 0x2B0, 0x710, 0x2AB | 1 << 31):
+        rig.put(bytes.fromhex("0000 0010 0102"), Address(0, identifier))
+    rig.run(SECOND)
+    assert rig.take() == []
+    assert rig.dropped() == [DropReason.OTHER_ADDRESS] * 4
+    rig.put(bytes.fromhex("0000 0010 0102"), Address(0, 0x2A9))
+    rig.run(SECOND)
+    assert [emission.payload.hex() for emission in rig.take()] == ["ffff000200018102", "000100000001"]
