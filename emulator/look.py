@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from emulator.clock import SystemClock
 from emulator.errors import EmulatorError, LinkError
 from emulator.hosts.lines import open_line
 from emulator.hosts.scans import Host, HostScan
+
+if TYPE_CHECKING:
+    from matplotlib.projections.polar import PolarAxes
 
 HOSTS = {"lms2xx": "Lms2xxHost"}
 "Families that `look` can speak -> class in `emulator.hosts`."
@@ -181,7 +184,7 @@ def save_png(scan: HostScan, title: str, path: Path) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8, 6), layout="constrained")
-    axes = figure.add_subplot(projection="polar")
+    axes = cast("PolarAxes", figure.add_subplot(projection="polar"))
     axes.set_theta_zero_location("N")
     seen = np.isfinite(scan.range_m)
     axes.plot(scan.azimuth_rad[seen], scan.range_m[seen], ".", markersize=3)
