@@ -53,8 +53,8 @@ def parse_url(text: str) -> LinkUrl:
     scheme, colon, rest = text.partition(":")
     if not colon or not scheme:
         raise ValueError(f"{text!r}; want SCHEME:..., for example pty:./front")
-    if any(ord(letter) < 32 for letter in text):
-        raise ValueError(f"{text!r}: has a control character; want printable text")
+    if not text.isprintable():
+        raise ValueError(f"{text!r}: has a character that cannot be printed; want printable text")
     target, mark, query = rest.partition("?")
     options: dict[str, str] = {}
     try:

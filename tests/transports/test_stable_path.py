@@ -129,3 +129,8 @@ def test_a_lock_that_was_removed_while_we_took_it_is_taken_anew(port: Path, monk
     with pytest.raises(LinkError, match="in use"):
         StablePath(str(port), GONE)
     place.remove()
+
+
+def test_a_name_too_long_for_the_file_system_is_said_so(tmp_path: Path) -> None:
+    with pytest.raises(LinkError, match="File name too long"):
+        StablePath(str(tmp_path / ("x" * 300)), "/dev/pts/7")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from emulator.errors import LinkError
 from emulator.transports import LINK_SCHEMES, check_url, open_link
@@ -46,7 +48,9 @@ def test_good_texts_are_taken(url: str) -> None:
         ("pty:front?sped=strict", "unknown option 'sped'", "speed"),
         ("pty:front?speed=strict&speed=ignore", "stands twice", "once"),
         ("pty:front?speed", "'speed' after the question mark", "KEY=VALUE"),
-        ("pty:a\nb", "control character", "printable"),
+        ("pty:a\nb", "cannot be printed", "printable"),
+        ("pty:a\0b", "cannot be printed", "printable"),
+        ("pty:\ud800", "cannot be printed", "printable"),
         ("serial:/dev/ttyS0?baud=fast", "baud is 'fast'", "50..20000000"),
         ("serial:/dev/ttyS0?baud=0", "baud is '0'", "50..20000000"),
         ("serial:/dev/ttyS0?baud=9600.0", "baud is '9600.0'", "whole number"),
@@ -84,6 +88,19 @@ def test_a_refusal_says_what_was_found_and_what_is_allowed(url: str, found: str,
 )
 def test_without_a_host_it_is_the_loopback(target: str, host: str, port: int) -> None:
     assert host_and_port("tcp:" + target, target) == (host, port)
+
+
+@given(
+    st.sampled_from(["pty", "serial", "tcp", "udp", "loop", ""]),
+    st.text(max_size=30) | st.text("?&=:[]*%/.-0123456789abspeedlistenttl", max_size=40),
+)
+def test_any_text_is_taken_or_refused_with_what_is_wanted(scheme: str, rest: str) -> None:
+    said = "want "
+    try:
+        check_url(f"{scheme}:{rest}")
+    except ValueError as refusal:
+        said = str(refusal)
+    assert "want " in said
 
 
 def test_a_text_falls_into_its_parts() -> None:
