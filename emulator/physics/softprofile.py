@@ -164,7 +164,7 @@ class SoftProfile:
         near = self.start_m * 1.25 ** np.arange(24)
         edges = np.unique(np.concatenate([edges, near[near < self.end_m]]))
         a, _ = self.integrals(edges)
-        return 0.5 * (edges[1:] + edges[:-1]), np.maximum(np.diff(a), 0.0)
+        return np.sqrt(edges[1:] * edges[:-1]), np.maximum(np.diff(a), 0.0)  # the mean place under 1/r^2
 
 
 def _density(r: Floats, scale: float, alpha: float, start: float, full: float) -> Floats:

@@ -1,0 +1,144 @@
+"""Fog in a whole scan: the tables against the closed form, partly blocked beams, what the receiver then reports."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from emulator.physics import atmosphere, softtarget
+from emulator.physics.arrays import Floats
+from emulator.physics.detection import detect
+from emulator.physics.detector import Detector
+from emulator.physics.pulse import Pulse
+from emulator.physics.softprofile import MARK, SoftProfile
+from emulator.physics.subechoes import SubEchoes, cluster
+from emulator.physics.waveform import Waveform, sample
+
+PULSE = Pulse(16e-9)
+DETECTOR = Detector(PULSE, 5.0, keep="all", max_echoes=4)
+NEP = 6.6666666666666667e-8
+OPTICS = (16e-9, 1.6e-6, math.pi * 1e-4, 0.5)
+
+
+def alpha_of(visibility_m: float) -> float:
+    return float(atmosphere.fog_kim(visibility_m, 905e-9))
+
+
+def profile_of(visibility_m: float, pulse: Pulse = PULSE) -> SoftProfile:
+    """Reference receiver, overlap from 0.9 to 1.0 m."""
+    alpha = alpha_of(visibility_m)
+    bin_m = Detector(pulse, 5.0).bin_m
+    made = SoftProfile.of_medium(pulse, bin_m, math.pi * 75_000.0, alpha, alpha / 18.8, 0.9, 1.0, 250.0)
+    assert made is not None
+    return made
+
+
+def closed(x_centre: Floats, visibility_m: float, end_m: float) -> Floats:
+    power = softtarget.fog_return(x_centre + PULSE.fwhm_m, alpha_of(visibility_m), 18.8, 0.9, 1.0, end_m, *OPTICS)
+    return power / NEP
+
+
+def wall(visibility_m: float, range_m: float, rho: float, share: float) -> SubEchoes:
+    amplitude = 75_000.0 * rho * share / range_m**2 * math.exp(-2.0 * alpha_of(visibility_m) * range_m)
+    return SubEchoes.of(
+        np.zeros(1, np.int64), np.array([range_m]), np.array([amplitude]), np.array([share]), np.array([3])
+    )
+
+
+def sampled(echoes: SubEchoes, soft: SoftProfile) -> tuple[Waveform, Floats]:
+    mark = SubEchoes.of(np.zeros(2, np.int64), np.array([0.9, soft.peak_m]), np.full(2, MARK))
+    clusters = cluster(SubEchoes.joined(echoes, mark), 2.0 * PULSE.half_support_m, 0.01)
+    before = np.cumsum(clusters.blocked) - clusters.blocked
+    wave = sample(clusters, np.ones(len(clusters), np.bool_), PULSE, soft.bin_m, soft, 1.0 - before[clusters.first])
+    return wave, wave.position(np.arange(wave.value.size), wave.window)
+
+
+@pytest.mark.parametrize("visibility_m", [10.0, 40.0, 400.0, 1000.0])
+def test_the_table_of_a_free_beam_is_the_closed_form_to_1e_10(visibility_m: float) -> None:
+    soft = profile_of(visibility_m)
+    x = soft.bin_m * np.arange(soft.first, soft.first + soft.free.size)
+    exact = closed(x, visibility_m, 250.0)
+    kept = (x < soft.end_m - PULSE.fwhm_m) & (exact > 1e-5 * exact.max())
+    assert np.max(np.abs(soft.free[kept] / exact[kept] - 1.0)) < 1e-10
+    assert np.max(np.abs(soft.free - exact)) < 1e-3  # noise units: behind the end nothing visible is left out
+    assert soft.peak == pytest.approx(float(exact.max()), rel=1e-9)
+
+
+@pytest.mark.parametrize("range_m", [1.5, 3.0, 10.0, 14.0])
+@pytest.mark.parametrize("visibility_m", [40.0, 400.0])
+def test_fog_in_front_of_a_wall_is_the_closed_form(visibility_m: float, range_m: float) -> None:
+    soft = profile_of(visibility_m)
+    wave, x = sampled(wall(visibility_m, range_m, 0.1, 1.0), soft)
+    exact = softtarget.fog_plus_wall(x + PULSE.fwhm_m, alpha_of(visibility_m), 18.8, 0.9, 1.0, range_m, 0.1, *OPTICS)
+    assert np.max(np.abs(wave.value - exact / NEP)) < 1e-6 * float(exact.max() / NEP)
+
+
+def test_a_half_blocked_beam_lights_half_of_the_fog_behind() -> None:
+    soft = profile_of(40.0)
+    wave, x = sampled(wall(40.0, 6.0, 0.1, 0.5), soft)
+    exact = 0.5 * closed(x, 40.0, 6.0) + 0.5 * closed(x, 40.0, 250.0)
+    surface = 0.5 * 75_000.0 * 0.1 / 36.0 * math.exp(-12.0 * alpha_of(40.0)) * PULSE.profile(x - 6.0)
+    assert np.max(np.abs(wave.value - exact - surface)) < 1e-7 * float(exact.max())
+
+
+def test_fog_between_two_clusters_of_a_beam_is_shared_as_they_block() -> None:
+    soft = profile_of(40.0)
+    near, far = wall(40.0, 3.0, 0.1, 0.25), wall(40.0, 16.0, 0.9, 0.5)
+    wave, x = sampled(SubEchoes.joined(near, far), soft)
+    exact = 0.25 * closed(x, 40.0, 3.0) + 0.5 * closed(x, 40.0, 16.0) + 0.25 * closed(x, 40.0, 250.0)
+    assert np.max(np.abs(wave.soft - exact)) < 1e-7 * float(exact.max())
+
+
+@pytest.mark.parametrize("shape", ["sin2", "gauss"])
+def test_first_echo_sensors_report_the_fog_and_last_echo_sensors_the_wall(shape: str) -> None:
+    pulse = Pulse(16e-9, shape)  # type: ignore[arg-type]
+    soft = profile_of(200.0, pulse)
+    echoes = wall(200.0, 15.0, 0.5, 1.0)
+    first = detect(echoes, 1, Detector(pulse, 5.0, keep="first"), soft=soft)
+    last = detect(echoes, 1, Detector(pulse, 5.0, keep="last"), soft=soft)
+    gated = detect(echoes, 1, Detector(pulse, 5.0, keep="first", near_gate_m=5.0), soft=soft)
+    assert float(first.range_m[0, 0]) < 2.0
+    assert int(first.source[0, 0]) == -1
+    assert float(last.range_m[0, 0]) == pytest.approx(15.0, abs=0.6)  # the pedestal of fog pulls the edge
+    assert int(last.source[0, 0]) == 3
+    assert float(gated.range_m[0, 0]) == float(last.range_m[0, 0])
+
+
+def test_the_fog_echo_is_the_same_in_every_free_beam_and_in_one_of_many() -> None:
+    soft = profile_of(200.0)
+    nothing = SubEchoes.of(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+    alone = detect(nothing, 1, DETECTOR, soft=soft)
+    many = detect(nothing, 7, DETECTOR, soft=soft)
+    assert np.all(many.range_m[:, 0] == alone.range_m[0, 0])
+    assert float(alone.amplitude[0, 0]) == pytest.approx(soft.peak, rel=1e-3)
+
+
+def test_a_wall_nearer_than_the_overlap_hides_all_fog() -> None:
+    soft = profile_of(40.0)
+    found = detect(wall(40.0, 0.5, 0.5, 1.0), 1, DETECTOR, soft=soft)
+    assert found.count.tolist() == [1]
+    assert float(found.range_m[0, 0]) == pytest.approx(0.5, abs=1e-6)
+
+
+def test_clear_air_has_no_profile_and_a_start_at_zero_is_refused() -> None:
+    alpha = alpha_of(1e6)
+    assert SoftProfile.of_medium(PULSE, 0.15, math.pi * 10.0, alpha, alpha / 70.0, 0.9, 1.0, 250.0) is None
+    assert SoftProfile.of_medium(PULSE, 0.15, math.pi * 10.0, alpha, 0.0, 0.9, 1.0, 250.0) is None
+    with pytest.raises(ValueError, match="start_m"):
+        SoftProfile.of_medium(PULSE, 0.15, 1e5, alpha, alpha / 18.8, 0.0, 1.0, 250.0)
+
+
+def test_fog_of_a_gaussian_pulse_is_its_convolution() -> None:
+    pulse = Pulse(16e-9, "gauss")
+    soft = profile_of(200.0, pulse)
+    r = np.linspace(0.9, 60.0, 400_001)
+    density = math.pi * 75_000.0 * alpha_of(200.0) / 18.8 * np.clip((r - 0.9) / 0.1, 0.0, 1.0) / r**2
+    density = density * np.exp(-2.0 * alpha_of(200.0) * r)
+    for x in (0.5, soft.peak_m, 4.0, 9.0):
+        exact = float(np.trapezoid(density * pulse.profile(x - r), r))
+        assert float(soft.wave(x)) == pytest.approx(exact, rel=3e-3)
+    node, piece = soft.nodes()
+    exact = float(np.trapezoid(density * pulse.profile(3.0 - r), r))
+    assert float(np.sum(piece * pulse.profile(3.0 - node))) == pytest.approx(exact, rel=3e-3)
