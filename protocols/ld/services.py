@@ -1,8 +1,6 @@
 """What each service does. `COMMANDS` is the only list of them: dispatcher, start-up check, coverage table.
 
 A handler gets the device and the request's data words and gives an `Answer`; it knows neither link nor framing.
-Sources: TBX sicktoolbox, CMT the COMTEST program, FWK Fawkes, MIR Miro, DGC the Stanford module, HDE a C port of
-sicktoolbox.
 """
 
 from __future__ import annotations
@@ -234,6 +232,16 @@ class Command:
     note: str = ""
 
 
+SOURCES = {
+    "TBX": "sicktoolbox",
+    "DGC": "Stanford ldlrs",
+    "FWK": "Fawkes",
+    "MIR": "Miro laser360",
+    "CMT": "COMTEST",
+    "HDE": "sickld.c",
+}
+"Tags of the table: host software that uses or names a service; `sickld.c` is a port of sicktoolbox to C."
+
 _ITEMS = "items 0001 0002 0004 0005 0010 0011"
 _UNKNOWN = "request layout not in any source: SERVICE_FAILURE"
 
@@ -278,8 +286,8 @@ COMMANDS: dict[int, Command] = {
 }
 
 ABSENT = (
-    CommandRow("1000..3F00", "application services", "absent", "FWK", "no application firmware: SERVICE_FAILURE"),
-    CommandRow("7E00..7EFF", "adjust services", "absent", "FWK", "factory only, unknown: SERVICE_FAILURE"),
+    CommandRow("1000..3F00", "application services", "absent", "Fawkes", "no application firmware: SERVICE_FAILURE"),
+    CommandRow("7E00..7EFF", "adjust services", "absent", "Fawkes", "factory only, unknown: SERVICE_FAILURE"),
 )
 
 
@@ -303,11 +311,17 @@ def serve(device: Device, service: int, words: Words, now_ns: int) -> Answer:
 
 def rows() -> tuple[CommandRow, ...]:
     """The coverage table."""
-    done = [
-        CommandRow(f"{code:04X}", row.name, "done" if row.handler else "refused", row.source, row.note)
+    listed = [
+        CommandRow(f"{code:04X}", row.name, "done" if row.handler else "refused", _sources(row.source), row.note)
         for code, row in sorted(COMMANDS.items())
     ]
-    return (*done, *ABSENT)
+    return (*listed, *ABSENT)
+
+
+def _sources(tags: str) -> str:
+    for tag, name in {**SOURCES, "all": ", ".join(SOURCES.values())}.items():
+        tags = tags.replace(tag, name)
+    return tags
 
 
 def check_table() -> None:

@@ -17,7 +17,8 @@ REPLY_BIT = 0x8000
 "Set in the service word of every reply."
 
 SERVICE_FAILURE = 0xFF00
-"Reply to a request that is unknown or cannot be carried out: followed by the sensor status."
+"""Reply to a request that is unknown or cannot be carried out: followed by the sensor status. The layout is inferred;
+COMTEST looks for the status two words later, behind two words of which it knows nothing."""
 
 GET_PROFILE_REPLY = 0x8301
 

@@ -76,9 +76,7 @@ def test_sectors_that_pass_the_check_tile_the_circle(step: int, marks: list[int]
     table = table_of([Sector(function, stop) for function, stop in zip(functions, stops, strict=False)])
     if check(table, 5, step) in (MeasureError.OK, MeasureError.MEAN_PULSE):
         found = spans(table, step)
-        directions = [
-            (span.start + index * step) % TICKS for span in found for index in range(span.length // step + 1)
-        ]
+        directions = [(span.start + index * step) % TICKS for span in found for index in range(span.length // step + 1)]
         assert sorted(directions) == list(range(0, TICKS, step))
         assert found[0].offset == 0
         for before, after in pairwise(found):

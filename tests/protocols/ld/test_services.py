@@ -282,9 +282,7 @@ def test_monitor_and_registration_are_accepted() -> None:
     assert ask(rig, 0x0106) == [0x8106, 0]
 
 
-@pytest.mark.parametrize(
-    ("start", "wait"), [("real", (1400 * MS, 4500 * MS)), ("fast", (10 * MS, 100 * MS))]
-)
+@pytest.mark.parametrize(("start", "wait"), [("real", (1400 * MS, 4500 * MS)), ("fast", (10 * MS, 100 * MS))])
 def test_the_head_takes_its_time_to_speed_and_answers_then(start: str, wait: tuple[int, int]) -> None:
     rig = Rig({"delays": start})
     rig.put(request(0x0403, 10))
@@ -396,6 +394,7 @@ def test_a_telegram_without_a_service_is_a_failure_and_a_failure_is_not_answered
 
 
 # the table
+
 
 def test_the_coverage_table_has_every_row_of_the_dispatcher_once() -> None:
     rows = FAMILY.commands()
