@@ -55,8 +55,22 @@ class Pulse:
 
     @property
     def wave_number(self) -> float:
-        """k = 2 pi/(c tau) of the sin^2 pulse in apparent range: s = (1 + cos k x)/2. [1/m]"""
-        return float(np.pi / self.fwhm_m)
+        """k of `series`; 2 pi/(c tau) for sin^2, whose pulse is (1 + cos k x)/2. [1/m]"""
+        return float(np.pi / self.half_support_m)
+
+    @property
+    def series(self) -> Floats:
+        """c_m of the pulse as a cosine series, sum of c_m cos(m k x) with k = pi/half_support_m, |x| < half_support_m.
+
+        sin^2 is exactly two terms; the Gaussian's 18 leave 1e-12.
+        """
+        if self.shape == "sin2":
+            return np.array([0.5, 0.5])
+        m = np.arange(18.0)
+        ratio = self.sigma_m / self.half_support_m
+        terms = np.sqrt(2.0 * np.pi) * ratio * np.exp(-0.5 * (np.pi * ratio * m) ** 2)
+        terms[0] *= 0.5
+        return floats(terms)
 
     def profile(self, x_m: Values) -> Floats:
         """Pulse over its peak at apparent range x from its centre."""

@@ -3,8 +3,9 @@
 Here: windows around clusters, exact sums of pulses in them, what a medium adds, exact values between the samples. Not
 here: how sub-echoes fall into clusters (subechoes) and what counts as an echo (detection).
 
-Sub-echoes keep their exact positions. For sin^2, a sum of pulses is a constant plus a cosine between the instants at
-which pulses start and end, so running sums of three numbers give it at every sample, however many sub-echoes there are.
+Sub-echoes keep their exact positions. A pulse is a short series of cosines (sin^2: a constant and one cosine), so
+between the instants at which pulses start and end their sum is one too, and running sums give it at every sample,
+however many sub-echoes there are.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from emulator.physics.arrays import Bools, Floats, Ints, floats, ramp
+from emulator.physics.arrays import Bools, Complexes, Floats, Ints, floats, ramp
 from emulator.physics.pulse import Pulse
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import Clusters
@@ -57,15 +58,7 @@ class Waveform:
 
     def surfaces_at(self, x_m: Floats, window: Ints) -> Floats:
         """Exact value of the surfaces' part at any apparent range inside windows; same shape as x."""
-        if x_m.size == 0:
-            return np.zeros(0)
-        if self.pulse.shape == "sin2":
-            return self._sums.at(x_m, window)
-        count = self.sub_count[window]
-        member = np.repeat(self.sub_first[window], count) + ramp(count)
-        near = self.pulse.profile(np.repeat(x_m, count) - self.sub_range[member]) * self.sub_amplitude[member]
-        edge = np.cumsum(count) - count
-        return np.add.reduceat(near, edge)
+        return self._sums.at(x_m, window) if x_m.size else np.zeros(0)
 
     def soft_at(self, x_m: Floats, window: Ints) -> Floats:
         """The medium's part at any apparent range inside windows, linear between the samples."""
@@ -111,30 +104,24 @@ def sample(
     on = base + np.ceil((r - half) / bin_m).astype(np.int64)
     off = base + np.floor((r + half) / bin_m).astype(np.int64) + 1
     local = ramp(count)
-    if pulse.shape == "sin2":
-        k = pulse.wave_number
-        phase = k * (r - (bin_m * first_bin)[window])
-        steps = np.concatenate([on, off])
+    k, series = pulse.wave_number, pulse.series
+    turn = np.exp(1j * k * (r - (bin_m * first_bin)[window]))
+    steps = np.concatenate([on, off])
 
-        # each window's running sums start from exactly 0: what rounding left in the last one is taken off
-        def running(weight: Floats) -> Floats:
-            sums = np.cumsum(_deposit(steps, np.concatenate([weight, -weight]), total))
-            return floats(sums - np.repeat(sums[start], count))
+    # each window's running sums start from exactly 0: what rounding left in the last one is taken off
+    def running(weight: Floats) -> Floats:
+        sums = np.cumsum(_deposit(steps, np.concatenate([weight, -weight]), total))
+        return floats(sums - np.repeat(sums[start], count))
 
-        angle = k * bin_m * np.arange(int(count.max(initial=1)))
-        cosine, sine = np.cos(angle)[local], np.sin(angle)[local]
-        value = running(amplitude)
-        value += cosine * running(amplitude * np.cos(phase))
-        value += sine * running(amplitude * np.sin(phase))
-        value *= 0.5
-        np.maximum(value, 0.0, out=value)
-    else:
-        reach = off - on
-        member = np.repeat(np.arange(r.size), reach)
-        at = np.repeat(on, reach) + ramp(reach)
-        x = bin_m * (at - base[member]).astype(np.float64)
-        value = _deposit(at, amplitude[member] * pulse.profile(x - r[member]), total)
-        cosine = sine = np.zeros(0)
+    angle = k * bin_m * np.arange(int(count.max(initial=1)))
+    cosine, sine = np.cos(angle)[local], np.sin(angle)[local]
+    value = series[0] * running(amplitude)
+    weight = amplitude * turn
+    for m in range(1, series.size):
+        cos_m, sin_m = (cosine, sine) if m == 1 else (np.cos(m * angle)[local], np.sin(m * angle)[local])
+        value += series[m] * (cos_m * running(weight.real) + sin_m * running(weight.imag))
+        weight = weight * turn
+    np.maximum(value, 0.0, out=value)
     part = np.zeros(total)
     if soft is not None and pulse.shape == "sin2" and total:
         j = np.repeat(first_bin, count) + local
@@ -189,14 +176,12 @@ def _deposit(index: Ints, weight: Floats, length: int) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _RunningSums:
-    """Running sums over the sub-echoes of a waveform: constant, cosine and sine part of the pulses under way."""
+    """Running sums over the sub-echoes of a waveform, one for each term of the pulse's series."""
 
     origin: Floats
     key: Floats
     length: float
-    constant: Floats
-    cosine: Floats
-    sine: Floats
+    sums: tuple[Complexes, ...]
     half: float
     k: float
 
@@ -207,25 +192,21 @@ class _RunningSums:
         offset = wave.sub_range - origin[window]
         half, k = wave.pulse.half_support_m, wave.pulse.wave_number
         length = float(offset.max(initial=0.0)) + 8.0 * half
-        zero = np.zeros(1)
-        return cls(
-            origin,
-            window * length + offset,
-            length,
-            np.concatenate([zero, np.cumsum(wave.sub_amplitude)]),
-            np.concatenate([zero, np.cumsum(wave.sub_amplitude * np.cos(k * offset))]),
-            np.concatenate([zero, np.cumsum(wave.sub_amplitude * np.sin(k * offset))]),
-            half,
-            k,
-        )
+        turn = np.exp(-1j * k * offset)
+        weight = wave.sub_amplitude.astype(np.complex128)
+        sums = []
+        for term in wave.pulse.series:
+            sums.append(np.concatenate([np.zeros(1, np.complex128), np.cumsum(term * weight)]))
+            weight = weight * turn
+        return cls(origin, window * length + offset, length, tuple(sums), half, k)
 
     def at(self, x_m: Floats, window: Ints) -> Floats:
         offset = x_m - self.origin[window]
         low = window * self.length + np.clip(offset - self.half, -2.0 * self.half, self.length - 4.0 * self.half)
         high = window * self.length + np.clip(offset + self.half, -2.0 * self.half, self.length - 4.0 * self.half)
         lo, hi = np.searchsorted(self.key, low, side="left"), np.searchsorted(self.key, high, side="right")
-        angle = self.k * offset
-        value = self.constant[hi] - self.constant[lo]
-        value = value + np.cos(angle) * (self.cosine[hi] - self.cosine[lo])
-        value = value + np.sin(angle) * (self.sine[hi] - self.sine[lo])
-        return np.maximum(0.5 * value, 0.0)
+        turn = np.exp(1j * self.k * offset)
+        value = np.zeros(offset.shape, np.complex128)
+        for total in reversed(self.sums):
+            value = value * turn + (total[hi] - total[lo])
+        return np.maximum(value.real, 0.0)

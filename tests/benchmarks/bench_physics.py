@@ -1,4 +1,4 @@
-"""Cost of each step of the physics for one LMS291 scan: 361 beams of 61 sub-beams. Run it; it prints, it judges nothing.
+"""Cost of each step of the physics for one LMS291 scan: 361 beams of 61 sub-beams. It prints and judges nothing.
 
 python tests/benchmarks/bench_physics.py [repeats]
 """
