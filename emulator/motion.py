@@ -186,6 +186,11 @@ class Waypoints(Motion):
         return cls(np.asarray(t_s, dtype=np.float64), np.asarray(at_m, dtype=np.float64), quaternion, loop)
 
     @property
+    def turning(self) -> Floats:
+        """(k - 1,) angle between the quaternions of neighbouring waypoints, half the angle turned. [rad]"""
+        return self._angle
+
+    @property
     def still(self) -> bool:
         return not self.turns and not self._velocity.any()
 
@@ -201,14 +206,14 @@ class Waypoints(Motion):
     def _local(self, t_s: Floats) -> Floats:
         if not self.loop or len(self.t_s) == 1:
             return t_s
-        return np.asarray(self.t_s[0] + np.remainder(t_s - self.t_s[0], self.t_s[-1] - self.t_s[0]))
+        return t_s - whole_turns(t_s, self.t_s[0], self.t_s[-1] - self.t_s[0])
 
     def position(self, t_s: Floats) -> Floats:
         local = self._local(t_s)
         last = len(self.t_s) - 1
         index = np.clip(np.searchsorted(self.t_s, local, side="right") - 1, 0, last)
         elapsed = np.clip(local, self.t_s[0], self.t_s[-1]) - self.t_s[index]
-        return np.asarray(self.at_m[index] + elapsed[:, None] * self._velocity[np.minimum(index + 1, last + 1)])
+        return np.asarray(self.at_m[index] + elapsed[:, None] * self._velocity[index + 1])
 
     def rotation(self, t_s: Floats) -> Floats:
         if not self.turns:
@@ -225,6 +230,11 @@ class Waypoints(Motion):
 
     def velocity(self, t_s: Floats) -> Floats:
         return np.asarray(self._velocity[np.searchsorted(self.t_s, self._local(t_s), side="right")])
+
+
+def whole_turns(t_s: Floats | float, first_s: Floats | float, span_s: Floats | float) -> Floats:
+    """Time that a loop's finished turns took, to be taken off `t_s`."""
+    return np.asarray(np.floor((np.asarray(t_s) - first_s) / span_s) * span_s)
 
 
 def quaternion_of(rotation: Floats) -> Floats:

@@ -1,0 +1,174 @@
+"""Many motions at once: where bodies are during a short time, as straight lines, without a call for each of them.
+
+Belongs here: looking up the stretch of each motion, finding pairs of moving spheres and rays that may meet. Not: single
+motions (motion), meeting triangles (raycast). Vectors are (3, n): one long row a coordinate is what numpy is fast at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emulator.motion import Floats, Motion, Steady, Waypoints, matrix_of, whole_turns
+
+Longs = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+CHUNK = 8
+"Least number of neighbouring rays that are tested as one cone."
+MOST_CHUNKS = 128
+DIRECT = 1024
+"So few pairs are not worth a first choice."
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Motions during a time in which most of them are straight: position = at + velocity (t - since)."""
+
+    at: Floats
+    "(3, b)"
+    velocity: Floats
+    "(3, b)"
+    since: Floats
+    "(b,)"
+    turned: Floats
+    "(3, 3, b) orientation, body to world."
+    straight: Flags
+    "(b,) all of this holds through the whole time; the others pass a waypoint, jump or turn in it."
+
+
+class Fleet:
+    """The motions of b bodies."""
+
+    def __init__(self, motions: Sequence[Motion]) -> None:
+        self.motions = tuple(motions)
+        knots = [_knots(motion) for motion in self.motions]
+        sizes = [len(one.time) for one in knots]
+        self._starts = np.cumsum([0, *sizes])[:-1]
+        self._sizes = np.array(sizes, np.int64)
+        self._time = np.concatenate([np.zeros(0), *(one.time for one in knots)])
+        self._until = np.concatenate([np.zeros(0), *(one.until for one in knots)])
+        self._at = np.concatenate([np.zeros((3, 0)), *(one.at.T for one in knots)], axis=1)
+        self._velocity = np.concatenate([np.zeros((3, 0)), *(one.velocity.T for one in knots)], axis=1)
+        rotation = np.concatenate([np.zeros((0, 3, 3)), *(one.rotation for one in knots)])
+        self._turned = np.ascontiguousarray(rotation.transpose(1, 2, 0))
+        self._steady_turn = np.concatenate([np.zeros(0, bool), *(one.straight for one in knots)])
+        self._first = np.array([one.loop[0] for one in knots], np.float64)
+        self._span = np.array([one.loop[1] for one in knots], np.float64)
+        self._loops = np.flatnonzero(self._span > 0.0)
+        self._last = (np.inf, -np.inf, Stretch(self._at, self._velocity, self._time, self._turned, self._steady_turn))
+        "From when to when the stretch last found holds."
+        if bool((self._sizes == 1).all()):
+            self._last = (-np.inf, np.inf, self._last[2])
+
+    def during(self, begin_s: float, end_s: float) -> Stretch:
+        """All motions from `begin_s` to `end_s`."""
+        valid_from, valid_until, known = self._last
+        if valid_from <= begin_s and end_s < valid_until:
+            return known
+        # whole turns of a loop are counted, so that the same instant gives the same bits whenever it is asked for
+        passed_s = np.zeros(len(self.motions))
+        passed_s[self._loops] = whole_turns(begin_s, self._first[self._loops], self._span[self._loops])
+        local = begin_s - passed_s
+        passed = np.add.reduceat(self._time <= np.repeat(local, self._sizes), self._starts, dtype=np.int64)
+        knot = self._starts + np.maximum(passed - 1, 0)
+        time = self._time[knot]
+        since = np.where(np.isfinite(time), passed_s + time, 0.0)
+        left = self._until[knot] - local
+        straight = self._steady_turn[knot] & (end_s - begin_s < left)
+        found = Stretch(self._at[:, knot], self._velocity[:, knot], since, self._turned[:, :, knot], straight)
+        if end_s - begin_s < left.min():
+            self._last = (begin_s, begin_s + float(left.min()), found)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Knots:
+    """One motion as stretches: each begins at `time` and ends at `until`."""
+
+    time: Floats
+    until: Floats
+    at: Floats
+    velocity: Floats
+    rotation: Floats
+    straight: Flags
+    loop: tuple[float, float] = (0.0, 0.0)
+    "First time and span of a loop; span 0: none."
+
+
+def _knots(motion: Motion) -> _Knots:
+    zero, ever = np.zeros(1), np.full(1, np.inf)
+    if isinstance(motion, Steady) or motion.still:
+        still = np.array([not motion.turns])
+        return _Knots(zero, ever, motion.position(zero), motion.velocity(zero), motion.rotation(zero)[:1], still)
+    if not isinstance(motion, Waypoints):
+        return _Knots(zero, ever, motion.position(zero), motion.velocity(zero), motion.rotation(zero)[:1], zero > 0.0)
+    rotation = matrix_of(motion.quaternion)
+    return _Knots(
+        np.concatenate([-ever, motion.t_s]),
+        np.concatenate([motion.t_s, ever]),
+        np.concatenate([motion.at_m[:1], motion.at_m]),
+        np.concatenate([np.zeros((1, 3)), motion.velocity(motion.t_s[:-1]), np.zeros((1, 3))]),
+        np.concatenate([rotation[:1], rotation]),
+        np.concatenate([[True], motion.turning == 0.0, [True]]),
+        (float(motion.t_s[0]), float(motion.t_s[-1] - motion.t_s[0])) if motion.loop else (0.0, 0.0),
+    )
+
+
+# ---------------------------------------------------------------- spheres and rays
+
+
+def through_sphere(origin: Floats, ray: Floats, reach: Floats | float) -> tuple[Floats, Floats, Flags]:
+    """Where rays enter (>= 0) and leave a sphere of radius `reach` about (0, 0, 0), and whether they meet it.
+
+    `origin`, `ray` : (3, k), `reach` : (k,) or one number.
+    """
+    middle = -np.einsum("ik,ik->k", origin, ray)
+    # distance of the line by its perpendicular: the difference of squares loses digits far away
+    across = origin + middle * ray
+    chord = reach * reach - np.einsum("ik,ik->k", across, across)
+    half = np.sqrt(np.maximum(chord, 0.0))
+    leave = middle + half
+    return np.maximum(middle - half, 0.0), leave, (chord > 0.0) & (leave > 0.0)
+
+
+def may_meet(centre: Floats, reach: Floats, origin: Floats, ray: Floats, far: float) -> tuple[Longs, Longs]:
+    """Pairs of a sphere and a ray that may meet within `far`; neighbouring rays are tested together, as a cone.
+
+    `centre` : (3, b), `reach` : (b,), `origin`, `ray` : (3, m). Some of the pairs do not meet; none that do is missing.
+    """
+    count = ray.shape[1]
+    if len(reach) * count <= DIRECT:
+        return np.repeat(np.arange(len(reach)), count), np.tile(np.arange(count), len(reach))
+    low, high = origin.min(axis=1), origin.max(axis=1)
+    eye = low + (high - low) / 2.0
+    reach = reach + float(np.linalg.norm(high - eye))
+    view = centre - eye[:, None]
+    away = np.sqrt(np.einsum("ib,ib->b", view, view))
+    near = np.flatnonzero(away - reach <= far)
+    if not len(near):
+        return near, near
+    view, away, reach = view[:, near], away[near], reach[near]
+    size = max(CHUNK, -(-count // MOST_CHUNKS))
+    chunks = -(-count // size)
+    cones = ray
+    if chunks * size != count:
+        cones = ray.take(np.minimum(np.arange(chunks * size), count - 1), axis=1)
+    cones = cones.reshape(3, chunks, size)
+    axis = cones.sum(axis=2)
+    axis /= np.maximum(np.sqrt(np.einsum("ic,ic->c", axis, axis)), 1e-30)
+    half = np.arccos(np.clip(np.einsum("ics,ic->cs", cones, axis).min(axis=1), -1.0, 1.0))
+    inside = away <= reach
+    safe = np.where(inside, 1.0, away)
+    width = np.where(inside, np.pi, np.arcsin(np.minimum(reach / safe, 1.0)))
+    angle = np.arccos(np.clip((view / safe).T @ axis, -1.0, 1.0))
+    sphere, chunk = np.nonzero(angle <= width[:, None] + half + 1e-6)
+    rays = (chunk[:, None] * size + np.arange(size)).ravel()
+    which = np.repeat(near[sphere], size)
+    if chunks * size != count:
+        real = rays < count
+        return which[real], rays[real]
+    return which, rays
