@@ -377,3 +377,45 @@ def test_indices_count_turns_and_telegrams() -> None:
     turns, telegrams = zip(*[pair for pair in found if pair], strict=True)
     assert {(b - a) % 256 for a, b in pairwise(turns)} == {16}
     assert list(telegrams) == list(range(len(telegrams)))
+
+
+def test_scans_begin_at_scan_ends_however_requests_come_between() -> None:
+    rig = streaming("361 points", 500_000, 3)
+    for pause_ms in range(3, 40):
+        rig.wait(pause_ms / 1000)
+        rig.ask("31")
+    rig.wait(0.2)
+    for scan in rig.scans():
+        assert scan.due_ns == (scan.sweep + 2) * 40_000_000 // 3  # type: ignore[operator]
+
+
+@pytest.mark.parametrize("baud", [38400, 500_000])
+def test_requests_do_not_disturb_the_order_of_partial_scans(baud: int) -> None:
+    rig = streaming("partial 1 deg", baud, 1)
+    rig.ask("20 25")
+    rig.wait(0.5)
+    rig.ask("3B 64 00 19 00")
+    rig.wait(0.5)
+    begin = len(rig.scans())
+    rig.ask("20 2A")
+    for pause_ms in range(110, 150):
+        rig.wait(pause_ms / 1000)
+        rig.ask("31")
+    found = [read_values(open_frame(scan.payload)) for scan in rig.scans()[begin:]]  # type: ignore[arg-type]
+    parts = [values.header.partial for values in found if values is not None]
+    assert len(parts) >= 8
+    assert parts == [place % 4 for place in range(len(parts))]
+
+
+def test_a_caller_that_sleeps_for_a_second_gets_no_second_of_old_scans() -> None:
+    session = new_session(baud=500_000)
+    session.power_on(0)
+    session.receive(request(b"\x20\x24"), 0)
+    session.take_emissions(60 * MS)
+    while (plan := session.next_plan()) is not None:
+        session.submit(wall()(plan))
+    sent = session.take_emissions(SECOND)
+    assert 1 <= len(sent) <= 4
+    plan = session.next_plan()
+    assert plan is not None
+    assert plan.start_ns > SECOND - 60 * MS

@@ -458,6 +458,7 @@ def test_a_reset_ends_a_stream() -> None:
     rig.wait(5.0)
     labels = [emission.label for emission in rig.emissions[begin:]]
     assert labels[labels.index("91") :] == ["91", "90"]
+    assert DropReason.STALE in rig.dropped()
 
 
 def test_a_permanent_rate_is_the_rate_after_a_reset() -> None:
