@@ -132,6 +132,22 @@ def test_cells_are_split_only_beside_another_label_and_of_their_own_beam() -> No
     assert np.bincount(came_from, finer.shares()) == pytest.approx(cells.shares(), rel=1e-14)
 
 
+def test_a_large_cell_is_split_for_any_of_its_small_neighbours() -> None:
+    cells = adaptive.start(1, 1)  # four cells
+    first = np.array([True, False, False, False])
+    cells = adaptive.split(cells, first)
+    cells = adaptive.split(cells, (cells.level == 2) & (cells.ix == 1))
+    label = np.zeros(len(cells), np.int64)
+    # one of the smallest cells, on the border to the large right neighbour but not at its middle
+    odd = np.flatnonzero((cells.level == 3) & (cells.ix == 3) & (cells.iy == 0))
+    assert odd.size == 1
+    label[odd] = 1
+    chosen = adaptive.differing(cells, label)
+    large = np.flatnonzero((cells.level == 1) & (cells.ix == 1) & (cells.iy == 0))
+    assert chosen[large].all()
+    assert not chosen[(cells.level == 1) & (cells.iy == 1)].any()
+
+
 def test_directions_are_unit_vectors_about_their_axes_with_the_beam_s_width() -> None:
     azimuth = np.radians(np.array([-90.0, 0.0, 37.0, 180.0]))
     elevation = np.radians(np.array([0.0, 10.0, -85.0, 3.0]))

@@ -53,6 +53,22 @@ def test_the_sampled_waveform_gives_the_same_as_the_closed_form(method: Method, 
         assert ranges(found) == pytest.approx([20.0 + shift], abs=2.5e-4)
 
 
+@pytest.mark.parametrize("shape", ["sin2", "gauss"])
+@pytest.mark.parametrize(("fraction", "delay_ns"), [(0.3, 4.0), (0.5, 4.0), (0.7, 12.0)])
+def test_constant_fraction_takes_off_the_place_of_its_own_zero(
+    shape: PulseShape, fraction: float, delay_ns: float
+) -> None:
+    detector = Detector(
+        Pulse(16e-9, shape), 5.0, "constant_fraction", fraction=fraction, delay_s=delay_ns * 1e-9, resolution_m=1e-6
+    )
+    assert ranges(detect(one_beam((20.0, 40.0)), 1, detector)) == [20.0]
+    assert ranges(detect(one_beam((19.999, 20.0), (20.001, 20.0)), 1, detector)) == pytest.approx([20.0], abs=5e-6)
+    if (fraction, shape) == (0.3, "sin2"):
+        assert abs(detector.cfd_lead_m) > 0.1
+        zero_s = float(pulse.cfd_sin2(16e-9, 0.3, 4e-9))
+        assert detector.cfd_lead_m == pytest.approx(0.5 * SPEED_OF_LIGHT_M_S * (zero_s - 16e-9))
+
+
 def test_a_leading_edge_without_table_walks_by_the_closed_form() -> None:
     detector = Detector(PULSE, 5.0, walk_table=False)
     for ratio in (1.0, 10.0, 100.0):
@@ -117,6 +133,8 @@ def test_a_valley_of_less_than_the_noise_does_not_make_two_echoes() -> None:
     shallow = detect(one_beam((20.0, 20.0), (22.45, 20.0)), 1, detector)
     deep = detect(one_beam((20.0, 2000.0), (22.45, 2000.0)), 1, detector)
     assert (len(ranges(shallow)), len(ranges(deep))) == (1, 2)
+    two_deep = detect(one_beam((20.0, 20.0), (22.55, 20.0)), 1, detector)  # a valley of 2.0 noise rms
+    assert len(ranges(two_deep)) == 2
 
 
 def test_energies_of_echoes_at_the_same_range_add() -> None:
