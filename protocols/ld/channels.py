@@ -182,12 +182,17 @@ class Channel:
                 self.line.free_ns = due_ns + serial_ns(len(data), device)
             else:
                 data = encode_frame(payload)
-                self.line.free_ns = due_ns
             emissions = deque([Emission(due_ns, data, self.address, sweep, line_speed, label)])
-        self.last_sent_ns = max(emissions[-1].due_ns, self.line.free_ns)
+        self.last_sent_ns = self.line.free_ns if self.is_paced else due_ns
         if not is_profile:
             self.last_reply_ns = self.last_sent_ns
         return Outgoing(self.address, emissions, is_profile, before_ns, self.line.free_ns)
+
+    def withdrawn(self, sent: Outgoing) -> None:
+        """The line is as if a telegram that had not begun had never been."""
+        if self.is_paced and self.line.free_ns == sent.free_after_ns:
+            self.line.free_ns = sent.free_before_ns
+        self.last_sent_ns = max(self.last_reply_ns, self.line.free_ns if self.is_paced else 0)
 
     def nak(self, now_ns: int, device: Device) -> Outgoing:
         """The single byte that answers a package which cannot be accepted."""

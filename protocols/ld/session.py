@@ -252,8 +252,7 @@ class LdSession(Session):
         channel.profiles = None
         address = channel.address
         for sent in self._outbox.withdraw(lambda sent: sent.to == address and sent.is_profile and not sent.begun):
-            if channel.line.free_ns == sent.free_after_ns:
-                channel.line.free_ns = sent.free_before_ns
+            channel.withdrawn(sent)
 
     def _settle(self, now_ns: int) -> None:
         """After anything that may have changed mode or speed: end what can no longer be, answer who waited for it."""

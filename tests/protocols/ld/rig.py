@@ -11,7 +11,7 @@ from protocols.ld import FAMILY
 from protocols.ld.session import LdSession
 from protocols.scan import Scan, ScanPlan
 from protocols.session import Address, CommandHandled, Dropped, DropReason, Emission, LinkKind, ModeChanged
-from tests.protocols.ld.reader import read_frames, request
+from tests.protocols.ld.reader import ProfileRead, read_frames, read_profile, request
 
 MS = 1_000_000
 SECOND = 1_000_000_000
@@ -146,3 +146,9 @@ class Rig:
 def measuring(device: Mapping[str, Any] | None = None, **options: Any) -> Rig:
     """A rig whose device is found measuring."""
     return Rig({"delays": "fast", "mode": "measure", **(device or {})}, **options)
+
+
+def profiles(rig: Rig, address: Address | None = None, points: list[int] | None = None) -> list[ProfileRead]:
+    """Profiles sent on TCP or by datagram since the last call."""
+    sent = [emission for emission in rig.take(address) if emission.sweep is not None]
+    return [read_profile(payload, points) for emission in sent for payload in read_frames(emission.payload)]
