@@ -20,6 +20,8 @@ Flags = NDArray[np.bool_]
 CHUNK = 8
 "Least number of neighbouring rays that are tested as one cone."
 MOST_CHUNKS = 128
+REMEMBER_S = 1e-9
+"A stretch is looked up anew so long before its end, and as a share of the time."
 DIRECT = 1024
 "So few pairs are not worth a first choice."
 
@@ -80,8 +82,10 @@ class Fleet:
         left = self._until[knot] - local
         straight = self._steady_turn[knot] & (end_s - begin_s < left)
         found = Stretch(self._at[:, knot], self._velocity[:, knot], since, self._turned[:, :, knot], straight)
-        if end_s - begin_s < left.min():
-            self._last = (begin_s, begin_s + float(left.min()), found)
+        # not to the last instant: what rounds there must not depend on what was asked before
+        until = begin_s + float(left.min()) - REMEMBER_S * (1.0 + abs(begin_s))
+        if end_s < until:
+            self._last = (begin_s, until, found)
         return found
 
 

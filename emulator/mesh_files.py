@@ -1,10 +1,10 @@
 """Mesh files (glTF, GLB, OBJ, STL, PLY) to triangles with named parts, in this project's axes.
 
-Belongs here: reading through trimesh, node transforms, part names, axes. Not: checks of the triangles (triangles).
+Belongs here: reading files, node transforms, part names, axes. Not: checks of the triangles (triangles).
 
-Axes: x forward, y left, z up, metres. glTF is defined with +y up and +z forward (so +x is left): its (x, y, z) becomes
-(z, x, y). OBJ, STL and PLY define no axes and are taken as they are, z up; `up="y"` turns them like glTF, `up="z"`
-takes a glTF as it is.
+Axes: x forward, y left, z up, metres. glTF is defined with +y up, +z forward and -x right (glTF 2.0, 3.4): its
+(x, y, z) becomes (z, x, y). OBJ, STL and PLY define no axes and are taken as they are, z up; `up="y"` turns them like
+glTF, `up="z"` takes a glTF as it is.
 """
 
 from __future__ import annotations
@@ -14,62 +14,72 @@ from typing import Any, Literal
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 
 from emulator.errors import SceneError
+from emulator.obj_file import load_obj
 from emulator.triangles import Geometry, checked
 
-FORMATS = {".glb": "y", ".gltf": "y", ".obj": "z", ".stl": "z", ".ply": "z"}
+UP = {".glb": "y", ".gltf": "y", ".obj": "z", ".stl": "z", ".ply": "z"}
 "Suffix -> the axis that points up in that format unless the scenario says otherwise."
-MOST_TRIANGLES = 20_000_000
-"Per file: 1e7 triangles build in about a minute and 2 GB."
+MOST_BYTES = 2_000_000_000
+"Of one file: 1e7 triangles build in about a minute and 2 GB of memory."
+
+Raw = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int32], tuple[str, ...]]
 
 
 def load(path: Path, up: Literal["y", "z"] | None, scale: float, where: str) -> Geometry:
     """Triangles of a mesh file; a `SceneError` beginning with `where` for what cannot be used."""
     suffix = path.suffix.lower()
-    if suffix not in FORMATS:
-        raise SceneError(f"{where}: {path.name}; want a mesh file ending in {', '.join(sorted(FORMATS))}")
+    if suffix not in UP:
+        raise SceneError(f"{where}: {path.name}; want a mesh file ending in {', '.join(sorted(UP))}")
     if not path.is_file():
         raise SceneError(f"{where}: {path}: no such file; want a mesh file")
+    if path.stat().st_size > MOST_BYTES:
+        raise SceneError(f"{where}: {path.name}: {path.stat().st_size} bytes; want at most {MOST_BYTES}")
     try:
-        loaded = trimesh.load_scene(path, process=False, maintain_order=True)
+        points, faces, part, names = load_obj(path) if suffix == ".obj" else _load_scene(path)
     except MemoryError:
         raise SceneError(f"{where}: {path.name}: does not fit in memory; want a smaller mesh") from None
     except Exception as exc:  # readers of broken files fail in every way there is
-        reason = str(exc).splitlines()[0] if str(exc) else type(exc).__name__
-        raise SceneError(
-            f"{where}: {path.name}: cannot be read ({reason}); want a mesh in {suffix[1:]} format"
-        ) from exc
-    vertices, faces, face_part = [], [], []
-    parts: dict[str, int] = {}
+        reason = " ".join(str(exc).split()) or type(exc).__name__
+        told = f"{where}: {path.name}: cannot be read ({reason[:200]})"
+        raise SceneError(f"{told}; want a mesh in {suffix[1:]} format") from exc
+    if len(faces) == 0:
+        raise SceneError(f"{where}: {path.name}: no triangles; want a mesh with at least one")
+    if (up or UP[suffix]) == "y":
+        points = points[:, [2, 0, 1]]
+    if scale != 1.0:
+        points = points * scale
+    return checked(points, faces, part, names, f"{where}: {path.name}")
+
+
+def _load_scene(path: Path) -> Raw:
+    """Every mesh of a file where its nodes place it, in an order that does not depend on the run."""
+    loaded = trimesh.load_scene(path, process=False, maintain_order=True)
+    order = {name: number for number, name in enumerate(loaded.geometry)}
+    placed = [(order[loaded.graph[node][1]], str(node), node) for node in loaded.graph.nodes_geometry]
+    points, faces, part = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int32)]
+    names: dict[str, int] = {}
     offset = 0
-    for node in loaded.graph.nodes_geometry:
+    for _, _, node in sorted(placed, key=lambda one: one[:2]):
         transform, name = loaded.graph[node]
         mesh = loaded.geometry[name]
         if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
             continue
-        part = parts.setdefault(_part_name(mesh, str(name)), len(parts))
-        points = np.asarray(mesh.vertices, dtype=np.float64)
-        if not np.array_equal(transform, np.eye(4)):
-            points = points @ np.asarray(transform)[:3, :3].T + np.asarray(transform)[:3, 3]
+        matrix = np.asarray(transform, dtype=np.float64)
+        corners = np.asarray(mesh.vertices, dtype=np.float64)
+        if not np.array_equal(matrix, np.eye(4)):
+            corners = corners @ matrix[:3, :3].T + matrix[:3, 3]
         indices = np.asarray(mesh.faces, dtype=np.int64)
-        if np.linalg.det(np.asarray(transform)[:3, :3]) < 0:
+        if np.linalg.det(matrix[:3, :3]) < 0:
             indices = indices[:, ::-1]  # a mirrored node turns the winding
-        vertices.append(points)
+        number = names.setdefault(_part_name(mesh, str(name)), len(names))
+        points.append(corners)
         faces.append(indices + offset)
-        face_part.append(np.full(len(indices), part, np.int32))
-        offset += len(points)
-    total = sum(len(one) for one in faces)
-    if total == 0:
-        raise SceneError(f"{where}: {path.name}: no triangles; want a mesh with at least one")
-    if total > MOST_TRIANGLES:
-        raise SceneError(f"{where}: {path.name}: {total} triangles; want at most {MOST_TRIANGLES}")
-    points = np.concatenate(vertices)
-    if (up or FORMATS[suffix]) == "y":
-        points = points[:, [2, 0, 1]]
-    if scale != 1.0:
-        points = points * scale
-    return checked(points, np.concatenate(faces), np.concatenate(face_part), tuple(parts), f"{where}: {path.name}")
+        part.append(np.full(len(indices), number, np.int32))
+        offset += len(corners)
+    return np.concatenate(points), np.concatenate(faces), np.concatenate(part), tuple(names)
 
 
 def _part_name(mesh: Any, name: str) -> str:

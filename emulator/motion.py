@@ -234,7 +234,10 @@ class Waypoints(Motion):
 
 def whole_turns(t_s: Floats | float, first_s: Floats | float, span_s: Floats | float) -> Floats:
     """Time that a loop's finished turns took, to be taken off `t_s`."""
-    return np.asarray(np.floor((np.asarray(t_s) - first_s) / span_s) * span_s)
+    elapsed = np.asarray(t_s) - first_s
+    turns = np.floor(elapsed / span_s)
+    turns = turns + (elapsed - turns * span_s >= span_s)  # a hair before the end rounds to the end
+    return np.asarray(turns * span_s)
 
 
 def quaternion_of(rotation: Floats) -> Floats:

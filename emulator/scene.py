@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from emulator import mesh_files, triangles
 from emulator.errors import SceneError
@@ -18,6 +17,8 @@ from emulator.motion import Floats, Motion, Pose, Steady, Waypoints
 from emulator.scenario import Actor, MotionConfig, Mount, Scenario, Shape, WorldItem
 from emulator.triangles import Geometry, Ints
 
+MOST_TRIANGLES = 20_000_000
+"Of all different shapes together; 1e7 build in about a minute and 2 GB."
 WORLD = 0
 "Index of the actor that everything of the scenario's `world` belongs to."
 
@@ -103,6 +104,9 @@ def build(scenario: Scenario) -> Scene:
         motions.append(motion_of(actor.motion))
         if actor.shape is not None:
             builder.add(number + 1, actor.shape, actor, motions[-1], f"actors.{number}")
+    total = sum(len(geometry.faces) for geometry in builder.made.values())
+    if total > MOST_TRIANGLES:
+        builder.faults.append(f"{scenario.source}: {total} triangles in all; want at most {MOST_TRIANGLES}")
     if builder.faults:
         raise SceneError("\n".join(builder.faults))
     return Scene(
@@ -134,7 +138,7 @@ class _Builder:
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
-        self._made: dict[object, Geometry] = {}
+        self.made: dict[str, Geometry] = {}
         self.materials: dict[str, int] = {}
         self.bodies: list[Body] = []
         self.faults: list[str] = []
@@ -153,15 +157,15 @@ class _Builder:
 
     def _geometry(self, shape: Shape, where: str) -> Geometry:
         key = shape.model_dump_json(include={"mesh", "plane", "box", "cylinder", "sphere", "up", "scale"})
-        if key not in self._made:
-            self._made[key] = geometry = self._make(shape, where)
+        if key not in self.made:
+            self.made[key] = geometry = self._make(shape, where)
             if geometry.dropped:
                 self.warnings.append(f"{where}: {geometry.dropped} triangles of no area left out")
             if geometry.twins:
                 self.warnings.append(
                     f"{where}: {geometry.twins} triangles lie on one of another part; which is seen is arbitrary"
                 )
-        return self._made[key]
+        return self.made[key]
 
     def _make(self, shape: Shape, where: str) -> Geometry:
         if shape.mesh is not None:
@@ -191,8 +195,3 @@ class _Builder:
             where = self._scenario.label(dotted)
             raise SceneError(f"{where}: no material for {', '.join(missing)}; want `material` or `materials` for them")
         return [name for name in names if name is not None]
-
-
-def face_vertices(body: Body) -> NDArray[np.float64]:
-    """Corners of every face about the body's origin, (f, 3, 3)."""
-    return body.vertices[body.faces]
