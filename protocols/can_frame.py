@@ -123,8 +123,11 @@ def frame_bits(peer: int, data: bytes) -> int:
 def frames_bits(peers: Sequence[int], payloads: Sequence[bytes]) -> NDArray[np.int64]:
     """`frame_bits` of many frames at once, (n,)."""
     lengths = np.array([len(payload) for payload in payloads], dtype=np.int64)
-    headers = np.array([_header(peer, len(payload)) for peer, payload in zip(peers, payloads, strict=True)])
-    register, state, total = headers.reshape(-1, 3).T.astype(np.int64)
+    # a list has few identifiers, so few headers
+    rows: dict[tuple[int, int], int] = {}
+    index = [rows.setdefault((peer, len(payload)), len(rows)) for peer, payload in zip(peers, payloads, strict=True)]
+    headers = np.array([_header(*row) for row in rows], dtype=np.int64).reshape(-1, 3)
+    register, state, total = headers[np.array(index, dtype=np.intp)].T
     columns = np.frombuffer(b"".join(payload.ljust(8, b"\0") for payload in payloads), np.uint8).reshape(-1, 8)
     total = total + 8 * lengths + 15 + TAIL_BITS
     for column in range(int(lengths.max(initial=0))):

@@ -34,7 +34,7 @@ CAN_ERR_BUSOFF = 0x40
 
 def check_link_can(url: str) -> None:
     """Judge the text of a `can:` link; raises ValueError."""
-    _parts(url)
+    _numbers(*_parts(url)[:2])
 
 
 def open_link_can(url: str, *, can_ports: CanPorts | None = None) -> Link:
@@ -43,8 +43,7 @@ def open_link_can(url: str, *, can_ports: CanPorts | None = None) -> Link:
     Further options go to python-can. `can_ports`: the buses of the run; sensors that give the same text share one.
     """
     parts, interface, channel = _parts(url)
-    bitrate = parts.number("bitrate", BITRATE, LOWEST_BITRATE, HIGHEST_BITRATE)
-    gap_ns = 1000 * parts.number("gap_us", GAPS_US.get(interface, 0), 0, 1_000_000)
+    bitrate, gap_ns = _numbers(parts, interface)
     ports = can_ports if can_ports is not None else CanPorts()
 
     def make() -> tuple[CanWire, Outlet]:
@@ -66,6 +65,12 @@ def _parts(url: str) -> tuple[LinkUrl, str, str]:
     if not colon or not channel:
         raise ValueError(f"{url!r}: no channel; want can:INTERFACE:CHANNEL, for example can:socketcan:vcan0")
     return parts, interface, channel
+
+
+def _numbers(parts: LinkUrl, interface: str) -> tuple[int, int]:
+    """Bit rate, and the least time between two frames in nanoseconds."""
+    bitrate = parts.number("bitrate", BITRATE, LOWEST_BITRATE, HIGHEST_BITRATE)
+    return bitrate, 1000 * parts.number("gap_us", GAPS_US.get(interface, 0), 0, 1_000_000)
 
 
 def _value(text: str) -> int | float | bool | str:

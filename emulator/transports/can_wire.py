@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from protocols.can_frame import MAX_DATA_BYTES, arbitration_key, frame_bits, is_identifier
 
@@ -44,12 +45,10 @@ class Node:
     bus_offs: int = 0
 
 
-@dataclass(frozen=True)
-class _Waiting:
+class _Waiting(NamedTuple):
     due_ns: int
     peer: int
     data: bytes
-    bits: int
 
 
 @dataclass(frozen=True)
@@ -117,7 +116,7 @@ class CanWire:
                 node.dropped += 1
                 return False
             self._recover(node)
-        node.waiting.append(_Waiting(due_ns, peer, data, frame_bits(peer, data)))
+        node.waiting.append(_Waiting(due_ns, peer, data))
         return True
 
     def take(self, now_ns: int) -> list[Carried]:
@@ -146,7 +145,7 @@ class CanWire:
             return self._on_wire[3]
         # when the next frame will have left, as far as can be said before the arbitration
         ends = [
-            max(self._free_ns, node.waiting[0].due_ns) + self._duration_ns(node.waiting[0].bits)
+            max(self._free_ns, node.waiting[0].due_ns) + self._frame_ns(node.waiting[0])
             for node in self._nodes
             if node.waiting
         ]
@@ -172,6 +171,9 @@ class CanWire:
     def _duration_ns(self, bits: int) -> int:
         return (bits * SECOND_NS + self.bitrate // 2) // self.bitrate
 
+    def _frame_ns(self, frame: _Waiting) -> int:
+        return self._duration_ns(frame_bits(frame.peer, frame.data))
+
     def _begin(self, now_ns: int) -> bool:
         """Let the winner of the next arbitration begin, when that is by `now_ns`."""
         heads = [node for node in self._nodes if node.waiting]
@@ -183,7 +185,7 @@ class CanWire:
         ready = [node for node in heads if node.waiting[0].due_ns <= start_ns]
         winner = min(ready, key=lambda node: arbitration_key(node.waiting[0].peer))
         frame = winner.waiting[0]
-        end_ns = start_ns + self._duration_ns(frame.bits)
+        end_ns = start_ns + self._frame_ns(frame)
         if winner.disturbed:
             self._destroy(winner, start_ns, end_ns)
             return True

@@ -100,20 +100,22 @@ def _contour_frames(
 ) -> list[list[Frame]]:
     """Contour header of every object and its point frames, each point a step from the one before."""
     closest = table.closest_points_m()
-    starts = np.zeros((len(table), 2))
-    counts, nearest = np.zeros(len(table), dtype=np.int64), np.zeros(len(table), dtype=np.int64)
-    steps: list[NDArray[np.int64]] = []
+    # one point, the nearest of the box, where there is no outline or none is wanted
+    starts = closest.copy()
+    counts, nearest = np.ones(len(table), dtype=np.int64), np.zeros(len(table), dtype=np.int64)
     none = np.zeros((0, 2), dtype=np.int64)
-    for row, outline in enumerate(table.contours):
-        points = _thinned(outline, density) if outline and density else closest[row : row + 1]
+    steps: list[NDArray[np.int64]] = [none] * len(table)
+    for row, outline in enumerate(table.contours if density else ()):
+        if not outline:
+            continue
+        points = _thinned(outline, density)
         distances = np.hypot(points[:, 0], points[:, 1])
         walk = _steps(points)
         if walk is None or len(points) >= CONTOUR_NOT_USABLE:
             counts[row], starts[row] = CONTOUR_NOT_USABLE, points[int(distances.argmin())]
-            steps.append(none)
         else:
             counts[row], nearest[row], starts[row] = len(points), int(distances.argmin()), points[0]
-            steps.append(walk)
+            steps[row] = walk
     headers = layout["ContourHeader"].frames(
         len(table),
         {"ObjId": ids, "NumPoints": counts, "ClosestIndex": nearest},

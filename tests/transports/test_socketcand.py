@@ -1,0 +1,380 @@
+"""The socketcand server: what its clients read and write, in every chunking, and stock python-can clients."""
+
+from __future__ import annotations
+
+import logging
+import re
+import select
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from emulator.transports import open_link
+from emulator.transports.can_link import CanLink, CanPorts
+from emulator.transports.link import Received
+from emulator.transports.socketcand import SETTLE_NS, frame_text, parse_send
+from protocols.can_frame import EXTENDED
+
+MS = 1_000_000
+SECOND = 1_000_000_000
+PATIENCE_S = 5.0
+
+
+class Rig:
+    """A link, and raw clients; time is the test's own."""
+
+    def __init__(self) -> None:
+        link = open_link("socketcand:127.0.0.1:0/can0")
+        assert isinstance(link, CanLink)
+        self.link = link
+        self.now_ns = SECOND
+        self.clients: list[socket.socket] = []
+        match = re.fullmatch(r"socketcand:(.*):(\d+)/can0", link.url)
+        assert match is not None
+        self.host, self.port = match[1], int(match[2])
+
+    def client(self) -> socket.socket:
+        self.clients.append(socket.create_connection((self.host, self.port), timeout=PATIENCE_S))
+        self.step()
+        return self.clients[-1]
+
+    def raw_client(self) -> socket.socket:
+        client = self.client()
+        assert self.talk(client, "", "< hi >")
+        assert self.talk(client, "< open can0 >", "< ok >")
+        assert self.talk(client, "< rawmode >", "< ok >")
+        self.now_ns += SETTLE_NS
+        return client
+
+    def talk(self, client: socket.socket, text: str, answer: str) -> bool:
+        """Say something and read exactly the answer."""
+        client.sendall(text.encode())
+        got = b""
+        while len(got) < len(answer):
+            self.step()
+            if select.select([client], [], [], 0.01)[0]:
+                got += client.recv(len(answer) - len(got))
+        return got.decode() == answer
+
+    def step(self) -> list[Received]:
+        if self.link.filenos():
+            select.select(self.link.filenos(), [], [], 0.005)
+        got = self.link.receive(self.now_ns)
+        self.link.flush(self.now_ns)
+        return got
+
+    def hear(self, count: int) -> list[Received]:
+        """What the sensor receives of its hosts, once so many frames are there."""
+        got: list[Received] = []
+        for _ in range(1000 if count else 5):
+            got += self.step()
+            if len(got) >= count > 0:
+                break
+            self.now_ns += MS
+        return got
+
+    def read(self, client: socket.socket, groups: int) -> list[str]:
+        """So many groups as a client reads them."""
+        text = ""
+        while text.count(">") < groups:
+            self.step()
+            if select.select([client], [], [], 0.01)[0]:
+                text += client.recv(65536).decode()
+        return re.findall(r"<[^>]*>", text)
+
+    def close(self) -> None:
+        for client in self.clients:
+            client.close()
+        self.link.close()
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    made = Rig()
+    yield made
+    made.close()
+
+
+def test_the_handshake_is_greeting_open_raw_mode_each_with_one_answer(rig: Rig) -> None:
+    rig.raw_client()
+
+
+def test_a_frame_reaches_a_client_with_the_time_of_its_last_bit(rig: Rig) -> None:
+    client = rig.raw_client()
+    rig.link.send(bytes.fromhex("03FBF710"), rig.now_ns, 0x60A)
+    rig.link.send(b"", rig.now_ns, 0x12345 | EXTENDED)
+    rig.now_ns += 10 * MS
+    first, second = rig.read(client, 2)
+    identifier, time_s, data = first[8:-2].split(" ")
+    assert (identifier, data) == ("60A", "03FBF710")
+    assert float(time_s) == pytest.approx((rig.now_ns - 10 * MS) / SECOND + 83 * 2e-6, abs=20e-6)
+    assert second.startswith("< frame 00012345 ")
+    assert second.endswith("  >")  # no data between the two spaces, as socketcand prints it
+
+
+def test_the_worked_frame_is_written_as_the_protocol_has_it() -> None:
+    assert frame_text(0x60A, bytes.fromhex("03FBF710"), 123_456_789_000) == b"< frame 60A 123.456789 03FBF710 >"
+
+
+@pytest.mark.parametrize(
+    ("text", "frame"),
+    [
+        ("200 8 b9 1f 40 0 8 8c 1 0", (0x200, bytes.fromhex("B91F4000088C0100"))),
+        ("7FF 0", (0x7FF, b"")),
+        ("00000200 1 ff", (0x200 | EXTENDED, b"\xff")),
+        ("1FFFFFFF 0", (0x1FFFFFFF | EXTENDED, b"")),
+        ("5 1 a", (5, b"\x0a")),
+        ("800 0", None),
+        ("20000000 0", None),
+        ("0200 0", None),
+        ("200", None),
+        ("200 9 1 2 3 4 5 6 7 8 9", None),
+        ("200 2 1", None),
+        ("200 1 100", None),
+        ("200 1 xx", None),
+        ("200 1 -1", None),
+        ("200 1 +1", None),
+        ("", None),
+    ],
+)
+def test_a_send_group_is_a_frame_or_refused(text: str, frame: tuple[int, bytes] | None) -> None:
+    assert parse_send(text.encode().split()) == frame
+
+
+@given(st.lists(st.binary(max_size=12), max_size=12))
+def test_reading_a_send_group_never_raises(words: list[bytes]) -> None:
+    found = parse_send(words)
+    assert found is None or len(found[1]) <= 8
+
+
+WORKED = "< send 200 8 b9 1f 40 0 8 8c 1 0 >"
+HEARD = Received(0x200, bytes.fromhex("B91F4000088C0100"))
+
+
+@pytest.mark.parametrize(
+    ("chunks", "frames"),
+    [
+        ([WORKED], 1),
+        (list(WORKED), 1),
+        ([WORKED + WORKED], 2),
+        (["rubbish\n >> ", WORKED], 1),
+        ([WORKED, " and more \r\n"], 1),
+        (["< send 200 8 b9 ", WORKED], 1),  # half a group is given up when the next one begins
+    ],
+)
+def test_a_host_s_frame_arrives_however_it_is_cut(rig: Rig, chunks: list[str], frames: int) -> None:
+    client = rig.raw_client()
+    for chunk in chunks:
+        client.sendall(chunk.encode())
+        rig.step()
+    assert rig.hear(frames) == [HEARD] * frames
+    assert rig.link.hosts.host_frames == frames
+
+
+def test_frames_of_one_client_are_shown_to_the_others_and_not_to_itself(rig: Rig) -> None:
+    one, other = rig.raw_client(), rig.raw_client()
+    one.sendall(WORKED.encode())
+    assert rig.hear(1) == [HEARD]
+    assert [group.split()[2] for group in rig.read(other, 1)] == ["200"]
+    assert select.select([one], [], [], 0.02)[0] == []
+
+
+@pytest.mark.parametrize(
+    ("said", "answer"),
+    [
+        ("< statistics 100 >", "< error unknown command >"),
+        ("< bcmmode >", "< error unknown command >"),
+        ("< open can0 >", "< error unknown command >"),  # a second time
+        ("< >", "< error syntax error >"),
+        ("< send 800 0 >", "< error syntax error in send command >"),
+        ("< echo >", "< echo >"),
+    ],
+)
+def test_other_groups_are_answered_with_an_error_group(rig: Rig, said: str, answer: str) -> None:
+    client = rig.raw_client()
+    assert rig.talk(client, said, answer)
+    assert rig.link.hosts.malformed == (0 if answer == "< echo >" else 1)
+    client.sendall(WORKED.encode())
+    assert rig.hear(1) == [HEARD]
+
+
+def test_before_open_there_is_nothing_but_open(rig: Rig) -> None:
+    client = rig.client()
+    assert rig.talk(client, "", "< hi >")
+    assert rig.talk(client, "< rawmode >", "< error unknown command >")
+    assert rig.talk(client, WORKED, "< error unknown command >")
+    assert rig.talk(client, "< open can7 >", "< error could not open bus >")
+    assert rig.talk(client, "< open can0 >", "< ok >")
+
+
+def test_text_without_end_is_refused_and_forgotten(rig: Rig) -> None:
+    client = rig.raw_client()
+    assert rig.talk(client, "<" + "x" * 2000, "< error too long >")
+    client.sendall(b">" + WORKED.encode())
+    assert rig.hear(1) == [HEARD]
+
+
+def test_frames_wait_until_a_client_has_read_that_raw_mode_began(rig: Rig) -> None:
+    client = rig.client()
+    assert rig.talk(client, "", "< hi >")
+    assert rig.talk(client, "< open can0 >", "< ok >")
+    assert rig.talk(client, "< rawmode >", "< ok >")
+    for k in range(5):
+        rig.link.send(bytes([k]), rig.now_ns, 0x100)
+    rig.now_ns += SETTLE_NS - 1
+    rig.step()
+    assert select.select([client], [], [], 0.02)[0] == []
+    wake = rig.link.flush(rig.now_ns)
+    assert wake is not None
+    assert wake <= rig.now_ns + 1
+    rig.now_ns += 1
+    assert [group.split()[-2] for group in rig.read(client, 5)] == ["00", "01", "02", "03", "04"]
+
+
+def test_without_a_client_frames_are_lost_and_counted(rig: Rig) -> None:
+    rig.link.send(b"abc", rig.now_ns, 0x100)
+    rig.now_ns += 10 * MS
+    rig.step()
+    assert rig.link.stats.bytes_lost == 3
+    client = rig.raw_client()
+    rig.link.send(b"abc", rig.now_ns, 0x100)
+    rig.now_ns += 10 * MS
+    assert len(rig.read(client, 1)) == 1
+    assert rig.link.stats.bytes_out == 3
+
+
+def test_a_client_that_does_not_read_loses_whole_frames_and_the_others_none(rig: Rig) -> None:
+    lazy, keen = rig.raw_client(), rig.raw_client()
+    lazy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    seen, sent = "", 0
+    while rig.link.stats.payloads_dropped == 0:
+        for _ in range(200):
+            rig.link.send(sent.to_bytes(8, "big"), rig.now_ns, 0x100)
+            sent += 1
+        rig.now_ns += 100 * MS
+        rig.step()
+        while select.select([keen], [], [], 0)[0]:
+            seen += keen.recv(65536).decode()
+        assert sent < 200_000
+    while seen.count(">") < sent:
+        rig.step()
+        seen += keen.recv(65536).decode()
+    assert [int(word, 16) for word in re.findall(r"([0-9A-F]{16}) >", seen)] == list(range(sent))
+    lazy.settimeout(0.2)
+    text = ""
+    try:
+        while True:
+            rig.step()
+            text += lazy.recv(65536).decode()
+    except TimeoutError:
+        pass
+    numbers = [int(word, 16) for word in re.findall(r"([0-9A-F]{16}) >", text)]
+    assert numbers == sorted(set(numbers))
+    assert re.fullmatch(r"(< frame 100 [0-9.]+ [0-9A-F]{16} >)*", text)
+
+
+def test_a_client_that_goes_in_the_middle_of_a_group_leaves_nothing_behind(rig: Rig) -> None:
+    client = rig.raw_client()
+    client.sendall(b"< send 200 8 b9 1f")
+    rig.step()
+    client.close()
+    assert rig.hear(0) == []
+    other = rig.raw_client()
+    other.sendall(WORKED.encode())
+    assert rig.hear(1) == [HEARD]
+
+
+def test_a_flood_of_a_client_is_carried_at_the_bit_rate_and_loses_nothing(rig: Rig) -> None:
+    client = rig.raw_client()
+    client.sendall(b"".join(f"< send 300 2 {k >> 8:x} {k & 255:x} >".encode() for k in range(3000)))
+    got = rig.hear(3000)
+    assert [int.from_bytes(frame.data, "big") for frame in got] == list(range(3000))
+
+
+def test_a_lower_identifier_of_a_host_goes_before_the_sensor_s_next_frame(rig: Rig) -> None:
+    client = rig.raw_client()
+    listener = rig.raw_client()
+    start_ns = rig.now_ns + 5 * MS
+    for k in range(4):
+        rig.link.send(bytes([k] * 8), start_ns, 0x60B)
+    rig.now_ns = start_ns + 100_000  # the first one is on the bus
+    rig.step()
+    client.sendall(b"< send 200 0 >< send 7FF 0 >")
+    assert select.select(rig.link.filenos(), [], [], PATIENCE_S)[0]
+    rig.step()
+    rig.now_ns += 50 * MS
+    assert [group.split()[2] for group in rig.read(listener, 6)] == ["60B", "200", "60B", "60B", "60B", "7FF"]
+
+
+def test_clients_are_told_of_bus_off_with_an_error_frame(rig: Rig) -> None:
+    client = rig.raw_client()
+    rig.link.disturb(32)
+    rig.link.send(bytes(8), rig.now_ns, 0x100)
+    rig.now_ns += 20 * MS
+    assert [group.split()[1:3] for group in rig.read(client, 3)] == [
+        ["error", "20000004"],
+        ["error", "20000040"],
+        ["error", "20000100"],
+    ]
+
+
+def test_channels_of_one_server_are_separate_buses() -> None:
+    ports = CanPorts()
+    links = [open_link(f"socketcand:127.0.0.1:0/{name}", can_ports=ports) for name in ("can0", "can1")]
+    try:
+        address = [link.url.rpartition("/")[0] for link in links]
+        assert address[0] == address[1]
+        assert [len(link.filenos()) for link in links] == [1, 0]
+    finally:
+        for link in links:
+            link.close()
+
+
+@pytest.fixture
+def quiet(caplog: pytest.LogCaptureFixture) -> None:
+    """The stock client warns of every group that TCP has cut."""
+    logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)
+    logging.getLogger("can.socketcand").setLevel(logging.ERROR)
+
+
+def test_two_stock_clients_in_one_process_see_the_same_frames(rig: Rig, quiet: None) -> None:
+    import threading
+
+    import can
+
+    buses: list[Any] = []
+    stop = threading.Event()
+
+    def serve() -> None:
+        while not stop.is_set():
+            rig.step()
+            rig.now_ns += MS
+
+    server = threading.Thread(target=serve)
+    server.start()
+    try:
+        for _ in range(2):
+            buses.append(can.Bus(interface="socketcand", host=rig.host, port=rig.port, channel="can0"))
+        stop.set()
+        server.join()
+        rig.now_ns += SETTLE_NS
+        for k in range(300):
+            rig.link.send(bytes([k & 255, k >> 8]), rig.now_ns + k * 100_000, 0x60B)
+        rig.now_ns += 200 * MS
+        rig.step()
+        for bus in buses:
+            seen = [bus.recv(1.0) for _ in range(300)]
+            assert [(m.arbitration_id, m.data[0] | m.data[1] << 8) for m in seen] == [(0x60B, k) for k in range(300)]
+            assert not seen[0].is_extended_id
+        buses[0].send(can.Message(arbitration_id=0x1ABCDE, data=b"x", is_extended_id=True))
+        assert rig.hear(1) == [Received(0x1ABCDE | EXTENDED, b"x")]
+        assert buses[1].recv(1.0).arbitration_id == 0x1ABCDE
+    finally:
+        stop.set()
+        server.join()
+        for bus in buses:
+            bus.shutdown()
