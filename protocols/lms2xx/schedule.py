@@ -37,7 +37,7 @@ class Line:
         return end_ns
 
 
-@dataclass
+@dataclass(eq=False)
 class Slot:
     """One telegram of measured values that is to be sent."""
 
@@ -101,11 +101,13 @@ class Schedule:
         "Of this stream so far, pending ones included: tells which partial scan is next."
         self._epoch = 0
         self._plan: ScanPlan | None = None
+        self._planned: Slot | None = None
+        "The slot that the plan's scan is for."
 
     def restart(self, mirror: Mirror) -> None:
         """The mirror begins to turn anew; nothing is wanted."""
-        self._slots.clear()
-        self._forget_plan()
+        self._keep([])
+        self._epoch += 1
         self._mirror = mirror
         self._stream = None
 
@@ -114,12 +116,9 @@ class Schedule:
 
         A scan that was asked for before stays: its telegram comes before the ACK of whatever withdraws the others.
         """
-        kept = [slot for slot in self._slots if slot.reserved]
         wasted = sum(slot.measured > 0 for slot in self._slots if not slot.reserved)
-        plan = None if all(slot.result is not None for slot in kept) else self._plan
-        self._forget_plan()
-        self._plan = plan
-        self._slots = deque(kept)
+        self._keep([slot for slot in self._slots if slot.reserved])
+        self._epoch += 1
         self._stream = None
         return wasted
 
@@ -153,7 +152,9 @@ class Schedule:
         scan = max(scan, output.scans)
         send_ns = self._mirror.turn_ns(scan * made.turns)
         first = (scan - output.scans) * made.turns
-        self._slots.append(Slot(output, made, None, device.format, device.gain, first, send_ns, size, True, single))
+        slot = Slot(output, made, None, device.format, device.gain, first, send_ns, size, True, single)
+        place = sum(other.reserved for other in self._slots) if single else len(self._slots)
+        self._slots.insert(place, slot)
         if single:
             self._line.promise(send_ns, size)
 
@@ -165,12 +166,10 @@ class Schedule:
             if slot.output.scans == 1 or not slot.measured:
                 self._drop_stream_slots()
             else:
-                while len(self._slots) and self._slots[-1] is not slot:
-                    self._slots.pop()
+                kept = list(self._slots)
+                self._keep(kept[: kept.index(slot) + 1])
                 slot.send_ns = self._mirror.turn_ns(self._mirror.first_turn_from(self._line.free_ns))
                 self._note_stream_end()
-                if slot.result is not None:
-                    self._forget_plan()
             return
 
     def next_plan(self, now_ns: int) -> ScanPlan | None:
@@ -178,18 +177,18 @@ class Schedule:
         if self._plan is None:
             slot = self._open_slot(now_ns)
             if slot is not None and self._given_out_ns(slot) <= now_ns:
-                self._plan = self._make_plan(slot)
+                self._plan, self._planned = self._make_plan(slot), slot
         return self._plan
 
     def submit(self, scan: Scan) -> None:
         """Take the scan of `next_plan`. Raises `ScanRefused` for any other."""
-        plan = self._plan
-        if plan is None or (plan.epoch, plan.sweep) != (scan.plan.epoch, scan.plan.sweep):
+        plan, slot = self._plan, self._planned
+        if plan is None or slot is None or (plan.epoch, plan.sweep) != (scan.plan.epoch, scan.plan.sweep):
             raise ScanRefused(f"sweep {scan.plan.sweep} of epoch {scan.plan.epoch} is not wanted any more")
         if len(scan.range_m) != len(plan):
             raise EncodeError(f"{len(scan.range_m)} beams; the plan has {len(plan)}")
-        self._plan = None
-        next(slot for slot in self._slots if slot.result is None).take(nearest(scan))
+        self._plan = self._planned = None
+        slot.take(nearest(scan))
 
     def take_due(self, now_ns: int) -> Slot | None:
         """The next slot whose time has come and whose scans are there, removed; call until None."""
@@ -264,14 +263,16 @@ class Schedule:
     def _drop_stream_slots(self) -> None:
         """Take back what of the stream has not been sent; its place is found anew."""
         kept = [slot for slot in self._slots if slot.once]
-        dropped = [slot for slot in self._slots if not slot.once]
-        if not dropped:
-            return
-        if all(slot.result is not None for slot in kept):
-            self._forget_plan()
-        self._slots = deque(kept)
-        self._telegrams -= len(dropped)
+        self._telegrams -= len(self._slots) - len(kept)
         self._stream_turn = self._sent_turn
+        self._keep(kept)
+
+    def _keep(self, kept: list[Slot]) -> None:
+        """Let go of all other slots, and of the plan made for one of them: its scan may still be on its way."""
+        self._slots = deque(kept)
+        if self._planned is not None and self._planned not in kept:
+            self._plan = self._planned = None
+            self._epoch += 1
 
     def _make_plan(self, slot: Slot) -> ScanPlan:
         return ScanPlan(
@@ -286,7 +287,3 @@ class Schedule:
             gain=slot.gain,
             wants_intensity=slot.form.wants_intensity(slot.output),
         )
-
-    def _forget_plan(self) -> None:
-        self._plan = None
-        self._epoch += 1
