@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from emulator.physics.arrays import Complexes, Floats, Ints, Values, exp_or_zero, floats, require_positive
+from emulator.physics.arrays import Complexes, Floats, Ints, Values, exp_or_zero, floats, ramp, require_positive
 from emulator.physics.pulse import Pulse
 from emulator.physics.radiometry import overlap
 
@@ -197,7 +197,11 @@ def _running(
 def _gauss_wave(pulse: Pulse, x: Floats, knots: Floats, a: Floats) -> Floats:
     middle, piece = 0.5 * (knots[1:] + knots[:-1]), np.diff(a)
     wave = np.zeros(x.shape)
-    for start in range(0, x.size, 256):  # keeps the table of pairs small
-        part = slice(start, start + 256)
-        wave[part] = pulse.profile(x[part, None] - middle) @ piece
+    reach = pulse.half_support_m
+    for start in range(0, x.size, 4096):  # keeps the table of pairs small; only pieces under the pulse are paired
+        part = x[start : start + 4096]
+        low = np.searchsorted(middle, part - reach)
+        count = np.searchsorted(middle, part + reach, side="right") - low
+        owner, at = np.repeat(np.arange(part.size), count), np.repeat(low, count) + ramp(count)
+        wave[start : start + 4096] = np.bincount(owner, pulse.profile(part[owner] - middle[at]) * piece[at], part.size)
     return wave

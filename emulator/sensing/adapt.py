@@ -93,6 +93,7 @@ def _rays(cells: adaptive.Cells, plan: ScanPlan, pose: Pose, t_s: Floats, model:
         nearest_axis=order[first],
         centre_m=pose.position_m,
         axis=turned(pose.rotation, axis[:, None, :])[:, 0, :],
+        own_axis=axis,
     )
 
 

@@ -6,13 +6,14 @@ what the air does between (air), reflection models (physics.brdf).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.physics import radiometry
+from emulator.physics import brdf, radiometry
 from emulator.physics.arrays import Floats, Ints, exp_or_zero
 from emulator.physics.materials import SurfaceTable
 from emulator.physics.subechoes import SubEchoes
@@ -116,7 +117,7 @@ def returned(
             rays.direction[met],
             rays.t_s[met],
             rays.beam[met],
-            rays.share[met] * gain if gain != 1.0 else rays.share[met],
+            rays.share[met] * _windows(rays, model, gain)[rays.beam[met]],
             0.0,
             0.0,
         )
@@ -131,6 +132,17 @@ def returned(
         np.minimum.at(nearest, rays.beam[index], hits.range_m[index])
     at_axis = rays.nearest_axis
     return Seen(_in_order(*_joined(parts)), nearest, hits.material[at_axis], hits.normal[at_axis])
+
+
+def _windows(rays: Rays, model: SensorModel, gain: float) -> Floats:
+    """Factor on each beam's light there and back: the plan's gain, and a windscreen in front of the sensor."""
+    factor = np.full(len(rays.axis), gain)
+    if model.windscreen is not None:
+        screen = model.windscreen
+        rake = math.radians(screen.rake_deg)
+        cosine = np.abs(rays.own_axis @ np.array([math.cos(rake), 0.0, math.sin(rake)]))
+        factor *= brdf.pane_internal_transmission_cos(screen.index, cosine, screen.internal_transmission) ** 2
+    return factor
 
 
 @dataclass(eq=False)

@@ -65,6 +65,8 @@ class Rays:
     "(n, 3) optical centre at each beam's instant."
     axis: Floats
     "(n, 3)"
+    own_axis: Floats
+    "(n, 3) in the sensor's frame."
 
 
 class BundleCache:
@@ -119,6 +121,7 @@ def cast_rays(bundles: Bundles, pose: Pose, t_s: Floats) -> Rays:
         nearest_axis=bundles.nearest_axis,
         centre_m=pose.position_m,
         axis=axis,
+        own_axis=bundles.axis,
     )
 
 

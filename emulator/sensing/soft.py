@@ -45,7 +45,7 @@ class SoftTargets:
                 backscatter,
                 model.overlap_start_m,
                 model.overlap_full_m,
-                model.gate_m,
+                min(self._sight_m(extinction_per_m, backscatter * gain), model.gate_m),
             )
             return made if made is not None and self._shows(made) else None
 
@@ -64,6 +64,16 @@ class SoftTargets:
             self._bound(volume.medium.backscatter_per_m_sr, 0.0, start_m) >= UNSEEN * self._model.threshold
             for volume in air.volumes
         )
+
+    def _sight_m(self, extinction_per_m: float, backscatter: float) -> float:
+        """Range beyond which the return stays below a hundredth of the threshold."""
+        model = self._model
+        r = np.geomspace(model.overlap_full_m, max(model.gate_m, model.overlap_full_m), 256)
+        level = (
+            math.pi * model.k_m2 * backscatter * model.pulse.fwhm_m / (r * r) * exp_or_zero(-2.0 * extinction_per_m * r)
+        )
+        hidden = np.flatnonzero(level < 0.1 * UNSEEN * model.threshold)
+        return float(r[hidden[0]]) if len(hidden) else model.gate_m
 
     def _shows(self, made: SoftProfile) -> bool:
         """Its return comes within a tenth of the threshold somewhere, sensitivity-time control included."""
