@@ -14,9 +14,8 @@ import numpy as np
 from emulator.physics import background, geometry, noise
 from emulator.physics.arrays import Bools, Floats
 from emulator.physics.constants import ELEMENTARY_CHARGE_C, SKY_RADIANCE_W_M2_SR_NM, SUN_TABLE_TOTAL_W_M2
-from emulator.physics.materials import SurfaceTable
 from emulator.sensing.model import RECEIVER_TEMPERATURE_K, SensorModel
-from emulator.sensing.paths import Caster, Seen
+from emulator.sensing.paths import Caster, Seen, Surfaces
 from emulator.sensing.rays import Rays
 
 if TYPE_CHECKING:
@@ -71,7 +70,7 @@ def _sky_w(sun: Sun, model: SensorModel) -> float:
 
 
 def daylight(
-    sun: Sun | None, rays: Rays, found: Seen, surfaces: SurfaceTable, caster: Caster, model: SensorModel
+    sun: Sun | None, rays: Rays, found: Seen, surfaces: Surfaces, caster: Caster, model: SensorModel
 ) -> Daylight:
     """Background of every beam, from what its first sub-beam looks at."""
     if sun is None or not model.background or sun.total_w_m2 == 0.0 or sun.elevation_deg <= 0.0:
@@ -111,12 +110,12 @@ def _direction(sun: Sun) -> Floats:
     return np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
 
 
-def _diffuse_w(sun: Sun, towards: Floats, found: Seen, surfaces: SurfaceTable, model: SensorModel) -> Floats:
+def _diffuse_w(sun: Sun, towards: Floats, found: Seen, surfaces: Surfaces, model: SensorModel) -> Floats:
     irradiance = background.solar_ground(model.wavelength_m, sun.total_w_m2) * sun.cloud_factor
     half = 0.5 * model.receiver.field_of_view_rad
     met = found.axis_material >= 0
     rho = np.zeros(len(met))
-    rho[met] = surfaces.rho[found.axis_material[met]]
+    rho[met] = surfaces.table.rho[found.axis_material[met]]
     incidence = np.arccos(np.clip(found.axis_normal @ towards, -1.0, 1.0))
     lit = background.background_surface(
         irradiance, _band_m(model), rho, incidence, model.aperture_radius_m, half, model.efficiency

@@ -22,7 +22,7 @@ from emulator.sensing.air import Air, AirNow
 from emulator.sensing.daylight import daylight
 from emulator.sensing.model import SensorModel, sensor_model
 from emulator.sensing.particles import seen_particles
-from emulator.sensing.paths import Caster, Seen, returned, trace
+from emulator.sensing.paths import Caster, Seen, Surfaces, returned, trace
 from emulator.sensing.rays import BundleCache, Rays, cast_rays
 from emulator.sensing.receiver import Receiver
 from emulator.sensing.soft import SoftTargets
@@ -44,7 +44,7 @@ class View:
     echoes: SubEchoes
     "Surfaces, particles and uneven media."
     air: AirNow
-    surfaces: SurfaceTable
+    surfaces: Surfaces
 
 
 class Measure:
@@ -56,7 +56,7 @@ class Measure:
         scene: Scene,
         mount: Mount,
         caster: Caster,
-        surfaces: tuple[SurfaceTable, SurfaceTable],
+        surfaces: tuple[Surfaces, Surfaces],
         air: Air,
         draws: Draws,
     ) -> None:
@@ -149,7 +149,7 @@ def build(scenario: Scenario, scene: Scene, caster: Caster, sensor_id: str) -> M
 
 def surface_table(
     names: tuple[str, ...], extra: Mapping[str, Material], model: SensorModel, wet: bool = False
-) -> SurfaceTable:
+) -> Surfaces:
     """Reflection of the scene's materials at the sensor's wavelength."""
     find = partial(material, extra=extra)
-    return SurfaceTable.of([find(name) for name in names], 1e9 * model.wavelength_m, wet)
+    return Surfaces.of(SurfaceTable.of([find(name) for name in names], 1e9 * model.wavelength_m, wet))

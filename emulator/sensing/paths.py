@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,8 @@ from emulator.physics.subechoes import SubEchoes
 from emulator.sensing.model import SensorModel
 from emulator.sensing.rays import Rays
 
-WEAKEST_SECOND_RAY = 1e-3
-"A ray whose way there and back leaves less than this share of the light is not continued, times what sheeting sends."
+UNSEEN = 0.05
+"A ray is not continued when the best surface, met by the whole beam, would return less than this of the threshold."
 BEHIND_M = 1e-4
 "A second ray starts this far behind the surface, and a thousandth of it more per metre: the caster works in float32."
 
@@ -50,7 +50,27 @@ class Caster(Protocol):
 class Medium(Protocol):
     """Whoever knows the extinction along rays."""
 
+    @property
+    def uneven(self) -> bool:
+        """It differs from place to place, so that `depth` needs to know where the rays are."""
+
     def depth(self, origin_m: Floats, direction: Floats, length_m: Floats, t_s: Floats) -> Floats: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """The scene's materials, and what is asked of them for every sweep."""
+
+    table: SurfaceTable
+    sends_on: bool
+    "A surface mirrors or transmits enough that rays are continued."
+    strongest: float
+    "Largest equivalent reflectance of any of them."
+
+    @classmethod
+    def of(cls, table: SurfaceTable) -> Surfaces:
+        """Those of a table."""
+        return cls(table, table.sends_on, float(table.largest.max(initial=0.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +104,7 @@ class _Front:
 def trace(
     rays: Rays,
     caster: Caster,
-    surfaces: SurfaceTable,
+    scene: Surfaces,
     air: Medium,
     model: SensorModel,
     gain: float = 1.0,
@@ -92,14 +112,14 @@ def trace(
 ) -> Seen:
     """Everything that comes back from surfaces, for all sub-beams of a sweep."""
     hits = caster.first_hits(rays.origin_m, rays.direction, rays.t_s)
-    return returned(hits, rays, caster, surfaces, air, model, gain, farthest_m)
+    return returned(hits, rays, caster, scene, air, model, gain, farthest_m)
 
 
 def returned(
     hits: Hits,
     rays: Rays,
     caster: Caster,
-    surfaces: SurfaceTable,
+    scene: Surfaces,
     air: Medium,
     model: SensorModel,
     gain: float = 1.0,
@@ -111,27 +131,24 @@ def returned(
     parts = []
     if len(index):
         every = len(index) == len(rays.beam)
-        met: Ints | slice = slice(None) if every else index
-        front = _Front(
-            rays.origin_m[met],
-            rays.direction[met],
-            rays.t_s[met],
-            rays.beam[met],
-            rays.share[met] * _windows(rays, model, gain)[rays.beam[met]],
-            0.0,
-            0.0,
-        )
-        found, onward = _meet(
-            front, hits.range_m[met], hits.material[met], hits.normal[met], rays, surfaces, air, model
-        )  # fmt: skip
-        parts.append((*found, rays.share[met], hits.actor[met]))
+        chosen = None if every else index
+        weight = rays.share
+        if gain != 1.0 or model.windscreen is not None:
+            weight = weight * _windows(rays, model, gain)[rays.beam]
+        front = _Front(rays.origin_m, rays.direction, rays.t_s, rays.beam, weight, 0.0, 0.0)
+        found, onward, front = _meet(front, hits, chosen, rays, scene, air, model)
+        share = rays.share if every else rays.share[index]
+        parts.append((*found, share, hits.actor if every else hits.actor[index]))
         if onward:
-            parts += _continue(front, onward, caster, surfaces, air, model, rays, reach)
+            parts += _continue(front, onward, caster, scene, air, model, rays, reach)
     nearest = np.full(len(rays.axis), np.inf)
-    if len(index):
-        np.minimum.at(nearest, rays.beam[index], hits.range_m[index])
     at_axis = rays.nearest_axis
-    return Seen(_in_order(*_joined(parts)), nearest, hits.material[at_axis], hits.normal[at_axis])
+    echoes = _in_order(*_joined(parts))
+    if len(index):
+        starts = np.searchsorted(rays.beam, np.arange(len(rays.axis)))
+        nearest = np.fmin.reduceat(hits.range_m, starts)
+        nearest[np.isnan(nearest)] = np.inf
+    return Seen(echoes, nearest, hits.material[at_axis], hits.normal[at_axis])
 
 
 def _windows(rays: Rays, model: SensorModel, gain: float) -> Floats:
@@ -158,35 +175,49 @@ class _Onward:
 
 def _meet(
     front: _Front,
-    range_m: Floats,
-    material: NDArray[np.int32],
-    normal: Floats,
+    hits: Hits,
+    chosen: Ints | None,
     rays: Rays,
-    surfaces: SurfaceTable,
+    scene: Surfaces,
     air: Medium,
     model: SensorModel,
-) -> tuple[tuple[Ints, Floats, Floats], list[_Onward]]:
-    """Sub-echoes of the surfaces met, and the rays that go on from them."""
-    cosine = -np.einsum("ij,ij->i", normal, front.direction)
+) -> tuple[tuple[Ints, Floats, Floats], list[_Onward], _Front]:
+    """Sub-echoes of the surfaces met by the chosen rays, the rays that go on from them, and the front without misses.
+
+    Whole vectors are only picked out where something needs them: most hits want a range and a cosine.
+    """
+    cosine = -np.einsum("ij,ij->i", hits.normal, front.direction)
+    range_m, material = hits.range_m, hits.material
+    sends_on = scene.sends_on and model.bounces > 0
+    if chosen is not None:
+        cosine, range_m, material = cosine[chosen], range_m[chosen], material[chosen]
+        if sends_on or air.uneven:
+            front = _taken(front, chosen)
+        else:
+            front = _Front(
+                front.origin_m, front.direction, front.t_s, front.beam[chosen], front.weight[chosen],
+                _part(front.length_m, chosen), _part(front.depth, chosen),
+            )  # fmt: skip
     length = front.length_m + range_m
     depth = front.depth + air.depth(front.origin_m, front.direction, range_m, front.t_s)
     kind = material.astype(np.int64)
-    reflectance = surfaces.back(kind, cosine)
-    scale = front.weight * _collected(length, depth, model)
+    reflectance = scene.table.back(kind, cosine)
     onward = []
-    if surfaces.sends_on and model.bounces:
-        mirrored = surfaces.mirror_share(kind, cosine)
-        through = surfaces.transmission(kind, cosine)
+    if sends_on:
+        mirrored = scene.table.mirror_share(kind, cosine)
+        through = scene.table.transmission(kind, cosine)
         index = np.flatnonzero(mirrored > 0.0)
         if len(index):
+            normal = hits.normal[index if chosen is None else chosen[index]]
             if isinstance(front.length_m, float):  # a beam already turned has no axis to measure the tilt from
                 reflectance[index] += _face_on(front, index, normal, mirrored, length, rays, model)
-            turned = front.direction[index] + 2.0 * cosine[index, None] * normal[index]
+            turned = front.direction[index] + 2.0 * cosine[index, None] * normal
             onward.append(_Onward(index, turned, mirrored[index], length[index], depth[index]))
         index = np.flatnonzero(through > 0.0)
         if len(index):
             onward.append(_Onward(index, front.direction[index], through[index], length[index], depth[index]))
-    return (front.beam, length, scale * reflectance), onward
+    amplitude = front.weight * _collected(length, depth, model) * reflectance
+    return (front.beam, length, amplitude), onward, front
 
 
 def _collected(length_m: Floats, depth: Floats, model: SensorModel) -> Floats:
@@ -207,8 +238,8 @@ def _face_on(
     what a white plate sends there, a^2 / (R^2 + a^2).
     """
     axis = rays.axis[front.beam[index]]
-    across = np.linalg.norm(np.cross(normal[index], axis), axis=1)
-    along = np.abs(np.einsum("ij,ij->i", normal[index], axis))
+    across = np.linalg.norm(np.cross(normal, axis), axis=1)
+    along = np.abs(np.einsum("ij,ij->i", normal, axis))
     radius_x, radius_y = model.beam.radius_m(2.0 * length[index])
     offset = 2.0 * length[index] * across / np.maximum(along, 1e-6)
     near = offset < 6.0 * np.maximum(radius_x, radius_y) + model.aperture_radius_m
@@ -225,33 +256,30 @@ def _continue(
     front: _Front,
     onward: list[_Onward],
     caster: Caster,
-    surfaces: SurfaceTable,
+    scene: Surfaces,
     air: Medium,
     model: SensorModel,
     rays: Rays,
     reach_m: float,
 ) -> list[_Part]:
     """Ghost points and what lies behind glass: rays continued up to the allowed number of bounces."""
-    strongest = float(surfaces.largest.max(initial=1.0))
+    # the first fronts carry their share of the beam: the bound is for a beam whose sub-rays all go the same way
+    whole = len(rays.beam) / len(rays.axis)
     parts = []
-    for bounce in range(model.bounces):
+    for _ in range(model.bounces):
         fronts = []
         for one in onward:
             weight = front.weight[one.index] * one.share**2
-            kept = (weight * strongest > WEAKEST_SECOND_RAY * front.weight[one.index]) & (one.length_m < reach_m)
+            best = whole * weight * scene.strongest * model.k_m2 / (one.length_m**2 + model.aperture_radius_m**2)
+            kept = (best > UNSEEN * model.threshold) & (one.length_m < reach_m)
             if not bool(np.any(kept)):
                 continue
             index, step = one.index[kept], BEHIND_M * (1.0 + one.length_m[kept] / 1000.0)
-            before = front.length_m if isinstance(front.length_m, float) else front.length_m[index]
-            reached = one.length_m[kept] - before
-            origin = (
-                front.origin_m[index]
-                + front.direction[index] * reached[:, None]
-                + one.direction[kept] * step[:, None]
-            )  # fmt: skip
+            reached = one.length_m[kept] - _part(front.length_m, index)
+            origin = front.origin_m[index] + front.direction[index] * reached[:, None]
             fronts.append(
                 _Front(
-                    origin,
+                    origin + one.direction[kept] * step[:, None],
                     one.direction[kept],
                     front.t_s[index],
                     front.beam[index],
@@ -267,27 +295,27 @@ def _continue(
         met = np.flatnonzero(front.length_m + hits.range_m <= reach_m)
         if not len(met):
             break
-        front = _taken(front, met)
-        last = bounce + 1 == model.bounces
-        found, onward = _meet(
-            front, hits.range_m[met], hits.material[met], hits.normal[met], rays, surfaces, air, model
-        )  # fmt: skip
+        found, onward, front = _meet(front, hits, met, rays, scene, air, model)
         parts.append((*found, np.zeros(len(met)), hits.actor[met]))
-        if last:
-            break
     return parts
 
 
 def _merged(fronts: list[_Front]) -> _Front:
     if len(fronts) == 1:
         return fronts[0]
-    names = ("origin_m", "direction", "t_s", "beam", "weight", "length_m", "depth")
-    return _Front(*(np.concatenate([getattr(one, name) for one in fronts]) for name in names))
+    return _Front(*(np.concatenate([getattr(one, name) for one in fronts]) for name in _COLUMNS))
+
+
+_COLUMNS = ("origin_m", "direction", "t_s", "beam", "weight", "length_m", "depth")
 
 
 def _taken(front: _Front, index: Ints) -> _Front:
-    names = ("origin_m", "direction", "t_s", "beam", "weight", "length_m", "depth")
-    return _Front(*(getattr(front, name)[index] for name in names))
+    return _Front(*(_part(getattr(front, name), index) for name in _COLUMNS))
+
+
+def _part(column: Any, index: Ints) -> Any:
+    """Those elements of a column, or the one number that stands for all of them."""
+    return column if isinstance(column, float) else column[index]
 
 
 _Part = tuple[Ints, Floats, Floats, Floats, NDArray[np.int32]]
@@ -304,12 +332,25 @@ def _joined(parts: list[_Part]) -> _Part:
 
 
 def _in_order(beam: Ints, range_m: Floats, amplitude: Floats, blocked: Floats, actor: NDArray[np.int32]) -> SubEchoes:
-    """Sorted by beam, then range, with one key instead of two.
-
-    The key's rounding, 1e-9 m at a thousand beams and a kilometre, only swaps what is equal for any receiver.
-    """
+    """Sorted by beam, then range."""
     source = actor.astype(np.int64)
     if len(beam) < 2 or bool(np.all(beam[1:] > beam[:-1])):
         return SubEchoes(beam, range_m, amplitude, blocked, source)
-    order = np.argsort(beam * (float(range_m.max()) + 1.0) + range_m)
+    order = _order(beam, range_m)
     return SubEchoes(beam[order], range_m[order], amplitude[order], blocked[order], source[order])
+
+
+def _order(beam: Ints, range_m: Floats) -> Ints:
+    """Indexes by beam, then range, by sorting numbers that hold beam, range and index in 63 bits.
+
+    That is four times as fast as sorting indexes. Ranges are told apart to 2^-24 of the largest at the least, 5e-6 m at
+    82 m; what is nearer together than that is one for every receiver.
+    """
+    index_bits, beam_bits = len(beam).bit_length(), max(int(beam.max()), 1).bit_length()
+    range_bits = 63 - index_bits - beam_bits
+    if range_bits < 24:
+        return np.lexsort((range_m, beam))
+    scale = (2.0**range_bits - 1.0) / max(float(range_m.max()), 1e-9)
+    key = (beam << (63 - beam_bits)) | ((range_m * scale).astype(np.int64) << index_bits) | np.arange(len(beam))
+    key.sort()
+    return np.asarray(key & ((1 << index_bits) - 1))
