@@ -87,6 +87,7 @@ def _put(data: Any, parts: Sequence[str], value: Any, label: str, places: dict[L
             continue
         if here.get(part) is None:
             here[part] = {}
+            places[tuple(loc)] = (Path(label), 0)
         here = here[part]
         if not isinstance(here, dict | list):
             raise ScenarioError(f"{label}: {'.'.join(parts[: depth + 1])} is a single value; want a table or list")

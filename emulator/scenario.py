@@ -8,6 +8,7 @@ between tables (scenario_checks).
 from __future__ import annotations
 
 import io
+import json
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -424,3 +425,8 @@ def json_schema() -> dict[str, Any]:
     schema = Scenario.model_json_schema(by_alias=True)
     schema["title"] = "lidaremu scenario"
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def write_schema(path: Path) -> None:
+    """Write the published schema: after a change of a model."""
+    path.write_text(json.dumps(json_schema(), indent=1) + "\n", encoding="utf-8")

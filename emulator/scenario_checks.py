@@ -115,7 +115,8 @@ def _numbers(data: dict[str, Any], folder: Path) -> Iterator[Found]:
 
 def _not_built(data: dict[str, Any], folder: Path) -> Iterator[Found]:
     for key, reason in NOT_BUILT.items():
-        if data.get(key):
+        value = data.get(key)
+        if any(value.values()) if isinstance(value, dict) else value:
             yield (key,), reason, "this key left out"
 
 
@@ -228,7 +229,7 @@ def _models(data: dict[str, Any], folder: Path) -> Iterator[Found]:
             yield (*loc, "model"), repr(model), nearest(model, models)
             continue
         spec = load_spec(model)
-        sees[sensor.get("id")] = spec.sees
+        sees[str(sensor.get("id"))] = spec.sees
         if spec.family is None and sensor.get("links"):
             yield (*loc, "links"), f"{model} has no wire protocol", "no links"
         if spec.family is not None and spec.family not in FAMILIES:
@@ -239,14 +240,13 @@ def _models(data: dict[str, Any], folder: Path) -> Iterator[Found]:
         elif spec.sees == "objects" and not sources:
             yield (*loc, "from"), "missing", f"the sensors that {model} makes its objects from: {', '.join(names)}"
     for loc, sensor in _tables(data, "sensors"):
-        sources = sensor.get("from")
-        for number, name in enumerate(sources if isinstance(sources, list) else ()):
-            if isinstance(name, str) and (name not in names or name == sensor.get("id")):
-                yield (
-                    (*loc, "from", number),
-                    repr(name),
-                    nearest(name, [one for one in names if one != sensor.get("id")]),
-                )
+        sources, own = sensor.get("from"), sensor.get("id")
+        others = [name for name in names if name != own]
+        if not isinstance(sources, list) or (isinstance(own, str) and sees.get(own) == "beams"):
+            continue
+        for number, name in enumerate(sources):
+            if isinstance(name, str) and name not in others:
+                yield (*loc, "from", number), repr(name), nearest(name, others)
             elif isinstance(name, str) and sees.get(name) == "objects":
                 yield (*loc, "from", number), f"{name!r} lists objects itself", "a sensor that measures"
 

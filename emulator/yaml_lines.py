@@ -114,6 +114,8 @@ def parse(text: str, path: Path, error: type[EmulatorError]) -> Source:
     """
     try:
         root = _Tree(path, error).build(text)
+    except EmulatorError:
+        raise
     except MarkedYAMLError as exc:
         mark = exc.problem_mark or exc.context_mark
         line = mark.line + 1 if mark is not None else 1
