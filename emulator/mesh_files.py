@@ -71,9 +71,7 @@ def _load_scene(path: Path) -> Raw:
         corners = np.asarray(mesh.vertices, dtype=np.float64)
         if not np.array_equal(matrix, np.eye(4)):
             corners = corners @ matrix[:3, :3].T + matrix[:3, 3]
-        indices = np.asarray(mesh.faces, dtype=np.int64)
-        if np.linalg.det(matrix[:3, :3]) < 0:
-            indices = indices[:, ::-1]  # a mirrored node turns the winding
+        indices = np.asarray(mesh.faces, dtype=np.int64)  # a mirrored node turns the winding; `checked` turns it back
         number = names.setdefault(_part_name(mesh, str(name)), len(names))
         points.append(corners)
         faces.append(indices + offset)

@@ -418,10 +418,10 @@ def _turned(ray: Floats) -> Floats:
 def _keep_nearer(
     found: _Nearest, rays: Longs, triangle: Longs, body: Longs, range_m: Floats, normal: Floats, facing: Floats
 ) -> None:
-    """Put hits of `rays` (which may repeat) where they are nearer than what is there."""
+    """Put hits of `rays` (which may repeat) where nothing is nearer."""
     best = found.range_m.copy()
     np.minimum.at(best, rays, range_m)
-    wins = np.flatnonzero((range_m == best[rays]) & (range_m < found.range_m[rays]))
+    wins = np.flatnonzero(range_m == best[rays])
     target = rays[wins]
     found.range_m[target] = range_m[wins]
     found.triangle[target] = triangle[wins]
