@@ -49,6 +49,8 @@ class PhysicsOptions(BaseModel):
     pulse: PulseShape | None = None
     pulse_fwhm_ns: Annotated[float, Field(ge=0.01, le=1e5)] | None = None
     wavelength_nm: Annotated[float, Field(ge=300.0, le=3000.0)] | None = None
+    filter_offset_nm: float | None = None
+    "Laser line off the centre of the receiver's filter, by temperature for instance: 0.3 nm/K."
     system_constant_m2: Positive | None = None
     threshold_to_noise: Positive | None = None
     false_alarms_per_gate: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
@@ -75,6 +77,8 @@ class PhysicsOptions(BaseModel):
     bounces: Annotated[int, Field(ge=0, le=2)] = 2
     "Rays continued at mirrors and through glass."
     windscreen: WindscreenOptions | None = None
+    full: bool = False
+    "Compute every term, also those that a bound shows to be invisible."
 
     @model_validator(mode="after")
     def _one_threshold(self) -> PhysicsOptions:

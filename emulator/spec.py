@@ -48,7 +48,7 @@ class OpticsSpec(_Table):
 
     wavelength_nm: Fact[Annotated[float, Field(ge=300.0, le=3000.0)]]
     line_width_nm: Fact[NotNegative] | None = None
-    "Standard deviation of the laser line; None: a line far narrower than the filter."
+    "Full width at half maximum of the laser line; None: a line far narrower than the filter."
     profile: Fact[Profile]
     divergence_x_mrad: Fact[Divergence]
     "Full angle in the scan plane: 1/e^2 of the irradiance (gauss), edge (tophat)."
@@ -92,6 +92,7 @@ class ReceiverSpec(_Table):
     filter_nm: Fact[Positive]
     "Width of the optical band."
     filter_offset_nm: Fact[float] | None = None
+    "Centre of the laser line from that of the filter: 0.3 nm/K of drift, and the filter's shift with the angle."
     saturation_ma: Fact[Positive]
     "Photocurrent of background light from which the receiver is blind."
     adc_bits: Fact[Annotated[int, Field(ge=1, le=24)]] | None = None

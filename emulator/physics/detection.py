@@ -62,7 +62,7 @@ def detect(
     echoes : sub-echoes of the scan, amplitudes in nominal noise units
     beams : number n of beams
     detector : threshold, method, choice of echoes
-    normals : (n, e) standard normal numbers; echo number i of a beam takes number i modulo e. None: no noise is drawn
+    normals : (n, e) standard normal numbers; the i-th highest echo of a beam takes number i modulo e. None: no noise
     noise : scalar or (n,) rms noise of each beam over the nominal one (sun in view)
     soft : homogeneous medium that scatters back, on this detector's bins
     dazzled : (n,) beams that report nothing
@@ -171,7 +171,7 @@ def _measure(
     noise = np.sqrt(rms[beam] ** 2 + detector.shot_factor * height)
     z = np.zeros(beam.size)
     if normals is not None:
-        order = np.lexsort((centre, beam))
+        order = np.lexsort((-height, beam))  # by height: a faint echo, computed or left out, takes no other's number
         rank = np.zeros(beam.size, np.int64)
         sizes = np.bincount(beam, minlength=rms.size)
         rank[order] = ramp(sizes)

@@ -76,7 +76,7 @@ def daylight(
     if sun is None or not model.background or sun.total_w_m2 == 0.0 or sun.elevation_deg <= 0.0:
         return NIGHT
     towards = _direction(sun)
-    limit_w = unseen_w(model)
+    limit_w = 0.0 if model.full else unseen_w(model)
     power = np.zeros(len(rays.axis))
     if largest_diffuse_w(sun, model) > limit_w:
         power += _diffuse_w(sun, towards, found, surfaces, model)

@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from emulator.draws import Draws
+from emulator.errors import ScenarioError
 from emulator.motion import Pose
+from emulator.physics import atmosphere
 from emulator.physics.arrays import Floats
 from emulator.physics.materials import Material, SurfaceTable, material, material_from_mapping
 from emulator.physics.subechoes import SubEchoes
@@ -32,6 +34,10 @@ from protocols.scan import Scan, ScanPlan
 if TYPE_CHECKING:
     from emulator.scenario import Mount, Scenario
     from emulator.scene import Scene
+
+
+DEEP = 5.0
+"Optical depth beyond which single scattering is an estimate."
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,16 +64,17 @@ class Measure:
         caster: Caster,
         surfaces: tuple[Surfaces, Surfaces],
         air: Air,
-        draws: Draws,
+        receiver: Receiver,
     ) -> None:
         self.model = model
-        self.draws = draws
+        self.draws = receiver.draws
         self.air = air
         self._scene, self._mount = scene, mount
         self._caster = caster
         self._dry, self._wet = surfaces
         self._bundles = BundleCache(model)
-        self._receiver = Receiver(model, draws)
+        self._receiver = receiver
+        self._deepest = 0.0
         self._soft = SoftTargets(model, self._receiver.detector.bin_m)
         still = mount.actor is None or scene.motions[scene.index[mount.actor]].still
         self._still_pose = scene.sensor_pose(mount, np.zeros(1)) if still else None
@@ -75,7 +82,7 @@ class Measure:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What was computed outside the range in which its law is known to hold, one line each."""
-        return self.air.warnings
+        return self.air.warnings + atmosphere.deep_path_warning(self._deepest)
 
     def __call__(self, plan: ScanPlan) -> Scan:
         """Measure one sweep."""
@@ -83,7 +90,12 @@ class Measure:
             return Scan.empty(plan)
         view = self.view(plan)
         light = daylight(view.air.sun, view.rays, view.seen, view.surfaces, self._caster, self.model)
-        return self._receiver.receive(plan, view.echoes, self._soft.everywhere(view.air, plan.gain), light)
+        scan = self._receiver.receive(plan, view.echoes, self._soft.everywhere(view.air, plan.gain), light)
+        alpha = view.air.everywhere.extinction_per_m
+        if alpha * self.model.gate_m > DEEP:
+            far_m = float(np.max(scan.range_m[scan.actor >= 0], initial=0.0))
+            self._deepest = max(self._deepest, alpha * far_m)
+        return scan
 
     def view(self, plan: ScanPlan) -> View:
         """Everything that comes back in a sweep of at least one beam, before the receiver."""
@@ -132,19 +144,16 @@ def build(scenario: Scenario, scene: Scene, caster: Caster, sensor_id: str) -> M
     caster : first hits on that scene, see raycast
     sensor_id : which of its sensors; one that sees beams
     """
-    config = next(one for one in scenario.sensors if one.id == sensor_id)
-    model = sensor_model(load_spec(config.model), config.physics, config.mode)
+    index = next(number for number, one in enumerate(scenario.sensors) if one.id == sensor_id)
+    config = scenario.sensors[index]
     extra = {name: material_from_mapping(name, entry) for name, entry in scenario.materials.items()}
-    surfaces = surface_table(scene.materials, extra, model), surface_table(scene.materials, extra, model, wet=True)
-    return Measure(
-        model,
-        scene,
-        config.mount,
-        caster,
-        surfaces,
-        Air(scenario.weather, model, scene),
-        Draws(scenario.seed, sensor_id),
-    )
+    try:
+        model = sensor_model(load_spec(config.model), config.physics, config.mode)
+        surfaces = surface_table(scene.materials, extra, model), surface_table(scene.materials, extra, model, wet=True)
+        receiver = Receiver(model, Draws(scenario.seed, sensor_id))
+    except ValueError as error:  # numbers that are right alone but not together
+        raise ScenarioError(f"{scenario.label(f'sensors.{index}.physics')}: {error}") from error
+    return Measure(model, scene, config.mount, caster, surfaces, Air(scenario.weather, model, scene), receiver)
 
 
 def surface_table(

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-from emulator.physics import noise, radiometry
+from emulator.physics import background, noise, radiometry
 from emulator.physics.beams import BeamShape
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.pulse import Pulse
@@ -113,6 +113,8 @@ class SensorModel:
     weather_echoes: bool
     bounces: int
     windscreen: WindscreenOptions | None
+    full: bool
+    "No term is left out, however small its bound."
 
     @property
     def divergence_rad(self) -> float:
@@ -136,6 +138,8 @@ def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> Sensor
     nep_w = float(noise.noise_equivalent_power(detector.baseline_a, detector.responsivity_a_w, detector.gain))
     aperture_m, efficiency = 0.5e-3 * receiver.aperture_mm.value, receiver.efficiency.value
     k_m2, peak_w = _power(receiver, pulse_spec, options, pulse, aperture_m, efficiency, nep_w)
+    passed = _filter_share(optics, receiver, options)
+    k_m2, efficiency = k_m2 * passed, efficiency * passed
     gate_m = _or(options.gate_m, receiver.gate_m)
     threshold = 1.0 if seed else _threshold(options, detection, detector, gate_m)
     floor = receiver.floor_reflectance.value if receiver.floor_reflectance is not None else 0.0
@@ -185,6 +189,7 @@ def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> Sensor
         weather_echoes=options.weather_echoes and not seed,
         bounces=options.bounces,
         windscreen=options.windscreen,
+        full=options.full,
     )
 
 
@@ -258,6 +263,17 @@ def _power(
         return k_m2, k_m2 * nep_w / (aperture_m**2 * efficiency)
     peak_w = float(pulse.peak_power(1e-6 * _need(pulse_spec.energy_uj).value))
     return float(radiometry.system_constant(peak_w, aperture_m, efficiency, nep_w)), peak_w
+
+
+def _filter_share(optics: OpticsSpec, receiver: ReceiverSpec, options: PhysicsOptions) -> float:
+    """Share of the laser line that passes the filter, over what passes when it is centred."""
+    offset_m = 1e-9 * _or(options.filter_offset_nm, receiver.filter_offset_nm, 0.0)
+    if offset_m == 0.0:
+        return 1.0
+    line_m = 1e-9 * (optics.line_width_nm.value if optics.line_width_nm is not None else 0.0)
+    band_m = 1e-9 * receiver.filter_nm.value
+    centred = background.filter_line_share(line_m, band_m, 0.0)
+    return float(background.filter_line_share(line_m, band_m, offset_m) / centred)
 
 
 def _threshold(options: PhysicsOptions, detection: DetectionSpec, receiver: Receiver, gate_m: float) -> float:

@@ -103,7 +103,7 @@ def seen_particles(
         beam, range_m, diameter_mm = _one_size(particles, scale, half_angle, near_m, far, sweep, draws)
     else:
         mean = precipitation.detectable_mean(particles.spectrum, scale, half_angle, near_m, far)
-        if float(mean.sum()) < RARE:
+        if float(mean.sum()) < RARE and not model.full:
             return None
         count = draws.poisson(particles.term, sweep, mean)
         uniform = _numbers(draws, particles.term, sweep, count)

@@ -271,7 +271,8 @@ def _continue(
         for one in onward:
             weight = front.weight[one.index] * one.share**2
             best = whole * weight * scene.strongest * model.k_m2 / (one.length_m**2 + model.aperture_radius_m**2)
-            kept = (best > UNSEEN * model.threshold) & (one.length_m < reach_m)
+            least = 0.0 if model.full else UNSEEN * model.threshold
+            kept = (best > least) & (one.length_m < reach_m)
             if not bool(np.any(kept)):
                 continue
             index, step = one.index[kept], BEHIND_M * (1.0 + one.length_m[kept] / 1000.0)

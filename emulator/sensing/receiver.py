@@ -34,6 +34,7 @@ class Receiver:
     """Turns what the light brings back into scans."""
 
     def __init__(self, model: SensorModel, draws: Draws) -> None:
+        self.draws = draws
         self._model, self._draws = model, draws
         self._detector = Detector(
             pulse=model.pulse,
@@ -85,7 +86,7 @@ class Receiver:
     def _noise_echoes(self, plan: ScanPlan) -> tuple[Ints, Floats, Floats] | None:
         """Crossings of the threshold by noise alone: anywhere in the gate."""
         n, model = len(plan), self._model
-        if self._false_alarms * n < RARE:
+        if self._false_alarms * n < RARE and not model.full:
             return None
         count = self._draws.poisson("false alarms", plan.sweep, np.full(n, self._false_alarms))
         if not bool(np.any(count)):

@@ -35,7 +35,8 @@ class SoftTargets:
         @lru_cache(maxsize=16)
         def table(extinction_per_m: float, backscatter: float, gain: float) -> SoftProfile | None:
             start_m = max(model.overlap_start_m, model.near_gate_m)
-            if self._bound(backscatter, extinction_per_m, start_m) * gain < UNSEEN * model.threshold:
+            bound = self._bound(backscatter, extinction_per_m, start_m) * gain
+            if bound < UNSEEN * model.threshold and not model.full:
                 return None
             made = SoftProfile.of_medium(
                 model.pulse,
@@ -47,7 +48,7 @@ class SoftTargets:
                 model.overlap_full_m,
                 min(self._sight_m(extinction_per_m, backscatter * gain), model.gate_m),
             )
-            return made if made is not None and self._shows(made) else None
+            return made if made is not None and (model.full or self._shows(made)) else None
 
         self._table = table
 
@@ -61,7 +62,8 @@ class SoftTargets:
         """Some volume sends back enough to be seen: all the air is then taken point by point."""
         start_m = max(self._model.overlap_start_m, self._model.near_gate_m)
         return self._model.weather_echoes and any(
-            self._bound(volume.medium.backscatter_per_m_sr, 0.0, start_m) >= UNSEEN * self._model.threshold
+            self._model.full
+            or self._bound(volume.medium.backscatter_per_m_sr, 0.0, start_m) >= UNSEEN * self._model.threshold
             for volume in air.volumes
         )
 
@@ -73,7 +75,7 @@ class SoftTargets:
             math.pi * model.k_m2 * backscatter * model.pulse.fwhm_m / (r * r) * exp_or_zero(-2.0 * extinction_per_m * r)
         )
         hidden = np.flatnonzero(level < 0.1 * UNSEEN * model.threshold)
-        return float(r[hidden[0]]) if len(hidden) else model.gate_m
+        return float(r[hidden[0]]) if len(hidden) and not model.full else model.gate_m
 
     def _shows(self, made: SoftProfile) -> bool:
         """Its return comes within a tenth of the threshold somewhere, sensitivity-time control included."""
