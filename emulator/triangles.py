@@ -69,8 +69,9 @@ def checked(
                 f"{where}: triangle {bad} has the vertex {corner} ({len(bad_faces)} such in all); want finite numbers"
             )
         vertices = np.where(finite[:, None], vertices, 0.0)  # not used by any triangle
-    used = vertices[np.unique(indices)]
-    low, high = used.min(axis=0), used.max(axis=0)
+    used = np.zeros(len(vertices), dtype=bool)
+    used[indices] = True
+    low, high = vertices[used].min(axis=0), vertices[used].max(axis=0)
     centre = low + (high - low) / 2.0
     local = vertices - centre
     a, b, c = (local[indices[:, k]] for k in range(3))
@@ -90,7 +91,7 @@ def checked(
     if flip.any():
         indices[flip] = indices[flip][:, ::-1]
         normals[flip] = -normals[flip]
-    radius = float(np.sqrt((local[np.unique(indices)] ** 2).sum(axis=1).max()))
+    radius = float(np.sqrt((local[used] ** 2).sum(axis=1).max()))
     return Geometry(vertices, indices.astype(np.int32), part, parts, normals, closed, centre, radius, dropped, twins)
 
 
@@ -103,24 +104,21 @@ def _shells(local: Floats, faces: NDArray[np.int64], part: Ints) -> tuple[NDArra
     welded[order] = np.cumsum(step) - 1
     corners = welded[faces]
     count = int(welded.max()) + 1
+    twins = _twins(corners, part)
 
-    sets = np.sort(corners, axis=1)
-    rows = np.lexsort((part, sets[:, 2], sets[:, 1], sets[:, 0]))
-    same = (sets[rows][1:] == sets[rows][:-1]).all(axis=1)
-    twins = int((same & (part[rows][1:] != part[rows][:-1])).sum())
-
-    start = corners.ravel()
-    end = corners[:, [1, 2, 0]].ravel()
-    directed, backwards = start * count + end, end * count + start
-    by_key = np.argsort(directed, kind="stable")
-    keys = directed[by_key]
-    first, last = np.searchsorted(keys, backwards, "left"), np.searchsorted(keys, backwards, "right")
-    alike = np.searchsorted(keys, directed, "right") - np.searchsorted(keys, directed, "left")
-    good = (last > first) & (last - first == alike)  # as often one way as the other: no border
-    mine = np.flatnonzero(good)
-    face, other = mine // 3, by_key[first[mine]] // 3
-    graph = coo_array((np.ones(len(face), dtype=np.int8), (face, other)), shape=(len(faces), len(faces)))
-    shells, shell = connected_components(graph, directed=False)
+    start, end = corners.ravel(), corners[:, [1, 2, 0]].ravel()
+    key = np.minimum(start, end) * count + np.maximum(start, end)
+    order = np.argsort(key, kind="stable")
+    begins = np.flatnonzero(np.diff(key[order], prepend=-1))
+    way = np.where(start < end, 1, -1)[order]
+    balanced = np.add.reduceat(way, begins) == 0  # as often one way as the other: no border
+    sizes = np.diff(begins, append=len(order))
+    good = np.zeros(len(order), dtype=bool)
+    good[order] = np.repeat(balanced, sizes)
+    linked = np.flatnonzero(np.repeat(balanced, sizes)[1:] & (np.diff(key[order]) == 0))
+    face = order // 3
+    joints = (np.ones(len(linked), dtype=np.int8), (face[linked], face[linked + 1]))
+    shells, shell = connected_components(coo_array(joints, shape=(len(faces), len(faces))), directed=False)
     whole = np.ones(shells, dtype=bool)
     whole[shell[~good.reshape(-1, 3).all(axis=1)]] = False
 
@@ -138,6 +136,21 @@ def _shells(local: Floats, faces: NDArray[np.int64], part: Ints) -> tuple[NDArra
             holds = (low[outer] < low[k]).all(axis=1) & (high[outer] > high[k]).all(axis=1)
             inwards[k] = not holds.any()  # a cavity faces its own inside
     return whole[shell], inwards[shell], twins
+
+
+def _twins(corners: NDArray[np.int64], part: Ints) -> int:
+    """Pairs of triangles on the same three corners with different parts."""
+    sets = np.sort(corners, axis=1)
+    mixed = sets.astype(np.uint64) * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
+    code = np.bitwise_xor.reduce(mixed, axis=1)
+    order = np.argsort(code, kind="stable")
+    alike = np.diff(code[order]) == 0  # few, so that only they are looked at closely
+    members = order[np.append(alike, False) | np.append(False, alike)]
+    if not len(members):
+        return 0
+    rows = members[np.lexsort((part[members], *sets[members].T[::-1]))]
+    same = (sets[rows][1:] == sets[rows][:-1]).all(axis=1)
+    return int((same & (part[rows][1:] != part[rows][:-1])).sum())
 
 
 # ---------------------------------------------------------------- primitives
