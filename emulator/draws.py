@@ -60,6 +60,10 @@ class Draws:
             left = left[chance[left] > special.pdtr(step, mean[left])]
         return count
 
+    def generator(self, term: str, sweep: int) -> np.random.Generator:
+        """A stream of its own, for laws that need more than one word a number; depends on the order of its use."""
+        return np.random.Generator(self._bits(term, sweep))
+
     def _bits(self, term: str, sweep: int) -> np.random.Philox:
         text = f"{self.seed}\0{self.sensor}\0{term}".encode()
         digest = hashlib.blake2b(text, digest_size=16).digest()

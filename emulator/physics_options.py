@@ -32,6 +32,23 @@ class WindscreenOptions(BaseModel):
     index: Annotated[float, Field(ge=1.0, le=4.0)] = 1.5
 
 
+class PhotonOptions(BaseModel):
+    """A receiver that counts photons: a histogram of first photons over many shots, or of photon pairs."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    shots: Annotated[int, Field(ge=1, le=10_000_000)] = 1000
+    "Pulses a beam."
+    quantum_efficiency: Annotated[float, Field(gt=0.0, le=1.0)] = 0.3
+    dark_count_hz: NotNegative = 1000.0
+    bin_ns: Annotated[float, Field(gt=0.0, le=1000.0)] = 1.0
+    pair_rate_hz: Positive | None = None
+    "Photon pairs instead of pulses: so many a second, each idler kept at home as the clock of its twin."
+    idler_efficiency: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
+    integration_ms: Positive = 10.0
+    "Pairs: time for which coincidences of a beam are collected."
+
+
 class PhysicsOptions(BaseModel):
     """Choices of a run; None: as the model's spec has it."""
 
@@ -77,6 +94,8 @@ class PhysicsOptions(BaseModel):
     bounces: Annotated[int, Field(ge=0, le=2)] = 2
     "Rays continued at mirrors and through glass."
     windscreen: WindscreenOptions | None = None
+    photons: PhotonOptions | None = None
+    "Count photons instead of timing an analogue signal."
     full: bool = False
     "Compute every term, also those that a bound shows to be invisible."
 

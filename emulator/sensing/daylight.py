@@ -33,6 +33,8 @@ class Daylight:
     "(n,) rms noise over that of the dark receiver; None: 1 everywhere."
     dazzled: Bools | None
     "(n,); None: no beam."
+    power_w: Floats | None = None
+    "(n,) background on the detector; None: too little to be seen."
 
 
 NIGHT = Daylight(None, None)
@@ -76,7 +78,7 @@ def daylight(
     if sun is None or not model.background or sun.total_w_m2 == 0.0 or sun.elevation_deg <= 0.0:
         return NIGHT
     towards = _direction(sun)
-    limit_w = 0.0 if model.full else unseen_w(model)
+    limit_w = 0.0 if model.full or model.photons is not None else unseen_w(model)
     power = np.zeros(len(rays.axis))
     if largest_diffuse_w(sun, model) > limit_w:
         power += _diffuse_w(sun, towards, found, surfaces, model)
@@ -101,7 +103,7 @@ def daylight(
         receiver.adc_noise_a,
     )
     blind = background.dazzled(power, receiver.responsivity_a_w, receiver.gain, receiver.saturation_a)
-    return Daylight(current / receiver.baseline_a, blind if bool(np.any(blind)) else None)
+    return Daylight(current / receiver.baseline_a, blind if bool(np.any(blind)) else None, power)
 
 
 def _direction(sun: Sun) -> Floats:

@@ -25,6 +25,7 @@ from emulator.sensing.daylight import daylight
 from emulator.sensing.model import SensorModel, sensor_model
 from emulator.sensing.particles import seen_particles
 from emulator.sensing.paths import Caster, Seen, Surfaces, returned, trace
+from emulator.sensing.photon_receiver import PhotonReceiver
 from emulator.sensing.rays import BundleCache, Rays, cast_rays
 from emulator.sensing.receiver import Receiver
 from emulator.sensing.soft import SoftTargets
@@ -64,7 +65,7 @@ class Measure:
         caster: Caster,
         surfaces: tuple[Surfaces, Surfaces],
         air: Air,
-        receiver: Receiver,
+        receiver: Receiver | PhotonReceiver,
     ) -> None:
         self.model = model
         self.draws = receiver.draws
@@ -75,7 +76,7 @@ class Measure:
         self._bundles = BundleCache(model)
         self._receiver = receiver
         self._deepest = 0.0
-        self._soft = SoftTargets(model, self._receiver.detector.bin_m)
+        self._soft = SoftTargets(model, receiver.bin_m)
         still = mount.actor is None or scene.motions[scene.index[mount.actor]].still
         self._still_pose = scene.sensor_pose(mount, np.zeros(1)) if still else None
 
@@ -150,7 +151,8 @@ def build(scenario: Scenario, scene: Scene, caster: Caster, sensor_id: str) -> M
     try:
         model = sensor_model(load_spec(config.model), config.physics, config.mode)
         surfaces = surface_table(scene.materials, extra, model), surface_table(scene.materials, extra, model, wet=True)
-        receiver = Receiver(model, Draws(scenario.seed, sensor_id))
+        draws = Draws(scenario.seed, sensor_id)
+        receiver = PhotonReceiver(model, model.photons, draws) if model.photons is not None else Receiver(model, draws)
     except ValueError as error:  # numbers that are right alone but not together
         raise ScenarioError(f"{scenario.label(f'sensors.{index}.physics')}: {error}") from error
     return Measure(model, scene, config.mount, caster, surfaces, Air(scenario.weather, model, scene), receiver)

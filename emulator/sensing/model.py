@@ -17,6 +17,7 @@ from emulator.physics_options import (
     BundleRule,
     DetectionMethod,
     EchoChoice,
+    PhotonOptions,
     PhysicsOptions,
     Profile,
     WindscreenOptions,
@@ -113,6 +114,7 @@ class SensorModel:
     weather_echoes: bool
     bounces: int
     windscreen: WindscreenOptions | None
+    photons: PhotonOptions | None
     full: bool
     "No term is left out, however small its bound."
 
@@ -120,6 +122,12 @@ class SensorModel:
     def divergence_rad(self) -> float:
         """The larger full angle."""
         return 2.0 * max(self.beam.half_angle_x_rad, self.beam.half_angle_y_rad)
+
+    @property
+    def nep_w(self) -> float:
+        """Optical power of amplitude 1: that whose signal current is the rms noise of the dark receiver."""
+        receiver = self.receiver
+        return float(noise.noise_equivalent_power(receiver.baseline_a, receiver.responsivity_a_w, receiver.gain))
 
     @property
     def pulse_energy_j(self) -> float:
@@ -189,6 +197,7 @@ def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> Sensor
         weather_echoes=options.weather_echoes and not seed,
         bounces=options.bounces,
         windscreen=options.windscreen,
+        photons=options.photons,
         full=options.full,
     )
 

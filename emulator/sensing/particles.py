@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from emulator.draws import Draws
-from emulator.physics import atmosphere, noise, precipitation
+from emulator.physics import atmosphere, precipitation
 from emulator.physics.arrays import Floats, Ints
 from emulator.physics.subechoes import SubEchoes
 from emulator.sensing.model import SensorModel
@@ -86,11 +86,7 @@ def seen_particles(
     near_m = max(model.overlap_start_m, model.near_gate_m)
     if half_angle == 0.0 or near_m >= model.gate_m:
         return None
-    nep_w = float(
-        noise.noise_equivalent_power(
-            model.receiver.baseline_a, model.receiver.responsivity_a_w, model.receiver.gain
-        )
-    )  # fmt: skip
+    nep_w = model.nep_w
     area_m2 = math.pi * model.aperture_radius_m**2
     kappa = particles.kappa_sr if particles.spectrum is None else particles.spectrum.kappa_sr
     scale = float(

@@ -6,7 +6,6 @@ Belongs here: the sensor's detector and its random numbers, false alarms, the sc
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -56,9 +55,9 @@ class Receiver:
         self._false_alarms = float(noise.false_alarm_rice(model.threshold, model.receiver.bandwidth_hz, gate_m))
 
     @property
-    def detector(self) -> Detector:
-        """Its settings, for whoever computes media on its bins."""
-        return self._detector
+    def bin_m(self) -> float:
+        """Step of its waveforms, on which media are tabulated."""
+        return self._detector.bin_m
 
     def receive(
         self, plan: ScanPlan, found: SubEchoes, soft: SoftProfile | None = None, daylight: Daylight = NIGHT
@@ -118,8 +117,3 @@ class Receiver:
             flags[daylight.dazzled] |= DAZZLED
         intensity = np.maximum(echoes.amplitude / model.threshold, 1.0)
         return Scan(plan, range_m, intensity, flags, echoes.source.astype(np.int32))
-
-
-def white_plate_scale(model: SensorModel) -> float:
-    """pi K: amplitude of a medium is this times backscatter times the integral of pulse, overlap and T^2 over r^2."""
-    return math.pi * model.k_m2
