@@ -9,9 +9,13 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Protocol
 
+from emulator.transports.can_link import CanLink
+from emulator.transports.can_wire import Carried
 from emulator.transports.link import Link
+from emulator.watching import LineTimes, Payload, Watcher
 from protocols.errors import ScanRefused
 from protocols.scan import Scan, ScanPlan
 from protocols.session import Address, CommandHandled, Dropped, Emission, Event, LinkKind, Restarted, Session
@@ -82,6 +86,17 @@ class Instrument:
         self.connections_seen = 0
         "Connections opened and closed so far: a descriptor's number may have a new owner when this has moved."
         self._events: list[Event] = []
+        self._watchers: list[Watcher] = []
+        self._times: dict[int, LineTimes] = {}
+
+    def watch(self, watcher: Watcher) -> None:
+        """Tell `watcher` of every payload, scan and event from now on; before the device is switched on."""
+        self._watchers.append(watcher)
+        for index, link in enumerate(self.links):
+            if link.kind is LinkKind.SERIAL:
+                self._times.setdefault(index, LineTimes())
+            elif isinstance(link, CanLink):
+                link.on_carried = partial(self._carried, index)
 
     def power_on(self, now_ns: int) -> None:
         """Tell the session of its fixed links and switch the device on."""
@@ -130,6 +145,8 @@ class Instrument:
                 if received.opened:
                     self.session.connected(now_ns, address, link.kind)
                 if received.data:
+                    if self._watchers and link.kind is not LinkKind.CAN:
+                        self._tell(Payload(self.sensor, index, received.peer, received.data, now_ns, now_ns, False))
                     self.session.receive(received.data, now_ns, address)
                 if received.closed:
                     self.session.disconnected(now_ns, address)
@@ -144,6 +161,9 @@ class Instrument:
                 self.session.submit(scan)
             except ScanRefused:
                 self.stats.scans_dropped["withdrawn by a changed setting"] += 1
+            else:
+                for watcher in self._watchers:
+                    watcher.scan(self.sensor, scan)
             moved = True
         return moved
 
@@ -163,10 +183,14 @@ class Instrument:
 
     def _send(self, emission: Emission) -> None:
         address = emission.address
-        targets = self.links if address is None else self.links[address.link : address.link + 1]
-        for link in targets:
-            peer = None if address is None else address.peer
+        targets = range(len(self.links)) if address is None else range(len(self.links))[address.link : address.link + 1]
+        peer = None if address is None else address.peer
+        for index in targets:
+            link = self.links[index]
+            refused = link.stats.payloads_dropped
             link.send(emission.payload, emission.due_ns, peer, emission.line_speed)
+            if self._watchers and link.stats.payloads_dropped == refused and link.kind is not LinkKind.CAN:
+                self._tell_sent(index, peer, emission)
         if emission.sweep is None:
             self.stats.replies_sent += bool(emission.payload)  # an empty one only sets the line's speed
             return
@@ -175,9 +199,27 @@ class Instrument:
             self.stats.first_scan_due_ns = emission.due_ns
         self.stats.last_scan_due_ns = emission.due_ns
 
+    def _tell_sent(self, index: int, peer: int | None, emission: Emission) -> None:
+        start_ns = end_ns = emission.due_ns
+        if index in self._times:
+            start_ns, end_ns = self._times[index].of(emission.payload, emission.due_ns, emission.line_speed)
+        if emission.payload:
+            data, label, sweep = emission.payload, emission.label, emission.sweep
+            self._tell(Payload(self.sensor, index, peer or 0, data, start_ns, end_ns, True, label, sweep))
+
+    def _carried(self, index: int, frame: Carried, own: bool) -> None:
+        start_ns = frame.start_ns if own else frame.end_ns
+        self._tell(Payload(self.sensor, index, frame.peer, frame.data, start_ns, frame.end_ns, own))
+
+    def _tell(self, payload: Payload) -> None:
+        for watcher in self._watchers:
+            watcher.payload(payload)
+
     def _note_events(self) -> None:
         for event in self.session.take_events():
             self._events.append(event)
+            for watcher in self._watchers:
+                watcher.event(self.sensor, event)
             if isinstance(event, Dropped):
                 reason = event.reason.value
                 kind = self.stats.scans_dropped if reason in SCAN_REASONS else self.stats.input_dropped

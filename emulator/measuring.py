@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import multiprocessing.connection
 import os
 import signal
 from collections import deque
@@ -170,6 +171,15 @@ class Workers:
         self._await_ready(self._workers[home][1])
         self._hand_over(home)
         return given_up
+
+    def settle(self) -> set[str]:
+        """Wait until nothing is owed; the sensors that have fresh scans. Virtual time stands still meanwhile."""
+        fresh: set[str] = set()
+        while any(self._owed):
+            owing = [self._workers[home][1] for home, owed in enumerate(self._owed) if owed]
+            multiprocessing.connection.wait(owing)
+            fresh |= self.poll()
+        return fresh
 
     def collect(self, sensor: str) -> list[Scan]:
         return self._done.pop(sensor, [])

@@ -1,26 +1,51 @@
 """A run in virtual time: instruments step from deadline to deadline as fast as they can be computed.
 
-Time moves only in `advance`; what hosts write between two calls is taken at the present instant.
+Time moves only in `advance` and the steps; what hosts write between two calls is taken at the present instant.
+Measuring takes no virtual time, in however many processes it is done: time stands until all scans have come back.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
 from emulator.clock import ManualClock
 from emulator.instrument import Instrument
+from emulator.watching import Payload, Watcher
 
 MAX_STEPS_AT_ONCE = 10_000
 "Steps of one instrument without time moving; more means that it never comes to rest."
 
 
-class VirtualRun:
-    """Steps instruments on a clock of its own."""
+class VirtualHost(Protocol):
+    """A host that lives in virtual time."""
 
-    def __init__(self, instruments: Sequence[Instrument]) -> None:
+    def step(self, now_ns: int) -> int | None:
+        """Read what has arrived, write what is wanted; when to be called again even if nothing arrives."""
+
+
+def nothing_owed() -> set[str]:
+    """Of measuring in place: every scan is there when it has been asked for."""
+    return set()
+
+
+class VirtualRun:
+    """Steps instruments, and hosts of its own, on a clock of its own."""
+
+    def __init__(
+        self,
+        instruments: Sequence[Instrument],
+        hosts: Sequence[VirtualHost] = (),
+        settle: Callable[[], set[str]] = nothing_owed,
+    ) -> None:
+        """`settle` waits for the scans that other processes still owe and names their sensors."""
         self.clock = ManualClock()
         self.instruments = tuple(instruments)
+        self.hosts = tuple(hosts)
+        self._settle = settle
         self._wakes: list[int | None] = [None] * len(self.instruments)
+        self._host_wakes: list[int | None] = [0] * len(self.hosts)
+        self._still = 0
 
     def power_on(self) -> None:
         """Switch every device on at the present instant."""
@@ -28,21 +53,103 @@ class VirtualRun:
             instrument.power_on(self.clock.now_ns())
             self._wakes[index] = self.clock.now_ns()
 
+    def touch(self) -> None:
+        """Look at every instrument at the present instant: hosts may have written meanwhile."""
+        self._wakes = [self.clock.now_ns()] * len(self.instruments)
+
+    def next_wake(self) -> int | None:
+        """When something happens next, without input; None: never."""
+        due = [wake for wake in (*self._wakes, *self._host_wakes) if wake is not None]
+        return max(min(due), self.clock.now_ns()) if due else None
+
     def advance(self, until_ns: int) -> None:
         """Move to `until_ns`, doing on the way all that is due, in order of time, then of the sensors."""
-        self._wakes = [self.clock.now_ns()] * len(self.instruments)  # hosts may have written meanwhile
-        still = 0
-        while True:
-            due = [wake for wake in self._wakes if wake is not None]
-            if not due or min(due) > until_ns:
-                break
-            wake = max(min(due), self.clock.now_ns())
-            still = still + 1 if wake == self.clock.now_ns() else 0
-            if still > MAX_STEPS_AT_ONCE:
-                raise RuntimeError(f"a sensor does not come to rest at {wake} ns")
-            self.clock.set(wake)
-            for index, instrument in enumerate(self.instruments):
-                mine = self._wakes[index]
-                if mine is not None and mine <= wake:
-                    self._wakes[index] = instrument.step(wake)
+        self.touch()
+        while self.step(until_ns):
+            pass
         self.clock.set(until_ns)
+
+    def step(self, until_ns: int) -> bool:
+        """Do what is due at the next instant, if that is not after `until_ns`; whether there was something."""
+        wake = self.next_wake()
+        if wake is None or wake > until_ns:
+            return False
+        self._still = self._still + 1 if wake == self.clock.now_ns() else 0
+        if self._still > MAX_STEPS_AT_ONCE:
+            raise RuntimeError(f"a sensor does not come to rest at {wake} ns")
+        self.clock.set(wake)
+        for index, instrument in enumerate(self.instruments):
+            mine = self._wakes[index]
+            if mine is not None and mine <= wake:
+                self._wakes[index] = instrument.step(wake)
+        fresh = self._settle()
+        for index, instrument in enumerate(self.instruments):
+            if instrument.sensor in fresh:
+                self._wakes[index] = wake
+        self._step_hosts(wake)
+        return True
+
+    def _step_hosts(self, now_ns: int) -> None:
+        for index, host in enumerate(self.hosts):
+            self._host_wakes[index] = host.step(now_ns)
+        for index, instrument in enumerate(self.instruments if self.hosts else ()):
+            inputs = [link.flush(now_ns) for link in instrument.links]  # what hosts wrote wakes the instrument
+            wakes = [wake for wake in (*inputs, self._wakes[index]) if wake is not None]
+            self._wakes[index] = min(wakes) if wakes else None
+
+    def step_scans(self, count: int, until_ns: int, sensor: str | None = None) -> int:
+        """Move until `count` more scans have been handed to the links (of `sensor`, or any); how many it were."""
+        watched = [one for one in self.instruments if sensor in (None, one.sensor)]
+        before = sum(one.stats.scans_sent for one in watched)
+        self.touch()
+        while (sent := sum(one.stats.scans_sent for one in watched) - before) < count and self.step(until_ns):
+            pass
+        if sent < count:
+            self.clock.set(until_ns)
+        return sent
+
+
+class ByteSteps(Watcher):
+    """When each byte of one link leaves, to step a run by bytes; must watch from before power-on."""
+
+    def __init__(self, run: VirtualRun, sensor: str, link: int = 0) -> None:
+        self._run = run
+        self._sensor, self._link = sensor, link
+        self._ahead: list[Payload] = []
+
+    def payload(self, payload: Payload) -> None:
+        if payload.sent and (payload.sensor, payload.link) == (self._sensor, self._link):
+            self._ahead.append(payload)
+
+    def step(self, count: int, until_ns: int) -> int:
+        """Move until `count` more bytes have left, no further than `until_ns`; how many it were."""
+        done = 0
+        while done < count:
+            self._run.touch()
+            leave = self._next_leave()
+            wake = self._run.next_wake()
+            while wake is not None and (leave is None or wake < leave) and self._run.step(until_ns):
+                wake, leave = self._run.next_wake(), self._next_leave()
+            if leave is None or leave > until_ns:
+                self._run.advance(until_ns)
+                return done
+            head = self._ahead[0]
+            self._run.advance(leave)
+            self._run.touch()
+            self._run.step(leave)
+            done += 1 if head.end_ns > head.start_ns else len(head.data)  # what is not paced leaves in one piece
+        return done
+
+    def _next_leave(self) -> int | None:
+        """When the first byte leaves that has not yet."""
+        now_ns = self._run.clock.now_ns()
+        while self._ahead and self._ahead[0].end_ns <= now_ns:
+            self._ahead.pop(0)
+        if not self._ahead:
+            return None
+        head = self._ahead[0]
+        size, span = len(head.data), head.end_ns - head.start_ns
+        if span == 0:
+            return head.start_ns
+        gone = max(0, (now_ns - head.start_ns) * size // span)
+        return head.start_ns - (-(gone + 1) * span) // size + 1  # the line rounds each byte up by less than 1 ns

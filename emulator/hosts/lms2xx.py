@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from emulator.errors import LinkError
 from emulator.hosts.lines import Line, SocketLine
 from emulator.hosts.scans import HostScan
 from protocols.lms2xx.telegrams import MeasuredValues, Telegram, open_frame, read_values, request
-from protocols.lms2xx.values import COUNTS_PER_METRE, MEASURING_MODES
+from protocols.lms2xx.values import COUNTS_PER_METRE, MEASURING_MODES, MeasuringMode
 from protocols.receive_buffer import ReceiveBuffer
 
 RATE_CODES = {500_000: 0x48, 38_400: 0x40, 19_200: 0x41, 9_600: 0x42}
@@ -24,6 +25,75 @@ SECONDS_FOR_A_REPLY = 3.5
 "A mode change may take three seconds."
 
 
+class TelegramReader:
+    """Finds a device's telegrams in a stream of bytes that may begin and break off anywhere."""
+
+    def __init__(self) -> None:
+        self._buffer = ReceiveBuffer(4 * MAX_PAYLOAD)
+        self._more = b""
+
+    def feed(self, data: bytes) -> None:
+        """Bytes as they came."""
+        self._more += data
+
+    def take(self) -> Telegram | None:
+        """The next telegram with a good CRC; None until more has come."""
+        while True:
+            self._more = self._more[self._buffer.add(self._more) :]
+            telegram = self._next()
+            if telegram is not None or not self._more:
+                return telegram
+
+    def _next(self) -> Telegram | None:
+        while True:
+            self._buffer.skip_to(b"\x02")
+            head = self._buffer.peek(HEADER_BYTES)
+            if head is None:
+                return None
+            length = int.from_bytes(head[2:4], "little")
+            if not head[1] & 0x80 or not 1 <= length <= MAX_PAYLOAD:
+                self._buffer.take(1)
+                continue
+            whole = self._buffer.peek(length + OTHER_BYTES)
+            if whole is None:
+                return None
+            telegram = open_frame(whole)
+            self._buffer.take(1 if telegram is None else len(whole))
+            if telegram is not None:
+                return telegram
+
+
+@dataclass(frozen=True)
+class Lms2xxView:
+    """What a host must know of the device's settings to read its values."""
+
+    mode: MeasuringMode
+    field_deg: int
+    step_deg: float
+
+    @classmethod
+    def of(cls, status: bytes) -> Lms2xxView:
+        """From the data of the reply B1."""
+        return cls(
+            MEASURING_MODES.get(status[101], MEASURING_MODES[0]),
+            int.from_bytes(status[106:108], "little"),
+            int.from_bytes(status[108:110], "little") / 100.0,
+        )
+
+    def decode(self, number: int, values: MeasuredValues) -> HostScan:
+        """Metres and radians of one telegram."""
+        raw = values.values & self.mode.mask
+        metres = raw / COUNTS_PER_METRE.get(values.header.unit, 100)
+        metres[raw > self.mode.largest] = np.nan
+        beams = values.first - 1 + np.arange(len(raw))
+        step, offset = self.step_deg, 0.0
+        if values.header.partial is not None:
+            step, offset = 1.0, 0.25 * values.header.partial
+        field = 180.0 if values.header.partial is not None else self.field_deg
+        azimuth = np.radians(beams * step + offset - field / 2.0)
+        return HostScan(number, azimuth, metres, f"status {values.status:02X}")
+
+
 class Lms2xxHost:
     """Connects in the constructor; raises `LinkError` when nothing answers."""
 
@@ -32,13 +102,10 @@ class Lms2xxHost:
             raise LinkError(f"line speed {baud}; an LMS2xx has {', '.join(map(str, sorted(RATE_CODES)))}")
         self._line = line
         self._clock = SystemClock()
-        self._buffer = ReceiveBuffer(4 * MAX_PAYLOAD)
+        self._reader = TelegramReader()
         self._find(baud)
         self.title = self._ask(b"\x3a", 0xBA).data[:-1].decode("ascii", "replace").strip()
-        status = self._ask(b"\x31", 0xB1).data
-        self._mode = MEASURING_MODES.get(status[101], MEASURING_MODES[0])
-        self._field_deg = int.from_bytes(status[106:108], "little")
-        self._step_deg = int.from_bytes(status[108:110], "little") / 100.0
+        self._view = Lms2xxView.of(self._ask(b"\x31", 0xB1).data)
         self._ask(b"\x20\x24", 0xA0)
 
     def scans(self, timeout_s: float) -> Iterator[HostScan | None]:
@@ -50,7 +117,7 @@ class Lms2xxHost:
             if telegram is None:
                 yield None
             elif values is not None:
-                yield self._decode(number, values)
+                yield self._view.decode(number, values)
                 number += 1
 
     def close(self) -> None:
@@ -61,18 +128,6 @@ class Lms2xxHost:
         except LinkError:
             pass  # a device that has gone need not be left tidy
         self._line.close()
-
-    def _decode(self, number: int, values: MeasuredValues) -> HostScan:
-        raw = values.values & self._mode.mask
-        metres = raw / COUNTS_PER_METRE.get(values.header.unit, 100)
-        metres[raw > self._mode.largest] = np.nan
-        beams = values.first - 1 + np.arange(len(raw))
-        step, offset = self._step_deg, 0.0
-        if values.header.partial is not None:
-            step, offset = 1.0, 0.25 * values.header.partial
-        field = 180.0 if values.header.partial is not None else self._field_deg
-        azimuth = np.radians(beams * step + offset - field / 2.0)
-        return HostScan(number, azimuth, metres, f"status {values.status:02X}")
 
     def _find(self, baud: int) -> None:
         """Stop a stream at whatever speed the device has, then change to `baud`."""
@@ -108,32 +163,12 @@ class Lms2xxHost:
         """The next telegram with a good CRC; None when there is none in time."""
         end_ns = self._clock.now_ns() + int(timeout_s * 1e9)
         while True:
-            telegram = self._take()
+            telegram = self._reader.take()
             if telegram is not None:
                 return telegram
             left_ns = end_ns - self._clock.now_ns()
             data = self._line.read(max(0, left_ns) * 1e-9)
             if not data and left_ns <= 0:
                 return None
-            while data:
-                data = data[self._buffer.add(data) :]
-                if data:  # full of noise: keep the newest
-                    self._buffer.take(MAX_PAYLOAD)
+            self._reader.feed(data)
 
-    def _take(self) -> Telegram | None:
-        while True:
-            self._buffer.skip_to(b"\x02")
-            head = self._buffer.peek(HEADER_BYTES)
-            if head is None:
-                return None
-            length = int.from_bytes(head[2:4], "little")
-            if not head[1] & 0x80 or not 1 <= length <= MAX_PAYLOAD:
-                self._buffer.take(1)
-                continue
-            whole = self._buffer.peek(length + OTHER_BYTES)
-            if whole is None:
-                return None
-            telegram = open_frame(whole)
-            self._buffer.take(1 if telegram is None else len(whole))
-            if telegram is not None:
-                return telegram

@@ -149,6 +149,8 @@ class CanLink(Link):
         self.wire = port.wire
         self.node: Node = port.wire.join(f"sensor {len(port.links) + 1}")
         self.can = CanCounters()
+        self.on_carried: Callable[[Carried, bool], None] | None = None
+        "Called with each frame of the bus and whether it is this sensor's own."
         self._inbox: deque[Received] = deque()
         self._wake_fd: int | None = None
         port.links.append(self)
@@ -236,6 +238,8 @@ class CanLink(Link):
         """Frames that were on the bus: own ones are counted, others received."""
         before = len(self._inbox)
         for frame in carried:
+            if self.on_carried is not None:
+                self.on_carried(frame, frame.node is self.node)
             if frame.node is self.node:
                 self.can.frames_sent += 1
                 self.stats.lateness_ns.append(max(0, now_ns - frame.end_ns))

@@ -1,0 +1,155 @@
+"""One scenario in virtual time without hardware: links in memory, built-in hosts, expectations judged.
+
+For `lidaremu test`. Every sensor gets a loop in place of its links; sensors on CAN keep their bus, without a way out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+from emulator import assembly
+from emulator.daemon import summary
+from emulator.expectations import Judgement, understand, verdicts
+from emulator.hosts.scripted import LdScript, Lms2xxScript
+from emulator.instrument import Instrument, Measuring
+from emulator.measuring import InPlace, Workers
+from emulator.scenario import Scenario
+from emulator.series import SeriesWatcher, lookup
+from emulator.spec import load_spec
+from emulator.transcript import Transcript
+from emulator.transports import open_link
+from emulator.transports.can_link import BITRATE, CanPorts, Outlet
+from emulator.transports.can_wire import CanWire, Carried
+from emulator.transports.link import Link
+from emulator.transports.loopback import Loops
+from emulator.virtual import VirtualHost, VirtualRun, nothing_owed
+from emulator.watching import Watcher
+
+DEFAULT_S = 5.0
+"Length of a trial whose scenario has no duration."
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a trial has shown."""
+
+    scenario: str
+    judgements: tuple[Judgement, ...]
+    sha256: str
+    duration_s: float
+    sensors: tuple[dict[str, Any], ...]
+
+    @property
+    def held(self) -> bool:
+        """Whether every expectation held."""
+        return all(item.held for item in self.judgements)
+
+
+class SilentBus(Outlet):
+    """A bus of sensors alone, heard by one silent node."""
+
+    @property
+    def url(self) -> str:
+        return "loop:can"
+
+    def filenos(self) -> tuple[int, ...]:
+        return ()
+
+    def poll(self, now_ns: int) -> None:
+        pass
+
+    def deliver(self, carried: Sequence[Carried], now_ns: int) -> bool:
+        return True
+
+    def close(self) -> None:
+        pass
+
+
+class Trial:
+    """A scenario set up in memory."""
+
+    def __init__(self, scenario: Scenario, workers: int = 0, watchers: Sequence[Watcher] = ()) -> None:
+        """`workers`: measuring processes; 0 measures in place. The result is the same."""
+        self.scenario = scenario
+        self.expected = understand(scenario)
+        sessions = assembly.new_sessions(scenario)
+        names = [sensor.id for sensor in scenario.sensors]
+        build = partial(assembly.build_measures, scenario)
+        self._workers = Workers(build, names, workers) if workers else None
+        measuring: Measuring = self._workers if self._workers is not None else InPlace(build())
+        self.transcript = Transcript(names)
+        self.series = SeriesWatcher(names)
+        loops, buses = Loops(), CanPorts()
+        self.instruments: list[Instrument] = []
+        hosts: list[VirtualHost] = []
+        for index, (sensor, session) in enumerate(zip(scenario.sensors, sessions, strict=True)):
+            family = assembly.family_of(scenario, index)
+            links = [_link_of(scenario, index, family.tcp_is_line, loops, buses)]
+            instrument = Instrument(sensor.id, session, links, measuring)
+            for watcher in (self.transcript, self.series, *watchers):
+                instrument.watch(watcher)
+            self.instruments.append(instrument)
+            host = self._host_of(index, family.name, loops)
+            hosts += [] if host is None else [host]
+        settle = nothing_owed if self._workers is None else self._workers.settle
+        self.run = VirtualRun(self.instruments, hosts, settle)
+        self.run.power_on()
+
+    def _host_of(self, index: int, family: str, loops: Loops) -> VirtualHost | None:
+        sensor = self.scenario.sensors[index]
+        on_scan = partial(self.series.host_read, sensor.id)
+        if family == "lms2xx":
+            return Lms2xxScript(loops[sensor.id].connect(), on_scan)
+        if family == "ld":
+            zero_rad = math.radians(float(sensor.device.get("zero_deg", 0.0)))
+            return LdScript(loops[sensor.id].connect(), on_scan, zero_rad)
+        return None
+
+    def finish(self) -> Verdict:
+        """Run to the end and judge."""
+        duration_s = self.scenario.duration_s or DEFAULT_S
+        end_ns = round(duration_s * 1e9)
+        self.run.advance(end_ns)
+        by_name = {item.sensor: item for item in self.instruments}
+        for instrument in self.instruments:
+            for link in instrument.links:
+                instrument.stats.lateness_ns += link.stats.lateness_ns
+        actors = ("world", *(actor.id for actor in self.scenario.actors))
+        judged = verdicts(
+            self.expected,
+            lambda from_ns, to_ns: lookup(self.series, by_name, actors, from_ns, min(to_ns, end_ns), end_ns),
+        )
+        failures = [] if self._workers is None else self._workers.failures
+        judged += [Judgement("every sweep can be measured", False, text, "no failure") for text in failures]
+        sensors = tuple(summary(item) for item in self.instruments)
+        return Verdict(str(self.scenario.source), tuple(judged), self.transcript.sha256(), duration_s, sensors)
+
+    def close(self) -> None:
+        """Release everything."""
+        for instrument in self.instruments:
+            instrument.close()
+        if self._workers is not None:
+            self._workers.close()
+
+
+def _link_of(scenario: Scenario, index: int, tcp_is_line: bool, loops: Loops, buses: CanPorts) -> Link:
+    sensor = scenario.sensors[index]
+    if assembly.family_of(scenario, index).name != "can_objects":
+        return open_link(f"loop:{sensor.id}", tcp_is_line, loops=loops)
+    bus = next((url for url in sensor.links), f"can:{sensor.id}").partition("?")[0]
+    bitrate = load_spec(sensor.model).device.get("bitrate", BITRATE)
+    return buses.link(bus, lambda: (CanWire(int(sensor.device.get("bitrate", bitrate))), SilentBus()))
+
+
+def run_trial(scenario: Scenario, workers: int = 0, name: str | None = None) -> Verdict:
+    """Run one scenario and judge its expectations; raises `EmulatorError` when it cannot run."""
+    trial = Trial(scenario, workers)
+    try:
+        verdict = trial.finish()
+    finally:
+        trial.close()
+    return verdict if name is None else replace(verdict, scenario=name)

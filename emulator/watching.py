@@ -1,0 +1,64 @@
+"""Who looks on while an instrument works: every payload with the instants of its first and last bit, scans, events.
+
+Belongs here: the contract, and when bytes leave a line whatever the clock of the run. Not: what is done with it
+(transcript, series, recording).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from emulator.transports.pacing import PacedLine, leave_ns
+from protocols.scan import Scan
+from protocols.session import Event
+
+FOREVER_NS = 2**62
+
+
+@dataclass(frozen=True)
+class Payload:
+    """Bytes on one link, in one piece."""
+
+    sensor: str
+    link: int
+    "Index into the sensor's links."
+    peer: int
+    "Connection, remote port or CAN identifier; 0 on a line and for everybody."
+    data: bytes
+    start_ns: int
+    "Sent: when its first bit begins. Received: when it was taken in."
+    end_ns: int
+    "Sent: when its last bit has left. Received: the same as the start."
+    sent: bool
+    "By the device; False: by a host."
+    label: str = ""
+    sweep: int | None = None
+    "Whose scan it carries; None for a reply, on CAN and for what hosts send."
+
+
+class Watcher:
+    """Looks on; every method may be left as it is."""
+
+    def payload(self, payload: Payload) -> None:
+        """Bytes that will leave, or came in."""
+
+    def scan(self, sensor: str, scan: Scan) -> None:
+        """A sweep that the device has taken."""
+
+    def event(self, sensor: str, event: Event) -> None:
+        """Something the session told."""
+
+
+class LineTimes:
+    """When payloads leave a line that is paced: the link's own arithmetic, ahead of its clock."""
+
+    def __init__(self) -> None:
+        self._line = PacedLine()
+
+    def of(self, data: bytes, due_ns: int, line_speed: int | None) -> tuple[int, int]:
+        """First and last bit of a payload handed over with these arguments, in the order of handing over."""
+        self._line.put(data, due_ns, line_speed)
+        start_ns = end_ns = due_ns
+        for left in self._line.take(FOREVER_NS):
+            start_ns, end_ns = leave_ns(left.run_ns, left.run_index, left.speed), left.last_ns
+        return start_ns, end_ns
