@@ -75,7 +75,7 @@ class Rain(_Falling):
     drop_radius_mm: Annotated[float, Field(ge=0.25, le=3.0)] | None = None
     "Radius of every drop, 0.5 to 6 mm of diameter. None: the sizes of Marshall and Palmer."
     forward_scatter: bool | None = None
-    "Light diffracted into the beam is not lost; None: on for `marshall_palmer`. The laws fitted to measurements hold it."
+    "Light diffracted into the beam is not lost; None: on for `marshall_palmer`. Laws fitted to measurements hold it."
     backscatter_per_d2_sr: Positive = 0.005845
     "kappa: backscatter of a drop over its squared diameter; uncertain by a factor 10."
     wets: bool = False

@@ -38,6 +38,18 @@ def test_a_mirror_shows_what_stands_beside_as_a_ghost_straight_ahead(tmp_path: P
     assert scan.intensity[0, 0] * model.threshold == pytest.approx(expected, rel=1e-6)
 
 
+def test_a_ghost_in_fog_is_dimmed_over_its_whole_way(tmp_path: Path) -> None:
+    side = {"plane": {"size_m": [50.0, 50.0]}, "at_m": [10.0, 5.0, 0.0], "material": "half", "roll_deg": 90.0}
+    fog = {"fog": {"visibility_m": 400.0}}
+    echo = [
+        build(tmp_path, [turned_mirror(10.0, -45.0), side], materials=MATERIALS, weather=weather, physics=AXIS)
+        .view(plan())
+        .echoes.amplitude.sum()
+        for weather in (CLEAR, fog)
+    ]
+    assert np.log(echo[0] / echo[1]) == pytest.approx(2 * 0.00978005751357 * 15.0, rel=1e-5)
+
+
 def test_without_bounces_the_ghost_is_gone(tmp_path: Path) -> None:
     side = {"plane": {"size_m": [50.0, 50.0]}, "at_m": [10.0, 5.0, 0.0], "material": "half", "roll_deg": 90.0}
     physics = {**AXIS, "bounces": 0}

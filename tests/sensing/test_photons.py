@@ -77,6 +77,13 @@ def test_daylight_hides_a_faint_echo(tmp_path: Path) -> None:
     assert seen[0] >= seen[1] >= seen[2]
 
 
+def test_a_bright_background_fills_the_first_bins_and_does_not_pull_the_range(tmp_path: Path) -> None:
+    """First photons of 10 MHz of background fall off over the gate; only what exceeds them counts."""
+    measure = faint(tmp_path, shots=100_000, dark_count_hz=1e7)
+    scan = measure(plan(np.zeros(50)))
+    assert np.median(scan.range_m) == pytest.approx(30.0, abs=0.2)
+
+
 def test_pairs_have_the_ratio_of_coincidences_to_accidentals(tmp_path: Path) -> None:
     pairs = {
         "pair_rate_hz": 1e7,

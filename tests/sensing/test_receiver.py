@@ -65,6 +65,35 @@ def test_in_seed_mode_an_object_is_seen_up_to_signal_to_noise_one_and_nothing_is
             assert scan.intensity == pytest.approx(1.0, abs=1e-2)
 
 
+@pytest.mark.parametrize(
+    ("row", "target", "limit_m", "printed_m"),
+    [
+        ("container truck", grey(0.80), 239.776, 237.0),
+        ("car body", grey(0.75), 232.316, 232.0),
+        ("road sign", grey(0.30), 148.036, 142.0),
+        ("pedestrian", grey(0.05), 60.906, 58.0),
+        ("bicycle, side", 28.6e-3, 45.882, 45.0),
+        ("bicycle, front", 3.0e-3, 22.524, 22.0),
+    ],
+)
+def test_table_2_of_the_base_paper_follows_from_one_receiver(
+    tmp_path: Path, row: str, target: Any, limit_m: float, printed_m: float
+) -> None:
+    """Largest ranges of section 5.2 (model column) through meshes and embreex; the paper's own within 10 %."""
+    assert limit_m == pytest.approx(printed_m, rel=0.10)
+    for factor, seen in ((0.985, True), (1.015, False)):
+        range_m = factor * limit_m
+        if isinstance(target, float):
+            tube = {"cylinder": {"radius_m": 0.5 * target, "height_m": 10.0, "segments": 512}}
+            world = [{**tube, "at_m": [range_m + 0.5 * target, 0.0, -5.0], "material": "chosen"}]
+            material = grey(0.05)
+        else:
+            world, material = [plate(range_m, "chosen", 20.0)], target
+        physics = {"rule": "spiral", "sub_beams": 8192 if isinstance(target, float) else 61}
+        measure = build(tmp_path, world, materials={"chosen": material}, mode="seed", physics=physics)
+        assert np.isfinite(measure(plan()).range_m[0, 0]) == seen, row
+
+
 def test_noise_alone_makes_as_many_echoes_as_rices_formula_says(tmp_path: Path) -> None:
     physics = {"rule": "axis", "threshold_to_noise": 3.5, "range_noise_mm": 0.0}
     measure = build(tmp_path, physics=physics)
@@ -103,6 +132,16 @@ def test_the_sun_in_the_field_of_view_makes_noise_and_shortens_the_range(tmp_pat
     light = daylight(view.air.sun, view.rays, view.seen, view.surfaces, measure._caster, measure.model)
     assert light.noise is not None
     assert light.noise[0] == pytest.approx(54.95 / 36.67, rel=2e-3)
+
+
+def test_beside_a_plate_the_sun_lowers_its_echo_to_two_thirds(tmp_path: Path) -> None:
+    """The plate covers half of the beam, and the sun stands right behind its edge."""
+    physics = {**QUIET, "rule": "spiral", "sub_beams": 256}
+    world = [plate(30.0, "white", 10.0, 5.001)]
+    night, day = (
+        build(tmp_path, world, weather={**CLEAR, **sky}, physics=physics)(plan()) for sky in ({}, SUN_IN_VIEW)
+    )
+    assert day.intensity[0, 0] / night.intensity[0, 0] == pytest.approx(36.67 / 54.95, rel=2e-3)
 
 
 def test_a_wide_receiver_looking_into_the_sun_is_dazzled_and_at_night_it_is_not(tmp_path: Path) -> None:
