@@ -68,7 +68,8 @@ def open_instruments(
             tcp_is_line = family_of(scenario, index).tcp_is_line
             links = []
             for url in sensor.links:
-                links.append(open_link(url, tcp_is_line, loops=loops, can_ports=can_ports))
+                bitrate = session.can_bitrate
+                links.append(open_link(url, tcp_is_line, loops=loops, can_ports=can_ports, can_bitrate=bitrate))
                 opened.append(links[-1])
             instruments.append(Instrument(sensor.id, session, links, measuring))
     except BaseException:

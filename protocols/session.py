@@ -115,6 +115,9 @@ Event = Dropped | CommandHandled | ModeChanged | Restarted
 class Session(ABC):
     """One device talking to its hosts."""
 
+    can_bitrate: int | None = None
+    "Speed at which the device was set up for its CAN bus, in bit/s; None: it has none."
+
     @abstractmethod
     def power_on(self, now_ns: int) -> None:
         """Switch the device on (again): volatile settings are lost, boot time and boot text follow."""

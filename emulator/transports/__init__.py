@@ -74,23 +74,23 @@ LINK_SCHEMES = MappingProxyType(
         "socketcand": _scheme(
             "socketcand",
             "socketcand",
-            "socketcand:HOST:PORT/CHANNEL[?bitrate=500000]",
+            "socketcand:HOST:PORT/CHANNEL[?bitrate=N]",
             "CAN: we are a socketcand server for any number of stock clients, no kernel module",
-            ("can_ports",),
+            ("can_ports", "can_bitrate"),
         ),
         "slcan": _scheme(
             "slcan",
             "slcan",
-            "slcan:PATH[?bitrate=500000]",
+            "slcan:PATH[?bitrate=N]",
             "CAN: we are a serial CAN adapter (LAWICEL) on a pseudo-terminal",
-            ("can_ports",),
+            ("can_ports", "can_bitrate"),
         ),
         "can": _scheme(
             "can_bus",
             "can",
-            "can:INTERFACE:CHANNEL[?bitrate=500000&gap_us=N&KEY=VALUE...]",
+            "can:INTERFACE:CHANNEL[?bitrate=N&gap_us=N&KEY=VALUE...]",
             "CAN: any python-can interface: virtual, socketcan, pcan, kvaser, udp_multicast, ...",
-            ("can_ports",),
+            ("can_ports", "can_bitrate"),
         ),
         "loop": _scheme(
             "loopback",
@@ -105,14 +105,19 @@ LINK_SCHEMES = MappingProxyType(
 
 
 def open_link(
-    url: str, serial_line: bool = True, *, loops: Loops | None = None, can_ports: CanPorts | None = None
+    url: str,
+    serial_line: bool = True,
+    *,
+    loops: Loops | None = None,
+    can_ports: CanPorts | None = None,
+    can_bitrate: int | None = None,
 ) -> Link:
     """Open the link that `url` names.
 
     `serial_line`: what TCP and UDP are to this sensor. True: a serial device server in front of its line (paced, no
     connections, `LinkKind.SERIAL`); False: the sensor's own network interface (`STREAM`, `DATAGRAM`, not paced).
     `loops`: where the host's end of a `loop:` is found by its name. `can_ports`: the CAN buses of the run; sensors that
-    name the same one share it. Raises `LinkError`.
+    name the same one share it. `can_bitrate`: that of the bus where the text gives none. Raises `LinkError`.
     """
     try:
         check_url(url)
@@ -120,6 +125,7 @@ def open_link(
         raise LinkError(str(error)) from None
     scheme = LINK_SCHEMES[url.partition(":")[0]]
     given: dict[str, Any] = {"serial_line": serial_line, "loops": loops, "can_ports": can_ports}
+    given["can_bitrate"] = can_bitrate
     opener = _function(scheme.opener)
     if opener is None:
         raise LinkError(f"{url}: {scheme.opener} is missing from this installation")

@@ -37,13 +37,13 @@ def check_link_can(url: str) -> None:
     _numbers(*_parts(url)[:2])
 
 
-def open_link_can(url: str, *, can_ports: CanPorts | None = None) -> Link:
+def open_link_can(url: str, *, can_ports: CanPorts | None = None, can_bitrate: int | None = None) -> Link:
     """A sensor on the bus that `can:INTERFACE:CHANNEL[?bitrate=...&gap_us=...&KEY=VALUE]` names; raises LinkError.
 
     Further options go to python-can. `can_ports`: the buses of the run; sensors that give the same text share one.
     """
     parts, interface, channel = _parts(url)
-    bitrate, gap_ns = _numbers(parts, interface)
+    bitrate, gap_ns = _numbers(parts, interface, can_bitrate)
     ports = can_ports if can_ports is not None else CanPorts()
 
     def make() -> tuple[CanWire, Outlet]:
@@ -67,9 +67,9 @@ def _parts(url: str) -> tuple[LinkUrl, str, str]:
     return parts, interface, channel
 
 
-def _numbers(parts: LinkUrl, interface: str) -> tuple[int, int]:
+def _numbers(parts: LinkUrl, interface: str, default_bitrate: int | None = None) -> tuple[int, int]:
     """Bit rate, and the least time between two frames in nanoseconds."""
-    bitrate = parts.number("bitrate", BITRATE, LOWEST_BITRATE, HIGHEST_BITRATE)
+    bitrate = parts.number("bitrate", default_bitrate or BITRATE, LOWEST_BITRATE, HIGHEST_BITRATE)
     return bitrate, 1000 * parts.number("gap_us", GAPS_US.get(interface, 0), 0, 1_000_000)
 
 

@@ -49,13 +49,13 @@ def check_link_slcan(url: str) -> None:
     parts.number("bitrate", BITRATE, LOWEST_BITRATE, HIGHEST_BITRATE)
 
 
-def open_link_slcan(url: str, *, can_ports: CanPorts | None = None) -> Link:
+def open_link_slcan(url: str, *, can_ports: CanPorts | None = None, can_bitrate: int | None = None) -> Link:
     """A sensor on the bus behind the adapter of `slcan:PATH[?bitrate=...]`; raises LinkError.
 
     `can_ports`: the buses of the run; sensors that give the same path share one.
     """
     parts = parse_url(url)
-    bitrate = parts.number("bitrate", BITRATE, LOWEST_BITRATE, HIGHEST_BITRATE)
+    bitrate = parts.number("bitrate", can_bitrate or BITRATE, LOWEST_BITRATE, HIGHEST_BITRATE)
     ports = can_ports if can_ports is not None else CanPorts()
     return ports.link(f"slcan:{parts.target}", lambda: (CanWire(bitrate), Adapter(parts.target)))
 

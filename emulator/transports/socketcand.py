@@ -44,13 +44,13 @@ def check_link_socketcand(url: str) -> None:
     _parts(url)
 
 
-def open_link_socketcand(url: str, *, can_ports: CanPorts | None = None) -> Link:
+def open_link_socketcand(url: str, *, can_ports: CanPorts | None = None, can_bitrate: int | None = None) -> Link:
     """A sensor on the bus that `socketcand:HOST:PORT/CHANNEL[?bitrate=...]` names; raises LinkError.
 
     `can_ports`: the buses of the run; sensors that give the same text share one, and channels of one host and port
     share a server. Without it the bus is this sensor's alone.
     """
-    host, port, channel, bitrate = _parts(url)
+    host, port, channel, bitrate = _parts(url, can_bitrate)
     ports = can_ports if can_ports is not None else CanPorts()
 
     def make() -> tuple[CanWire, Outlet]:
@@ -64,14 +64,14 @@ def open_link_socketcand(url: str, *, can_ports: CanPorts | None = None) -> Link
     return ports.link(f"socketcand:{host}:{port}/{channel}", make)
 
 
-def _parts(url: str) -> tuple[str, int, str, int]:
+def _parts(url: str, default_bitrate: int | None = None) -> tuple[str, int, str, int]:
     parts = parse_url(url)
     parts.allow("bitrate")
     address, slash, channel = parts.target.partition("/")
     if not slash or CHANNEL.fullmatch(channel) is None:
         raise ValueError(f"{url!r}: channel {channel!r}; want socketcand:HOST:PORT/CHANNEL, for example .../can0")
     host, port = host_and_port(url, address)
-    return host, port, channel, parts.number("bitrate", BITRATE, LOWEST_BITRATE, HIGHEST_BITRATE)
+    return host, port, channel, parts.number("bitrate", default_bitrate or BITRATE, LOWEST_BITRATE, HIGHEST_BITRATE)
 
 
 @dataclass

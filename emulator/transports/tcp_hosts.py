@@ -148,7 +148,7 @@ class Hosts:
             events.append(Received(host.number, opened=True))
 
     def _make_room(self, events: list[Received]) -> bool:
-        silent = next((host for host in self._hosts.values() if not host.spoke), None)
+        silent = next((host for host in self._hosts.values() if not host.spoke and not _has_unread(host)), None)
         if silent is None:
             return False
         self._stats.hosts_refused += 1
@@ -261,6 +261,14 @@ def _prepare(connection: socket.socket) -> None:
         for name, value in KEEPALIVE:
             if hasattr(socket, name):
                 connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+
+
+def _has_unread(host: Host) -> bool:
+    """Whether something has come that was not read yet: hosts of one crowd are accepted before any of them is heard."""
+    try:
+        return bool(host.connection.recv(1, socket.MSG_PEEK))
+    except OSError:
+        return False
 
 
 def _reset(connection: socket.socket) -> None:

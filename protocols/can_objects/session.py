@@ -95,6 +95,7 @@ class CanObjectSession(Session):
         self._layout: Layout = load(self.LAYOUT_FILE)
         self._protection = Protection(common.e2e, self._layout) if common.e2e is not None else None
         self._bit_ns = SECOND_NS / common.bitrate
+        self.can_bitrate = common.bitrate
         self._events: list[Event] = []
         self._links: list[int] = []
         self._foreign: Counter[int] = Counter()

@@ -205,7 +205,7 @@ class Channel:
     def _can_frames(
         self, payload: bytes, route: int, due_ns: int, device: Device, sweep: int | None, label: str
     ) -> deque[Emission]:
-        rate = 1000 * cfg.CAN_RATE_CODES[device.config[cfg.CAN][0]]
+        rate = device.can_bitrate
         to = Address(self.address.link, device.config[cfg.CAN][3] + device.sensor_id)
         start_ns = max(due_ns, self.line.free_ns)
         frames: deque[Emission] = deque()

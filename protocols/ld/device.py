@@ -113,6 +113,11 @@ class Device:
         return self.config[cfg.CAN]
 
     @property
+    def can_bitrate(self) -> int:
+        """Speed of the CAN bus, which stays as it was found: a rate that a host stores is only told again. [bit/s]"""
+        return 1000 * cfg.CAN_RATE_CODES[self.settings.config[cfg.CAN][0]]
+
+    @property
     def status(self) -> tuple[int, int]:
         """SENSTAT."""
         return status_words(self.mode, Motor.TOO_SLOW if self.spin_up else self.motor)

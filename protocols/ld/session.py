@@ -55,6 +55,7 @@ class LdSession(Session):
 
     def __init__(self, model: Model, settings: Settings) -> None:
         self.device = Device(model, settings)
+        self.can_bitrate = self.device.can_bitrate
         self._lines: dict[int, Line] = {}
         self._channels: dict[Address, Channel] = {}
         self._revolutions = Revolutions()

@@ -215,6 +215,21 @@ def test_idle_connections_make_room_for_a_host_that_talks() -> None:
             data += b"".join(event.data for event in events_of(link) if event.peer == 1)
 
 
+def test_a_host_that_spoke_is_kept_when_a_crowd_comes_with_it() -> None:
+    with opened() as link, contextlib.ExitStack() as stack:
+        host = stack.enter_context(host_of(link))
+        host.sendall(b"hello")
+        for _ in range(MAX_HOSTS + 20):
+            stack.enter_context(host_of(link))
+        events = [event for _ in range(10) for event in events_of(link, wait_s=0.0)]
+        (heard,) = [event for event in events if event.data]
+        assert (heard.data, heard.peer) == (b"hello", 1)
+        assert all(event.peer != 1 for event in events if event.closed)
+        link.send(b"you too", 0, 1)
+        link.flush(0)
+        assert host.recv(10) == b"you too"
+
+
 def test_when_all_places_are_taken_by_talkers_a_new_host_is_reset() -> None:
     with opened() as link, contextlib.ExitStack() as stack:
         for _ in range(MAX_HOSTS):

@@ -120,6 +120,24 @@ def test_a_new_sensor_id_moves_the_device_on_can() -> None:
     assert DropReason.OTHER_ADDRESS in rig.dropped()
 
 
+def test_the_bus_runs_at_the_speed_the_device_was_set_up_for() -> None:
+    assert Rig({}).session.can_bitrate == 1_000_000
+    assert Rig({"can_kbit_s": 250}).session.can_bitrate == 250_000
+
+
+def test_a_bus_speed_that_a_host_stores_is_told_again_and_does_not_move_the_bus() -> None:
+    host = Address(0, 0x2AB)
+    rig = Rig({"mode": "measure", "delays": "fast", "step_deg": 1}, ten_metres, LinkKind.CAN, Address(0, 0))
+    for message in ((0x0201, 0x0002, 3, 0x2A8, 7, 0x700, 0xFFFF), (0x0202, 0x0002), (0x0301, 1, 0x0100)):
+        for data in can_frames(0x10, *message):
+            rig.put(data, host)
+        rig.run(SECOND)
+    sent = [emission for emission in rig.take() if emission.label == "8301"]
+    assert len(sent) == 122
+    assert sent[-1].due_ns - sent[0].due_ns < 17 * MS  # 121 frames of at most 135 bits at 1 Mbit/s, not at 125 kbit/s
+    assert rig.session.can_bitrate == 1_000_000
+
+
 def test_frames_of_others_on_the_bus_are_left_alone() -> None:
     rig = Rig({}, ten_metres, LinkKind.CAN, Address(0, 0))
     for identifier in (0x100, 0x2B0, 0x710, 0x2AB | 1 << 31):
