@@ -172,6 +172,9 @@ class Lms2xxSession(Session):
         for receiver in list(self._receivers.values()):
             for found in receiver.expire(self._now_ns, self._settings.address):
                 self._take(found)
+        self._send_due_values()
+
+    def _send_due_values(self) -> None:
         if self._phase in UP:
             while slot := self._schedule.take_due(self._now_ns):
                 self._send_values(slot)
@@ -292,6 +295,8 @@ class Lms2xxSession(Session):
     def submit(self, scan: Scan) -> None:
         """Take the scan of `next_plan`; `ScanRefused` when it is not wanted any more."""
         self._schedule.submit(scan)
+        # A late scan moves the line and with it the next slot: before `next_plan` gives that one out.
+        self._send_due_values()
 
     def take_emissions(self, now_ns: int) -> list[Emission]:
         """What is due by `now_ns`, in the order it leaves."""

@@ -315,6 +315,24 @@ def test_a_later_scan_goes_out_at_once_and_the_stream_goes_on_from_there() -> No
     assert next_ns == pytest.approx(slot_ns + 5 * 80_000_000 / 3, abs=1)
 
 
+@pytest.mark.parametrize("late_ms", [5, 26, 27, 100])
+def test_the_plan_given_out_behind_a_late_scan_is_still_wanted_when_that_scan_was_sent(late_ms: int) -> None:
+    # The caller asks for the next plan as soon as a scan is in, so that who measures is never idle.
+    session = new_session(baud=500_000)
+    session.power_on(0)
+    session.receive(request(b"\x20\x24"), 0)
+    session.take_emissions(60 * MS)
+    plan = session.next_plan()
+    assert plan is not None
+    now_ns = (plan.sweep + 2) * 40_000_000 // 3 + late_ms * MS
+    session.advance(now_ns)
+    session.submit(wall()(plan))
+    following = session.next_plan()
+    assert following is not None
+    assert len(session.take_emissions(now_ns)) == 1
+    session.submit(wall()(following))
+
+
 def test_measuring_slower_than_the_mirror_slows_the_stream_and_never_stops_it() -> None:
     rig = streaming("361 points", 500_000, 3)
     rig.measuring_ns = 150 * MS
