@@ -139,11 +139,16 @@ class SoftProfile:
         return floats(np.interp(x, grid, self.free, left=0.0, right=0.0))
 
     def tables(self, j: Ints) -> tuple[Floats, Floats]:
-        """`upper` and `lower` at bins j; beyond the end they are equal, so that nothing is left."""
+        """`upper` and `lower` at bins j; beyond the end both are the whole integrals, so that nothing is left."""
         at = j - self.first
-        inside = (at >= 0) & (at < len(self.upper))
-        at = np.clip(at, 0, len(self.upper) - 1)
-        return np.where(inside, self.upper[at], 0.0), np.where(inside, self.lower[at], 0.0)
+        beyond = at >= len(self.upper)
+        inside = np.clip(at, 0, len(self.upper) - 1)
+        upper, lower = np.where(at >= 0, self.upper[inside], 0.0), np.where(at >= 0, self.lower[inside], 0.0)
+        if bool(np.any(beyond)):
+            # a surface there stops shares whose integrals end at the table's end: they must find them here again
+            turn = np.exp(1j * self.pulse.wave_number * self.bin_m * j[beyond].astype(np.float64))
+            upper[beyond] = lower[beyond] = self.a[-1] + np.real(turn * self.b[-1])
+        return upper, lower
 
     def integrals(self, range_m: Floats) -> tuple[Floats, Complexes]:
         """A and B up to a range: cubic between the knots, from their values and the density itself."""

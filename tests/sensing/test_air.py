@@ -136,6 +136,17 @@ def test_a_plume_as_points_and_fog_as_a_table_give_the_same_echo(tmp_path: Path)
     assert points.intensity == pytest.approx(everywhere.intensity, rel=5e-3, nan_ok=True)
 
 
+@pytest.mark.parametrize("wall_m", [5.0, 12.0, 18.5, 19.0, 19.5, 20.0, 21.0, 25.0])
+def test_fog_does_not_lift_a_wall_that_stands_where_the_fog_is_no_longer_seen(tmp_path: Path, wall_m: float) -> None:
+    """The table of the fog ends near 19 m here; a wall about its end must find what it takes away."""
+    world, physics = [plate(wall_m, "half")], {**AXIS, "threshold_to_noise": 0.5, "detection": "peak"}
+    found = build(tmp_path, world, weather={"fog": {"visibility_m": 50.0}}, physics=physics, model="sick-lms291-s05")
+    scan, expected = found(plan()), found.view(plan()).echoes.amplitude.sum()
+    wall = np.nanargmin(np.abs(scan.range_m[0] - wall_m))
+    assert scan.range_m[0, wall] == pytest.approx(wall_m, abs=0.15)
+    assert scan.intensity[0, wall] * 0.5 == pytest.approx(expected, rel=0.05)
+
+
 def test_smoke_from_a_fire_is_an_echo_of_its_own_before_the_wall(tmp_path: Path) -> None:
     fire = {"at_m": [15.0, 0.0, -2.0], "size_m": [3.0, 3.0, 4.0], "extinction_per_m": 0.3, "lidar_ratio_sr": 18.8}
     scan = build(tmp_path, WALL, weather={"plumes": [fire]}, physics={**AXIS, "detection": "peak"})(plan())
