@@ -16,6 +16,12 @@ import pytest
 SOURCE = Path(__file__).parent / "mrpt"
 WALL_M = 8.0
 "flat_wall: the wall's distance straight ahead."
+NOISE_M = 0.010
+"The device's statistical error, one sigma, 1 to 20 m (data sheet)."
+SIGMAS = 6
+"So far from it no echo of a run comes: 40 000 ranges, 1 in 500 000 000 beyond."
+DIVERGENCE_RAD = 12.9e-3
+"Full angle of a beam."
 
 
 @dataclass(frozen=True)
@@ -100,19 +106,27 @@ def test_mrpt_connects_streams_and_sees_the_wall(
     truth = WALL_M / np.cos(azimuth)
     # In mm the driver's mode reaches 32.7 m, in cm 81 m; where the wall is too dark or too far there is no echo.
     near = truth < 20.0
-    error = found.ranges_m[:, near] - truth[near]
-    assert np.all(found.ranges_m[:, near] > 0.0)
-    # Noise of the device 10 mm (1 sigma) plus rounding; five sigma over some thousand points, no bias.
+    seen = found.ranges_m[:, near]
     unit_m = 0.001 if mm else 0.01
-    assert np.abs(error).max() < 6 * 0.010 + unit_m + footprint_m(truth[near], azimuth[near]).max()
-    straight = np.abs(azimuth[near]) < math.radians(30.0)
-    # The leading edge of a footprint that lies aslant comes a few millimetres early; systematic error +-35 mm.
-    assert abs(error[:, straight].mean()) < 0.010
+    nearest_m, farthest_m = footprint_m(azimuth[near])
+    assert np.all(seen > nearest_m - SIGMAS * NOISE_M - unit_m)
+    assert np.all(seen < farthest_m + SIGMAS * NOISE_M + unit_m)
+
+    # Straight ahead the footprint is flat: what is left is the device's noise and the rounding to its unit.
+    straight = np.abs(azimuth) < math.radians(10.0)
+    error = found.ranges_m[:, straight] - truth[straight]
+    spread_m = math.hypot(NOISE_M, unit_m / math.sqrt(12.0))
+    count = error.size
+    assert error.std() == pytest.approx(spread_m, rel=0.1 + 4.0 / math.sqrt(2.0 * count))
+    # The leading edge comes up to a few millimetres early, and a unit's rounding may lean to one side.
+    assert abs(error.mean()) < 0.005 + unit_m / 2.0 + 4.0 * spread_m / math.sqrt(count)
 
 
-def footprint_m(range_m: np.ndarray, azimuth_rad: np.ndarray) -> np.ndarray:
-    """Spread of ranges inside the 12.9 mrad footprint on a wall seen at an angle (one standard deviation)."""
-    return range_m * 12.913e-3 / 4.0 * np.abs(np.tan(azimuth_rad))
+def footprint_m(azimuth_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Nearest and farthest range of the wall inside the light of each beam."""
+    inner = np.maximum(np.abs(azimuth_rad) - DIVERGENCE_RAD / 2.0, 0.0)
+    outer = np.abs(azimuth_rad) + DIVERGENCE_RAD / 2.0
+    return WALL_M / np.cos(inner), WALL_M / np.cos(outer)
 
 
 def test_mrpt_finds_a_device_left_at_another_speed(daemon: Callable[..., object], mrpt_host: Path) -> None:
