@@ -2,9 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Protocol, runtime_checkable
 
 Row = dict[str, object]
+
+
+class DeviceKey(Protocol):
+    """One key of a scenario's `device:` table."""
+
+    name: str
+    allowed: str
+    default: str
+    meaning: str
+
+
+@runtime_checkable
+class HasDeviceKeys(Protocol):
+    """A family that lists the keys of its `device:` table."""
+
+    def device_keys(self) -> Sequence[DeviceKey]: ...
 
 
 def sensors() -> list[Row]:
@@ -56,15 +73,35 @@ def commands(family_name: str | None) -> list[Row]:
     ]
 
 
+def device(model: str | None) -> list[Row]:
+    """Every key that a sensor's `device:` table may have; `KeyError` names the models."""
+    from emulator.spec import list_models, load_spec
+    from protocols import family
+
+    if model not in list_models():
+        found = f"unknown model {model!r}" if model else "device of which model?"
+        raise KeyError(f"{found}; known: {', '.join(list_models())}")
+    name = load_spec(str(model)).family
+    spoken = family(name) if name else None
+    if not isinstance(spoken, HasDeviceKeys):
+        raise KeyError(f"{model}: its family lists no keys of `device:`; see docs")
+    return [
+        {"key": key.name, "allowed": key.allowed, "default": key.default, "meaning": key.meaning}
+        for key in spoken.device_keys()
+    ]
+
+
 TABLES: dict[str, Callable[[], list[Row]]] = {
     "sensors": sensors,
     "scenarios": scenarios,
     "materials": materials,
     "links": links,
 }
-"What `lidaremu list` knows, beside `commands FAMILY`."
+"What `lidaremu list` knows by its name alone."
+OF_ONE: dict[str, Callable[[str | None], list[Row]]] = {"commands": commands, "device": device}
+"What it knows of a family, or of a model."
 
 
-def rows(what: str, family_name: str | None = None) -> list[Row]:
+def rows(what: str, name: str | None = None) -> list[Row]:
     """Rows of one table; `KeyError` with what there is when the name is unknown."""
-    return commands(family_name) if what == "commands" else TABLES[what]()
+    return OF_ONE[what](name) if what in OF_ONE else TABLES[what]()

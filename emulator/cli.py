@@ -303,19 +303,19 @@ def look(
 # ---------------------------------------------------------------- what there is
 
 
-LISTABLE = ("sensors", "scenarios", "materials", "links", "commands")
+LISTABLE = ("sensors", "scenarios", "materials", "links", "commands", "device")
 
 
 @commands.command(name="list")
 @click.argument("what", type=click.Choice(LISTABLE))
-@click.argument("family_name", required=False, metavar="[FAMILY]")
+@click.argument("name", required=False, metavar="[FAMILY | MODEL]")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
-def list_(what: str, family_name: str | None, as_json: bool) -> int:
-    """Sensors, scenarios, materials, links, or the commands of a protocol FAMILY."""
+def list_(what: str, name: str | None, as_json: bool) -> int:
+    """Sensors, scenarios, materials, links, the commands of a protocol FAMILY, or the `device:` keys of a MODEL."""
     from emulator import catalogue
 
     try:
-        rows = catalogue.rows(what, family_name)
+        rows = catalogue.rows(what, name)
     except KeyError as error:
         raise click.UsageError(str(error.args[0])) from None
     for row in rows:

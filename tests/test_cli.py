@@ -82,6 +82,8 @@ def test_check_in_json_has_every_fault(tmp_path: Path, capsys: pytest.CaptureFix
         ["list", "colours"],
         ["list", "commands"],
         ["list", "commands", "nope"],
+        ["list", "device"],
+        ["list", "device", "nope"],
         ["look", "pty:./nobody", "--family", "nope"],
         ["demo", "--sensor", "nobody"],
     ],
@@ -114,6 +116,16 @@ def test_every_command_of_a_family_is_listed_with_its_state_and_source(
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert {row["status"] for row in rows} <= {"done", "refused", "absent"}
     assert all(row["source"] for row in rows)
+
+
+@pytest.mark.parametrize("model", ["sick-lms291-s05", "sick-lms200-30106", "sick-ld-lrs1000"])
+def test_every_key_of_a_models_device_table_is_listed_with_what_it_takes(
+    model: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["list", "device", model, "--json"]) == OK
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert len(rows) > 10
+    assert all(row["key"] and row["allowed"] and row["meaning"] for row in rows)
 
 
 def test_a_driver_finds_its_sensor_in_the_environment() -> None:
