@@ -8,13 +8,14 @@ from functools import partial
 from emulator.clock import Clock
 from emulator.daemon import Daemon, worker_count
 from emulator.instrument import Instrument, Measuring
-from emulator.measuring import Measure, Workers
+from emulator.measuring import InPlace, Measure, Workers
 from emulator.scenario import Scenario
 from emulator.spec import load_spec
 from emulator.transports import open_link
 from emulator.transports.can_link import CanPorts
 from emulator.transports.link import Link
 from emulator.transports.loopback import Loops
+from emulator.virtual_daemon import VirtualDaemon
 from protocols import family
 from protocols.errors import DeviceSettingError
 from protocols.session import Family, Session
@@ -92,3 +93,20 @@ def start(scenario: Scenario, clock: Clock, workers: int | None = None) -> tuple
     daemon = Daemon(instruments, clock, measuring)
     daemon.watch_workers()
     return daemon, instruments
+
+
+def start_virtual(
+    scenario: Scenario, speed: float | None = None, workers: int | None = None
+) -> tuple[VirtualDaemon, list[Instrument]]:
+    """Everything of a run on a virtual clock, devices still switched off; without `workers` it measures in place."""
+    sessions = new_sessions(scenario)
+    names = [sensor.id for sensor in scenario.sensors]
+    build = partial(build_measures, scenario)
+    pool = Workers(build, names, workers) if workers else None
+    try:
+        instruments = open_instruments(scenario, sessions, InPlace(build()) if pool is None else pool)
+    except BaseException:
+        if pool is not None:
+            pool.close()
+        raise
+    return VirtualDaemon(instruments, pool, speed), instruments

@@ -12,29 +12,21 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from emulator import __version__
+from emulator.commands.common import CANNOT_RUN, FAILED, LINK_LOST, OK, load_scenario, note, say, scenario_options
+from emulator.commands.test import test
 from emulator.errors import EmulatorError, LinkError
 
 if TYPE_CHECKING:
+    from emulator.daemon import Daemon
     from emulator.instrument import Instrument
     from emulator.scenario import Scenario
+    from emulator.virtual_daemon import VirtualDaemon
 
-OK, FAILED, CANNOT_RUN, LINK_LOST = 0, 1, 2, 3
-
-
-def say(text: str) -> None:
-    """One line for the user, at once."""
-    click.echo(text)
-    sys.stdout.flush()
-
-
-def note(text: str) -> None:
-    """One line of the log, on standard error."""
-    click.echo(f"lidaremu: {text}", err=True)
 
 
 def entry() -> None:
@@ -69,30 +61,6 @@ def commands() -> None:
 
 
 # ---------------------------------------------------------------- scenarios
-
-
-def scenario_options(function: Any) -> Any:
-    """Options common to all commands that read a scenario."""
-    for option in (
-        click.option("--set", "overrides", multiple=True, metavar="a.b=c", help="Set any key of the scenario."),
-        click.option("--seed", type=int, help="Seed of every random draw."),
-        click.option("--link", "links", multiple=True, metavar="SENSOR=URL", help="Replace that sensor's links."),
-    ):
-        function = option(function)
-    return function
-
-
-def load_scenario(name: str, overrides: Sequence[str], seed: int | None, links: Sequence[str]) -> Scenario:
-    """The scenario of that path or built-in name, with the command line's changes."""
-    from emulator import scenario
-
-    replaced: dict[str, list[str]] = {}
-    for text in links:
-        sensor, separator, url = text.partition("=")
-        if not separator or not sensor or not url:
-            raise click.BadParameter(f"{text!r}; want SENSOR=URL", param_hint="--link")
-        replaced.setdefault(sensor, []).append(url)
-    return scenario.load(name, overrides, seed, replaced)
 
 
 @commands.command()
@@ -136,6 +104,8 @@ def check(
 @scenario_options
 @click.option("--duration", type=click.FloatRange(min=0.0), metavar="S", help="Stop after this many seconds.")
 @click.option("--workers", type=click.IntRange(min=1), help="Measuring processes (default: cores less one).")
+@click.option("--clock", type=click.Choice(["real", "virtual"]), default="real", help="virtual: as fast as hosts read.")
+@click.option("--speed", type=click.FloatRange(min=0.001), metavar="X", help="Virtual clock at X times real time.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line on standard output.")
 @click.option("--shim", is_flag=True, help="Give COMMAND the preload shim for drivers that set 500 kBd by TIOCSSERIAL.")
 def run(
@@ -146,6 +116,8 @@ def run(
     links: Sequence[str],
     duration: float | None,
     workers: int | None,
+    clock: str,
+    speed: float | None,
     as_json: bool,
     shim: bool,
 ) -> int:
@@ -166,13 +138,17 @@ def run(
     from emulator import assembly
     from emulator.clock import SystemClock
 
-    clock = SystemClock()
-    daemon, instruments = assembly.start(loaded, clock, workers)
+    real = SystemClock()
+    daemon: Daemon | VirtualDaemon
+    if clock == "virtual" or speed is not None:
+        daemon, instruments = assembly.start_virtual(loaded, speed, workers)
+    else:
+        daemon, instruments = assembly.start(loaded, real, workers)
     daemon.on_failure = note
     driver: subprocess.Popen[bytes] | None = None
     try:
         with daemon.signals():
-            clock.restart()
+            real.restart()
             daemon.power_on()
             announce_ready(loaded, instruments, as_json)
             until = duration if duration is not None else loaded.duration_s
@@ -323,4 +299,6 @@ def list_(what: str, name: str | None, as_json: bool) -> int:
     return OK
 
 
-__all__ = ["LinkError", "entry", "main"]
+commands.add_command(test)
+
+__all__ = ["CANNOT_RUN", "OK", "LinkError", "entry", "main"]

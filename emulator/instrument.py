@@ -201,11 +201,12 @@ class Instrument:
 
     def _tell_sent(self, index: int, peer: int | None, emission: Emission) -> None:
         start_ns = end_ns = emission.due_ns
+        pace = None
         if index in self._times:
-            start_ns, end_ns = self._times[index].of(emission.payload, emission.due_ns, emission.line_speed)
+            start_ns, end_ns, pace = self._times[index].of(emission.payload, emission.due_ns, emission.line_speed)
         if emission.payload:
             data, label, sweep = emission.payload, emission.label, emission.sweep
-            self._tell(Payload(self.sensor, index, peer or 0, data, start_ns, end_ns, True, label, sweep))
+            self._tell(Payload(self.sensor, index, peer or 0, data, start_ns, end_ns, True, label, sweep, pace))
 
     def _carried(self, index: int, frame: Carried, own: bool) -> None:
         start_ns = frame.start_ns if own else frame.end_ns

@@ -116,6 +116,8 @@ class ByteSteps(Watcher):
         self._run = run
         self._sensor, self._link = sensor, link
         self._ahead: list[Payload] = []
+        self._gone = 0
+        "Bytes of the first of them that have left."
 
     def payload(self, payload: Payload) -> None:
         if payload.sent and (payload.sensor, payload.link) == (self._sensor, self._link):
@@ -137,7 +139,7 @@ class ByteSteps(Watcher):
             self._run.advance(leave)
             self._run.touch()
             self._run.step(leave)
-            done += 1 if head.end_ns > head.start_ns else len(head.data)  # what is not paced leaves in one piece
+            done += 1 if head.pace is not None else len(head.data)  # what is not paced leaves in one piece
         return done
 
     def _next_leave(self) -> int | None:
@@ -145,11 +147,10 @@ class ByteSteps(Watcher):
         now_ns = self._run.clock.now_ns()
         while self._ahead and self._ahead[0].end_ns <= now_ns:
             self._ahead.pop(0)
+            self._gone = 0
         if not self._ahead:
             return None
         head = self._ahead[0]
-        size, span = len(head.data), head.end_ns - head.start_ns
-        if span == 0:
-            return head.start_ns
-        gone = max(0, (now_ns - head.start_ns) * size // span)
-        return head.start_ns - (-(gone + 1) * span) // size + 1  # the line rounds each byte up by less than 1 ns
+        while head.leaves_ns(self._gone) <= now_ns:
+            self._gone += 1
+        return head.leaves_ns(self._gone)

@@ -34,6 +34,12 @@ class Payload:
     label: str = ""
     sweep: int | None = None
     "Whose scan it carries; None for a reply, on CAN and for what hosts send."
+    pace: tuple[int, int, int] | None = None
+    "Of a paced line: when the run of bytes began, how many of it came before these, baud."
+
+    def leaves_ns(self, index: int) -> int:
+        """When that byte has left."""
+        return self.end_ns if self.pace is None else leave_ns(self.pace[0], self.pace[1] + index + 1, self.pace[2])
 
 
 class Watcher:
@@ -55,10 +61,10 @@ class LineTimes:
     def __init__(self) -> None:
         self._line = PacedLine()
 
-    def of(self, data: bytes, due_ns: int, line_speed: int | None) -> tuple[int, int]:
-        """First and last bit of a payload handed over with these arguments, in the order of handing over."""
+    def of(self, data: bytes, due_ns: int, line_speed: int | None) -> tuple[int, int, tuple[int, int, int] | None]:
+        """First and last bit, and pace, of a payload handed over with these arguments, in the order of handing over."""
         self._line.put(data, due_ns, line_speed)
-        start_ns = end_ns = due_ns
         for left in self._line.take(FOREVER_NS):
-            start_ns, end_ns = leave_ns(left.run_ns, left.run_index, left.speed), left.last_ns
-        return start_ns, end_ns
+            start_ns = leave_ns(left.run_ns, left.run_index, left.speed)
+            return start_ns, left.last_ns, None if left.speed is None else (left.run_ns, left.run_index, left.speed)
+        return due_ns, due_ns, None

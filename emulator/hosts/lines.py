@@ -55,7 +55,10 @@ class SerialLine(Line):
         return int(self._port.fileno())
 
     def write(self, data: bytes) -> None:
-        self._port.write(data)
+        try:
+            self._port.write(data)
+        except (serial.SerialException, OSError) as error:
+            raise LinkError(f"{self._port.name}: the device has gone: {error}") from None
 
     def _take(self) -> bytes:
         try:

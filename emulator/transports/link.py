@@ -57,6 +57,8 @@ class Link(ABC):
     """
 
     kind: LinkKind
+    hold = False
+    """Under a virtual clock: what a host has no room for is kept instead of lost. Time waits for `held` to go down."""
 
     def __init__(self) -> None:
         self.stats = LinkStats()
@@ -88,6 +90,14 @@ class Link(ABC):
     def clear(self) -> int:
         """Forget what has not left yet (power cut); how many bytes those were."""
         return 0
+
+    def held(self) -> int:
+        """Bytes handed over that hosts have not read, as far as that can be known."""
+        return 0
+
+    def has_host(self) -> bool:
+        """Whether a host is there; True where that cannot be known."""
+        return True
 
     @abstractmethod
     def close(self) -> None:

@@ -21,6 +21,7 @@ import errno
 import fcntl
 import os
 import select
+import sys
 import termios
 
 from emulator.errors import LinkError
@@ -95,6 +96,8 @@ class PseudoTerminal(Link):
             self._poll.register(self._watch.fileno(), select.POLLIN)
         self._open = False
         self._input_waits = False
+        self._kept = b""
+        "Under a virtual clock: what the terminal had no room for."
         atexit.register(self.close)
 
     @property
@@ -160,6 +163,9 @@ class PseudoTerminal(Link):
         if self._master < 0:
             return None
         self._look()
+        if self._kept:
+            kept, self._kept = self._kept, b""
+            self._write(kept)
         left = self._line.take(now_ns)
         if left:
             self._write(b"".join(self._as_heard(left)))
@@ -180,6 +186,7 @@ class PseudoTerminal(Link):
         was_open, self._open = self._open, not state & select.POLLHUP
         self._input_waits = bool(state & select.POLLIN)
         if was_open and not self._open:
+            self._kept = b""
             self._forget_unread()
 
     def _forget_unread(self) -> None:
@@ -211,7 +218,29 @@ class PseudoTerminal(Link):
         sampled = self._to_host.feed(item.data, idle_after=item.ends)
         return sampled.as_tty(modes.ignore_break, modes.ignore_errors, modes.zero_errors)
 
+    def held(self) -> int:
+        """What the terminal holds for the host, and what waits behind it."""
+        if self._master < 0 or not self._open:
+            return 0
+        unread = 0
+        with contextlib.suppress(OSError):
+            slave = fcntl.ioctl(self._master, TIOCGPTPEER, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+            try:
+                answer = fcntl.ioctl(slave, termios.FIONREAD, b"\0" * 4)
+            finally:
+                os.close(slave)
+            unread = int.from_bytes(answer, sys.byteorder)
+        if self._watch is not None:
+            self._watch.drain()  # our own opening is no host's; `flush` looks whether one is there in any case
+        return unread + len(self._kept)
+
+    def has_host(self) -> bool:
+        return self._open
+
     def _write(self, data: bytes) -> None:
+        if self._kept:
+            self._kept += data
+            return
         while data:
             try:
                 written = os.write(self._master, data)
@@ -219,6 +248,9 @@ class PseudoTerminal(Link):
                 written = 0
             self.stats.bytes_out += written
             data = data[written:]
+            if not written and self.hold:
+                self._kept = data
+                return
             if not written:
                 self.stats.bytes_lost += len(data)
                 return

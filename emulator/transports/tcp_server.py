@@ -47,6 +47,12 @@ class _TcpLink(Link):
         number = self._hosts.fileno()
         return () if number < 0 else (number,)
 
+    def held(self) -> int:
+        return sum(host.backlog for host in self._hosts.present())
+
+    def has_host(self) -> bool:
+        return bool(self._hosts.present())
+
     def close(self) -> None:
         self._hosts.close()
 
@@ -90,7 +96,7 @@ class TcpStream(_TcpLink):
         return self._earliest(self._queue[0][0] if self._queue else None)
 
     def _give(self, host: Host, payload: bytes, now_ns: int) -> None:
-        if host.backlog >= BACKLOG_LIMIT:
+        if host.backlog >= BACKLOG_LIMIT and not self.hold:
             self.stats.payloads_dropped += 1
         else:
             self._hosts.send(host, payload, now_ns)
@@ -126,7 +132,7 @@ class TcpLine(_TcpLink):
             hosts = self._hosts.present()
             for host in hosts:
                 if left.starts:
-                    host.skipping = host.backlog >= BACKLOG_LIMIT
+                    host.skipping = host.backlog >= BACKLOG_LIMIT and not self.hold
                     self.stats.payloads_dropped += host.skipping
                 if not host.skipping:
                     self._hosts.send(host, left.data, now_ns)

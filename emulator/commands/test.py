@@ -1,0 +1,195 @@
+"""`lidaremu test`: scenarios judged in virtual time, several at once, told as lines, JSON or JUnit XML."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from emulator.commands.common import CANNOT_RUN, FAILED, OK, load_scenario, say, scenario_options
+from emulator.errors import EmulatorError
+
+if TYPE_CHECKING:
+    from emulator.trial import Verdict
+
+CODES = {"passed": OK, "failed": FAILED, "error": CANNOT_RUN}
+
+
+@dataclass(frozen=True)
+class Result:
+    """One scenario's outcome."""
+
+    scenario: str
+    verdict: str
+    "passed | failed | error"
+    real_s: float
+    found: Verdict | None = None
+    fault: str = ""
+    "Why it could not run."
+
+    def as_json(self) -> dict[str, Any]:
+        """One line of `--json`."""
+        row: dict[str, Any] = {"scenario": self.scenario, "verdict": self.verdict, "real_s": round(self.real_s, 3)}
+        if self.found is None:
+            return row | {"faults": self.fault.splitlines()}
+        return row | {
+            "sha256": self.found.sha256,
+            "duration_s": self.found.duration_s,
+            "expect": [asdict(item) for item in self.found.judgements],
+            "sensors": list(self.found.sensors),
+        }
+
+
+@click.command()
+@click.argument("scenarios", nargs=-1, required=True, metavar="SCENARIO...")
+@scenario_options
+@click.option("--jobs", type=click.IntRange(min=1), help="Scenarios at once (default: cores).")
+@click.option("--workers", type=click.IntRange(min=0), default=0, help="Measuring processes a scenario (0: in place).")
+@click.option("--duration", type=click.FloatRange(min=0.0, min_open=True), metavar="S", help="Instead of the files'.")
+@click.option("--junitxml", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE", help="JUnit XML report.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a scenario.")
+def test(
+    scenarios: Sequence[str],
+    overrides: Sequence[str],
+    seed: int | None,
+    links: Sequence[str],
+    jobs: int | None,
+    workers: int,
+    duration: float | None,
+    junitxml: Path | None,
+    as_json: bool,
+) -> int:
+    """Run scenarios in virtual time with built-in hosts, no hardware, and judge what they `expect`.
+
+    A SCENARIO is a path, a built-in name, or a folder: every .yaml file in it.
+    """
+    if duration is not None:
+        overrides = (*overrides, f"duration_s={duration}")
+    names = list(_files(scenarios))
+    one = partial(_outcome, overrides=overrides, seed=seed, links=links, workers=workers)
+    results = []
+    for result in _all(names, one, jobs or len(os.sched_getaffinity(0))):
+        results.append(result)
+        if as_json:
+            say(json.dumps(result.as_json()))
+        else:
+            _tell(result)
+    if junitxml is not None:
+        _write_junit(results, junitxml)
+    if not as_json:
+        counts = {verdict: sum(result.verdict == verdict for result in results) for verdict in CODES}
+        say(", ".join(f"{count} {verdict}" for verdict, count in counts.items() if count))
+    return max((CODES[result.verdict] for result in results), default=OK)
+
+
+def _files(scenarios: Sequence[str]) -> Iterator[str]:
+    for name in scenarios:
+        folder = Path(name)
+        if not folder.is_dir():
+            yield name
+            continue
+        found = sorted(path for path in folder.rglob("*") if path.suffix in (".yaml", ".yml"))
+        if not found:
+            raise click.BadParameter(f"{name}: no .yaml file in this folder", param_hint="SCENARIO")
+        yield from map(str, found)
+
+
+def _outcome(name: str, overrides: Sequence[str], seed: int | None, links: Sequence[str], workers: int) -> Result:
+    from emulator.clock import SystemClock
+    from emulator.trial import run_trial
+
+    clock = SystemClock()
+    try:
+        found = run_trial(load_scenario(name, overrides, seed, links), workers, name)
+    except EmulatorError as error:
+        return Result(name, "error", clock.now_ns() * 1e-9, fault=str(error))
+    return Result(name, "passed" if found.held else "failed", clock.now_ns() * 1e-9, found)
+
+
+def _all(names: Sequence[str], one: partial[Result], jobs: int) -> Iterator[Result]:
+    """Every outcome, in the order of the names."""
+    if min(jobs, len(names)) <= 1:
+        yield from map(one, names)
+        return
+    import multiprocessing
+
+    import emulator.raycast
+    import emulator.sensing
+    import emulator.trial  # noqa: F401  # loaded once here, and there after the fork
+
+    with ProcessPoolExecutor(min(jobs, len(names)), multiprocessing.get_context("fork")) as pool:
+        waiting: list[Future[Result]] = [pool.submit(one, name) for name in names]
+        for name, future in zip(names, waiting, strict=True):
+            try:
+                yield future.result()
+            except BrokenProcessPool:
+                yield Result(name, "error", 0.0, fault=f"{name}: the process that ran it, or one beside it, was ended")
+
+
+def _tell(result: Result) -> None:
+    if result.found is None:
+        say(f"{result.scenario}: cannot run")
+        for line in result.fault.splitlines():
+            say(f"  {line}")
+        return
+    found = result.found
+    held = sum(item.held for item in found.judgements)
+    say(
+        f"{result.scenario}: {result.verdict}: {held} of {len(found.judgements)} expectations,"
+        f" {found.duration_s:g} s in {result.real_s:.2f} s, sha256 {found.sha256[:16]}"
+    )
+    for item in found.judgements:
+        if not item.held:
+            say(f"  {item.name}: {item.found}; expected {item.wanted}")
+
+
+def _write_junit(results: Sequence[Result], path: Path) -> None:
+    """The report that CI servers read: a case an expectation, its class the scenario."""
+    import xml.etree.ElementTree as Tree
+
+    root = Tree.Element("testsuites", name="lidaremu")
+    for result in results:
+        judged = () if result.found is None else result.found.judgements
+        suite = Tree.SubElement(
+            root,
+            "testsuite",
+            name=_clean(result.scenario),
+            tests=str(max(1, len(judged))),
+            failures=str(sum(not item.held for item in judged)),
+            errors=str(int(result.found is None)),
+            skipped="0",
+            time=f"{result.real_s:.3f}",
+        )
+        if result.found is not None:
+            properties = Tree.SubElement(suite, "properties")
+            Tree.SubElement(properties, "property", name="sha256", value=result.found.sha256)
+        share_s = result.real_s / max(1, len(judged))
+        for name in [item.name for item in judged] or ["runs"]:
+            case = Tree.SubElement(suite, "testcase", classname=_clean(result.scenario), name=_clean(name))
+            case.set("time", f"{share_s:.3f}")
+        cases = suite.findall("testcase")
+        for case, item in zip(cases, judged, strict=False):
+            if not item.held:
+                Tree.SubElement(case, "failure", message=_clean(f"{item.found}; expected {item.wanted}"))
+        if result.found is None:
+            error = Tree.SubElement(cases[0], "error", message=_clean(result.fault.partition("\n")[0]))
+            error.text = _clean(result.fault)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Tree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+    except OSError as error:
+        raise EmulatorError(f"{path}: cannot write: {error.strerror}") from None
+
+
+def _clean(text: str) -> str:
+    """Without characters that XML cannot hold."""
+    return re.sub("[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "?", text)

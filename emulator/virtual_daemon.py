@@ -1,0 +1,240 @@
+"""Real hosts on virtual time: serves their links, and moves time as far as computing and their reading allow.
+
+Time stands while no host is there, and while one holds more than `MOST_HELD` bytes unread; it moves while at least one
+has read everything, from one thing due to the next. With nothing due at all it goes on with the real clock, so that a
+run ends. With a speed it is held back to that many virtual seconds a real one, and hosts need not read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass
+from types import FrameType
+
+from emulator.clock import SystemClock
+from emulator.errors import LinkError
+from emulator.instrument import Instrument
+from emulator.measuring import Workers
+from emulator.transports.link import Link
+from emulator.virtual import VirtualRun
+
+MOST_HELD = 49_152
+"Bytes that one host may leave unread before time stands still for it."
+LOOK_S = 0.0005
+"How often it is seen whether a host has read."
+IDLE_S = 0.05
+SLICE_NS = 20_000_000
+"Virtual time given to others before hosts are looked at again, while time is held back or pushed on."
+
+
+@dataclass
+class _Order:
+    """Something that another thread wants done between two steps."""
+
+    action: Callable[[], object]
+    done: Future[object]
+
+
+class VirtualDaemon:
+    """Runs instruments on a virtual clock until told to stop; other threads speak to it through `call`."""
+
+    def __init__(
+        self,
+        instruments: Sequence[Instrument],
+        workers: Workers | None = None,
+        speed: float | None = None,
+        on_failure: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        """`speed`: virtual seconds a real one; None: as fast as possible. `workers`: None when measuring in place."""
+        self._workers = workers
+        self.run_of = VirtualRun(instruments, settle=self._settle)
+        self.instruments = tuple(instruments)
+        self.links: tuple[Link, ...] = tuple(link for one in instruments for link in one.links)
+        for link in self.links:
+            link.hold = speed is None
+        self._speed = speed
+        self._real = SystemClock()
+        self._anchor = (0, 0)
+        "Real and virtual instant from which speed counts."
+        self._orders: list[_Order] = []
+        self._lock = threading.Lock()
+        self._bell, self._ring = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._stop = False
+        self.paused = False
+        self.idles = True
+        "With nothing due, time goes on with the real clock; otherwise it stands."
+        self.failures: Counter[str] = Counter()
+        "Scans that could not be measured, by cause."
+        self.on_failure = on_failure
+        self.lost_links: list[str] = []
+
+    @property
+    def now_ns(self) -> int:
+        """Virtual time."""
+        return self.run_of.clock.now_ns()
+
+    def power_on(self) -> None:
+        """Switch every device on; speed counts from here."""
+        self.run_of.power_on()
+        self.rebase(self._speed)
+
+    def _settle(self) -> set[str]:
+        if self._workers is None:
+            return set()
+        fresh = self._workers.settle()
+        for text in self._workers.failures:
+            cause = text.rpartition(": ")[2]
+            self.failures[cause] += 1
+            if self.failures[cause] == 1:
+                self.on_failure(text)
+        self._workers.failures.clear()
+        return fresh
+
+    @contextlib.contextmanager
+    def signals(self) -> Iterator[None]:
+        """SIGINT and SIGTERM stop the run while this lasts."""
+
+        def handler(_number: int, _frame: FrameType | None) -> None:
+            self.stop()
+
+        old = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield
+        finally:
+            for number, action in old.items():
+                signal.signal(number, action)
+
+    def rebase(self, speed: float | None) -> None:
+        """Another speed from now on."""
+        self._speed = speed
+        self._anchor = (self._real.now_ns(), self.now_ns)
+
+    def stop(self) -> None:
+        """End the run after the present step; safe in a signal handler and from other threads."""
+        self._stop = True
+        self._wake()
+
+    def _wake(self) -> None:
+        try:
+            os.write(self._ring, b".")
+        except (BlockingIOError, OSError):
+            pass  # it has been rung already, or all is over
+
+    def call(self, action: Callable[[], object]) -> Future[object]:
+        """Have something done between two steps, in this run's own thread."""
+        order = _Order(action, Future())
+        with self._lock:
+            self._orders.append(order)
+        self._wake()
+        return order.done
+
+    def advance(self, until_ns: int) -> None:
+        """Move to an instant whatever hosts have read; what they have not is kept for them."""
+        while self.now_ns < until_ns and not self._stop:
+            self.run_of.advance(min(until_ns, self.now_ns + SLICE_NS))
+
+    def run(self, until_ns: int | None = None, while_true: Callable[[], bool] | None = None) -> None:
+        """Serve until `stop`, until that virtual instant, or until `while_true` says no."""
+        while not self._stop:
+            if until_ns is not None and self.now_ns >= until_ns:
+                return
+            if while_true is not None and not while_true():
+                return
+            try:
+                timeout_s = self._once(until_ns)
+            except LinkError as error:
+                self.lost_links.append(str(error))
+                self.on_failure(str(error))
+                return
+            self._wait(timeout_s)
+        self._refuse_orders()
+
+    def _once(self, until_ns: int | None) -> float:
+        """Everything that can be done now; how long to wait for hosts before the next look."""
+        for order in self._take_orders():
+            try:
+                order.done.set_result(order.action())
+            except Exception as error:
+                order.done.set_exception(error)
+        self.run_of.touch()
+        self._here()
+        if self.paused:
+            return IDLE_S
+        if self._speed is not None:
+            return self._paced(until_ns)
+        return self._pulled(until_ns)
+
+    def _here(self) -> None:
+        """What can be done without time moving: input, replies, and what hosts now have room for."""
+        while (wake := self.run_of.next_wake()) is not None and wake <= self.now_ns:
+            if not self.run_of.step(self.now_ns):
+                break
+
+    def _paced(self, until_ns: int | None) -> float:
+        assert self._speed is not None
+        real_ns, virtual_ns = self._anchor
+        target_ns = virtual_ns + int((self._real.now_ns() - real_ns) * self._speed)
+        if until_ns is not None:
+            target_ns = min(target_ns, until_ns)
+        if target_ns > self.now_ns:
+            self.run_of.advance(min(target_ns, self.now_ns + SLICE_NS))
+        behind_ns = target_ns - self.now_ns
+        wake = self.run_of.next_wake()
+        if behind_ns > 0:
+            return 0.0
+        waits = [one for one in (wake, until_ns) if one is not None]
+        return min(IDLE_S, (min(waits) - self.now_ns) * 1e-9 / self._speed) if waits else IDLE_S
+
+    def _pulled(self, until_ns: int | None) -> float:
+        present = [link for link in self.links if link.has_host()]
+        if not present:
+            self.rebase(None)
+            return IDLE_S
+        held = [link.held() for link in present]
+        if min(held) > 0 or max(held) > MOST_HELD:
+            self.rebase(None)
+            return LOOK_S
+        wake = self.run_of.next_wake()
+        if wake is None or (until_ns is not None and wake > until_ns):
+            return self._idle(until_ns) if self.idles else IDLE_S
+        self.run_of.step(wake)
+        self.rebase(None)
+        return 0.0
+
+    def _idle(self, until_ns: int | None) -> float:
+        """Nothing is due: time goes on with the real clock, to the end at most."""
+        real_ns, virtual_ns = self._anchor
+        target_ns = virtual_ns + self._real.now_ns() - real_ns
+        self.run_of.advance(max(self.now_ns, target_ns if until_ns is None else min(target_ns, until_ns)))
+        return 0.001
+
+    def _wait(self, timeout_s: float) -> None:
+        numbers = [number for link in self.links for number in link.filenos()]
+        ready, _, _ = select.select([self._bell, *numbers], [], [], max(0.0, timeout_s))
+        if self._bell in ready:
+            os.read(self._bell, 4096)
+
+    def _take_orders(self) -> list[_Order]:
+        with self._lock:
+            orders, self._orders = self._orders, []
+        return orders
+
+    def _refuse_orders(self) -> None:
+        for order in self._take_orders():
+            order.done.set_exception(RuntimeError("the run has ended"))
+
+    def close(self) -> None:
+        """Close every link."""
+        for instrument in self.instruments:
+            instrument.close()
+        if self._workers is not None:
+            self._workers.close()
+        for number in (self._bell, self._ring):
+            os.close(number)

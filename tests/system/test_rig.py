@@ -1,0 +1,70 @@
+"""The pytest fixture as a driver's repository uses it, and real hosts on a virtual clock."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable
+
+import pytest
+
+from emulator.errors import ScenarioError
+from tests.system.hosts import LmsHost, telegram
+
+
+def test_driver_sees_the_car(lidaremu: Callable[..., object]) -> None:
+    with lidaremu("crossing_car", weather__fog__visibility_m=50) as rig:
+        with LmsHost(rig["front"].path) as host:
+            host.set_baud(38_400)
+            host.stream()
+            rig.advance(seconds=2)
+            assert len(host.scan()) == 361
+        assert rig.now_s >= 2.0
+        assert rig.value("max(front.points_on(car))") > 5
+
+
+def test_nothing_is_lost_of_what_a_host_reads_late(lidaremu: Callable[..., object]) -> None:
+    with lidaremu("flat_wall") as rig, LmsHost(rig["front"].path) as host:
+        host.set_baud(500_000)
+        host.stream()
+        began = time.monotonic()
+        rig.advance(seconds=3)
+        scans = [host.scan() for _ in range(100)]
+        assert {len(scan) for scan in scans} == {361}
+        assert all(795 <= scan[180] <= 805 for scan in scans)
+        assert time.monotonic() - began < 30.0
+        link = rig.instruments[0].links[0]
+        assert link.stats.bytes_lost == 0
+
+
+def test_time_stands_while_the_host_does_not_read_and_while_paused(lidaremu: Callable[..., object]) -> None:
+    with lidaremu("flat_wall") as rig, LmsHost(rig["front"].path) as host:
+        host.stream()
+        host.scan()
+        time.sleep(0.3)
+        then = rig.now_s
+        time.sleep(0.3)
+        assert rig.now_s == then
+        rig.pause()
+        rig.advance(seconds=0.25)
+        assert rig.now_s == pytest.approx(then + 0.25, abs=0.05)
+        assert rig.step_scans(2) == 2
+
+
+def test_two_rigs_at_once_do_not_collide_and_tcp_ports_are_free(lidaremu: Callable[..., object]) -> None:
+    links = {"front": ["tcp:127.0.0.1:0"]}
+    with lidaremu("flat_wall", links=links) as one, lidaremu("flat_wall", links=links) as two:
+        assert one["front"].port != two["front"].port
+        with socket.create_connection(("127.0.0.1", two["front"].port), timeout=5.0) as host:
+            host.sendall(telegram(b"\x20\x25"))
+            got = b""
+            while len(got) < 10:
+                got += host.recv(100)
+        assert got[:1] == b"\x06"
+
+
+def test_the_scenarios_faults_reach_the_test(lidaremu: Callable[..., object]) -> None:
+    with pytest.raises(ScenarioError, match="visibility_m"):
+        lidaremu("flat_wall", weather__fog__visibility_m=-1)
+    with lidaremu("flat_wall") as rig, pytest.raises(KeyError, match="front"):
+        rig["rear"]

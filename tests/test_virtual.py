@@ -1,0 +1,127 @@
+"""Virtual time: the same run in whatever processes it is measured, read and stepped."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import pytest
+
+from emulator import scenario
+from emulator.errors import ScenarioError
+from emulator.trial import Trial, run_trial
+from emulator.virtual import ByteSteps
+
+WALL = """\
+schema: 1
+seed: 3
+duration_s: 0.8
+world:
+  - {plane: {size_m: [6, 60]}, at_m: [8, 0, 1], pitch_deg: -90, material: white_plaster}
+actors:
+  - {id: post, shape: {box: {size_m: [0.2, 0.2, 2]}}, material: white_plaster, motion: {at_m: [4, 0, 0]}}
+sensors:
+  - {id: front, model: sick-lms291-s05, mount: {at_m: [0, 0, 1]}, device: {resolution_deg: 1, field_deg: 100, unit: mm}}
+  - {id: top, model: sick-ld-lrs1000, mount: {at_m: [0, 0, 1]}, device: {delays: fast, step_deg: 2.0}}
+"""
+
+
+def load(text: str = WALL) -> scenario.Scenario:
+    return scenario.loads(text, Path("case.yaml"))
+
+
+def expecting(*lines: str, text: str = WALL) -> scenario.Scenario:
+    return load(text + "expect:\n" + "".join(f"  - {line}\n" for line in lines))
+
+
+@pytest.fixture(scope="module")
+def reference() -> str:
+    return run_trial(load()).sha256
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_worker_processes_change_no_byte_and_no_instant(reference: str, workers: int) -> None:
+    assert run_trial(load(), workers).sha256 == reference
+
+
+def test_the_transcript_is_the_same_however_time_is_stepped(reference: str) -> None:
+    trial = Trial(load())
+    run = trial.run
+    assert run.step_scans(3, 800_000_000) >= 3
+    assert run.clock.now_ns() < 800_000_000
+    for at_ns in range(run.clock.now_ns(), 800_000_000, 7_654_321):
+        run.advance(at_ns)
+    assert trial.finish().sha256 == reference
+
+
+def test_another_seed_gives_other_bytes(reference: str) -> None:
+    assert run_trial(load(WALL.replace("seed: 3", "seed: 4"))).sha256 != reference
+
+
+def test_a_run_can_be_stepped_byte_by_byte(reference: str) -> None:
+    trial = Trial(load())
+    steps = ByteSteps(trial.run, "front")
+    for instrument in trial.instruments:
+        instrument.watch(steps)
+    out = trial.instruments[0].links[0].stats
+    times = []
+    for count in range(1, 12):
+        assert steps.step(1, 800_000_000) == 1
+        assert out.bytes_out == count
+        times.append(trial.run.clock.now_ns())
+    assert times == sorted(set(times))
+    gaps = [later - earlier for earlier, later in itertools.pairwise(times[1:])]
+    assert all(gap == pytest.approx(10 / 9600 * 1e9, abs=2) for gap in gaps[:8])  # the reply's bytes at 9600 baud
+    assert trial.finish().sha256 == reference
+
+
+def test_expectations_hold_that_the_scene_and_the_protocol_fix() -> None:
+    found = run_trial(
+        expecting(
+            "{that: front.scans_per_s, within: [74.9, 75.1]}",
+            "{that: front.range_at(0), within: [3.85, 3.95]}",
+            "{that: front.range_at(10), within: [8.07, 8.17]}",
+            "{that: front.range_error_m, at_most: 0.00051}",
+            "{that: front.points_on(post), at_least: 2}",
+            "{that: front.nearest_on(post), within: [3.85, 3.95]}",
+            "{that: top.range_error_m, at_most: 0.0021}",
+            "{that: top.scans_read, at_least: 3}",
+            "{that: front.scans_dropped + front.input_dropped, equals: 0}",
+            '{that: "max(front.gap_s) < 0.014 and count(front.points, ) > 1"}'.replace(", )", ")"),
+            "{that: front.scans_sent, at_most: 16, from_s: 0.2, to_s: 0.4}",
+        )
+    )
+    assert [(item.name, item.found) for item in found.judgements if not item.held] == []
+
+
+def test_an_expectation_that_fails_says_what_was_found() -> None:
+    found = run_trial(
+        expecting("{that: front.range_at(0), within: [8.9, 9.1], name: far}", "{that: front.object(post), at_least: 1}")
+    )
+    assert [item.held for item in found.judgements] == [False, False]
+    assert found.judgements[0].name == "far"
+    assert "3.9" in found.judgements[0].found
+    assert found.judgements[0].wanted == "8.9 to 9.1"
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("{that: frnt.points}", "case.yaml:12: expect[0].that: 'frnt.points': sensor 'frnt'; want front or another of front, top"),
+        ("{that: front.ponts}", "front.ponts; want points"),
+        ("{that: front.points_on(lorry)}", "actor 'lorry'; want one of world, post"),
+        ("{that: front.points_on}", "actor None"),
+        ("{that: front.range_at(left)}", "azimuth in degrees"),
+        ("{that: front.points(3)}", "takes nothing in parentheses"),
+        ("{that: points}", "want SENSOR.QUANTITY"),
+        ("{that: front.points, below: 3}", "expect[0].below: 3; want that, within"),
+        ("{that: front.points, within: [2, 1]}", "lower bound first"),
+        ("{that: front.points, at_least: many}", "at_least: 'many'; want a number"),
+        ("{that: front.points, equals: 1, at_most: 2}", "want one of"),
+        ("{that: 'front.points >'}", "want a number, a name or '('"),
+    ],
+)
+def test_an_expectation_of_what_does_not_exist_is_told_before_anything_runs(line: str, told: str) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        run_trial(expecting(line))
+    assert told in str(caught.value)
