@@ -18,7 +18,17 @@ from emulator.transports.link import Link
 from emulator.watching import LineTimes, Payload, Watcher
 from protocols.errors import ScanRefused
 from protocols.scan import Scan, ScanPlan
-from protocols.session import Address, CommandHandled, Dropped, Emission, Event, LinkKind, Restarted, Session
+from protocols.session import (
+    Address,
+    CommandHandled,
+    Dropped,
+    DropReason,
+    Emission,
+    Event,
+    LinkKind,
+    Restarted,
+    Session,
+)
 
 LOOK_AHEAD_NS = 250_000_000
 "A sweep is measured at most this long before it begins, so that a changed setting wastes little."
@@ -61,7 +71,9 @@ class InstrumentStats:
         return math.nan if span_ns <= 0 else (self.scans_sent - 1) * 1e9 / span_ns
 
 
-SCAN_REASONS = frozenset({"line slower than the scan rate", "withdrawn by a changed setting", "host reads too slowly"})
+SCAN_REASONS = frozenset(
+    reason.value for reason in (DropReason.LINE_BUSY, DropReason.LATE, DropReason.STALE, DropReason.HOST_SLOW)
+)
 "`DropReason` values that count scans rather than input bytes."
 
 

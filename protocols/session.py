@@ -69,6 +69,8 @@ class DropReason(Enum):
     BOOTING = "device is starting"
     BUSY = "device busy with earlier requests"
     LINE_BUSY = "line slower than the scan rate"
+    LATE = "measured too late"
+    "Our own doing: the scan before it was not measured in time, or the program did not run."
     STALE = "withdrawn by a changed setting"
     HOST_SLOW = "host reads too slowly"
 

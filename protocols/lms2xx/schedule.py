@@ -16,6 +16,7 @@ from protocols.lms2xx.outputs import Format, Mean, Measured, Output, nearest
 from protocols.lms2xx.timing import TURN_DENOMINATOR, TURN_NUMERATOR_NS, Mirror, line_ns
 from protocols.lms2xx.variants import PARTIAL_SETS, Comb, comb
 from protocols.scan import Scan, ScanPlan
+from protocols.session import DropReason
 
 TURN_NS = TURN_NUMERATOR_NS // TURN_DENOMINATOR
 AHEAD_SCANS = 2
@@ -97,6 +98,8 @@ class Schedule:
         self._sent_turn = 0
         "End of the last scan of the stream that was sent; 0: none yet."
         self._slots: deque[Slot] = deque()
+        self._late = False
+        "Scans pass unsent because one was not measured in time."
         self._telegrams = 0
         "Of this stream so far, pending ones included: tells which partial scan is next."
         self._epoch = 0
@@ -129,6 +132,7 @@ class Schedule:
         self._stream = device.stream
         self._stream_from_ns = from_ns
         self._stream_turn = self._sent_turn = 0
+        self._late = False
         self._telegrams = 0
         return wasted
 
@@ -207,13 +211,23 @@ class Schedule:
                 times.append(self._given_out_ns(slot))
         return min(times, default=None)
 
-    def passed_over(self, slot: Slot) -> int:
-        """Scans that ended unsent between the stream's telegram before this one and this one."""
+    def note_late(self) -> None:
+        """A scan came so late that the next ones pass unsent for that reason, beside those that the line costs."""
+        self._late = True
+
+    def passed_over(self, slot: Slot) -> dict[DropReason, int]:
+        """Scans that ended unsent between the stream's telegram before this one and this one, by cause."""
         if slot.once:
-            return 0
+            return {}
         passed = (slot.first_turn - self._sent_turn) // slot.comb.turns if self._sent_turn else 0
         self._sent_turn = slot.end_turn
-        return passed
+        late = 0
+        if self._late:
+            line_scans = -(-line_ns(slot.size, self._line.baud) // slot.scan_ns) - slot.output.scans
+            late = max(0, passed - max(0, line_scans))
+            self._late = False
+        causes = {DropReason.LINE_BUSY: passed - late, DropReason.LATE: late}
+        return {reason: count for reason, count in causes.items() if count}
 
     def _scan_from(self, time_ns: int, turns: int) -> int:
         """Number of the first scan of so many turns that begins at `time_ns` or later."""
@@ -247,7 +261,9 @@ class Schedule:
             last = self._slots[-1]
             free_ns = max(free_ns, last.send_ns + line_ns(last.size, self._line.baud))
         # A program that was held up does not make good more than the last scan.
-        free_ns = max(free_ns, now_ns - made.turns * TURN_NS)
+        if now_ns - made.turns * TURN_NS > free_ns:
+            free_ns = now_ns - made.turns * TURN_NS
+            self._late = self._sent_turn > 0
         end = max(
             self._scan_from(free_ns, made.turns),
             self._scan_from(self._stream_from_ns, made.turns) + output.scans,

@@ -273,8 +273,10 @@ class Lms2xxSession(Session):
             place, Emission(due_ns, telegram, sweep=slot.first_turn, label=f"{slot.output.command:02X}")
         )
         self._line.promise(due_ns, len(telegram))
-        if passed := self._schedule.passed_over(slot):
-            self._drop(DropReason.LINE_BUSY, f"{slot.output.command:02X}", passed)
+        for reason, passed in self._schedule.passed_over(slot).items():
+            self._drop(reason, f"{slot.output.command:02X}", passed)
+        if late:
+            self._schedule.note_late()
         self._schedule.line_moved()
 
     def next_deadline(self) -> int | None:

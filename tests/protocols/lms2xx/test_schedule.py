@@ -13,7 +13,7 @@ from protocols.lms2xx.telegrams import open_frame, read_values, request
 from protocols.lms2xx.timing import Mirror, line_ns
 from protocols.lms2xx.variants import FAST, VARIANTS, Variant, comb
 from protocols.scan import Scan
-from protocols.session import DropReason
+from protocols.session import Dropped, DropReason
 from tests.protocols.lms2xx.rig import MS, SECOND, Rig, new_session, rate_hz, wall
 
 CODES = {9600: "42", 19200: "41", 38400: "40", 500_000: "48"}
@@ -341,6 +341,28 @@ def test_measuring_slower_than_the_mirror_slows_the_stream_and_never_stops_it() 
     late = rig.scans()[begin + 5 :]
     assert 6.0 < rate_hz(late) < 7.5
     assert all(b.due_ns > a.due_ns for a, b in pairwise(late))
+
+
+@pytest.mark.parametrize(("stream", "baud", "by_line"), [("361 points", 500_000, 0), ("361 points", 38_400, 7)])
+def test_scans_lost_to_slow_measuring_are_not_put_down_to_the_line(stream: str, baud: int, by_line: int) -> None:
+    rig = streaming(stream, baud, 3)
+    rig.measuring_ns = 400 * MS
+    rig.wait(6.0)
+    first = next(index for index, event in enumerate(rig.events) if dropped_as(event, DropReason.LATE))
+    late = [event for event in rig.events[first:] if dropped_as(event, DropReason.LATE)]
+    line = [event for event in rig.events[first:] if dropped_as(event, DropReason.LINE_BUSY)]
+    assert all(event.count > 0 for event in late)  # type: ignore[attr-defined]
+    assert {event.count for event in line} <= {by_line} - {0}  # type: ignore[attr-defined]
+    # Every scan of these seconds was sent, or lost for one of the two reasons.
+    sent = [scan.sweep for scan in rig.scans()]
+    counted = sum(event.count for event in rig.events if isinstance(event, Dropped))
+    assert sent[0] is not None
+    assert sent[-1] is not None
+    assert len(sent) - 1 + counted == (sent[-1] - sent[0]) // 2
+
+
+def dropped_as(event: object, reason: DropReason) -> bool:
+    return isinstance(event, Dropped) and event.reason is reason
 
 
 def test_a_stream_that_was_held_up_does_not_make_good_what_it_missed() -> None:
