@@ -11,8 +11,9 @@ from pathlib import Path
 
 from emulator import scenario as scenario_file
 from emulator.errors import EmulatorError
-from emulator.look import connect, watch
+from emulator.look import HOSTS, connect, watch
 from emulator.spec import load_spec
+from protocols import family as protocol_family
 
 DEFAULT_S = 20.0
 "How long the demo lasts when nobody says."
@@ -27,7 +28,10 @@ def run_demo(name: str, sensor: str | None, duration_s: float | None, baud: int,
         raise EmulatorError(f"sensor {chosen!r}; {name} has {', '.join(ids)}")
     family = load_spec(loaded.sensors[ids.index(chosen)].model).family or "none"
     with tempfile.TemporaryDirectory(prefix="lidaremu-") as folder:
-        links = [f"--link={item}=pty:{Path(folder) / item}" for item in ids]
+        urls = {item: f"pty:{Path(folder) / item}" for item in ids}
+        if family in HOSTS and not protocol_family(family).tcp_is_line:
+            urls[chosen] = "tcp:127.0.0.1:0"  # the device's own network interface is quicker than its serial line
+        links = [f"--link={item}={url}" for item, url in urls.items()]
         daemon = subprocess.Popen(
             [sys.executable, "-m", "emulator", "run", name, "--json", *links], stdout=subprocess.PIPE, text=True
         )
@@ -38,7 +42,8 @@ def run_demo(name: str, sensor: str | None, duration_s: float | None, baud: int,
                 raise EmulatorError(f"the daemon did not start (exit code {daemon.wait()})")
             ready = json.loads(first)
             say(f"daemon: {name}: " + ", ".join(item["links"][0] for item in ready["sensors"]))
-            host = connect(f"pty:{Path(folder) / chosen}", family, baud)
+            place = next(item["links"][0] for item in ready["sensors"] if item["id"] == chosen)
+            host = connect(place, family, baud)
             try:
                 watch(host, None, duration_s or DEFAULT_S, None, say, live=sys.stdout.isatty())
             except KeyboardInterrupt:

@@ -8,6 +8,7 @@ import shutil
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -16,14 +17,14 @@ import numpy as np
 from emulator import plot
 from emulator.clock import SystemClock
 from emulator.errors import EmulatorError, LinkError
-from emulator.hosts.lines import open_line
+from emulator.hosts.lines import Line, open_line
 from emulator.hosts.scans import Host, HostScan
 
 if TYPE_CHECKING:
     from matplotlib.projections.polar import PolarAxes
 
-HOSTS = {"lms2xx": "Lms2xxHost"}
-"Families that `look` can speak -> class in `emulator.hosts`."
+HOSTS = {"lms2xx": "emulator.hosts.lms2xx:Lms2xxHost", "ld": "emulator.hosts.ld:LdHost"}
+"Families that `look` can speak -> `module:class`, imported when one is wanted; made with a line and a line speed."
 
 REDRAW_NS = 100_000_000
 QUIET_S = 2.0
@@ -33,9 +34,14 @@ def connect(url: str, family_name: str, baud: int) -> Host:
     """A connected host of that family."""
     if family_name not in HOSTS:
         raise EmulatorError(f"look does not speak {family_name!r}; want {', '.join(sorted(HOSTS))}")
-    from emulator.hosts.lms2xx import Lms2xxHost
-
-    return Lms2xxHost(open_line(url, baud), baud)
+    module, _, name = HOSTS[family_name].partition(":")
+    make: Callable[[Line, int], Host] = getattr(import_module(module), name)
+    line = open_line(url, baud)
+    try:
+        return make(line, baud)
+    except BaseException:
+        line.close()
+        raise
 
 
 def run_look(

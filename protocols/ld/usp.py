@@ -44,8 +44,9 @@ def encode_frame(payload: bytes) -> bytes:
 class UspReader:
     """Finds frames in a stream of bytes that may begin, end and break off anywhere. Holds at most one frame."""
 
-    def __init__(self) -> None:
-        self._buffer = ReceiveBuffer(MAX_REQUEST_BYTES + OVERHEAD)
+    def __init__(self, longest: int = MAX_REQUEST_BYTES) -> None:
+        self._longest = longest
+        self._buffer = ReceiveBuffer(longest + OVERHEAD)
 
     def __bool__(self) -> bool:
         """Whether something incomplete is held."""
@@ -76,7 +77,7 @@ class UspReader:
         if head is None:
             return None
         length = int.from_bytes(head[4:], "big")
-        if length > MAX_REQUEST_BYTES:
+        if length > self._longest:
             return self._resume(DropReason.OVERLONG, f"payload of {length} bytes")
         frame = buffer.peek(length + OVERHEAD)
         if frame is None:

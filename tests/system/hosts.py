@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import time
 
 import serial
@@ -83,3 +84,70 @@ class LmsHost:
                 count = int.from_bytes(got[1:3], "little") & 0x3FF
                 return [int.from_bytes(got[3 + 2 * i : 5 + 2 * i], "little") for i in range(count)]
         raise AssertionError("no scan")
+
+
+class LdHost:
+    """Talks to an LD-LRS on its TCP port: USP frames, words high byte first."""
+
+    def __init__(self, port: int) -> None:
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=10.0)
+        self.seen = b""
+
+    def __enter__(self) -> LdHost:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.socket.close()
+
+    def send(self, *words: int) -> None:
+        payload = b"".join(word.to_bytes(2, "big") for word in words)
+        self.socket.sendall(b"\x02USP" + len(payload).to_bytes(4, "big") + payload + bytes([xor(payload)]))
+
+    def ask(self, *words: int) -> list[int]:
+        """Send a request; data words of its reply. Profiles on the way are skipped."""
+        self.send(*words)
+        while (got := self.next())[0] != words[0] | 0x8000:
+            assert got[0] == 0x8301, [f"{word:04X}" for word in got[:6]]
+        return got[1:]
+
+    def next(self) -> list[int]:
+        """Words of the next telegram, whose header, length and checksum must be right."""
+        while len(self.seen) < 8 or len(self.seen) < 9 + int.from_bytes(self.seen[4:8], "big"):
+            data = self.socket.recv(65536)
+            assert data, "the device has closed the connection"
+            self.seen += data
+        end = 8 + int.from_bytes(self.seen[4:8], "big")
+        head, payload, check = self.seen[:4], self.seen[8:end], self.seen[end]
+        self.seen = self.seen[end + 1 :]
+        assert (head, check) == (b"\x02USP", xor(payload))
+        return [int.from_bytes(payload[i : i + 2], "big") for i in range(0, len(payload), 2)]
+
+    def measure(self) -> None:
+        assert self.ask(0x0403, 0) == [0, 2]
+        assert self.ask(0x0404) == [0, 3, 0]
+
+    def profile(self) -> list[tuple[float, float, int]]:
+        """Clockwise angle in degrees, metres and amplitude of each point with an echo, of the next profile of 3FFF."""
+        while (got := self.next())[:2] != [0x8301, 0x3FFF]:
+            pass
+        points, at = [], 6
+        for sector in range(got[2]):
+            number, _step, count, _start_ms, start = got[at : at + 5]
+            assert number == sector
+            for index in range(count):
+                distance, direction, echo = got[at + 5 + 3 * index : at + 8 + 3 * index]
+                assert index or direction == start
+                if distance:
+                    points.append((direction / 16.0, distance / 256.0, echo))
+            at += 5 + 3 * count
+            assert not count or got[at + 1] == direction
+            at += 2
+        assert got[at:] == [0, 3]
+        return points
+
+
+def xor(payload: bytes) -> int:
+    value = 0
+    for byte in payload:
+        value ^= byte
+    return value

@@ -1,0 +1,229 @@
+"""A host for the SICK LD-LRS and its relatives: brings the head to speed, asks for profiles, decodes them.
+
+Speaks to a TCP port (USP frames) and to a serial line (ASCII-hex packages). A device found measuring is left measuring.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from enum import IntEnum
+from typing import Protocol
+
+import numpy as np
+
+from emulator.clock import SystemClock
+from emulator.errors import LinkError
+from emulator.hosts.lines import Line, SocketLine
+from emulator.hosts.scans import HostScan
+from protocols.ld.packages import Package, PackageJoiner, PackageReader, encode_packages, swapped
+from protocols.ld.profiles import RANGE_LSB_PER_M, Field
+from protocols.ld.sectors import TICKS, MeasureError
+from protocols.ld.telegrams import GET_PROFILE_REPLY, REPLY_BIT, SERVICE_FAILURE, Mode, Motor, payload_of, words_of
+from protocols.ld.usp import UspReader, encode_frame
+from protocols.scan import Floats
+
+Words = Sequence[int]
+
+FORM = 0x39FF
+"Everything but amplitudes and single directions: what sicktoolbox asks for, so that any device has been asked for it."
+FORM_SLOW = Field.SECTORNUM | Field.DIRSTEP | Field.POINTNUM | Field.STARTDIR | Field.DISTANCE
+"On a serial line, which is slow."
+REPLY_S = 5.0
+SPIN_UP_S = 15.0
+"sicktoolbox waits five seconds for the head, Miro and the Stanford module ten."
+BAUDS = (115_200, 57_600, 38_400, 19_200, 9_600, 4_800)
+SENSOR_ID = 0x10
+"Sensor ID of a device as it is delivered; Miro's."
+HOST_ID = 0x14
+"As COMTEST calls itself."
+LONGEST_PROFILE = 4 * TICKS * 3 + 1024
+
+
+class Framing(Protocol):
+    """How messages travel on one kind of line."""
+
+    def pack(self, payload: bytes) -> bytes: ...
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Whole messages; damaged ones are passed over."""
+
+
+class UspFraming:
+    """TCP."""
+
+    def __init__(self) -> None:
+        self._reader = UspReader(LONGEST_PROFILE)
+
+    def pack(self, payload: bytes) -> bytes:
+        return encode_frame(payload)
+
+    def feed(self, data: bytes) -> list[bytes]:
+        return [item for item in self._reader.feed(data) if isinstance(item, bytes)]
+
+
+class PackageFraming:
+    """RS-232 and RS-422."""
+
+    def __init__(self, sensor_id: int = SENSOR_ID) -> None:
+        self._address = HOST_ID << 8 | sensor_id
+        self._reader = PackageReader()
+        self._joiner = PackageJoiner()
+
+    def pack(self, payload: bytes) -> bytes:
+        return encode_packages(payload, self._address)
+
+    def feed(self, data: bytes) -> list[bytes]:
+        found = []
+        for package in self._reader.feed(data):
+            if isinstance(package, Package) and package.address == swapped(self._address):
+                message = self._joiner.add(package)
+                if isinstance(message, bytes):
+                    found.append(message)
+        return found
+
+
+class LdHost:
+    """Connects in the constructor; raises `LinkError` when nothing answers, or the device will not measure."""
+
+    def __init__(self, line: Line, baud: int) -> None:
+        self._line = line
+        self._clock = SystemClock()
+        self._framing: Framing = UspFraming() if isinstance(line, SocketLine) else PackageFraming()
+        self._messages: deque[tuple[int, ...]] = deque()
+        self._form = FORM if isinstance(line, SocketLine) else int(FORM_SLOW)
+        self._find(baud)
+        name = b"".join(word.to_bytes(2, "big") for word in self._ask(0x0101, 1)[1:7])
+        self.title = name.partition(b"\0")[0].decode("ascii", "replace").strip() or "LD"
+        self._found = self._ask(0x0102)[2] & 0xF
+        if self._found != Mode.MEASURE:
+            self._ask(0x0403, 0, seconds=SPIN_UP_S)
+            verdict = self._ask(0x0404, seconds=SPIN_UP_S)[3]
+            if verdict:
+                told = name_of(MeasureError, verdict)
+                raise LinkError(f"the device will not measure: error {verdict} ({told})")
+        self._send(0x0301, 0, self._form)
+
+    def scans(self, timeout_s: float) -> Iterator[HostScan | None]:
+        """Scans as they arrive; None when none came for `timeout_s`."""
+        number = 0
+        while True:
+            words = self._next(timeout_s)
+            if words is None:
+                yield None
+            elif words[0] == SERVICE_FAILURE:
+                raise LinkError("the device refuses to send profiles")
+            elif words[:2] == (GET_PROFILE_REPLY, self._form):
+                profile = read_profile(words)
+                if profile is not None:
+                    yield HostScan(number, *profile, detail=status_text(words))
+                    number += 1
+
+    def close(self) -> None:
+        """Stop the profiles and leave the device in the mode in which it was found."""
+        try:
+            self._ask(0x0302)
+            if self._found in (Mode.IDLE, Mode.ROTATE):
+                self._ask(0x0403, 0)
+            if self._found == Mode.IDLE:
+                self._ask(0x0402)
+        except LinkError:
+            pass  # a device that has gone need not be left tidy
+        self._line.close()
+
+    def _find(self, baud: int) -> None:
+        """End profiles of an earlier host; on a serial line, at whatever speed the device has."""
+        if isinstance(self._line, SocketLine):
+            self._ask(0x0302)
+            return
+        for tried in dict.fromkeys((BAUDS[0], baud, *BAUDS)):
+            if tried in BAUDS:
+                self._line.set_baud(tried)
+                self._line.flush_input()
+                try:
+                    self._ask(0x0302, seconds=1.5)
+                    return
+                except LinkError:
+                    continue
+        raise LinkError(f"no LD answers at {', '.join(map(str, BAUDS))} baud")
+
+    def _send(self, *words: int) -> None:
+        self._line.write(self._framing.pack(payload_of(*words)))
+
+    def _ask(self, *words: int, seconds: float | None = None) -> tuple[int, ...]:
+        """Send a request; the words of its reply. Profiles on the way are passed over."""
+        self._send(*words)
+        wanted = words[0] | REPLY_BIT
+        end_ns = self._clock.now_ns() + int((REPLY_S if seconds is None else seconds) * 1e9)
+        while (left_ns := end_ns - self._clock.now_ns()) > 0:
+            reply = self._next(left_ns * 1e-9)
+            if reply is not None and reply[0] == wanted:
+                return (*reply, *(0,) * (8 - len(reply)))  # a short one reads as zeros
+            if reply is not None and reply[0] == SERVICE_FAILURE:
+                raise LinkError(f"the device refuses service {words[0]:04X}")
+        raise LinkError(f"no reply to service {words[0]:04X}")
+
+    def _next(self, timeout_s: float) -> tuple[int, ...] | None:
+        """The next message; None when there is none in time."""
+        end_ns = self._clock.now_ns() + int(timeout_s * 1e9)
+        while not self._messages:
+            left_ns = end_ns - self._clock.now_ns()
+            data = self._line.read(max(0, left_ns) * 1e-9)
+            if not data and left_ns <= 0:
+                return None
+            self._messages.extend(filter(None, map(words_of, self._framing.feed(data))))
+        return self._messages.popleft()
+
+
+def read_profile(words: Words) -> tuple[Floats, Floats] | None:
+    """Azimuths and ranges of a profile in any format that has step, points, first direction and distance of a sector.
+
+    (n,) each, in the device's order; azimuth positive to the left of direction 0, in [-pi, pi). [rad], [m], NaN without
+    an echo. None: the words do not hold what the format says.
+    """
+    if len(words) < 3:
+        return None
+    form, sectors = Field(words[1] & 0x3FFF), words[2] & 0xFF
+    at = 3 + (form & 0x0007).bit_count()
+    columns = (form & (Field.DISTANCE | Field.DIRECTION | Field.ECHO)).bit_count()
+    tail = (form & (Field.TEND | Field.ENDDIR)).bit_count()
+    before = [kind for kind in SECTOR_HEAD if kind in form]
+    if not NEEDED <= set(before) or Field.DISTANCE not in form:
+        return None
+    ticks, counts = [], []
+    for _ in range(sectors):
+        head = dict(zip(before, words[at : at + len(before)], strict=False))
+        at += len(before)
+        points = head.get(Field.POINTNUM, 0)
+        block = words[at : at + columns * points]
+        at += columns * points + tail
+        if len(head) < len(before) or at > len(words):
+            return None
+        if points:
+            ticks.append(head[Field.STARTDIR] + head[Field.DIRSTEP] * np.arange(points))
+            counts.append(np.array(block[::columns], np.float64))
+    clockwise = np.concatenate([np.zeros(0), *ticks])
+    range_m = np.concatenate([np.zeros(0), *counts]) / RANGE_LSB_PER_M
+    left = (TICKS / 2 - clockwise) % TICKS - TICKS / 2
+    return left * (2.0 * np.pi / TICKS), np.where(range_m > 0.0, range_m, np.nan)
+
+
+SECTOR_HEAD = (Field.SECTORNUM, Field.DIRSTEP, Field.POINTNUM, Field.TSTART, Field.STARTDIR)
+"Fields before the points of a sector, in their order."
+NEEDED = {Field.DIRSTEP, Field.POINTNUM, Field.STARTDIR}
+
+
+def status_text(words: Words) -> str:
+    """Mode and motor at the end of a profile that has them."""
+    if not words[1] & Field.SENSTAT:
+        return ""
+    mode, motor = words[-1] & 0xF, words[-1] >> 4 & 0xF
+    return name_of(Mode, mode) if motor == Motor.OK else f"{name_of(Mode, mode)}, motor {name_of(Motor, motor)}"
+
+
+def name_of(kind: type[IntEnum], code: int) -> str:
+    """The name of a code; the code itself when it is none of ours."""
+    try:
+        return kind(code).name.lower().replace("_", " ")
+    except ValueError:
+        return f"code {code:X}"
