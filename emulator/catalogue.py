@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol, runtime_checkable
 
 Row = dict[str, object]
 
@@ -22,6 +22,13 @@ class HasDeviceKeys(Protocol):
     """A family that lists the keys of its `device:` table."""
 
     def device_keys(self) -> Sequence[DeviceKey]: ...
+
+
+@runtime_checkable
+class HasKeysOfModel(Protocol):
+    """A family whose models have keys of their own: they depend on the spec's `device` table."""
+
+    def keys_of_model(self, facts: Mapping[str, Any]) -> Sequence[DeviceKey]: ...
 
 
 def sensors() -> list[Row]:
@@ -83,12 +90,14 @@ def device(model: str | None) -> list[Row]:
         raise KeyError(f"{found}; known: {', '.join(list_models())}")
     name = load_spec(str(model)).family
     spoken = family(name) if name else None
-    if not isinstance(spoken, HasDeviceKeys):
+    keys: Sequence[DeviceKey]
+    if isinstance(spoken, HasKeysOfModel):
+        keys = spoken.keys_of_model(load_spec(str(model)).device)
+    elif isinstance(spoken, HasDeviceKeys):
+        keys = spoken.device_keys()
+    else:
         raise KeyError(f"{model}: its family lists no keys of `device:`; see docs")
-    return [
-        {"key": key.name, "allowed": key.allowed, "default": key.default, "meaning": key.meaning}
-        for key in spoken.device_keys()
-    ]
+    return [{"key": key.name, "allowed": key.allowed, "default": key.default, "meaning": key.meaning} for key in keys]
 
 
 TABLES: dict[str, Callable[[], list[Row]]] = {

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
 
+from protocols.can_objects.settings import DeviceKeys, Key
 from protocols.errors import DeviceSettingError
 from protocols.session import CommandRow, Session
 
@@ -30,10 +31,7 @@ class CanObjects:
 
     def new_session(self, device: Mapping[str, Any], facts: Mapping[str, Any]) -> Session:
         """A session in the format that the model, or the scenario, names."""
-        table = {**facts, **device}
-        wanted = table.get("format")
-        if not isinstance(wanted, str) or wanted not in FORMATS:
-            raise DeviceSettingError("format", wanted, " | ".join(FORMATS))
+        wanted = _format({**facts, **device})
         rest = [{key: value for key, value in part.items() if key != "format"} for part in (device, facts)]
         session: Session = import_module(FORMATS[wanted]).new_session(*rest)
         return session
@@ -43,6 +41,19 @@ class CanObjects:
         from protocols.can_objects.coverage import rows
 
         return rows(FORMATS)
+
+    def keys_of_model(self, facts: Mapping[str, Any]) -> tuple[Key, ...]:
+        """Every key of the `device` table in the format of a model, from the code that checks them."""
+        keys = DeviceKeys({}, {})
+        import_module(FORMATS[_format(facts)]).Settings.read(keys)
+        return tuple(keys.known)
+
+
+def _format(table: Mapping[str, Any]) -> str:
+    wanted = table.get("format")
+    if not isinstance(wanted, str) or wanted not in FORMATS:
+        raise DeviceSettingError("format", wanted, " | ".join(FORMATS))
+    return wanted
 
 
 FAMILY = CanObjects()

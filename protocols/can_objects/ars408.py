@@ -74,34 +74,53 @@ class Settings:
     swap_lateral: bool
 
     @classmethod
-    def read(cls, device: Mapping[str, Any], facts: Mapping[str, Any]) -> Settings:
+    def read(cls, keys: DeviceKeys) -> Settings:
         """Check a table; raises `DeviceSettingError`."""
-        keys = DeviceKeys(device, facts)
         settings = cls(
             common=CommonSettings.read(keys, 500_000, (500_000,)),
             configuration=Configuration(
-                sensor_id=keys.integer("sensor_id", 0, 0, 7),
-                max_distance_m=float(keys.integer("max_distance_m", 250, 0, 2046)) // 2 * 2,
-                output=OUTPUTS.index(keys.choice("output", "objects", OUTPUTS)),
-                power=POWERS.index(keys.choice("power", "full", POWERS)),
-                quality=keys.flag("quality", True),
-                extended=keys.flag("extended", True),
-                sort=SORTS.index(keys.choice("sort", "range", SORTS)),
-                control_relay=keys.flag("control_relay", False),
-                rcs_threshold=THRESHOLDS.index(keys.choice("rcs_threshold", "standard", THRESHOLDS)),
+                sensor_id=keys.integer("sensor_id", "every identifier but 0x008 moves by 0x10 times this", 0, 0, 7),
+                max_distance_m=float(
+                    keys.integer("max_distance_m", "farther objects are not listed; steps of 2 m", 250, 0, 2046)
+                )
+                // 2
+                * 2,
+                output=OUTPUTS.index(keys.choice("output", "what lists hold at power-on", "objects", OUTPUTS)),
+                power=POWERS.index(keys.choice("power", "told in 0x201; without effect", "full", POWERS)),
+                quality=keys.flag("quality", "0x60C or 0x702 in every list", True),
+                extended=keys.flag("extended", "0x60D in every list", True),
+                sort=SORTS.index(keys.choice("sort", "order of a list", "range", SORTS)),
+                control_relay=keys.flag("control_relay", "0x008 once a second", False),
+                rcs_threshold=THRESHOLDS.index(
+                    keys.choice("rcs_threshold", "told in 0x201; without effect", "standard", THRESHOLDS)
+                ),
             ),
-            cycle_ns=round(keys.number("cycle_ms", 75.0, 5.0, 10_000.0) * 1e6),
-            max_objects=keys.integer("max_objects", MAX_OBJECTS, 0, MAX_OBJECTS),
-            counter_step=keys.integer("counter_step", 2, 0, 65_535),
-            interface_version=keys.integer("interface_version", 1, 0, 15),
-            version=keys.integers("version", (4, 30, 2), 0, 255),
-            country=COUNTRIES.index(keys.choice("country", "international", COUNTRIES)),
-            extended_range=keys.flag("extended_range", False),
-            rcs_dbm2=keys.number("rcs_dbm2", 0.0, -64.0, 63.5),
-            ego_timeout_ns=round(keys.number("ego_timeout_ms", 500.0, 1.0, 60_000.0) * 1e6),
-            standing_m_s=keys.number("standing_m_s", 0.6, 0.0, 10.0),
-            errors=keys.words("errors", tuple(ERRORS)),
-            swap_lateral=keys.choice("lateral_filters", "maker", ("maker", "tier4")) == "tier4",
+            cycle_ns=round(
+                keys.number("cycle_ms", "from list to list; longer when the bus is full", 75.0, 5.0, 10_000.0) * 1e6
+            ),
+            max_objects=keys.integer("max_objects", "the nearest are listed", MAX_OBJECTS, 0, MAX_OBJECTS),
+            counter_step=keys.integer("counter_step", "by how much MeasCounter grows from list to list", 2, 0, 65_535),
+            interface_version=keys.integer("interface_version", "told in every header", 1, 0, 15),
+            version=keys.integers("version", "major, minor, patch of 0x700", (4, 30, 2), 0, 255),
+            country=COUNTRIES.index(keys.choice("country", "told in 0x700", "international", COUNTRIES)),
+            extended_range=keys.flag("extended_range", "told in 0x700", False),
+            rcs_dbm2=keys.number("rcs_dbm2", "cross section of every object", 0.0, -64.0, 63.5),
+            ego_timeout_ns=round(
+                keys.number(
+                    "ego_timeout_ms",
+                    "without 0x300 or 0x301 for so long MotionInput says what is missing",
+                    500.0,
+                    1.0,
+                    60_000.0,
+                )
+                * 1e6
+            ),
+            standing_m_s=keys.number("standing_m_s", "slower objects stand", 0.6, 0.0, 10.0),
+            errors=keys.words("errors", "fault bits of 0x201 that are set", tuple(ERRORS)),
+            swap_lateral=keys.choice(
+                "lateral_filters", "whose direction filters 11 and 13 have", "maker", ("maker", "tier4")
+            )
+            == "tier4",
         )
         keys.finish()
         return settings
@@ -346,7 +365,7 @@ SENT = (
 
 def new_session(device: Mapping[str, Any], facts: Mapping[str, Any]) -> Ars408Session:
     """A sensor from a scenario's table and its model's."""
-    return Ars408Session(Settings.read(device, facts))
+    return Ars408Session(Settings.read(DeviceKeys(device, facts)))
 
 
 SESSION = Ars408Session

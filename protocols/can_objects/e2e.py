@@ -45,10 +45,14 @@ class Protection:
 
     def __init__(self, table: Mapping[str, Any], layout: Layout) -> None:
         keys = DeviceKeys(table, {}, prefix="e2e.")
-        self._profile = keys.choice("profile", "", tuple(HEADER_BYTES))
-        messages = keys.table("messages")
-        mode = keys.choice("data_id_mode", "both", MODES.get(self._profile, ("both",)))
+        self._profile = keys.choice("profile", "AUTOSAR profile", "", tuple(HEADER_BYTES))
+        messages = keys.table("messages", "message -> {data_id, offset_bytes}")
+        mode = keys.choice(
+            "data_id_mode", "how the data id enters the checksum", "both", MODES.get(self._profile, ("both",))
+        )
         keys.finish()
+        if not self._profile:
+            raise DeviceSettingError("e2e.profile", None, " | ".join(HEADER_BYTES))
         if not messages:
             raise DeviceSettingError("e2e.messages", messages, "a table: message name -> {data_id, offset_bytes}")
         try:
@@ -84,15 +88,17 @@ class Protection:
             raise DeviceSettingError(prefix, raw, "a table {data_id, offset_bytes}")
         keys = DeviceKeys(raw, {}, prefix=prefix + ".")
         width = HEADER_BYTES[self._profile]
-        offset = keys.integer("offset_bytes", 0, 0, 8 - width)
+        offset = keys.integer("offset_bytes", "where the header begins", 0, 0, 8 - width)
         protect = getattr(module, f"e2e_{self._profile}_protect")
         apply: Callable[[bytearray], None]
         if self._profile == "p02":
             if offset:
                 raise DeviceSettingError(prefix + ".offset_bytes", offset, "0: profile 2 has its header in front")
-            apply = partial(protect, data_id_list=bytes(keys.integers("data_ids", [0] * 16, 0, 255)))
+            apply = partial(
+                protect, data_id_list=bytes(keys.integers("data_ids", "one for each counter", [0] * 16, 0, 255))
+            )
         else:
-            apply = partial(protect, data_id=keys.integer("data_id", 0, 0, 0xFFFF), offset=offset)
+            apply = partial(protect, data_id=keys.integer("data_id", "of this message", 0, 0, 0xFFFF), offset=offset)
             if self._profile in MODES:
                 constant = f"E2E_{self._profile.upper()}_DATAID_{_MODE_NAMES[mode]}"
                 apply = partial(apply, data_id_mode=getattr(module, constant))

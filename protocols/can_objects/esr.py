@@ -48,17 +48,21 @@ class Settings:
     serial_number: int
 
     @classmethod
-    def read(cls, device: Mapping[str, Any], facts: Mapping[str, Any]) -> Settings:
+    def read(cls, keys: DeviceKeys) -> Settings:
         """Check a table; raises `DeviceSettingError`."""
-        keys = DeviceKeys(device, facts)
         settings = cls(
             common=CommonSettings.read(keys, 500_000, (500_000,)),
-            cycle_ns=round(keys.number("cycle_ms", 50.0, 20.0, 10_000.0) * 1e6),
-            radiates_always=keys.choice("radiate", "command", ("command", "always")) == "always",
-            host_timeout_ns=round(keys.number("host_timeout_ms", 500.0, 20.0, 60_000.0) * 1e6),
-            temperature_c=keys.integer("temperature_c", 30, -128, 127),
-            power_db=keys.number("power_db", 0.0, -10.0, 21.0),
-            serial_number=keys.integer("serial_number", 1, 0, 0xFFFFFF),
+            cycle_ns=round(keys.number("cycle_ms", "from cycle to cycle", 50.0, 20.0, 10_000.0) * 1e6),
+            radiates_always=keys.choice(
+                "radiate", "tracks only while a host commands it, or always", "command", ("command", "always")
+            )
+            == "always",
+            host_timeout_ns=round(
+                keys.number("host_timeout_ms", "host messages older than this are missing", 500.0, 20.0, 60_000.0) * 1e6
+            ),
+            temperature_c=keys.integer("temperature_c", "told in Status2", 30, -128, 127),
+            power_db=keys.number("power_db", "power of every track in 0x540", 0.0, -10.0, 21.0),
+            serial_number=keys.integer("serial_number", "told in Status3", 1, 0, 0xFFFFFF),
         )
         keys.finish()
         return settings
@@ -268,7 +272,7 @@ SENT = (
 
 def new_session(device: Mapping[str, Any], facts: Mapping[str, Any]) -> EsrSession:
     """A radar from a scenario's table and its model's."""
-    return EsrSession(Settings.read(device, facts))
+    return EsrSession(Settings.read(DeviceKeys(device, facts)))
 
 
 SESSION = EsrSession

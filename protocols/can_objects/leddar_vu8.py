@@ -53,19 +53,21 @@ class Settings:
     multi_id: bool
 
     @classmethod
-    def read(cls, device: Mapping[str, Any], facts: Mapping[str, Any]) -> Settings:
+    def read(cls, keys: DeviceKeys) -> Settings:
         """Check a table; raises `DeviceSettingError`."""
-        keys = DeviceKeys(device, facts)
         rates = (1_000_000, 500_000, 250_000, 125_000, 100_000, 50_000, 20_000, 10_000)
         settings = cls(
             common=CommonSettings.read(keys, 1_000_000, rates),
-            cycle_ns=round(keys.number("cycle_ms", 40.0, 5.0, 10_000.0) * 1e6),
-            segments=round(keys.number_of("segments", 8, (8, 16))),
-            view_rad=math.radians(keys.number("field_deg", 48.0, 1.0, 100.0)),
-            max_range_m=keys.number("max_range_m", 215.0, 0.0, 655.35),
-            light_power_percent=keys.integer("light_power_percent", 100, 0, 100),
-            streams=keys.choice("streaming", "request", ("request", "start")) == "start",
-            multi_id=keys.flag("multi_id", False),
+            cycle_ns=round(keys.number("cycle_ms", "from frame to frame of a stream", 40.0, 5.0, 10_000.0) * 1e6),
+            segments=round(keys.number_of("segments", "segments of the field", 8, (8, 16))),
+            view_rad=math.radians(keys.number("field_deg", "horizontal field of view", 48.0, 1.0, 100.0)),
+            max_range_m=keys.number("max_range_m", "farther objects give no detection", 215.0, 0.0, 655.35),
+            light_power_percent=keys.integer("light_power_percent", "told in 0x751", 100, 0, 100),
+            streams=keys.choice(
+                "streaming", "whether it streams at power-on or when asked", "request", ("request", "start")
+            )
+            == "start",
+            multi_id=keys.flag("multi_id", "one identifier for each detection at power-on", False),
         )
         keys.finish()
         return settings
@@ -198,7 +200,7 @@ SENT = (
 
 def new_session(device: Mapping[str, Any], facts: Mapping[str, Any]) -> LeddarVu8Session:
     """A sensor from a scenario's table and its model's."""
-    return LeddarVu8Session(Settings.read(device, facts))
+    return LeddarVu8Session(Settings.read(DeviceKeys(device, facts)))
 
 
 SESSION = LeddarVu8Session

@@ -5,12 +5,23 @@ Belongs here: how a key is read. Not: which keys a format has.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from protocols.errors import DeviceSettingError
+
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True)
+class Key:
+    """One key of the table, as `lidaremu list device MODEL` shows it."""
+
+    name: str
+    allowed: str
+    default: str
+    meaning: str
 
 
 class DeviceKeys:
@@ -19,77 +30,86 @@ class DeviceKeys:
     def __init__(self, device: Mapping[str, Any], facts: Mapping[str, Any], prefix: str = "") -> None:
         self._values: dict[str, Any] = {**facts, **device}
         self._prefix = prefix
-        self._known: list[str] = []
+        self.known: list[Key] = []
+        "Keys asked for so far."
 
-    def integer(self, key: str, default: int, low: int, high: int) -> int:
+    def integer(self, key: str, meaning: str, default: int, low: int, high: int) -> int:
         """An integer from `low` to `high`."""
-        value = self._take(key, default)
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise self._error(key, value, f"an integer from {low} to {high}")
-        return value
+        return self._take(
+            Key(key, f"an integer from {low} to {high}", str(default), meaning),
+            default,
+            lambda value: type(value) is int and low <= value <= high,
+        )
 
-    def number(self, key: str, default: float, low: float, high: float) -> float:
+    def number(self, key: str, meaning: str, default: float, low: float, high: float) -> float:
         """A number from `low` to `high`."""
-        value = self._take(key, default)
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not number or not math.isfinite(value) or not low <= value <= high:
-            raise self._error(key, value, f"a number from {low:g} to {high:g}")
-        return float(value)
+        found: float = self._take(
+            Key(key, f"a number from {low:g} to {high:g}", f"{default:g}", meaning),
+            default,
+            lambda value: type(value) in (int, float) and low <= value <= high,
+        )
+        return float(found)
 
-    def flag(self, key: str, default: bool) -> bool:
+    def flag(self, key: str, meaning: str, default: bool) -> bool:
         """true or false."""
-        value = self._take(key, default)
-        if not isinstance(value, bool):
-            raise self._error(key, value, "true or false")
-        return value
+        text = "true" if default else "false"
+        return self._take(Key(key, "true or false", text, meaning), default, lambda value: isinstance(value, bool))
 
-    def choice(self, key: str, default: str, allowed: Sequence[str]) -> str:
+    def choice(self, key: str, meaning: str, default: str, allowed: Sequence[str]) -> str:
         """One of a few words."""
-        value = self._take(key, default)
-        if not isinstance(value, str) or value not in allowed:
-            raise self._error(key, value, " | ".join(allowed))
-        return value
+        entry = Key(key, " | ".join(allowed), default, meaning)
+        return self._take(entry, default, lambda value: isinstance(value, str) and value in allowed)
 
-    def number_of(self, key: str, default: float, allowed: Sequence[float]) -> float:
+    def number_of(self, key: str, meaning: str, default: float, allowed: Sequence[float]) -> float:
         """One of a few numbers."""
-        value = self._take(key, default)
-        if isinstance(value, bool) or not isinstance(value, int | float) or value not in allowed:
-            raise self._error(key, value, " | ".join(f"{number:g}" for number in allowed))
-        return float(value)
+        found: float = self._take(
+            Key(key, " | ".join(f"{number:.12g}" for number in allowed), f"{default:.12g}", meaning),
+            default,
+            lambda value: type(value) in (int, float) and value in allowed,
+        )
+        return float(found)
 
-    def words(self, key: str, allowed: Sequence[str]) -> tuple[str, ...]:
+    def words(self, key: str, meaning: str, allowed: Sequence[str]) -> tuple[str, ...]:
         """A list of words, empty by default."""
-        value = self._take(key, ())
-        if not isinstance(value, list | tuple) or any(word not in allowed for word in value):
-            raise self._error(key, value, f"a list of {', '.join(allowed)}")
-        return tuple(value)
+        found: Sequence[str] = self._take(
+            Key(key, f"a list of {', '.join(allowed)}", "[]", meaning),
+            (),
+            lambda value: isinstance(value, list | tuple) and all(word in allowed for word in value),
+        )
+        return tuple(found)
 
-    def integers(self, key: str, default: Sequence[int], low: int, high: int) -> tuple[int, ...]:
+    def integers(self, key: str, meaning: str, default: Sequence[int], low: int, high: int) -> tuple[int, ...]:
         """As many integers from `low` to `high` as the default has."""
-        value = self._take(key, tuple(default))
-        fits = isinstance(value, list | tuple) and len(value) == len(default)
-        if not fits or any(isinstance(v, bool) or not isinstance(v, int) or not low <= v <= high for v in value):
-            raise self._error(key, value, f"{len(default)} integers from {low} to {high}")
-        return tuple(value)
+        found: Sequence[int] = self._take(
+            Key(key, f"{len(default)} integers from {low} to {high}", str(list(default)), meaning),
+            tuple(default),
+            lambda value: (
+                isinstance(value, list | tuple)
+                and len(value) == len(default)
+                and all(type(number) is int and low <= number <= high for number in value)
+            ),
+        )
+        return tuple(found)
 
-    def table(self, key: str) -> Mapping[str, Any] | None:
+    def table(self, key: str, meaning: str) -> Mapping[str, Any] | None:
         """A table, None when it is absent."""
-        value = self._take(key, None)
-        if value is not None and not isinstance(value, Mapping):
-            raise self._error(key, value, "a table")
-        return value
+        entry = Key(key, "a table", "none", meaning)
+        nothing: Mapping[str, Any] | None = None
+        return self._take(entry, nothing, lambda value: value is None or isinstance(value, Mapping))
 
     def finish(self) -> None:
         """Refuse the first key that nobody has taken."""
         for key, value in self._values.items():
-            raise self._error(str(key), value, f"no such key; known: {', '.join(sorted(self._known))}")
+            names = ", ".join(sorted(entry.name for entry in self.known))
+            raise DeviceSettingError(self._prefix + str(key), value, f"no such key; known: {names}")
 
-    def _take(self, key: str, default: Any) -> Any:
-        self._known.append(key)
-        return self._values.pop(key, default)
-
-    def _error(self, key: str, found: object, allowed: str) -> DeviceSettingError:
-        return DeviceSettingError(self._prefix + key, found, allowed)
+    def _take(self, entry: Key, default: Value, fits: Callable[[Any], bool]) -> Value:
+        self.known.append(entry)
+        value: Value = self._values.pop(entry.name, default)
+        # the default need not be among what a file may say: it stands for an absent key
+        if value is not default and not fits(value):
+            raise DeviceSettingError(self._prefix + entry.name, value, entry.allowed)
+        return value
 
 
 @dataclass(frozen=True)
@@ -108,9 +128,21 @@ class CommonSettings:
     def read(cls, keys: DeviceKeys, bitrate: int, rates: Sequence[int]) -> CommonSettings:
         """Take the common keys; `bitrate` is the format's default."""
         return cls(
-            bitrate=round(keys.number_of("bitrate", bitrate, rates)),
+            bitrate=round(
+                keys.number_of(
+                    "bitrate",
+                    "bit rate by which the device spaces its frames, and that of a bus whose link gives none",
+                    bitrate,
+                    rates,
+                )
+            ),
             # no public source states the times; ours, so that a host sees silence first and a list at a known instant
-            boot_ns=round(keys.number("boot_ms", 500.0, 0.0, 60_000.0) * 1e6),
-            evaluation_ns=round(keys.number("evaluation_ms", 5.0, 0.0, 1000.0) * 1e6),
-            e2e=keys.table("e2e"),
+            boot_ns=round(keys.number("boot_ms", "silence after power-on", 500.0, 0.0, 60_000.0) * 1e6),
+            evaluation_ns=round(
+                keys.number("evaluation_ms", "from the instant a list describes to its first frame", 5.0, 0.0, 1000.0)
+                * 1e6
+            ),
+            e2e=keys.table(
+                "e2e", "AUTOSAR end-to-end protection: {profile, messages: {NAME: {data_id, offset_bytes}}}"
+            ),
         )

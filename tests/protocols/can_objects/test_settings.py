@@ -68,6 +68,18 @@ def test_an_unknown_key_is_refused_with_the_known_ones(name: str) -> None:
         FAMILY.new_session({"format": name, "colour": "red"}, {})
 
 
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_key_is_listed_with_what_is_allowed_its_default_and_its_meaning(name: str) -> None:
+    keys = FAMILY.keys_of_model({"format": name})
+    assert {"bitrate", "boot_ms", "evaluation_ms", "e2e"} <= {key.name for key in keys}
+    assert len({key.name for key in keys}) == len(keys)
+    assert all(key.allowed and key.default and key.meaning for key in keys)
+    for key in keys:
+        with pytest.raises(DeviceSettingError) as caught:
+            FAMILY.new_session({key.name: object()}, {"format": name})
+        assert (caught.value.key, caught.value.allowed) == (key.name, key.allowed)
+
+
 @pytest.mark.parametrize("found", [None, "ars", 408, ["ars408"]])
 def test_a_format_must_be_named(found: Any) -> None:
     table = {} if found is None else {"format": found}
