@@ -17,6 +17,7 @@ import numpy as np
 from emulator.physics.arrays import Bools, Floats, Ints, Values, floats, ramp
 from emulator.physics.candidates import Candidates, single_candidates, wave_candidates
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
+from emulator.physics.cosines import Cosines, split_cosines
 from emulator.physics.detector import Detector, Echoes
 from emulator.physics.pulse import stretch_peak_gauss, stretch_peak_sin2
 from emulator.physics.softprofile import MARK, SoftProfile
@@ -76,11 +77,14 @@ def detect(
     with np.errstate(under="ignore"):
         least = detector.threshold - (_SIGMAS * rms if normals is not None else 0.0 * rms)
         least = np.maximum(least, 0.02 * detector.threshold)
+        cosines = Cosines.none()
+        if soft is None:
+            cosines, echoes = split_cosines(echoes, detector)
         clusters, chosen, clear = _clusters_of(echoes, beams, detector, soft, least)
         single = single_candidates(clusters, ~chosen, least)
         wave = sample(clusters, chosen, detector.pulse, detector.bin_m, soft, clear)
         mixed = wave_candidates(wave, least, detector)
-        found = _measure(single, mixed, wave, clusters, detector, normals, rms)
+        found = _measure(cosines, single, mixed, wave, clusters, detector, normals, rms)
     if noise_echoes is not None and noise_echoes[0].size:
         beam, r, amplitude = noise_echoes
         k = beam.size
@@ -155,6 +159,7 @@ def _soft_marks(echoes: SubEchoes, beams: int, soft: SoftProfile, least: Floats)
 
 # ------------------------------------------------------------------------------- seen, and where
 def _measure(
+    cosines: Cosines,
     single: Candidates,
     mixed: Candidates,
     wave: Waveform,
@@ -163,11 +168,11 @@ def _measure(
     normals: Floats | None,
     rms: Floats,
 ) -> _Found:
-    beam = np.concatenate([single.beam, mixed.beam])
+    beam = np.concatenate([cosines.beam, single.beam, mixed.beam])
     if beam.size == 0:
         return _Found.none()
-    centre = np.concatenate([single.centre_m, mixed.centre_m])
-    height = np.concatenate([single.amplitude, mixed.amplitude])
+    centre = np.concatenate([cosines.centre_m, single.centre_m, mixed.centre_m])
+    height = np.concatenate([cosines.height, single.amplitude, mixed.amplitude])
     noise = np.sqrt(rms[beam] ** 2 + detector.shot_factor * height)
     z = np.zeros(beam.size)
     if normals is not None:
@@ -183,9 +188,12 @@ def _measure(
     if not bool(np.any(seen)):
         return _Found.none()
     level = np.clip(level, 0.02 * detector.threshold, np.maximum(shown, 1e-12))
-    k = single.beam.size
+    j = cosines.beam.size
+    k = j + single.beam.size
     if detector.method == "leading_edge":
         crossing = centre - detector.pulse.lead(np.maximum(height / level, 1.0))
+        if j:
+            crossing[:j] = cosines.crossing(level[:j])
         if mixed.beam.size:
             crossing[k:] = edges(wave, mixed, level[k:], crossing[k:])
         if detector.walk_table:
@@ -201,7 +209,8 @@ def _measure(
         far = 0.5 * detector.pulse.fwhm_m
         range_m = range_m + np.clip(z * detector.sigma_m(shown, noise), -far, far) - detector.offset_m
     source = np.full(beam.size, NO_SOURCE, np.int64)
-    source[:k] = clusters.source[single.index]
+    source[:j] = cosines.source
+    source[j:k] = clusters.source[single.index]
     source[k:] = sources(wave, mixed)
     amplitude = np.clip(height + z * noise, detector.threshold, max(detector.full_scale, detector.threshold))
     range_m = np.maximum(range_m, 0.0)  # a touching target is at 0, whatever the noise
