@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from emulator import assembly, scenario
 from protocols.ld import FAMILY
 from protocols.ld.packages import encode_packages
 from protocols.ld.profiles import Revolution, distance_words, echo_words, encode_profile, layout
@@ -80,10 +81,52 @@ def share_of_a_core() -> None:
         print(f"  {hz:2d} Hz, {step_deg} deg, {int(360 / step_deg)} points: {took / 20:.4%} of a core")
 
 
+def share_with_measuring(name: str = "bumper", seconds: int = 10) -> None:
+    """The LD of a shipped scenario streaming 3FFF over its whole run, everything measured in place."""
+    loaded = scenario.load(name)
+    index = [sensor.id for sensor in loaded.sensors].index("ld")
+    session = assembly.new_session(loaded, index)
+    measure = assembly.build_measures(loaded)["ld"]
+    host = Address(0, 1)
+    session.power_on(0)
+    session.connected(0, host, LinkKind.STREAM)
+    session.receive(encode_frame(bytes.fromhex("0404")), 0, host)
+    now_ns, spent, measured, profiles, asked, points = 0, 0.0, 0.0, 0, False, 0
+    while now_ns < seconds * 1_000_000_000:
+        begun = time.perf_counter()
+        profiles += sum(sent.sweep is not None for sent in session.take_emissions(now_ns))
+        session.take_events()
+        plan = session.next_plan()
+        deadline = session.next_deadline()
+        spent += time.perf_counter() - begun
+        if not asked and deadline is None:  # it measures now
+            session.receive(encode_frame(bytes.fromhex("030100003fff")), now_ns, host)
+            asked = True
+            continue
+        if plan is not None and plan.start_ns <= now_ns + 250_000_000:
+            begun = time.perf_counter()
+            scan = measure(plan)
+            middle = time.perf_counter()
+            session.submit(scan)
+            measured += middle - begun
+            spent += time.perf_counter() - middle
+            points = len(plan)
+            continue
+        now_ns = min(when for when in (deadline, plan and plan.start_ns - 250_000_000) if when is not None)
+    rate_hz = profiles / seconds
+    print(f"  {name}: {profiles} profiles of {points} points in {seconds} s ({rate_hz:.1f}/s, spin-up included)")
+    per_profile = 1000 / profiles
+    print(f"    measuring {measured * per_profile:6.2f} ms a profile, conversation {spent * per_profile:6.3f} ms")
+    share = 10 * (measured + spent) / profiles
+    print(f"    {share:.2%} of a core at 10 Hz")
+
+
 def main() -> int:
     encoders()
     print("conversation and encoding of one sensor streaming 3FFF on TCP, ray casting apart")
     share_of_a_core()
+    print("the same with everything measured: scene, footprints, materials, sun, receiver")
+    share_with_measuring()
     return 0
 
 
