@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from emulator.physics.arrays import exp_or_zero
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
@@ -51,7 +53,7 @@ class Draws:
         if largest > MANY:
             centre = np.rint(mean[many] + np.sqrt(mean[many]) * special.ndtri(chance[many]))
             count[many] = np.maximum(centre, 0.0).astype(np.int64)
-        left = np.flatnonzero(~many & (chance > np.exp(-mean)))
+        left = np.flatnonzero(~many & (chance > exp_or_zero(-mean)))
         limit = int(min(largest, MANY) + 60.0 * np.sqrt(MANY) + 60.0)
         for step in range(1, limit):
             if left.size == 0:

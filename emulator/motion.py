@@ -58,7 +58,8 @@ def rotation_matrix(yaw_deg: float, pitch_deg: float = 0.0, roll_deg: float = 0.
     about_z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
     about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-    return np.asarray(about_z @ about_y @ about_x)
+    with np.errstate(under="ignore"):  # products of sines of tiny angles
+        return np.asarray(about_z @ about_y @ about_x)
 
 
 def _cos_sin_deg(angle_deg: float) -> tuple[float, float]:
@@ -235,7 +236,8 @@ class Waypoints(Motion):
 def whole_turns(t_s: Floats | float, first_s: Floats | float, span_s: Floats | float) -> Floats:
     """Time that a loop's finished turns took, to be taken off `t_s`."""
     elapsed = np.asarray(t_s) - first_s
-    turns = np.floor(elapsed / span_s)
+    with np.errstate(under="ignore"):
+        turns = np.floor(elapsed / span_s)
     turns = turns + (elapsed - turns * span_s >= span_s)  # a hair before the end rounds to the end
     return np.asarray(turns * span_s)
 

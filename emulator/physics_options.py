@@ -17,6 +17,10 @@ EchoChoice = Literal["first", "strongest", "last", "all"]
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
+Amplitude = Annotated[float, Field(ge=1e-3, le=1e12)]
+"In rms noise. Beyond these ends no receiver is, and their squares keep their digits."
+Gate = Annotated[float, Field(ge=1e-3, le=1e6)]
+"Farther, noise alone makes so many echoes a beam that they are no scan any more."
 Divergence = Annotated[float, Field(ge=0.0, le=20.0)]
 
 
@@ -40,12 +44,12 @@ class PhotonOptions(BaseModel):
     shots: Annotated[int, Field(ge=1, le=10_000_000)] = 1000
     "Pulses a beam."
     quantum_efficiency: Annotated[float, Field(gt=0.0, le=1.0)] = 0.3
-    dark_count_hz: NotNegative = 1000.0
-    bin_ns: Annotated[float, Field(gt=0.0, le=1000.0)] = 1.0
-    pair_rate_hz: Positive | None = None
+    dark_count_hz: Annotated[float, Field(ge=0.0, le=1e11)] = 1000.0
+    bin_ns: Annotated[float, Field(ge=1e-3, le=1000.0)] = 1.0
+    pair_rate_hz: Annotated[float, Field(gt=0.0, le=1e11)] | None = None
     "Photon pairs instead of pulses: so many a second, each idler kept at home as the clock of its twin."
     idler_efficiency: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
-    integration_ms: Positive = 10.0
+    integration_ms: Annotated[float, Field(gt=0.0, le=1e5)] = 10.0
     "Pairs: time for which coincidences of a beam are collected."
 
 
@@ -62,14 +66,14 @@ class PhysicsOptions(BaseModel):
     divergence_deg: Divergence | tuple[Divergence, Divergence] | None = None
     "Full angle, or in and across the scan plane."
     roll_deg: float | None = None
-    exit_diameter_mm: NotNegative | None = None
+    exit_diameter_mm: Annotated[float, Field(ge=0.0, le=1e4)] | None = None
     pulse: PulseShape | None = None
     pulse_fwhm_ns: Annotated[float, Field(ge=0.01, le=1e5)] | None = None
     wavelength_nm: Annotated[float, Field(ge=300.0, le=3000.0)] | None = None
     filter_offset_nm: float | None = None
     "Laser line off the centre of the receiver's filter, by temperature for instance: 0.3 nm/K."
-    system_constant_m2: Positive | None = None
-    threshold_to_noise: Positive | None = None
+    system_constant_m2: Annotated[float, Field(ge=1e-30, le=1e30)] | None = None
+    threshold_to_noise: Amplitude | None = None
     false_alarms_per_gate: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
     "Sets the threshold from the mean count of noise echoes a beam."
     detection: DetectionMethod | None = None
@@ -78,13 +82,13 @@ class PhysicsOptions(BaseModel):
     max_echoes: Annotated[int, Field(ge=1, le=64)] | None = None
     bin_ns: Positive | None = None
     "Step of a sampled waveform; None: 1 ns, finer for pulses under 4 ns."
-    range_noise_mm: NotNegative | None = None
-    systematic_mm: float | None = None
-    near_gate_m: NotNegative | None = None
-    gate_m: Positive | None = None
+    range_noise_mm: Annotated[float, Field(ge=0.0, le=1e6)] | None = None
+    systematic_mm: Annotated[float, Field(ge=-1e6, le=1e6)] | None = None
+    near_gate_m: Annotated[float, Field(ge=0.0, le=1e6)] | None = None
+    gate_m: Gate | None = None
     floor_reflectance: Positive | Literal["off"] | None = None
     recovery_ns: NotNegative | None = None
-    full_scale_snr: Positive | Literal["off"] | None = None
+    full_scale_snr: Amplitude | Literal["off"] | None = None
     noise: bool = True
     "Draw noise of amplitude and range (mode operational)."
     false_alarms: bool = True

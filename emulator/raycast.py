@@ -166,17 +166,18 @@ class Caster:
         self.counters.rays += count
         if not len(self._table):
             return hits
-        for begin in range(0, count, BLOCK):
-            here = slice(begin, begin + BLOCK)
-            self._cast(
-                np.ascontiguousarray(origin[here].T),
-                np.ascontiguousarray(ray[here].T),
-                times[here],
-                None if skip is None else skip[here],
-                max_range_m,
-                hits,
-                here,
-            )
+        with np.errstate(under="ignore"):  # components below 1e-38 are nothing in float32
+            for begin in range(0, count, BLOCK):
+                here = slice(begin, begin + BLOCK)
+                self._cast(
+                    np.ascontiguousarray(origin[here].T),
+                    np.ascontiguousarray(ray[here].T),
+                    times[here],
+                    None if skip is None else skip[here],
+                    max_range_m,
+                    hits,
+                    here,
+                )
         return hits
 
     def _subset(self, bodies: frozenset[int]) -> Caster:

@@ -14,7 +14,16 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    ValidationError,
+    model_validator,
+)
 from ruamel.yaml import YAML
 
 from emulator import overrides as changes
@@ -27,6 +36,12 @@ from emulator.yaml_source import fault_lines
 MOST_ACTORS = 10_000
 MOST_SENSORS = 256
 MOST_WAYPOINTS = 100_000
+MOST_M = 1e9
+"Of a coordinate or length: float64 tells 1e-7 m apart there, beyond it ever less."
+LEAST_M = 1e-9
+"Of a length: smaller things than a wavelength do not reflect as surfaces."
+MOST_M_S = 1e5
+"Of an actor: the motion during the light's way there and back, 0.17 m at this speed and 250 m, is left out."
 
 
 def _long_as(count: int) -> BeforeValidator:
@@ -40,7 +55,18 @@ def _long_as(count: int) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-Vector = Annotated[tuple[float, float, float], _long_as(3)]
+def _not_tiny(length_m: float) -> float:
+    if length_m < LEAST_M:
+        raise ValueError(f"{length_m}; want a number >= {LEAST_M}")
+    return length_m
+
+
+Coordinate = Annotated[float, Field(ge=-MOST_M, le=MOST_M)]
+Length = Annotated[float, Field(gt=0.0, le=MOST_M), AfterValidator(_not_tiny)]
+Speed = Annotated[float, Field(ge=-MOST_M_S, le=MOST_M_S)]
+Angle = Annotated[float, Field(ge=-1e6, le=1e6)]
+Vector = Annotated[tuple[Coordinate, Coordinate, Coordinate], _long_as(3)]
+Velocity = Annotated[tuple[Speed, Speed, Speed], _long_as(3)]
 Positive = Annotated[float, Field(gt=0.0)]
 Id = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_-]{0,63}$")]
 
@@ -56,22 +82,22 @@ class _Table(BaseModel):
 class Plane(_Table):
     """A rectangle centred on its origin, normal +z, seen from both sides."""
 
-    size_m: Annotated[tuple[Positive, Positive], _long_as(2)]
+    size_m: Annotated[tuple[Length, Length], _long_as(2)]
     "Along x, along y."
 
 
 class Box(_Table):
     """A closed box; its origin is the centre of its base."""
 
-    size_m: Annotated[tuple[Positive, Positive, Positive], _long_as(3)]
+    size_m: Annotated[tuple[Length, Length, Length], _long_as(3)]
     "Along x, y, z."
 
 
 class Cylinder(_Table):
     """A closed upright cylinder; its origin is the centre of its base."""
 
-    radius_m: Positive
-    height_m: Positive
+    radius_m: Length
+    height_m: Length
     segments: Annotated[int, Field(ge=3, le=4096)] = 64
     "Flat faces around; their edges lie on the circle."
 
@@ -79,7 +105,7 @@ class Cylinder(_Table):
 class Sphere(_Table):
     """A closed sphere that stands on its origin."""
 
-    radius_m: Positive
+    radius_m: Length
     segments: Annotated[int, Field(ge=4, le=2048)] = 64
     "Meridians; half as many rings. The corners lie on the sphere."
 
@@ -118,9 +144,9 @@ class WorldItem(Shape):
     """A piece of the world that never moves."""
 
     at_m: Vector = (0.0, 0.0, 0.0)
-    yaw_deg: float = 0.0
-    pitch_deg: float = 0.0
-    roll_deg: float = 0.0
+    yaw_deg: Angle = 0.0
+    pitch_deg: Angle = 0.0
+    roll_deg: Angle = 0.0
     material: str | None = None
     "Of all parts that `materials` does not name. A part that bears the name of a material needs neither."
     materials: dict[str, str] = Field(default_factory=dict)
@@ -130,23 +156,23 @@ class WorldItem(Shape):
 class Waypoint(_Table):
     """Where something is at a time."""
 
-    t_s: float
+    t_s: Annotated[float, Field(ge=-1e9, le=1e9)]
     at_m: Vector
-    yaw_deg: float = 0.0
-    pitch_deg: float = 0.0
-    roll_deg: float = 0.0
+    yaw_deg: Angle = 0.0
+    pitch_deg: Angle = 0.0
+    roll_deg: Angle = 0.0
 
 
 class MotionConfig(_Table):
     """Either a start with constant velocity, or waypoints."""
 
     at_m: Vector = (0.0, 0.0, 0.0)
-    yaw_deg: float = 0.0
-    pitch_deg: float = 0.0
-    roll_deg: float = 0.0
-    velocity_m_s: Vector = (0.0, 0.0, 0.0)
+    yaw_deg: Angle = 0.0
+    pitch_deg: Angle = 0.0
+    roll_deg: Angle = 0.0
+    velocity_m_s: Velocity = (0.0, 0.0, 0.0)
     "In the world's frame; it does not turn with the actor."
-    yaw_rate_deg_s: float = 0.0
+    yaw_rate_deg_s: Angle = 0.0
     waypoints: Annotated[tuple[Waypoint, ...], Field(max_length=MOST_WAYPOINTS)] = ()
     "Straight lines between them, turning the shortest way; before the first and after the last it stands still."
     loop: bool = False
@@ -177,9 +203,9 @@ class Mount(_Table):
     actor: str | None = None
     "None: the world."
     at_m: Vector = (0.0, 0.0, 0.0)
-    yaw_deg: float = 0.0
-    pitch_deg: float = 0.0
-    roll_deg: float = 0.0
+    yaw_deg: Angle = 0.0
+    pitch_deg: Angle = 0.0
+    roll_deg: Angle = 0.0
 
 
 class SensorConfig(_Table):

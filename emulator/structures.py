@@ -200,9 +200,9 @@ def _radius(shape: Geometry) -> float:
 
 
 def _content(vertices: Sequence[Floats], faces: Sequence[Ints]) -> Content:
-    return Content(
-        np.concatenate(vertices).astype(np.float32), np.ascontiguousarray(np.concatenate(faces), dtype=np.int32)
-    )
+    with np.errstate(under="ignore"):  # components below 1e-38 are nothing in float32
+        points = np.concatenate(vertices).astype(np.float32)
+    return Content(points, np.ascontiguousarray(np.concatenate(faces), dtype=np.int32))
 
 
 def _table_of(shape: Geometry, normals: Floats, local: Floats, body: int) -> Table:

@@ -19,6 +19,8 @@ from emulator.errors import SceneError
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
+MOST_M = 1e10
+"Of a coordinate: float64 tells 1e-6 m apart there."
 MOST_SHELLS_NESTED = 2000
 "Above so many closed shells in one mesh none is taken for a cavity of another: the test is quadratic."
 
@@ -47,6 +49,7 @@ class Geometry:
     "Triangles that lie on another one of a different part: which of them a beam meets is arbitrary."
 
 
+@np.errstate(under="ignore")  # products of lengths below 1e-150 are no area
 def checked(
     vertices: Floats, faces: NDArray[np.integer], face_part: NDArray[np.integer], parts: tuple[str, ...], where: str
 ) -> Geometry:
@@ -69,6 +72,11 @@ def checked(
                 f"{where}: triangle {bad} has the vertex {corner} ({len(bad_faces)} such in all); want finite numbers"
             )
         vertices = np.where(finite[:, None], vertices, 0.0)  # not used by any triangle
+    far = np.asarray((np.abs(vertices) > MOST_M).any(axis=1))
+    if far.any() and far[indices].any():
+        bad = int(np.flatnonzero(far[indices].any(axis=1))[0])
+        corner = vertices[indices[bad]][far[indices[bad]]][0].tolist()
+        raise SceneError(f"{where}: triangle {bad} has the vertex {corner}; want coordinates within {MOST_M:g} m")
     used = np.zeros(len(vertices), dtype=bool)
     used[indices] = True
     low, high = vertices[used].min(axis=0), vertices[used].max(axis=0)

@@ -138,7 +138,8 @@ def clear_air(wavelength_m: Values, visibility_m: Values = CLEAR_AIR_VISIBILITY_
 # ------------------------------------------------------------------------------- rain and snow from their rate
 def _power_law(rate_mm_h: Values, k: Values, a: float, name: str) -> Floats:
     require_not_negative(name, rate_mm_h)
-    return k * floats(rate_mm_h) ** a / DB_PER_NEPER / 1000.0
+    with np.errstate(under="ignore"):  # a rate of 1e-300 is none
+        return floats(k * floats(rate_mm_h) ** a / DB_PER_NEPER / 1000.0)
 
 
 def rain_carbonneau(rain_mm_h: Values) -> Floats:

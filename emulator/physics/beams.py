@@ -23,6 +23,8 @@ from emulator.physics.arrays import Floats, Values, floats
 Profile = Literal["gauss", "tophat"]
 MAX_DIVERGENCE_RAD = math.radians(20.0)
 "Full angle up to which the flat angular coordinates are offered."
+NO_WIDTH = 1e-100
+"Half angles in rad and radii in m below this are none: the squares of smaller ones are no numbers."
 GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
 _GRID_HALF_WIDTH = 2.0
 "Where the outermost cells of `grid` would end if they were not extended to infinity, in beam radii."
@@ -72,7 +74,7 @@ class BeamShape:
     @property
     def is_ray(self) -> bool:
         """True when the beam has neither angle nor width: one axis ray is all there is."""
-        return self.half_angle_x_rad == 0.0 and self.half_angle_y_rad == 0.0 and self.exit_radius_m == 0.0
+        return max(self.half_angle_x_rad, self.half_angle_y_rad, self.exit_radius_m) < NO_WIDTH
 
     def radius_m(self, range_m: Values) -> tuple[Floats, Floats]:
         """Radii (across, up) of the footprint at this range: theta R + w0."""
@@ -254,18 +256,22 @@ def spread(
     u = ct * nodes.u - st * nodes.v
     v = st * nodes.u + ct * nodes.v
     cr, sr = math.cos(shape.roll_rad), math.sin(shape.roll_rad)
-    tx, ty = math.tan(shape.half_angle_x_rad), math.tan(shape.half_angle_y_rad)
+    tx, ty = _tangent(shape.half_angle_x_rad), _tangent(shape.half_angle_y_rad)
     across, upward = cr * tx * u - sr * ty * v, sr * tx * u + cr * ty * v
     direction = forward[:, None, :] + across[..., None] * left[:, None, :] + upward[..., None] * up[:, None, :]
     direction = direction / np.sqrt(1.0 + across * across + upward * upward)[..., None]
     w0 = shape.exit_radius_m
-    if w0 == 0.0:
+    if w0 < NO_WIDTH:
         return direction, np.zeros_like(direction)
     x, y = w0 * (cr * u - sr * v), w0 * (sr * u + cr * v)
     return direction, x[..., None] * left[:, None, :] + y[..., None] * up[:, None, :]
 
 
 # ------------------------------------------------------------------------------- helpers
+def _tangent(half_angle_rad: float) -> float:
+    return math.tan(half_angle_rad) if half_angle_rad >= NO_WIDTH else 0.0
+
+
 def _counted(count: int) -> int:
     if count < 1:
         raise ValueError(f"count: {count}; want at least 1 sub-beam")

@@ -29,6 +29,10 @@ Value = TypeVar("Value")
 RECEIVER_TEMPERATURE_K = 293.15
 FINEST_BIN_SHARE = 16
 "Bins of a sampled pulse's FWHM at the least: a parabola then finds its peak to 1e-4 of it."
+MOST_BINS = 2048
+"Bins of it by default at the most."
+FINEST_CHOSEN = 65536
+"Bins of it that may be asked for: more would only fill the memory."
 
 
 @dataclass(frozen=True)
@@ -156,7 +160,7 @@ def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> Sensor
     full_scale = receiver.full_scale_snr.value if receiver.full_scale_snr is not None else math.inf
     if options.full_scale_snr is not None:
         full_scale = math.inf if options.full_scale_snr == "off" else options.full_scale_snr
-    bin_s = 1e-9 * options.bin_ns if options.bin_ns is not None else min(1e-9, pulse.fwhm_s / FINEST_BIN_SHARE)
+    bin_s = _bin_s(options.bin_ns, pulse)
     return SensorModel(
         seed_mode=seed,
         wavelength_m=1e-9 * _or(options.wavelength_nm, optics.wavelength_nm),
@@ -216,6 +220,15 @@ def _or(choice: Value | None, fact: Fact[Value] | None, default: Value | None = 
     if default is None:
         raise ValueError("neither chosen nor known")
     return default
+
+
+def _bin_s(chosen_ns: float | None, pulse: Pulse) -> float:
+    """Step of a sampled waveform in time."""
+    if chosen_ns is None:
+        return min(max(1e-9, pulse.fwhm_s / MOST_BINS), pulse.fwhm_s / FINEST_BIN_SHARE)
+    if 1e-9 * chosen_ns < pulse.fwhm_s / FINEST_CHOSEN:
+        raise ValueError(f"bin_ns: {chosen_ns}; want at least {1e9 * pulse.fwhm_s / FINEST_CHOSEN:.3g}")
+    return 1e-9 * chosen_ns
 
 
 def _beam(optics: OpticsSpec, options: PhysicsOptions, profile: Profile) -> BeamShape:
