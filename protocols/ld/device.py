@@ -67,6 +67,8 @@ class Device:
         self.delays = DELAYS[settings.delays]
         self.config: cfg.Config = settings.config
         self.flash_sectors: Table = settings.sectors
+        self.near_field = settings.near_field
+        "Kept over power-off: SET_FILTER writes to flash (sicktoolbox, EnableNearfieldSuppression)."
         self.restarts = 0
         self._lose_volatile(0)
 
@@ -78,7 +80,6 @@ class Device:
         self.geometry: Geometry | None = None
         self.sectors: Table = self.flash_sectors
         self.signals = 0
-        self.near_field = self.settings.near_field
         self.booted_ns: int | None = None
         self._next_first_sweep = 0  # of the first revolution after a standstill
         self._clock_zero_ns = now_ns

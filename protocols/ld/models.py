@@ -33,8 +33,9 @@ class Model:
     "As GET_IDENTIFICATION 0001 gives it."
     max_range_m: float
     "A farther echo is reported as none. 250 m: sicktoolbox_wrapper's range_max, Miro's no-echo limit."
-    near_field_m: float = 0.5
-    "Echoes nearer than this are passed over while near-field suppression is on; ours, from the wrapper's range_min."
+    near_field_m: float = 2.0
+    """Echoes nearer than this are passed over while near-field suppression is on. Ours: no source tells how far that
+    goes; it has to reach beyond 0.5 m, the shortest range without it (sicktoolbox_wrapper)."""
     has_interlace: bool = False
     "Knows configuration item 0011 (LD-LRS36x1 only, by the C port of sicktoolbox)."
 

@@ -118,7 +118,7 @@ KEYS = (
     Key("ip", "IPv4 address", "192.168.1.10", "told by GET_CONFIG; the real address is the link's", _ip),
     Key("netmask", "IPv4 mask", "255.255.255.0", "told by GET_CONFIG", _ip),
     Key("gateway", "IPv4 address", "0.0.0.0", "told by GET_CONFIG", _ip),
-    Key("near_field_suppression", "true, false", False, "filter 0001 at power-on", _flag),
+    Key("near_field_suppression", "true, false", False, "filter 0001, until a host changes it", _flag),
     Key("identity", IDENTITY_ALLOWED, {}, "answers to GET_IDENTIFICATION", _identity),
     Key("delays", "real, fast", "real", "response, spin-up and boot times", _one_of("real", "fast")),
     Key("spin_up_s", "0..60, or null", None, "to any speed; null: as `delays` says", _or_null(_number(0, 60))),

@@ -135,7 +135,7 @@ def test_amplitudes_are_asked_for_only_when_a_format_has_them() -> None:
 def test_near_echoes_are_passed_over_while_the_filter_is_on() -> None:
     def two_echoes(plan: ScanPlan) -> Scan:
         ranges = np.full((len(plan), 2), np.nan)
-        ranges[:, 0], ranges[1::2, 1] = 0.3, 7.0
+        ranges[:, 0], ranges[1::2, 1] = 1.5, 7.0
         size = ranges.shape
         peaks = np.where(np.isnan(ranges), np.nan, ranges)
         return Scan(plan, ranges, peaks, np.zeros(len(plan), np.uint8), np.zeros(size, np.int32))
@@ -143,7 +143,7 @@ def test_near_echoes_are_passed_over_while_the_filter_is_on() -> None:
     rig = measuring({"step_deg": 90}, world=two_echoes)
     rig.put(request(0x0301, 1, 0x0500))
     rig.run(SECOND)
-    assert profiles(rig, points=[4])[0].sectors[0].distances == [77] * 4
+    assert profiles(rig, points=[4])[0].sectors[0].distances == [384] * 4
     rig.ask(0x0209, 1, 1)
     rig.ask(0x0403, 0)
     rig.ask(0x0404)

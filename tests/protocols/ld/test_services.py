@@ -168,6 +168,10 @@ def test_the_filter_answers_with_its_number() -> None:
     assert rig.session.device.near_field
     assert ask(rig, 0x0209, 1, 0) == [0x8209, 1]
     assert not rig.session.device.near_field
+    assert ask(rig, 0x0209, 1, 1) == [0x8209, 1]
+    rig.session.power_on(rig.now_ns)
+    rig.run(4 * SECOND)
+    assert rig.session.device.near_field  # written to flash, as sicktoolbox says
     assert ask(rig, 0x0209, 2, 0) == [0x8209, 0xFFFF]
     assert ask(rig, 0x0209, 1, 2) == [0x8209, 0xFFFF]
 
