@@ -18,6 +18,7 @@ from emulator.physics.arrays import Floats
 from emulator.physics.constants import CLEAR_AIR_VISIBILITY_M
 from emulator.sensing.model import SensorModel
 from emulator.sensing.particles import Particles, rain_particles, snow_particles
+from emulator.sensing.rays import rotated
 from emulator.weather import Dust, Fog, Layer, Plume, Rain, Smoke, Snow, Spray, Sun, WeatherConfig
 
 if TYPE_CHECKING:
@@ -276,10 +277,10 @@ class Box:
     def crossed(self, origin_m: Floats, direction: Floats, t_s: Floats) -> tuple[Floats, Floats]:
         cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        local = (origin_m - (self.at_m + np.asarray(t_s)[:, None] * self.velocity_m_s)) @ turn.T
+        local = rotated(turn, origin_m - (self.at_m + np.asarray(t_s)[:, None] * self.velocity_m_s))
         half = 0.5 * self.size_m[:2]
         low, high = np.array([-half[0], -half[1], 0.0]), np.array([half[0], half[1], self.size_m[2]])
-        return _through(low, high, local, direction @ turn.T)
+        return _through(low, high, local, rotated(turn, direction))
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,7 +298,7 @@ class Wake:
         when = np.asarray(t_s)[:1]
         pose = self.scene.pose(self.actor, when)
         rotation, velocity = pose.rotation[0], self.scene.velocity(self.actor, when)[0]
-        local, along = (origin_m - pose.position_m[0]) @ rotation, direction @ rotation
+        local, along = rotated(rotation.T, origin_m - pose.position_m[0]), rotated(rotation.T, direction)
         length, width, height = self.size_m
         if float(rotation[:, 0] @ velocity) >= 0.0:
             low_x, high_x = self.axles_m[0] - length, self.axles_m[0]

@@ -26,7 +26,7 @@ from emulator.sensing.model import SensorModel, sensor_model
 from emulator.sensing.particles import seen_particles
 from emulator.sensing.paths import Caster, Seen, Surfaces, returned, trace
 from emulator.sensing.photon_receiver import PhotonReceiver
-from emulator.sensing.rays import BundleCache, Rays, cast_rays
+from emulator.sensing.rays import BundleCache, Bundles, Rays, cast_rays
 from emulator.sensing.receiver import Receiver
 from emulator.sensing.soft import SoftTargets
 from emulator.spec import load_spec
@@ -76,6 +76,7 @@ class Measure:
         self._bundles = BundleCache(model)
         self._receiver = receiver
         self._deepest = 0.0
+        self._last: tuple[Bundles, Rays] | None = None
         self._soft = SoftTargets(model, receiver.bin_m)
         still = mount.actor is None or scene.motions[scene.index[mount.actor]].still
         self._still_pose = scene.sensor_pose(mount, np.zeros(1)) if still else None
@@ -108,7 +109,7 @@ class Measure:
             rays, hits = adaptive_rays(plan, pose, t_s, self._caster, self.model)
             seen = returned(hits, rays, self._caster, surfaces, air, self.model, gain, plan.max_range_m)
         else:
-            rays = cast_rays(self._bundles.of(plan), pose, t_s)
+            rays = self._rays(plan, pose, t_s)
             seen = trace(rays, self._caster, surfaces, air, self.model, gain, plan.max_range_m)
         parts = [seen.echoes]
         for particles in air.particles:
@@ -126,6 +127,15 @@ class Measure:
             drawn = self._soft.points(air, rays, seen.echoes, t_s, gain)
             parts += [] if drawn is None else [drawn]
         return View(rays, seen, SubEchoes.joined(*parts) if len(parts) > 1 else seen.echoes, air, surfaces)
+
+    def _rays(self, plan: ScanPlan, pose: Pose, t_s: Floats) -> Rays:
+        """Rays of fixed bundles; a sensor at rest casts the same ones as long as the plan's angles stay."""
+        bundles = self._bundles.of(plan)
+        if self._still_pose is None:
+            return cast_rays(bundles, pose, t_s)
+        if self._last is None or self._last[0] is not bundles:
+            self._last = bundles, cast_rays(bundles, pose, t_s)
+        return self._last[1].at(t_s)
 
     def _pose(self, t_s: Floats) -> Pose:
         still = self._still_pose
