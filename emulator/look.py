@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import importlib.util
 import math
 import shutil
 import sys
@@ -55,6 +56,8 @@ def run_look(
     say: Callable[[str], None],
 ) -> int:
     """Draw until told to stop; the exit code."""
+    if png is not None:
+        require_matplotlib()
     host = connect(url, family_name, baud)
     try:
         last = watch(host, scans, duration_s, table, say, live=sys.stdout.isatty() and png is None)
@@ -180,12 +183,16 @@ class _LiveText:
         self._live.update(Text(text, no_wrap=True), refresh=True)
 
 
+def require_matplotlib() -> None:
+    """Say what is missing before a device is asked for anything."""
+    if importlib.util.find_spec("matplotlib") is None:
+        raise EmulatorError("--png needs the extra `report`: pip install 'lidaremu[report]'")
+
+
 def save_png(scan: HostScan, title: str, path: Path) -> None:
     """The scan as a picture; needs the extra `report`."""
-    try:
-        import matplotlib
-    except ImportError:
-        raise EmulatorError("--png needs the extra `report`: pip install 'lidaremu[report]'") from None
+    import matplotlib
+
     matplotlib.use("Agg")
     from matplotlib.figure import Figure
 

@@ -128,6 +128,14 @@ def test_every_key_of_a_models_device_table_is_listed_with_what_it_takes(
     assert all(row["key"] and row["allowed"] and row["meaning"] for row in rows)
 
 
+def test_a_picture_without_matplotlib_is_refused_before_the_device_is_asked(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert main(["look", f"pty:{tmp_path / 'nobody'}", "--png", str(tmp_path / "scan.png")]) == CANNOT_RUN
+    assert "lidaremu[report]" in capsys.readouterr().err
+
+
 def test_a_driver_finds_its_sensor_in_the_environment() -> None:
     assert variable_of("front-left") == "LIDAREMU_FRONT_LEFT"
     assert place_of("pty:/run/x?speed=ignore") == "/run/x"
