@@ -26,6 +26,7 @@ from protocols.session import (
     Emission,
     Event,
     LinkKind,
+    ModeChanged,
     Restarted,
     Session,
 )
@@ -53,8 +54,11 @@ class InstrumentStats:
     scans_measured: int = 0
     scans_sent: int = 0
     replies_sent: int = 0
-    first_scan_due_ns: int | None = None
     last_scan_due_ns: int | None = None
+    "None before the first scan, and again when the device's mode has changed: pauses between streams are no gaps."
+    gaps: int = 0
+    "Gaps between scans of one stream, and how long they were in all."
+    gaps_ns: int = 0
     scans_dropped: Counter[str] = field(default_factory=Counter)
     input_dropped: Counter[str] = field(default_factory=Counter)
     commands: Counter[str] = field(default_factory=Counter)
@@ -64,11 +68,16 @@ class InstrumentStats:
 
     @property
     def rate_hz(self) -> float:
-        """Scans a second between the first and the last one sent; NaN below two."""
-        if self.first_scan_due_ns is None or self.last_scan_due_ns is None or self.scans_sent < 2:
-            return math.nan
-        span_ns = self.last_scan_due_ns - self.first_scan_due_ns
-        return math.nan if span_ns <= 0 else (self.scans_sent - 1) * 1e9 / span_ns
+        """Scans a second while they were streamed; NaN before the second scan of a stream."""
+        return self.gaps * 1e9 / self.gaps_ns if self.gaps_ns > 0 else math.nan
+
+    def note_scan(self, due_ns: int) -> None:
+        """One more scan was sent."""
+        self.scans_sent += 1
+        if self.last_scan_due_ns is not None:
+            self.gaps += 1
+            self.gaps_ns += due_ns - self.last_scan_due_ns
+        self.last_scan_due_ns = due_ns
 
 
 SCAN_REASONS = frozenset(
@@ -206,10 +215,7 @@ class Instrument:
         if emission.sweep is None:
             self.stats.replies_sent += bool(emission.payload)  # an empty one only sets the line's speed
             return
-        self.stats.scans_sent += 1
-        if self.stats.first_scan_due_ns is None:
-            self.stats.first_scan_due_ns = emission.due_ns
-        self.stats.last_scan_due_ns = emission.due_ns
+        self.stats.note_scan(emission.due_ns)
 
     def _tell_sent(self, index: int, peer: int | None, emission: Emission) -> None:
         start_ns = end_ns = emission.due_ns
@@ -239,8 +245,9 @@ class Instrument:
                 kind[reason] += event.count
             elif isinstance(event, CommandHandled):
                 self.stats.commands[f"{event.command}: {event.outcome}"] += 1
-            elif isinstance(event, Restarted):
-                self.stats.restarts += 1
+            elif isinstance(event, ModeChanged | Restarted):
+                self.stats.last_scan_due_ns = None
+                self.stats.restarts += isinstance(event, Restarted)
 
     @staticmethod
     def _key(plan: ScanPlan) -> tuple[int, int]:

@@ -11,7 +11,7 @@ from emulator.transports.link import Link, Received
 from emulator.virtual import VirtualRun
 from protocols.errors import ScanRefused
 from protocols.scan import Scan, ScanPlan
-from protocols.session import Address, Dropped, DropReason, Emission, Event, LinkKind, Restarted, Session
+from protocols.session import Address, Dropped, DropReason, Emission, Event, LinkKind, ModeChanged, Restarted, Session
 
 PERIOD_NS = 40_000_000
 
@@ -130,6 +130,22 @@ def test_scans_leave_at_their_own_instants_whenever_they_were_computed() -> None
     rig.run.advance(1_000_000_000)
     assert [due for due, payload, _ in rig.links[0].sent if payload == b"scan"] == [k * PERIOD_NS for k in range(1, 26)]
     assert rig.instrument.stats.scans_sent == 25
+    assert rig.instrument.stats.rate_hz == pytest.approx(25.0, rel=1e-12)
+
+
+def test_the_rate_is_that_of_the_streams_and_not_of_the_pauses_between_them() -> None:
+    rig = Rig(LinkKind.SERIAL)
+    rig.hear(b"G")
+    rig.run.advance(10 * PERIOD_NS)
+    rig.hear(b"S")
+    rig.session.events.append(ModeChanged(10 * PERIOD_NS, "25"))
+    rig.run.advance(1_000_000_000)
+    assert rig.instrument.stats.rate_hz == pytest.approx(25.0, rel=1e-12)
+    sent = rig.instrument.stats.scans_sent
+    rig.session.sweep = 25
+    rig.hear(b"G")
+    rig.run.advance(2_000_000_000)
+    assert rig.instrument.stats.scans_sent == sent + 25
     assert rig.instrument.stats.rate_hz == pytest.approx(25.0, rel=1e-12)
 
 
