@@ -164,9 +164,16 @@ def run(
     announce_end(instruments, as_json)
     for cause, count in daemon.failures.items():
         note(f"{count} scans could not be measured: {cause}")
+    if driver_code not in (None, 0):
+        note(f"{command[0]} ended with {how_it_ended(driver_code)}")
     if daemon.lost_links:
         return LINK_LOST
     return OK if driver_code in (None, 0) else FAILED
+
+
+def how_it_ended(code: int) -> str:
+    """A process's exit code in words."""
+    return f"exit code {code}" if code >= 0 else f"signal {-code}"
 
 
 def variable_of(sensor: str) -> str:

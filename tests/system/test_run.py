@@ -138,6 +138,10 @@ def test_a_driver_given_on_the_command_line_runs_with_the_run(tmp_path: Path) ->
     assert good.returncode == 0, good.stderr
     bad = command("run", "flat_wall", "--", sys.executable, "-c", "import sys; sys.exit(5)", cwd=tmp_path)
     assert bad.returncode == 1
+    assert "ended with exit code 5" in bad.stderr
+    killed = command("run", "flat_wall", "--", "sh", "-c", "kill -9 $$", cwd=tmp_path)
+    assert killed.returncode == 1
+    assert "sh ended with signal 9" in killed.stderr
     missing = command("run", "flat_wall", "--", "./no-such-driver", cwd=tmp_path)
     assert missing.returncode == 2
     assert "no-such-driver" in missing.stderr
