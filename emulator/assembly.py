@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from typing import TYPE_CHECKING
 
 from emulator.clock import Clock
 from emulator.daemon import Daemon, worker_count
@@ -20,12 +21,21 @@ from protocols import family
 from protocols.errors import DeviceSettingError
 from protocols.session import Family, Session
 
+if TYPE_CHECKING:
+    from emulator.scene import Scene
+
 
 def build_measures(scenario: Scenario) -> Mapping[str, Measure]:
     """Scene and measuring function of every sensor; imports the ray caster, so it runs where scans are measured."""
-    from emulator import raycast, scene, sensing
+    from emulator import scene
 
-    world = scene.build(scenario)
+    return measures_of(scenario, scene.build(scenario))
+
+
+def measures_of(scenario: Scenario, world: Scene) -> Mapping[str, Measure]:
+    """The measuring function of every sensor in that scene; a `physics:` table that cannot be is told here."""
+    from emulator import raycast, sensing
+
     caster = raycast.Caster(world)
     return {sensor.id: sensing.build(scenario, world, caster, sensor.id) for sensor in scenario.sensors}
 

@@ -72,7 +72,7 @@ def check(
 ) -> int:
     """Validate scenario files, their meshes and their devices' settings."""
     from emulator import scene
-    from emulator.assembly import new_sessions
+    from emulator.assembly import measures_of, new_sessions
 
     code = OK
     for name in scenarios:
@@ -80,6 +80,7 @@ def check(
             loaded = load_scenario(name, overrides, seed, links)
             new_sessions(loaded)
             world = scene.build(loaded)
+            measures_of(loaded, world)
         except EmulatorError as error:
             code = max(code, error.exit_code)
             if as_json:
@@ -240,6 +241,9 @@ def announce_end(instruments: Sequence[Instrument], as_json: bool) -> None:
                 f"{total['id']}: lateness of {late['sends']} sends: median {late['median']:.0f} us,"
                 f" p99 {late['p99']:.0f} us, worst {late['worst']:.0f} us"
             )
+        for link in total["links"]:
+            if link["payloads_dropped"]:
+                say(f"{total['id']}: {link['payloads_dropped']} payloads not sent on {link['url']}: a host reads too slowly")
         ignored = ", ".join(f"{count} {reason}" for reason, count in total["input_dropped"].items())
         if ignored:
             say(f"{total['id']}: input not taken: {ignored}")
