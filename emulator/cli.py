@@ -18,6 +18,7 @@ import click
 
 from emulator import __version__
 from emulator.commands.common import CANNOT_RUN, FAILED, LINK_LOST, OK, load_scenario, note, say, scenario_options
+from emulator.commands.recordings import diff, recorder_for, replay
 from emulator.commands.test import test
 from emulator.errors import EmulatorError, LinkError
 
@@ -107,6 +108,7 @@ def check(
 @click.option("--workers", type=click.IntRange(min=1), help="Measuring processes (default: cores less one).")
 @click.option("--clock", type=click.Choice(["real", "virtual"]), default="real", help="virtual: as fast as hosts read.")
 @click.option("--speed", type=click.FloatRange(min=0.001), metavar="X", help="Virtual clock at X times real time.")
+@click.option("--record", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="Record into DIR.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line on standard output.")
 @click.option("--shim", is_flag=True, help="Give COMMAND the preload shim for drivers that set 500 kBd by TIOCSSERIAL.")
 def run(
@@ -119,6 +121,7 @@ def run(
     workers: int | None,
     clock: str,
     speed: float | None,
+    record: Path | None,
     as_json: bool,
     shim: bool,
 ) -> int:
@@ -146,6 +149,7 @@ def run(
     else:
         daemon, instruments = assembly.start(loaded, real, workers)
     daemon.on_failure = note
+    recorder = recorder_for(loaded, instruments, record)
     driver: subprocess.Popen[bytes] | None = None
     try:
         with daemon.signals():
@@ -161,6 +165,8 @@ def run(
             daemon.run(until_ns, None if driver is None else lambda: driver.poll() is None)
     finally:
         daemon.close()
+        if recorder is not None:
+            recorder.close()
         driver_code = None if driver is None else end_driver(driver)
     announce_end(instruments, as_json)
     for cause, count in daemon.failures.items():
@@ -310,6 +316,7 @@ def list_(what: str, name: str | None, as_json: bool) -> int:
     return OK
 
 
-commands.add_command(test)
+for command in (test, replay, diff):
+    commands.add_command(command)
 
 __all__ = ["CANNOT_RUN", "OK", "LinkError", "entry", "main"]

@@ -12,7 +12,8 @@ Imports nothing of the emulator until a test asks for it.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import shutil
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -21,10 +22,12 @@ if TYPE_CHECKING:
     from emulator.rig import Rig
 
 Make = Callable[..., "Rig"]
+RIGS = pytest.StashKey["list[Rig]"]()
+FAILED = pytest.StashKey[bool]()
 
 
 @pytest.fixture
-def lidaremu(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Make]:
+def lidaremu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Make]:
     """Starts scenarios on free ports in virtual time: `lidaremu(SCENARIO, seed=, links=, speed=, a__b__c=value)`.
 
     Two underscores stand for the dot of a scenario key; lists are reached by number or `id`.
@@ -45,6 +48,23 @@ def lidaremu(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Make]:
         made.append(Rig(str(scenario), tmp_path_factory.mktemp("lidaremu"), texts, seed, links, speed))
         return made[-1]
 
+    request.node.stash[RIGS] = made
     yield make
     for rig in made:
         rig.close()
+    if not request.node.stash.get(FAILED, False):
+        for rig in made:
+            shutil.rmtree(rig.recording, ignore_errors=True)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """A failed test's report says where its recordings are; those of good tests are removed."""
+    report = yield
+    rigs = item.stash.get(RIGS, [])
+    if report.failed and rigs:
+        item.stash[FAILED] = True
+        report.sections.append(("lidaremu recordings", "\n".join(str(rig.recording) for rig in rigs)))
+    return report

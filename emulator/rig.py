@@ -20,6 +20,7 @@ from emulator import assembly, scenario
 from emulator.expectations import Judgement, understand, verdicts
 from emulator.expressions import Value, evaluate, names, parse
 from emulator.instrument import Instrument
+from emulator.recording.writer import Recorder
 from emulator.series import SeriesWatcher, check_name, lookup
 from emulator.spec import load_spec
 from emulator.transcript import Transcript
@@ -100,6 +101,8 @@ class Rig:
         replaced = {**free_links(first, folder), **(links or {})}
         self.scenario = scenario.load(name, overrides, seed, replaced)
         self.folder = folder
+        self.recording = folder / "recording"
+        "Everything of the run, for `lidaremu replay` and `diff`."
         self._speed = speed
         self._trouble: BaseException | None = None
         self._thread: threading.Thread | None = None
@@ -116,6 +119,7 @@ class Rig:
         self.sensors = {
             one.sensor: RigSensor(one.sensor, tuple(link.url for link in one.links)) for one in self.instruments
         }
+        self._recorder = Recorder(self.recording, self.scenario, self.instruments)
         self._daemon.power_on()
         self._thread = threading.Thread(target=self._serve, name="lidaremu-rig", daemon=True)
         self._thread.start()
@@ -141,6 +145,7 @@ class Rig:
             self._thread.join(PATIENCE_S)
             self._thread = None
             self._daemon.close()
+            self._recorder.close()
 
     def __getitem__(self, sensor: str) -> RigSensor:
         if sensor not in self.sensors:

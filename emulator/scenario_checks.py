@@ -20,7 +20,6 @@ BUILTIN = "builtin:"
 "Before the name of a mesh that comes with the package."
 NOT_BUILT: Mapping[str, str] = {
     "faults": "faults are not injected yet",
-    "record": "runs are not recorded yet",
 }
 "Top-level keys of the schema that nothing acts on so far: refused rather than ignored."
 ONE_HOLDER = ("pty", "slcan", "serial", "tcp", "udp")

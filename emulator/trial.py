@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from emulator import assembly
@@ -17,6 +18,7 @@ from emulator.expectations import Judgement, understand, verdicts
 from emulator.hosts.scripted import LdScript, Lms2xxScript
 from emulator.instrument import Instrument, Measuring
 from emulator.measuring import InPlace, Workers
+from emulator.recording.writer import Recorder
 from emulator.scenario import Scenario
 from emulator.series import SeriesWatcher, lookup
 from emulator.spec import load_spec
@@ -72,8 +74,10 @@ class SilentBus(Outlet):
 class Trial:
     """A scenario set up in memory."""
 
-    def __init__(self, scenario: Scenario, workers: int = 0, watchers: Sequence[Watcher] = ()) -> None:
-        """`workers`: measuring processes; 0 measures in place. The result is the same."""
+    def __init__(
+        self, scenario: Scenario, workers: int = 0, watchers: Sequence[Watcher] = (), record: Path | None = None
+    ) -> None:
+        """`workers`: measuring processes; 0 measures in place. The result is the same. `record`: a folder for it."""
         self.scenario = scenario
         self.expected = understand(scenario)
         sessions = assembly.new_sessions(scenario)
@@ -95,6 +99,7 @@ class Trial:
             self.instruments.append(instrument)
             host = self._host_of(index, family.name, loops)
             hosts += [] if host is None else [host]
+        self._recorder = None if record is None else Recorder(record, scenario, self.instruments)
         settle = nothing_owed if self._workers is None else self._workers.settle
         self.run = VirtualRun(self.instruments, hosts, settle)
         self.run.power_on()
@@ -129,7 +134,9 @@ class Trial:
         return Verdict(str(self.scenario.source), tuple(judged), self.transcript.sha256(), duration_s, sensors)
 
     def close(self) -> None:
-        """Release everything."""
+        """Release everything, finish the recording."""
+        if self._recorder is not None:
+            self._recorder.close()
         for instrument in self.instruments:
             instrument.close()
         if self._workers is not None:
@@ -145,9 +152,11 @@ def _link_of(scenario: Scenario, index: int, tcp_is_line: bool, loops: Loops, bu
     return buses.link(bus, lambda: (CanWire(int(sensor.device.get("bitrate", bitrate))), SilentBus()))
 
 
-def run_trial(scenario: Scenario, workers: int = 0, name: str | None = None) -> Verdict:
+def run_trial(
+    scenario: Scenario, workers: int = 0, name: str | None = None, record: Path | None = None
+) -> Verdict:
     """Run one scenario and judge its expectations; raises `EmulatorError` when it cannot run."""
-    trial = Trial(scenario, workers)
+    trial = Trial(scenario, workers, record=record)
     try:
         verdict = trial.finish()
     finally:

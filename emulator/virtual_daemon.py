@@ -116,6 +116,12 @@ class VirtualDaemon:
         self._speed = speed
         self._anchor = (self._real.now_ns(), self.now_ns)
 
+    def late_ns(self, virtual_ns: int) -> int:
+        """Real time since a virtual instant was due at the present speed; 0 without one."""
+        if not self._speed:
+            return 0
+        return round(self._real.now_ns() - self._anchor[0] - (virtual_ns - self._anchor[1]) / self._speed)
+
     def stop(self) -> None:
         """End the run after the present step; safe in a signal handler and from other threads."""
         self._stop = True

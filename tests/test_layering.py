@@ -20,7 +20,8 @@ ONLY_IN = {
         "emulator/yaml_source.py",
     },
     "time": {"emulator/clock.py"},
-    "can": {"emulator/transports/can_bus.py"},
+    "can": {"emulator/transports/can_bus.py", "emulator/recording/can_logs.py"},
+    "mcap": {"emulator/recording/"},
     "cantools": {"protocols/can_objects/"},
 }
 "Library -> the only files (or folders, ending in /) that import it."

@@ -55,6 +55,7 @@ class Result:
 @click.option("--jobs", type=click.IntRange(min=1), help="Scenarios at once (default: cores).")
 @click.option("--workers", type=click.IntRange(min=0), default=0, help="Measuring processes a scenario (0: in place).")
 @click.option("--duration", type=click.FloatRange(min=0.0, min_open=True), metavar="S", help="Instead of the files'.")
+@click.option("--record", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="A recording each.")
 @click.option("--junitxml", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE", help="JUnit XML report.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a scenario.")
 def test(
@@ -65,6 +66,7 @@ def test(
     jobs: int | None,
     workers: int,
     duration: float | None,
+    record: Path | None,
     junitxml: Path | None,
     as_json: bool,
 ) -> int:
@@ -75,7 +77,7 @@ def test(
     if duration is not None:
         overrides = (*overrides, f"duration_s={duration}")
     names = list(_files(scenarios))
-    one = partial(_outcome, overrides=overrides, seed=seed, links=links, workers=workers)
+    one = partial(_outcome, overrides=overrides, seed=seed, links=links, workers=workers, record=record)
     results = []
     for result in _all(names, one, jobs or len(os.sched_getaffinity(0))):
         results.append(result)
@@ -103,13 +105,16 @@ def _files(scenarios: Sequence[str]) -> Iterator[str]:
         yield from map(str, found)
 
 
-def _outcome(name: str, overrides: Sequence[str], seed: int | None, links: Sequence[str], workers: int) -> Result:
+def _outcome(
+    name: str, overrides: Sequence[str], seed: int | None, links: Sequence[str], workers: int, record: Path | None
+) -> Result:
     from emulator.clock import SystemClock
     from emulator.trial import run_trial
 
     clock = SystemClock()
     try:
-        found = run_trial(load_scenario(name, overrides, seed, links), workers, name)
+        folder = None if record is None else record / Path(name).stem
+        found = run_trial(load_scenario(name, overrides, seed, links), workers, name, folder)
     except EmulatorError as error:
         return Result(name, "error", clock.now_ns() * 1e-9, fault=str(error))
     return Result(name, "passed" if found.held else "failed", clock.now_ns() * 1e-9, found)

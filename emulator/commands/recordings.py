@@ -1,0 +1,168 @@
+"""`lidaremu replay` and `lidaremu diff`: recordings sent again, and compared."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from emulator.commands.common import FAILED, LINK_LOST, OK, note, say
+from emulator.errors import EmulatorError
+
+if TYPE_CHECKING:
+    from emulator.instrument import Instrument
+    from emulator.recording.writer import Recorder
+    from emulator.scenario import Scenario
+    from emulator.virtual_daemon import VirtualDaemon
+
+
+def recorder_for(scenario: Scenario, instruments: Sequence[Instrument], folder: Path | None) -> Recorder | None:
+    """The recorder that `--record` or the scenario asks for; a scenario's own goes to `NAME-recording` here."""
+    wanted = scenario.record
+    if folder is None and not (wanted.wire or wanted.truth):
+        return None
+    from emulator.recording.writer import Recorder
+
+    own = Path(f"{scenario.source.stem}-recording")
+    try:
+        return Recorder(folder or own, scenario, instruments, folder is not None or wanted.truth)
+    except EmulatorError:
+        for instrument in instruments:
+            instrument.close()
+        raise
+
+
+@click.command()
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option("--link", "links", multiple=True, metavar="SENSOR=URL", help="Where to send, instead of as recorded.")
+@click.option("--speed", type=click.FloatRange(min=0.001), default=1.0, metavar="X", help="X times the recorded pace.")
+@click.option("--stepped", is_flag=True, help="One payload a line on standard input.")
+@click.option("--loop", "loops", type=click.IntRange(min=0), default=1, help="So many times; 0: without end.")
+@click.option("--port", type=click.IntRange(1, 65535), default=49152, show_default=True, help="Device in a pcap.")
+@click.option("--baud", type=click.IntRange(min=50), default=38400, show_default=True, help="Of a raw serial dump.")
+@click.option("--at-once", is_flag=True, help="Do not wait for a host.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
+def replay(
+    recording: Path,
+    links: Sequence[str],
+    speed: float,
+    stepped: bool,
+    loops: int,
+    port: int,
+    baud: int,
+    at_once: bool,
+    as_json: bool,
+) -> int:
+    """Send a RECORDING again, with its own gaps or scaled: a folder or .mcap of ours, .pcap, .pcapng, .blf, .asc,
+    candump .log, or the raw bytes of a serial line.
+    """
+    from emulator.daemon import Lateness
+    from emulator.recording.playback import GapErrors, ReplaySession, open_players
+    from emulator.recording.reader import read_run, read_wire
+    from emulator.virtual_daemon import VirtualDaemon
+
+    wires = read_wire(recording, port, baud)
+    if recording.is_dir() or recording.suffix == ".mcap":
+        cut = read_run(recording).cut
+        if cut:
+            note(f"{recording}: cut: {cut}; what is before is sent")
+    replaced = {}
+    for text in links:
+        sensor, separator, url = text.partition("=")
+        known = sorted({wire.sensor for wire in wires})
+        if not separator or sensor not in known:
+            raise click.BadParameter(f"{text!r}; want SENSOR=URL with one of {', '.join(known)}", param_hint="--link")
+        replaced[sensor] = url
+    players = open_players(wires, replaced)
+    sessions = [player.session for player in players if isinstance(player.session, ReplaySession)]
+    for session in sessions:
+        session.loops = loops
+    daemon = VirtualDaemon(players, speed=speed)
+    daemon.on_failure = note
+    daemon.paused = stepped
+    errors = GapErrors(daemon)
+    for player in players:
+        player.watch(errors)
+    try:
+        with daemon.signals():
+            daemon.power_on()
+            _announce(players, as_json)
+            started = False
+
+            def going() -> bool:
+                nonlocal started
+                if not started and (at_once or any(link.has_host() for link in daemon.links)):
+                    started = True
+                    daemon.rebase(speed)
+                    for session in sessions:
+                        session.start(daemon.now_ns)
+                    daemon.run_of.touch()
+                busy = any(player.links[0].flush(daemon.now_ns) is not None for player in players)
+                return not all(session.finished for session in sessions) or busy
+
+            if stepped:
+                threading.Thread(target=_step_by_lines, args=(daemon,), daemon=True).start()
+            daemon.run(while_true=going)
+    finally:
+        daemon.close()
+    late = Lateness.of(errors.late_ns)
+    if as_json:
+        gaps = {"median": late.median_us, "p99": late.p99_us} if late.count else {}
+        rounds = max((session.rounds for session in sessions), default=0)
+        say(json.dumps({"event": "stopped", "payloads": late.count, "rounds": rounds, "gap_error_us": gaps}))
+    elif not late.count:
+        say("nothing was sent")
+    else:
+        say(f"{late.count} payloads sent; gap error: median {late.median_us:.0f} us, p99 {late.p99_us:.0f} us")
+    return LINK_LOST if daemon.lost_links else OK
+
+
+def _announce(players: Sequence[Instrument], as_json: bool) -> None:
+    if as_json:
+        rows = [{"id": one.sensor, "links": [link.url for link in one.links]} for one in players]
+        say(json.dumps({"event": "ready", "sensors": rows, "control": None}))
+        return
+    for one in players:
+        say(f"ready: {one.sensor} on {one.links[0].url}")
+
+
+def _step_by_lines(daemon: VirtualDaemon) -> None:
+    """Each line that the user enters lets time go to the next payload; the end of input ends the run."""
+
+    def forward() -> None:
+        daemon.run_of.touch()
+        daemon.run_of.step(daemon.now_ns)
+        wake = daemon.run_of.next_wake()
+        if wake is not None:
+            daemon.advance(wake)
+
+    for _ in sys.stdin:
+        daemon.call(forward)
+    daemon.call(daemon.stop)
+
+
+@click.command()
+@click.argument("first", type=click.Path(path_type=Path))
+@click.argument("second", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a difference.")
+def diff(first: Path, second: Path, as_json: bool) -> int:
+    """Compare two recordings: the first byte, instant, beam or object of each link and sensor that differs."""
+    from emulator.recording.compare import differences
+    from emulator.recording.reader import read_run
+
+    runs = [read_run(first), read_run(second)]
+    for run in runs:
+        if run.cut:
+            note(f"{run.path}: cut: {run.cut}")
+    found = differences(*runs)
+    for item in found:
+        say(json.dumps({"at_ns": item.at_ns, "where": item.where, "what": item.what}) if as_json else str(item))
+    if not found and not as_json:
+        payloads = sum(len(wire.payloads) for wire in runs[0].sent.values())
+        say(f"the same: {payloads} payloads sent, {sum(map(len, runs[0].scans.values()))} scans")
+    return FAILED if found else OK

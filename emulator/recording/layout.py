@@ -1,0 +1,95 @@
+"""What stands in `run.mcap`: names of channels and schemas, and scans as bytes. Written and read here alone.
+
+Wire      topic /SENSOR/LINK/tx or rx, the bytes as they are; log time: first bit, publish time: last bit;
+          channel metadata: sensor, link, kind, url, direction, peer, baud; sequence: sweep + 1 of a scan, else 0
+Scans     topic /SENSOR/scan, see `SCAN_LAYOUT`
+Events    topic /SENSOR/event, JSON
+Metadata  `lidaremu`: version of this layout and of the package; attachment `scenario.yaml`
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+
+from protocols.scan import DetectedObject, Floats, Ints, Scan
+
+VERSION = 1
+FILE_NAME = "run.mcap"
+META_NAME = "lidaremu"
+WIRE_ENCODING, SCAN_ENCODING, EVENT_ENCODING = "x-lidaremu-wire", "x-lidaremu-scan", "json"
+
+SCAN_LAYOUT = """lidaremu scan, version 1, little-endian:
+int64 start_ns, int64 sweep, int32 epoch, uint32 n (beams), uint32 k (echoes a beam);
+float32 azimuth_rad[n], elevation_rad[n], range_m[n][k], intensity[n][k] (NaN: no echo); int32 actor[n][k]
+(index of the actor hit, 0 world, -1 none); uint8 flags[n] (1 dazzled, 2 saturated); rest: JSON list of objects."""
+
+_HEAD = struct.Struct("<qqiII")
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedScan:
+    """A scan with its truth, as recorded."""
+
+    start_ns: int
+    sweep: int
+    epoch: int
+    azimuth_rad: Floats
+    range_m: Floats
+    "(n, k)"
+    intensity: Floats
+    actor: Ints
+    objects: tuple[dict[str, object], ...]
+
+
+def encode_scan(scan: Scan) -> bytes:
+    """A scan as the data of one message."""
+    plan = scan.plan
+    n, k = scan.range_m.shape
+    parts = [
+        _HEAD.pack(plan.start_ns, plan.sweep, plan.epoch, n, k),
+        plan.azimuth_rad.astype("<f4").tobytes(),
+        plan.elevation_rad.astype("<f4").tobytes(),
+        scan.range_m.astype("<f4").tobytes(),
+        scan.intensity.astype("<f4").tobytes(),
+        scan.actor.astype("<i4").tobytes(),
+        scan.flags.astype(np.uint8).tobytes(),
+        json.dumps([_object(item) for item in scan.objects]).encode() if scan.objects else b"[]",
+    ]
+    return b"".join(parts)
+
+
+def _object(item: DetectedObject) -> dict[str, object]:
+    return {
+        "track": item.track,
+        "actor": item.actor,
+        "category": item.category,
+        "position_m": item.position_m,
+        "velocity_m_s": item.velocity_m_s,
+        "size_m": item.size_m,
+        "yaw_rad": item.yaw_rad,
+    }
+
+
+def decode_scan(data: bytes) -> RecordedScan:
+    """The scan of one message; `ValueError` when it is none."""
+    try:
+        start_ns, sweep, epoch, n, k = _HEAD.unpack_from(data)
+        if len(data) < _HEAD.size + n * (9 + 12 * k):
+            raise ValueError(f"{len(data)} bytes for {n} beams of {k} echoes")
+        at = _HEAD.size
+        fields = []
+        for count, kind in ((n, "<f4"), (n, "<f4"), (n * k, "<f4"), (n * k, "<f4"), (n * k, "<i4")):
+            fields.append(np.frombuffer(data, kind, count, at))
+            at += 4 * count
+        objects = json.loads(data[at + n :])
+    except (struct.error, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ValueError(f"not a recorded scan: {error}") from None
+    azimuth, _, range_m, intensity = (field.astype(np.float64) for field in fields[:4])
+    actor = fields[4].astype(np.int32).reshape(n, k)
+    return RecordedScan(
+        start_ns, sweep, epoch, azimuth, range_m.reshape(n, k), intensity.reshape(n, k), actor, tuple(objects)
+    )

@@ -1,0 +1,140 @@
+"""Sends a recording again: a session that has nothing to decide. What hosts say is counted and not answered."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from emulator.instrument import Instrument
+from emulator.measuring import InPlace
+from emulator.recording.reader import WireOf, WirePayload
+from emulator.transports import open_link
+from emulator.transports.can_link import CanPorts
+from emulator.transports.link import Link
+from emulator.virtual_daemon import VirtualDaemon
+from emulator.watching import Payload, Watcher
+from protocols.scan import Scan, ScanPlan
+from protocols.session import Address, Dropped, DropReason, Emission, Event, LinkKind, Session
+
+
+@dataclass(frozen=True)
+class Timed:
+    """One payload of a sensor, for one of its links."""
+
+    at_ns: int
+    link: int
+    payload: WirePayload
+
+
+class ReplaySession(Session):
+    """Emits payloads at their recorded instants, counted from `start`."""
+
+    def __init__(self, wires: Sequence[WireOf], kinds: Sequence[LinkKind], gap_ns: int = 0) -> None:
+        """One wire a link. `gap_ns`: between two rounds of a loop."""
+        self._entries = sorted(
+            (Timed(one.start_ns, link, one) for link, wire in enumerate(wires) for one in wire.payloads),
+            key=lambda entry: entry.at_ns,
+        )
+        self._kinds = tuple(kinds)
+        self._bauds: dict[int, int] = {}
+        self._start_ns: int | None = None
+        self._at = 0
+        self._gap_ns = gap_ns
+        self.rounds = 0
+        self.loops = 1
+        "Rounds to be sent; 0: without end."
+        self._events: list[Event] = []
+        first = self._entries[0].at_ns if self._entries else 0
+        self._first_ns = first
+        self.length_ns = max((entry.payload.end_ns for entry in self._entries), default=first) - first
+
+    @property
+    def finished(self) -> bool:
+        """Everything has been handed over."""
+        return not self._entries or (self.loops > 0 and self.rounds >= self.loops)
+
+    def start(self, now_ns: int) -> None:
+        """The first payload is due now."""
+        self._start_ns = now_ns
+
+    def power_on(self, now_ns: int) -> None:
+        pass
+
+    def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
+        self._events.append(Dropped(now_ns, DropReason.REFUSED, "a recording answers nothing", len(data)))
+
+    def advance(self, now_ns: int) -> None:
+        pass
+
+    def next_deadline(self) -> int | None:
+        if self._start_ns is None or self.finished:
+            return None
+        return self._start_ns + self._entries[self._at].at_ns - self._first_ns
+
+    def next_plan(self) -> ScanPlan | None:
+        return None
+
+    def submit(self, scan: Scan) -> None:
+        pass
+
+    def take_emissions(self, now_ns: int) -> list[Emission]:
+        due: list[Emission] = []
+        while (at_ns := self.next_deadline()) is not None and at_ns <= now_ns:
+            due += self._emissions(self._entries[self._at], at_ns)
+            self._at += 1
+            if self._at == len(self._entries):
+                self._at = 0
+                self.rounds += 1
+                assert self._start_ns is not None
+                self._start_ns += self.length_ns + self._gap_ns
+        return due
+
+    def _emissions(self, entry: Timed, at_ns: int) -> list[Emission]:
+        # everybody on a stream hears it: the connections of the recording are long gone
+        can = self._kinds[entry.link] is LinkKind.CAN
+        everybody = Address(entry.link, entry.payload.peer) if can else None
+        found = []
+        baud = entry.payload.baud
+        if baud and self._kinds[entry.link] is LinkKind.SERIAL and self._bauds.get(entry.link) != baud:
+            self._bauds[entry.link] = baud
+            found.append(Emission(at_ns, b"", everybody, line_speed=baud))
+        found.append(Emission(at_ns, entry.payload.data, everybody, sweep=entry.payload.sweep, label="replay"))
+        return found
+
+    def take_events(self) -> list[Event]:
+        events, self._events = self._events, []
+        return events
+
+
+class GapErrors(Watcher):
+    """How late each payload was begun, in real time."""
+
+    def __init__(self, daemon: VirtualDaemon) -> None:
+        self._daemon = daemon
+        self.late_ns: list[int] = []
+
+    def payload(self, payload: Payload) -> None:
+        if payload.sent:
+            self.late_ns.append(max(0, self._daemon.late_ns(payload.start_ns)))
+
+
+def open_players(wires: Sequence[WireOf], links: Mapping[str, str], gap_ns: int = 0) -> list[Instrument]:
+    """An instrument for each recorded link, named after sensor and link; opens what they are sent on.
+
+    `links`: sensor -> link instead of the recorded one. Raises `LinkError`.
+    """
+    ports = CanPorts()
+    opened: list[Link] = []
+    players = []
+    try:
+        for wire in wires:
+            url = links.get(wire.sensor, wire.url)
+            opened.append(open_link(url, wire.kind == "serial", can_ports=ports))
+            session = ReplaySession([wire], [opened[-1].kind], gap_ns)
+            name = wire.sensor if wire.link == 0 else f"{wire.sensor}/{wire.link}"
+            players.append(Instrument(name, session, opened[-1:], InPlace({})))
+    except BaseException:
+        for link in opened:
+            link.close()
+        raise
+    return players

@@ -1,0 +1,159 @@
+"""Writes a run into a folder while it goes on. A killed run leaves everything up to its last payload.
+
+Each message is handed to the kernel at once: nothing waits in this process. BLF and ASC are written at the end, from
+frames that are in `run.mcap` and in the candump log already.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import BinaryIO, TextIO
+
+from mcap.writer import CompressionType, Writer
+
+from emulator import __version__
+from emulator.errors import EmulatorError
+from emulator.instrument import Instrument
+from emulator.recording import layout
+from emulator.recording.can_logs import LoggedFrame, candump_line, read_candump, write_with_library
+from emulator.recording.pcapng import PcapngWriter
+from emulator.scenario import Scenario, dump
+from emulator.transports.urls import parse_url
+from emulator.watching import Payload, Watcher
+from protocols.scan import Scan
+from protocols.session import Event, LinkKind
+
+SAME_FRAME = 4096
+"Frames of a bus that are remembered: every sensor on it tells of each, the log has it once."
+
+
+class RecordingError(EmulatorError):
+    """A recording that cannot be written or read."""
+
+
+class Recorder(Watcher):
+    """Everything of a run into one folder."""
+
+    def __init__(self, folder: Path, scenario: Scenario, instruments: Sequence[Instrument], truth: bool = True) -> None:
+        """Makes the folder, and looks on at every instrument. `RecordingError` when that cannot be."""
+        self.folder = folder
+        self._instruments = {one.sensor: one for one in instruments}
+        self._truth = truth
+        self._channels: dict[tuple[object, ...], int] = {}
+        self._captures: dict[str, PcapngWriter] = {}
+        self._logs: dict[str, TextIO] = {}
+        self._seen: dict[str, dict[int, None]] = {}
+        "Of each bus the ends of its last frames: every sensor on it tells of each frame."
+        self._text = dump(scenario)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / "scenario.yaml").write_text(self._text, encoding="utf-8")
+            self._file: BinaryIO = (folder / layout.FILE_NAME).open("xb")
+        except FileExistsError:
+            raise RecordingError(f"{folder}: holds a recording already; want another folder, or an empty one") from None
+        except OSError as error:
+            raise RecordingError(f"{folder}: cannot record there: {error.strerror}") from None
+        self._writer = Writer(self._file, compression=CompressionType.NONE, use_chunking=False)
+        self._writer.start("", f"lidaremu {__version__}")
+        self._writer.add_metadata(layout.META_NAME, {"layout": str(layout.VERSION), "version": __version__})
+        self._writer.add_attachment(0, 0, "scenario.yaml", "application/yaml", self._text.encode())
+        self._wire = self._writer.register_schema("lidaremu.Wire", "text", (layout.__doc__ or "").encode())
+        self._scan = self._writer.register_schema("lidaremu.Scan", "text", layout.SCAN_LAYOUT.encode())
+        self._event = self._writer.register_schema("lidaremu.Event", "jsonschema", b'{"type": "object"}')
+        self._file.flush()
+        for instrument in instruments:
+            instrument.watch(self)
+
+    def payload(self, payload: Payload) -> None:
+        link = self._instruments[payload.sensor].links[payload.link]
+        baud = payload.pace[2] if payload.pace is not None else 0
+        key = (payload.sensor, payload.link, payload.sent, payload.peer, baud)
+        channel = self._channels.get(key)
+        if channel is None:
+            channel = self._channels[key] = self._writer.register_channel(
+                f"/{payload.sensor}/{payload.link}/{'tx' if payload.sent else 'rx'}",
+                layout.WIRE_ENCODING,
+                self._wire,
+                {
+                    "sensor": payload.sensor,
+                    "link": str(payload.link),
+                    "kind": link.kind.value,
+                    "url": link.url,
+                    "direction": "tx" if payload.sent else "rx",
+                    "peer": str(payload.peer),
+                    "baud": str(baud),
+                },
+            )
+        sequence = 0 if payload.sweep is None else (payload.sweep + 1) & 0xFFFFFFFF
+        self._writer.add_message(channel, max(0, payload.start_ns), payload.data, max(0, payload.end_ns), sequence)
+        self._file.flush()
+        if link.kind is LinkKind.CAN:
+            self._log(link.url, payload)
+        elif link.kind is not LinkKind.SERIAL or link.url.startswith(("tcp:", "udp:")):
+            self._capture(link.url, payload, link.kind is LinkKind.DATAGRAM or link.url.startswith("udp:"))
+
+    def scan(self, sensor: str, scan: Scan) -> None:
+        if self._truth:
+            self._add(sensor, "scan", layout.SCAN_ENCODING, self._scan, scan.plan.start_ns, layout.encode_scan(scan))
+
+    def event(self, sensor: str, event: Event) -> None:
+        told = {key: getattr(value, "value", value) for key, value in asdict(event).items()}
+        row = {"event": type(event).__name__} | told
+        self._add(sensor, "event", layout.EVENT_ENCODING, self._event, event.at_ns, json.dumps(row).encode())
+
+    def note(self, now_ns: int, row: dict[str, object]) -> None:
+        """Something about the whole run: a change of the weather, a fault, an order of the user's."""
+        self._add("run", "event", layout.EVENT_ENCODING, self._event, now_ns, json.dumps(row).encode())
+
+    def _add(self, sensor: str, what: str, encoding: str, schema: int, at_ns: int, data: bytes) -> None:
+        key = (sensor, what)
+        if key not in self._channels:
+            about = {"sensor": sensor}
+            self._channels[key] = self._writer.register_channel(f"/{sensor}/{what}", encoding, schema, about)
+        self._writer.add_message(self._channels[key], max(0, at_ns), data, max(0, at_ns))
+        self._file.flush()
+
+    def _capture(self, url: str, payload: Payload, datagram: bool) -> None:
+        if payload.sensor not in self._captures:
+            path = self.folder / f"{payload.sensor}.pcapng"
+            self._captures[payload.sensor] = PcapngWriter(path, f"{payload.sensor} {url}")
+        port = parse_url(url).target.rpartition(":")[2]
+        number = int(port) if port.isdigit() else 0
+        device, peer = (2112, payload.peer or number) if datagram else (number, payload.peer)
+        self._captures[payload.sensor].add(payload.start_ns, payload.data, payload.sent, device, peer, datagram)
+
+    def _log(self, url: str, payload: Payload) -> None:
+        bus = _bus_name(url)
+        seen = self._seen.setdefault(bus, {})
+        if payload.end_ns in seen:
+            return
+        seen[payload.end_ns] = None
+        if len(seen) > SAME_FRAME:
+            del seen[next(iter(seen))]
+        if bus not in self._logs:
+            self._logs[bus] = (self.folder / f"{bus}.log").open("w", encoding="ascii", newline="\n")
+        self._logs[bus].write(candump_line(LoggedFrame(payload.end_ns, payload.peer, payload.data, bus)))
+        self._logs[bus].flush()
+
+    def close(self) -> None:
+        """Finish every file."""
+        if self._file.closed:
+            return
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._file.close()
+        for capture in self._captures.values():
+            capture.close()
+        for bus, log in self._logs.items():
+            log.close()
+            with (self.folder / f"{bus}.log").open(encoding="ascii") as lines:
+                write_with_library(self.folder / f"{bus}.blf", read_candump(lines))
+
+
+def _bus_name(url: str) -> str:
+    """Name of a bus for files: the channel in the link's text, with what file names cannot hold replaced."""
+    target = parse_url(url).target
+    name = target.rpartition("/")[2].rpartition(":")[2] or "can"
+    return "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in name)

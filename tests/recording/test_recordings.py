@@ -1,0 +1,227 @@
+"""Recordings: everything of a run is in it, wherever it is cut, and others' tools and ours read it."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from emulator import scenario
+from emulator.cli import main
+from emulator.recording.can_logs import LoggedFrame, candump_line, read_candump, read_with_library, write_with_library
+from emulator.recording.compare import differences
+from emulator.recording.layout import decode_scan
+from emulator.recording.pcapng import PcapngWriter, read_segments, stream_of
+from emulator.recording.reader import read_run, read_wire
+from emulator.recording.writer import RecordingError
+from emulator.trial import Trial
+
+CASE = """\
+schema: 1
+seed: 3
+duration_s: 0.7
+world:
+  - {plane: {size_m: [6, 60]}, at_m: [8, 0, 1], pitch_deg: -90, material: white_plaster}
+sensors:
+  - {id: front, model: sick-lms291-s05, mount: {at_m: [0, 0, 1]}, device: {resolution_deg: 1, field_deg: 100}}
+  - {id: top, model: sick-ld-lrs1000, mount: {at_m: [0, 0, 1]}, device: {delays: fast, step_deg: 2.0}}
+"""
+
+
+def record(folder: Path, seed: int = 3) -> Trial:
+    trial = Trial(scenario.loads(CASE.replace("seed: 3", f"seed: {seed}"), Path("case.yaml")), record=folder)
+    trial.finish()
+    trial.close()
+    return trial
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recordings") / "run"
+    record(path)
+    return path
+
+
+def test_every_byte_both_ways_is_in_the_recording_with_its_instants(folder: Path) -> None:
+    run = read_run(folder)
+    assert run.cut == ""
+    front = run.sent["front", 0].payloads
+    assert front[0].data == b"\x06"
+    assert front[1].data[:7] == bytes.fromhex("02 80 03 00 A0 00 10")
+    baud = 9600
+    assert front[0].end_ns - front[0].start_ns == -(-10 * 10**9 // baud)
+    assert front[-1].baud == 500_000
+    heard = b"".join(one.data for one in run.received["front", 0].payloads)
+    assert heard[:8] == bytes.fromhex("02 00 02 00 20 25 35 08")
+    scans = [one for one in front if one.sweep is not None]
+    assert [one.sweep for one in scans] == list(range(scans[0].sweep or 0, (scans[0].sweep or 0) + len(scans)))
+    assert {sensor for sensor, _ in run.sent} == {"front", "top"}
+
+
+def test_scans_carry_their_truth_and_events_their_reason(folder: Path) -> None:
+    run = read_run(folder)
+    scan = run.scans["front"][0]
+    middle = int(np.argmin(np.abs(scan.azimuth_rad)))
+    assert scan.range_m[middle, 0] == pytest.approx(8.0, abs=0.1)
+    assert scan.actor[middle, 0] == 0
+    kinds = {row["event"] for _, _, row in run.events}
+    assert {"Restarted", "CommandHandled"} <= kinds
+
+
+def test_a_strangers_reader_finds_the_same_messages(folder: Path) -> None:
+    run = read_run(folder)
+    with (folder / "run.mcap").open("rb") as file:
+        found = [
+            (message.log_time, message.data)
+            for _, channel, message in make_reader(file).iter_messages(topics=["/front/0/tx"])
+        ]
+    assert found == [(one.start_ns, one.data) for one in run.sent["front", 0].payloads]
+
+
+def test_the_scenario_as_run_lies_beside_and_runs_again_to_the_same_recording(folder: Path, tmp_path: Path) -> None:
+    again = Trial(scenario.load(str(folder / "scenario.yaml")), record=tmp_path / "again")
+    again.finish()
+    again.close()
+    assert differences(read_run(folder), read_run(tmp_path / "again")) == []
+
+
+def test_a_recording_cut_anywhere_is_read_to_the_cut(folder: Path, tmp_path: Path) -> None:
+    whole = (folder / "run.mcap").read_bytes()
+    counts = []
+    for size in range(4000, len(whole) - 2000, len(whole) // 40):
+        cut = tmp_path / "cut.mcap"
+        cut.write_bytes(whole[:size])
+        run = read_run(cut)
+        assert run.cut
+        counts.append(sum(len(wire.payloads) for wire in run.sent.values()))
+    assert counts == sorted(counts)
+    assert counts[-1] > 30
+
+
+def test_a_run_that_is_still_going_can_be_read(tmp_path: Path) -> None:
+    trial = Trial(scenario.loads(CASE, Path("case.yaml")), record=tmp_path / "run")
+    trial.run.advance(600_000_000)
+    run = read_run(tmp_path / "run")
+    assert run.cut
+    last = max(one.start_ns for one in run.sent["front", 0].payloads)
+    assert last > 550_000_000
+    trial.close()
+
+
+@pytest.mark.parametrize("data", [b"", b"\x89MCAP0\r\n", b"hello, no recording", b"\x89MCAP0\r\n" + b"\xff" * 99])
+def test_what_is_no_recording_is_refused(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(data)
+    with pytest.raises(RecordingError, match=r"x\.mcap"):
+        read_run(path)
+    assert main(["diff", str(path), str(path)]) == 2
+
+
+def test_another_version_is_named(folder: Path, tmp_path: Path) -> None:
+    path = tmp_path / "new.mcap"
+    data = (folder / "run.mcap").read_bytes()
+    assert data.count(b"\x06\0\0\0layout\x01\0\0\x001") == 1
+    path.write_bytes(data.replace(b"\x06\0\0\0layout\x01\0\0\x001", b"\x06\0\0\0layout\x01\0\0\x009"))
+    with pytest.raises(RecordingError, match="layout '9'; this version reads 1"):
+        read_run(path)
+
+
+def test_a_folder_with_a_recording_is_not_written_over(folder: Path) -> None:
+    with pytest.raises(RecordingError, match="holds a recording already"):
+        Trial(scenario.loads(CASE, Path("case.yaml")), record=folder)
+
+
+def test_diff_names_the_first_byte_and_beam(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record(tmp_path / "other", seed=4)
+    assert main(["diff", str(folder), str(folder)]) == 0
+    assert "the same" in capsys.readouterr().out
+    assert main(["diff", str(folder), str(tmp_path / "other"), "--json"]) == 1
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert any("byte" in row["what"] and row["where"].startswith("front, link 0, tx") for row in rows)
+    assert any("beam" in row["what"] and "range_m" in row["what"] for row in rows)
+
+
+def test_scans_of_any_bytes_are_read_or_refused() -> None:
+    for data in (b"", b"\0" * 27, struct.pack("<qqiII", 0, 0, 0, 2**31, 2**31), b"\0" * 28 + b"{"):
+        with pytest.raises(ValueError, match=r"recorded scan|bytes for"):
+            decode_scan(data)
+
+
+# ---------------------------------------------------------------- others' formats
+
+FRAMES = [
+    LoggedFrame(1_000_000, 0x60A, bytes.fromhex("03FBF710"), "can0"),
+    LoggedFrame(1_255_000, 0x60B, bytes(range(8)), "can0"),
+    LoggedFrame(3_000_000_000, 0x1ABCDEF0 | 1 << 31, b"", "can0"),
+]
+
+
+def test_candump_lines_are_plain_and_read_back() -> None:
+    text = "".join(map(candump_line, FRAMES))
+    assert text.splitlines()[0] == "(0000000000.001000) can0 60A#03FBF710"
+    assert list(read_candump(text.splitlines())) == FRAMES
+    assert list(read_candump(["", "# x", "(1.5) can0 60A#R", "(1.5) can0 60A##100", "garbage"])) == []
+    assert [one.data for one in read_candump(["(1.5) can0 60A#01 R"])] == [b"\x01"]
+
+
+@pytest.mark.parametrize("suffix", [".blf", ".asc"])
+def test_blf_and_asc_hold_the_same_frames(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"bus{suffix}"
+    write_with_library(path, FRAMES)
+    found = read_with_library(path)
+    assert [(one.peer, one.data) for one in found] == [(one.peer, one.data) for one in FRAMES]
+    gaps = np.diff([one.at_ns for one in found])
+    assert gaps == pytest.approx(np.diff([one.at_ns for one in FRAMES]), abs=1500)
+    with can.LogReader(path) as log:
+        assert sum(1 for _ in log) == 3
+
+
+def test_a_capture_of_a_stream_reads_back_without_repeats(tmp_path: Path) -> None:
+    path = tmp_path / "x.pcapng"
+    writer = PcapngWriter(path, "top")
+    big = bytes(range(256)) * 600
+    writer.add(5, b"hello", True, 49152, 1, False)
+    writer.add(7, b"request", False, 49152, 1, False)
+    writer.add(9, big, True, 49152, 1, False)
+    writer.close()
+    data = path.read_bytes()
+    assert b"".join(part for _, part in stream_of(read_segments(data), 49152)) == b"hello" + big
+    assert stream_of(read_segments(data), 49152)[0] == (5, b"hello")
+    doubled = list(read_segments(data)) + list(read_segments(data))
+    assert b"".join(part for _, part in stream_of(iter(doubled), 49152)) == b"hello" + big
+
+
+def test_a_classic_pcap_with_ethernet_frames_is_read(tmp_path: Path) -> None:
+    # made by hand from the formats' descriptions: Ethernet, IPv4, UDP from port 2111 with two bytes
+    packet = bytes(12) + b"\x08\x00" + bytes.fromhex("4500001e000000004011 0000 7f000001 7f000001".replace(" ", ""))
+    packet += struct.pack(">HHHH", 2111, 5000, 10, 0) + b"hi"
+    head = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
+    path = tmp_path / "x.pcap"
+    path.write_bytes(head + struct.pack("<IIII", 12, 500, len(packet), len(packet)) + packet)
+    assert list(stream_of(read_segments(path.read_bytes()), 2111)) == [(12_000_500_000, b"hi")]
+    assert read_wire(path, port=2111)[0].payloads[0].data == b"hi"
+    with pytest.raises(RecordingError, match="--port"):
+        read_wire(path, port=1)
+
+
+@given(st.binary(max_size=200))
+@settings(max_examples=60)
+def test_any_bytes_behind_a_captures_magic_end_it_quietly(data: bytes) -> None:
+    for magic in (b"\x0a\x0d\x0d\x0a", b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\x3c\x4d"):
+        list(read_segments(magic + data))
+
+
+def test_a_raw_serial_dump_takes_the_time_of_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "dump.bin"
+    path.write_bytes(b"\x02\x80" * 480)
+    wire = read_wire(path, baud=9600)[0]
+    assert wire.kind == "serial"
+    assert wire.payloads[0].end_ns == pytest.approx(1e9, rel=1e-3)
+    assert wire.payloads[0].baud == 9600

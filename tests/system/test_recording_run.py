@@ -1,0 +1,110 @@
+"""Recording and replaying as users do: a killed run, `--record`, `lidaremu replay` to a host."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import serial
+
+from emulator.recording.reader import read_run
+from tests.system.hosts import LmsHost
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def replay(folder: Path, *arguments: str, stdin: int | None = None) -> subprocess.Popen[str]:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "emulator", "replay", *arguments, "--json"],
+        stdin=stdin,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=folder,
+        env=dict(os.environ) | {"PYTHONPATH": str(ROOT)},
+    )
+    assert process.stdout is not None
+    first = process.stdout.readline()
+    assert first, process.communicate()[1]
+    assert json.loads(first)["event"] == "ready"
+    return process
+
+
+@pytest.fixture
+def recording(daemon: Callable[..., object], tmp_path: Path) -> Path:
+    running = daemon("flat_wall", "--record", "rec")
+    with LmsHost(running.path("front")) as host:
+        host.set_baud(38_400)
+        host.stream()
+        for _ in range(6):
+            host.scan()
+    running.process.kill()  # a run that is killed leaves everything up to its last payload
+    running.process.wait()
+    (tmp_path / "lms291").unlink(missing_ok=True)
+    return tmp_path / "rec"
+
+
+def test_a_killed_runs_recording_is_replayed_with_its_gaps_and_its_bytes(recording: Path, tmp_path: Path) -> None:
+    run = read_run(recording)
+    assert run.cut
+    sent = run.sent["front", 0].payloads
+    assert sum(1 for one in sent if one.sweep is not None) >= 6
+    process = replay(tmp_path, "rec", "--link", "front=pty:./again?speed=ignore")
+    with serial.Serial(str(tmp_path / "again"), 38_400, timeout=0.2) as port:
+        began, got = time.monotonic(), b""
+        with contextlib.suppress(serial.SerialException):  # the terminal goes when all is sent
+            while time.monotonic() - began < 30.0:
+                got += port.read(4096)
+        elapsed = time.monotonic() - began
+    out, errors = process.communicate()
+    assert process.returncode == 0, errors
+    assert len(got) > 3000
+    assert b"".join(one.data for one in sent).startswith(got[:-2000])
+    end = json.loads(out.splitlines()[-1])
+    assert end["payloads"] == len(sent)
+    assert end["gap_error_us"]["median"] < 20_000
+    assert elapsed > 0.5 * (sent[-1].end_ns - sent[0].start_ns) * 1e-9
+
+
+def test_a_replay_can_be_stepped_and_looped(recording: Path, tmp_path: Path) -> None:
+    process = replay(tmp_path, "rec", "--link", "front=pty:./again?speed=ignore", "--stepped", stdin=subprocess.PIPE)
+    with serial.Serial(str(tmp_path / "again"), 38_400, timeout=3.0) as port:
+        time.sleep(0.2)
+        assert port.in_waiting == 0
+        assert process.stdin is not None
+        for _ in range(3):
+            process.stdin.write("\n")
+            process.stdin.flush()
+        assert port.read(1) == b"\x06"
+        process.stdin.close()
+        process.wait(timeout=10.0)
+    for pipe in (process.stdout, process.stderr):
+        assert pipe is not None
+        pipe.close()
+    fast = replay(tmp_path, "rec", "--link", "front=pty:./more", "--at-once", "--speed", "50", "--loop", "2")
+    out, errors = fast.communicate(timeout=30.0)
+    assert fast.returncode == 0, errors
+    assert json.loads(out.splitlines()[-1])["rounds"] == 2
+
+
+def test_a_recording_that_is_none_and_a_sensor_that_is_not_in_it_are_told(recording: Path, tmp_path: Path) -> None:
+    for arguments, told in ((["nothing"], "nothing"), (["rec", "--link", "rear=pty:./x"], "front")):
+        done = subprocess.run(
+            [sys.executable, "-m", "emulator", "replay", *arguments],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            env=dict(os.environ) | {"PYTHONPATH": str(ROOT)},
+            timeout=30,
+            check=False,
+        )
+        assert done.returncode == 2
+        assert told in done.stderr
+        assert "Traceback" not in done.stderr
