@@ -43,6 +43,8 @@ def load(path: Path, up: Literal["y", "z"] | None, scale: float, where: str) -> 
         raise SceneError(f"{where}: {path.name}: does not fit in memory; want a smaller mesh") from None
     except Exception as exc:  # readers of broken files fail in every way there is
         reason = " ".join(str(exc).split()) or type(exc).__name__
+        if isinstance(exc, ModuleNotFoundError) and exc.name == "charset_normalizer":
+            reason = "neither binary nor text in UTF-8"  # trimesh would have a library guess the encoding
         told = f"{where}: {path.name}: cannot be read ({reason[:200]})"
         raise SceneError(f"{told}; want a mesh in {suffix[1:]} format") from exc
     if len(faces) == 0:

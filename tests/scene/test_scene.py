@@ -127,6 +127,7 @@ def test_an_obj_file_has_its_materials_or_groups_as_parts(tmp_path: Path) -> Non
         ("a.glb", b"", "cannot be read"),
         ("a.gltf", b"{not json", "cannot be read"),
         ("a.stl", b"solid x\nfacet nonsense", ""),
+        ("a.stl", b"solid garbage \x00\xff" * 30, "cannot be read (neither binary nor text in UTF-8)"),
         ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n", "cannot be read"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\n", "no triangles"),
         ("a.obj", b"", ""),
