@@ -128,7 +128,8 @@ def run(
     """Open every link of SCENARIO and answer hosts until SIGINT, SIGTERM or --duration.
 
     After `--` a COMMAND may follow: it is started once every link accepts a host, with the path or address of each
-    sensor's first link in the variable LIDAREMU_<SENSOR>, and the run ends with it.
+    sensor's first link in the variable LIDAREMU_<SENSOR>, and the run ends with it. With --json its standard output
+    goes to standard error.
     """
     if shim and not command:
         raise click.UsageError("--shim wants the driver's command: lidaremu run SCENARIO --shim -- ./driver ARGS")
@@ -161,7 +162,7 @@ def run(
             if command:
                 linked = [item for item in instruments if item.links]
                 environment |= {variable_of(item.sensor): place_of(item.links[0].url) for item in linked}
-                driver = start_driver(command, environment)
+                driver = start_driver(command, environment, as_json)
             daemon.run(until_ns, None if driver is None else lambda: driver.poll() is None)
     finally:
         daemon.close()
@@ -193,10 +194,10 @@ def place_of(url: str) -> str:
     return url.partition(":")[2].partition("?")[0]
 
 
-def start_driver(command: Sequence[str], environment: dict[str, str]) -> subprocess.Popen[bytes]:
-    """The driver under test as a child process."""
+def start_driver(command: Sequence[str], environment: dict[str, str], as_json: bool) -> subprocess.Popen[bytes]:
+    """The driver under test as a child process; what it prints must not come between our JSON objects."""
     try:
-        return subprocess.Popen(list(command), env=environment)
+        return subprocess.Popen(list(command), env=environment, stdout=sys.stderr.fileno() if as_json else None)
     except OSError as error:
         raise EmulatorError(f"cannot start {command[0]}: {error.strerror}") from None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import socket
@@ -142,6 +143,9 @@ def test_a_driver_given_on_the_command_line_runs_with_the_run(tmp_path: Path) ->
     killed = command("run", "flat_wall", "--", "sh", "-c", "kill -9 $$", cwd=tmp_path)
     assert killed.returncode == 1
     assert "sh ended with signal 9" in killed.stderr
+    talking = command("run", "flat_wall", "--json", "--", "echo", "a line of the driver", cwd=tmp_path)
+    assert [json.loads(line)["event"] for line in talking.stdout.splitlines()] == ["ready", "stopped"]
+    assert "a line of the driver" in talking.stderr
     missing = command("run", "flat_wall", "--", "./no-such-driver", cwd=tmp_path)
     assert missing.returncode == 2
     assert "no-such-driver" in missing.stderr
