@@ -85,6 +85,10 @@ def test_check_in_json_has_every_fault(tmp_path: Path, capsys: pytest.CaptureFix
         ["list", "device"],
         ["list", "device", "nope"],
         ["look", "pty:./nobody", "--family", "nope"],
+        ["look", "nobody"],
+        ["look", "tcp:127.0.0.1"],
+        ["look", "tcp:127.0.0.1:99999"],
+        ["look", "tcp:127.0.0.1:0"],
         ["demo", "--sensor", "nobody"],
     ],
 )

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import serial
 
-from emulator.errors import LinkError
+from emulator.errors import EmulatorError, LinkError
 
 
 class Line(ABC):
@@ -49,7 +49,8 @@ class SerialLine(Line):
         try:
             self._port = serial.Serial(os.path.realpath(path), baud, timeout=0, exclusive=False)
         except (serial.SerialException, OSError, ValueError) as error:
-            raise LinkError(f"cannot open {path}: {error}") from None
+            number = getattr(error, "errno", None)
+            raise LinkError(f"cannot open {path}: {os.strerror(number) if number else error}") from None
 
     def fileno(self) -> int:
         return int(self._port.fileno())
@@ -80,7 +81,7 @@ class SocketLine(Line):
         try:
             self._socket = socket.create_connection((host, port), timeout=5.0)
         except OSError as error:
-            raise LinkError(f"cannot connect to {host}:{port}: {error}") from None
+            raise LinkError(f"cannot connect to {host}:{port}: {error.strerror or error}") from None
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def fileno(self) -> int:
@@ -113,9 +114,9 @@ def open_line(url: str, baud: int) -> Line:
         return SerialLine(place, baud)
     if separator and scheme == "tcp":
         host, _, port = place.rpartition(":")
-        if not port.isdigit():
-            raise LinkError(f"{url}: no port; want tcp:HOST:PORT")
+        if not (port.isascii() and port.isdecimal() and 1 <= int(port[:6]) <= 65535):
+            raise EmulatorError(f"{url}: port {port!r}; want tcp:HOST:PORT, a port of 1..65535")
         return SocketLine(host.strip("[]") or "127.0.0.1", int(port))
     if Path(url).exists():
         return SerialLine(url, baud)
-    raise LinkError(f"{url}: a host connects to pty:PATH, serial:DEVICE or tcp:HOST:PORT")
+    raise EmulatorError(f"{url}: a host connects to pty:PATH, serial:DEVICE or tcp:HOST:PORT")
