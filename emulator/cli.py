@@ -18,6 +18,7 @@ import click
 
 from emulator import __version__
 from emulator.commands.common import CANNOT_RUN, FAILED, LINK_LOST, OK, load_scenario, note, say, scenario_options
+from emulator.commands.ctl import control_of, ctl
 from emulator.commands.recordings import diff, recorder_for, replay
 from emulator.commands.test import test
 from emulator.errors import EmulatorError, LinkError
@@ -108,6 +109,7 @@ def check(
 @click.option("--workers", type=click.IntRange(min=1), help="Measuring processes (default: cores less one).")
 @click.option("--clock", type=click.Choice(["real", "virtual"]), default="real", help="virtual: as fast as hosts read.")
 @click.option("--speed", type=click.FloatRange(min=0.001), metavar="X", help="Virtual clock at X times real time.")
+@click.option("--control", type=click.Path(path_type=Path), metavar="PATH", help="Control socket.")
 @click.option("--record", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="Record into DIR.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line on standard output.")
 @click.option("--shim", is_flag=True, help="Give COMMAND the preload shim for drivers that set 500 kBd by TIOCSSERIAL.")
@@ -121,6 +123,7 @@ def run(
     workers: int | None,
     clock: str,
     speed: float | None,
+    control: Path | None,
     record: Path | None,
     as_json: bool,
     shim: bool,
@@ -151,12 +154,14 @@ def run(
         daemon, instruments = assembly.start(loaded, real, workers)
     daemon.on_failure = note
     recorder = recorder_for(loaded, instruments, record)
+    server = None
     driver: subprocess.Popen[bytes] | None = None
     try:
         with daemon.signals():
             real.restart()
+            server = control_of(daemon, instruments, real, recorder, control)
             daemon.power_on()
-            announce_ready(loaded, instruments, as_json)
+            announce_ready(loaded, instruments, as_json, server.url)
             until = duration if duration is not None else loaded.duration_s
             until_ns = None if until is None else int(until * 1e9)
             if command:
@@ -165,6 +170,8 @@ def run(
                 driver = start_driver(command, environment, as_json)
             daemon.run(until_ns, None if driver is None else lambda: driver.poll() is None)
     finally:
+        if server is not None:
+            server.close()
         daemon.close()
         if recorder is not None:
             recorder.close()
@@ -215,7 +222,7 @@ def end_driver(driver: subprocess.Popen[bytes]) -> int:
     return driver.returncode
 
 
-def announce_ready(scenario: Scenario, instruments: Sequence[Instrument], as_json: bool) -> None:
+def announce_ready(scenario: Scenario, instruments: Sequence[Instrument], as_json: bool, control: str) -> None:
     """Say where hosts can connect; every link accepts one by now."""
     models = {sensor.id: sensor.model for sensor in scenario.sensors}
     if as_json:
@@ -223,7 +230,7 @@ def announce_ready(scenario: Scenario, instruments: Sequence[Instrument], as_jso
             {"id": item.sensor, "model": models[item.sensor], "links": [link.url for link in item.links]}
             for item in instruments
         ]
-        say(json.dumps({"event": "ready", "sensors": sensors, "control": None}))
+        say(json.dumps({"event": "ready", "sensors": sensors, "control": control}))
         return
     for item in instruments:
         for link in item.links:
@@ -250,7 +257,8 @@ def announce_end(instruments: Sequence[Instrument], as_json: bool) -> None:
             )
         for link in total["links"]:
             if link["payloads_dropped"]:
-                say(f"{total['id']}: {link['payloads_dropped']} payloads not sent on {link['url']}: a host reads too slowly")
+                count = link["payloads_dropped"]
+                say(f"{total['id']}: {count} payloads not sent: a host reads {link['url']} too slowly")
         ignored = ", ".join(f"{count} {reason}" for reason, count in total["input_dropped"].items())
         if ignored:
             say(f"{total['id']}: input not taken: {ignored}")
@@ -317,7 +325,7 @@ def list_(what: str, name: str | None, as_json: bool) -> int:
     return OK
 
 
-for command in (test, replay, diff):
+for command in (test, replay, diff, ctl):
     commands.add_command(command)
 
 __all__ = ["CANNOT_RUN", "OK", "LinkError", "entry", "main"]

@@ -13,8 +13,9 @@ import select
 import selectors
 import signal
 import socket
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from types import FrameType
 from typing import Any
@@ -57,6 +58,11 @@ class Daemon:
         self._watched: dict[int, tuple[int, ...]] = {}
         self._watch_state: dict[int, tuple[int, tuple[int, ...]]] = {}
         self._wake: dict[int, int | None] = {}
+        self._orders: deque[tuple[Callable[[], object], Future[object]]] = deque()
+        self._bell, self._ring = socket.socketpair()
+        self._bell.setblocking(False)
+        self._ring.setblocking(False)
+        self._selector.register(self._bell, selectors.EVENT_READ, "orders")
         self._lost: set[int] = set()
         self.lost_links: list[str] = []
         self.failures: Counter[str] = Counter()
@@ -65,6 +71,24 @@ class Daemon:
     def stop(self) -> None:
         """End the run after the present step; safe in a signal handler."""
         self._stop = True
+
+    def call(self, action: Callable[[], object]) -> Future[object]:
+        """Have something done between two steps, in this run's own thread; called from other threads."""
+        done: Future[object] = Future()
+        self._orders.append((action, done))
+        with contextlib.suppress(OSError):  # rung already, or all is over
+            self._ring.send(b".")
+        return done
+
+    def _take_orders(self) -> None:
+        with contextlib.suppress(OSError):
+            self._bell.recv(4096)
+        while self._orders:
+            action, done = self._orders.popleft()
+            try:
+                done.set_result(action())
+            except Exception as error:
+                done.set_exception(error)
 
     @contextlib.contextmanager
     def signals(self) -> Iterator[None]:
@@ -168,6 +192,8 @@ class Daemon:
         for key in self._ready(timeout_s):
             if key.data == "workers":
                 self._take_results()
+            elif key.data == "orders":
+                self._take_orders()
             elif isinstance(key.data, int):
                 self._wake[key.data] = self._clock.now_ns()
 
@@ -219,6 +245,8 @@ class Daemon:
         if self._workers is not None:
             self._workers.close()
         self._selector.close()
+        self._bell.close()
+        self._ring.close()
 
 
 @dataclass(frozen=True)

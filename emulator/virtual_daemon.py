@@ -111,9 +111,16 @@ class VirtualDaemon:
             for number, action in old.items():
                 signal.signal(number, action)
 
+    @property
+    def speed(self) -> float | None:
+        """Virtual seconds a real one; None: as fast as hosts read."""
+        return self._speed
+
     def rebase(self, speed: float | None) -> None:
         """Another speed from now on."""
         self._speed = speed
+        for link in self.links:
+            link.hold = speed is None
         self._anchor = (self._real.now_ns(), self.now_ns)
 
     def late_ns(self, virtual_ns: int) -> int:

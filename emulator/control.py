@@ -1,0 +1,263 @@
+"""Orders to a running daemon: JSON-RPC 2.0, one object a line, on a Unix socket that its owner alone can open.
+
+    {"jsonrpc": "2.0", "id": 1, "method": "status"}
+    {"jsonrpc": "2.0", "id": 1, "result": {"clock": "real", "now_s": 12.5, ...}}
+
+Belongs here: the server and its client. Not: what the methods do (orders). The server waits in a thread of its own;
+what an order does is done by the run's own thread, between two steps. Garbage is answered with an error; a client that
+sends too much, or never reads, is hung up on; the run goes on in any case.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import selectors
+import socket
+import tempfile
+import threading
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as TookTooLong
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from emulator.errors import EmulatorError, LinkError
+
+LONGEST_LINE = 65_536
+MOST_UNREAD = 1 << 18
+MOST_CLIENTS = 16
+PATIENCE_S = 60.0
+
+PARSE, INVALID, NO_METHOD, BAD_PARAMS, REFUSED = -32700, -32600, -32601, -32602, -32000
+
+
+class OrderError(Exception):
+    """An order that is not carried out; code and text of the answer."""
+
+    def __init__(self, code: int, text: str) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+class Controlled(Protocol):
+    """What a run offers: the methods of the list, each called in the run's thread."""
+
+    def call(self, action: Callable[[], object]) -> Future[object]: ...
+
+
+Method = Callable[[Mapping[str, Any]], object]
+
+
+@dataclass
+class _Client:
+    connection: socket.socket
+    text: bytes = b""
+    unread: bytes = b""
+
+
+def default_folder() -> Path:
+    """Where sockets lie: of this user, and readable by nobody else."""
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    folder = Path(runtime) / "lidaremu" if runtime else Path(tempfile.gettempdir()) / f"lidaremu-{os.getuid()}"
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    found = folder.stat()
+    if found.st_uid != os.getuid() or found.st_mode & 0o077:
+        raise LinkError(f"{folder}: not a folder of this user alone; want its owner and mode 0700")
+    return folder
+
+
+@dataclass
+class ControlServer:
+    """Serves a run's methods until closed."""
+
+    path: Path
+    methods: Mapping[str, Method]
+    run: Controlled
+    _clients: dict[int, _Client] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        old = os.umask(0o177)
+        try:
+            with contextlib.suppress(FileNotFoundError):
+                if not _answers(self.path):
+                    self.path.unlink()
+            self._listener.bind(str(self.path))
+        except OSError as error:
+            self._listener.close()
+            raise LinkError(f"{self.path}: cannot listen for control: {error.strerror or error}") from None
+        finally:
+            os.umask(old)
+        self._listener.listen(8)
+        self._listener.setblocking(False)
+        self._bell, self._ring = socket.socketpair()
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._listener, selectors.EVENT_READ)
+        self._selector.register(self._bell, selectors.EVENT_READ)
+        self._closing = False
+        self._thread = threading.Thread(target=self._serve, name="lidaremu-control", daemon=True)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """As told in `ready`."""
+        return f"unix:{self.path}"
+
+    def close(self) -> None:
+        """End the server and remove its socket; may be called twice."""
+        if self._closing:
+            return
+        self._closing = True
+        self._ring.send(b".")
+        self._thread.join(2.0)
+        with contextlib.suppress(OSError):
+            self.path.unlink()
+        for client in list(self._clients.values()):
+            client.connection.close()
+        for one in (self._listener, self._bell, self._ring):
+            one.close()
+        self._selector.close()
+
+    def _serve(self) -> None:
+        while not self._closing:
+            for key, mask in self._selector.select():
+                if key.fileobj is self._listener:
+                    self._accept()
+                elif key.fileobj is not self._bell:
+                    client = self._clients.get(key.fd)
+                    if client is not None:
+                        self._attend(client, mask)
+
+    def _accept(self) -> None:
+        try:
+            connection, _ = self._listener.accept()
+        except OSError:
+            return
+        if len(self._clients) >= MOST_CLIENTS:
+            connection.close()
+            return
+        connection.setblocking(False)
+        self._clients[connection.fileno()] = _Client(connection)
+        self._selector.register(connection, selectors.EVENT_READ)
+
+    def _attend(self, client: _Client, mask: int) -> None:
+        try:
+            if mask & selectors.EVENT_WRITE:
+                self._flush(client)
+            if mask & selectors.EVENT_READ:
+                data = client.connection.recv(LONGEST_LINE)
+                if not data:
+                    self._hang_up(client)
+                    return
+                client.text += data
+                self._answer_lines(client)
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._hang_up(client)
+
+    def _answer_lines(self, client: _Client) -> None:
+        while b"\n" in client.text and len(client.unread) <= MOST_UNREAD:
+            line, _, client.text = client.text.partition(b"\n")
+            answer = self.answer(line) if line.strip() else None
+            if answer is not None:
+                client.unread += json.dumps(answer).encode() + b"\n"
+        if len(client.text) > LONGEST_LINE or len(client.unread) > MOST_UNREAD:
+            self._hang_up(client)
+            return
+        self._flush(client)
+
+    def _flush(self, client: _Client) -> None:
+        with contextlib.suppress(BlockingIOError):
+            while client.unread:
+                client.unread = client.unread[client.connection.send(client.unread) :]
+        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if client.unread else 0)
+        self._selector.modify(client.connection, events)
+
+    def _hang_up(self, client: _Client) -> None:
+        self._clients.pop(client.connection.fileno(), None)
+        self._selector.unregister(client.connection)
+        client.connection.close()
+
+    def answer(self, line: bytes) -> dict[str, Any] | None:
+        """The answer to one line; None to a notification."""
+        number: Any = None
+        try:
+            request = _request(line)
+            number = request.get("id")
+            result = self._obey(request)
+        except OrderError as error:
+            return {"jsonrpc": "2.0", "id": number, "error": {"code": error.code, "message": str(error)}}
+        return None if "id" not in request else {"jsonrpc": "2.0", "id": number, "result": result}
+
+    def _obey(self, request: Mapping[str, Any]) -> object:
+        method = self.methods.get(request["method"])
+        if method is None:
+            raise OrderError(NO_METHOD, f"method {request['method']!r}; want one of {', '.join(self.methods)}")
+        params = request.get("params", {})
+        if not isinstance(params, dict):
+            raise OrderError(BAD_PARAMS, "params; want a table of names and values")
+        done = self.run.call(lambda: method(params))
+        try:
+            return done.result(PATIENCE_S)
+        except OrderError:
+            raise
+        except TookTooLong:
+            raise OrderError(REFUSED, f"not done within {PATIENCE_S:g} s") from None
+        except (EmulatorError, ValueError, TypeError, RuntimeError) as error:
+            raise OrderError(REFUSED, str(error)) from None
+
+
+def _request(line: bytes) -> dict[str, Any]:
+    try:
+        request = json.loads(line)
+    except (ValueError, RecursionError):
+        raise OrderError(PARSE, "not JSON; want one object a line") from None
+    if not isinstance(request, dict) or not isinstance(request.get("method"), str):
+        raise OrderError(INVALID, 'not a request; want {"jsonrpc": "2.0", "id": 1, "method": "status"}')
+    return request
+
+
+def _answers(path: Path) -> bool:
+    """Whether somebody listens there."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        try:
+            probe.connect(str(path))
+        except ConnectionRefusedError:
+            return False
+        return True
+
+
+def ask(path: Path, method: str, params: Mapping[str, Any]) -> object:
+    """One order to a daemon; its result. `EmulatorError` has the daemon's own words; `LinkError`: none answers."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
+        connection.settimeout(PATIENCE_S + 5.0)
+        try:
+            connection.connect(str(path))
+            request = {"jsonrpc": "2.0", "id": 1, "method": method, "params": dict(params)}
+            connection.sendall(json.dumps(request).encode() + b"\n")
+            text = b""
+            while not text.endswith(b"\n"):
+                data = connection.recv(65_536)
+                if not data:
+                    raise LinkError(f"{path}: the daemon hung up")
+                text += data
+        except OSError as error:
+            raise LinkError(f"{path}: no daemon answers: {error.strerror or error}") from None
+    answer = json.loads(text)
+    if "error" in answer:
+        raise EmulatorError(answer["error"]["message"])
+    return answer["result"]
+
+
+def running() -> list[Path]:
+    """Sockets of this user's daemons that answer."""
+    found = []
+    for path in sorted(default_folder().glob("*.sock")):
+        with contextlib.suppress(OSError):
+            if _answers(path):
+                found.append(path)
+    return found
