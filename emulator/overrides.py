@@ -104,7 +104,7 @@ def _index(items: list[Any], part: str, label: str, where: str) -> int:
     names = [item.get("id") if isinstance(item, dict) else None for item in items]
     if part in names:
         return names.index(part)
-    if part.isdigit() and int(part) < len(items):
+    if part.isdecimal() and int(part) < len(items):
         return int(part)
     known = [name for name in names if isinstance(name, str)]
     near = difflib.get_close_matches(part, known, n=1)

@@ -298,7 +298,7 @@ class Scenario(_Table):
 
     def label(self, key: str) -> str:
         """`file:line: dotted.key`, the beginning of a message about that key (`sensors.0.device.unit`)."""
-        loc = tuple(int(part) if part.isdigit() else part for part in key.split("."))
+        loc = tuple(int(part) if part.isdecimal() else part for part in key.split("."))
         return f"{self._source.place(loc)}: {self._source.dotted(loc)}"
 
     def fault(self, key: str, found: object, allowed: str) -> ScenarioError:
@@ -398,7 +398,7 @@ def _in_file_order(told: Sequence[str]) -> list[str]:
 
     def line(text: str) -> tuple[str, int]:
         file, _, number = text.partition(": ")[0].rpartition(":")
-        return (file, int(number)) if number.isdigit() else ("", 0)
+        return (file, int(number)) if number.isdecimal() else ("", 0)
 
     return sorted(first.values(), key=line)
 

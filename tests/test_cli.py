@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from emulator.cli import CANNOT_RUN, OK, main, place_of, variable_of
+from emulator.commands.common import LINK_LOST
 
 SCENARIO = """\
 schema: 1
@@ -85,6 +86,8 @@ def test_check_in_json_has_every_fault(tmp_path: Path, capsys: pytest.CaptureFix
         ["list", "device"],
         ["list", "device", "nope"],
         ["look", "pty:./nobody", "--family", "nope"],
+        ["run", "flat_wall", "--link", "front=tcp:127.0.0.1:²"],
+        ["run", "flat_wall", "--set", "sensors.².model=x"],
         ["look", "nobody"],
         ["look", "tcp:127.0.0.1"],
         ["look", "tcp:127.0.0.1:99999"],
@@ -130,6 +133,11 @@ def test_every_key_of_a_models_device_table_is_listed_with_what_it_takes(
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert len(rows) > 10
     assert all(row["key"] and row["allowed"] and row["meaning"] for row in rows)
+
+
+def test_a_host_whose_name_cannot_be_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["look", f"tcp:{'a' * 300}:80"]) == LINK_LOST
+    assert "not a host's name" in capsys.readouterr().err
 
 
 def test_a_picture_without_matplotlib_is_refused_before_the_device_is_asked(

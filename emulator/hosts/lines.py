@@ -80,6 +80,8 @@ class SocketLine(Line):
     def __init__(self, host: str, port: int) -> None:
         try:
             self._socket = socket.create_connection((host, port), timeout=5.0)
+        except UnicodeError:  # a name that no name server could have
+            raise LinkError(f"cannot connect to {host}:{port}: not a host's name") from None
         except OSError as error:
             raise LinkError(f"cannot connect to {host}:{port}: {error.strerror or error}") from None
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
