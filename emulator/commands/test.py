@@ -50,8 +50,14 @@ class Result:
 
 
 @click.command()
-@click.argument("scenarios", nargs=-1, required=True, metavar="SCENARIO...")
+@click.argument("scenarios", nargs=-1, metavar="SCENARIO...")
 @scenario_options
+@click.option(
+    "--examples",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="DIR",
+    help="Write fifty small scenarios with known answers into DIR, and run them.",
+)
 @click.option("--jobs", type=click.IntRange(min=1), help="Scenarios at once (default: cores).")
 @click.option("--workers", type=click.IntRange(min=0), default=0, help="Measuring processes a scenario (0: in place).")
 @click.option("--duration", type=click.FloatRange(min=0.0, min_open=True), metavar="S", help="Instead of the files'.")
@@ -63,6 +69,7 @@ def test(
     overrides: Sequence[str],
     seed: int | None,
     links: Sequence[str],
+    examples: Path | None,
     jobs: int | None,
     workers: int,
     duration: float | None,
@@ -77,6 +84,10 @@ def test(
     if duration is not None:
         overrides = (*overrides, f"duration_s={duration}")
     names = list(_files(scenarios))
+    if examples is not None:
+        names += _examples(examples)
+    if not names:
+        raise click.UsageError("no scenario; want SCENARIO... or --examples DIR")
     one = partial(_outcome, overrides=overrides, seed=seed, links=links, workers=workers, record=record)
     results = []
     for result in _all(names, one, jobs or len(os.sched_getaffinity(0))):
@@ -103,6 +114,15 @@ def _files(scenarios: Sequence[str]) -> Iterator[str]:
         if not found:
             raise click.BadParameter(f"{name}: no .yaml file in this folder", param_hint="SCENARIO")
         yield from map(str, found)
+
+
+def _examples(folder: Path) -> list[str]:
+    from emulator.examples import write
+
+    try:
+        return list(map(str, write(folder)))
+    except OSError as error:
+        raise EmulatorError(f"{folder}: cannot write: {error.strerror}") from None
 
 
 def _outcome(
@@ -152,6 +172,11 @@ def _tell(result: Result) -> None:
         f"{result.scenario}: {result.verdict}: {held} of {len(found.judgements)} expectations,"
         f" {found.duration_s:g} s in {result.real_s:.2f} s, sha256 {found.sha256[:16]}"
     )
+    for sensor in found.sensors:
+        if "objects" in sensor:
+            all_ = sensor["objects"]["total"]
+            figures = [f"{key} {all_[key]}" for key in ("precision", "recall", "position_m", "size_m", "speed_m_s")]
+            say(f"  {sensor['id']}: {sensor['objects']['lists']} object lists: {', '.join(figures)}")
     for item in found.judgements:
         if not item.held:
             say(f"  {item.name}: {item.found}; expected {item.wanted}")
