@@ -260,7 +260,8 @@ class SurfaceTable:
         """
         index = np.asarray(index)
         c = np.minimum(np.abs(floats(cosine)), 1.0)
-        result = self.rho[index] * c
+        with np.errstate(under="ignore"):  # what reflects 1e-300 is black
+            result = self.rho[index] * c
         for model in {m.model for m in self.materials} & {"oren_nayar", "phong", "ggx", "coated", "retro"}:
             chosen = np.array([m.model == model for m in self.materials])[index]
             if not bool(np.any(chosen)):

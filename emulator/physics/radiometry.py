@@ -171,9 +171,10 @@ def fill_sphere(a_m: Values, w_m: Values) -> Floats:
     small = np.minimum(s, 0.02)
     term = 2.0 * small / 3.0
     near = np.zeros_like(small)
-    for k in range(8):  # sum of (-1)^k (2s)^(k+1) / (2k+3)!!
-        near = near + term
-        term = -term * 2.0 * small / (2 * k + 5)
+    with np.errstate(under="ignore"):  # late terms of a speck are nothing beside its first
+        for k in range(8):  # sum of (-1)^k (2s)^(k+1) / (2k+3)!!
+            near = near + term
+            term = -term * 2.0 * small / (2 * k + 5)
     return np.where(s < 0.02, near, far)
 
 
