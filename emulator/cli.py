@@ -19,6 +19,7 @@ import click
 from emulator import __version__
 from emulator.commands.common import CANNOT_RUN, FAILED, LINK_LOST, OK, load_scenario, note, say, scenario_options
 from emulator.commands.ctl import control_of, ctl
+from emulator.commands.doctor import doctor
 from emulator.commands.recordings import diff, recorder_for, replay
 from emulator.commands.test import test
 from emulator.errors import EmulatorError, LinkError
@@ -240,6 +241,7 @@ def announce_ready(scenario: Scenario, instruments: Sequence[Instrument], as_jso
 def announce_end(instruments: Sequence[Instrument], as_json: bool) -> None:
     """Say what each sensor did: scans sent, dropped, rate, lateness of sends."""
     from emulator.daemon import summary
+    from emulator.object_metrics import told
 
     totals = [summary(item) for item in instruments]
     if as_json:
@@ -262,6 +264,9 @@ def announce_end(instruments: Sequence[Instrument], as_json: bool) -> None:
         ignored = ", ".join(f"{count} {reason}" for reason, count in total["input_dropped"].items())
         if ignored:
             say(f"{total['id']}: input not taken: {ignored}")
+        if "objects" in total:
+            for line in told(total["objects"]):
+                say(f"{total['id']}: {line}")
 
 
 # ---------------------------------------------------------------- hosts of our own
@@ -325,7 +330,7 @@ def list_(what: str, name: str | None, as_json: bool) -> int:
     return OK
 
 
-for command in (test, replay, diff, ctl):
+for command in (test, replay, diff, ctl, doctor):
     commands.add_command(command)
 
 __all__ = ["CANNOT_RUN", "OK", "LinkError", "entry", "main"]

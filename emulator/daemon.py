@@ -26,6 +26,7 @@ from emulator.clock import Clock
 from emulator.errors import LinkError
 from emulator.instrument import Instrument
 from emulator.measuring import Workers
+from emulator.metrics import histogram
 
 LATENESS_KEPT = 200_000
 "Sends of which the lateness is kept for the report; an hour of one LMS291 at 37.5 Hz with its replies is 135 000."
@@ -275,6 +276,7 @@ def summary(instrument: Instrument) -> dict[str, Any]:
     def number(value: float) -> float | None:
         return None if value != value else round(value, 4)
 
+    judged = {} if stats.objects is None else {"objects": stats.objects.as_json()}
     return {
         "id": instrument.sensor,
         "scans_sent": stats.scans_sent,
@@ -289,6 +291,7 @@ def summary(instrument: Instrument) -> dict[str, Any]:
             "median": number(late.median_us),
             "p99": number(late.p99_us),
             "worst": number(late.worst_us),
+            "histogram": [list(row) for row in histogram(stats.lateness_ns) if row[1]],
         },
         "links": [
             {
@@ -301,7 +304,7 @@ def summary(instrument: Instrument) -> dict[str, Any]:
             }
             for link in instrument.links
         ],
-    }
+    } | judged
 
 
 def worker_count(sensors: int) -> int:

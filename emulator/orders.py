@@ -9,6 +9,7 @@ from emulator.clock import Clock
 from emulator.control import BAD_PARAMS, REFUSED, Method, OrderError
 from emulator.daemon import Daemon, summary
 from emulator.instrument import Instrument
+from emulator.metrics import prometheus
 from emulator.virtual_daemon import VirtualDaemon
 
 LONGEST_STEP_S = 3600.0
@@ -47,6 +48,7 @@ class Orders:
         """Name -> method."""
         return {
             "status": self.status,
+            "metrics": self.metrics,
             "pause": self.pause,
             "resume": self.resume,
             "step": self.step,
@@ -76,6 +78,11 @@ class Orders:
             "paused": self._daemon.paused if isinstance(self._daemon, VirtualDaemon) else False,
             "sensors": [summary(one) for one in self._instruments],
         }
+
+    def metrics(self, params: Mapping[str, Any]) -> object:
+        """Counters and the histogram of lateness as Prometheus text."""
+        _taken(params)
+        return prometheus(self._instruments)
 
     def pause(self, params: Mapping[str, Any]) -> object:
         """Virtual time stands."""

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from emulator.recording.writer import Recorder
     from emulator.virtual_daemon import VirtualDaemon
 
-ORDERS = ("status", "pause", "resume", "step", "speed", "stop")
+ORDERS = ("status", "metrics", "pause", "resume", "step", "speed", "stop")
 
 
 def control_of(
@@ -44,7 +44,7 @@ def control_of(
 @click.argument("parameters", nargs=-1, metavar="[NAME=VALUE]...")
 @click.option("--socket", "path", type=click.Path(path_type=Path), help="As told in `ready`; default: the only daemon.")
 def ctl(order: str, parameters: tuple[str, ...], path: Path | None) -> int:
-    """Tell a running daemon: status, stop, and on a virtual clock pause, resume, step [scans=N | seconds=S],
+    """Tell a running daemon: status, metrics, stop, and on a virtual clock pause, resume, step [scans=N | seconds=S],
     speed x=X (0: as fast as hosts read).
     """
     from emulator import control
@@ -64,5 +64,6 @@ def ctl(order: str, parameters: tuple[str, ...], path: Path | None) -> int:
             told = "; ".join(map(str, found)) or "none runs"
             raise LinkError(f"which daemon? {told}; want --socket PATH")
         path = found[0]
-    say(json.dumps(control.ask(Path(str(path).removeprefix("unix:")), order, params)))
+    result = control.ask(Path(str(path).removeprefix("unix:")), order, params)
+    say(result.rstrip() if isinstance(result, str) else json.dumps(result))
     return OK

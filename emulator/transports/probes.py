@@ -10,6 +10,7 @@ import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fcntl import ioctl
+from pathlib import Path
 
 from serial.tools import list_ports
 
@@ -87,6 +88,24 @@ def probe_multicast() -> Probe:
     return Probe("multicast on 127.0.0.1", came, "a datagram came back" if came else "no datagram came back")
 
 
+ARPHRD_CAN = "280"
+"linux/if_arp.h: type of a CAN interface under /sys/class/net."
+
+
+def probe_socketcan() -> Probe:
+    """Whether the kernel speaks CAN, and its interfaces; socketcand and slcan need neither."""
+    try:
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+    except (OSError, AttributeError) as error:
+        return Probe("SocketCAN", False, f"not in this kernel ({error}); socketcand: and slcan: links need none")
+    names = []
+    for folder in Path("/sys/class/net").glob("*"):
+        with contextlib.suppress(OSError):
+            if (folder / "type").read_text().strip() == ARPHRD_CAN:
+                names.append(folder.name)
+    return Probe("SocketCAN", bool(names), ", ".join(sorted(names)) or "in the kernel, but no interface is set up")
+
+
 def probe_adapters() -> Probe:
     """The serial ports of this machine."""
     ports = sorted(f"{port.device} ({port.description})" for port in list_ports.comports())
@@ -100,6 +119,7 @@ def probe_links(environment: Mapping[str, str]) -> tuple[Probe, ...]:
         probe_open_watch,
         lambda: probe_compiler(environment),
         probe_multicast,
+        probe_socketcan,
         probe_adapters,
     )
     return tuple(question() for question in questions)

@@ -14,7 +14,7 @@ from emulator.transports.probes import Probe, probe_compiler, probe_links, probe
 def test_every_question_gets_an_answer_and_nothing_stays_open() -> None:
     before = len(os.listdir("/proc/self/fd"))
     answers = probe_links(os.environ)
-    assert len({answer.name for answer in answers}) == 5
+    assert len({answer.name for answer in answers}) == 6
     assert all(answer.detail for answer in answers)
     assert len(os.listdir("/proc/self/fd")) == before
 

@@ -1,0 +1,39 @@
+"""`lidaremu doctor`: what this machine allows."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict
+
+import click
+
+from emulator.commands.common import OK, say
+
+
+@click.command()
+@click.option("--seconds", type=click.FloatRange(0.1, 600.0), default=3.0, show_default=True, help="For the timers.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
+def doctor(seconds: float, as_json: bool) -> int:
+    """What this machine allows: pseudo-terminals and their speeds, multicast, SocketCAN, adapters, timers."""
+    from emulator.pacing_trial import measure
+    from emulator.transports.probes import Probe, probe_links
+
+    cores = len(os.sched_getaffinity(0))
+    probes = [Probe("processor cores", cores > 1, f"{cores}: one sends, {max(1, cores - 1)} measure")]
+    probes += probe_links(os.environ)
+    found = measure(seconds)
+    ours, other = found.ours, found.asyncio_sleep
+    steady = ours.median_us <= 50.0 and ours.p99_us <= 1500.0
+    detail = (
+        f"{ours.count} deadlines at 75 Hz: median {ours.median_us:.0f} us, p99 {ours.p99_us:.0f} us, worst"
+        f" {ours.worst_us:.0f} us; asyncio.sleep at the same time: {other.median_us:.0f}, {other.p99_us:.0f},"
+        f" {other.worst_us:.0f}; wanted on an idle machine: median 50, p99 1500"
+    )
+    probes.append(Probe("timers", steady, detail))
+    for probe in probes:
+        if as_json:
+            say(json.dumps(asdict(probe)))
+        else:
+            say(f"{'yes' if probe.works else 'no ':3}  {probe.name}: {probe.detail}")
+    return OK
