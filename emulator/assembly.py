@@ -37,7 +37,23 @@ def measures_of(scenario: Scenario, world: Scene) -> Mapping[str, Measure]:
     from emulator import raycast, sensing
 
     caster = raycast.Caster(world)
-    return {sensor.id: sensing.build(scenario, world, caster, sensor.id) for sensor in scenario.sensors}
+    seeing = [sensor.id for sensor in scenario.sensors if load_spec(sensor.model).sees == "beams"]
+    measures: dict[str, Measure] = {name: sensing.build(scenario, world, caster, name) for name in seeing}
+    return measures if len(seeing) == len(scenario.sensors) else measures | _object_measures(scenario, world, measures)
+
+
+def _object_measures(scenario: Scenario, world: Scene, measures: Mapping[str, Measure]) -> dict[str, Measure]:
+    """Measuring functions of the sensors that list objects; each drives its sources with sessions of its own."""
+    from emulator.objects import measure
+
+    index_of = {sensor.id: index for index, sensor in enumerate(scenario.sensors)}
+    made: dict[str, Measure] = {}
+    for sensor in scenario.sensors:
+        if sensor.id not in measures:
+            spoken = [name for name in sensor.from_ if load_spec(scenario.sensors[index_of[name]].model).family]
+            sessions = {name: new_session(scenario, index_of[name]) for name in spoken}
+            made[sensor.id] = measure.build(scenario, world, measures, sessions, sensor.id)
+    return made
 
 
 def family_of(scenario: Scenario, index: int) -> Family:

@@ -6,12 +6,13 @@ Nothing here knows a protocol, a mesh or a clock: `step(now_ns)` moves bytes and
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Protocol
 
+from emulator.object_metrics import ListedScan, ObjectScore
 from emulator.transports.can_link import CanLink
 from emulator.transports.can_wire import Carried
 from emulator.transports.link import Link
@@ -65,6 +66,8 @@ class InstrumentStats:
     restarts: int = 0
     lateness_ns: list[int] = field(default_factory=list)
     "Actual minus scheduled instant of the first byte of each payload, newest last; bounded by the daemon."
+    objects: ObjectScore | None = None
+    "How well the lists of a sensor that lists objects fit the truth."
 
     @property
     def rate_hz(self) -> float:
@@ -109,6 +112,8 @@ class Instrument:
         self._events: list[Event] = []
         self._watchers: list[Watcher] = []
         self._times: dict[int, LineTimes] = {}
+        self._on_bus: dict[int, deque[tuple[int, bytes, int]]] = {}
+        "CAN link -> identifier, bytes and sweep of frames that begin a scan and have not been carried yet."
 
     def watch(self, watcher: Watcher) -> None:
         """Tell `watcher` of every payload, scan and event from now on; before the device is switched on."""
@@ -117,6 +122,7 @@ class Instrument:
             if link.kind is LinkKind.SERIAL:
                 self._times.setdefault(index, LineTimes())
             elif isinstance(link, CanLink):
+                self._on_bus.setdefault(index, deque(maxlen=1024))
                 link.on_carried = partial(self._carried, index)
 
     def power_on(self, now_ns: int) -> None:
@@ -185,6 +191,9 @@ class Instrument:
             else:
                 for watcher in self._watchers:
                     watcher.scan(self.sensor, scan)
+                if isinstance(scan, ListedScan):
+                    self.stats.objects = self.stats.objects or ObjectScore()
+                    self.stats.objects.add(scan.objects, scan.truth)
             moved = True
         return moved
 
@@ -209,6 +218,8 @@ class Instrument:
         for index in targets:
             link = self.links[index]
             refused = link.stats.payloads_dropped
+            if emission.sweep is not None and index in self._on_bus:
+                self._on_bus[index].append((peer or 0, emission.payload, emission.sweep))
             link.send(emission.payload, emission.due_ns, peer, emission.line_speed)
             if self._watchers and link.stats.payloads_dropped == refused and link.kind is not LinkKind.CAN:
                 self._tell_sent(index, peer, emission)
@@ -228,7 +239,18 @@ class Instrument:
 
     def _carried(self, index: int, frame: Carried, own: bool) -> None:
         start_ns = frame.start_ns if own else frame.end_ns
-        self._tell(Payload(self.sensor, index, frame.peer, frame.data, start_ns, frame.end_ns, own))
+        sweep = self._sweep_of(index, frame) if own else None
+        self._tell(Payload(self.sensor, index, frame.peer, frame.data, start_ns, frame.end_ns, own, sweep=sweep))
+
+    def _sweep_of(self, index: int, frame: Carried) -> int | None:
+        """The scan that a carried frame begins; frames that the bus has lost are forgotten with it."""
+        waiting = self._on_bus[index]
+        for place, (peer, data, sweep) in enumerate(waiting):
+            if (peer, data) == (frame.peer, frame.data):
+                for _ in range(place + 1):
+                    waiting.popleft()
+                return sweep
+        return None
 
     def _tell(self, payload: Payload) -> None:
         for watcher in self._watchers:

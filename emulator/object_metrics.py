@@ -11,13 +11,16 @@ there to be seen when the share of its beams that reach it is at least `least_sh
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emulator.objects.points import Floats, View
-from protocols.scan import DetectedObject
+from protocols.scan import DetectedObject, Floats, Scan
+
+if TYPE_CHECKING:  # the process that sends judges too, and must not load the tracker's libraries
+    from emulator.objects.points import View
 
 GATE_M = 2.0
 "Distance beyond half the object's diagonal at which a detection is another thing."
@@ -45,6 +48,13 @@ class TruthObject:
     def distance_m(self) -> float:
         """Horizontal distance of the centre."""
         return math.hypot(self.position_m[0], self.position_m[1])
+
+
+@dataclass(frozen=True, eq=False)
+class ListedScan(Scan):
+    """A list of objects with the truth beside it; no session looks at that."""
+
+    truth: tuple[TruthObject, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -113,12 +123,15 @@ class ObjectScore:
 
     least_share: float = LEAST_SHARE
     gate_m: float = GATE_M
+    lists: int = 0
     _total: _Sums = field(default_factory=_Sums)
     _actors: dict[str, _Sums] = field(default_factory=dict)
     _distances: dict[float, _Sums] = field(default_factory=dict)
+    _pairs: dict[tuple[str, float], _Sums] = field(default_factory=dict)
 
     def add(self, objects: Sequence[DetectedObject], truths: Sequence[TruthObject]) -> Judgement:
         """Judge one list and count it."""
+        self.lists += 1
         judged = judge(objects, truths, self.least_share, self.gate_m)
         for found, truth in judged.matched:
             place = _squared(found.position_m, truth.position_m)
@@ -152,12 +165,66 @@ class ObjectScore:
         """For each class of distance, by its upper end."""
         return {end: sums.score() for end, sums in sorted(self._distances.items())}
 
+    @property
+    def by_actor_and_distance_m(self) -> Mapping[tuple[str, float], Score]:
+        """For each actor in each class of distance that it was in."""
+        return {pair: sums.score() for pair, sums in sorted(self._pairs.items())}
+
+    def as_json(self) -> dict[str, Any]:
+        """All figures, ready for JSON; null where there is none, and as the end of the farthest class."""
+        return {
+            "lists": self.lists,
+            "total": _figures(self.total),
+            "by_actor": {actor: _figures(score) for actor, score in self.by_actor.items()},
+            "by_distance": [{"up_to_m": _known(end), **_figures(score)} for end, score in self.by_distance_m.items()],
+            "by_actor_and_distance": [
+                {"actor": actor, "up_to_m": _known(end), **_figures(score)}
+                for (actor, end), score in self.by_actor_and_distance_m.items()
+            ],
+        }
+
     def _rows(self, actor: str | None, distance_m: float) -> list[_Sums]:
         end = next(end for end in DISTANCE_BINS_M if distance_m < end)
         rows = [self._total, self._distances.setdefault(end, _Sums())]
         if actor is not None:
             rows.append(self._actors.setdefault(actor, _Sums()))
+            rows.append(self._pairs.setdefault((actor, end), _Sums()))
         return rows
+
+
+def _known(value: float) -> float | None:
+    return round(value, 4) if math.isfinite(value) else None
+
+
+def _figures(score: Score) -> dict[str, Any]:
+    return {
+        "seen": score.seen,
+        "false": score.false,
+        "missed": score.missed,
+        "precision": _known(score.precision),
+        "recall": _known(score.recall),
+        "position_m": _known(score.position_m),
+        "size_m": _known(score.size_m),
+        "speed_m_s": _known(score.speed_m_s),
+    }
+
+
+def told(figures: Mapping[str, Any]) -> Iterator[str]:
+    """`ObjectScore.as_json` as a table: each object by class of distance, each object, each class of distance, all."""
+    yield f"{figures['lists']} lists  precision recall place [m] size [m] speed [m/s]  seen false missed"
+    rows = [(f"{row['actor']}, {_up_to(row)}", row) for row in figures["by_actor_and_distance"]]
+    rows += list(figures["by_actor"].items())
+    rows += [(_up_to(row), row) for row in figures["by_distance"]]
+    for name, row in [*rows, ("all", figures["total"])]:
+        cells = [f"{row[key]:9.3f}" if row[key] is not None else "        -" for key in _CELLS]
+        yield f"  {name:28s}{''.join(cells)} {row['seen']:6d} {row['false']:5d} {row['missed']:6d}"
+
+
+def _up_to(row: Mapping[str, Any]) -> str:
+    return "beyond" if row["up_to_m"] is None else f"up to {row['up_to_m']:g} m"
+
+
+_CELLS = ("precision", "recall", "position_m", "size_m", "speed_m_s")
 
 
 def judge(

@@ -29,6 +29,7 @@ from ruamel.yaml import YAML
 from emulator import overrides as changes
 from emulator import scenario_checks, yaml_lines
 from emulator.errors import ScenarioError
+from emulator.object_options import ObjectOptions
 from emulator.physics_options import PhysicsOptions
 from emulator.weather import WeatherConfig
 from emulator.yaml_source import fault_lines
@@ -225,6 +226,8 @@ class SensorConfig(_Table):
     "See `lidaremu list links`."
     from_: tuple[str, ...] = Field(default=(), alias="from")
     "Sensors from whose scans it makes its objects."
+    objects: ObjectOptions = Field(default_factory=ObjectOptions)
+    "How it makes them; of models that list objects."
 
 
 class Fault(BaseModel):

@@ -233,6 +233,8 @@ def _models(data: dict[str, Any], folder: Path) -> Iterator[Found]:
         if spec.family is not None and spec.family not in FAMILIES:
             yield (*loc, "model"), f"{model} speaks {spec.family}, which is not built yet", nearest("", FAMILIES)
         sources = sensor.get("from")
+        if spec.sees == "beams" and sensor.get("objects"):
+            yield (*loc, "objects"), f"{model} lists no objects", "this key left out"
         if spec.sees == "beams" and sources:
             yield (*loc, "from"), f"{model} measures itself", "this key left out"
         elif spec.sees == "objects" and not sources:

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -15,8 +16,9 @@ import numpy as np
 from emulator.expressions import ExpressionError, Name, Value
 from emulator.hosts.scans import HostScan
 from emulator.instrument import Instrument
+from emulator.object_metrics import ListedScan, ObjectScore, Score, TruthObject
 from emulator.watching import Payload, Watcher
-from protocols.scan import Floats, Ints, Scan
+from protocols.scan import DetectedObject, Floats, Ints, Scan
 
 MATCH_RAD = np.radians(0.02)
 "A host's beam and a measured one are the same when their azimuths differ by less."
@@ -32,8 +34,14 @@ class Measured:
     "(n,) nearest echo"
     actor: Ints
     "(n,)"
-    objects: tuple[str | None, ...]
-    "Actor of each object; None when none is known."
+    objects: tuple[DetectedObject, ...]
+    truth: tuple[TruthObject, ...]
+    "Of a sensor that lists objects."
+
+    def object_of(self, actor: str) -> DetectedObject | None:
+        """The object that is that actor; the one seen last when there are several."""
+        mine = [item for item in self.objects if item.actor == actor]
+        return min(mine, key=lambda item: (item.coasting_s, item.track)) if mine else None
 
 
 @dataclass
@@ -73,7 +81,8 @@ class SeriesWatcher(Watcher):
             scan.plan.azimuth_rad,
             scan.range_m[:, 0],
             scan.actor[:, 0],
-            tuple(item.actor for item in scan.objects),
+            scan.objects,
+            scan.truth if isinstance(scan, ListedScan) else (),
         )
 
     def host_read(self, sensor: str, at_ns: int, scan: HostScan) -> None:
@@ -132,7 +141,48 @@ def _nearest_on(item: Measured, window: Window) -> float:
 
 
 def _object(item: Measured, window: Window) -> float:
-    return float(item.objects.count(str(window.argument)))
+    return float(sum(one.actor == window.argument for one in item.objects))
+
+
+def _of_object(number: Callable[[DetectedObject], float]) -> Callable[[Window], Value]:
+    """A number of the object that is the actor in parentheses; missing in lists without it."""
+
+    def value(item: Measured, window: Window) -> float:
+        found = item.object_of(str(window.argument))
+        return float("nan") if found is None else number(found)
+
+    return _of_measured(value)
+
+
+def _share(item: Measured, window: Window) -> float:
+    return next((one.visible_share for one in item.truth if one.actor == window.argument), float("nan"))
+
+
+def _when(end: int, holds: Callable[[Measured, Window], bool]) -> Callable[[Window], Value]:
+    """Instant of the first (0) or last (-1) list for which that holds."""
+
+    def value(window: Window) -> Value:
+        instants = sorted(item.at_ns for item in window.measured if holds(item, window))
+        return instants[end] * 1e-9 if instants else float("nan")
+
+    return value
+
+
+def _listed(item: Measured, window: Window) -> bool:
+    return item.object_of(str(window.argument)) is not None
+
+
+def _scored(figure: Callable[[Score], float]) -> Callable[[Window], Value]:
+    """A figure of the lists against the truth."""
+
+    def value(window: Window) -> Value:
+        score = ObjectScore()
+        for item in window.measured:
+            if item.truth or item.objects:
+                score.add(item.objects, item.truth)
+        return figure(score.total)
+
+    return value
 
 
 def _range_at(window: Window) -> Value:
@@ -213,6 +263,39 @@ QUANTITIES: Mapping[str, Quantity] = {
     "nearest_on": Quantity(_of_measured(_nearest_on), "series: shortest range to that actor [m]", "actor"),
     "objects": Quantity(_of_measured(lambda item, _: float(len(item.objects))), "series: objects in the list"),
     "object": Quantity(_of_measured(_object), "series: objects that are that actor", "actor"),
+    "object_range_m": Quantity(
+        _of_object(lambda one: math.hypot(one.position_m[0], one.position_m[1])),
+        "series: distance of the object that is that actor; missing in lists without it",
+        "actor",
+    ),
+    "object_speed_m_s": Quantity(
+        _of_object(lambda one: math.hypot(one.velocity_m_s[0], one.velocity_m_s[1])),
+        "series: its speed against the sensor",
+        "actor",
+    ),
+    "object_existence": Quantity(
+        _of_object(lambda one: one.existence), "series: its probability of existence", "actor"
+    ),
+    "object_coasting_s": Quantity(_of_object(lambda one: one.coasting_s), "series: time since its last echo", "actor"),
+    "object_from_s": Quantity(_when(0, _listed), "instant of the first list that has that actor", "actor"),
+    "object_until_s": Quantity(_when(-1, _listed), "instant of the last list that has that actor", "actor"),
+    "visible_share": Quantity(
+        _of_measured(_share), "series: share of the beams towards that actor that reach it, beside a list", "actor"
+    ),
+    "visible_until_s": Quantity(
+        _when(-1, lambda item, window: _share(item, window) > 0.0),
+        "instant of the last list for which a beam saw that actor",
+        "actor",
+    ),
+    "object_precision": Quantity(_scored(lambda score: score.precision), "share of listed objects that are real"),
+    "object_recall": Quantity(_scored(lambda score: score.recall), "share of the actors to be seen that are listed"),
+    "object_position_error_m": Quantity(
+        _scored(lambda score: score.position_m), "root mean square, of matched objects"
+    ),
+    "object_size_error_m": Quantity(
+        _scored(lambda score: score.size_m), "mean of length and width, of matched objects"
+    ),
+    "object_speed_error_m_s": Quantity(_scored(lambda score: score.speed_m_s), "root mean square, of matched objects"),
     "range_at": Quantity(_range_at, "series: range that the host read nearest to that azimuth [deg]", "angle"),
     "range_error_m": Quantity(_range_errors, "series: largest difference of what the host read and what was measured"),
 }

@@ -33,7 +33,7 @@ class Payload:
     "By the device; False: by a host."
     label: str = ""
     sweep: int | None = None
-    "Whose scan it carries; None for a reply, on CAN and for what hosts send."
+    "Whose scan it carries, on CAN the first frame of it; None for a reply and for what hosts send."
     pace: tuple[int, int, int] | None = None
     "Of a paced line: when the run of bytes began, how many of it came before these, baud."
 

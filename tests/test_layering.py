@@ -17,6 +17,7 @@ ONLY_IN = {
         "emulator/spec.py",
         "emulator/weather.py",
         "emulator/physics_options.py",
+        "emulator/object_options.py",
         "emulator/yaml_source.py",
     },
     "time": {"emulator/clock.py"},

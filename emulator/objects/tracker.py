@@ -8,6 +8,8 @@ no speed and what is not seen stays where it was; without it the sensor's frame 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +46,15 @@ def wrapped(angle: Floats) -> Floats:
     return np.asarray((angle + np.pi) % ONE_TURN - np.pi)
 
 
+@dataclass(frozen=True)
+class Snapshot:
+    """What a tracker knew after a list."""
+
+    tracks: Tracks
+    next_number: int
+    t_s: float | None
+
+
 class ObjectTracker:
     """Objects of one listing sensor over time."""
 
@@ -59,6 +70,14 @@ class ObjectTracker:
         """Forget every object; numbers go on."""
         self._tracks = Tracks.none()
         self._t_s = None
+
+    def snapshot(self) -> Snapshot:
+        """What is known at present."""
+        return Snapshot(deepcopy(self._tracks), self._next_number, self._t_s)
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go back to what was known then; numbers given since are given again."""
+        self._tracks, self._next_number, self._t_s = deepcopy(snapshot.tracks), snapshot.next_number, snapshot.t_s
 
     def update(
         self, scans: Sequence[View], t_s: float, motion: SensorMotion | None = None

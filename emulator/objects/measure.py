@@ -1,0 +1,179 @@
+"""The measuring function of a sensor that lists objects: a plan in, a list with its truth out.
+
+Belongs here: which sweeps of the sources are looked at for a list, and what is remembered from list to list. The same
+plans in the same order give the same lists. Rules:
+
+- Each list looks at the newest sweep of each source that has been evaluated by the list's instant, once; sweeps
+  between two lists are not measured. With none that is new, objects move on as predicted.
+- A sweep older than the coasting time is not looked at any more.
+- A plan given again gives the same list. Lists that are made again after a changed setting go on from what was known
+  before their instant. After a restart of the device (its sweep 0), or after a pause longer than the coasting time,
+  nothing is known.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from emulator.measuring import Measure
+from emulator.object_metrics import ListedScan, TruthObject, visible_share
+from emulator.objects.options import TrackerOptions
+from emulator.objects.points import View
+from emulator.objects.sweeps import Sweeps, end_ns, sweeps_of
+from emulator.objects.tracker import ObjectTracker, Snapshot
+from emulator.objects.truth import Witness
+from emulator.scenario import Mount, Scenario
+from emulator.scene import Scene
+from emulator.spec import load_spec
+from protocols.scan import DetectedObject, Scan, ScanPlan
+from protocols.session import Session
+
+REMEMBERED = 64
+"Lists that can be gone back to: a quarter of a second of look-ahead at the shortest cycle, 5 ms."
+LEAST_PAUSE_S = 0.25
+"Shorter pauses between lists are no restart, however short the coasting time is."
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A sensor from whose scans objects are made."""
+
+    sweeps: Sweeps
+    measure: Measure
+    mount: Mount
+
+
+@dataclass(frozen=True, eq=False)
+class _Memory:
+    """What is known after a list."""
+
+    at_ns: int
+    "-1: nothing yet"
+    tracker: Snapshot
+    looked_ns: int
+    "Instant of the last list with a new sweep."
+    sweeps: Mapping[int, int]
+    "Source -> the sweep that was looked at last."
+    shares: Mapping[int, float]
+    "Actor -> visible share in the last sweeps."
+
+
+class ObjectMeasure:
+    """Lists the objects of one sensor."""
+
+    def __init__(self, scene: Scene, mount: Mount, options: TrackerOptions, sources: Sequence[Source]) -> None:
+        self._scene = scene
+        self._witness = Witness(scene, mount)
+        self._mount = mount
+        self._sources = tuple(sources)
+        self._tracker = ObjectTracker(options, scene.actors)
+        self._pause_ns = round(1e9 * max(options.coast_s, LEAST_PAUSE_S))
+        self._memories: deque[_Memory] = deque([self._nothing()], maxlen=REMEMBERED)
+        self._last: ListedScan | None = None
+
+    def __call__(self, plan: ScanPlan) -> Scan:
+        """The list that a plan asks for."""
+        if self._last is not None and _key(self._last.plan) == _key(plan):
+            return replace(self._last, plan=plan)
+        before = self._before(plan)
+        self._tracker.restore(before.tracker)
+        t_s = 1e-9 * plan.start_ns
+        views, sweeps = self._look(plan.start_ns, before.sweeps)
+        objects = self._tracker.update(views, t_s, self._witness.motion(t_s))
+        looked_ns = plan.start_ns if views else before.looked_ns
+        if looked_ns >= 0:
+            # seen in the newest sweep there is: nothing has been missed since
+            objects = tuple(_fresher(item, 1e-9 * (plan.start_ns - looked_ns)) for item in objects)
+        shares = self._shares(views) if views else before.shares
+        truth = self._truth(t_s, shares)
+        self._memories.append(_Memory(plan.start_ns, self._tracker.snapshot(), looked_ns, sweeps, shares))
+        empty = Scan.empty(plan)
+        self._last = ListedScan(plan, empty.range_m, empty.intensity, empty.flags, empty.actor, objects, truth)
+        return self._last
+
+    def _nothing(self) -> _Memory:
+        self._tracker.clear()
+        return _Memory(-1, self._tracker.snapshot(), -1, {}, {})
+
+    def _before(self, plan: ScanPlan) -> _Memory:
+        """What is known when a list is made; later lists are forgotten."""
+        while self._memories and self._memories[-1].at_ns > plan.start_ns:
+            self._memories.pop()
+        known = self._memories[-1] if self._memories else None
+        if known is None or plan.sweep == 0 or plan.start_ns - known.at_ns > self._pause_ns:
+            self._memories.clear()
+            self._memories.append(self._nothing())
+        return self._memories[-1]
+
+    def _look(self, at_ns: int, before: Mapping[int, int]) -> tuple[list[View], dict[int, int]]:
+        """Views of the sources' newest sweeps that were not looked at before."""
+        views, looked = [], dict(before)
+        for number, source in enumerate(self._sources):
+            wanted = source.sweeps.newest(at_ns)
+            if wanted is None or wanted.sweep == before.get(number) or at_ns - end_ns(wanted) > self._pause_ns:
+                continue
+            looked[number] = wanted.sweep
+            views.append(self._view(source, source.measure(wanted)))
+        return views, looked
+
+    def _view(self, source: Source, scan: Scan) -> View:
+        t_s = np.array([_middle_s(scan)])
+        here, there = self._scene.sensor_pose(self._mount, t_s), self._scene.sensor_pose(source.mount, t_s)
+        back = here.rotation[0].T
+        return View(scan, back @ (there.position_m[0] - here.position_m[0]), back @ there.rotation[0])
+
+    def _shares(self, views: Sequence[View]) -> dict[int, float]:
+        """Visible share of every actor that has an echo, in the view that shows most of it."""
+        shares: dict[int, float] = {}
+        for view in views:
+            t_s = _middle_s(view.scan)
+            for actor in np.unique(view.scan.actor).tolist():
+                if self._witness.knows(actor):
+                    share = visible_share(view, self._witness.object(actor, t_s), actor)
+                    shares[actor] = max(share, shares.get(actor, 0.0))
+        return shares
+
+    def _truth(self, t_s: float, shares: Mapping[int, float]) -> tuple[TruthObject, ...]:
+        return tuple(
+            replace(item, visible_share=shares.get(actor, 0.0)) for actor, item in self._witness.objects(t_s).items()
+        )
+
+
+def _key(plan: ScanPlan) -> tuple[int, int, int]:
+    return plan.epoch, plan.sweep, plan.start_ns
+
+
+def _middle_s(scan: Scan) -> float:
+    plan = scan.plan
+    return 1e-9 * plan.start_ns + (float(plan.fire_offset_s.mean()) if len(plan) else 0.0)
+
+
+def _fresher(item: DetectedObject, by_s: float) -> DetectedObject:
+    return replace(item, coasting_s=max(0.0, item.coasting_s - by_s)) if by_s > 0.0 and item.coasting_s else item
+
+
+def build(
+    scenario: Scenario, scene: Scene, measures: Mapping[str, Measure], sessions: Mapping[str, Session], sensor_id: str
+) -> ObjectMeasure:
+    """The measuring function of one sensor that lists objects.
+
+    Parameters
+    ----------
+    measures : of the sensors that measure
+    sessions : switched off, one for each source that has a protocol; nobody else may use them
+    """
+    config = next(one for one in scenario.sensors if one.id == sensor_id)
+    by_id = {one.id: one for one in scenario.sensors}
+    spec = load_spec(config.model)
+    options = config.objects.for_tracker(
+        dict(zip(scene.actors, scene.classes, strict=True)), str(spec.device.get("format", ""))
+    )
+    sources = [
+        Source(sweeps_of(load_spec(by_id[name].model), sessions.get(name)), measures[name], by_id[name].mount)
+        for name in config.from_
+    ]
+    return ObjectMeasure(scene, config.mount, options, sources)

@@ -1,0 +1,119 @@
+"""Sweeps that a scanner makes when it measures all the time, whatever its hosts ask of it.
+
+Belongs here: which sweep of a source is the newest at an instant. Its plans come from a session of its own, with the
+scenario's `device:` table, switched on at the start of the run; so lists made of them depend on no host. Not: measuring.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Protocol
+
+from emulator.errors import ScenarioError
+from emulator.sensing.table import table_plan
+from emulator.spec import SensorSpec
+from protocols.lms2xx.telegrams import request
+from protocols.scan import Scan, ScanPlan
+from protocols.session import Address, Dropped, DropReason, LinkKind, Session
+
+KEPT_NS = 1_000_000_000
+"Sweeps are remembered for so long: lists are made ahead of time, and made again after a changed setting."
+SOON_NS, LATER_NS = 100_000_000, 5_000_000_000
+"Time to the next request while the device starts; after one that it has taken."
+MAX_ROUNDS = 64
+KINDS = {"lms2xx": LinkKind.SERIAL, "ld": LinkKind.DATAGRAM}
+"Link on which a family's device is asked: an LD with a listener measures by itself."
+REQUESTS = {"lms2xx": (request(b"\x20\x48"), request(b"\x20\x24")), "ld": ()}
+"500 kbaud, so that the line holds no sweep up; then all values, continuously."
+
+
+class Sweeps(Protocol):
+    """Whoever knows a source's sweeps."""
+
+    def newest(self, at_ns: int) -> ScanPlan | None:
+        """The last sweep that the device has evaluated by `at_ns`; instants rise, or go back by less than a second."""
+
+
+def end_ns(plan: ScanPlan) -> int:
+    """When a sweep has been evaluated."""
+    return plan.start_ns + round(1e9 * plan.duration_s)
+
+
+class TableSweeps:
+    """A model without a protocol: its table of beams, over and over."""
+
+    def __init__(self, spec: SensorSpec) -> None:
+        self._spec = spec
+        self._first = table_plan(spec, 0)
+        self._last: ScanPlan | None = None
+
+    def newest(self, at_ns: int) -> ScanPlan | None:
+        period_ns = round(1e9 * self._first.duration_s)
+        number = at_ns // period_ns - 1
+        if number < 0:
+            return None
+        if self._last is None or self._last.sweep != number:
+            self._last = table_plan(self._spec, number)
+        return self._last
+
+
+class SessionSweeps:
+    """A model with a protocol: what a session without hosts wants measured."""
+
+    def __init__(self, session: Session, family: str) -> None:
+        self._session = session
+        self._requests = REQUESTS[family]
+        self._recent: deque[ScanPlan] = deque()
+        self._wake_ns: int | None = 0
+        self._ask_ns = 0
+        session.connected(0, Address(0, 0), KINDS[family])
+        session.power_on(0)
+
+    def newest(self, at_ns: int) -> ScanPlan | None:
+        while self._wake_ns is not None and self._wake_ns <= at_ns:
+            self._wake_ns = self._step(self._wake_ns)
+            while self._recent and self._recent[0].start_ns < at_ns - KEPT_NS:
+                self._recent.popleft()
+        return next((plan for plan in reversed(self._recent) if end_ns(plan) <= at_ns), None)
+
+    def _step(self, now_ns: int) -> int | None:
+        """All that can be done by now; when to look again."""
+        session = self._session
+        plan: ScanPlan | None = None
+        for _ in range(MAX_ROUNDS):
+            session.advance(now_ns)
+            moved = bool(session.take_emissions(now_ns))
+            plan = session.next_plan()
+            if plan is not None and plan.start_ns <= now_ns:
+                self._recent.append(plan)
+                session.submit(Scan.empty(plan))
+                moved = True
+            if not moved:
+                break
+        session.take_events()
+        wakes = [session.next_deadline()]
+        if plan is not None:
+            wakes.append(plan.start_ns)
+        elif self._requests:
+            if now_ns >= self._ask_ns:
+                self._ask(now_ns)
+            wakes += [session.next_deadline(), self._ask_ns]
+        due = [wake for wake in wakes if wake is not None]
+        # a deadline that stays where it is must not stop time
+        return max(min(due), now_ns + 1) if due else None
+
+    def _ask(self, now_ns: int) -> None:
+        for telegram in self._requests:
+            self._session.receive(telegram, now_ns, Address(0, 0))
+        events = self._session.take_events()
+        booting = any(isinstance(event, Dropped) and event.reason is DropReason.BOOTING for event in events)
+        self._ask_ns = now_ns + (SOON_NS if booting else LATER_NS)
+
+
+def sweeps_of(spec: SensorSpec, session: Session | None) -> Sweeps:
+    """The sweeps of one source; `session` of a model that has a protocol, switched off."""
+    if spec.family is None or session is None:
+        return TableSweeps(spec)
+    if spec.family not in KINDS:
+        raise ScenarioError(f"{spec.model}: objects cannot be made from it: its family {spec.family} is not known here")
+    return SessionSweeps(session, spec.family)
