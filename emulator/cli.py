@@ -21,6 +21,7 @@ from emulator.commands.common import CANNOT_RUN, FAILED, LINK_LOST, OK, load_sce
 from emulator.commands.ctl import control_of, ctl
 from emulator.commands.doctor import doctor
 from emulator.commands.recordings import diff, recorder_for, replay
+from emulator.commands.study import study
 from emulator.commands.test import test
 from emulator.errors import EmulatorError, LinkError
 
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from emulator.instrument import Instrument
     from emulator.scenario import Scenario
     from emulator.virtual_daemon import VirtualDaemon
-
 
 
 def entry() -> None:
@@ -330,7 +330,7 @@ def list_(what: str, name: str | None, as_json: bool) -> int:
     return OK
 
 
-for command in (test, replay, diff, ctl, doctor):
+for command in (test, replay, diff, ctl, doctor, study):
     commands.add_command(command)
 
 __all__ = ["CANNOT_RUN", "OK", "LinkError", "entry", "main"]

@@ -1,0 +1,134 @@
+"""`lidaremu study NAME`: the options of every study. The parts of a study are imported when it is asked for."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+
+from emulator.clock import SystemClock
+from emulator.commands.common import FAILED, OK, say
+
+MOST_SPEEDS = 50
+
+
+@click.group()
+def study() -> None:
+    """Recompute, compare and draw: writes a report (HTML, PNG, CSV)."""
+
+
+out_option = click.option(
+    "--out",
+    required=True,
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="DIR",
+    help="Folder of the report; made where it is not there.",
+)
+quick_option = click.option("--quick", is_flag=True, help="Fewer points and ranges; seconds instead of a minute.")
+json_option = click.option("--json", "as_json", is_flag=True, help="One line of JSON on standard output.")
+
+
+def progress(names: list[str]) -> Iterator[str]:
+    """The names one by one, with a bar on standard error where that is a terminal."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True, disable=not Console(stderr=True).is_terminal) as bar:
+        task = bar.add_task("", total=len(names))
+        for name in names:
+            bar.update(task, description=name)
+            yield name
+            bar.advance(task)
+
+
+class Speeds(click.ParamType[tuple[float, ...]]):
+    """Speeds by commas."""
+
+    name = "speeds"
+
+    def convert(
+        self, value: str | tuple[float, ...], param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, ...]:
+        """Numbers of `30,50,80`, rising."""
+        if not isinstance(value, str):
+            return value
+        try:
+            speeds = tuple(sorted({float(part) for part in value.split(",")}))
+        except ValueError:
+            speeds = ()
+        if not speeds or len(speeds) > MOST_SPEEDS or not all(0.0 < speed <= 500.0 for speed in speeds):
+            self.fail(f"{value!r}; want up to {MOST_SPEEDS} numbers over 0 and up to 500, by commas", param, ctx)
+        return speeds
+
+
+class Finite(click.FloatRange):
+    """A number within bounds; click itself lets NaN pass."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The number, or a refusal."""
+        found = float(super().convert(value, param, ctx))
+        if math.isnan(found):
+            self.fail(f"{value!r}; want a number", param, ctx)
+        return found
+
+
+FRICTION = Finite(0.01, 2.0)
+
+
+@study.command()
+@out_option
+@quick_option
+@json_option
+@click.option(
+    "--speeds",
+    type=Speeds(),
+    default="30,40,50,60,70,80,90,100,110,120,130",
+    show_default=True,
+    metavar="KM_H,...",
+    help="Speeds of the application.",
+)
+@click.option("--reaction-s", type=Finite(0.0, 10.0), default=1.0, show_default=True, help="Reaction time.")
+@click.option("--friction-dry", type=FRICTION, default=0.75, show_default=True, help="On dry road, 0.7 to 0.8.")
+@click.option("--friction-wet", type=FRICTION, default=0.40, show_default=True, help="On wet road, in rain.")
+@click.option("--friction-snow", type=FRICTION, default=0.30, show_default=True, help="On snow.")
+def published(
+    out: Path,
+    quick: bool,
+    as_json: bool,
+    speeds: tuple[float, ...],
+    reaction_s: float,
+    friction_dry: float,
+    friction_wet: float,
+    friction_snow: float,
+) -> int:
+    """Figures and tables of papers and data sheets, recomputed beside what was printed."""
+    from emulator.studies import report
+    from emulator.studies.effort import FULL, QUICK
+
+    report.need_extra()
+    report.prepare(out)
+    from emulator.studies import published as whole
+    from emulator.studies.braking import Driving
+
+    clock = SystemClock()
+    driving = Driving(speeds, reaction_s, friction_dry, friction_wet, friction_snow)
+    made = whole.run(driving, QUICK if quick else FULL, progress)
+    written = report.write(made, out)
+    worst = whole.worst_of_table_2(made)
+    held = worst <= whole.TOLERANCE_PERCENT
+    if as_json:
+        told = {
+            "study": "published",
+            "held": held,
+            "table_2_worst_percent": round(worst, 3),
+            "seconds": round(1e-9 * clock.now_ns(), 1),
+            "files": [str(path) for path in written],
+        }
+        say(json.dumps(told))
+    else:
+        say(f"{written[0]}: {len(written)} files; table 2 within {worst:.1f} % in every row")
+    return OK if held else FAILED
