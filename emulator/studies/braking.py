@@ -132,9 +132,9 @@ def application(driving: Driving, effort: Effort) -> Section:
             "that a beam of a scan points at them is a further condition.",
             f"Of {cells} pairs of weather and speed the range is enough in: {counted}.",
             '"SNR = 1" is the paper\'s limit, at which a real receiver would see noise 18 times in every gate; the '
-            "threshold for one false alarm in ten thousand gates stands at 5.02 times the noise. With backscatter "
-            "on, a sensor that reports the strongest echo may report the fog in front of it (0 m in the table: the "
-            "object is never the strongest), one that reports the last echo finds what is behind.",
+            "threshold for one false alarm in ten thousand gates stands at 5.02 times the noise. There the weather "
+            "sends light back: a sensor that reports the strongest echo reports the fog before its window instead of "
+            "what stands farther off, one that reports the last echo finds it as long as it rises from the fog's tail.",
         ),
         (margin_picture(driving, seen, weathers), curve_picture(driving, seen, weathers)),
         (range_table(driving, seen, weathers), margin_table(driving, seen, weathers)),

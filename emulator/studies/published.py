@@ -47,8 +47,8 @@ def run(driving: Driving, effort: Effort, steps: Callable[[list[str]], Iterator[
             'condition for driving assistance development" (hal-01998668). Every number here is made twice where '
             "that is possible: by a closed form, and through the path that an emulated sensor takes (scenario, "
             "mesh, ray caster, sub-beams, receiver).",
-            f"Table 2: all seven rows with one receiver, largest deviation {worst:.1f} %; six numbers were "
-            f"calibrated for them, see there. Further values: {rows} from other sources, with what each of them "
+            f"Table 2: all seven rows with one receiver, largest deviation {worst:.1f} %; six adjustable "
+            f"numbers stand behind them, see there. Further values: {rows} from other sources, with what each of them "
             "proves.",
             "Could not be had: the curves of figures 3 to 6, and the experiment behind figure 6 (Garcia et al. 2009).",
         ),

@@ -231,7 +231,7 @@ def test_the_page_needs_nothing_from_outside(out: Path) -> None:
 def test_the_page_says_what_was_calibrated_and_what_could_not_be_had(out: Path) -> None:
     page = (out / "published.html").read_text(encoding="utf-8")
     assert "Garcia et al. 2009" in page
-    for words in ("Six numbers were calibrated", "constant K", "3.0 mm", "What follows from the geometry"):
+    for words in ("Six adjustable numbers", "constant K", "3.0 mm", "What follows from the geometry"):
         assert words in page
 
 
