@@ -34,6 +34,7 @@ from protocols.session import Session
 
 REMEMBERED = 64
 "Lists that can be gone back to: a quarter of a second of look-ahead at the shortest cycle, 5 ms."
+ROUNDING_S = 1e-9
 LEAST_PAUSE_S = 0.25
 "Shorter pauses between lists are no restart, however short the coasting time is."
 
@@ -101,7 +102,7 @@ class ObjectMeasure:
 
     def _before(self, plan: ScanPlan) -> _Memory:
         """What is known when a list is made; later lists are forgotten."""
-        while self._memories and self._memories[-1].at_ns > plan.start_ns:
+        while self._memories and self._memories[-1].at_ns >= plan.start_ns:
             self._memories.pop()
         known = self._memories[-1] if self._memories else None
         if known is None or plan.sweep == 0 or plan.start_ns - known.at_ns > self._pause_ns:
@@ -153,7 +154,11 @@ def _middle_s(scan: Scan) -> float:
 
 
 def _fresher(item: DetectedObject, by_s: float) -> DetectedObject:
-    return replace(item, coasting_s=max(0.0, item.coasting_s - by_s)) if by_s > 0.0 and item.coasting_s else item
+    if by_s <= 0.0 or not item.coasting_s:
+        return item
+    left_s = item.coasting_s - by_s
+    # formats ask for exactly zero: what rounding leaves of it is none
+    return replace(item, coasting_s=left_s if left_s > ROUNDING_S else 0.0)
 
 
 def build(

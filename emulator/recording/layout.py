@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import json
 import struct
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from emulator.object_metrics import ListedScan
 from protocols.scan import DetectedObject, Floats, Ints, Scan
 
 VERSION = 1
@@ -25,7 +26,8 @@ WIRE_ENCODING, SCAN_ENCODING, EVENT_ENCODING = "x-lidaremu-wire", "x-lidaremu-sc
 SCAN_LAYOUT = """lidaremu scan, version 1, little-endian:
 int64 start_ns, int64 sweep, int32 epoch, uint32 n (beams), uint32 k (echoes a beam);
 float32 azimuth_rad[n], elevation_rad[n], range_m[n][k], intensity[n][k] (NaN: no echo); int32 actor[n][k]
-(index of the actor hit, 0 world, -1 none); uint8 flags[n] (1 dazzled, 2 saturated); rest: JSON list of objects."""
+(index of the actor hit, 0 world, -1 none); uint8 flags[n] (1 dazzled, 2 saturated); rest: JSON list of objects,
+of a sensor that lists objects {"objects": [...], "truth": [...]}."""
 
 _HEAD = struct.Struct("<qqiII")
 
@@ -43,6 +45,8 @@ class RecordedScan:
     intensity: Floats
     actor: Ints
     objects: tuple[dict[str, object], ...]
+    truth: tuple[dict[str, object], ...] = ()
+    "Of a sensor that lists objects: every actor with its pose, speed and visible share."
 
 
 def encode_scan(scan: Scan) -> bytes:
@@ -57,9 +61,16 @@ def encode_scan(scan: Scan) -> bytes:
         scan.intensity.astype("<f4").tobytes(),
         scan.actor.astype("<i4").tobytes(),
         scan.flags.astype(np.uint8).tobytes(),
-        json.dumps([_object(item) for item in scan.objects]).encode() if scan.objects else b"[]",
+        _objects(scan),
     ]
     return b"".join(parts)
+
+
+def _objects(scan: Scan) -> bytes:
+    listed = [_object(item) for item in scan.objects]
+    if isinstance(scan, ListedScan):
+        return json.dumps({"objects": listed, "truth": [asdict(item) for item in scan.truth]}).encode()
+    return json.dumps(listed).encode() if listed else b"[]"
 
 
 def _object(item: DetectedObject) -> dict[str, object]:
@@ -71,6 +82,9 @@ def _object(item: DetectedObject) -> dict[str, object]:
         "velocity_m_s": item.velocity_m_s,
         "size_m": item.size_m,
         "yaw_rad": item.yaw_rad,
+        "age_s": item.age_s,
+        "existence": item.existence,
+        "coasting_s": item.coasting_s,
     }
 
 
@@ -85,11 +99,11 @@ def decode_scan(data: bytes) -> RecordedScan:
         for count, kind in ((n, "<f4"), (n, "<f4"), (n * k, "<f4"), (n * k, "<f4"), (n * k, "<i4")):
             fields.append(np.frombuffer(data, kind, count, at))
             at += 4 * count
-        objects = json.loads(data[at + n :])
+        rest = json.loads(data[at + n :])
     except (struct.error, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise ValueError(f"not a recorded scan: {error}") from None
+    objects, truth = (rest.get("objects", ()), rest.get("truth", ())) if isinstance(rest, dict) else (rest, ())
     azimuth, _, range_m, intensity = (field.astype(np.float64) for field in fields[:4])
     actor = fields[4].astype(np.int32).reshape(n, k)
-    return RecordedScan(
-        start_ns, sweep, epoch, azimuth, range_m.reshape(n, k), intensity.reshape(n, k), actor, tuple(objects)
-    )
+    ranges, peaks = range_m.reshape(n, k), intensity.reshape(n, k)
+    return RecordedScan(start_ns, sweep, epoch, azimuth, ranges, peaks, actor, tuple(objects), tuple(truth))
