@@ -30,7 +30,9 @@ def recorder_for(scenario: Scenario, instruments: Sequence[Instrument], folder: 
 
     own = Path(f"{scenario.source.stem}-recording")
     try:
-        return Recorder(folder or own, scenario, instruments, folder is not None or wanted.truth)
+        recorder = Recorder(folder or own, scenario, instruments, folder is not None or wanted.truth)
+        recorder.on_failure = note
+        return recorder
     except EmulatorError:
         for instrument in instruments:
             instrument.close()

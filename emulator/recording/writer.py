@@ -6,8 +6,9 @@ frames that are in `run.mcap` and in the candump log already.
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import BinaryIO, TextIO
@@ -42,6 +43,9 @@ class Recorder(Watcher):
         self.folder = folder
         self._instruments = {one.sensor: one for one in instruments}
         self._truth = truth
+        self.failure = ""
+        "Why the recording ended before the run; empty while it goes on."
+        self.on_failure: Callable[[str], None] = lambda text: None
         self._channels: dict[tuple[object, ...], int] = {}
         self._captures: dict[str, PcapngWriter] = {}
         self._logs: dict[str, TextIO] = {}
@@ -68,6 +72,19 @@ class Recorder(Watcher):
             instrument.watch(self)
 
     def payload(self, payload: Payload) -> None:
+        self._guarded(lambda: self._payload(payload))
+
+    def _guarded(self, write: Callable[[], None]) -> None:
+        """A full disk ends the recording, not the run."""
+        if self.failure:
+            return
+        try:
+            write()
+        except OSError as error:
+            self.failure = f"{self.folder}: recording ended: {error.strerror or error}"
+            self.on_failure(self.failure)
+
+    def _payload(self, payload: Payload) -> None:
         link = self._instruments[payload.sensor].links[payload.link]
         baud = payload.pace[2] if payload.pace is not None else 0
         key = (payload.sensor, payload.link, payload.sent, payload.peer, baud)
@@ -109,6 +126,9 @@ class Recorder(Watcher):
         self._add("run", "event", layout.EVENT_ENCODING, self._event, now_ns, json.dumps(row).encode())
 
     def _add(self, sensor: str, what: str, encoding: str, schema: int, at_ns: int, data: bytes) -> None:
+        self._guarded(lambda: self._write(sensor, what, encoding, schema, at_ns, data))
+
+    def _write(self, sensor: str, what: str, encoding: str, schema: int, at_ns: int, data: bytes) -> None:
         key = (sensor, what)
         if key not in self._channels:
             about = {"sensor": sensor}
@@ -142,12 +162,19 @@ class Recorder(Watcher):
         """Finish every file."""
         if self._file.closed:
             return
+        self._guarded(self._finish)
+        closing = [self._file.close]
+        closing += [capture.close for capture in self._captures.values()]
+        closing += [log.close for log in self._logs.values()]
+        for close in closing:
+            with contextlib.suppress(OSError):  # told when it first happened
+                close()
+
+    def _finish(self) -> None:
         self._writer.finish()  # type: ignore[no-untyped-call]
-        self._file.close()
-        for capture in self._captures.values():
-            capture.close()
+        self._file.flush()
         for bus, log in self._logs.items():
-            log.close()
+            log.flush()
             with (self.folder / f"{bus}.log").open(encoding="ascii") as lines:
                 write_with_library(self.folder / f"{bus}.blf", read_candump(lines))
 

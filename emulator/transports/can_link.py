@@ -82,6 +82,14 @@ class Outlet(ABC):
         """When `poll` has something to do even if nothing arrives."""
         return None
 
+    def held(self) -> int:
+        """Bytes that hosts have not read, as far as that can be known."""
+        return 0
+
+    def has_host(self) -> bool:
+        """Whether somebody listens; True where that cannot be known."""
+        return True
+
     @abstractmethod
     def close(self) -> None:
         """Release everything."""
@@ -220,6 +228,12 @@ class CanLink(Link):
         if self._wake_fd is not None:
             os.close(self._wake_fd)
             self._wake_fd = None
+
+    def held(self) -> int:
+        return 0 if self._port is None else self._port.outlet.held()
+
+    def has_host(self) -> bool:
+        return self._port is not None and self._port.outlet.has_host()
 
     def disturb(self, frames: int) -> None:
         """Fault: the next `frames` frames of this sensor are destroyed on the bus; 32 in a row take it off."""

@@ -168,6 +168,12 @@ class Adapter(Outlet):
             self._terminal.say(b"".join(texts))
         return True
 
+    def held(self) -> int:
+        return self._terminal.backlog + self._terminal.held()
+
+    def has_host(self) -> bool:
+        return self._terminal.has_host()
+
     def close(self) -> None:
         self._terminal.close()
 

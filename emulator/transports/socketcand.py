@@ -269,6 +269,13 @@ class Channel(Outlet):
                 self._give(client, b"".join(wanted), len(wanted), now_ns)
         return bool(clients)
 
+    def held(self) -> int:
+        found = [self._server.hosts.find(client.number) for client in self._server.clients(self)]
+        return sum(host.backlog for host in found if host is not None)
+
+    def has_host(self) -> bool:
+        return bool(self._server.clients(self))
+
     def notify(self, notices: Sequence[Notice]) -> None:
         for notice in notices:
             seconds, rest_ns = divmod(notice.at_ns, 1_000_000_000)

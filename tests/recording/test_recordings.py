@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import struct
 from pathlib import Path
@@ -21,7 +22,9 @@ from emulator.recording.layout import decode_scan
 from emulator.recording.pcapng import PcapngWriter, read_segments, stream_of
 from emulator.recording.reader import read_run, read_wire
 from emulator.recording.writer import RecordingError
-from emulator.trial import Trial
+from emulator.transcript import Transcript
+from emulator.trial import Trial, run_trial
+from emulator.watching import Payload
 
 CASE = """\
 schema: 1
@@ -225,3 +228,50 @@ def test_a_raw_serial_dump_takes_the_time_of_its_line(tmp_path: Path) -> None:
     assert wire.kind == "serial"
     assert wire.payloads[0].end_ns == pytest.approx(1e9, rel=1e-3)
     assert wire.payloads[0].baud == 9600
+
+
+class FullDisk:
+    """A file on a disk that is full after so many bytes."""
+
+    def __init__(self, room: int) -> None:
+        self.room, self.closed, self.kept = room, False, b""
+
+    def write(self, data: bytes) -> int:
+        if len(self.kept) + len(data) > self.room:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        self.kept += data
+        return len(data)
+
+    def tell(self) -> int:
+        return len(self.kept)
+
+    def flush(self) -> None:
+        pass
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_a_full_disk_ends_the_recording_and_not_the_run(tmp_path: Path) -> None:
+    loaded = scenario.loads(CASE, Path("case.yaml"))
+    trial = Trial(loaded, record=tmp_path / "run")
+    recorder = trial._recorder
+    assert recorder is not None
+    told: list[str] = []
+    recorder.on_failure = told.append
+    recorder._file.close()
+    recorder._file = recorder._writer._Writer__stream = FullDisk(2_000)  # type: ignore[attr-defined,assignment]
+    found = trial.finish()
+    trial.close()
+    assert found.sha256 == run_trial(loaded).sha256
+    assert len(told) == 1
+    assert "No space left on device" in told[0]
+
+
+def test_another_instant_is_another_transcript() -> None:
+    digests = set()
+    for start_ns, end_ns in ((0, 10), (1, 10), (0, 11)):
+        transcript = Transcript(["a"])
+        transcript.payload(Payload("a", 0, 0, b"x", start_ns, end_ns, True))
+        digests.add(transcript.sha256())
+    assert len(digests) == 3

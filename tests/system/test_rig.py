@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 from emulator.errors import ScenarioError
+from emulator.recording.can_logs import read_with_library
 from tests.system.hosts import LmsHost, telegram
 
 
@@ -68,3 +71,35 @@ def test_the_scenarios_faults_reach_the_test(lidaremu: Callable[..., object]) ->
         lidaremu("flat_wall", weather__fog__visibility_m=-1)
     with lidaremu("flat_wall") as rig, pytest.raises(KeyError, match="front"):
         rig["rear"]
+
+
+OBJECTS = """\
+schema: 1
+world:
+  - {plane: {size_m: [6, 60]}, at_m: [8, 0, 1], pitch_deg: -90, material: white_plaster}
+sensors:
+  - {id: front, model: sick-lms291-s05, mount: {at_m: [0, 0, 1]}, device: {resolution_deg: 1, field_deg: 100}}
+  - {id: list, model: can-ars408, from: [front]}
+"""
+
+
+def test_a_can_host_gets_every_frame_on_virtual_time_and_the_logs_have_them(
+    lidaremu: Callable[..., object], tmp_path: Path
+) -> None:
+    path = tmp_path / "objects.yaml"
+    path.write_text(OBJECTS, encoding="utf-8")
+    with lidaremu(path) as rig, socket.create_connection(("127.0.0.1", rig["list"].port), timeout=10.0) as host:
+        host.sendall(b"< open list >< rawmode >")
+        text = b""
+        while text.count(b"< frame") < 60:
+            text += host.recv(65_536)
+        rig.pause()
+        rig.advance(seconds=0.5)
+        folder = rig.recording
+    heard = [tuple(match) for match in re.findall(rb"< frame ([0-9A-F]+) [0-9.]+ ([0-9A-F]*) >", text)]
+    log = [re.match(r"\(\S+\) list (\S+)#(\S*)$", line) for line in (folder / "list.log").read_text().splitlines()]
+    logged = [(int(match[1], 16), match[2]) for match in log if match is not None]
+    told = [(int(identifier, 16), data.decode()) for identifier, data in heard]
+    first = next(index for index in range(len(logged)) if logged[index : index + len(told)] == told)
+    assert first >= 0
+    assert [(one.peer, one.data.hex().upper()) for one in read_with_library(folder / "list.blf")] == logged
