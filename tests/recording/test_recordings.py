@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import can
@@ -20,7 +21,7 @@ from emulator.recording.can_logs import LoggedFrame, candump_line, read_candump,
 from emulator.recording.compare import differences
 from emulator.recording.layout import decode_scan
 from emulator.recording.pcapng import PcapngWriter, read_segments, stream_of
-from emulator.recording.reader import read_run, read_wire
+from emulator.recording.reader import RecordedRun, WireOf, WirePayload, read_run, read_wire
 from emulator.recording.writer import RecordingError
 from emulator.transcript import Transcript
 from emulator.trial import Trial, run_trial
@@ -113,8 +114,8 @@ def test_a_run_that_is_still_going_can_be_read(tmp_path: Path) -> None:
     trial.run.advance(600_000_000)
     run = read_run(tmp_path / "run")
     assert run.cut
-    last = max(one.start_ns for one in run.sent["front", 0].payloads)
-    assert last > 550_000_000
+    wires = [*run.sent.values(), *run.received.values()]
+    assert sum(len(wire.payloads) for wire in wires) == trial.transcript.payloads  # none waits in this process
     trial.close()
 
 
@@ -149,6 +150,30 @@ def test_diff_names_the_first_byte_and_beam(folder: Path, tmp_path: Path, capsys
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert any("byte" in row["what"] and row["where"].startswith("front, link 0, tx") for row in rows)
     assert any("beam" in row["what"] and "range_m" in row["what"] for row in rows)
+
+
+def test_diff_sees_an_instant_a_peer_a_missing_payload_and_an_object(folder: Path) -> None:
+    one = WirePayload(10, 20, b"abc", 1, 9600)
+    changes = {
+        "ns at its first bit": [replace(one, start_ns=11)],
+        "at its last": [replace(one, end_ns=21)],
+        "baud": [replace(one, baud=19_200)],
+        "bytes": [replace(one, data=b"abcd")],
+        "byte 1: 62 and 58": [replace(one, data=b"aXc")],
+        "1 and 0 payloads": [],
+    }
+    for told, payloads in changes.items():
+        runs = [RecordedRun(Path("x")), RecordedRun(Path("y"))]
+        for run, sent in zip(runs, ([one], payloads), strict=True):
+            run.sent["a", 0] = WireOf("a", 0, "serial", "pty:x", sent)
+        found = differences(*runs)
+        assert len(found) == 1
+        assert told in str(found[0])
+    scan = read_run(folder).scans["front"][0]
+    first, second = RecordedRun(Path("x")), RecordedRun(Path("y"))
+    first.scans["a"] = [replace(scan, objects=({"track": 1, "actor": "car"},))]
+    second.scans["a"] = [replace(scan, objects=({"track": 2, "actor": "car"},))]
+    assert "object 0, track: 1 and 2" in str(differences(first, second)[0])
 
 
 def test_scans_of_any_bytes_are_read_or_refused() -> None:
