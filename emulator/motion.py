@@ -31,11 +31,13 @@ class Pose:
 
     def to_world(self, point_m: Floats) -> Floats:
         """Points of the body, (n, 3) or (3,), in the world: (n, 3)."""
-        return np.asarray((self.rotation @ np.asarray(point_m)[..., None])[..., 0] + self.position_m)
+        with np.errstate(under="ignore"):
+            return np.asarray((self.rotation @ np.asarray(point_m)[..., None])[..., 0] + self.position_m)
 
     def after(self, outer: Pose) -> Pose:
         """This pose, given in a frame whose own pose in the world is `outer`."""
-        return Pose(outer.to_world(self.position_m), outer.rotation @ self.rotation)
+        with np.errstate(under="ignore"):
+            return Pose(outer.to_world(self.position_m), outer.rotation @ self.rotation)
 
 
 def rotation_matrix(yaw_deg: float, pitch_deg: float = 0.0, roll_deg: float = 0.0) -> Floats:
@@ -169,7 +171,8 @@ class Waypoints(Motion):
     def __post_init__(self) -> None:
         step = np.diff(self.t_s)
         velocity = np.zeros((len(self.t_s) + 1, 3))
-        velocity[1:-1] = np.diff(self.at_m, axis=0) / step[:, None]
+        with np.errstate(under="ignore"):
+            velocity[1:-1] = np.diff(self.at_m, axis=0) / step[:, None]
         object.__setattr__(self, "_velocity", velocity)
         # angle between neighbours from the chord: acos(dot) loses half the digits for small turns
         chord = np.linalg.norm(np.diff(self.quaternion, axis=0), axis=1)

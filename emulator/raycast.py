@@ -319,7 +319,7 @@ class Caster:
         if not good.all():
             self.counters.suspicious += int(len(good) - np.count_nonzero(good))
             range_m = np.where(good, range_m, distance)
-        return range_m, normal, facing
+        return np.maximum(range_m, 0.0), normal, facing  # a surface that the ray begins on may lie a hair behind
 
     def _cast_movers(self, origin: Floats, ray: Floats, times: Floats, far: float, found: _Nearest) -> None:
         """Each ray on the moving bodies whose spheres it meets, in their own frames."""

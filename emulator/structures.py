@@ -106,8 +106,9 @@ def lay_out(bodies: Sequence[Body], chosen: Sequence[int]) -> Layout:
     """Structures of the `chosen` bodies."""
     merged, single = _divide(bodies, chosen)
     tables: list[Table] = []
-    groups = [_merged(bodies, members, tables) for members in _cells(bodies, merged)]
-    slots, movers = _placed(bodies, single, tables)
+    with np.errstate(under="ignore"):  # components below 1e-38 are nothing in float32, products below 1e-308 no length
+        groups = [_merged(bodies, members, tables) for members in _cells(bodies, merged)]
+        slots, movers = _placed(bodies, single, tables)
     return Layout(tuple(groups), tuple(slots), movers, _joined(tables))
 
 
@@ -200,9 +201,9 @@ def _radius(shape: Geometry) -> float:
 
 
 def _content(vertices: Sequence[Floats], faces: Sequence[Ints]) -> Content:
-    with np.errstate(under="ignore"):  # components below 1e-38 are nothing in float32
-        points = np.concatenate(vertices).astype(np.float32)
-    return Content(points, np.ascontiguousarray(np.concatenate(faces), dtype=np.int32))
+    return Content(
+        np.concatenate(vertices).astype(np.float32), np.ascontiguousarray(np.concatenate(faces), dtype=np.int32)
+    )
 
 
 def _table_of(shape: Geometry, normals: Floats, local: Floats, body: int) -> Table:

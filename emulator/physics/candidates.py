@@ -105,12 +105,14 @@ def _parabola(wave: Waveform, value: Floats, peak: Ints, window: Ints, detector:
     clipped = value[peak] >= detector.full_scale
     if bool(np.any(clipped)):
         below = np.flatnonzero(value < detector.full_scale)
-        after = below[np.searchsorted(below, peak[clipped], side="right")]
+        last = (wave.start + wave.count - 1)[window[clipped]]  # a medium can clip beyond the window
+        after = np.append(below, value.size)[np.searchsorted(below, peak[clipped], side="right")]
+        after = np.minimum(after, last)
         before = peak[clipped] - 1
         v = wave.value
         limit = detector.full_scale
         up = before + (limit - v[before]) / np.maximum(v[before + 1] - v[before], 1e-300)
-        down = after - (limit - v[after]) / np.maximum(v[after - 1] - v[after], 1e-300)
+        down = after - np.maximum(limit - v[after], 0.0) / np.maximum(v[after - 1] - v[after], 1e-300)
         start, first = wave.start[window[clipped]], wave.first_bin[window[clipped]]
         centre[clipped] = wave.bin_m * (0.5 * (up + down) - start + first)
         height[clipped] = np.maximum(height[clipped], limit)

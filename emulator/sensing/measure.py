@@ -90,7 +90,11 @@ class Measure:
         """Measure one sweep."""
         if len(plan) == 0:
             return Scan.empty(plan)
-        view = self.view(plan)
+        with np.errstate(under="ignore"):  # what underflows here is no light, or no length
+            return self._measured(plan)
+
+    def _measured(self, plan: ScanPlan) -> Scan:
+        view = self._view(plan)
         light = daylight(view.air.sun, view.rays, view.seen, view.surfaces, self._caster, self.model)
         scan = self._receiver.receive(plan, view.echoes, self._soft.everywhere(view.air, plan.gain), light)
         alpha = view.air.everywhere.extinction_per_m
@@ -101,6 +105,10 @@ class Measure:
 
     def view(self, plan: ScanPlan) -> View:
         """Everything that comes back in a sweep of at least one beam, before the receiver."""
+        with np.errstate(under="ignore"):
+            return self._view(plan)
+
+    def _view(self, plan: ScanPlan) -> View:
         t_s = 1e-9 * plan.start_ns + plan.fire_offset_s
         pose = self._pose(t_s)
         air, gain = self.air.at(float(t_s[0])), plan.gain
@@ -163,9 +171,10 @@ def build(scenario: Scenario, scene: Scene, caster: Caster, sensor_id: str) -> M
         surfaces = surface_table(scene.materials, extra, model), surface_table(scene.materials, extra, model, wet=True)
         draws = Draws(scenario.seed, sensor_id)
         receiver = PhotonReceiver(model, model.photons, draws) if model.photons is not None else Receiver(model, draws)
+        air = Air(scenario.weather, model, scene)
     except ValueError as error:  # numbers that are right alone but not together
         raise ScenarioError(f"{scenario.label(f'sensors.{index}.physics')}: {error}") from error
-    return Measure(model, scene, config.mount, caster, surfaces, Air(scenario.weather, model, scene), receiver)
+    return Measure(model, scene, config.mount, caster, surfaces, air, receiver)
 
 
 def surface_table(

@@ -14,6 +14,7 @@ import numpy as np
 from emulator.draws import Draws
 from emulator.physics import atmosphere, precipitation
 from emulator.physics.arrays import Floats, Ints
+from emulator.physics.beams import NO_WIDTH
 from emulator.physics.subechoes import SubEchoes
 from emulator.sensing.model import SensorModel
 from emulator.weather import Rain, Snow
@@ -23,6 +24,8 @@ RARE = 1e-3
 TYPICAL_M = 10.0
 "Where the pulse cell is taken that decides between particles and continuum."
 SMALLEST_COUNTED_MM = 0.5
+MOST_A_BEAM = 3000.0
+"Particles seen alone by one beam from which they are a continuum."
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ def rain_particles(rain: Rain | None, model: SensorModel) -> Particles | None:
         made = Particles("rain", None, diameter_mm, density, kappa)
     else:
         made = Particles("rain", precipitation.rain_spectrum(rain.rate_mm_h, kappa))
-    return made if rain.echoes == "drops" or _sparse(made, model) else None
+    return _singly(made, model, rain.echoes)
 
 
 def snow_particles(snow: Snow | None, model: SensorModel) -> Particles | None:
@@ -57,7 +60,50 @@ def snow_particles(snow: Snow | None, model: SensorModel) -> Particles | None:
     if snow is None or snow.rate_mm_h == 0.0 or not model.weather_echoes or snow.echoes in ("off", "continuum"):
         return None
     made = Particles("snow", precipitation.snow_spectrum(snow.rate_mm_h, snow.flake_reflectance / 4.0))
-    return made if snow.echoes == "drops" or _sparse(made, model) else None
+    return _singly(made, model, snow.echoes)
+
+
+def _singly(particles: Particles, model: SensorModel, echoes: str) -> Particles | None:
+    """The particles, where they are to be drawn one by one; a `ValueError` where that is asked and cannot be."""
+    drawn = echoes == "drops" or _sparse(particles, model)
+    if drawn and (mean := _mean_of_a_beam(particles, model)) > MOST_A_BEAM:
+        if echoes == "drops":
+            told = f"weather.{particles.term}.echoes: drops, {mean:.3g} of them seen in a beam"
+            raise ValueError(f"{told}; want continuum or auto from {MOST_A_BEAM:g} on")
+        return None
+    return particles if drawn else None
+
+
+def _mean_of_a_beam(particles: Particles, model: SensorModel) -> float:
+    """Mean number of particles that alone are seen by one beam that nothing stops."""
+    half_angle, near_m = _cone_of(model)
+    if half_angle == 0.0 or near_m >= model.gate_m:
+        return 0.0
+    scale = _scale(particles, half_angle, model)
+    if particles.spectrum is None:
+        end = max(min(model.gate_m, math.sqrt(particles.diameter_mm / scale)), near_m)
+        return particles.number_m3 * math.pi * half_angle**2 * (end**3 - near_m**3) / 3.0
+    return float(precipitation.detectable_mean(particles.spectrum, scale, half_angle, near_m, model.gate_m))
+
+
+def _cone_of(model: SensorModel) -> tuple[float, float]:
+    """Half angle of the beam, and where its particles begin to be seen."""
+    half_angle = math.sqrt(model.beam.half_angle_x_rad * model.beam.half_angle_y_rad)
+    return (half_angle if half_angle >= NO_WIDTH else 0.0), max(model.overlap_start_m, model.near_gate_m)
+
+
+def _scale(particles: Particles, half_angle: float, model: SensorModel, gain: float = 1.0) -> float:
+    kappa = particles.kappa_sr if particles.spectrum is None else particles.spectrum.kappa_sr
+    return float(
+        precipitation.detectable_scale(
+            half_angle,
+            kappa,
+            model.peak_w,
+            math.pi * model.aperture_radius_m**2,
+            model.efficiency,
+            model.threshold / gain * model.nep_w,
+        )
+    )
 
 
 def _sparse(particles: Particles, model: SensorModel) -> bool:
@@ -82,18 +128,13 @@ def seen_particles(
     gain: float = 1.0,
 ) -> SubEchoes | None:
     """Sub-echoes of the particles that alone reach the threshold, up to each beam's first surface, `far_m` (n,)."""
-    half_angle = math.sqrt(model.beam.half_angle_x_rad * model.beam.half_angle_y_rad)
-    near_m = max(model.overlap_start_m, model.near_gate_m)
+    half_angle, near_m = _cone_of(model)
     if half_angle == 0.0 or near_m >= model.gate_m:
         return None
     nep_w = model.nep_w
     area_m2 = math.pi * model.aperture_radius_m**2
     kappa = particles.kappa_sr if particles.spectrum is None else particles.spectrum.kappa_sr
-    scale = float(
-        precipitation.detectable_scale(
-            half_angle, kappa, model.peak_w, area_m2, model.efficiency, model.threshold / gain * nep_w
-        )
-    )
+    scale = _scale(particles, half_angle, model, gain)
     far = np.minimum(far_m, model.gate_m)
     if particles.spectrum is None:
         beam, range_m, diameter_mm = _one_size(particles, scale, half_angle, near_m, far, sweep, draws)

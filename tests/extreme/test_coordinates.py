@@ -191,7 +191,9 @@ def test_a_vertex_that_is_no_number_is_refused_with_its_triangle(tmp_path: Path,
 
 
 def test_a_vertex_farther_than_float64_can_tell_is_refused_with_its_triangle(tmp_path: Path) -> None:
-    write_obj(tmp_path / "wall.obj", [[5, -1, -1], [5, 1, -1], [5, 0, 1], [5, 1e300, 0]], np.array([[0, 1, 2], [0, 1, 3]]))
+    write_obj(
+        tmp_path / "wall.obj", [[5, -1, -1], [5, 1, -1], [5, 0, 1], [5, 1e300, 0]], np.array([[0, 1, 2], [0, 1, 3]])
+    )
     with pytest.raises(SceneError, match=r"triangle 1 .*want coordinates within"):
         scene_from(tmp_path, world=[{"mesh": "wall.obj", "material": "asphalt"}])
 
@@ -317,11 +319,7 @@ def test_rays_are_the_same_alone_and_in_batches_of_any_size(tmp_path: Path) -> N
 def test_many_triangles_are_built_in_proportion_and_met_where_they_are(tmp_path: Path, triangles: int) -> None:
     """98 to 1e7 in the table; 1e6 and 1e7 with time and memory are `tests/benchmarks/bench_triangles.py`."""
     cells = round(np.sqrt(triangles / 2))
-    side = np.linspace(-20.0, 20.0, cells + 1)
-    y, z = (axis.ravel() for axis in np.meshgrid(side, side, indexing="ij"))
-    points = np.column_stack([30.0 + 0.5 * np.sin(y) * np.cos(z), y, z])
-    a = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel()
-    faces = np.concatenate([np.column_stack([a, a + 1, a + cells + 2]), np.column_stack([a, a + cells + 2, a + cells + 1])])
+    points, faces = uneven_wall(cells)
     write_ply(tmp_path / "wall.ply", points, faces)
     tracemalloc.start()
     world = scene_from(tmp_path, world=[{"mesh": "wall.ply", "material": "asphalt"}])
@@ -337,6 +335,16 @@ def test_many_triangles_are_built_in_proportion_and_met_where_they_are(tmp_path:
     met = hits.range_m[:, None] * direction
     surface = 30.0 + 0.5 * np.sin(met[:, 1]) * np.cos(met[:, 2])
     assert np.abs(met[:, 0] - surface).max() < 0.2 * (40.0 / cells) ** 2 + 1e-9
+
+
+def uneven_wall(cells: int) -> tuple[Any, Any]:
+    """A wall of 2 cells^2 triangles 30 m ahead, 40 m wide, in waves of half a metre."""
+    side = np.linspace(-20.0, 20.0, cells + 1)
+    y, z = (axis.ravel() for axis in np.meshgrid(side, side, indexing="ij"))
+    points = np.column_stack([30.0 + 0.5 * np.sin(y) * np.cos(z), y, z])
+    a = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel()
+    upper, lower = np.column_stack([a, a + 1, a + cells + 2]), np.column_stack([a, a + cells + 2, a + cells + 1])
+    return points, np.concatenate([upper, lower])
 
 
 def write_ply(path: Path, points: Any, faces: Any) -> None:

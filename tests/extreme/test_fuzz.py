@@ -48,9 +48,15 @@ MATERIALS = {
     "rough": {"rho": 0.5, "model": "oren_nayar", "slope_rad": 0.5},
 }
 SHAPE = st.one_of(
-    st.fixed_dictionaries({"plane": st.fixed_dictionaries({"size_m": st.lists(ends(1e-9, 1e9), min_size=2, max_size=2)})}),
-    st.fixed_dictionaries({"box": st.fixed_dictionaries({"size_m": st.lists(ends(1e-9, 1e4), min_size=3, max_size=3)})}),
-    st.fixed_dictionaries({"sphere": st.fixed_dictionaries({"radius_m": ends(1e-9, 1e6), "segments": st.integers(4, 24)})}),
+    st.fixed_dictionaries(
+        {"plane": st.fixed_dictionaries({"size_m": st.lists(ends(1e-9, 1e9), min_size=2, max_size=2)})}
+    ),
+    st.fixed_dictionaries(
+        {"box": st.fixed_dictionaries({"size_m": st.lists(ends(1e-9, 1e4), min_size=3, max_size=3)})}
+    ),
+    st.fixed_dictionaries(
+        {"sphere": st.fixed_dictionaries({"radius_m": ends(1e-9, 1e6), "segments": st.integers(4, 24)})}
+    ),
     st.fixed_dictionaries(
         {
             "cylinder": st.fixed_dictionaries(
@@ -158,6 +164,12 @@ def keeps_the_contract(scan: Scan, wanted: ScanPlan) -> None:
     assert (seen[:, :-1] >= seen[:, 1:]).all()  # no gap between echoes
 
 
+def told(error: EmulatorError, *places: str) -> None:
+    """A refusal says where, and what is wanted."""
+    assert any(place in str(error) for place in places), str(error)
+    assert "want" in str(error)
+
+
 def same(one: Scan, two: Scan) -> bool:
     return all(
         getattr(one, name).tobytes() == getattr(two, name).tobytes()
@@ -183,7 +195,11 @@ def test_whatever_is_allowed_keeps_the_contract_and_comes_twice_the_same(
     tmp_path: Path, world: Any, actors: Any, weather: Any, physics: Any, model: str, mode: str, mount: Any,
     offset_m: float, azimuth_deg: list[float], start_s: float, seed: int,
 ) -> None:  # fmt: skip
-    for item in [*world, mount, *(point for one in actors for point in one["motion"].get("waypoints", [one["motion"]]))]:
+    for item in [
+        *world,
+        mount,
+        *(point for one in actors for point in one["motion"].get("waypoints", [one["motion"]])),
+    ]:
         item["at_m"] = [item["at_m"][0] + offset_m, item["at_m"][1] - offset_m, item["at_m"][2]]
     for number, one in enumerate(actors):
         one["id"] = f"actor{number}"
@@ -196,9 +212,7 @@ def test_whatever_is_allowed_keeps_the_contract_and_comes_twice_the_same(
     try:
         measure = loaded(text, tmp_path)
     except EmulatorError as error:
-        # numbers that are allowed alone and not together
-        assert "drawn.yaml:1: sensors.front.physics: " in str(error) or "no area" in str(error)
-        assert "want" in str(error)
+        told(error, "drawn.yaml:1: sensors.front.physics: ", "no area")  # allowed alone and not together
         return
     scan = measure(wanted)
     keeps_the_contract(scan, wanted)
@@ -227,8 +241,7 @@ def test_a_plate_at_any_range_and_tilt_keeps_the_contract(
     try:
         measure = loaded(text, tmp_path)
     except EmulatorError as error:
-        assert "drawn.yaml:1: sensors.front.physics: " in str(error)
-        assert "want" in str(error)
+        told(error, "drawn.yaml:1: sensors.front.physics: ")
         return
     scan = measure(wanted)
     keeps_the_contract(scan, wanted)
@@ -260,8 +273,7 @@ def test_any_value_of_a_choice_is_taken_or_refused_by_name(tmp_path: Path, keys:
         world = scene.build(config)
         measure = sensing.build(config, world, raycast.Caster(world), "front")
     except EmulatorError as error:
-        assert "drawn.yaml:1: sensors.front.physics" in str(error)
-        assert "want" in str(error)
+        told(error, "drawn.yaml:1: sensors.front.physics")
         return
     keeps_the_contract(measure(wanted), wanted)
 
@@ -276,3 +288,36 @@ def test_a_plan_of_any_length_is_a_scan_of_that_length(tmp_path: Path, count: in
     if count == 0:
         assert scan.range_m.shape == (0, 1)
     keeps_the_contract(scan, wanted)
+
+
+# ------------------------------------------------------------------------------- what was found, kept
+@pytest.mark.parametrize("gate_m", [20.0, 1e4])
+@pytest.mark.parametrize("method", ["leading_edge", "peak", "centroid", "constant_fraction"])
+def test_a_medium_that_clips_beyond_its_window_is_measured(tmp_path: Path, gate_m: float, method: str) -> None:
+    """Haze so strong under so good a receiver that the signal stays at its full scale where the window ends."""
+    physics = {"rule": "axis", "system_constant_m2": 1e27,
+               "full_scale_snr": 1e12, "threshold_to_noise": 20.0,
+               "noise": False, "floor_reflectance": "off",
+               "gate_m": gate_m, "pulse_fwhm_ns": 0.5, "detection": method}  # fmt: skip
+    weather = {"fog": {"visibility_m": 1e9}, "smoke": {"visibility_m": 23.0}}
+    text = {"schema": 1, "materials": MATERIALS, "weather": weather,
+            "sensors": [{"id": "front", "model": "sick-lms291-s05", "physics": physics}]}  # fmt: skip
+    wanted = plan([0.0, 10.0])
+    scan = loaded(text, tmp_path)(wanted)
+    keeps_the_contract(scan, wanted)
+    assert (scan.flags & SATURATED).all()
+
+
+@pytest.mark.parametrize("falling", ["rain", "snow"])
+def test_more_single_drops_than_can_be_drawn_are_a_continuum_or_refused(tmp_path: Path, falling: str) -> None:
+    physics = {"system_constant_m2": 1e30, "divergence_deg": 1.0}
+    text: dict[str, Any] = {
+        "schema": 1, "materials": MATERIALS, "weather": {falling: {"rate_mm_h": 1e-3}},
+        "sensors": [{"id": "front", "model": "paper-905nm", "physics": physics}],
+    }  # fmt: skip
+    wanted = plan([0.0, 1.0])
+    scan = loaded(text, tmp_path)(wanted)
+    keeps_the_contract(scan, wanted)
+    text["weather"][falling]["echoes"] = "drops"
+    with pytest.raises(EmulatorError, match=rf"{falling}.echoes: drops, .* seen in a beam; want continuum or auto"):
+        loaded(text, tmp_path)

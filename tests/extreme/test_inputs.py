@@ -147,7 +147,9 @@ def test_the_blind_zone_after_a_clipped_echo_does_not_end_with_a_long_pulse(tmp_
 @pytest.mark.parametrize("range_m", [0.05, 0.5, 0.899])
 def test_nothing_is_seen_before_beam_and_field_of_view_meet(tmp_path: Path, range_m: float) -> None:
     """r1 of paper-905nm: 0.9 m."""
-    measure = build(tmp_path, [plate(range_m, "white", 3.0, 0.0, 3.0)], weather=CLEAR, physics={**QUIET, "rule": "axis"})
+    measure = build(
+        tmp_path, [plate(range_m, "white", 3.0, 0.0, 3.0)], weather=CLEAR, physics={**QUIET, "rule": "axis"}
+    )
     assert np.isnan(measure(plan([0.0])).range_m).all()
     fog = build(
         tmp_path, [plate(range_m, "white", 3.0, 0.0, 3.0)], weather={"fog": {"visibility_m": 5.0}},
@@ -245,8 +247,7 @@ def test_a_law_outside_its_wavelengths_gives_its_value_and_a_warning(
     tmp_path: Path, wavelength_nm: float, law: str, told: bool
 ) -> None:
     weather = {"fog": {"visibility_m": 200.0, "law": law}}
-    physics = {"wavelength_nm": wavelength_nm} if law != "kruse" else {"wavelength_nm": wavelength_nm}
-    measure = build(tmp_path, [plate(20.0, "half")], weather=weather, physics=physics)
+    measure = build(tmp_path, [plate(20.0, "half")], weather=weather, physics={"wavelength_nm": wavelength_nm})
     outside = [line for line in measure.warnings if "wavelength" in line and law in line]
     assert bool(outside) == told
     assert 0.0 < extinction(measure) < 0.1
@@ -351,7 +352,7 @@ def test_a_scan_measured_twice_is_the_same_to_the_last_bit(tmp_path: Path, noise
 # ------------------------------------------------------------------------------- refused by name
 @pytest.mark.parametrize(("keys", "told"), [
     ({"world": [{"box": {"size_m": [1.0, 1.0, 1e10]}, "material": "white"}]}, r"world\[0\].box.size_m\[2\]"),
-    ({"world": [{"sphere": {"radius_m": 1e-12}, "material": "white"}]}, r"sphere.radius_m: 1e-12; want a number >= 1e-09"),
+    ({"world": [{"sphere": {"radius_m": 1e-12}, "material": "white"}]}, r"sphere.radius_m: 1e-12; want a number >="),
     ({"world": [{**plate(20.0, "white"), "at_m": [1e300, 0.0, 0.0]}]}, r"world\[0\].at_m\[0\]: 1e\+300; want"),
     ({"world": [{**plate(20.0, "white"), "yaw_deg": 1e300}]}, r"world\[0\].yaw_deg"),
     ({"actors": [{"id": "a", "motion": {"velocity_m_s": [3e8, 0.0, 0.0]}}]}, r"actors.a.motion.velocity_m_s\[0\]"),

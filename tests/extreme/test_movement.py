@@ -143,8 +143,8 @@ def test_sensor_and_target_that_move_together_see_each_other_at_rest(tmp_path: P
 
 
 def overtaking(folder: Path, **physics: Any) -> Measure:
-    box = {"id": "box", "shape": {"box": {"size_m": [2.0, 2.0, 2.0]}}, "material": "half",
-           "motion": {"at_m": [10.0, -5.0, -1.0], "velocity_m_s": [0.0, 100.0, 0.0], "yaw_rate_deg_s": 3600.0}}  # fmt: skip
+    motion = {"at_m": [10.0, -5.0, -1.0], "velocity_m_s": [0.0, 100.0, 0.0], "yaw_rate_deg_s": 3600.0}
+    box = {"id": "box", "shape": {"box": {"size_m": [2.0, 2.0, 2.0]}}, "material": "half", "motion": motion}
     return build(folder, [plate(30.0, "white")], actors=[box], physics={**QUIET, **physics}, weather=CLEAR)
 
 

@@ -68,10 +68,13 @@ def test_an_lms_rounds_half_up_to_its_unit(unit: str) -> None:
     counts = [0, 1, 7, 100, 813, 2999]
     # halves of a count, written so that range x counts is exactly the half in float64, and the number just below
     halves = [(n + 0.5) / UNITS[unit] for n in counts]
-    exact = [h if h * UNITS[unit] == n + 0.5 else float(np.nextafter(h, 9e9)) for n, h in zip(counts, halves, strict=True)]
+    exact = [
+        h if h * UNITS[unit] == n + 0.5 else float(np.nextafter(h, 9e9)) for n, h in zip(counts, halves, strict=True)
+    ]
     under = [x for h in halves if (x := below(below(h))) * UNITS[unit] < round(h * UNITS[unit] - 0.5) + 0.5]
     assert lms_words(exact, unit) == [n + 1 for n in counts]
-    assert lms_words(under, unit) == counts[: len(under)] if len(under) == len(counts) else True
+    assert len(under) == len(counts)
+    assert lms_words(under, unit) == counts
     whole = [n / UNITS[unit] for n in counts]
     assert lms_words(whole, unit) == counts
 
