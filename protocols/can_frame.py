@@ -122,21 +122,27 @@ def frame_bits(peer: int, data: bytes) -> int:
 
 def frames_bits(peers: Sequence[int], payloads: Sequence[bytes]) -> NDArray[np.int64]:
     """`frame_bits` of many frames at once, (n,)."""
-    lengths = np.array([len(payload) for payload in payloads], dtype=np.int64)
+    sizes = list(map(len, payloads))
+    lengths = np.array(sizes, dtype=np.int64)
+    shortest, longest = (min(sizes), max(sizes)) if sizes else (0, 0)
     # a list has few identifiers, so few headers
     rows: dict[tuple[int, int], int] = {}
-    index = [rows.setdefault((peer, len(payload)), len(rows)) for peer, payload in zip(peers, payloads, strict=True)]
+    index = [rows.setdefault(row, len(rows)) for row in zip(peers, sizes, strict=True)]
     headers = np.array([_header(*row) for row in rows], dtype=np.int64).reshape(-1, 3)
     register, state, total = headers[np.array(index, dtype=np.intp)].T
-    columns = np.frombuffer(b"".join(payload.ljust(8, b"\0") for payload in payloads), np.uint8).reshape(-1, 8)
+    padded = payloads if shortest == 8 else [payload.ljust(8, b"\0") for payload in payloads]
+    columns = np.frombuffer(b"".join(padded), np.uint8).reshape(-1, 8).T.astype(np.int64)
     total = total + 8 * lengths + 15 + TAIL_BITS
-    for column in range(int(lengths.max(initial=0))):
-        byte = columns[:, column].astype(np.int64)
-        sent = lengths > column
+    for column, byte in enumerate(columns[:longest]):
         after = _STUFF_BYTE_ARRAY[state << 8 | byte]
+        rest = (register << 8 & 0x7FFF) ^ _CRC_ARRAY[register >> 7 ^ byte]
+        if column < shortest:
+            total += after[:, 1]
+            state, register = after[:, 0], rest
+            continue
+        sent = lengths > column
         total += np.where(sent, after[:, 1], 0)
-        state = np.where(sent, after[:, 0], state)
-        register = np.where(sent, (register << 8 & 0x7FFF) ^ _CRC_ARRAY[register >> 7 ^ byte], register)
+        state, register = np.where(sent, after[:, 0], state), np.where(sent, rest, register)
     after = _STUFF_BYTE_ARRAY[state << 8 | register >> 7]
     last = _STUFF_7_ARRAY[after[:, 0] << 7 | register & 0x7F]
     return np.asarray(total + after[:, 1] + last[:, 1], dtype=np.int64)

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from protocols.can_frame import LONGEST_FRAME_BITS, frames_bits
+from protocols.can_frame import LONGEST_FRAME_BITS
 from protocols.can_objects import ldmrs_parameters as p
 from protocols.can_objects.identities import Identities
 from protocols.can_objects.ldmrs_lists import object_frames
@@ -143,6 +144,7 @@ class LdmrsSession(CanObjectSession):
         self._parameters = p.ParameterBank(settings.parameters)
         super().__init__(settings.common)
         self._ids = Identities(256)
+        self._object_bits = np.zeros(0, dtype=np.int64)
         self._reset(0)
 
     def _shift(self) -> int:
@@ -244,12 +246,20 @@ class LdmrsSession(CanObjectSession):
 
     def _fitting(self, per_object: list[list[Frame]]) -> list[list[Frame]]:
         """As many objects, best first, as the bus carries in one cycle beside header, time, trailer and a warning."""
-        frames = [frame for group in per_object for frame in group]
-        bits = frames_bits([frame.identifier for frame in frames], [frame.payload for frame in frames])
+        bits = super()._list_bits([frame for group in per_object for frame in group])
         ends = np.cumsum([len(group) for group in per_object], dtype=np.int64)
         through = np.concatenate([[0], np.cumsum(bits)])[ends]
         budget = self._cycle_ns() / self._bit_ns - 4 * LONGEST_FRAME_BITS
-        return per_object[: int(np.searchsorted(through, budget, side="right"))]
+        listed = int(np.searchsorted(through, budget, side="right"))
+        self._object_bits = bits[: ends[listed - 1] if listed else 0]
+        return per_object[:listed]
+
+    def _list_bits(self, frames: list[Frame]) -> NDArray[np.int64]:
+        """Those of the objects are known since it was seen how many of them fit."""
+        if self._protection is not None:
+            return super()._list_bits(frames)
+        others = super()._list_bits([frames[0], frames[1], frames[-1]])
+        return np.concatenate([others[:2], self._object_bits, others[2:]])
 
     def _mounted(self, table: ObjectTable) -> ObjectTable:
         """Objects in the vehicle's frame, by the mounting parameters (yaw, x and y)."""

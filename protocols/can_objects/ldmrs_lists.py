@@ -6,6 +6,7 @@ Belongs here: base+0 to base+8 from columns of objects, contours included. Not: 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,11 +89,8 @@ def object_frames(
         ),
     ]
     contours = _contour_frames(layout, shift, table, ids, density)
-    out: list[list[Frame]] = []
-    for row in range(n):
-        frames = [Frame(layout[name].identifier + shift, payloads[row], name) for name, payloads in columns]
-        out.append(frames + contours[row])
-    return out
+    made = [map(Frame, repeat(layout[name].identifier + shift), payloads, repeat(name)) for name, payloads in columns]
+    return [[*frames, *contour] for frames, contour in zip(zip(*made, strict=True), contours, strict=True)]
 
 
 def _contour_frames(

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protocols.can_frame import frame_bits, frames_bits
 from protocols.can_objects.e2e import Protection
@@ -329,6 +330,10 @@ class CanObjectSession(Session):
                 found.append((max(bus.free_ns, self._pending[0][0]), 2))
         return min(found) if found else None
 
+    def _list_bits(self, frames: list[Frame]) -> NDArray[np.int64]:
+        """Length of each frame of a list on the bus."""
+        return frames_bits([frame.identifier for frame in frames], [frame.payload for frame in frames])
+
     def _begin_list(self, at_ns: int) -> None:
         due_ns, scan = self._pending.popleft()
         if not self._lists_wanted():
@@ -340,8 +345,7 @@ class CanObjectSession(Session):
         frames = self._encode_list(ObjectTable.of(scan.objects), at_ns, scan.plan.start_ns)
         if self._protection is not None:
             frames = [frame._replace(payload=self._protection.protect(frame.label, frame.payload)) for frame in frames]
-        bits = frames_bits([frame.identifier for frame in frames], [frame.payload for frame in frames])
-        lengths_ns = np.rint(bits * self._bit_ns).astype(np.int64).tolist()
+        lengths_ns = np.rint(self._list_bits(frames) * self._bit_ns).astype(np.int64).tolist()
         self._list_duration_ns = sum(lengths_ns)
         self._bus.current.extend(zip(frames, lengths_ns, strict=True))
         self._bus.sweep = scan.plan.sweep
@@ -350,11 +354,14 @@ class CanObjectSession(Session):
     def _continue_list(self, out: list[Emission], now_ns: int) -> None:
         """Send frames of the list in progress up to `now_ns`, or until a reply comes between."""
         bus = self._bus
-        while bus.current and bus.free_ns <= now_ns and not (bus.replies and bus.replies[0][0] <= bus.free_ns):
-            frame, length_ns = bus.current.popleft()
-            self._put(out, frame, bus.free_ns, self._links or [0], bus.sweep)
-            bus.sweep = None
-            bus.free_ns += length_ns
+        current, links, free_ns, sweep = bus.current, self._links or [0], bus.free_ns, bus.sweep
+        end_ns = min(now_ns, bus.replies[0][0] - 1) if bus.replies else now_ns
+        while current and free_ns <= end_ns:
+            frame, length_ns = current.popleft()
+            self._put(out, frame, free_ns, links, sweep)
+            sweep = None
+            free_ns += length_ns
+        bus.free_ns, bus.sweep = free_ns, sweep
 
     def _emit(self, out: list[Emission], frame: Frame, at_ns: int, links: list[int] | None = None) -> None:
         if self._protection is not None:
@@ -364,12 +371,13 @@ class CanObjectSession(Session):
 
     def _put(self, out: list[Emission], frame: Frame, at_ns: int, links: list[int], sweep: int | None) -> None:
         """One emission a link; the first one of a list carries the sweep."""
+        identifier, payload, label = frame
         for link in links:
-            key = (link, frame.identifier)
+            key = (link, identifier)
             address = self._addresses.get(key)
             if address is None:
                 address = self._addresses[key] = Address(*key)
-            out.append(Emission(at_ns, frame.payload, address, sweep, None, frame.label))
+            out.append(Emission(at_ns, payload, address, sweep, None, label))
             sweep = None
 
     def _note_foreign(self, identifier: int, now_ns: int) -> None:
