@@ -21,7 +21,7 @@ from emulator.errors import EmulatorError
 from protocols.scan import DAZZLED, SATURATED, Scan, ScanPlan
 from tests.sensing.rig import grey, plan
 
-MODERATE = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+MODERATE = settings(max_examples=40, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 
 
 def ends(low: float, high: float) -> st.SearchStrategy[float]:
@@ -109,7 +109,7 @@ PHYSICS = st.fixed_dictionaries(
         "roll_deg": ANGLE,
         "exit_diameter_mm": ends(0.0, 1e4),
         "pulse": st.just("sin2"),
-        "pulse_fwhm_ns": ends(0.5, 1e4),
+        "pulse_fwhm_ns": ends(0.5, 1e3),
         "system_constant_m2": ends(1e-30, 1e30),
         "threshold_to_noise": ends(2.0, 1e12),
         "detection": st.sampled_from(["leading_edge", "constant_fraction", "peak", "centroid"]),
@@ -248,7 +248,7 @@ def test_a_plate_at_any_range_and_tilt_keeps_the_contract(
     assert same(scan, measure(wanted))
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=30, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 @given(
     keys=st.dictionaries(
         st.sampled_from(sorted(json.loads(json.dumps(scenario.json_schema()))["$defs"]["PhysicsOptions"]["properties"])),

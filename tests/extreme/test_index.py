@@ -142,7 +142,7 @@ COUNTS = {"6.1": 17, "6.2": 11, "6.3": 14, "6.4": 4, "6.5": 3, "own": 2}
 "Rows of the tables of 6.1 and 6.3; of 6.2, 6.4 and 6.5 the tables, rules and sentences that can fail."
 
 
-def tests_here() -> set[str]:
+def names_of_tests_here() -> set[str]:
     """Names of all tests in this folder's files."""
     names: set[str] = set()
     for path in Path(__file__).parent.glob("test_*.py"):
@@ -162,4 +162,4 @@ def test_every_row_has_its_number_and_its_tests() -> None:
 
 def test_the_index_and_the_tests_of_this_folder_name_each_other() -> None:
     indexed = {name for _, _, _, tests in ROWS for name in tests}
-    assert indexed == tests_here()
+    assert indexed == names_of_tests_here()
