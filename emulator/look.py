@@ -117,14 +117,14 @@ def describe(scan: HostScan) -> str:
     seen = np.isfinite(scan.range_m)
     if not seen.any():
         return f"{len(scan.range_m)} beams, no echo"
-    return f"{len(scan.range_m)} beams, {int(seen.sum())} echoes, nearest {np.nanmin(scan.range_m):.3f} m"
+    return f"{len(scan.range_m)} beams, {int(seen.sum())} echoes, nearest {np.nanmin(scan.range_m):.2f} m"
 
 
 def picture(title: str, scan: HostScan, scans_per_s: float) -> str:
     """A scan drawn to fit the terminal, status line included; 80 x 24 where there is none."""
     size = shutil.get_terminal_size((80, 24))
-    rate_text = "-" if math.isnan(scans_per_s) else f"{scans_per_s:.2f} scans/s"
-    status = f"{title} | scan {scan.number} | {rate_text} | {describe(scan)}"
+    rate_text = "-" if math.isnan(scans_per_s) else f"{scans_per_s:.1f}/s"
+    status = f"{'; '.join(title.replace(';', ' ').split())} | {rate_text} | {describe(scan)}"
     lines = plot.polar(scan.azimuth_rad, scan.range_m, min(size.columns, 160), max(6, size.lines - 2))
     return "\n".join([status[: size.columns], *lines])
 
