@@ -284,7 +284,7 @@ def evaluate(node: Node, lookup: Callable[[Name], Value]) -> Value:
         return truth(evaluate(node.right, lookup))
     left, right = (np.asarray(evaluate(side, lookup), dtype=np.float64) for side in (node.left, node.right))
     if left.ndim and right.ndim and left.shape != right.shape:
-        raise ExpressionError(f"{node.sign} of series with {len(left)} and {len(right)} values; reduce one, as by mean()")
+        raise ExpressionError(f"{node.sign} of {len(left)} and {len(right)} values; reduce one, as by mean()")
     with np.errstate(all="ignore"):
         result = np.asarray(_ARITHMETIC[node.sign](left, right))
     return result if result.ndim else result.item()
