@@ -132,3 +132,37 @@ def published(
     else:
         say(f"{written[0]}: {len(written)} files; table 2 within {worst:.1f} % in every row")
     return OK if held else FAILED
+
+
+@study.command()
+@out_option
+@click.option("--quick", is_flag=True, help="Fewer sub-beams and targets; under a minute instead of minutes.")
+@json_option
+def accuracy(out: Path, quick: bool, as_json: bool) -> int:
+    """Error against run time and rays, for every rule and setting; what the defaults cost."""
+    from emulator.studies import report
+
+    report.need_extra()
+    report.prepare(out)
+    from emulator.studies import accuracy as whole
+
+    clock = SystemClock()
+    made = whole.run(whole.QUICK if quick else whole.FULL, progress)
+    written = report.write(made, out)
+    rows = made.table("accuracy_acceptance").rows
+    missed = [str(row[0]) for row in rows if not row[3]]
+    if as_json:
+        told = {
+            "study": "accuracy",
+            "held": not missed,
+            "missed": missed,
+            "seconds": round(1e-9 * clock.now_ns(), 1),
+            "files": [str(path) for path in written],
+        }
+        say(json.dumps(told))
+    else:
+        say(f"{written[0]}: {len(written)} files; {len(rows) - len(missed)} of {len(rows)} numbers met")
+        for item in missed:
+            say(f"missed: {item}")
+        say(made.summary[1])
+    return FAILED if missed else OK

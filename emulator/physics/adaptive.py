@@ -25,6 +25,8 @@ from emulator.physics.beams import Profile, disc_area
 
 MAX_LEVEL = 12
 "Cells of 4096 a side; enough for 1e-6 of the power."
+LEAST_OF_LARGEST = 1.0 / 6.0
+"Share over the largest one below which a cell waits; 1/4 to 1/8 differ little."
 HALF_WIDTH = 2.0
 "Where the outermost cells would end if they were not extended to infinity, in beam radii."
 
@@ -97,6 +99,19 @@ def differing(cells: Cells, label: Ints) -> Bools:
         found |= differs
         found[other[differs]] = True  # a large neighbour of several small ones has only one probe a side
     return found
+
+
+def worthwhile(cells: Cells, chosen: Bools, profile: Profile = "gauss") -> Bools:
+    """Those of the chosen cells whose share is at least a sixth of the largest chosen one's in the same beam.
+
+    Splitting the others would take little off the error; their turn comes when the large ones have been cut. Random
+    edges across a Gaussian beam, 64 cells and five rounds: 970 rays and an RMS error of 2.5e-4; without, four rounds,
+    992 rays and 5.8e-4.
+    """
+    share = np.where(chosen, cells.shares(profile), 0.0)
+    first = np.flatnonzero(np.diff(cells.beam, prepend=-1))
+    most = np.repeat(np.maximum.reduceat(share, first), np.diff(np.append(first, len(cells))))
+    return np.asarray(chosen & (share >= LEAST_OF_LARGEST * most))
 
 
 def split(cells: Cells, chosen: Bools) -> Cells:

@@ -1,0 +1,384 @@
+"""Study `accuracy`: what accuracy costs, error against run time and against rays, rule by rule.
+
+Belongs here: the order of the work, tables, what follows for rule and number of sub-beams. Not: the errors themselves
+(accuracy_rules, accuracy_path, accuracy_knobs), drawing (accuracy_pictures).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from emulator.studies import accuracy_knobs as knobs
+from emulator.studies import accuracy_pictures as pictures
+from emulator.studies import accuracy_rules as rules
+from emulator.studies.accuracy_acceptance import DEFAULT, Curves, acceptance
+from emulator.studies.accuracy_path import PRODUCT, Edges, Run
+from emulator.studies.accuracy_rules import FIXED, TITLES
+from emulator.studies.report import Column, Report, Section, Table, Value
+
+NAME = "accuracy"
+TITLE = "Error against run time"
+REPEATS = 10
+ALLOWED = (5e-2, 2e-2, 1e-2, 5e-3, 2e-3, 1e-3)
+"Errors of a share for which a rule is recommended."
+TIE = 1.15
+"Rules whose numbers of sub-beams differ by less than the place of the edges makes them differ count as equal."
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is computed."""
+
+    counts: tuple[int, ...]
+    "Sub-beams, bare numpy."
+    targets: int
+    "Edges, wires, planes a repeat."
+    scenes: int
+    "Composed scenes a repeat."
+    path_counts: tuple[int, ...]
+    "Sub-beams through the product."
+    path_beams: int
+    "Edges a repeat through the product."
+    depths: tuple[int, ...]
+    "Rounds of splitting."
+    sweeps: int
+    phases: int
+    point_counts: tuple[int, ...]
+
+
+FULL = Effort(
+    (16, 32, 61, 128, 256, 512, 1024, 4096, 16384), 400, 6, (16, 32, 61, 128, 256, 512, 1024, 4096), 100,
+    (0, 1, 2, 3, 4, 5, 6), 20, 100, (8, 16, 32, 61, 128, 256, 512),
+)  # fmt: skip
+QUICK = Effort((16, 61, 256, 1024, 4096), 150, 2, (16, 61, 256, 1024), 40, (0, 1, 2, 3, 4, 5), 6, 50, (16, 61, 256))
+
+
+TARGETS = {
+    "edge": "share of the power on a half plane",
+    "wire": "share on a wire of a tenth of the beam's radius, relative to the mean",
+    "plane": "energy of a plane at 80 degrees, 12.9 mrad, relative",
+    "composed": "energy of wire, edge and tilted wall together, relative",
+    "composed_range": "mean range of the same (m)",
+}
+
+
+def run(effort: Effort, steps: Callable[[list[str]], Iterator[str]] = iter) -> Report:
+    """The whole report; `steps` yields the names of the parts as they begin, for a progress bar."""
+    names = [*(f"numpy: {TITLES[rule]}" for rule in (*FIXED, "adaptive")), "composed scenes: reference"]
+    names += [f"product: {TITLES[rule]}" for rule in (*FIXED, "adaptive")]
+    names += ["bins and fog", "instants", "threads", "leaving out", "points", "drawing"]
+    progress = steps(names)
+    curves: Curves = {target: {} for target in TARGETS}
+    for rule in (*FIXED, "adaptive"):
+        next(progress)
+        simple(rule, effort, curves)
+    next(progress)
+    composed(effort, curves)
+    runs: dict[str, list[Run]] = {}
+    with Edges(REPEATS, effort.path_beams) as scene:
+        for rule in (*FIXED, "adaptive"):
+            next(progress)
+            runs[rule] = [scene.run(rule, n) for n in (effort.depths if rule == "adaptive" else effort.path_counts)]
+    next(progress)
+    bins, fog = knobs.bins(), knobs.fog()
+    next(progress)
+    instants = knobs.steps()
+    next(progress)
+    threads = knobs.threads(effort.sweeps)
+    next(progress)
+    left_out = knobs.pruning(("flat_wall", "street", "bumper"), effort.sweeps)
+    next(progress)
+    points = knobs.point_counts(("spiral", "grid", "laguerre"), effort.point_counts, effort.phases)
+    next(progress)
+    held = acceptance(curves, runs, bins, fog, points)
+    advised = advice(curves, runs)
+    sections = (
+        Section(
+            "What to choose",
+            chosen_text(curves, runs, advised),
+            (pictures.default(runs),),
+            (advised, held),
+        ),
+        Section(
+            "Rules on known answers",
+            (
+                "Bare numpy in float64, no mesh and no ray caster: half planes and wires at random places within one "
+                "radius of the axis and random turns, planes tilted by 80 degrees, and scenes in which a wire hides an "
+                f"edge and both hide a tilted wall. {REPEATS} repeats with other targets; the median, and the least "
+                'and largest as a band. References: closed forms; for composed scenes 2^20 sub-beams. "adaptive" '
+                "splits only cells that are worth it (physics.adaptive.worthwhile).",
+                "On smooth surfaces Gauss rules are exact to rounding from 16 sub-beams on, and useless at edges; the "
+                "rules that spread points evenly are the other way round. A single plane needs no bundle at all: the "
+                "product recognises it and uses the closed form.",
+            ),
+            (pictures.by_rays(curves),),
+            (curve_table(curves), slope_table(curves, runs)),
+        ),
+        Section(
+            "Through the product",
+            (
+                f"{REPEATS} times {effort.path_beams} beams of one sensor, each at its own random edge: a plane at 20 "
+                "m before another at 20.7 m, so the pulses overlap. Scenario, mesh files, embreex, sub-beams, "
+                "receiver; every term computed (`full: true`). Rules that a scenario can choose (spiral, laguerre, grid, "
+                "adaptive) run through the measuring function itself, the others give their nodes to the functions "
+                "that it calls. Range: peak of the summed pulse, against the two echoes of the closed form in the "
+                "same receiver. Detection: probability that the near echo is found at a threshold of 5 rms noise, "
+                "full beam 10. Time is that of sub-beams, cast, echoes and receiver on one core of this machine.",
+            ),
+            (pictures.quantities(runs), pictures.efficiency(runs)),
+            (path_table(runs),),
+        ),
+        Section(
+            "Other settings",
+            ("What is not the rule: sampling, fog, motion, threads, terms left out, and points counted on a plate.",),
+            (pictures.settings(bins, fog, instants, points),),
+            (bins, fog, instants, threads, left_out, points),
+        ),
+    )
+    report = Report(NAME, TITLE, summary(curves, runs, held), sections)
+    for _ in progress:
+        raise AssertionError("a part without a name")
+    return report
+
+
+# ------------------------------------------------------------------------------- the work
+def simple(rule: str, effort: Effort, curves: Curves) -> None:
+    """Edges, wires and planes."""
+    for target in ("edge", "wire") if rule == "adaptive" else ("edge", "wire", "plane"):
+        curve = []
+        for count in effort.depths if rule == "adaptive" else effort.counts:
+            cast: list[float] = []
+            errors: list[float] = []
+            for repeat in range(REPEATS):
+                rng = np.random.default_rng([repeat, 7])
+                if target == "plane":
+                    made, error = rules.plane_error(rule, count, effort.targets // 8, rng)
+                else:
+                    strips = (rules.edges if target == "edge" else rules.wires)(effort.targets, rng)
+                    if rule == "adaptive":
+                        split, error = rules.adaptive_error(count, strips)
+                        cast.append(split)
+                    else:
+                        made, error = rules.fixed_error(rule, count, strips, rng)
+                    error /= 1.0 if target == "edge" else float(np.mean(strips.share))
+                errors.append(error)
+                if rule != "adaptive":
+                    cast.append(float(made))
+            curve.append((float(np.mean(cast)), tuple(errors)))
+        curves[target][rule] = curve
+
+
+def composed(effort: Effort, curves: Curves) -> None:
+    """Composed scenes, all rules on the same ones."""
+    made = [rules.layers(effort.scenes, np.random.default_rng([repeat, 11])) for repeat in range(REPEATS)]
+    nodes = FIXED["spiral"](rules.REFERENCE, np.random.default_rng(0))
+    exact = [scene.energy(nodes) for scene in made]
+    for rule in FIXED:
+        energy, range_m = [], []
+        for count in [one for one in effort.counts if one <= 4096]:
+            rng = np.random.default_rng(count)
+            found = [rules.layers_error(rule, count, *pair, rng) for pair in zip(made, exact, strict=True)]
+            rays = float(found[0][0])
+            energy.append((rays, tuple(one[1] for one in found)))
+            range_m.append((rays, tuple(one[2] for one in found)))
+        curves["composed"][rule], curves["composed_range"][rule] = energy, range_m
+
+
+# ------------------------------------------------------------------------------- tables
+def median_curve(curves: Curves, target: str, rule: str) -> tuple[list[float], list[float]]:
+    """Rays and median errors."""
+    curve = curves[target][rule]
+    return [rays for rays, _ in curve], [float(np.median(errors)) for _, errors in curve]
+
+
+def curve_table(curves: Curves) -> Table:
+    """Every error in bare numpy."""
+    rows: list[tuple[Value, ...]] = []
+    for target, of in curves.items():
+        for rule, curve in of.items():
+            for rays, errors in curve:
+                rows.append((target, rule, rays, float(np.median(errors)), min(errors), max(errors)))
+    return Table(
+        "accuracy_rules",
+        "Errors by rule and rays",
+        (
+            Column("target", "target"),
+            Column("rule", "rule"),
+            Column("rays", "rays/beam", ".0f"),
+            Column("error", "error", ".1e"),
+            Column("least", "least", ".1e"),
+            Column("largest", "largest", ".1e"),
+        ),
+        tuple(rows),
+        "; ".join(f"{name}: {text}" for name, text in TARGETS.items())
+        + f". Root mean square; median, least and largest of {REPEATS} repeats.",
+    )
+
+
+def path_table(runs: dict[str, list[Run]]) -> Table:
+    """Every error and time through the product."""
+    rows: list[tuple[Value, ...]] = []
+    for rule, of in runs.items():
+        for one in of:
+            seconds, energy = np.asarray(one.seconds), np.asarray([e.energy for e in one.errors])
+            rest = [float(np.median([getattr(e, name) for e in one.errors])) for name in OTHER]
+            middle, time_s = float(np.median(energy)), float(np.median(seconds))
+            rows.append((rule, one.count, one.rays, 1e6 * time_s, 1e6 * float(seconds.min()),
+                         1e6 * float(seconds.max()), middle, float(energy.min()), float(energy.max()), *rest,
+                         1.0 / (middle**2 * time_s)))  # fmt: skip
+    return Table(
+        "accuracy_path",
+        "Errors and times through the product",
+        (
+            Column("rule", "rule"),
+            Column("count", "sub-beams or rounds", "d"),
+            Column("rays", "rays/beam", ".0f"),
+            Column("us", "us/beam", ".1f"),
+            Column("us_least", "least", ".1f"),
+            Column("us_largest", "largest", ".1f"),
+            Column("energy", "energy", ".1e"),
+            Column("energy_least", "least", ".1e"),
+            Column("energy_largest", "largest", ".1e"),
+            Column("range_m", "range (m)", ".1e"),
+            Column("detection", "detection", ".1e"),
+            Column("waveform", "waveform", ".1e"),
+            Column("efficiency", "1/(error^2 time) (1/s)", ".1e"),
+        ),
+        tuple(rows),
+        f"Median, least and largest of {REPEATS} repeats. Rule adaptive: rounds of splitting from 64 cells.",
+    )
+
+
+OTHER = ("range_m", "detection", "waveform")
+
+
+def slope_table(curves: Curves, runs: dict[str, list[Run]]) -> Table:
+    """Orders: least squares over the last three points in logarithms."""
+    rows: list[tuple[Value, ...]] = []
+    for rule, of in runs.items():
+        fitted: list[Value] = []
+        for target in TARGETS:
+            here = curves[target].get(rule)
+            fitted.append(
+                _number(rules.slope(*median_curve(curves, target, rule))) if here and target != "plane" else None
+            )
+        energy = [float(np.median([e.energy for e in one.errors])) for one in of]
+        fitted.append(_number(rules.slope([one.rays for one in of], energy)))
+        fitted.append(_number(rules.slope([float(np.median(one.seconds)) for one in of], energy)))
+        rows.append((TITLES[rule], *fitted))
+    return Table(
+        "accuracy_slopes",
+        "Fitted orders over the last three points",
+        (
+            Column("rule", "rule"),
+            *(Column(target, target.replace("_", " "), ".2f") for target in TARGETS),
+            Column("product_rays", "product, by rays", ".2f"),
+            Column("product_time", "product, by time", ".2f"),
+        ),
+        tuple(rows),
+        "Planes have no order: Gauss rules are at rounding from the start, see the table above.",
+    )
+
+
+def _number(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def advice(curves: Curves, runs: dict[str, list[Run]]) -> Table:
+    """Rule and number of sub-beams for an allowed error of the share on an edge."""
+    rows: list[tuple[Value, ...]] = []
+    for allowed in ALLOWED:
+        found: dict[str, float] = {}
+        for rule in (*FIXED, "adaptive"):
+            rays = rules.needed(*median_curve(curves, "edge", rule), allowed)
+            if rays is not None:
+                found[rule] = rays
+        spiral = found.get("spiral")
+        first = min(found, key=lambda name: found[name]) if found else None
+        if first is None:
+            rows.append((allowed, None, None, None, None, None, None))
+            continue
+        # equal within what the place of the edges does: the spiral, which has any number and no direction of its own
+        named = "spiral" if spiral is not None and spiral <= TIE * found[first] else first
+        offered = {name: n for name, n in found.items() if name in PRODUCT}
+        times = {name: time for name in offered if (time := _time_for(runs[name], allowed)) is not None}
+        fastest = min(times, key=lambda name: times[name]) if times else None
+        rows.append((allowed, TITLES[named], found[named], spiral, found.get("adaptive"),
+                     TITLES[fastest] if fastest else None, times[fastest] * 1e6 if fastest else None))  # fmt: skip
+    return Table(
+        "accuracy_advice",
+        "Rule and sub-beams for an allowed error of the share on an edge",
+        (
+            Column("allowed", "allowed (RMS)", ".0e"),
+            Column("rule", "fewest rays"),
+            Column("rays", "rays/beam", ".0f"),
+            Column("spiral", "spiral needs", ".0f"),
+            Column("adaptive", "adaptive needs", ".0f"),
+            Column("fastest", "least time in the product"),
+            Column("us", "us/beam", ".0f"),
+        ),
+        tuple(rows),
+        "Between computed points by straight lines in logarithms. A rule that needs at most 15 % fewer rays than the "
+        "spiral counts as equal to it: the spiral takes any number and favours no direction. An error under that of "
+        "the smallest number tried is given with that number. Thin wires need more: see the curves.",
+    )
+
+
+def _time_for(of: list[Run], allowed: float) -> float | None:
+    energy = [float(np.median([e.energy for e in one.errors])) for one in of]
+    return rules.needed([float(np.median(one.seconds)) for one in of], energy, allowed)
+
+
+# ------------------------------------------------------------------------------- words
+def default_run(runs: dict[str, list[Run]]) -> Run:
+    """What the product does when nothing is chosen."""
+    return next(one for one in runs["spiral"] if one.count == DEFAULT)
+
+
+def default_text(curves: Curves, runs: dict[str, list[Run]]) -> str:
+    """What the default costs and how wrong it can be."""
+    one = default_run(runs)
+    us = 1e6 * float(np.median(one.seconds))
+    energy, range_mm, detection, wave = (
+        scale * float(np.median([getattr(e, name) for e in one.errors]))
+        for name, scale in (("energy", 100.0), ("range_m", 1e3), ("detection", 1.0), ("waveform", 100.0))
+    )
+    rays, errors = median_curve(curves, "wire", "spiral")
+    wire = 100.0 * errors[rays.index(float(DEFAULT))]
+    return (
+        f"The default, {DEFAULT} sub-beams on a spiral, costs {us:.0f} us a beam here when all of them are cast, "
+        f"{1e-3 * 361 * us:.1f} ms for a sweep of 361 beams. At a random edge the echo is then off by {energy:.1f} % "
+        f"of the beam's power, the range between two planes 0.7 m apart by {range_mm:.0f} mm, the probability of "
+        f"detection by {detection:.3f} and the waveform by {wave:.1f} % of its peak (root mean square). A wire of a "
+        f"tenth of the beam's radius is off by {wire:.0f} % of its echo; where a beam is known to see a single plane the closed "
+        "form is used, which is right to 1e-6."
+    )
+
+
+def chosen_text(curves: Curves, runs: dict[str, list[Run]], advised: Table) -> tuple[str, ...]:
+    """Chapter one."""
+    row = next(one for one in advised.rows if one[0] == 2e-2)
+    spiral, best = float(row[3] or 0.0), float(row[2] or 0.0)
+    follows = (
+        f"Allowed is an error of 2 % of the power on an edge: it shifts a probability of detection at twice the "
+        f"threshold by 0.03 at most on average. The fewest rays for that are {best:.0f} ({row[1]}); the spiral needs "
+        f"{spiral:.0f}, and {DEFAULT} leave a margin. So the product's defaults follow: rule spiral, {DEFAULT} "
+        "sub-beams (LMS2xx, LD-LRS1000); 256 where a sensor has few beams. `adaptive` is for errors of 2e-3 and "
+        "less on edges; it costs more time a ray, and a wire between its first cells is missed. `laguerre` is for smooth "
+        "surfaces only."
+    )
+    return default_text(curves, runs), follows
+
+
+def summary(curves: Curves, runs: dict[str, list[Run]], held: Table) -> tuple[str, ...]:
+    """Head of the page."""
+    met = sum(1 for value in held.column("held") if value)
+    return (
+        "How wrong a simulated echo is, against what it costs in rays and in time: for every rule that spreads a "
+        "beam's power over sub-beams, on answers that are known.",
+        default_text(curves, runs),
+        f"Acceptance: {met} of {len(held.rows)} numbers met.",
+    )
