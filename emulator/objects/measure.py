@@ -76,6 +76,11 @@ class ObjectMeasure:
         self._memories: deque[_Memory] = deque([self._nothing()], maxlen=REMEMBERED)
         self._last: ListedScan | None = None
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What its sources computed outside the range where it is known to hold."""
+        return tuple(text for source in self._sources for text in getattr(source.measure, "warnings", ()))
+
     def __call__(self, plan: ScanPlan) -> Scan:
         """The list that a plan asks for."""
         if self._last is not None and _key(self._last.plan) == _key(plan):

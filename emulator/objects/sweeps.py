@@ -1,13 +1,15 @@
 """Sweeps that a scanner makes when it measures all the time, whatever its hosts ask of it.
 
 Belongs here: which sweep of a source is the newest at an instant. Its plans come from a session of its own, with the
-scenario's `device:` table, switched on at the start of the run; so lists made of them depend on no host. Not: measuring.
+scenario's `device:` table, switched on at the start of the run: lists made of them depend on no host. Not: measuring.
 """
 
 from __future__ import annotations
 
-from collections import deque
+from dataclasses import replace
 from typing import Protocol
+
+import numpy as np
 
 from emulator.errors import ScenarioError
 from emulator.sensing.table import table_plan
@@ -17,7 +19,7 @@ from protocols.scan import Scan, ScanPlan
 from protocols.session import Address, Dropped, DropReason, LinkKind, Session
 
 KEPT_NS = 1_000_000_000
-"Sweeps are remembered for so long: lists are made ahead of time, and made again after a changed setting."
+"Sweeps before a change are remembered for so long: lists are made again after a changed setting."
 SOON_NS, LATER_NS = 100_000_000, 5_000_000_000
 "Time to the next request while the device starts; after one that it has taken."
 MAX_ROUNDS = 64
@@ -25,6 +27,11 @@ KINDS = {"lms2xx": LinkKind.SERIAL, "ld": LinkKind.DATAGRAM}
 "Link on which a family's device is asked: an LD with a listener measures by itself."
 REQUESTS = {"lms2xx": (request(b"\x20\x48"), request(b"\x20\x24")), "ld": ()}
 "500 kbaud, so that the line holds no sweep up; then all values, continuously."
+
+
+BLOCK = 16
+"Sweeps after which directions and instants repeat, those of interlaced combs included."
+MOST_KEPT = 1024
 
 
 class Sweeps(Protocol):
@@ -58,23 +65,52 @@ class TableSweeps:
 
 
 class SessionSweeps:
-    """A model with a protocol: what a session without hosts wants measured."""
+    """A model with a protocol: what a session without hosts wants measured.
+
+    Once its sweeps repeat, block after block, the session is let go and the blocks are continued by number: hours
+    without a list cost nothing.
+    """
 
     def __init__(self, session: Session, family: str) -> None:
         self._session = session
         self._requests = REQUESTS[family]
-        self._recent: deque[ScanPlan] = deque()
+        self._plans: list[ScanPlan] = []
+        "From the last change on."
         self._wake_ns: int | None = 0
         self._ask_ns = 0
+        self._block_ns = 0
+        "Duration of the block that repeats for ever, the last one of `_plans`; 0: not yet."
+        self._block_sweeps = 0
+        "By which its sweeps are counted on: a device may count turns of its mirror."
         session.connected(0, Address(0, 0), KINDS[family])
         session.power_on(0)
 
     def newest(self, at_ns: int) -> ScanPlan | None:
-        while self._wake_ns is not None and self._wake_ns <= at_ns:
+        while not self._block_ns and self._wake_ns is not None and self._wake_ns <= at_ns:
             self._wake_ns = self._step(self._wake_ns)
-            while self._recent and self._recent[0].start_ns < at_ns - KEPT_NS:
-                self._recent.popleft()
-        return next((plan for plan in reversed(self._recent) if end_ns(plan) <= at_ns), None)
+        blocks = (at_ns - self._plans[-BLOCK].start_ns) // self._block_ns if self._block_ns else 0
+        for number in (blocks, blocks - 1):
+            if number > 0:
+                block = self._plans[-BLOCK:]
+                later = (_later(plan, number * self._block_sweeps, number * self._block_ns) for plan in reversed(block))
+                found = next((plan for plan in later if end_ns(plan) <= at_ns), None)
+                if found is not None:
+                    return found
+        return next((plan for plan in reversed(self._plans) if end_ns(plan) <= at_ns), None)
+
+    def _note(self, plan: ScanPlan) -> None:
+        """Keep a sweep; look whether the last block is the one before it again."""
+        if self._plans and plan.epoch != self._plans[-1].epoch:
+            self._plans = [one for one in self._plans if one.start_ns > plan.start_ns - KEPT_NS]
+        self._plans.append(plan)
+        last, before = self._plans[-BLOCK:], self._plans[-2 * BLOCK : -BLOCK]
+        if len(before) < BLOCK:
+            return
+        shift_ns, sweeps = last[0].start_ns - before[0].start_ns, last[0].sweep - before[0].sweep
+        if all(_repeats(one, other, shift_ns, sweeps) for one, other in zip(before, last, strict=True)):
+            self._block_ns, self._block_sweeps = shift_ns, sweeps
+        elif len(self._plans) > MOST_KEPT:
+            del self._plans[: MOST_KEPT // 2]
 
     def _step(self, now_ns: int) -> int | None:
         """All that can be done by now; when to look again."""
@@ -85,7 +121,7 @@ class SessionSweeps:
             moved = bool(session.take_emissions(now_ns))
             plan = session.next_plan()
             if plan is not None and plan.start_ns <= now_ns:
-                self._recent.append(plan)
+                self._note(plan)
                 session.submit(Scan.empty(plan))
                 moved = True
             if not moved:
@@ -108,6 +144,23 @@ class SessionSweeps:
         events = self._session.take_events()
         booting = any(isinstance(event, Dropped) and event.reason is DropReason.BOOTING for event in events)
         self._ask_ns = now_ns + (SOON_NS if booting else LATER_NS)
+
+
+def _later(plan: ScanPlan, sweeps: int, shift_ns: int) -> ScanPlan:
+    return replace(plan, sweep=plan.sweep + sweeps, start_ns=plan.start_ns + shift_ns)
+
+
+def _repeats(one: ScanPlan, other: ScanPlan, shift_ns: int, sweeps: int) -> bool:
+    """Whether one sweep is the other, a block later; instants are rounded to nanoseconds."""
+    return (
+        abs(other.start_ns - one.start_ns - shift_ns) <= 1
+        and other.sweep - one.sweep == sweeps
+        and other.epoch == one.epoch
+        and all(
+            np.array_equal(getattr(one, name), getattr(other, name))
+            for name in ("azimuth_rad", "elevation_rad", "fire_offset_s")
+        )
+    )
 
 
 def sweeps_of(spec: SensorSpec, session: Session | None) -> Sweeps:

@@ -81,7 +81,9 @@ def named(made: ListedScan) -> Mapping[str | None, DetectedObject]:
         ("paper-905nm", {}, 40.0),
     ],
 )
-def test_a_source_measures_at_its_own_rate_without_any_host(model: str, device: dict[str, object], period_ms: float) -> None:
+def test_a_source_measures_at_its_own_rate_without_any_host(
+    model: str, device: dict[str, object], period_ms: float
+) -> None:
     sensor = f"sensors: [{{id: a, model: {model}, device: {device}}}]"
     loaded = scenario.loads(f"schema: 1\n{sensor}\n", Path("a.yaml"))
     session = assembly.new_session(loaded, 0) if load_spec(model).family else None
@@ -110,6 +112,48 @@ def test_which_sweep_is_the_newest_does_not_depend_on_who_asked_before() -> None
     for other in (straight, again):
         assert (other.sweep, other.start_ns) == (last.sweep, last.start_ns)
         assert np.array_equal(other.azimuth_rad, last.azimuth_rad)
+
+
+def test_after_hours_without_a_list_sweeps_go_on_as_if_they_had_been_counted() -> None:
+    loaded = scenario.loads(YARD, Path("yard.yaml"))
+    sweeps = SessionSweeps(assembly.new_session(loaded, 0), "lms2xx")
+    early, late = sweeps.newest(10_000 * MS), sweeps.newest(7_210_000 * MS)
+    assert early is not None
+    assert late is not None
+    turns = (late.sweep - early.sweep) / 2  # the mirror turns twice for half a degree
+    assert turns == pytest.approx(7200 * 37.5, abs=1)
+    # the period is known to the nanosecond a block of sixteen sweeps
+    assert (late.start_ns - early.start_ns) / turns == pytest.approx(1e9 / 37.5, abs=0.1)
+    assert 0 <= 7_210_000 * MS - end_ns(late) < 27 * MS
+    assert sweeps.newest(10_000 * MS) is not None
+
+
+@pytest.mark.parametrize("step_ms", [1, 13, 400])
+@pytest.mark.parametrize(
+    ("model", "device"),
+    [
+        ("sick-lms291-s05", {"resolution_deg": 0.25, "field_deg": 100}),
+        ("sick-ld-lrs1000", {"motor_hz": 5, "step_deg": 0.25}),
+    ],
+)
+def test_the_block_that_is_continued_is_what_the_session_goes_on_to_want(
+    model: str, device: dict[str, object], step_ms: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded = scenario.loads(f"schema: 1\nsensors: [{{id: a, model: {model}, device: {device}}}]\n", Path("a.yaml"))
+    family = str(load_spec(model).family)
+    quick = SessionSweeps(assembly.new_session(loaded, 0), family)
+    found = [quick.newest(ms * MS) for ms in range(1, 16_000, step_ms)]
+    monkeypatch.setattr("emulator.objects.sweeps._repeats", lambda *_: False)
+    slow = SessionSweeps(assembly.new_session(loaded, 0), family)
+    assert slow.newest(16_000 * MS) is not None
+    every = max(1, len(found) // 60)
+    for one, ms in zip(found[::every], range(1, 16_000, step_ms)[::every], strict=True):
+        other = slow.newest(ms * MS)
+        assert (one is None) == (other is None)
+        if one is not None and other is not None:
+            assert one.sweep == other.sweep
+            assert one.start_ns == pytest.approx(other.start_ns, abs=40)
+            assert np.array_equal(one.azimuth_rad, other.azimuth_rad)
 
 
 # ---------------------------------------------------------------- lists
