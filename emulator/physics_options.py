@@ -13,6 +13,7 @@ BundleRule = Literal["axis", "laguerre", "spiral", "grid", "adaptive"]
 Profile = Literal["gauss", "tophat"]
 PulseShape = Literal["sin2", "gauss"]
 DetectionMethod = Literal["leading_edge", "constant_fraction", "peak", "centroid"]
+Sparingly = Literal["auto", "always", "never"]
 EchoChoice = Literal["first", "strongest", "last", "all"]
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -51,6 +52,17 @@ class PhotonOptions(BaseModel):
     idler_efficiency: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
     integration_ms: Annotated[float, Field(gt=0.0, le=1e5)] = 10.0
     "Pairs: time for which coincidences of a beam are collected."
+
+
+class LeaveOut(BaseModel):
+    """Switches of single rules of leaving out; `needs` lists them with their bounds."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    closed_form: Sparingly = "auto"
+    "One ray for beams that see one plane; `auto`: where that saves time."
+    far_objects: bool = True
+    "Nothing is cast on what lies out of reach."
 
 
 class PhysicsOptions(BaseModel):
@@ -100,6 +112,9 @@ class PhysicsOptions(BaseModel):
     windscreen: WindscreenOptions | None = None
     photons: PhotonOptions | None = None
     "Count photons instead of timing an analogue signal."
+    leave_out: LeaveOut = LeaveOut()
+    plain_radii: Annotated[float, Field(ge=0.5, le=5.0)] = 2.63
+    "Beam radii within which a beam must see one plane to be cast as one ray; 1e-6 of the power lies outside of 2.63."
     full: bool = False
     "Compute every term, also those that a bound shows to be invisible."
 

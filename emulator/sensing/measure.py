@@ -11,6 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emulator.draws import Draws
 from emulator.errors import ScenarioError
@@ -24,11 +25,12 @@ from emulator.sensing.air import Air, AirNow
 from emulator.sensing.daylight import daylight
 from emulator.sensing.model import SensorModel, sensor_model
 from emulator.sensing.particles import seen_particles
-from emulator.sensing.paths import Caster, Seen, Surfaces, returned, trace
+from emulator.sensing.paths import FacedCaster, Seen, Surfaces, reach_of, returned
 from emulator.sensing.photon_receiver import PhotonReceiver
 from emulator.sensing.rays import BundleCache, Bundles, Rays, cast_rays
 from emulator.sensing.receiver import Receiver
 from emulator.sensing.soft import SoftTargets
+from emulator.sensing.sparing import Spared, Sparing, wanted
 from emulator.spec import load_spec
 from protocols.scan import Scan, ScanPlan
 
@@ -52,6 +54,10 @@ class View:
     "Surfaces, particles and uneven media."
     air: AirNow
     surfaces: Surfaces
+    cast: int
+    "First rays cast: those of all bundles, where none was spared."
+    plain: NDArray[np.bool_] | None = None
+    "(n,) beams of which one plane is seen, or nothing, and that had no bundle; None: not asked for."
 
 
 class Measure:
@@ -62,7 +68,7 @@ class Measure:
         model: SensorModel,
         scene: Scene,
         mount: Mount,
-        caster: Caster,
+        caster: FacedCaster,
         surfaces: tuple[Surfaces, Surfaces],
         air: Air,
         receiver: Receiver | PhotonReceiver,
@@ -80,6 +86,8 @@ class Measure:
         self._soft = SoftTargets(model, receiver.bin_m)
         still = mount.actor is None or scene.motions[scene.index[mount.actor]].still
         self._still_pose = scene.sensor_pose(mount, np.zeros(1)) if still else None
+        # made here, so that the first sweep of a run is not late
+        self._sparing = Sparing(scene, model, caster, still) if wanted(model, scene) else None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -113,12 +121,18 @@ class Measure:
         pose = self._pose(t_s)
         air, gain = self.air.at(float(t_s[0])), plan.gain
         surfaces = self._wet if air.wet else self._dry
-        if self.model.rule == "adaptive" and not self.model.beam.is_ray:
-            rays, hits = adaptive_rays(plan, pose, t_s, self._caster, self.model)
-            seen = returned(hits, rays, self._caster, surfaces, air, self.model, gain, plan.max_range_m)
+        spared = self._spared(plan, pose, t_s, surfaces, air)
+        if spared is not None:
+            rays, seen = spared.rays, spared.seen
+        elif self.model.rule == "adaptive" and not self.model.beam.is_ray:
+            rays, cells = adaptive_rays(plan, pose, t_s, self._caster, self.model)
+            seen = returned(cells, rays, self._caster, surfaces, air, self.model, gain, plan.max_range_m)
         else:
             rays = self._rays(plan, pose, t_s)
-            seen = trace(rays, self._caster, surfaces, air, self.model, gain, plan.max_range_m)
+            # a surface out of reach is still background in daylight
+            far = reach_of(self.model, plan.max_range_m) if self.model.spare_far and air.sun is None else np.inf
+            hits = self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=far)
+            seen = returned(hits, rays, self._caster, surfaces, air, self.model, gain, plan.max_range_m)
         parts = [seen.echoes]
         for particles in air.particles:
             drawn = seen_particles(
@@ -134,7 +148,19 @@ class Measure:
         if self._soft.uneven(air):
             drawn = self._soft.points(air, rays, seen.echoes, t_s, gain)
             parts += [] if drawn is None else [drawn]
-        return View(rays, seen, SubEchoes.joined(*parts) if len(parts) > 1 else seen.echoes, air, surfaces)
+        echoes = SubEchoes.joined(*parts) if len(parts) > 1 else seen.echoes
+        if spared is not None:
+            return View(rays, seen, echoes, air, surfaces, spared.cast, spared.plain)
+        return View(rays, seen, echoes, air, surfaces, len(rays.beam))
+
+    def _spared(self, plan: ScanPlan, pose: Pose, t_s: Floats, surfaces: Surfaces, air: AirNow) -> Spared | None:
+        """The sweep with bundles only where they are needed; None where finding out costs more than it saves."""
+        if self._sparing is None:
+            return None
+        bundles = self._bundles.of(plan)
+        if not self._sparing.pays(len(plan), bundles.sub_beams):
+            return None
+        return self._sparing.sweep(plan, bundles, pose, t_s, surfaces, air)
 
     def _rays(self, plan: ScanPlan, pose: Pose, t_s: Floats) -> Rays:
         """Rays of fixed bundles; a sensor at rest casts the same ones as long as the plan's angles stay."""
@@ -153,7 +179,7 @@ class Measure:
         return Pose(np.broadcast_to(still.position_m, (n, 3)), np.broadcast_to(still.rotation, (n, 3, 3)))
 
 
-def build(scenario: Scenario, scene: Scene, caster: Caster, sensor_id: str) -> Measure:
+def build(scenario: Scenario, scene: Scene, caster: FacedCaster, sensor_id: str) -> Measure:
     """The measuring function of one sensor of a scenario.
 
     Parameters

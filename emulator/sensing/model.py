@@ -20,6 +20,7 @@ from emulator.physics_options import (
     PhotonOptions,
     PhysicsOptions,
     Profile,
+    Sparingly,
     WindscreenOptions,
 )
 from emulator.spec import DetectionSpec, Fact, OpticsSpec, PulseSpec, ReceiverSpec, SensorSpec
@@ -121,6 +122,12 @@ class SensorModel:
     photons: PhotonOptions | None
     full: bool
     "No term is left out, however small its bound."
+    spare_bundles: Sparingly
+    "Beams that see one plane are cast as one ray."
+    plain_radii: float
+    "Beam radii around the axis within which nothing but that plane may be."
+    spare_far: bool
+    "What lies out of reach is not cast on."
 
     @property
     def divergence_rad(self) -> float:
@@ -203,6 +210,9 @@ def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> Sensor
         windscreen=options.windscreen,
         photons=options.photons,
         full=options.full,
+        spare_bundles="never" if options.full else options.leave_out.closed_form,
+        plain_radii=options.plain_radii,
+        spare_far=options.leave_out.far_objects and not options.full,
     )
 
 

@@ -41,10 +41,25 @@ class Hits(Protocol):
     def normal(self) -> Floats: ...
 
 
+class FacedHits(Hits, Protocol):
+    """The same with the face of the body that is met."""
+
+    @property
+    def face(self) -> Ints: ...
+
+
 class Caster(Protocol):
     """Whoever finds the first surface on rays."""
 
     def first_hits(self, origin_m: Floats, direction: Floats, t_s: Floats) -> Hits: ...
+
+
+class FacedCaster(Protocol):
+    """The same with faces, and rays that end."""
+
+    def first_hits(
+        self, origin_m: Floats, direction: Floats, t_s: Floats, *, max_range_m: float = np.inf
+    ) -> FacedHits: ...
 
 
 class Medium(Protocol):
@@ -66,11 +81,14 @@ class Surfaces:
     "A surface mirrors or transmits enough that rays are continued."
     strongest: float
     "Largest equivalent reflectance of any of them."
+    onward: NDArray[np.bool_]
+    "(materials,) those that mirror or transmit."
 
     @classmethod
     def of(cls, table: SurfaceTable) -> Surfaces:
         """Those of a table."""
-        return cls(table, table.sends_on, float(table.largest.max(initial=0.0)))
+        onward = np.array([m.model in ("glass", "mirror") for m in table.materials], bool)
+        return cls(table, table.sends_on, float(table.largest.max(initial=0.0)), onward)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +144,7 @@ def returned(
     farthest_m: float = np.inf,
 ) -> Seen:
     """The same from the first hits of the rays."""
-    reach = min(model.gate_m, farthest_m) + 4.0 * model.pulse.half_support_m
+    reach = reach_of(model, farthest_m)
     index = np.flatnonzero(hits.range_m <= reach)
     parts = []
     if len(index):
@@ -134,7 +152,7 @@ def returned(
         chosen = None if every else index
         weight = rays.share
         if gain != 1.0 or model.windscreen is not None:
-            weight = weight * _windows(rays, model, gain)[rays.beam]
+            weight = weight * windows(rays, model, gain)[rays.beam]
         front = _Front(rays.origin_m, rays.direction, rays.t_s, rays.beam, weight, 0.0, 0.0)
         found, onward, front = _meet(front, hits, chosen, rays, scene, air, model)
         share = rays.share if every else rays.share[index]
@@ -151,7 +169,12 @@ def returned(
     return Seen(echoes, nearest, hits.material[at_axis], hits.normal[at_axis])
 
 
-def _windows(rays: Rays, model: SensorModel, gain: float) -> Floats:
+def reach_of(model: SensorModel, farthest_m: float = np.inf) -> float:
+    """Range beyond which nothing that comes back is looked at."""
+    return min(model.gate_m, farthest_m) + 4.0 * model.pulse.half_support_m
+
+
+def windows(rays: Rays, model: SensorModel, gain: float) -> Floats:
     """Factor on each beam's light there and back: the plan's gain, and a windscreen in front of the sensor."""
     factor = np.full(len(rays.axis), gain)
     if model.windscreen is not None:
@@ -216,11 +239,11 @@ def _meet(
         index = np.flatnonzero(through > 0.0)
         if len(index):
             onward.append(_Onward(index, front.direction[index], through[index], length[index], depth[index]))
-    amplitude = front.weight * _collected(length, depth, model) * reflectance
+    amplitude = front.weight * collected(length, depth, model) * reflectance
     return (front.beam, length, amplitude), onward, front
 
 
-def _collected(length_m: Floats, depth: Floats, model: SensorModel) -> Floats:
+def collected(length_m: Floats, depth: Floats, model: SensorModel) -> Floats:
     """Amplitude of a white plate met face-on by the whole beam."""
     overlap: Floats | float = 1.0
     if length_m.size and float(length_m.min()) < model.overlap_full_m:

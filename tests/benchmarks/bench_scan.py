@@ -72,7 +72,7 @@ def raw_cast(world: Scene, origin: Any, direction: Any) -> Callable[[], object]:
 def parts(name: str, measure: Measure, caster: raycast.Caster, plan: ScanPlan, repeats: int) -> None:
     """Print one line of costs."""
     view = measure.view(plan)
-    rays = view.rays
+    rays = measure._rays(plan, measure._pose(1e-9 * plan.start_ns + plan.fire_offset_s), plan.fire_offset_s)
     cast = best_ms(lambda: caster.first_hits(rays.origin_m, rays.direction, rays.t_s), repeats)
     raw = best_ms(raw_cast(measure._scene, rays.origin_m, rays.direction), repeats)
     seen = best_ms(lambda: measure.view(plan), repeats)

@@ -1,0 +1,292 @@
+"""Sweeps that cast bundles only where beams see more than one plane; the axis ray alone serves the others.
+
+Belongs here: the order of the steps, and what is kept for a sensor at rest. Not: the test of edges (plain), the echoes
+of planes (closed), the paths of bundles (paths).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from emulator.motion import Pose
+from emulator.outlines import outlines_of
+from emulator.physics import beams
+from emulator.physics.arrays import Bools, Floats, Ints
+from emulator.physics.subechoes import SubEchoes
+from emulator.sensing import closed
+from emulator.sensing.adapt import CellHits
+from emulator.sensing.air import AirNow
+from emulator.sensing.model import SensorModel
+from emulator.sensing.paths import FacedCaster, FacedHits, Seen, Surfaces, reach_of, returned
+from emulator.sensing.plain import Edges, Pieces, sights_of
+from emulator.sensing.rays import Bundles, Rays, cast_rays, turned
+from protocols.scan import ScanPlan
+
+if TYPE_CHECKING:
+    from emulator.scene import Scene
+
+TYPICAL_M = 20.0
+EDGES_SHARE = 0.15
+"Of the time that could be saved, at most to be spent on looking at edges."
+MOST_FACES = 2_000_000
+"Of different shapes: finding their edges would take many seconds."
+FEWEST = 12
+"Bundles of fewer sub-beams cost less than to find out where they are needed."
+EDGE_NS, PAIR_NS, RAY_NS = 200.0, 300.0, 300.0
+"About what an edge, a pair of edge and beam, and a ray cost; only their ratios matter."
+PROBES = 8
+SAME_NORMAL = 1e-8
+"One less the cosine of an angle of 1.4e-4."
+PROBED_RADII = 1.0
+"Where the probing rays go when edges are too many: what slips between them is narrower than 0.77 radii."
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """A sweep of the axes, and which beams are plain."""
+
+    rays: Rays
+    hits: FacedHits
+    plain: Bools
+    cast: int
+
+
+@dataclass(frozen=True, eq=False)
+class Spared:
+    """What came of a sweep."""
+
+    rays: Rays
+    "One to each beam."
+    seen: Seen
+    plain: Bools
+    "(n,) beams of which one plane is seen, or nothing."
+    cast: int
+    "Rays cast."
+
+
+def wanted(model: SensorModel, scene: Scene) -> bool:
+    """The rule may save something for this sensor in this scene."""
+    if model.spare_bundles == "never" or model.rule in ("adaptive", "axis") or model.beam.is_ray:
+        return False
+    faces = {id(body.geometry): len(body.faces) for body in scene.bodies}
+    return sum(faces.values()) <= MOST_FACES and (model.spare_bundles == "always" or thin(model))
+
+
+def thin(model: SensorModel) -> bool:
+    """Planes up to 45 degrees from face-on need no ranges of their bundle at a typical range."""
+    beam = model.beam
+    width = max(beam.half_angle_x_rad, beam.half_angle_y_rad) * TYPICAL_M + beam.exit_radius_m
+    return 0.5 * width <= closed.SPREAD_LSB * model.lsb_m
+
+
+class Sparing:
+    """Finds out where one sensor's bundles are needed."""
+
+    def __init__(self, scene: Scene, model: SensorModel, caster: FacedCaster, at_rest: bool) -> None:
+        self._model, self._caster, self._at_rest = model, caster, at_rest
+        self.radii = model.plain_radii if model.beam.profile == "gauss" else 1.0 + 1e-6
+        outlines = outlines_of(scene)
+        self.edges, self._pieces = Edges(outlines, model, self.radii), Pieces(outlines)
+        self._all_still = at_rest and all(body.motion.still for body in scene.bodies)
+        moving = np.array([not body.motion.still for body in scene.bodies], bool)
+        # edges of resting bodies are looked at once by a sensor at rest
+        self._looked_at = int(np.count_nonzero(moving[outlines.body])) if at_rest else len(outlines)
+        self._kept: tuple[bytes, float, Looked] | None = None
+        self._group: tuple[Bundles, bytes, Rays] | None = None
+
+    def pays(self, beams_: int, sub_beams: int) -> bool:
+        """Looking at the edges costs clearly less than the rays that may be spared."""
+        if self._model.spare_bundles == "always":
+            return True
+        if sub_beams < FEWEST:
+            return False
+        return self.edges.too_many or self._looked_at * EDGE_NS < EDGES_SHARE * beams_ * (sub_beams - 1) * RAY_NS
+
+    def sweep(
+        self, plan: ScanPlan, bundles: Bundles, pose: Pose, t_s: Floats, surfaces: Surfaces, air: AirNow
+    ) -> Spared:
+        """Everything that comes back from surfaces in a sweep."""
+        model, gain = self._model, plan.gain
+        reach = reach_of(model, plan.max_range_m)
+        looked = self._looked(plan, bundles, pose, t_s, reach, far=air.sun is not None or not model.spare_far)
+        rays, hits = looked.rays, looked.hits
+        planes = closed.planes(rays, hits, model, self.radii)
+        met = np.isfinite(hits.range_m)
+        plain = looked.plain & (planes.steep < closed.STEEPEST)
+        if surfaces.sends_on and model.bounces > 0:
+            plain[met] &= ~surfaces.onward[hits.material[met]]
+        short = closed.holds(planes, hits, surfaces, air, model, plain & met)
+        if model.rule == "laguerre":
+            short[:] = False  # chosen for its exact sums
+        found, wide = closed.echoes(np.flatnonzero(short), rays, planes, hits, surfaces, air, model, gain, reach)
+        short[wide] = False
+        group = np.flatnonzero(~plain | (met & ~short))
+        nearest = np.where(met, hits.range_m, np.inf)
+        material, normal = hits.material.copy(), hits.normal.copy()
+        cast = looked.cast
+        if len(group):
+            part, count = self._bundle_part(bundles, pose, t_s, group, plain, looked, surfaces, air, gain, plan, reach)
+            cast += count
+            echoes = replace(part.echoes, beam=group[part.echoes.beam])
+            found = SubEchoes.joined(found, echoes) if len(found) else echoes
+            nearest[group] = part.nearest_m
+            material[group], normal[group] = part.axis_material, part.axis_normal
+        if air.particles and bool(np.any(short)):
+            self._exact_nearest(nearest, np.flatnonzero(short), bundles, pose, t_s, looked)
+        return Spared(rays, Seen(found, nearest, material, normal), plain, cast)
+
+    def _bundle_part(
+        self, bundles: Bundles, pose: Pose, t_s: Floats, group: Ints, plain: Bools, looked: Looked,
+        surfaces: Surfaces, air: AirNow, gain: float, plan: ScanPlan, reach: float,
+    ) -> tuple[Seen, int]:  # fmt: skip
+        """Bundles of these beams: cast, or where they meet one plane for certain, computed from it."""
+        rays = self._rays(bundles, pose, t_s, group)
+        far = np.inf if air.sun is not None or not self._model.spare_far else reach
+        known = plain[group][rays.beam]
+        if not bool(np.any(known)):
+            hits = CellHits.of(self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=far))
+            return returned(hits, rays, self._caster, surfaces, air, self._model, gain, plan.max_range_m), len(known)
+        first, owner = looked.hits, group[rays.beam]
+        columns = CellHits(
+            np.full(len(owner), np.nan), first.body[owner], first.actor[owner], first.material[owner],
+            first.normal[owner],
+        )  # fmt: skip
+        columns.range_m[known] = closed.plane_ranges(_taken(rays, known), _at(looked, group), rays.beam[known])
+        cast = np.flatnonzero(~known)
+        if len(cast):
+            met = self._caster.first_hits(
+                rays.origin_m[cast], rays.direction[cast], rays.t_s[cast], max_range_m=far
+            )  # fmt: skip
+            for name in ("range_m", "body", "actor", "material", "normal"):
+                getattr(columns, name)[cast] = getattr(met, name)
+        return returned(columns, rays, self._caster, surfaces, air, self._model, gain, plan.max_range_m), len(cast)
+
+    def _exact_nearest(
+        self, nearest: Floats, chosen: Ints, bundles: Bundles, pose: Pose, t_s: Floats, looked: Looked
+    ) -> None:
+        """Falling particles are drawn up to the nearest sub-beam's range: that of the bundle, so that none differs."""
+        rays = cast_rays(_part(bundles, chosen), _pose_at(pose, chosen), t_s[chosen])
+        ranges = closed.plane_ranges(rays, _at(looked, chosen), rays.beam)
+        nearest[chosen] = np.fmin(np.fmin.reduceat(ranges, np.arange(len(chosen)) * bundles.sub_beams), np.inf)
+
+    # ------------------------------------------------------------------ which beams are plain
+    def _looked(self, plan: ScanPlan, bundles: Bundles, pose: Pose, t_s: Floats, reach: float, far: bool) -> Looked:
+        cut = np.inf if far else reach
+        key = plan.azimuth_rad.tobytes() + plan.elevation_rad.tobytes()
+        if self._all_still and self._kept is not None and self._kept[:2] == (key, cut):
+            kept = self._kept[2]
+            return Looked(kept.rays.at(t_s), kept.hits, kept.plain, 0)
+        rays = cast_rays(_axes(bundles), pose, t_s)
+        hits = self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=cut)
+        found = self._judged(plan, rays, hits, pose, t_s, reach if not far else math.inf, bundles.sub_beams)
+        if self._all_still:
+            self._kept = key, cut, found
+        return found
+
+    def _judged(
+        self, plan: ScanPlan, rays: Rays, hits: FacedHits, pose: Pose, t_s: Floats, reach: float, sub_beams: int
+    ) -> Looked:
+        n, met = len(t_s), np.isfinite(hits.range_m)
+        cast = n
+        if self.edges.too_many:
+            every = np.flatnonzero(met)
+            plain = np.zeros(n, bool)
+            plain[every] = self._probed(plan, every, rays, hits, pose, PROBED_RADII)
+            return Looked(rays, hits, plain, cast + PROBES * len(every))
+        most_pairs = int(0.5 * n * sub_beams * RAY_NS / PAIR_NS)
+        sights = sights_of(pose, rays.axis, t_s)
+        crossings = self.edges.crossings(sights, min(reach, 1e9), self._at_rest, most_pairs, self._cover_m(rays, hits))
+        if crossings is None:
+            return Looked(rays, hits, np.zeros(n, bool), cast)
+        plain = ~crossings.uncovered(n, hits.range_m, hits.normal, rays.axis)
+        at = np.flatnonzero(plain & met)
+        cosine = np.maximum(-np.einsum("ij,ij->i", hits.normal[at], rays.axis[at]), 1e-3)
+        shape = self._model.beam
+        width = max(math.tan(shape.half_angle_x_rad), math.tan(shape.half_angle_y_rad)) * hits.range_m[at]
+        around = self.radii * (width + shape.exit_radius_m) / cosine * (1.0 + closed.STEEPEST)
+        point = rays.origin_m[at] + hits.range_m[at, None] * rays.direction[at]
+        doubt = at[self._pieces.doubtful(hits.body[at].astype(np.int64), hits.face[at], point, around, t_s)]
+        if len(doubt):
+            plain[doubt] = self._probed(plan, doubt, rays, hits, pose, self.radii)
+        return Looked(rays, hits, plain, cast + PROBES * len(doubt))
+
+    def _cover_m(self, rays: Rays, hits: FacedHits) -> Floats:
+        """(n,) distance from which on everything in a beam's cone is behind the plane that its axis meets."""
+        steep = closed.planes(rays, hits, self._model, self.radii).steep
+        bounded = np.isfinite(hits.range_m) & (steep < closed.STEEPEST)
+        shape = self._model.beam
+        slant = 1.0 + self.radii * math.tan(max(shape.half_angle_x_rad, shape.half_angle_y_rad))
+        farthest = (
+            slant * (hits.range_m + self.radii * shape.exit_radius_m) / (1.0 - np.minimum(steep, closed.STEEPEST))
+        )
+        # a beam whose plane is nearly seen from its edge keeps its bundle anyhow
+        steep_beams = np.isfinite(hits.range_m) & ~bounded
+        return np.where(bounded, farthest + 0.1, np.where(steep_beams, 0.0, np.inf))
+
+    def _probed(self, plan: ScanPlan, at: Ints, rays: Rays, hits: FacedHits, pose: Pose, radii: float) -> Bools:
+        """Rays around the axes of these beams meet the same plane of the same body."""
+        turn = 2.0 * np.pi * np.arange(PROBES) / PROBES
+        ring = beams.Bundle(radii * np.cos(turn), radii * np.sin(turn), np.full(PROBES, 1.0 / PROBES))
+        own, start = beams.spread(
+            ring, self._model.beam, plan.azimuth_rad[at], plan.elevation_rad[at], np.zeros(len(at))
+        )  # fmt: skip
+        rotation = _pose_at(pose, at).rotation
+        direction = turned(rotation, own).reshape(-1, 3)
+        origin = np.repeat(rays.centre_m[at], PROBES, axis=0) + turned(rotation, start).reshape(-1, 3)
+        owner = np.repeat(at, PROBES)
+        found = self._caster.first_hits(origin, direction, rays.t_s[owner])
+        same = (found.body == hits.body[owner]) & (found.material == hits.material[owner])
+        normal = hits.normal[owner]
+        same &= np.einsum("ij,ij->i", found.normal, normal) > 1.0 - SAME_NORMAL
+        apart = origin - rays.origin_m[owner] - hits.range_m[owner, None] * rays.direction[owner]
+        met = np.where(np.isfinite(found.range_m), found.range_m, 0.0)
+        off = np.abs(np.einsum("ij,ij->i", normal, apart + met[:, None] * direction))
+        same &= off < 0.25 * self._model.lsb_m
+        return np.asarray(same.reshape(-1, PROBES).all(axis=1))
+
+    def _rays(self, bundles: Bundles, pose: Pose, t_s: Floats, group: Ints) -> Rays:
+        """Rays of these beams' bundles, numbered anew."""
+        if not self._at_rest:
+            return cast_rays(_part(bundles, group), _pose_at(pose, group), t_s[group])
+        key = group.tobytes()
+        if self._group is None or self._group[0] is not bundles or self._group[1] != key:
+            made = cast_rays(_part(bundles, group), _pose_at(pose, group), t_s[group])
+            self._group = bundles, key, made
+        return self._group[2].at(t_s[group])
+
+
+def _pose_at(pose: Pose, at: Ints) -> Pose:
+    if pose.rotation.strides[0] == 0:  # one rotation for all
+        return Pose(pose.position_m[at], np.broadcast_to(pose.rotation[0], (len(at), 3, 3)))
+    return Pose(pose.position_m[at], pose.rotation[at])
+
+
+def _axes(bundles: Bundles) -> Bundles:
+    each = np.arange(len(bundles.axis))
+    one = np.ones(1)
+    return Bundles(bundles.axis, bundles.axis[:, None, :], None, one, each, np.ones(len(each)), each)
+
+
+def _part(bundles: Bundles, at: Ints) -> Bundles:
+    n, m = len(at), bundles.sub_beams
+    start = None if bundles.start_m is None else bundles.start_m[at]
+    first = int(bundles.nearest_axis[0])
+    return Bundles(
+        bundles.axis[at], bundles.direction[at], start, bundles.share, np.repeat(np.arange(n), m),
+        np.tile(bundles.share, n), np.arange(n) * m + first,
+    )  # fmt: skip
+
+
+def _taken(rays: Rays, chosen: Bools) -> Rays:
+    return replace(rays, origin_m=rays.origin_m[chosen], direction=rays.direction[chosen], beam=rays.beam[chosen])
+
+
+def _at(looked: Looked, beams_: Ints) -> CellHits:
+    hits = looked.hits
+    return CellHits(
+        hits.range_m[beams_], hits.body[beams_], hits.actor[beams_], hits.material[beams_], hits.normal[beams_]
+    )
