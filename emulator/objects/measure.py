@@ -137,9 +137,10 @@ class ObjectMeasure:
         shares: dict[int, float] = {}
         for view in views:
             t_s = _middle_s(view.scan)
+            own = self._witness.sensor(t_s)
             for actor in np.unique(view.scan.actor).tolist():
                 if self._witness.knows(actor):
-                    share = visible_share(view, self._witness.object(actor, t_s), actor)
+                    share = visible_share(view, self._witness.object(actor, t_s, own), actor)
                     shares[actor] = max(share, shares.get(actor, 0.0))
         return shares
 

@@ -78,15 +78,16 @@ class Witness:
 
     def objects(self, t_s: float) -> dict[int, TruthObject]:
         """Every actor that has a shape, but the one that carries the sensor; visible share 0 so far."""
-        return {actor: self.object(actor, t_s) for actor in self._boxes}
+        own = self.sensor(t_s)
+        return {actor: self.object(actor, t_s, own) for actor in self._boxes}
 
     def knows(self, actor: int) -> bool:
         """Whether that actor is one to be told of: not the world, nor the sensor's own vehicle, nor without a shape."""
         return actor in self._boxes
 
-    def object(self, actor: int, t_s: float) -> TruthObject:
-        """One actor."""
-        own, (low, high) = self.sensor(t_s), self._boxes[actor]
+    def object(self, actor: int, t_s: float, own: Carried | None = None) -> TruthObject:
+        """One actor, from a sensor whose place and motion at that time are `own`."""
+        own, (low, high) = own or self.sensor(t_s), self._boxes[actor]
         other = carried(self._scene, actor, t_s, 0.5 * (low + high), np.eye(3))
         apart = other.position_m - own.position_m
         swing = own.yaw_rate_rad_s * np.array([-apart[1], apart[0], 0.0])

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
+import cantools
 import numpy as np
 import pytest
 
@@ -19,7 +21,10 @@ from emulator.objects.truth import Witness
 from emulator.scenario import Mount
 from emulator.scene import build as build_scene
 from emulator.spec import load_spec
+from emulator.trial import Trial
+from emulator.watching import Payload, Watcher
 from protocols.scan import DetectedObject, ScanPlan
+from protocols.session import Address
 
 MS = 1_000_000
 YARD = """\
@@ -43,6 +48,17 @@ sensors:
     device: {resolution_deg: 0.5, field_deg: 100}
 """
 LIST = "  - {id: lister, model: can-ars408, from: [scanner], mount: {actor: ego, at_m: [0, 0, 1]}}\n"
+
+
+class Frames(Watcher):
+    """Keeps the frames of the sensor that lists."""
+
+    def __init__(self) -> None:
+        self.frames: list[Payload] = []
+
+    def payload(self, payload: Payload) -> None:
+        if payload.sensor == "lister":
+            self.frames.append(payload)
 
 
 def measure_of(text: str = YARD + LIST, sensor: str = "lister") -> ObjectMeasure:
@@ -330,8 +346,6 @@ def test_a_module_that_only_ranges_tells_at_once_what_comes_back() -> None:
     assert {item.actor for item in made.objects} == {"van", "post"}
     session = assembly.new_sessions(scenario.loads(text, Path("yard.yaml")))[1]
     session.power_on(0)
-    from protocols.session import Address
-
     session.advance(600 * MS)
     session.receive(bytes([3]), 600 * MS, Address(0, 0x740))
     wanted = session.next_plan()
@@ -340,3 +354,36 @@ def test_a_module_that_only_ranges_tells_at_once_what_comes_back() -> None:
     frames = [(item.address.peer, item.payload) for item in session.take_emissions(700 * MS) if item.address]
     ranges = [int.from_bytes(data[:2], "little") * 0.01 for peer, data in frames if peer >= 0x752]
     assert min(ranges) == pytest.approx(17.5, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("model", "device", "layout", "heads"),
+    [
+        ("can-ars408", {}, "ars408.dbc", {0x60A, 0x60B}),
+        ("can-ars408", {"output": "clusters"}, "ars408.dbc", {0x600, 0x701}),
+        ("can-ldmrs", {"scan_frequency_hz": 50}, "ldmrs.dbc", {0x500, 0x502, 0x508}),
+        ("can-esr", {"radiate": "always"}, "esr.dbc", {0x500, 0x4E0}),
+        ("can-leddar-vu8", {"streaming": "start"}, "leddar_vu8.dbc", {0x751, 0x752}),
+    ],
+)
+def test_every_format_carries_what_the_echoes_show_and_cantools_decodes_it(
+    model: str, device: dict[str, object], layout: str, heads: set[int]
+) -> None:
+    listing = LIST.replace("can-ars408", model).replace("}}\n", f"}}, device: {device}}}\n")
+    trial = Trial(scenario.loads(YARD + listing + "duration_s: 1.2\n", Path("yard.yaml")), watchers=[seen := Frames()])
+    verdict = trial.finish()
+    trial.close()
+    database = cantools.database.load_file(str(files("protocols.can_objects").joinpath(layout)))
+    assert heads <= {frame.peer for frame in seen.frames}
+    for frame in seen.frames:
+        database.decode_message(frame.peer, frame.data)
+    assert verdict.sensors[1]["objects"]["total"]["recall"] > 0.8
+
+
+def test_lists_do_not_depend_on_the_processes_that_measure() -> None:
+    digests = set()
+    for workers in (0, 1, 2):
+        trial = Trial(scenario.loads(YARD + LIST + "duration_s: 1\n", Path("yard.yaml")), workers)
+        digests.add(trial.finish().sha256)
+        trial.close()
+    assert len(digests) == 1
