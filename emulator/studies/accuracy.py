@@ -47,6 +47,8 @@ class Effort:
     sweeps: int
     phases: int
     point_counts: tuple[int, ...]
+    scenarios: tuple[str, ...] = ("flat_wall", "street", "bumper")
+    "Measured with all terms and with what is not seen left out."
 
 
 FULL = Effort(
@@ -89,7 +91,7 @@ def run(effort: Effort, steps: Callable[[list[str]], Iterator[str]] = iter) -> R
     next(progress)
     threads = knobs.threads(effort.sweeps)
     next(progress)
-    left_out = knobs.pruning(("flat_wall", "street", "bumper"), effort.sweeps)
+    left_out = knobs.pruning(effort.scenarios, effort.sweeps)
     next(progress)
     points = knobs.point_counts(("spiral", "grid", "laguerre"), effort.point_counts, effort.phases)
     next(progress)
@@ -122,9 +124,10 @@ def run(effort: Effort, steps: Callable[[list[str]], Iterator[str]] = iter) -> R
             (
                 f"{REPEATS} times {effort.path_beams} beams of one sensor, each at its own random edge: a plane at 20 "
                 "m before another at 20.7 m, so the pulses overlap. Scenario, mesh files, embreex, sub-beams, "
-                "receiver; every term computed (`full: true`). Rules that a scenario can choose (spiral, laguerre, grid, "
-                "adaptive) run through the measuring function itself, the others give their nodes to the functions "
-                "that it calls. Range: peak of the summed pulse, against the two echoes of the closed form in the "
+                "receiver; every term computed (`full: true`). Rules that a scenario can choose (spiral, laguerre, "
+                "grid, adaptive) run through the measuring function itself, the others give their nodes to the "
+                "functions that it calls. Range: peak of the summed pulse, against the two echoes of the closed "
+                "form in the "
                 "same receiver. Detection: probability that the near echo is found at a threshold of 5 rms noise, "
                 "full beam 10. Time is that of sub-beams, cast, echoes and receiver on one core of this machine.",
             ),
@@ -353,8 +356,8 @@ def default_text(curves: Curves, runs: dict[str, list[Run]]) -> str:
         f"{1e-3 * 361 * us:.1f} ms for a sweep of 361 beams. At a random edge the echo is then off by {energy:.1f} % "
         f"of the beam's power, the range between two planes 0.7 m apart by {range_mm:.0f} mm, the probability of "
         f"detection by {detection:.3f} and the waveform by {wave:.1f} % of its peak (root mean square). A wire of a "
-        f"tenth of the beam's radius is off by {wire:.0f} % of its echo; where a beam is known to see a single plane the closed "
-        "form is used, which is right to 1e-6."
+        f"tenth of the beam's radius is off by {wire:.0f} % of its echo; where a beam is known to see a single plane "
+        "the closed form is used, which is right to 1e-6."
     )
 
 
@@ -365,10 +368,12 @@ def chosen_text(curves: Curves, runs: dict[str, list[Run]], advised: Table) -> t
     follows = (
         f"Allowed is an error of 2 % of the power on an edge: it shifts a probability of detection at twice the "
         f"threshold by 0.03 at most on average. The fewest rays for that are {best:.0f} ({row[1]}); the spiral needs "
-        f"{spiral:.0f}, and {DEFAULT} leave a margin. So the product's defaults follow: rule spiral, {DEFAULT} "
-        "sub-beams (LMS2xx, LD-LRS1000); 256 where a sensor has few beams. `adaptive` is for errors of 2e-3 and "
-        "less on edges; it costs more time a ray, and a wire between its first cells is missed. `laguerre` is for smooth "
-        "surfaces only."
+        f"{spiral:.0f}, and {DEFAULT} leave a margin. Rings with every other one turned and Gauss-Legendre rings lie "
+        "within a few per cent of the spiral, which takes any number and favours no direction. So the product's "
+        f"defaults follow: rule spiral, {DEFAULT} sub-beams (LMS2xx, LD-LRS1000); 256 where a sensor has "
+        f"few beams. `adaptive` is for errors of 2e-3 and "
+        "less on edges; it costs more time a ray, and a wire between its first cells is missed. `laguerre` is for "
+        "smooth surfaces only."
     )
     return default_text(curves, runs), follows
 

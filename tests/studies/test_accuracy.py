@@ -1,0 +1,252 @@
+"""Study `accuracy`: every number it must meet, as errors and rays, never as times; and the files of a run."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from emulator.cli import main
+from emulator.physics import adaptive, radiometry
+from emulator.spec import list_models, load_spec
+from emulator.studies import accuracy, accuracy_knobs, accuracy_rules
+from emulator.studies.accuracy_acceptance import DEFAULT, SEED_RAD, WIDE_RAD, plane_errors
+from emulator.studies.accuracy_path import PRODUCT, Edges
+from emulator.studies.accuracy_rules import FIXED, Strips
+from emulator.studies.report import Report
+
+TINY = replace(
+    accuracy.QUICK,
+    counts=(16, 61, 256, 1024),
+    targets=80,
+    scenes=1,
+    path_counts=(16, 61, 256),
+    path_beams=10,
+    depths=(0, 3, 5),
+    sweeps=1,
+    phases=10,
+    point_counts=(61,),
+    scenarios=("bumper",),
+)
+EDGES = 1200
+
+
+def random_edges() -> Strips:
+    return accuracy_rules.edges(EDGES, np.random.default_rng(5))
+
+
+# ------------------------------------------------------------------------------- single planes
+def test_the_closed_form_of_a_plane_holds_up_to_85_degrees() -> None:
+    energy, mean, spread = plane_errors(WIDE_RAD)
+    assert energy <= 1e-6
+    assert mean <= 1e-6
+    assert spread <= 1e-2
+
+
+def test_for_the_thin_beam_of_the_base_paper_it_holds_to_ten_digits() -> None:
+    energy, mean, spread = plane_errors(SEED_RAD)
+    assert energy <= 1e-10
+    assert mean <= 1e-10
+    assert spread <= 1e-4
+
+
+@pytest.mark.parametrize("rule", ["laguerre", "hermite"])
+def test_gauss_rules_are_exact_on_a_plane_from_sixteen_rays_on(rule: str) -> None:
+    _, error = accuracy_rules.plane_error(rule, 16, 20, np.random.default_rng(1))
+    assert error < 1e-12
+
+
+# ------------------------------------------------------------------------------- edges and wires
+@pytest.mark.parametrize(("count", "allowed"), [(61, 2.0e-2), (256, 6e-3), (1024, 2.2e-3)])
+def test_the_spiral_meets_its_error_on_random_half_planes(count: int, allowed: float) -> None:
+    rays, error = accuracy_rules.fixed_error("spiral", count, random_edges(), np.random.default_rng(1))
+    assert rays == count
+    assert error <= allowed
+
+
+def test_the_error_of_the_spiral_falls_with_the_power_three_quarters() -> None:
+    counts = [256, 1024, 4096]
+    strips = random_edges()
+    errors = [accuracy_rules.fixed_error("spiral", n, strips, np.random.default_rng(1))[1] for n in counts]
+    assert -0.85 <= accuracy_rules.slope([float(n) for n in counts], errors) <= -0.65
+
+
+def test_monte_carlo_falls_with_the_square_root() -> None:
+    errors, counts = [], [64, 512, 4096]
+    for n in counts:
+        several = [
+            accuracy_rules.fixed_error("monte_carlo", n, random_edges(), np.random.default_rng(k))[1] for k in range(6)
+        ]
+        errors.append(accuracy_rules.rms(np.array(several)))
+    assert accuracy_rules.slope([float(n) for n in counts], errors) == pytest.approx(-0.5, abs=0.1)
+
+
+def test_a_wire_of_a_tenth_of_the_radius_is_met_by_1024_rays() -> None:
+    strips = accuracy_rules.wires(EDGES, np.random.default_rng(6))
+    _, error = accuracy_rules.fixed_error("spiral", 1024, strips, np.random.default_rng(1))
+    assert error / np.mean(strips.share) <= 6e-2
+
+
+def test_adaptive_cells_reach_five_in_ten_thousand_with_at_most_a_thousand_rays() -> None:
+    rays, error = accuracy_rules.adaptive_error(5, random_edges())
+    assert rays <= 1000.0
+    assert error <= 5e-4
+
+
+def test_splitting_every_differing_cell_needs_more_rays_for_the_same() -> None:
+    strips = random_edges()
+    rays, error = accuracy_rules.adaptive_error(4, strips, thrifty=False)
+    thrifty_rays, thrifty_error = accuracy_rules.adaptive_error(5, strips)
+    assert thrifty_rays < rays
+    assert thrifty_error < 0.6 * error
+
+
+def test_a_cell_that_is_not_worth_it_waits_for_the_large_ones_of_its_own_beam() -> None:
+    cells = adaptive.start(2, 3)
+    every = np.ones(len(cells), np.bool_)
+    chosen = adaptive.worthwhile(cells, every)
+    share = cells.shares()
+    assert np.array_equal(chosen, share >= share.max() / 6.0)
+    only_small = ~chosen & (cells.beam == 1)
+    kept = adaptive.worthwhile(cells, only_small)
+    assert bool(np.any(kept))
+    assert not np.any(kept & ~only_small)
+
+
+def test_shares_of_strips_are_those_of_the_closed_forms() -> None:
+    strips = Strips(np.zeros(3), np.array([-np.inf, -np.inf, -0.05]), np.array([0.0, 0.25, 0.05]))
+    # benchmark cases: edge through the axis, 0.25 w off, strip of 0.1 w
+    assert strips.share == pytest.approx([0.5, 0.691462461274, 0.0796556745541], rel=1e-11)
+    assert float(radiometry.fill_strip(-0.05, 0.05, 1.0)) == pytest.approx(strips.share[2], rel=1e-12)
+
+
+def test_composed_scenes_come_down_to_their_reference() -> None:
+    scenes = accuracy_rules.layers(4, np.random.default_rng(3))
+    rng = np.random.default_rng(0)
+    exact = scenes.energy(FIXED["spiral"](1 << 18, rng))
+    near = accuracy_rules.layers_error("spiral", 4096, scenes, exact, rng)
+    far = accuracy_rules.layers_error("spiral", 61, scenes, exact, rng)
+    assert near[1] < 3e-3 < far[1] < 0.1
+    assert near[2] < 0.2 * far[2]
+
+
+# ------------------------------------------------------------------------------- through the product
+@pytest.fixture(scope="module")
+def scene() -> Iterator[Edges]:
+    with Edges(2, 150) as made:
+        yield made
+
+
+def test_a_scan_of_random_edges_is_as_good_as_the_bare_rule(scene: Edges) -> None:
+    found = scene.run("spiral", DEFAULT)
+    assert found.rays == DEFAULT
+    for errors in found.errors:
+        assert errors.energy <= 2.0e-2
+        assert errors.detection <= 0.03
+        assert errors.range_m <= 0.015
+        assert errors.waveform <= 0.012
+
+
+@pytest.mark.parametrize(("rule", "allowed"), [("spiral", 6e-3), ("sobol", 8e-3), ("gauss_legendre", 7e-3)])
+def test_a_chosen_rule_and_one_that_is_not_offered_take_the_same_path(scene: Edges, rule: str, allowed: float) -> None:
+    found = scene.run(rule, 256)
+    assert found.rays == 256
+    assert max(errors.energy for errors in found.errors) <= allowed
+
+
+def test_the_spiral_given_as_nodes_finds_what_the_chosen_spiral_finds(
+    scene: Edges, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chosen = scene.run("spiral", 32)
+    monkeypatch.setattr("emulator.studies.accuracy_path.PRODUCT", tuple(one for one in PRODUCT if one != "spiral"))
+    given = scene.run("spiral", 32)
+    assert given.rays == chosen.rays
+    assert [one.energy for one in given.errors] == pytest.approx([one.energy for one in chosen.errors], rel=1e-6)
+
+
+def test_adaptive_through_the_product_counts_the_rays_it_casts(scene: Edges) -> None:
+    start, split = scene.run("adaptive", 0), scene.run("adaptive", 3)
+    assert start.rays == 64.0
+    assert 200.0 < split.rays < 600.0
+    assert max(errors.energy for errors in split.errors) < 3e-3
+
+
+# ------------------------------------------------------------------------------- other settings
+def test_bins_of_one_nanosecond_cost_a_tenth_of_a_millimetre_at_the_peak() -> None:
+    assert 1e3 * accuracy_knobs.product_error(1.0, "peak") <= 0.2
+    assert 1e3 * accuracy_knobs.product_error(1.0, "leading_edge") <= 4.0
+    # printed for plain samples, worst phase: 0.093 mm
+    assert 1e3 * accuracy_knobs.plain_samples(1.0)[0] == pytest.approx(0.093, rel=0.02)
+
+
+def test_twelve_fog_nodes_give_ten_digits() -> None:
+    x = np.linspace(1.0, 60.0, 200)
+    for visibility_m in (20.0, 40.0, 200.0):
+        assert accuracy_knobs.fog_error(x, visibility_m, 12) <= 1e-10
+
+
+def test_the_mean_count_on_a_plate_is_right_to_a_tenth_of_a_point() -> None:
+    table = accuracy_knobs.point_counts(("spiral",), (DEFAULT,), 100)
+    assert table.numbers("worst")[0] <= 0.1
+
+
+def test_fewer_instants_of_a_sweep_err_by_speed_times_interval() -> None:
+    table = accuracy_knobs.steps()
+    for found, bound in zip(table.numbers("range_error_m"), table.numbers("bound_m"), strict=True):
+        assert found <= bound + 1e-9
+    assert table.numbers("range_error_m")[-1] == pytest.approx(0.0, abs=1e-9)
+
+
+# ------------------------------------------------------------------------------- what follows
+def test_the_number_needed_lies_on_the_line_between_points() -> None:
+    assert accuracy_rules.needed([10.0, 1000.0], [1e-1, 1e-3], 1e-2) == pytest.approx(100.0)
+    assert accuracy_rules.needed([10.0, 1000.0], [1e-1, 1e-3], 1.0) == 10.0
+    assert accuracy_rules.needed([10.0, 1000.0], [1e-1, 1e-3], 1e-4) is None
+    assert math.isnan(accuracy_rules.slope([1.0, 2.0], [1.0, 0.5]))
+
+
+def test_the_sensors_use_what_the_study_recommends() -> None:
+    for model in list_models():
+        bundle = load_spec(model).bundle
+        if bundle is not None:
+            assert bundle.rule.value == "spiral"
+            assert bundle.sub_beams.value >= DEFAULT
+
+
+@pytest.fixture(scope="module")
+def tiny() -> Report:
+    return accuracy.run(TINY)
+
+
+def test_the_report_has_every_rule_in_every_table(tiny: Report) -> None:
+    wanted = {*FIXED, "adaptive"}
+    assert set(tiny.table("accuracy_rules").column("rule")) == wanted
+    assert set(tiny.table("accuracy_path").column("rule")) == wanted
+    assert len(tiny.table("accuracy_slopes").rows) == len(wanted)
+    advised = tiny.table("accuracy_advice")
+    assert advised.rows[1][0] == 2e-2
+    assert float(advised.rows[1][3] or 0.0) < DEFAULT
+
+
+def test_a_run_writes_page_pictures_and_tables(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tiny: Report, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("emulator.studies.accuracy.run", lambda *_: tiny)
+    code = main(["study", "accuracy", "--quick", "--json", "--out", str(tmp_path / "deep" / "report")])
+    told = json.loads(capsys.readouterr().out)
+    assert code == (0 if told["held"] else 1)
+    assert told["held"] is not bool(told["missed"])
+    folder = tmp_path / "deep" / "report"
+    page = (folder / "accuracy.html").read_text(encoding="utf-8")
+    assert "defaults follow: rule spiral, 61" in page
+    assert "http://" not in page
+    for name in ("accuracy_time", "accuracy_rays", "accuracy_quantities", "accuracy_efficiency", "accuracy_settings"):
+        assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    with (folder / "accuracy_path.csv").open(encoding="utf-8") as file:
+        assert {row["rule"] for row in csv.DictReader(file)} == {*FIXED, "adaptive"}
