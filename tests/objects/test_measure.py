@@ -321,7 +321,9 @@ def test_a_turning_carrier_is_known_by_its_motion() -> None:
     assert (motion.vx_m_s, motion.vy_m_s) == pytest.approx((-2.0 * math.radians(18.0), 0.0), abs=1e-9)
     post = {item.actor: item for item in Witness(world, Mount(actor="ego")).objects(0.0).values()}["post"]
     # it stands; seen from a sensor that turns to the left it moves to the right about it
-    assert math.hypot(*post.velocity_m_s[:2]) == pytest.approx(math.radians(18.0) * math.hypot(29.0, 6.0), rel=1e-6)
+    rate = math.radians(18.0)
+    assert post.position_m[:2] == pytest.approx((-6.0, -29.0))
+    assert post.velocity_m_s[:2] == pytest.approx((-29.0 * rate, 6.0 * rate), rel=1e-6)
 
 
 def test_figures_are_told_by_object_and_distance() -> None:
