@@ -20,6 +20,7 @@ from emulator import __version__
 from emulator.commands.common import CANNOT_RUN, FAILED, LINK_LOST, OK, load_scenario, note, say, scenario_options
 from emulator.commands.ctl import control_of, ctl
 from emulator.commands.doctor import doctor
+from emulator.commands.explain import explain
 from emulator.commands.recordings import diff, recorder_for, replay
 from emulator.commands.study import study
 from emulator.commands.test import test
@@ -330,7 +331,7 @@ def list_(what: str, name: str | None, as_json: bool) -> int:
     return OK
 
 
-for command in (test, replay, diff, ctl, doctor, study):
+for command in (test, replay, diff, ctl, doctor, study, explain):
     commands.add_command(command)
 
 __all__ = ["CANNOT_RUN", "OK", "LinkError", "entry", "main"]
