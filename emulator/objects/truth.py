@@ -18,6 +18,8 @@ from emulator.scene import Scene
 
 STEP_S = 1e-3
 "Over which turning is measured."
+JUMP_RAD_S = 50.0
+"Faster is no turning but a looping path that begins again."
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +42,7 @@ def carried(scene: Scene, actor: int, t_s: float, at_m: Floats, own: Floats) -> 
     axes = pose.rotation[:, :, 0]
     turned = np.diff(np.arctan2(axes[:, 1], axes[:, 0]))[0]
     rate = float((turned + math.pi) % (2.0 * math.pi) - math.pi) / STEP_S
+    rate = rate if abs(rate) < JUMP_RAD_S else 0.0
     arm = pose.rotation[0] @ at_m
     velocity = scene.velocity(actor, times[:1])[0] + rate * np.array([-arm[1], arm[0], 0.0])
     return Carried(pose.position_m[0] + arm, pose.rotation[0] @ own, velocity, rate)
