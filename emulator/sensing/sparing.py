@@ -22,7 +22,7 @@ from emulator.sensing.adapt import CellHits
 from emulator.sensing.air import AirNow
 from emulator.sensing.model import SensorModel
 from emulator.sensing.paths import FacedCaster, FacedHits, Seen, Surfaces, reach_of, returned
-from emulator.sensing.plain import Edges, Pieces, sights_of
+from emulator.sensing.plain import MOST_PAIRS, Edges, Pieces, sights_of
 from emulator.sensing.rays import Bundles, Rays, cast_rays, turned
 from protocols.scan import ScanPlan
 
@@ -36,8 +36,8 @@ MOST_FACES = 2_000_000
 "Of different shapes: finding their edges would take many seconds."
 FEWEST = 12
 "Bundles of fewer sub-beams cost less than to find out where they are needed."
-EDGE_NS, PAIR_NS, RAY_NS = 200.0, 300.0, 300.0
-"About what an edge, a pair of edge and beam, and a ray cost; only their ratios matter."
+EDGE_NS, PAIR_NS, RAY_NS = 20_000.0, 300.0, 300.0
+"About what an edge with all its beams, a pair of edge and beam, and a ray cost; only their ratios matter."
 PROBES = 8
 SAME_NORMAL = 1e-8
 "One less the cosine of an angle of 1.4e-4."
@@ -198,6 +198,8 @@ class Sparing:
             plain[every] = self._probed(plan, every, rays, hits, pose, PROBED_RADII)
             return Looked(rays, hits, plain, cast + PROBES * len(every))
         most_pairs = int(0.5 * n * sub_beams * RAY_NS / PAIR_NS)
+        if self._model.spare_bundles == "always":
+            most_pairs = MOST_PAIRS
         sights = sights_of(pose, rays.axis, t_s)
         crossings = self.edges.crossings(sights, min(reach, 1e9), self._at_rest, most_pairs, self._cover_m(rays, hits))
         if crossings is None:
