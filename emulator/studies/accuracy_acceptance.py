@@ -66,7 +66,7 @@ def acceptance(curves: Curves, runs: dict[str, list[Run]], bins: Table, fog: Tab
         _row("random edge, spiral: slope off -0.75", abs(fitted + 0.75), 0.1),
         _row("random edge through the product, spiral 61", energy, 2.0e-2),
         _row("wire of a tenth of the radius, spiral 1024", middle("wire", "spiral", 1024.0), 6e-2),
-        _row("random edge, adaptive, at most 1000 rays", min(thrifty), 5e-4),
+        _row("random edge, adaptive (cells that are worth it), at most 1000 rays", min(thrifty), 5e-4),
         _row("waveform, 1 ns: peak (mm)", float(at_1_ns[3] or 0.0), 0.2),
         _row("waveform, 1 ns: leading edge (mm)", float(at_1_ns[4] or 0.0), 4.0),
         _row("fog, 12 nodes", max(float(value or 0.0) for value in twelve[1:]), 1e-10),
