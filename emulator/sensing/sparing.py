@@ -36,7 +36,7 @@ MOST_FACES = 2_000_000
 "Of different shapes: finding their edges would take many seconds."
 FEWEST = 12
 "Bundles of fewer sub-beams cost less than to find out where they are needed."
-EDGE_NS, PAIR_NS, RAY_NS = 20_000.0, 300.0, 300.0
+EDGE_NS, PAIR_NS, RAY_NS = 2_000.0, 300.0, 300.0
 "About what an edge with all its beams, a pair of edge and beam, and a ray cost; only their ratios matter."
 PROBES = 8
 SAME_NORMAL = 1e-8
