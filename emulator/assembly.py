@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from emulator.clock import Clock
 from emulator.daemon import Daemon, worker_count
 from emulator.instrument import Instrument, Measuring
-from emulator.measuring import InPlace, Measure, Workers
+from emulator.measuring import InPlace, Measure, Measures, Workers
 from emulator.scenario import Scenario
 from emulator.spec import load_spec
 from emulator.transports import open_link
@@ -29,7 +29,8 @@ def build_measures(scenario: Scenario) -> Mapping[str, Measure]:
     """Scene and measuring function of every sensor; imports the ray caster, so it runs where scans are measured."""
     from emulator import scene
 
-    return measures_of(scenario, scene.build(scenario))
+    world = scene.build(scenario)
+    return Measures(measures_of(scenario, world), world.warnings)
 
 
 def measures_of(scenario: Scenario, world: Scene) -> Mapping[str, Measure]:
@@ -130,9 +131,10 @@ def start_virtual(
     build = partial(build_measures, scenario)
     pool = Workers(build, names, workers) if workers else None
     try:
-        instruments = open_instruments(scenario, sessions, InPlace(build()) if pool is None else pool)
+        measuring = InPlace(build()) if pool is None else pool
+        instruments = open_instruments(scenario, sessions, measuring)
     except BaseException:
         if pool is not None:
             pool.close()
         raise
-    return VirtualDaemon(instruments, pool, speed), instruments
+    return VirtualDaemon(instruments, pool, speed, warnings=measuring.warnings), instruments

@@ -77,6 +77,7 @@ def check(
     """Validate scenario files, their meshes and their devices' settings."""
     from emulator import scene
     from emulator.assembly import measures_of, new_sessions
+    from emulator.measuring import Measures, warnings_of
 
     code = OK
     for name in scenarios:
@@ -84,7 +85,7 @@ def check(
             loaded = load_scenario(name, overrides, seed, links)
             new_sessions(loaded)
             world = scene.build(loaded)
-            measures_of(loaded, world)
+            warnings = warnings_of(Measures(measures_of(loaded, world), world.warnings))
         except EmulatorError as error:
             code = max(code, error.exit_code)
             if as_json:
@@ -94,8 +95,11 @@ def check(
             continue
         triangles = sum(len(body.faces) for body in world.bodies)
         if as_json:
-            say(json.dumps({"scenario": name, "ok": True, "actors": len(world.actors), "triangles": triangles}))
+            counts = {"actors": len(world.actors), "triangles": triangles}
+            say(json.dumps({"scenario": name, "ok": True, **counts, "warnings": warnings}))
         else:
+            for text in warnings:
+                note(f"{name}: warning: {text}")
             say(f"{name}: ok: {len(loaded.sensors)} sensors, {len(world.actors)} actors, {triangles} triangles")
     return code
 

@@ -116,6 +116,7 @@ class Daemon:
 
     def power_on(self) -> None:
         """Switch every device on."""
+        self._tell_warnings()
         now_ns = self._clock.now_ns()
         for index, instrument in enumerate(self._instruments):
             instrument.power_on(now_ns)
@@ -214,11 +215,16 @@ class Daemon:
         for text in self._workers.failures:
             self._say_once(text)
         self._workers.failures.clear()
+        self._tell_warnings()
         now_ns = self._clock.now_ns()
         for index, instrument in enumerate(self._instruments):
             if instrument.sensor in fresh:
                 self._wake[index] = now_ns
         self.watch_workers()
+
+    def _tell_warnings(self) -> None:
+        while self._workers is not None and self._workers.warnings:
+            self.on_failure(f"warning: {self._workers.warnings.pop(0)}")
 
     def _say_once(self, text: str) -> None:
         """Say what failed the first time, and count: a fault that comes back with every scan would bury the log."""

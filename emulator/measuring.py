@@ -23,6 +23,35 @@ Measure = Callable[[ScanPlan], Scan]
 BuildMeasures = Callable[[], Mapping[str, Measure]]
 "Builds the measuring function of every sensor; must be picklable or inherited by fork."
 
+
+class Measures(dict[str, Measure]):
+    """Measuring functions by sensor, and what their scene warns of."""
+
+    def __init__(self, functions: Mapping[str, Measure], warnings: Sequence[str] = ()) -> None:
+        super().__init__(functions)
+        self.warnings = tuple(warnings)
+
+
+def warnings_of(measures: Mapping[str, Measure]) -> tuple[str, ...]:
+    """What is computed all the same but outside the range where it is known to hold, one line each, by sensor."""
+    found = dict.fromkeys(getattr(measures, "warnings", ()))
+    for sensor, measure in measures.items():
+        found |= dict.fromkeys(f"{sensor}: {text}" for text in getattr(measure, "warnings", ()))
+    return tuple(found)
+
+
+class _Told:
+    """Passes on every warning once."""
+
+    def __init__(self) -> None:
+        self._known: set[str] = set()
+
+    def new(self, texts: Sequence[str]) -> list[str]:
+        fresh = [text for text in texts if text not in self._known]
+        self._known.update(fresh)
+        return fresh
+
+
 NICENESS = 5
 "Workers yield to the sender when both want the same core."
 
@@ -33,9 +62,13 @@ class InPlace:
     def __init__(self, measures: Mapping[str, Measure]) -> None:
         self._measures = measures
         self._done: dict[str, list[Scan]] = {}
+        self._told = _Told()
+        self.warnings: list[str] = self._told.new(warnings_of(measures))
+        "What is not yet passed on; whoever does empties it."
 
     def request(self, sensor: str, plan: ScanPlan) -> None:
         self._done.setdefault(sensor, []).append(self._measures[sensor](plan))
+        self.warnings += self._told.new(warnings_of({sensor: self._measures[sensor]}))
 
     def collect(self, sensor: str) -> list[Scan]:
         return self._done.pop(sensor, [])
@@ -62,12 +95,16 @@ def _serve(connection: Connection, build: BuildMeasures) -> None:
     except EmulatorError as error:
         connection.send(("refused", type(error), str(error)))
         return
-    connection.send(("ready", None, sorted(measures)))
+    told = _Told()
+    connection.send(("ready", None, told.new(warnings_of(measures))))
     with contextlib.suppress(EOFError, OSError, BrokenPipeError):
         while True:
             sensor, plan = connection.recv()
             try:
-                connection.send(("scan", sensor, measures[sensor](plan)))
+                scan = measures[sensor](plan)
+                for text in told.new(warnings_of({sensor: measures[sensor]})):
+                    connection.send(("warning", sensor, text))
+                connection.send(("scan", sensor, scan))
             except (ArithmeticError, ValueError, LookupError, TypeError, RuntimeError, MemoryError) as error:
                 connection.send(("failed", sensor, (plan, f"{type(error).__name__}: {error}")))
 
@@ -88,6 +125,9 @@ class Workers:
         self._done: dict[str, list[Scan]] = {}
         self._suspect: dict[int, ScanPlan] = {}
         self.failures: list[str] = []
+        self._told = _Told()
+        self.warnings: list[str] = []
+        "What is not yet passed on; whoever does empties it."
         for _ in range(max(1, min(count, len(sensors)))):
             self._workers.append(self._start())
             self._owed.append(deque())
@@ -105,14 +145,14 @@ class Workers:
         theirs.close()
         return process, ours
 
-    @staticmethod
-    def _await_ready(connection: Connection) -> None:
+    def _await_ready(self, connection: Connection) -> None:
         try:
             word, kind, detail = connection.recv()
         except EOFError:
             raise SceneError("the measuring process ended while it built the scene (out of memory?)") from None
         if word == "refused":
             raise kind(detail)
+        self.warnings += self._told.new(detail)
 
     def filenos(self) -> tuple[int, ...]:
         """Descriptors that become readable when a scan is ready."""
@@ -137,6 +177,9 @@ class Workers:
             try:
                 while connection.poll():
                     word, sensor, result = connection.recv()
+                    if word == "warning":
+                        self.warnings += self._told.new([result])
+                        continue
                     self._owed[home].popleft()
                     self._hand_over(home)
                     if word == "failed":

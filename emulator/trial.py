@@ -16,7 +16,7 @@ from emulator import assembly
 from emulator.daemon import summary
 from emulator.expectations import Judgement, understand, verdicts
 from emulator.hosts.scripted import LdScript, Lms2xxScript
-from emulator.instrument import Instrument, Measuring
+from emulator.instrument import Instrument
 from emulator.measuring import InPlace, Workers
 from emulator.recording.writer import Recorder
 from emulator.scenario import Scenario
@@ -44,6 +44,8 @@ class Verdict:
     sha256: str
     duration_s: float
     sensors: tuple[dict[str, Any], ...]
+    warnings: tuple[str, ...] = ()
+    "What was computed outside the range where it is known to hold."
 
     @property
     def held(self) -> bool:
@@ -84,7 +86,8 @@ class Trial:
         names = [sensor.id for sensor in scenario.sensors]
         build = partial(assembly.build_measures, scenario)
         self._workers = Workers(build, names, workers) if workers else None
-        measuring: Measuring = self._workers if self._workers is not None else InPlace(build())
+        measuring = self._workers if self._workers is not None else InPlace(build())
+        self._warnings = measuring.warnings
         self.transcript = Transcript(names)
         self.series = SeriesWatcher(names)
         loops, buses = Loops(), CanPorts()
@@ -131,7 +134,8 @@ class Trial:
         failures = [] if self._workers is None else self._workers.failures
         judged += [Judgement("every sweep can be measured", False, text, "no failure") for text in failures]
         sensors = tuple(summary(item) for item in self.instruments)
-        return Verdict(str(self.scenario.source), tuple(judged), self.transcript.sha256(), duration_s, sensors)
+        name, digest = str(self.scenario.source), self.transcript.sha256()
+        return Verdict(name, tuple(judged), digest, duration_s, sensors, tuple(self._warnings))
 
     def close(self) -> None:
         """Release everything, finish the recording."""

@@ -51,8 +51,13 @@ class VirtualDaemon:
         workers: Workers | None = None,
         speed: float | None = None,
         on_failure: Callable[[str], None] = lambda text: None,
+        warnings: list[str] | None = None,
     ) -> None:
-        """`speed`: virtual seconds a real one; None: as fast as possible. `workers`: None when measuring in place."""
+        """`speed`: virtual seconds a real one; None: as fast as possible. `workers`: None when measuring in place.
+
+        `warnings`: where whoever measures leaves them; each is taken out and told.
+        """
+        self._warnings = [] if warnings is None else warnings
         self._workers = workers
         self.run_of = VirtualRun(instruments, settle=self._settle)
         self.instruments = tuple(instruments)
@@ -82,10 +87,16 @@ class VirtualDaemon:
 
     def power_on(self) -> None:
         """Switch every device on; speed counts from here."""
+        self._tell_warnings()
         self.run_of.power_on()
         self.rebase(self._speed)
 
+    def _tell_warnings(self) -> None:
+        while self._warnings:
+            self.on_failure(f"warning: {self._warnings.pop(0)}")
+
     def _settle(self) -> set[str]:
+        self._tell_warnings()
         if self._workers is None:
             return set()
         fresh = self._workers.settle()

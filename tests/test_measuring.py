@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from emulator.errors import SceneError
-from emulator.measuring import Workers
+from emulator.measuring import InPlace, Measures, Workers
 from protocols.scan import Scan, ScanPlan
 
 
@@ -116,3 +116,35 @@ def test_a_worker_holds_none_of_the_senders_descriptors() -> None:
         assert select.select([read_end], [], [], 5.0)[0], "a worker keeps the other end of a pipe open"
         assert os.read(read_end, 1) == b""
     os.close(read_end)
+
+
+class Doubtful:
+    """Measures outside the range of a law; once it has measured, of two."""
+
+    def __init__(self) -> None:
+        self.warnings: tuple[str, ...] = ("fog: too thin",)
+
+    def __call__(self, wanted: ScanPlan) -> Scan:
+        self.warnings = ("fog: too thin", "too deep")
+        return Scan.empty(wanted)
+
+
+def doubtful() -> Measures:
+    return Measures({"a": Doubtful()}, ["a mesh is odd"])
+
+
+def test_warnings_of_worker_processes_come_out_once() -> None:
+    with closing(Workers(doubtful, ["a"], 1)) as made:
+        assert made.warnings == ["a mesh is odd", "a: fog: too thin"]
+        for sweep in range(3):
+            made.request("a", plan(sweep))
+        assert len(gather(made, "a", 3)) == 3
+        assert made.warnings == ["a mesh is odd", "a: fog: too thin", "a: too deep"]
+
+
+def test_warnings_of_measuring_in_place_come_out_once() -> None:
+    made = InPlace(doubtful())
+    assert made.warnings == ["a mesh is odd", "a: fog: too thin"]
+    for sweep in range(3):
+        made.request("a", plan(sweep))
+    assert made.warnings == ["a mesh is odd", "a: fog: too thin", "a: too deep"]

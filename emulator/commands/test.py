@@ -46,6 +46,7 @@ class Result:
             "duration_s": self.found.duration_s,
             "expect": [asdict(item) for item in self.found.judgements],
             "sensors": list(self.found.sensors),
+            "warnings": list(self.found.warnings),
         }
 
 
@@ -172,6 +173,8 @@ def _tell(result: Result) -> None:
         f"{result.scenario}: {result.verdict}: {held} of {len(found.judgements)} expectations,"
         f" {found.duration_s:g} s in {result.real_s:.2f} s, sha256 {found.sha256[:16]}"
     )
+    for text in found.warnings:
+        say(f"  warning: {text}")
     for sensor in found.sensors:
         if "objects" in sensor:
             all_ = sensor["objects"]["total"]

@@ -3,7 +3,7 @@
 Here: laws from visibility or rate to extinction in 1/m, their ranges of validity as warnings, sums along a ray. Not
 here: light scattered back (softtarget) and single drops (precipitation).
 A visibility is the distance of two per cent contrast; `visibility_from_mor` converts the five per cent one. No law
-clamps its input: outside its range it is computed all the same and `warnings_of` says so.
+clamps its input: outside its range it is computed all the same and `out_of_validity` says so.
 """
 
 from __future__ import annotations
@@ -275,7 +275,7 @@ def deep_path_warning(depth: float) -> tuple[str, ...]:
     """Warning for results at an optical depth where multiple scattering is no longer small."""
     if depth <= 5.0:
         return ()
-    return (f"optical depth {depth:.3g} over 5: a single-scattering estimate",)
+    return ("echoes from beyond an optical depth of 5: single-scattering estimates",)
 
 
 def fog_lidar_ratio(visibility_m: float) -> float:

@@ -79,7 +79,7 @@ def test_results_beyond_an_optical_depth_of_five_are_marked_as_estimates(tmp_pat
     )  # fmt: skip
     assert measure.warnings == ()
     measure(plan())
-    assert any("single-scattering estimate" in line for line in measure.warnings)
+    assert any("single-scattering estimates" in line for line in measure.warnings)
 
 
 def agree(one: Scan, two: Scan, lsb_m: float) -> float:
