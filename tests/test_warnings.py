@@ -46,7 +46,7 @@ def test_test_tells_the_range_of_a_law(scenario: str, capsys: pytest.CaptureFixt
     assert json.loads(capsys.readouterr().out)["warnings"] == [THIN, DENSE]
 
 
-def test_run_tells_the_range_of_a_law_once(scenario: str, clock: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_run_tells_the_range_of_a_law_once(scenario: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", scenario, "--duration", "0.2"]) == 0
     told = capsys.readouterr().err
     assert told.count(f"lidaremu: warning: {THIN}\n") == told.count(f"lidaremu: warning: {DENSE}\n") == 1
