@@ -61,6 +61,11 @@ def test_a_fault_is_told_by_file_line_and_key_with_exit_code_2(
         assert "Traceback" not in text
 
 
+def test_a_near_gate_beyond_the_models_own_gate_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "flat_wall", "--set", "sensors.front.physics.near_gate_m=100000"]) == CANNOT_RUN
+    assert "near_gate_m 100000 not before gate_m" in capsys.readouterr().err
+
+
 def test_check_in_json_has_every_fault(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write(tmp_path, SCENARIO.replace("white_plaster", "chalkk").replace("[8, 0, 1]", "[.inf, 0, 1]"))
     assert main(["check", "--json", path]) == CANNOT_RUN

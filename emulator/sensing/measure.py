@@ -87,7 +87,8 @@ class Measure:
         still = mount.actor is None or scene.motions[scene.index[mount.actor]].still
         self._still_pose = scene.sensor_pose(mount, np.zeros(1)) if still else None
         # made here, so that the first sweep of a run is not late
-        self._sparing = Sparing(scene, model, caster, still) if wanted(model, scene) else None
+        with np.errstate(under="ignore"):  # edges shorter than any that light can tell from none
+            self._sparing = Sparing(scene, model, caster, still) if wanted(model, scene) else None
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -160,6 +160,9 @@ def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> Sensor
     passed = _filter_share(optics, receiver, options)
     k_m2, efficiency = k_m2 * passed, efficiency * passed
     gate_m = _or(options.gate_m, receiver.gate_m)
+    near_gate_m = _or(options.near_gate_m, receiver.near_gate_m, 0.0)
+    if near_gate_m >= gate_m:
+        raise ValueError(f"near_gate_m {near_gate_m:g} not before gate_m {gate_m:g}; want it smaller")
     threshold = 1.0 if seed else _threshold(options, detection, detector, gate_m)
     floor = receiver.floor_reflectance.value if receiver.floor_reflectance is not None else 0.0
     if options.floor_reflectance is not None:
@@ -188,7 +191,7 @@ def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> Sensor
         ),
         overlap_start_m=receiver.overlap_start_m.value,
         overlap_full_m=receiver.overlap_full_m.value,
-        near_gate_m=_or(options.near_gate_m, receiver.near_gate_m, 0.0),
+        near_gate_m=near_gate_m,
         gate_m=gate_m,
         threshold=threshold,
         floor_m2=0.0 if seed else floor * k_m2,
