@@ -205,10 +205,17 @@ def snow_medium(snow: Snow, model: SensorModel) -> Medium:
 
 
 def _filled(part: Layer | Plume, place: Place, base: Medium, model: SensorModel, warnings: dict[str, None]) -> Volume:
-    """A layer or plume. What is given by a visibility takes the place of the clear air there; the rest adds to it."""
+    """A layer or plume. What is given by a visibility takes the place of the clear air there; the rest adds to it.
+
+    It never thins the air around it: two such volumes that overlap would take the same air away twice, and light
+    would grow on its way. One that is clearer than its surroundings adds nothing, and that is told.
+    """
     seen = _seen_media(part.fog, part.dust, part.smoke, model, warnings)
     if seen:
-        seen.append(Medium(-base.extinction_per_m, -base.backscatter_per_m_sr))
+        more = _sum([*seen, Medium(-base.extinction_per_m, -base.backscatter_per_m_sr)])
+        if more.extinction_per_m < 0.0:
+            warnings["layer or plume: clearer than the air around it; adds nothing"] = None
+        seen = [Medium(max(more.extinction_per_m, 0.0), max(more.backscatter_per_m_sr, 0.0))]
     if part.extinction_per_m is not None:
         seen.append(Medium(part.extinction_per_m, part.extinction_per_m / part.lidar_ratio_sr))
     return Volume(place, _sum(seen))

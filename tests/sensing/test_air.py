@@ -251,3 +251,11 @@ def test_more_fog_rain_or_distance_never_gives_more_signal_from_a_wall(tmp_path:
         for r in (1.0, 1.5, 3.0, 10.0, 40.0, 90.0, 200.0)
     ]
     assert all(late < early for early, late in itertools.pairwise(echo))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_volumes_clearer_than_the_air_never_make_light_and_say_so(tmp_path: Path, count: int) -> None:
+    layer = {"bottom_m": -50.0, "top_m": 50.0, "fog": {"visibility_m": 90_000.0}}
+    measure = build(tmp_path, WALL, weather={"layers": [layer] * count}, physics=AXIS)
+    assert extinction(measure) == pytest.approx(CLEAR, rel=1e-6)
+    assert "layer or plume: clearer than the air around it; adds nothing" in measure.warnings

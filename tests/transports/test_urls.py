@@ -15,7 +15,7 @@ from emulator.transports.urls import host_and_port, parse_url
     "url",
     [
         "pty:./front",
-        "pty:/tmp/with space",
+        "pty:/with space",
         "pty:front?speed=strict",
         "pty:front?speed=custom_divisor",
         "pty:front?speed=ignore",
