@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 from emulator.clock import Clock
 from emulator.daemon import Daemon, worker_count
+from emulator.device_clock import with_clock
+from emulator.faults.run import FaultRun
 from emulator.instrument import Instrument, Measuring
 from emulator.measuring import InPlace, Measure, Measures, Workers
 from emulator.scenario import Scenario
@@ -71,9 +73,13 @@ def new_session(scenario: Scenario, index: int) -> Session:
     """The conversation of one sensor, switched off; `ScenarioError` when its `device` table does not fit the model."""
     sensor = scenario.sensors[index]
     try:
-        return family_of(scenario, index).new_session(sensor.device, load_spec(sensor.model).device)
+        session = family_of(scenario, index).new_session(sensor.device, load_spec(sensor.model).device)
     except DeviceSettingError as error:
         raise scenario.fault(f"sensors.{index}.device.{error.key}", error.found, error.allowed) from None
+    try:
+        return with_clock(session, sensor.clock)
+    except DeviceSettingError as error:
+        raise scenario.fault(f"sensors.{index}.clock.{error.key}", error.found, error.allowed) from None
 
 
 def new_sessions(scenario: Scenario) -> list[Session]:
@@ -100,6 +106,7 @@ def open_instruments(
                 links.append(open_link(url, tcp_is_line, loops=loops, can_ports=can_ports, can_bitrate=bitrate))
                 opened.append(links[-1])
             instruments.append(Instrument(sensor.id, session, links, measuring))
+            instruments[-1].family = family_of(scenario, index)
     except BaseException:
         for link in opened:
             link.close()
@@ -118,6 +125,7 @@ def start(scenario: Scenario, clock: Clock, workers: int | None = None) -> tuple
         measuring.close()
         raise
     daemon = Daemon(instruments, clock, measuring)
+    daemon.faults = FaultRun(scenario, instruments)
     daemon.watch_workers()
     return daemon, instruments
 
@@ -137,4 +145,6 @@ def start_virtual(
         if pool is not None:
             pool.close()
         raise
-    return VirtualDaemon(instruments, pool, speed, warnings=measuring.warnings), instruments
+    daemon = VirtualDaemon(instruments, pool, speed, warnings=measuring.warnings)
+    daemon.faults = FaultRun(scenario, instruments)
+    return daemon, instruments

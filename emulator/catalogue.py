@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 Row = dict[str, object]
@@ -70,22 +71,30 @@ def links() -> list[Row]:
 
 def commands(family_name: str | None) -> list[Row]:
     """Every command of a protocol family; `KeyError` names the families."""
-    from protocols import FAMILIES, family
+    from protocols import families, family
 
     if family_name is None:
-        raise KeyError(f"commands of which family? known: {', '.join(sorted(FAMILIES))}")
+        raise KeyError(f"commands of which family? known: {', '.join(sorted(families()))}")
     return [
         {"code": row.code, "name": row.name, "status": row.status, "source": row.source, "note": row.note}
         for row in family(family_name).commands()
     ]
 
 
+def faults(name: str | None) -> list[Row]:
+    """Every fault that can be injected, or the keys of one; `KeyError` names those there are."""
+    from emulator.faults.catalogue import rows as fault_rows
+
+    return fault_rows(name)
+
+
 def device(model: str | None) -> list[Row]:
     """Every key that a sensor's `device:` table may have; `KeyError` names the models."""
-    from emulator.spec import list_models, load_spec
+    from emulator.spec import is_file, list_models, load_spec
     from protocols import family
 
-    if model not in list_models():
+    model = str(Path(model).absolute()) if model and is_file(model) else model
+    if model not in list_models() and not (model and is_file(model)):
         found = f"unknown model {model!r}" if model else "device of which model?"
         raise KeyError(f"{found}; known: {', '.join(list_models())}")
     name = load_spec(str(model)).family
@@ -107,8 +116,8 @@ TABLES: dict[str, Callable[[], list[Row]]] = {
     "links": links,
 }
 "What `lidaremu list` knows by its name alone."
-OF_ONE: dict[str, Callable[[str | None], list[Row]]] = {"commands": commands, "device": device}
-"What it knows of a family, or of a model."
+OF_ONE: dict[str, Callable[[str | None], list[Row]]] = {"commands": commands, "device": device, "faults": faults}
+"What it knows of a family, of a model, or of a fault."
 
 
 def rows(what: str, name: str | None = None) -> list[Row]:

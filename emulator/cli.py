@@ -10,7 +10,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,16 +20,24 @@ from emulator import __version__
 from emulator.commands.common import CANNOT_RUN, FAILED, LINK_LOST, OK, load_scenario, note, say, scenario_options
 from emulator.commands.ctl import control_of, ctl
 from emulator.commands.doctor import doctor
+from emulator.commands.driver import end_driver, start_driver
 from emulator.commands.explain import explain
+from emulator.commands.fuzz import fuzz
+from emulator.commands.look import demo, look
 from emulator.commands.recordings import diff, recorder_for, replay
+from emulator.commands.report import report
+from emulator.commands.soak import soak
 from emulator.commands.study import study
 from emulator.commands.test import test
+from emulator.commands.view import view
 from emulator.errors import EmulatorError, LinkError
 
 if TYPE_CHECKING:
     from emulator.daemon import Daemon
+    from emulator.faults.events import FaultEvent
     from emulator.instrument import Instrument
     from emulator.scenario import Scenario
+    from emulator.transcript import Transcript
     from emulator.virtual_daemon import VirtualDaemon
 
 
@@ -115,6 +123,8 @@ def check(
 @click.option("--workers", type=click.IntRange(min=1), help="Measuring processes (default: cores less one).")
 @click.option("--clock", type=click.Choice(["real", "virtual"]), default="real", help="virtual: as fast as hosts read.")
 @click.option("--speed", type=click.FloatRange(min=0.001), metavar="X", help="Virtual clock at X times real time.")
+@click.option("--no-wait", is_flag=True, help="Virtual time moves though no host is connected.")
+@click.option("--realtime", is_flag=True, help="Schedule the sender before all other programs, where that is allowed.")
 @click.option("--control", type=click.Path(path_type=Path), metavar="PATH", help="Control socket.")
 @click.option("--record", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="Record into DIR.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line on standard output.")
@@ -129,6 +139,8 @@ def run(
     workers: int | None,
     clock: str,
     speed: float | None,
+    no_wait: bool,
+    realtime: bool,
     control: Path | None,
     record: Path | None,
     as_json: bool,
@@ -151,6 +163,8 @@ def run(
 
     from emulator import assembly
     from emulator.clock import SystemClock
+    from emulator.virtual_daemon import VirtualDaemon
+    from emulator.waiting import be_realtime
 
     real = SystemClock()
     daemon: Daemon | VirtualDaemon
@@ -159,13 +173,20 @@ def run(
     else:
         daemon, instruments = assembly.start(loaded, real, workers)
     daemon.on_failure = note
+    if daemon.faults is not None:
+        daemon.faults.listeners.append(fault_teller(as_json))
+    if isinstance(daemon, VirtualDaemon):
+        daemon.waits_for_hosts, daemon.tells_alone = not no_wait, True
+    if realtime and (refused := be_realtime()):
+        note(f"--realtime: {refused}; scheduled as usual")
     recorder = recorder_for(loaded, instruments, record)
+    transcript = watched(instruments) if isinstance(daemon, VirtualDaemon) else None
     server = None
     driver: subprocess.Popen[bytes] | None = None
     try:
         with daemon.signals():
             real.restart()
-            server = control_of(daemon, instruments, real, recorder, control)
+            server = control_of(daemon, instruments, real, loaded, recorder, control)
             daemon.power_on()
             announce_ready(loaded, instruments, as_json, server.url)
             until = duration if duration is not None else loaded.duration_s
@@ -182,7 +203,7 @@ def run(
         if recorder is not None:
             recorder.close()
         driver_code = None if driver is None else end_driver(driver)
-    announce_end(instruments, as_json)
+    announce_end(instruments, as_json, None if transcript is None else transcript.sha256())
     for cause, count in daemon.failures.items():
         note(f"{count} scans could not be measured: {cause}")
     if driver_code not in (None, 0):
@@ -207,30 +228,27 @@ def place_of(url: str) -> str:
     return url.partition(":")[2].partition("?")[0]
 
 
-def start_driver(command: Sequence[str], environment: dict[str, str], as_json: bool) -> subprocess.Popen[bytes]:
-    """The driver under test as a child process; what it prints must not come between our JSON objects."""
-    try:
-        return subprocess.Popen(list(command), env=environment, stdout=sys.stderr.fileno() if as_json else None)
-    except OSError as error:
-        raise EmulatorError(f"cannot start {command[0]}: {error.strerror}") from None
+def fault_teller(as_json: bool) -> Callable[[str, FaultEvent], None]:
+    """Tells of each fault that it begins and ends; single hits are recorded and counted."""
 
+    def tell(sensor: str, event: FaultEvent) -> None:
+        if event.what == "hit":
+            return
+        if as_json:
+            row = {"event": "fault", "what": event.what, "on": sensor, "do": event.name, "number": event.number}
+            say(json.dumps(row | {"at_s": event.at_ns * 1e-9} | ({"detail": event.detail} if event.detail else {})))
+        else:
+            ended = f"ends: {event.detail}" if event.what == "end" else "begins"
+            note(f"{event.at_ns * 1e-9:.3f} s: {sensor}: fault {event.number}, {event.name}, {ended}")
 
-def end_driver(driver: subprocess.Popen[bytes]) -> int:
-    """Its exit code; a driver still running is asked to end, then made to."""
-    if driver.poll() is None:
-        driver.terminate()
-        try:
-            driver.wait(timeout=5.0)
-        except subprocess.TimeoutExpired:
-            driver.kill()
-            driver.wait()
-        return 0
-    return driver.returncode
+    return tell
 
 
 def announce_ready(scenario: Scenario, instruments: Sequence[Instrument], as_json: bool, control: str) -> None:
     """Say where hosts can connect; every link accepts one by now."""
-    models = {sensor.id: sensor.model for sensor in scenario.sensors}
+    from emulator.spec import name_of
+
+    models = {sensor.id: name_of(sensor.model) for sensor in scenario.sensors}
     if as_json:
         sensors = [
             {"id": item.sensor, "model": models[item.sensor], "links": [link.url for link in item.links]}
@@ -243,14 +261,25 @@ def announce_ready(scenario: Scenario, instruments: Sequence[Instrument], as_jso
             say(f"ready: {item.sensor} ({models[item.sensor]}) on {link.url}")
 
 
-def announce_end(instruments: Sequence[Instrument], as_json: bool) -> None:
-    """Say what each sensor did: scans sent, dropped, rate, lateness of sends."""
+def watched(instruments: Sequence[Instrument]) -> Transcript:
+    """The digest of a run's wire bytes with their virtual times, as `test` tells it."""
+    from emulator.transcript import Transcript
+
+    transcript = Transcript([one.sensor for one in instruments])
+    for instrument in instruments:
+        instrument.watch(transcript)
+    return transcript
+
+
+def announce_end(instruments: Sequence[Instrument], as_json: bool, sha256: str | None) -> None:
+    """Say what each sensor did: scans sent, dropped, rate, lateness of sends. `sha256`: of a run in virtual time."""
     from emulator.daemon import summary
     from emulator.object_metrics import told
 
     totals = [summary(item) for item in instruments]
     if as_json:
-        say(json.dumps({"event": "stopped", "sensors": totals}))
+        digest = {} if sha256 is None else {"sha256": sha256}
+        say(json.dumps({"event": "stopped", "sensors": totals} | digest))
         return
     for total in totals:
         dropped = ", ".join(f"{count} {reason}" for reason, count in total["scans_dropped"].items()) or "none"
@@ -269,61 +298,29 @@ def announce_end(instruments: Sequence[Instrument], as_json: bool) -> None:
         ignored = ", ".join(f"{count} {reason}" for reason, count in total["input_dropped"].items())
         if ignored:
             say(f"{total['id']}: input not taken: {ignored}")
+        for name, row in total.get("faults", {}).items():
+            say(f"{total['id']}: fault {name}: begun {row['begun']} times, {row['hits']} hits")
         if "objects" in total:
             for line in told(total["objects"]):
                 say(f"{total['id']}: {line}")
-
-
-# ---------------------------------------------------------------- hosts of our own
-
-
-@commands.command()
-@click.option("--scenario", default="crossing_car", show_default=True, help="Built-in name or path.")
-@click.option("--sensor", help="Which of its sensors to look through (default: the first).")
-@click.option("--duration", type=click.FloatRange(min=0.0), default=None, metavar="S", help="Stop after so long.")
-@click.option("--baud", type=int, default=500_000, show_default=True, help="Line speed the host asks for.")
-def demo(scenario: str, sensor: str | None, duration: float | None, baud: int) -> int:
-    """A built-in scenario with a built-in host on the other end, drawn live in the terminal."""
-    from emulator.demo import run_demo
-
-    return run_demo(scenario, sensor, duration, baud, say)
-
-
-@commands.command()
-@click.argument("link")
-@click.option("--family", "family_name", default="lms2xx", show_default=True, help="Protocol to speak.")
-@click.option("--baud", type=int, default=38_400, show_default=True, help="Line speed to ask for (serial).")
-@click.option("--scans", type=click.IntRange(min=1), help="Stop after so many scans.")
-@click.option("--duration", type=click.FloatRange(min=0.0), metavar="S", help="Stop after so many seconds.")
-@click.option("--png", type=click.Path(dir_okay=False, path_type=Path), help="Draw the last scan into FILE.")
-@click.option("--csv", type=click.Path(dir_okay=False, path_type=Path), help="Write every scan's points to FILE.")
-def look(
-    link: str,
-    family_name: str,
-    baud: int,
-    scans: int | None,
-    duration: float | None,
-    png: Path | None,
-    csv: Path | None,
-) -> int:
-    """Connect to LINK (pty:PATH, serial:DEVICE or tcp:HOST:PORT) as a host, decode and draw. Real devices too."""
-    from emulator.look import run_look
-
-    return run_look(link, family_name, baud, scans, duration, png, csv, say)
+    if sha256 is not None:
+        say(f"sha256 of all wire bytes with their virtual times: {sha256}")
 
 
 # ---------------------------------------------------------------- what there is
 
 
-LISTABLE = ("sensors", "scenarios", "materials", "links", "commands", "device")
+LISTABLE = ("sensors", "scenarios", "materials", "links", "faults", "commands", "device")
 
 
 @commands.command(name="list")
 @click.argument("what", type=click.Choice(LISTABLE))
-@click.argument("name", required=False, metavar="[FAMILY | MODEL]")
+@click.argument("name", required=False, metavar="[FAMILY | MODEL | FAULT]")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
 def list_(what: str, name: str | None, as_json: bool) -> int:
-    """Sensors, scenarios, materials, links, the commands of a protocol FAMILY, or the `device:` keys of a MODEL."""
+    """Sensors, scenarios, materials, links, faults or the keys of a FAULT, the commands of a protocol FAMILY, or the
+    `device:` keys of a MODEL.
+    """
     from emulator import catalogue
 
     try:
@@ -335,7 +332,10 @@ def list_(what: str, name: str | None, as_json: bool) -> int:
     return OK
 
 
-for command in (test, replay, diff, ctl, doctor, study, explain):
+for command in (demo, look, report, test, replay, diff, ctl, doctor, study, explain, view):
     commands.add_command(command)
+
+study.add_command(fuzz)
+study.add_command(soak)
 
 __all__ = ["CANNOT_RUN", "OK", "LinkError", "entry", "main"]

@@ -40,3 +40,13 @@ class ManualClock:
         if now_ns < self._now_ns:
             raise ValueError(f"clock at {self._now_ns} ns cannot go back to {now_ns} ns")
         self._now_ns = now_ns
+
+
+class CpuClock:
+    """Time that this process has computed for since the object was made; what others do meanwhile does not count."""
+
+    def __init__(self) -> None:
+        self._start_ns = time.process_time_ns()
+
+    def now_ns(self) -> int:
+        return time.process_time_ns() - self._start_ns

@@ -4,8 +4,9 @@
     {"jsonrpc": "2.0", "id": 1, "result": {"clock": "real", "now_s": 12.5, ...}}
 
 Belongs here: the server and its client. Not: what the methods do (orders). The server waits in a thread of its own;
-what an order does is done by the run's own thread, between two steps. Garbage is answered with an error; a client that
-sends too much, or never reads, is hung up on; the run goes on in any case.
+what an order does is done by the run's own thread, between two steps. Garbage is answered with an error. A client is
+answered no further while it leaves `MOST_UNREAD` unread; one that reads nothing for `DEAF_S`, or whose line is longer
+than `LONGEST_LINE`, is hung up on. The run goes on in any case.
 """
 
 from __future__ import annotations
@@ -24,11 +25,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from emulator.clock import SystemClock
 from emulator.errors import EmulatorError, LinkError
 
 LONGEST_LINE = 65_536
+"Bytes of a request. Answers may be longer."
 MOST_UNREAD = 1 << 18
 MOST_CLIENTS = 16
+MOST_WAITING = 256
+"Who wants to connect and has not been looked at yet."
+DEAF_S = 30.0
+TICK_S = 1.0
 PATIENCE_S = 60.0
 
 PARSE, INVALID, NO_METHOD, BAD_PARAMS, REFUSED = -32700, -32600, -32601, -32602, -32000
@@ -51,11 +58,20 @@ class Controlled(Protocol):
 Method = Callable[[Mapping[str, Any]], object]
 
 
+@dataclass(frozen=True)
+class Later:
+    """A result whose text is made in the control's thread, not in the run's; from what changes no more."""
+
+    make: Callable[[], object]
+
+
 @dataclass
 class _Client:
     connection: socket.socket
     text: bytes = b""
     unread: bytes = b""
+    read_at_ns: int = 0
+    "When it last took some of what it had not read."
 
 
 def default_folder() -> Path:
@@ -67,6 +83,28 @@ def default_folder() -> Path:
     if found.st_uid != os.getuid() or found.st_mode & 0o077:
         raise LinkError(f"{folder}: not a folder of this user alone; want its owner and mode 0700")
     return folder
+
+
+def new_path() -> Path:
+    """Of this process's socket in the default folder; what killed processes of this user have left there goes."""
+    folder = default_folder()
+    for old in folder.glob("*.sock"):
+        if old.stem.isdecimal() and not _runs(int(old.stem)):
+            with contextlib.suppress(OSError):
+                if not _answers(old):  # of another container it may be alive all the same
+                    old.unlink()
+    return folder / f"{os.getpid()}.sock"
+
+
+def _runs(pid: int) -> bool:
+    """Whether there is such a process; one that cannot be asked for counts as running."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
 
 
 @dataclass
@@ -91,13 +129,16 @@ class ControlServer:
             raise LinkError(f"{self.path}: cannot listen for control: {error.strerror or error}") from None
         finally:
             os.umask(old)
-        self._listener.listen(8)
+        self._listener.listen(MOST_WAITING)
         self._listener.setblocking(False)
         self._bell, self._ring = socket.socketpair()
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._selector.register(self._bell, selectors.EVENT_READ)
         self._closing = False
+        self._clock = SystemClock()
+        self._full = False
+        "No descriptor is left for another client; looked at again with the next tick."
         self._thread = threading.Thread(target=self._serve, name="lidaremu-control", daemon=True)
         self._thread.start()
 
@@ -123,31 +164,48 @@ class ControlServer:
 
     def _serve(self) -> None:
         while not self._closing:
-            for key, mask in self._selector.select():
+            for key, mask in self._selector.select(TICK_S if self._full or self._clients else None):
                 if key.fileobj is self._listener:
-                    self._accept()
+                    while self._accept():
+                        pass
                 elif key.fileobj is not self._bell:
                     client = self._clients.get(key.fd)
                     if client is not None:
                         self._attend(client, mask)
+            self._tick()
 
-    def _accept(self) -> None:
+    def _tick(self) -> None:
+        if self._full:
+            self._full = False
+            self._selector.register(self._listener, selectors.EVENT_READ)
+        now_ns = self._clock.now_ns()
+        for client in list(self._clients.values()):
+            if client.unread and now_ns - client.read_at_ns > DEAF_S * 1e9:
+                self._hang_up(client)
+
+    def _accept(self) -> bool:
+        """Let one client in, or turn it away; whether there was one."""
         try:
             connection, _ = self._listener.accept()
-        except OSError:
-            return
+        except BlockingIOError:
+            return False
+        except OSError:  # out of descriptors: the listener would be ready for ever
+            self._selector.unregister(self._listener)
+            self._full = True
+            return False
         if len(self._clients) >= MOST_CLIENTS:
-            connection.close()
-            return
+            _farewell(connection, f"{MOST_CLIENTS} clients are connected already")
+            return True
         connection.setblocking(False)
         self._clients[connection.fileno()] = _Client(connection)
         self._selector.register(connection, selectors.EVENT_READ)
+        return True
 
     def _attend(self, client: _Client, mask: int) -> None:
         try:
             if mask & selectors.EVENT_WRITE:
-                self._flush(client)
-            if mask & selectors.EVENT_READ:
+                self._answer_lines(client)
+            elif mask & selectors.EVENT_READ:
                 data = client.connection.recv(LONGEST_LINE)
                 if not data:
                     self._hang_up(client)
@@ -160,27 +218,41 @@ class ControlServer:
             self._hang_up(client)
 
     def _answer_lines(self, client: _Client) -> None:
+        self._flush(client)
         while b"\n" in client.text and len(client.unread) <= MOST_UNREAD:
             line, _, client.text = client.text.partition(b"\n")
             answer = self.answer(line) if line.strip() else None
             if answer is not None:
                 client.unread += json.dumps(answer).encode() + b"\n"
-        if len(client.text) > LONGEST_LINE or len(client.unread) > MOST_UNREAD:
-            self._hang_up(client)
+                self._flush(client)
+        if len(client.text) > LONGEST_LINE and b"\n" not in client.text:
+            self._hang_up(client, f"a line longer than {LONGEST_LINE} bytes; hung up")
             return
-        self._flush(client)
+        wanted = selectors.EVENT_WRITE if client.unread else 0
+        if len(client.unread) <= MOST_UNREAD:
+            wanted |= selectors.EVENT_READ
+        self._selector.modify(client.connection, wanted)
 
     def _flush(self, client: _Client) -> None:
+        if not client.unread:
+            client.read_at_ns = self._clock.now_ns()
+            return
+        sent = 0
+        view = memoryview(client.unread)
         with contextlib.suppress(BlockingIOError):
-            while client.unread:
-                client.unread = client.unread[client.connection.send(client.unread) :]
-        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if client.unread else 0)
-        self._selector.modify(client.connection, events)
+            while sent < len(view):
+                sent += client.connection.send(view[sent:])
+        if sent:
+            client.read_at_ns = self._clock.now_ns()
+            client.unread = bytes(view[sent:])
 
-    def _hang_up(self, client: _Client) -> None:
+    def _hang_up(self, client: _Client, why: str = "") -> None:
         self._clients.pop(client.connection.fileno(), None)
         self._selector.unregister(client.connection)
-        client.connection.close()
+        if why:
+            _farewell(client.connection, why)
+        else:
+            client.connection.close()
 
     def answer(self, line: bytes) -> dict[str, Any] | None:
         """The answer to one line; None to a notification."""
@@ -202,13 +274,23 @@ class ControlServer:
             raise OrderError(BAD_PARAMS, "params; want a table of names and values")
         done = self.run.call(lambda: method(params))
         try:
-            return done.result(PATIENCE_S)
+            found = done.result(PATIENCE_S)
+            return found.make() if isinstance(found, Later) else found
         except OrderError:
             raise
         except TookTooLong:
             raise OrderError(REFUSED, f"not done within {PATIENCE_S:g} s") from None
         except (EmulatorError, ValueError, TypeError, RuntimeError) as error:
             raise OrderError(REFUSED, str(error)) from None
+
+
+def _farewell(connection: socket.socket, why: str) -> None:
+    """Say why, as far as the other end takes it, and close."""
+    answer = {"jsonrpc": "2.0", "id": None, "error": {"code": REFUSED, "message": why}}
+    with contextlib.suppress(OSError):
+        connection.setblocking(False)
+        connection.send(json.dumps(answer).encode() + b"\n")
+    connection.close()
 
 
 def _request(line: bytes) -> dict[str, Any]:

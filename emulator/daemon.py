@@ -6,13 +6,12 @@ Deadlines are absolute on the monotonic clock: a late wake-up is caught up, neve
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import gc
 import os
-import select
 import selectors
 import signal
 import socket
+import sys
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
@@ -24,20 +23,13 @@ import numpy as np
 
 from emulator.clock import Clock
 from emulator.errors import LinkError
+from emulator.faults.run import FaultRun
 from emulator.instrument import Instrument
 from emulator.measuring import Workers
-from emulator.metrics import histogram
+from emulator.waiting import Waiter, sharpen_timers
 
-LATENESS_KEPT = 200_000
-"Sends of which the lateness is kept for the report; an hour of one LMS291 at 37.5 Hz with its replies is 135 000."
-
-PR_SET_TIMERSLACK = 29
-
-
-def sharpen_timers() -> None:
-    """Ask the kernel to wake this process within a microsecond of its deadlines instead of fifty."""
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1000, 0, 0, 0)
+SWITCH_S = 0.0005
+"Another thread (control, a browser's page) that computes gives way to the sender after this; Python's own is 5 ms."
 
 
 class Daemon:
@@ -55,7 +47,8 @@ class Daemon:
         self._workers = workers
         self.on_failure = on_failure
         self._stop = False
-        self._selector = selectors.DefaultSelector()
+        self._selector = selectors.EpollSelector()
+        self.waiter = Waiter(clock, self._selector.fileno())
         self._watched: dict[int, tuple[int, ...]] = {}
         self._watch_state: dict[int, tuple[int, tuple[int, ...]]] = {}
         self._wake: dict[int, int | None] = {}
@@ -66,6 +59,8 @@ class Daemon:
         self._selector.register(self._bell, selectors.EVENT_READ, "orders")
         self._lost: set[int] = set()
         self.lost_links: list[str] = []
+        self.faults: FaultRun | None = None
+        "What goes wrong on purpose in this run."
         self.failures: Counter[str] = Counter()
         "Scans that could not be measured, by cause."
 
@@ -125,6 +120,7 @@ class Daemon:
     def run(self, until_ns: int | None = None, while_true: Callable[[], bool] | None = None) -> None:
         """Serve until `stop`, until `until_ns`, or until `while_true` says no (asked about ten times a second)."""
         sharpen_timers()
+        sys.setswitchinterval(SWITCH_S)
         gc.collect()
         gc.freeze()  # what lives as long as the run is not walked again by the collector
         while not self._stop:
@@ -134,13 +130,35 @@ class Daemon:
             if while_true is not None and not while_true():
                 return
             self._step_due(now_ns)
+            if any(one.poked for index, one in enumerate(self._instruments) if index not in self._lost):
+                continue  # one sensor's scan has begun a fault of another
             self._wait(until_ns, 100_000_000 if while_true is not None else None)
 
     def _step_due(self, now_ns: int) -> None:
+        self._send_due(now_ns)
         for index, instrument in enumerate(self._instruments):
-            wake = self._wake.get(index)
+            wake = now_ns if instrument.poked else self._wake.get(index)
             if wake is not None and wake <= now_ns and index not in self._lost:
                 self._step(index, instrument)
+
+    def _send_due(self, now_ns: int) -> None:
+        """What waits in links for this instant leaves before anything else is done."""
+        for index, instrument in enumerate(self._instruments):
+            wake = self._wake.get(index)
+            if wake is None or wake > now_ns or index in self._lost:
+                continue
+            for link in instrument.links:
+                began_ns = self._clock.now_ns()
+                link.flush(began_ns)
+                if link.stats.lateness_ns:
+                    self._note_lateness(instrument, self._clock.now_ns() - began_ns)
+
+    def _rehearse(self, now_ns: int, deadline_ns: int | None) -> None:
+        """Everything that `_send_due` will do at the deadline, a moment before: nothing of it is due yet."""
+        for index, instrument in enumerate(self._instruments):
+            if self._wake.get(index) == deadline_ns and index not in self._lost:
+                for link in instrument.links:
+                    link.flush(now_ns)
 
     def _step(self, index: int, instrument: Instrument) -> None:
         now_ns = self._clock.now_ns()
@@ -156,14 +174,12 @@ class Daemon:
         self._watch(index, instrument)
 
     def _note_lateness(self, instrument: Instrument, step_ns: int) -> None:
-        kept = instrument.stats.lateness_ns
+        kept = instrument.stats.lateness
         for link in instrument.links:
             if link.stats.lateness_ns:
-                # the link knows when the step began; what the step took until the bytes were handed over is added
+                # the link knows when it was called; what it took until the bytes were handed over is added at most
                 kept.extend(late + step_ns for late in link.stats.lateness_ns)
                 link.stats.lateness_ns.clear()
-        if len(kept) > 2 * LATENESS_KEPT:
-            del kept[:-LATENESS_KEPT]
 
     def _watch(self, index: int, instrument: Instrument) -> None:
         wanted = tuple(number for link in instrument.links for number in link.filenos())
@@ -186,27 +202,18 @@ class Daemon:
         wakes = [wake for index, wake in self._wake.items() if wake is not None and index not in self._lost]
         if until_ns is not None:
             wakes.append(until_ns)
-        timeout_s = None
-        if wakes:
-            timeout_s = max(0.0, (min(wakes) - self._clock.now_ns()) * 1e-9)
         if at_most_ns is not None:
-            timeout_s = at_most_ns * 1e-9 if timeout_s is None else min(timeout_s, at_most_ns * 1e-9)
-        for key in self._ready(timeout_s):
+            wakes.append(self._clock.now_ns() + at_most_ns)
+        deadline_ns = min(wakes) if wakes else None
+        if not self.waiter.until(deadline_ns, lambda now_ns: self._rehearse(now_ns, deadline_ns)):
+            return
+        for key, _ in self._selector.select(0):
             if key.data == "workers":
                 self._take_results()
             elif key.data == "orders":
                 self._take_orders()
             elif isinstance(key.data, int):
                 self._wake[key.data] = self._clock.now_ns()
-
-    def _ready(self, timeout_s: float | None) -> list[selectors.SelectorKey]:
-        # epoll_wait counts milliseconds; select on the epoll descriptor itself waits to the microsecond.
-        number = getattr(self._selector, "fileno", None)
-        if number is not None:
-            with contextlib.suppress(InterruptedError):
-                select.select([number()], [], [], timeout_s)
-            timeout_s = 0
-        return [key for key, _ in self._selector.select(timeout_s)]
 
     def _take_results(self) -> None:
         if self._workers is None:
@@ -277,12 +284,14 @@ class Lateness:
 def summary(instrument: Instrument) -> dict[str, Any]:
     """What a sensor did, ready for JSON; rates are NaN-free (None where there is none)."""
     stats = instrument.stats
-    late = Lateness.of(stats.lateness_ns)
+    late = stats.lateness
 
     def number(value: float) -> float | None:
         return None if value != value else round(value, 4)
 
     judged = {} if stats.objects is None else {"objects": stats.objects.as_json()}
+    if instrument.faults is not None:
+        judged["faults"] = instrument.faults.counts()
     return {
         "id": instrument.sensor,
         "scans_sent": stats.scans_sent,
@@ -294,10 +303,10 @@ def summary(instrument: Instrument) -> dict[str, Any]:
         "restarts": stats.restarts,
         "lateness_us": {
             "sends": late.count,
-            "median": number(late.median_us),
-            "p99": number(late.p99_us),
-            "worst": number(late.worst_us),
-            "histogram": [list(row) for row in histogram(stats.lateness_ns) if row[1]],
+            "median": number(late.percentile_ns(50) * 1e-3),
+            "p99": number(late.percentile_ns(99) * 1e-3),
+            "worst": number(late.worst_ns * 1e-3 if late.count else float("nan")),
+            "histogram": [list(row) for row in late.histogram() if row[1]],
         },
         "links": [
             {
@@ -307,6 +316,7 @@ def summary(instrument: Instrument) -> dict[str, Any]:
                 "bytes_lost": link.stats.bytes_lost,
                 "bytes_garbled": link.stats.bytes_garbled,
                 "payloads_dropped": link.stats.payloads_dropped,
+                "hosts_refused": link.stats.hosts_refused,
             }
             for link in instrument.links
         ],

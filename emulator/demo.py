@@ -8,58 +8,95 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from emulator import scenario as scenario_file
-from emulator.errors import EmulatorError
-from emulator.look import HOSTS, connect, watch
+from emulator.errors import EmulatorError, LinkError
+from emulator.look import CAN_FAMILY, FAMILIES, Wanted, connect, watch
+from emulator.screen import drawable
 from emulator.spec import load_spec
 from protocols import family as protocol_family
 
+SHOWS = {"lms2xx": "crossing_car", "ld": "bumper", "can_objects": "fog_objects"}
+"Family -> built-in scenario that shows it."
 DEFAULT_S = 20.0
-"How long the demo lasts when nobody says."
+"How long the demo lasts on a terminal when neither the user nor the scenario says."
+UNWATCHED_S = 5.0
+"The same where nobody watches."
+STARTED_S = 60.0
+STOPPED_S = 10.0
 
 
-def run_demo(name: str, sensor: str | None, duration_s: float | None, baud: int, say: Callable[[str], None]) -> int:
+def run_demo(
+    name: str | None,
+    sensor: str | None,
+    family: str | None,
+    duration_s: float | None,
+    baud: int,
+    say: Callable[[str], None],
+) -> int:
     """Start the daemon as a process of its own, look through one sensor, stop it; the exit code."""
+    if family is not None and family not in FAMILIES:
+        raise EmulatorError(f"demo does not show {family!r}; want {', '.join(FAMILIES)}")
+    name = name or SHOWS[family or "lms2xx"]
     loaded = scenario_file.load(name)
-    ids = [item.id for item in loaded.sensors]
-    chosen = sensor or ids[0]
-    if chosen not in ids:
-        raise EmulatorError(f"sensor {chosen!r}; {name} has {', '.join(ids)}")
-    family = load_spec(loaded.sensors[ids.index(chosen)].model).family or "none"
+    families = {item.id: load_spec(item.model).family or "none" for item in loaded.sensors}
+    chosen = sensor or next((one for one, its in families.items() if family in (None, its)), None)
+    if chosen not in families:
+        told = ", ".join(f"{one} ({its})" for one, its in families.items())
+        raise EmulatorError(f"{f'sensor {sensor!r}' if sensor else f'family {family}'}; {name} has {told}")
+    live = drawable()
+    lasts_s = duration_s or ((loaded.duration_s or DEFAULT_S) if live else UNWATCHED_S)
     with tempfile.TemporaryDirectory(prefix="lidaremu-") as folder:
-        urls = {item: f"pty:{Path(folder) / item}" for item in ids}
-        if family in HOSTS and not protocol_family(family).tcp_is_line:
-            urls[chosen] = "tcp:127.0.0.1:0"  # the device's own network interface is quicker than its serial line
-        links = [f"--link={item}={url}" for item, url in urls.items()]
-        daemon = subprocess.Popen(
-            [sys.executable, "-m", "emulator", "run", name, "--json", *links], stdout=subprocess.PIPE, text=True
-        )
+        links = [f"--link={item}={_link(item, its, Path(folder))}" for item, its in families.items()]
+        log = Path(folder) / "log"
+        with log.open("wb") as errors:  # kept out of the picture
+            command = [sys.executable, "-m", "emulator", "run", name, "--json", f"--duration={lasts_s + 60.0}", *links]
+            daemon = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
         try:
             assert daemon.stdout is not None
             first = daemon.stdout.readline()
             if not first:
-                raise EmulatorError(f"the daemon did not start (exit code {daemon.wait()})")
+                code, told = daemon.wait(), log.read_text(encoding="utf-8", errors="replace").strip()
+                raise EmulatorError(f"the daemon did not start (exit code {code}): {told}")
             ready = json.loads(first)
             say(f"daemon: {name}: " + ", ".join(item["links"][0] for item in ready["sensors"]))
             place = next(item["links"][0] for item in ready["sensors"] if item["id"] == chosen)
-            host = connect(place, family, baud)
+            host = connect(place, families[chosen], baud, more=True)
             try:
-                watch(host, None, duration_s or DEFAULT_S, None, say, live=sys.stdout.isatty())
-            except KeyboardInterrupt:
-                pass
+                seen = watch(host, Wanted(duration_s=lasts_s, live=live), say)
             finally:
                 host.close()
+            if seen is None:
+                raise LinkError(f"{place}: the device sends no scan")
         finally:
             daemon.terminate()
-            rest, _ = daemon.communicate(timeout=10.0)
+            try:
+                rest, _ = daemon.communicate(timeout=STOPPED_S)
+            except subprocess.TimeoutExpired:
+                daemon.kill()
+                rest, _ = daemon.communicate()
         for line in rest.splitlines():
             event = json.loads(line)
             if event.get("event") == "stopped":
-                total = next(item for item in event["sensors"] if item["id"] == chosen)
-                late = total["lateness_us"]
-                say(
-                    f"{chosen}: {total['scans_sent']} scans sent, {total['scans_per_s']}/s;"
-                    f" lateness median {late['median']} us, p99 {late['p99']} us"
-                )
+                _tell(next(item for item in event["sensors"] if item["id"] == chosen), say)
+        if not live:
+            say(f"that was {name} through {chosen}; in a terminal it is drawn live")
     return 0
+
+
+def _link(sensor: str, family: str, folder: Path) -> str:
+    """Where a host of the demo finds a sensor: the quickest link of its family, free of this machine's ports."""
+    if family == CAN_FAMILY:
+        return f"socketcand:127.0.0.1:0/{sensor[:15] if sensor.isascii() else 'can0'}"
+    if family != "none" and not protocol_family(family).tcp_is_line:
+        return "tcp:127.0.0.1:0"
+    return f"pty:{folder / sensor}"
+
+
+def _tell(total: dict[str, Any], say: Callable[[str], None]) -> None:
+    late = total["lateness_us"]
+    say(
+        f"{total['id']}: {total['scans_sent']} scans sent, {total['scans_per_s'] or 0.0:.1f}/s;"
+        f" lateness median {late['median']:.0f} us, p99 {late['p99']:.0f} us"
+    )

@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Union
+from typing import Any, Union
 
 import numpy as np
 
@@ -26,7 +26,7 @@ MAX_DEPTH = 50
 MAX_OPERATORS = 200
 
 _TOKEN = re.compile(
-    r"\s*(?:(?P<number>\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)|(?P<name>[A-Za-z_]\w*)|\"(?P<quoted>[^\"]*)\""
+    r"\s*(?:(?P<number>[0-9]+\.?[0-9]*(?:[eE][+-]?[0-9]+)?|\.[0-9]+)|(?P<name>[A-Za-z_]\w*)|\"(?P<quoted>[^\"]*)\""
     r"|(?P<sign><=|>=|==|!=|[-+*/()<>,.]))"
 )
 
@@ -91,10 +91,8 @@ def _reduce(function: Callable[[Floats], float]) -> Callable[..., Value]:
     return apply
 
 
-def _percentile(value: Value, share: Value) -> Value:
-    if isinstance(share, np.ndarray) or not 0 <= float(share) <= 100:
-        raise ExpressionError(f"p(series, {share}): want a percentage of 0..100")
-    return _reduce(lambda known: np.percentile(known, float(share)))(value)
+def _percentile(value: Value, share: float) -> Value:
+    return _reduce(lambda known: np.percentile(known, share))(value)
 
 
 def _count(value: Value) -> Value:
@@ -178,7 +176,7 @@ class _Parser:
     def _operand(self) -> Node:
         kind, word, place = self._take()
         if kind == "number":
-            return Number(float(word))
+            return Number(_finite(word, place))
         if kind == "sign" and word == "-":
             return Unary("-", self._expression(_MINUS))
         if kind == "sign" and word == "(":
@@ -210,7 +208,7 @@ class _Parser:
         if kind not in ("name", "quoted", "number") or (sign < 0 and kind != "number"):
             raise ExpressionError(f"{word or 'the end'!r} at character {place}; want a name or a number")
         self._want(")")
-        return Name(tuple(parts), sign * float(word) if kind == "number" else word)
+        return Name(tuple(parts), sign * _finite(word, place) if kind == "number" else word)
 
     def _call(self, function: str) -> Node:
         if function not in FUNCTIONS:
@@ -223,7 +221,16 @@ class _Parser:
         self._want(")")
         if len(arguments) != FUNCTIONS[function][0]:
             raise ExpressionError(f"{function} with {len(arguments)} arguments; want {FUNCTIONS[function][0]}")
+        if function == "p" and not (isinstance(arguments[1], Number) and arguments[1].value <= 100):
+            raise ExpressionError("p(series, share): want a number of 0..100 as share")
         return Call(function, tuple(arguments))
+
+
+def _finite(word: str, place: int) -> float:
+    value = float(word)
+    if value == np.inf:
+        raise ExpressionError(f"{word!r} at character {place}; want a number below 1.8e308")
+    return value
 
 
 def _tokens(text: str) -> Iterator[tuple[str, str, int]]:
@@ -252,11 +259,13 @@ def names(node: Node) -> Iterator[Name]:
         yield from names(node.right)
 
 
-_ARITHMETIC: Mapping[str, Callable[[Floats, Floats], Value]] = {
+_ARITHMETIC: Mapping[str, Callable[[Floats, Floats], Floats]] = {
     "+": np.add,
     "-": np.subtract,
     "*": np.multiply,
     "/": np.divide,
+}
+_COMPARISONS: Mapping[str, Callable[[Floats, Floats], np.ndarray[tuple[int, ...], np.dtype[np.bool_]]]] = {
     "<": np.less,
     "<=": np.less_equal,
     ">": np.greater,
@@ -267,7 +276,11 @@ _ARITHMETIC: Mapping[str, Callable[[Floats, Floats], Value]] = {
 
 
 def evaluate(node: Node, lookup: Callable[[Name], Value]) -> Value:
-    """The value of an expression; `lookup` gives that of each name. Division by zero gives inf or NaN."""
+    """The value of an expression; `lookup` gives that of each name.
+
+    What arithmetic cannot tell, by division by zero or beyond the largest number, is missing; so is what is made of a
+    missing value, and a comparison with one is false.
+    """
     if isinstance(node, Number):
         return node.value
     if isinstance(node, Name):
@@ -285,8 +298,14 @@ def evaluate(node: Node, lookup: Callable[[Name], Value]) -> Value:
     left, right = (np.asarray(evaluate(side, lookup), dtype=np.float64) for side in (node.left, node.right))
     if left.ndim and right.ndim and left.shape != right.shape:
         raise ExpressionError(f"{node.sign} of {len(left)} and {len(right)} values; reduce one, as by mean()")
-    with np.errstate(all="ignore"):
-        result = np.asarray(_ARITHMETIC[node.sign](left, right))
+    result: np.ndarray[tuple[int, ...], np.dtype[Any]]
+    if node.sign in _COMPARISONS:
+        result = _COMPARISONS[node.sign](left, right) & ~(np.isnan(left) | np.isnan(right))
+    else:
+        with np.errstate(all="ignore"):
+            made = np.asarray(_ARITHMETIC[node.sign](left, right))
+        result = np.where(np.isfinite(made), made, np.nan)
+    result = np.asarray(result)
     return result if result.ndim else result.item()
 
 

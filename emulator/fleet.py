@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emulator.motion import Floats, Motion, Steady, Waypoints, matrix_of, whole_turns
+from emulator.physics.arrays import clamped, indexes
 
 Longs = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -22,6 +23,10 @@ CHUNK = 8
 MOST_CHUNKS = 128
 REMEMBER_S = 1e-9
 "A stretch is looked up anew so long before its end, and as a share of the time."
+ROUNDING = 1e-9
+"Of cosines: far more than their rounding, and 4e-5 rad about the middle of a distant sphere."
+MANY = 4096
+"So many pairs are looked at once more, ray by ray, before anything is computed of them."
 DIRECT = 1024
 "So few pairs are not worth a first choice."
 
@@ -40,6 +45,8 @@ class Stretch:
     "(3, 3, b) orientation, body to world."
     straight: Flags
     "(b,) all of this holds through the whole time; the others pass a waypoint, jump or turn in it."
+    linear: Flags
+    "(b,) position holds through the whole time, whether they turn or not."
 
 
 class Fleet:
@@ -60,8 +67,9 @@ class Fleet:
         self._steady_turn = np.concatenate([np.zeros(0, bool), *(one.straight for one in knots)])
         self._first = np.array([one.loop[0] for one in knots], np.float64)
         self._span = np.array([one.loop[1] for one in knots], np.float64)
-        self._loops = np.flatnonzero(self._span > 0.0)
-        self._last = (np.inf, -np.inf, Stretch(self._at, self._velocity, self._time, self._turned, self._steady_turn))
+        self._loops = indexes(self._span > 0.0)
+        ever = Stretch(self._at, self._velocity, self._time, self._turned, self._steady_turn, np.isposinf(self._until))
+        self._last = (np.inf, -np.inf, ever)
         "From when to when the stretch last found holds."
         if bool((self._sizes == 1).all()):
             self._last = (-np.inf, np.inf, self._last[2])
@@ -75,13 +83,14 @@ class Fleet:
         passed_s = np.zeros(len(self.motions))
         passed_s[self._loops] = whole_turns(begin_s, self._first[self._loops], self._span[self._loops])
         local = begin_s - passed_s
-        passed = np.add.reduceat(self._time <= np.repeat(local, self._sizes), self._starts, dtype=np.int64)
+        passed = np.add.reduceat(self._time <= local.repeat(self._sizes), self._starts, dtype=np.int64)
         knot = self._starts + np.maximum(passed - 1, 0)
         time = self._time[knot]
         since = np.where(np.isfinite(time), passed_s + time, 0.0)
         left = self._until[knot] - local
-        straight = self._steady_turn[knot] & (end_s - begin_s < left)
-        found = Stretch(self._at[:, knot], self._velocity[:, knot], since, self._turned[:, :, knot], straight)
+        linear = end_s - begin_s < left
+        straight = self._steady_turn[knot] & linear
+        found = Stretch(self._at[:, knot], self._velocity[:, knot], since, self._turned[:, :, knot], straight, linear)
         # not to the last instant: what rounds there must not depend on what was asked before
         until = begin_s + float(left.min()) - REMEMBER_S * (1.0 + abs(begin_s))
         if end_s < until:
@@ -146,13 +155,13 @@ def may_meet(centre: Floats, reach: Floats, origin: Floats, ray: Floats, far: fl
     """
     count = ray.shape[1]
     if len(reach) * count <= DIRECT:
-        return np.repeat(np.arange(len(reach)), count), np.tile(np.arange(count), len(reach))
+        return np.arange(len(reach)).repeat(count), np.tile(np.arange(count), len(reach))
     low, high = origin.min(axis=1), origin.max(axis=1)
     eye = low + (high - low) / 2.0
     reach = reach + float(np.linalg.norm(high - eye))
     view = centre - eye[:, None]
     away = np.sqrt(np.einsum("ib,ib->b", view, view))
-    near = np.flatnonzero(away - reach <= far)
+    near = indexes(away - reach <= far)
     if not len(near):
         return near, near
     view, away, reach = view[:, near], away[near], reach[near]
@@ -164,15 +173,51 @@ def may_meet(centre: Floats, reach: Floats, origin: Floats, ray: Floats, far: fl
     cones = cones.reshape(3, chunks, size)
     axis = cones.sum(axis=2)
     axis /= np.maximum(np.sqrt(np.einsum("ic,ic->c", axis, axis)), 1e-30)
-    half = np.arccos(np.clip(np.einsum("ics,ic->cs", cones, axis).min(axis=1), -1.0, 1.0))
+    half = np.arccos(clamped(np.einsum("ics,ic->cs", cones, axis).min(axis=1), -1.0, 1.0)) + 1e-6
     inside = away <= reach
-    safe = np.where(inside, 1.0, away)
-    width = np.where(inside, np.pi, np.arcsin(np.minimum(reach / safe, 1.0)))
-    angle = np.arccos(np.clip((view / safe).T @ axis, -1.0, 1.0))
-    sphere, chunk = np.nonzero(angle <= width[:, None] + half + 1e-6)
+    view = view / np.where(inside, 1.0, away)
+    width = np.where(inside, np.pi, np.arcsin(np.minimum(reach / np.where(inside, 1.0, away), 1.0)))
+    sphere, chunk = _in_cones(view, width, axis, half)
     rays = (chunk[:, None] * size + np.arange(size)).ravel()
-    which = np.repeat(near[sphere], size)
+    which = sphere.repeat(size)
     if chunks * size != count:
         real = rays < count
-        return which[real], rays[real]
-    return which, rays
+        which, rays = which[real], rays[real]
+    if len(which) > MANY:
+        towards = np.einsum("ik,ik->k", view.take(which, axis=1), ray.take(rays, axis=1))
+        kept = indexes((towards >= np.cos(width).take(which) - ROUNDING) | inside.take(which))
+        which, rays = which[kept], rays[kept]
+    return near[which], rays
+
+
+def _in_cones(view: Floats, width: Floats, axis: Floats, half: Floats) -> tuple[Longs, Longs]:
+    """Pairs of spheres, seen in directions `view` (3, b) under half angles `width`, and of cones that they touch.
+
+    Many cones are first put together to wider ones.
+    """
+    count = len(half)
+    if len(width) * count <= MANY or count < 9:
+        return _touching(view, width, axis, half)
+    size = int(np.ceil(np.sqrt(count)))
+    groups = -(-count // size)
+    member = np.minimum(np.arange(groups * size), count - 1).reshape(groups, size)
+    middle = axis[:, member].sum(axis=2)
+    middle /= np.maximum(np.sqrt(np.einsum("ig,ig->g", middle, middle)), 1e-30)
+    off = np.arccos(clamped(np.einsum("igs,ig->gs", axis[:, member], middle), -1.0, 1.0))
+    wide, group = _touching(view, width, middle, (off + half[member]).max(axis=1) + 1e-6)
+    chunk = (group[:, None] * size + np.arange(size)).ravel()
+    sphere = wide.repeat(size)
+    real = indexes(chunk < count)
+    sphere, chunk = sphere[real], chunk[real]
+    angle = width.take(sphere) + half.take(chunk)
+    towards = np.einsum("ik,ik->k", view.take(sphere, axis=1), axis.take(chunk, axis=1))
+    kept = indexes(towards >= np.cos(np.minimum(angle, np.pi)) - ROUNDING)
+    return sphere[kept], chunk[kept]
+
+
+def _touching(view: Floats, width: Floats, axis: Floats, half: Floats) -> tuple[Longs, Longs]:
+    """The same, each with each: cosines instead of angles, where their sums are less than half a turn."""
+    least = np.multiply.outer(np.cos(width), np.cos(half)) - np.multiply.outer(np.sin(width), np.sin(half))
+    touch = (view.T @ axis >= least - ROUNDING) | (np.add.outer(width, half) >= np.pi)
+    sphere, cone = np.nonzero(touch)
+    return sphere, cone

@@ -10,14 +10,18 @@ from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
+from emulator.conditions import NORMAL, Conditions
+from emulator.faults.events import FaultEvent
+from emulator.lateness import LatenessLog
 from emulator.object_metrics import ListedScan, ObjectScore
 from emulator.transports.can_link import CanLink
 from emulator.transports.can_wire import Carried
-from emulator.transports.link import Link
+from emulator.transports.link import Link, Received
 from emulator.watching import LineTimes, Payload, Watcher
 from protocols.errors import ScanRefused
+from protocols.framing import Frames, Framing
 from protocols.scan import Scan, ScanPlan
 from protocols.session import (
     Address,
@@ -32,8 +36,15 @@ from protocols.session import (
     Session,
 )
 
+if TYPE_CHECKING:
+    from emulator.faults.run import SensorFaults
+    from protocols.session import Family
+
 LOOK_AHEAD_NS = 250_000_000
 "A sweep is measured at most this long before it begins, so that a changed setting wastes little."
+
+EVENTS_KEPT = 1024
+"Events that wait for `take_events`, the oldest forgotten: they are counted in any case, and a run lasts for weeks."
 
 MAX_ROUNDS = 64
 "A step that does not come to rest ends after this many rounds and is called again: one sensor cannot starve others."
@@ -42,7 +53,7 @@ MAX_ROUNDS = 64
 class Measuring(Protocol):
     """Whoever turns plans into scans: in place, or in worker processes."""
 
-    def request(self, sensor: str, plan: ScanPlan) -> None: ...
+    def request(self, sensor: str, plan: ScanPlan, conditions: Conditions = NORMAL) -> None: ...
 
     def collect(self, sensor: str) -> list[Scan]:
         """Scans of this sensor that have been finished since the last call."""
@@ -64,8 +75,8 @@ class InstrumentStats:
     input_dropped: Counter[str] = field(default_factory=Counter)
     commands: Counter[str] = field(default_factory=Counter)
     restarts: int = 0
-    lateness_ns: list[int] = field(default_factory=list)
-    "Actual minus scheduled instant of the first byte of each payload, newest last; bounded by the daemon."
+    lateness: LatenessLog = field(default_factory=LatenessLog)
+    "Actual minus scheduled instant of the last byte of each payload."
     objects: ObjectScore | None = None
     "How well the lists of a sensor that lists objects fit the truth."
 
@@ -104,26 +115,67 @@ class Instrument:
         self.session = session
         self.links = tuple(links)
         self.stats = InstrumentStats()
+        self.conditions = NORMAL
+        "Go with every sweep asked for from now on; what was asked for before, at most the look-ahead, keeps its own."
+        self.asked_ns = -1
+        "First firing of the newest sweep that has been asked for: it and those before it keep their conditions."
         self._measuring = measuring
         self._look_ahead_ns = look_ahead_ns
         self._asked: tuple[int, int] | None = None
         self.connections_seen = 0
         "Connections opened and closed so far: a descriptor's number may have a new owner when this has moved."
-        self._events: list[Event] = []
+        self._events: deque[Event] = deque(maxlen=EVENTS_KEPT)
         self._watchers: list[Watcher] = []
         self._times: dict[int, LineTimes] = {}
+        self._speeds: dict[int, int] = {}
+        "Of serial links, as last told; for watchers that come later."
         self._on_bus: dict[int, deque[tuple[int, bytes, int]]] = {}
         "CAN link -> identifier, bytes and sweep of frames that begin a scan and have not been carried yet."
+        self.family: Family | None = None
+        "Whose protocol it speaks; for faults that change telegrams."
+        self.faults: SensorFaults | None = None
+        "What goes wrong on purpose; None: nothing, at no cost."
+        self.poked = False
+        "It wants to be stepped now, whatever it said: something outside has changed."
+        self.suffering: dict[str, dict[int, float]] = {}
+        "What befalls the device, and how much by the number of each fault."
+        self._cuts = 0
+        "Power cuts that have not ended."
+        self._lives = 0
+        "Power cuts so far: what was taken from the session before one does not leave any more."
+        self._peers: set[Address] = set()
+        "Hosts of streams that the session knows."
+        self._outstanding = 0
+        "Sweeps asked for that have not come back."
+        self._discarded = 0
+        "Of those, how many belong to a life of the device that has ended."
+        self._given: deque[tuple[int, int]] = deque(maxlen=64)
+        "Sweep and end of what the device has been given and has not sent."
 
     def watch(self, watcher: Watcher) -> None:
-        """Tell `watcher` of every payload, scan and event from now on; before the device is switched on."""
-        self._watchers.append(watcher)
+        """Tell `watcher` of every payload, scan and event from now on.
+
+        Instants on a line are exact when it is called before the device is switched on, else from the line's first
+        pause on.
+        """
+        self._watchers = [*self._watchers, watcher]
         for index, link in enumerate(self.links):
             if link.kind is LinkKind.SERIAL:
-                self._times.setdefault(index, LineTimes())
+                self._times.setdefault(index, LineTimes(self._speeds.get(index)))
             elif isinstance(link, CanLink):
                 self._on_bus.setdefault(index, deque(maxlen=1024))
                 link.on_carried = partial(self._carried, index)
+
+    def unwatch(self, watcher: Watcher) -> None:
+        """Tell it no more; also from within what it is told."""
+        self._watchers = [one for one in self._watchers if one is not watcher]
+        if self._watchers:
+            return
+        self._times.clear()
+        self._on_bus.clear()
+        for link in self.links:
+            if isinstance(link, CanLink):
+                link.on_carried = None
 
     def power_on(self, now_ns: int) -> None:
         """Tell the session of its fixed links and switch the device on."""
@@ -134,7 +186,12 @@ class Instrument:
 
     def step(self, now_ns: int) -> int | None:
         """Do all that can be done by `now_ns`; the instant of the next step, None while only a host can wake it."""
+        self.poked = False
+        if self.faults is not None:
+            self.faults.advance(now_ns)
         self._take_input(now_ns)
+        if not self.powered:
+            return self._rest_without_power(now_ns)
         self.session.advance(now_ns)
         for _ in range(MAX_ROUNDS):
             moved = self._take_scans(now_ns)
@@ -144,18 +201,87 @@ class Instrument:
                 break
         else:
             return now_ns
+        if self.faults is not None:
+            self._release(now_ns)
         self._note_events()
         wakes = [link.flush(now_ns) for link in self.links]
         wakes.append(self.session.next_deadline())
         plan = self.session.next_plan()
         if plan is not None and self._key(plan) != self._asked:
             wakes.append(plan.start_ns - self._look_ahead_ns)
+        if self.faults is not None:
+            wakes.append(self.faults.next_ns())
         due = [wake for wake in wakes if wake is not None]
         return min(due) if due else None
 
+    def _rest_without_power(self, now_ns: int) -> int | None:
+        """A device that is switched off hears, measures and says nothing."""
+        self._take_scans(now_ns)
+        self._note_events()
+        wakes = [link.flush(now_ns) for link in self.links]
+        if self.faults is not None:
+            wakes.append(self.faults.next_ns())
+        return min((wake for wake in wakes if wake is not None), default=None)
+
+    @property
+    def powered(self) -> bool:
+        """Whether the device is switched on."""
+        return not self._cuts
+
+    def power_off(self, now_ns: int) -> int:
+        """Cut the power: what has not left is gone, in the middle of a byte if need be; how many bytes those were."""
+        self._cuts += 1
+        if self._cuts > 1:
+            return 0
+        self._lives += 1
+        self._asked = None
+        self._discarded = self._outstanding
+        # those that it could not have sent yet: of others the session may have told already
+        if forgotten := sum(end_ns > now_ns for _, end_ns in self._given):
+            self.stats.scans_dropped["switched off"] += forgotten
+        self._given.clear()
+        lost = sum(link.clear() for link in self.links)
+        for times in self._times.values():
+            times.clear(now_ns)
+        for waiting in self._on_bus.values():
+            waiting.clear()
+        return lost + (0 if self.faults is None else self.faults.cut())
+
+    def power_back(self, now_ns: int) -> None:
+        """Switch the device on again: connections that it had are not its own any more."""
+        self._cuts -= 1
+        if self._cuts:
+            return  # another one holds
+        for address in sorted(self._peers):
+            self.session.disconnected(now_ns, address)
+        self._peers.clear()
+        self.stats.last_scan_due_ns = None
+        self.session.power_on(now_ns)
+
+    def set_line_speed(self, index: int, now_ns: int, baud: int | None) -> None:
+        """Another speed of a line at once, whatever the device says."""
+        self.links[index].set_speed(baud)
+        if index in self._times:
+            self._times[index].set_speed(now_ns, baud)
+
+    def framing(self, kind: LinkKind) -> Framing | None:
+        """How its telegrams are framed on such a link; None where its family does not tell."""
+        return self.family.framing(self.session, kind) if isinstance(self.family, Frames) else None
+
+    def tell_fault(self, event: FaultEvent) -> None:
+        """Something a fault did, for whoever looks on."""
+        for watcher in self._watchers:
+            watcher.event(self.sensor, event)
+
+    @property
+    def measuring(self) -> Measuring:
+        """Who makes scans of its plans."""
+        return self._measuring
+
     def take_events(self) -> list[Event]:
         """Events of the session since the last call, already counted in `stats`."""
-        events, self._events = self._events, []
+        events = list(self._events)
+        self._events.clear()
         return events
 
     def close(self) -> None:
@@ -166,22 +292,46 @@ class Instrument:
     def _take_input(self, now_ns: int) -> None:
         for index, link in enumerate(self.links):
             for received in link.receive(now_ns):
-                address = Address(index, received.peer)
                 if received.opened or received.closed:
                     self.connections_seen += 1
-                if received.opened:
-                    self.session.connected(now_ns, address, link.kind)
-                if received.data:
-                    if self._watchers and link.kind is not LinkKind.CAN:
-                        self._tell(Payload(self.sensor, index, received.peer, received.data, now_ns, now_ns, False))
-                    self.session.receive(received.data, now_ns, address)
-                if received.closed:
-                    self.session.disconnected(now_ns, address)
+                if self.faults is None:
+                    self._take(received, index, now_ns)
+                    continue
+                for part in self.faults.hearing(received, index, now_ns):
+                    self._take_or_miss(part, index, now_ns)
+
+    def _take(self, received: Received, index: int, now_ns: int) -> None:
+        link = self.links[index]
+        address = Address(index, received.peer)
+        if received.opened:
+            self._peers.add(address)
+            self.session.connected(now_ns, address, link.kind)
+        if received.data:
+            if self._watchers and link.kind is not LinkKind.CAN:
+                self._tell(Payload(self.sensor, index, received.peer, received.data, now_ns, now_ns, False))
+            self.session.receive(received.data, now_ns, address)
+        if received.closed:
+            self._peers.discard(address)
+            self.session.disconnected(now_ns, address)
+
+    def _take_or_miss(self, received: Received, index: int, now_ns: int) -> None:
+        """The same where faults are: a device without power hears nothing."""
+        if not self.powered:
+            if received.data:
+                self.stats.input_dropped["switched off"] += len(received.data)
+            return
+        self._take(received, index, now_ns)
 
     def _take_scans(self, now_ns: int) -> bool:
         moved = False
         for scan in self._measuring.collect(self.sensor):
             self.stats.scans_measured += 1
+            self._outstanding -= 1
+            moved = True
+            if self._discarded:
+                self._discarded -= 1
+                self.stats.scans_dropped["switched off"] += 1
+                continue
             if self._key(scan.plan) == self._asked:
                 self._asked = None
             try:
@@ -189,12 +339,12 @@ class Instrument:
             except ScanRefused:
                 self.stats.scans_dropped["withdrawn by a changed setting"] += 1
             else:
+                self._given.append((scan.plan.sweep, scan.plan.start_ns + round(scan.plan.duration_s * 1e9)))
                 for watcher in self._watchers:
                     watcher.scan(self.sensor, scan)
                 if isinstance(scan, ListedScan):
                     self.stats.objects = self.stats.objects or ObjectScore()
                     self.stats.objects.add(scan.objects, scan.truth)
-            moved = True
         return moved
 
     def _ask_for_scan(self, now_ns: int) -> bool:
@@ -202,27 +352,84 @@ class Instrument:
         if plan is None or self._key(plan) == self._asked or plan.start_ns > now_ns + self._look_ahead_ns:
             return False
         self._asked = self._key(plan)
-        self._measuring.request(self.sensor, plan)
+        first_ns = plan.start_ns + (math.ceil(1e9 * plan.fire_offset_s[0]) if len(plan) else 0)
+        self.asked_ns = max(self.asked_ns, first_ns)
+        if self.faults is not None:
+            self.faults.asked(plan)
+        self._outstanding += 1
+        self._measuring.request(self.sensor, plan, self.conditions)
         return True
 
     def _send_due(self, now_ns: int) -> bool:
         emissions = self.session.take_emissions(now_ns)
+        life = self._lives
         for emission in emissions:
-            self._send(emission)
+            if emission.sweep is not None:
+                while self._given and self._given[0][0] <= emission.sweep:
+                    self._given.popleft()
+            if self.faults is None:
+                self._send(emission)
+                self.count(emission)
+            else:
+                self._send_through_faults(emission, now_ns, life)
         return bool(emissions)
 
-    def _send(self, emission: Emission) -> None:
+    def _send_through_faults(self, emission: Emission, now_ns: int, life: int) -> None:
+        assert self.faults is not None
+        self.faults.taker, self.faults.counted = None, False
+        pieces = self.faults.sending(emission, now_ns) if life == self._lives else []
+        if life != self._lives:  # a telegram has begun a power cut: neither it nor those behind it leave
+            self.faults.cut()
+            if emission.sweep is not None:
+                self.stats.scans_dropped["switched off"] += 1
+            return
+        for one, only in self.faults.leaving(pieces, now_ns):
+            self._send(one, only)
+        sent = [one for one, _, _ in pieces if one.payload or not emission.payload]
+        carrying = [one for one in sent if (one.sweep is None) == (emission.sweep is None)]
+        if self.faults.counted:
+            return
+        if carrying:  # a repeated telegram is one scan, or one reply
+            self.count(carrying[0])
+        elif emission.sweep is not None and self.faults.taker is not None:
+            self.stats.scans_dropped[f"fault {self.faults.taker}"] += 1
+
+    def _release(self, now_ns: int) -> None:
+        """Send what faults have held back."""
+        assert self.faults is not None
+        life = self._lives
+        released = self.faults.released(now_ns)
+        if life != self._lives:  # one of them has begun a power cut
+            self.faults.cut()
+            if lost := sum(one.sweep is not None for (one, _), counted in released if not counted):
+                self.stats.scans_dropped["switched off"] += lost
+            return
+        for (one, only), counted in released:
+            self._send(one, only)
+            if not counted:
+                self.count(one)
+
+    def _send(self, emission: Emission, only: int | None = None) -> None:
+        """Hand a telegram to its links, or to one of them."""
         address = emission.address
+        if emission.told is not None and emission.sweep is not None:
+            for watcher in self._watchers:
+                watcher.told(self.sensor, emission.sweep, emission.told)
         targets = range(len(self.links)) if address is None else range(len(self.links))[address.link : address.link + 1]
         peer = None if address is None else address.peer
-        for index in targets:
+        for index in targets if only is None else (only,):
             link = self.links[index]
             refused = link.stats.payloads_dropped
+            if emission.line_speed is not None:
+                self._speeds[index] = emission.line_speed
             if emission.sweep is not None and index in self._on_bus:
                 self._on_bus[index].append((peer or 0, emission.payload, emission.sweep))
             link.send(emission.payload, emission.due_ns, peer, emission.line_speed)
             if self._watchers and link.stats.payloads_dropped == refused and link.kind is not LinkKind.CAN:
                 self._tell_sent(index, peer, emission)
+
+    def count(self, emission: Emission) -> None:
+        """One more telegram has left, or will."""
         if emission.sweep is None:
             self.stats.replies_sent += bool(emission.payload)  # an empty one only sets the line's speed
             return
@@ -259,6 +466,8 @@ class Instrument:
     def _note_events(self) -> None:
         for event in self.session.take_events():
             self._events.append(event)
+            if self.faults is not None:
+                self.faults.noted(event)
             for watcher in self._watchers:
                 watcher.event(self.sensor, event)
             if isinstance(event, Dropped):

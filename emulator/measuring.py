@@ -7,19 +7,26 @@ imports neither embreex nor trimesh, and a slow scan costs it nothing but the sc
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import multiprocessing
 import multiprocessing.connection
 import os
 import signal
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
+from typing import Protocol, runtime_checkable
 
+from emulator.conditions import NORMAL, Conditions
 from emulator.errors import EmulatorError, SceneError
+from emulator.weather import WeatherConfig
 from protocols.scan import Scan, ScanPlan
 
-Measure = Callable[[ScanPlan], Scan]
+Measure = Callable[..., Scan]
+"Of a plan, and of the conditions where they are not `NORMAL`."
 BuildMeasures = Callable[[], Mapping[str, Measure]]
 "Builds the measuring function of every sensor; must be picklable or inherited by fork."
 
@@ -52,8 +59,29 @@ class _Told:
         return fresh
 
 
+PR_SET_PDEATHSIG = 1
+"linux/prctl.h."
 NICENESS = 5
 "Workers yield to the sender when both want the same core."
+
+
+def measured(measure: Measure, plan: ScanPlan, conditions: Conditions) -> Scan:
+    """One sweep under its conditions."""
+    return measure(plan) if conditions is NORMAL or conditions == NORMAL else measure(plan, conditions)
+
+
+def refusals(measures: Mapping[str, Measure], sensors: Sequence[str], weather: WeatherConfig) -> dict[str, str]:
+    """Which of these sensors cannot compute such weather, and why; one that lists objects is as its sources."""
+    found = {name: getattr(measures[name], "refuses", lambda _: "")(weather) for name in sensors}
+    return {name: why for name, why in found.items() if why}
+
+
+@runtime_checkable
+class Judges(Protocol):
+    """Who measures and can say what it cannot."""
+
+    def judge(self, weather: WeatherConfig) -> Sequence[Future[dict[str, str]]]:
+        """`refusals` of all sensors, in parts that come when whoever measures gets round to it."""
 
 
 class InPlace:
@@ -66,12 +94,17 @@ class InPlace:
         self.warnings: list[str] = self._told.new(warnings_of(measures))
         "What is not yet passed on; whoever does empties it."
 
-    def request(self, sensor: str, plan: ScanPlan) -> None:
-        self._done.setdefault(sensor, []).append(self._measures[sensor](plan))
+    def request(self, sensor: str, plan: ScanPlan, conditions: Conditions = NORMAL) -> None:
+        self._done.setdefault(sensor, []).append(measured(self._measures[sensor], plan, conditions))
         self.warnings += self._told.new(warnings_of({sensor: self._measures[sensor]}))
 
     def collect(self, sensor: str) -> list[Scan]:
         return self._done.pop(sensor, [])
+
+    def judge(self, weather: WeatherConfig) -> list[Future[dict[str, str]]]:
+        found: Future[dict[str, str]] = Future()
+        found.set_result(refusals(self._measures, list(self._measures), weather))
+        return [found]
 
 
 def _close_inherited(keep: int) -> None:
@@ -83,10 +116,19 @@ def _close_inherited(keep: int) -> None:
                 os.close(number)
 
 
-def _serve(connection: Connection, build: BuildMeasures) -> None:
+def _die_with(parent: int) -> None:
+    """Let the kernel end this process with its parent, however that ends: a long scan must not outlive a `kill -9`."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
+    if os.getppid() != parent:  # it has ended meanwhile
+        os._exit(1)
+
+
+def _serve(connection: Connection, build: BuildMeasures, parent: int) -> None:
     """Body of a worker: build once, then answer plans with scans until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    _die_with(parent)
     _close_inherited(connection.fileno())
     with contextlib.suppress(OSError):
         os.nice(NICENESS)
@@ -99,14 +141,29 @@ def _serve(connection: Connection, build: BuildMeasures) -> None:
     connection.send(("ready", None, told.new(warnings_of(measures))))
     with contextlib.suppress(EOFError, OSError, BrokenPipeError):
         while True:
-            sensor, plan = connection.recv()
+            sensor, plan, conditions = connection.recv()
+            if plan is None:
+                connection.send(("judged", None, refusals(measures, sensor, conditions)))
+                continue
             try:
-                scan = measures[sensor](plan)
+                scan = measured(measures[sensor], plan, conditions)
                 for text in told.new(warnings_of({sensor: measures[sensor]})):
                     connection.send(("warning", sensor, text))
                 connection.send(("scan", sensor, scan))
             except (ArithmeticError, ValueError, LookupError, TypeError, RuntimeError, MemoryError) as error:
                 connection.send(("failed", sensor, (plan, f"{type(error).__name__}: {error}")))
+
+
+@dataclass
+class _Question:
+    """Whether some sensors can compute such weather; stands among the sweeps that a worker owes."""
+
+    sensors: tuple[str, ...]
+    weather: WeatherConfig
+    answer: Future[dict[str, str]] = field(default_factory=Future)
+
+    def as_sent(self) -> tuple[tuple[str, ...], None, WeatherConfig]:
+        return self.sensors, None, self.weather
 
 
 class Workers:
@@ -121,7 +178,7 @@ class Workers:
         self._context = multiprocessing.get_context("fork")
         self._workers: list[tuple[BaseProcess, Connection]] = []
         self._home = {sensor: index % max(1, count) for index, sensor in enumerate(sensors)}
-        self._owed: list[deque[tuple[str, ScanPlan]]] = []
+        self._owed: list[deque[tuple[str, ScanPlan, Conditions] | _Question]] = []
         self._done: dict[str, list[Scan]] = {}
         self._suspect: dict[int, ScanPlan] = {}
         self.failures: list[str] = []
@@ -140,7 +197,8 @@ class Workers:
 
     def _start(self) -> tuple[BaseProcess, Connection]:
         ours, theirs = self._context.Pipe()
-        process = self._context.Process(target=_serve, args=(theirs, self._build), daemon=True, name="lidaremu-measure")
+        work = (theirs, self._build, os.getpid())
+        process = self._context.Process(target=_serve, args=work, daemon=True, name="lidaremu-measure")
         process.start()
         theirs.close()
         return process, ours
@@ -158,9 +216,19 @@ class Workers:
         """Descriptors that become readable when a scan is ready."""
         return tuple(connection.fileno() for _, connection in self._workers)
 
-    def request(self, sensor: str, plan: ScanPlan) -> None:
-        home = self._home[sensor]
-        self._owed[home].append((sensor, plan))
+    def request(self, sensor: str, plan: ScanPlan, conditions: Conditions = NORMAL) -> None:
+        self._owe(self._home[sensor], (sensor, plan, conditions))
+
+    def judge(self, weather: WeatherConfig) -> list[Future[dict[str, str]]]:
+        questions = []
+        for home in range(len(self._workers)):
+            sensors = tuple(name for name, place in self._home.items() if place == home)
+            questions.append(_Question(sensors, weather))
+            self._owe(home, questions[-1])
+        return [one.answer for one in questions]
+
+    def _owe(self, home: int, work: tuple[str, ScanPlan, Conditions] | _Question) -> None:
+        self._owed[home].append(work)
         if len(self._owed[home]) == 1:
             self._hand_over(home)
 
@@ -168,7 +236,8 @@ class Workers:
         # One plan at a time: an idle worker reads at once, so that a plan larger than the pipe cannot block the sender.
         if self._owed[home]:
             with contextlib.suppress(OSError):  # a dead worker is replaced by `poll`
-                self._workers[home][1].send(self._owed[home][0])
+                work = self._owed[home][0]
+                self._workers[home][1].send(work.as_sent() if isinstance(work, _Question) else work)
 
     def poll(self) -> set[str]:
         """Take in finished scans; the sensors that have some."""
@@ -180,8 +249,11 @@ class Workers:
                     if word == "warning":
                         self.warnings += self._told.new([result])
                         continue
-                    self._owed[home].popleft()
+                    done = self._owed[home].popleft()
                     self._hand_over(home)
+                    if isinstance(done, _Question):
+                        done.answer.set_result(result)
+                        continue
                     if word == "failed":
                         plan, why = result
                         self.failures.append(f"{sensor}: sweep {plan.sweep}: {why}")
@@ -201,8 +273,12 @@ class Workers:
         process.join(timeout=1.0)
         self.failures.append(f"measuring process {home}: ended with code {process.exitcode}, started again")
         given_up = None
-        if self._owed[home]:
-            sensor, plan = self._owed[home][0]
+        work = self._owed[home][0] if self._owed[home] else None
+        if isinstance(work, _Question):
+            self._owed[home].popleft()
+            work.answer.set_result({})
+        elif work is not None:
+            sensor, plan, _ = work
             if self._suspect.get(home) is plan:
                 self._owed[home].popleft()
                 self.failures.append(f"{sensor}: sweep {plan.sweep}: ended the measuring process twice")

@@ -135,6 +135,11 @@ def pedestrian() -> Solid:
     return joined(_person(0.22, 0.03))
 
 
+def walking(stride: float) -> Solid:
+    """The same walker in the middle of a step: two of them with opposite strides are the frames of a walk."""
+    return joined(_person(stride, 0.03))
+
+
 def bicycle() -> Solid:
     """A bicycle with its rider, 1.75 m long: parts tyre, frame, skin, top, trousers, shoes."""
     rear, front, crank = (-0.52, 0, 0.34), (0.53, 0, 0.34), (-0.08, 0, 0.29)
@@ -274,6 +279,8 @@ MODELS: Mapping[str, Callable[[], Solid]] = MappingProxyType(
         "car": car,
         "truck": truck,
         "pedestrian": pedestrian,
+        "walk_left": lambda: walking(0.21),
+        "walk_right": lambda: walking(-0.21),
         "bicycle": bicycle,
         "tree": tree,
         "lamp_post": lamp_post,

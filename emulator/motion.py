@@ -175,7 +175,8 @@ class Waypoints(Motion):
             velocity[1:-1] = np.diff(self.at_m, axis=0) / step[:, None]
         object.__setattr__(self, "_velocity", velocity)
         # angle between neighbours from the chord: acos(dot) loses half the digits for small turns
-        chord = np.linalg.norm(np.diff(self.quaternion, axis=0), axis=1)
+        with np.errstate(under="ignore"):
+            chord = np.linalg.norm(np.diff(self.quaternion, axis=0), axis=1)
         object.__setattr__(self, "_angle", 2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0)))
 
     @classmethod
@@ -204,8 +205,10 @@ class Waypoints(Motion):
 
     @property
     def speed_bound_m_s(self) -> float:
-        jumps = self.loop and not np.array_equal(self.at_m[0], self.at_m[-1])
-        return math.inf if jumps else float(np.linalg.norm(self._velocity, axis=1).max())
+        if self.loop and not np.array_equal(self.at_m[0], self.at_m[-1]):
+            return math.inf
+        with np.errstate(under="ignore"):
+            return float(np.linalg.norm(self._velocity, axis=1).max())
 
     def _local(self, t_s: Floats) -> Floats:
         if not self.loop or len(self.t_s) == 1:

@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def load_obj(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int32], tuple[str, ...]]:
+def load_obj(
+    path: Path, most_triangles: int
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int32], tuple[str, ...]]:
     """Vertices (v, 3), triangles (f, 3), part of each triangle, names of the parts in the order of the file.
 
     A part is a material (`usemtl`) when the file names any, else an object (`o`) or group (`g`). Polygons become fans.
@@ -34,6 +36,8 @@ def load_obj(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArra
             if words[0] == "v":
                 vertices.append((float(words[1]), float(words[2]), float(words[3])))
             elif words[0] == "f":
+                if len(faces) + len(words) - 3 > most_triangles:  # a short file may have one face of many corners
+                    raise ValueError(f"more than {most_triangles} triangles")
                 corners = [_index(word, len(vertices)) for word in words[1:]]
                 if len(corners) < 3:
                     raise ValueError("a face of fewer than three corners")

@@ -1,19 +1,38 @@
-"""What a running daemon can be told to do: the methods of the control socket and of `lidaremu ctl`."""
+"""What a running daemon can be told to do: the methods of the control socket and of `lidaremu ctl`.
+
+docs/control.md has every method with an example; a test holds the page to `Orders.methods`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from concurrent.futures import Future, wait
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 from emulator.clock import Clock
-from emulator.control import BAD_PARAMS, REFUSED, Method, OrderError
+from emulator.control import BAD_PARAMS, REFUSED, Later, Method, OrderError
 from emulator.daemon import Daemon, summary
 from emulator.instrument import Instrument
+from emulator.measuring import Judges
 from emulator.metrics import prometheus
+from emulator.showing import Showing
+from emulator.virtual import ByteSteps
 from emulator.virtual_daemon import VirtualDaemon
 
+if TYPE_CHECKING:
+    from emulator.faults.run import FaultRun
+    from emulator.scenario import Scenario
+
 LONGEST_STEP_S = 3600.0
+SLOWEST, FASTEST = 1e-3, 1e6
+"Virtual seconds a real one."
+JUDGED_S = 2.0
+"Real time for which an answer about weather waits for what those who measure say of it."
 MOST_SCANS = 100_000
+MOST_BYTES = 10_000_000
+NOTHING_MORE_NS = 10_000_000_000
+"A step by scans or bytes goes no further than this where none comes."
 
 
 def _taken(params: Mapping[str, Any], **allowed: tuple[float, float]) -> dict[str, float]:
@@ -36,25 +55,39 @@ class Orders:
         daemon: Daemon | VirtualDaemon,
         instruments: Sequence[Instrument],
         clock: Clock,
+        scenario: Scenario,
         note: Callable[[int, dict[str, object]], None] = lambda now_ns, row: None,
     ) -> None:
-        """`note` is told of every order that changes something."""
+        """`note` is told of every order that changes something. To be made before the devices are switched on."""
         self._daemon = daemon
         self._instruments = tuple(instruments)
         self._clock = clock
         self._note = note
+        self._scenario = scenario
+        self._weather = scenario.weather
+        self._showing = Showing(daemon, instruments, clock, scenario)
+        self._byte_steps: dict[tuple[str, int], ByteSteps] = {}
+        if isinstance(daemon, VirtualDaemon):
+            for one in instruments:
+                for link in range(len(one.links)):
+                    steps = self._byte_steps[one.sensor, link] = ByteSteps(daemon.run_of, one.sensor, link)
+                    one.watch(steps)
 
     def methods(self) -> dict[str, Method]:
         """Name -> method."""
         return {
             "status": self.status,
             "metrics": self.metrics,
+            "weather": self.weather_judged,
             "pause": self.pause,
             "resume": self.resume,
             "step": self.step,
             "speed": self.speed,
             "stop": self.stop,
-        }
+            "fault": self.fault,
+            "fault_clear": self.fault_clear,
+            "faults": self.faults,
+        } | self._showing.methods()
 
     def _now_ns(self) -> int:
         return self._daemon.now_ns if isinstance(self._daemon, VirtualDaemon) else self._clock.now_ns()
@@ -84,6 +117,39 @@ class Orders:
         _taken(params)
         return prometheus(self._instruments)
 
+    def weather(self, params: Mapping[str, Any]) -> dict[str, Any]:
+        """Tables of `weather:` laid over what holds, from the next sweep asked for on; without any: what holds."""
+        from emulator.live_weather import changed, state_of
+
+        now_ns = self._now_ns()
+        if not params:
+            return {"now_s": now_ns * 1e-9, "weather": state_of(self._weather, now_ns * 1e-9)}
+        # one instant for all sensors, after every sweep that is measured already: the same run can be had from a file
+        from_ns = max([now_ns, *(one.asked_ns + 1 for one in self._instruments)])
+        found = changed(self._weather, params, from_ns, [actor.id for actor in self._scenario.actors])
+        self._weather = found.weather
+        for one in self._instruments:
+            one.conditions = replace(one.conditions, weather=found.weather)
+        from_s = found.entry["t_s"]
+        state = state_of(self._weather, from_s)
+        # one reading of the clock: `from_s` is never before the `now_s` that stands beside it
+        return self._did("weather", change=found.entry) | {"now_s": now_ns * 1e-9, "from_s": from_s, "weather": state}
+
+    def weather_judged(self, params: Mapping[str, Any]) -> object:
+        """The same; beside it the sensors that cannot compute such weather, and go on with the scenario's own."""
+        told: dict[str, Any] = self.weather(params)
+        asked: list[Future[dict[str, str]]] = []
+        for measuring in {id(one.measuring): one.measuring for one in self._instruments}.values():
+            if params and isinstance(measuring, Judges):
+                asked += measuring.judge(self._weather)
+
+        def whole() -> object:
+            done, _ = wait(asked, JUDGED_S)
+            refused = {sensor: why for one in done for sensor, why in one.result().items()}
+            return told | ({"not_computed": refused} if refused else {})
+
+        return Later(whole) if asked else told
+
     def pause(self, params: Mapping[str, Any]) -> object:
         """Virtual time stands."""
         _taken(params)
@@ -99,22 +165,99 @@ class Orders:
         return self._did("resume")
 
     def step(self, params: Mapping[str, Any]) -> object:
-        """Virtual time moves by so many scans, or so many seconds; one scan if nothing is said."""
-        wanted = _taken(params, scans=(1, MOST_SCANS), seconds=(0, LONGEST_STEP_S))
+        """Virtual time moves by so many scans, bytes or seconds, or to an instant; one scan if nothing is said."""
         daemon = self._virtual("step")
+        numbers = {name: value for name, value in params.items() if name not in ("sensor", "link")}
+        now_s = daemon.now_ns * 1e-9
+        wanted = _taken(
+            numbers,
+            scans=(1, MOST_SCANS),
+            bytes=(1, MOST_BYTES),
+            seconds=(0, LONGEST_STEP_S),
+            to_s=(now_s, now_s + LONGEST_STEP_S),
+        )
+        for name in ("scans", "bytes"):
+            if not float(wanted.get(name, 0)).is_integer():
+                raise OrderError(BAD_PARAMS, f"{name}: {wanted[name]:g}; want a whole number")
+        if len(wanted) > 1:
+            raise OrderError(BAD_PARAMS, f"{' and '.join(wanted)}; want one of scans, bytes, seconds, to_s")
+        what, count = next(iter(wanted.items()), ("scans", 1.0))
+        sensor, link = self._place(params, what)
         daemon.paused = True
-        if "seconds" in wanted:
-            daemon.advance(daemon.now_ns + round(wanted["seconds"] * 1e9))
-        scans = int(wanted.get("scans", 0 if "seconds" in wanted else 1))
-        sent = daemon.run_of.step_scans(scans, daemon.now_ns + 10_000_000_000) if scans else 0
-        return self._did("step", **wanted) | {"scans": sent}
+        before_ns, done = daemon.now_ns, 0
+        if what == "seconds":
+            daemon.advance(before_ns + round(count * 1e9))
+        elif what == "to_s":
+            daemon.advance(max(before_ns, round(count * 1e9)))
+        elif what == "scans":
+            done = daemon.run_of.step_scans(int(count), before_ns + NOTHING_MORE_NS, sensor)
+        else:
+            done = self._byte_steps[sensor or "", link].step(int(count), before_ns + NOTHING_MORE_NS)
+        told: dict[str, object] = {what: done} if what in ("scans", "bytes") else {}
+        named = {name: params[name] for name in ("sensor", "link") if name in params}
+        return self._did("step", **(wanted or {"scans": 1.0}), **named) | told
+
+    def _place(self, params: Mapping[str, Any], what: str) -> tuple[str | None, int]:
+        """Whose scans or bytes are counted: of all sensors or one; bytes of one link, by default the very first."""
+        sensor, link = params.get("sensor"), params.get("link", 0)
+        known = [one.sensor for one in self._instruments]
+        if ("sensor" in params and what not in ("scans", "bytes")) or ("link" in params and what != "bytes"):
+            raise OrderError(
+                BAD_PARAMS, f"sensor or link beside {what}; want sensor for scans and bytes, link for bytes"
+            )
+        if sensor is not None and sensor not in known:
+            raise OrderError(BAD_PARAMS, f"sensor: {sensor!r}; want one of {', '.join(known)}")
+        if what != "bytes":
+            return sensor, 0
+        sensor = sensor if sensor is not None else known[0]
+        links = sum(name == sensor for name, _ in self._byte_steps)
+        if isinstance(link, bool) or not isinstance(link, int) or not 0 <= link < links:
+            raise OrderError(BAD_PARAMS, f"link: {link!r}; {sensor} has {links}, counted from 0")
+        return sensor, link
 
     def speed(self, params: Mapping[str, Any]) -> object:
         """Virtual seconds a real one; `x` 0: as fast as hosts read."""
-        wanted = _taken(params, x=(0, 1e6))
+        wanted = _taken(params, x=(0, FASTEST))
+        if 0 < wanted.get("x", 0) < SLOWEST:
+            raise OrderError(BAD_PARAMS, f"x: {wanted['x']:g}; want 0, or {SLOWEST:g} to {FASTEST:g}")
         daemon = self._virtual("speed")
         daemon.rebase(wanted.get("x", 0.0) or None)
         return self._did("speed", **wanted)
+
+    def fault(self, params: Mapping[str, Any]) -> object:
+        """One more fault, by the keys of a scenario's `faults:`; without a trigger it begins at once. Its number."""
+        from emulator.faults.reading import FaultError
+
+        try:
+            number = self._faults().add(params, self._now_ns())
+        except FaultError as error:
+            raise OrderError(BAD_PARAMS, str(error)) from None
+        return self._did("fault", **params) | {"number": number}
+
+    def fault_clear(self, params: Mapping[str, Any]) -> object:
+        """End the fault of that `number` for good, or all; what they did."""
+        from emulator.faults.reading import FaultError
+
+        run = self._faults()
+        number = params.get("number")
+        if set(params) - {"number"} or (number is not None and type(number) is not int):
+            raise OrderError(BAD_PARAMS, f"{dict(params)}; want number: that of a fault, or nothing for all")
+        numbers = [int(str(row["number"])) for row in run.rows()] if number is None else [number]
+        try:
+            rows = [run.clear(one, self._now_ns()) for one in numbers]
+        except FaultError as error:
+            raise OrderError(BAD_PARAMS, str(error)) from None
+        return self._did("fault_clear", **params) | {"faults": rows}
+
+    def faults(self, params: Mapping[str, Any]) -> object:
+        """All faults of the run: number, sensor, name, state, how often begun, hits, what they took away."""
+        _taken(params)
+        return {"now_s": self._now_ns() * 1e-9, "faults": self._faults().rows()}
+
+    def _faults(self) -> FaultRun:
+        if self._daemon.faults is None:
+            raise OrderError(REFUSED, "faults: this run takes none; want one of a scenario")
+        return self._daemon.faults
 
     def stop(self, params: Mapping[str, Any]) -> object:
         """End the run as SIGTERM does."""

@@ -16,6 +16,9 @@ from emulator.yaml_lines import Loc, Source, parse_value
 
 _KEY = re.compile(r"[^.\[\]=\s]+(?:\[\d+\])*(?:\.[^.\[\]=\s]+(?:\[\d+\])*)*\Z")
 
+ENDED_BY_NULL = ("weather", "changes")
+"Within it null is a value: it ends what holds."
+
 
 def changed(
     source: Source,
@@ -26,7 +29,7 @@ def changed(
     """The source with `a.b=c` texts applied in their order, then seed and links; every fault is told at once.
 
     A key leads through tables by name and through lists by number or by the `id` of an item: `sensors.front.mode` and
-    `sensors.0.mode` are the same. The value is YAML. Tables on the way that are missing are made.
+    `sensors.0.mode` are the same. The value is YAML; null takes a key away. Tables that are missing are made.
     """
     places = dict(source.places)
     data = source.data
@@ -82,6 +85,10 @@ def _put(data: Any, parts: Sequence[str], value: Any, label: str, places: dict[L
             here = here[index]
             continue
         loc.append(part)
+        within = depth > len(ENDED_BY_NULL) - 1 and tuple(parts[: len(ENDED_BY_NULL)]) == ENDED_BY_NULL
+        if last and value is None and part in here and not within:
+            del here[part]  # of one that is not there the judge knows whether there could be
+            continue
         if last:
             here[part] = value
             continue

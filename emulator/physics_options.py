@@ -55,14 +55,41 @@ class PhotonOptions(BaseModel):
 
 
 class LeaveOut(BaseModel):
-    """Switches of single rules of leaving out; `needs` lists them with their bounds."""
+    """Switches of single rules of leaving out; `needs` lists them with their bounds. `full` switches all off."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
+    clear_air: bool = True
+    "No extinction where all that is met is too near for it to be seen."
     closed_form: Sparingly = "auto"
     "One ray for beams that see one plane; `auto`: where that saves time."
+    plane_moments: bool = True
+    "Such a beam's echo from the moments of a tilted plane, where they hold; else by its bundle's ranges to the plane."
+    resting: bool = True
+    "What a sensor at rest meets of resting bodies is found once."
     far_objects: bool = True
     "Nothing is cast on what lies out of reach."
+    background_light: bool = True
+    "No background whose shot noise cannot be seen."
+    noise_echoes: bool = True
+    "No draws of noise echoes that are rarer than one in a million sweeps."
+    backscatter: bool = True
+    "No return of a medium too faint to be an echo, but where it would shift another echo."
+    soft_table: bool = True
+    "The return of a medium is tabulated once for a state of the weather, not in every sweep."
+    particles: bool = True
+    "No draws of drops or flakes of which less than one in a thousand sweeps shows one."
+    waveform: bool = True
+    "Clusters of reflections shorter than half a pulse are timed in closed form, without a sampled waveform."
+    second_rays: bool = True
+    "Rays are not continued behind mirrors and glass where nothing could come back."
+    faint: bool = True
+    "Reflections below a thousandth of the threshold are dropped, up to a hundredth of it in a beam."
+
+    @classmethod
+    def nothing(cls) -> LeaveOut:
+        """Every rule off."""
+        return cls.model_validate({name: "never" if name == "closed_form" else False for name in cls.model_fields})
 
 
 class PhysicsOptions(BaseModel):
@@ -72,7 +99,7 @@ class PhysicsOptions(BaseModel):
 
     rule: BundleRule | None = None
     sub_beams: Annotated[int, Field(ge=1, le=65536)] | None = None
-    depth: Annotated[int, Field(ge=0, le=8)] = 3
+    depth: Annotated[int, Field(ge=0, le=8)] = 4
     "Levels of splitting of rule `adaptive`."
     profile: Profile | None = None
     divergence_deg: Divergence | tuple[Divergence, Divergence] | None = None

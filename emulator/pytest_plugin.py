@@ -40,7 +40,7 @@ def lidaremu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
         scenario: str,
         *,
         seed: int | None = None,
-        links: Mapping[str, Sequence[str]] | None = None,
+        links: Mapping[str, str | Sequence[str]] | None = None,
         speed: float | None = None,
         **overrides: Any,
     ) -> Rig:

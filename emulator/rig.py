@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 from emulator import assembly, scenario
 from emulator.expectations import Judgement, understand, verdicts
 from emulator.expressions import Value, evaluate, names, parse
+from emulator.faults.run import FaultRun
 from emulator.instrument import Instrument
 from emulator.recording.writer import Recorder
 from emulator.series import SeriesWatcher, check_name, lookup
@@ -93,12 +94,13 @@ class Rig:
         folder: Path,
         overrides: Sequence[str] = (),
         seed: int | None = None,
-        links: Mapping[str, Sequence[str]] | None = None,
+        links: Mapping[str, str | Sequence[str]] | None = None,
         speed: float | None = None,
     ) -> None:
         """`folder`: where pseudo-terminals are linked. `links`: instead of free places of the scenario's own kinds."""
         first = scenario.load(name, overrides, seed)
-        replaced = {**free_links(first, folder), **(links or {})}
+        given = {sensor: [urls] if isinstance(urls, str) else list(urls) for sensor, urls in (links or {}).items()}
+        replaced = {**free_links(first, folder), **given}
         self.scenario = scenario.load(name, overrides, seed, replaced)
         self.folder = folder
         self.recording = folder / "recording"
@@ -181,6 +183,27 @@ class Rig:
         """Time moves by itself again while a host waits and something is due."""
         self._daemon.paused = False
         self._in_run(lambda: None)
+
+    def fault(self, on: str, do: str, **keys: Any) -> int:
+        """Let something go wrong, from now on or by the triggers of docs/faults.md; its number.
+
+        `FaultError` names what is wrong and what is allowed.
+        """
+        faults = self._faults()
+        return self._in_run(lambda: faults.add({"on": on, "do": do, **keys}, self._daemon.now_ns))
+
+    def clear_fault(self, number: int) -> dict[str, object]:
+        """End a fault for good; what it did."""
+        faults = self._faults()
+        return self._in_run(lambda: faults.clear(number, self._daemon.now_ns))
+
+    def faults(self) -> list[dict[str, object]]:
+        """All faults so far: number, state, hits, what they took away."""
+        return self._in_run(self._faults().rows)
+
+    def _faults(self) -> FaultRun:
+        assert self._daemon.faults is not None
+        return self._daemon.faults
 
     def sha256(self) -> str:
         """Digest of all wire bytes so far with their virtual times."""

@@ -1,8 +1,8 @@
 """Facts of a run: a YAML file -> a frozen `Scenario`, every fault told as `file:line: key: found; want allowed`.
 
-Belongs here: the models of the file; loading, dumping, the published JSON Schema. Not: meshes (scene), facts of a
-sensor model (spec), a device's own settings (its family checks them), the weather's table (weather), references
-between tables (scenario_checks).
+Belongs here: the model of the whole file; loading, dumping, the published JSON Schema. Not: the tables of its world
+(scenario_tables), meshes (scene), facts of a sensor model (spec), a device's own settings (its family checks them), the
+weather's table (weather), references between tables (scenario_checks).
 """
 
 from __future__ import annotations
@@ -14,210 +14,36 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    PrivateAttr,
-    ValidationError,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError
 from ruamel.yaml import YAML
 
 from emulator import overrides as changes
 from emulator import scenario_checks, yaml_lines
+from emulator.clock_options import ClockOptions
 from emulator.errors import ScenarioError
+from emulator.faults.config import Common
 from emulator.object_options import ObjectOptions
 from emulator.physics_options import PhysicsOptions
+from emulator.scenario_tables import Actor, Id, Mount, Positive, Shape, Table, WorldItem, long_as
+from emulator.spec import is_file
 from emulator.weather import WeatherConfig
 from emulator.yaml_source import fault_lines
 
 MOST_ACTORS = 10_000
 MOST_SENSORS = 256
-MOST_WAYPOINTS = 100_000
-MOST_M = 1e9
-"Of a coordinate or length: float64 tells 1e-7 m apart there, beyond it ever less."
-LEAST_M = 1e-9
-"Of a length: smaller things than a wavelength do not reflect as surfaces."
-MOST_M_S = 1e5
-"Of an actor: the motion during the light's way there and back, 0.17 m at this speed and 250 m, is left out."
 
 
-def _long_as(count: int) -> BeforeValidator:
-    """Tells a list of another length in one line instead of one a missing number."""
-
-    def check(value: Any) -> Any:
-        if isinstance(value, tuple) and len(value) != count:
-            raise ValueError(f"{len(value)} values; want a list of {count} numbers")
-        return value
-
-    return BeforeValidator(check)
-
-
-def _not_tiny(length_m: float) -> float:
-    if length_m < LEAST_M:
-        raise ValueError(f"{length_m}; want a number >= {LEAST_M}")
-    return length_m
-
-
-Coordinate = Annotated[float, Field(ge=-MOST_M, le=MOST_M)]
-Length = Annotated[float, Field(gt=0.0, le=MOST_M), AfterValidator(_not_tiny)]
-Speed = Annotated[float, Field(ge=-MOST_M_S, le=MOST_M_S)]
-Angle = Annotated[float, Field(ge=-1e6, le=1e6)]
-Vector = Annotated[tuple[Coordinate, Coordinate, Coordinate], _long_as(3)]
-Velocity = Annotated[tuple[Speed, Speed, Speed], _long_as(3)]
-Positive = Annotated[float, Field(gt=0.0)]
-Id = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_-]{0,63}$")]
-
-SHAPES = ("mesh", "plane", "box", "cylinder", "sphere")
-
-
-class _Table(BaseModel):
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
-
-
-class Plane(_Table):
-    """A rectangle centred on its origin, normal +z, seen from both sides."""
-
-    size_m: Annotated[tuple[Length, Length], _long_as(2)]
-    "Along x, along y."
-
-
-class Box(_Table):
-    """A closed box; its origin is the centre of its base."""
-
-    size_m: Annotated[tuple[Length, Length, Length], _long_as(3)]
-    "Along x, y, z."
-
-
-class Cylinder(_Table):
-    """A closed upright cylinder; its origin is the centre of its base."""
-
-    radius_m: Length
-    height_m: Length
-    segments: Annotated[int, Field(ge=3, le=4096)] = 64
-    "Flat faces around; their edges lie on the circle."
-
-
-class Sphere(_Table):
-    """A closed sphere that stands on its origin."""
-
-    radius_m: Length
-    segments: Annotated[int, Field(ge=4, le=2048)] = 64
-    "Meridians; half as many rings. The corners lie on the sphere."
-
-
-class Shape(_Table):
-    """Exactly one of a mesh file and the primitives."""
-
-    mesh: str | None = None
-    "GLB, glTF, OBJ, PLY or STL; relative to this file, or `builtin:NAME`."
-    plane: Plane | None = None
-    box: Box | None = None
-    cylinder: Cylinder | None = None
-    sphere: Sphere | None = None
-    up: Literal["y", "z"] | None = None
-    """Axis of the mesh file that points up. y: +z points forward, as glTF defines it; z: +x points forward.
-    By default y for glTF and GLB, z for the others."""
-    scale: Annotated[float, Field(gt=0.0, le=1e6)] = 1.0
-    "Metres per unit of the mesh file."
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> Shape:
-        given = [kind for kind in SHAPES if getattr(self, kind) is not None]
-        if len(given) != 1:
-            raise ValueError(f"{' and '.join(given) or 'no shape'}; want exactly one of {', '.join(SHAPES)}")
-        if self.mesh is None and self.model_fields_set & {"up", "scale"}:
-            raise ValueError(f"{given[0]} with up or scale; want these for a mesh only")
-        return self
-
-    @property
-    def kind(self) -> str:
-        """`mesh`, `plane`, `box`, `cylinder` or `sphere`."""
-        return next(kind for kind in SHAPES if getattr(self, kind) is not None)
-
-
-class WorldItem(Shape):
-    """A piece of the world that never moves."""
-
-    at_m: Vector = (0.0, 0.0, 0.0)
-    yaw_deg: Angle = 0.0
-    pitch_deg: Angle = 0.0
-    roll_deg: Angle = 0.0
-    material: str | None = None
-    "Of all parts that `materials` does not name. A part that bears the name of a material needs neither."
-    materials: dict[str, str] = Field(default_factory=dict)
-    "Part of the mesh (its material's or object's name in the file) -> material."
-
-
-class Waypoint(_Table):
-    """Where something is at a time."""
-
-    t_s: Annotated[float, Field(ge=-1e9, le=1e9)]
-    at_m: Vector
-    yaw_deg: Angle = 0.0
-    pitch_deg: Angle = 0.0
-    roll_deg: Angle = 0.0
-
-
-class MotionConfig(_Table):
-    """Either a start with constant velocity, or waypoints."""
-
-    at_m: Vector = (0.0, 0.0, 0.0)
-    yaw_deg: Angle = 0.0
-    pitch_deg: Angle = 0.0
-    roll_deg: Angle = 0.0
-    velocity_m_s: Velocity = (0.0, 0.0, 0.0)
-    "In the world's frame; it does not turn with the actor."
-    yaw_rate_deg_s: Angle = 0.0
-    waypoints: Annotated[tuple[Waypoint, ...], Field(max_length=MOST_WAYPOINTS)] = ()
-    "Straight lines between them, turning the shortest way; before the first and after the last it stands still."
-    loop: bool = False
-    "From the last waypoint on it begins again at the first."
-
-
-Category = Literal["car", "truck", "motorcycle", "bicycle", "pedestrian", "wide", "point", "unknown"]
-
-
-class Actor(_Table):
-    """Something that can move and that sensors can be mounted on."""
-
-    id: Id
-    shape: Shape | None = None
-    "None: it is not seen."
-    material: str | None = None
-    "Of all parts that `materials` does not name. A part that bears the name of a material needs neither."
-    materials: dict[str, str] = Field(default_factory=dict)
-    "Part of the mesh (its material's or object's name in the file) -> material."
-    class_: Category = Field(default="unknown", alias="class")
-    "For object lists."
-    motion: MotionConfig = Field(default_factory=MotionConfig)
-
-
-class Mount(_Table):
-    """Where a sensor's optical centre is, on an actor or in the world."""
-
-    actor: str | None = None
-    "None: the world."
-    at_m: Vector = (0.0, 0.0, 0.0)
-    yaw_deg: Angle = 0.0
-    pitch_deg: Angle = 0.0
-    roll_deg: Angle = 0.0
-
-
-class SensorConfig(_Table):
+class SensorConfig(Table):
     """One emulated sensor."""
 
     id: Id
     model: str
-    "See `lidaremu list sensors`."
+    "See `lidaremu list sensors`; or a spec file of one's own, ending in .yaml, relative to this file."
     mount: Mount = Field(default_factory=Mount)
     device: dict[str, Any] = Field(default_factory=dict)
     "What a real one keeps over power-off; the model's protocol family knows the keys."
+    clock: ClockOptions | None = None
+    "How wrong its time is, and where its counters begin; None: exact."
     mode: Literal["operational", "seed"] = "operational"
     "seed: the deterministic model of the base paper, for its figures."
     physics: PhysicsOptions = Field(default_factory=PhysicsOptions)
@@ -230,26 +56,16 @@ class SensorConfig(_Table):
     "How it makes them; of models that list objects."
 
 
-class Fault(BaseModel):
-    """Something that goes wrong on purpose; its other keys depend on `do`."""
-
-    model_config = ConfigDict(extra="allow", frozen=True, strict=True, allow_inf_nan=False)
-
-    on: str
-    do: str
-    at_s: Annotated[float, Field(ge=0.0)] | None = None
-
-
 class Expectation(BaseModel):
     """What must hold at the end of a test run; its other keys depend on `that`."""
 
     model_config = ConfigDict(extra="allow", frozen=True, strict=True, allow_inf_nan=False)
 
     that: str
-    within: Annotated[tuple[float, float], _long_as(2)] | None = None
+    within: Annotated[tuple[float, float], long_as(2)] | None = None
 
 
-class Record(_Table):
+class Record(Table):
     """What a run keeps."""
 
     wire: bool = False
@@ -258,7 +74,7 @@ class Record(_Table):
     "What each echo was."
 
 
-class Scenario(_Table):
+class Scenario(Table):
     """Everything that a run is made of."""
 
     schema_: Literal[1] = Field(alias="schema")
@@ -272,7 +88,8 @@ class Scenario(_Table):
     materials: dict[str, dict[str, Any]] = Field(default_factory=dict)
     "Materials of this file beside those that come with the package."
     sensors: Annotated[tuple[SensorConfig, ...], Field(max_length=MOST_SENSORS)] = ()
-    faults: tuple[Fault, ...] = ()
+    faults: Annotated[tuple[Common, ...], Field(max_length=1000)] = ()
+    "What goes wrong on purpose, see docs/faults.md."
     expect: tuple[Expectation, ...] = ()
     record: Record = Field(default_factory=Record)
 
@@ -381,6 +198,7 @@ def _judged(
     if source.data is None:
         raise ScenarioError(f"{source.path}:1: file: empty; want a scenario, beginning with schema: 1")
     source = changes.changed(source, overrides, seed, links)
+    _find_models(source)
     told = list(source.faults)
     try:
         scenario = Scenario.model_validate(_frozen(source.data))
@@ -391,6 +209,14 @@ def _judged(
         raise ScenarioError("\n".join(_in_file_order(told)))
     scenario._source = source
     return scenario
+
+
+def _find_models(source: yaml_lines.Source) -> None:
+    """Spec files of the scenario's own are known by their absolute paths from here on."""
+    sensors = source.data.get("sensors") if isinstance(source.data, dict) else None
+    for sensor in sensors if isinstance(sensors, list) else ():
+        if isinstance(sensor, dict) and isinstance(sensor.get("model"), str) and is_file(sensor["model"]):
+            sensor["model"] = str((source.path.parent / sensor["model"]).absolute())
 
 
 def _in_file_order(told: Sequence[str]) -> list[str]:
@@ -441,12 +267,20 @@ def dump(scenario: Scenario) -> str:
 
 
 def _told_shape(scenario: Scenario, shape: Shape, entry: dict[str, Any]) -> None:
-    if shape.mesh is None:
+    if shape.frames is not None:
+        entry["frames"]["meshes"] = [_told_mesh(scenario, mesh) for mesh in shape.frames.meshes]
+    elif shape.mesh is not None:
+        entry["mesh"] = _told_mesh(scenario, shape.mesh)
+    else:
         entry.pop("scale", None)
-    elif not shape.mesh.startswith(scenario_checks.BUILTIN):
-        path = scenario.resolve(shape.mesh).resolve()
-        own = scenario_checks.mesh_path(scenario_checks.BUILTIN + path.name, Path())
-        entry["mesh"] = scenario_checks.BUILTIN + path.name if path == own.resolve() else str(path)
+
+
+def _told_mesh(scenario: Scenario, mesh: str) -> str:
+    if mesh.startswith(scenario_checks.BUILTIN):
+        return mesh
+    path = scenario.resolve(mesh).resolve()
+    own = scenario_checks.mesh_path(scenario_checks.BUILTIN + path.name, Path())
+    return scenario_checks.BUILTIN + path.name if path == own.resolve() else str(path)
 
 
 def json_schema() -> dict[str, Any]:

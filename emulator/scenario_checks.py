@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,6 @@ from emulator.yaml_lines import Loc, Source
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 BUILTIN = "builtin:"
 "Before the name of a mesh that comes with the package."
-NOT_BUILT: Mapping[str, str] = {
-    "faults": "faults are not injected yet",
-}
-"Top-level keys of the schema that nothing acts on so far: refused rather than ignored."
 ONE_HOLDER = ("pty", "slcan", "serial", "tcp", "udp")
 "Links that one sensor alone can hold; CAN buses and loops are shared."
 
@@ -39,7 +35,6 @@ def faults(source: Source) -> list[str]:
     data = source.data
     checks: tuple[Callable[[dict[str, Any], Path], Iterable[Found]], ...] = (
         _numbers,
-        _not_built,
         _unique_ids,
         _shapes,
         _material_names,
@@ -49,6 +44,7 @@ def faults(source: Source) -> list[str]:
         _models,
         _links,
         _names_of_actors_and_sensors,
+        _faults,
     )
     return [source.fault(*found) for check in checks for found in check(data, source.path.parent)]
 
@@ -111,13 +107,6 @@ def _numbers(data: dict[str, Any], folder: Path) -> Iterator[Found]:
             yield loc, str(value), "a finite number"
 
 
-def _not_built(data: dict[str, Any], folder: Path) -> Iterator[Found]:
-    for key, reason in NOT_BUILT.items():
-        value = data.get(key)
-        if any(value.values()) if isinstance(value, dict) else value:
-            yield (key,), reason, "this key left out"
-
-
 def _unique_ids(data: dict[str, Any], folder: Path) -> Iterator[Found]:
     for key in ("actors", "sensors"):
         seen: dict[str, Loc] = {}
@@ -135,17 +124,22 @@ def _unique_ids(data: dict[str, Any], folder: Path) -> Iterator[Found]:
 def _shapes(data: dict[str, Any], folder: Path) -> Iterator[Found]:
     places = [(loc, entry) for loc, entry in _tables(data, "world")]
     places += [((*loc, "shape"), _table(entry, "shape")) for loc, entry in _tables(data, "actors")]
+    named: list[tuple[Loc, object]] = []
     for loc, shape in places:
-        mesh = shape.get("mesh")
+        named.append(((*loc, "mesh"), shape.get("mesh")))
+        frames = _table(shape, "frames").get("meshes")
+        for number, mesh in enumerate(frames if isinstance(frames, list) else []):
+            named.append(((*loc, "frames", "meshes", number), mesh))
+    for loc, mesh in named:
         if not isinstance(mesh, str):
             continue
         if not mesh.lower().endswith(MESH_SUFFIXES):
-            yield (*loc, "mesh"), repr(mesh), f"a mesh file ending in {', '.join(MESH_SUFFIXES)}"
+            yield loc, repr(mesh), f"a mesh file ending in {', '.join(MESH_SUFFIXES)}"
         elif mesh.startswith(BUILTIN):
             if mesh[len(BUILTIN) :] not in builtin_meshes():
-                yield (*loc, "mesh"), repr(mesh), nearest(mesh, [BUILTIN + name for name in builtin_meshes()])
+                yield loc, repr(mesh), nearest(mesh, [BUILTIN + name for name in builtin_meshes()])
         elif not _is_file(folder / mesh):
-            yield (*loc, "mesh"), f"{mesh!r}: no such file in {folder}", "a mesh file"
+            yield loc, f"{mesh!r}: no such file in {folder}", "a mesh file"
 
 
 def _is_file(path: Path) -> bool:
@@ -213,8 +207,9 @@ def _mounts(data: dict[str, Any], folder: Path) -> Iterator[Found]:
 
 
 def _models(data: dict[str, Any], folder: Path) -> Iterator[Found]:
-    from emulator.spec import list_models, load_spec
-    from protocols import FAMILIES
+    from emulator.errors import SpecError
+    from emulator.spec import is_file, list_models, load_spec
+    from protocols import families
 
     names = _ids(data, "sensors")
     models = list_models()
@@ -223,15 +218,23 @@ def _models(data: dict[str, Any], folder: Path) -> Iterator[Found]:
         model = sensor.get("model")
         if not isinstance(model, str):
             continue
-        if model not in models:
+        if is_file(model):
+            if not _is_file(Path(model)):
+                yield (*loc, "model"), f"{model!r}: no such file", "a spec file, or the name of a shipped model"
+                continue
+        elif model not in models:
             yield (*loc, "model"), repr(model), nearest(model, models)
             continue
-        spec = load_spec(model)
+        try:
+            spec = load_spec(model)
+        except SpecError as error:
+            yield (*loc, "model"), str(error), "a spec file without faults"
+            continue
         sees[str(sensor.get("id"))] = spec.sees
         if spec.family is None and sensor.get("links"):
             yield (*loc, "links"), f"{model} has no wire protocol", "no links"
-        if spec.family is not None and spec.family not in FAMILIES:
-            yield (*loc, "model"), f"{model} speaks {spec.family}, which is not built yet", nearest("", FAMILIES)
+        if spec.family is not None and spec.family not in families():
+            yield (*loc, "model"), f"{model} speaks {spec.family}, which is not installed", nearest("", families())
         sources = sensor.get("from")
         if spec.sees == "beams" and sensor.get("objects"):
             yield (*loc, "objects"), f"{model} lists no objects", "this key left out"
@@ -284,10 +287,44 @@ def _names_of_actors_and_sensors(data: dict[str, Any], folder: Path) -> Iterator
         if isinstance(name, str) and name not in sensors:
             yield (*loc, "on"), repr(name), nearest(name, sensors)
     weather = _table(data, "weather")
-    states: list[tuple[Loc, dict[str, Any]]] = [(("weather",), weather)]
-    states += [(("weather", *loc), entry) for loc, entry in _tables(weather, "changes")]
-    for place, state in states:
-        behind = _table(state, "spray").get("behind")
-        for number, name in enumerate(behind if isinstance(behind, list) else ()):
-            if isinstance(name, str) and name not in actors:
-                yield (*place, "spray", "behind", number), repr(name), nearest(name, actors)
+    yield from names_in_weather(weather, ("weather",), actors)
+    for loc, entry in _tables(weather, "changes"):
+        yield from names_in_weather(entry, ("weather", *loc), actors)
+
+
+def names_in_weather(state: Mapping[str, Any], place: Loc, actors: Sequence[str]) -> Iterator[Found]:
+    """Actors that a weather's table names and that are not there."""
+    behind = _table(state, "spray").get("behind")
+    for number, name in enumerate(behind if isinstance(behind, list) else ()):
+        if isinstance(name, str) and name not in actors:
+            yield (*place, "spray", "behind", number), repr(name), nearest(name, actors)
+
+
+def _can_load(model: object) -> bool:
+    from emulator.errors import SpecError
+    from emulator.spec import load_spec
+
+    try:
+        return isinstance(model, str) and bool(load_spec(model))
+    except SpecError:
+        return False
+
+
+def _faults(data: dict[str, Any], folder: Path) -> Iterator[Found]:
+    if not data.get("faults"):
+        return
+    from emulator.faults.reading import problems, target_of
+    from emulator.faults.scene_events import check_expression
+
+    sensors, actors = _ids(data, "sensors"), ["world", *_ids(data, "actors")]
+    targets = {}
+    for _, sensor in _tables(data, "sensors"):
+        if _can_load(sensor.get("model")):
+            links = sensor.get("links")
+            urls = [url for url in links if isinstance(url, str)] if isinstance(links, list) else []
+            name = str(sensor.get("id"))
+            targets[name] = target_of(name, sensor["model"], urls, _table(sensor, "device"), actors[1:])
+    for loc, entry in _tables(data, "faults"):
+        told = problems(entry, targets.get(str(entry.get("on"))), lambda text: check_expression(text, sensors, actors))
+        for key, found, want in told:
+            yield (*loc, *key), found, want

@@ -6,15 +6,17 @@ reflects (physics).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from emulator import mesh_files, triangles
+from emulator.deforming import Frames
 from emulator.errors import SceneError
 from emulator.motion import Floats, Motion, Pose, Steady, Waypoints
-from emulator.scenario import Actor, MotionConfig, Mount, Scenario, Shape, WorldItem
+from emulator.scenario import Scenario
+from emulator.scenario_tables import Actor, FramesConfig, MotionConfig, Mount, Shape, WorldItem
 from emulator.triangles import Geometry, Ints
 
 MOST_TRIANGLES = 20_000_000
@@ -32,10 +34,17 @@ class Body:
     part_material: Ints
     "(p,) index into `Scene.materials` of each part."
     motion: Motion
+    frames: Frames | None = None
+    "How its shape changes; `geometry` is then its first frame, in the sphere of all."
+
+    @property
+    def still(self) -> bool:
+        """Never moves, turns or changes."""
+        return self.motion.still and self.frames is None
 
     @property
     def vertices(self) -> Floats:
-        """(v, 3) about the body's own origin."""
+        """(v, 3) about the body's own origin; those of the first frame of a shape that changes."""
         return self.geometry.vertices
 
     @property
@@ -104,7 +113,7 @@ def build(scenario: Scenario) -> Scene:
         motions.append(motion_of(actor.motion))
         if actor.shape is not None:
             builder.add(number + 1, actor.shape, actor, motions[-1], f"actors.{number}")
-    total = sum(len(geometry.faces) for geometry in builder.made.values())
+    total = sum(len(made.faces) * builder.frames_of(made) for made in builder.made.values())
     if total > MOST_TRIANGLES:
         builder.faults.append(f"{scenario.source}: {total} triangles in all; want at most {MOST_TRIANGLES}")
     if builder.faults:
@@ -139,6 +148,7 @@ class _Builder:
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
         self.made: dict[str, Geometry] = {}
+        self.frames: dict[int, Frames] = {}
         self.materials: dict[str, int] = {}
         self.bodies: list[Body] = []
         self.faults: list[str] = []
@@ -153,10 +163,16 @@ class _Builder:
             self.faults.append(str(error))
             return
         numbers = [self.materials.setdefault(name, len(self.materials)) for name in names]
-        self.bodies.append(Body(actor, geometry, np.array(numbers, np.int32), motion))
+        frames = self.frames.get(id(geometry))
+        self.bodies.append(Body(actor, geometry, np.array(numbers, np.int32), motion, frames))
+
+    def frames_of(self, geometry: Geometry) -> int:
+        """How many frames are kept of a shape."""
+        frames = self.frames.get(id(geometry))
+        return 1 if frames is None else len(frames.vertices)
 
     def _geometry(self, shape: Shape, where: str) -> Geometry:
-        key = shape.model_dump_json(include={"mesh", "plane", "box", "cylinder", "sphere", "up", "scale"})
+        key = shape.model_dump_json(include={"mesh", "plane", "box", "cylinder", "sphere", "frames", "up", "scale"})
         if key not in self.made:
             self.made[key] = geometry = self._make(shape, where)
             if geometry.dropped:
@@ -170,6 +186,8 @@ class _Builder:
     def _make(self, shape: Shape, where: str) -> Geometry:
         if shape.mesh is not None:
             return mesh_files.load(self._scenario.resolve(shape.mesh), shape.up, shape.scale, where)
+        if shape.frames is not None:
+            return self._make_frames(shape, shape.frames, where)
         if shape.plane is not None:
             return triangles.plane(*shape.plane.size_m)
         if shape.box is not None:
@@ -178,6 +196,38 @@ class _Builder:
             return triangles.cylinder(shape.cylinder.radius_m, shape.cylinder.height_m, shape.cylinder.segments)
         assert shape.sphere is not None
         return triangles.sphere(shape.sphere.radius_m, shape.sphere.segments)
+
+    def _make_frames(self, shape: Shape, config: FramesConfig, where: str) -> Geometry:
+        """The first frame with the sphere of all; every other one must be the same mesh with its vertices moved."""
+        made: list[Geometry] = []
+        loaded: dict[str, Geometry] = {}
+        for number, name in enumerate(config.meshes):
+            if name not in loaded:
+                path = self._scenario.resolve(name)
+                loaded[name] = mesh_files.load(path, shape.up, shape.scale, f"{where}.meshes.{number}")
+            one = loaded[name]
+            first = made[0] if made else one
+            told = f"{where}.meshes.{number}: {name}"
+            if len(one.vertices) != len(first.vertices) or len(one.faces) != len(first.faces):
+                found = f"{len(one.faces)} triangles on {len(one.vertices)} vertices"
+                want = f"{len(first.faces)} on {len(first.vertices)} as in the first frame"
+                raise SceneError(f"{told}: {found}; want {want}")
+            if not np.array_equal(one.faces, first.faces) or not np.array_equal(one.face_part, first.face_part):
+                raise SceneError(f"{told}: other triangles; want those of the first frame, their vertices moved alone")
+            if one.parts != first.parts and len(first.parts) > 1:  # a mesh of one part may bear its file's name
+                raise SceneError(f"{told}: parts {', '.join(one.parts)}; want {', '.join(first.parts)}")
+            made.append(one)
+        first = made[0]
+        frames = Frames(
+            np.stack([one.vertices for one in made]), first.faces, config.period_s, config.at_s, config.loop
+        )
+        low, high = frames.box
+        centre = low + (high - low) / 2.0
+        away = frames.vertices[:, np.unique(first.faces)] - centre
+        radius = float(np.sqrt((away * away).sum(axis=2).max()))
+        geometry = replace(first, centre=centre, radius=radius)
+        self.frames[id(geometry)] = frames
+        return geometry
 
     def _part_materials(self, geometry: Geometry, owner: Actor | WorldItem, dotted: str) -> list[str]:
         """Material of each part: its own entry, else `material`, else a part that bears a material's name."""

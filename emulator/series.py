@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import math
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -18,10 +19,13 @@ from emulator.hosts.scans import HostScan
 from emulator.instrument import Instrument
 from emulator.object_metrics import ListedScan, ObjectScore, Score, TruthObject
 from emulator.watching import Payload, Watcher
+from protocols.device_clock import Told
 from protocols.scan import DetectedObject, Floats, Ints, Scan
 
 MATCH_RAD = np.radians(0.02)
 "A host's beam and a measured one are the same when their azimuths differ by less."
+MOST_UNSENT = 4096
+"Sweeps that may be on their way from measurement to telegram."
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +41,8 @@ class Measured:
     objects: tuple[DetectedObject, ...]
     truth: tuple[TruthObject, ...]
     "Of a sensor that lists objects."
+    sweep: int = 0
+    "Its number, in the device's life that it belongs to."
 
     def object_of(self, actor: str) -> DetectedObject | None:
         """The object that is that actor; the one seen last when there are several."""
@@ -49,11 +55,13 @@ class SensorSeries:
     """One sensor's run."""
 
     measured: dict[int, Measured] = field(default_factory=dict)
-    "By sweep."
+    "By the instant at which the sweep began: a device counts its sweeps anew after a power cut."
     sent_ns: list[int] = field(default_factory=list)
     "First bit of each scan on the first link that carried it."
     read: list[tuple[int, int | None, HostScan]] = field(default_factory=list)
-    "By our host: when, the sweep it carried, the scan as decoded."
+    "By our host: when, the beginning of the sweep it carried, the scan as decoded."
+    told: dict[int, Told] = field(default_factory=dict)
+    "What scans' telegrams told of the device's time, by the instant of the run that they told of."
     bytes_out: int = 0
     bytes_in: int = 0
 
@@ -63,7 +71,10 @@ class SeriesWatcher(Watcher):
 
     def __init__(self, sensors: Sequence[str]) -> None:
         self.sensors = {sensor: SensorSeries() for sensor in sensors}
-        self._sweeps: dict[str, list[int]] = {sensor: [] for sensor in sensors}
+        self._sweeps: dict[str, deque[tuple[int, int]]] = {sensor: deque() for sensor in sensors}
+        "End and beginning of the sweep of scans that the host has not read yet."
+        self._begun: dict[str, dict[int, int]] = {sensor: {} for sensor in sensors}
+        "Sweep -> its beginning, of the device's present life."
 
     def payload(self, payload: Payload) -> None:
         mine = self.sensors[payload.sensor]
@@ -73,23 +84,35 @@ class SeriesWatcher(Watcher):
         mine.bytes_out += len(payload.data)
         if payload.sweep is not None and payload.link == 0:
             mine.sent_ns.append(payload.start_ns)
-            self._sweeps[payload.sensor].append(payload.sweep)
+            began_ns = self._begun[payload.sensor].get(payload.sweep)
+            if began_ns is not None:
+                self._sweeps[payload.sensor].append((payload.end_ns, began_ns))
 
     def scan(self, sensor: str, scan: Scan) -> None:
-        self.sensors[sensor].measured[scan.plan.sweep] = Measured(
+        begun = self._begun[sensor]
+        begun[scan.plan.sweep] = scan.plan.start_ns
+        while len(begun) > MOST_UNSENT:
+            begun.pop(next(iter(begun)))
+        self.sensors[sensor].measured[scan.plan.start_ns] = Measured(
             scan.plan.start_ns,
             scan.plan.azimuth_rad,
             scan.range_m[:, 0],
             scan.actor[:, 0],
             scan.objects,
             scan.truth if isinstance(scan, ListedScan) else (),
+            scan.plan.sweep,
         )
 
+    def told(self, sensor: str, sweep: int, told: Told) -> None:
+        self.sensors[sensor].told[told.true_ns] = told
+
     def host_read(self, sensor: str, at_ns: int, scan: HostScan) -> None:
-        """Our host has decoded a scan."""
+        """Our host has decoded a scan: the newest one that has wholly arrived, whatever was lost before it."""
         sweeps = self._sweeps[sensor]
-        sweep = sweeps[scan.number] if scan.number < len(sweeps) else None
-        self.sensors[sensor].read.append((at_ns, sweep, scan))
+        began_ns = None
+        while sweeps and sweeps[0][0] <= at_ns:
+            began_ns = sweeps.popleft()[1]
+        self.sensors[sensor].read.append((at_ns, began_ns, scan))
 
 
 @dataclass(frozen=True)
@@ -200,8 +223,8 @@ def _range_at(window: Window) -> Value:
 
 def _range_errors(window: Window) -> Value:
     errors = []
-    for _, sweep, scan in window.read:
-        truth = None if sweep is None else window.series.measured.get(sweep)
+    for _, began_ns, scan in window.read:
+        truth = None if began_ns is None else window.series.measured.get(began_ns)
         if truth is not None and len(scan.azimuth_rad) and len(truth.azimuth_rad):
             order = np.argsort(truth.azimuth_rad, kind="stable")
             azimuths = truth.azimuth_rad[order]
@@ -235,7 +258,20 @@ class Quantity:
     value: Callable[[Window], Value]
     help: str
     wants: str = ""
-    "`actor` or `angle` in parentheses."
+    "`actor`, `angle` or `fault` in parentheses."
+
+
+def _clock(number: Callable[[Told], float]) -> Callable[[Window], Value]:
+    def value(window: Window) -> Value:
+        told = [one for one in window.series.told.values() if window.holds(one.true_ns)]
+        return np.array([number(one) for one in told], dtype=np.float64)
+
+    return value
+
+
+def _faults(window: Window) -> Value:
+    running = window.instrument.faults
+    return 0.0 if running is None else float(running.hits_of(str(window.argument)))
 
 
 QUANTITIES: Mapping[str, Quantity] = {
@@ -247,10 +283,11 @@ QUANTITIES: Mapping[str, Quantity] = {
     "input_dropped": Quantity(_total(lambda one: one.stats.input_dropped.total()), "input not taken; whole run"),
     "replies_sent": Quantity(_total(lambda one: one.stats.replies_sent), "replies; whole run"),
     "restarts": Quantity(_total(lambda one: one.stats.restarts), "power-ons and resets; whole run"),
+    "faults": Quantity(_faults, "hits of the faults of that name; whole run", "fault"),
     "bytes_out": Quantity(lambda window: float(window.series.bytes_out), "bytes sent; whole run"),
     "bytes_in": Quantity(lambda window: float(window.series.bytes_in), "bytes received; whole run"),
     "lateness_us": Quantity(
-        lambda window: np.asarray(window.instrument.stats.lateness_ns, dtype=np.float64) * 1e-3,
+        lambda window: window.instrument.stats.lateness.latest_ns().astype(np.float64) * 1e-3,
         "series: actual minus scheduled instant of each send; under a virtual clock the grouping of bytes alone",
     ),
     "gap_s": Quantity(lambda window: np.diff(_sent(window)), "series: time from scan to scan; its max is the recovery"),
@@ -261,6 +298,11 @@ QUANTITIES: Mapping[str, Quantity] = {
     "points_on": Quantity(_of_measured(_points_on), "series: beams whose first echo is that actor's", "actor"),
     "nearest_m": Quantity(_of_measured(_nearest), "series: shortest range"),
     "nearest_on": Quantity(_of_measured(_nearest_on), "series: shortest range to that actor [m]", "actor"),
+    "clock_error_s": Quantity(
+        _clock(lambda one: (one.device_ns - one.true_ns) * 1e-9),
+        "series: time that the device's telegrams tell, not wrapped, minus the run's",
+    ),
+    "clock_ticks": Quantity(_clock(lambda one: float(one.ticks)), "series: the same time in ticks, as on the wire"),
     "objects": Quantity(_of_measured(lambda item, _: float(len(item.objects))), "series: objects in the list"),
     "object": Quantity(_of_measured(_object), "series: objects that are that actor", "actor"),
     "object_range_m": Quantity(
@@ -316,6 +358,13 @@ def check_name(name: Name, sensors: Sequence[str], actors: Sequence[str]) -> Non
         raise ExpressionError(f"{sensor}.{quantity}; want {_one_of(quantity, tuple(QUANTITIES))}")
     if known.wants == "actor" and name.argument not in actors:
         raise ExpressionError(f"{name}: actor {name.argument!r}; want {_one_of(str(name.argument), actors)}")
+    if known.wants == "fault":
+        from emulator.faults.catalogue import kinds
+
+        if name.argument not in kinds():
+            raise ExpressionError(
+                f"{name}: fault {name.argument!r}; want {_one_of(str(name.argument), tuple(kinds()))}"
+            )
     if known.wants == "angle" and not isinstance(name.argument, float):
         raise ExpressionError(f"{name}: {name.argument!r}; want an azimuth in degrees, as {quantity}(0)")
     if not known.wants and name.argument is not None:

@@ -212,11 +212,23 @@ def list_models() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in _folder().glob("*.yaml")))
 
 
+def is_file(model: str) -> bool:
+    """Whether a scenario's `model` is a spec file of its own rather than the name of a shipped one."""
+    return model.endswith((".yaml", ".yml"))
+
+
+def name_of(model: str) -> str:
+    """The model's name, whichever it is."""
+    return Path(model).stem if is_file(model) else model
+
+
 @cache
 def load_spec(model: str) -> SensorSpec:
-    """Facts of a shipped model; `SpecError` names the nearest one for an unknown name."""
+    """Facts of a shipped model, or of the file at an absolute path; `SpecError` names the nearest known one."""
     import difflib
 
+    if is_file(model):
+        return load_spec_file(Path(model))
     path = _folder() / f"{model}.yaml"
     if model not in list_models():
         near = difflib.get_close_matches(model, list_models(), n=1)
@@ -226,7 +238,7 @@ def load_spec(model: str) -> SensorSpec:
 
 
 def load_spec_file(path: Path) -> SensorSpec:
-    """Facts from a spec file; `extends: MODEL` takes everything it does not say from MODEL's file beside it."""
+    """Facts from a spec file; `extends: MODEL` takes what it does not say from MODEL, beside it or shipped."""
     source = _with_parents(path, ())
     try:
         spec = SensorSpec.model_validate(source.data)
@@ -249,10 +261,11 @@ def _with_parents(path: Path, below: tuple[Path, ...]) -> Source:
     if parent is None:
         return source
     place = source.place(("extends",))
-    known = sorted(one.stem for one in path.parent.glob("*.yaml"))
+    beside = {one.stem: one for one in path.parent.glob("*.yaml") if one != path}
+    known = {one.stem: one for one in _folder().glob("*.yaml")} | (beside if path.parent != _folder() else {})
     if not isinstance(parent, str) or parent not in known:
-        raise SpecError(f"{place}: extends: {parent!r}; want one of {', '.join(known)}")
-    base_path = path.parent / f"{parent}.yaml"
+        raise SpecError(f"{place}: extends: {parent!r}; want one of {', '.join(sorted(known))}")
+    base_path = known[parent]
     if base_path in (*below, path):
         raise SpecError(f"{place}: extends: {parent!r}; want a model that does not extend this one")
     base = _with_parents(base_path, (*below, path))

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from emulator.deforming import Frames
 from emulator.fleet import Flags, Fleet, Longs
 from emulator.scene import Body
 from emulator.triangles import Floats, Geometry, Ints
@@ -76,7 +77,7 @@ class Movers:
     body: Longs
     "(b,)"
     structure: Longs
-    "(b,) number of the structure."
+    "(b,) number of the structure; -1 - k: frames number k."
     cell: Floats
     "(3, b) origin of the slot in its structure."
     shift: Longs
@@ -85,11 +86,18 @@ class Movers:
     "(3, b) of the bounding sphere about the body's origin."
     reach: Floats
     "(b,) radius of that sphere, a little enlarged."
+    half: Floats
+    "(3, b) of the box about that centre along the body's axes, enlarged as much."
     arm: Floats
     "(b,) distance of its centre from the body's origin."
     speed: Floats
     "(b,) bound of the origin's speed; infinite where it jumps."
     fleet: Fleet
+
+    def chosen(self, which: Longs) -> Movers:
+        """Some of them."""
+        columns = {name: column[..., which] for name, column in vars(self).items() if name != "fleet"}
+        return Movers(**columns, fleet=Fleet([self.fleet.motions[mover] for mover in which]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +108,8 @@ class Layout:
     slots: tuple[Content, ...]
     movers: Movers
     table: Table
+    frames: tuple[tuple[Frames, Floats], ...] = ()
+    "Of shapes that change, with the centres of their spheres."
 
 
 def lay_out(bodies: Sequence[Body], chosen: Sequence[int]) -> Layout:
@@ -108,14 +118,14 @@ def lay_out(bodies: Sequence[Body], chosen: Sequence[int]) -> Layout:
     tables: list[Table] = []
     with np.errstate(under="ignore"):  # components below 1e-38 are nothing in float32, products below 1e-308 no length
         groups = [_merged(bodies, members, tables) for members in _cells(bodies, merged)]
-        slots, movers = _placed(bodies, single, tables)
-    return Layout(tuple(groups), tuple(slots), movers, _joined(tables))
+        slots, movers, frames = _placed(bodies, single, tables)
+    return Layout(tuple(groups), tuple(slots), movers, _joined(tables), tuple(frames))
 
 
 def _divide(bodies: Sequence[Body], chosen: Sequence[int]) -> tuple[list[int], list[int]]:
     """Indexes of the bodies to merge, and of those that get a slot for their shape."""
-    still = [index for index in chosen if bodies[index].motion.still]
-    moving = [index for index in chosen if not bodies[index].motion.still]
+    still = [index for index in chosen if bodies[index].still]
+    moving = [index for index in chosen if not bodies[index].still]
     if sum(len(bodies[index].faces) for index in still) > MOST_MERGED:
         uses = Counter(id(bodies[index].geometry) for index in chosen)
         repeated = [index for index in still if uses[id(bodies[index].geometry)] > 1]
@@ -157,8 +167,11 @@ def _merged(bodies: Sequence[Body], members: Sequence[int], tables: list[Table])
     return Group(centre[:, None], radius + SPHERE_MARGIN * (1.0 + radius), offset, _content(vertices, faces))
 
 
-def _placed(bodies: Sequence[Body], single: Sequence[int], tables: list[Table]) -> tuple[list[Content], Movers]:
-    shapes = sorted({id(bodies[index].geometry): bodies[index].geometry for index in single}.values(), key=_radius)
+def _placed(
+    bodies: Sequence[Body], single: Sequence[int], tables: list[Table]
+) -> tuple[list[Content], Movers, list[tuple[Frames, Floats]]]:
+    rigid = [bodies[index] for index in single if bodies[index].frames is None]
+    shapes = sorted({id(body.geometry): body.geometry for body in rigid}.values(), key=_radius)
     offset = sum(len(table) for table in tables)
     contents: list[Content] = []
     home: dict[int, tuple[int, Floats, int]] = {}
@@ -179,9 +192,21 @@ def _placed(bodies: Sequence[Body], single: Sequence[int], tables: list[Table]) 
             triangles += len(shape.faces)
             offset += len(shape.faces)
         contents.append(_content(vertices, faces))
+    frames: list[tuple[Frames, Floats]] = []
+    halves = {id(shape): np.abs(shape.vertices - shape.centre).max(axis=0, initial=0.0) for shape in shapes}
+    for body in (bodies[index] for index in single):
+        shape = body.geometry
+        if body.frames is not None and id(shape) not in home:
+            home[id(shape)] = (-1 - len(frames), np.zeros(3), offset)
+            low, high = body.frames.box
+            halves[id(shape)] = np.maximum(high - shape.centre, shape.centre - low)
+            tables.append(_table_of(shape, shape.normals, shape.vertices - shape.centre, -1))
+            frames.append((body.frames, shape.centre))
+            offset += len(shape.faces)
     homes = [home[id(bodies[index].geometry)] for index in single]
     centre = np.array([bodies[index].centre_m for index in single], np.float64).reshape(-1, 3).T
     reach = np.array([bodies[index].radius_m for index in single], np.float64)
+    half = np.array([halves[id(bodies[index].geometry)] for index in single], np.float64).reshape(-1, 3).T
     movers = Movers(
         np.array(single, np.int64),
         np.array([one[0] for one in homes], np.int64),
@@ -189,11 +214,12 @@ def _placed(bodies: Sequence[Body], single: Sequence[int], tables: list[Table]) 
         np.array([one[2] for one in homes], np.int64),
         np.ascontiguousarray(centre),
         reach * (1.0 + SPHERE_MARGIN) + SPHERE_MARGIN,
+        half + SPHERE_MARGIN * (1.0 + reach),
         np.linalg.norm(centre, axis=0),
         np.array([bodies[index].motion.speed_bound_m_s for index in single], np.float64),
         Fleet([bodies[index].motion for index in single]),
     )
-    return contents, movers
+    return contents, movers, frames
 
 
 def _radius(shape: Geometry) -> float:

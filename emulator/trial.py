@@ -6,7 +6,7 @@ For `lidaremu test`. Every sensor gets a loop in place of its links; sensors on 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,8 +15,9 @@ from typing import Any
 from emulator import assembly
 from emulator.daemon import summary
 from emulator.expectations import Judgement, understand, verdicts
-from emulator.hosts.scripted import LdScript, Lms2xxScript
-from emulator.instrument import Instrument
+from emulator.faults.run import FaultRun
+from emulator.hosts.scripted import HasScript, LdScript, Lms2xxScript
+from emulator.instrument import Instrument, Measuring
 from emulator.measuring import InPlace, Workers
 from emulator.recording.writer import Recorder
 from emulator.scenario import Scenario
@@ -30,9 +31,12 @@ from emulator.transports.link import Link
 from emulator.transports.loopback import Loops
 from emulator.virtual import VirtualHost, VirtualRun, nothing_owed
 from emulator.watching import Watcher
+from protocols.session import Family
 
 DEFAULT_S = 5.0
 "Length of a trial whose scenario has no duration."
+PARTS = 50
+"Of a trial's time, for who wants to be told of its progress; the bytes are the same."
 
 
 @dataclass(frozen=True)
@@ -77,17 +81,27 @@ class Trial:
     """A scenario set up in memory."""
 
     def __init__(
-        self, scenario: Scenario, workers: int = 0, watchers: Sequence[Watcher] = (), record: Path | None = None
+        self,
+        scenario: Scenario,
+        workers: int = 0,
+        watchers: Sequence[Watcher] = (),
+        record: Path | None = None,
+        measuring: Measuring | None = None,
     ) -> None:
-        """`workers`: measuring processes; 0 measures in place. The result is the same. `record`: a folder for it."""
+        """`workers`: measuring processes; 0 measures in place. The result is the same. `record`: a folder for it.
+
+        `measuring`: something else that makes scans of plans.
+        """
         self.scenario = scenario
         self.expected = understand(scenario)
         sessions = assembly.new_sessions(scenario)
         names = [sensor.id for sensor in scenario.sensors]
         build = partial(assembly.build_measures, scenario)
-        self._workers = Workers(build, names, workers) if workers else None
-        measuring = self._workers if self._workers is not None else InPlace(build())
-        self._warnings = measuring.warnings
+        self._workers = Workers(build, names, workers) if workers and measuring is None else None
+        own = self._workers if self._workers is not None else InPlace(build()) if measuring is None else None
+        self._warnings = () if own is None else own.warnings
+        measuring = measuring if own is None else own
+        assert measuring is not None
         self.transcript = Transcript(names)
         self.series = SeriesWatcher(names)
         loops, buses = Loops(), CanPorts()
@@ -97,35 +111,43 @@ class Trial:
             family = assembly.family_of(scenario, index)
             links = [_link_of(scenario, index, family.tcp_is_line, loops, buses)]
             instrument = Instrument(sensor.id, session, links, measuring)
+            instrument.family = family
             for watcher in (self.transcript, self.series, *watchers):
                 instrument.watch(watcher)
             self.instruments.append(instrument)
-            host = self._host_of(index, family.name, loops)
+            host = self._host_of(index, family, loops)
             hosts += [] if host is None else [host]
+        self.faults = FaultRun(scenario, self.instruments)
         self._recorder = None if record is None else Recorder(record, scenario, self.instruments)
         settle = nothing_owed if self._workers is None else self._workers.settle
         self.run = VirtualRun(self.instruments, hosts, settle)
         self.run.power_on()
 
-    def _host_of(self, index: int, family: str, loops: Loops) -> VirtualHost | None:
+    def _host_of(self, index: int, family: Family, loops: Loops) -> VirtualHost | None:
         sensor = self.scenario.sensors[index]
         on_scan = partial(self.series.host_read, sensor.id)
-        if family == "lms2xx":
+        if family.name == "lms2xx":
             return Lms2xxScript(loops[sensor.id].connect(), on_scan)
-        if family == "ld":
+        if family.name == "ld":
             zero_rad = math.radians(float(sensor.device.get("zero_deg", 0.0)))
             return LdScript(loops[sensor.id].connect(), on_scan, zero_rad)
+        if isinstance(family, HasScript):
+            return family.script(loops[sensor.id].connect(), on_scan)
         return None
 
-    def finish(self) -> Verdict:
-        """Run to the end and judge."""
+    def finish(self, progress: Callable[[float], None] | None = None) -> Verdict:
+        """Run to the end and judge. `progress` is told the share of the time that has passed."""
         duration_s = self.scenario.duration_s or DEFAULT_S
         end_ns = round(duration_s * 1e9)
+        if progress is not None:
+            for part in range(1, PARTS):
+                self.run.advance(end_ns * part // PARTS)
+                progress(part / PARTS)
         self.run.advance(end_ns)
         by_name = {item.sensor: item for item in self.instruments}
         for instrument in self.instruments:
             for link in instrument.links:
-                instrument.stats.lateness_ns += link.stats.lateness_ns
+                instrument.stats.lateness.extend(link.stats.lateness_ns)
         actors = ("world", *(actor.id for actor in self.scenario.actors))
         judged = verdicts(
             self.expected,
@@ -157,12 +179,16 @@ def _link_of(scenario: Scenario, index: int, tcp_is_line: bool, loops: Loops, bu
 
 
 def run_trial(
-    scenario: Scenario, workers: int = 0, name: str | None = None, record: Path | None = None
+    scenario: Scenario,
+    workers: int = 0,
+    name: str | None = None,
+    record: Path | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> Verdict:
     """Run one scenario and judge its expectations; raises `EmulatorError` when it cannot run."""
     trial = Trial(scenario, workers, record=record)
     try:
-        verdict = trial.finish()
+        verdict = trial.finish(progress)
     finally:
         trial.close()
     return verdict if name is None else replace(verdict, scenario=name)

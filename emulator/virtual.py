@@ -6,15 +6,23 @@ Measuring takes no virtual time, in however many processes it is done: time stan
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from emulator.clock import ManualClock
+from emulator.errors import EmulatorError
 from emulator.instrument import Instrument
 from emulator.watching import Payload, Watcher
+from protocols.session import LinkKind
 
 MAX_STEPS_AT_ONCE = 10_000
-"Steps of one instrument without time moving; more means that it never comes to rest."
+"""Steps without time moving and without a new look at what hosts have written; more means that somebody never comes to
+rest. Looks are not counted: a host that leaves its bytes unread, or none at all, holds time for ever."""
+
+
+LIST_GAP_NS = 1_000_000
+"Frames of a list follow each other sooner than this; a list is one scan."
 
 
 class VirtualHost(Protocol):
@@ -46,6 +54,9 @@ class VirtualRun:
         self._wakes: list[int | None] = [None] * len(self.instruments)
         self._host_wakes: list[int | None] = [0] * len(self.hosts)
         self._still = 0
+        self._ends = LastBits()
+        for instrument in self.instruments:
+            instrument.watch(self._ends)
 
     def power_on(self) -> None:
         """Switch every device on at the present instant."""
@@ -55,6 +66,7 @@ class VirtualRun:
 
     def touch(self) -> None:
         """Look at every instrument at the present instant: hosts may have written meanwhile."""
+        self._still = 0
         self._wakes = [self.clock.now_ns()] * len(self.instruments)
 
     def next_wake(self) -> int | None:
@@ -76,7 +88,7 @@ class VirtualRun:
             return False
         self._still = self._still + 1 if wake == self.clock.now_ns() else 0
         if self._still > MAX_STEPS_AT_ONCE:
-            raise RuntimeError(f"a sensor does not come to rest at {wake} ns")
+            raise EmulatorError(f"{self._restless(wake)}: does not come to rest at {wake} ns of virtual time")
         self.clock.set(wake)
         for index, instrument in enumerate(self.instruments):
             mine = self._wakes[index]
@@ -84,21 +96,31 @@ class VirtualRun:
                 self._wakes[index] = instrument.step(wake)
         fresh = self._settle()
         for index, instrument in enumerate(self.instruments):
-            if instrument.sensor in fresh:
+            if instrument.sensor in fresh or instrument.poked:
                 self._wakes[index] = wake
         self._step_hosts(wake)
         return True
+
+    def _restless(self, now_ns: int) -> str:
+        """Who wants to be called at this instant again and again."""
+        pairs = zip(self.instruments, self._wakes, strict=True)
+        found = [one.sensor for one, wake in pairs if wake is not None and wake <= now_ns]
+        hosts = sum(wake is not None and wake <= now_ns for wake in self._host_wakes)
+        return ", ".join([*found, *(["a built-in host"] if hosts else [])])
 
     def _step_hosts(self, now_ns: int) -> None:
         for index, host in enumerate(self.hosts):
             self._host_wakes[index] = host.step(now_ns)
         for index, instrument in enumerate(self.instruments if self.hosts else ()):
-            inputs = [link.flush(now_ns) for link in instrument.links]  # what hosts wrote wakes the instrument
-            wakes = [wake for wake in (*inputs, self._wakes[index]) if wake is not None]
-            self._wakes[index] = min(wakes) if wakes else None
+            for link in instrument.links:
+                heard_ns = link.flush(now_ns)  # what hosts wrote wakes the instrument
+                own_ns = self._wakes[index]
+                if heard_ns is not None and (own_ns is None or heard_ns < own_ns):
+                    self._wakes[index] = heard_ns
 
     def step_scans(self, count: int, until_ns: int, sensor: str | None = None) -> int:
-        """Move until `count` more scans have been handed to the links (of `sensor`, or any); how many it were."""
+        """Move until `count` more scans have been handed to the links (of `sensor`, or any) and have left to their last
+        bit; how many it were."""
         watched = [one for one in self.instruments if sensor in (None, one.sensor)]
         before = sum(one.stats.scans_sent for one in watched)
         self.touch()
@@ -106,47 +128,95 @@ class VirtualRun:
             pass
         if sent < count:
             self.clock.set(until_ns)
+            return sent
+        self.advance(max(self.clock.now_ns(), min(until_ns, self._ends.of_scans(watched))))
+        handed_ns = self.clock.now_ns()
+        buses = [one for one in watched if any(link.kind is LinkKind.CAN for link in one.links)]
+        while buses and self.step(min(until_ns, max(handed_ns, self._ends.of_all(buses)) + LIST_GAP_NS)):
+            pass
         return sent
 
 
+class LastBits(Watcher):
+    """When the newest payload of each sensor leaves to its last bit."""
+
+    def __init__(self) -> None:
+        self._scans: dict[str, int] = {}
+        self._all: dict[str, int] = {}
+
+    def payload(self, payload: Payload) -> None:
+        if payload.sent:
+            self._all[payload.sensor] = payload.end_ns
+            if payload.sweep is not None:
+                self._scans[payload.sensor] = payload.end_ns
+
+    def of_scans(self, instruments: Sequence[Instrument]) -> int:
+        """Of scans; on CAN of the frame that begins one."""
+        return max((self._scans.get(one.sensor, 0) for one in instruments), default=0)
+
+    def of_all(self, instruments: Sequence[Instrument]) -> int:
+        """Of anything that these have sent."""
+        return max((self._all.get(one.sensor, 0) for one in instruments), default=0)
+
+
 class ByteSteps(Watcher):
-    """When each byte of one link leaves, to step a run by bytes; must watch from before power-on."""
+    """When each byte of one link leaves, to step a run by bytes; must watch from before power-on.
+
+    What is not paced, and a CAN frame, leaves in one piece and counts whole.
+    """
 
     def __init__(self, run: VirtualRun, sensor: str, link: int = 0) -> None:
         self._run = run
         self._sensor, self._link = sensor, link
-        self._ahead: list[Payload] = []
+        self._ahead: deque[Payload] = deque()
+        "Of which bytes are still to leave; told when the link got them."
         self._gone = 0
         "Bytes of the first of them that have left."
+        self._at_once = 0
+        "Bytes that had left when they were told, since the last look."
 
     def payload(self, payload: Payload) -> None:
-        if payload.sent and (payload.sensor, payload.link) == (self._sensor, self._link):
-            self._ahead.append(payload)
+        if not payload.sent or (payload.sensor, payload.link) != (self._sensor, self._link):
+            return
+        now_ns = self._run.clock.now_ns()
+        if payload.end_ns <= now_ns:
+            self._at_once += len(payload.data)
+            return
+        while self._ahead and self._ahead[0].end_ns <= now_ns:  # nobody steps by bytes: nothing is kept
+            self._ahead.popleft()
+            self._gone = 0
+        self._ahead.append(payload)
 
     def step(self, count: int, until_ns: int) -> int:
         """Move until `count` more bytes have left, no further than `until_ns`; how many it were."""
-        done = 0
+        done = self._at_once = 0
         while done < count:
             self._run.touch()
             leave = self._next_leave()
             wake = self._run.next_wake()
-            while wake is not None and (leave is None or wake < leave) and self._run.step(until_ns):
+            while wake is not None and (leave is None or wake < leave) and not self._at_once:
+                if not self._run.step(until_ns):
+                    break
                 wake, leave = self._run.next_wake(), self._next_leave()
+            if self._at_once:
+                done += self._at_once
+                self._at_once = 0
+                continue
             if leave is None or leave > until_ns:
                 self._run.advance(until_ns)
-                return done
+                return done + self._at_once
             head = self._ahead[0]
             self._run.advance(leave)
             self._run.touch()
             self._run.step(leave)
-            done += 1 if head.pace is not None else len(head.data)  # what is not paced leaves in one piece
+            done += 1 if head.pace is not None else len(head.data)
         return done
 
     def _next_leave(self) -> int | None:
         """When the first byte leaves that has not yet."""
         now_ns = self._run.clock.now_ns()
         while self._ahead and self._ahead[0].end_ns <= now_ns:
-            self._ahead.pop(0)
+            self._ahead.popleft()
             self._gone = 0
         if not self._ahead:
             return None

@@ -1,15 +1,15 @@
 """Real hosts on virtual time: serves their links, and moves time as far as computing and their reading allow.
 
-Time stands while no host is there, and while one holds more than `MOST_HELD` bytes unread; it moves while at least one
-has read everything, from one thing due to the next. With nothing due at all it goes on with the real clock, so that a
-run ends. With a speed it is held back to that many virtual seconds a real one, and hosts need not read.
+Time stands while no host is there, unless told not to wait for one, and while one holds more than `MOST_HELD` bytes
+unread; it moves while at least one has read everything, from one thing due to the next. With nothing due at all it goes
+on with the real clock, so that a run ends; but not at once, so that an answer comes at the same instant in every run.
+With a speed it is held back to that many virtual seconds a real one, and hosts need not read.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
-import select
 import signal
 import threading
 from collections import Counter
@@ -20,16 +20,24 @@ from types import FrameType
 
 from emulator.clock import SystemClock
 from emulator.errors import LinkError
+from emulator.faults.run import FaultRun
 from emulator.instrument import Instrument
 from emulator.measuring import Workers
 from emulator.transports.link import Link
 from emulator.virtual import VirtualRun
+from emulator.waiting import Poller
 
 MOST_HELD = 49_152
 "Bytes that one host may leave unread before time stands still for it."
 LOOK_S = 0.0005
 "How often it is seen whether a host has read."
 IDLE_S = 0.05
+ALONE_NS = 2_000_000_000
+ANSWER_NS = 100_000_000
+"""Real time for which virtual time stands when nothing is due, or a host has just come: what a host says by then it
+says at this very instant, in every run."""
+LEFT_NS = 2_000_000_000
+"Real time for which the end of a run waits on a host that reads none of what was sent to it."
 SLICE_NS = 20_000_000
 "Virtual time given to others before hosts are looked at again, while time is held back or pushed on."
 
@@ -71,14 +79,27 @@ class VirtualDaemon:
         self._orders: list[_Order] = []
         self._lock = threading.Lock()
         self._bell, self._ring = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._poller = Poller([self._bell])
         self._stop = False
         self.paused = False
         self.idles = True
         "With nothing due, time goes on with the real clock; otherwise it stands."
+        self.waits_for_hosts = True
+        "Time stands while no host is there; otherwise it moves as fast as can be computed."
+        self._present: frozenset[int] = frozenset()
+        "Links with a host at the last look."
+        self._came_ns, self._heard = -ANSWER_NS, 0
+        "When a host came last, in real time, and what all had said by then."
+        self._alone_since_ns: int | None = None
+        self._told_alone = False
+        self.tells_alone = False
+        "Say once that time stands because no host is there."
         self.failures: Counter[str] = Counter()
         "Scans that could not be measured, by cause."
         self.on_failure = on_failure
         self.lost_links: list[str] = []
+        self.faults: FaultRun | None = None
+        "What goes wrong on purpose in this run."
 
     @property
     def now_ns(self) -> int:
@@ -165,20 +186,39 @@ class VirtualDaemon:
             self.run_of.advance(min(until_ns, self.now_ns + SLICE_NS))
 
     def run(self, until_ns: int | None = None, while_true: Callable[[], bool] | None = None) -> None:
-        """Serve until `stop`, until that virtual instant, or until `while_true` says no."""
+        """Serve until `stop`, until that virtual instant, or until `while_true` says no.
+
+        As fast as hosts read, the end waits for what they have not read yet.
+        """
+        try:
+            self._serve(until_ns, while_true)
+            if self._speed is None:
+                self.drain()
+        except LinkError as error:
+            self.lost_links.append(str(error))
+            self.on_failure(str(error))
+        self._refuse_orders()
+
+    def _serve(self, until_ns: int | None, while_true: Callable[[], bool] | None) -> None:
         while not self._stop:
             if until_ns is not None and self.now_ns >= until_ns:
                 return
             if while_true is not None and not while_true():
                 return
-            try:
-                timeout_s = self._once(until_ns)
-            except LinkError as error:
-                self.lost_links.append(str(error))
-                self.on_failure(str(error))
+            self._wait(self._once(until_ns))
+
+    def drain(self) -> None:
+        """Let hosts read what was sent to them while time stands; closing a link takes the rest away."""
+        least, since_ns = None, self._real.now_ns()
+        while not self._stop:
+            for link in self.links:
+                link.flush(self.now_ns)
+            held = sum(link.held() for link in self.links if link.has_host())
+            if least is None or held < least:
+                least, since_ns = held, self._real.now_ns()
+            if not held or self._real.now_ns() - since_ns > LEFT_NS:
                 return
-            self._wait(timeout_s)
-        self._refuse_orders()
+            self._wait(LOOK_S)
 
     def _once(self, until_ns: int | None) -> float:
         """Everything that can be done now; how long to wait for hosts before the next look."""
@@ -218,31 +258,61 @@ class VirtualDaemon:
 
     def _pulled(self, until_ns: int | None) -> float:
         present = [link for link in self.links if link.has_host()]
-        if not present:
+        if not present and self.waits_for_hosts:
+            self._tell_alone()
             self.rebase(None)
             return IDLE_S
+        self._alone_since_ns = None
+        if self._just_came(present):
+            self.rebase(None)
+            return LOOK_S
         held = [link.held() for link in present]
-        if min(held) > 0 or max(held) > MOST_HELD:
+        if present and (min(held) > 0 or max(held) > MOST_HELD):
             self.rebase(None)
             return LOOK_S
         wake = self.run_of.next_wake()
         if wake is None or (until_ns is not None and wake > until_ns):
+            if not (present or self.waits_for_hosts or until_ns is None):
+                self.run_of.advance(until_ns)  # nothing is due to the end, and nobody there who could ask for more
+                return 0.0
             return self._idle(until_ns) if self.idles else IDLE_S
         self.run_of.step(wake)
         self.rebase(None)
         return 0.0
 
+    def _just_came(self, present: Sequence[Link]) -> bool:
+        """Whether a host has come that may still begin to speak: what it says first, it says at that instant."""
+        found = frozenset(id(link) for link in present)
+        if found - self._present:
+            self._came_ns, self._heard = self._real.now_ns(), self._bytes_in()
+        self._present = found
+        return self._real.now_ns() - self._came_ns < ANSWER_NS and self._bytes_in() == self._heard
+
+    def _bytes_in(self) -> int:
+        return sum(link.stats.bytes_in for link in self.links)
+
+    def _tell_alone(self) -> None:
+        """Once, when time has stood for a while because nobody is there to read: it may not be what was meant."""
+        now_ns = self._real.now_ns()
+        if self._alone_since_ns is None:
+            self._alone_since_ns = now_ns
+        if not self._told_alone and now_ns - self._alone_since_ns > ALONE_NS and self.tells_alone:
+            self._told_alone = True
+            self.on_failure("no host is connected: virtual time stands until one is; --no-wait lets it go on")
+
     def _idle(self, until_ns: int | None) -> float:
         """Nothing is due: time goes on with the real clock, to the end at most."""
         real_ns, virtual_ns = self._anchor
-        target_ns = virtual_ns + self._real.now_ns() - real_ns
+        target_ns = virtual_ns + max(0, self._real.now_ns() - real_ns - ANSWER_NS)
         self.run_of.advance(max(self.now_ns, target_ns if until_ns is None else min(target_ns, until_ns)))
         return 0.001
 
     def _wait(self, timeout_s: float) -> None:
-        numbers = [number for link in self.links for number in link.filenos()]
-        ready, _, _ = select.select([self._bell, *numbers], [], [], max(0.0, timeout_s))
-        if self._bell in ready:
+        numbers = (self._bell, *(number for link in self.links for number in link.filenos()))
+        if numbers != self._poller.numbers:
+            self._poller = Poller(numbers)
+        self._poller.wait(round(timeout_s * 1e9))
+        with contextlib.suppress(BlockingIOError):
             os.read(self._bell, 4096)
 
     def _take_orders(self) -> list[_Order]:

@@ -6,9 +6,12 @@ Belongs here: the contract, and when bytes leave a line whatever the clock of th
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass
 
+from emulator.faults.events import FaultEvent
 from emulator.transports.pacing import PacedLine, leave_ns
+from protocols.device_clock import Told
 from protocols.scan import Scan
 from protocols.session import Event
 
@@ -51,18 +54,42 @@ class Watcher:
     def scan(self, sensor: str, scan: Scan) -> None:
         """A sweep that the device has taken."""
 
-    def event(self, sensor: str, event: Event) -> None:
-        """Something the session told."""
+    def told(self, sensor: str, sweep: int, told: Told) -> None:
+        """What a scan's telegram tells of the device's time; once for each host and link that gets it."""
+
+    def event(self, sensor: str, event: Event | FaultEvent) -> None:
+        """Something the session told, or that a fault did."""
 
 
 class LineTimes:
     """When payloads leave a line that is paced: the link's own arithmetic, ahead of its clock."""
 
-    def __init__(self) -> None:
-        self._line = PacedLine()
+    def __init__(self, speed: int | None = None) -> None:
+        self._line = PacedLine(speed)
+        "With all that was handed over gone."
+        self._present = PacedLine(speed)
+        "As it was when something was handed over last: what has not left yet can still be slowed or forgotten."
+
+    def set_speed(self, now_ns: int, baud: int | None) -> None:
+        """The line has another speed from now on, whatever is on it."""
+        self._present.take(now_ns)
+        self._present.set_speed(baud)
+        self._foresee()
+
+    def clear(self, now_ns: int) -> None:
+        """What has not left by now never does."""
+        self._present.take(now_ns)
+        self._present.clear()
+        self._foresee()
+
+    def _foresee(self) -> None:
+        self._line = deepcopy(self._present)
+        self._line.take(FOREVER_NS)
 
     def of(self, data: bytes, due_ns: int, line_speed: int | None) -> tuple[int, int, tuple[int, int, int] | None]:
         """First and last bit, and pace, of a payload handed over with these arguments, in the order of handing over."""
+        self._present.take(due_ns)
+        self._present.put(data, due_ns, line_speed)
         self._line.put(data, due_ns, line_speed)
         for left in self._line.take(FOREVER_NS):
             start_ns = leave_ns(left.run_ns, left.run_index, left.speed)

@@ -16,8 +16,20 @@ Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Rate = Annotated[float, Field(ge=0.0, le=2000.0)]
 "mm/h of water; 300 mm/h is the wettest minute of most places."
-Point = tuple[float, float, float]
-Extent = tuple[Positive, Positive, Positive]
+MOST_M = 1e9
+"Of a coordinate or extent, as of everything else in a scenario."
+MOST_VOLUMES = 1000
+"Layers, and plumes, of one state: each is crossed by every beam of every sweep."
+MOST_CHANGES = 10_000
+Coordinate = Annotated[float, Field(ge=-MOST_M, le=MOST_M)]
+Length = Annotated[float, Field(gt=0.0, le=MOST_M)]
+Speed = Annotated[float, Field(ge=-1e5, le=1e5)]
+Extinction = Annotated[float, Field(ge=0.0, le=1e6)]
+"1e6: light goes a micrometre; no natural medium comes near."
+Ratio = Annotated[float, Field(gt=0.0, le=1e9)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+Velocity = tuple[Speed, Speed, Speed]
+Extent = tuple[Length, Length, Length]
 
 
 class _Table(BaseModel):
@@ -31,7 +43,7 @@ class _Seen(_Table):
     "Two per cent contrast."
     mor_m: Positive | None = None
     "Meteorological optical range, five per cent; instead of `visibility_m`."
-    lidar_ratio_sr: Positive | None = None
+    lidar_ratio_sr: Ratio | None = None
     "Extinction over backscatter; None: the medium's usual one."
 
     @model_validator(mode="after")
@@ -64,7 +76,7 @@ class _Falling(_Table):
     echoes: Literal["auto", "drops", "continuum", "off"] = "auto"
     """drops: single particles, drawn where one alone can be seen. continuum: a soft target. auto: whichever the number
     of particles in a pulse cell asks for."""
-    lidar_ratio_sr: Positive | None = None
+    lidar_ratio_sr: Ratio | None = None
 
 
 class Rain(_Falling):
@@ -105,12 +117,12 @@ class Spray(_Table):
 
     behind: tuple[str, ...] | None = None
     "Actors that whirl it up; None: all of the classes car, truck, wide."
-    extinction_per_m: Positive = 0.0045
+    extinction_per_m: Annotated[float, Field(gt=0.0, le=1e6)] = 0.0045
     "At 100 km/h; 0.0045 moderate to 0.017 strong."
-    length_m: Positive = 10.0
-    width_m: Positive = 2.5
-    height_m: Positive = 1.5
-    lidar_ratio_sr: Positive = 18.8
+    length_m: Length = 10.0
+    width_m: Length = 2.5
+    height_m: Length = 1.5
+    lidar_ratio_sr: Ratio = 18.8
 
 
 class Sun(_Table):
@@ -118,7 +130,7 @@ class Sun(_Table):
 
     total_w_m2: Annotated[float, Field(ge=0.0, le=1e5)] = 1370.0
     "Outside the atmosphere; 0: night."
-    azimuth_deg: float = 180.0
+    azimuth_deg: Annotated[float, Field(ge=-1e6, le=1e6)] = 180.0
     "Where it stands, from the world's x axis towards y."
     elevation_deg: Annotated[float, Field(ge=-90.0, le=90.0)] = 45.0
     cloud_factor: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
@@ -131,9 +143,9 @@ class _Media(_Table):
     fog: Fog | None = None
     dust: Dust | None = None
     smoke: Smoke | None = None
-    extinction_per_m: NotNegative | None = None
+    extinction_per_m: Extinction | None = None
     "Any other medium, with `lidar_ratio_sr`."
-    lidar_ratio_sr: Positive = 18.8
+    lidar_ratio_sr: Ratio = 18.8
 
     def filled(self) -> bool:
         return any(x is not None for x in (self.fog, self.dust, self.smoke, self.extinction_per_m))
@@ -142,8 +154,8 @@ class _Media(_Table):
 class Layer(_Media):
     """A flat layer of the air, everywhere between two heights above the world's origin."""
 
-    bottom_m: float = -1e6
-    top_m: float
+    bottom_m: Coordinate = -1e6
+    top_m: Coordinate
 
     @model_validator(mode="after")
     def _upright(self) -> Layer:
@@ -159,8 +171,8 @@ class Plume(_Media):
 
     at_m: Point
     size_m: Extent
-    yaw_deg: float = 0.0
-    velocity_m_s: Point = (0.0, 0.0, 0.0)
+    yaw_deg: Annotated[float, Field(ge=-1e6, le=1e6)] = 0.0
+    velocity_m_s: Velocity = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
     def _not_empty(self) -> Plume:
@@ -181,8 +193,8 @@ class _State(_Table):
     smoke: Smoke | None = None
     spray: Spray | None = None
     sun: Sun | None = None
-    layers: tuple[Layer, ...] = ()
-    plumes: tuple[Plume, ...] = ()
+    layers: Annotated[tuple[Layer, ...], Field(max_length=MOST_VOLUMES)] = ()
+    plumes: Annotated[tuple[Plume, ...], Field(max_length=MOST_VOLUMES)] = ()
 
 
 class Change(_State):
@@ -194,7 +206,7 @@ class Change(_State):
 class WeatherConfig(_State):
     """Weather of a scenario over time."""
 
-    changes: tuple[Change, ...] = ()
+    changes: Annotated[tuple[Change, ...], Field(max_length=MOST_CHANGES)] = ()
 
     @model_validator(mode="after")
     def _in_order(self) -> WeatherConfig:

@@ -28,6 +28,16 @@ def fault_lines(source: Source, model: type[BaseModel], exc: ValidationError) ->
     return list(dict.fromkeys(text for _, _, text in sorted(found, key=lambda one: one[:2])))
 
 
+def told(model: type[BaseModel], data: Any, exc: ValidationError) -> list[tuple[Loc, str, str]]:
+    """The same without a file: key below `data`, what was found, what is wanted."""
+    found = []
+    for item in exc.errors(include_url=False):
+        loc = _known(data, item["loc"])
+        text, _, want = _say(item, model, loc).partition("; want ")
+        found.append((loc, text, want or "another value"))
+    return found
+
+
 def _known(data: Any, loc: Sequence[str | int]) -> Loc:
     """`loc` without the names that pydantic adds for the branches of a union."""
     path: list[str | int] = []

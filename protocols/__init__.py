@@ -5,7 +5,10 @@ Families are imported when asked for, so that a run pays only for the ones it us
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import cache
 from importlib import import_module
+from importlib.metadata import entry_points
 
 from protocols.session import Family
 
@@ -14,12 +17,21 @@ FAMILIES = {
     "ld": "protocols.ld",
     "can_objects": "protocols.can_objects",
 }
-"Family name -> module that offers `FAMILY`."
+"Family name -> module that offers `FAMILY`; those of this package."
+
+GROUP = "lidaremu.families"
+"Entry points of other packages that bring a family: its name = its module."
+
+
+@cache
+def families() -> Mapping[str, str]:
+    """Family name -> module: ours, and those of installed packages, which cannot take a name of ours."""
+    return {one.name: one.module for one in entry_points(group=GROUP)} | FAMILIES
 
 
 def family(name: str) -> Family:
     """The family of that name; KeyError with the known names when there is none."""
-    if name not in FAMILIES:
-        raise KeyError(f"unknown family {name!r}; known: {', '.join(sorted(FAMILIES))}")
-    found: Family = import_module(FAMILIES[name]).FAMILY
+    if name not in families():
+        raise KeyError(f"unknown family {name!r}; known: {', '.join(sorted(families()))}")
+    found: Family = import_module(families()[name]).FAMILY
     return found

@@ -79,7 +79,11 @@ _IDLE = 5
 "State of a bus at rest before the start bit: recessive, and no run carried over."
 
 
-@lru_cache(maxsize=4096)
+HEADERS_KEPT = 256
+"A list has a few tens of identifiers; those of a stranger's flood must not pile up: 70 kB in all."
+
+
+@lru_cache(maxsize=HEADERS_KEPT)
 def _header(peer: int, length: int) -> tuple[int, int, int]:
     """CRC register, stuffing state and bits so far once start bit, identifier, flags and length code have left."""
     identifier, extended = split_identifier(peer)

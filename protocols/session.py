@@ -11,8 +11,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
+from fractions import Fraction
 from typing import Any, NamedTuple, Protocol
 
+from protocols.device_clock import DeviceClock, Told
 from protocols.scan import Scan, ScanPlan
 
 
@@ -51,6 +53,8 @@ class Emission:
     "The line changes to this many baud as soon as the last bit of this payload has left."
     label: str = ""
     "What it is, for traces: `B0`, `ACK`, `A0`."
+    told: Told | None = None
+    "What it tells of the device's time, of the first telegram of a scan; for recordings and reports."
 
 
 class DropReason(Enum):
@@ -119,6 +123,16 @@ class Session(ABC):
 
     can_bitrate: int | None = None
     "Speed at which the device was set up for its CAN bus, in bit/s; None: it has none."
+    clock: DeviceClock = DeviceClock()
+    "The time that the device tells. Begins at power-on; another one may be put in its place at any instant."
+    clock_tick_ns: Fraction | None = None
+    "Step of the time that the wire tells; None: it tells none."
+    clock_bits: int = 0
+    "Width of that time within the device; on the wire it may be less."
+    first_count: int = 0
+    "Where the device's counter of scans or telegrams begins at power-on."
+    count_bits: int = 0
+    "Width of that counter; 0: the wire has none."
 
     @abstractmethod
     def power_on(self, now_ns: int) -> None:
@@ -153,6 +167,14 @@ class Session(ABC):
     @abstractmethod
     def take_emissions(self, now_ns: int) -> list[Emission]:
         """What is due by `now_ns`, in the order it leaves. What is not yet due can still be withdrawn."""
+
+    def suffer(self, now_ns: int, what: str, degree: float) -> bool:
+        """Something has befallen the device; whether it has that part, or words for it.
+
+        `window`: its front window passes that share of light. `motor speed`: times the nominal one. `motor told`: its
+        supervision finds the motor right (0), too fast (1) or too slow (-1). `motor stopped`: (1), or turns again (0).
+        """
+        return False
 
     @abstractmethod
     def take_events(self) -> list[Event]:

@@ -85,3 +85,16 @@ def test_series_tell_what_was_measured_and_what_the_host_made_of_it() -> None:
     assert ask(watcher, "front.scans_per_s") == pytest.approx(25.0)
     assert ask(watcher, "front.first_scan_s") == pytest.approx(0.013)
     assert ask(watcher, "front.bytes_out") == 8
+
+
+def test_scans_of_before_a_power_cut_stay_when_the_device_counts_its_sweeps_anew() -> None:
+    watcher = SeriesWatcher(["front"])
+    for at_ns, range_m in ((0, 5.0), (40_000_000, 5.0), (3_000_000_000, 7.0)):
+        plan = ScanPlan(0, 0 if at_ns != 40_000_000 else 1, at_ns, np.zeros(1), np.zeros(1), np.zeros(1))
+        one = np.ones((1, 1))
+        watcher.scan("front", Scan(plan, range_m * one, one, np.zeros(1, np.uint8), np.zeros((1, 1), np.int32)))
+        watcher.payload(Payload("front", 0, 0, b"scan", at_ns + 9, at_ns + 9, True, sweep=plan.sweep))
+        watcher.host_read("front", at_ns + 10, HostScan(0, np.zeros(1), np.array([range_m])))
+    assert ask(watcher, "front.nearest_m") == pytest.approx([5.0, 5.0, 7.0])
+    assert ask(watcher, "front.scans_measured") == 3
+    assert ask(watcher, "front.range_error_m") == pytest.approx([0.0, 0.0, 0.0])

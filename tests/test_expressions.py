@@ -112,3 +112,31 @@ def test_any_text_is_an_expression_or_is_refused(text: str) -> None:
         evaluate(tree, lambda name: 1.0)
     except ExpressionError:
         pass
+
+
+@pytest.mark.parametrize(
+    "text", ["1/0 > 1", "1/0 < 1", "-1/0 < 0", "0/0 == 0", "0/0 != 0", "1e308 * 1e308 > 0", "1/0 != 1", "0/0 == 0/0"]
+)
+def test_what_arithmetic_cannot_tell_compares_false(text: str) -> None:
+    assert evaluate(parse(text), lambda name: 0.0) is False
+
+
+def test_missing_values_of_a_series_compare_false_one_by_one() -> None:
+    series = np.array([1.0, np.nan, 0.0])
+    assert np.array_equal(np.asarray(evaluate(parse("a.b != 5"), lambda name: series)), [True, False, True])
+    assert np.array_equal(np.asarray(evaluate(parse("1 / a.b > 0"), lambda name: series)), [True, False, False])
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("1e400 > 1", "1e400"),
+        ("a.b(1e400) > 1", "1e400"),
+        ("\u0661 > 0", "character 1"),
+        ("p(a.b, 101) > 0", "0..100"),
+        ("p(a.b, a.b) > 0", "0..100"),
+    ],
+)
+def test_numbers_that_are_none_are_told_before_a_run(text: str, told: str) -> None:
+    with pytest.raises(ExpressionError, match=told):
+        parse(text)

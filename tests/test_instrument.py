@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from emulator.conditions import NORMAL, Conditions
+from emulator.errors import EmulatorError
 from emulator.instrument import LOOK_AHEAD_NS, Instrument
 from emulator.measuring import InPlace
 from emulator.transports.link import Link, Received
@@ -195,7 +197,7 @@ def test_a_scan_of_settings_that_have_changed_is_counted_and_measured_anew() -> 
     pending: list[ScanPlan] = []
 
     class Later:
-        def request(self, sensor: str, wanted: ScanPlan) -> None:
+        def request(self, sensor: str, wanted: ScanPlan, conditions: Conditions = NORMAL) -> None:
             pending.append(wanted)
 
         def collect(self, sensor: str) -> list[Scan]:
@@ -233,5 +235,5 @@ def test_drops_are_counted_by_what_was_dropped() -> None:
 def test_a_sensor_that_never_rests_is_stopped_rather_than_hang_the_run() -> None:
     rig = Rig(LinkKind.SERIAL)
     rig.session.take_emissions = lambda now_ns: [Emission(now_ns, b"x")]  # type: ignore[method-assign]
-    with pytest.raises(RuntimeError, match="does not come to rest"):
+    with pytest.raises(EmulatorError, match="does not come to rest"):
         rig.run.advance(1)

@@ -10,20 +10,26 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 
 ONLY_IN = {
-    "embreex": {"emulator/raycast.py"},
+    "embreex": {"emulator/raycast.py", "emulator/deforming.py"},
     "trimesh": {"emulator/scene.py", "emulator/raycast.py", "emulator/mesh_files.py", "emulator/meshes.py"},
     "pydantic": {
         "emulator/scenario.py",
+        "emulator/scenario_tables.py",
         "emulator/spec.py",
         "emulator/weather.py",
+        "emulator/live_weather.py",
         "emulator/physics_options.py",
         "emulator/object_options.py",
+        "emulator/clock_options.py",
         "emulator/yaml_source.py",
+        "emulator/faults/",
     },
     "time": {"emulator/clock.py"},
-    "can": {"emulator/transports/can_bus.py", "emulator/recording/can_logs.py"},
+    "can": {"emulator/transports/can_bus.py", "emulator/recording/can_logs.py", "emulator/hosts/can_lines.py"},
     "mcap": {"emulator/recording/"},
     "cantools": {"protocols/can_objects/"},
+    "viser": {"emulator/view/"},
+    "websockets": {"emulator/view/"},
 }
 "Library -> the only files (or folders, ending in /) that import it."
 

@@ -9,8 +9,10 @@ import pytest
 
 from emulator import scenario
 from emulator.errors import ScenarioError
+from emulator.transports.can_link import CanLink
 from emulator.trial import Trial, run_trial
 from emulator.virtual import ByteSteps
+from emulator.watching import Payload, Watcher
 
 WALL = """\
 schema: 1
@@ -52,6 +54,38 @@ def test_the_transcript_is_the_same_however_time_is_stepped(reference: str) -> N
     for at_ns in range(run.clock.now_ns(), 800_000_000, 7_654_321):
         run.advance(at_ns)
     assert trial.finish().sha256 == reference
+
+
+def test_a_step_by_scans_ends_with_the_last_byte_of_the_last_one() -> None:
+    trial = Trial(load())
+    link = trial.instruments[0].links[0]
+    seen: list[Payload] = []
+    watcher = Watcher()
+    watcher.payload = seen.append  # type: ignore[method-assign]
+    trial.instruments[0].watch(watcher)
+    for count in (1, 1, 3):
+        before = [one for one in seen if one.sweep is not None]
+        assert trial.run.step_scans(count, 800_000_000, "front") == count
+        scans = [one for one in seen if one.sweep is not None]
+        assert len(scans) == len(before) + count
+        assert scans[-1].end_ns == trial.run.clock.now_ns()
+        assert link.stats.bytes_out == sum(len(one.data) for one in seen if one.sent)
+
+
+def test_a_step_by_lists_on_a_bus_ends_with_the_last_frame_of_the_list() -> None:
+    trial = Trial(scenario.load("fog_objects"))
+    seen: list[Payload] = []
+    watcher = Watcher()
+    watcher.payload = seen.append  # type: ignore[method-assign]
+    radar = next(one for one in trial.instruments if isinstance(one.links[0], CanLink))
+    radar.watch(watcher)
+    for _ in range(4):
+        assert trial.run.step_scans(1, 10_000_000_000, radar.sensor) == 1
+        count = len(seen)
+        assert trial.run.step_scans(1, trial.run.clock.now_ns() + 20_000_000, radar.sensor) == 0  # a list takes 80 ms
+        assert not [one for one in seen[count:] if 0x60B <= one.peer <= 0x60D]
+    assert [one.peer for one in seen].count(0x60A) == 4
+    assert len([one for one in seen if one.peer == 0x60B]) > 4
 
 
 def test_another_seed_gives_other_bytes(reference: str) -> None:

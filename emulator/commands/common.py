@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -15,14 +16,44 @@ OK, FAILED, CANNOT_RUN, LINK_LOST = 0, 1, 2, 3
 
 
 def say(text: str) -> None:
-    """One line for the user, at once."""
-    click.echo(text)
+    """One line for the user, at once; above a bar that is being drawn."""
+    click.echo(text, file=sys.stdout)
     sys.stdout.flush()
 
 
 def note(text: str) -> None:
     """One line of the log, on standard error."""
     click.echo(f"lidaremu: {text}", err=True)
+
+
+@contextmanager
+def bar(title: str) -> Iterator[Callable[[float], None]]:
+    """A bar on standard error where that is a terminal; called with the share that is done, which draws it anew.
+
+    No thread draws it: some of the work forks. What is said meanwhile stays on standard output, redirected or not.
+    """
+    if not sys.stderr.isatty():
+        yield lambda share: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(
+        console=Console(stderr=True), transient=True, auto_refresh=False, redirect_stdout=sys.stdout.isatty()
+    ) as shown:
+        task = shown.add_task(title, total=1.0)
+        shown.refresh()
+
+        def tell(share: float) -> None:
+            shown.update(task, completed=share)
+            shown.refresh()
+
+        yield tell
+
+
+def part_of(progress: Callable[[float], None], done: int, of: int) -> Callable[[float], None]:
+    """Tells the share of one of several things as that of the whole."""
+    return lambda share: progress((done + share) / of)
 
 
 def scenario_options(function: Any) -> Any:

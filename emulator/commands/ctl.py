@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -19,45 +18,50 @@ if TYPE_CHECKING:
     from emulator.daemon import Daemon
     from emulator.instrument import Instrument
     from emulator.recording.writer import Recorder
+    from emulator.scenario import Scenario
     from emulator.virtual_daemon import VirtualDaemon
-
-ORDERS = ("status", "metrics", "pause", "resume", "step", "speed", "stop")
 
 
 def control_of(
     daemon: Daemon | VirtualDaemon,
     instruments: Sequence[Instrument],
     clock: Clock,
+    scenario: Scenario,
     recorder: Recorder | None,
     path: Path | None,
 ) -> ControlServer:
     """The control socket of a run, at `path` or at a place of its own."""
-    from emulator.control import ControlServer, default_folder
+    from emulator.control import ControlServer, new_path
     from emulator.orders import Orders
 
-    orders = Orders(daemon, instruments, clock, *(() if recorder is None else (recorder.note,)))
-    return ControlServer(path or default_folder() / f"{os.getpid()}.sock", orders.methods(), daemon)
+    orders = Orders(daemon, instruments, clock, scenario, *(() if recorder is None else (recorder.note,)))
+    return ControlServer(path or new_path(), orders.methods(), daemon)
 
 
 @click.command()
-@click.argument("order", type=click.Choice(ORDERS))
+@click.argument("order", metavar="METHOD")
 @click.argument("parameters", nargs=-1, metavar="[NAME=VALUE]...")
-@click.option("--socket", "path", type=click.Path(path_type=Path), help="As told in `ready`; default: the only daemon.")
+@click.option(
+    "--socket", "--control", "path", type=click.Path(path_type=Path),
+    help="As told in `ready`; default: the only daemon.",
+)  # fmt: skip
 def ctl(order: str, parameters: tuple[str, ...], path: Path | None) -> int:
-    """Tell a running daemon: status, metrics, stop, and on a virtual clock pause, resume, step [scans=N | seconds=S],
-    speed x=X (0: as fast as hosts read).
+    """Tell a running daemon: status, metrics, stop; weather [fog.visibility_m=50] [rain.rate_mm_h=10] [snow=null],
+    alone: what holds; and on a virtual clock pause, resume, step [scans=N | bytes=N] [sensor=ID], step seconds=S,
+    step to_s=S, speed x=X (0: as fast as hosts read). For whoever draws: glance, scans, telegrams, scene. The
+    daemon knows its methods; docs/control.md has them.
+
+    \b
+    fault SENSOR NAME [KEY=VALUE]...   begins a fault, at once unless a trigger is given; tells its number
+    fault clear [N]                    ends that one, or all
+    fault list                         all of this run (also: faults)
+
+    A VALUE is JSON, or a plain word; a dot in NAME leads into a table.
     """
     from emulator import control
 
-    params = {}
-    for text in parameters:
-        name, separator, value = text.partition("=")
-        try:
-            params[name] = json.loads(value)
-        except ValueError:
-            separator = ""
-        if not separator:
-            raise click.BadParameter(f"{text!r}; want NAME=NUMBER", param_hint="NAME=VALUE")
+    order, parameters = fault_order(parameters) if order == "fault" else (order, parameters)
+    params = parameters_of(parameters)
     if path is None:
         found = control.running()
         if len(found) != 1:
@@ -67,3 +71,38 @@ def ctl(order: str, parameters: tuple[str, ...], path: Path | None) -> int:
     result = control.ask(Path(str(path).removeprefix("unix:")), order, params)
     say(result.rstrip() if isinstance(result, str) else json.dumps(result))
     return OK
+
+
+def fault_order(words: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+    """Method and parameters of `fault SENSOR NAME KEY=VALUE...`, `fault clear [N]` and `fault list`."""
+    plain = [word for word in words if "=" not in word]
+    rest = tuple(word for word in words if "=" in word)
+    if plain in ([], ["list"]):
+        return ("fault", rest) if rest else ("faults", ())
+    if plain[0] == "clear":
+        return "fault_clear", (*rest, *(f"number={word}" for word in plain[1:]))
+    if len(plain) != 2:
+        raise click.BadParameter(f"{' '.join(plain)!r}; want SENSOR NAME, clear [N] or list", param_hint="fault")
+    return "fault", (f"on={json.dumps(plain[0])}", f"do={json.dumps(plain[1])}", *rest)
+
+
+def parameters_of(texts: Sequence[str]) -> dict[str, Any]:
+    """`fog.visibility_m=50` and the like as tables; the daemon judges names and values."""
+    params: dict[str, Any] = {}
+    for text in texts:
+        name, separator, value = text.partition("=")
+        parts = name.split(".")
+        if not separator or not all(parts):
+            raise click.BadParameter(f"{text!r}; want NAME=VALUE", param_hint="NAME=VALUE")
+        here = params
+        for part in parts[:-1]:
+            here = here.setdefault(part, {})
+            if not isinstance(here, dict):
+                raise click.BadParameter(f"{text!r} leads into a value given before it", param_hint="NAME=VALUE")
+        if parts[-1] in here:
+            raise click.BadParameter(f"{text!r}; {name} was given before it", param_hint="NAME=VALUE")
+        try:
+            here[parts[-1]] = json.loads(value)
+        except ValueError:
+            here[parts[-1]] = value
+    return params

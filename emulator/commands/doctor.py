@@ -18,6 +18,7 @@ def doctor(seconds: float, as_json: bool) -> int:
     """What this machine allows: pseudo-terminals and their speeds, multicast, SocketCAN, adapters, timers."""
     from emulator.pacing_trial import measure
     from emulator.transports.probes import Probe, probe_links
+    from emulator.waiting import realtime_allowed
 
     cores = len(os.sched_getaffinity(0))
     probes = [Probe("processor cores", cores > 1, f"{cores}: one sends, {max(1, cores - 1)} measure")]
@@ -28,9 +29,16 @@ def doctor(seconds: float, as_json: bool) -> int:
     detail = (
         f"{ours.count} deadlines at 75 Hz: median {ours.median_us:.0f} us, p99 {ours.p99_us:.0f} us, worst"
         f" {ours.worst_us:.0f} us; asyncio.sleep at the same time: {other.median_us:.0f}, {other.p99_us:.0f},"
-        f" {other.worst_us:.0f}; wanted on an idle machine: median 50, p99 1500"
+        f" {other.worst_us:.0f}; wanted on an idle machine: median 50, p99 1500; {100 * found.awake_share:.1f} % of a"
+        " core spent awake for it"
     )
     probes.append(Probe("timers", steady, detail))
+    refused = realtime_allowed()
+    first = found.realtime
+    detail = (
+        f"run --realtime: median {first.median_us:.0f} us, p99 {first.p99_us:.0f} us, worst {first.worst_us:.0f} us"
+    )
+    probes.append(Probe("real-time scheduling", not refused, refused or detail))
     for probe in probes:
         if as_json:
             say(json.dumps(asdict(probe)))

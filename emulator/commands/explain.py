@@ -4,25 +4,37 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from emulator.commands.common import OK, load_scenario, say, scenario_options
+from emulator.commands.common import OK, bar, load_scenario, part_of, say, scenario_options
+
+if TYPE_CHECKING:
+    from emulator.savings import Cost
 
 
 @click.command()
 @click.argument("scenario")
 @scenario_options
 @click.option("--full", is_flag=True, help="With every rule switched off.")
+@click.option("--quick", is_flag=True, help="Without times: no sweep with a single rule switched off.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a sensor.")
 def explain(
-    scenario: str, overrides: Sequence[str], seed: int | None, links: Sequence[str], full: bool, as_json: bool
+    scenario: str,
+    overrides: Sequence[str],
+    seed: int | None,
+    links: Sequence[str],
+    full: bool,
+    quick: bool,
+    as_json: bool,
 ) -> int:
     """Print each term that a scene may not need: kept or left out, its bound, the margin, what it saves.
 
-    Rays and milliseconds are those of one sweep as the model usually makes it, on this machine.
+    Rays and milliseconds are those of one sweep of one core, as the device makes it once a host has asked for scans,
+    measured here: with each rule switched alone, and with all of them off.
     """
-    from emulator import needs, raycast, scene, sensing
+    from emulator import needs, plans, raycast, savings, scene
     from emulator.spec import load_spec
 
     loaded = load_scenario(scenario, overrides, seed, links)
@@ -33,23 +45,54 @@ def explain(
         )
         loaded = loaded.model_copy(update={"sensors": sensors})
     world = scene.build(loaded)
-    caster = raycast.Caster(world)
-    for sensor in loaded.sensors:
-        spec = load_spec(sensor.model)
-        if spec.sees != "beams":
-            continue
-        measure = sensing.build(loaded, world, caster, sensor.id)
-        plan = needs.usual_plan(spec)
-        rows, (rays, took_ms) = needs.explained(measure, plan), needs.cost(measure, plan)
-        if as_json:
-            say(json.dumps({"sensor": sensor.id, "model": sensor.model, "beams": len(plan),
-                            "rays_per_beam": rays, "sweep_ms": took_ms, "terms": rows}))  # fmt: skip
-            continue
-        say(f"{sensor.id} ({sensor.model}): {len(plan)} beams, {rays:.2f} rays a beam, {took_ms:.2f} ms a sweep")
-        for row in rows:
-            state = "left out" if row["left_out"] else "kept"
-            bound = "" if row["bound"] is None else f"  {row['value']:.3g} of {row['bound']:.3g}"
-            margin = "" if row["margin"] is None else f", margin {row['margin']:.3g}"
-            say(f"  {row['term']:26s} {state:9s}{bound}{margin}")
-            say(f"      {row['why']}; saves {row['saves']}; switch: {row['switch']}")
+    actual = plans.plans_of(loaded)
+    seeing = [sensor for sensor in loaded.sensors if load_spec(sensor.model).sees == "beams"]
+    with bar("explain") as progress:
+        for number, sensor in enumerate(seeing):
+            spec = load_spec(sensor.model)
+            plan = actual.get(sensor.id)
+            told = "" if plan is not None else " (a usual one: no host has asked for scans)"
+            plan = needs.usual_plan(spec) if plan is None else plan
+            bench = savings.Bench(loaded, world, raycast.Caster(world), sensor.id, plan)
+            measure = bench.measure()
+            rows = needs.explained(measure, plan)
+            each: dict[str, Cost] = {}
+            whole: Cost | None = None
+            if quick or full:
+                (mine,) = bench.costs(measure)
+            else:
+                mine, whole, single = savings.saved(bench, measure, rows, part_of(progress, number, len(seeing)))
+                each = dict(single)
+            for row in rows:
+                cost = each.get(row["term"])
+                row["rays_saved"], row["ms_saved"] = (None, None) if cost is None else (cost.rays, cost.ms)
+            if as_json:
+                say(json.dumps({
+                    "sensor": sensor.id, "model": sensor.model, "beams": len(plan),
+                    "plan": "usual" if told else "actual", "rays_per_beam": mine.rays, "sweep_ms": mine.ms,
+                    "full_rays_per_beam": None if whole is None else whole.rays,
+                    "full_sweep_ms": None if whole is None else whole.ms, "terms": rows,
+                }))  # fmt: skip
+                continue
+            say(f"{sensor.id} ({sensor.model}): {len(plan)} beams a sweep{told}")
+            say(f"  {mine.rays:.2f} rays a beam, {mine.ms:.2f} ms a sweep" + _against(whole))
+            for row in rows:
+                _tell(row)
     return OK
+
+
+def _against(whole: Cost | None) -> str:
+    return "" if whole is None else f"; every rule off: {whole.rays:.2f} rays a beam, {whole.ms:.2f} ms"
+
+
+def _tell(row: dict[str, Any]) -> None:
+    state = "not there" if row["idle"] else "left out" if row["left_out"] else "kept"
+    bound = "" if row["bound"] is None else f"  {row['value']:.3g} of {row['bound']:.3g}"
+    margin = "" if row["margin"] is None else f", margin {row['margin']:.3g}"
+    say(f"  {row['term']:24s} {state:9s}{bound}{margin}")
+    saved = ""
+    if row["ms_saved"] is not None:
+        would = "saves" if row["left_out"] else "would save"
+        saved = f"; {would} {row['rays_saved']:.2f} rays a beam, {row['ms_saved']:.2f} ms"
+    say(f"      {row['when']}: {row['why']}")
+    say(f"      spares {row['saves']}{saved}; switch: {row['switch']}")

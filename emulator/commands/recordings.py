@@ -5,20 +5,27 @@ from __future__ import annotations
 import json
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from emulator.commands.common import FAILED, LINK_LOST, OK, note, say
+from emulator.commands.common import FAILED, LINK_LOST, OK, bar, note, say
 from emulator.errors import EmulatorError
 
 if TYPE_CHECKING:
+    from emulator.daemon import Lateness
     from emulator.instrument import Instrument
     from emulator.recording.writer import Recorder
     from emulator.scenario import Scenario
+    from emulator.transports.link import Link
     from emulator.virtual_daemon import VirtualDaemon
+
+
+DRAWN_NS = 1_000_000_000
+"Between two drawings of the bar, which keep the sender for a millisecond."
 
 
 def recorder_for(scenario: Scenario, instruments: Sequence[Instrument], folder: Path | None) -> Recorder | None:
@@ -64,15 +71,19 @@ def replay(
     candump .log, or the raw bytes of a serial line.
     """
     from emulator.daemon import Lateness
-    from emulator.recording.playback import GapErrors, ReplaySession, open_players
-    from emulator.recording.reader import read_run, read_wire
+    from emulator.recording.playback import GapErrors, ReplaySession, open_players, step
+    from emulator.recording.reader import is_ours, read_run, read_wire
     from emulator.virtual_daemon import VirtualDaemon
 
+    if recording.suffix in (".yaml", ".yml"):  # any other bytes may be those of a line
+        raise EmulatorError(f"{recording}: a scenario; want a recording of one, see lidaremu run --record")
     wires = read_wire(recording, port, baud)
-    if recording.is_dir() or recording.suffix == ".mcap":
+    if is_ours(recording):
         cut = read_run(recording).cut
         if cut:
             note(f"{recording}: cut: {cut}; what is before is sent")
+    if not wires:
+        raise EmulatorError(f"{recording}: no sensor has sent anything in it")
     replaced = {}
     for text in links:
         sensor, separator, url = text.partition("=")
@@ -83,7 +94,7 @@ def replay(
     players = open_players(wires, replaced)
     sessions = [player.session for player in players if isinstance(player.session, ReplaySession)]
     for session in sessions:
-        session.loops = loops
+        session.loops, session.allowed = loops, 0 if stepped else None
     daemon = VirtualDaemon(players, speed=speed)
     daemon.on_failure = note
     daemon.paused = stepped
@@ -91,13 +102,16 @@ def replay(
     for player in players:
         player.watch(errors)
     try:
-        with daemon.signals():
+        with daemon.signals(), bar(recording.name) as progress:
             daemon.power_on()
             _announce(players, as_json)
-            started = False
+            started, drawn_ns = False, 0
 
             def going() -> bool:
-                nonlocal started
+                nonlocal started, drawn_ns
+                if started and daemon.now_ns >= drawn_ns + speed * DRAWN_NS:
+                    drawn_ns = daemon.now_ns
+                    progress(min(session.progress for session in sessions))
                 if not started and (at_once or any(link.has_host() for link in daemon.links)):
                     started = True
                     daemon.rebase(speed)
@@ -108,20 +122,31 @@ def replay(
                 return not all(session.finished for session in sessions) or busy
 
             if stepped:
-                threading.Thread(target=_step_by_lines, args=(daemon,), daemon=True).start()
+                one_more = partial(step, daemon, sessions, errors)
+                threading.Thread(target=_step_by_lines, args=(daemon, one_more), daemon=True).start()
             daemon.run(while_true=going)
+            daemon.drain()
     finally:
         daemon.close()
-    late = Lateness.of(errors.late_ns)
+    _tell_end(Lateness.of(errors.late_ns), max(session.rounds for session in sessions), daemon.links, stepped, as_json)
+    return LINK_LOST if daemon.lost_links else OK
+
+
+def _tell_end(late: Lateness, rounds: int, links: Sequence[Link], stepped: bool, as_json: bool) -> None:
+    """What was sent, how well the gaps were kept where it was not the user who made them, and what nobody read."""
+    kept = late.count > 0 and not stepped
+    lost = sum(link.stats.bytes_lost for link in links)
     if as_json:
-        gaps = {"median": late.median_us, "p99": late.p99_us} if late.count else {}
-        rounds = max((session.rounds for session in sessions), default=0)
-        say(json.dumps({"event": "stopped", "payloads": late.count, "rounds": rounds, "gap_error_us": gaps}))
+        gaps = {"median": late.median_us, "p99": late.p99_us} if kept else {}
+        row = {"event": "stopped", "payloads": late.count, "rounds": rounds, "gap_error_us": gaps, "bytes_lost": lost}
+        say(json.dumps(row))
     elif not late.count:
         say("nothing was sent")
     else:
-        say(f"{late.count} payloads sent; gap error: median {late.median_us:.0f} us, p99 {late.p99_us:.0f} us")
-    return LINK_LOST if daemon.lost_links else OK
+        told = f"; gap error: median {late.median_us:.0f} us, p99 {late.p99_us:.0f} us" if kept else ""
+        say(f"{late.count} payloads sent{told}")
+        if lost:
+            say(f"{lost} bytes lost: no host was there, or it did not read")
 
 
 def _announce(players: Sequence[Instrument], as_json: bool) -> None:
@@ -133,31 +158,35 @@ def _announce(players: Sequence[Instrument], as_json: bool) -> None:
         say(f"ready: {one.sensor} on {one.links[0].url}")
 
 
-def _step_by_lines(daemon: VirtualDaemon) -> None:
-    """Each line that the user enters lets time go to the next payload; the end of input ends the run."""
-
-    def forward() -> None:
-        daemon.run_of.touch()
-        daemon.run_of.step(daemon.now_ns)
-        wake = daemon.run_of.next_wake()
-        if wake is not None:
-            daemon.advance(wake)
-
+def _step_by_lines(daemon: VirtualDaemon, one_more: Callable[[], None]) -> None:
+    """Each line that the user enters sends one more payload; the end of input ends the run."""
     for _ in sys.stdin:
-        daemon.call(forward)
+        daemon.call(one_more)
     daemon.call(daemon.stop)
 
 
 @click.command()
 @click.argument("first", type=click.Path(path_type=Path))
 @click.argument("second", type=click.Path(path_type=Path))
+@click.option("--port", type=click.IntRange(1, 65535), default=49152, show_default=True, help="Device in a pcap.")
+@click.option("--baud", type=click.IntRange(min=50), default=38400, show_default=True, help="Of a raw serial dump.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a difference.")
-def diff(first: Path, second: Path, as_json: bool) -> int:
-    """Compare two recordings: the first byte, instant, beam or object of each link and sensor that differs."""
-    from emulator.recording.compare import differences
-    from emulator.recording.reader import read_run
+def diff(first: Path, second: Path, port: int, baud: int, as_json: bool) -> int:
+    """Compare two recordings: the first byte, instant, beam or object of each link and sensor that differs.
 
-    runs = [read_run(first), read_run(second)]
+    Two folders or .mcap of ours, or two of .pcap, .pcapng, .blf, .asc, .log, serial dump (instants to the file's own
+    microsecond, from its first payload on).
+    """
+    from emulator.recording.compare import differences
+    from emulator.recording.reader import is_ours, read_run, read_strange
+
+    for path in (first, second):
+        if not path.exists():
+            raise EmulatorError(f"{path}: no such file or folder; want a recording")
+    if is_ours(first) != is_ours(second):
+        raise EmulatorError(f"{first}, {second}: one of lidaremu and one of another tool; want two of a kind")
+    read = read_run if is_ours(first) else partial(read_strange, port=port, baud=baud)
+    runs = [read(first), read(second)]
     for run in runs:
         if run.cut:
             note(f"{run.path}: cut: {run.cut}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from emulator.commands.common import CANNOT_RUN, FAILED, OK, load_scenario, say, scenario_options
+from emulator.commands.common import CANNOT_RUN, FAILED, OK, bar, load_scenario, part_of, say, scenario_options
 from emulator.errors import EmulatorError
 
 if TYPE_CHECKING:
     from emulator.trial import Verdict
 
+Progress = Callable[[float], None]
 CODES = {"passed": OK, "failed": FAILED, "error": CANNOT_RUN}
 
 
@@ -91,12 +92,14 @@ def test(
         raise click.UsageError("no scenario; want SCENARIO... or --examples DIR")
     one = partial(_outcome, overrides=overrides, seed=seed, links=links, workers=workers, record=record)
     results = []
-    for result in _all(names, one, jobs or len(os.sched_getaffinity(0))):
-        results.append(result)
-        if as_json:
-            say(json.dumps(result.as_json()))
-        else:
-            _tell(result)
+    with bar("test") as progress:
+        for result in _all(names, one, jobs or len(os.sched_getaffinity(0)), progress):
+            results.append(result)
+            progress(len(results) / len(names))
+            if as_json:
+                say(json.dumps(result.as_json()))
+            else:
+                _tell(result)
     if junitxml is not None:
         _write_junit(results, junitxml)
     if not as_json:
@@ -127,7 +130,13 @@ def _examples(folder: Path) -> list[str]:
 
 
 def _outcome(
-    name: str, overrides: Sequence[str], seed: int | None, links: Sequence[str], workers: int, record: Path | None
+    name: str,
+    overrides: Sequence[str],
+    seed: int | None,
+    links: Sequence[str],
+    workers: int,
+    record: Path | None,
+    progress: Progress | None = None,
 ) -> Result:
     from emulator.clock import SystemClock
     from emulator.trial import run_trial
@@ -135,16 +144,17 @@ def _outcome(
     clock = SystemClock()
     try:
         folder = None if record is None else record / Path(name).stem
-        found = run_trial(load_scenario(name, overrides, seed, links), workers, name, folder)
+        found = run_trial(load_scenario(name, overrides, seed, links), workers, name, folder, progress)
     except EmulatorError as error:
         return Result(name, "error", clock.now_ns() * 1e-9, fault=str(error))
     return Result(name, "passed" if found.held else "failed", clock.now_ns() * 1e-9, found)
 
 
-def _all(names: Sequence[str], one: partial[Result], jobs: int) -> Iterator[Result]:
-    """Every outcome, in the order of the names."""
+def _all(names: Sequence[str], one: partial[Result], jobs: int, progress: Progress) -> Iterator[Result]:
+    """Every outcome, in the order of the names; `progress` is told of what goes on within one."""
     if min(jobs, len(names)) <= 1:
-        yield from map(one, names)
+        for number, name in enumerate(names):
+            yield one(name, progress=part_of(progress, number, len(names)))
         return
     import multiprocessing
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Sequence
 from enum import IntEnum
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -27,6 +27,8 @@ Words = Sequence[int]
 
 FORM = 0x39FF
 "Everything but amplitudes and single directions: what sicktoolbox asks for, so that any device has been asked for it."
+FORM_WITH_ECHO = FORM | Field.ECHO
+"The same with amplitudes, for colours; asked for first on a network."
 FORM_SLOW = Field.SECTORNUM | Field.DIRSTEP | Field.POINTNUM | Field.STARTDIR | Field.DISTANCE
 "On a serial line, which is slow."
 REPLY_S = 5.0
@@ -48,18 +50,26 @@ class Framing(Protocol):
     def feed(self, data: bytes) -> list[bytes]:
         """Whole messages; damaged ones are passed over."""
 
+    @property
+    def errors(self) -> int:
+        """Damaged frames or packages so far."""
+
 
 class UspFraming:
     """TCP."""
 
     def __init__(self) -> None:
         self._reader = UspReader(LONGEST_PROFILE)
+        self.errors = 0
 
     def pack(self, payload: bytes) -> bytes:
         return encode_frame(payload)
 
     def feed(self, data: bytes) -> list[bytes]:
-        return [item for item in self._reader.feed(data) if isinstance(item, bytes)]
+        items = self._reader.feed(data)
+        whole = [item for item in items if isinstance(item, bytes)]
+        self.errors += len(items) - len(whole)
+        return whole
 
 
 class PackageFraming:
@@ -69,6 +79,7 @@ class PackageFraming:
         self._address = HOST_ID << 8 | sensor_id
         self._reader = PackageReader()
         self._joiner = PackageJoiner()
+        self.errors = 0
 
     def pack(self, payload: bytes) -> bytes:
         return encode_packages(payload, self._address)
@@ -76,6 +87,7 @@ class PackageFraming:
     def feed(self, data: bytes) -> list[bytes]:
         found = []
         for package in self._reader.feed(data):
+            self.errors += not isinstance(package, Package)
             if isinstance(package, Package) and package.address == swapped(self._address):
                 message = self._joiner.add(package)
                 if isinstance(message, bytes):
@@ -91,7 +103,7 @@ class LdHost:
         self._clock = SystemClock()
         self._framing: Framing = UspFraming() if isinstance(line, SocketLine) else PackageFraming()
         self._messages: deque[tuple[int, ...]] = deque()
-        self._form = FORM if isinstance(line, SocketLine) else int(FORM_SLOW)
+        self._form = int(FORM_WITH_ECHO) if isinstance(line, SocketLine) else int(FORM_SLOW)
         self._find(baud)
         name = b"".join(word.to_bytes(2, "big") for word in self._ask(0x0101, 1)[1:7])
         self.title = name.partition(b"\0")[0].decode("ascii", "replace").strip() or "LD"
@@ -104,6 +116,11 @@ class LdHost:
                 raise LinkError(f"the device will not measure: error {verdict} ({told})")
         self._send(0x0301, 0, self._form)
 
+    @property
+    def errors(self) -> int:
+        """Damaged frames or packages so far."""
+        return self._framing.errors
+
     def scans(self, timeout_s: float) -> Iterator[HostScan | None]:
         """Scans as they arrive; None when none came for `timeout_s`."""
         number = 0
@@ -112,11 +129,14 @@ class LdHost:
             if words is None:
                 yield None
             elif words[0] == SERVICE_FAILURE:
-                raise LinkError("the device refuses to send profiles")
-            elif words[:2] == (GET_PROFILE_REPLY, self._form):
+                if self._form != FORM_WITH_ECHO:
+                    raise LinkError("the device refuses to send profiles")
+                self._form = FORM
+                self._send(0x0301, 0, self._form)
+            elif words[:2] in ((GET_PROFILE_REPLY, self._form), (GET_PROFILE_REPLY, FORM)):
                 profile = read_profile(words)
                 if profile is not None:
-                    yield HostScan(number, *profile, detail=status_text(words))
+                    yield HostScan(number, profile.azimuth_rad, profile.range_m, status_text(words), profile.amplitude)
                     number += 1
 
     def close(self) -> None:
@@ -175,11 +195,21 @@ class LdHost:
         return self._messages.popleft()
 
 
-def read_profile(words: Words) -> tuple[Floats, Floats] | None:
-    """Azimuths and ranges of a profile in any format that has step, points, first direction and distance of a sector.
+class Profile(NamedTuple):
+    """What a profile's points are, (n,) each, in the device's order."""
 
-    (n,) each, in the device's order; azimuth positive to the left of direction 0, in [-pi, pi). [rad], [m], NaN without
-    an echo. None: the words do not hold what the format says.
+    azimuth_rad: Floats
+    "Positive to the left, in [-pi, pi)."
+    range_m: Floats
+    "NaN without an echo."
+    amplitude: Floats | None
+    "NaN without an echo; None: not in this format."
+
+
+def read_profile(words: Words, zero_rad: float = 0.0) -> Profile | None:
+    """Points of a profile in any format that has step, points, first direction and distance of a sector.
+
+    `zero_rad`: azimuth of the device's direction 0. None: the words do not hold what the format says.
     """
     if len(words) < 3:
         return None
@@ -190,7 +220,7 @@ def read_profile(words: Words) -> tuple[Floats, Floats] | None:
     before = [kind for kind in SECTOR_HEAD if kind in form]
     if not NEEDED <= set(before) or Field.DISTANCE not in form:
         return None
-    ticks, counts = [], []
+    ticks, counts, peaks = [], [], []
     for _ in range(sectors):
         head = dict(zip(before, words[at : at + len(before)], strict=False))
         at += len(before)
@@ -202,10 +232,13 @@ def read_profile(words: Words) -> tuple[Floats, Floats] | None:
         if points:
             ticks.append(head[Field.STARTDIR] + head[Field.DIRSTEP] * np.arange(points))
             counts.append(np.array(block[::columns], np.float64))
+            peaks.append(np.array(block[columns - 1 :: columns], np.float64))  # the echo is the last of a point's words
     clockwise = np.concatenate([np.zeros(0), *ticks])
     range_m = np.concatenate([np.zeros(0), *counts]) / RANGE_LSB_PER_M
-    left = (TICKS / 2 - clockwise) % TICKS - TICKS / 2
-    return left * (2.0 * np.pi / TICKS), np.where(range_m > 0.0, range_m, np.nan)
+    left = (TICKS / 2 - clockwise + zero_rad * (TICKS / (2.0 * np.pi))) % TICKS - TICKS / 2
+    seen = range_m > 0.0
+    amplitude = np.where(seen, np.concatenate([np.zeros(0), *peaks]), np.nan) if Field.ECHO in form else None
+    return Profile(left * (2.0 * np.pi / TICKS), np.where(seen, range_m, np.nan), amplitude)
 
 
 SECTOR_HEAD = (Field.SECTORNUM, Field.DIRSTEP, Field.POINTNUM, Field.TSTART, Field.STARTDIR)

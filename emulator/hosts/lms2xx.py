@@ -14,6 +14,7 @@ from emulator.hosts.scans import HostScan
 from protocols.lms2xx.telegrams import MeasuredValues, Telegram, open_frame, read_values, request
 from protocols.lms2xx.values import COUNTS_PER_METRE, MEASURING_MODES, MeasuringMode
 from protocols.receive_buffer import ReceiveBuffer
+from protocols.scan import Floats
 
 RATE_CODES = {500_000: 0x48, 38_400: 0x40, 19_200: 0x41, 9_600: 0x42}
 "Line speed -> sub-code of command 20."
@@ -23,6 +24,8 @@ HEADER_BYTES, OTHER_BYTES = 4, 6
 MAX_PAYLOAD = 820
 SECONDS_FOR_A_REPLY = 3.5
 "A mode change may take three seconds."
+FINDING_S = 0.8
+"For each of two tries at each speed: a telegram of a stream at 9600 baud, which ends before the reply, lasts 0.76 s."
 
 
 class TelegramReader:
@@ -31,6 +34,8 @@ class TelegramReader:
     def __init__(self) -> None:
         self._buffer = ReceiveBuffer(4 * MAX_PAYLOAD)
         self._more = b""
+        self.errors = 0
+        "Telegrams with a wrong CRC so far."
 
     def feed(self, data: bytes) -> None:
         """Bytes as they came."""
@@ -59,6 +64,7 @@ class TelegramReader:
                 return None
             telegram = open_frame(whole)
             self._buffer.take(1 if telegram is None else len(whole))
+            self.errors += telegram is None
             if telegram is not None:
                 return telegram
 
@@ -91,7 +97,13 @@ class Lms2xxView:
             step, offset = 1.0, 0.25 * values.header.partial
         field = 180.0 if values.header.partial is not None else self.field_deg
         azimuth = np.radians(beams * step + offset - field / 2.0)
-        return HostScan(number, azimuth, metres, f"status {values.status:02X}")
+        return HostScan(number, azimuth, metres, f"status {values.status:02X}", self._intensity(values))
+
+    @staticmethod
+    def _intensity(values: MeasuredValues) -> Floats | None:
+        """Of a telegram whose intensities stand for all of its beams."""
+        whole = len(values.extra) == len(values.values) > 0
+        return values.extra.astype(np.float64) if whole else None
 
 
 class Lms2xxHost:
@@ -107,6 +119,11 @@ class Lms2xxHost:
         self.title = self._ask(b"\x3a", 0xBA).data[:-1].decode("ascii", "replace").strip()
         self._view = Lms2xxView.of(self._ask(b"\x31", 0xB1).data)
         self._ask(b"\x20\x24", 0xA0)
+
+    @property
+    def errors(self) -> int:
+        """Telegrams with a wrong CRC so far."""
+        return self._reader.errors
 
     def scans(self, timeout_s: float) -> Iterator[HostScan | None]:
         """Scans as they arrive; None when none came for `timeout_s`."""
@@ -132,20 +149,21 @@ class Lms2xxHost:
     def _find(self, baud: int) -> None:
         """Stop a stream at whatever speed the device has, then change to `baud`."""
         if isinstance(self._line, SocketLine):
-            self._ask(b"\x20\x25", 0xA0)
+            self._ask(b"\x20\x25", 0xA0, tries=2, seconds=2.0)
             return
         for tried in dict.fromkeys((9_600, baud, *RATE_CODES)):
             self._line.set_baud(tried)
             self._line.flush_input()
             try:
-                self._ask(b"\x20\x25", 0xA0, tries=2, seconds=1.0)
+                self._ask(b"\x20\x25", 0xA0, tries=2, seconds=FINDING_S)
             except LinkError:
                 continue
             if tried != baud:
                 self._ask(bytes((0x20, RATE_CODES[baud])), 0xA0)
                 self._line.set_baud(baud)
             return
-        raise LinkError("no LMS2xx answers at 9600, 19200, 38400 or 500000 baud")
+        told = ", ".join(map(str, dict.fromkeys((9_600, baud, *RATE_CODES))))
+        raise LinkError(f"no LMS2xx answers to `stop` (20 25); tried {told} baud, twice each")
 
     def _ask(self, payload: bytes, reply: int, tries: int = 3, seconds: float = SECONDS_FOR_A_REPLY) -> Telegram:
         for _ in range(tries):
@@ -157,7 +175,7 @@ class Lms2xxHost:
                     return telegram
                 if telegram is not None and telegram.command == 0x92:
                     raise LinkError(f"the device refuses request {payload.hex(' ')}")
-        raise LinkError(f"no reply {reply:02X} to request {payload.hex(' ')}")
+        raise LinkError(f"no reply {reply:02X} to request {payload.hex(' ')}; tried {tries} times, {seconds:g} s each")
 
     def _next(self, timeout_s: float) -> Telegram | None:
         """The next telegram with a good CRC; None when there is none in time."""
@@ -171,4 +189,3 @@ class Lms2xxHost:
             if not data and left_ns <= 0:
                 return None
             self._reader.feed(data)
-

@@ -21,6 +21,41 @@ class HostScan:
     "(n,) NaN where the device reports no distance."
     detail: str = ""
     "What the telegram said beside the distances, for a status line."
+    intensity: Floats | None = None
+    "(n,) in the device's own units, NaN where it reports none; None: this device, or this telegram, tells none."
+
+
+@dataclass(frozen=True)
+class HostObject:
+    """One object of a list as a host has decoded it; None where the format, or this list, does not tell."""
+
+    number: int
+    "The device's own."
+    x_m: float
+    "Of the point that the format gives: box centre, or nearest point. In the sensor's frame."
+    y_m: float
+    vx_m_s: float | None = None
+    "Relative to the sensor, but for an LD-MRS that says otherwise."
+    vy_m_s: float | None = None
+    length_m: float | None = None
+    width_m: float | None = None
+    yaw_rad: float | None = None
+    category: str | None = None
+    existence: float | None = None
+    "Probability that it is there, 0..1."
+
+
+@dataclass(frozen=True)
+class HostObjects:
+    """One list of objects as a host has decoded it."""
+
+    number: int
+    "Counts the lists received, from 0."
+    objects: tuple[HostObject, ...]
+    detail: str = ""
+
+
+Seen = HostScan | HostObjects
 
 
 class Host(Protocol):
@@ -30,7 +65,11 @@ class Host(Protocol):
     def title(self) -> str:
         """The device's own name for itself."""
 
-    def scans(self, timeout_s: float) -> Iterator[HostScan | None]:
+    @property
+    def errors(self) -> int:
+        """Telegrams, frames or lists so far that were damaged or not whole."""
+
+    def scans(self, timeout_s: float) -> Iterator[Seen | None]:
         """Scans as they arrive; None when none came for `timeout_s`."""
 
     def close(self) -> None:

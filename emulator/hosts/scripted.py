@@ -7,23 +7,64 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
-import numpy as np
-
+from emulator.hosts.ld import read_profile
 from emulator.hosts.lms2xx import RATE_CODES, Lms2xxView, TelegramReader
 from emulator.hosts.scans import HostScan
-from emulator.transports.loopback import LoopHost
-from protocols.ld.profiles import ALL_FIELDS, Field
-from protocols.ld.sectors import TICKS
+from protocols.ld.profiles import ALL_FIELDS
 from protocols.ld.telegrams import GET_PROFILE_REPLY, REPLY_BIT, payload_of, words_of
 from protocols.ld.usp import HEADER, OVERHEAD, encode_frame, xor_of
 from protocols.lms2xx.telegrams import read_values, request
 
+
+class HostEnd(Protocol):
+    """A host's end of a link."""
+
+    baud: int | None
+
+    def read(self) -> bytes: ...
+
+    def write(self, data: bytes, at_ns: int) -> int: ...
+
+
+@runtime_checkable
+class Connection(Protocol):
+    """An end that can be hung up on."""
+
+    @property
+    def connected(self) -> bool: ...
+
+    def reconnect(self, at_ns: int) -> bool:
+        """Hang up, and connect anew; False: refused."""
+
+
+GET_STATUS, TRANS_MEASURE = 0x0102, 0x0404
+
 OnScan = Callable[[int, HostScan], None]
 "(now_ns, scan)"
 
+
+class Script(Protocol):
+    """A host in virtual time."""
+
+    def step(self, now_ns: int) -> int | None:
+        """Read, decode, ask; when to be called again."""
+
+
+@runtime_checkable
+class HasScript(Protocol):
+    """A family of another package that brings its own host for `lidaremu test`."""
+
+    def script(self, line: HostEnd, on_scan: OnScan) -> Script: ...
+
+
 PATIENCE_NS = 4_000_000_000
 "An LMS2xx may take three seconds to change its mode."
+ACK_PATIENCE_NS = 500_000_000
+"Its ACK comes within 60 ms: where nothing at all is heard, it has another speed, or none is there."
+AGAIN_NS = 1_000_000_000
+"How often a host tries to connect again, or asks a device that may be starting."
 LD_PATIENCE_NS = 30_000_000_000
 "An LD answers TRANS_MEASURE when its head is at speed."
 SILENCE_NS = 2_000_000_000
@@ -45,7 +86,7 @@ class Lms2xxScript:
 
     SPEEDS = (9_600, 38_400, 500_000, 19_200)
 
-    def __init__(self, line: LoopHost, on_scan: OnScan, baud: int = 500_000) -> None:
+    def __init__(self, line: HostEnd, on_scan: OnScan, baud: int = 500_000) -> None:
         self._line = line
         self._on_scan = on_scan
         self._requests = (
@@ -56,7 +97,7 @@ class Lms2xxScript:
         )
         self._at = 0
         self._tries = 0
-        self._again_ns = 0
+        self._again_ns = self._asked_ns = 0
         self._reader = TelegramReader()
         self._view: Lms2xxView | None = None
         self._scans = 0
@@ -66,6 +107,8 @@ class Lms2xxScript:
         """Read, decode, ask; when to be called again."""
         data = self._line.read()
         if data:
+            if 0 < self._at < len(self._requests) or self._tries:
+                self._again_ns = max(self._again_ns, self._asked_ns + PATIENCE_NS)
             self._reader.feed(data)
             while (telegram := self._reader.take()) is not None:
                 if self._at < len(self._requests) and telegram.command == self._requests[self._at].reply:
@@ -92,6 +135,7 @@ class Lms2xxScript:
             self._again_ns = now_ns + SILENCE_NS
 
     def _ask_again(self, now_ns: int) -> None:
+        self._reader = TelegramReader()  # the line has been silent: what was begun will not be finished
         if self._at == len(self._requests):
             self._at = self._tries = 0
         elif self._tries:  # no answer: perhaps another line speed, or the device has been reset
@@ -101,37 +145,61 @@ class Lms2xxScript:
 
     def _ask(self, now_ns: int) -> None:
         self._tries += 1
+        self._asked_ns = now_ns
         self._line.write(request(self._requests[self._at].payload), now_ns)
-        self._again_ns = now_ns + PATIENCE_NS
+        self._again_ns = now_ns + ACK_PATIENCE_NS
 
 
 class LdScript:
     """Brings an LD to measure and asks for whole profiles of everything."""
 
-    def __init__(self, line: LoopHost, on_scan: OnScan, zero_rad: float = 0.0) -> None:
+    def __init__(self, line: HostEnd, on_scan: OnScan, zero_rad: float = 0.0) -> None:
         self._line = line
+        self._connection = line if isinstance(line, Connection) else None
         self._on_scan = on_scan
         self._zero_rad = zero_rad
         self._buffer = b""
         self._again_ns = 0
         self._scans = 0
+        self._state = "start"
+        "start | measure (asked for it) | stream | lost (hung up, or silent) | status (connected again)"
 
     def step(self, now_ns: int) -> int | None:
         """Read, decode, ask; when to be called again."""
         self._buffer += self._line.read()
         while (payload := self._take()) is not None:
             words = words_of(payload)
-            if words and words[0] == 0x0404 | REPLY_BIT:
+            if words and words[0] == GET_STATUS | REPLY_BIT and self._state == "status":
+                self._state, self._again_ns = "start", now_ns
+            elif words and words[0] == TRANS_MEASURE | REPLY_BIT:
                 self._line.write(encode_frame(payload_of(0x0301, 0, ALL_FIELDS)), now_ns)
-                self._again_ns = now_ns + SILENCE_NS
+                self._state, self._again_ns = "stream", now_ns + SILENCE_NS
             elif words and words[0] == GET_PROFILE_REPLY:
-                self._on_scan(now_ns, HostScan(self._scans, *read_profile(words, self._zero_rad)))
-                self._scans += 1
-                self._again_ns = now_ns + SILENCE_NS
+                profile = read_profile(words, self._zero_rad)
+                if profile is not None:
+                    self._on_scan(now_ns, HostScan(self._scans, profile.azimuth_rad, profile.range_m))
+                    self._scans += 1
+                    self._again_ns = now_ns + SILENCE_NS
+        line = self._connection
+        if line is not None and self._state != "lost":
+            if not line.connected or (self._state == "stream" and now_ns >= self._again_ns):
+                self._state, self._again_ns = "lost", now_ns
         if now_ns >= self._again_ns:
-            self._line.write(encode_frame(payload_of(0x0404)), now_ns)
-            self._again_ns = now_ns + LD_PATIENCE_NS
+            self._ask(now_ns)
         return self._again_ns
+
+    def _ask(self, now_ns: int) -> None:
+        """What this state asks for, and until when it waits."""
+        self._again_ns = now_ns + AGAIN_NS
+        line, connection = self._line, self._connection
+        if self._state == "lost" and connection is not None and connection.reconnect(now_ns):
+            self._state, self._buffer = "status", b""
+        if self._state == "status":
+            line.write(encode_frame(payload_of(GET_STATUS)), now_ns)
+        elif self._state != "lost":
+            self._buffer = b""  # it has been silent: what was begun, a wrong length perhaps, will not be finished
+            line.write(encode_frame(payload_of(TRANS_MEASURE)), now_ns)
+            self._state, self._again_ns = "measure", now_ns + LD_PATIENCE_NS
 
     def _take(self) -> bytes | None:
         """Payload of the next whole frame; what is none is passed over."""
@@ -151,20 +219,3 @@ class LdScript:
             self._buffer = self._buffer[length + OVERHEAD if whole else 4 :]
             if whole:
                 return payload
-
-
-def read_profile(words: tuple[int, ...], zero_rad: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Azimuths and ranges of a profile that has all fields; (n,) each, NaN without an echo."""
-    form, sectors, at = words[1], words[2] & 0xFF, 3
-    at += sum(1 for kind in (Field.PROFILESENT, Field.PROFILECOUNT, Field.LAYERNUM) if form & kind)
-    directions, distances = [], []
-    for _ in range(sectors):
-        points = words[at + 2]
-        at += 5  # number, step, points, time, first direction
-        block = np.array(words[at : at + 3 * points], dtype=np.float64).reshape(-1, 3)
-        distances.append(block[:, 0])
-        directions.append(block[:, 1])
-        at += 3 * points + 2
-    range_m = np.concatenate([np.zeros(0), *distances]) / 256.0
-    azimuth = zero_rad - np.concatenate([np.zeros(0), *directions]) * (2.0 * np.pi / TICKS)
-    return np.angle(np.exp(1j * azimuth)), np.where(range_m > 0, range_m, np.nan)

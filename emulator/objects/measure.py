@@ -19,14 +19,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from emulator.measuring import Measure
+from emulator.conditions import NORMAL, Conditions
+from emulator.measuring import Measure, measured
 from emulator.object_metrics import ListedScan, TruthObject, visible_share
 from emulator.objects.options import TrackerOptions
 from emulator.objects.points import View
 from emulator.objects.sweeps import Sweeps, end_ns, sweeps_of
 from emulator.objects.tracker import ObjectTracker, Snapshot
 from emulator.objects.truth import Witness
-from emulator.scenario import Mount, Scenario
+from emulator.scenario import Scenario
+from emulator.scenario_tables import Mount
 from emulator.scene import Scene
 from emulator.spec import load_spec
 from protocols.scan import DetectedObject, Scan, ScanPlan
@@ -66,7 +68,12 @@ class _Memory:
 class ObjectMeasure:
     """Lists the objects of one sensor."""
 
-    def __init__(self, scene: Scene, mount: Mount, options: TrackerOptions, sources: Sequence[Source]) -> None:
+    def __init__(
+        self, scene: Scene, mount: Mount, options: TrackerOptions, sources: Sequence[Source], sensor: str = ""
+    ) -> None:
+        self._sensor = sensor
+        self._frozen: dict[int, tuple[DetectedObject, ...]] = {}
+        "Of faults by number: the list that each has frozen."
         self._scene = scene
         self._witness = Witness(scene, mount)
         self._mount = mount
@@ -81,14 +88,26 @@ class ObjectMeasure:
         """What its sources computed outside the range where it is known to hold."""
         return tuple(text for source in self._sources for text in getattr(source.measure, "warnings", ()))
 
-    def __call__(self, plan: ScanPlan) -> Scan:
-        """The list that a plan asks for."""
+    def __call__(self, plan: ScanPlan, conditions: Conditions = NORMAL) -> Scan:
+        """The list that a plan asks for; its sources are measured under the same conditions."""
+        made = self._made(plan, conditions)
+        faults = conditions.of(self._sensor, plan.start_ns) if conditions.faults else ()
+        if not faults:
+            self._frozen.clear()
+            return made
+        from emulator.faults.lists import listed
+        from emulator.faults.measured import held
+
+        return listed(made, held(faults, plan), self._frozen)
+
+    def _made(self, plan: ScanPlan, conditions: Conditions) -> Scan:
+        """The list as it is made, whatever the device then makes of it."""
         if self._last is not None and _key(self._last.plan) == _key(plan):
             return replace(self._last, plan=plan)
         before = self._before(plan)
         self._tracker.restore(before.tracker)
         t_s = 1e-9 * plan.start_ns
-        views, sweeps = self._look(plan.start_ns, before.sweeps)
+        views, sweeps = self._look(plan.start_ns, before.sweeps, conditions)
         objects = self._tracker.update(views, t_s, self._witness.motion(t_s))
         looked_ns = plan.start_ns if views else before.looked_ns
         if looked_ns >= 0:
@@ -115,7 +134,7 @@ class ObjectMeasure:
             self._memories.append(self._nothing())
         return self._memories[-1]
 
-    def _look(self, at_ns: int, before: Mapping[int, int]) -> tuple[list[View], dict[int, int]]:
+    def _look(self, at_ns: int, before: Mapping[int, int], conditions: Conditions) -> tuple[list[View], dict[int, int]]:
         """Views of the sources' newest sweeps that were not looked at before."""
         views, looked = [], dict(before)
         for number, source in enumerate(self._sources):
@@ -123,7 +142,7 @@ class ObjectMeasure:
             if wanted is None or wanted.sweep == before.get(number) or at_ns - end_ns(wanted) > self._pause_ns:
                 continue
             looked[number] = wanted.sweep
-            views.append(self._view(source, source.measure(wanted)))
+            views.append(self._view(source, measured(source.measure, wanted, conditions)))
         return views, looked
 
     def _view(self, source: Source, scan: Scan) -> View:
@@ -187,4 +206,4 @@ def build(
         Source(sweeps_of(load_spec(by_id[name].model), sessions.get(name)), measures[name], by_id[name].mount)
         for name in config.from_
     ]
-    return ObjectMeasure(scene, config.mount, options, sources)
+    return ObjectMeasure(scene, config.mount, options, sources, sensor_id)

@@ -17,6 +17,7 @@ from emulator.spec import SensorSpec
 from protocols.lms2xx.telegrams import request
 from protocols.scan import Scan, ScanPlan
 from protocols.session import Address, Dropped, DropReason, LinkKind, Session
+from protocols.timebase import Timebase
 
 KEPT_NS = 1_000_000_000
 "Sweeps before a change are remembered for so long: lists are made again after a changed setting."
@@ -62,6 +63,18 @@ class TableSweeps:
         if self._last is None or self._last.sweep != number:
             self._last = table_plan(self._spec, number)
         return self._last
+
+
+class OwnTimeSweeps:
+    """A model on a quartz of its own: its sweeps repeat by its own time, and come out by the run's."""
+
+    def __init__(self, session: Timebase, family: str) -> None:
+        self._session = session
+        self._sweeps = SessionSweeps(session.inner, family)
+
+    def newest(self, at_ns: int) -> ScanPlan | None:
+        found = self._sweeps.newest(self._session.quartz.own_ns(at_ns))
+        return None if found is None else self._session.given_out(found)
 
 
 class SessionSweeps:
@@ -169,4 +182,4 @@ def sweeps_of(spec: SensorSpec, session: Session | None) -> Sweeps:
         return TableSweeps(spec)
     if spec.family not in KINDS:
         raise ScenarioError(f"{spec.model}: objects cannot be made from it: its family {spec.family} is not known here")
-    return SessionSweeps(session, spec.family)
+    return OwnTimeSweeps(session, spec.family) if isinstance(session, Timebase) else SessionSweeps(session, spec.family)

@@ -13,7 +13,7 @@ import numpy as np
 
 from emulator.object_metrics import TruthObject
 from emulator.objects.points import Floats, SensorMotion
-from emulator.scenario import Mount
+from emulator.scenario_tables import Mount
 from emulator.scene import Scene
 
 STEP_S = 1e-3

@@ -7,7 +7,7 @@ numpy returns for them.
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,18 +34,31 @@ def exp_or_zero(exponent: Values) -> Floats:
     return np.where(x < LOG_NOTHING, 0.0, np.exp(np.maximum(x, LOG_NOTHING)))
 
 
+def indexes(wanted: Bools) -> Ints:
+    """Where a flat array is true; `flatnonzero` takes longer to say so than to find out."""
+    return wanted.nonzero()[0]
+
+
+Numbers = TypeVar("Numbers", Floats, Ints)
+
+
+def clamped(values: Numbers, least: Values, most: Values) -> Numbers:
+    """The values within bounds, as `clip`, at a quarter of its cost for short arrays."""
+    return np.minimum(np.maximum(values, least), most)
+
+
 def group_starts(groups: Ints) -> Ints:
     """First index of every run of equal numbers in a sorted array; empty for an empty one."""
     if groups.size == 0:
         return np.zeros(0, np.int64)
-    return np.flatnonzero(np.concatenate(([True], groups[1:] != groups[:-1])))
+    return indexes(np.concatenate(([True], groups[1:] != groups[:-1])))
 
 
 def ramp(counts: Ints) -> Ints:
     """0..c-1 for every count c, one after another: position within its group of each element of a ragged array."""
     total = int(counts.sum())
-    ends = np.cumsum(counts)
-    return np.arange(total) - np.repeat(ends - counts, counts)
+    ends = counts.cumsum()
+    return np.arange(total) - (ends - counts).repeat(counts)
 
 
 def require_positive(name: str, values: Values) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emulator.physics.arrays import Bools, Floats, Ints, ramp
+from emulator.physics.arrays import Bools, Floats, Ints, clamped, indexes, ramp
 from emulator.physics.detector import Detector
 from emulator.physics.subechoes import Clusters
 from emulator.physics.waveform import Waveform
@@ -32,9 +32,14 @@ class Candidates:
     begin: Ints
     "Mixed: sample from which the rise of this echo is looked for."
 
+    def of_beams(self, wanted: Bools) -> Candidates:
+        """Those in the beams (n,) that are wanted."""
+        left = wanted[self.beam]
+        return Candidates(*(column[left] for column in vars(self).values()))
+
 
 def single_candidates(clusters: Clusters, chosen: Bools, least: Floats) -> Candidates:
-    at = np.flatnonzero(chosen)
+    at = indexes(chosen)
     sub = clusters.first[at]
     beam = clusters.beam[sub]
     seen = clusters.amplitude[sub] >= least[beam]
@@ -43,8 +48,13 @@ def single_candidates(clusters: Clusters, chosen: Bools, least: Floats) -> Candi
     return Candidates(beam, clusters.range_m[sub], clusters.amplitude[sub], sub, minus, minus)
 
 
-def wave_candidates(wave: Waveform, least: Floats, detector: Detector) -> Candidates:
-    """Maxima of the clipped waveform, joined where no valley separates them."""
+def wave_candidates(
+    wave: Waveform, least: Floats, rms: Floats, threshold: Floats, detector: Detector
+) -> Candidates:
+    """Maxima of the clipped waveform, joined where no valley separates them.
+
+    `least`, `rms`, `threshold` : (n,) of each beam: what is worth a look, its noise, and the level to be reached.
+    """
     n = wave.value.size
     none = np.zeros(0, np.int64)
     if n == 0:
@@ -54,17 +64,18 @@ def wave_candidates(wave: Waveform, least: Floats, detector: Detector) -> Candid
     top[1:-1] = (value[1:-1] > value[:-2]) & (value[1:-1] >= value[2:])
     top[wave.start] = False
     top[wave.start + wave.count - 1] = False
-    peak = np.flatnonzero(top)
-    window = np.searchsorted(wave.start, peak, side="right") - 1
+    peak = indexes(top)
+    window = wave.start.searchsorted(peak, side="right") - 1
     beam = wave.beam[window]
     seen = value[peak] >= 0.99 * least[beam]
     peak, window, beam = peak[seen], window[seen], beam[seen]
     while peak.size > 1:
         valley = np.minimum.reduceat(value, peak)[:-1]  # between a maximum and the next
         lower = np.minimum(value[peak[1:]], value[peak[:-1]])
-        apart = (lower - valley >= 1.0) | ((lower >= detector.threshold) & (valley < detector.threshold))
+        level = threshold[beam[1:]]
+        apart = (lower - valley >= rms[beam[1:]]) | ((lower >= level) & (valley < level))
         apart |= beam[1:] != beam[:-1]
-        if bool(np.all(apart)):
+        if bool(apart.all()):
             break
         second = value[peak[1:]] <= value[peak[:-1]]
         lost = np.zeros(peak.size, np.bool_)
@@ -75,14 +86,14 @@ def wave_candidates(wave: Waveform, least: Floats, detector: Detector) -> Candid
         return Candidates(none, np.zeros(0), np.zeros(0), none, none, none)
     centre, height = _parabola(wave, value, peak, window, detector)
     begin = wave.start[window]
-    inside = np.flatnonzero(window[1:] == window[:-1])
+    inside = indexes(window[1:] == window[:-1])
     if inside.size:  # from the lowest sample since the last maximum of the window on
         count = peak[inside + 1] - peak[inside]
-        flat = np.repeat(peak[inside], count) + ramp(count)
-        edge = np.cumsum(count) - count
+        flat = peak[inside].repeat(count) + ramp(count)
+        edge = count.cumsum() - count
         lowest = np.minimum.reduceat(value[flat], edge)
-        at = np.flatnonzero(value[flat] == np.repeat(lowest, count))
-        owner = np.repeat(np.arange(inside.size), count)[at]
+        at = indexes(value[flat] == lowest.repeat(count))
+        owner = np.arange(inside.size).repeat(count)[at]
         place = np.zeros(inside.size, np.int64)
         place[owner] = flat[at]  # the last of equals
         begin[inside + 1] = place
@@ -97,16 +108,16 @@ def _parabola(wave: Waveform, value: Floats, peak: Ints, window: Ints, detector:
         left, mid, right = (np.log(np.maximum(v, tiny)) for v in (left, mid, right))
     curve = left - 2.0 * mid + right
     shift = np.where(curve < 0.0, 0.5 * (left - right) / np.where(curve < 0.0, curve, -1.0), 0.0)
-    shift = np.clip(shift, -0.5, 0.5)
+    shift = clamped(shift, -0.5, 0.5)
     height = mid - 0.25 * (left - right) * shift
     if detector.pulse.shape == "gauss":
         height = np.exp(height)
     centre = wave.position(peak, window) + shift * wave.bin_m
     clipped = value[peak] >= detector.full_scale
-    if bool(np.any(clipped)):
-        below = np.flatnonzero(value < detector.full_scale)
+    if bool(clipped.any()):
+        below = indexes(value < detector.full_scale)
         last = (wave.start + wave.count - 1)[window[clipped]]  # a medium can clip beyond the window
-        after = np.append(below, value.size)[np.searchsorted(below, peak[clipped], side="right")]
+        after = np.append(below, value.size)[below.searchsorted(peak[clipped], side="right")]
         after = np.minimum(after, last)
         before = peak[clipped] - 1
         v = wave.value

@@ -10,13 +10,57 @@ passed its maximum, so the sum rises; running sums at the beginnings tell betwee
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from emulator.physics.arrays import Floats, Ints
+from emulator.physics.arrays import Bools, Floats, Ints, clamped, indexes
 from emulator.physics.detector import Detector
+from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import SubEchoes
+
+SHORT = 1.0
+"Longest cluster that is summed in closed form, in half pulses: beyond it, first pulses fall while last ones rise."
+
+
+FAINT = 0.1
+"Share of the threshold that a medium may have under a cluster that is crossed in closed form."
+EXACT = 1e-4
+"Share of the medium's shift of a crossing that may be left."
+
+
+@dataclass(frozen=True, eq=False)
+class AirUnder:
+    """What a faint medium adds under h clusters while their pulses rise; m sub-echoes in them. See softprofile."""
+
+    passes: int
+    "Times that a crossing is looked for anew with the medium that is under it."
+    soft: SoftProfile
+    cluster: Ints
+    "(h,) numbers of the clusters."
+    before: Ints
+    "(h,) index of a sub-echo among all less that in the arrays below."
+    open: Floats
+    "(h,) share of the beam that reaches the cluster."
+    blocked: Floats
+    "(m,) running sums: shares that end at the sub-echoes, and these with the integrals of the medium up to there."
+    a: Floats
+    real: Floats
+    imaginary: Floats
+
+    def at(self, x_m: Floats, last: Ints) -> Floats:
+        """Its part at apparent ranges (h,), where these sub-echoes are the last ones begun; linear between bins."""
+        soft, end = self.soft, last - self.before
+        still = np.maximum(self.open - self.blocked[end], 0.0)
+        bins = np.floor(x_m / soft.bin_m)
+        value = []
+        for number in (bins, bins + 1.0):
+            upper, lower = soft.tables(number.astype(np.int64))
+            turn = soft.pulse.wave_number * soft.bin_m * number
+            ended = self.a[end] + np.cos(turn) * self.real[end] - np.sin(turn) * self.imaginary[end]
+            value.append(np.maximum(0.5 * (still * upper + ended - self.open * lower), 0.0))
+        return np.asarray(value[0] + (x_m / soft.bin_m - bins) * (value[1] - value[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +89,7 @@ class Cosines:
     imaginary: Floats
     half_m: float
     wave_number: float
+    air: AirUnder | None = None
 
     def __len__(self) -> int:
         return len(self.beam)
@@ -53,17 +98,48 @@ class Cosines:
         """Where each first reaches a level > 0, its maximum where it never does. (c,) [m]"""
         if len(self) == 0:
             return np.zeros(0)
-        member = np.repeat(self.start - (np.cumsum(self.size) - self.size), self.size) + np.arange(self.size.sum())
-        below = self.begun[member] < np.repeat(level, self.size)
-        passed = np.add.reduceat(below.astype(np.int64), np.cumsum(self.size) - self.size)
-        last = self.start + np.maximum(passed, 1) - 1
+        crossing, last = self._crossed(level, self.start, self.size)
+        air = self.air
+        if air is not None:
+            at = air.cluster
+            wanted, start, size = level[at], self.start[at], self.size[at]
+            x, of = crossing[at], last[at]
+            for _ in range(air.passes):
+                left = np.maximum(wanted - air.at(x, of), 1e-6 * wanted)
+                x, of = self._crossed(left, start, size, at)
+            crossing[at] = x
+        return crossing
+
+    def _crossed(self, level: Floats, start: Ints, size: Ints, at: Ints | None = None) -> tuple[Floats, Ints]:
+        """Where the pulses of these clusters first reach a level, and the index of the last one begun by then."""
+        ends = size.cumsum()
+        begun = self.begun
+        if ends[-1] < len(begun):
+            begun = begun[(start - (ends - size)).repeat(size) + np.arange(ends[-1])]
+        below = begun < level.repeat(size)
+        passed = np.add.reduceat(below, ends - size, dtype=np.int64)
+        last = start + np.maximum(passed, 1) - 1
         total, real, imaginary = self.total[last], self.real[last], self.imaginary[last]
         swing = np.hypot(real, imaginary)
-        centre = self.first_m + np.arctan2(imaginary, real) / self.wave_number
+        centre = (self.first_m if at is None else self.first_m[at]) + np.arctan2(imaginary, real) / self.wave_number
         # the angle from the trough, which keeps its digits for a level far below the maximum
         share = (2.0 * level - total + swing) / (2.0 * swing)
-        rise = 2.0 * np.arcsin(np.sqrt(np.clip(share, 0.0, 1.0)))
-        return np.asarray(centre - self.half_m + rise / self.wave_number)
+        rise = 2.0 * np.arcsin(np.sqrt(clamped(share, 0.0, 1.0)))
+        return centre - self.half_m + rise / self.wave_number, last
+
+    def chosen(self, wanted: Bools) -> Cosines:
+        """Some of the clusters, `wanted` (c,)."""
+        if bool(wanted.all()):
+            return self
+        at, air = indexes(wanted), self.air
+        if air is not None:
+            left = wanted[air.cluster]
+            number = (wanted.cumsum() - 1)[air.cluster[left]]
+            air = replace(air, cluster=number, before=air.before[left], open=air.open[left]) if len(number) else None
+        return replace(
+            self, beam=self.beam[at], centre_m=self.centre_m[at], height=self.height[at], source=self.source[at],
+            first_m=self.first_m[at], start=self.start[at], size=self.size[at], air=air,
+        )  # fmt: skip
 
     @classmethod
     def none(cls) -> Cosines:
@@ -72,30 +148,35 @@ class Cosines:
         return cls(i, n, n, i, n, i, i, n, n, n, n, 1.0, 1.0)
 
 
-def split_cosines(echoes: SubEchoes, detector: Detector) -> tuple[Cosines, SubEchoes]:
-    """Short clusters, and the sub-echoes of all others, without a medium between them."""
+def split_cosines(echoes: SubEchoes, detector: Detector, soft: SoftProfile | None = None) -> tuple[Cosines, SubEchoes]:
+    """Short clusters, and the sub-echoes of all others.
+
+    `soft`: a medium that shifts the echoes of clusters that begin before its `until_m`. Beams of which sub-echoes are
+    left over, and they alone, need its waveform: in all others its own echo stands free of them.
+    """
     pulse, n = detector.pulse, len(echoes)
-    if n == 0 or pulse.shape != "sin2" or detector.method != "leading_edge" or echoes.spread_m is not None:
+    if n == 0 or not detector.closed_form or echoes.spread_m is not None:
         return Cosines.none(), echoes
     half, k = pulse.half_support_m, pulse.wave_number
     beam, r, a = echoes.beam, echoes.range_m, echoes.amplitude
     cut = (beam[1:] != beam[:-1]) | (r[1:] - r[:-1] > 2.0 * half)
-    start = np.concatenate(([0], np.flatnonzero(cut) + 1))
+    start = np.concatenate(([0], indexes(cut) + 1))
     size = np.diff(np.append(start, n))
     first, end = r[start], start + size - 1
     total = _running(a, start, size)
-    short = (r[end] - first < half) & (total[end] > 0.0)
-    if not bool(np.any(short)):
+    short = (r[end] - first < SHORT * half) & (total[end] > 0.0)
+    air = None if soft is None else _air(echoes, soft, detector.threshold, short, start, size, first - half)
+    if not bool(short.any()):
         return Cosines.none(), echoes
-    phase = k * (r - np.repeat(first, size))
+    phase = k * (r - first.repeat(size))
     cosine, sine = np.cos(phase), np.sin(phase)
     real, imaginary = _running(a * cosine, start, size), _running(a * sine, start, size)
     # a pulse begins half a turn of the cosine before its centre
     begun = 0.5 * (total - cosine * real - sine * imaginary)
     top = np.maximum.reduceat(a, start)
-    strongest = np.flatnonzero(a == np.repeat(top, size))
+    strongest = indexes(a == top.repeat(size))
     source = np.zeros(len(start), np.int64)
-    owner = np.repeat(np.arange(len(start)), size)[strongest[::-1]]
+    owner = np.arange(len(start)).repeat(size)[strongest[::-1]]
     source[owner] = echoes.source[strongest[::-1]]  # the first of equals wins
     last = end[short]
     found = Cosines(
@@ -112,15 +193,62 @@ def split_cosines(echoes: SubEchoes, detector: Detector) -> tuple[Cosines, SubEc
         imaginary,
         half,
         k,
+        air,
     )
-    if bool(np.all(short)):
-        none = np.zeros(0, np.int64)
-        return found, SubEchoes(none, np.zeros(0), np.zeros(0), np.zeros(0), none)
-    rest = np.flatnonzero(np.repeat(~short, size))
+    if air is not None:
+        found.height[air.cluster] += air.at(found.centre_m[air.cluster], last[air.cluster])
+    if bool(short.all()):
+        return found, SubEchoes.none()
+    rest = indexes((~short).repeat(size))
     return found, SubEchoes(beam[rest], r[rest], a[rest], echoes.blocked[rest], echoes.source[rest])
+
+
+def _air(
+    echoes: SubEchoes,
+    soft: SoftProfile,
+    threshold: float,
+    short: Bools,
+    start: Ints,
+    size: Ints,
+    begin_m: Floats,
+) -> AirUnder | None:
+    """The medium under those short clusters that begin where it shows; None: there are none.
+
+    A beam with such a cluster that is not short has none that is: its medium is sampled, with all that blocks it.
+    """
+    # its own echo stands alone up to its maximum, and a valley behind it
+    alone_m = soft.peak_m + 2.0 * soft.bin_m if soft.shows else -np.inf
+    near = begin_m < max(soft.until_m, alone_m)
+    if not bool(near.any()):
+        return None
+    beam = echoes.beam[start]
+    # where the medium may come near a level itself, what is crossed first is not told by the pulses alone
+    under = soft.wave(np.maximum(begin_m, soft.peak_m)) / threshold
+    faint = (under < FAINT) & (begin_m >= alone_m)
+    short &= faint | ~near
+    sampled = beam[near & ~short]
+    if len(sampled):
+        other = np.zeros(int(beam[-1]) + 1, bool)
+        other[sampled] = True
+        short &= ~other[beam]
+    which = indexes(near & short)
+    if not len(which):
+        return None
+    count, first = size[which], start[which]
+    member = (first - (count.cumsum() - count)).repeat(count) + np.arange(count.sum())
+    passed = np.concatenate(([0.0], echoes.blocked.cumsum()))
+    open_ = clamped(1.0 - (passed[first] - passed[echoes.beam.searchsorted(beam[which])]), 0.0, 1.0)
+    blocked, begins = echoes.blocked[member], count.cumsum() - count
+    a, b = soft.integrals(echoes.range_m[member])
+    sums = (_running(weight, begins, count) for weight in (blocked, blocked * a, blocked * b.real, blocked * b.imag))
+    number = short.cumsum() - 1
+    # each pass leaves that share of the error, as the medium falls more slowly than the pulses rise
+    most = min(max(float(under[which].max()), EXACT), FAINT)
+    passes = max(math.ceil(math.log(EXACT) / math.log(most)) - 1, 1)
+    return AirUnder(passes, soft, number[which], first - begins, open_, *sums)
 
 
 def _running(values: Floats, start: Ints, size: Ints) -> Floats:
     """Running sums that begin anew in every cluster."""
-    sums = np.cumsum(values)
-    return np.asarray(sums - np.repeat(sums[start] - values[start], size))
+    sums = values.cumsum()
+    return np.asarray(sums - (sums[start] - values[start]).repeat(size))

@@ -4,21 +4,24 @@ Here: `detect`, which does a whole scan at once. Not here: the power of a sub-ec
 size of the noise (noise), the rounding to a wire's units (the codecs).
 
 Amplitudes are in units of the receiver's nominal rms noise. One normal number an echo stands for the noise at its
-crossing: it shifts the threshold. So an echo of amplitude SNR is seen with probability Q(TNR - SNR) exactly, and the
-range scatters as the slope of the edge says, bounded where that formula has its pole.
+crossing, the signal's own shot noise there included: it shifts the threshold. So an echo of amplitude SNR is seen with
+probability Q(TNR - SNR) exactly, and the range scatters as the slope of the edge says, bounded where that formula has
+its pole.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from emulator.physics.arrays import Bools, Floats, Ints, Values, floats, ramp
+from emulator.physics.arrays import Bools, Floats, Ints, Values, clamped, floats, indexes, ramp
 from emulator.physics.candidates import Candidates, single_candidates, wave_candidates
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.cosines import Cosines, split_cosines
 from emulator.physics.detector import Detector, Echoes
+from emulator.physics.ownecho import OwnEchoes
 from emulator.physics.pulse import stretch_peak_gauss, stretch_peak_sin2
 from emulator.physics.softprofile import MARK, SoftProfile
 from emulator.physics.subechoes import NO_SOURCE, Clusters, SubEchoes, cluster, unfold_spread
@@ -40,9 +43,68 @@ class _Found:
     source: Ints
 
     @classmethod
+    def joined(cls, parts: list[_Found]) -> _Found:
+        """All echoes of parts."""
+        if len(parts) == 1:
+            return parts[0]
+        return cls(*(np.concatenate(column) for column in zip(*(vars(part).values() for part in parts), strict=True)))
+
+    @classmethod
     def none(cls) -> _Found:
         n = np.zeros(0, np.int64)
         return cls(n, np.zeros(0), np.zeros(0), np.zeros(0, np.bool_), n)
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """What the receiver sees before its noise: what has a closed form, and sampled clusters with their maxima."""
+
+    cosines: Cosines
+    own: OwnEchoes
+    single: Candidates
+    mixed: Candidates
+    wave: Waveform
+    clusters: Clusters
+    rms: Floats
+    "(n,) noise of each beam over the nominal one."
+    threshold: Floats
+    "(n,)"
+
+    def of_beams(self, wanted: Bools) -> Signals:
+        """Those in the beams (n,) that are wanted."""
+        cosines, own = self.cosines, self.own
+        return replace(
+            self,
+            cosines=cosines.chosen(wanted[cosines.beam]),
+            own=replace(own, beam=own.beam[wanted[own.beam]]),
+            single=self.single.of_beams(wanted),
+            mixed=self.mixed.of_beams(wanted),
+        )
+
+
+def signals_of(
+    echoes: SubEchoes, beams: int, detector: Detector, *, noisy: bool, noise: Values = 1.0, soft: SoftProfile | None
+) -> Signals:
+    """The signals of a scan; `noisy`: `detect` will be given `normals`. The rest as there."""
+    rms = np.broadcast_to(floats(noise), (beams,))
+    with np.errstate(under="ignore"):
+        threshold = detector.thresholds(rms)
+        least = np.maximum(threshold - (_SIGMAS * rms if noisy else 0.0), 0.02 * threshold)
+        cosines = Cosines.none()
+        # beams in which the medium's own maximum is worth a look, and those of them that are sampled for it
+        shows = np.zeros(beams, np.bool_) if soft is None or not soft.shows else soft.peak >= least
+        marked = shows
+        if not detector.sampled and detector.closed_form and (soft is None or soft.peak < detector.full_scale):
+            cosines, echoes = split_cosines(echoes, detector, soft)
+            left = np.zeros(beams, np.bool_)
+            left[echoes.beam] = True
+            marked = shows & left
+        own = OwnEchoes.of(soft, shows & ~marked)
+        clusters, chosen, clear = _clusters_of(echoes, threshold, detector, soft, marked)
+        single = single_candidates(clusters, ~chosen, least)
+        wave = sample(clusters, chosen, detector.pulse, detector.bin_m, soft, clear)
+        mixed = wave_candidates(wave, least, rms, threshold, detector)
+        return Signals(cosines, own, single, mixed, wave, clusters, rms, threshold)
 
 
 def detect(
@@ -55,6 +117,7 @@ def detect(
     soft: SoftProfile | None = None,
     dazzled: Bools | None = None,
     noise_echoes: tuple[Ints, Floats, Floats] | None = None,
+    signals: Sequence[Signals] = (),
 ) -> Echoes:
     """Echoes that the receiver reports for every beam of a scan.
 
@@ -68,30 +131,23 @@ def detect(
     soft : homogeneous medium that scatters back, on this detector's bins
     dazzled : (n,) beams that report nothing
     noise_echoes : (beam, range_m, amplitude) of false alarms to add
+    signals : `signals_of` the same, where they are known already, in parts of different beams; their noise holds then
 
     Returns
     -------
     Echoes of n beams, `detector.max_echoes` columns.
     """
-    rms = np.broadcast_to(floats(noise), (beams,))
     with np.errstate(under="ignore"):
-        least = detector.threshold - (_SIGMAS * rms if normals is not None else 0.0 * rms)
-        least = np.maximum(least, 0.02 * detector.threshold)
-        cosines = Cosines.none()
-        if soft is None:
-            cosines, echoes = split_cosines(echoes, detector)
-        clusters, chosen, clear = _clusters_of(echoes, beams, detector, soft, least)
-        single = single_candidates(clusters, ~chosen, least)
-        wave = sample(clusters, chosen, detector.pulse, detector.bin_m, soft, clear)
-        mixed = wave_candidates(wave, least, detector)
-        found = _measure(cosines, single, mixed, wave, clusters, detector, normals, rms)
+        if not signals:
+            signals = (signals_of(echoes, beams, detector, noisy=normals is not None, noise=noise, soft=soft),)
+        found = _Found.joined([_measure(part, detector, normals) for part in signals])
     if noise_echoes is not None and noise_echoes[0].size:
         beam, r, amplitude = noise_echoes
         k = beam.size
         found = _Found(
             np.concatenate([found.beam, beam]),
             np.concatenate([found.range_m, r]),
-            np.concatenate([found.amplitude, np.maximum(amplitude, detector.threshold)]),
+            np.concatenate([found.amplitude, np.maximum(amplitude, signals[0].threshold[beam])]),
             np.concatenate([found.saturated, np.zeros(k, np.bool_)]),
             np.concatenate([found.source, np.full(k, NO_SOURCE, np.int64)]),
         )
@@ -100,20 +156,20 @@ def detect(
 
 # ------------------------------------------------------------------------------- clusters: closed form or sampled
 def _clusters_of(
-    echoes: SubEchoes, beams: int, detector: Detector, soft: SoftProfile | None, least: Floats
+    echoes: SubEchoes, threshold: Floats, detector: Detector, soft: SoftProfile | None, marked: Bools
 ) -> tuple[Clusters, Bools, Floats]:
     """Clusters of the scan, which of them need a waveform, and the share of the beam that reaches each."""
     pulse = detector.pulse
-    echoes = _plane_echoes(echoes, detector)
-    if soft is not None:
-        echoes = SubEchoes.joined(echoes, _soft_marks(echoes, beams, soft, least))
+    echoes = _plane_echoes(echoes, detector, threshold)
+    if soft is not None and (soft.pulse.shape != "sin2" or bool(marked.any())):
+        echoes = SubEchoes.joined(echoes, _soft_marks(echoes, soft, marked))
     clusters = cluster(echoes, 2.0 * pulse.half_support_m, detector.resolution_m)
     first = clusters.first
-    before = np.cumsum(clusters.blocked) - clusters.blocked
+    before = clusters.blocked.cumsum() - clusters.blocked
     beam = clusters.beam[first]
-    head = np.searchsorted(clusters.beam, beam, side="left")
-    clear = np.clip(1.0 - (before[first] - before[head]), 0.0, 1.0) if first.size else np.zeros(0)
-    chosen = clusters.count > 1
+    head = clusters.beam.searchsorted(beam, side="left")
+    clear = clamped(1.0 - (before[first] - before[head]), 0.0, 1.0) if first.size else np.zeros(0)
+    chosen = clusters.count > (0 if detector.sampled else 1)
     if detector.method in ("constant_fraction", "centroid"):
         # a clipped pulse moves these two, so it is sampled
         chosen = chosen | (
@@ -121,16 +177,16 @@ def _clusters_of(
         )
     if soft is not None and first.size:
         start = clusters.range_m[first] - pulse.half_support_m
-        chosen = chosen | (clear * soft.wave(np.maximum(start, soft.peak_m)) > 0.01)
+        chosen = chosen | (clear * soft.wave(np.maximum(start, soft.peak_m)) > 1e-3)
     return clusters, chosen, clear
 
 
-def _plane_echoes(echoes: SubEchoes, detector: Detector) -> SubEchoes:
+def _plane_echoes(echoes: SubEchoes, detector: Detector, threshold: Floats) -> SubEchoes:
     """Whole tilted planes: a small spread only lowers the peak, a large one is unfolded into points."""
     if echoes.spread_m is None:
         return echoes
     pulse, spread = detector.pulse, echoes.spread_m
-    x = np.clip(detector.threshold / np.maximum(echoes.amplitude, 1e-12), 1e-4, 0.9)
+    x = clamped(threshold[echoes.beam] / np.maximum(echoes.amplitude, 1e-12), 1e-4, 0.9)
     shift = spread**2 * np.pi / (4.0 * pulse.fwhm_m * np.sqrt(x * (1.0 - x)))
     wide = (shift > 0.25 * detector.resolution_m) | (spread > 0.05 * pulse.fwhm_m)
     stretch = stretch_peak_sin2 if pulse.shape == "sin2" else stretch_peak_gauss
@@ -141,63 +197,66 @@ def _plane_echoes(echoes: SubEchoes, detector: Detector) -> SubEchoes:
     return unfold_spread(flat, wide)
 
 
-def _soft_marks(echoes: SubEchoes, beams: int, soft: SoftProfile, least: Floats) -> SubEchoes:
-    """Markers that have the medium's maximum sampled in every beam; for a Gaussian pulse the medium itself."""
+def _soft_marks(echoes: SubEchoes, soft: SoftProfile, marked: Bools) -> SubEchoes:
+    """Markers that have the medium's maximum sampled in these beams; for a Gaussian pulse the medium itself, in all."""
+    beams = len(marked)
     if soft.pulse.shape == "sin2":
         r = np.array([min(soft.start_m, soft.peak_m), soft.peak_m])
-        marked = np.flatnonzero(soft.peak >= least)
-        return SubEchoes.of(np.repeat(marked, 2), np.tile(r, marked.size), np.full(2 * marked.size, MARK))
+        beam = indexes(marked)
+        return SubEchoes.of(beam.repeat(2), np.tile(r, beam.size), np.full(2 * beam.size, MARK))
     node, piece = soft.nodes()
-    first = np.searchsorted(echoes.beam, np.arange(beams))
-    passed = np.concatenate([[0.0], np.cumsum(echoes.blocked)])
+    first = echoes.beam.searchsorted(np.arange(beams))
+    passed = np.concatenate([[0.0], echoes.blocked.cumsum()])
     length = float(max(soft.end_m, echoes.range_m.max(initial=0.0))) + 1.0
     key = echoes.beam * length + echoes.range_m
-    at = np.searchsorted(key, (np.arange(beams) * length)[:, None] + node, side="left")
-    clear = np.clip(1.0 - (passed[at] - passed[first][:, None]), 0.0, 1.0)
-    return SubEchoes.of(np.repeat(np.arange(beams), node.size), np.tile(node, beams), (clear * piece).ravel())
+    at = key.searchsorted((np.arange(beams) * length)[:, None] + node, side="left")
+    clear = clamped(1.0 - (passed[at] - passed[first][:, None]), 0.0, 1.0)
+    return SubEchoes.of(np.arange(beams).repeat(node.size), np.tile(node, beams), (clear * piece).ravel())
 
 
 # ------------------------------------------------------------------------------- seen, and where
-def _measure(
-    cosines: Cosines,
-    single: Candidates,
-    mixed: Candidates,
-    wave: Waveform,
-    clusters: Clusters,
-    detector: Detector,
-    normals: Floats | None,
-    rms: Floats,
-) -> _Found:
-    beam = np.concatenate([cosines.beam, single.beam, mixed.beam])
+def _measure(signals: Signals, detector: Detector, normals: Floats | None) -> _Found:
+    rms, cosines, own, single, mixed = signals.rms, signals.cosines, signals.own, signals.single, signals.mixed
+    wave, clusters = signals.wave, signals.clusters
+    beam = np.concatenate([cosines.beam, own.beam, single.beam, mixed.beam])
     if beam.size == 0:
         return _Found.none()
-    centre = np.concatenate([cosines.centre_m, single.centre_m, mixed.centre_m])
-    height = np.concatenate([cosines.height, single.amplitude, mixed.amplitude])
-    noise = np.sqrt(rms[beam] ** 2 + detector.shot_factor * height)
+    alone = np.ones(own.beam.size)
+    centre = np.concatenate([cosines.centre_m, own.centre_m * alone, single.centre_m, mixed.centre_m])
+    height = np.concatenate([cosines.height, own.height * alone, single.amplitude, mixed.amplitude])
+    dark, threshold = rms[beam], signals.threshold[beam]
+    noise = np.sqrt(dark**2 + detector.shot_factor * height)
+    tall = height * np.maximum(centre, 1e-3) ** 2 >= detector.floor_m2
     z = np.zeros(beam.size)
     if normals is not None:
-        order = np.lexsort((-height, beam))  # by height: a faint echo, computed or left out, takes no other's number
+        # by height: an echo that is too faint to be seen, computed or left out, takes no other's number
+        order = np.lexsort((np.where(tall, -height, 0.0), beam))
         rank = np.zeros(beam.size, np.int64)
         sizes = np.bincount(beam, minlength=rms.size)
         rank[order] = ramp(sizes)
         z = normals[beam, rank % normals.shape[1]]
     clipped = height >= detector.full_scale
     shown = np.minimum(height, detector.full_scale)
-    level = detector.threshold - z * noise
-    seen = (shown >= level) & (height * np.maximum(centre, 1e-3) ** 2 >= detector.floor_m2)
-    if not bool(np.any(seen)):
+    level = threshold - z * noise
+    seen = (shown >= level) & tall
+    if not bool(seen.any()):
         return _Found.none()
-    level = np.clip(level, 0.02 * detector.threshold, np.maximum(shown, 1e-12))
-    j = cosines.beam.size
+    if detector.shot_factor > 0.0:  # at the crossing the signal is as high as the threshold, however high it rises
+        level = threshold - z * np.sqrt(dark**2 + detector.shot_factor * np.minimum(height, threshold))
+    level = clamped(level, 0.02 * threshold, np.maximum(shown, 1e-12))
+    i = cosines.beam.size
+    j = i + own.beam.size
     k = j + single.beam.size
     if detector.method == "leading_edge":
         crossing = centre - detector.pulse.lead(np.maximum(height / level, 1.0))
-        if j:
-            crossing[:j] = cosines.crossing(level[:j])
+        if i:
+            crossing[:i] = cosines.crossing(level[:i])
+        if j > i:
+            crossing[i:j] = own.crossing(level[i:j])
         if mixed.beam.size:
             crossing[k:] = edges(wave, mixed, level[k:], crossing[k:])
         if detector.walk_table:
-            range_m = crossing + detector.pulse.lead(np.maximum(shown / detector.threshold, 1.0))
+            range_m = crossing + detector.pulse.lead(np.maximum(shown / threshold, 1.0))
         else:
             range_m = crossing + detector.pulse.start_lead_m - detector.offset_m
     else:
@@ -205,14 +264,14 @@ def _measure(
         if mixed.beam.size and detector.method == "centroid":
             range_m[k:] = centroids(wave, mixed, detector)
         elif mixed.beam.size and detector.method == "constant_fraction":
-            range_m[k:] = fractions(wave, mixed, detector)
+            range_m[k:] = fractions(wave, mixed, detector, signals.threshold)
         far = 0.5 * detector.pulse.fwhm_m
-        range_m = range_m + np.clip(z * detector.sigma_m(shown, noise), -far, far) - detector.offset_m
+        range_m = range_m + clamped(z * detector.sigma_m(shown, noise), -far, far) - detector.offset_m
     source = np.full(beam.size, NO_SOURCE, np.int64)
-    source[:j] = cosines.source
+    source[:i] = cosines.source
     source[j:k] = clusters.source[single.index]
     source[k:] = sources(wave, mixed)
-    amplitude = np.clip(height + z * noise, detector.threshold, max(detector.full_scale, detector.threshold))
+    amplitude = clamped(height + z * noise, threshold, np.maximum(detector.full_scale, threshold))
     range_m = np.maximum(range_m, 0.0)  # a touching target is at 0, whatever the noise
     return _Found(beam[seen], range_m[seen], amplitude[seen], clipped[seen], source[seen])
 
@@ -223,11 +282,11 @@ def _report(found: _Found, beams: int, detector: Detector, dazzled: Bools | None
     kept = (found.range_m >= detector.near_gate_m) & (found.range_m <= detector.far_gate_m) & np.isfinite(found.range_m)
     if dazzled is not None:
         kept &= ~dazzled[found.beam]
-    order = np.flatnonzero(kept)
+    order = indexes(kept)
     order = order[np.lexsort((found.range_m[order], found.beam[order]))]
     beam, range_m, amplitude = found.beam[order], found.range_m[order], found.amplitude[order]
     saturated = found.saturated[order]
-    if detector.recovery_s > 0.0 and bool(np.any(saturated)):
+    if detector.recovery_s > 0.0 and bool(saturated.any()):
         blind = _blinded(beam, range_m, saturated, 0.5 * SPEED_OF_LIGHT_M_S * detector.recovery_s)
         order, beam, range_m, amplitude = order[~blind], beam[~blind], range_m[~blind], amplitude[~blind]
         saturated = saturated[~blind]

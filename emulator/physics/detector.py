@@ -45,7 +45,11 @@ class Detector:
     delay_s: float | None = None
     "Constant fraction; None: half the FWHM."
     shot_factor: float = 0.0
-    "Signal shot noise: (noise at an echo)^2 = noise^2 + shot_factor * amplitude, see `noise.signal_shot_factor`."
+    "Signal shot noise: (noise at an echo)^2 = noise^2 + shot_factor * amplitude there, see `noise.signal_shot_factor`."
+    sampled: bool = False
+    "Every cluster is sampled, also those that have a closed form."
+    follows_noise: bool = False
+    "The threshold is so many times each beam's own noise; else of the nominal one, whatever the light outside."
     floor_m2: float = 0.0
     "Echoes fainter than floor_m2/R^2 are dropped: fog correction by a least reflectance, K times rho."
     near_gate_m: float = 0.0
@@ -71,6 +75,15 @@ class Detector:
     def bin_m(self) -> float:
         """Step of the sampled waveform in apparent range."""
         return self.pulse.fwhm_m / 16.0 if self.bin_s is None else 0.5 * SPEED_OF_LIGHT_M_S * self.bin_s
+
+    @property
+    def closed_form(self) -> bool:
+        """Short clusters have one: sums of sin^2 pulses under a leading edge."""
+        return self.pulse.shape == "sin2" and self.method == "leading_edge"
+
+    def thresholds(self, rms: Floats) -> Floats:
+        """(n,) threshold of beams with this rms noise (n,), in nominal noise units."""
+        return self.threshold * rms if self.follows_noise else np.full(len(rms), self.threshold)
 
     @property
     def cfd_delay_s(self) -> float:

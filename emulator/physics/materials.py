@@ -264,7 +264,7 @@ class SurfaceTable:
             result = self.rho[index] * c
         for model in {m.model for m in self.materials} & {"oren_nayar", "phong", "ggx", "coated", "retro"}:
             chosen = np.array([m.model == model for m in self.materials])[index]
-            if not bool(np.any(chosen)):
+            if not bool(chosen.any()):
                 continue
             k, cs = index[chosen], c[chosen]
             if model == "oren_nayar":
@@ -310,7 +310,7 @@ class SurfaceTable:
     def largest(self) -> Floats:
         """(materials,) largest value that `back` can take at any incidence, lobes and sheeting included."""
         top = self.back(
-            np.repeat(np.arange(len(self.materials)), 91),
+            np.arange(len(self.materials)).repeat(91),
             np.tile(np.cos(np.radians(np.arange(91.0))), len(self.materials)),
         )
         return floats(top.reshape(len(self.materials), 91).max(axis=1))

@@ -155,20 +155,35 @@ def detectable_particles(
     range_m : (k,) distributed with density r^2 exp(-slope D_min(r))
     diameter_mm : (k,) D_min(r) plus an exponential of mean 1/slope; the rare one above 6 mm is cut there
     """
-    beam = np.repeat(np.arange(len(count)), count)
+    beam = np.arange(len(count)).repeat(count)
     b = spectrum.slope_mm * floats(scale_mm_m2)[beam]
     lo = np.full(beam.shape, float(near_m))
     hi = np.maximum(floats(far_m)[beam], near_m)
     bottom, top = _cone(b, lo), _cone(b, hi)
     wanted = bottom + uniform[:, 0] * (top - bottom)
-    for _ in range(48):
-        mid = 0.5 * (lo + hi)
-        below = _cone(b, mid) < wanted
-        lo, hi = np.where(below, mid, lo), np.where(below, hi, mid)
-    r = 0.5 * (lo + hi)
+    r = _rising_root(b, wanted, lo, hi)
     least = floats(scale_mm_m2)[beam] * r * r
     diameter = least - np.log(np.maximum(uniform[:, 1], 1e-300)) / spectrum.slope_mm
     return beam, r, np.maximum(np.minimum(diameter, LARGEST_DROP_MM), np.minimum(least, LARGEST_DROP_MM))
+
+
+def _rising_root(b: Floats, wanted: Floats, lo: Floats, hi: Floats) -> Floats:
+    """Where `_cone` (b, r) is `wanted`, between lo and hi: Newton's steps, halves where these lead outside."""
+    r, live = 0.5 * (lo + hi), np.arange(len(b))
+    lo, hi = lo.copy(), hi.copy()
+    for _ in range(80):
+        if not len(live):
+            break
+        here, rate = r[live], b[live]
+        off = _cone(rate, here) - wanted[live]
+        below = off < 0.0
+        lo[live[below]], hi[live[~below]] = here[below], here[~below]
+        slope = here * here * exp_or_zero(-rate * here * here)
+        step = here - off / np.where(slope > 0.0, slope, 1.0)
+        inside = (slope > 0.0) & (step >= lo[live]) & (step <= hi[live])
+        r[live] = np.where(inside, step, 0.5 * (lo[live] + hi[live]))
+        live = live[np.abs(r[live] - here) > 1e-13 * here]
+    return r
 
 
 def particle_power(

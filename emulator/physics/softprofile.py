@@ -11,11 +11,22 @@ the share of the beam that it blocks: the integrals of that share end at R.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import special
 
-from emulator.physics.arrays import Complexes, Floats, Ints, Values, exp_or_zero, floats, ramp, require_positive
+from emulator.physics.arrays import (
+    Complexes,
+    Floats,
+    Ints,
+    Values,
+    clamped,
+    exp_or_zero,
+    floats,
+    ramp,
+    require_positive,
+)
 from emulator.physics.pulse import Pulse
 from emulator.physics.radiometry import overlap
 
@@ -55,6 +66,10 @@ class SoftProfile:
     b: Complexes
     slope_a: Floats
     slope_b: Complexes
+    until_m: float = float("inf")
+    "Apparent range behind which it shifts no other echo."
+    shows: bool = True
+    "It may make an echo of its own."
 
     @classmethod
     def of_medium(
@@ -100,8 +115,8 @@ class SoftProfile:
         a, b = _running(knots, density, alpha, start_m, full, k)
         turn = np.exp(1j * k * x)
         g = _density(knots, density, alpha, start_m, full)
-        reach_hi = np.clip(np.searchsorted(knots, x + half, side="right") - 1, 0, knots.size - 1)
-        reach_lo = np.clip(np.searchsorted(knots, x - half, side="right") - 1, 0, knots.size - 1)
+        reach_hi = clamped(knots.searchsorted(x + half, side="right") - 1, 0, knots.size - 1)
+        reach_lo = clamped(knots.searchsorted(x - half, side="right") - 1, 0, knots.size - 1)
         upper = a[reach_hi] + np.real(turn * b[reach_hi])
         lower = a[reach_lo] + np.real(turn * b[reach_lo])
         if pulse.shape == "sin2":
@@ -142,9 +157,9 @@ class SoftProfile:
         """`upper` and `lower` at bins j; beyond the end both are the whole integrals, so that nothing is left."""
         at = j - self.first
         beyond = at >= len(self.upper)
-        inside = np.clip(at, 0, len(self.upper) - 1)
+        inside = clamped(at, 0, len(self.upper) - 1)
         upper, lower = np.where(at >= 0, self.upper[inside], 0.0), np.where(at >= 0, self.lower[inside], 0.0)
-        if bool(np.any(beyond)):
+        if bool(beyond.any()):
             # a surface there stops shares whose integrals end at the table's end: they must find them here again
             turn = np.exp(1j * self.pulse.wave_number * self.bin_m * j[beyond].astype(np.float64))
             upper[beyond] = lower[beyond] = self.a[-1] + np.real(turn * self.b[-1])
@@ -152,16 +167,31 @@ class SoftProfile:
 
     def integrals(self, range_m: Floats) -> tuple[Floats, Complexes]:
         """A and B up to a range: cubic between the knots, from their values and the density itself."""
-        r = np.clip(floats(range_m), self.knots[0], self.knots[-1])
-        i = np.clip(np.searchsorted(self.knots, r, side="right") - 1, 0, self.knots.size - 2)
-        left, right = self.knots[i], self.knots[i + 1]
-        step = right - left
-        t = (r - left) / step
-        h00, h10 = (1.0 + 2.0 * t) * (1.0 - t) ** 2, t * (1.0 - t) ** 2
-        h01, h11 = t * t * (3.0 - 2.0 * t), t * t * (t - 1.0)
-        a = h00 * self.a[i] + h01 * self.a[i + 1] + step * (h10 * self.slope_a[i] + h11 * self.slope_a[i + 1])
-        b = h00 * self.b[i] + h01 * self.b[i + 1] + step * (h10 * self.slope_b[i] + h11 * self.slope_b[i + 1])
-        return floats(a), np.asarray(b, np.complex128)
+        knots = self.knots
+        r = np.minimum(np.maximum(floats(range_m), knots[0]), knots[-1])
+        i = np.minimum(knots.searchsorted(r, side="right") - 1, knots.size - 2)
+        t = r - knots.take(i)
+        a, real, imaginary = (
+            table[0].take(i) + t * (table[1].take(i) + t * (table[2].take(i) + t * table[3].take(i)))
+            for table in self._cubics
+        )
+        return a, real + 1j * imaginary
+
+    @cached_property
+    def _cubics(self) -> tuple[Floats, Floats, Floats]:
+        """(4, knots - 1) of A and of both parts of B: coefficients of the distance from the knot before."""
+        step = np.diff(self.knots)
+
+        def table(value: Floats, slope: Floats) -> Floats:
+            chord = np.diff(value) / step
+            bend = slope[:-1] + slope[1:] - 2.0 * chord
+            return np.array([value[:-1], slope[:-1], (chord - slope[:-1] - bend) / step, bend / (step * step)])
+
+        return (
+            table(self.a, self.slope_a),
+            table(self.b.real, self.slope_b.real),
+            table(self.b.imag, self.slope_b.imag),
+        )
 
     def nodes(self) -> tuple[Floats, Floats]:
         """The medium as point scatterers: ranges and amplitudes, a fifth of the pulse's FWHM apart or closer."""
@@ -194,8 +224,8 @@ def _running(
     half = 0.5 * np.diff(knots)[:, None]
     r = knots[:-1, None] + half * (t + 1.0)
     g = _density(r, density, alpha, start, full) * half * weight
-    a = np.concatenate([[0.0], np.cumsum(g.sum(axis=1))])
-    b = np.concatenate([[0.0], np.cumsum((g * np.exp(-1j * k * r)).sum(axis=1))])
+    a = np.concatenate([[0.0], g.sum(axis=1).cumsum()])
+    b = np.concatenate([[0.0], (g * np.exp(-1j * k * r)).sum(axis=1).cumsum()])
     return a, np.asarray(b, np.complex128)
 
 
@@ -205,8 +235,8 @@ def _gauss_wave(pulse: Pulse, x: Floats, knots: Floats, a: Floats) -> Floats:
     reach = pulse.half_support_m
     for start in range(0, x.size, 4096):  # keeps the table of pairs small; only pieces under the pulse are paired
         part = x[start : start + 4096]
-        low = np.searchsorted(middle, part - reach)
-        count = np.searchsorted(middle, part + reach, side="right") - low
-        owner, at = np.repeat(np.arange(part.size), count), np.repeat(low, count) + ramp(count)
+        low = middle.searchsorted(part - reach)
+        count = middle.searchsorted(part + reach, side="right") - low
+        owner, at = np.arange(part.size).repeat(count), low.repeat(count) + ramp(count)
         wave[start : start + 4096] = np.bincount(owner, pulse.profile(part[owner] - middle[at]) * piece[at], part.size)
     return wave

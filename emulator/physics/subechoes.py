@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emulator.physics.arrays import Bools, Floats, Ints, floats, group_starts
+from emulator.physics.arrays import Bools, Floats, Ints, clamped, floats, group_starts, indexes
 
 NO_SOURCE = -1
 
@@ -51,16 +51,22 @@ class SubEchoes:
         stop = np.zeros(range_m.shape) if blocked is None else floats(blocked)
         tag = np.full(range_m.shape, NO_SOURCE, np.int64) if source is None else np.asarray(source, np.int64)
         kept = np.isfinite(range_m) & np.isfinite(amplitude) & ((amplitude > 0.0) | (stop > 0.0))
-        if not bool(np.all(kept)):
+        if not bool(kept.all()):
             beam, range_m, amplitude, stop, tag = beam[kept], range_m[kept], amplitude[kept], stop[kept], tag[kept]
             spread_m = None if spread_m is None else spread_m[kept]
         later = (beam[1:] > beam[:-1]) | ((beam[1:] == beam[:-1]) & (range_m[1:] >= range_m[:-1]))
-        if not bool(np.all(later)):
+        if not bool(later.all()):
             length = float(range_m.max()) - min(0.0, float(range_m.min())) + 1.0
             order = np.argsort(beam * length + range_m, kind="stable")  # runs already in order cost little
             beam, range_m, amplitude, stop, tag = beam[order], range_m[order], amplitude[order], stop[order], tag[order]
             spread_m = None if spread_m is None else spread_m[order]
         return cls(beam, range_m, amplitude, stop, tag, spread_m)
+
+    @classmethod
+    def none(cls) -> SubEchoes:
+        """Not one."""
+        no = np.zeros(0, np.int64)
+        return cls(no, np.zeros(0), np.zeros(0), np.zeros(0), no)
 
     @classmethod
     def from_grid(
@@ -69,7 +75,7 @@ class SubEchoes:
         """From arrays (n, m) of n beams with m sub-beams each; NaN ranges are misses. Sorts each row."""
         order = np.argsort(range_m, axis=1)  # NaN goes last
         hit = np.isfinite(np.take_along_axis(range_m, order, 1))
-        beam = np.repeat(np.arange(range_m.shape[0]), np.count_nonzero(hit, axis=1))
+        beam = np.arange(range_m.shape[0]).repeat(np.count_nonzero(hit, axis=1))
 
         def picked(values: Floats) -> Floats:
             return floats(np.take_along_axis(np.broadcast_to(values, range_m.shape), order, 1)[hit])
@@ -78,6 +84,14 @@ class SubEchoes:
         if source is not None:
             tag = np.take_along_axis(np.broadcast_to(source, range_m.shape), order, 1)[hit].astype(np.int64)
         return cls.of(beam, picked(range_m), picked(amplitude), None if blocked is None else picked(blocked), tag)
+
+    def of_beams(self, wanted: Bools) -> SubEchoes:
+        """Those of the beams (n,) that are wanted."""
+        at = indexes(wanted[self.beam])
+        spread = None if self.spread_m is None else self.spread_m[at]
+        return SubEchoes(
+            self.beam[at], self.range_m[at], self.amplitude[at], self.blocked[at], self.source[at], spread
+        )
 
     @classmethod
     def joined(cls, *parts: SubEchoes) -> SubEchoes:
@@ -93,6 +107,20 @@ class SubEchoes:
             np.concatenate([p.source for p in parts]),
             spread,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """Sub-echoes that come again, sweep after sweep, in most beams."""
+
+    found: SubEchoes
+    "Of all beams; the same object each time."
+    changed: Bools
+    "(n,) beams that have others now."
+
+    def whole(self, others: SubEchoes) -> SubEchoes:
+        """With the sub-echoes of those beams."""
+        return SubEchoes.joined(self.found.of_beams(~self.changed), others)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +161,8 @@ def cluster(echoes: SubEchoes, support_m: float, resolution_m: float) -> Cluster
     beam, r = echoes.beam, echoes.range_m
     cut = np.ones(n, np.bool_)
     cut[1:] = (beam[1:] != beam[:-1]) | (r[1:] - r[:-1] > support_m)
-    number = np.cumsum(cut) - 1
-    start = np.flatnonzero(cut)
+    number = cut.cumsum() - 1
+    start = indexes(cut)
     end = np.append(start[1:], n) - 1
     quarter = 0.25 * resolution_m
     narrow = r[end] - r[start] < quarter
@@ -144,14 +172,14 @@ def cluster(echoes: SubEchoes, support_m: float, resolution_m: float) -> Cluster
         joined[1:] |= (cell[1:] != cell[:-1]) & ~narrow[number[1:]]
     else:
         joined[1:] = True
-    first = np.flatnonzero(joined)
+    first = indexes(joined)
     amplitude = np.add.reduceat(echoes.amplitude, first)
     weight = np.where(amplitude > 0.0, amplitude, 1.0)
     near = r[first]
-    offset = np.add.reduceat(echoes.amplitude * (r - np.repeat(near, np.diff(np.append(first, n)))), first) / weight
-    group = np.cumsum(joined) - 1
+    offset = np.add.reduceat(echoes.amplitude * (r - near.repeat(np.diff(np.append(first, n)))), first) / weight
+    group = joined.cumsum() - 1
     top = np.maximum.reduceat(echoes.amplitude, first)
-    strongest = np.flatnonzero(echoes.amplitude == top[group])
+    strongest = indexes(echoes.amplitude == top[group])
     source = np.full(first.size, NO_SOURCE, np.int64)
     source[group[strongest[::-1]]] = echoes.source[strongest[::-1]]  # the first of equals wins
     mine = number[first]
@@ -174,21 +202,21 @@ def unfold_spread(echoes: SubEchoes, wide: Bools, nodes: int = 20) -> SubEchoes:
     Across a plane range goes with 1/(1 - T u) and energy with (1 - T u)^3, T u normal with deviation spread/range: the
     echo is skew. Energy and mean range of the sub-echo are kept exactly.
     """
-    if echoes.spread_m is None or not bool(np.any(wide)):
+    if echoes.spread_m is None or not bool(wide.any()):
         return SubEchoes(echoes.beam, echoes.range_m, echoes.amplitude, echoes.blocked, echoes.source)
     z, weight = np.polynomial.hermite.hermgauss(nodes)
     kept = ~wide
     mean = echoes.range_m[wide][:, None]
-    slope = np.clip(1.0 - np.sqrt(2.0) * z * echoes.spread_m[wide][:, None] / np.maximum(mean, 1e-9), 0.2, 1.8)
+    slope = clamped(1.0 - np.sqrt(2.0) * z * echoes.spread_m[wide][:, None] / np.maximum(mean, 1e-9), 0.2, 1.8)
     share = weight * slope**3
     share = share / share.sum(axis=1, keepdims=True)
     r = 1.0 / slope
     r = mean * (r - np.sum(share * r, axis=1, keepdims=True) + 1.0)
     times = np.full(int(np.count_nonzero(wide)), nodes)
     return SubEchoes.of(
-        np.concatenate([echoes.beam[kept], np.repeat(echoes.beam[wide], times)]),
+        np.concatenate([echoes.beam[kept], echoes.beam[wide].repeat(times)]),
         np.concatenate([echoes.range_m[kept], np.maximum(r, 0.0).ravel()]),
         np.concatenate([echoes.amplitude[kept], (echoes.amplitude[wide][:, None] * share).ravel()]),
         np.concatenate([echoes.blocked[kept], (echoes.blocked[wide][:, None] * share).ravel()]),
-        np.concatenate([echoes.source[kept], np.repeat(echoes.source[wide], times)]),
+        np.concatenate([echoes.source[kept], echoes.source[wide].repeat(times)]),
     )

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from emulator.physics.arrays import Bools, Floats, Ints, ramp
+from emulator.physics.arrays import Bools, Floats, Ints, indexes, ramp
 from emulator.physics.candidates import Candidates
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.detector import Detector
@@ -28,9 +28,9 @@ def edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -
     maximum would have.
     """
     count = found.index - found.begin + 1
-    flat = np.repeat(found.begin, count) + ramp(count)
-    owner = np.repeat(np.arange(count.size), count)
-    over = np.flatnonzero(wave.value[flat] >= level[owner])
+    flat = found.begin.repeat(count) + ramp(count)
+    owner = np.arange(count.size).repeat(count)
+    over = indexes(wave.value[flat] >= level[owner])
     first = found.index.copy()
     hit = np.zeros(count.size, np.bool_)
     first[owner[over[::-1]]] = flat[over[::-1]]
@@ -57,35 +57,47 @@ def _crossing(
 ) -> Floats:
     """Zeros of functions that rise from f_lo < 0 at lo to f_hi >= 0 at hi, to `_EXACT_M`.
 
-    False position, the stale end halved (Illinois), every third step a bisection for functions with a corner; only
-    those not there yet are evaluated. Where there is no bracket the upper end is returned.
+    False position, the value at the stale end lessened as the new one tells (Anderson and Bjorck), a bisection where
+    three steps have not halved the bracket; only those not there yet are evaluated. Where there is no bracket the upper
+    end is returned.
     """
     x = hi.copy()
-    live = np.flatnonzero(wanted & (f_lo < 0.0) & (f_hi > 0.0) & (hi > lo))
+    live = indexes(wanted & (f_lo < 0.0) & (f_hi > 0.0) & (hi > lo))
     a, b, fa, fb = lo[live], hi[live], f_lo[live], f_hi[live]
-    side, last = np.zeros(live.size, np.int64), np.full(live.size, np.inf)
+    side, before = np.zeros(live.size, np.int64), np.full(live.size, np.inf)
+    slope = (fb - fa) / (b - a)
     for step in range(60):
         if live.size == 0:
             break
-        mid = 0.5 * (a + b) if step % 3 == 2 else np.clip(a - fa * (b - a) / (fb - fa), a, b)
+        width = b - a
+        mid = np.minimum(np.maximum(a - fa * width / (fb - fa), a), b)
+        if step % 3 == 2:
+            mid = np.where(width > 0.5 * before, 0.5 * (a + b), mid)
+            before = width
         f = rises(mid, live)
+        x[live] = mid
         up = f >= 0.0
-        fa = np.where(up, np.where(side == 1, 0.5 * fa, fa), f)
-        fb = np.where(up, f, np.where(side == -1, 0.5 * fb, fb))
+        old = np.where(up, fb, fa)
+        less = 1.0 - f / old
+        less = np.where(less > 0.0, less, 0.5)
+        fa = np.where(up, np.where(side == 1, less * fa, fa), f)
+        fb = np.where(up, f, np.where(side == -1, less * fb, fb))
+        # the slope from the nearer end tells how far it still is
+        moved = mid - np.where(up, b, a)
+        slope = np.where(moved != 0.0, (f - old) / np.where(moved != 0.0, moved, 1.0), slope)
         a, b = np.where(up, a, mid), np.where(up, mid, b)
         side = np.where(up, 1, -1)
-        x[live] = mid
-        more = (b - a > _EXACT_M) & (f != 0.0) & (fa < 0.0) & (fb > 0.0)
-        more &= np.abs(mid - last) > _EXACT_M  # hardly moved: false position is there though the bracket is wide
-        last = mid[more]
-        live, a, b, fa, fb, side = live[more], a[more], b[more], fa[more], fb[more], side[more]
+        more = (b - a > _EXACT_M) & (np.abs(f) > 0.1 * _EXACT_M * slope) & (fa < 0.0) & (fb > 0.0)
+        if not bool(more.all()):
+            live, a, b, fa, fb, side = live[more], a[more], b[more], fa[more], fb[more], side[more]
+            before, slope = before[more], slope[more]
     return x
 
 
 def _ends(wave: Waveform, found: Candidates) -> Ints:
     """Sample at which the next echo of the window begins, or the window's last."""
     end = wave.start[found.window] + wave.count[found.window] - 1
-    inside = np.flatnonzero(found.window[1:] == found.window[:-1])
+    inside = indexes(found.window[1:] == found.window[:-1])
     end[inside] = found.begin[inside + 1]
     return end
 
@@ -94,17 +106,20 @@ def centroids(wave: Waveform, found: Candidates, detector: Detector) -> Floats:
     """First moment of the clipped signal between the valleys on both sides of each echo."""
     begin, end = found.begin, _ends(wave, found)
     count = end - begin + 1
-    flat = np.repeat(begin, count) + ramp(count)
-    edge = np.cumsum(count) - count
+    flat = begin.repeat(count) + ramp(count)
+    edge = count.cumsum() - count
     value = np.minimum(wave.value[flat], detector.full_scale)
-    offset = (flat - np.repeat(found.index, count)).astype(np.float64)
+    offset = (flat - found.index.repeat(count)).astype(np.float64)
     total = np.add.reduceat(value, edge)
     moment = np.add.reduceat(value * offset, edge)
     return wave.position(found.index, found.window) + wave.bin_m * moment / np.where(total > 0.0, total, 1.0)
 
 
-def fractions(wave: Waveform, found: Candidates, detector: Detector) -> Floats:
-    """Constant fraction: where the delayed signal overtakes the attenuated one, less the lead of a single echo."""
+def fractions(wave: Waveform, found: Candidates, detector: Detector, threshold: Floats) -> Floats:
+    """Constant fraction: where the delayed signal overtakes the attenuated one, less the lead of a single echo.
+
+    `threshold` : (n,) of each beam.
+    """
     delay = 0.5 * SPEED_OF_LIGHT_M_S * detector.cfd_delay_s
     f = detector.fraction
 
@@ -117,17 +132,17 @@ def fractions(wave: Waveform, found: Candidates, detector: Detector) -> Floats:
     last = wave.start[found.window] + wave.count[found.window] - 1
     end = np.minimum(end + int(np.ceil(delay / wave.bin_m)), last)
     count = end - begin + 1
-    owner = np.repeat(np.arange(count.size), count)
-    flat = np.repeat(begin, count) + ramp(count)
+    owner = np.arange(count.size).repeat(count)
+    flat = begin.repeat(count) + ramp(count)
     window = found.window[owner]
     y = balance(wave.position(flat, window), window)
     falls = np.zeros(flat.size, np.bool_)
     falls[:-1] = (y[:-1] > 0.0) & (y[1:] <= 0.0) & (owner[1:] == owner[:-1])
     # armed by the threshold: the zero belongs to the rise that reached it
-    armed = np.minimum(wave.value[found.index], detector.threshold) * 0.5
+    armed = np.minimum(wave.value[found.index], threshold[found.beam]) * 0.5
     value = np.minimum(wave.value[flat], detector.full_scale)
     falls &= (value >= armed[owner]) | (flat >= found.index[owner])
-    at = np.flatnonzero(falls)
+    at = indexes(falls)
     place = np.full(count.size, -1, np.int64)
     place[owner[at[::-1]]] = at[::-1]
     ok = place >= 0
@@ -144,11 +159,11 @@ def sources(wave: Waveform, found: Candidates) -> Ints:
     if found.beam.size == 0:
         return np.zeros(0, np.int64)
     count = wave.sub_count[found.window]
-    member = np.repeat(wave.sub_first[found.window], count) + ramp(count)
-    owner = np.repeat(np.arange(count.size), count)
+    member = wave.sub_first[found.window].repeat(count) + ramp(count)
+    owner = np.arange(count.size).repeat(count)
     pull = wave.sub_amplitude[member] * wave.pulse.profile(found.centre_m[owner] - wave.sub_range[member])
-    best = np.maximum.reduceat(pull, np.cumsum(count) - count)
-    at = np.flatnonzero(pull == best[owner])
+    best = np.maximum.reduceat(pull, count.cumsum() - count)
+    at = indexes(pull == best[owner])
     source = np.full(count.size, NO_SOURCE, np.int64)
     source[owner[at[::-1]]] = wave.sub_source[member[at[::-1]]]
     if wave.soft.size:

@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from emulator.physics.arrays import Bools, Complexes, Floats, Ints, floats, ramp
+from emulator.physics.arrays import Bools, Complexes, Floats, Ints, clamped, floats, ramp
 from emulator.physics.pulse import Pulse
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import Clusters
@@ -46,11 +46,13 @@ class Waveform:
     sub_range: Floats
     sub_amplitude: Floats
     sub_source: Ints
+    hazy: bool = True
+    "There is a medium in it."
 
     @property
     def window(self) -> Ints:
         """(s,) window of each sample."""
-        return np.repeat(np.arange(self.start.size), self.count)
+        return np.arange(self.start.size).repeat(self.count)
 
     def position(self, index: Ints, window: Ints) -> Floats:
         """Apparent range of samples by flat index and window. [m]"""
@@ -62,7 +64,8 @@ class Waveform:
 
     def soft_at(self, x_m: Floats, window: Ints) -> Floats:
         """The medium's part at any apparent range inside windows, linear between the samples."""
-        offset = np.clip(x_m / self.bin_m - self.first_bin[window], 0.0, self.count[window] - 1.000001)
+        last = self.count[window].astype(np.float64) - 1.000001
+        offset = clamped(x_m / self.bin_m - self.first_bin[window], 0.0, last)
         whole = np.floor(offset).astype(np.int64)
         at = self.start[window] + whole
         part = offset - whole
@@ -70,6 +73,8 @@ class Waveform:
 
     def at(self, x_m: Floats, window: Ints) -> Floats:
         """Value at any apparent range inside windows."""
+        if not self.hazy:
+            return self.surfaces_at(x_m, window)
         return np.maximum(self.surfaces_at(x_m, window) + self.soft_at(x_m, window), 0.0)
 
     @cached_property
@@ -93,12 +98,12 @@ def sample(
     kept = chosen[clusters.cluster]
     r, amplitude, blocked = clusters.range_m[kept], clusters.amplitude[kept], clusters.blocked[kept]
     sub_count = clusters.count[chosen]
-    sub_first = np.cumsum(sub_count) - sub_count
-    window = np.repeat(np.arange(sub_count.size), sub_count)
+    sub_first = sub_count.cumsum() - sub_count
+    window = np.arange(sub_count.size).repeat(sub_count)
     low, high = r[sub_first], r[sub_first + sub_count - 1]
     first_bin = np.floor((low - half) / bin_m).astype(np.int64) - 1
     count = np.ceil((high + half) / bin_m).astype(np.int64) - first_bin + 2
-    start = np.cumsum(count) - count
+    start = count.cumsum() - count
     total = int(count.sum())
     base = (start - first_bin)[window]
     on = base + np.ceil((r - half) / bin_m).astype(np.int64)
@@ -110,8 +115,8 @@ def sample(
 
     # each window's running sums start from exactly 0: what rounding left in the last one is taken off
     def running(weight: Floats) -> Floats:
-        sums = np.cumsum(_deposit(steps, np.concatenate([weight, -weight]), total))
-        return floats(sums - np.repeat(sums[start], count))
+        sums = _deposit(steps, np.concatenate([weight, -weight]), total).cumsum()
+        return floats(sums - sums[start].repeat(count))
 
     angle = k * bin_m * np.arange(int(count.max(initial=1)))
     cosine, sine = np.cos(angle)[local], np.sin(angle)[local]
@@ -124,24 +129,24 @@ def sample(
     np.maximum(value, 0.0, out=value)
     part = np.zeros(total)
     if soft is not None and pulse.shape == "sin2" and total:
-        j = np.repeat(first_bin, count) + local
+        j = first_bin.repeat(count) + local
         upper, lower = soft.tables(j)
-        open_far = np.repeat(clear_share[chosen], count)
+        open_far = clear_share[chosen].repeat(count)
         open_near = open_far.copy()
         stop = blocked > 0.0
         near = stop & (r < soft.end_m + 2.0 * half)
-        if bool(np.any(near)):
+        if bool(near.any()):
             a, b = soft.integrals(r[near])
             b = b * np.exp(1j * k * (bin_m * first_bin)[window[near]])
             share, into, out = blocked[near], on[near], off[near]
             edge = np.concatenate([into, out])
 
             def between(weight: Floats) -> Floats:
-                return np.cumsum(_deposit(edge, np.concatenate([weight, -weight]), total))
+                return _deposit(edge, np.concatenate([weight, -weight]), total).cumsum()
 
             def after(index: Ints) -> Floats:  # running share, restarted in every window
-                sums = np.cumsum(_deposit(index, share, total))
-                return np.asarray(sums - np.repeat(sums[start], count))
+                sums = _deposit(index, share, total).cumsum()
+                return np.asarray(sums - sums[start].repeat(count))
 
             open_far = open_far - after(into)
             open_near = open_near - after(out)
@@ -166,6 +171,7 @@ def sample(
         r,
         amplitude,
         clusters.source[kept],
+        soft is not None,
     )
 
 
@@ -187,7 +193,7 @@ class _RunningSums:
 
     @classmethod
     def of(cls, wave: Waveform) -> _RunningSums:
-        window = np.repeat(np.arange(wave.sub_first.size), wave.sub_count)
+        window = np.arange(wave.sub_first.size).repeat(wave.sub_count)
         origin = wave.sub_range[wave.sub_first]
         offset = wave.sub_range - origin[window]
         half, k = wave.pulse.half_support_m, wave.pulse.wave_number
@@ -196,15 +202,15 @@ class _RunningSums:
         weight = wave.sub_amplitude.astype(np.complex128)
         sums = []
         for term in wave.pulse.series:
-            sums.append(np.concatenate([np.zeros(1, np.complex128), np.cumsum(term * weight)]))
+            sums.append(np.concatenate([np.zeros(1, np.complex128), (term * weight).cumsum()]))
             weight = weight * turn
         return cls(origin, window * length + offset, length, tuple(sums), half, k)
 
     def at(self, x_m: Floats, window: Ints) -> Floats:
         offset = x_m - self.origin[window]
-        low = window * self.length + np.clip(offset - self.half, -2.0 * self.half, self.length - 4.0 * self.half)
-        high = window * self.length + np.clip(offset + self.half, -2.0 * self.half, self.length - 4.0 * self.half)
-        lo, hi = np.searchsorted(self.key, low, side="left"), np.searchsorted(self.key, high, side="right")
+        low = window * self.length + clamped(offset - self.half, -2.0 * self.half, self.length - 4.0 * self.half)
+        high = window * self.length + clamped(offset + self.half, -2.0 * self.half, self.length - 4.0 * self.half)
+        lo, hi = self.key.searchsorted(low, side="left"), self.key.searchsorted(high, side="right")
         turn = np.exp(1j * self.k * offset)
         value = np.zeros(offset.shape, np.complex128)
         for total in reversed(self.sums):

@@ -6,10 +6,11 @@ candump's lines are written here: python-can appends a direction letter that tsh
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from emulator.muting import muted
 from protocols.can_frame import EXTENDED
 
 _LINE = re.compile(
@@ -44,44 +45,56 @@ def read_candump(lines: Iterable[str]) -> Iterator[LoggedFrame]:
             yield LoggedFrame(int(seconds) * 10**9 + int(part.ljust(9, "0")), peer, bytes.fromhex(data), channel)
 
 
-def write_with_library(path: Path, frames: Iterable[LoggedFrame]) -> None:
-    """A .blf or .asc file, by the ending of its name."""
+def write_with_library(paths: Sequence[Path], frames: Iterable[LoggedFrame]) -> None:
+    """The same frames into .blf and .asc files, by the ending of each name."""
     import can
 
-    writer: Any = can.ASCWriter(path) if path.suffix == ".asc" else can.BLFWriter(path)
+    writers: list[Any] = []
     try:
+        for path in paths:
+            writer: Any = can.ASCWriter(path) if path.suffix == ".asc" else can.BLFWriter(path)
+            writers.append(writer)
+            # instants count from the start of the run, not from the first frame: as in every other file of it
+            if path.suffix == ".asc":
+                writer.log_event("Start of the run", 0.0)
+            else:
+                writer.start_timestamp = 0.0
         for frame in frames:
-            writer.on_message_received(
-                can.Message(
-                    timestamp=frame.at_ns * 1e-9,
-                    arbitration_id=frame.peer & 0x1FFFFFFF,
-                    is_extended_id=bool(frame.peer & EXTENDED),
-                    data=frame.data,
-                    channel=0,
-                )
+            message = can.Message(
+                timestamp=frame.at_ns * 1e-9,
+                arbitration_id=frame.peer & 0x1FFFFFFF,
+                is_extended_id=bool(frame.peer & EXTENDED),
+                data=frame.data,
+                channel=0,
             )
+            for writer in writers:
+                writer.on_message_received(message)
     finally:
-        writer.stop()
+        for writer in writers:
+            writer.stop()
 
 
 def read_with_library(path: Path) -> list[LoggedFrame]:
     """Frames of a .blf or .asc file, as far as it can be read; `ValueError` when nothing can."""
+    with muted("can"):
+        return _read_with_library(path)
+
+
+def _read_with_library(path: Path) -> list[LoggedFrame]:
     import can
 
     found: list[LoggedFrame] = []
-    reader: Any = None
-    try:
-        reader = can.ASCReader(path) if path.suffix == ".asc" else can.BLFReader(path)
-        for message in reader:
-            if not (message.is_error_frame or message.is_remote_frame or message.is_fd):
-                peer = message.arbitration_id | (EXTENDED if message.is_extended_id else 0)
-                at_ns = round(message.timestamp * 1e9)
-                found.append(LoggedFrame(at_ns, peer, bytes(message.data), str(message.channel)))
-    except Exception as error:
-        # python-can has no single error for a damaged log; what came before the damage is kept
-        if not found:
-            raise ValueError(f"not a readable log: {error}") from None
-    finally:
-        if reader is not None:
-            reader.stop()
+    text = path.suffix == ".asc"
+    file: Any
+    with path.open("r" if text else "rb") as file:  # a reader that refuses the first bytes would leave it open
+        try:
+            for message in can.ASCReader(file) if text else can.BLFReader(file):
+                if not (message.is_error_frame or message.is_remote_frame or message.is_fd):
+                    peer = message.arbitration_id | (EXTENDED if message.is_extended_id else 0)
+                    at_ns = round(message.timestamp * 1e9)
+                    found.append(LoggedFrame(at_ns, peer, bytes(message.data), str(message.channel)))
+        except Exception as error:
+            # python-can has no single error for a damaged log; what came before the damage is kept
+            if not found:
+                raise ValueError(f"not a readable log: {error}") from None
     return found

@@ -3,8 +3,13 @@
 Wire      topic /SENSOR/LINK/tx or rx, the bytes as they are; log time: first bit, publish time: last bit;
           channel metadata: sensor, link, kind, url, direction, peer, baud; sequence: sweep + 1 of a scan, else 0
 Scans     topic /SENSOR/scan, see `SCAN_LAYOUT`
+Clocks    topic /SENSOR/clock, JSON: sweep, true_ns (of the run), device_ns (as the device's clock shows it, not
+          wrapped), ticks (as on the wire), tick_ns, bits; of devices that tell a time
+Beams     topic /SENSOR/beams, float64 little-endian: instant of each beam after the sweep's start, in seconds; before
+          the first sweep that has them, and again when they have changed
 Events    topic /SENSOR/event, JSON
-Metadata  `lidaremu`: version of this layout and of the package; attachment `scenario.yaml`
+Metadata  `lidaremu`: version of this layout and of the package; attachment `scenario.yaml`; at the end of a run
+          `lidaremu.end`: sensor -> JSON, its counters and lateness
 """
 
 from __future__ import annotations
@@ -22,6 +27,9 @@ VERSION = 1
 FILE_NAME = "run.mcap"
 META_NAME = "lidaremu"
 WIRE_ENCODING, SCAN_ENCODING, EVENT_ENCODING = "x-lidaremu-wire", "x-lidaremu-scan", "json"
+CLOCK_ENCODING = "x-lidaremu-clock"
+BEAMS_ENCODING = "x-lidaremu-beams"
+END_NAME = "lidaremu.end"
 
 SCAN_LAYOUT = """lidaremu scan, version 1, little-endian:
 int64 start_ns, int64 sweep, int32 epoch, uint32 n (beams), uint32 k (echoes a beam);
@@ -47,6 +55,8 @@ class RecordedScan:
     objects: tuple[dict[str, object], ...]
     truth: tuple[dict[str, object], ...] = ()
     "Of a sensor that lists objects: every actor with its pose, speed and visible share."
+    elevation_rad: Floats | None = None
+    "(n,)"
 
 
 def encode_scan(scan: Scan) -> bytes:
@@ -103,7 +113,8 @@ def decode_scan(data: bytes) -> RecordedScan:
     except (struct.error, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise ValueError(f"not a recorded scan: {error}") from None
     objects, truth = (rest.get("objects", ()), rest.get("truth", ())) if isinstance(rest, dict) else (rest, ())
-    azimuth, _, range_m, intensity = (field.astype(np.float64) for field in fields[:4])
+    with np.errstate(invalid="ignore"):  # damaged bytes may be a NaN that signals
+        azimuth, elevation, range_m, intensity = (field.astype(np.float64) for field in fields[:4])
     actor = fields[4].astype(np.int32).reshape(n, k)
     ranges, peaks = range_m.reshape(n, k), intensity.reshape(n, k)
-    return RecordedScan(start_ns, sweep, epoch, azimuth, ranges, peaks, actor, tuple(objects), tuple(truth))
+    return RecordedScan(start_ns, sweep, epoch, azimuth, ranges, peaks, actor, tuple(objects), tuple(truth), elevation)

@@ -43,18 +43,34 @@ class ReplaySession(Session):
         self.rounds = 0
         self.loops = 1
         "Rounds to be sent; 0: without end."
+        self.allowed: int | None = None
+        "Payloads that may still be sent; None: all."
         self._events: list[Event] = []
-        first = self._entries[0].at_ns if self._entries else 0
-        self._first_ns = first
-        self.length_ns = max((entry.payload.end_ns for entry in self._entries), default=first) - first
+        self._first_ns, self._last_ns = self.span() or (0, 0)
+
+    def span(self) -> tuple[int, int] | None:
+        """First and last instant of its payloads; None without any."""
+        if not self._entries:
+            return None
+        return self._entries[0].at_ns, max(entry.payload.end_ns for entry in self._entries)
+
+    def share(self, first_ns: int, last_ns: int) -> None:
+        """Begin, and end a round, with the recording and not with the first and last payload of this link."""
+        self._first_ns, self._last_ns = first_ns, last_ns
 
     @property
     def finished(self) -> bool:
         """Everything has been handed over."""
         return not self._entries or (self.loops > 0 and self.rounds >= self.loops)
 
+    @property
+    def progress(self) -> float:
+        """Share of its payloads that have been handed over; without end, of this round."""
+        within = self._at / max(1, len(self._entries))
+        return 1.0 if self.finished else (self.rounds + within) / self.loops if self.loops else within
+
     def start(self, now_ns: int) -> None:
-        """The first payload is due now."""
+        """The recording's first payload is due at this instant."""
         self._start_ns = now_ns
 
     def power_on(self, now_ns: int) -> None:
@@ -67,6 +83,10 @@ class ReplaySession(Session):
         pass
 
     def next_deadline(self) -> int | None:
+        return None if self.allowed == 0 else self.next_ns()
+
+    def next_ns(self) -> int | None:
+        """When the next payload is due, allowed or not; None: there is none."""
         if self._start_ns is None or self.finished:
             return None
         return self._start_ns + self._entries[self._at].at_ns - self._first_ns
@@ -82,11 +102,12 @@ class ReplaySession(Session):
         while (at_ns := self.next_deadline()) is not None and at_ns <= now_ns:
             due += self._emissions(self._entries[self._at], at_ns)
             self._at += 1
+            self.allowed = None if self.allowed is None else self.allowed - 1
             if self._at == len(self._entries):
                 self._at = 0
                 self.rounds += 1
                 assert self._start_ns is not None
-                self._start_ns += self.length_ns + self._gap_ns
+                self._start_ns += self._last_ns - self._first_ns + self._gap_ns
         return due
 
     def _emissions(self, entry: Timed, at_ns: int) -> list[Emission]:
@@ -112,29 +133,50 @@ class GapErrors(Watcher):
     def __init__(self, daemon: VirtualDaemon) -> None:
         self._daemon = daemon
         self.late_ns: list[int] = []
+        self.end_ns = 0
+        "When the last bit has left of all that was handed over, in the time of the run."
 
     def payload(self, payload: Payload) -> None:
         if payload.sent:
             self.late_ns.append(max(0, self._daemon.late_ns(payload.start_ns)))
+            self.end_ns = max(self.end_ns, payload.end_ns)
+
+
+def step(daemon: VirtualDaemon, sessions: Sequence[ReplaySession], sent: GapErrors) -> None:
+    """Let time go until the next payload has left to its last bit; `sessions` are allowed nothing before."""
+    waiting = [(due_ns, index) for index, one in enumerate(sessions) if (due_ns := one.next_ns()) is not None]
+    if waiting:
+        due_ns, index = min(waiting)
+        sessions[index].allowed = 1
+        daemon.advance(due_ns)
+        daemon.run_of.advance(daemon.now_ns)  # due at this very instant
+        daemon.advance(sent.end_ns)
 
 
 def open_players(wires: Sequence[WireOf], links: Mapping[str, str], gap_ns: int = 0) -> list[Instrument]:
     """An instrument for each recorded link, named after sensor and link; opens what they are sent on.
+
+    They keep the recorded time between each other, from round to round of a loop too.
 
     `links`: sensor -> link instead of the recorded one. Raises `LinkError`.
     """
     ports = CanPorts()
     opened: list[Link] = []
     players = []
+    sessions: list[ReplaySession] = []
     try:
         for wire in wires:
             url = links.get(wire.sensor, wire.url)
             opened.append(open_link(url, wire.kind == "serial", can_ports=ports))
             session = ReplaySession([wire], [opened[-1].kind], gap_ns)
             name = wire.sensor if wire.link == 0 else f"{wire.sensor}/{wire.link}"
+            sessions.append(session)
             players.append(Instrument(name, session, opened[-1:], InPlace({})))
     except BaseException:
         for link in opened:
             link.close()
         raise
+    spans = [span for one in sessions if (span := one.span()) is not None]
+    for session in sessions if spans else ():
+        session.share(min(first for first, _ in spans), max(last for _, last in spans))
     return players

@@ -7,22 +7,37 @@ from __future__ import annotations
 
 import json
 import struct
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
 from mcap.exceptions import McapError
 from mcap.records import Attachment, Channel, Message, Metadata
-from mcap.stream_reader import StreamReader
 
 from emulator.recording import layout
+from emulator.recording.bounds import MOST_BYTES, TooLarge, bearable, check_blf, mcap_records
 from emulator.recording.can_logs import LoggedFrame, read_candump, read_with_library
+from emulator.recording.captures import read_segments, streams_of
 from emulator.recording.layout import RecordedScan, decode_scan
-from emulator.recording.pcapng import read_segments, stream_of
+from emulator.recording.line_dumps import telegrams_of
+from emulator.recording.pcapng import LD_PORT
 from emulator.recording.writer import RecordingError
+from protocols.device_clock import Told
+from protocols.scan import Floats
 
-MOST_RECORD = 1 << 28
-LD_PORT = 49_152
+DAMAGE = (McapError, struct.error, ValueError, LookupError, EOFError, OverflowError, TypeError, RecursionError)
+"What reading a damaged file ends with: lengths, names, numbers and JSON in it may be anything."
+
+
+def damage(error: Exception) -> str:
+    """What is wrong with a file, for people."""
+    if type(error).__name__ == "EndOfFile" or isinstance(error, EOFError | struct.error):
+        return "the file ends within a record"
+    return f"{type(error).__name__}: {error}".removesuffix(": ")
+
+
 DEFAULT_BAUD = 38_400
 
 
@@ -60,30 +75,40 @@ class RecordedRun:
     sent: dict[tuple[str, int], WireOf] = field(default_factory=dict)
     received: dict[tuple[str, int], WireOf] = field(default_factory=dict)
     scans: dict[str, list[RecordedScan]] = field(default_factory=dict)
+    offsets: dict[str, list[Floats | None]] = field(default_factory=dict)
+    "Of each scan, when each of its beams fired after its start [s], shared by those that have the same; None: unknown."
+    clocks: dict[str, list[tuple[int, Told]]] = field(default_factory=dict)
+    "Sensor -> sweep and what its telegram told of the device's time."
     events: list[tuple[int, str, dict[str, object]]] = field(default_factory=list)
     cut: str = ""
     "Why reading ended before the file's own end; empty for a whole file."
 
 
-def _data_of(path: Path) -> bytes:
+def _data_of(path: Path, most: int | None = None) -> bytes:
+    """The whole file, or its first bytes; what is too large is refused before it is read."""
     try:
-        return path.read_bytes()
+        bearable(path)
+        with path.open("rb") as file:
+            return file.read(MOST_BYTES if most is None else most)
     except OSError as error:
         raise RecordingError(f"{path}: cannot read: {error.strerror}") from None
+    except TooLarge as error:
+        raise RecordingError(f"{path}: {error}") from None
 
 
 def read_run(path: Path) -> RecordedRun:
     """A recording of ours, given its folder or its `run.mcap`; a cut one as far as it goes. Raises `RecordingError`."""
     if path.is_dir():
         path = path / layout.FILE_NAME
-    if _data_of(path)[:8] != b"\x89MCAP0\r\n":
+    if _data_of(path, 8) != b"\x89MCAP0\r\n":
         raise RecordingError(f"{path}: not an MCAP file; want a recording's folder or its {layout.FILE_NAME}")
     run = RecordedRun(path)
     channels: dict[int, Channel] = {}
+    offsets: dict[str, Floats] = {}
     version = None
     with path.open("rb") as file:
         try:
-            for record in StreamReader(file, record_size_limit=MOST_RECORD).records:
+            for record in mcap_records(file):
                 if isinstance(record, Metadata) and record.name == layout.META_NAME:
                     version = record.metadata.get("layout", "")
                     if version != str(layout.VERSION):
@@ -93,15 +118,17 @@ def read_run(path: Path) -> RecordedRun:
                 elif isinstance(record, Channel):
                     channels[record.id] = record
                 elif isinstance(record, Message):
-                    _take(run, channels[record.channel_id], record)
-        except (McapError, struct.error, ValueError, LookupError, EOFError, UnicodeDecodeError, OverflowError) as error:
-            run.cut = f"{type(error).__name__}: {error}"
+                    _take(run, channels[record.channel_id], record, offsets)
+        except TooLarge as error:
+            raise RecordingError(f"{path}: {error}") from None
+        except DAMAGE as error:
+            run.cut = damage(error)
     if version is None:
         raise RecordingError(f"{path}: no recording of lidaremu, or one cut within its first bytes")
     return run
 
 
-def _take(run: RecordedRun, channel: Channel, message: Message) -> None:
+def _take(run: RecordedRun, channel: Channel, message: Message, offsets: dict[str, Floats]) -> None:
     meta = channel.metadata
     if channel.message_encoding == layout.WIRE_ENCODING:
         table = run.sent if meta["direction"] == "tx" else run.received
@@ -111,44 +138,83 @@ def _take(run: RecordedRun, channel: Channel, message: Message) -> None:
         peer, baud = int(meta["peer"]), int(meta["baud"])
         wire.payloads.append(WirePayload(message.log_time, message.publish_time, message.data, peer, baud, sweep))
     elif channel.message_encoding == layout.SCAN_ENCODING:
-        run.scans.setdefault(meta["sensor"], []).append(decode_scan(message.data))
+        scan, offset_s = decode_scan(message.data), offsets.get(meta["sensor"])
+        run.scans.setdefault(meta["sensor"], []).append(scan)
+        known = offset_s is not None and len(offset_s) == len(scan.azimuth_rad)
+        run.offsets.setdefault(meta["sensor"], []).append(offset_s if known else None)
+    elif channel.message_encoding == layout.BEAMS_ENCODING:
+        offsets[meta["sensor"]] = np.frombuffer(message.data, "<f8").astype(np.float64)
+    elif channel.message_encoding == layout.CLOCK_ENCODING:
+        row = json.loads(message.data)
+        run.clocks.setdefault(meta["sensor"], []).append((row.pop("sweep"), Told(**row)))
     elif channel.message_encoding == layout.EVENT_ENCODING:
         run.events.append((message.log_time, meta["sensor"], json.loads(message.data)))
+
+
+def is_ours(path: Path) -> bool:
+    """Whether a path is read as a recording of ours: a folder, or a .mcap file."""
+    return path.is_dir() or path.suffix == ".mcap"
+
+
+def read_strange(path: Path, port: int = LD_PORT, baud: int = DEFAULT_BAUD) -> RecordedRun:
+    """What another tool recorded, as a run of links without a name: for `diff`. Raises `RecordingError`."""
+    wires = enumerate(read_wire(path, port, baud))
+    return RecordedRun(path, sent={("wire", link): replace(wire, sensor="wire", link=link) for link, wire in wires})
 
 
 def read_wire(path: Path, port: int = LD_PORT, baud: int = DEFAULT_BAUD) -> list[WireOf]:
     """What devices sent, from any recording that is known. Raises `RecordingError`.
 
-    A folder or .mcap: ours. .pcap, .pcapng: of the device's `port`. .blf, .asc, .log: CAN. Anything else is a raw dump
-    of a serial line at `baud`, its times made of the bytes' own duration.
+    A folder or .mcap: ours. .pcap, .pcapng: of the device's `port`, a wire for each host connected at the same time.
+    .blf, .asc, .log: CAN. Anything else is a raw dump of a serial line at `baud`, one payload a telegram; its times
+    are made of the bytes' own duration.
     """
-    if path.is_dir() or path.suffix == ".mcap":
+    if is_ours(path):
         return [wire for wire in read_run(path).sent.values() if wire.payloads]
     data = _data_of(path)
     if not data:
         raise RecordingError(f"{path}: empty")
     if path.suffix in (".pcap", ".pcapng"):
-        return [WireOf(path.stem, 0, "stream", f"tcp:127.0.0.1:{port}", _from_capture(path, data, port))]
+        return _from_capture(path, data, port)
     if path.suffix in (".blf", ".asc", ".log"):
         return [WireOf(path.stem, 0, "can", f"socketcand:127.0.0.1:0/{path.stem}", _from_log(path, data))]
+    return [WireOf(path.stem, 0, "serial", f"pty:./{path.stem}", _from_dump(data, baud))]
+
+
+def _from_dump(data: bytes, baud: int) -> list[WirePayload]:
+    """Telegrams of a SICK's line, and what stands between them, one behind the other."""
     byte_ns = 10 * 10**9 // baud
-    whole = WirePayload(0, len(data) * byte_ns, data, baud=baud)
-    return [WireOf(path.stem, 0, "serial", f"pty:./{path.stem}", [whole])]
+    payloads, at = [], 0
+    for part in telegrams_of(data):
+        payloads.append(WirePayload(at * byte_ns, (at + len(part)) * byte_ns, part, baud=baud))
+        at += len(part)
+    return payloads
 
 
-def _from_capture(path: Path, data: bytes, port: int) -> list[WirePayload]:
+def _from_capture(path: Path, data: bytes, port: int) -> list[WireOf]:
+    """A stream for each of the hosts that were connected at the same time; the first on the device's own port."""
     try:
-        found = stream_of(read_segments(data), port)
+        segments = list(read_segments(data))
     except ValueError as error:
         raise RecordingError(f"{path}: {error}") from None
+    found = streams_of(segments, port)
     if not found:
-        raise RecordingError(f"{path}: nothing that port {port} sent over TCP or UDP; want --port of the device")
-    first = found[0][0]
-    return [WirePayload(at_ns - first, at_ns - first, part) for at_ns, part in found]
+        ports = Counter(item.source[1] for item in segments if item.data)
+        told = ", ".join(str(number) for number, _ in ports.most_common(8)) or "none did"
+        raise RecordingError(f"{path}: nothing that port {port} sent; want --port of the device, who sent are: {told}")
+    first = found[0][0][0]
+    wires = []
+    for number, parts in enumerate(found):
+        name, at_port = (path.stem, port) if not number else (f"{path.stem}-{number + 1}", 0)
+        payloads = [WirePayload(at_ns - first, at_ns - first, part) for at_ns, part in parts]
+        wires.append(WireOf(name, 0, "stream", f"tcp:127.0.0.1:{at_port}", payloads))
+    return wires
 
 
 def _from_log(path: Path, data: bytes) -> list[WirePayload]:
     try:
+        if path.suffix == ".blf":
+            check_blf(data)
         frames: Sequence[LoggedFrame] = (
             list(read_candump(data.decode("ascii", "replace").splitlines()))
             if path.suffix == ".log"

@@ -13,22 +13,29 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import BinaryIO, TextIO
 
+import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from emulator import __version__
 from emulator.errors import EmulatorError
+from emulator.faults.events import FaultEvent
 from emulator.instrument import Instrument
 from emulator.recording import layout
 from emulator.recording.can_logs import LoggedFrame, candump_line, read_candump, write_with_library
-from emulator.recording.pcapng import PcapngWriter
+from emulator.recording.pcapng import LD_PORT, PcapngWriter
 from emulator.scenario import Scenario, dump
 from emulator.transports.urls import parse_url
 from emulator.watching import Payload, Watcher
-from protocols.scan import Scan
+from protocols.device_clock import Told
+from protocols.scan import Floats, Scan, ScanPlan
 from protocols.session import Event, LinkKind
 
 SAME_FRAME = 4096
 "Frames of a bus that are remembered: every sensor on it tells of each, the log has it once."
+
+
+SAME_INSTANT_S = 5e-8
+"Beams fired within it of each other are the same: devices count in ticks of some nanoseconds."
 
 
 class RecordingError(EmulatorError):
@@ -66,6 +73,11 @@ class Recorder(Watcher):
         self._writer.add_attachment(0, 0, "scenario.yaml", "application/yaml", self._text.encode())
         self._wire = self._writer.register_schema("lidaremu.Wire", "text", (layout.__doc__ or "").encode())
         self._scan = self._writer.register_schema("lidaremu.Scan", "text", layout.SCAN_LAYOUT.encode())
+        self._clock = self._writer.register_schema("lidaremu.Clock", "jsonschema", b'{"type": "object"}')
+        self._beams = self._writer.register_schema("lidaremu.Beams", "text", b"float64 fire_offset_s[n]")
+        self._offsets: dict[str, Floats] = {}
+        self._told: dict[str, tuple[int, int]] = {}
+        "Sensor -> the sweep whose time was written last, and its instant: it is told once for each host."
         self._event = self._writer.register_schema("lidaremu.Event", "jsonschema", b'{"type": "object"}')
         self._file.flush()
         for instrument in instruments:
@@ -114,9 +126,30 @@ class Recorder(Watcher):
 
     def scan(self, sensor: str, scan: Scan) -> None:
         if self._truth:
+            self._note_beams(sensor, scan.plan)
             self._add(sensor, "scan", layout.SCAN_ENCODING, self._scan, scan.plan.start_ns, layout.encode_scan(scan))
 
-    def event(self, sensor: str, event: Event) -> None:
+    def _note_beams(self, sensor: str, plan: ScanPlan) -> None:
+        """When each beam is fired: the same for every sweep until a setting changes."""
+        known = self._offsets.get(sensor)
+        if known is plan.fire_offset_s or not len(plan):
+            return
+        if known is None or known.shape != plan.fire_offset_s.shape:
+            away_s = np.inf
+        else:
+            away_s = float(np.abs(known - plan.fire_offset_s).max())
+        if away_s > SAME_INSTANT_S:
+            self._offsets[sensor] = plan.fire_offset_s
+            data = plan.fire_offset_s.astype("<f8").tobytes()
+            self._add(sensor, "beams", layout.BEAMS_ENCODING, self._beams, plan.start_ns, data)
+
+    def told(self, sensor: str, sweep: int, told: Told) -> None:
+        if self._truth and self._told.get(sensor) != (sweep, told.true_ns):
+            self._told[sensor] = sweep, told.true_ns
+            data = json.dumps({"sweep": sweep} | asdict(told)).encode()
+            self._add(sensor, "clock", layout.CLOCK_ENCODING, self._clock, told.true_ns, data)
+
+    def event(self, sensor: str, event: Event | FaultEvent) -> None:
         told = {key: getattr(value, "value", value) for key, value in asdict(event).items()}
         row = {"event": type(event).__name__} | told
         self._add(sensor, "event", layout.EVENT_ENCODING, self._event, event.at_ns, json.dumps(row).encode())
@@ -141,7 +174,7 @@ class Recorder(Watcher):
             path = self.folder / f"{payload.sensor}.pcapng"
             self._captures[payload.sensor] = PcapngWriter(path, f"{payload.sensor} {url}")
         port = parse_url(url).target.rpartition(":")[2]
-        number = int(port) if port.isdigit() else 0
+        number = int(port) if port.isdigit() else LD_PORT
         device, peer = (2112, payload.peer or number) if datagram else (number, payload.peer)
         self._captures[payload.sensor].add(payload.start_ns, payload.data, payload.sent, device, peer, datagram)
 
@@ -171,12 +204,17 @@ class Recorder(Watcher):
                 close()
 
     def _finish(self) -> None:
+        from emulator.daemon import summary
+
+        ends = {name: json.dumps(summary(one)) for name, one in self._instruments.items()}
+        self._writer.add_metadata(layout.END_NAME, ends)
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._file.flush()
         for bus, log in self._logs.items():
             log.flush()
             with (self.folder / f"{bus}.log").open(encoding="ascii") as lines:
-                write_with_library(self.folder / f"{bus}.blf", read_candump(lines))
+                paths = [self.folder / f"{bus}{ending}" for ending in (".blf", ".asc")]
+                write_with_library(paths, read_candump(lines))
 
 
 def _bus_name(url: str) -> str:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from emulator.motion import Pose
 from emulator.physics import adaptive, beams
-from emulator.physics.arrays import Floats, Ints
+from emulator.physics.arrays import Floats, Ints, indexes
 from emulator.sensing.model import SensorModel
 from emulator.sensing.paths import Caster, Hits
 from emulator.sensing.rays import Rays, turned
@@ -58,12 +58,13 @@ def adaptive_rays(plan: ScanPlan, pose: Pose, t_s: Floats, caster: Caster, model
     hits = CellHits.of(caster.first_hits(rays.origin_m, rays.direction, rays.t_s))
     for _ in range(model.depth):
         chosen = adaptive.differing(cells, _planes(rays, hits))
-        if not bool(np.any(chosen)):
+        chosen = adaptive.worthwhile(cells, chosen, model.beam.profile)
+        if not bool(chosen.any()):
             break
         parent = adaptive.parents(cells, chosen)
         cells = adaptive.split(cells, chosen)
         rays = _rays(cells, plan, pose, t_s, model)
-        new = np.flatnonzero(chosen[parent])
+        new = indexes(chosen[parent])
         found = caster.first_hits(rays.origin_m[new], rays.direction[new], rays.t_s[new])
         hits = hits.renewed(parent, new, found)
     return rays, hits
@@ -83,7 +84,7 @@ def _rays(cells: adaptive.Cells, plan: ScanPlan, pose: Pose, t_s: Floats, model:
     off = u * u + v * v
     # sorted by beam: the cell nearest to the axis is the first of the least distances
     order = np.lexsort((off, beam))
-    first = np.searchsorted(beam, np.arange(len(plan)))
+    first = beam.searchsorted(np.arange(len(plan)))
     return Rays(
         origin_m=origin,
         direction=turned(rotation, direction)[:, 0, :],

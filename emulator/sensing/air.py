@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import bisect
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from emulator.motion import Motion
+from emulator.nearby import Nearby
 from emulator.physics import atmosphere
-from emulator.physics.arrays import Floats
+from emulator.physics.arrays import Floats, Ints
 from emulator.physics.constants import CLEAR_AIR_VISIBILITY_M
 from emulator.sensing.model import SensorModel
 from emulator.sensing.particles import Particles, rain_particles, snow_particles
@@ -84,6 +86,15 @@ class AirNow:
         return total
 
 
+@dataclass(eq=False)
+class _NearWakes:
+    """One state, and it with the wakes alone that were in reach last."""
+
+    some: AirNow
+    nearby: Nearby
+    which: Ints | None = None
+
+
 class Air:
     """Weather of a run, as one sensor's wavelength sees it."""
 
@@ -94,6 +105,25 @@ class Air:
         warnings: dict[str, None] = {}
         self._states = tuple(_air(config.at(t_s), model, scene, warnings) for t_s in times)
         self.warnings = tuple(warnings)
+        self._near: dict[int, _NearWakes] = {}
+
+    def near(self, air: AirNow, low_m: Floats, high_m: Floats, reach_m: float, begin_s: float, end_s: float) -> AirNow:
+        """The same state without the wakes that no light from the box `low_m`, `high_m` (3,) can reach."""
+        wakes = [volume.place for volume in air.volumes if isinstance(volume.place, Wake)]
+        if not wakes:
+            return air
+        known = self._near.get(id(air))
+        if known is None:
+            known = _NearWakes(air, Nearby([w.motion for w in wakes], np.array([w.radius_m for w in wakes])))
+            self._near[id(air)] = known
+        which = known.nearby.within(low_m, high_m, reach_m, begin_s, end_s)
+        if len(which) == len(wakes):
+            return air
+        if known.which is not which:
+            kept = {id(wakes[k]) for k in which}
+            volumes = tuple(v for v in air.volumes if not isinstance(v.place, Wake) or id(v.place) in kept)
+            known.which, known.some = which, replace(air, volumes=volumes)
+        return known.some
 
     def at(self, t_s: float) -> AirNow:
         """The state that holds at this time."""
@@ -299,6 +329,17 @@ class Wake:
     axles_m: tuple[float, float]
     "x of the rear and of the front axle in the actor's frame; reversing, the front one is the rear."
     size_m: tuple[float, float, float]
+
+    @property
+    def motion(self) -> Motion:
+        """Of its vehicle."""
+        return self.scene.motions[self.actor]
+
+    @property
+    def radius_m(self) -> float:
+        """Of a sphere about the vehicle's origin that holds it."""
+        length, width, height = self.size_m
+        return math.hypot(max(abs(axle) for axle in self.axles_m) + length, 0.5 * width, height)
 
     def crossed(self, origin_m: Floats, direction: Floats, t_s: Floats) -> tuple[Floats, Floats]:
         # a sweep lasts milliseconds, a wake is metres long: one pose serves all rays

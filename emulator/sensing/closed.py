@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emulator.physics.arrays import Bools, Floats, Ints
+from emulator.physics.arrays import Bools, Floats, Ints, clamped, indexes
 from emulator.physics.pulse import stretch_peak_gauss, stretch_peak_sin2
 from emulator.physics.subechoes import SubEchoes
 from emulator.sensing.model import SensorModel
@@ -29,6 +29,10 @@ computed, so that a scan does not depend on what was left out.
 """
 
 
+SHIFT_LSB = 0.125
+"Shift of the crossing by that spread, in steps of the range, from which the bundle's ranges are computed."
+
+
 @dataclass(frozen=True, eq=False)
 class Planes:
     """The planes that beams' axes meet, as far as the moments of a tilted plane go."""
@@ -44,7 +48,7 @@ class Planes:
 def planes(rays: Rays, hits: Hits, model: SensorModel, radii: float) -> Planes:
     """Planes of the axis rays' hits, (n,)."""
     met = np.isfinite(hits.range_m)
-    cosine = np.where(met, np.clip(-np.einsum("ij,ij->i", hits.normal, rays.axis), 0.0, 1.0), 1.0)
+    cosine = np.where(met, clamped(-np.einsum("ij,ij->i", hits.normal, rays.axis), 0.0, 1.0), 1.0)
     tangent = np.sqrt(np.maximum(1.0 - cosine * cosine, 0.0)) / np.maximum(cosine, 1e-12)
     range_m = np.where(met, np.maximum(hits.range_m, 1e-9), 1.0)
     width = np.tan(model.beam.half_angle_x_rad) + model.beam.exit_radius_m / range_m
@@ -58,7 +62,7 @@ def holds(seen: Planes, hits: Hits, scene: Surfaces, air: Medium, model: SensorM
         return np.zeros(len(plain), bool)
     good = plain & (hits.range_m > model.overlap_full_m * (1.0 + STEEPEST))
     good &= seen.spread * hits.range_m < SPREAD_LSB * model.lsb_m
-    at = np.flatnonzero(good)
+    at = indexes(good)
     kind, c = hits.material[at].astype(np.int64), seen.cosine[at]
     step = 2.0 * beam.half_angle_x_rad * np.sqrt(np.maximum(1.0 - c * c, 0.0))
     middle = scene.table.back(kind, c)
@@ -91,10 +95,10 @@ def echoes(
         amplitude = amplitude * windows(rays, model, gain)[beams]
     spread_m, pulse = relative * range_m, model.pulse
     # far above the threshold the nearest edge of the spot is timed, not its middle
-    x = np.clip(model.threshold / np.maximum(amplitude, 1e-12), 1e-12, 0.9)
+    x = clamped(model.threshold / np.maximum(amplitude, 1e-12), 1e-12, 0.9)
     shift = spread_m**2 * np.pi / (4.0 * pulse.fwhm_m * np.sqrt(x * (1.0 - x)))
-    wide = (shift > 0.125 * model.lsb_m) | (spread_m > 0.02 * pulse.fwhm_m)
-    one = np.flatnonzero(~wide)
+    wide = (shift > SHIFT_LSB * model.lsb_m) | (spread_m > 0.02 * pulse.fwhm_m)
+    one = indexes(~wide)
     stretch = stretch_peak_sin2 if pulse.shape == "sin2" else stretch_peak_gauss
     amplitude = amplitude[one] * stretch(pulse.fwhm_s, spread_m[one])
     source = hits.actor[beams[one]].astype(np.int64)

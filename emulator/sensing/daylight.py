@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from emulator.physics import background, geometry, noise
-from emulator.physics.arrays import Bools, Floats
+from emulator.physics.arrays import Bools, Floats, clamped
 from emulator.physics.constants import ELEMENTARY_CHARGE_C, SKY_RADIANCE_W_M2_SR_NM, SUN_TABLE_TOTAL_W_M2
 from emulator.sensing.model import RECEIVER_TEMPERATURE_K, SensorModel
 from emulator.sensing.paths import Caster, Seen, Surfaces
@@ -58,6 +58,19 @@ def largest_diffuse_w(sun: Sun, model: SensorModel) -> float:
     return max(float(white), _sky_w(sun, model))
 
 
+def surfaces_show(sun: Sun | None, model: SensorModel) -> bool:
+    """Light of sunlit surfaces or of the sky may show in the noise, so that it matters what is out of reach."""
+    return sun is not None and _shines(sun, model) and largest_diffuse_w(sun, model) > _limit_w(model)
+
+
+def _shines(sun: Sun, model: SensorModel) -> bool:
+    return model.background and sun.total_w_m2 != 0.0 and sun.elevation_deg > 0.0
+
+
+def _limit_w(model: SensorModel) -> float:
+    return unseen_w(model) if model.leave_out.background_light and model.photons is None else 0.0
+
+
 def _band_m(model: SensorModel) -> float:
     return 1e-9 * model.receiver.filter_nm
 
@@ -75,18 +88,23 @@ def daylight(
     sun: Sun | None, rays: Rays, found: Seen, surfaces: Surfaces, caster: Caster, model: SensorModel
 ) -> Daylight:
     """Background of every beam, from what its first sub-beam looks at."""
-    if sun is None or not model.background or sun.total_w_m2 == 0.0 or sun.elevation_deg <= 0.0:
+    if sun is None or not _shines(sun, model):
         return NIGHT
     towards = _direction(sun)
-    limit_w = 0.0 if model.full or model.photons is not None else unseen_w(model)
+    limit_w = _limit_w(model)
     power = np.zeros(len(rays.axis))
-    if largest_diffuse_w(sun, model) > limit_w:
+    if surfaces_show(sun, model):
         power += _diffuse_w(sun, towards, found, surfaces, model)
     direct = _sun_w(sun, towards, rays, model)
-    if bool(np.any(direct > limit_w)):
+    if bool((direct > limit_w).any()):
         power += np.where(_in_the_sun(rays, towards, caster), direct, 0.0)
-    if not bool(np.any(power > limit_w)):
+    if not bool((power > limit_w).any()):
         return NIGHT
+    return of_power(power, model)
+
+
+def of_power(power: Floats, model: SensorModel) -> Daylight:
+    """What so much background (n,) on the detector does to each beam. [W]"""
     receiver = model.receiver
     current = noise.noise_current(
         0.0,
@@ -103,7 +121,7 @@ def daylight(
         receiver.adc_noise_a,
     )
     blind = background.dazzled(power, receiver.responsivity_a_w, receiver.gain, receiver.saturation_a)
-    return Daylight(current / receiver.baseline_a, blind if bool(np.any(blind)) else None, power)
+    return Daylight(current / receiver.baseline_a, blind if bool(blind.any()) else None, power)
 
 
 def _direction(sun: Sun) -> Floats:
@@ -118,7 +136,7 @@ def _diffuse_w(sun: Sun, towards: Floats, found: Seen, surfaces: Surfaces, model
     met = found.axis_material >= 0
     rho = np.zeros(len(met))
     rho[met] = surfaces.table.rho[found.axis_material[met]]
-    incidence = np.arccos(np.clip(found.axis_normal @ towards, -1.0, 1.0))
+    incidence = np.arccos(clamped(found.axis_normal @ towards, -1.0, 1.0))
     lit = background.background_surface(
         irradiance, _band_m(model), rho, incidence, model.aperture_radius_m, half, model.efficiency
     )

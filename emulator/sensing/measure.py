@@ -6,41 +6,48 @@ Belongs here: the order of the steps. Each step is in its own module.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from emulator.conditions import NORMAL, ActiveFault, Conditions
 from emulator.draws import Draws
 from emulator.errors import ScenarioError
 from emulator.motion import Pose
 from emulator.physics import atmosphere
-from emulator.physics.arrays import Floats
+from emulator.physics.arrays import Floats, indexes
 from emulator.physics.materials import Material, SurfaceTable, material, material_from_mapping
-from emulator.physics.subechoes import SubEchoes
+from emulator.physics.subechoes import Kept, SubEchoes
 from emulator.sensing.adapt import adaptive_rays
 from emulator.sensing.air import Air, AirNow
-from emulator.sensing.daylight import daylight
+from emulator.sensing.daylight import Daylight, daylight, surfaces_show
 from emulator.sensing.model import SensorModel, sensor_model
 from emulator.sensing.particles import seen_particles
 from emulator.sensing.paths import FacedCaster, Seen, Surfaces, reach_of, returned
 from emulator.sensing.photon_receiver import PhotonReceiver
-from emulator.sensing.rays import BundleCache, Bundles, Rays, cast_rays
+from emulator.sensing.rays import BundleCache, Rays, cast_rays
 from emulator.sensing.receiver import Receiver
+from emulator.sensing.resting import Resting, with_others
 from emulator.sensing.soft import SoftTargets
 from emulator.sensing.sparing import Spared, Sparing, wanted
 from emulator.spec import load_spec
+from emulator.weather import WeatherConfig
 from protocols.scan import Scan, ScanPlan
 
 if TYPE_CHECKING:
-    from emulator.scenario import Mount, Scenario
+    from emulator.scenario import Scenario
+    from emulator.scenario_tables import Mount
     from emulator.scene import Scene
+    from emulator.sensing.faulty import FaultySweeps
 
 
 DEEP = 5.0
 "Optical depth beyond which single scattering is an estimate."
+RAYS_KEPT = 400_000
+"Of a sensor at rest, over all its sets of angles."
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,14 +57,21 @@ class View:
     rays: Rays
     seen: Seen
     "Surfaces alone."
-    echoes: SubEchoes
-    "Surfaces, particles and uneven media."
+    found: SubEchoes
+    "Surfaces, particles and uneven media. See `kept`."
     air: AirNow
     surfaces: Surfaces
     cast: int
     "First rays cast: those of all bundles, where none was spared."
     plain: NDArray[np.bool_] | None = None
     "(n,) beams of which one plane is seen, or nothing, and that had no bundle; None: not asked for."
+    kept: Kept | None = None
+    "Sub-echoes of beams that have what they had before; `found` holds those of the others alone."
+
+    @cached_property
+    def echoes(self) -> SubEchoes:
+        """Those of all beams."""
+        return self.found if self.kept is None else self.kept.whole(self.found)
 
 
 class Measure:
@@ -72,19 +86,30 @@ class Measure:
         surfaces: tuple[Surfaces, Surfaces],
         air: Air,
         receiver: Receiver | PhotonReceiver,
+        beside: bool = False,
     ) -> None:
+        """`beside`: the sensor is where `shift_m` says, which may be elsewhere in each sweep."""
+        self.shift_m: Floats | None = None
+        self._faulty: FaultySweeps | None = None
+        self._beside: Measure | None = None
         self.model = model
         self.draws = receiver.draws
         self.air = air
+        "Of the present conditions."
+        self._own_air = air
+        self._weather: WeatherConfig | None = None
+        "The state that `air` was made from; None: the scenario's own."
+        self._refused: dict[str, None] = {}
         self._scene, self._mount = scene, mount
         self._caster = caster
         self._dry, self._wet = surfaces
         self._bundles = BundleCache(model)
         self._receiver = receiver
         self._deepest = 0.0
-        self._last: tuple[Bundles, Rays] | None = None
+        self._at_rest: tuple[Resting, ...] = ()
+        "Of a sensor that does not move: the latest last."
         self._soft = SoftTargets(model, receiver.bin_m)
-        still = mount.actor is None or scene.motions[scene.index[mount.actor]].still
+        still = (mount.actor is None or scene.motions[scene.index[mount.actor]].still) and not beside
         self._still_pose = scene.sensor_pose(mount, np.zeros(1)) if still else None
         # made here, so that the first sweep of a run is not late
         with np.errstate(under="ignore"):  # edges shorter than any that light can tell from none
@@ -93,19 +118,63 @@ class Measure:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What was computed outside the range in which its law is known to hold, one line each."""
-        return self.air.warnings + atmosphere.deep_path_warning(self._deepest)
+        return (*self.air.warnings, *self._refused, *atmosphere.deep_path_warning(self._deepest))
 
-    def __call__(self, plan: ScanPlan) -> Scan:
+    def __call__(self, plan: ScanPlan, conditions: Conditions = NORMAL) -> Scan:
         """Measure one sweep."""
         if len(plan) == 0:
             return Scan.empty(plan)
+        if conditions.weather is not self._weather:
+            first_s = float(1e-9 * plan.start_ns + plan.fire_offset_s[0])
+            self._change_air(None if conditions.weather is None else conditions.weather.at(first_s))
+        faults = conditions.of(self.draws.sensor, plan.start_ns) if conditions.faults else ()
         with np.errstate(under="ignore"):  # what underflows here is no light, or no length
-            return self._measured(plan)
+            return self._under_faults(plan, faults) if faults else self._measured(plan)
+
+    def _under_faults(self, plan: ScanPlan, faults: tuple[ActiveFault, ...]) -> Scan:
+        if self._faulty is None:
+            from emulator.sensing.faulty import FaultySweeps
+
+            self._faulty = FaultySweeps(self.model, self.draws, self._soft, self._receiver)
+        return self._faulty.measured(plan, faults, self._look)
+
+    def _look(self, plan: ScanPlan, shift_m: Floats | None) -> tuple[View, Daylight]:
+        """What comes back in a sweep, and the daylight in it; the sensor may be beside its place, in its own frame."""
+        if shift_m is not None:
+            if self._beside is None:  # of what is kept for a sensor at rest nothing holds there
+                parts = self._scene, self._mount, self._caster, (self._dry, self._wet), self.air, self._receiver
+                self._beside = Measure(self.model, *parts, beside=True)
+            self._beside.air, self._beside.shift_m = self.air, shift_m
+            return self._beside._look(plan, None)
+        view = self._view(plan)
+        return view, daylight(view.air.sun, view.rays, view.seen, view.surfaces, self._caster, self.model)
+
+    def refuses(self, weather: WeatherConfig) -> str:
+        """Why this sensor cannot compute such weather; empty: it can."""
+        try:
+            Air(weather, self.model, self._scene)
+        except ValueError as error:
+            return str(error)
+        return ""
+
+    def _change_air(self, weather: WeatherConfig | None) -> None:
+        """Other weather for this sweep; one that this sensor cannot compute is told, the scenario's own holds."""
+        if weather != self._weather:
+            self.air = self._own_air
+            if weather is not None:
+                try:
+                    self.air = Air(weather, self.model, self._scene)
+                except ValueError as error:
+                    self._refused[f"changed weather is not used: {error}"] = None
+        self._weather = weather
 
     def _measured(self, plan: ScanPlan) -> Scan:
-        view = self._view(plan)
-        light = daylight(view.air.sun, view.rays, view.seen, view.surfaces, self._caster, self.model)
-        scan = self._receiver.receive(plan, view.echoes, self._soft.everywhere(view.air, plan.gain), light)
+        view, light = self._look(plan, None)
+        soft = self._soft.everywhere(view.air, plan.gain)
+        if isinstance(self._receiver, Receiver):
+            scan = self._receiver.receive(plan, view.found, soft, light, view.kept)
+        else:
+            scan = self._receiver.receive(plan, view.echoes, soft, light)
         alpha = view.air.everywhere.extinction_per_m
         if alpha * self.model.gate_m > DEEP:
             far_m = float(np.max(scan.range_m[scan.actor >= 0], initial=0.0))
@@ -121,6 +190,10 @@ class Measure:
         t_s = 1e-9 * plan.start_ns + plan.fire_offset_s
         pose = self._pose(t_s)
         air, gain = self.air.at(float(t_s[0])), plan.gain
+        if air.volumes and self.model.spare_far:
+            place, reach = pose.position_m, reach_of(self.model, plan.max_range_m)
+            low, high = place.min(axis=0), place.max(axis=0)
+            air = self.air.near(air, low, high, reach, float(t_s.min()), float(t_s.max()))
         surfaces = self._wet if air.wet else self._dry
         spared = self._spared(plan, pose, t_s, surfaces, air)
         if spared is not None:
@@ -129,12 +202,17 @@ class Measure:
             rays, cells = adaptive_rays(plan, pose, t_s, self._caster, self.model)
             seen = returned(cells, rays, self._caster, surfaces, air, self.model, gain, plan.max_range_m)
         else:
-            rays = self._rays(plan, pose, t_s)
-            # a surface out of reach is still background in daylight
-            far = reach_of(self.model, plan.max_range_m) if self.model.spare_far and air.sun is None else np.inf
-            hits = self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=far)
-            seen = returned(hits, rays, self._caster, surfaces, air, self.model, gain, plan.max_range_m)
-        parts = [seen.echoes]
+            rays, resting = self._rays(plan, pose, t_s)
+            far = reach_of(self.model, plan.max_range_m) if self.model.spare_far else np.inf
+            what = surfaces, air, self.model, gain, plan.max_range_m
+            if resting is not None:
+                seen = resting.seen(rays, self._caster, far, *what)
+            else:
+                hits = self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=far)
+                seen = returned(hits, rays, self._caster, *what)
+            if far < np.inf and surfaces_show(air.sun, self.model):
+                seen = self._background(seen, rays, far)
+        drops = []
         for particles in air.particles:
             drawn = seen_particles(
                 particles,
@@ -145,14 +223,14 @@ class Measure:
                 self.draws,
                 gain,
             )
-            parts += [] if drawn is None else [drawn]
+            drops += [] if drawn is None else [drawn]
         if self._soft.uneven(air):
             drawn = self._soft.points(air, rays, seen.echoes, t_s, gain)
-            parts += [] if drawn is None else [drawn]
-        echoes = SubEchoes.joined(*parts) if len(parts) > 1 else seen.echoes
+            drops += [] if drawn is None else [drawn]
+        found, kept = with_others(seen, drops)
         if spared is not None:
-            return View(rays, seen, echoes, air, surfaces, spared.cast, spared.plain)
-        return View(rays, seen, echoes, air, surfaces, len(rays.beam))
+            return View(rays, seen, found, air, surfaces, spared.cast, spared.plain, kept)
+        return View(rays, seen, found, air, surfaces, len(rays.beam), None, kept)
 
     def _spared(self, plan: ScanPlan, pose: Pose, t_s: Floats, surfaces: Surfaces, air: AirNow) -> Spared | None:
         """The sweep with bundles only where they are needed; None where finding out costs more than it saves."""
@@ -163,19 +241,42 @@ class Measure:
             return None
         return self._sparing.sweep(plan, bundles, pose, t_s, surfaces, air)
 
-    def _rays(self, plan: ScanPlan, pose: Pose, t_s: Floats) -> Rays:
+    def _rays(self, plan: ScanPlan, pose: Pose, t_s: Floats) -> tuple[Rays, Resting | None]:
         """Rays of fixed bundles; a sensor at rest casts the same ones as long as the plan's angles stay."""
         bundles = self._bundles.of(plan)
         if self._still_pose is None:
-            return cast_rays(bundles, pose, t_s)
-        if self._last is None or self._last[0] is not bundles:
-            self._last = bundles, cast_rays(bundles, pose, t_s)
-        return self._last[1].at(t_s)
+            return cast_rays(bundles, pose, t_s), None
+        known = next((one for one in self._at_rest if one.bundles is bundles), None)
+        if known is None:
+            known = Resting(bundles, cast_rays(bundles, pose, t_s))
+            kept = [*self._at_rest, known]
+            while len(kept) > 1 and sum(len(one.rays.beam) for one in kept) > RAYS_KEPT:
+                kept.pop(0)
+            self._at_rest = tuple(kept)
+        return known.rays.at(t_s), known if self.model.leave_out.resting else None
+
+    def _background(self, seen: Seen, rays: Rays, far: float) -> Seen:
+        """A surface out of reach is still background in daylight: one ray finds it for beams that met nothing."""
+        beams = indexes(seen.axis_material < 0)
+        if not len(beams):
+            return seen
+        at = rays.nearest_axis[beams]
+        beyond = self._caster.may_lie_beyond(rays.origin_m[at], rays.direction[at], rays.t_s[at], far)
+        if not bool(beyond.any()):
+            return seen
+        beams, at = beams[beyond], at[beyond]
+        hits = self._caster.first_hits(rays.origin_m[at], rays.direction[at], rays.t_s[at])
+        material, normal = seen.axis_material.copy(), seen.axis_normal.copy()
+        material[beams], normal[beams] = hits.material, hits.normal
+        return replace(seen, axis_material=material, axis_normal=normal)
 
     def _pose(self, t_s: Floats) -> Pose:
         still = self._still_pose
         if still is None:
-            return self._scene.sensor_pose(self._mount, t_s)
+            pose = self._scene.sensor_pose(self._mount, t_s)
+            if self.shift_m is None:
+                return pose
+            return Pose(pose.position_m + pose.rotation @ self.shift_m, pose.rotation)
         n = len(t_s)
         return Pose(np.broadcast_to(still.position_m, (n, 3)), np.broadcast_to(still.rotation, (n, 3, 3)))
 

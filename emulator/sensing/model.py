@@ -9,7 +9,10 @@ import math
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
+import numpy as np
+
 from emulator.physics import background, noise, radiometry
+from emulator.physics.arrays import Floats
 from emulator.physics.beams import BeamShape
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.pulse import Pulse
@@ -17,6 +20,7 @@ from emulator.physics_options import (
     BundleRule,
     DetectionMethod,
     EchoChoice,
+    LeaveOut,
     PhotonOptions,
     PhysicsOptions,
     Profile,
@@ -30,8 +34,8 @@ Value = TypeVar("Value")
 RECEIVER_TEMPERATURE_K = 293.15
 FINEST_BIN_SHARE = 16
 "Bins of a sampled pulse's FWHM at the least: a parabola then finds its peak to 1e-4 of it."
-MOST_BINS = 2048
-"Bins of it by default at the most."
+MOST_BINS = 256
+"Bins of it by default at the most: a parabola finds the peak to 1e-8 of it, 15 um of a pulse of 10 us."
 FINEST_CHOSEN = 65536
 "Bins of it that may be asked for: more would only fill the memory."
 
@@ -120,14 +124,48 @@ class SensorModel:
     bounces: int
     windscreen: WindscreenOptions | None
     photons: PhotonOptions | None
-    full: bool
-    "No term is left out, however small its bound."
-    spare_bundles: Sparingly
-    "Beams that see one plane are cast as one ray."
+    leave_out: LeaveOut
+    "Which rules may leave out what cannot be seen."
     plain_radii: float
-    "Beam radii around the axis within which nothing but that plane may be."
-    spare_far: bool
-    "What lies out of reach is not cast on."
+    "Beam radii around the axis of a plain beam within which nothing but its plane may be."
+
+    @property
+    def spare_bundles(self) -> Sparingly:
+        """Beams that see one plane are cast as one ray."""
+        return self.leave_out.closed_form
+
+    @property
+    def spare_far(self) -> bool:
+        """What lies out of reach is not cast on."""
+        return self.leave_out.far_objects
+
+    def least_amplitude(self, range_m: Floats) -> Floats:
+        """Of an echo that is reported from there: a noise rms above the threshold, and not below the floor."""
+        return np.maximum(self.threshold + 1.0, self.floor_m2 / np.maximum(range_m, 1e-3) ** 2)
+
+    def unseen_under(self, amplitude: Floats) -> Floats:
+        """What may be missing under echoes of this amplitude without shifting their crossing by half a step.
+
+        To first order, where three noise rms have lowered the threshold to a fifth; half of it, as the foot of an echo
+        of many ranges is flatter than that of one.
+        """
+        level = 0.2 * self.threshold
+        return 0.25 * self.lsb_m * math.pi / self.pulse.fwhm_m * np.sqrt(level * (amplitude - level))
+
+    @property
+    def unseen_amplitude(self) -> float:
+        """The same under the faintest of them."""
+        return float(self.unseen_under(np.array([self.threshold + 1.0]))[0])
+
+    @property
+    def clear_depth(self) -> float:
+        """Optical depth there and back that shifts no crossing by half a step, and no amplitude by a thousandth.
+
+        The threshold being at most 0.9 of the amplitude.
+        """
+        x = 0.9
+        walk_m = self.pulse.fwhm_m / math.pi * math.sqrt(x / (1.0 - x))
+        return min(1e-3, 0.5 * self.lsb_m / walk_m)
 
     @property
     def divergence_rad(self) -> float:
@@ -212,10 +250,8 @@ def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> Sensor
         bounces=options.bounces,
         windscreen=options.windscreen,
         photons=options.photons,
-        full=options.full,
-        spare_bundles="never" if options.full else options.leave_out.closed_form,
+        leave_out=LeaveOut.nothing() if options.full else options.leave_out,
         plain_radii=options.plain_radii,
-        spare_far=options.leave_out.far_objects and not options.full,
     )
 
 

@@ -137,10 +137,11 @@ def seen_particles(
     scale = _scale(particles, half_angle, model, gain)
     far = np.minimum(far_m, model.gate_m)
     if particles.spectrum is None:
-        beam, range_m, diameter_mm = _one_size(particles, scale, half_angle, near_m, far, sweep, draws)
+        rarest = RARE if model.leave_out.particles else 0.0
+        beam, range_m, diameter_mm = _one_size(particles, scale, half_angle, near_m, far, sweep, draws, rarest)
     else:
         mean = precipitation.detectable_mean(particles.spectrum, scale, half_angle, near_m, far)
-        if float(mean.sum()) < RARE and not model.full:
+        if float(mean.sum()) < RARE and model.leave_out.particles:
             return None
         count = draws.poisson(particles.term, sweep, mean)
         uniform = _numbers(draws, particles.term, sweep, count)
@@ -159,16 +160,25 @@ def seen_particles(
 
 
 def _one_size(
-    particles: Particles, scale: float, half_angle: float, near_m: float, far: Floats, sweep: int, draws: Draws
+    particles: Particles,
+    scale: float,
+    half_angle: float,
+    near_m: float,
+    far: Floats,
+    sweep: int,
+    draws: Draws,
+    rarest: float,
 ) -> tuple[Ints, Floats, Floats]:
     end = np.minimum(far, math.sqrt(particles.diameter_mm / scale))
     end = np.maximum(end, near_m)
     mean = particles.number_m3 * math.pi * half_angle**2 * (end**3 - near_m**3) / 3.0
-    if float(mean.sum()) < RARE:
+    if float(mean.sum()) < rarest:
         return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
     count = draws.poisson(particles.term, sweep, mean)
+    if not bool(count.any()):
+        return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
     uniform = _numbers(draws, particles.term, sweep, count)[:, 0]
-    beam = np.repeat(np.arange(len(far)), count)
+    beam = np.arange(len(far)).repeat(count)
     range_m = np.cbrt(near_m**3 + uniform * (end[beam] ** 3 - near_m**3))
     return beam, range_m, np.full(len(beam), particles.diameter_mm)
 

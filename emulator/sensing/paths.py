@@ -14,14 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emulator.physics import brdf, radiometry
-from emulator.physics.arrays import Floats, Ints, exp_or_zero
+from emulator.physics.arrays import Floats, Ints, exp_or_zero, indexes
 from emulator.physics.materials import SurfaceTable
-from emulator.physics.subechoes import SubEchoes
+from emulator.physics.subechoes import Kept, SubEchoes
 from emulator.sensing.model import SensorModel
 from emulator.sensing.rays import Rays
 
 UNSEEN = 0.05
 "A ray is not continued when the best surface, met by the whole beam, would return less than this of the threshold."
+MOST_EMPTY = 4
+"Rows of sub-echoes are sorted one by one up to so many places an echo."
 BEHIND_M = 1e-4
 "A second ray starts this far behind the surface, and a thousandth of it more per metre: the caster works in float32."
 
@@ -48,18 +50,46 @@ class FacedHits(Hits, Protocol):
     def face(self) -> Ints: ...
 
 
-class Caster(Protocol):
-    """Whoever finds the first surface on rays."""
+class AgainHits(FacedHits, Protocol):
+    """Hits of which parts are taken and set."""
 
-    def first_hits(self, origin_m: Floats, direction: Floats, t_s: Floats) -> Hits: ...
+    def taken(self, rays: Ints) -> AgainHits: ...
+    def put(self, rays: Ints, others: Any) -> None: ...
+
+
+class Renewed(Protocol):
+    """Hits of rays that come again, see hits."""
+
+    @property
+    def resting(self) -> AgainHits: ...
+    @property
+    def rays(self) -> Ints: ...
+    @property
+    def now(self) -> AgainHits: ...
+    @property
+    def hits(self) -> AgainHits: ...
+
+
+class Caster(Protocol):
+    """Whoever finds the first surface on rays, up to where they end."""
+
+    def first_hits(self, origin_m: Floats, direction: Floats, t_s: Floats, *, max_range_m: float = np.inf) -> Hits: ...
 
 
 class FacedCaster(Protocol):
-    """The same with faces, and rays that end."""
+    """The same with faces, and rays that come again."""
+
+    @property
+    def moves(self) -> bool: ...
+
+    def may_lie_beyond(self, origin_m: Floats, direction: Floats, t_s: Floats, beyond_m: float) -> NDArray[np.bool_]:
+        """(m,) rays on which something may lie farther than that."""
 
     def first_hits(
-        self, origin_m: Floats, direction: Floats, t_s: Floats, *, max_range_m: float = np.inf
+        self, origin_m: Floats, direction: Floats, t_s: Floats, *, max_range_m: float = np.inf, again: bool = False
     ) -> FacedHits: ...
+
+    def renewed(self, origin_m: Floats, direction: Floats, t_s: Floats, max_range_m: float) -> Renewed: ...
 
 
 class Medium(Protocol):
@@ -95,14 +125,21 @@ class Surfaces:
 class Seen:
     """What the rays of a sweep met."""
 
-    echoes: SubEchoes
-    "Single reflections; amplitudes in rms noise of the dark receiver, `source` the actor."
+    found: SubEchoes
+    "Single reflections; amplitudes in rms noise of the dark receiver, `source` the actor. See `kept`."
     nearest_m: Floats
     "(n,) first surface of any sub-beam, infinite where there is none."
     axis_material: NDArray[np.int32]
     "(n,) material of the surface that the sub-beam nearest the axis meets, -1 none."
     axis_normal: Floats
     "(n, 3)"
+    kept: Kept | None = None
+    "Sub-echoes of beams that see what they saw before; `found` holds those of the others alone."
+
+    @property
+    def echoes(self) -> SubEchoes:
+        """Those of all beams."""
+        return self.found if self.kept is None else self.kept.whole(self.found)
 
 
 @dataclass(eq=False)
@@ -145,7 +182,7 @@ def returned(
 ) -> Seen:
     """The same from the first hits of the rays."""
     reach = reach_of(model, farthest_m)
-    index = np.flatnonzero(hits.range_m <= reach)
+    index = indexes(hits.range_m <= reach)
     parts = []
     if len(index):
         every = len(index) == len(rays.beam)
@@ -154,7 +191,7 @@ def returned(
         if gain != 1.0 or model.windscreen is not None:
             weight = weight * windows(rays, model, gain)[rays.beam]
         front = _Front(rays.origin_m, rays.direction, rays.t_s, rays.beam, weight, 0.0, 0.0)
-        found, onward, front = _meet(front, hits, chosen, rays, scene, air, model)
+        found, onward = _meet(front, hits, chosen, rays, scene, air, model)
         share = rays.share if every else rays.share[index]
         parts.append((*found, share, hits.actor if every else hits.actor[index]))
         if onward:
@@ -163,7 +200,7 @@ def returned(
     at_axis = rays.nearest_axis
     echoes = _in_order(*_joined(parts))
     if len(index):
-        starts = np.searchsorted(rays.beam, np.arange(len(rays.axis)))
+        starts = rays.beam.searchsorted(np.arange(len(rays.axis)))
         nearest = np.fmin.reduceat(hits.range_m, starts)
         nearest[np.isnan(nearest)] = np.inf
     return Seen(echoes, nearest, hits.material[at_axis], hits.normal[at_axis])
@@ -187,7 +224,7 @@ def windows(rays: Rays, model: SensorModel, gain: float) -> Floats:
 
 @dataclass(eq=False)
 class _Onward:
-    """Where a met surface sends light: indexes into the front, the new direction, share kept one way."""
+    """Where a met surface sends light: indexes into the front that met it, the new direction, share kept one way."""
 
     index: Ints
     direction: Floats
@@ -204,43 +241,44 @@ def _meet(
     scene: Surfaces,
     air: Medium,
     model: SensorModel,
-) -> tuple[tuple[Ints, Floats, Floats], list[_Onward], _Front]:
-    """Sub-echoes of the surfaces met by the chosen rays, the rays that go on from them, and the front without misses.
+) -> tuple[tuple[Ints, Floats, Floats], list[_Onward]]:
+    """Sub-echoes of the surfaces met by the chosen rays, and the rays that go on from them.
 
     Whole vectors are only picked out where something needs them: most hits want a range and a cosine.
     """
     cosine = -np.einsum("ij,ij->i", hits.normal, front.direction)
-    range_m, material = hits.range_m, hits.material
-    sends_on = scene.sends_on and model.bounces > 0
+    range_m, material, beam, weight = hits.range_m, hits.material, front.beam, front.weight
+    way = front.origin_m, front.direction, front.t_s
+    before_m, before = front.length_m, front.depth
     if chosen is not None:
         cosine, range_m, material = cosine[chosen], range_m[chosen], material[chosen]
-        if sends_on or air.uneven:
-            front = _taken(front, chosen)
-        else:
-            front = _Front(
-                front.origin_m, front.direction, front.t_s, front.beam[chosen], front.weight[chosen],
-                _part(front.length_m, chosen), _part(front.depth, chosen),
-            )  # fmt: skip
-    length = front.length_m + range_m
-    depth = front.depth + air.depth(front.origin_m, front.direction, range_m, front.t_s)
+        beam, weight = beam[chosen], weight[chosen]
+        before_m, before = _part(before_m, chosen), _part(before, chosen)
+        if air.uneven:
+            way = way[0][chosen], way[1][chosen], way[2][chosen]
+    length = before_m + range_m
+    depth = before + air.depth(way[0], way[1], range_m, way[2])
     kind = material.astype(np.int64)
     reflectance = scene.table.back(kind, cosine)
     onward = []
-    if sends_on:
-        mirrored = scene.table.mirror_share(kind, cosine)
-        through = scene.table.transmission(kind, cosine)
-        index = np.flatnonzero(mirrored > 0.0)
-        if len(index):
-            normal = hits.normal[index if chosen is None else chosen[index]]
-            if isinstance(front.length_m, float):  # a beam already turned has no axis to measure the tilt from
-                reflectance[index] += _face_on(front, index, normal, mirrored, length, rays, model)
-            turned = front.direction[index] + 2.0 * cosine[index, None] * normal
-            onward.append(_Onward(index, turned, mirrored[index], length[index], depth[index]))
-        index = np.flatnonzero(through > 0.0)
-        if len(index):
-            onward.append(_Onward(index, front.direction[index], through[index], length[index], depth[index]))
-    amplitude = front.weight * collected(length, depth, model) * reflectance
-    return (front.beam, length, amplitude), onward, front
+    glossy = indexes(scene.onward[kind]) if scene.sends_on and model.bounces > 0 else kind[:0]
+    if len(glossy):
+        mirrored = scene.table.mirror_share(kind[glossy], cosine[glossy])
+        through = scene.table.transmission(kind[glossy], cosine[glossy])
+        row = glossy if chosen is None else chosen[glossy]  # their numbers in the front
+        at = indexes(mirrored > 0.0)
+        if len(at):
+            index, share, normal = glossy[at], mirrored[at], hits.normal[row[at]]
+            if isinstance(before_m, float):  # a beam already turned has no axis to measure the tilt from
+                reflectance[index] += _face_on(rays.axis[beam[index]], normal, share, length[index], model)
+            turned = front.direction[row[at]] + 2.0 * cosine[index, None] * normal
+            onward.append(_Onward(row[at], turned, share, length[index], depth[index]))
+        at = indexes(through > 0.0)
+        if len(at):
+            index = glossy[at]
+            onward.append(_Onward(row[at], front.direction[row[at]], through[at], length[index], depth[index]))
+    amplitude = weight * collected(length, depth, model) * reflectance
+    return (beam, length, amplitude), onward
 
 
 def collected(length_m: Floats, depth: Floats, model: SensorModel) -> Floats:
@@ -248,30 +286,30 @@ def collected(length_m: Floats, depth: Floats, model: SensorModel) -> Floats:
     overlap: Floats | float = 1.0
     if length_m.size and float(length_m.min()) < model.overlap_full_m:
         overlap = radiometry.overlap(length_m, model.overlap_start_m, model.overlap_full_m)
-    lost = exp_or_zero(-2.0 * depth)
+    if model.leave_out.clear_air and depth.size and 2.0 * float(depth.max()) < model.clear_depth:
+        lost = 1.0 - 2.0 * depth * (1.0 - depth)  # wrong by 2e-10 at the most, and no exponential
+    else:
+        lost = exp_or_zero(-2.0 * depth)
     return np.asarray(model.k_m2 * overlap * lost / (length_m * length_m + model.aperture_radius_m**2))
 
 
-def _face_on(
-    front: _Front, index: Ints, normal: Floats, mirrored: Floats, length: Floats, rays: Rays, model: SensorModel
-) -> Floats:
+def _face_on(axis: Floats, normal: Floats, mirrored: Floats, length: Floats, model: SensorModel) -> Floats:
     """Equivalent reflectance of a flat mirror that sends the beam back into the lens.
 
     The lens collects the share of the mirrored beam that falls on it: a disc off axis in a beam of radius w(2 R). Over
     what a white plate sends there, a^2 / (R^2 + a^2).
     """
-    axis = rays.axis[front.beam[index]]
     across = np.linalg.norm(np.cross(normal, axis), axis=1)
     along = np.abs(np.einsum("ij,ij->i", normal, axis))
-    radius_x, radius_y = model.beam.radius_m(2.0 * length[index])
-    offset = 2.0 * length[index] * across / np.maximum(along, 1e-6)
+    radius_x, radius_y = model.beam.radius_m(2.0 * length)
+    offset = 2.0 * length * across / np.maximum(along, 1e-6)
     near = offset < 6.0 * np.maximum(radius_x, radius_y) + model.aperture_radius_m
-    extra = np.zeros(len(index))
-    if bool(np.any(near)):
+    extra = np.zeros(len(length))
+    if bool(near.any()):
         a = model.aperture_radius_m
         fill = radiometry.fill_disc_offset(a, np.sqrt(radius_x * radius_y)[near], offset[near])
-        lens = a * a / (length[index][near] ** 2 + a * a)
-        extra[near] = mirrored[index][near] * fill / lens
+        lens = a * a / (length[near] ** 2 + a * a)
+        extra[near] = mirrored[near] * fill / lens
     return extra
 
 
@@ -294,9 +332,9 @@ def _continue(
         for one in onward:
             weight = front.weight[one.index] * one.share**2
             best = whole * weight * scene.strongest * model.k_m2 / (one.length_m**2 + model.aperture_radius_m**2)
-            least = 0.0 if model.full else UNSEEN * model.threshold
+            least = UNSEEN * model.threshold if model.leave_out.second_rays else 0.0
             kept = (best > least) & (one.length_m < reach_m)
-            if not bool(np.any(kept)):
+            if not bool(kept.any()):
                 continue
             index, step = one.index[kept], BEHIND_M * (1.0 + one.length_m[kept] / 1000.0)
             reached = one.length_m[kept] - _part(front.length_m, index)
@@ -315,11 +353,12 @@ def _continue(
         if not fronts:
             break
         front = _merged(fronts)
-        hits = caster.first_hits(front.origin_m, front.direction, front.t_s)
-        met = np.flatnonzero(front.length_m + hits.range_m <= reach_m)
+        left = max(reach_m - float(np.min(front.length_m)), 0.0)
+        hits = caster.first_hits(front.origin_m, front.direction, front.t_s, max_range_m=left)
+        met = indexes(front.length_m + hits.range_m <= reach_m)
         if not len(met):
             break
-        found, onward, front = _meet(front, hits, met, rays, scene, air, model)
+        found, onward = _meet(front, hits, met, rays, scene, air, model)
         parts.append((*found, np.zeros(len(met)), hits.actor[met]))
     return parts
 
@@ -331,10 +370,6 @@ def _merged(fronts: list[_Front]) -> _Front:
 
 
 _COLUMNS = ("origin_m", "direction", "t_s", "beam", "weight", "length_m", "depth")
-
-
-def _taken(front: _Front, index: Ints) -> _Front:
-    return _Front(*(_part(getattr(front, name), index) for name in _COLUMNS))
 
 
 def _part(column: Any, index: Ints) -> Any:
@@ -358,7 +393,7 @@ def _joined(parts: list[_Part]) -> _Part:
 def _in_order(beam: Ints, range_m: Floats, amplitude: Floats, blocked: Floats, actor: NDArray[np.int32]) -> SubEchoes:
     """Sorted by beam, then range."""
     source = actor.astype(np.int64)
-    if len(beam) < 2 or bool(np.all(beam[1:] > beam[:-1])):
+    if len(beam) < 2 or bool((beam[1:] > beam[:-1]).all()):
         return SubEchoes(beam, range_m, amplitude, blocked, source)
     order = _order(beam, range_m)
     return SubEchoes(beam[order], range_m[order], amplitude[order], blocked[order], source[order])
@@ -375,6 +410,18 @@ def _order(beam: Ints, range_m: Floats) -> Ints:
     if range_bits < 24:
         return np.lexsort((range_m, beam))
     scale = (2.0**range_bits - 1.0) / max(float(range_m.max()), 1e-9)
-    key = (beam << (63 - beam_bits)) | ((range_m * scale).astype(np.int64) << index_bits) | np.arange(len(beam))
-    key.sort()
+    coarse = (range_m * scale).astype(np.int64) << index_bits
+    starts = indexes(np.diff(beam, prepend=-1))
+    most = int(np.diff(starts, append=len(beam)).max())
+    if bool((beam[1:] >= beam[:-1]).all()) and len(starts) * most <= MOST_EMPTY * len(beam):
+        # sorted by beam already: short rows are sorted ten times as fast as all numbers together
+        size = np.diff(starts, append=len(beam))
+        rows = np.full((len(starts), most), np.iinfo(np.int64).max)
+        filled = np.arange(most) < size[:, None]
+        rows[filled] = coarse | np.arange(len(beam))
+        rows.sort(axis=1)
+        key = rows[filled]
+    else:
+        key = (beam << (63 - beam_bits)) | coarse | np.arange(len(beam))
+        key.sort()
     return np.asarray(key & ((1 << index_bits) - 1))

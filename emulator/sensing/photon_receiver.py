@@ -10,7 +10,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from emulator.draws import Draws
 from emulator.physics import photons
@@ -84,7 +83,7 @@ class PhotonReceiver:
         flat += np.bincount((row + low + 1)[kept], (weight * part)[kept], beams * self._bins)
         signal: Floats = np.asarray(flat, np.float64).reshape(beams, self._bins)
         if len(self._pulse) > 1:
-            signal = ndimage.correlate1d(signal, self._pulse, axis=1, mode="constant")
+            signal = _correlated(signal, self._pulse)
         if soft is not None:
             first = np.full(beams, np.inf)
             np.minimum.at(first, found.beam[mine] - begin, np.where(found.blocked[mine] > 0.0, place, np.inf))
@@ -130,11 +129,11 @@ class PhotonReceiver:
         The noise is that of the counts themselves under the pulse, and of the background at the least.
         """
         weight = self._pulse / self._pulse.max()
-        score = ndimage.correlate1d(counts - alone, weight, axis=1, mode="constant")
+        score = _correlated(counts - alone, weight)
         best = np.argmax(score, axis=1)
         row = np.arange(len(best))
         squared = weight * weight
-        spread = ndimage.correlate1d(np.maximum(counts, alone), squared, axis=1, mode="constant")[row, best]
+        spread = _correlated(np.maximum(counts, alone), squared)[row, best]
         snr = score[row, best] / np.sqrt(np.maximum(spread, 1.0))
         inner = np.clip(best, 1, self._bins - 2)
         left, mid, right = score[row, inner - 1], score[row, inner], score[row, inner + 1]
@@ -156,3 +155,10 @@ class PhotonReceiver:
         near = nearest[off[nearest] <= self._model.pulse.half_support_m + self.bin_m]
         actor[owner[near]] = found.source[at[near]]
         return actor
+
+
+def _correlated(counts: Floats, weight: Floats) -> Floats:
+    """Counts (beams, bins) under the weight (odd) around each bin; nothing lies beyond the ends."""
+    from scipy import ndimage  # takes long to import, and few sensors count photons
+
+    return np.asarray(ndimage.correlate1d(counts, weight, axis=1, mode="constant"), np.float64)

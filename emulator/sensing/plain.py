@@ -17,8 +17,9 @@ import numpy as np
 
 from emulator.fleet import Fleet
 from emulator.motion import Pose
+from emulator.nearby import Nearby
 from emulator.outlines import Outlines
-from emulator.physics.arrays import Bools, Floats, Ints, ramp
+from emulator.physics.arrays import Bools, Floats, Ints, clamped, indexes, ramp
 from emulator.sensing.model import SensorModel
 
 CLEARLY_BEHIND_M = 1e-3
@@ -89,6 +90,19 @@ class _Edges:
     "(e,)"
 
 
+@dataclass(frozen=True, eq=False)
+class _Near:
+    """Moving bodies that can come within reach during a second."""
+
+    movers: Ints
+    "(b,) indexes into all that move."
+    fleet: Fleet
+    rows: Ints
+    "(e,) their edges."
+    owner: Ints
+    "(e,) index of each edge's body in `movers`."
+
+
 class Edges:
     """The edges of a scene for one sensor; those that never move are found once for a sensor at rest."""
 
@@ -98,8 +112,7 @@ class Edges:
         self._pupil_m = radii * model.beam.exit_radius_m
         bodies = outlines.bodies
         moving = np.array([not body.motion.still for body in bodies], bool)
-        self._movers = np.flatnonzero(moving)
-        self._fleet = Fleet([bodies[k].motion for k in self._movers]) if len(self._movers) else None
+        self._movers = indexes(moving)
         self._radius = np.array([bodies[k].radius_m for k in self._movers])
         self._centre = np.array([bodies[k].centre_m for k in self._movers]).reshape(-1, 3)
         self._arm = np.linalg.norm(self._centre, axis=1) + self._radius
@@ -109,6 +122,8 @@ class Edges:
         number = np.full(len(bodies) + 1, -1, np.int64)
         number[self._movers] = np.arange(len(self._movers))
         self._owner = number[outlines.body[own]]
+        self._nearby = Nearby([bodies[k].motion for k in self._movers], self._arm)
+        self._near: _Near | None = None
         start, end = outlines.start_m[~own].copy(), outlines.end_m[~own].copy()
         still = outlines.body[~own]
         for index in np.unique(still):
@@ -131,7 +146,7 @@ class Edges:
         Edges of what moves may be left out where they are farther than `cover_m` (n,): hidden.
         """
         still = self._of_still(sights, reach_m, at_rest, most_pairs, cover_m)
-        if still is None or self._fleet is None:
+        if still is None or not len(self._movers):
             return still
         found = self._cross(self._of_movers(sights, reach_m), sights, reach_m, most_pairs, cover_m)
         return None if found is None else still.joined(found)
@@ -148,28 +163,40 @@ class Edges:
 
     def _of_movers(self, sights: Sights, reach_m: float) -> _Edges:
         """Edges of the moving bodies that come within reach."""
-        assert self._fleet is not None
         begin, end = float(sights.t_s.min()), float(sights.t_s.max())
         middle = 0.5 * (begin + end)
-        now = self._fleet.during(begin, end)
+        known = self._near_movers(sights, reach_m, begin, end)
+        movers, fleet = known.movers, known.fleet
+        now = fleet.during(begin, end)
         at = (now.at + (middle - now.since) * now.velocity).T
         velocity, turned = now.velocity.T.copy(), now.turned.transpose(2, 0, 1).copy()
         slack = np.zeros(len(at))
-        for k in np.flatnonzero(~now.straight):
-            pose = self._fleet.motions[k].pose(np.append(sights.t_s, middle))
+        for k in indexes(~now.straight):
+            pose = fleet.motions[k].pose(np.append(sights.t_s, middle))
             at[k], velocity[k], turned[k] = pose.position_m[-1], 0.0, pose.rotation[-1]
             moved = float(np.linalg.norm(pose.position_m - at[k], axis=1).max())
             bent = float(np.linalg.norm(pose.rotation - turned[k], axis=(1, 2)).max())
-            slack[k] = moved + bent * self._arm[k]
+            slack[k] = moved + bent * self._arm[movers[k]]
         eye = sights.centre_m[len(sights.centre_m) // 2]
         swept = np.linalg.norm(velocity, axis=1) * (end - begin) + slack
-        place = at + np.einsum("bij,bj->bi", turned, self._centre)
-        near = np.linalg.norm(place - eye, axis=1) - self._radius - swept <= reach_m
-        rows = np.flatnonzero(near[self._owner])
-        owner = self._owner[rows]
+        place = at + np.einsum("bij,bj->bi", turned, self._centre[movers])
+        near = np.linalg.norm(place - eye, axis=1) - self._radius[movers] - swept <= reach_m
+        chosen = near[known.owner]
+        rows, owner = known.rows[chosen], known.owner[chosen]
         start = np.einsum("eij,ej->ei", turned[owner], self._own_start[rows]) + at[owner]
         stop = np.einsum("eij,ej->ei", turned[owner], self._own_end[rows]) + at[owner]
         return _Edges(start, stop, velocity[owner], slack[owner])
+
+    def _near_movers(self, sights: Sights, reach_m: float, begin_s: float, end_s: float) -> _Near:
+        low, high = sights.centre_m.min(axis=0), sights.centre_m.max(axis=0)
+        which = self._nearby.within(low, high, reach_m, begin_s, end_s)
+        if self._near is None or self._near.movers is not which:
+            number = np.full(len(self._movers), -1, np.int64)
+            number[which] = np.arange(len(which))
+            rows = indexes(number[self._owner] >= 0)
+            fleet = Fleet([self.outlines.bodies[self._movers[k]].motion for k in which])
+            self._near = _Near(which, fleet, rows, number[self._owner[rows]])
+        return self._near
 
     def _cross(
         self, edges: _Edges, sights: Sights, reach_m: float, most_pairs: int, cover_m: Floats | None = None
@@ -187,14 +214,14 @@ class Edges:
         azimuth = np.arctan2(direction[:, 1], direction[:, 0])
         order = np.argsort(azimuth, kind="stable")
         turns = np.concatenate([azimuth[order] + turn for turn in (-2.0 * np.pi, 0.0, 2.0 * np.pi)])
-        first, last = np.searchsorted(turns, low), np.searchsorted(turns, high, side="right")
+        first, last = turns.searchsorted(low), turns.searchsorted(high, side="right")
         count = np.minimum(last - first, n)
         if int(count.sum()) > (MOST_PAIRS if cover_m is None else HIDDEN * most_pairs):
             return None
-        row = np.repeat(kept, count)
-        beam = order[(np.repeat(first, count) + ramp(count)) % n]
+        row = kept.repeat(count)
+        beam = order[(first.repeat(count) + ramp(count)) % n]
         if cover_m is not None:
-            seen = np.flatnonzero(np.repeat(nearest, count) <= cover_m[beam])
+            seen = indexes(nearest.repeat(count) <= cover_m[beam])
             row, beam = row[seen], beam[seen]
         if len(row) > most_pairs:
             return None
@@ -206,7 +233,7 @@ class Edges:
     ) -> tuple[Floats, Floats, Floats, Ints]:
         """Azimuths in the sensor's frame between which each edge may meet a beam, its least distance, its number."""
         direction = sights.axis @ sights.rotation
-        elevation = np.arcsin(np.clip(direction[:, 2], -1.0, 1.0))
+        elevation = np.arcsin(clamped(direction[:, 2], -1.0, 1.0))
         half = math.atan(self._spread) + 1e-6
         upper, lower = float(elevation.max()) + half, float(elevation.min()) - half
         margin = blur + self._pupil_m + 1e-6
@@ -220,7 +247,7 @@ class Edges:
             above = (start[:, 2] > rise * far0 + over) & (end[:, 2] > rise * far1 + over)
             under = margin * (1.0 + fall)
             below = (start[:, 2] < -fall * far0 - under) & (end[:, 2] < -fall * far1 - under)
-            kept = np.flatnonzero(~above & ~below)
+            kept = indexes(~above & ~below)
         start, end, margin = start[kept], end[kept], margin[kept]
         along = end - start
         nearest = _distance(start, along)
@@ -262,7 +289,7 @@ class Edges:
         low_in = np.where(across, np.maximum(low, (-b - root) / divisor), low)
         high_in = np.where(across, np.minimum(high, (-b + root) / divisor), high)
         ends = np.minimum((a * low + 2.0 * b) * low + c, (a * high + 2.0 * b) * high + c)
-        touched = np.flatnonzero(ahead & np.where(across, (inner >= 0.0) & (low_in <= high_in), ends <= 0.0))
+        touched = indexes(ahead & np.where(across, (inner >= 0.0) & (low_in <= high_in), ends <= 0.0))
         begin, way = start[touched], along[touched]
         return Crossings(
             beam[touched],
@@ -275,7 +302,7 @@ class Edges:
 def _distance(start: Floats, along: Floats) -> Floats:
     """Least distance of segments from the origin."""
     square = np.einsum("ij,ij->i", along, along)
-    part = np.clip(-np.einsum("ij,ij->i", start, along) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
+    part = clamped(-np.einsum("ij,ij->i", start, along) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
     place = start + part[:, None] * along
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", place, place)))
 
@@ -290,7 +317,15 @@ class Pieces:
         self._still = np.array([body.motion.still for body in outlines.bodies], bool)[outlines.piece_body]
         self._centre, self._extent = np.zeros_like(self._middle), np.zeros_like(self._middle)
         self._slack = np.zeros(len(self._middle))
-        self._place(np.flatnonzero(self._still), np.zeros(1))
+        moving = indexes(~self._still)
+        self._moving = np.unique(outlines.piece_body[moving])
+        order = np.argsort(outlines.piece_body[moving], kind="stable")
+        self._pieces = moving[order]
+        self._first = outlines.piece_body[self._pieces].searchsorted(np.append(self._moving, len(outlines.bodies)))
+        bodies = [outlines.bodies[k] for k in self._moving]
+        arm = np.array([float(np.linalg.norm(body.centre_m)) + body.radius_m for body in bodies], np.float64)
+        self._nearby = Nearby([body.motion for body in bodies], arm)
+        self._place(indexes(self._still), np.zeros(1))
 
     def _place(self, pieces: Ints, t_s: Floats) -> None:
         owner = self._outlines.piece_body[pieces]
@@ -309,36 +344,34 @@ class Pieces:
     def doubtful(self, body: Ints, face: Ints, point_m: Floats, reach_m: Floats, t_s: Floats) -> Bools:
         """(h,) hits within `reach_m` of another piece's box than the one they are on."""
         doubt = np.zeros(len(body), bool)
-        if not len(body) or (len(self._middle) < 2 and not bool(np.any(self._outlines.piece_crosses))):
+        if not len(body) or (len(self._middle) < 2 and not bool(self._outlines.piece_crosses.any())):
             return doubt
         own = self._outlines.piece_of(body, face)
         low = (point_m - reach_m[:, None]).min(axis=0)
         high = (point_m + reach_m[:, None]).max(axis=0)
-        moving = np.flatnonzero(~self._still)
-        if len(moving):
-            near = self._near_movers(moving, low, high, t_s)
+        if len(self._moving):
+            near = self._near_movers(low, high, t_s)
             self._place(near, t_s)
-            pieces = np.concatenate([np.flatnonzero(self._still), near])
+            pieces = np.concatenate([indexes(self._still), near])
         else:
             pieces = np.arange(len(self._middle))
         room = self._extent[pieces] + self._slack[pieces][:, None]
-        overlap = np.all((self._centre[pieces] - room <= high) & (self._centre[pieces] + room >= low), axis=1)
+        overlap = ((self._centre[pieces] - room <= high) & (self._centre[pieces] + room >= low)).all(axis=1)
         for piece in pieces[overlap]:
             extent = self._extent[piece] + self._slack[piece] + 1e-6
-            inside = np.all(np.abs(point_m - self._centre[piece]) <= extent + reach_m[:, None], axis=1)
+            inside = (np.abs(point_m - self._centre[piece]) <= extent + reach_m[:, None]).all(axis=1)
             doubt |= inside & ((own != piece) | self._outlines.piece_crosses[piece])
         return doubt
 
-    def _near_movers(self, moving: Ints, low: Floats, high: Floats, t_s: Floats) -> Ints:
-        owner = self._outlines.piece_body[moving]
+    def _near_movers(self, low: Floats, high: Floats, t_s: Floats) -> Ints:
         kept = []
-        for index in np.unique(owner):
-            body = self._outlines.bodies[index]
+        for k in self._nearby.within(low, high, 0.0, float(t_s.min()), float(t_s.max())):
+            body = self._outlines.bodies[self._moving[k]]
             pose = body.motion.pose(t_s[:1])
             place = pose.to_world(body.centre_m)[0]
             room = body.radius_m + body.motion.speed_bound_m_s * float(np.ptp(t_s))
-            if bool(np.all((place - room <= high) & (place + room >= low))):
-                kept.append(moving[owner == index])
+            if bool(((place - room <= high) & (place + room >= low)).all()):
+                kept.append(self._pieces[self._first[k] : self._first[k + 1]])
         return np.concatenate([np.zeros(0, np.int64), *kept])
 
 

@@ -99,7 +99,7 @@ class BundleCache:
         axis = beams.axis_directions(azimuth_rad, elevation_rad)
         nodes, n, m = self._nodes, len(axis), len(self._nodes)
         first = int(np.argmin(nodes.u**2 + nodes.v**2))
-        flat = np.repeat(np.arange(n), m), np.tile(nodes.share, n), np.arange(n) * m + first
+        flat = np.arange(n).repeat(m), np.tile(nodes.share, n), np.arange(n) * m + first
         if m == 1:
             return Bundles(axis, axis[:, None, :], None, nodes.share, *flat)
         direction, start_m = beams.spread(nodes, self._model.beam, azimuth_rad, elevation_rad)
@@ -119,7 +119,7 @@ def cast_rays(bundles: Bundles, pose: Pose, t_s: Floats) -> Rays:
     return Rays(
         origin_m=np.ascontiguousarray(origin).reshape(n * m, 3),
         direction=direction.reshape(n * m, 3),
-        t_s=np.repeat(t_s, m),
+        t_s=t_s.repeat(m),
         beam=bundles.beam,
         share=bundles.flat_share,
         nearest_axis=bundles.nearest_axis,
@@ -132,7 +132,7 @@ def cast_rays(bundles: Bundles, pose: Pose, t_s: Floats) -> Rays:
 def turned(rotation: Floats, vectors: Floats) -> Floats:
     """Vectors (n, m, 3) turned by rotations (n or more, 3, 3), at once where all rotations are the same."""
     first = rotation[0] if len(rotation) else np.eye(3)
-    if rotation.strides[0] == 0 or bool(np.all(rotation == first)):
+    if rotation.strides[0] == 0 or bool((rotation == first).all()):
         return rotated(first, vectors.reshape(-1, 3)).reshape(vectors.shape)
     return np.asarray(vectors @ rotation.transpose(0, 2, 1))
 

@@ -6,20 +6,21 @@ Belongs here: the sensor's detector and its random numbers, false alarms, the sc
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from emulator.draws import Draws
 from emulator.physics import noise
-from emulator.physics.arrays import Floats, Ints
+from emulator.physics.arrays import Bools, Floats, Ints
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
-from emulator.physics.detection import detect
+from emulator.physics.detection import Signals, detect, signals_of
 from emulator.physics.detector import Detector, Echoes
 from emulator.physics.softprofile import SoftProfile
-from emulator.physics.subechoes import SubEchoes
+from emulator.physics.subechoes import Kept, SubEchoes
 from emulator.sensing.daylight import NIGHT, Daylight
+from emulator.sensing.faint import most_dropped, without_faint
 from emulator.sensing.model import SensorModel
 from protocols.scan import DAZZLED, SATURATED, Scan, ScanPlan
 
@@ -27,6 +28,24 @@ NUMBERS_A_BEAM = 4
 "Random numbers a beam for the noise at its echoes; the fifth echo shares that of the first."
 RARE = 1e-6
 "Mean count of noise echoes a sweep below which none is drawn."
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """Sub-echoes of an earlier sweep and what became of them before any noise: a sensor at rest may see them again."""
+
+    given: SubEchoes
+    soft: SoftProfile | None
+    noise: Floats | None
+    signals: Signals
+
+    def serves(self, given: SubEchoes, soft: SoftProfile | None, noise: Floats | None, wanted: Bools) -> bool:
+        """The same sub-echoes come again, in the beams that are wanted in the same light."""
+        if self.given is not given or self.soft is not soft or len(self.signals.rms) != len(wanted):
+            return False
+        if self.noise is None or noise is None:
+            return self.noise is noise
+        return self.noise is noise or bool(np.array_equal(self.noise[wanted], noise[wanted]))
 
 
 class Receiver:
@@ -47,10 +66,13 @@ class Receiver:
             full_scale=model.full_scale,
             recovery_s=2.0 * model.recovery_m / SPEED_OF_LIGHT_M_S,
             shot_factor=0.0 if model.seed_mode else model.signal_shot,
+            sampled=not model.leave_out.waveform,
+            follows_noise=True,
             floor_m2=model.floor_m2,
             near_gate_m=model.near_gate_m,
             far_gate_m=model.gate_m,
         )
+        self._known: _Known | None = None
         gate_m = max(model.gate_m - model.near_gate_m, 0.0)
         self._false_alarms = float(noise.false_alarm_rice(model.threshold, model.receiver.bandwidth_hz, gate_m))
 
@@ -60,16 +82,19 @@ class Receiver:
         return self._detector.bin_m
 
     def receive(
-        self, plan: ScanPlan, found: SubEchoes, soft: SoftProfile | None = None, daylight: Daylight = NIGHT
+        self,
+        plan: ScanPlan,
+        found: SubEchoes,
+        soft: SoftProfile | None = None,
+        daylight: Daylight = NIGHT,
+        kept: Kept | None = None,
     ) -> Scan:
-        """The scan of a sweep."""
+        """The scan of a sweep; `kept`: sub-echoes of beams of which none are in `found`."""
         model, n = self._model, len(plan)
         detector = self._detector
         if plan.max_echoes < detector.max_echoes:
             detector = replace(detector, max_echoes=plan.max_echoes)
-        if daylight.noise is not None:
-            # the threshold follows the noise: amplitudes over each beam's own
-            found = replace(found, amplitude=found.amplitude / daylight.noise[found.beam])
+        signals = self._signals(found, kept, n, soft, daylight.noise)
         normals = self._draws.normal("receiver", plan.sweep, n, NUMBERS_A_BEAM) if model.noise else None
         echoes = detect(
             found,
@@ -78,25 +103,56 @@ class Receiver:
             normals=normals,
             soft=soft,
             dazzled=daylight.dazzled,
-            noise_echoes=self._noise_echoes(plan) if model.false_alarms else None,
+            noise_echoes=self._noise_echoes(plan, daylight.noise) if model.false_alarms else None,
+            signals=signals,
         )
         return self._scan(plan, echoes, daylight)
 
-    def _noise_echoes(self, plan: ScanPlan) -> tuple[Ints, Floats, Floats] | None:
+    def _signals(
+        self, found: SubEchoes, kept: Kept | None, beams: int, soft: SoftProfile | None, noise: Floats | None
+    ) -> tuple[Signals, ...]:
+        """The signals of a sweep; of sub-echoes that come again those that are known."""
+        if kept is None:
+            return (self._again(found, np.ones(beams, bool), soft, noise),)
+        resting = self._again(kept.found, ~kept.changed, soft, noise)
+        if not bool(kept.changed.any()):
+            return (resting,)
+        return resting.of_beams(~kept.changed), self._made(found, beams, soft, noise).of_beams(kept.changed)
+
+    def _again(self, given: SubEchoes, wanted: Bools, soft: SoftProfile | None, noise: Floats | None) -> Signals:
+        known = self._known
+        if known is not None and known.serves(given, soft, noise, wanted):
+            return known.signals
+        signals = self._made(given, len(wanted), soft, noise)
+        if self._model.leave_out.resting:
+            self._known = _Known(given, soft, noise, signals)
+        return signals
+
+    def _made(self, found: SubEchoes, beams: int, soft: SoftProfile | None, noise: Floats | None) -> Signals:
+        model = self._model
+        if model.leave_out.faint and (soft is None or soft.until_m < np.inf):
+            beyond_m = -np.inf if soft is None else soft.until_m + 2.0 * model.pulse.half_support_m
+            found = without_faint(found, model.threshold, most_dropped(model), beyond_m)
+        rms = 1.0 if noise is None else noise
+        return signals_of(found, beams, self._detector, noisy=model.noise, noise=rms, soft=soft)
+
+    def _noise_echoes(self, plan: ScanPlan, rms: Floats | None) -> tuple[Ints, Floats, Floats] | None:
         """Crossings of the threshold by noise alone: anywhere in the gate."""
         n, model = len(plan), self._model
-        if self._false_alarms * n < RARE and not model.full:
+        if self._false_alarms * n < RARE and model.leave_out.noise_echoes:
             return None
         count = self._draws.poisson("false alarms", plan.sweep, np.full(n, self._false_alarms))
-        if not bool(np.any(count)):
+        if not bool(count.any()):
             return None
-        beam = np.repeat(np.arange(n), count)
+        beam = np.arange(n).repeat(count)
         most = int(count.max())
-        place = np.arange(len(beam)) - np.repeat(np.cumsum(count) - count, count)
+        place = np.arange(len(beam)) - (count.cumsum() - count).repeat(count)
         where = self._draws.uniform("false alarm ranges", plan.sweep, most, n)[place, beam]
         height = self._draws.uniform("false alarm heights", plan.sweep, most, n)[place, beam]
         range_m = model.near_gate_m + where * (model.gate_m - model.near_gate_m)
         amplitude = noise.noise_echo_amplitude(model.threshold, height)
+        if rms is not None:
+            amplitude = amplitude * rms[beam]
         if model.floor_m2 > 0.0:
             kept = amplitude * range_m**2 >= model.floor_m2
             beam, range_m, amplitude = beam[kept], range_m[kept], amplitude[kept]
@@ -111,9 +167,10 @@ class Receiver:
             spread = self._draws.normal("range", plan.sweep, n, range_m.shape[1])
             range_m = np.maximum(range_m + model.range_noise_m * spread, 0.0)
         flags: NDArray[np.uint8] = np.zeros(n, np.uint8)
-        if bool(np.any(echoes.saturated)):
-            flags[np.any(echoes.saturated, axis=1)] |= SATURATED
+        if bool(echoes.saturated.any()):
+            flags[echoes.saturated.any(axis=1)] |= SATURATED
         if daylight.dazzled is not None:
             flags[daylight.dazzled] |= DAZZLED
-        intensity = np.maximum(echoes.amplitude / model.threshold, 1.0)
+        rms = 1.0 if daylight.noise is None else daylight.noise[:, None]
+        intensity = np.maximum(echoes.amplitude / (model.threshold * rms), 1.0)
         return Scan(plan, range_m, intensity, flags, echoes.source.astype(np.int32))

@@ -6,6 +6,7 @@ Belongs here: which of both, and the points. Not: the tables (physics.softprofil
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -36,7 +37,7 @@ class SoftTargets:
         def table(extinction_per_m: float, backscatter: float, gain: float) -> SoftProfile | None:
             start_m = max(model.overlap_start_m, model.near_gate_m)
             bound = self._bound(backscatter, extinction_per_m, start_m) * gain
-            if bound < UNSEEN * model.threshold and not model.full:
+            if model.leave_out.backscatter and bound < min(UNSEEN * model.threshold, model.unseen_amplitude):
                 return None
             made = SoftProfile.of_medium(
                 model.pulse,
@@ -48,9 +49,11 @@ class SoftTargets:
                 model.overlap_full_m,
                 min(self._sight_m(extinction_per_m, backscatter * gain), model.gate_m),
             )
-            return made if made is not None and (model.full or self._shows(made)) else None
+            if made is None or not model.leave_out.backscatter:
+                return made
+            return self._nearby(replace(made, shows=self._shows(made)))
 
-        self._table = table
+        self._table = table if model.leave_out.soft_table else table.__wrapped__
 
     def everywhere(self, air: AirNow, gain: float = 1.0) -> SoftProfile | None:
         """The table of a medium that fills all the air; None where it is not seen."""
@@ -62,20 +65,21 @@ class SoftTargets:
         """Some volume sends back enough to be seen: all the air is then taken point by point."""
         start_m = max(self._model.overlap_start_m, self._model.near_gate_m)
         return self._model.weather_echoes and any(
-            self._model.full
+            not self._model.leave_out.backscatter
             or self._bound(volume.medium.backscatter_per_m_sr, 0.0, start_m) >= UNSEEN * self._model.threshold
             for volume in air.volumes
         )
 
     def _sight_m(self, extinction_per_m: float, backscatter: float) -> float:
-        """Range beyond which the return stays below a hundredth of the threshold."""
+        """Range beyond which the return is below a hundredth of the threshold and shifts nothing by half a step."""
         model = self._model
         r = np.geomspace(model.overlap_full_m, max(model.gate_m, model.overlap_full_m), 256)
         level = (
             math.pi * model.k_m2 * backscatter * model.pulse.fwhm_m / (r * r) * exp_or_zero(-2.0 * extinction_per_m * r)
         )
-        hidden = np.flatnonzero(level < 0.1 * UNSEEN * model.threshold)
-        return float(r[hidden[0]]) if len(hidden) and not model.full else model.gate_m
+        unseen = min(0.1 * UNSEEN * model.threshold, model.unseen_amplitude)
+        hidden = np.flatnonzero(level < unseen)
+        return float(r[hidden[0]]) if len(hidden) and model.leave_out.backscatter else model.gate_m
 
     def _shows(self, made: SoftProfile) -> bool:
         """Its return comes within a tenth of the threshold somewhere, sensitivity-time control included."""
@@ -84,6 +88,19 @@ class SoftTargets:
         x = np.unique(np.concatenate([x, made.start_m * 1.05 ** np.arange(100), [made.peak_m]]))
         wanted = np.maximum(model.threshold, model.floor_m2 / np.maximum(x, 1e-3) ** 2)
         return bool(np.any(made.wave(x) >= UNSEEN * wanted))
+
+    def _nearby(self, made: SoftProfile) -> SoftProfile | None:
+        """The medium as far as it shifts echoes of surfaces; None: nowhere by half a step, and no echo of its own."""
+        model = self._model
+        if made.pulse.shape != "sin2" or model.photons is not None:
+            return made if made.shows else None
+        x = made.bin_m * np.arange(made.first, made.first + len(made.upper), dtype=np.float64)
+        # what is crossed before is not reported
+        reported = x > model.near_gate_m - made.pulse.half_support_m
+        shown = np.flatnonzero(reported & (made.wave(x) >= model.unseen_under(model.least_amplitude(x))))
+        if not len(shown):
+            return replace(made, until_m=-np.inf) if made.shows else None
+        return replace(made, until_m=float(x[shown[-1]]) + made.bin_m)
 
     def _bound(self, backscatter: float, extinction_per_m: float, start_m: float) -> float:
         """Upper bound of the return in rms noise, from `start_m` on: the pulse integrates to its FWHM."""

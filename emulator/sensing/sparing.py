@@ -15,11 +15,12 @@ import numpy as np
 from emulator.motion import Pose
 from emulator.outlines import outlines_of
 from emulator.physics import beams
-from emulator.physics.arrays import Bools, Floats, Ints
+from emulator.physics.arrays import Bools, Floats, Ints, indexes
 from emulator.physics.subechoes import SubEchoes
 from emulator.sensing import closed
 from emulator.sensing.adapt import CellHits
 from emulator.sensing.air import AirNow
+from emulator.sensing.daylight import surfaces_show
 from emulator.sensing.model import SensorModel
 from emulator.sensing.paths import FacedCaster, FacedHits, Seen, Surfaces, reach_of, returned
 from emulator.sensing.plain import MOST_PAIRS, Edges, Pieces, sights_of
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from emulator.scene import Scene
 
 TYPICAL_M = 20.0
-EDGES_SHARE = 0.15
+EDGES_SHARE = 0.5
 "Of the time that could be saved, at most to be spent on looking at edges."
 MOST_FACES = 2_000_000
 "Of different shapes: finding their edges would take many seconds."
@@ -72,6 +73,8 @@ def wanted(model: SensorModel, scene: Scene) -> bool:
     """The rule may save something for this sensor in this scene."""
     if model.spare_bundles == "never" or model.rule in ("adaptive", "axis") or model.beam.is_ray:
         return False
+    if any(body.frames is not None for body in scene.bodies):
+        return False  # edges of what changes its shape are not followed
     faces = {id(body.geometry): len(body.faces) for body in scene.bodies}
     return sum(faces.values()) <= MOST_FACES and (model.spare_bundles == "always" or thin(model))
 
@@ -87,6 +90,7 @@ class Sparing:
     """Finds out where one sensor's bundles are needed."""
 
     def __init__(self, scene: Scene, model: SensorModel, caster: FacedCaster, at_rest: bool) -> None:
+        at_rest = at_rest and model.leave_out.resting
         self._model, self._caster, self._at_rest = model, caster, at_rest
         self.radii = model.plain_radii if model.beam.profile == "gauss" else 1.0 + 1e-6
         outlines = outlines_of(scene)
@@ -97,6 +101,9 @@ class Sparing:
         self._looked_at = int(np.count_nonzero(moving[outlines.body])) if at_rest else len(outlines)
         self._kept: tuple[bytes, float, Looked] | None = None
         self._group: tuple[Bundles, bytes, Rays] | None = None
+        self._axes: tuple[Bundles, Rays] | None = None
+        self._all: tuple[tuple[object, ...], tuple[object, ...], Spared] | None = None
+        "Where nothing moves: the last sweep, what it depends on, and what that is the identity of."
 
     def pays(self, beams_: int, sub_beams: int) -> bool:
         """Looking at the edges costs clearly less than the rays that may be spared."""
@@ -104,15 +111,30 @@ class Sparing:
             return True
         if sub_beams < FEWEST:
             return False
+        if self._at_rest:  # what bundles meet of resting bodies is known without a ray
+            return self._all_still
         return self.edges.too_many or self._looked_at * EDGE_NS < EDGES_SHARE * beams_ * (sub_beams - 1) * RAY_NS
 
     def sweep(
         self, plan: ScanPlan, bundles: Bundles, pose: Pose, t_s: Floats, surfaces: Surfaces, air: AirNow
     ) -> Spared:
-        """Everything that comes back from surfaces in a sweep."""
+        """Everything that comes back from surfaces in a sweep; where nothing moves, that of the last one."""
+        if not self._all_still or air.uneven:
+            return self._swept(plan, bundles, pose, t_s, surfaces, air)
+        key = id(bundles), id(surfaces), id(air), plan.gain, plan.max_range_m
+        if self._all is None or self._all[0] != key:
+            made = self._swept(plan, bundles, pose, t_s, surfaces, air)
+            self._all = key, (bundles, surfaces, air), replace(made, cast=0)
+            return made
+        kept = self._all[2]
+        return replace(kept, rays=kept.rays.at(t_s))
+
+    def _swept(
+        self, plan: ScanPlan, bundles: Bundles, pose: Pose, t_s: Floats, surfaces: Surfaces, air: AirNow
+    ) -> Spared:
         model, gain = self._model, plan.gain
         reach = reach_of(model, plan.max_range_m)
-        looked = self._looked(plan, bundles, pose, t_s, reach, far=air.sun is not None or not model.spare_far)
+        looked = self._looked(plan, bundles, pose, t_s, reach, far=surfaces_show(air.sun, model) or not model.spare_far)
         rays, hits = looked.rays, looked.hits
         planes = closed.planes(rays, hits, model, self.radii)
         met = np.isfinite(hits.range_m)
@@ -120,11 +142,11 @@ class Sparing:
         if surfaces.sends_on and model.bounces > 0:
             plain[met] &= ~surfaces.onward[hits.material[met]]
         short = closed.holds(planes, hits, surfaces, air, model, plain & met)
-        if model.rule == "laguerre":
-            short[:] = False  # chosen for its exact sums
-        found, wide = closed.echoes(np.flatnonzero(short), rays, planes, hits, surfaces, air, model, gain, reach)
+        if model.rule == "laguerre" or not model.leave_out.plane_moments:
+            short[:] = False  # that rule is chosen for its exact sums
+        found, wide = closed.echoes(indexes(short), rays, planes, hits, surfaces, air, model, gain, reach)
         short[wide] = False
-        group = np.flatnonzero(~plain | (met & ~short))
+        group = indexes(~plain | (met & ~short))
         nearest = np.where(met, hits.range_m, np.inf)
         material, normal = hits.material.copy(), hits.normal.copy()
         cast = looked.cast
@@ -135,8 +157,8 @@ class Sparing:
             found = SubEchoes.joined(found, echoes) if len(found) else echoes
             nearest[group] = part.nearest_m
             material[group], normal[group] = part.axis_material, part.axis_normal
-        if air.particles and bool(np.any(short)):
-            self._exact_nearest(nearest, np.flatnonzero(short), bundles, pose, t_s, looked)
+        if air.particles and bool(short.any()):
+            self._exact_nearest(nearest, indexes(short), bundles, pose, t_s, looked)
         return Spared(rays, Seen(found, nearest, material, normal), plain, cast)
 
     def _bundle_part(
@@ -144,19 +166,20 @@ class Sparing:
         surfaces: Surfaces, air: AirNow, gain: float, plan: ScanPlan, reach: float,
     ) -> tuple[Seen, int]:  # fmt: skip
         """Bundles of these beams: cast, or where they meet one plane for certain, computed from it."""
-        rays = self._rays(bundles, pose, t_s, group)
-        far = np.inf if air.sun is not None or not self._model.spare_far else reach
+        rays, again = self._rays(bundles, pose, t_s, group)
+        far = np.inf if surfaces_show(air.sun, self._model) or not self._model.spare_far else reach
         known = plain[group][rays.beam]
-        if not bool(np.any(known)):
-            hits = CellHits.of(self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=far))
+        if not bool(known.any()):
+            first = self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=far, again=again)
+            hits = CellHits.of(first)
             return returned(hits, rays, self._caster, surfaces, air, self._model, gain, plan.max_range_m), len(known)
-        first, owner = looked.hits, group[rays.beam]
+        axes, owner = looked.hits, group[rays.beam]
         columns = CellHits(
-            np.full(len(owner), np.nan), first.body[owner], first.actor[owner], first.material[owner],
-            first.normal[owner],
+            np.full(len(owner), np.nan), axes.body[owner], axes.actor[owner], axes.material[owner],
+            axes.normal[owner],
         )  # fmt: skip
         columns.range_m[known] = closed.plane_ranges(_taken(rays, known), _at(looked, group), rays.beam[known])
-        cast = np.flatnonzero(~known)
+        cast = indexes(~known)
         if len(cast):
             met = self._caster.first_hits(
                 rays.origin_m[cast], rays.direction[cast], rays.t_s[cast], max_range_m=far
@@ -180,8 +203,8 @@ class Sparing:
         if self._all_still and self._kept is not None and self._kept[:2] == (key, cut):
             kept = self._kept[2]
             return Looked(kept.rays.at(t_s), kept.hits, kept.plain, 0)
-        rays = cast_rays(_axes(bundles), pose, t_s)
-        hits = self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=cut)
+        rays, again = self._axis_rays(bundles, pose, t_s)
+        hits = self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=cut, again=again)
         found = self._judged(plan, rays, hits, pose, t_s, reach if not far else math.inf, bundles.sub_beams)
         if self._all_still:
             self._kept = key, cut, found
@@ -193,7 +216,7 @@ class Sparing:
         n, met = len(t_s), np.isfinite(hits.range_m)
         cast = n
         if self.edges.too_many:
-            every = np.flatnonzero(met)
+            every = indexes(met)
             plain = np.zeros(n, bool)
             plain[every] = self._probed(plan, every, rays, hits, pose, PROBED_RADII)
             return Looked(rays, hits, plain, cast + PROBES * len(every))
@@ -205,7 +228,7 @@ class Sparing:
         if crossings is None:
             return Looked(rays, hits, np.zeros(n, bool), cast)
         plain = ~crossings.uncovered(n, hits.range_m, hits.normal, rays.axis)
-        at = np.flatnonzero(plain & met)
+        at = indexes(plain & met)
         cosine = np.maximum(-np.einsum("ij,ij->i", hits.normal[at], rays.axis[at]), 1e-3)
         shape = self._model.beam
         width = max(math.tan(shape.half_angle_x_rad), math.tan(shape.half_angle_y_rad)) * hits.range_m[at]
@@ -238,8 +261,8 @@ class Sparing:
         )  # fmt: skip
         rotation = _pose_at(pose, at).rotation
         direction = turned(rotation, own).reshape(-1, 3)
-        origin = np.repeat(rays.centre_m[at], PROBES, axis=0) + turned(rotation, start).reshape(-1, 3)
-        owner = np.repeat(at, PROBES)
+        origin = rays.centre_m[at].repeat(PROBES, axis=0) + turned(rotation, start).reshape(-1, 3)
+        owner = at.repeat(PROBES)
         found = self._caster.first_hits(origin, direction, rays.t_s[owner])
         same = (found.body == hits.body[owner]) & (found.material == hits.material[owner])
         normal = hits.normal[owner]
@@ -250,15 +273,25 @@ class Sparing:
         same &= off < 0.25 * self._model.lsb_m
         return np.asarray(same.reshape(-1, PROBES).all(axis=1))
 
-    def _rays(self, bundles: Bundles, pose: Pose, t_s: Floats, group: Ints) -> Rays:
-        """Rays of these beams' bundles, numbered anew."""
+    def _axis_rays(self, bundles: Bundles, pose: Pose, t_s: Floats) -> tuple[Rays, bool]:
+        """Rays of all axes, and whether the very same were cast before."""
         if not self._at_rest:
-            return cast_rays(_part(bundles, group), _pose_at(pose, group), t_s[group])
+            return cast_rays(_axes(bundles), pose, t_s), False
+        again = self._axes is not None and self._axes[0] is bundles
+        if self._axes is None or not again:
+            self._axes = bundles, cast_rays(_axes(bundles), pose, t_s)
+        return self._axes[1].at(t_s), again
+
+    def _rays(self, bundles: Bundles, pose: Pose, t_s: Floats, group: Ints) -> tuple[Rays, bool]:
+        """Rays of these beams' bundles, numbered anew, and whether the very same were cast before."""
+        if not self._at_rest:
+            return cast_rays(_part(bundles, group), _pose_at(pose, group), t_s[group]), False
         key = group.tobytes()
-        if self._group is None or self._group[0] is not bundles or self._group[1] != key:
+        again = self._group is not None and self._group[0] is bundles and self._group[1] == key
+        if self._group is None or not again:
             made = cast_rays(_part(bundles, group), _pose_at(pose, group), t_s[group])
             self._group = bundles, key, made
-        return self._group[2].at(t_s[group])
+        return self._group[2].at(t_s[group]), again
 
 
 def _pose_at(pose: Pose, at: Ints) -> Pose:
@@ -278,7 +311,7 @@ def _part(bundles: Bundles, at: Ints) -> Bundles:
     start = None if bundles.start_m is None else bundles.start_m[at]
     first = int(bundles.nearest_axis[0])
     return Bundles(
-        bundles.axis[at], bundles.direction[at], start, bundles.share, np.repeat(np.arange(n), m),
+        bundles.axis[at], bundles.direction[at], start, bundles.share, np.arange(n).repeat(m),
         np.tile(bundles.share, n), np.arange(n) * m + first,
     )  # fmt: skip
 

@@ -17,6 +17,7 @@ from emulator.studies.report import Column, Table, Value
 DEFAULT = 61
 "Sub-beams of the sensors' specs."
 TILTS_DEG = (0.0, 30.0, 60.0, 80.0, 85.0)
+THRIFTY_RAYS = 1000.0
 WIDE_RAD, SEED_RAD = 0.5 * 12.913e-3, math.radians(0.035)
 "Half angles of the LMS291 and of the base paper's beam."
 
@@ -45,9 +46,12 @@ def acceptance(curves: Curves, runs: dict[str, list[Run]], bins: Table, fog: Tab
 
     edge = [(rays, float(np.median(errors))) for rays, errors in curves["edge"]["spiral"]]
     fitted = rules.slope([n for n, _ in edge], [e for _, e in edge])
-    thrifty = [float(np.median(errors)) for rays, errors in curves["edge"]["adaptive"] if rays <= 1000.0]
+    thrifty = [float(np.median(errors)) for rays, errors in curves["edge"]["adaptive"] if rays <= THRIFTY_RAYS]
     default = next(one for one in runs["spiral"] if one.count == DEFAULT)
     energy = float(np.median([one.energy for one in default.errors]))
+    split = [
+        float(np.median([one.energy for one in run.errors])) for run in runs["adaptive"] if run.rays <= THRIFTY_RAYS
+    ]
     detection = float(np.median([one.detection for one in default.errors]))
     at_1_ns = next(row for row in bins.rows if row[0] == 1.0)
     twelve = next(row for row in fog.rows if row[0] == 12)
@@ -67,6 +71,7 @@ def acceptance(curves: Curves, runs: dict[str, list[Run]], bins: Table, fog: Tab
         _row("random edge through the product, spiral 61", energy, 2.0e-2),
         _row("wire of a tenth of the radius, spiral 1024", middle("wire", "spiral", 1024.0), 6e-2),
         _row("random edge, adaptive (cells that are worth it), at most 1000 rays", min(thrifty), 5e-4),
+        _row("random edge through the product, adaptive, at most 1000 rays", min(split), 5e-4),
         _row("waveform, 1 ns: peak (mm)", float(at_1_ns[3] or 0.0), 0.2),
         _row("waveform, 1 ns: leading edge (mm)", float(at_1_ns[4] or 0.0), 4.0),
         _row("fog, 12 nodes", max(float(value or 0.0) for value in twelve[1:]), 1e-10),

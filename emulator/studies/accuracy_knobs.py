@@ -1,6 +1,7 @@
-"""What other settings cost and give: bin width, fog nodes, instants of a sweep, threads, terms left out, points.
+"""What other settings cost and give: bin width, fog nodes, instants of a sweep, threads, points.
 
-Belongs here: one table a setting. Not: rules for sub-beams (accuracy_rules, accuracy_path).
+Belongs here: one table a setting. Not: rules for sub-beams (accuracy_rules, accuracy_path), terms left out
+(accuracy_leaving).
 """
 
 from __future__ import annotations
@@ -220,70 +221,6 @@ def threads(sweeps: int) -> Table:
 
 def _sweeps(each: Sequence[Measure], count: int, sweeps: int, thread: int) -> list[Scan]:
     return [sweep_of(each[thread], number) for number in range(thread, sweeps, count)]
-
-
-# ------------------------------------------------------------------------------- leaving out
-def pruning(names: Sequence[str], sweeps: int) -> Table:
-    """Shipped scenarios with every term, and with what nobody can see left out."""
-    rows: list[tuple[Value, ...]] = []
-    for name in names:
-        loaded = scenario.load(name)
-        for config in loaded.sensors:
-            if config.model.startswith("can-"):
-                continue
-            fine, _, _ = _measured(loaded, config.id, {"full": True, "sub_beams": REFERENCE_SUB_BEAMS}, 1)
-            full, rays_full, ms_full = _measured(loaded, config.id, {"full": True}, sweeps)
-            lean, rays, ms = _measured(loaded, config.id, {"full": False}, sweeps)
-            lsb_m = built(loaded, config.id)[0].model.lsb_m
-            off = [_within(one[: len(fine)], fine, lsb_m) for one in (full, lean)]
-            miss = 1e3 * np.abs(lean[: len(fine)] - fine)
-            off += [float(np.nanmedian(miss)), float(np.nanmax(miss))]
-            rows.append((name, config.id, rays_full, rays, ms_full, ms, *off))
-    return Table(
-        "accuracy_pruning",
-        "Leaving out: sweeps of 361 beams over 180 degrees",
-        (
-            Column("scenario", "scenario"),
-            Column("sensor", "sensor"),
-            Column("rays_full", "rays/beam, all", ".1f"),
-            Column("rays", "rays/beam", ".1f"),
-            Column("ms_full", "ms/sweep, all", ".1f"),
-            Column("ms", "ms/sweep", ".1f"),
-            Column("within_full_percent", "right within one step, all (%)", ".1f"),
-            Column("within_percent", "right within one step (%)", ".1f"),
-            Column("median_mm", "median error (mm)", ".2f"),
-            Column("largest_mm", "largest (mm)", ".1f"),
-        ),
-        tuple(rows),
-        f"All: `full: true` in the sensor's `physics:` table. Right: as {REFERENCE_SUB_BEAMS} sub-beams and every term "
-        "find it, to one step of the reported range. Without noise, so that scans can be compared. Errors: of "
-        "ranges with terms left out, against the same. Large ones stand at grazing incidence, "
-        "where a footprint is metres "
-        "long, and at edges.",
-    )
-
-
-REFERENCE_SUB_BEAMS = 4096
-
-
-def _measured(loaded: Scenario, sensor: str, physics: dict[str, object], sweeps: int) -> tuple[Floats, float, float]:
-    """Ranges of all sweeps, rays a beam, median milliseconds a sweep."""
-    measure, caster = built(loaded, sensor, physics)
-    sweep_of(measure, 0)
-    caster.rays = 0
-    seconds, scans = [], []
-    for sweep in range(1, sweeps + 1):
-        clock = SystemClock()
-        scans.append(sweep_of(measure, sweep).range_m[:, 0])
-        seconds.append(1e-9 * clock.now_ns())
-    return np.concatenate(scans), caster.rays / sweeps / len(scans[0]), 1e3 * float(np.median(seconds))
-
-
-def _within(found: Floats, wanted: Floats, lsb_m: float) -> float:
-    """Share of beams that agree to one step. [%]"""
-    both = np.isfinite(found) & np.isfinite(wanted)
-    near = both & (np.abs(np.where(both, found - wanted, 0.0)) <= lsb_m)
-    return 100.0 * float(np.mean(near | (np.isnan(found) & np.isnan(wanted))))
 
 
 # ------------------------------------------------------------------------------- points

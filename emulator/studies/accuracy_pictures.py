@@ -25,6 +25,8 @@ ORDER = (
 )  # fmt: skip
 MARKERS = "oDs^v<>PXp"
 FLOOR = 1e-16
+MOST_PERCENT = 150.0
+"Where bars of costs end."
 
 
 def _line(axes: Axes, rule: str, x: Floats, y: Floats, low: Floats | None = None, high: Floats | None = None) -> None:
@@ -205,4 +207,33 @@ def settings(bins: Table, fog: Table, instants: Table, points: Table) -> Picture
     return Picture(
         "accuracy_settings", "Other settings", drawing.png(made),
         "The product finds leading edges of overlapping pulses in closed form: no bin error, so no curve.",
+    )  # fmt: skip
+
+
+def leaving_out(each: Table) -> Picture:
+    """Share of rays and time that each rule leaves, a group of bars a rule, a colour a sensor."""
+    sensors = list(dict.fromkeys(row[:3] for row in each.rows))
+    rules = [str(row[3]) for row in each.rows if row[:3] == sensors[0]][1:]
+    made, panels = drawing.figure(2, size=(12.0, 0.16 * len(rules) * (1 + len(sensors)) + 1.4))
+    height = 0.8 / len(sensors)
+    for axes, key, title in zip(panels, ("rays_percent", "time_percent"), ("rays", "time"), strict=True):
+        values = each.numbers(key)
+        for number, sensor in enumerate(sensors):
+            mine = [value for value, row in zip(values, each.rows, strict=True) if row[:3] == sensor][1:]
+            place = np.arange(len(rules)) + (number - 0.5 * (len(sensors) - 1)) * height
+            shown = np.minimum(mine, MOST_PERCENT)
+            colour = drawing.COLOURS[number % len(drawing.COLOURS)]
+            axes.barh(place, shown, height, color=colour, label=f"{sensor[0]}: {sensor[1]}")
+            for at, value in zip(place, mine, strict=True):
+                if value > MOST_PERCENT:
+                    axes.annotate(f"{value:.0f} %", (MOST_PERCENT, at), xytext=(-3, 0), textcoords="offset points",
+                                  ha="right", va="center", fontsize=7, color="white")  # fmt: skip
+        axes.axvline(100.0, color="#57606a", linewidth=1.0)
+        axes.set_yticks(range(len(rules)), rules if key == "rays_percent" else [""] * len(rules))
+        axes.set(xlim=(0.0, MOST_PERCENT), xlabel=f"{title}, % of what they are with every rule off")
+        axes.invert_yaxis()
+    _legend(made, panels[0], 4)
+    return Picture(
+        "accuracy_leaving", "What each rule of leaving out saves", drawing.png(made),
+        f"Shorter is better; the line is every rule off. Bars end at {MOST_PERCENT:.0f} %.",
     )  # fmt: skip

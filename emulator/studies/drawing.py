@@ -24,8 +24,9 @@ DPI = 130
 def figure(columns: int = 1, rows: int = 1, size: tuple[float, float] = (9.0, 5.0)) -> tuple[Figure, list[Axes]]:
     """An empty figure and its axes, row by row."""
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    made = Figure(figsize=size, layout="constrained")
+    made = Figure(figsize=size, layout=ConstrainedLayoutEngine(h_pad=0.08))  # titles stay off the axis above
     grid = made.subplots(rows, columns, squeeze=False)
     for axes in grid.flat:
         axes.spines[["top", "right"]].set_visible(False)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 import csv
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -83,6 +84,8 @@ class Section:
     text: tuple[str, ...] = ()
     pictures: tuple[Picture, ...] = ()
     tables: tuple[Table, ...] = ()
+    beside: tuple[Table, ...] = ()
+    "Tables too long for the page: files alone."
 
     @property
     def anchor(self) -> str:
@@ -98,6 +101,8 @@ class Report:
     title: str
     summary: tuple[str, ...]
     sections: tuple[Section, ...]
+    closing: str = ""
+    "Last line of the page; empty: where a study's tables and pictures are."
 
     def table(self, name: str) -> Table:
         """One of its tables."""
@@ -133,14 +138,23 @@ def prepare(out: Path) -> None:
 
 def write(report: Report, out: Path) -> list[Path]:
     """Write page, pictures and tables; the files, page first."""
-    written = [out / f"{report.name}.html"]
+    path = out / f"{report.name}.html"
     try:
-        written[0].write_text(page(report), encoding="utf-8")
+        path.write_text(page(report), encoding="utf-8")
+    except OSError as error:
+        raise EmulatorError(f"{path}: cannot be written: {error.strerror}") from None
+    return [path, *write_parts(report, out)]
+
+
+def write_parts(report: Report, out: Path) -> list[Path]:
+    """Write pictures and tables; the files."""
+    written: list[Path] = []
+    try:
         for section in report.sections:
             for picture in section.pictures:
                 written.append(out / f"{picture.name}.png")
                 written[-1].write_bytes(picture.png)
-            for table in section.tables:
+            for table in (*section.tables, *section.beside):
                 written.append(out / f"{table.name}.csv")
                 _write_csv(table, written[-1])
     except OSError as error:
@@ -155,7 +169,15 @@ def page(report: Report) -> str:
     source = (files("emulator.studies") / "report.html.j2").read_text(encoding="utf-8")
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
     environment.filters["shown"] = shown
+    environment.filters["with_code"] = with_code
     return environment.from_string(source).render(report=report, version=__version__)
+
+
+def with_code(text: str) -> str:
+    """HTML of a text in which names of keys and commands stand between backticks."""
+    import markupsafe
+
+    return markupsafe.Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(markupsafe.escape(text))))
 
 
 def shown(value: Value, form: str) -> str:

@@ -14,7 +14,7 @@ from emulator.errors import LinkError
 from emulator.transports.can_link import BITRATE, HIGHEST_BITRATE, LOWEST_BITRATE, CanPort, CanPorts, Outlet
 from emulator.transports.can_wire import CanWire, Carried
 from emulator.transports.link import Link, Received
-from emulator.transports.urls import LinkUrl, parse_url
+from emulator.transports.urls import LinkUrl, option_value, parse_url
 from protocols.can_frame import EXTENDED, split_identifier
 
 POLL_NS = 1_000_000
@@ -47,7 +47,7 @@ def open_link_can(url: str, *, can_ports: CanPorts | None = None, can_bitrate: i
     ports = can_ports if can_ports is not None else CanPorts()
 
     def make() -> tuple[CanWire, Outlet]:
-        options: dict[str, Any] = {key: _value(text) for key, text in parts.options.items() if key not in OURS}
+        options: dict[str, Any] = {key: option_value(text) for key, text in parts.options.items() if key not in OURS}
         if interface in KNOWS_BITRATE:
             options["bitrate"] = bitrate
         return CanWire(bitrate), Interface(url, interface, channel, options, gap_ns)
@@ -71,19 +71,6 @@ def _numbers(parts: LinkUrl, interface: str, default_bitrate: int | None = None)
     """Bit rate, and the least time between two frames in nanoseconds."""
     bitrate = parts.number("bitrate", default_bitrate or BITRATE, LOWEST_BITRATE, HIGHEST_BITRATE)
     return bitrate, 1000 * parts.number("gap_us", GAPS_US.get(interface, 0), 0, 1_000_000)
-
-
-def _value(text: str) -> int | float | bool | str:
-    """An option as python-can's own configuration reads it: a number or truth value where the text is one."""
-    if text in ("true", "false"):
-        return text == "true"
-    for kind in (lambda t: int(t, 0), float):
-        try:
-            number: int | float = kind(text)
-        except ValueError:
-            continue
-        return number
-    return text
 
 
 class Interface(Outlet):

@@ -239,6 +239,10 @@ class CanLink(Link):
         """Fault: the next `frames` frames of this sensor are destroyed on the bus; 32 in a row take it off."""
         self.wire.disturb(self.node, frames)
 
+    def restart(self, now_ns: int) -> None:
+        """The end of that fault: firmware waits no longer with starting a controller that is off the bus."""
+        self.wire.restart(self.node, now_ns)
+
     @property
     def hosts(self) -> CanCounters:
         """What hosts on the same bus did."""

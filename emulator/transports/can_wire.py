@@ -35,6 +35,8 @@ class Node:
     name: str
     waiting: deque[_Waiting] = field(default_factory=deque)
     error_counter: int = 0
+    recovery_ns: int = 0
+    "How long it stays off the bus at least: firmware that waits before it starts its controller again."
     disturbed: int = 0
     "Frames of this node that will still be destroyed."
     off_until_ns: int | None = None
@@ -71,7 +73,7 @@ class Notice:
     at_ns: int
     node: Node
     state: str
-    "error passive | bus off | recovered"
+    "error passive | active (error passive no more) | bus off | recovered (from it)"
 
 
 class CanWire:
@@ -132,6 +134,8 @@ class CanWire:
                 break
             self._on_wire = None
             node.sent += 1
+            if node.error_counter == ERROR_PASSIVE:
+                self.notices.append(Notice(end_ns, node, "active"))
             node.error_counter = max(0, node.error_counter - 1)
             carried.append(Carried(node, frame.peer, frame.data, frame.due_ns, start_ns, end_ns))
         for node in self._nodes:
@@ -161,6 +165,12 @@ class CanWire:
     def disturb(self, node: Node, frames: int) -> None:
         """Let the next `frames` frames of a node be destroyed on the bus: each is sent again, its errors count."""
         node.disturbed += frames
+
+    def restart(self, node: Node, now_ns: int) -> None:
+        """No frame of a node is destroyed any more; if it is off the bus, it is back as soon as the bus lets it."""
+        node.disturbed = node.recovery_ns = 0
+        if node.off_until_ns is not None:
+            node.off_until_ns = min(node.off_until_ns, now_ns + self._duration_ns(RECOVERY_BITS))
 
     def load(self, now_ns: int) -> float:
         """Share of the last second in which the bus was taken, 0 to 1."""
@@ -208,7 +218,7 @@ class CanWire:
             node.dropped += len(node.waiting)
             node.waiting.clear()
             node.disturbed = 0
-            node.off_until_ns = end_ns + self._duration_ns(RECOVERY_BITS)
+            node.off_until_ns = end_ns + max(self._duration_ns(RECOVERY_BITS), node.recovery_ns)
             self.notices.append(Notice(end_ns, node, "bus off"))
 
     def _recover(self, node: Node) -> None:

@@ -87,6 +87,35 @@ class Link(ABC):
     def set_speed(self, baud: int | None) -> None:
         """Set the line's speed at once (power-on); None: not paced. Links without a speed ignore it."""
 
+    @property
+    def speed(self) -> int | None:
+        """Baud of the line now; None: it has no speed, or is not paced."""
+        return None
+
+    # for faults; links that know no such thing leave it as it is. What is done twice must be undone twice
+
+    def unplug(self) -> None:
+        """Pull the plug: what connects hosts is gone, path and port too, until `plug`. Input and output go nowhere."""
+
+    def plug(self) -> None:
+        """Put it in again: hosts find the link where it was. `LinkError` when the place has been taken meanwhile."""
+
+    def reset_hosts(self) -> int:
+        """Hang up on all hosts at once, as by a reset; how many it were."""
+        return 0
+
+    def refuse_hosts(self, refuse: bool) -> None:
+        """Let nobody connect any more, or again."""
+
+    def abandon_hosts(self) -> int:
+        """The device's own network stack has died: connections stay open on the hosts' side and say nothing, nobody can
+        connect; until `revive`. How many connections it were."""
+        return 0
+
+    def revive(self) -> None:
+        """The stack is there again and knows nothing of what was: what a host sends on an old connection is answered by
+        a reset."""
+
     def clear(self) -> int:
         """Forget what has not left yet (power cut); how many bytes those were."""
         return 0

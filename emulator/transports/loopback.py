@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from emulator.errors import LinkError
 from emulator.transports.link import Link, Received
-from emulator.transports.pacing import Left, PacedLine, leave_ns
+from emulator.transports.pacing import GROUP_NS, Left, PacedLine, leave_ns
 from emulator.transports.uart import Receiver, resample, same_speed
 from emulator.transports.urls import parse_url
 from protocols.session import LinkKind
@@ -71,8 +71,14 @@ class LoopHost:
         "Its own speed on a serial line; None: always the device's, and what it writes arrives at once."
         self.arrivals: list[Arrival] = []
         "What has arrived and was not taken by `read`."
+        self.connected = True
+        "The link has not hung up; a line never does."
         self._busy_ns = 0
         self._receiver: Receiver | None = None
+
+    def reconnect(self, at_ns: int) -> bool:
+        """Connect again after a hang-up; False: refused."""
+        return self._link.accept(self, at_ns)
 
     def write(self, data: bytes, at_ns: int) -> int:
         """Send from `at_ns` on, behind what is still being sent; when the last byte is through."""
@@ -83,6 +89,8 @@ class LoopHost:
 
     def read(self) -> bytes:
         """All that has arrived since the last call."""
+        if not self.arrivals:
+            return b""
         data = b"".join(arrival.data for arrival in self.arrivals)
         self.arrivals.clear()
         return data
@@ -115,17 +123,22 @@ class _Input:
 class LoopLink(Link):
     """The device's end."""
 
-    def __init__(self, name: str, serial_line: bool = True) -> None:
+    def __init__(self, name: str, serial_line: bool = True, group_ns: int = GROUP_NS) -> None:
         super().__init__()
         self.name = name
         self.kind = LinkKind.SERIAL if serial_line else LinkKind.STREAM
         self.is_open = True
-        self._line = PacedLine()
+        self._line = PacedLine(group_ns=group_ns)
+        self._now_ns = 0
         self._hosts: dict[int, LoopHost] = {}
         self._hosts_seen = 0
         self._input: deque[_Input] = deque()
         self._addressed: deque[int | None] = deque()
         "For whom each payload on the line is."
+        self._pulled = self._refusals = 0
+        "How often the plug was pulled, and hosts are refused, not undone yet."
+        self._orphans: dict[LoopHost, bool] = {}
+        "Hosts of a network stack that has died, and whether it has been revived since."
 
     @property
     def url(self) -> str:
@@ -141,6 +154,50 @@ class LoopLink(Link):
             self._note(_Input(at_ns, Received(host.peer, opened=True)))
         return host
 
+    def accept(self, host: LoopHost, at_ns: int) -> bool:
+        """A host that was hung up on comes again, under another number."""
+        if self._pulled or self._refusals or self.kind is LinkKind.SERIAL:
+            return False
+        self.leave(host, at_ns)
+        self._orphans.pop(host, None)
+        self._hosts_seen += 1
+        host.peer, host.connected = self._hosts_seen, True
+        self._hosts[self._hosts_seen] = host
+        self._note(_Input(at_ns, Received(host.peer, opened=True)))
+        return True
+
+    def unplug(self) -> None:
+        self._pulled += 1
+        self.reset_hosts()
+
+    def plug(self) -> None:
+        self._pulled = max(0, self._pulled - 1)
+
+    def refuse_hosts(self, refuse: bool) -> None:
+        self._refusals = max(0, self._refusals + (1 if refuse else -1))
+
+    def reset_hosts(self) -> int:
+        if self.kind is LinkKind.SERIAL:
+            return 0
+        hosts = list(self._hosts.values())
+        for host in hosts:
+            host.connected = False
+            self.leave(host, self._now_ns)
+        return len(hosts)
+
+    def abandon_hosts(self) -> int:
+        if self.kind is LinkKind.SERIAL:
+            return 0
+        self._refusals += 1
+        hosts = list(self._hosts.values())
+        self._hosts.clear()
+        self._orphans |= dict.fromkeys(hosts, False)
+        return len(hosts)
+
+    def revive(self) -> None:
+        self.refuse_hosts(False)
+        self._orphans = dict.fromkeys(self._orphans, True)
+
     def leave(self, host: LoopHost, at_ns: int) -> None:
         """A host has gone."""
         for number, present in list(self._hosts.items()):
@@ -151,6 +208,11 @@ class LoopLink(Link):
 
     def arrive(self, host: LoopHost, data: bytes, start_ns: int) -> None:
         """A host's bytes, the first of which starts at `start_ns`; at its speed one by one, without one all at once."""
+        if host in self._orphans:
+            host.connected = not self._orphans[host]
+            return
+        if self._pulled or not host.connected:
+            return
         if host.baud is None or self.kind is LinkKind.STREAM:
             self._note(_Input(start_ns, Received(host.peer, data)))
             return
@@ -198,9 +260,13 @@ class LoopLink(Link):
             self.stats.payloads_dropped += 1
 
     def flush(self, now_ns: int) -> int | None:
+        self._now_ns = now_ns
+        input_ns = self._input[0].at_ns if self._input else None
+        if not self._line.waiting:
+            return input_ns
         for left in self._line.take(now_ns):
             peer = self._addressed.popleft() if left.ends else self._addressed[0]
-            hearing = [host for host in self._hosts.values() if peer is None or host.peer == peer]
+            hearing = [host for host in self._hosts.values() if not self._pulled and peer in (None, host.peer)]
             for host in hearing:
                 host.hear(left)
                 self.stats.bytes_out += len(left.data)
@@ -208,8 +274,12 @@ class LoopLink(Link):
                 self.stats.bytes_lost += len(left.data)
             if left.ends:
                 self.stats.lateness_ns.append(max(0, now_ns - left.last_ns))
-        wakes = [self._line.next_ns(now_ns), self._input[0].at_ns if self._input else None]
-        return min((wake for wake in wakes if wake is not None), default=None)
+        line_ns = self._line.next_ns(now_ns)
+        return line_ns if input_ns is None else input_ns if line_ns is None else min(line_ns, input_ns)
+
+    @property
+    def speed(self) -> int | None:
+        return self._line.speed
 
     def set_speed(self, baud: int | None) -> None:
         if self.kind is LinkKind.SERIAL:

@@ -77,12 +77,15 @@ class _Waiting:
 class PacedLine:
     """A line that sends one byte after the other; payloads wait in the order in which they were put."""
 
-    def __init__(self, speed: int | None = None, whole: bool = False, limit: int = QUEUE_LIMIT) -> None:
+    def __init__(
+        self, speed: int | None = None, whole: bool = False, limit: int = QUEUE_LIMIT, group_ns: int = GROUP_NS
+    ) -> None:
         """`whole`: payloads are given out only when their last byte has left (datagrams)."""
         self._check(speed)
         self._speed = speed
         self._whole = whole
         self._limit = limit
+        self._group_ns = group_ns
         self._queue: deque[_Waiting] = deque()
         self._queued = 0
         self._run_ns = 0
@@ -103,6 +106,11 @@ class PacedLine:
     def queued(self) -> int:
         """Bytes that have not been taken yet."""
         return self._queued
+
+    @property
+    def waiting(self) -> bool:
+        """Whether something has not been taken yet, be it only a change of speed."""
+        return bool(self._queue)
 
     def put(self, payload: bytes, due_ns: int, speed_after: int | None = None) -> bool:
         """Queue a payload; False, and nothing queued, when too much waits already.
@@ -190,7 +198,7 @@ class PacedLine:
             return start_ns
         count = len(head.data)
         if not self._whole:
-            group_end_ns = max(now_ns, start_ns) + GROUP_NS
+            group_end_ns = max(now_ns, start_ns) + self._group_ns
             grouped = (group_end_ns - run_ns) * self._speed // BYTE_NS_BAUD - run_count
             count = min(max(grouped, head.sent + 1), count)
         return leave_ns(run_ns, run_count + count, self._speed)

@@ -26,6 +26,7 @@ import termios
 
 from emulator.errors import LinkError
 from emulator.transports.inotify import OpenWatch
+from emulator.transports.intake import LINE_BURST, LINE_BYTES_S, Intake
 from emulator.transports.link import Link, Received
 from emulator.transports.pacing import Left, PacedLine
 from emulator.transports.stable_path import StablePath
@@ -41,9 +42,6 @@ SPEED_RULES = ("strict", "custom_divisor", "ignore")
 """strict: the host must have the device's speed. custom_divisor: a host at 38 400 also hears a device at 500 000, as
 drivers set it by TIOCSSERIAL and a divisor. ignore: any speed of the host will do."""
 
-CHUNK = 65_536
-READ_LIMIT = 1_048_576
-"Bytes taken from the host in one call of `receive`; a host cannot keep us in it."
 POLL_NS = 10_000_000
 "How often a closed slave is looked at where the kernel has no inotify left."
 
@@ -65,6 +63,7 @@ class PseudoTerminal(Link):
     """One serial line, its host on a pseudo-terminal."""
 
     kind = LinkKind.SERIAL
+    INTAKE = LINE_BYTES_S, LINE_BURST
 
     def __init__(self, path: str, speed_rule: str = "strict") -> None:
         super().__init__()
@@ -72,6 +71,21 @@ class PseudoTerminal(Link):
         self._line = PacedLine()
         self._to_host: Receiver | None = None
         self._watch: OpenWatch | None = None
+        self._poll = select.poll()
+        self._path = path
+        self._pulled = 0
+        "How often the plug was pulled and not put in again."
+        self._make()
+        self._open = False
+        self._input_waits = False
+        self._intake = Intake(*self.INTAKE)
+        self._kept = b""
+        "Under a virtual clock: what the terminal had no room for."
+        atexit.register(self.close)
+
+    def _make(self) -> None:
+        """Make a terminal and the link to it."""
+        path = self._path
         try:
             self._master, slave = os.openpty()
         except OSError as error:
@@ -85,6 +99,7 @@ class PseudoTerminal(Link):
             self._place = StablePath(path, self.slave_path)
         except BaseException:
             os.close(self._master)
+            self._master = -1
             if self._watch is not None:
                 self._watch.close()
             raise
@@ -94,11 +109,25 @@ class PseudoTerminal(Link):
         self._poll.register(self._master, select.POLLIN)
         if self._watch is not None:
             self._poll.register(self._watch.fileno(), select.POLLIN)
-        self._open = False
-        self._input_waits = False
+
+    def unplug(self) -> None:
+        self._pulled += 1
+        if self._master < 0:
+            return
+        self._place.remove()
+        if self._watch is not None:
+            self._watch.close()
+            self._watch = None
+        os.close(self._master)  # the host's end is hung up
+        self._master = -1
+        self._open = self._input_waits = False
+        self.stats.bytes_lost += len(self._kept)
         self._kept = b""
-        "Under a virtual clock: what the terminal had no room for."
-        atexit.register(self.close)
+
+    def plug(self) -> None:
+        if self._pulled == 1:
+            self._make()
+        self._pulled = max(0, self._pulled - 1)
 
     @property
     def url(self) -> str:
@@ -117,16 +146,17 @@ class PseudoTerminal(Link):
         if self._master < 0:
             return ()
         watch = () if self._watch is None else (self._watch.fileno(),)
-        # a master without a host is readable for ever (POLLHUP)
-        return (self._master, *watch) if self._open else watch
+        # a master without a host is readable for ever (POLLHUP), and so is one of which nothing is taken at present
+        return (self._master, *watch) if self._open and not self._intake.closed else watch
 
     def receive(self, now_ns: int) -> list[Received]:
         if self._master < 0:
             return []
         self.flush(now_ns)
-        data = self._read() if self._input_waits else b""
+        data = self._read(self._intake.room(now_ns)) if self._input_waits else b""
         if not data:
             return []
+        self._intake.take(len(data))
         self.stats.bytes_in += len(data)
         modes = self.host_modes()
         device = self._line.speed
@@ -135,11 +165,11 @@ class PseudoTerminal(Link):
             data = resample(data, modes.sends_baud, device).values.tobytes() if modes.sends_baud else b""
         return [Received(0, data)] if data else []
 
-    def _read(self) -> bytes:
+    def _read(self, most: int) -> bytes:
         chunks, size = [], 0
-        while size < READ_LIMIT:
+        while size < most:
             try:
-                chunk = os.read(self._master, CHUNK)
+                chunk = os.read(self._master, most - size)
             except BlockingIOError:
                 break
             except OSError as error:
@@ -156,12 +186,12 @@ class PseudoTerminal(Link):
         return self._rule == "custom_divisor" and (host_baud, device_baud) == (38_400, 500_000)
 
     def send(self, payload: bytes, due_ns: int, peer: int | None = None, line_speed: int | None = None) -> None:
-        if self._master >= 0 and not self._line.put(payload, due_ns, line_speed):
+        if (self._master >= 0 or self._pulled) and not self._line.put(payload, due_ns, line_speed):
             self.stats.payloads_dropped += 1
 
     def flush(self, now_ns: int) -> int | None:
         if self._master < 0:
-            return None
+            return self._flush_unplugged(now_ns) if self._pulled else None
         self._look()
         if self._kept:
             kept, self._kept = self._kept, b""
@@ -171,10 +201,15 @@ class PseudoTerminal(Link):
             self._write(b"".join(self._as_heard(left)))
             late = (now_ns - item.last_ns for item in left if item.ends)
             self.stats.lateness_ns.extend(max(0, value) for value in late)
-        wake = self._line.next_ns(now_ns)
+        wakes = [self._line.next_ns(now_ns), self._intake.next_ns() if self._input_waits else None]
         if self._watch is None and not self._open:
-            return now_ns + POLL_NS if wake is None else min(wake, now_ns + POLL_NS)
-        return wake
+            wakes.append(now_ns + POLL_NS)
+        return min((wake for wake in wakes if wake is not None), default=None)
+
+    def _flush_unplugged(self, now_ns: int) -> int | None:
+        """The device goes on speaking, at its own speed, to nobody."""
+        self.stats.bytes_lost += sum(len(item.data) for item in self._line.take(now_ns))
+        return self._line.next_ns(now_ns)
 
     def _look(self) -> None:
         """See whether a host is there. What the last one left unread goes with it, as a port's buffer does."""
@@ -255,6 +290,10 @@ class PseudoTerminal(Link):
                 self.stats.bytes_lost += len(data)
                 return
 
+    @property
+    def speed(self) -> int | None:
+        return self._line.speed
+
     def set_speed(self, baud: int | None) -> None:
         self._line.set_speed(baud)
 
@@ -262,6 +301,7 @@ class PseudoTerminal(Link):
         return self._line.clear()
 
     def close(self) -> None:
+        self._pulled = 0
         if self._master < 0:
             return
         atexit.unregister(self.close)

@@ -195,6 +195,10 @@ class SerialPort(Link):
             fcntl.ioctl(self._fd, TIOCSERGETLSR, status)
         return bool(status[0] & TIOCSER_TEMT)
 
+    @property
+    def speed(self) -> int | None:
+        return self.baud
+
     def set_speed(self, baud: int | None) -> None:
         if baud is None or self._gone:
             return

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 
 from emulator.transports.can_link import BITRATE, HIGHEST_BITRATE, LOWEST_BITRATE, CanPort, CanPorts, Outlet
 from emulator.transports.can_wire import CanWire, Carried
+from emulator.transports.intake import STREAM_BURST, STREAM_BYTES_S
 from emulator.transports.link import Link
 from emulator.transports.pseudo_terminal import PseudoTerminal
 from emulator.transports.urls import parse_url
@@ -62,6 +63,8 @@ def open_link_slcan(url: str, *, can_ports: CanPorts | None = None, can_bitrate:
 
 class Terminal(PseudoTerminal):
     """A pseudo-terminal that keeps what the host has not room for, so that no frame is cut."""
+
+    INTAKE = STREAM_BYTES_S, STREAM_BURST
 
     def __init__(self, path: str) -> None:
         self._rest = bytearray()
@@ -133,17 +136,20 @@ class Adapter(Outlet):
         return self._terminal.filenos()
 
     def poll(self, now_ns: int) -> None:
-        for received in self._terminal.receive(now_ns):
-            self._text += received.data
+        heard = b"".join(received.data for received in self._terminal.receive(now_ns))
         self._wake_ns = self._terminal.flush(now_ns)
         if not self._terminal.host_present:
             # as an adapter on USB does when its port is closed: the next host starts afresh
             self._power_up()
             self._text.clear()
             return
-        while (end := self._text.find(CR)) >= 0:
-            command = bytes(self._text[:end])
-            del self._text[: end + 1]
+        self.hear(heard, now_ns)
+
+    def hear(self, text: bytes, now_ns: int) -> None:
+        """Obey what the host has written, as far as commands are complete."""
+        *commands, rest = (bytes(self._text) + text).split(CR)
+        self._text[:] = rest
+        for command in commands:
             self._terminal.say(self._obey(command, now_ns))
         if len(self._text) > LONGEST_COMMAND:
             self._text.clear()

@@ -246,7 +246,7 @@ class Channel(Outlet):
 
     def filenos(self) -> tuple[int, ...]:
         number = self._server.hosts.fileno()
-        return (number,) if number >= 0 and self._first else ()
+        return (number,) if number >= 0 and self._first and not self._server.hosts.intake.closed else ()
 
     def poll(self, now_ns: int) -> None:
         self._server.poll(now_ns)
@@ -278,6 +278,8 @@ class Channel(Outlet):
 
     def notify(self, notices: Sequence[Notice]) -> None:
         for notice in notices:
+            if notice.state not in ERROR_IDS:
+                continue
             seconds, rest_ns = divmod(notice.at_ns, 1_000_000_000)
             text = f"< error {ERROR_IDS[notice.state]:08X} {seconds}.{rest_ns // 1000:06d} >".encode()
             for client in self._server.clients(self):

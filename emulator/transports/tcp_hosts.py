@@ -19,6 +19,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from emulator.errors import LinkError
+from emulator.transports.intake import STREAM_BURST, STREAM_BYTES_S, Intake
 from emulator.transports.link import LinkStats, Received
 
 MAX_HOSTS = 64
@@ -27,11 +28,15 @@ BACKLOG_LIMIT = 65_536
 SEND_BUFFER = 65_536
 "Asked of the kernel (it takes twice as much): bounds how much a host that does not read finds when it reads again."
 READ_SIZE = 16_384
-READ_LIMIT = 262_144
-"Bytes taken from all hosts in one call, so that a flood on one link does not delay the other sensors."
-ACCEPTS_A_CALL = 32
+ACCEPTS_A_CALL = 8
+ACCEPT_BYTES = 256
+"What a new connection takes of the intake: a flood of connections is no more work than one of bytes."
+LEAST_SHARE = 256
+"Bytes of one host that are read at once, however many there are."
 LINGER_NS = 10_000_000_000
 "Longer than the slowest reply of an LMS2xx (7 s): a host that half-closes behind its request still gets it."
+FLOOD_NS = 10_000_000_000
+"A host that has written faster than it is read for so long loses its place when somebody else wants it."
 NO_DESCRIPTOR_PAUSE_NS = 1_000_000_000
 "How long nobody is accepted after the process ran out of descriptors."
 KEEPALIVE = (("TCP_KEEPIDLE", 30), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 3))
@@ -49,6 +54,8 @@ class Host:
     backlog: int = 0
     "Bytes in `waiting`."
     spoke: bool = False
+    flooding_ns: int | None = None
+    "Since when more of it has waited than was read; None: it has been read to the end."
     half_closed_ns: int | None = None
     "When its sending half was closed, or when it was sent to last after that."
     broken: bool = False
@@ -62,6 +69,7 @@ class Hosts:
 
     def __init__(self, url: str, host: str, port: int, stats: LinkStats) -> None:
         self._stats = stats
+        self._url = url
         self._listener = _listen(url, host, port)
         name = self._listener.getsockname()
         self.address: tuple[str, int] = (name[0], name[1])
@@ -71,6 +79,16 @@ class Hosts:
         self._by_fd: dict[int, Host] = {}
         self._accepted = 0
         self._pause_until_ns: int | None = None
+        self.intake = Intake(STREAM_BYTES_S, STREAM_BURST)
+        "While it is closed, nobody needs to wait for the descriptor: `next_ns` tells when."
+        self._read_last = -1
+        "Descriptor of the host that was read last."
+        self._gone: list[int] = []
+        "Numbers of connections that were reset, still to be told."
+        self._orphans: dict[int, socket.socket] = {}
+        "Connections of a network stack that has died."
+        self._refusals = 0
+        "How many want that nobody connects."
 
     def fileno(self) -> int:
         """Readable when `poll` has something to do; -1 once closed."""
@@ -89,17 +107,29 @@ class Hosts:
         """Let hosts come and go, read what they sent, send what waited for them."""
         if self._epoll.closed:
             return []
-        events: list[Received] = []
-        budget = READ_LIMIT
-        for fd, mask in self._epoll.poll(0):
+        events: list[Received] = [Received(number, closed=True) for number in self._gone]
+        self._gone.clear()
+        budget = self.intake.room(now_ns)
+        ready = self._epoll.poll(0)
+        listener = self._listener.fileno()
+        # who wants to come is first, then whoever comes behind the host that was read last: none can starve the others
+        ready.sort(key=lambda one: (one[0] != listener, one[0] <= self._read_last, one[0]))
+        share = max(LEAST_SHARE, budget // max(1, sum(fd in self._by_fd for fd, _ in ready)))
+        for fd, mask in ready:
             host = self._by_fd.get(fd)
-            if fd == self._listener.fileno():
-                self._accept(now_ns, events)
+            if fd == listener:
+                if budget > 0:
+                    budget -= self._accept(now_ns, events)
+            elif fd in self._orphans:
+                orphan = self._orphans.pop(fd)
+                self._epoll.unregister(fd)
+                _reset(orphan)
             elif host is not None:
                 if mask & select.EPOLLOUT:
                     self._send_waiting(host, now_ns)
                 if budget > 0 or host.broken:
-                    budget -= self._read(host, mask, now_ns, events)
+                    budget -= self._read(host, mask, now_ns, events, max(1, min(budget, share)))
+                    self._read_last = fd
         self._end_lingering(now_ns, events)
         return events
 
@@ -107,6 +137,9 @@ class Hosts:
         """When `poll` has something to do even if nothing happens."""
         since = [host.half_closed_ns for host in self._hosts.values() if host.half_closed_ns is not None]
         wakes = [] if self._pause_until_ns is None else [self._pause_until_ns]
+        opens_ns = self.intake.next_ns()
+        if opens_ns is not None:
+            wakes.append(opens_ns)
         if since:
             wakes.append(min(since) + LINGER_NS)
         return min(wakes, default=None)
@@ -119,15 +152,61 @@ class Hosts:
         host.backlog += len(data)
         self._send_waiting(host, now_ns)
 
+    def reset_all(self) -> int:
+        """Reset every connection; the next `poll` tells of them. How many it were."""
+        hosts = list(self._hosts.values())
+        for host in hosts:
+            self._stats.bytes_lost += host.backlog
+            self._gone.append(host.number)
+            self._leave(host)
+            _reset(host.connection)
+        return len(hosts)
+
+    def refuse(self, refuse: bool) -> None:
+        """Listen no more, or again on the same port; `LinkError` when somebody has taken it."""
+        if self._epoll.closed:
+            return
+        before, self._refusals = self._refusals, max(0, self._refusals + (1 if refuse else -1))
+        if bool(before) == bool(self._refusals):
+            return
+        if refuse:
+            self._epoll.unregister(self._listener)
+            self._listener.close()
+            self._pause_until_ns = None
+            return
+        self._listener = _listen(self._url, *self.address)
+        self._epoll.register(self._listener, select.EPOLLIN)
+
+    def abandon_all(self) -> int:
+        """Leave connections open and silent, told to nobody; nobody can connect. How many it were."""
+        hosts = list(self._hosts.values())
+        for host in hosts:
+            self._stats.bytes_lost += host.backlog
+            self._leave(host)
+            self._orphans[host.connection.fileno()] = host.connection
+        self.refuse(True)
+        return len(hosts)
+
+    def revive(self) -> None:
+        """Listen again; a connection that was abandoned is reset when its host next says something, or leaves."""
+        self.refuse(False)
+        for fd in self._orphans:
+            with contextlib.suppress(FileExistsError):  # revived once already
+                self._epoll.register(fd, select.EPOLLIN)
+
     def close(self) -> None:
         """Close all connections and the listening socket; may be called twice."""
         for host in list(self._hosts.values()):
             self._forget(host)
+        for orphan in self._orphans.values():
+            orphan.close()
+        self._orphans.clear()
         self._listener.close()
         self._epoll.close()
 
-    def _accept(self, now_ns: int, events: list[Received]) -> None:
-        for _ in range(ACCEPTS_A_CALL):
+    def _accept(self, now_ns: int, events: list[Received]) -> int:
+        """Take in who waits; what that takes of the intake."""
+        for number in range(ACCEPTS_A_CALL):
             try:
                 connection, _address = self._listener.accept()
             except OSError as error:
@@ -135,8 +214,9 @@ class Hosts:
                     self._stats.hosts_refused += 1
                     self._pause_until_ns = now_ns + NO_DESCRIPTOR_PAUSE_NS
                     self._epoll.modify(self._listener, 0)
-                return  # nobody else waits, or this one has given up already
-            if len(self._hosts) >= MAX_HOSTS and not self._make_room(events):
+                return number * ACCEPT_BYTES  # nobody else waits, or this one has given up already
+            self.intake.take(ACCEPT_BYTES)
+            if len(self._hosts) >= MAX_HOSTS and not self._make_room(now_ns, events):
                 _reset(connection)
                 self._stats.hosts_refused += 1
                 continue
@@ -146,18 +226,32 @@ class Hosts:
             self._hosts[host.number] = self._by_fd[connection.fileno()] = host
             self._epoll.register(connection, host.mask)
             events.append(Received(host.number, opened=True))
+        return ACCEPTS_A_CALL * ACCEPT_BYTES
 
-    def _make_room(self, events: list[Received]) -> bool:
+    def _make_room(self, now_ns: int, events: list[Received]) -> bool:
+        """Whether one has lost its place: the oldest that never spoke, else who has flooded for longest.
+
+        What a flood left in the kernel is read for minutes after its programs are gone.
+        """
         silent = next((host for host in self._hosts.values() if not host.spoke and not _has_unread(host)), None)
-        if silent is None:
-            return False
+        if silent is not None:
+            self._end(silent, events)
+        else:
+            floods = [host for host in self._hosts.values() if host.flooding_ns is not None]
+            worst = min(floods, key=lambda host: host.flooding_ns or 0, default=None)
+            if worst is None or worst.flooding_ns is None or now_ns - worst.flooding_ns < FLOOD_NS:
+                return False
+            self._stats.bytes_lost += worst.backlog
+            self._leave(worst)
+            _reset(worst.connection)
+            events.append(Received(worst.number, closed=True))
         self._stats.hosts_refused += 1
-        self._end(silent, events)
         return True
 
-    def _read(self, host: Host, mask: int, now_ns: int, events: list[Received]) -> int:
+    def _read(self, host: Host, mask: int, now_ns: int, events: list[Received], most: int) -> int:
+        most = min(most, READ_SIZE)
         try:
-            data = b"" if host.broken else host.connection.recv(READ_SIZE)
+            data = b"" if host.broken else host.connection.recv(most)
         except BlockingIOError:
             return 0
         except OSError:
@@ -165,7 +259,12 @@ class Hosts:
             data = b""
         if data:
             host.spoke = True
+            if len(data) < most:
+                host.flooding_ns = None
+            elif host.flooding_ns is None:
+                host.flooding_ns = now_ns
             self._stats.bytes_in += len(data)
+            self.intake.take(len(data))
             events.append(Received(host.number, data))
         elif host.broken or mask & (select.EPOLLHUP | select.EPOLLERR):
             self._end(host, events)
@@ -217,10 +316,13 @@ class Hosts:
         events.append(Received(host.number, closed=True))
 
     def _forget(self, host: Host) -> None:
+        self._leave(host)
+        host.connection.close()
+
+    def _leave(self, host: Host) -> None:
         del self._hosts[host.number]
         del self._by_fd[host.connection.fileno()]
         self._epoll.unregister(host.connection)
-        host.connection.close()
 
 
 def _listen(url: str, host: str, port: int) -> socket.socket:

@@ -45,7 +45,7 @@ class _TcpLink(Link):
 
     def filenos(self) -> tuple[int, ...]:
         number = self._hosts.fileno()
-        return () if number < 0 else (number,)
+        return () if number < 0 or self._hosts.intake.closed else (number,)
 
     def held(self) -> int:
         return sum(host.backlog for host in self._hosts.present())
@@ -55,6 +55,19 @@ class _TcpLink(Link):
 
     def close(self) -> None:
         self._hosts.close()
+
+    def unplug(self) -> None:
+        self._hosts.refuse(True)
+        self._hosts.reset_all()
+
+    def plug(self) -> None:
+        self._hosts.refuse(False)
+
+    def reset_hosts(self) -> int:
+        return self._hosts.reset_all()
+
+    def refuse_hosts(self, refuse: bool) -> None:
+        self._hosts.refuse(refuse)
 
     def _earliest(self, wake_ns: int | None) -> int | None:
         return min((wake for wake in (wake_ns, self._hosts.next_ns()) if wake is not None), default=None)
@@ -106,6 +119,12 @@ class TcpStream(_TcpLink):
         self._queue.clear()
         return forgotten
 
+    def abandon_hosts(self) -> int:
+        return self._hosts.abandon_all()
+
+    def revive(self) -> None:
+        self._hosts.revive()
+
 
 class TcpLine(_TcpLink):
     """A serial device server's port in front of the sensor's line."""
@@ -141,6 +160,10 @@ class TcpLine(_TcpLink):
             if left.ends:
                 self.stats.lateness_ns.append(max(0, now_ns - left.last_ns))
         return self._earliest(self._line.next_ns(now_ns))
+
+    @property
+    def speed(self) -> int | None:
+        return self._line.speed
 
     def set_speed(self, baud: int | None) -> None:
         self._line.set_speed(baud)

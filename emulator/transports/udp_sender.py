@@ -13,6 +13,7 @@ import socket
 from collections import OrderedDict, deque
 
 from emulator.errors import LinkError
+from emulator.transports.intake import STREAM_BURST, STREAM_BYTES_S, Intake
 from emulator.transports.link import Link, Received
 from emulator.transports.pacing import QUEUE_LIMIT, PacedLine
 from emulator.transports.urls import host_and_port, join_host_port, parse_url
@@ -20,6 +21,8 @@ from protocols.session import LinkKind
 
 DATAGRAM_LIMIT = 65_535
 DATAGRAMS_A_CALL = 256
+DATAGRAM_COST = 64
+"Bytes of the intake that the shortest datagram takes."
 PEERS_KEPT = 64
 "Senders whose address is remembered for a reply; the one unheard longest is forgotten."
 
@@ -71,6 +74,7 @@ class UdpSender(Link):
         self._line = PacedLine(whole=True) if serial_line else None
         self._queue: deque[tuple[int, bytes, int | None]] = deque()
         self._queued = 0
+        self._intake = Intake(STREAM_BYTES_S, STREAM_BURST)
         self._senders: OrderedDict[int, tuple[str, int]] = OrderedDict()
         self._open = True
         try:
@@ -116,7 +120,7 @@ class UdpSender(Link):
         return f"{place}?listen={join_host_port(name[0], name[1])}"
 
     def filenos(self) -> tuple[int, ...]:
-        return () if self._in is None or not self._open else (self._in.fileno(),)
+        return () if self._in is None or not self._open or self._intake.closed else (self._in.fileno(),)
 
     def receive(self, now_ns: int) -> list[Received]:
         received: list[Received] = []
@@ -125,6 +129,8 @@ class UdpSender(Link):
         if self._line is not None:
             self.flush(now_ns)
         for _ in range(DATAGRAMS_A_CALL if self._in is not None else 0):
+            if not self._intake.room(now_ns):
+                break
             try:
                 data, sender = self._in.recvfrom(DATAGRAM_LIMIT)  # type: ignore[union-attr]
             except BlockingIOError:
@@ -133,6 +139,7 @@ class UdpSender(Link):
                 continue
             self._remember(sender[1], sender)
             self.stats.bytes_in += len(data)
+            self._intake.take(max(DATAGRAM_COST, len(data)))
             received.append(Received(0 if self._line is not None else sender[1], data))
         return received
 
@@ -160,12 +167,15 @@ class UdpSender(Link):
         if self._line is not None:
             for left in self._line.take(now_ns):
                 self._send(left.data, None, now_ns - left.last_ns)
-            return self._line.next_ns(now_ns)
+            return self._earliest(self._line.next_ns(now_ns))
         while self._queue and self._queue[0][0] <= now_ns:
             due_ns, payload, peer = self._queue.popleft()
             self._queued -= len(payload)
             self._send(payload, peer, now_ns - due_ns)
-        return self._queue[0][0] if self._queue else None
+        return self._earliest(self._queue[0][0] if self._queue else None)
+
+    def _earliest(self, wake_ns: int | None) -> int | None:
+        return min((wake for wake in (wake_ns, self._intake.next_ns()) if wake is not None), default=None)
 
     def _send(self, payload: bytes, peer: int | None, late_ns: int) -> None:
         place = self._there if peer is None else self._senders.get(peer, self._there)
@@ -176,6 +186,10 @@ class UdpSender(Link):
         else:
             self.stats.bytes_out += len(payload)
             self.stats.lateness_ns.append(max(0, late_ns))
+
+    @property
+    def speed(self) -> int | None:
+        return None if self._line is None else self._line.speed
 
     def set_speed(self, baud: int | None) -> None:
         if self._line is not None:

@@ -84,3 +84,16 @@ def host_and_port(text: str, target: str, lowest: int = 0) -> tuple[str, int]:
 def join_host_port(host: str, port: int) -> str:
     """`HOST:PORT`, an IPv6 address in brackets."""
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+def option_value(text: str) -> int | float | bool | str:
+    """An option for python-can, as its own configuration reads it: a number or truth value where the text is one."""
+    if text in ("true", "false"):
+        return text == "true"
+    for kind in (lambda given: int(given, 0), float):
+        try:
+            number: int | float = kind(text)
+        except ValueError:
+            continue
+        return number
+    return text

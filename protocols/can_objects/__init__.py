@@ -12,7 +12,9 @@ from typing import Any
 
 from protocols.can_objects.settings import DeviceKeys, Key
 from protocols.errors import DeviceSettingError
-from protocols.session import CommandRow, Session
+from protocols.framing import Framing
+from protocols.session import CommandRow, LinkKind, Session
+from protocols.timebase import inside
 
 FORMATS = {
     "ars408": "protocols.can_objects.ars408",
@@ -41,6 +43,13 @@ class CanObjects:
         from protocols.can_objects.coverage import rows
 
         return rows(FORMATS)
+
+    def framing(self, session: Session, kind: LinkKind) -> Framing | None:
+        """How its frames are changed on their way."""
+        from protocols.can_objects.session import CanObjectSession
+
+        own, _ = inside(session, 0)
+        return own.framing() if isinstance(own, CanObjectSession) else None
 
     def keys_of_model(self, facts: Mapping[str, Any]) -> tuple[Key, ...]:
         """Every key of the `device` table in the format of a model, from the code that checks them."""

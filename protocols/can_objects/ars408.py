@@ -130,6 +130,7 @@ class Ars408Session(CanObjectSession):
     """One ARS408-21."""
 
     LAYOUT_FILE: ClassVar[str] = "ars408.dbc"
+    count_bits = 16
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
@@ -148,7 +149,7 @@ class Ars408Session(CanObjectSession):
     def _reset(self, now_ns: int) -> None:
         self._configuration = self._stored
         self._nvm_written = False
-        self._counter = 0
+        self._counter = self.first_count
         self._speed: tuple[int, float] | None = None
         self._yaw_rate: tuple[int, float] | None = None
         self._filters.clear()

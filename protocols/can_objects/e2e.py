@@ -29,6 +29,10 @@ and 7 have headers of 12 and 20 bytes, longer than a classic frame."""
 MODES = {"p01": ("both", "alternating", "low", "nibble"), "p11": ("both", "nibble")}
 "How the data id enters the CRC of profiles 1 and 11."
 
+COUNTS = {"p01": 15, "p02": 16, "p11": 15}
+"How far the counter goes, where that is not a byte. It is the header's last byte, or the low half of it."
+COUNTER_MASK = {"p01": 0x0F, "p02": 0x0F, "p11": 0x0F}
+
 _MODE_NAMES = {"both": "BOTH", "alternating": "ALT", "low": "LOW", "nibble": "NIBBLE"}
 
 
@@ -79,6 +83,35 @@ class Protection:
         entry.apply(frame)
         self._header[name] = bytes(frame[offset : offset + width])
         return bytes(frame)
+
+    # for faults on the wire
+
+    def covers(self, name: str, payload: bytes) -> bool:
+        """Whether that frame has a header: its message is protected, and it is whole."""
+        entry = self._entries.get(name)
+        return entry is not None and len(payload) >= entry.length
+
+    def offset(self, name: str) -> int:
+        """First byte of the header, which is the checksum's."""
+        return self._offsets[name]
+
+    def counter(self, name: str, payload: bytes) -> int:
+        """What the header of a frame counts."""
+        return payload[self._counter_at(name)] & COUNTER_MASK.get(self._profile, 0xFF)
+
+    def counted(self, name: str, payload: bytes, header_of: bytes, change: int) -> bytes:
+        """The frame with the counter of `header_of` and `change` more, and the checksum that belongs to it."""
+        count = COUNTS.get(self._profile, 256)
+        wanted = (self.counter(name, header_of) + change) % count
+        frame = bytearray(payload)
+        at, mask = self._counter_at(name), COUNTER_MASK.get(self._profile, 0xFF)
+        # the library counts on from what the frame carries
+        frame[at] = frame[at] & ~mask & 0xFF | (wanted - 1) % count
+        self._entries[name].apply(frame)
+        return bytes(frame)
+
+    def _counter_at(self, name: str) -> int:
+        return self._offsets[name] + HEADER_BYTES[self._profile] - 1
 
     def _entry(self, name: str, raw: Any, layout: Layout, module: Any, mode: str) -> _Entry:
         prefix = f"e2e.messages.{name}"

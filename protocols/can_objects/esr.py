@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any, ClassVar
 
 import numpy as np
@@ -31,6 +32,8 @@ LONG_HALF_ANGLE_RAD = math.radians(10.0)
 MAX_RANGE_M = 204.7
 SLOW_M_S, FAST_M_S = 1.0, 3.0
 "Speeds over ground from which a track is called movable; ours."
+TICK_NS = Fraction(2_000_000)
+"Of DspTimestamp, 7 bits: wraps every 256 ms."
 IN_PATH_M = 1.75
 "Half width of the lane for the path ids of Status4; ours."
 
@@ -72,6 +75,9 @@ class EsrSession(CanObjectSession):
     """One Delphi ESR."""
 
     LAYOUT_FILE: ClassVar[str] = "esr.dbc"
+    clock_tick_ns = TICK_NS
+    clock_bits = 7
+    count_bits = 16
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
@@ -86,8 +92,8 @@ class EsrSession(CanObjectSession):
         self._slots.clear()
         self._lists_of: dict[int, int] = {}
         self._fastest_of: dict[int, float] = {}
-        self._cycle = 0
-        self._powered_ns = now_ns
+        self._cycle = self.first_count
+        self.clock = self.clock.powered_on(now_ns)
         self._vehicle: tuple[int, dict[str, float]] | None = None
         self._order: tuple[int, dict[str, float]] | None = None
 
@@ -178,12 +184,12 @@ class EsrSession(CanObjectSession):
         self, now_ns: int, radiating: bool, vehicle: Mapping[str, float] | None, order: Mapping[str, float]
     ) -> list[Frame]:
         rolling = self._cycle & 3
-        timestamp_ms = (now_ns - self._powered_ns) // 1_000_000 % 256
+        self._told = self.clock.told(now_ns, TICK_NS, 7)
         ego = vehicle or {}
         first = self._frame(
             "Status1",
             {"RollingCount1": rolling, "CommError": int(vehicle is None), "ScanIndex": self._cycle & 0xFFFF},
-            DspTimestamp=timestamp_ms // 2 * 2,
+            DspTimestamp=self._told.ticks * 2,
             CurveRadius=ego.get("CurveRadius", 0.0),
             YawRate=ego.get("YawRate", 0.0),
             Speed=ego.get("Speed", 0.0),

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,7 +38,7 @@ class SignalLayout:
     def quantise(self, physical: ArrayLike) -> RawInts:
         """Nearest raw value, ends of the range for what lies outside, the lower end for NaN."""
         raw = np.rint((np.asarray(physical, dtype=np.float64) - self.offset) / self.scale)
-        clipped = np.clip(np.nan_to_num(raw, nan=self.raw_min), self.raw_min, self.raw_max)
+        clipped = np.fmin(np.fmax(raw, self.raw_min), self.raw_max)  # of NaN and a number they take the number
         return np.asarray(clipped, dtype=np.int64)
 
     def quantise_one(self, physical: float) -> int:
@@ -115,6 +115,15 @@ class MessageLayout:
         return self.signals[name]
 
 
+class SignalTold(NamedTuple):
+    """One signal of a frame for people."""
+
+    name: str
+    value: str
+    "In the DBC's unit, or its name for the value."
+    unit: str
+
+
 class Layout:
     """All messages of one DBC file."""
 
@@ -151,6 +160,25 @@ class Layout:
         message = self._database.get_message_by_name(name)
         padded = data[: message.length].ljust(message.length, b"\0")
         return dict(message.decode(padded, decode_choices=False))
+
+    def name_of(self, identifier: int) -> str | None:
+        """The message of an identifier as the DBC has it; None: there is none."""
+        try:
+            return str(self._database.get_message_by_frame_id(identifier).name)
+        except KeyError:
+            return None
+
+    def told(self, name: str, data: bytes) -> list[SignalTold]:
+        """Every signal of one frame in words, in the order of its bits; shorter data are filled with zeros."""
+        message = self._database.get_message_by_name(name)
+        values = message.decode(data[: message.length].ljust(message.length, b"\0"), decode_choices=True)
+        found = []
+        for signal in message.signals:
+            if signal.name in values:
+                value = values[signal.name]
+                shown = f"{value:.6g}" if isinstance(value, float) else str(value)
+                found.append(SignalTold(signal.name, shown, signal.unit or ""))
+        return found
 
     def encode(self, name: str, values: Mapping[str, float]) -> bytes:
         """One frame of a message with alternatives (a multiplexer), packed by cantools itself."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from typing import Any, ClassVar
 
 import numpy as np
@@ -21,6 +22,7 @@ from protocols.can_objects.ldmrs_lists import object_frames
 from protocols.can_objects.session import SECOND_NS, CanObjectSession, Frame, HostMessage
 from protocols.can_objects.settings import CommonSettings, DeviceKeys
 from protocols.can_objects.table import Floats, ObjectTable
+from protocols.device_clock import DeviceClock
 from protocols.session import DropReason
 
 FORMAT_VERSION = 1
@@ -33,6 +35,8 @@ WARN1_LOW_TEMPERATURE, WARN1_HIGH_TEMPERATURE = 1 << 3, 1 << 4
 WARN2_COMMAND, WARN2_EGO_MOTION, WARN2_NO_NTP = 1 << 5, 1 << 8, 1 << 11
 
 STREAMING = ("start", "command")
+NTP_TICK_NS = Fraction(SECOND_NS, 1 << 32)
+"Of the fraction: seconds and fraction are one number of 64 bits."
 
 
 @dataclass(frozen=True)
@@ -138,6 +142,9 @@ class LdmrsSession(CanObjectSession):
     """One LD-MRS S01."""
 
     LAYOUT_FILE: ClassVar[str] = "ldmrs.dbc"
+    clock_tick_ns = NTP_TICK_NS
+    clock_bits = 64
+    count_bits = 8
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
@@ -145,6 +152,7 @@ class LdmrsSession(CanObjectSession):
         super().__init__(settings.common)
         self._ids = Identities(256)
         self._object_bits = np.zeros(0, dtype=np.int64)
+        self.clock = DeviceClock((settings.ntp_start or 0) * SECOND_NS)
         self._reset(0)
 
     def _shift(self) -> int:
@@ -154,7 +162,7 @@ class LdmrsSession(CanObjectSession):
         self._parameters.restore()
         self._base_id = self._parameters[p.BASE_ID]
         self._measuring = self._settings.starts_measuring
-        self._list_counter = 0
+        self._list_counter = self.first_count
         self._ids.clear()
         self._scans_of: dict[int, tuple[int, int]] = {}
         "Track -> age and prediction age, in scans."
@@ -163,10 +171,12 @@ class LdmrsSession(CanObjectSession):
         self._bad_command = False
         self._ntp_seconds_asked: int | None = None
         # without a host's clock the time counts from power-on
-        self._ntp_offset_ns: int | None = None
-        self._powered_ns = now_ns
-        if self._settings.ntp_start is not None:
-            self._ntp_offset_ns = self._settings.ntp_start * SECOND_NS - now_ns
+        self._knows_time = self._settings.ntp_start is not None or self.clock.begin_ns != 0 or self._keeps_time()
+        self.clock = self.clock.powered_on(now_ns)
+
+    def _keeps_time(self) -> bool:
+        """What a host has told it goes on over power-off."""
+        return self.clock.runs_on and getattr(self, "_knows_time", False)
 
     def _start(self, now_ns: int) -> None:
         self._add_timer(now_ns + SECOND_NS, SECOND_NS, self._report)
@@ -234,8 +244,9 @@ class LdmrsSession(CanObjectSession):
                 "Blind": settings.blind,
             },
         )
-        seconds, fraction = self._ntp(measured_ns)
-        frames = [header, self._frame("ListTime", {"NtpSeconds": seconds, "NtpFraction": fraction})]
+        self._told = self.clock.told(measured_ns, NTP_TICK_NS, 64)
+        ntp = {"NtpSeconds": self._told.ticks >> 32, "NtpFraction": self._told.ticks & 0xFFFFFFFF}
+        frames = [header, self._frame("ListTime", ntp)]
         frames += [frame for group in listed for frame in group]
         count = len(frames) - (2 if settings.counts_objects_only else 0)
         warnings = sum(register.bit_count() for register in self._warning_registers(now_ns))
@@ -304,12 +315,6 @@ class LdmrsSession(CanObjectSession):
             return None
         return self._speed[1], self._yaw_rate[1]
 
-    def _ntp(self, at_ns: int) -> tuple[int, int]:
-        """NTP seconds and 32-bit fraction of an instant."""
-        offset_ns = self._ntp_offset_ns if self._ntp_offset_ns is not None else -self._powered_ns
-        seconds, rest_ns = divmod(at_ns + offset_ns, SECOND_NS)
-        return seconds & 0xFFFFFFFF, (rest_ns << 32) // SECOND_NS
-
     # Warnings
 
     def _warning_registers(self, now_ns: int) -> tuple[int, int]:
@@ -320,7 +325,7 @@ class LdmrsSession(CanObjectSession):
             first |= WARN1_HIGH_TEMPERATURE
         if self._ego(now_ns) is None:
             second |= WARN2_EGO_MOTION
-        if self._ntp_offset_ns is None:
+        if not self._knows_time:
             second |= WARN2_NO_NTP
         if self._bad_command:
             second |= WARN2_COMMAND
@@ -421,7 +426,8 @@ class LdmrsSession(CanObjectSession):
 
     def _do_ntp_fraction(self, index: int, value: int, now_ns: int, link: int) -> None:
         if self._ntp_seconds_asked is not None:  # the seconds take effect together with the fraction
-            self._ntp_offset_ns = self._ntp_seconds_asked * SECOND_NS + (value * SECOND_NS >> 32) - now_ns
+            self.clock = self.clock.set_to(now_ns, self._ntp_seconds_asked * SECOND_NS + (value * SECOND_NS >> 32))
+            self._knows_time = True
             self._ntp_seconds_asked = None
         self._handled(now_ns, "set NTP fraction")
         self._reply(0x0031, now_ns, link)

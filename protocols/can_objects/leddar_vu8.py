@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any, ClassVar
 
 import numpy as np
@@ -36,6 +37,8 @@ AMPLITUDE_AT_10_M = 20.0
 "Counts that a white surface gives at 10 m; ours: it follows reflectance over distance squared."
 LINES_PER_SEGMENT = 8
 "Directions in which each segment is looked along."
+TICK_NS = Fraction(1_000_000)
+"Of the time in 0x751."
 REFUSAL = b"\xff" * 6
 
 
@@ -77,6 +80,8 @@ class LeddarVu8Session(CanObjectSession):
     """One Vu8 or M16."""
 
     LAYOUT_FILE: ClassVar[str] = "leddar_vu8.dbc"
+    clock_tick_ns = TICK_NS
+    clock_bits = 32
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
@@ -90,7 +95,7 @@ class LeddarVu8Session(CanObjectSession):
         self._streaming = self._settings.streams
         self._multi_id = self._settings.multi_id
         self._once = False
-        self._powered_ns = now_ns
+        self.clock = self.clock.powered_on(now_ns)
 
     def _start(self, now_ns: int) -> None:
         """Nothing leaves unasked."""
@@ -118,12 +123,13 @@ class LeddarVu8Session(CanObjectSession):
             Distance=distance[segments],
             Amplitude=amplitude,
         )
+        self._told = self.clock.told(measured_ns, TICK_NS, 32)
         head = self._frame(
             "DetectionCount",
             {
                 "NumDetections": len(segments),
                 "LightPower": self._settings.light_power_percent,
-                "Timestamp": (measured_ns - self._powered_ns) // 1_000_000 & 0xFFFFFFFF,
+                "Timestamp": self._told.ticks,
             },
         )
         step = int(self._multi_id)

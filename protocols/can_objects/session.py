@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 
 from protocols.can_frame import frame_bits, frames_bits
 from protocols.can_objects.e2e import Protection
+from protocols.can_objects.framing import CanFraming
 from protocols.can_objects.layout import Layout, load
 from protocols.can_objects.settings import CommonSettings
 from protocols.can_objects.table import ObjectTable
+from protocols.device_clock import Told
 from protocols.errors import ScanRefused
 from protocols.scan import Scan, ScanPlan
 from protocols.session import (
@@ -35,6 +37,9 @@ from protocols.session import (
 )
 
 SECOND_NS = 1_000_000_000
+
+MOST_REPLIES = 512
+"Frames of replies that wait for the bus; a host that asks faster than the bus carries gets no more. Ours."
 
 
 class Frame(NamedTuple):
@@ -83,6 +88,8 @@ class _Bus:
     "Rest of the list that is being sent, with the time each frame takes; check headers are in."
     sweep: int | None = None
     "Sweep of the list whose first frame has not left yet."
+    told: Told | None = None
+    "What that list tells of the time."
 
 
 class CanObjectSession(Session):
@@ -113,6 +120,9 @@ class CanObjectSession(Session):
         self._sweep = 0
         self._next_start_ns = 0
         self._list_duration_ns = 0
+        self._now_ns = 0
+        self._told: Told | None = None
+        "What the list made last tells of the time; its format sets it."
         self._addresses: dict[tuple[int, int], Address] = {}
 
     # What a format fills in
@@ -179,6 +189,7 @@ class CanObjectSession(Session):
             message.handler(self, data, now_ns, address.link)
 
     def advance(self, now_ns: int) -> None:
+        self._now_ns = max(self._now_ns, now_ns)
         if self._ready_ns is None or now_ns < self._ready_ns:
             return
         if not self._running:
@@ -209,6 +220,7 @@ class CanObjectSession(Session):
         if not self._running or not self._lists_wanted():
             return None
         if self._plan is None:
+            self._pass_over()
             nothing = np.zeros(0)
             self._plan = ScanPlan(
                 epoch=self._epoch,
@@ -222,8 +234,19 @@ class CanObjectSession(Session):
             )
         return self._plan
 
+    def _pass_over(self) -> None:
+        """Lists that should have begun to leave already are not measured: who cannot keep up skips, it does not lag."""
+        late_ns = self._now_ns - self._next_start_ns - self._common.evaluation_ns
+        if late_ns <= 0:
+            return
+        step_ns = max(self._cycle_ns(), self._list_duration_ns)
+        lists = -(-late_ns // step_ns)
+        self._next_start_ns += lists * step_ns
+        self._sweep += lists
+        self._drop(self._now_ns, DropReason.LATE, "not measured in time", lists)
+
     def submit(self, scan: Scan) -> None:
-        plan = self.next_plan()
+        plan = self._plan
         if plan is None or (scan.plan.epoch, scan.plan.sweep) != (plan.epoch, plan.sweep):
             raise ScanRefused(f"sweep {scan.plan.sweep} of epoch {scan.plan.epoch} is not wanted any more")
         self._pending.append((plan.start_ns + self._common.evaluation_ns, scan))
@@ -256,6 +279,10 @@ class CanObjectSession(Session):
         events, self._events = self._events, []
         return events
 
+    def framing(self) -> CanFraming:
+        """How its frames are changed on their way."""
+        return CanFraming(self._layout, self._protection)
+
     # For the formats
 
     def _send_cyclic(self, frames: Iterable[Frame], now_ns: int) -> None:
@@ -264,7 +291,11 @@ class CanObjectSession(Session):
 
     def _send_reply(self, frames: Iterable[Frame], now_ns: int, link: int | None = None) -> None:
         """Queue frames that go at once, between any two frames."""
-        self._bus.replies.extend((now_ns, link, frame) for frame in frames)
+        waiting = [(now_ns, link, frame) for frame in frames]
+        if len(self._bus.replies) + len(waiting) > MOST_REPLIES:
+            self._drop(now_ns, DropReason.BUSY, f"{MOST_REPLIES} frames of replies wait for the bus")
+            return
+        self._bus.replies.extend(waiting)
 
     def _add_timer(self, first_ns: int, period_ns: int, action: Callable[[int], None]) -> Timer:
         timer = Timer(first_ns, period_ns, action)
@@ -348,7 +379,7 @@ class CanObjectSession(Session):
         lengths_ns = np.rint(self._list_bits(frames) * self._bit_ns).astype(np.int64).tolist()
         self._list_duration_ns = sum(lengths_ns)
         self._bus.current.extend(zip(frames, lengths_ns, strict=True))
-        self._bus.sweep = scan.plan.sweep
+        self._bus.sweep, self._bus.told = scan.plan.sweep, self._told
         self._bus.free_ns = max(self._bus.free_ns, at_ns)
 
     def _continue_list(self, out: list[Emission], now_ns: int) -> None:
@@ -358,7 +389,7 @@ class CanObjectSession(Session):
         end_ns = min(now_ns, bus.replies[0][0] - 1) if bus.replies else now_ns
         while current and free_ns <= end_ns:
             frame, length_ns = current.popleft()
-            self._put(out, frame, free_ns, links, sweep)
+            self._put(out, frame, free_ns, links, sweep, bus.told)
             sweep = None
             free_ns += length_ns
         bus.free_ns, bus.sweep = free_ns, sweep
@@ -369,7 +400,15 @@ class CanObjectSession(Session):
         self._put(out, frame, at_ns, links if links is not None else (self._links or [0]), None)
         self._bus.free_ns = at_ns + round(frame_bits(frame.identifier, frame.payload) * self._bit_ns)
 
-    def _put(self, out: list[Emission], frame: Frame, at_ns: int, links: list[int], sweep: int | None) -> None:
+    def _put(
+        self,
+        out: list[Emission],
+        frame: Frame,
+        at_ns: int,
+        links: list[int],
+        sweep: int | None,
+        told: Told | None = None,
+    ) -> None:
         """One emission a link; the first one of a list carries the sweep."""
         identifier, payload, label = frame
         for link in links:
@@ -377,7 +416,7 @@ class CanObjectSession(Session):
             address = self._addresses.get(key)
             if address is None:
                 address = self._addresses[key] = Address(*key)
-            out.append(Emission(at_ns, payload, address, sweep, None, label))
+            out.append(Emission(at_ns, payload, address, sweep, None, label, None if sweep is None else told))
             sweep = None
 
     def _note_foreign(self, identifier: int, now_ns: int) -> None:

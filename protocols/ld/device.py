@@ -5,21 +5,25 @@ It knows no link and no telegram. Times are handed in; what it waits for is told
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from fractions import Fraction
 
 import numpy as np
 
+from protocols.device_clock import DeviceClock, Knot
 from protocols.ld import config as cfg
 from protocols.ld.head import DELAYS, MS, Rotation, azimuths_rad, beam_ticks
 from protocols.ld.models import Model
 from protocols.ld.sectors import TICKS, MeasureError, Sector, Span, Table, check, spans, with_sector
 from protocols.ld.settings import Settings
 from protocols.ld.telegrams import Mode, Motor, status_words
+from protocols.quartz import TRUE, Quartz
 from protocols.scan import Floats
 
 HOST_SIGNALS = 0x00F3
 "Bits of PORTVAL that a host sets: two yellow LEDs and four outputs. Green (2) and red (3) belong to the device."
 RED_LED = 0x0008
+CLOCK_TICK_NS = Fraction(MS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +74,17 @@ class Device:
         self.near_field = settings.near_field
         "Kept over power-off: SET_FILTER writes to flash (sicktoolbox, EnableNearfieldSuppression)."
         self.restarts = 0
+        self.turns: Quartz = TRUE
+        "The motor against what it should do."
+        self.found = Motor.OK
+        "What the supervision finds of the motor while it turns."
+        begin_ns = settings.clock_ms * MS
+        self.clock = DeviceClock(begin_ns, origin=Knot(0, begin_ns, 1000 * settings.clock_ppm))
         self._lose_volatile(0)
 
     def _lose_volatile(self, now_ns: int) -> None:
         self.mode = Mode.IDLE
-        self.motor = Motor.OK
+        self.motor = self.found
         self.rotation: Rotation | None = None
         self.spin_up: SpinUp | None = None
         self.geometry: Geometry | None = None
@@ -82,12 +92,13 @@ class Device:
         self.signals = 0
         self.booted_ns: int | None = None
         self._next_first_sweep = 0  # of the first revolution after a standstill
-        self._clock_zero_ns = now_ns
-        self._clock_offset_ms = self.settings.clock_ms
+        self.clock = self.clock.powered_on(now_ns)
 
     def boot(self, now_ns: int, boot_ns: int) -> None:
         """Start anew: what is not in flash is lost, and nothing is answered until the device has started."""
         self._lose_volatile(now_ns)
+        if self.motor is Motor.STOPPED:
+            self.mode = Mode.ERROR
         self.restarts += 1
         self.booted_ns = now_ns + boot_ns
 
@@ -139,7 +150,8 @@ class Device:
         if self.spin_up is None or now_ns < self.spin_up.ready_ns:
             return False
         first_sweep = self.rotation.sweep_after(self.spin_up.ready_ns) if self.rotation else self._next_first_sweep
-        self.rotation = Rotation(self.spin_up.ready_ns, self.spin_up.hz, first_sweep)
+        origin_ns = self.turns.own_ns(self.spin_up.ready_ns)
+        self.rotation = Rotation(origin_ns, self.spin_up.hz, first_sweep, self.turns)
         self.spin_up = None
         return True
 
@@ -195,13 +207,11 @@ class Device:
 
     def clock_ms(self, instant_ns: int) -> int:
         """The device's own time at an instant, 32 bits wide."""
-        elapsed_ns = instant_ns - self._clock_zero_ns
-        elapsed_ns += elapsed_ns * self.settings.clock_ppm // 1_000_000
-        return (elapsed_ns // MS + self._clock_offset_ms) & 0xFFFFFFFF
+        return self.clock.ticks(instant_ns, CLOCK_TICK_NS, 32)
 
-    def shift_clock(self, by_ms: int) -> None:
+    def shift_clock(self, now_ns: int, by_ms: int) -> None:
         """Put the clock forward, or back."""
-        self._clock_offset_ms += by_ms
+        self.clock = self.clock.stepped(now_ns, by_ms * MS)
 
     # configuration
 
@@ -224,6 +234,18 @@ class Device:
         self.sectors = with_sector(self.sectors, number, sector)
         if in_flash:
             self.flash_sectors = with_sector(self.flash_sectors, number, sector)
+
+    def turn_at(self, now_ns: int, factor: float) -> None:
+        """The motor turns so many times as fast as it should."""
+        self.turns = self.turns.at_rate(now_ns, round(1e9 * (factor - 1.0)))
+        if self.rotation is not None:
+            self.rotation = replace(self.rotation, motor=self.turns)
+
+    def find_motor(self, found: Motor) -> None:
+        """The supervision finds the motor right or wrong, after a restart too; one that stands stays so."""
+        self.found = found
+        if self.motor is not Motor.STOPPED:
+            self.motor = found
 
     def fail_motor(self, now_ns: int, motor: Motor) -> None:
         """Make the motor run wrong, stop it, or (OK) heal it; a stopped motor puts the device into ERROR."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols.ld.sectors import TICKS, Span
+from protocols.quartz import TRUE, Quartz
 from protocols.scan import Floats
 
 Counts = NDArray[np.int64]
@@ -23,23 +24,29 @@ class Rotation:
     """A head that turns at one speed."""
 
     origin_ns: int
-    "Instant at which it passed direction 0 of revolution 0."
+    "Instant, as its motor counts, at which it passed direction 0 of revolution 0."
     hz: int
     first_sweep: int
     "Number of revolution 0 since power-on."
+    motor: Quartz = TRUE
+    "How fast the motor turns against what it should."
 
     def passes_ns(self, revolution: int, ticks: int) -> int:
         """When it passes `ticks` (any integer) of a revolution, to the nearest nanosecond; never drifts."""
         rate = TICKS * self.hz
-        return self.origin_ns + ((revolution * TICKS + ticks) * SECOND_NS + rate // 2) // rate
+        return self.motor.true_ns(self.origin_ns + ((revolution * TICKS + ticks) * SECOND_NS + rate // 2) // rate)
 
     def first_from(self, instant_ns: int, ticks: int) -> int:
         """The first revolution whose `ticks` are passed at or after the instant."""
         rate = TICKS * self.hz
-        revolution = ((instant_ns - self.origin_ns) * rate // SECOND_NS - ticks) // TICKS
+        revolution = ((self.motor.own_ns(instant_ns) - self.origin_ns) * rate // SECOND_NS - ticks) // TICKS
         while self.passes_ns(revolution, ticks) < instant_ns:
             revolution += 1
         return max(revolution, 0)
+
+    def slowed(self, instant_ns: int) -> float:
+        """By how much a revolution takes longer than it should."""
+        return 1e9 / (1e9 + self.motor.ppb(instant_ns))
 
     def sweep_after(self, instant_ns: int) -> int:
         """A sweep number that no revolution up to the instant has had."""

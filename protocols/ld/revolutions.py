@@ -126,14 +126,15 @@ class Revolutions:
         revolution = max(due, running)
         self.late += revolution - due
         start_ns = rotation.passes_ns(revolution, geometry.first)
+        slowed, offsets_s = rotation.slowed(start_ns), geometry.fire_offset_s
         plan = ScanPlan(
             epoch=self.epoch,
             sweep=rotation.first_sweep + revolution,
             start_ns=start_ns,
             azimuth_rad=geometry.azimuth_rad,
             elevation_rad=geometry.elevation_rad,
-            fire_offset_s=geometry.fire_offset_s,
-            duration_s=1.0 / rotation.hz,
+            fire_offset_s=offsets_s if slowed == 1.0 else offsets_s * slowed,
+            duration_s=slowed / rotation.hz,
             max_echoes=2 if geometry.near_field_m else 1,
             max_range_m=max_range_m,
             wants_intensity=any(need.echoes for need in needs),
@@ -184,15 +185,20 @@ def _reported(scan: Scan, near_field_m: float) -> tuple[Floats, Floats]:
     return range_m, intensity
 
 
-def revolution_of(item: Measured, device: Device, geometry: Geometry, rotation: Rotation) -> Revolution:
+def revolution_of(
+    item: Measured, device: Device, geometry: Geometry, rotation: Rotation, first_count: int = 0
+) -> Revolution:
     """What all profiles of a measured revolution have in common."""
     rate = TICKS * rotation.hz
 
     def clock(ticks: int) -> int:
-        return device.clock_ms(item.start_ns + (ticks * SECOND_NS + rate // 2) // rate) & 0xFFFF
+        after_ns = (ticks * SECOND_NS + rate // 2) // rate
+        if not rotation.motor.is_true:
+            after_ns = round(after_ns * rotation.slowed(item.start_ns))
+        return device.clock_ms(item.start_ns + after_ns) & 0xFFFF
 
     return Revolution(
-        count=item.sweep & 0xFFFF,
+        count=(item.sweep + first_count) & 0xFFFF,
         distances=item.distances,
         echoes=item.echoes,
         start_ms=[clock(span.offset) for span in geometry.sectors],

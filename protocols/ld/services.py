@@ -109,12 +109,12 @@ def _get_config(device: Device, words: Words, now_ns: int) -> Answer:
 
 
 def _set_time_absolute(device: Device, words: Words, now_ns: int) -> Answer:
-    device.shift_clock(words[0] - device.clock_ms(now_ns))
+    device.shift_clock(now_ns, words[0] - device.clock_ms(now_ns))
     return _get_clock(device, words, now_ns)
 
 
 def _set_time_relative(device: Device, words: Words, now_ns: int) -> Answer:
-    device.shift_clock(words[0] - (words[0] >> 15 << 16))
+    device.shift_clock(now_ns, words[0] - (words[0] >> 15 << 16))
     return _get_clock(device, words, now_ns)
 
 

@@ -7,10 +7,12 @@ Whatever `now_ns` a caller jumps to, everything in between happens in the order 
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
+from protocols.device_clock import DeviceClock
 from protocols.errors import ScanRefused
 from protocols.ld.channels import MAX_INBOX, Channel, Line, Profiles, Request, new_channel
-from protocols.ld.device import Device, Geometry
+from protocols.ld.device import CLOCK_TICK_NS, Device, Geometry
 from protocols.ld.models import Model
 from protocols.ld.outbox import Outbox, Outgoing
 from protocols.ld.profiles import SICKTOOLBOX_BYTES, encode_profile
@@ -53,6 +55,10 @@ WORKING_SERVICES = 4
 class LdSession(Session):
     """One LD-LRS or LD-OEM."""
 
+    clock_tick_ns = CLOCK_TICK_NS
+    clock_bits = 32
+    count_bits = 16
+
     def __init__(self, model: Model, settings: Settings) -> None:
         self.device = Device(model, settings)
         self.can_bitrate = self.device.can_bitrate
@@ -69,6 +75,15 @@ class LdSession(Session):
         "It measures once the head is at speed, unless a host takes over before."
         self._geometry: Geometry | None = None
         "What the plans given out so far were made for."
+
+    @property
+    def clock(self) -> DeviceClock:
+        """The device's own."""
+        return self.device.clock
+
+    @clock.setter
+    def clock(self, clock: DeviceClock) -> None:
+        self.device.clock = clock
 
     # power
 
@@ -101,6 +116,8 @@ class LdSession(Session):
         device = self.device
         listeners = any(line.kind is LinkKind.DATAGRAM for line in self._lines.values())
         mode = device.settings.mode or ("measure" if listeners else "idle")
+        if device.motor is Motor.STOPPED:
+            mode = "idle"  # it wants to, and cannot
         if mode != "idle":
             device.rotate(now_ns, device.configured_hz)
             if already:
@@ -218,9 +235,7 @@ class LdSession(Session):
         elif answer.words is not None:
             self._reply(channel, request, (service | REPLY_BIT, *answer.words), answer, now_ns)
 
-    def _reply(
-        self, channel: Channel, request: Request, words: tuple[int, ...], answer: Answer, now_ns: int
-    ) -> None:
+    def _reply(self, channel: Channel, request: Request, words: tuple[int, ...], answer: Answer, now_ns: int) -> None:
         sent = channel.telegram(
             payload_of(*words),
             request.route,
@@ -290,11 +305,14 @@ class LdSession(Session):
         geometry, rotation = self._geometry, self.device.rotation
         if geometry is None or rotation is None:
             return
-        revolution = revolution_of(item, self.device, geometry, rotation)
+        revolution = revolution_of(item, self.device, geometry, rotation, self.first_count)
+        told = self.clock.told(item.start_ns, CLOCK_TICK_NS, 16)
+        wanted = False
         for channel in self._channels.values():
             profiles = channel.profiles
             if profiles is None or item.start_ns < profiles.first_ns:
                 continue
+            wanted = True
             if channel.is_paced and channel.line.free_ns > now_ns:
                 self._drop(now_ns, DropReason.LINE_BUSY, 1)
                 continue
@@ -303,11 +321,14 @@ class LdSession(Session):
             sent = channel.telegram(
                 payload, profiles.route, item.end_ns, self.device, sweep=item.sweep, label=f"{GET_PROFILE_REPLY:04X}"
             )
+            sent.emissions[0] = replace(sent.emissions[0], told=told)
             self._outbox.put(sent)
             if profiles.left is not None:
                 profiles.left -= 1
                 if not profiles.left:
                     channel.profiles = None
+        if not wanted:  # measured ahead for a host that has gone, or has had enough
+            self._drop(now_ns, DropReason.STALE, 1)
 
     # time
 
@@ -358,7 +379,7 @@ class LdSession(Session):
         needs = [Need(profiles.first_ns, profiles.left, wants_echoes(profiles.form)) for profiles in wanting]
         plan = self._revolutions.plan(self.device, needs, self._now_ns)
         if self._revolutions.late:
-            self._drop(self._now_ns, DropReason.STALE, self._revolutions.late, "not measured in time")
+            self._drop(self._now_ns, DropReason.LATE, self._revolutions.late, "not measured in time")
             self._revolutions.late = 0
         return plan
 
@@ -376,6 +397,21 @@ class LdSession(Session):
         self._run(now_ns)
         self.device.fail_motor(now_ns, motor)
         self._settle(now_ns)
+
+    def suffer(self, now_ns: int, what: str, degree: float) -> bool:
+        """The motor of the head."""
+        self._run(now_ns)
+        if what == "motor speed":
+            self.device.turn_at(now_ns, degree)
+            self._revolutions.rethink(now_ns)
+        elif what == "motor told":
+            self.device.find_motor(Motor.TOO_FAST if degree > 0 else Motor.TOO_SLOW if degree < 0 else Motor.OK)
+        elif what == "motor stopped":
+            self.device.found = Motor.STOPPED if degree else Motor.OK
+            self.fail_motor(now_ns, self.device.found)
+        else:
+            return False
+        return True
 
     # events
 

@@ -10,10 +10,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from protocols.lms2xx.commands import coverage_rows
+from protocols.lms2xx.framing import Lms2xxFraming
 from protocols.lms2xx.models import model_of
 from protocols.lms2xx.session import Lms2xxSession
 from protocols.lms2xx.settings import KEYS, Key, read
-from protocols.session import CommandRow
+from protocols.session import CommandRow, LinkKind, Session
 
 
 class Lms2xxFamily:
@@ -31,6 +32,10 @@ class Lms2xxFamily:
     def commands(self) -> tuple[CommandRow, ...]:
         """The coverage table."""
         return coverage_rows()
+
+    def framing(self, session: Session, kind: LinkKind) -> Lms2xxFraming:
+        """How its telegrams are changed on their way."""
+        return Lms2xxFraming()
 
     def device_keys(self) -> tuple[Key, ...]:
         """Every key of a scenario's `device:` table, with what is allowed, the default and the meaning."""

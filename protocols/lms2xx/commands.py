@@ -239,7 +239,7 @@ def _status(device: Device, data: bytes) -> Result:
 
 
 def _errors(device: Device, data: bytes) -> Result:
-    return device, Answer(b"\xb2" + bytes(byte for entry in device.settings.errors for byte in entry))
+    return device, Answer(b"\xb2" + bytes(byte for entry in device.errors for byte in entry))
 
 
 def _counter(device: Device, data: bytes) -> Result:

@@ -21,6 +21,14 @@ RATE_CODES = {0x48: 500_000, 0x40: 38_400, 0x41: 19_200, 0x42: 9_600}
 RATE_WORDS = {500_000: 0x8001, 38_400: 0x8019, 19_200: 0x8033, 9_600: 0x8067}
 "Baud -> word of the status telegram (listing p. 56)."
 
+WARNING, ERROR = 2, 3
+"Severities of the status byte and of stored errors."
+POLLUTED, OPAQUE = 0.7, 0.4
+"Transmission of the window below which it counts as dirty (a warning), and as too dirty (an error); ours."
+POLLUTED_BIT = 0x80
+DIRT_ERROR, MOTOR_ERROR = 18, 29
+"Codes of reply B2: dirt on pollution channel 1, motor revolutions."
+
 STATUS_BYTES = 152
 "The listing's table adds up to 146; its example and every driver have 152."
 
@@ -45,13 +53,31 @@ class Device:
     "Sub-code of command 20."
     stream: Output | None = None
     "What the mode sends without being asked."
+    window: float = 1.0
+    "Share of light that passes the front window."
+    motor: float = 1.0
+    "Speed of the mirror over the nominal one; 0: it stands."
+    motor_wrong: bool = False
+    "Its supervision has found the motor wrong."
     stream_number: int = 0
     "One more with every mode that was entered, the same one again included."
 
     @property
     def status(self) -> int:
         """The last byte of every reply."""
-        return self.model.status | self.settings.status_bits
+        bits = self.settings.status_bits
+        if self.window < POLLUTED or self.motor_wrong:
+            severity = ERROR if self.motor_wrong or self.window < OPAQUE else WARNING
+            bits = bits & ~7 | max(bits & 7, severity)
+        return self.model.status | bits | (POLLUTED_BIT if self.window < POLLUTED else 0)
+
+    @property
+    def errors(self) -> tuple[tuple[int, int], ...]:
+        """Type and code of each stored error, oldest first; those of now at the end."""
+        found = self.settings.errors
+        if self.window < POLLUTED:
+            found += ((ERROR if self.window < OPAQUE else WARNING, DIRT_ERROR),)
+        return (*found, (ERROR, MOTOR_ERROR)) if self.motor_wrong else found
 
     @property
     def unit(self) -> int:
@@ -140,12 +166,12 @@ def status_block(device: Device) -> bytes:
 
     put(0, device.model.firmware.encode("ascii"))
     data[7] = device.mode
-    data[8] = 1 if device.settings.status_bits & 7 >= 3 else 0
+    data[8] = 1 if device.status & 7 >= ERROR else 0
     put(9, device.settings.serial_number)
     data[17] = 1 if device.model.fast else 0
-    put(18, word(POLLUTION) * 8 + word(POLLUTION_REFERENCE) * 4)
+    put(18, word(round(POLLUTION * device.window)) * 8 + word(POLLUTION_REFERENCE) * 4)
     put(42, word(POLLUTION_CALIBRATION) * 8 + word(REFERENCE_CALIBRATION) * 4)
-    put(66, word(MOTOR_REVOLUTIONS))
+    put(66, word(round(MOTOR_REVOLUTIONS * device.motor)))
     data[101] = config[block.MEASURING_MODE]
     put(106, variant_words(device))
     data[110] = config[block.RESTART_MODE]

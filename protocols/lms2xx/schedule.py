@@ -141,6 +141,11 @@ class Schedule:
         self._device = device
         self._drop_stream_slots()
 
+    def motor_changed(self, mirror: Mirror) -> None:
+        """The mirror turns at another speed: the stream goes on, in other slots."""
+        self._drop_stream_slots()
+        self._mirror = mirror
+
     def once(self, device: Device, output: Output, ready_ns: int) -> None:
         """Send one telegram that was asked for: the scan that ends at `ready_ns` or next.
 
@@ -291,14 +296,17 @@ class Schedule:
             self._epoch += 1
 
     def _make_plan(self, slot: Slot) -> ScanPlan:
+        start_ns = self._mirror.turn_ns(slot.next_turn)
+        slowed = self._mirror.slowed(start_ns)
+        offsets_s = slot.comb.fire_offset_s
         return ScanPlan(
             epoch=self._epoch,
             sweep=slot.next_turn,
-            start_ns=self._mirror.turn_ns(slot.next_turn),
+            start_ns=start_ns,
             azimuth_rad=slot.comb.azimuth_rad,
             elevation_rad=slot.comb.elevation_rad,
-            fire_offset_s=slot.comb.fire_offset_s,
-            duration_s=slot.comb.turns * TURN_NUMERATOR_NS / TURN_DENOMINATOR / 1e9,
+            fire_offset_s=offsets_s if slowed == 1.0 else offsets_s * slowed,
+            duration_s=slot.comb.turns * TURN_NUMERATOR_NS / TURN_DENOMINATOR / 1e9 * slowed,
             max_range_m=slot.form.farthest_m,
             gain=slot.gain,
             wants_intensity=slot.form.wants_intensity(slot.output),

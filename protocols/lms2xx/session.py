@@ -7,8 +7,11 @@ them; then the stream goes on in its next slot. Requests are answered one after 
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from enum import Enum
+from fractions import Fraction
 
+from protocols.device_clock import Told
 from protocols.lms2xx import telegrams as wire
 from protocols.lms2xx.commands import KNOWN, Answer, answer, describe
 from protocols.lms2xx.device import Device, new_device, restarted
@@ -17,7 +20,8 @@ from protocols.lms2xx.outputs import encode
 from protocols.lms2xx.receiver import Fault, Receiver
 from protocols.lms2xx.schedule import Line, Schedule, Slot
 from protocols.lms2xx.settings import Settings
-from protocols.lms2xx.timing import Mirror
+from protocols.lms2xx.timing import TURN_DENOMINATOR, TURN_NUMERATOR_NS, Mirror
+from protocols.quartz import TRUE, Quartz
 from protocols.scan import Scan, ScanPlan
 from protocols.session import (
     Address,
@@ -50,6 +54,8 @@ class Phase(Enum):
     "The reply to a reset is on its way."
 
 
+INDEX_TICK_NS = Fraction(TURN_NUMERATOR_NS, TURN_DENOMINATOR)
+"The real-time scan index counts turns of the mirror: 13.33 ms, if nothing is wrong with it."
 UP = (Phase.READY, Phase.RESETTING)
 "Phases in which what was promised is still measured and sent."
 
@@ -57,12 +63,17 @@ UP = (Phase.READY, Phase.RESETTING)
 class Lms2xxSession(Session):
     """One device. Give it time and bytes; it owns neither."""
 
+    clock_tick_ns = INDEX_TICK_NS
+    clock_bits = 8
+    count_bits = 8
+
     def __init__(self, model: Model, settings: Settings) -> None:
         self._settings = settings
         self._device = new_device(model, settings)
         self._line = Line()
         self._schedule = Schedule(self._line)
         self._mirror = Mirror(0)
+        self._motor: Quartz = TRUE
         self._phase = Phase.OFF
         self._phase_end_ns = 0
         self._was_on = False
@@ -105,19 +116,41 @@ class Lms2xxSession(Session):
 
     def _begin_boot(self, at_ns: int) -> None:
         self._line.baud = self._device.baud
-        self._schedule.restart(Mirror(at_ns))
+        self._schedule.restart(self._mirror_from(at_ns))
         for receiver in self._receivers.values():
             receiver.clear()
-        self._telegram_index = 0
+        self._telegram_index = self.first_count
         self._events.append(Restarted(at_ns))
         self._phase = Phase.BOOTING
         self._phase_end_ns = at_ns + _ns(self._settings.delays.boot_s)
 
     def _come_up(self, at_ns: int) -> None:
         self._phase = Phase.READY
-        self._mirror = Mirror(at_ns)
+        self._mirror = self._mirror_from(at_ns)
+        self.clock = self.clock.powered_on(at_ns)
         self._schedule.restart(self._mirror)
         self._events.append(ModeChanged(at_ns, f"{self._device.mode:02X}"))
+
+    def _mirror_from(self, at_ns: int) -> Mirror:
+        return Mirror(self._motor.own_ns(at_ns), self._motor)
+
+    def suffer(self, now_ns: int, what: str, degree: float) -> bool:
+        """The window, and the motor of the mirror."""
+        self.advance(now_ns)
+        if what == "window":
+            self._device = replace(self._device, window=degree)
+        elif what == "motor speed":
+            self._motor = self._motor.at_rate(now_ns, round(1e9 * (degree - 1.0)))
+            self._device = replace(self._device, motor=degree)
+            self._mirror = replace(self._mirror, motor=self._motor)
+            self._schedule.motor_changed(self._mirror)
+        elif what == "motor told":
+            self._device = replace(self._device, motor_wrong=degree != 0.0)
+        elif what == "motor stopped":
+            self._device = replace(self._device, motor=1.0 - degree, motor_wrong=degree != 0.0)
+        else:
+            return False
+        return True
 
     def _run_phases(self, now_ns: int) -> None:
         if self._phase is Phase.RESETTING and now_ns >= self._phase_end_ns:
@@ -262,15 +295,17 @@ class Lms2xxSession(Session):
         measured = slot.result
         assert measured is not None
         payload = encode(slot.output, measured, slot.form, slot.part)
+        told = None
         if slot.form.indices:
-            payload += bytes((slot.end_turn & 0xFF, self._telegram_index & 0xFF))
+            told = self._scan_index(slot)
+            payload += bytes((told.ticks, self._telegram_index & 0xFF))
         self._telegram_index += 1
         telegram = wire.reply(payload, self._device.status, self._settings.address)
         place = len(self._replies)
         while place and self._replies[place - 1].due_ns > due_ns:
             place -= 1
         self._replies.insert(
-            place, Emission(due_ns, telegram, sweep=slot.first_turn, label=f"{slot.output.command:02X}")
+            place, Emission(due_ns, telegram, sweep=slot.first_turn, label=f"{slot.output.command:02X}", told=told)
         )
         self._line.promise(due_ns, len(telegram))
         for reason, passed in self._schedule.passed_over(slot).items():
@@ -278,6 +313,13 @@ class Lms2xxSession(Session):
         if late:
             self._schedule.note_late()
         self._schedule.line_moved()
+
+    def _scan_index(self, slot: Slot) -> Told:
+        """The real-time scan index at the end of a slot's scan: turns so far, and what the clock is off by."""
+        end_ns = self._mirror.turn_ns(slot.end_turn)
+        turns = slot.end_turn + _turns(self.clock.shown_ns(end_ns)) - _turns(end_ns - self._mirror.began_ns)
+        device_ns = round(turns * INDEX_TICK_NS)
+        return Told(end_ns, device_ns, turns & 0xFF, float(INDEX_TICK_NS), 8)
 
     def next_deadline(self) -> int | None:
         """When `advance` or `take_emissions` has something to do even without input."""
@@ -321,6 +363,11 @@ class Lms2xxSession(Session):
     def _stale(self, count: int) -> None:
         if count:
             self._drop(DropReason.STALE, "measured, not sent", count)
+
+
+def _turns(span_ns: int) -> int:
+    """Whole turns in a time that was rounded down to nanoseconds."""
+    return (span_ns + 1) * TURN_DENOMINATOR // TURN_NUMERATOR_NS
 
 
 def _ns(seconds: float) -> int:

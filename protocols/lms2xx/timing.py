@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
+from protocols.quartz import TRUE, Quartz
+
 TURN_NUMERATOR_NS, TURN_DENOMINATOR = 40_000_000, 3
 "75 turns a second (listing, all drivers): turn k begins k * 40/3 ms after turn 0."
 TURN_S = TURN_NUMERATOR_NS / TURN_DENOMINATOR / 1e9
@@ -20,14 +22,29 @@ class Mirror:
     """The mirror, turning since `zero_ns`."""
 
     zero_ns: int
+    "As its motor counts."
+    motor: Quartz = TRUE
+    "How fast the motor turns against what it should."
 
     def turn_ns(self, turn: int) -> int:
         """When turn number `turn` begins."""
-        return self.zero_ns + turn * TURN_NUMERATOR_NS // TURN_DENOMINATOR
+        return self.motor.true_ns(self.zero_ns + turn * TURN_NUMERATOR_NS // TURN_DENOMINATOR)
 
     def first_turn_from(self, time_ns: int) -> int:
         """The first turn that begins at `time_ns` or later."""
-        return max(0, -(-(time_ns - self.zero_ns) * TURN_DENOMINATOR // TURN_NUMERATOR_NS))
+        turn = max(0, -(-(self.motor.own_ns(time_ns) - self.zero_ns) * TURN_DENOMINATOR // TURN_NUMERATOR_NS))
+        while self.turn_ns(turn) < time_ns:  # rounded down twice where the motor is slow
+            turn += 1
+        return turn
+
+    @property
+    def began_ns(self) -> int:
+        """When turn 0 began."""
+        return self.turn_ns(0)
+
+    def slowed(self, time_ns: int) -> float:
+        """By how much a turn takes longer than it should."""
+        return 1e9 / (1e9 + self.motor.ppb(time_ns))
 
 
 def line_ns(count: int, baud: int) -> int:

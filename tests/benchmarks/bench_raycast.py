@@ -1,13 +1,15 @@
 """Cost of a cast beside the plain embreex cast of the same rays; prints, never fails.
 
-    python -m tests.benchmarks.bench_raycast [--many]
+    python -m tests.benchmarks.bench_raycast [--many | --deforming]
 
 The plain cast has every body as it stands at that moment in one structure, built beforehand: what motion, float64 and
-truth cost on top of it is the difference. `--many` adds scenes with up to 10 000 far actors.
+truth cost on top of it is the difference. `--many` adds scenes with up to 10 000 far actors; `--deforming` prints what
+a mesh that changes its shape costs by slices, beside building the whole mesh anew.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 import time
 from collections.abc import Callable
@@ -17,6 +19,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from emulator import scenario, scene, triangles
+from emulator.deforming import Frames
 from emulator.motion import Steady
 from emulator.raycast import Caster
 from emulator.scene import Body, Scene
@@ -103,7 +106,51 @@ def many_actors() -> None:
             print(f"{count:10d} {moving!s:>6s} {build:8.2f} {own:8.0f} {near:15.0f}")
 
 
+def deforming() -> None:
+    """A ball of so many triangles, 2 m across and 5 m away, that becomes an egg: one sweep at one instant."""
+    print(f"{'triangles':>9s} {'rays':>6s} {'handed over':>11s} {'slice ms':>9s} {'rebuild ms':>10s} {'ratio':>6s}")
+    for segments in (32, 100, 316):
+        ball = triangles.sphere(1.0, segments)
+        shapes = np.stack([ball.vertices, ball.vertices * [1.2, 0.9, 1.0]])
+        frames = Frames(shapes, ball.faces, 1.0, 0.0, True)
+        body = Body(1, dataclasses.replace(ball, radius=1.3), np.zeros(1, np.int32), Steady((5.0, 0.0, -1.0)), frames)
+        world = Scene(("world", "it"), ("unknown",) * 2, (Steady(), body.motion), ("m",), (body,))
+        caster = Caster(world)
+        for sub_beams in (1, 61):
+            direction = fan(361, sub_beams)
+            number = iter(range(1_000_000))
+            before = caster._slices[0].handed_over
+            caster.first_hits(np.zeros(3), direction, 0.2)
+            handed_over = caster._slices[0].handed_over - before
+            own = cpu_us(lambda c=caster, d=direction, n=number: c.first_hits(np.zeros(3), d, 0.01 * next(n)))
+            whole = cpu_us(lambda f=frames, d=direction: rebuilt(f, d), 7)
+            row = f"{len(ball.faces):9d} {len(direction):6d} {handed_over:11d} {own / 1e3:9.2f} {whole / 1e3:10.2f}"
+            print(f"{row} {whole / own:6.1f}")
+
+
+def rebuilt(frames: Frames, direction: np.ndarray) -> None:
+    """embreex alone: vertices at an instant, a structure of all triangles, the cast."""
+    structure = EmbreeScene(robust=True)
+    points = (frames.at(0.2) + np.array([5.0, 0.0, -1.0])).astype(np.float32)
+    TriangleMesh(structure, points, frames.faces.astype(np.int32))
+    structure.run(np.zeros_like(direction, np.float32), direction.astype(np.float32), output=1)
+
+
+def cpu_us(call: Callable[[], object], repeats: int = 40) -> float:
+    """Median CPU time of a call."""
+    call()
+    times = []
+    for _ in range(repeats):
+        begin = time.process_time()
+        call()
+        times.append(time.process_time() - begin)
+    return float(np.median(times)) * 1e6
+
+
 if __name__ == "__main__":
+    if "--deforming" in sys.argv:
+        deforming()
+        sys.exit()
     shipped()
     if "--many" in sys.argv:
         many_actors()

@@ -1,10 +1,21 @@
 """What one scan costs, part by part, beside the raw cast of the same rays. Prints; never fails.
 
-python -m tests.benchmarks.bench_scan [REPEATS]
+python -m tests.benchmarks.bench_scan [REPEATS] [--far]
+
+Medians of CPU time, one thread. `--far` prints instead what actors cost that are out of reach, 10 to 10 000 of them.
 """
 
+# ruff: noqa: E402
 from __future__ import annotations
 
+import os
+
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+import dataclasses
+import json
+import statistics
 import sys
 import tempfile
 import time
@@ -15,6 +26,7 @@ from typing import Any
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
+from ruamel.yaml import YAML
 
 from emulator import raycast, scenario, scene, sensing
 from emulator.scene import Scene
@@ -33,14 +45,15 @@ RAIN_AND_FOG: dict[str, Any] = {
 }
 
 
-def best_ms(work: Callable[[], object], repeats: int) -> float:
-    """Least of several times, which is the least disturbed by others on the machine. [ms]"""
+def median_ms(work: Callable[[], object], repeats: int) -> float:
+    """Median CPU time of several runs after one to warm up. [ms]"""
+    work()
     times = []
     for _ in range(repeats):
-        begin = time.perf_counter()
+        begin = time.process_time()
         work()
-        times.append(time.perf_counter() - begin)
-    return 1e3 * min(times)
+        times.append(time.process_time() - begin)
+    return 1e3 * statistics.median(times)
 
 
 def sweep(step_deg: float, sweep_number: int = 0) -> ScanPlan:
@@ -72,18 +85,25 @@ def raw_cast(world: Scene, origin: Any, direction: Any) -> Callable[[], object]:
 def parts(name: str, measure: Measure, caster: raycast.Caster, plan: ScanPlan, repeats: int) -> None:
     """Print one line of costs."""
     view = measure.view(plan)
-    rays = measure._rays(plan, measure._pose(1e-9 * plan.start_ns + plan.fire_offset_s), plan.fire_offset_s)
-    cast = best_ms(lambda: caster.first_hits(rays.origin_m, rays.direction, rays.t_s), repeats)
-    raw = best_ms(raw_cast(measure._scene, rays.origin_m, rays.direction), repeats)
-    seen = best_ms(lambda: measure.view(plan), repeats)
+    rays = view.rays
+    cast = median_ms(lambda: caster.first_hits(rays.origin_m, rays.direction, rays.t_s), repeats)
+    raw = median_ms(raw_cast(measure._scene, rays.origin_m, rays.direction), repeats)
+    count = iter(range(1_000_000))
+    seen = median_ms(lambda: measure.view(at(plan, next(count))), repeats)
     light = daylight(view.air.sun, rays, view.seen, view.surfaces, caster, measure.model)
     soft = measure._soft.everywhere(view.air)
-    receive = best_ms(lambda: measure._receiver.receive(plan, view.echoes, soft, light), repeats)
-    coded = best_ms(encoding(measure(plan)), 5 * repeats)
-    whole = best_ms(lambda: measure(plan), repeats) + coded
+    # each time as sub-echoes that were not seen before
+    receive = median_ms(lambda: measure._receiver.receive(plan, dataclasses.replace(view.echoes), soft, light), repeats)
+    coded = median_ms(encoding(measure(plan)), 5 * repeats)
+    whole = median_ms(lambda: measure(at(plan, next(count))), repeats) + coded
     allowed = 3.0 * raw + 0.3
-    columns = (raw, cast, seen - cast, receive, coded, whole, whole / raw, allowed, 1e3 * whole / len(plan))
+    columns = (raw, cast, seen, receive, coded, whole, whole / raw, allowed, 1e3 * whole / len(plan))
     sys.stdout.write(f"{name:42s} {len(rays.beam):7d}" + "".join(f"{value:9.2f}" for value in columns) + "\n")
+
+
+def at(plan: ScanPlan, number: int) -> ScanPlan:
+    """The same sweep at its own time, 75 a second."""
+    return dataclasses.replace(plan, sweep=number, start_ns=plan.start_ns + round(number * 1e9 / 75.0))
 
 
 def of(loaded: scenario.Scenario, **changes: Any) -> tuple[Measure, raycast.Caster]:
@@ -104,8 +124,8 @@ def encoding(scan: Scan) -> Callable[[], object]:
 
 
 def main(repeats: int) -> None:
-    sys.stdout.write("times in ms, the best of several; us/beam of the whole\n")
-    names = ("raw", "cast", "paths", "receive", "encode", "whole", "/raw", "3raw+.3", "us/beam")
+    sys.stdout.write("CPU times in ms, medians, one thread; us/beam of the whole; at rest: what rests is kept\n")
+    names = ("raw", "cast", "seen", "receive", "encode", "whole", "/raw", "3raw+.3", "us/beam")
     head = f"{'scene, 361 beams':42s} {'rays':>7s}"
     sys.stdout.write(head + "".join(f"{name:>9s}" for name in names) + "\n")
     plan = sweep(0.5)
@@ -117,20 +137,68 @@ def main(repeats: int) -> None:
         mesh = Path(folder) / "hills.obj"
         hills(mesh, 224)
         world = [plate(60.0, "white"), {"mesh": "hills.obj", "material": "asphalt", "at_m": [0.0, 0.0, -1.0]}]
+        drive = [{"id": "ego", "motion": {"velocity_m_s": [0.5, 0.0, 0.0]}}]
         for name, weather in (("clear", {}), ("fog, rain, sun", RAIN_AND_FOG)):
-            for count in (1, 61):
+            for count, actors in ((1, []), (61, []), (61, drive)):
                 physics = {"rule": "axis" if count == 1 else "spiral", "sub_beams": count}
-                measure = build(Path(folder), world, weather=weather, model="sick-lms291-s05", physics=physics)
+                mount = {"actor": "ego"} if actors else {}
+                measure = build(Path(folder), world, actors=actors, weather=weather, model="sick-lms291-s05",
+                                physics=physics, mount=mount)  # fmt: skip
                 caster = measure._caster
                 assert isinstance(caster, raycast.Caster)
-                parts(f"1e5 triangles, {name}, {count} sub-beams", measure, caster, plan, repeats)
+                told = f"1e5 triangles, {name}, {count}, {'driving' if actors else 'at rest'}"
+                parts(told, measure, caster, plan, repeats)
+        hills(mesh, 171)
+        for name, weather in (("clear", {}), ("fog, rain, sun", RAIN_AND_FOG)):
+            for resting in (True, False):
+                told = f"street of 1e5, {name}, 61, {'at rest' if resting else 'driving'}"
+                parts(told, *of(street(Path(folder), weather, resting)), plan, repeats)
     turn = sweep(1.0)
     measure, _ = of(scenario.load("flat_wall"))
-    one = best_ms(lambda: measure(turn), repeats)
+    one = median_ms(lambda: measure(turn), repeats)
     sys.stdout.write(f"LMS291, 181 beams at 75 Hz: {one:.2f} ms a scan, {1e3 / 75.0 / one:.1f} sensors a core\n")
     measure, _ = of(scenario.load("flat_wall"), rule="axis")
-    one = best_ms(lambda: measure(turn), repeats)
+    one = median_ms(lambda: measure(turn), repeats)
     sys.stdout.write(f"the same, one ray a beam:   {one:.2f} ms a scan, {1e3 / 75.0 / one:.1f} sensors a core\n")
+
+
+def street(folder: Path, weather: dict[str, Any], resting: bool) -> scenario.Scenario:
+    """The scenario `street` on rolling ground, 1e5 triangles in all, as it is or from where its car begins."""
+    loaded = scenario.load("street")
+    text = json.loads(json.dumps(YAML(typ="safe").load(scenario.dump(loaded))))
+    text["world"].append({"mesh": str(folder / "hills.obj"), "material": "asphalt", "at_m": [20.0, 0.0, -4.2]})
+    text["weather"] = weather
+    if resting:
+        pose = scene.build(loaded).sensor_pose(loaded.sensors[0].mount, np.zeros(1))
+        text["sensors"][0]["mount"] = {"at_m": pose.position_m[0].tolist()}
+    return scenario.loads(json.dumps(text), folder / "street.yaml")
+
+
+def far_actors(repeats: int) -> None:
+    """Scans of a wall before which nothing moves, and of actors 2 to 3 km away."""
+    sys.stdout.write("LMS291, 361 beams of 61 sub-beams at rest; CPU ms a scan, medians\n")
+    sys.stdout.write(f"{'far actors':>10s} {'moving':>7s} {'looping':>8s} {'still':>7s} {'moving, in the sun':>19s}\n")
+    for count in (0, 10, 100, 1000, 9_990):
+        row = []
+        for kind in ("moving", "looping", "still", "sun"):
+            with tempfile.TemporaryDirectory() as folder:
+                measure = build(Path(folder), [plate(30.0, "half")], actors=[far_one(k, kind) for k in range(count)],
+                                weather={"sun": {"elevation_deg": 30.0}} if kind == "sun" else {},
+                                model="sick-lms291-s05", physics={"leave_out": {"closed_form": "never"}})  # fmt: skip
+            number = iter(range(1_000_000))
+            row.append(median_ms(lambda m=measure, n=number: m(at(sweep(0.5), next(n))), 75 + repeats))
+        sys.stdout.write(f"{count:10d} {row[0]:7.2f} {row[1]:8.2f} {row[2]:7.2f} {row[3]:19.2f}\n")
+
+
+def far_one(k: int, kind: str) -> dict[str, Any]:
+    """A box somewhere beyond reach."""
+    place = [2000.0 + k % 100 * 10.0, k // 100 * 10.0 - 500.0, -1.0]
+    motion: dict[str, Any] = {"at_m": place, "velocity_m_s": [0.0, 0.0 if kind == "still" else 5.0, 0.0]}
+    if kind == "looping":
+        there = [place[0], place[1] + 30.0, -1.0]
+        turns = [{"t_s": 0.1 * (k % 7), "at_m": place}, {"t_s": 4.0, "at_m": there}, {"t_s": 8.0, "at_m": place}]
+        motion = {"loop": True, "waypoints": turns}
+    return {"id": f"far{k}", "shape": {"box": {"size_m": [4.0, 2.0, 1.5]}}, "material": "half", "motion": motion}
 
 
 def hills(path: Path, side: int) -> None:
@@ -147,4 +215,5 @@ def hills(path: Path, side: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 10)
+    numbers = [int(word) for word in sys.argv[1:] if word.isdigit()]
+    (far_actors if "--far" in sys.argv else main)(numbers[0] if numbers else 10)

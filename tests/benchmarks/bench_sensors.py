@@ -1,8 +1,10 @@
 """How many LMS291 at 0.5 degrees, 37.5 scans a second each, this machine serves in fog and rain, and how steadily.
 
-    python tests/benchmarks/bench_sensors.py [SECONDS]
+    python tests/benchmarks/bench_sensors.py [SECONDS [WORKERS]]
 
-Starts the daemon with 16 sensors, then fewer until none drops a scan; hosts read on pseudo-terminals at 500 kBd.
+First the processor time of one scan, which bears a machine with other work on it, and how many sensors a core could
+measure. Then starts the daemon with 16 sensors, and fewer until none drops a scan; hosts read on pseudo-terminals at
+500 kBd. SECONDS 0: the first alone.
 """
 
 from __future__ import annotations
@@ -44,12 +46,35 @@ SENSOR = (
 )
 
 
-def run(count: int, seconds: float, folder: Path) -> list[dict[str, object]]:
+def scan_ms() -> float:
+    """Median processor time of a scan of the first sensor."""
+    from emulator import assembly, scenario
+    from emulator.trial import Trial
+
+    loaded = scenario.loads(SCENE + SENSOR.format(0, 0.0), Path("many.yaml"), ["duration_s=1"])
+    plans = []
+    trial = Trial(loaded)
+    measure = trial.instruments[0]._measuring.request
+    trial.instruments[0]._measuring.request = lambda sensor, plan, *more: (
+        plans.append(plan) or measure(sensor, plan, *more)
+    )
+    trial.finish()
+    trial.close()
+    function = assembly.build_measures(loaded)["s0"]
+    took = []
+    for plan in plans[-25:] * 2:
+        start = time.process_time()
+        function(plan)
+        took.append(time.process_time() - start)
+    return 1e3 * sorted(took)[len(took) // 2]
+
+
+def run(count: int, seconds: float, folder: Path, workers: str | None) -> list[dict[str, object]]:
     """What `count` sensors did."""
     path = folder / "many.yaml"
     path.write_text(SCENE + "".join(SENSOR.format(index, 0.3 * index) for index in range(count)), encoding="utf-8")
     daemon = subprocess.Popen(
-        [sys.executable, "-m", "emulator", "run", str(path), "--json"],
+        [sys.executable, "-m", "emulator", "run", str(path), "--json", *(["--workers", workers] if workers else [])],
         stdout=subprocess.PIPE,
         text=True,
         cwd=folder,
@@ -77,9 +102,15 @@ def run(count: int, seconds: float, folder: Path) -> list[dict[str, object]]:
 
 def main() -> None:
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 10.0
+    workers = sys.argv[2] if len(sys.argv) > 2 else None
+    cost_ms = scan_ms()
+    rate = 1e3 / cost_ms
+    print(f"{cost_ms:.2f} ms of processor time a scan: a core measures {rate:.0f} scans/s, {rate / 37.5:.1f} sensors")
+    if not seconds:
+        return
     for count in (16, 12, 8, 6, 4, 3, 2, 1):
         with tempfile.TemporaryDirectory() as folder:
-            rows = run(count, seconds, Path(folder))
+            rows = run(count, seconds, Path(folder), workers)
         sent = sum(row["scans_sent"] for row in rows)
         dropped = sum(sum(row["scans_dropped"].values()) for row in rows)
         medians = sorted(row["lateness_us"]["median"] or 0 for row in rows)

@@ -320,6 +320,8 @@ def test_many_triangles_are_built_in_proportion_and_met_where_they_are(tmp_path:
     """98 to 1e7 in the table; 1e6 and 1e7 with time and memory are `tests/benchmarks/bench_triangles.py`."""
     cells = round(np.sqrt(triangles / 2))
     points, faces = uneven_wall(cells)
+    write_ply(tmp_path / "small.ply", *uneven_wall(2))
+    Caster(scene_from(tmp_path, world=[{"mesh": "small.ply", "material": "asphalt"}]))  # libraries are loaded by need
     write_ply(tmp_path / "wall.ply", points, faces)
     tracemalloc.start()
     world = scene_from(tmp_path, world=[{"mesh": "wall.ply", "material": "asphalt"}])

@@ -38,6 +38,23 @@ def test_a_profile_of_any_format_with_its_geometry_is_read(form: int) -> None:
     np.testing.assert_array_equal(read[1], [10.0, np.nan, 2.0])
 
 
+@pytest.mark.parametrize(("form", "amplitude"), [(0x3DFF, 99.0), (0x3FFF, 99.0), (0x39FF, None), (0x0DB8, 99.0)])
+def test_amplitudes_are_read_where_the_format_has_them(form: int, amplitude: float | None) -> None:
+    read = read_profile(profile(form))
+    assert read is not None
+    if amplitude is None:
+        assert read.amplitude is None
+    else:
+        assert read.amplitude is not None
+        np.testing.assert_array_equal(read.amplitude, [amplitude, np.nan, amplitude])
+
+
+def test_direction_0_may_lie_elsewhere() -> None:
+    read = read_profile(profile(0x39FF), np.radians(90.0))
+    assert read is not None
+    np.testing.assert_allclose(np.degrees(read.azimuth_rad), [90.5, 90.0, 89.5], atol=1e-12)
+
+
 @pytest.mark.parametrize("form", [0x0100, 0x39DF, 0x397F, 0x39EF, 0x38FF])
 def test_a_profile_without_its_geometry_or_distances_is_not_read(form: int) -> None:
     assert read_profile(profile(form)) is None
@@ -117,7 +134,7 @@ def test_a_resting_device_is_started_and_left_resting() -> None:
     host.close()
     services = [asked[0] for asked in line.asked]
     assert services == [0x0302, 0x0101, 0x0102, 0x0403, 0x0404, 0x0301, 0x0302, 0x0403, 0x0402]
-    assert line.asked[5] == [0x0301, 0, 0x39FF]
+    assert line.asked[5] == [0x0301, 0, 0x3DFF]
     assert line.closed
 
 
@@ -145,8 +162,19 @@ def test_a_failure_is_told_by_its_service() -> None:
         next(LdHost(line, 38_400).scans(0.01))
 
 
+def test_a_device_that_refuses_amplitudes_is_asked_without_them() -> None:
+    line = device(MEASURING)
+    host = LdHost(line, 38_400)
+    line.pending = request(0xFF00, 0, 3)
+    scan = next(host.scans(0.01))
+    assert line.asked[-2:] == [[0x0301, 0, 0x3DFF], [0x0301, 0, 0x39FF]]
+    assert scan is not None
+    assert scan.intensity is None
+
+
 def test_frames_are_packed_and_read_for_tcp() -> None:
     framing = UspFraming()
+    assert framing.errors == 0
     assert framing.pack(bytes.fromhex("0102")) == bytes.fromhex("02 55 53 50 00 00 00 02 01 02 03")
     long = bytes(2880 * 6)
     assert framing.feed(b"noise" + framing.pack(long) + b"\x02USP") == [long]

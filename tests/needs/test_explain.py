@@ -24,16 +24,26 @@ def told(scene: Scene, model: str = "sick-ld-lrs1000", **options: object) -> dic
 
 
 def test_every_rule_is_told_for_every_sensor_with_and_without_full(capsys: pytest.CaptureFixture[str]) -> None:
-    for more in ((), ("--full",)):
+    for more in ((), ("--full",), ("--quick",)):
         assert main(["explain", "flat_wall", "--json", *more]) == 0
         lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
         assert all([row["term"] for row in line["terms"]] == [rule.name for rule in needs.RULES] for line in lines)
         assert all(line["rays_per_beam"] >= 0.0 and line["sweep_ms"] > 0.0 for line in lines)
 
 
-def test_explain_in_words(capsys: pytest.CaptureFixture[str]) -> None:
+def test_explain_in_words_measures_what_rules_save(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explain", "flat_wall"]) == 0
-    assert "bundles of plain beams" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "bundles of plain beams" in text
+    assert "every rule off: 61.00 rays a beam" in text
+    assert "saves 61.00 rays a beam" in text
+
+
+def test_the_plan_is_that_of_the_device_in_the_scenario(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explain", "standard", "--quick", "--json"]) == 0
+    found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [(line["beams"], line["plan"]) for line in found] == [(1440, "actual"), (361, "actual")]
+    assert found[0]["rays_per_beam"] < 6.1
 
 
 def test_every_switch_is_a_key_of_physics() -> None:
@@ -55,6 +65,7 @@ def test_surfaces_out_of_reach_are_left_out_and_are_not_seen_either_way() -> Non
     far = wall(400.0)
     assert not measure_of(far, "sick-ld-lrs1000")(plan()).actor.max() >= 0
     assert not measure_of(far, "sick-ld-lrs1000", full=True)(plan()).actor.max() >= 0
+    assert not told(far, full=True)["surfaces out of reach"]["left_out"]
 
 
 def test_background_light_and_noise_echoes_are_told_with_bound_and_margin() -> None:

@@ -18,7 +18,7 @@ from emulator.object_metrics import ListedScan, ObjectScore, told
 from emulator.objects.measure import ObjectMeasure
 from emulator.objects.sweeps import SessionSweeps, end_ns, sweeps_of
 from emulator.objects.truth import Witness
-from emulator.scenario import Mount
+from emulator.scenario_tables import Mount
 from emulator.scene import build as build_scene
 from emulator.spec import load_spec
 from emulator.trial import Trial

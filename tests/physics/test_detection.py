@@ -15,6 +15,7 @@ from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.detection import detect
 from emulator.physics.detector import Detector, Echoes, Method
 from emulator.physics.pulse import Pulse, PulseShape
+from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import SubEchoes, cluster
 
 PULSE = Pulse(16e-9)
@@ -290,6 +291,50 @@ def test_the_peak_of_a_spread_echo_falls_by_the_closed_form() -> None:
             assert ranges(found) == pytest.approx([3e3], abs=2e-3)  # far off, the echo is not skew
 
 
+# ------------------------------------------------------------------------------- light outside
+@settings(max_examples=60, derandomize=True, deadline=None)
+@given(
+    method=st.sampled_from(METHODS),
+    rms=st.lists(st.floats(1.0, 30.0), min_size=1, max_size=4),
+    seed=st.integers(0, 2**32 - 1),
+    shot=st.sampled_from([0.0, 0.4]),
+    scale=st.sampled_from([0.0, 3e3, 3e5]),
+)
+def test_a_threshold_that_follows_the_noise_is_all_light_over_that_noise(
+    method: Method, rms: list[float], seed: int, shot: float, scale: float
+) -> None:
+    """Twice the noise is half of everything else: surfaces, medium, clipping, floor and shot noise.
+
+    Of a medium, what is under a thousandth of the nominal noise is left out: up to 0.2 mm on the slope of an echo, more
+    where the top is flat or a whole pulse is weighed.
+    """
+    exact = 2e-3 if scale else 2e-6
+    rng = np.random.default_rng(seed)
+    n, m = len(rms), 9
+    r = np.sort(10.0 + rng.choice([1.0, 8.0, 40.0]) * rng.random((n, m)), axis=1)
+    a = 10.0 ** rng.uniform(-1.0, 3.0, (n, m))
+    normals = rng.standard_normal((n, 4))
+    made = SubEchoes.from_grid(r, a, np.full((n, m), 1.0 / m))
+
+    def fog(size: float) -> SoftProfile | None:
+        step = 0.5 * SPEED_OF_LIGHT_M_S * 1e-9
+        return SoftProfile.of_medium(PULSE, step, size, 0.02, 1e-3, 0.5, 3.0, 80.0) if size else None
+
+    def detector(over: float, *, follows: bool) -> Detector:
+        return Detector(
+            PULSE, 5.0, method, keep="all", max_echoes=4, bin_s=1e-9, full_scale=800.0 / over,
+            shot_factor=shot / over, floor_m2=90.0 / over, follows_noise=follows,
+        )  # fmt: skip
+
+    found = detect(made, n, detector(1.0, follows=True), normals=normals, noise=np.array(rms), soft=fog(scale))
+    for beam, over in enumerate(rms):
+        own = SubEchoes.from_grid(r[beam : beam + 1], a[beam : beam + 1] / over, np.full((1, m), 1.0 / m))
+        alone = detect(own, 1, detector(over, follows=False), normals=normals[beam : beam + 1], soft=fog(scale / over))
+        assert found.range_m[beam] == pytest.approx(alone.range_m[0], abs=exact, nan_ok=True)
+        assert found.amplitude[beam] == pytest.approx(over * alone.amplitude[0], rel=exact, nan_ok=True)
+        assert found.saturated[beam].tolist() == alone.saturated[0].tolist()
+
+
 # ------------------------------------------------------------------------------- saturation, recovery, gates
 @pytest.mark.parametrize("method", METHODS)
 def test_a_huge_echo_is_clipped_marked_and_keeps_its_range(method: Method) -> None:
@@ -440,8 +485,10 @@ def test_ranges_stay_within_the_pulse_at_the_threshold_where_the_formula_has_its
 
 def test_shot_noise_of_the_signal_and_the_sun_widen_the_scatter() -> None:
     calm = np.nanstd(many(100.0, 5000)[0].range_m)
-    shot = np.nanstd(many(100.0, 5000, shot_factor=0.03)[0].range_m)  # variance times four
+    shot = np.nanstd(many(100.0, 5000, shot_factor=0.6)[0].range_m)  # at the crossing 1 + 0.6 * 5
     assert shot / calm == pytest.approx(2.0, rel=0.1)  # the edge is not straight over two noise rms
+    tall = np.nanstd(many(1000.0, 5000, shot_factor=0.6)[0].range_m)
+    assert tall / np.nanstd(many(1000.0, 5000)[0].range_m) == pytest.approx(2.0, rel=0.1)  # not of the peak behind it
     rng = np.random.default_rng(11)
     echoes = SubEchoes.of(np.arange(5000), np.full(5000, 30.0), np.full(5000, 100.0))
     sun = detect(echoes, 5000, Detector(PULSE, 5.0), normals=rng.normal(size=(5000, 4)), noise=2.0)

@@ -11,6 +11,7 @@ from emulator.physics import atmosphere, softtarget
 from emulator.physics.arrays import Floats
 from emulator.physics.detection import detect
 from emulator.physics.detector import Detector
+from emulator.physics.ownecho import OwnEchoes
 from emulator.physics.pulse import Pulse
 from emulator.physics.softprofile import MARK, SoftProfile
 from emulator.physics.subechoes import SubEchoes, cluster
@@ -142,3 +143,46 @@ def test_fog_of_a_gaussian_pulse_is_its_convolution() -> None:
     node, piece = soft.nodes()
     exact = float(np.trapezoid(density * pulse.profile(3.0 - r), r))
     assert float(np.sum(piece * pulse.profile(3.0 - node))) == pytest.approx(exact, rel=3e-3)
+
+
+# ------------------------------------------------------------------------------- its own echo, and faint under others
+@pytest.mark.parametrize("floor_noise", [1.0, 3.0])
+@pytest.mark.parametrize("size", [2e2, 2e3, 2e4])
+def test_a_medium_beside_short_clusters_is_as_if_all_were_sampled(size: float, floor_noise: float) -> None:
+    """Beams with nothing, with surfaces behind the medium's echo, at its edge, in it, and spread ones."""
+    pulse = Pulse(4e-9)
+    soft = SoftProfile.of_medium(pulse, pulse.fwhm_m / 16.0, size, 0.01, 1e-3, 0.3, 1.0, 80.0)
+    assert soft is not None
+    rng = np.random.default_rng(7)
+    beams, members = 60, 8
+    start = np.linspace(0.5, 40.0, beams)[:, None]
+    spread = np.where(np.arange(beams) % 3 == 0, 3.0, 0.3)[:, None]
+    range_m = np.sort(start + spread * rng.random((beams, members)), axis=1)
+    amplitude = 10.0 ** rng.uniform(0.0, 2.5, (beams, 1)) * rng.random((beams, members))
+    amplitude[::7] = 0.0
+    echoes = SubEchoes.from_grid(range_m, amplitude, np.full((beams, members), 0.9 / members) * (amplitude > 0.0))
+    normals = rng.standard_normal((beams, 4))
+    closed, sampled = (
+        detect(
+            echoes, beams,
+            Detector(pulse, 5.0, keep="all", max_echoes=4, resolution_m=1e-3, sampled=every, follows_noise=True),
+            normals=normals, noise=floor_noise, soft=soft,
+        )
+        for every in (False, True)
+    )  # fmt: skip
+    assert int(closed.count.sum()) > beams / 2
+    np.testing.assert_array_equal(closed.count, sampled.count)
+    np.testing.assert_allclose(closed.range_m, sampled.range_m, rtol=0.0, atol=1e-3)
+    np.testing.assert_allclose(closed.amplitude, sampled.amplitude, rtol=2e-3, atol=1e-2)
+
+
+def test_the_echo_of_a_medium_alone_rises_as_its_samples_do() -> None:
+    pulse = Pulse(4e-9)
+    soft = SoftProfile.of_medium(pulse, pulse.fwhm_m / 16.0, 1e4, 0.01, 1e-3, 0.3, 1.0, 80.0)
+    assert soft is not None
+    own = OwnEchoes.of(soft, np.array([False, True, True, True]))
+    level = np.array([0.3, 0.9, 1.1]) * own.height
+    found = own.crossing(level)
+    assert own.beam.tolist() == [1, 2, 3]
+    assert soft.wave(found[:2]) == pytest.approx(level[:2], rel=1e-9)
+    assert found[2] == own.centre_m

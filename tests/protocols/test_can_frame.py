@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from protocols import can_frame
 from protocols.can_frame import (
     EXTENDED,
     MAX_EXTENDED_ID,
@@ -64,6 +65,22 @@ def test_the_checksum_used_here_has_the_published_check_value() -> None:
     assert crc15([bit for byte in b"123456789" for bit in written(byte, 8)]) == 0x059E
 
 
+def test_the_tables_are_what_single_bits_make() -> None:
+    for byte, row in enumerate(can_frame._crc_table()):
+        assert row == crc15(written(byte, 8))
+    for state in (0, 1, 2, 3, 5, 6, 7, 8):  # five equal bits are followed by a stuff bit at once
+        for bits in range(256):
+            stream = [state // 5] * (state % 5 + 1)
+            before = len(stream)
+            for bit in written(bits, 8):
+                stream.append(bit)
+                if len(stream) >= 5 and len(set(stream[-5:])) == 1:
+                    stream.append(1 - bit)
+            run = next((n for n in range(1, len(stream)) if stream[-n - 1] != stream[-1]), len(stream))
+            expected = 5 * stream[-1] + run - 1, len(stream) - before - 8
+            assert can_frame._stuff_row(state, bits, 8) == expected
+
+
 @given(peers, payloads)
 def test_every_frame_is_as_long_as_when_it_is_built_bit_by_bit(peer: int, data: bytes) -> None:
     assert frame_bits(peer, data) == length_bit_by_bit(peer, data)
@@ -98,6 +115,17 @@ def test_the_lower_identifier_wins_and_a_standard_frame_beats_an_extended_one_of
 )
 def test_only_identifiers_that_fit_their_kind_are_identifiers(peer: int, legal: bool) -> None:
     assert is_identifier(peer) is legal
+
+
+def test_the_bus_compares_eleven_bits_then_the_kind_then_eighteen_bits() -> None:
+    assert arbitration_key(0x2A5) == (0x2A5, 0, 0)
+    assert arbitration_key(0x2A5 << 18 | 0x31234 | EXTENDED) == (0x2A5, 1, 0x31234)
+
+
+def test_a_bus_counts_whole_bits() -> None:
+    assert frames_bits([1, 2], [b"", b"\xff" * 8]).dtype == frames_bits([], []).dtype == "int64"
+    with pytest.raises(ValueError, match="zip"):
+        frames_bits([1, 2], [b""])
 
 
 def test_an_extended_identifier_beyond_29_bits_is_none() -> None:

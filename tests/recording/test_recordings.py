@@ -11,8 +11,6 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 from emulator import scenario
@@ -20,11 +18,12 @@ from emulator.cli import main
 from emulator.recording.can_logs import LoggedFrame, candump_line, read_candump, read_with_library, write_with_library
 from emulator.recording.compare import differences
 from emulator.recording.layout import decode_scan
-from emulator.recording.pcapng import PcapngWriter, read_segments, stream_of
+from emulator.recording.playback import ReplaySession, open_players
 from emulator.recording.reader import RecordedRun, WireOf, WirePayload, read_run, read_wire
 from emulator.recording.writer import RecordingError
 from emulator.transcript import Transcript
 from emulator.trial import Trial, run_trial
+from emulator.view.recorded import RecordedSource
 from emulator.watching import Payload
 
 CASE = """\
@@ -77,6 +76,21 @@ def test_scans_carry_their_truth_and_events_their_reason(folder: Path) -> None:
     assert scan.actor[middle, 0] == 0
     kinds = {row["event"] for _, _, row in run.events}
     assert {"Restarted", "CommandHandled"} <= kinds
+
+
+def test_a_scan_shown_from_a_recording_has_the_instants_of_its_beams(folder: Path) -> None:
+    run = read_run(folder)
+    for sensor in ("front", "top"):
+        assert len(run.offsets[sensor]) == len(run.scans[sensor])
+        last = run.offsets[sensor][-1]
+        assert last is not None
+        shown = RecordedSource(folder)
+        shown.order("seek", {"to_s": 1e-9 * run.scans[sensor][-1].start_ns})
+        fire_s = shown.frame().scans[sensor].fire_s
+        assert fire_s.tolist() == last.tolist()
+        assert 0.0 < np.ptp(fire_s) < 0.2
+    # an LMS291 turns at 75 Hz: 100 degrees of a turn
+    assert run.offsets["front"][-1][-1] - run.offsets["front"][-1][0] == pytest.approx(100 / 360 / 75)  # type: ignore[index]
 
 
 def test_a_strangers_reader_finds_the_same_messages(folder: Path) -> None:
@@ -152,6 +166,15 @@ def test_diff_names_the_first_byte_and_beam(folder: Path, tmp_path: Path, capsys
     assert any("beam" in row["what"] and "range_m" in row["what"] for row in rows)
 
 
+def test_what_cannot_be_compared_or_sent_is_named(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["diff", str(folder), str(tmp_path / "nowhere")]) == 2
+    assert "nowhere: no such file or folder" in capsys.readouterr().err
+    assert main(["replay", str(folder / "scenario.yaml"), "--at-once"]) == 2
+    assert "scenario.yaml: a scenario; want a recording" in capsys.readouterr().err
+
+
 def test_diff_sees_an_instant_a_peer_a_missing_payload_and_an_object(folder: Path) -> None:
     one = WirePayload(10, 20, b"abc", 1, 9600)
     changes = {
@@ -202,48 +225,42 @@ def test_candump_lines_are_plain_and_read_back() -> None:
 @pytest.mark.parametrize("suffix", [".blf", ".asc"])
 def test_blf_and_asc_hold_the_same_frames(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"bus{suffix}"
-    write_with_library(path, FRAMES)
+    write_with_library([path], FRAMES)
     found = read_with_library(path)
     assert [(one.peer, one.data) for one in found] == [(one.peer, one.data) for one in FRAMES]
     gaps = np.diff([one.at_ns for one in found])
     assert gaps == pytest.approx(np.diff([one.at_ns for one in FRAMES]), abs=1500)
     with can.LogReader(path) as log:
-        assert sum(1 for _ in log) == 3
+        instants = [one.timestamp for one in log]  # since the start of the run, as in the other files
+    assert instants == pytest.approx([1e-9 * one.at_ns for one in FRAMES], abs=1e-6)
 
 
-def test_a_capture_of_a_stream_reads_back_without_repeats(tmp_path: Path) -> None:
-    path = tmp_path / "x.pcapng"
-    writer = PcapngWriter(path, "top")
-    big = bytes(range(256)) * 600
-    writer.add(5, b"hello", True, 49152, 1, False)
-    writer.add(7, b"request", False, 49152, 1, False)
-    writer.add(9, big, True, 49152, 1, False)
-    writer.close()
-    data = path.read_bytes()
-    assert b"".join(part for _, part in stream_of(read_segments(data), 49152)) == b"hello" + big
-    assert stream_of(read_segments(data), 49152)[0] == (5, b"hello")
-    doubled = list(read_segments(data)) + list(read_segments(data))
-    assert b"".join(part for _, part in stream_of(iter(doubled), 49152)) == b"hello" + big
+def test_replay_keeps_the_time_between_links_from_round_to_round() -> None:
+    def wire(sensor: str, *at_ms: int) -> WireOf:
+        payloads = [WirePayload(at * 10**6, at * 10**6, bytes([at])) for at in at_ms]
+        return WireOf(sensor, 0, "stream", f"loop:{sensor}", payloads)
+
+    players = open_players([wire("early", 20, 30), wire("late", 90)], {}, gap_ns=5 * 10**6)
+    sent = []
+    for player in players:
+        session = player.session
+        assert isinstance(session, ReplaySession)
+        session.loops = 2
+        session.start(0)
+        while (due_ns := session.next_deadline()) is not None:
+            sent += [(due_ns // 10**6, one.payload[0]) for one in session.take_emissions(due_ns)]
+    assert sorted(sent) == [(0, 20), (10, 30), (70, 90), (75, 20), (85, 30), (145, 90)]
 
 
-def test_a_classic_pcap_with_ethernet_frames_is_read(tmp_path: Path) -> None:
-    # made by hand from the formats' descriptions: Ethernet, IPv4, UDP from port 2111 with two bytes
-    packet = bytes(12) + b"\x08\x00" + bytes.fromhex("4500001e000000004011 0000 7f000001 7f000001".replace(" ", ""))
-    packet += struct.pack(">HHHH", 2111, 5000, 10, 0) + b"hi"
-    head = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
-    path = tmp_path / "x.pcap"
-    path.write_bytes(head + struct.pack("<IIII", 12, 500, len(packet), len(packet)) + packet)
-    assert list(stream_of(read_segments(path.read_bytes()), 2111)) == [(12_000_500_000, b"hi")]
-    assert read_wire(path, port=2111)[0].payloads[0].data == b"hi"
-    with pytest.raises(RecordingError, match="--port"):
-        read_wire(path, port=1)
-
-
-@given(st.binary(max_size=200))
-@settings(max_examples=60)
-def test_any_bytes_behind_a_captures_magic_end_it_quietly(data: bytes) -> None:
-    for magic in (b"\x0a\x0d\x0d\x0a", b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\x3c\x4d"):
-        list(read_segments(magic + data))
+def test_diff_reads_logs_of_other_tools(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = [*FRAMES[:1], FRAMES[1]._replace(data=bytes(8)), *FRAMES[2:]]
+    for ending in (".blf", ".asc"):
+        one, two = tmp_path / f"one{ending}", tmp_path / f"two{ending}"
+        write_with_library([one], FRAMES)
+        write_with_library([two], other)
+        assert main(["diff", str(one), str(one)]) == 0
+        assert main(["diff", str(one), str(two)]) == 1
+        assert "payload 1, byte 1: 01 and 00" in capsys.readouterr().out
 
 
 def test_a_raw_serial_dump_takes_the_time_of_its_line(tmp_path: Path) -> None:

@@ -118,3 +118,18 @@ def test_seed_and_links_replace_the_files(tmp_path: Path) -> None:
 def test_a_file_that_is_no_table_cannot_be_changed() -> None:
     with pytest.raises(ScenarioError, match="--set seed=1: the file is not a table"):
         loads("[1, 2]", Path("x.yaml"), ["seed=1"])
+
+
+def test_null_takes_away_a_list_and_a_key_that_may_not_be_null() -> None:
+    changes = "weather.changes=[{t_s: 1, fog: {visibility_m: 50}}]"
+    assert read(changes).weather.changes
+    assert read(changes, "weather.changes=null").weather.changes == ()
+    assert read("seed=4", "seed=null").seed == read().seed
+    assert "sensors[0].id: missing" in told("sensors.front.id=null")
+    assert "did you mean weather?" in told("wether=null")
+
+
+def test_null_ends_weather_within_a_change() -> None:
+    fog = "weather.fog.visibility_m=50"
+    change = "weather.changes=[{t_s: 1, fog: {visibility_m: 20}}]"
+    assert read(fog, change, "weather.changes.0.fog=null").weather.at(2.0).fog is None

@@ -110,11 +110,11 @@ BAD = [
     ("world:\n  - {box: {size_m: [1, 2, 0]}, material: brick}\n",
      "test.yaml:3: world[0].box.size_m[2]: 0; want a number > 0"),
     ("world:\n  - {material: brick}\n",
-     "test.yaml:3: world[0]: no shape; want exactly one of mesh, plane, box, cylinder, sphere"),
+     "test.yaml:3: world[0]: no shape; want exactly one of mesh, frames, plane, box, cylinder, sphere"),
     ("world:\n  - {plane: {size_m: [1, 1]}, box: {size_m: [1, 1, 1]}, material: brick}\n",
-     "test.yaml:3: world[0]: plane and box; want exactly one of mesh, plane, box, cylinder, sphere"),
+     "test.yaml:3: world[0]: plane and box; want exactly one of mesh, frames, plane, box, cylinder, sphere"),
     ("world:\n  - {sphere: {radius_m: 1}, scale: 2, material: brick}\n",
-     "test.yaml:3: world[0]: sphere with up or scale; want these for a mesh only"),
+     "test.yaml:3: world[0]: sphere with up or scale; want these for mesh or frames only"),
     ("world:\n  - {sphere: {radius_m: 1, segments: 3}, material: brick}\n",
      "test.yaml:3: world[0].sphere.segments: 3; want a number >= 4"),
     ("world:\n  - mesh: meshes/none.glb\n", "test.yaml:3: world[0].mesh: 'meshes/none.glb': no such file in .; want"),
@@ -169,6 +169,16 @@ BAD = [
     ("sensors: [{id: s, model: can-ars408}]\n", "test.yaml:2: sensors.s.from: missing; want the sensors that can-ars"),
     ("sensors: [{id: s, model: can-ars408, from: [x]}]\n", "test.yaml:2: sensors.s.from[0]: 'x'; want none"),
     ("weather: {fog: {visibility_m: -20.0}}\n", "test.yaml:2: weather.fog.visibility_m: -20.0; want a number > 0"),
+    ("weather: {plumes: [{at_m: [0, 0, 0], size_m: [1, 2e9, 1], extinction_per_m: 0.1}]}\n",
+     "test.yaml:2: weather.plumes[0].size_m[1]: 2000000000.0; want a number <= 1e+09"),
+    ("weather: {plumes: [{at_m: [0, -3e9, 0], size_m: [1, 1, 1], extinction_per_m: 0.1}]}\n",
+     "test.yaml:2: weather.plumes[0].at_m[1]: -3000000000.0; want a number >= -1e+09"),
+    ("weather: {layers: [{top_m: 5e9, extinction_per_m: 0.1}]}\n",
+     "test.yaml:2: weather.layers[0].top_m: 5000000000.0; want a number <= 1e+09"),
+    ("weather: {layers: [{top_m: 5, extinction_per_m: 1e7}]}\n",
+     "test.yaml:2: weather.layers[0].extinction_per_m: 10000000.0; want a number <= 1e+06"),
+    ("weather: {spray: {length_m: 1e12}}\n",
+     "test.yaml:2: weather.spray.length_m: 1000000000000.0; want a number <= 1e+09"),
     ("weather: {fgo: {}}\n", "test.yaml:2: weather.fgo: unknown key; did you mean fog? want one of "),
     ("weather: {spray: {behind: [x]}}\n", "test.yaml:2: weather.spray.behind[0]: 'x'; want none: there are none"),
     ("materials: {mine: {rho: 2}}\n", "test.yaml:2: materials.mine.rho: 2; want a number from 0 to 1"),
@@ -215,18 +225,8 @@ def test_a_file_that_is_no_table_is_refused(text: str) -> None:
         loads(text, Path("x.yaml"))
 
 
-def test_unbuilt_parts_are_refused_by_name_and_empty_ones_pass() -> None:
-    from emulator.scenario_checks import NOT_BUILT
-
+def test_empty_parts_pass() -> None:
     read("faults: []\nexpect: []\nrecord: {}\n")
-    given = {
-        "faults": "[{at_s: 1, on: front, do: power_cycle, off_s: 3}]",
-        "expect": "[{that: front.scans_per_s, within: [37.4, 37.6]}]",
-        "record": "{wire: true}",
-    }
-    for key in NOT_BUILT:
-        (told,) = faults(f"{SENSOR}{key}: {given[key]}\n")
-        assert told.startswith(f"test.yaml:3: {key}: {NOT_BUILT[key]}; want this key left out")
 
 
 def test_more_actors_than_fit_are_refused() -> None:

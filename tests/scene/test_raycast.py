@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emulator import structures, triangles
+from emulator import raycast, structures, triangles
 from emulator.motion import Steady, Waypoints, rotation_matrix
 from emulator.raycast import BLOCK, Caster, Hits
 from emulator.triangles import Geometry, checked
@@ -457,6 +457,54 @@ def test_threads_may_share_a_caster() -> None:
         thread.join()
     for one, other in zip(want, got, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+# ---------------------------------------------------------------- rays that come again
+
+
+@given(seed=st.integers(0, 100_000))
+@settings(max_examples=10, deadline=None)
+def test_rays_that_come_again_meet_bit_by_bit_what_they_would_meet_anew(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    shapes = [(triangles.plane(80.0, 80.0), Steady((0.0, 0.0, -3.0)))] if rng.random() < 0.5 else []
+    for k in range(int(rng.integers(1, 30))):
+        geometry = [triangles.box(1.0, 2.0, 1.0), triangles.sphere(1.8, 8)][k % 2]
+        at, velocity = rng.normal(size=3) * 6.0, rng.normal(size=3) * float(rng.choice([0.0, 20.0]))
+        shapes.append((geometry, Steady(tuple(at), *rng.uniform(-90, 90, 3), tuple(velocity))))
+    caster, fresh = (Caster(scene_of(*shapes)) for _ in range(2))
+    origin, direction = random_rays(int(rng.choice([3, 500, 9000])), seed, 0.5)
+    far = float(rng.choice([np.inf, 7.0]))
+    for t_s in (0.0, 0.3, 0.3, 0.6):
+        times = t_s + np.linspace(0.0, 0.1, len(origin))
+        got = caster.first_hits(origin, direction, times, max_range_m=far, again=True)
+        want = fresh.first_hits(origin, direction, times, max_range_m=far)
+        for name, column in vars(want).items():
+            np.testing.assert_array_equal(getattr(got, name), column, err_msg=name)
+
+
+def test_rays_that_come_again_are_cast_on_nothing_that_rests(monkeypatch: pytest.MonkeyPatch) -> None:
+    car = (triangles.box(4.0, 2.0, 1.5), Steady((5.0, -20.0, -0.7), velocity_m_s=(0.0, 10.0, 0.0)))
+    caster = Caster(scene_of((triangles.plane(60.0, 60.0), WALL), car))
+    direction, origin, cast_rays = fan(720, 120.0), np.zeros((720, 3)), []
+    real = raycast._run
+    monkeypatch.setattr(raycast, "_run", lambda structure, start, *rest: cast_rays.append(len(start)) or real(
+        structure, start, *rest))  # fmt: skip
+    far_away = [caster.first_hits(origin, direction, t_s, again=True) for t_s in (-1.0, -0.9)]
+    assert sum(cast_rays) == 720
+    assert far_away[0] is far_away[1]
+    with pytest.raises(ValueError, match="read-only"):
+        far_away[0].range_m[0] = 0.0
+    near = caster.first_hits(origin, direction, 2.0, again=True)
+    assert 720 < sum(cast_rays) < 1200
+    assert set(near.actor) == {1, 2}
+
+
+def test_rays_kept_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(raycast, "FAN_RAYS_KEPT", 1000)
+    caster = Caster(scene_of((triangles.plane(60.0, 60.0), WALL)))
+    for k in range(9):
+        caster.first_hits(np.zeros((300, 3)), fan(300, 100.0 + k), 0.0, again=True)
+    assert sum(len(fan_.direction) for fan_ in caster._fans) == 900
 
 
 # ---------------------------------------------------------------- cost

@@ -120,6 +120,18 @@ def test_an_obj_file_has_its_materials_or_groups_as_parts(tmp_path: Path) -> Non
     assert load(tmp_path / "q.obj").parts == ("q",)
 
 
+def test_an_stl_is_read_the_same_whatever_guesses_encodings_here(tmp_path: Path) -> None:
+    corners = b"vertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n"
+    text = b"solid \xc3\xbc\nfacet normal 0 0 1\nouter loop\n" + corners + b"endloop\nendfacet\nendsolid\n"
+    (tmp_path / "text.stl").write_bytes(text)
+    triangle = np.array([0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0], np.float32).tobytes() + b"\0\0"
+    (tmp_path / "binary.stl").write_bytes(b"\xfcnot UTF-8".ljust(80) + b"\x01\0\0\0" + triangle)
+    assert len(load(tmp_path / "text.stl").faces) == len(load(tmp_path / "binary.stl").faces) == 1
+    (tmp_path / "latin.stl").write_bytes(text.replace(b"\xc3\xbc", b"\xfc"))
+    with pytest.raises(SceneError, match="neither binary nor text in UTF-8"):
+        load(tmp_path / "latin.stl")
+
+
 @pytest.mark.parametrize(
     ("name", "content", "told"),
     [

@@ -124,16 +124,22 @@ def waves(measure: Measure, beams: Floats) -> Any:
     return measure(plan(beams))
 
 
-def test_a_plume_as_points_and_fog_as_a_table_give_the_same_echo(tmp_path: Path) -> None:
-    """Fog everywhere against a plume of the same fog that holds everything."""
-    physics = {**AXIS, "detection": "peak", "threshold_to_noise": 2.0}
+@pytest.mark.parametrize("into_the_sun", [False, True])
+def test_a_plume_as_points_and_fog_as_a_table_give_the_same_echo(tmp_path: Path, into_the_sun: bool) -> None:
+    """Fog everywhere against a plume of the same fog that holds everything, before a wall and before the sun."""
+    physics = {**AXIS, "detection": "peak", "threshold_to_noise": 2.0, "background": into_the_sun}
+    world = [] if into_the_sun else [plate(12.0, "half")]
+    sky = {"sun": {"azimuth_deg": 0.0, "elevation_deg": 0.001}}
     fog = {"fog": {"visibility_m": 60.0}}
-    everywhere = build(tmp_path, [plate(12.0, "half")], weather=fog, physics=physics)(plan())
+    everywhere = build(tmp_path, world, weather={**fog, **sky}, physics=physics)(plan())
     box = {"at_m": [0.0, 0.0, -500.0], "size_m": [1e3, 1e3, 1e3], **fog}
-    points = build(tmp_path, [plate(12.0, "half")], weather={"plumes": [box]}, physics=physics)(plan())
-    assert np.isfinite(everywhere.range_m).sum() == 2
+    points = build(tmp_path, world, weather={"plumes": [box], **sky}, physics=physics)(plan())
+    assert np.isfinite(everywhere.range_m).sum() == (1 if into_the_sun else 2)
     assert points.range_m == pytest.approx(everywhere.range_m, abs=5e-3, nan_ok=True)
     assert points.intensity == pytest.approx(everywhere.intensity, rel=5e-3, nan_ok=True)
+    if into_the_sun:
+        dark = build(tmp_path, world, weather=fog, physics=physics)(plan())
+        assert everywhere.intensity[0, 0] < 0.8 * dark.intensity[0, 0]
 
 
 @pytest.mark.parametrize("wall_m", [5.0, 12.0, 18.5, 19.0, 19.5, 20.0, 21.0, 25.0])
@@ -158,7 +164,8 @@ def test_smoke_from_a_fire_is_an_echo_of_its_own_before_the_wall(tmp_path: Path)
 def test_clear_air_and_distant_haze_leave_the_soft_target_out(tmp_path: Path) -> None:
     for weather in ({}, {"fog": {"visibility_m": 200_000.0}}):
         measure = build(tmp_path, WALL, weather=weather, physics={**AXIS, "near_gate_m": 10.0})
-        assert measure._soft.everywhere(measure.air.at(0.0)) is None
+        made = measure._soft.everywhere(measure.air.at(0.0))
+        assert made is None or made.until_m < 30.0  # no echo, and it shifts the nearest ones alone
 
 
 def test_rain_drops_that_are_seen_alone_come_as_often_as_their_closed_form_says(tmp_path: Path) -> None:

@@ -233,7 +233,7 @@ def test_nothing_is_reported_from_before_the_near_gate_or_behind_the_gate(tmp_pa
 
 
 def test_a_systematic_error_moves_every_range(tmp_path: Path) -> None:
-    physics = {**QUIET, "rule": "axis", "systematic_mm": 35.0}
+    physics = {**QUIET, "rule": "axis", "systematic_mm": 35.0, "weather_echoes": False}
     scan = build(tmp_path, [plate(8.0, "white")], physics=physics)(plan())
     assert scan.range_m[0, 0] == pytest.approx(8.035, abs=1e-6)
 

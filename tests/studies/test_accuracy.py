@@ -14,6 +14,7 @@ import pytest
 
 from emulator.cli import main
 from emulator.physics import adaptive, radiometry
+from emulator.physics_options import LeaveOut
 from emulator.spec import list_models, load_spec
 from emulator.studies import accuracy, accuracy_knobs, accuracy_rules
 from emulator.studies.accuracy_acceptance import DEFAULT, SEED_RAD, WIDE_RAD, plane_errors
@@ -33,6 +34,7 @@ TINY = replace(
     phases=10,
     point_counts=(61,),
     scenarios=("bumper",),
+    alone=("flat_wall",),
 )
 EDGES = 1200
 
@@ -177,6 +179,13 @@ def test_adaptive_through_the_product_counts_the_rays_it_casts(scene: Edges) -> 
     assert max(errors.energy for errors in split.errors) < 3e-3
 
 
+def test_adaptive_through_the_product_reaches_five_in_ten_thousand_with_at_most_a_thousand_rays() -> None:
+    with Edges(1, 100) as many:
+        run = many.run("adaptive", 5)
+    assert run.rays <= 1000.0
+    assert run.errors[0].energy <= 5e-4
+
+
 # ------------------------------------------------------------------------------- other settings
 def test_bins_of_one_nanosecond_cost_a_tenth_of_a_millimetre_at_the_peak() -> None:
     assert 1e3 * accuracy_knobs.product_error(1.0, "peak") <= 0.2
@@ -203,6 +212,18 @@ def test_fewer_instants_of_a_sweep_err_by_speed_times_interval() -> None:
     assert table.numbers("range_error_m")[-1] == pytest.approx(0.0, abs=1e-9)
 
 
+def test_each_rule_of_leaving_out_is_told_alone_and_with_all(tiny: Report) -> None:
+    table = tiny.table("accuracy_leaving")
+    told = table.column("rule")
+    assert told == ["every rule off", *(f"{key} alone" for key in LeaveOut.model_fields), "all as they come"]
+    rays = dict(zip(told, table.numbers("rays"), strict=True))
+    assert rays["every rule off"] == float(DEFAULT)
+    assert rays["resting alone"] == 0.0  # a wall before a sensor at rest is cast once
+    assert rays["clear_air alone"] == rays["faint alone"] == float(DEFAULT)
+    assert rays["closed_form alone"] < 0.1 * DEFAULT  # all but the beams at the wall's ends see one plane
+    assert rays["all as they come"] == 0.0
+
+
 # ------------------------------------------------------------------------------- what follows
 def test_the_number_needed_lies_on_the_line_between_points() -> None:
     assert accuracy_rules.needed([10.0, 1000.0], [1e-1, 1e-3], 1e-2) == pytest.approx(100.0)
@@ -212,11 +233,27 @@ def test_the_number_needed_lies_on_the_line_between_points() -> None:
 
 
 def test_the_sensors_use_what_the_study_recommends() -> None:
+    targets = [accuracy_rules.edges(EDGES, np.random.default_rng(5 + k)) for k in range(3)]
+    needed: dict[str, float] = {}
+    for rule in FIXED:
+        counts, errors = [], []
+        for n in (16, 32, DEFAULT, 128):
+            found = [accuracy_rules.fixed_error(rule, n, one, np.random.default_rng(1)) for one in targets]
+            counts.append(float(found[0][0]))
+            errors.append(float(np.median([error for _, error in found])))
+        number = accuracy_rules.needed(counts, errors, 2e-2)
+        if number is not None:
+            needed[rule] = number
+    assert needed["spiral"] <= accuracy.TIE * min(needed.values())  # so the spiral is advised
+    assert 0.5 * DEFAULT < needed["spiral"] <= DEFAULT  # the default has a margin and no waste
+    rays = {}
     for model in list_models():
         bundle = load_spec(model).bundle
         if bundle is not None:
             assert bundle.rule.value == "spiral"
-            assert bundle.sub_beams.value >= DEFAULT
+            rays[model] = bundle.sub_beams.value
+    assert set(rays.values()) == {DEFAULT, 256}
+    assert [model for model, count in rays.items() if count == 256] == ["paper-905nm"]  # few beams, as the page says
 
 
 @pytest.fixture(scope="module")
@@ -246,7 +283,14 @@ def test_a_run_writes_page_pictures_and_tables(
     page = (folder / "accuracy.html").read_text(encoding="utf-8")
     assert "defaults follow: rule spiral, 61" in page
     assert "http://" not in page
-    for name in ("accuracy_time", "accuracy_rays", "accuracy_quantities", "accuracy_efficiency", "accuracy_settings"):
+    for name in (
+        "accuracy_time",
+        "accuracy_rays",
+        "accuracy_quantities",
+        "accuracy_efficiency",
+        "accuracy_settings",
+        "accuracy_leaving",
+    ):
         assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
     with (folder / "accuracy_path.csv").open(encoding="utf-8") as file:
         assert {row["rule"] for row in csv.DictReader(file)} == {*FIXED, "adaptive"}

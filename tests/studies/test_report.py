@@ -63,3 +63,9 @@ def test_a_folder_that_is_a_file_is_an_error_with_its_name(tmp_path: Path) -> No
         report.prepare(tmp_path / "file")
     report.prepare(tmp_path / "new" / "folder")
     assert list((tmp_path / "new" / "folder").iterdir()) == []
+
+
+def test_names_between_backticks_are_code_and_nothing_else_becomes_html() -> None:
+    pytest.importorskip("jinja2", reason="extra `report` is not installed")
+    found = report.with_code("set `full: <b>` & `x`, a lone ` stays")
+    assert found == "set <code>full: &lt;b&gt;</code> &amp; <code>x</code>, a lone ` stays"

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import socket
 import time
+from collections.abc import Sequence
 
 import serial
+
+PATIENCE_S = 60.0
 
 
 def crc(data: bytes) -> bytes:
@@ -39,7 +42,7 @@ class LmsHost:
     def __exit__(self, *_: object) -> None:
         self.port.close()
 
-    def ask(self, payload: bytes, reply: int, seconds: float = 3.0) -> bytes:
+    def ask(self, payload: bytes, reply: int, seconds: float = PATIENCE_S) -> bytes:
         """Send a request; the reply's payload. Stream telegrams on the way are skipped."""
         self.port.write(telegram(payload))
         end = time.monotonic() + seconds
@@ -75,7 +78,7 @@ class LmsHost:
     def stream(self) -> None:
         assert self.ask(b"\x20\x24", 0xA0)[1] == 0
 
-    def scan(self, seconds: float = 3.0) -> list[int]:
+    def scan(self, seconds: float = PATIENCE_S) -> list[int]:
         """Raw value words of the next B0."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -86,11 +89,21 @@ class LmsHost:
         raise AssertionError("no scan")
 
 
+def drift_s(stamps_s: Sequence[float], rate_hz: float) -> tuple[float, float]:
+    """How much later the second half of a stream came than at that rate after its first half, and what lies between.
+
+    Of each half the one counts that came soonest: a busy machine hands over late, never early.
+    """
+    late_s = [stamp - number / rate_hz for number, stamp in enumerate(stamps_s)]
+    half = len(late_s) // 2
+    return min(late_s[half:]) - min(late_s[:half]), half / rate_hz
+
+
 class LdHost:
     """Talks to an LD-LRS on its TCP port: USP frames, words high byte first."""
 
     def __init__(self, port: int) -> None:
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=10.0)
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
         self.seen = b""
 
     def __enter__(self) -> LdHost:

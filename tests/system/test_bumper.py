@@ -15,6 +15,7 @@ from typing import Any
 import can
 import pytest
 
+from tests.system.conftest import PATIENCE_S, STANDING
 from tests.system.hosts import LdHost, LmsHost
 
 WIDTH_M = 1.78
@@ -32,7 +33,7 @@ def port_of(url: str) -> int:
 def watch_lms(path: str, begun: threading.Barrier, seconds: float, seen: Seen) -> None:
     with LmsHost(path) as host:
         host.set_baud(500_000)
-        begun.wait(20.0)
+        begun.wait(PATIENCE_S)
         host.stream()
         host.scan()
         end = time.monotonic() + seconds
@@ -44,7 +45,7 @@ def watch_lms(path: str, begun: threading.Barrier, seconds: float, seen: Seen) -
 def watch_ld(port: int, begun: threading.Barrier, seconds: float, seen: Seen) -> None:
     with LdHost(port) as host:
         host.measure()
-        begun.wait(20.0)
+        begun.wait(PATIENCE_S)
         host.send(0x0301, 0, 0x3FFF)
         host.profile()
         end = time.monotonic() + seconds
@@ -53,6 +54,13 @@ def watch_ld(port: int, begun: threading.Barrier, seconds: float, seen: Seen) ->
             seen.append((time.monotonic(), median(echo[1] for echo in echoes), len(echoes)))
         assert host.ask(0x0302) == [0, 3]
         assert host.ask(0x0402) == [0, 1]
+
+
+def speed_m_s(seen: Seen) -> float:
+    """Median of the slopes between scans half the time apart: one that was read late turns none of the others."""
+    half = len(seen) // 2
+    pairs = zip(seen[:half], seen[-half:], strict=True)
+    return median((far - near) / (ended_s - begun_s) for (begun_s, far, _), (ended_s, near, _) in pairs)
 
 
 def beams_on_the_car(range_m: float, step_deg: float) -> float:
@@ -73,20 +81,21 @@ def test_both_scanners_see_the_car_come_nearer_and_their_hosts_do_not_disturb_ea
     for host in hosts:
         host.start()
     for host in hosts:
-        host.join(30.0)
+        host.join(PATIENCE_S)
     assert running.stop() == 0
 
     # 112 and 30; fewer on a busy machine, where sweeps that come too late are passed over
     assert 30 < len(lms) < 120
     assert 15 < len(ld) < 34
     for seen, step_deg in ((lms, 0.5), (ld, 0.25)):
-        (begun_s, far_m, few), (ended_s, near_m, many) = seen[0], seen[-1]
-        assert far_m - near_m == pytest.approx(SPEED_M_S * (ended_s - begun_s), abs=1.0)
+        (_, far_m, few), (_, near_m, many) = seen[0], seen[-1]
+        assert speed_m_s(seen) == pytest.approx(SPEED_M_S, rel=1.0 / (SPEED_M_S * 3.0))
         assert many == pytest.approx(beams_on_the_car(near_m, step_deg), abs=4.5)
         assert few == pytest.approx(beams_on_the_car(far_m, step_deg), abs=4.5)
         assert many > 1.3 * few
     at_once = [(range_m, min(lms, key=lambda scan, when=when: abs(scan[0] - when))[1]) for when, range_m, _ in ld]
-    assert max(abs(one - other) for one, other in at_once) < 1.2  # a profile tells of up to 0.2 s ago
+    apart_m = sorted(abs(one - other) for one, other in at_once)
+    assert apart_m[len(apart_m) * 9 // 10] < 1.2  # a profile tells of up to 0.2 s ago; a busy machine reads a few late
     assert sum(scan[2] for scan in ld) / len(ld) > 1.5 * sum(scan[2] for scan in lms) / len(lms)
     for sensor in ("lms", "ld"):
         end = running.end[sensor]
@@ -96,11 +105,11 @@ def test_both_scanners_see_the_car_come_nearer_and_their_hosts_do_not_disturb_ea
 
 def test_look_draws_what_an_ld_sends_and_leaves_it_as_it_was(daemon: Callable[..., Any], tmp_path: Path) -> None:
     links = ("--link", "ld=tcp:127.0.0.1:0", "--link", "ld=pty:./ld")
-    running = daemon("bumper", "--set", "sensors.1.device.delays=fast", *links)
+    running = daemon("bumper", *STANDING, "--set", "sensors.1.device.delays=fast", *links)
     url = running.link("ld")
     command = [sys.executable, "-m", "emulator", "look", "--family", "ld", "--scans", "2"]
     done = subprocess.run(
-        [*command, url, "--csv", "ld.csv"], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
+        [*command, url, "--csv", "ld.csv"], cwd=tmp_path, capture_output=True, text=True, timeout=240, check=False
     )
     assert done.returncode == 0, done.stderr
     assert "LD-LRS1000" in done.stdout
@@ -113,7 +122,7 @@ def test_look_draws_what_an_ld_sends_and_leaves_it_as_it_was(daemon: Callable[..
         assert host.ask(0x0102) == [0, 1]
         done = subprocess.run(
             [*command, f"pty:{running.path('ld', 1)}", "--baud", "115200"],
-            cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False,
+            cwd=tmp_path, capture_output=True, text=True, timeout=240, check=False,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
         assert "721 beams" in done.stdout
@@ -130,7 +139,7 @@ def test_a_stock_can_client_gets_every_frame_of_every_profile(daemon: Callable[.
         for _ in range(5):
             numbers, size = [], 0
             while not numbers or numbers[-1] != 1:
-                frame = bus.recv(5.0)
+                frame = bus.recv(PATIENCE_S)
                 assert frame is not None
                 assert frame.arbitration_id == 0x710
                 numbers.append(int.from_bytes(frame.data[:2], "big"))

@@ -12,9 +12,11 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
@@ -22,6 +24,7 @@ import can
 import pytest
 
 from emulator.clock import SystemClock
+from emulator.conditions import NORMAL, Conditions
 from emulator.errors import LinkError
 from emulator.instrument import Instrument
 from emulator.transports import open_link
@@ -39,7 +42,7 @@ READER = """
 import sys, can
 bus, wanted = can.Bus(**eval(sys.argv[1])), int(sys.argv[2])
 print("ready", flush=True)
-while wanted and (message := bus.recv(10.0)) is not None:
+while wanted and (message := bus.recv(60.0)) is not None:
     print(f"{message.arbitration_id:X} {bytes(message.data).hex()}")
     wanted -= 0x60A <= message.arbitration_id <= 0x60D
 print("end", flush=True)
@@ -86,7 +89,7 @@ class Sensor:
         self._thread.join()
         self.instrument.close()
 
-    def request(self, sensor: str, plan: ScanPlan) -> None:
+    def request(self, sensor: str, plan: ScanPlan, conditions: Conditions = NORMAL) -> None:
         self._plans.append(plan)
 
     def collect(self, sensor: str) -> list[Scan]:
@@ -141,8 +144,9 @@ def sensor(url: str) -> Iterator[Sensor]:
 def process(*arguments: str) -> Iterator[subprocess.Popen[str]]:
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
     started = subprocess.Popen(
-        [sys.executable, *arguments], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment
-    )
+        [sys.executable, *arguments], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment,
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),  # what runs in the background ignores it
+    )  # fmt: skip
     try:
         yield started
     finally:
@@ -157,6 +161,13 @@ def wait_for(reader: subprocess.Popen[str], text: str) -> None:
         if text in line:
             return
     raise AssertionError(f"ended before it said {text!r}")
+
+
+def until(holds: Callable[[], bool]) -> None:
+    end = time.monotonic() + 60.0
+    while not holds():
+        assert time.monotonic() < end, "not in time"
+        time.sleep(0.01)
 
 
 def frames(output: str) -> list[Record]:
@@ -190,10 +201,10 @@ def test_every_frame_of_a_hundred_lists_reaches_readers_and_loggers_over_socketc
             for one in (blf, asc, candump):
                 wait_for(one, "Can Logger")
             device.go()
-            seen = frames(reader.communicate(timeout=60)[0])
+            seen = frames(reader.communicate(timeout=120)[0])
             for one in (blf, asc, candump):
                 one.send_signal(signal.SIGINT)
-                one.wait(timeout=20)
+                one.wait(timeout=60)
         sent = list(device.sent)
     assert complete_lists(sent) == LISTS
     assert seen[: len(sent)] == sent[: len(seen)]
@@ -210,10 +221,9 @@ def test_every_frame_of_a_hundred_lists_reaches_a_reader_over_slcan(tmp_path: Pa
         bus = {"interface": "slcan", "channel": str(tmp_path / "adapter"), "bitrate": 500_000, "sleep_after_open": 0.1}
         with process("-c", READER, repr(bus), str(LIST_FRAMES)) as reader:
             wait_for(reader, "ready")
-            # the client has written its commands; wait until the adapter has obeyed them
-            threading.Event().wait(0.3)
+            until(lambda: device.link._port.outlet._open)  # the client has written its commands and waits for no answer
             device.go()
-            seen = frames(reader.communicate(timeout=60)[0])
+            seen = frames(reader.communicate(timeout=120)[0])
         sent = list(device.sent)
     assert complete_lists(sent) == LISTS
     assert complete_lists(seen) == LISTS

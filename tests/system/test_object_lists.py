@@ -23,7 +23,7 @@ READER = """
 import sys, can, json
 bus, wanted, tell = can.Bus(**json.loads(sys.argv[1])), int(sys.argv[2]), json.loads(sys.argv[3])
 print("ready", flush=True)
-while (message := bus.recv(10.0)) is not None:
+while (message := bus.recv(60.0)) is not None:
     print(f"{message.arbitration_id:X} {bytes(message.data).hex()}", flush=True)
     if message.arbitration_id == 0x60A:
         wanted -= 1
@@ -65,9 +65,13 @@ def reader(bus: dict[str, object], lists: int, tell: Sequence[object] = ()) -> s
 
 
 def frames(process: subprocess.Popen[str]) -> Frames:
-    output, _ = process.communicate(timeout=60)
-    lines = [line.split(" ") for line in output.splitlines() if line != "ready"]
-    return [(int(identifier, 16), bytes.fromhex(data)) for identifier, data in lines]
+    output, _ = process.communicate(timeout=120)
+    return [frame(line) for line in output.splitlines() if line != "ready"]
+
+
+def frame(line: str) -> tuple[int, bytes]:
+    identifier, _, data = line.partition(" ")
+    return int(identifier, 16), bytes.fromhex(data)
 
 
 def layout(name: str) -> Any:
@@ -89,7 +93,9 @@ def lists_of(seen: Frames, shift: int = 0) -> list[list[dict[str, Any]]]:
 
 
 def test_a_stock_client_sees_the_road_users_of_the_built_in_scenario(daemon: Callable[..., Any]) -> None:
-    running = daemon("fog_objects", "--link", "radar=socketcand:127.0.0.1:0/can0")
+    running = daemon(
+        "fog_objects", "--link", "radar=socketcand:127.0.0.1:0/can0", "--set", "weather.changes=[]"
+    )  # whenever the host comes, there is no fog yet
     seen = frames(reader(socketcand_bus(running.link("radar")), 30))
     database = layout("ars408.dbc")
     for peer, data in seen:
@@ -113,15 +119,25 @@ def test_sensors_share_a_bus_and_a_filter_of_one_host_holds_from_the_next_list(
     assert len({running.link(name) for name in ("one", "two", "three")}) == 1
     bus = socketcand_bus(running.link("one"))
     identifier, _, data = command(0, 0, 1).partition(" ")
-    other = reader(bus, 24)
+    other = reader(bus, 10_000)
     assert other.stdout is not None
     assert other.stdout.readline() == "ready\n"
-    host = reader(bus, 20, (12, int(identifier, 16), data.replace(" ", "")))
-    mine, theirs = frames(host), frames(other)
+    host = reader(bus, 40, (32, int(identifier, 16), data.replace(" ", "")))
+    mine, theirs = frames(host), []
+    with other:
+        for line in other.stdout:  # it hears what the host says, and the answer
+            theirs.append(frame(line))
+            if theirs[-1][0] == 0x203 and (0x202, bytes.fromhex(data)) in theirs:
+                break
+        other.terminate()
     counts = [len(rows) for rows in lists_of(mine)]
-    # the host asked within the eighth list: that one was under way, at the latest the one after the next obeys
-    assert set(counts[3:8]) == {3}  # an object is listed when it has been seen twice
-    assert set(counts[9:]) == {1}
+    # the list in which the device answered was under way, at the latest the one after the next obeys
+    answered = next(index for index, (peer, _) in enumerate(mine) if peer == 0x203)
+    before = sum(peer == 0x60A for peer, _ in mine[:answered])
+    assert before >= 8
+    assert set(counts[3 : before - 1]) == {3}  # an object is listed when it has been seen twice
+    assert len(counts) > before + 1
+    assert set(counts[before + 1 :]) == {1}
     assert {len(rows) for rows in lists_of(mine, 0x10)[3:]} == {3}
     assert (0x202, bytes.fromhex(data)) in theirs
     assert 0x203 in {peer for peer, _ in theirs}

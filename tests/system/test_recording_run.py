@@ -15,6 +15,7 @@ import pytest
 import serial
 
 from emulator.recording.reader import read_run
+from tests.system.conftest import PATIENCE_S
 from tests.system.hosts import LmsHost
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -60,7 +61,7 @@ def test_a_killed_runs_recording_is_replayed_with_its_gaps_and_its_bytes(recordi
     with serial.Serial(str(tmp_path / "again"), 38_400, timeout=0.2) as port:
         began, got = time.monotonic(), b""
         with contextlib.suppress(serial.SerialException):  # the terminal goes when all is sent
-            while time.monotonic() - began < 30.0:
+            while time.monotonic() - began < PATIENCE_S:
                 got += port.read(4096)
         elapsed = time.monotonic() - began
     out, errors = process.communicate()
@@ -75,7 +76,7 @@ def test_a_killed_runs_recording_is_replayed_with_its_gaps_and_its_bytes(recordi
 
 def test_a_replay_can_be_stepped_and_looped(recording: Path, tmp_path: Path) -> None:
     process = replay(tmp_path, "rec", "--link", "front=pty:./again?speed=ignore", "--stepped", stdin=subprocess.PIPE)
-    with serial.Serial(str(tmp_path / "again"), 38_400, timeout=3.0) as port:
+    with serial.Serial(str(tmp_path / "again"), 38_400, timeout=PATIENCE_S) as port:
         time.sleep(0.2)
         assert port.in_waiting == 0
         assert process.stdin is not None
@@ -84,12 +85,12 @@ def test_a_replay_can_be_stepped_and_looped(recording: Path, tmp_path: Path) -> 
             process.stdin.flush()
         assert port.read(1) == b"\x06"
         process.stdin.close()
-        process.wait(timeout=10.0)
+        process.wait(timeout=PATIENCE_S)
     for pipe in (process.stdout, process.stderr):
         assert pipe is not None
         pipe.close()
     fast = replay(tmp_path, "rec", "--link", "front=pty:./more", "--at-once", "--speed", "50", "--loop", "2")
-    out, errors = fast.communicate(timeout=30.0)
+    out, errors = fast.communicate(timeout=PATIENCE_S)
     assert fast.returncode == 0, errors
     assert json.loads(out.splitlines()[-1])["rounds"] == 2
 
@@ -102,7 +103,7 @@ def test_a_recording_that_is_none_and_a_sensor_that_is_not_in_it_are_told(record
             text=True,
             cwd=tmp_path,
             env=dict(os.environ) | {"PYTHONPATH": str(ROOT)},
-            timeout=30,
+            timeout=2 * PATIENCE_S,
             check=False,
         )
         assert done.returncode == 2

@@ -10,8 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from emulator.cli import main
 from emulator.errors import ScenarioError
 from emulator.recording.can_logs import read_with_library
+from tests.system.conftest import PATIENCE_S
 from tests.system.hosts import LmsHost, telegram
 
 
@@ -27,15 +29,13 @@ def test_driver_sees_the_car(lidaremu: Callable[..., object]) -> None:
 
 
 def test_nothing_is_lost_of_what_a_host_reads_late(lidaremu: Callable[..., object]) -> None:
-    with lidaremu("flat_wall") as rig, LmsHost(rig["front"].path) as host:
+    with lidaremu("flat_wall", sensors__front__physics__false_alarms=False) as rig, LmsHost(rig["front"].path) as host:
         host.set_baud(500_000)
         host.stream()
-        began = time.monotonic()
         rig.advance(seconds=3)
         scans = [host.scan() for _ in range(100)]
         assert {len(scan) for scan in scans} == {361}
         assert all(795 <= scan[180] <= 805 for scan in scans)
-        assert time.monotonic() - began < 30.0
         link = rig.instruments[0].links[0]
         assert link.stats.bytes_lost == 0
 
@@ -44,10 +44,11 @@ def test_time_stands_while_the_host_does_not_read_and_while_paused(lidaremu: Cal
     with lidaremu("flat_wall") as rig, LmsHost(rig["front"].path) as host:
         host.stream()
         host.scan()
-        time.sleep(0.3)
-        then = rig.now_s
-        time.sleep(0.3)
-        assert rig.now_s == then
+        then, end = -1.0, time.monotonic() + PATIENCE_S
+        while rig.now_s != then:  # what the terminal holds is filled first
+            assert time.monotonic() < end, "time does not stand"
+            then = rig.now_s
+            time.sleep(0.3)
         rig.pause()
         rig.advance(seconds=0.25)
         assert rig.now_s == pytest.approx(then + 0.25, abs=0.05)
@@ -56,9 +57,10 @@ def test_time_stands_while_the_host_does_not_read_and_while_paused(lidaremu: Cal
 
 def test_two_rigs_at_once_do_not_collide_and_tcp_ports_are_free(lidaremu: Callable[..., object]) -> None:
     links = {"front": ["tcp:127.0.0.1:0"]}
-    with lidaremu("flat_wall", links=links) as one, lidaremu("flat_wall", links=links) as two:
+    alone = {"front": "tcp:127.0.0.1:0"}
+    with lidaremu("flat_wall", links=links) as one, lidaremu("flat_wall", links=alone) as two:
         assert one["front"].port != two["front"].port
-        with socket.create_connection(("127.0.0.1", two["front"].port), timeout=5.0) as host:
+        with socket.create_connection(("127.0.0.1", two["front"].port), timeout=PATIENCE_S) as host:
             host.sendall(telegram(b"\x20\x25"))
             got = b""
             while len(got) < 10:
@@ -88,7 +90,7 @@ def test_a_can_host_gets_every_frame_on_virtual_time_and_the_logs_have_them(
 ) -> None:
     path = tmp_path / "objects.yaml"
     path.write_text(OBJECTS, encoding="utf-8")
-    with lidaremu(path) as rig, socket.create_connection(("127.0.0.1", rig["list"].port), timeout=10.0) as host:
+    with lidaremu(path) as rig, socket.create_connection(("127.0.0.1", rig["list"].port), timeout=PATIENCE_S) as host:
         host.sendall(b"< open list >< rawmode >")
         text = b""
         while text.count(b"< frame") < 60:
@@ -102,4 +104,7 @@ def test_a_can_host_gets_every_frame_on_virtual_time_and_the_logs_have_them(
     told = [(int(identifier, 16), data.decode()) for identifier, data in heard]
     first = next(index for index in range(len(logged)) if logged[index : index + len(told)] == told)
     assert first >= 0
-    assert [(one.peer, one.data.hex().upper()) for one in read_with_library(folder / "list.blf")] == logged
+    for name in ("list.blf", "list.asc"):
+        assert [(one.peer, one.data.hex().upper()) for one in read_with_library(folder / name)] == logged
+        assert main(["diff", str(folder / name), str(folder / name)]) == 0
+    assert main(["diff", str(folder / "list.log"), str(folder)]) == 2

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import csv
 import json
 import os
 import signal
@@ -14,32 +16,37 @@ from pathlib import Path
 
 import pytest
 
-from tests.system.hosts import LmsHost
+from tests.system.conftest import PATIENCE_S
+from tests.system.hosts import LmsHost, drift_s
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def command(*arguments: str, cwd: Path, timeout: float = 60.0) -> subprocess.CompletedProcess[str]:
+def command(*arguments: str, cwd: Path, timeout: float = 4 * PATIENCE_S) -> subprocess.CompletedProcess[str]:
     words = [sys.executable, "-m", "emulator", *arguments]
     environment = dict(os.environ) | {"PYTHONPATH": str(ROOT)}
     return subprocess.run(words, capture_output=True, text=True, cwd=cwd, timeout=timeout, env=environment, check=False)
 
 
 def test_a_host_streams_at_the_rate_of_the_line_and_the_run_reports_it(daemon: Callable[..., object]) -> None:
-    running = daemon("flat_wall")
+    running = daemon("flat_wall", "--set", "sensors.front.physics.false_alarms=false")
+    stamps_s, scans = [], []
     with LmsHost(running.path("front")) as host:
         host.set_baud(500_000)
         host.stream()
-        start = time.monotonic()
-        scans = [host.scan() for _ in range(150)]
-        elapsed = time.monotonic() - start
+        for _ in range(150):
+            scans.append(host.scan())
+            stamps_s.append(time.monotonic())
     assert {len(scan) for scan in scans} == {361}
     assert all(795 <= scan[180] <= 805 for scan in scans)
-    assert elapsed == pytest.approx(150 / 37.5, rel=0.05)
     assert running.stop() == 0
     end = running.end["front"]
-    assert end["scans_sent"] >= 150
-    assert end["scans_per_s"] == pytest.approx(37.5, rel=1e-3)
+    late = end["scans_dropped"].get("measured too late", 0)  # by a busy machine: their slots stay empty
+    later_s, apart_s = drift_s(stamps_s, 37.5)
+    assert -0.05 * apart_s < later_s < 0.05 * apart_s + late / 37.5
+    sent = end["scans_sent"]
+    assert sent >= 150
+    assert 37.5 * (sent - 1) / (sent - 1 + late) * (1 - 1e-3) < end["scans_per_s"] < 37.5 * (1 + 1e-3)
     assert end["scans_dropped"].get("line slower than the scan rate", 0) == 0
     assert end["lateness_us"]["median"] is not None
 
@@ -97,10 +104,14 @@ def test_several_sensors_serve_their_hosts_at_once_and_garbage_on_one_disturbs_n
         for _ in range(5):
             bad.port.write(os.urandom(2000) + b"\x02\x00\xff\xff" + b"\x02\x00\x08")
             assert len(good.scan()) > 100
-        bad.seen = b""
-        time.sleep(1.0)
-        bad.port.reset_input_buffer()
-        assert bad.ask(b"\x3a", 0xBA, seconds=6.0)[1:4] == b"LMS"
+        for _ in range(20):  # the first may be taken for the rest of a broken telegram
+            bad.port.read(100_000)
+            bad.seen = b""
+            with contextlib.suppress(AssertionError):
+                if bad.ask(b"\x3a", 0xBA, seconds=3.0)[1:4] == b"LMS":
+                    break
+        else:
+            pytest.fail("garbage has silenced it")
 
 
 def test_the_same_telegrams_are_served_over_tcp_as_behind_a_serial_device_server(
@@ -108,7 +119,7 @@ def test_the_same_telegrams_are_served_over_tcp_as_behind_a_serial_device_server
 ) -> None:
     running = daemon("flat_wall", "--link", "front=tcp:127.0.0.1:0")
     port = int(running.link("front").rpartition(":")[2])
-    with socket.create_connection(("127.0.0.1", port), timeout=5.0) as host:
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as host:
         host.sendall(bytes.fromhex("02000200 2025 3508".replace(" ", "")))
         got = b""
         while len(got) < 10:
@@ -167,14 +178,27 @@ def test_look_writes_a_picture_and_a_table(daemon: Callable[..., object], tmp_pa
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "scan.png").read_bytes().startswith(b"\x89PNG")
-    rows = (tmp_path / "scan.csv").read_text().splitlines()
-    assert rows[0] == "scan,azimuth_deg,range_m"
-    assert len(rows) == 1 + 3 * 361
-    middle = next(row for row in rows[1:] if row.split(",")[1] == "0.0000")
-    assert float(middle.split(",")[2]) == pytest.approx(8.0, abs=0.06)
+    with (tmp_path / "scan.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 3 * 361
+    middle = next(row for row in rows if float(row["azimuth_deg"]) == 0.0)
+    assert float(middle["range_m"]) == pytest.approx(8.0, abs=0.06)
 
 
 def test_look_at_nothing_is_told_with_exit_code_3(tmp_path: Path) -> None:
     done = command("look", "pty:./nobody", cwd=tmp_path)
     assert done.returncode == 3
     assert done.stderr == "lidaremu: cannot open ./nobody: No such file or directory\n"
+
+
+def test_a_virtual_run_tells_the_digest_of_its_wire_as_a_test_does(tmp_path: Path) -> None:
+    """Without a host nothing but the device's own sayings goes over the line: twice the same, recorded or not."""
+    digests = []
+    for extra in ((), ("--record", "kept")):
+        done = command("run", "flat_wall", "--speed", "50", "--duration", "2", "--json", *extra, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        end = json.loads(done.stdout.splitlines()[-1])
+        assert end["event"] == "stopped"
+        assert len(end["sha256"]) == 64
+        digests.append(end["sha256"])
+    assert digests[0] == digests[1]

@@ -138,7 +138,7 @@ def test_a_disturbed_frame_is_sent_again() -> None:
 def test_sixteen_errors_make_a_controller_error_passive() -> None:
     wire, _, carried = disturbed(16)
     assert len(carried) == 10
-    assert [notice.state for notice in wire.notices] == ["error passive"]
+    assert [notice.state for notice in wire.notices] == ["error passive", "active"], "the first good frame ends it"
 
 
 def test_thirty_two_errors_take_a_controller_off_the_bus_until_it_has_recovered() -> None:

@@ -16,6 +16,7 @@ import serial
 
 from emulator.errors import LinkError
 from emulator.transports import open_link, pseudo_terminal
+from emulator.transports.intake import LINE_BURST, LINE_BYTES_S
 from emulator.transports.pseudo_terminal import POLL_NS, PseudoTerminal
 from emulator.transports.uart import resample
 
@@ -285,12 +286,17 @@ def test_the_path_is_stable_and_goes_with_the_link(port: Path, monkeypatch: pyte
 def test_a_flood_is_taken_in_bounded_pieces(port: Path) -> None:
     with opened(f"pty:{port}", None) as link, host_at(port) as end:
         sent = got = 0
-        for _ in range(300):
+        for number in range(300):
             with contextlib.suppress(BlockingIOError):
                 sent += os.write(end.fileno(), bytes(4096))
-            data = b"".join(event.data for event in link.receive(0))
-            assert len(data) <= pseudo_terminal.READ_LIMIT + pseudo_terminal.CHUNK
+            data = b"".join(event.data for event in link.receive(number * 1_000_000))
+            assert len(data) <= LINE_BURST
             got += len(data)
+        assert 0.9 * 0.3 * LINE_BYTES_S < got < 0.3 * LINE_BYTES_S + LINE_BURST
+        assert link.filenos() == () or len(link.filenos()) < 2  # what waits does not wake us
+        while got < sent:
+            number += 1
+            got += sum(len(event.data) for event in link.receive(number * 1_000_000))
         assert got == sent
 
 

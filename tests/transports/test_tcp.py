@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import select
 import socket
@@ -12,7 +13,8 @@ from collections.abc import Iterator
 import pytest
 
 from emulator.errors import LinkError
-from emulator.transports import open_link, tcp_hosts
+from emulator.transports import open_link
+from emulator.transports.intake import STREAM_BURST
 from emulator.transports.link import LATENESS_KEPT, Link, Received
 from emulator.transports.tcp_hosts import BACKLOG_LIMIT, LINGER_NS, MAX_HOSTS, NO_DESCRIPTOR_PAUSE_NS
 
@@ -43,8 +45,15 @@ def port_of(link: Link) -> int:
 
 
 def events_of(link: Link, now_ns: int = 0, wait_s: float = 5.0) -> list[Received]:
-    select.select(link.filenos(), [], [], wait_s)
+    """`now_ns` must move on where more is said than the intake holds."""
+    if link.filenos():
+        select.select(link.filenos(), [], [], wait_s)
     return link.receive(now_ns)
+
+
+def ticks() -> Iterator[int]:
+    """Instants 20 ms apart: the intake is full again at each."""
+    return itertools.count(0, 20_000_000)
 
 
 def until_closed(link: Link, now_ns: int = 0) -> list[Received]:
@@ -200,19 +209,20 @@ def test_on_a_line_a_slow_host_loses_whole_telegrams_and_holds_up_nobody() -> No
 
 
 def test_idle_connections_make_room_for_a_host_that_talks() -> None:
+    now = ticks()
     with opened() as link, contextlib.ExitStack() as stack:
         talker = stack.enter_context(host_of(link))
         talker.sendall(b"hello")
-        while not any(event.data for event in events_of(link)):
+        while not any(event.data for event in events_of(link, next(now))):
             pass
         for _ in range(MAX_HOSTS + 20):
             stack.enter_context(host_of(link))
-            events_of(link)
+            events_of(link, next(now))
         assert link.stats.hosts_refused == 21
         talker.sendall(b"again")
         data = b""
         while data != b"again":
-            data += b"".join(event.data for event in events_of(link) if event.peer == 1)
+            data += b"".join(event.data for event in events_of(link, next(now)) if event.peer == 1)
 
 
 def test_a_host_that_spoke_is_kept_when_a_crowd_comes_with_it() -> None:
@@ -231,14 +241,15 @@ def test_a_host_that_spoke_is_kept_when_a_crowd_comes_with_it() -> None:
 
 
 def test_when_all_places_are_taken_by_talkers_a_new_host_is_reset() -> None:
+    now = ticks()
     with opened() as link, contextlib.ExitStack() as stack:
         for _ in range(MAX_HOSTS):
             stack.enter_context(host_of(link)).sendall(b"x")
         talked = 0
         while talked < MAX_HOSTS:
-            talked += sum(bool(event.data) for event in events_of(link))
+            talked += sum(bool(event.data) for event in events_of(link, next(now)))
         late = stack.enter_context(host_of(link))
-        events_of(link)
+        events_of(link, next(now))
         with contextlib.suppress(ConnectionResetError):
             assert late.recv(1) == b""
         assert link.stats.hosts_refused == 1
@@ -273,32 +284,35 @@ def test_without_descriptors_nobody_is_accepted_for_a_while_and_nothing_spins(mo
 
 
 def test_a_flood_is_taken_in_bounded_pieces_and_the_other_host_is_heard() -> None:
+    now = ticks()
     with opened() as link, host_of(link) as flood, host_of(link) as quiet:
         flood.setblocking(False)
-        while len(link.receive(0)) < 2:
-            select.select(link.filenos(), [], [], 1.0)
+        seen = 0
+        while seen < 2:
+            seen += len(events_of(link))
         heard = False
         for _ in range(200):
             with contextlib.suppress(BlockingIOError):
                 flood.send(bytes(65_536))
             if not heard:
                 quiet.sendall(b"?")
-            events = link.receive(0)
-            assert sum(len(event.data) for event in events) <= tcp_hosts.READ_LIMIT + tcp_hosts.READ_SIZE
+            events = link.receive(next(now))
+            assert sum(len(event.data) for event in events) <= STREAM_BURST
             heard = heard or any(event.peer == 2 and event.data for event in events)
         assert heard
 
 
 def test_many_floods_at_once_are_taken_in_bounded_pieces_and_lose_nothing() -> None:
+    now = ticks()
     with opened() as link, contextlib.ExitStack() as stack:
         hosts = [stack.enter_context(host_of(link)) for _ in range(30)]
         for host in hosts:
             host.sendall(bytes(60_000))
         got, most = 0, 0
         while got < 30 * 60_000:
-            size = sum(len(event.data) for event in events_of(link))
+            size = sum(len(event.data) for event in events_of(link, next(now)))
             got, most = got + size, max(most, size)
-        assert tcp_hosts.READ_LIMIT // 2 < most <= tcp_hosts.READ_LIMIT + tcp_hosts.READ_SIZE
+        assert STREAM_BURST // 2 < most <= STREAM_BURST
 
 
 def test_lateness_nobody_asks_for_is_kept_to_a_bound() -> None:
@@ -363,3 +377,22 @@ def test_ipv6_is_written_in_brackets() -> None:
         assert link.url.startswith("tcp:[::1]:")
         with socket.create_connection(("::1", port_of(link)), 5.0):
             assert events_of(link) == [Received(1, opened=True)]
+
+
+def test_hosts_that_flood_starve_neither_each_other_nor_whoever_wants_to_come() -> None:
+    with opened() as link, contextlib.ExitStack() as stack:
+        floods = [stack.enter_context(host_of(link)) for _ in range(4)]
+        for host in floods:
+            host.setblocking(False)
+        heard: set[int] = set()
+        late = None
+        for now_ns in itertools.islice(ticks(), 12):
+            for host in floods:
+                with contextlib.suppress(BlockingIOError):
+                    host.send(bytes(100_000))
+            if now_ns == 100_000_000:
+                late = stack.enter_context(host_of(link))
+                late.sendall(b"hello")
+            heard |= {event.peer for event in events_of(link, now_ns) if event.data}
+        assert late is not None
+        assert heard == {1, 2, 3, 4, 5}

@@ -186,20 +186,32 @@ def test_several_packages_count_down_from_ffff() -> None:
     assert numbers == ["ffff", "0003", "0002", "0001"]
 
 
+FOUR_WORDS = "want four or more words of four hex characters"
+
+
 @pytest.mark.parametrize(
-    ("data", "reason"),
+    ("data", "reason", "detail"),
     [
-        (b"\x02141000040000020200012BBD\x03", DropReason.BAD_CHECKSUM),
-        (b"\x02141000050000020200012BBC\x03", DropReason.BAD_LENGTH),
-        (b"\x0214100004000002020001 2BBC\x03", DropReason.BAD_LENGTH),
-        (b"\x021410000400000202000G2BBC\x03", DropReason.BAD_ARGUMENT),
-        (b"\x02\x03", DropReason.BAD_LENGTH),
+        (b"\x02141000040000020200012BBD\x03", DropReason.BAD_CHECKSUM, ""),
+        (b"\x02141000050000020200012BBC\x03", DropReason.BAD_LENGTH, "count word"),
+        (b"\x0214100004000002020001 2BBC\x03", DropReason.BAD_LENGTH, FOUR_WORDS),
+        (b"\x021410000400000202000G2BBC\x03", DropReason.BAD_ARGUMENT, "not hexadecimal"),
+        (b"\x02\x03", DropReason.BAD_LENGTH, FOUR_WORDS),
+        (b"\x02141000012BBC\x03", DropReason.BAD_LENGTH, FOUR_WORDS),
     ],
 )
-def test_a_package_that_cannot_be_accepted_is_a_fault_that_is_answered(data: bytes, reason: DropReason) -> None:
-    (fault,) = PackageReader().feed(data)
-    assert isinstance(fault, Fault)
-    assert (fault.reason, fault.whole) == (reason, True)
+def test_a_package_that_cannot_be_accepted_is_a_fault_that_is_answered(
+    data: bytes, reason: DropReason, detail: str
+) -> None:
+    assert PackageReader().feed(data) == [Fault(reason, len(data), detail, whole=True)]
+
+
+def test_the_shortest_package_has_four_words_and_the_longest_as_many_as_a_message() -> None:
+    assert PackageReader().feed(encode_packages(b"", 0x1410)) == [Package(0x1410, b"\0\0")]
+    longest = reader.package(0x1410, 2051, *[0] * 2050)
+    assert PackageReader().feed(longest) == [Package(0x1410, bytes(2 * 2050))]
+    (fault,) = PackageReader().feed(reader.package(0x1410, 2052, *[0] * 2051))
+    assert fault == Fault(DropReason.BAD_LENGTH, 4 * 2054 + 2, FOUR_WORDS, whole=True)
 
 
 def test_a_new_start_ends_what_was_begun() -> None:
@@ -216,17 +228,32 @@ def test_a_package_without_end_is_given_up() -> None:
     assert reader_.expire() == []
 
 
-@pytest.mark.parametrize("numbers", [[0xFFFF, 3, 1], [2], [0xFFFF, 2, 2], [0xFFFF, 1]])
+@pytest.mark.parametrize("numbers", [[0xFFFF, 3], [0xFFFF, 1], [2], [0xFFFF, 2, 2]])
 def test_packages_out_of_turn_are_a_fault(numbers: list[int]) -> None:
     joiner = PackageJoiner()
     bodies = [payload_of(number, 3, 7) if number == 0xFFFF else payload_of(number, 7) for number in numbers]
     results = [joiner.add(Package(0, body)) for body in bodies]
-    assert isinstance(results[-1], Fault)
+    detail = f"package {numbers[-1]:04X} out of turn"
+    assert results == [None] * (len(bodies) - 1) + [Fault(DropReason.BAD_LENGTH, 4, detail, whole=True)]
+    assert joiner.add(Package(0, payload_of(1, 7))) == Fault(
+        DropReason.BAD_LENGTH, 4, "package 0001 out of turn", whole=True
+    )
     assert joiner.add(Package(0, payload_of(0, 0x0102))) == payload_of(0x0102)
 
 
 def test_a_message_of_no_package_is_a_fault() -> None:
-    assert isinstance(PackageJoiner().add(Package(0, payload_of(0xFFFF, 0))), Fault)
+    fault = Fault(DropReason.BAD_LENGTH, 4, "message of no package", whole=True)
+    assert PackageJoiner().add(Package(0, payload_of(0xFFFF, 0))) == fault
+
+
+def test_a_message_of_too_many_words_is_a_fault_at_the_package_that_is_too_much() -> None:
+    joiner = PackageJoiner()
+    assert joiner.add(Package(0, payload_of(0xFFFF, 3, *range(2000)))) is None
+    assert joiner.add(Package(0, payload_of(2, *range(48)))) is None
+    fault = Fault(DropReason.OVERLONG, 2 * 2049, whole=True)
+    assert joiner.add(Package(0, payload_of(1, 0))) == fault
+    assert joiner.add(Package(0, payload_of(0, 0x0102))) == payload_of(0x0102)
+    assert joiner.add(Package(0, payload_of(0xFFFF, 1, *range(2048)))) == payload_of(*range(2048))
 
 
 def test_a_reply_swaps_source_and_destination() -> None:
@@ -262,17 +289,33 @@ def test_a_message_of_any_length_crosses_the_bus(size: int, identity: int) -> No
         assert not joiner
 
 
+WHOLE_WORDS = "want two to four whole words"
+
+
 @pytest.mark.parametrize(
-    "frames",
+    ("frames", "reason", "detail"),
     [
-        ["0001"], ["000100"], [""], ["0002 0001 0002 0003"], ["ffff 0001 0010 0201"], ["ffff ffff 0010 0201"],
-        ["ffff 0003 0010 0201", "0001 0010"], ["ffff 0003 0010 0201", "0002 0010"], ["ffff 0003"],
+        (["0001"], DropReason.BAD_LENGTH, WHOLE_WORDS),
+        (["000100"], DropReason.BAD_LENGTH, WHOLE_WORDS),
+        ([""], DropReason.BAD_LENGTH, WHOLE_WORDS),
+        (["0002 0001 0002 0003"], DropReason.BAD_LENGTH, "frame 0002 out of turn"),
+        (["ffff 0001 0010 0201"], DropReason.BAD_LENGTH, "1 frames"),
+        (["ffff 0000 0010 0201"], DropReason.BAD_LENGTH, "0 frames"),
+        (["ffff 02ad 0010 0201"], DropReason.OVERLONG, "685 frames"),
+        (["ffff ffff 0010 0201"], DropReason.OVERLONG, "65535 frames"),
+        (["ffff 0003 0010 0201", "0001 0010"], DropReason.BAD_LENGTH, "frame 0001 out of turn"),
+        (["ffff 0003 0010 0201", "0002 0010"], DropReason.BAD_LENGTH, "only the last frame may be short"),
+        (["ffff 0003"], DropReason.BAD_LENGTH, "frame FFFF out of turn"),
     ],
-)  # fmt: skip
-def test_frames_that_make_no_message_are_a_fault_and_the_next_message_is_read(frames: list[str]) -> None:
+)
+def test_frames_that_make_no_message_are_a_fault_and_the_next_message_is_read(
+    frames: list[str], reason: DropReason, detail: str
+) -> None:
     joiner = SegmentJoiner()
     results = [joiner.add(bytes.fromhex(data)) for data in frames]
-    assert isinstance(results[-1], Fault)
+    assert results == [None] * (len(frames) - 1) + [Fault(reason, len(bytes.fromhex(frames[-1])), detail)]
+    assert not joiner
+    assert joiner.add(bytes.fromhex("0001 0008")) == Fault(DropReason.BAD_LENGTH, 4, "frame 0001 out of turn")
     assert joiner.add(bytes.fromhex("0000 0010 0102")) == (16, payload_of(0x0102))
 
 

@@ -62,7 +62,7 @@ def test_revolutions_that_are_not_measured_in_time_are_passed_over_and_counted()
     plan = session.next_plan()
     assert plan is not None
     assert (plan.sweep, plan.start_ns) == (7, 700 * MS)
-    assert [(event.reason, event.count) for event in session.take_events()] == [(DropReason.STALE, 6)]  # type: ignore[union-attr]
+    assert [(event.reason, event.count) for event in session.take_events()] == [(DropReason.LATE, 6)]  # type: ignore[union-attr]
 
 
 def test_no_more_than_four_revolutions_are_measured_ahead() -> None:

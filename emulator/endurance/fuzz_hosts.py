@@ -1,0 +1,159 @@
+"""Fuzzing of what stands between hosts and devices: socketcand's and slcan's text, control orders, links' texts, host
+programs' own readers of telegrams."""
+
+from __future__ import annotations
+
+import atexit
+import shutil
+import tempfile
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+
+from emulator import scenario
+from emulator.assembly import new_sessions
+from emulator.clock import SystemClock
+from emulator.control import ControlServer
+from emulator.endurance.scene import soak_text
+from emulator.hosts.lms2xx import TelegramReader
+from emulator.instrument import Instrument
+from emulator.measuring import InPlace
+from emulator.orders import Orders
+from emulator.transports import check_url, open_link
+from emulator.transports.can_link import CanPort
+from emulator.transports.can_wire import CanWire
+from emulator.transports.slcan import Adapter
+from emulator.transports.socketcand import Client, SocketcandServer
+from emulator.virtual_daemon import VirtualDaemon
+from protocols.lms2xx.telegrams import read_values, request
+
+BITRATE = 500_000
+SECOND_NS = 1_000_000_000
+CAN_SEEDS = (
+    b"< open can0 >< rawmode >< send 123 2 11 22 >",
+    b"< open can0 >< rawmode >< send 1234ABCD 8 1 2 3 4 5 6 7 8 >< echo >",
+    b"< echo >< open nothing >< send 7FF 0 >",
+)
+SLCAN_SEEDS = (
+    b"C\rS6\rO\rt1232AABB\r",
+    b"V\rN\rF\rZ1\rL\rT000012348AABBCCDDEEFF0011\r",
+    b"s031C\rO\rr1230\rM00000000\r",
+)
+ORDER_SEEDS = (
+    b'{"jsonrpc": "2.0", "id": 1, "method": "status"}',
+    b'{"jsonrpc": "2.0", "id": "x", "method": "step", "params": {"scans": 1}}',
+    b'{"jsonrpc": "2.0", "method": "speed", "params": {"x": 2.0}}',
+    b'{"id": 3, "method": "step", "params": {"seconds": 0.001}}',
+    b'{"id": 4, "method": "pause"}',
+)
+URL_SEEDS = (
+    b"pty:./front?speed=strict", b"serial:/dev/ttyUSB0?baud=9600&parity=N&stop=1", b"tcp:127.0.0.1:0",
+    b"udp:239.1.1.1:5000?listen=127.0.0.1:0&ttl=1&interface=127.0.0.1", b"socketcand:[::1]:0/can0?bitrate=500000",
+    b"slcan:./can?bitrate=250000", b"can:virtual:x?gap_us=3", b"loop:front",
+)  # fmt: skip
+
+
+def socketcand() -> Callable[[bytes], None]:
+    """What one client says, in two pieces."""
+    server = SocketcandServer("socketcand:127.0.0.1:0/can0", "127.0.0.1", 0)
+    atexit.register(server.close)
+    channel = server.channel("can0")
+    port = CanPort(CanWire(BITRATE), channel)
+    now_ns = 0
+
+    def run(data: bytes) -> None:
+        nonlocal now_ns
+        client = Client(1)
+        for part in (data[: len(data) // 2], data[len(data) // 2 :]):
+            client.text += part
+            server._understand(client, now_ns)
+            port.run(now_ns)
+            now_ns += SECOND_NS
+        if len(client.text) > 1 << 20:
+            raise AssertionError(f"{len(client.text)} bytes of a client's text are kept")
+        if client.node is not None:
+            channel.leave(client.node)
+
+    return run
+
+
+def slcan() -> Callable[[bytes], None]:
+    """What a host writes to the adapter."""
+    folder = Path(tempfile.mkdtemp(prefix="lidaremu-fuzz-"))
+    adapter = Adapter(str(folder / "can"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    atexit.register(adapter.close)
+    port = CanPort(CanWire(BITRATE), adapter)
+    now_ns = 0
+
+    def run(data: bytes) -> None:
+        nonlocal now_ns
+        for part in (data[: len(data) // 2], data[len(data) // 2 :]):
+            adapter.hear(part, now_ns)
+            port.wire.take(now_ns)
+            now_ns += SECOND_NS
+
+    return run
+
+
+class _AtOnce:
+    """A run that does at once what it is told."""
+
+    def call(self, action: Callable[[], object]) -> Future[object]:
+        done: Future[object] = Future()
+        try:
+            done.set_result(action())
+        except Exception as error:
+            done.set_exception(error)
+        return done
+
+
+def control() -> Callable[[bytes], None]:
+    """One line of a client, to a run on a virtual clock with every method there is."""
+    loaded = scenario.loads(soak_text(1, objects="loop:objects"), Path("fuzz.yaml"))
+    session = new_sessions(loaded)[0]
+    instrument = Instrument("front", session, [open_link("loop:front")], InPlace({}))
+    daemon = VirtualDaemon([instrument])
+    daemon.power_on()
+    orders = Orders(daemon, [instrument], SystemClock(), loaded)
+    folder = Path(tempfile.mkdtemp(prefix="lidaremu-fuzz-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    server = ControlServer(folder / "control.sock", orders.methods(), _AtOnce())
+    atexit.register(server.close)
+
+    def run(data: bytes) -> None:
+        server.answer(data.replace(b"\n", b" "))
+
+    return run
+
+
+def links() -> Callable[[bytes], None]:
+    """The text of a link, as scenarios and `--link` give it."""
+
+    def run(data: bytes) -> None:
+        try:
+            check_url(data.decode("utf-8", "replace"))
+        except ValueError as error:
+            if "want" not in str(error) and ";" not in str(error):
+                raise AssertionError(f"a refusal that does not say what is wanted: {error}") from None
+
+    return run
+
+
+def telegram_reader() -> Callable[[bytes], None]:
+    """What a device says to our own host programs."""
+
+    def run(data: bytes) -> None:
+        reader = TelegramReader()
+        reader.feed(data)
+        while (telegram := reader.take()) is not None:
+            read_values(telegram)
+
+    return run
+
+
+READER_SEEDS = (
+    request(b"\x20\x24"),
+    b"\x02\x80\x03\x00\xa0\x00\x10\x16\x0a",
+    b"\x02\x81\x0a\x00\xb0\x02\x00\x01\x02\x10",
+)

@@ -1,0 +1,105 @@
+"""Fuzzing of the devices' conversations: what a host sends, in pieces with pauses, into a session that lives.
+
+An input is read as operations: a byte that chooses the pause, a byte of length, that many bytes. On CAN a piece begins
+with two bytes of identifier. What comes out is taken, what is asked for is measured (as scans without echoes).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from emulator.spec import load_spec
+from protocols import family
+from protocols.errors import ScanRefused
+from protocols.ld.packages import encode_packages
+from protocols.ld.segments import encode_segments
+from protocols.ld.telegrams import payload_of
+from protocols.ld.usp import encode_frame
+from protocols.lms2xx.telegrams import request
+from protocols.scan import Scan
+from protocols.session import Address, LinkKind, Session
+
+PAUSES_NS = (0, 100_000, 1_000_000, 7_000_000, 30_000_000, 300_000_000, 2_000_000_000, 20_000_000_000)
+MOST_HELD = 20_000
+"Emissions that a session may have pending after one input."
+ROUNDS = 40
+EXTENDED = 1 << 31
+
+
+def operations(pieces: Sequence[tuple[int, bytes]]) -> bytes:
+    """The input that says these pieces, each after the pause of that number."""
+    return b"".join(bytes((pause, len(part))) + part for pause, part in pieces)
+
+
+def conversation(model: str, kind: LinkKind) -> Callable[[bytes], None]:
+    """A target: one input to a fresh device of that model on a link of that kind."""
+    spec = load_spec(model)
+    assert spec.family is not None
+    made = family(spec.family)
+
+    def run(data: bytes) -> None:
+        session = made.new_session({}, spec.device)
+        session.connected(0, Address(0, 0), kind)
+        session.power_on(0)
+        if kind is LinkKind.STREAM:
+            session.connected(0, Address(0, 1), kind)
+        now_ns, at = 3_000_000_000, 0
+        session.advance(now_ns)
+        while at + 2 <= len(data):
+            now_ns += PAUSES_NS[data[at] % len(PAUSES_NS)]
+            piece = data[at + 2 : at + 2 + data[at + 1]]
+            at += 2 + data[at + 1]
+            if kind is LinkKind.CAN:
+                word = int.from_bytes(piece[:2], "big")
+                peer = (word & 0x7FF) | (EXTENDED | 0x18FF0000 if word & 0x8000 else 0)
+                session.receive(piece[2:10], now_ns, Address(0, peer))
+            else:
+                session.receive(piece, now_ns, Address(0, 1 if kind is LinkKind.STREAM else 0))
+            _serve(session, now_ns)
+        if kind is LinkKind.STREAM:
+            session.disconnected(now_ns, Address(0, 1))
+        for _ in range(ROUNDS):
+            wake = session.next_deadline()
+            if wake is None:
+                break
+            now_ns = max(now_ns, wake)
+            _serve(session, now_ns)
+
+    return run
+
+
+def _serve(session: Session, now_ns: int) -> None:
+    session.advance(now_ns)
+    plan = session.next_plan()
+    if plan is not None:
+        try:
+            session.submit(Scan.empty(plan))
+        except ScanRefused:
+            pass
+    if len(session.take_emissions(now_ns)) > MOST_HELD:
+        raise AssertionError(f"more than {MOST_HELD} emissions at once")
+    session.take_events()
+
+
+LMS_SEEDS = (
+    operations([(1, request(bytes.fromhex(text)))])
+    for text in ("2024", "2025", "2048", "31", "3a", "3001", "10", "20 30 01", "3b b4 00 64 00", "72", "74", "77 01 01")
+)
+LMS = (
+    *LMS_SEEDS,
+    operations([(0, request(b"\x20\x00SICK_LMS")), (6, request(b"\x77" + bytes(34))), (6, request(b"\x20\x25"))]),
+    operations([(0, request(b"\x20\x24")), (4, request(b"\x30\x01")), (4, request(b"\x3b\x64\x00\x32\x00"))]),
+    operations([(0, request(b"\x36\x05")), (4, request(b"\x37\x01\x00\x64\x00")), (5, request(b"\x20\x2a"))]),
+)
+LD_WORDS = ((0x0101, 0), (0x0201, 1), (0x0202,), (0x0301, 0, 0x39FF), (0x0302, 1), (0x0401, 4), (0x0402, 10), (0x0404,),
+            (0x0405,), (0x0501, 1, 2), (0x050A, 0, 2, 16), (0x050B, 0), (0x0510, 1), (0x040A, 0, 1000, 0))  # fmt: skip
+LD_STREAM = tuple(operations([(3, encode_frame(payload_of(*words)))]) for words in LD_WORDS)
+LD_SERIAL = tuple(operations([(3, encode_packages(payload_of(*words), 0x0001))]) for words in LD_WORDS)
+LD_CAN = tuple(
+    operations([(1, b"\x05\x01" + part) for part in encode_segments(payload_of(*words), 1)]) for words in LD_WORDS
+)
+CAN_OBJECTS = tuple(
+    operations([(2, identifier.to_bytes(2, "big") + payload)])
+    for identifier in (0x200, 0x202, 0x300, 0x301, 0x400, 0x401, 0x4F0, 0x4F1, 0x5F2, 0x5F3, 0x5F4, 0x740, 0x741, 0x742)
+    for payload in (bytes(8), b"\xff" * 8, bytes.fromhex("f8000000 08 00 00 00"), b"\x01\x02")
+)

@@ -1,0 +1,60 @@
+"""A share of the sweeps of a long run is measured, the rest repeats what was measured last.
+
+Scene and sensors of a soak stand still: a sweep brings the same again but for noise, and a day would spend most of its
+hours on rays. What happens to scans on their way is the same for a repeated one. Belongs here: only that.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from collections.abc import Mapping
+from dataclasses import replace
+
+from emulator.conditions import NORMAL, Conditions
+from emulator.measuring import Measure
+from protocols.scan import Scan, ScanPlan
+
+FRESH, CYCLE = 40, 2000
+"Of so many sweeps of one kind in a row the first so many are measured: long enough for a tracker to know its objects."
+KINDS_KEPT, SCANS_KEPT = 8, 8
+"Kinds of sweeps kept apart, and scans of each that are repeated in turn."
+
+
+class Repeated:
+    """A measuring function that is asked for a share of the sweeps, in runs."""
+
+    def __init__(self, inner: Measure) -> None:
+        self._inner = inner
+        self._kept: OrderedDict[tuple[object, ...], deque[Scan]] = OrderedDict()
+        self._turn: dict[tuple[object, ...], int] = {}
+        self.measured = self.repeated = 0
+
+    def __call__(self, plan: ScanPlan, conditions: Conditions = NORMAL) -> Scan:
+        """The sweep, measured or repeated under its own plan; a soak changes no conditions."""
+        kind = (
+            plan.azimuth_rad.tobytes(), plan.fire_offset_s.tobytes(), plan.max_echoes, plan.max_range_m, plan.gain,
+            plan.wants_intensity, plan.wants_objects,
+        )  # fmt: skip
+        kept = self._kept.setdefault(kind, deque(maxlen=SCANS_KEPT))
+        self._kept.move_to_end(kind)
+        turn = self._turn.get(kind, 0)
+        self._turn[kind] = (turn + 1) % CYCLE
+        if len(self._kept) > KINDS_KEPT:
+            forgotten, _ = self._kept.popitem(last=False)
+            del self._turn[forgotten]
+        if turn >= FRESH:
+            self.repeated += 1
+            return replace(kept[turn % len(kept)], plan=plan)
+        self.measured += 1
+        scan = self._inner(plan, conditions)
+        kept.append(scan)
+        return scan
+
+    def afresh(self) -> None:
+        """Begin a cycle: the next sweeps of every kind are measured."""
+        self._turn = dict.fromkeys(self._turn, 0)
+
+
+def repeating(measures: Mapping[str, Measure]) -> dict[str, Repeated]:
+    """The same for every sensor; a list of objects that must be made anew measures its sources itself."""
+    return {name: Repeated(measure) for name, measure in measures.items()}

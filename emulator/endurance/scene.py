@@ -1,0 +1,55 @@
+"""The scenario of a soak: an LMS291 at 37.5 scans a second, an LD-LRS, an object list on CAN; cheap to measure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from emulator import scenario
+from emulator.scenario import Scenario
+
+LMS_RATE_HZ, LD_RATE_HZ, LIST_RATE_HZ = 37.5, 5.0, 1e3 / 75.0
+LMS_BEAMS, LD_BEAMS = 361, 360
+WALL_M = 8.0
+"What the middle beam of both scanners sees."
+
+_TEXT = """\
+schema: 1
+seed: {seed}
+world:
+  - {{plane: {{size_m: [6, 60]}}, at_m: [8, 0, 1], pitch_deg: -90, material: white_plaster}}
+actors:
+  - id: car
+    class: car
+    shape: {{box: {{size_m: [4, 1.8, 1.5]}}}}
+    material: car_paint_grey
+    motion: {{at_m: [7, 4, 0]}}
+sensors:
+  - id: front
+    model: sick-lms291-s05
+    mount: {{at_m: [0, 0, 1]}}
+    device: {{resolution_deg: 0.5, field_deg: 180}}
+    physics: {physics}
+    links: ["{front}"]
+  - id: top
+    model: sick-ld-lrs1000
+    mount: {{at_m: [0, 0, 1]}}
+    device: {{delays: fast, step_deg: 1.0, motor_hz: 5}}
+    physics: {physics}
+    links: ["{top}"]
+  - id: objects
+    model: can-ars408
+    from: [front]
+    mount: {{at_m: [0, 0, 1]}}
+    links: ["{objects}"]
+"""
+_PHYSICS = "{rule: axis, sub_beams: 1, background: false, weather_echoes: false}"
+
+
+def soak_text(seed: int, front: str = "loop:front", top: str = "loop:top", objects: str = "can:virtual:soak") -> str:
+    """The scenario with these links."""
+    return _TEXT.format(seed=seed, physics=_PHYSICS, front=front, top=top, objects=objects)
+
+
+def soak_scenario(seed: int) -> Scenario:
+    """The scenario, judged."""
+    return scenario.loads(soak_text(seed), Path("soak.yaml"))

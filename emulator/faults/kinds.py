@@ -1,0 +1,107 @@
+"""What a kind of fault is: its keys, for whom it exists, how long it lasts, what carries it out.
+
+Not here: the kinds themselves (the layers), a fault of a run (run).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from protocols.session import LinkKind
+
+if TYPE_CHECKING:
+    from emulator.faults.acts import Act, Gear
+    from emulator.faults.config import Common
+
+TO_HOST = ("to_host",)
+BOTH_WAYS = ("to_host", "from_host")
+FROM_HOST = ("from_host",)
+
+
+class Keys(BaseModel):
+    """Keys of one kind of fault; none by itself."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
+
+
+@dataclass(frozen=True)
+class Target:
+    """The sensor that a fault is on, as far as it is known before a run."""
+
+    sensor: str
+    model: str
+    family: str | None
+    links: tuple[LinkKind, ...]
+    "Kinds of its links; of a sensor without any, the kind of the link that it would get."
+    sees: str = "beams"
+    "beams | objects"
+    facts: Mapping[str, Any] | None = None
+    "The spec's `device` table."
+    device: Mapping[str, Any] | None = None
+    "The scenario's."
+    urls: tuple[str, ...] = ()
+    "Texts of its links."
+    actors: tuple[str, ...] | None = None
+    "Of the scene; None: not known."
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One name that `do` may have."""
+
+    name: str
+    layer: str
+    "photon | mechanics | measurement | clock | telegram | byte | link | can"
+    summary: str
+    "One sentence: what the host sees."
+    ends: str
+    "How its end shows."
+    keys: type[Keys] = Keys
+    act: Callable[[Any, Gear], Act] | None = None
+    "Carries it out where bytes are sent and received: (its keys, what it can reach)."
+    measured: bool = False
+    "Carried out where sweeps are measured: it goes with their plans."
+    lasts: Literal["telegrams", "state", "own"] = "telegrams"
+    """telegrams: hits single ones, one each time it begins unless the file says more. state: holds until its end, for
+    ever when the file gives none. own: its keys say how long."""
+    own_s: Callable[[Any], float] | None = None
+    "How long a fault with these keys lasts."
+    families: tuple[str, ...] = ()
+    "Empty: all."
+    links: tuple[LinkKind, ...] = ()
+    "Kinds of link on which it exists; empty: all."
+    sees: tuple[str, ...] = ("beams", "objects")
+    directions: tuple[str, ...] = ()
+    "Ways that the bytes may go; empty: it has none."
+    of: Literal["all", "scans", "replies"] = "all"
+    "Which telegrams it hits unless the file says otherwise."
+    check: Callable[[Any, Common, Target], str | None] | None = None
+    "What else cannot be: `found; want allowed`, or None."
+
+    @property
+    def counts_telegrams(self) -> bool:
+        """Whether `of`, `label` and `direction` mean something to it without a trigger that counts."""
+        return bool(self.directions)
+
+    def unfit(self, target: Target) -> str | None:
+        """Why it does not exist on that sensor, `found; want allowed`; None when it does."""
+        if self.families and target.family not in self.families:
+            return f"{target.model} speaks {target.family or 'no protocol'}; want a sensor of {_or(self.families)}"
+        if target.sees not in self.sees:
+            lists = "lists objects" if target.sees == "objects" else "lists no objects"
+            other = "a sensor that lists objects" if target.sees == "beams" else "one of the sensors in its `from`"
+            return f"{target.model} {lists}; want {other}"
+        if self.links and target.links and not set(self.links) & set(target.links):
+            found = _or(sorted({kind.value for kind in target.links}))
+            return f"{target.sensor} has links of the kind {found}; want {_or([kind.value for kind in self.links])}"
+        return None
+
+
+def _or(words: tuple[str, ...] | list[str]) -> str:
+    return " or ".join(words)

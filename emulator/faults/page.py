@@ -1,0 +1,57 @@
+"""The tables of docs/faults.md, from the catalogue: `python -m emulator.faults.page` writes them anew.
+
+Belongs here: rows as Markdown, and where they go. Not: the text of the page (docs/faults.md itself).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from emulator.faults.catalogue import LAYERS, fits, keys_of, kinds
+from emulator.faults.kinds import Kind
+
+BEGIN, END = "<!-- made by python -m emulator.faults.page -->", "<!-- end of what is made -->"
+WHAT = {
+    "photon": "what happens to the light",
+    "mechanics": "mirror, motor, mount",
+    "measurement": "what the device makes of its echoes",
+    "clock": "the time that the device tells",
+    "telegram": "whole telegrams, their fields and replies",
+    "byte": "bytes and bits, whatever they mean",
+    "link": "plugs, power, connections",
+    "can": "frames, protection and the bus",
+}
+
+
+def tables() -> str:
+    """All kinds by layer."""
+    parts = [f"{len(kinds())} faults in {len(LAYERS)} layers.", ""]
+    for layer in LAYERS:
+        parts += [f"### {layer}: {WHAT[layer]}", "", "| fault | its keys | for | what the host sees | its end |"]
+        parts += ["|---|---|---|---|---|", *(_row(kind) for kind in kinds().values() if kind.layer == layer), ""]
+    return "\n".join(parts)
+
+
+def _row(kind: Kind) -> str:
+    keys = ", ".join(_key(row) for row in keys_of(kind)) or "-"
+    lasting = {"telegrams": "", "state": " Holds until its end.", "own": ""}[kind.lasts]
+    return f"| `{kind.name}` | {keys} | {fits(kind)} | {kind.summary}{lasting} | {kind.ends} |".replace("||", "|")
+
+
+def _key(row: dict[str, str]) -> str:
+    default = "" if row["default"] in ("required", "none") else f" {row['default']}"
+    return f"**`{row['key']}`**" if row["default"] == "required" else f"`{row['key']}`{default}"
+
+
+def written(text: str) -> str:
+    """The page with its tables made anew."""
+    head, begin, rest = text.partition(BEGIN)
+    _, end, tail = rest.partition(END)
+    if not begin or not end:
+        raise ValueError(f"the page lacks {BEGIN} or {END}")
+    return f"{head}{BEGIN}\n{tables()}\n{END}{tail}"
+
+
+if __name__ == "__main__":
+    page = Path("docs/faults.md")
+    page.write_text(written(page.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,0 +1,27 @@
+"""What befalls the device itself, told to its session: faults of one kind that overlap act together.
+
+Belongs here: how they add up. Not: what the device makes of it (`Session.suffer` of its family).
+"""
+
+from __future__ import annotations
+
+import math
+
+from emulator.faults.acts import Gear
+
+FACTORS = ("window", "motor speed")
+"What multiplies; of everything else the strongest counts."
+
+
+def suffer(gear: Gear, now_ns: int, what: str, degree: float | None) -> None:
+    """This fault makes the device suffer so much, or (None) no more."""
+    mine = gear.instrument.suffering.setdefault(what, {})
+    if degree is None:
+        mine.pop(gear.number, None)
+    else:
+        mine[gear.number] = degree
+    if what in FACTORS:
+        told = math.prod(mine.values())
+    else:
+        told = max(mine.values(), key=abs, default=0.0)
+    gear.session.suffer(now_ns, what, told)

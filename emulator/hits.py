@@ -1,0 +1,221 @@
+"""What rays met, and what is known of them under way: the columns that the ray caster fills.
+
+Belongs here: hits, counters, and parts of them that are put together. Not: casting (raycast).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from emulator.fleet import Flags, Longs
+from emulator.physics.arrays import indexes
+from emulator.triangles import Floats, Ints
+
+MISS = np.int32(-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """What m rays met first."""
+
+    range_m: Floats
+    "(m,) along the ray from its origin; NaN for a miss."
+    body: Ints
+    "(m,) index into `Scene.bodies`, -1 for a miss."
+    actor: Ints
+    "(m,) index into `Scene.actors`, -1 for a miss."
+    face: Longs
+    "(m,) index into the body's faces, -1 for a miss."
+    material: Ints
+    "(m,) index into `Scene.materials`, -1 for a miss."
+    normal: Floats
+    "(m, 3) unit, in the world, on the side the ray came from; zeros for a miss."
+    inner: Flags
+    "(m,) met from inside of a closed shell."
+
+    def __len__(self) -> int:
+        return len(self.range_m)
+
+    @classmethod
+    def misses(cls, count: int) -> Hits:
+        """Hits of rays that met nothing."""
+        body, actor, material = (np.full(count, MISS) for _ in range(3))
+        return cls(
+            np.full(count, np.nan),
+            body,
+            actor,
+            np.full(count, -1, np.int64),
+            material,
+            np.zeros((count, 3)),
+            np.zeros(count, bool),
+        )
+
+
+    def taken(self, rays: Longs) -> Hits:
+        """Those of some rays."""
+        return Hits(*(column[rays] for column in vars(self).values()))
+
+    def put(self, rays: Longs, others: Hits) -> None:
+        """Set those of some rays."""
+        for column, other in zip(vars(self).values(), vars(others).values(), strict=True):
+            column[rays] = other
+
+
+@dataclass(frozen=True, eq=False)
+class Renewed:
+    """Hits of rays that come again: most of them may be as they were."""
+
+    resting: Hits
+    "On resting bodies; the same object each time, not to be written to."
+    rays: Longs
+    "(k,) ascending: those whose hits may differ."
+    now: Hits
+    "Of these k."
+
+    @classmethod
+    def of(cls, resting: Hits, parts: list[tuple[Longs, Hits]]) -> Renewed:
+        """From the changes of several blocks of rays."""
+        if not parts:
+            return cls(resting, np.zeros(0, np.int64), Hits.misses(0))
+        if len(parts) == 1:
+            return cls(resting, *parts[0])
+        columns = zip(*(vars(hits).values() for _, hits in parts), strict=True)
+        return cls(resting, np.concatenate([rays for rays, _ in parts]), Hits(*map(np.concatenate, columns)))
+
+    @property
+    def hits(self) -> Hits:
+        """All of them; those at rest themselves where none differs."""
+        if not len(self.rays):
+            return self.resting
+        hits = Hits(*(column.copy() for column in vars(self.resting).values()))
+        hits.put(self.rays, self.now)
+        return hits
+
+
+@dataclass
+class Counters:
+    """What happened in all casts so far; approximate when several threads cast."""
+
+    rays: int = 0
+    "Asked for."
+    cast: int = 0
+    "Searches that were needed for them: those whose resting part is known are cast on moving bodies alone."
+    suspicious: int = 0
+    "Hits whose float32 distance was kept because the refined one did not agree."
+    leaks: int = 0
+    "Rays that had slipped between triangles into a closed shell and were cast again."
+
+
+@dataclass(eq=False)
+class Nearest:
+    """The nearest hits so far."""
+
+    range_m: Floats
+    triangle: Longs
+    body: Longs
+    normal: Floats
+    "(3, m) by the winding, not yet turned to the ray's side."
+    facing: Floats
+    "normal . direction; 0 for a miss."
+
+    @classmethod
+    def nothing(cls, count: int) -> Nearest:
+        no = np.full(count, -1, np.int64)
+        return cls(np.full(count, np.inf), no, no.copy(), np.zeros((3, count)), np.zeros(count))
+
+    def put(self, here: slice, part: Nearest) -> None:
+        """Set those of some rays."""
+        for name, column in vars(part).items():
+            getattr(self, name)[..., here] = column
+
+    def taken(self, rays: Longs) -> Nearest:
+        """Those of some rays."""
+        return Nearest(
+            self.range_m[rays], self.triangle[rays], self.body[rays], self.normal[:, rays], self.facing[rays]
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Met:
+    """Rays that met something else than is known so far."""
+
+    rays: Longs
+    "(k,) may repeat."
+    triangle: Longs
+    body: Longs
+    range_m: Floats
+    normal: Floats
+    "(3, k)"
+    facing: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Passing:
+    """Pairs of a moving body and a ray that comes into its box, in the body's frame."""
+
+    which: Longs
+    "(k,) of the movers."
+    rays: Longs
+    enter: Floats
+    leave: Floats
+    turned: Floats
+    "(3, 3, k) body to world."
+    local: Floats
+    "(3, k) origins about the centre of the sphere."
+    along: Floats
+
+    def taken(self, chosen: Longs) -> Passing:
+        """Some of them."""
+        return Passing(*(column[..., chosen] for column in vars(self).values()))
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Some rays of a fan, and what they meet of resting bodies."""
+
+    here: slice
+    origin: Floats
+    "(3, m)"
+    ray: Floats
+    box: tuple[Floats, Floats]
+    "Least and largest origin."
+    nearest: Nearest
+    unsettled: Longs
+    "Rays that met an inside, and may have slipped past a moving body."
+
+
+@dataclass(frozen=True, eq=False)
+class Fan:
+    """Rays that come again and again."""
+
+    origin_m: Floats
+    direction: Floats
+    far: float
+    blocks: tuple[Block, ...]
+    hits: Hits
+    "On resting bodies; not to be written to."
+
+    def is_of(self, origin_m: Floats, direction: Floats, far: float) -> bool:
+        return self.origin_m is origin_m and self.direction is direction and self.far == far
+
+
+def all_met(parts: list[Met]) -> Met | None:
+    if len(parts) < 2:
+        return parts[0] if parts else None
+    columns = zip(*(vars(part).values() for part in parts), strict=True)
+    return Met(*(np.concatenate(column, axis=-1) for column in columns))
+
+
+def keep_nearer(found: Nearest, rays: Longs, met: Met) -> None:
+    """Put hits of `rays` (which may repeat) where nothing is nearer."""
+    best = found.range_m.copy()
+    np.minimum.at(best, rays, met.range_m)
+    wins = indexes(met.range_m == best[rays])
+    target = rays[wins]
+    found.range_m[target] = met.range_m[wins]
+    found.triangle[target] = met.triangle[wins]
+    found.body[target] = met.body[wins]
+    found.normal[:, target] = met.normal[:, wins]
+    found.facing[target] = met.facing[wins]

@@ -1,0 +1,169 @@
+"""Reads a `run.mcap` piece by piece, so that an hour of it needs no more memory than a second.
+
+Belongs here: records in the order of the file to whoever takes them. Not: a whole run in memory (reader).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from mcap.records import Attachment, Channel, Message, Metadata
+
+from emulator.recording import layout
+from emulator.recording.bounds import TooLarge, mcap_records, regular
+from emulator.recording.layout import RecordedScan, decode_scan
+from emulator.recording.reader import DAMAGE, WirePayload, damage
+from emulator.recording.writer import RecordingError
+from protocols.scan import Floats
+
+
+@dataclass(frozen=True)
+class Head:
+    """The version of what follows, and the scenario as it was run."""
+
+    version: str
+    scenario: str
+
+
+@dataclass(frozen=True)
+class Wire:
+    """A payload on a link."""
+
+    sensor: str
+    link: int
+    kind: str
+    url: str
+    sent: bool
+    payload: WirePayload
+
+
+@dataclass(frozen=True, eq=False)
+class Beams:
+    """When each beam of the sweeps that follow is fired after the sweep's start, (n,). [s]"""
+
+    sensor: str
+    fire_offset_s: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A sweep, or a list of objects."""
+
+    sensor: str
+    scan: RecordedScan
+
+
+@dataclass(frozen=True)
+class Told:
+    """Something that happened; `sensor` is `run` for what concerns the whole run."""
+
+    at_ns: int
+    sensor: str
+    row: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class End:
+    """Counters of each sensor at the end of the run."""
+
+    sensors: Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Cut:
+    """The file ends here, before its end: why."""
+
+    reason: str
+
+
+Item = Head | Wire | Beams | Measured | Told | End | Cut
+
+
+@dataclass
+class Progress:
+    """How far reading has come. [bytes]"""
+
+    done: int = 0
+    total: int = 0
+
+
+def mcap_of(path: Path) -> Path:
+    """The `run.mcap` of a recording's folder, or the file itself; raises `RecordingError` when there is none."""
+    file = path / layout.FILE_NAME if path.is_dir() else path
+    try:
+        regular(file)
+        with file.open("rb") as opened:
+            magic = opened.read(8)
+    except OSError as error:
+        raise RecordingError(f"{file}: cannot read: {error.strerror}") from None
+    except TooLarge as error:
+        raise RecordingError(f"{file}: {error}") from None
+    if magic != b"\x89MCAP0\r\n":
+        raise RecordingError(f"{file}: not an MCAP file; want a recording's folder or its {layout.FILE_NAME}")
+    return file
+
+
+def items(path: Path, progress: Progress) -> Iterator[Item]:
+    """Everything in a recording, given its folder or its file; a cut one ends with `Cut`. Raises `RecordingError`."""
+    file_path = mcap_of(path)
+    progress.total = file_path.stat().st_size
+    channels: dict[int, Channel] = {}
+    begun = False
+    with file_path.open("rb") as file:
+        try:
+            for item in _items(file, file_path, channels, progress):
+                begun = True
+                yield item
+        except TooLarge as error:
+            raise RecordingError(f"{file_path}: {error}") from None
+        except DAMAGE as error:
+            if begun:
+                yield Cut(damage(error))
+    if not begun:
+        raise RecordingError(f"{file_path}: no recording of lidaremu, or one cut within its first bytes")
+
+
+def _items(file: BinaryIO, path: Path, channels: dict[int, Channel], progress: Progress) -> Iterator[Item]:
+    version = None
+    for record in mcap_records(file):
+        progress.done = file.tell()
+        if isinstance(record, Metadata) and record.name == layout.META_NAME:
+            if record.metadata.get("layout") != str(layout.VERSION):
+                found = record.metadata.get("layout", "")
+                raise RecordingError(f"{path}: layout {found!r}; this version reads {layout.VERSION}")
+            version = record.metadata.get("version", "")
+        elif isinstance(record, Metadata) and record.name == layout.END_NAME:
+            yield End({sensor: json.loads(text) for sensor, text in record.metadata.items()})
+        elif version is None:
+            continue
+        elif isinstance(record, Attachment):
+            yield Head(version, record.data.decode("utf-8", "replace"))
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Message):
+            found_item = _message(channels[record.channel_id], record)
+            if found_item is not None:
+                yield found_item
+
+
+def _message(channel: Channel, message: Message) -> Item | None:
+    meta, encoding = channel.metadata, channel.message_encoding
+    if encoding == layout.WIRE_ENCODING:
+        sweep = message.sequence - 1 if message.sequence else None
+        payload = WirePayload(
+            message.log_time, message.publish_time, message.data, int(meta["peer"]), int(meta["baud"]), sweep
+        )
+        return Wire(meta["sensor"], int(meta["link"]), meta["kind"], meta["url"], meta["direction"] == "tx", payload)
+    if encoding == layout.SCAN_ENCODING:
+        return Measured(meta["sensor"], decode_scan(message.data))
+    if encoding == layout.BEAMS_ENCODING:
+        return Beams(meta["sensor"], np.frombuffer(message.data, "<f8").astype(np.float64))
+    if encoding == layout.EVENT_ENCODING:
+        row = json.loads(message.data)
+        return Told(message.log_time, meta["sensor"], row if isinstance(row, dict) else {"event": str(row)})
+    return None

@@ -1,0 +1,104 @@
+"""True ranges of recorded sweeps: the axis of each beam cast again into the recorded scene, at the beam's own instant.
+
+No noise, no footprint, no weather: the range at which the axis meets the first surface. Belongs here: sweeps in batches
+to the ray caster. Not: what is made of the differences (errors).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from emulator import raycast, scene
+from emulator import scenario as scenario_file
+from emulator.errors import EmulatorError
+from emulator.recording.layout import RecordedScan
+from emulator.run_report.errors import RangeTally
+from emulator.scenario import Scenario
+from emulator.scene import Scene
+from protocols.scan import Floats, Ints
+
+BATCH_BEAMS = 30_000
+
+
+class Truth:
+    """The recorded scene."""
+
+    def __init__(self, scenario: Scenario, world: Scene) -> None:
+        self._caster = raycast.Caster(world)
+        self._mounts = {sensor.id: sensor.mount for sensor in scenario.sensors}
+        self.scene = world
+
+    def tally_of(self, sensor: str) -> SensorTruth:
+        """Adds up one sensor's sweeps."""
+        return SensorTruth(self, sensor)
+
+    def ranges(self, sensor: str, t_s: Floats, azimuth_rad: Floats, elevation_rad: Floats) -> tuple[Floats, Ints]:
+        """True range, NaN where the axis meets nothing, and index of the actor met, -1; (b,) each."""
+        pose = self.scene.sensor_pose(self._mounts[sensor], t_s)
+        flat = np.cos(elevation_rad)
+        own = np.stack([flat * np.cos(azimuth_rad), flat * np.sin(azimuth_rad), np.sin(elevation_rad)], axis=-1)
+        direction = np.einsum("nij,nj->ni", pose.rotation, own)
+        hits = self._caster.first_hits(np.ascontiguousarray(pose.position_m), np.ascontiguousarray(direction), t_s)
+        return hits.range_m, hits.actor
+
+
+class SensorTruth:
+    """Sweeps of one sensor, cast some at a time."""
+
+    def __init__(self, truth: Truth, sensor: str) -> None:
+        self._truth, self._sensor = truth, sensor
+        self.tally = RangeTally(truth.scene.actors)
+        self.offsets_s: Floats | None = None
+        "When beams are fired after their sweep's start; None: not recorded, then all at the start."
+        self.without_offsets = 0
+        self._waiting: list[tuple[RecordedScan, Floats]] = []
+        self._beams = 0
+
+    def add(self, scan: RecordedScan) -> None:
+        """One sweep; it may wait until more are there."""
+        n = len(scan.azimuth_rad)
+        offsets = self.offsets_s
+        if offsets is None or len(offsets) != n:
+            self.without_offsets += 1
+            offsets = np.zeros(n)
+        self._waiting.append((scan, offsets))
+        self._beams += n
+        if self._beams >= BATCH_BEAMS:
+            self.flush()
+
+    def flush(self) -> None:
+        """Cast what waits. Sweeps of other numbers of echoes a beam are cast apart."""
+        while self._waiting:
+            k = self._waiting[0][0].range_m.shape[1]
+            batch = [one for one in self._waiting if one[0].range_m.shape[1] == k]
+            self._waiting = [one for one in self._waiting if one[0].range_m.shape[1] != k]
+            scans = [scan for scan, _ in batch]
+            starts_s = np.array([scan.start_ns for scan in scans], dtype=np.float64) * 1e-9
+            sweep = np.repeat(np.arange(len(scans)), [len(scan.azimuth_rad) for scan in scans])
+            t_s = starts_s[sweep] + np.concatenate([offsets for _, offsets in batch])
+            azimuth = np.concatenate([scan.azimuth_rad for scan in scans])
+            elevation = np.concatenate(
+                [np.zeros_like(one.azimuth_rad) if one.elevation_rad is None else one.elevation_rad for one in scans]
+            )
+            true_m, true_actor = self._truth.ranges(self._sensor, t_s, azimuth, elevation)
+            range_m = np.concatenate([scan.range_m for scan in scans])
+            actor = np.concatenate([scan.actor for scan in scans])
+            self.tally.add(starts_s, range_m, actor, true_m, true_actor, sweep)
+        self._beams = 0
+
+
+def truth_of(text: str, path: Path, tell: Callable[[str], None]) -> tuple[Scenario | None, Truth | None]:
+    """The recorded scenario and its scene; `tell` is told why there is none, as when a mesh has gone."""
+    try:
+        loaded = scenario_file.loads(text, path)
+    except (EmulatorError, ValueError) as error:
+        tell(f"The recorded scenario cannot be read by this version: {str(error).splitlines()[0]}")
+        return None, None
+    try:
+        return loaded, Truth(loaded, scene.build(loaded))
+    except (EmulatorError, ValueError) as error:
+        tell(f"The recorded scene cannot be built: {str(error).splitlines()[0]}")
+        return loaded, None

@@ -1,0 +1,48 @@
+"""Reflections too faint to matter: dropped before the receiver looks at them.
+
+Belongs here: which of a sweep's sub-echoes. Not: what is detected (physics.detection).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from emulator.physics.arrays import indexes
+from emulator.physics.subechoes import SubEchoes
+from emulator.sensing.model import SensorModel
+
+ALONE = 1e-3
+"Share of the threshold below which a reflection is faint."
+TOGETHER = 1e-2
+"Share of the threshold that all those dropped in a beam may have together."
+"And they must not shift the crossing of another echo, see `SensorModel.unseen_amplitude`."
+WORTH = 0.1
+"Share of all reflections that must be faint: fewer cost more to drop than to keep."
+
+
+def most_dropped(model: SensorModel) -> float:
+    """Sum of the amplitudes that may be dropped from a beam."""
+    return min(TOGETHER * model.threshold, model.unseen_amplitude)
+
+
+def without_faint(found: SubEchoes, threshold: float, together: float, beyond_m: float = -np.inf) -> SubEchoes:
+    """The sub-echoes but those that are faint; of each beam the nearest ones, until their sum would show.
+
+    They also stop light: up to `beyond_m`, where a medium is followed, all are kept.
+    """
+    at = indexes((found.amplitude < ALONE * threshold) & (found.range_m > beyond_m))
+    if len(at) <= WORTH * len(found):
+        return found
+    amplitude, beam = found.amplitude[at], found.beam[at]
+    total = amplitude.cumsum()
+    head = beam.searchsorted(beam)
+    dropped = at[total - (total[head] - amplitude[head]) <= together]
+    kept = np.ones(len(found), bool)
+    kept[dropped] = False
+    spread = None if found.spread_m is None else found.spread_m[kept]
+    return replace(
+        found, beam=found.beam[kept], range_m=found.range_m[kept], amplitude=found.amplitude[kept],
+        blocked=found.blocked[kept], source=found.source[kept], spread_m=spread,
+    )  # fmt: skip

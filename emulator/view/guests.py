@@ -1,0 +1,66 @@
+"""Hosts of ours on a daemon that the page has started itself: devices send when they are asked to."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from emulator import scenario as scenario_file
+from emulator.errors import EmulatorError
+from emulator.spec import load_spec
+
+BAUD = 500_000
+
+
+def free_links(name: str, folder: Path) -> list[str]:
+    """SENSOR=URL for each sensor that has a protocol: links that no other run can be using."""
+    found = []
+    for one in scenario_file.load(name).sensors:
+        family = load_spec(one.model).family
+        if family == "can_objects":
+            found.append(f"{one.id}=socketcand:127.0.0.1:0/can0")
+        elif family == "ld":
+            found.append(f"{one.id}=tcp:127.0.0.1:0")
+        elif family is not None:
+            found.append(f"{one.id}=pty:{folder / one.id}")
+    return found
+
+
+class Guests:
+    """One host a sensor; each reads until the daemon goes."""
+
+    def __init__(self, sensors: Sequence[Mapping[str, Any]], failed: Callable[[str], None]) -> None:
+        """`sensors` as told in `ready`."""
+        self._failed = failed
+        self._over = threading.Event()
+        self._told: set[str] = set()
+        for row in sensors:
+            family = load_spec(row["model"]).family
+            if family is not None and row["links"]:
+                threading.Thread(target=self._host, args=(row, family), daemon=True).start()
+
+    def _host(self, row: Mapping[str, Any], family: str) -> None:
+        from emulator.look import CAN_FAMILY, connect
+
+        while not self._over.is_set():
+            try:
+                host = connect(row["links"][0], family, BAUD, row["model"] if family == CAN_FAMILY else None)
+                for _ in host.scans(0.5):
+                    if self._over.is_set():
+                        return
+            except EmulatorError as error:
+                self._tell(f"host of {row['id']}: {error}")
+            except Exception as error:  # a host under faults may fail in any way; it tries again
+                self._tell(f"host of {row['id']}: {type(error).__name__}: {error}")
+            self._over.wait(1.0)
+
+    def _tell(self, text: str) -> None:
+        if not self._over.is_set() and text not in self._told:
+            self._told.add(text)
+            self._failed(text)
+
+    def close(self) -> None:
+        """No more reading; the threads end with the process."""
+        self._over.set()

@@ -1,0 +1,142 @@
+"""A device whose own quartz paces everything it does: a session that lives in the device's time, not in the run's.
+
+Belongs here: the turning of instants into the device's own and back. The session inside knows nothing of it: it is
+called at the device's instants, and its deadlines, plans, emissions and events come out as those of the run. Not: what
+the device tells of its time (device_clock).
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+from protocols.device_clock import BILLION, SECOND_NS, DeviceClock
+from protocols.quartz import Quartz
+from protocols.scan import Scan, ScanPlan
+from protocols.session import Address, Emission, Event, LinkKind, Session
+
+MOST_PLANS = 64
+"Plans given out whose scans may still come."
+
+
+class Timebase(Session):
+    """A session on a quartz of its own."""
+
+    def __init__(self, inner: Session, quartz: Quartz) -> None:
+        self.inner = inner
+        self.quartz = quartz
+        self._plans: OrderedDict[tuple[int, int], ScanPlan] = OrderedDict()
+        "Own plans given out, by epoch and sweep."
+        self._shown: tuple[ScanPlan, Quartz, ScanPlan] | None = None
+        "The last one, and as what it was given out."
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.inner, name)  # of one family alone: its device, its line
+
+    @property
+    def clock(self) -> DeviceClock:
+        """In the device's own time."""
+        return self.inner.clock
+
+    @clock.setter
+    def clock(self, clock: DeviceClock) -> None:
+        self.inner.clock = clock
+
+    @property
+    def clock_tick_ns(self) -> Fraction | None:  # type: ignore[override]
+        return self.inner.clock_tick_ns
+
+    @property
+    def can_bitrate(self) -> int | None:  # type: ignore[override]
+        return self.inner.can_bitrate
+
+    def power_on(self, now_ns: int) -> None:
+        self.inner.power_on(self.quartz.own_ns(now_ns))
+
+    def connected(self, now_ns: int, address: Address, kind: LinkKind) -> None:
+        self.inner.connected(self.quartz.own_ns(now_ns), address, kind)
+
+    def disconnected(self, now_ns: int, address: Address) -> None:
+        self.inner.disconnected(self.quartz.own_ns(now_ns), address)
+
+    def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
+        self.inner.receive(data, self.quartz.own_ns(now_ns), address)
+
+    def advance(self, now_ns: int) -> None:
+        self.inner.advance(self.quartz.own_ns(now_ns))
+
+    def next_deadline(self) -> int | None:
+        own_ns = self.inner.next_deadline()
+        return None if own_ns is None else self.quartz.true_ns(own_ns)
+
+    def next_plan(self) -> ScanPlan | None:
+        own = self.inner.next_plan()
+        if own is None:
+            return None
+        if self._shown is None or self._shown[0] is not own or self._shown[1] is not self.quartz:
+            self._shown = own, self.quartz, self.given_out(own)
+            self._plans[own.epoch, own.sweep] = own
+            while len(self._plans) > MOST_PLANS:
+                self._plans.popitem(last=False)
+        return self._shown[2]
+
+    def given_out(self, own: ScanPlan) -> ScanPlan:
+        """A sweep that the device counts by its own time, as the run does."""
+        start_ns = self.quartz.true_ns(own.start_ns)
+        # the rate at the beginning of the sweep: one that changes within it counts from the next one on
+        scale = BILLION / (BILLION + self.quartz.ppb(start_ns))
+        return replace(
+            own, start_ns=start_ns, fire_offset_s=own.fire_offset_s * scale, duration_s=own.duration_s * scale
+        )
+
+    def submit(self, scan: Scan) -> None:
+        own = self._plans.get((scan.plan.epoch, scan.plan.sweep))
+        if own is None:  # of a plan long withdrawn: the session says so
+            own = replace(scan.plan, start_ns=self.quartz.own_ns(scan.plan.start_ns))
+        self.inner.submit(replace(scan, plan=own))
+
+    def take_emissions(self, now_ns: int) -> list[Emission]:
+        return [self._sent(one) for one in self.inner.take_emissions(self.quartz.own_ns(now_ns))]
+
+    def _sent(self, own: Emission) -> Emission:
+        told = own.told
+        if told is not None:
+            told = replace(told, true_ns=self.quartz.true_ns(told.true_ns))
+        return replace(own, due_ns=self.quartz.true_ns(own.due_ns), told=told)
+
+    def suffer(self, now_ns: int, what: str, degree: float) -> bool:
+        return self.inner.suffer(self.quartz.own_ns(now_ns), what, degree)
+
+    def take_events(self) -> list[Event]:
+        return [replace(event, at_ns=self.quartz.true_ns(event.at_ns)) for event in self.inner.take_events()]
+
+
+def inside(session: Session, now_ns: int) -> tuple[Session, int]:
+    """The session of the family itself, and an instant of the run as it counts it."""
+    if isinstance(session, Timebase):
+        return inside(session.inner, session.quartz.own_ns(now_ns))
+    return session, now_ns
+
+
+def change_clock(session: Session, now_ns: int, change: Callable[[DeviceClock, int], DeviceClock]) -> None:
+    """Put another clock in the place of a device's own: `change` of it and of the instant as the device counts it."""
+    own, own_ns = inside(session, now_ns)
+    own.clock = change(own.clock, own_ns)
+
+
+def pace(session: Session, now_ns: int, by_ppb: int) -> Session:
+    """The session with a quartz that is faster by so much from an instant on; the same one if it has a quartz already.
+
+    A session gets its quartz when it first drifts: until then the device's instants are the run's.
+    """
+    base = session if isinstance(session, Timebase) else Timebase(session, Quartz())
+    base.quartz = base.quartz.at_rate(now_ns, base.quartz.ppb(now_ns) + by_ppb)
+    return base
+
+
+def seconds_ns(seconds: float) -> int:
+    """To the nearest nanosecond."""
+    return round(seconds * SECOND_NS)

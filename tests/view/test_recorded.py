@@ -1,0 +1,87 @@
+"""A recording at any of its instants: what had been sent and measured by then."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from emulator import scenario
+from emulator.clock import ManualClock
+from emulator.recording.layout import RecordedScan
+from emulator.recording.reader import RecordedRun, WireOf, WirePayload
+from emulator.view import recorded
+from emulator.view.frames import ViewError
+
+SECOND = 10**9
+
+
+def scan(start_ns: int, sweep: int) -> RecordedScan:
+    one = np.ones((2, 1))
+    return RecordedScan(start_ns, sweep, 0, np.zeros(2), one, one, np.zeros((2, 1), np.int32), ())
+
+
+@pytest.fixture
+def clock() -> ManualClock:
+    return ManualClock()
+
+
+@pytest.fixture
+def source(clock: ManualClock, monkeypatch: pytest.MonkeyPatch) -> recorded.RecordedSource:
+    """Ten seconds: a scan each half second from 1 s to 5 s, its telegram 20 ms later; a command at 0.5 s."""
+    run = RecordedRun(Path("somewhere/run.mcap"), scenario.dump(scenario.load("crossing_car")))
+    starts = [SECOND + place * SECOND // 2 for place in range(9)]
+    run.scans["front"] = [scan(start, place) for place, start in enumerate(starts)]
+    sent = [WirePayload(start + 20_000_000, start + 30_000_000, b"abc", sweep=one) for one, start in enumerate(starts)]
+    sent.append(WirePayload(10 * SECOND, 10 * SECOND, b"end"))
+    run.sent["front", 0] = WireOf("front", 0, "serial", "pty:./lms", sent)
+    run.received["front", 0] = WireOf("front", 0, "serial", "pty:./lms", [WirePayload(SECOND // 2, SECOND // 2, b"xy")])
+    run.events.append((SECOND // 2, "front", {"event": "CommandHandled", "command": "20 24"}))
+    monkeypatch.setattr(recorded, "read_run", lambda path: run)
+    return recorded.RecordedSource(Path("somewhere"), clock)
+
+
+def test_it_plays_at_its_own_pace_and_stands_at_its_end(source: recorded.RecordedSource, clock: ManualClock) -> None:
+    assert (source.length_s, source.title) == (10.0, "somewhere")
+    clock.set(SECOND * 21 // 10)
+    frame = source.frame()
+    assert (frame.now_s, frame.paused) == (2.1, False)
+    assert frame.scans["front"].sweep == 2
+    assert frame.sensors["front"].scans_sent == 3
+    assert frame.sensors["front"].rate_hz == pytest.approx(2.0)
+    assert (frame.sensors["front"].links[0].bytes_out, frame.sensors["front"].links[0].bytes_in) == (9, 2)
+    assert [row.data for row in frame.telegrams["front"]] == [b"xy", b"abc", b"abc", b"abc"]
+    assert frame.notes == ("0.500 s front: CommandHandled 20 24",)
+    clock.set(50 * SECOND)
+    frame = source.frame()
+    assert (frame.now_s, frame.paused, dict(frame.scans)) == (10.0, True, {})
+    source.order("resume", {})
+    assert source.frame().now_s == 0.0
+
+
+def test_its_time_is_moved_by_orders(source: recorded.RecordedSource, clock: ManualClock) -> None:
+    source.order("pause", {})
+    clock.set(5 * SECOND)
+    assert source.frame().now_s == 0.0
+    assert source.order("step", {"scans": 1}) == {"now_s": 1.0}
+    assert source.frame().scans["front"].sweep == 0
+    assert source.order("step", {"scans": 1}) == {"now_s": 1.5}
+    assert source.order("step", {"seconds": 1.25}) == {"now_s": 2.75}
+    assert source.order("seek", {"to_s": 99.0}) == {"now_s": 10.0}
+    assert source.order("seek", {"to_s": -1.0}) == {"now_s": 0.0}
+    source.order("speed", {"x": 4})
+    source.order("resume", {})
+    clock.set(6 * SECOND)
+    assert source.frame().now_s == 4.0
+
+
+def test_what_would_change_it_is_refused(source: recorded.RecordedSource) -> None:
+    with pytest.raises(ViewError, match="a recording cannot be changed"):
+        source.order("weather", {"fog": None})
+
+
+def test_one_cut_before_its_scenario_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recorded, "read_run", lambda path: RecordedRun(Path("run.mcap")))
+    with pytest.raises(ViewError, match="cut within its first bytes"):
+        recorded.RecordedSource(Path("run.mcap"))
