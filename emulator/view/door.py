@@ -33,6 +33,9 @@ POLICY = (
     " frame-ancestors 'none'"
 )
 "The browser fetches nothing from elsewhere: the page is whole by itself."
+GOODBYE_S = 1.0
+"A browser that does not answer the goodbye for so long is cut off."
+LONGEST_END_S = 30.0
 _FITTING = threading.Lock()
 
 
@@ -79,12 +82,15 @@ class Lock:
 
 
 class LocalServer(viser.ViserServer):
-    """viser's server without its tunnel to the outside, and without its word at the end."""
+    """viser's server without its tunnel to the outside, and without its words at the end."""
 
     def stop(self) -> None:
-        """End it."""
+        """End it. Its thread says on the standard output that it ended, later than viser waits when hosts are slow."""
+        thread = self._websock_server._server_thread
         with redirect_stdout(io.StringIO()):
             super().stop()
+            if thread is not None:
+                thread.join(LONGEST_END_S)
 
     def request_share_url(self, verbose: bool = True) -> None:
         """Nothing leaves this machine."""
@@ -128,7 +134,7 @@ def _fitted(lock: Lock) -> Iterator[None]:
         def ask(connection: Any, request: Request) -> Any:
             return lock.ask(request, lambda: None if process_request is None else process_request(connection, request))
 
-        return serve(*args, process_request=ask, **options)
+        return serve(*args, process_request=ask, **{"close_timeout": GOODBYE_S} | options)
 
     websocket_server.serve = locked  # type: ignore[assignment, misc]
     try:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import socket
+
 import pytest
 
 pytest.importorskip("viser", reason="extra `view` is not installed")
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from emulator.view.door import Lock
+from emulator.view.door import LONGEST_END_S, Lock, open_server
 
 TOKEN = "correcthorse"
 
@@ -61,3 +63,24 @@ def test_a_socket_with_the_cookie_goes_on_to_the_handshake() -> None:
     headers = Headers({"Upgrade": "websocket", "Cookie": f"lidaremu-view-8123={TOKEN}"})
     assert lock().ask(Request("/", headers), lambda: None) is None
     assert lock().ask(Request("/", Headers({"Upgrade": "websocket"})), lambda: None).status_code == 403
+
+
+def test_a_server_that_ends_late_says_nothing(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    server = open_server("127.0.0.1", port, TOKEN, "late")
+    thread = server._websock_server._server_thread
+    assert thread is not None
+    join = thread.join
+
+    def late(timeout: float | None = None) -> None:
+        if timeout == LONGEST_END_S:  # for less it is as if a browser did not let go in time
+            join(timeout)
+
+    monkeypatch.setattr(thread, "join", late)
+    server.stop()
+    assert not thread.is_alive()
+    assert capfd.readouterr() == ("", "")
