@@ -78,6 +78,17 @@ class LmsHost:
     def stream(self) -> None:
         assert self.ask(b"\x20\x24", 0xA0)[1] == 0
 
+    def stop(self) -> int:
+        """End the stream; how many scans came before the reply."""
+        self.port.write(telegram(b"\x20\x25"))
+        count, end = 0, time.monotonic() + PATIENCE_S
+        while time.monotonic() < end:
+            got = self.next(max(0.0, end - time.monotonic()))
+            if got is not None and got[0] == 0xA0:
+                return count
+            count += got is not None and got[0] == 0xB0
+        raise AssertionError("no reply A0")
+
     def scan(self, seconds: float = PATIENCE_S) -> list[int]:
         """Raw value words of the next B0."""
         end = time.monotonic() + seconds
