@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import itertools
+import sys
 from importlib import import_module
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from protocols.can_objects.e2e import Protection
+from protocols.can_objects.layout import MessageLayout
+from protocols.can_objects.settings import DeviceKeys
 from protocols.errors import DeviceSettingError
 from tests.protocols.can_objects.rig import crowd, lists, start
 
@@ -80,39 +85,137 @@ def test_counters_begin_again_at_power_on() -> None:
     assert [frames[-1].payload for frames in lists(rig.run(0.3), "ListHeader")] == first
 
 
-@pytest.mark.parametrize(
-    ("table", "key", "allowed"),
-    [
-        ({"profile": "p04", "messages": {}}, "e2e.profile", "p01 | p02"),
-        ({"profile": "p01"}, "e2e.messages", "a table"),
-        ({"profile": "p01", "messages": {"Nothing": {}}}, "e2e.messages.Nothing", "ListHeader"),
-        ({"profile": "p01", "messages": {"ListTrailer": 5}}, "e2e.messages.ListTrailer", "a table"),
-        (
-            {"profile": "p01", "messages": {"ObjTrack1": {"data_id": 1}}},
-            "e2e.messages.ObjTrack1.offset_bytes",
-            "it has none",
-        ),
-        (
-            {"profile": "p05", "messages": {"ListTrailer": {"data_id": 1, "offset_bytes": 3}}},
-            "e2e.messages.ListTrailer.offset_bytes",
-            r"free bytes are \[4, 5, 6, 7\]",
-        ),
-        (
-            {"profile": "p02", "messages": {"ListTrailer": {"offset_bytes": 4}}},
-            "e2e.messages.ListTrailer.offset_bytes",
-            "in front",
-        ),
-        (
-            {"profile": "p05", "messages": {"ListTrailer": {"data_id": 70000}}},
-            "e2e.messages.ListTrailer.data_id",
-            "from 0 to 65535",
-        ),
-        ({"profile": "p05", "messages": {"ListTrailer": {"offset": 4}}}, "e2e.messages.ListTrailer.offset", "known: "),
-        ({"profile": "p05", "data_id_mode": "low", "messages": {"ListTrailer": {}}}, "e2e.data_id_mode", "both"),
-        ({"profile": "p05", "messages": {"ListTrailer": {}}, "extra": 1}, "e2e.extra", "no such key"),
-    ],
+class Room:
+    """A layout of one message of eight bytes of which only the last is used: no shipped format leaves its first two."""
+
+    messages = ("Late",)
+
+    def __getitem__(self, name: str) -> MessageLayout:
+        return SimpleNamespace(used_bytes={7}, length=8)  # type: ignore[return-value]
+
+
+def protection(table: dict[str, Any]) -> Protection:
+    return Protection(table, Room())  # type: ignore[arg-type]
+
+
+IDS = [(7 * k + 3) % 256 for k in range(16)]
+
+
+@pytest.mark.parametrize(("entry", "ids"), [({"data_ids": IDS}, IDS), ({}, [0] * 16)])
+def test_profile_2_takes_another_data_id_with_every_count(entry: dict[str, Any], ids: list[int]) -> None:
+    p02 = import_module("e2e.p02")
+    guard = protection({"profile": "p02", "messages": {"Late": entry}})
+    frames = [guard.protect("Late", bytes(7) + bytes((k,))) for k in range(40)]
+    assert [guard.counter("Late", frame) for frame in frames] == [(k + 1) % 16 for k in range(40)]
+    for k, frame in enumerate(frames):
+        assert frame[7] == k
+        assert p02.e2e_p02_check(frame, bytes(ids), length=8)
+        assert not p02.e2e_p02_check(frame, bytes(one ^ 1 for one in ids), length=8)
+    # what a fault makes of the counter has the checksum of that count
+    assert p02.e2e_p02_check(guard.counted("Late", frames[3], frames[3], 5), bytes(ids), length=8)
+    assert guard.counter("Late", guard.counted("Late", frames[3], frames[3], 5)) == 9
+    assert guard.offset("Late") == 0
+
+
+def test_what_a_message_does_not_say_is_0_and_a_header_ends_with_the_frame() -> None:
+    p05 = import_module("e2e.p05")
+    for entry in ({}, {"data_id": 0}, {"offset_bytes": 0}):
+        guard = protection({"profile": "p05", "messages": {"Late": entry}})
+        assert guard.offset("Late") == 0
+        assert p05.e2e_p05_check(bytearray(guard.protect("Late", bytes(8))), 0, offset=0)
+    for offset, of_place in ((4, True), (5, False), (6, False)):
+        table = {"profile": "p05", "messages": {"Late": {"offset_bytes": offset}}}
+        if of_place:
+            assert protection(table).protect("Late", b"\1" * 8)[7] == 1
+        else:
+            with pytest.raises(DeviceSettingError, match="that Late leaves free" if offset == 5 else "from 0 to 5"):
+                protection(table)
+
+
+def test_a_short_payload_is_filled_with_zeros_up_to_its_header() -> None:
+    guard = protection({"profile": "p05", "messages": {"Late": {"offset_bytes": 4}}})
+    frame = guard.protect("Late", b"\xff")
+    assert (len(frame), frame[:4]) == (8, b"\xff\0\0\0")
+
+
+def test_the_keys_are_told_with_what_they_mean(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[str, str, str]] = []
+    finish = DeviceKeys.finish
+
+    def finished(keys: DeviceKeys) -> None:
+        told.extend((one.name, one.default, one.meaning) for one in keys.known)
+        finish(keys)
+
+    monkeypatch.setattr(DeviceKeys, "finish", finished)
+    protection({"profile": "p02", "messages": {"Late": {}}})
+    protection({"profile": "p01", "messages": {"Late": {}}})
+    assert told == [
+        ("profile", "", "AUTOSAR profile"),
+        ("messages", "none", "message -> {data_id, offset_bytes}"),
+        ("data_id_mode", "both", "how the data id enters the checksum"),
+        ("offset_bytes", "0", "where the header begins"),
+        ("data_ids", str([0] * 16), "one for each counter"),
+        ("profile", "", "AUTOSAR profile"),
+        ("messages", "none", "message -> {data_id, offset_bytes}"),
+        ("data_id_mode", "both", "how the data id enters the checksum"),
+        ("offset_bytes", "0", "where the header begins"),
+        ("data_id", "0", "of this message"),
+    ]
+
+
+def test_without_the_library_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "e2e.p05", None)
+    with pytest.raises(DeviceSettingError) as caught:
+        protection({"profile": "p05", "messages": {"Late": {}}})
+    assert str(caught.value) == "e2e.profile: 'p05'; want the extra `e2e` to be installed"
+
+
+LDMRS = (
+    "EgoSpeed, EgoCrossAccel, EgoSteeringWheel, EgoYawRate, ListHeader, ListTime, ObjTrack1, ObjTrack2, ObjClassBox1,"
+    " ObjBox2, ContourHeader, ContourPoints, ListTrailer, Command, Reply, ErrorsWarnings"
 )
-def test_a_table_that_cannot_be_is_refused_with_what_is_allowed(table: Any, key: str, allowed: str) -> None:
-    with pytest.raises(DeviceSettingError, match=allowed) as caught:
+PROFILES = "p01 | p02 | p05 | p06 | p11"
+TABLE = "a table: message name -> {data_id, offset_bytes}"
+
+
+@pytest.mark.parametrize(
+    ("table", "told"),
+    [
+        ({"profile": "p04", "messages": {}}, f"profile: 'p04'; want {PROFILES}"),
+        ({"messages": {"ListTrailer": {}}}, f"profile: None; want {PROFILES}"),
+        ({"profile": "p01"}, f"messages: None; want {TABLE}"),
+        ({"profile": "p01", "messages": {}}, f"messages: {{}}; want {TABLE}"),
+        ({"profile": "p05", "messages": {"ListTrailer": {}}, "x": 1},
+         "x: 1; want no such key; known: data_id_mode, messages, profile"),
+        ({"profile": "p05", "data_id_mode": "low", "messages": {"ListTrailer": {}}}, "data_id_mode: 'low'; want both"),
+    ],
+)  # fmt: skip
+def test_a_table_that_cannot_be_is_refused_with_what_is_allowed(table: Any, told: str) -> None:
+    with pytest.raises(DeviceSettingError) as caught:
         start({"format": "ldmrs", "e2e": table})
-    assert caught.value.key == key
+    assert str(caught.value) == f"e2e.{told}"
+    assert caught.value.key == "e2e." + told.partition(":")[0]
+
+
+@pytest.mark.parametrize(
+    ("profile", "message", "entry", "told"),
+    [
+        ("p01", "Nothing", {"data_id": 1}, f": {{'data_id': 1}}; want one of {LDMRS}"),
+        ("p01", "ListTrailer", 5, ": 5; want a table {data_id, offset_bytes}"),
+        ("p01", "ObjTrack1", {}, ".offset_bytes: 0; want 2 bytes that ObjTrack1 leaves free; it has none"),
+        ("p05", "ListTrailer", {"offset_bytes": 3},
+         ".offset_bytes: 3; want 3 bytes that ListTrailer leaves free; free bytes are [4, 5, 6, 7]"),
+        ("p05", "ListTrailer", {"offset_bytes": 6}, ".offset_bytes: 6; want an integer from 0 to 5"),
+        ("p05", "ListTrailer", {"offset_bytes": -1}, ".offset_bytes: -1; want an integer from 0 to 5"),
+        ("p06", "ListTrailer", {"offset_bytes": 4}, ".offset_bytes: 4; want an integer from 0 to 3"),
+        ("p02", "ListTrailer", {"offset_bytes": 4}, ".offset_bytes: 4; want 0: profile 2 has its header in front"),
+        ("p02", "ListTrailer", {"data_ids": [1]}, ".data_ids: [1]; want 16 integers from 0 to 255"),
+        ("p02", "ListTrailer", {"data_ids": [256] * 16}, f".data_ids: {[256] * 16}; want 16 integers from 0 to 255"),
+        ("p05", "ListTrailer", {"data_id": 70000}, ".data_id: 70000; want an integer from 0 to 65535"),
+        ("p05", "ListTrailer", {"offset": 4}, ".offset: 4; want no such key; known: data_id, offset_bytes"),
+    ],
+)  # fmt: skip
+def test_a_message_that_cannot_be_protected_so_is_refused(profile: str, message: str, entry: Any, told: str) -> None:
+    with pytest.raises(DeviceSettingError) as caught:
+        start({"format": "ldmrs", "e2e": {"profile": profile, "messages": {message: entry}}})
+    assert str(caught.value) == f"e2e.messages.{message}{told}"
