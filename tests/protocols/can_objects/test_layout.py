@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocols.can_objects.layout import MessageLayout, load
+from protocols.can_objects.layout import Layout, MessageLayout, load
 from protocols.errors import EncodeError
 
 FILES = ("ars408.dbc", "ldmrs.dbc", "esr.dbc", "leddar_vu8.dbc")
@@ -78,6 +78,46 @@ def test_the_used_bytes_are_those_that_some_signal_changes(file_name: str, name:
             frame = layout.frame({signal.name: raw})
             changed |= {index for index, byte in enumerate(frame) if byte != layout.frame()[index]}
     assert changed == layout.used_bytes
+
+
+@pytest.mark.parametrize("file_name", FILES)
+def test_limits_and_used_bytes_of_a_file_read_anew_are_those_that_cantools_tells(file_name: str) -> None:
+    layout = Layout(file_name)
+    for name, message in layout.messages.items():
+        told = DATABASES[file_name].get_message_by_name(name)
+        bits = [bit for bit, owner in enumerate(owners(told)) if owner]
+        assert message.used_bytes == {bit // 8 for bit in bits}
+        assert set(message.signals) == {signal.name for signal in told.signals}
+        for signal in told.signals:
+            mine = message.signals[signal.name]
+            assert (mine.name, mine.bits) == (signal.name, signal.length)
+            assert mine.little_endian is (signal.byte_order == "little_endian")
+            whole = 1 << signal.length
+            low, high = (-whole // 2, whole // 2 - 1) if signal.is_signed else (0, whole - 1)
+            # printed limits are those of the nearest raw values inside, to a thousandth of a step
+            for limit, raw, end in ((signal.minimum, mine.raw_min, low), (signal.maximum, mine.raw_max, high)):
+                if limit is None:
+                    assert raw == end
+                    continue
+                wanted = (float(limit) - float(signal.offset)) / float(signal.scale)
+                assert low <= raw <= high
+                assert raw == end or abs(raw - wanted) < 0.999
+                inside = raw - wanted if end == low else wanted - raw
+                assert inside > -1e-3
+
+
+def owners(message: Any) -> list[str]:
+    """For each bit as it is sent, the signal that has it."""
+    found = [""] * (8 * message.length)
+    for signal in message.signals:
+        for number in range(signal.length):
+            if signal.byte_order == "little_endian":
+                bit = signal.start + number
+                place = 8 * (bit // 8) + 7 - bit % 8
+            else:
+                place = 8 * (signal.start // 8) + 7 - signal.start % 8 + number
+            found[place] = signal.name
+    return found
 
 
 def test_all_esr_tracks_have_the_layout_of_the_first() -> None:

@@ -326,6 +326,11 @@ def test_a_message_that_stops_on_can_is_given_up() -> None:
     assert joiner.expire() == [Fault(DropReason.TIMEOUT, 2)]
 
 
+def test_the_most_bits_of_a_standard_frame_are_those_of_the_books() -> None:
+    # 44 + 8 n of the frame, 3 between frames, a stuff bit for each four of 34 + 8 n less one (Davis et al. 2007)
+    assert [worst_case_bits(length) for length in range(9)] == [55, 65, 75, 85, 95, 105, 115, 125, 135]
+
+
 def test_no_standard_frame_takes_more_bits_than_the_bus_is_given() -> None:
     for length in range(9):
         for data in (bytes(length), b"\xff" * length, b"\x0f" * length, b"\x78\x1e\x3c" * 3):

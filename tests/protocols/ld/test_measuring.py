@@ -38,6 +38,13 @@ def test_the_first_revolution_from_an_instant_is_the_first(hz: int, instant_ns: 
     assert revolution == 0 or rotation.passes_ns(revolution - 1, ticks) < instant_ns
 
 
+@pytest.mark.parametrize(("instant_ns", "sweep"), [(0, 8), (1, 9), (100_000_000, 9), (100_000_001, 10)])
+def test_a_head_begun_anew_counts_on_behind_the_revolution_under_way(instant_ns: int, sweep: int) -> None:
+    rotation = Rotation(0, 10, 7)
+    assert rotation.sweep_after(instant_ns) == sweep
+    assert sweep > 7 + rotation.first_from(instant_ns, 0)
+
+
 @pytest.mark.parametrize("hz", [5, 7, 13, 20])
 def test_profiles_leave_once_a_revolution_without_drift(hz: int) -> None:
     rig = measuring({"motor_hz": hz, "step_deg": 22.5})
