@@ -1,141 +1,41 @@
 """SICK LD-MRS S01 and Ibeo LUX: a laser scanner's object list on CAN, sixteen identifiers from a base id.
 
-Belongs here: measuring, commands and replies, ego motion, warnings, which objects fit. Frames of the list are in
-`ldmrs_lists`, parameters in `ldmrs_parameters`. Source: SICK document 8014493, see the head of `ldmrs.dbc`.
+Belongs here: measuring, commands and replies, ego motion, warnings, how many objects fit. Which objects a list holds is
+in `ldmrs_choice`, their frames in `ldmrs_lists`, parameters in `ldmrs_parameters`, the scenario's keys in
+`ldmrs_settings`. Source: SICK document 8014493, see the head of `ldmrs.dbc`.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from protocols.can_frame import LONGEST_FRAME_BITS
+from protocols.can_frame import LONGEST_FRAME_BITS, frame_bits
 from protocols.can_objects import ldmrs_parameters as p
-from protocols.can_objects.identities import Identities
+from protocols.can_objects.ldmrs_choice import ObjectChoice
 from protocols.can_objects.ldmrs_lists import object_frames
+from protocols.can_objects.ldmrs_settings import Settings
 from protocols.can_objects.session import SECOND_NS, CanObjectSession, Frame, HostMessage
-from protocols.can_objects.settings import CommonSettings, DeviceKeys
+from protocols.can_objects.settings import DeviceKeys
 from protocols.can_objects.table import Floats, ObjectTable
 from protocols.device_clock import DeviceClock
 from protocols.session import DropReason
 
 FORMAT_VERSION = 1
 EGO_FORMAT_VERSION = 2
-NO_VIEW_ESTIMATE = 0xFF
 REFUSED = 0x8000
 LOW_TEMPERATURE_C, HIGH_TEMPERATURE_C = -30, 115
 
 WARN1_LOW_TEMPERATURE, WARN1_HIGH_TEMPERATURE = 1 << 3, 1 << 4
 WARN2_COMMAND, WARN2_EGO_MOTION, WARN2_NO_NTP = 1 << 5, 1 << 8, 1 << 11
 
-STREAMING = ("start", "command")
 NTP_TICK_NS = Fraction(SECOND_NS, 1 << 32)
 "Of the fraction: seconds and fraction are one number of 64 bits."
-
-
-@dataclass(frozen=True)
-class Settings:
-    """The scenario's `device:` table."""
-
-    common: CommonSettings
-    parameters: dict[int, int]
-    starts_measuring: bool
-    temperature_c: int
-    view_percent: int
-    blind: int
-    without_ego: str
-    ego_timeout_ns: int
-    counts_objects_only: bool
-    class_in_reserved: bool
-    ntp_start: int | None
-    errors: tuple[int, int]
-    warnings: tuple[int, int]
-
-    @classmethod
-    def read(cls, keys: DeviceKeys) -> Settings:
-        """Check a table; raises `DeviceSettingError`."""
-        common = CommonSettings.read(keys, 500_000, (1_000_000, 500_000, 250_000, 125_000))
-        frequency_hz = keys.number_of("scan_frequency_hz", "parameter 0x1102", 12.5, (12.5, 25.0, 50.0))
-        priority = keys.choice(
-            "priority",
-            "parameter 0x1015: which objects are listed when not all fit",
-            "radial",
-            ("radial", "look_ahead"),
-        )
-        velocities = keys.choice("velocities", "parameter 0x1016, bit 0", "absolute", ("absolute", "relative"))
-        boxes = keys.choice("boxes", "parameter 0x1016, bit 1", "object", ("object", "axis_aligned"))
-        density = keys.choice("contour", "parameter 0x1014", "high", ("closest", "low", "high"))
-        settings = cls(
-            common=common,
-            parameters={
-                p.BASE_ID: keys.integer(
-                    "base_id", "parameter 0x1010: first of the sixteen identifiers", 0x500, 0, 0x7F0
-                ),
-                p.BITRATE_KBIT: common.bitrate // 1000,
-                p.OUTPUT_DISABLE: keys.integer(
-                    "output_disable", "parameter 0x1012: bit 5 warnings, bit 6 objects on CAN", 0x80, 0, 0xFFFE
-                ),
-                p.MAX_OBJECTS: keys.integer("max_objects", "parameter 0x1013", 65, 0, 65),
-                p.CONTOUR_DENSITY: ("closest", "low", "high").index(density),
-                p.PRIORITY: ("radial", "look_ahead").index(priority),
-                p.OPTIONS: int(velocities == "relative") + 2 * int(boxes == "axis_aligned"),
-                p.MIN_AGE: keys.integer("min_age_scans", "parameter 0x1017", 0, 0, 0xFFFF),
-                p.MAX_PREDICTION_AGE: keys.integer("max_prediction_scans", "parameter 0x1018", 0xFFFF, 0, 0xFFFF),
-                p.SCAN_FREQUENCY: round(frequency_hz * p.FREQUENCY_UNITS),
-                p.MOUNT_X: keys.integer("mount_x_cm", "parameter 0x1200", 0, -32768, 32767),
-                p.MOUNT_Y: keys.integer("mount_y_cm", "parameter 0x1201", 0, -32768, 32767),
-                p.MOUNT_YAW: round(
-                    keys.number("mount_yaw_deg", "parameter 0x1203", 0.0, -180.0, 180.0) * p.TICKS_PER_DEG
-                ),
-            },
-            starts_measuring=keys.choice(
-                "streaming", "whether it measures at power-on or after the start command", "start", STREAMING
-            )
-            == "start",
-            temperature_c=keys.integer(
-                "temperature_c", "told in every header; beyond -30 and 115 a warning", 34, -127, 127
-            ),
-            view_percent=keys.integer(
-                "view_percent", "range of sight told in every header; 255: no estimate", 100, 0, NO_VIEW_ESTIMATE
-            ),
-            blind=keys.integer("blind", "told in every header", 0, 0, 255),
-            without_ego=keys.choice(
-                "without_ego", "what velocities are while the host sends no motion", "invalid", ("invalid", "relative")
-            ),
-            ego_timeout_ns=round(
-                keys.number("ego_timeout_ms", "ego motion older than this is missing", 500.0, 1.0, 60_000.0) * 1e6
-            ),
-            counts_objects_only=keys.choice(
-                "count_messages", "what NumMessages of the trailer counts", "all", ("all", "objects")
-            )
-            == "objects",
-            class_in_reserved=keys.flag(
-                "class_in_reserved", "class, certainty and class age in the reserved bytes of base+4", False
-            ),
-            ntp_start=None
-            if (
-                ntp := keys.integer(
-                    "ntp_start_s", "NTP time at power-on; -1: none until a host sets it", -1, -1, 0xFFFFFFFF
-                )
-            )
-            < 0
-            else ntp,
-            errors=_pair(keys, "error_registers", "both error registers of base+0xF"),
-            warnings=_pair(keys, "warning_registers", "bits set in both warning registers beside those of the state"),
-        )
-        keys.finish()
-        return settings
-
-
-def _pair(keys: DeviceKeys, key: str, meaning: str) -> tuple[int, int]:
-    first, second = keys.integers(key, meaning, (0, 0), 0, 0xFFFF)
-    return first, second
 
 
 class LdmrsSession(CanObjectSession):
@@ -150,7 +50,7 @@ class LdmrsSession(CanObjectSession):
         self._settings = settings
         self._parameters = p.ParameterBank(settings.parameters)
         super().__init__(settings.common)
-        self._ids = Identities(256)
+        self._choice = ObjectChoice()
         self._object_bits = np.zeros(0, dtype=np.int64)
         self.clock = DeviceClock((settings.ntp_start or 0) * SECOND_NS)
         self._reset(0)
@@ -163,9 +63,7 @@ class LdmrsSession(CanObjectSession):
         self._base_id = self._parameters[p.BASE_ID]
         self._measuring = self._settings.starts_measuring
         self._list_counter = self.first_count
-        self._ids.clear()
-        self._scans_of: dict[int, tuple[int, int]] = {}
-        "Track -> age and prediction age, in scans."
+        self._choice.clear()
         self._speed: tuple[int, float] | None = None
         self._yaw_rate: tuple[int, float] | None = None
         self._bad_command = False
@@ -192,19 +90,7 @@ class LdmrsSession(CanObjectSession):
 
     def _encode_list(self, table: ObjectTable, now_ns: int, measured_ns: int) -> list[Frame]:
         parameters, settings = self._parameters, self._settings
-        table = self._mounted(table)
-        table = table.take(np.argsort(table.range_m, kind="stable"))  # the nearest get a number when they run out
-        ages = self._scan_ages(table)
-        numbers, _ = self._ids.assign(table.track.tolist())
-        ids = np.array([-1 if number is None else number for number in numbers], dtype=np.int64)
-        keep = (ages[:, 0] >= parameters[p.MIN_AGE]) & (ages[:, 1] <= parameters[p.MAX_PREDICTION_AGE]) & (ids >= 0)
-        if parameters[p.PRIORITY] == p.LOOK_AHEAD:
-            # nearest along the driving direction; what lies behind comes last
-            order = np.lexsort((np.abs(table.y_m), np.abs(table.x_m), table.x_m < 0.0))
-        else:
-            order = np.arange(len(table))
-        chosen = order[keep[order]][: parameters[p.MAX_OBJECTS]]
-        table, ids, ages = table.take(chosen), ids[chosen], ages[chosen]
+        table, ids, age, prediction = self._choice.choose(table, parameters)
         relative = bool(parameters[p.OPTIONS] & p.RELATIVE_VELOCITIES)
         axis_aligned = bool(parameters[p.OPTIONS] & p.AXIS_ALIGNED_BOXES)
         ego = self._ego(now_ns)
@@ -222,8 +108,8 @@ class LdmrsSession(CanObjectSession):
             table,
             ids,
             velocities,
-            age_scans=ages[:, 0],
-            prediction_scans=ages[:, 1],
+            age_scans=age,
+            prediction_scans=prediction,
             axis_aligned=axis_aligned,
             density=parameters[p.CONTOUR_DENSITY],
             class_in_reserved=settings.class_in_reserved,
@@ -269,44 +155,8 @@ class LdmrsSession(CanObjectSession):
         """Those of the objects are known since it was seen how many of them fit."""
         if self._protection is not None:
             return super()._list_bits(frames)
-        others = super()._list_bits([frames[0], frames[1], frames[-1]])
-        return np.concatenate([others[:2], self._object_bits, others[2:]])
-
-    def _mounted(self, table: ObjectTable) -> ObjectTable:
-        """Objects in the vehicle's frame, by the mounting parameters (yaw, x and y)."""
-        x, y, yaw = (self._parameters[index] for index in (p.MOUNT_X, p.MOUNT_Y, p.MOUNT_YAW))
-        if not (x or y or yaw):
-            return table
-        angle = math.radians(yaw / p.TICKS_PER_DEG)
-        cosine, sine = math.cos(angle), math.sin(angle)
-
-        def turned(a: Floats, b: Floats) -> tuple[Floats, Floats]:
-            return a * cosine - b * sine, a * sine + b * cosine
-
-        x_m, y_m = turned(table.x_m, table.y_m)
-        vx, vy = turned(table.vx_m_s, table.vy_m_s)
-        contours = tuple(
-            tuple((px * cosine - py * sine + x / 100, px * sine + py * cosine + y / 100) for px, py in outline)
-            for outline in table.contours
-        )
-        return replace(
-            table,
-            x_m=x_m + x / 100,
-            y_m=y_m + y / 100,
-            vx_m_s=vx,
-            vy_m_s=vy,
-            yaw_rad=table.yaw_rad + angle,
-            contours=contours,
-        )
-
-    def _scan_ages(self, table: ObjectTable) -> np.ndarray[Any, np.dtype[np.int64]]:
-        """(n, 2) age and prediction age of every object, counted in lists."""
-        seen: dict[int, tuple[int, int]] = {}
-        for track, coasting_s in zip(table.track.tolist(), table.coasting_s.tolist(), strict=True):
-            age, predicted = self._scans_of.get(track, (0, 0))
-            seen[track] = (age + 1, predicted + 1 if coasting_s > 0.0 else 0)
-        self._scans_of = seen
-        return np.array([seen[track] for track in table.track.tolist()], dtype=np.int64).reshape(len(table), 2)
+        head, time, tail = (frame_bits(frame.identifier, frame.payload) for frame in (*frames[:2], frames[-1]))
+        return np.concatenate([[head, time], self._object_bits, [tail]])
 
     def _ego(self, now_ns: int) -> tuple[float, float] | None:
         """Speed and yaw rate while both are fresh."""
@@ -415,8 +265,7 @@ class LdmrsSession(CanObjectSession):
             return
         self._measuring = measuring
         self._restart_raster(now_ns)
-        self._ids.clear()
-        self._scans_of.clear()
+        self._choice.clear()
         self._mode(now_ns, "measuring" if measuring else "idle")
 
     def _do_ntp_seconds(self, index: int, value: int, now_ns: int, link: int) -> None:

@@ -5,8 +5,8 @@ Belongs here: base+0 to base+8 from columns of objects, contours included. Not: 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import repeat
+from itertools import chain, repeat
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from protocols.can_objects.layout import Layout
 from protocols.can_objects.session import Frame
 from protocols.can_objects.table import CATEGORIES, Floats, ObjectTable
+
+Codes = NDArray[np.int64]
 
 VELOCITY_NOT_VALID = -2048
 CONTOUR_NOT_USABLE = 0xFF
@@ -33,11 +35,11 @@ def object_frames(
     layout: Layout,
     shift: int,
     table: ObjectTable,
-    ids: NDArray[np.int64],
+    ids: Codes,
     velocities_m_s: tuple[Floats, Floats] | None,
     *,
-    age_scans: NDArray[np.int64],
-    prediction_scans: NDArray[np.int64],
+    age_scans: Codes,
+    prediction_scans: Codes,
     axis_aligned: bool,
     density: int,
     class_in_reserved: bool,
@@ -93,66 +95,93 @@ def object_frames(
     return [[*frames, *contour] for frames, contour in zip(zip(*made, strict=True), contours, strict=True)]
 
 
-def _contour_frames(
-    layout: Layout, shift: int, table: ObjectTable, ids: NDArray[np.int64], density: int
-) -> list[list[Frame]]:
+def _contour_frames(layout: Layout, shift: int, table: ObjectTable, ids: Codes, density: int) -> list[list[Frame]]:
     """Contour header of every object and its point frames, each point a step from the one before."""
-    closest = table.closest_points_m()
-    # one point, the nearest of the box, where there is no outline or none is wanted
-    starts = closest.copy()
-    counts, nearest = np.ones(len(table), dtype=np.int64), np.zeros(len(table), dtype=np.int64)
-    none = np.zeros((0, 2), dtype=np.int64)
-    steps: list[NDArray[np.int64]] = [none] * len(table)
-    for row, outline in enumerate(table.contours if density else ()):
-        if not outline:
-            continue
-        points = _thinned(outline, density)
-        distances = np.hypot(points[:, 0], points[:, 1])
-        walk = _steps(points)
-        if walk is None or len(points) >= CONTOUR_NOT_USABLE:
-            counts[row], starts[row] = CONTOUR_NOT_USABLE, points[int(distances.argmin())]
-        else:
-            counts[row], nearest[row], starts[row] = len(points), int(distances.argmin()), points[0]
-            steps[row] = walk
+    contours = _contours(table, density)
     headers = layout["ContourHeader"].frames(
         len(table),
-        {"ObjId": ids, "NumPoints": counts, "ClosestIndex": nearest},
-        StartX=starts[:, 0],
-        StartY=starts[:, 1],
+        {"ObjId": ids, "NumPoints": contours.counts, "ClosestIndex": contours.nearest},
+        StartX=contours.starts_m[:, 0],
+        StartY=contours.starts_m[:, 1],
     )
-    message = layout["ContourPoints"]
-    parts = [-(-len(walk) // POINTS_PER_FRAME) for walk in steps]
-    packed = np.zeros((sum(parts), POINTS_PER_FRAME, 2), dtype=np.int64)
-    row_of = np.repeat(np.arange(len(table)), parts)
-    index = np.concatenate([np.arange(count) for count in parts]) if parts else np.zeros(0, dtype=np.int64)
-    first = 0
-    for walk, count in zip(steps, parts, strict=True):
-        packed[first : first + count].reshape(-1, 2)[: len(walk)] = walk
-        first += count
-    raw = {"ObjId": ids[row_of], "MessageIndex": index}
+    identifier = layout["ContourHeader"].identifier + shift
+    out = [[Frame(identifier, header, "ContourHeader")] for header in headers]
+    if not len(contours.steps):
+        return out
+    # the steps of each object in its own frames, the last one filled with zeros
+    frames_of = -(-np.bincount(contours.step_row, minlength=len(table)) // POINTS_PER_FRAME)
+    row = np.repeat(np.arange(len(table)), frames_of)
+    packed = np.zeros((len(row) * POINTS_PER_FRAME, 2), dtype=np.int64)
+    first = np.cumsum(frames_of) - frames_of
+    packed[first[contours.step_row] * POINTS_PER_FRAME + contours.step_place] = contours.steps
+    raw = {"ObjId": ids[row], "MessageIndex": np.arange(len(row)) - first[row]}
     for k in range(POINTS_PER_FRAME):
-        raw |= {f"Dx{k + 1}": packed[:, k, 0], f"Dy{k + 1}": packed[:, k, 1]}
-    points_frames = message.frames(len(packed), raw)
-    out: list[list[Frame]] = [
-        [Frame(layout["ContourHeader"].identifier + shift, header, "ContourHeader")] for header in headers
-    ]
-    for row, payload in zip(row_of.tolist(), points_frames, strict=True):
-        out[row].append(Frame(message.identifier + shift, payload, "ContourPoints"))
+        raw |= {f"Dx{k + 1}": packed[k::POINTS_PER_FRAME, 0], f"Dy{k + 1}": packed[k::POINTS_PER_FRAME, 1]}
+    message = layout["ContourPoints"]
+    for at, payload in zip(row.tolist(), message.frames(len(row), raw), strict=True):
+        out[at].append(Frame(message.identifier + shift, payload, "ContourPoints"))
     return out
 
 
-def _thinned(outline: Sequence[tuple[float, float]], density: int) -> Floats:
-    """All points at density 2, evenly chosen ones at density 1."""
-    points = np.asarray(outline, dtype=np.float64)
-    if density == 1 and len(points) > LOW_DENSITY_POINTS:
-        points = points[np.linspace(0, len(points) - 1, LOW_DENSITY_POINTS).round().astype(np.int64)]
-    return points
+class _Contours(NamedTuple):
+    """Outlines of n objects as the format has them, and the s steps of all that are usable."""
+
+    counts: Codes
+    "(n,) points, or `CONTOUR_NOT_USABLE`."
+    nearest: Codes
+    "(n,) which point is nearest to the sensor; 0 where the contour is not usable."
+    starts_m: Floats
+    "(n, 2) first point; the nearest one where the contour is not usable."
+    steps: Codes
+    "(s, 2) raw, from each point to the next one of the same object."
+    step_row: Codes
+    "(s,) whose step it is."
+    step_place: Codes
+    "(s,) which step of that object, from 0."
 
 
-def _steps(points: Floats) -> NDArray[np.int64] | None:
-    """Raw steps whose running sum stays nearest to the points (no drift); None when one does not fit its byte."""
-    from_start = np.rint((points - points[0]) / STEP_M)
-    walk = np.diff(from_start, axis=0)
-    if walk.size and (walk.min() < STEP_LIMITS[0] or walk.max() > STEP_LIMITS[1]):
-        return None
-    return np.asarray(walk, dtype=np.int64)
+def _contours(table: ObjectTable, density: int) -> _Contours:
+    """One point, the nearest of the box, where there is no outline or none is wanted."""
+    n = len(table)
+    counts, nearest, starts = np.ones(n, dtype=np.int64), np.zeros(n, dtype=np.int64), table.closest_points_m()
+    sizes = np.array([len(outline) for outline in table.contours], dtype=np.int64)
+    if not density or not sizes.any():
+        nothing = np.zeros(0, dtype=np.int64)
+        return _Contours(counts, nearest, starts, nothing.reshape(0, 2), nothing, nothing)
+    points, sizes = _points(table, sizes, density)
+    row, place = _places(sizes)
+    drawn = np.flatnonzero(sizes)
+    first = (np.cumsum(sizes) - sizes)[drawn]
+    distances = np.hypot(points[:, 0], points[:, 1])
+    is_nearest = distances == np.repeat(np.minimum.reduceat(distances, first), sizes[drawn])
+    nearest[drawn] = np.minimum.reduceat(np.where(is_nearest, place, len(place)), first)
+    # raw steps whose running sum stays nearest to the points: no drift
+    from_start = np.rint((points - np.repeat(points[first], sizes[drawn], axis=0)) / STEP_M)
+    steps = np.diff(from_start, axis=0)
+    within = place[1:] > 0
+    too_long = within & ((steps < STEP_LIMITS[0]) | (steps > STEP_LIMITS[1])).any(axis=1)
+    usable = sizes < CONTOUR_NOT_USABLE
+    usable[row[1:][too_long]] = False
+    counts[drawn] = np.where(usable, sizes, CONTOUR_NOT_USABLE)[drawn]
+    starts[drawn] = points[first + np.where(usable, 0, nearest)[drawn]]
+    nearest[~usable] = 0
+    sent = within & usable[row[1:]]
+    return _Contours(counts, nearest, starts, steps[sent].astype(np.int64), row[1:][sent], place[:-1][sent])
+
+
+def _points(table: ObjectTable, sizes: Codes, density: int) -> tuple[Floats, Codes]:
+    """Points of all outlines one after the other and how many each has: all, or at density 1 evenly chosen ones."""
+    points = np.array(list(chain.from_iterable(table.contours)), dtype=np.float64)
+    if density != 1:
+        return points, sizes
+    kept = np.minimum(sizes, LOW_DENSITY_POINTS)
+    row, place = _places(kept)
+    even = np.rint(np.linspace(0, sizes - 1, LOW_DENSITY_POINTS)).astype(np.int64)
+    chosen = np.where(sizes[row] > LOW_DENSITY_POINTS, even[place, row], place)
+    return points[(np.cumsum(sizes) - sizes)[row] + chosen], kept
+
+
+def _places(sizes: Codes) -> tuple[Codes, Codes]:
+    """Of parts that lie one after the other: of every item, its part and its place in it."""
+    part = np.repeat(np.arange(len(sizes)), sizes)
+    return part, np.arange(len(part)) - (np.cumsum(sizes) - sizes)[part]
