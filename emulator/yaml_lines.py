@@ -10,8 +10,10 @@ The parser's events are turned into data here instead of by a loader, so that a 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +37,9 @@ Loc = tuple[str | int, ...]
 MAX_BYTES = 4_000_000
 "Largest file; 10 000 actors written out need about 1.5 MB."
 MAX_VALUES = 400_000
-"Most values after aliases are followed."
+"Most values, as written and after aliases are followed."
+MAX_SEPARATORS = 500_000
+"Most of what separates values: the text alone tells it, long before the values could be counted."
 MAX_DEPTH = 32
 "Deepest nesting; a scenario needs about 8."
 MAX_DIGITS = 40
@@ -49,6 +53,8 @@ _HEX = re.compile(r"0x[0-9a-fA-F]+\Z")
 _FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?\Z")
 _ODD = re.compile(r"(?:[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))\Z")
 "The scalars of YAML 1.2's core schema, section 10.3.2 of its specification."
+_SEPARATORS = (",", "[", "{", "- ", "\n", "\r", "\x85", "\u2028", "\u2029")
+_SEPARATOR = re.compile("\r\n|- |[,[{\n\r\x85\u2028\u2029]")
 
 
 @dataclass(frozen=True)
@@ -60,6 +66,8 @@ class Source:
     places: Mapping[Loc, tuple[Path, int]] = field(default_factory=dict)
     faults: tuple[str, ...] = ()
     "What was wrong already with the text, one line each; the data are complete as far as they could be read."
+    _ids: dict[int, frozenset[str]] = field(default_factory=dict, init=False, repr=False, compare=False)
+    "Names of the items of each list that has been asked for."
 
     def spot(self, loc: Sequence[str | int]) -> tuple[Path, int]:
         """File and line of the deepest part of `loc` that stands in the file; line 0: not from a file."""
@@ -75,7 +83,7 @@ class Source:
 
     def dotted(self, loc: Sequence[str | int]) -> str:
         """A path as users write it: `sensors.front.mount`, with ids where a list's items have them."""
-        return dotted(loc, self.data)
+        return dotted(loc, self.data, self._ids)
 
     def fault(self, loc: Sequence[str | int], found: str, want: str) -> str:
         """The line that tells a fault: `file:line: dotted.key: found; want allowed`."""
@@ -112,6 +120,7 @@ def parse(text: str, path: Path, error: type[EmulatorError]) -> Source:
     What makes the whole text unreadable is raised as `error`; what can be told together with other faults (a key given
     twice, a tag) stands in `Source.faults`.
     """
+    _judge_length(text, path, error)
     try:
         root = _Tree(path, error).build(text)
     except EmulatorError:
@@ -131,6 +140,17 @@ def parse(text: str, path: Path, error: type[EmulatorError]) -> Source:
     return Source(path, data, plain.places, tuple(faults))
 
 
+def _judge_length(text: str, path: Path, error: type[EmulatorError]) -> None:
+    if sum(text.count(mark) for mark in _SEPARATORS) - text.count("\r\n") <= MAX_SEPARATORS:
+        return
+    beyond = next(islice(_SEPARATOR.finditer(text), MAX_SEPARATORS, None))
+    line = text.count("\n", 0, beyond.start()) + 1
+    raise error(
+        f"{path}:{line}: more than {MAX_SEPARATORS} commas, brackets, dashes and line ends; "
+        f"want a smaller file, at most {MAX_VALUES} values"
+    )
+
+
 def parse_value(text: str, label: str, error: type[EmulatorError]) -> Any:
     """A value written on one line, as in `--set a.b=VALUE`; messages begin with `label`."""
     source = parse(text, Path(label), error)
@@ -139,8 +159,12 @@ def parse_value(text: str, label: str, error: type[EmulatorError]) -> Any:
     return source.data
 
 
-def dotted(loc: Sequence[str | int], data: Any = None) -> str:
-    """`loc` as text; an item of a list by its `id` when `data` has one there, else by its number in brackets."""
+def dotted(loc: Sequence[str | int], data: Any = None, known: dict[int, frozenset[str]] | None = None) -> str:
+    """`loc` as text; an item of a list by its `id` when `data` has one there, else by its number in brackets.
+
+    `known` keeps the names of lists from one call to the next, as long as `data` lives and stays as it is.
+    """
+    known = {} if known is None else known
     text = ""
     for part in loc:
         below = None
@@ -149,12 +173,20 @@ def dotted(loc: Sequence[str | int], data: Any = None) -> str:
         elif isinstance(data, list) and isinstance(part, int) and 0 <= part < len(data):
             below = data[part]
         name = _id(below) if isinstance(part, int) else None
-        if isinstance(name, str) and name and [_id(item) for item in data].count(name) == 1:
+        if isinstance(name, str) and name and name in _own_ids(data, known):
             text += f".{name}"
         else:
             text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
         data = below
     return text or "file"
+
+
+def _own_ids(items: list[Any], known: dict[int, frozenset[str]]) -> frozenset[str]:
+    """The ids that one item of the list alone has."""
+    if id(items) not in known:
+        counts = Counter(name for name in map(_id, items) if isinstance(name, str))
+        known[id(items)] = frozenset(name for name, count in counts.items() if count == 1)
+    return known[id(items)]
 
 
 def _id(item: Any) -> Any:
@@ -182,6 +214,7 @@ class _Tree:
     def __init__(self, path: Path, error: type[EmulatorError]) -> None:
         self._path, self._error = path, error
         self._anchors: dict[str, _Node] = {}
+        self._count = 0
 
     def _fail(self, line: int, found: str, want: str) -> EmulatorError:
         return self._error(f"{self._path}:{line}: {found}; want {want}")
@@ -225,6 +258,10 @@ class _Tree:
                 continue
             if not isinstance(event, AliasEvent) and event.anchor:
                 self._anchors[event.anchor] = node
+            if not open_nodes or open_nodes[-1].items is not None or keys[-1] is not None:  # no key
+                self._count += 1
+                if self._count > MAX_VALUES:
+                    raise self._fail(line, f"more than {MAX_VALUES} values", "a smaller file")
             if not open_nodes:
                 root = node
             elif (parent := open_nodes[-1]).items is not None:

@@ -32,6 +32,41 @@ def refused_scenario(text: str) -> str:
     return str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("x: [" + "1,1,1,1,1," * 300_000 + "1]", 1),
+        ("x:\n" + "- 1\n" * 900_000, 250_001),
+        ("".join(f"a{n}: 1\r" for n in range(501_000)), 1),
+        ("seed: 1\nx:\n" + ("- " * 31 + "1\n") * 60_000, 15_627),
+        ("x: [" + "[[[[[]]]]]" * 300_000 + "]", 1),
+    ],
+)
+def test_a_scenario_of_nothing_but_values_is_refused_before_it_is_parsed(
+    text: str, line: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(yaml_lines, "YAML")
+    told = f"bad.yaml:{line}: more than 500000 commas, brackets, dashes and line ends; want a smaller file"
+    assert refused_scenario(text).startswith(told)
+
+
+def test_values_are_counted_while_they_are_parsed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(yaml_lines, "MAX_VALUES", 10)
+    assert refused_scenario("x:\n- 1\n- 2\n- {a: 3,\n b: 4}\n- [5, 6,\n 7, 8, 9\n...") == (
+        "bad.yaml:7: more than 10 values; want a smaller file"
+    )
+
+
+def test_a_thousand_faults_of_a_list_look_at_its_items_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    looks: list[object] = []
+    told_id = yaml_lines._id
+    monkeypatch.setattr(yaml_lines, "_id", lambda item: (looks.append(item), told_id(item))[1])
+    told = refused_scenario("actors:\n" + "".join(f"- {{id: car{n}, mass: !a 1}}\n" for n in range(1000)))
+    assert told.count("\n") == 1000
+    assert "bad.yaml:1001: actors.car999.mass: tag !a; want plain data" in told
+    assert len(looks) < 10_000  # a few for each fault; a million where every fault looks at all
+
+
 def test_aliases_of_aliases_do_not_grow(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(yaml_lines, "MAX_VALUES", 20_000)  # 400 000 take seconds
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
