@@ -1,40 +1,26 @@
 """One sensor on its links: one session, the links its hosts use, and whoever measures for it.
 
 Nothing here knows a protocol, a mesh or a clock: `step(now_ns)` moves bytes and scans, and says when to call again.
+What it counts is in `instrument_stats`, what it tells to those who look on in `onlookers`.
 """
 
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 from emulator.conditions import NORMAL, Conditions
 from emulator.faults.events import FaultEvent
-from emulator.lateness import LatenessLog
-from emulator.object_metrics import ListedScan, ObjectScore
-from emulator.transports.can_link import CanLink
-from emulator.transports.can_wire import Carried
+from emulator.instrument_stats import InstrumentStats
+from emulator.onlookers import Onlookers
 from emulator.transports.link import Link, Received
-from emulator.watching import LineTimes, Payload, Watcher
+from emulator.watching import Watcher
 from protocols.errors import ScanRefused
 from protocols.framing import Frames, Framing
 from protocols.scan import Scan, ScanPlan
-from protocols.session import (
-    Address,
-    CommandHandled,
-    Dropped,
-    DropReason,
-    Emission,
-    Event,
-    LinkKind,
-    ModeChanged,
-    Restarted,
-    Session,
-)
+from protocols.session import Address, Emission, Event, LinkKind, Session
 
 if TYPE_CHECKING:
     from emulator.faults.run import SensorFaults
@@ -57,47 +43,6 @@ class Measuring(Protocol):
 
     def collect(self, sensor: str) -> list[Scan]:
         """Scans of this sensor that have been finished since the last call."""
-
-
-@dataclass
-class InstrumentStats:
-    """What one sensor did, for the report at the end of a run."""
-
-    scans_measured: int = 0
-    scans_sent: int = 0
-    replies_sent: int = 0
-    last_scan_due_ns: int | None = None
-    "None before the first scan, and again when the device's mode has changed: pauses between streams are no gaps."
-    gaps: int = 0
-    "Gaps between scans of one stream, and how long they were in all."
-    gaps_ns: int = 0
-    scans_dropped: Counter[str] = field(default_factory=Counter)
-    input_dropped: Counter[str] = field(default_factory=Counter)
-    commands: Counter[str] = field(default_factory=Counter)
-    restarts: int = 0
-    lateness: LatenessLog = field(default_factory=LatenessLog)
-    "Actual minus scheduled instant of the last byte of each payload."
-    objects: ObjectScore | None = None
-    "How well the lists of a sensor that lists objects fit the truth."
-
-    @property
-    def rate_hz(self) -> float:
-        """Scans a second while they were streamed; NaN before the second scan of a stream."""
-        return self.gaps * 1e9 / self.gaps_ns if self.gaps_ns > 0 else math.nan
-
-    def note_scan(self, due_ns: int) -> None:
-        """One more scan was sent."""
-        self.scans_sent += 1
-        if self.last_scan_due_ns is not None:
-            self.gaps += 1
-            self.gaps_ns += due_ns - self.last_scan_due_ns
-        self.last_scan_due_ns = due_ns
-
-
-SCAN_REASONS = frozenset(
-    reason.value for reason in (DropReason.LINE_BUSY, DropReason.LATE, DropReason.STALE, DropReason.HOST_SLOW)
-)
-"`DropReason` values that count scans rather than input bytes."
 
 
 class Instrument:
@@ -125,12 +70,7 @@ class Instrument:
         self.connections_seen = 0
         "Connections opened and closed so far: a descriptor's number may have a new owner when this has moved."
         self._events: deque[Event] = deque(maxlen=EVENTS_KEPT)
-        self._watchers: list[Watcher] = []
-        self._times: dict[int, LineTimes] = {}
-        self._speeds: dict[int, int] = {}
-        "Of serial links, as last told; for watchers that come later."
-        self._on_bus: dict[int, deque[tuple[int, bytes, int]]] = {}
-        "CAN link -> identifier, bytes and sweep of frames that begin a scan and have not been carried yet."
+        self.onlookers = Onlookers(sensor, self.links)
         self.family: Family | None = None
         "Whose protocol it speaks; for faults that change telegrams."
         self.faults: SensorFaults | None = None
@@ -158,24 +98,11 @@ class Instrument:
         Instants on a line are exact when it is called before the device is switched on, else from the line's first
         pause on.
         """
-        self._watchers = [*self._watchers, watcher]
-        for index, link in enumerate(self.links):
-            if link.kind is LinkKind.SERIAL:
-                self._times.setdefault(index, LineTimes(self._speeds.get(index)))
-            elif isinstance(link, CanLink):
-                self._on_bus.setdefault(index, deque(maxlen=1024))
-                link.on_carried = partial(self._carried, index)
+        self.onlookers.add(watcher)
 
     def unwatch(self, watcher: Watcher) -> None:
         """Tell it no more; also from within what it is told."""
-        self._watchers = [one for one in self._watchers if one is not watcher]
-        if self._watchers:
-            return
-        self._times.clear()
-        self._on_bus.clear()
-        for link in self.links:
-            if isinstance(link, CanLink):
-                link.on_carried = None
+        self.onlookers.remove(watcher)
 
     def power_on(self, now_ns: int) -> None:
         """Tell the session of its fixed links and switch the device on."""
@@ -241,10 +168,7 @@ class Instrument:
             self.stats.scans_dropped["switched off"] += forgotten
         self._given.clear()
         lost = sum(link.clear() for link in self.links)
-        for times in self._times.values():
-            times.clear(now_ns)
-        for waiting in self._on_bus.values():
-            waiting.clear()
+        self.onlookers.clear(now_ns)
         return lost + (0 if self.faults is None else self.faults.cut())
 
     def power_back(self, now_ns: int) -> None:
@@ -261,8 +185,7 @@ class Instrument:
     def set_line_speed(self, index: int, now_ns: int, baud: int | None) -> None:
         """Another speed of a line at once, whatever the device says."""
         self.links[index].set_speed(baud)
-        if index in self._times:
-            self._times[index].set_speed(now_ns, baud)
+        self.onlookers.set_speed(index, now_ns, baud)
 
     def framing(self, kind: LinkKind) -> Framing | None:
         """How its telegrams are framed on such a link; None where its family does not tell."""
@@ -270,8 +193,7 @@ class Instrument:
 
     def tell_fault(self, event: FaultEvent) -> None:
         """Something a fault did, for whoever looks on."""
-        for watcher in self._watchers:
-            watcher.event(self.sensor, event)
+        self.onlookers.event(event)
 
     @property
     def measuring(self) -> Measuring:
@@ -307,8 +229,7 @@ class Instrument:
             self._peers.add(address)
             self.session.connected(now_ns, address, link.kind)
         if received.data:
-            if self._watchers and link.kind is not LinkKind.CAN:
-                self._tell(Payload(self.sensor, index, received.peer, received.data, now_ns, now_ns, False))
+            self.onlookers.heard(index, received, now_ns)
             self.session.receive(received.data, now_ns, address)
         if received.closed:
             self._peers.discard(address)
@@ -340,11 +261,8 @@ class Instrument:
                 self.stats.scans_dropped["withdrawn by a changed setting"] += 1
             else:
                 self._given.append((scan.plan.sweep, scan.plan.start_ns + round(scan.plan.duration_s * 1e9)))
-                for watcher in self._watchers:
-                    watcher.scan(self.sensor, scan)
-                if isinstance(scan, ListedScan):
-                    self.stats.objects = self.stats.objects or ObjectScore()
-                    self.stats.objects.add(scan.objects, scan.truth)
+                self.onlookers.scan(scan)
+                self.stats.note_taken(scan)
         return moved
 
     def _ask_for_scan(self, now_ns: int) -> bool:
@@ -369,7 +287,7 @@ class Instrument:
                     self._given.popleft()
             if self.faults is None:
                 self._send(emission)
-                self.count(emission)
+                self.stats.note_telegram(emission)
             else:
                 self._send_through_faults(emission, now_ns, life)
         return bool(emissions)
@@ -390,7 +308,7 @@ class Instrument:
         if self.faults.counted:
             return
         if carrying:  # a repeated telegram is one scan, or one reply
-            self.count(carrying[0])
+            self.stats.note_telegram(carrying[0])
         elif emission.sweep is not None and self.faults.taker is not None:
             self.stats.scans_dropped[f"fault {self.faults.taker}"] += 1
 
@@ -407,78 +325,29 @@ class Instrument:
         for (one, only), counted in released:
             self._send(one, only)
             if not counted:
-                self.count(one)
+                self.stats.note_telegram(one)
 
     def _send(self, emission: Emission, only: int | None = None) -> None:
         """Hand a telegram to its links, or to one of them."""
         address = emission.address
-        if emission.told is not None and emission.sweep is not None:
-            for watcher in self._watchers:
-                watcher.told(self.sensor, emission.sweep, emission.told)
+        self.onlookers.told(emission)
         targets = range(len(self.links)) if address is None else range(len(self.links))[address.link : address.link + 1]
         peer = None if address is None else address.peer
         for index in targets if only is None else (only,):
             link = self.links[index]
             refused = link.stats.payloads_dropped
-            if emission.line_speed is not None:
-                self._speeds[index] = emission.line_speed
-            if emission.sweep is not None and index in self._on_bus:
-                self._on_bus[index].append((peer or 0, emission.payload, emission.sweep))
+            self.onlookers.leaving(index, peer, emission)
             link.send(emission.payload, emission.due_ns, peer, emission.line_speed)
-            if self._watchers and link.stats.payloads_dropped == refused and link.kind is not LinkKind.CAN:
-                self._tell_sent(index, peer, emission)
-
-    def count(self, emission: Emission) -> None:
-        """One more telegram has left, or will."""
-        if emission.sweep is None:
-            self.stats.replies_sent += bool(emission.payload)  # an empty one only sets the line's speed
-            return
-        self.stats.note_scan(emission.due_ns)
-
-    def _tell_sent(self, index: int, peer: int | None, emission: Emission) -> None:
-        start_ns = end_ns = emission.due_ns
-        pace = None
-        if index in self._times:
-            start_ns, end_ns, pace = self._times[index].of(emission.payload, emission.due_ns, emission.line_speed)
-        if emission.payload:
-            data, label, sweep = emission.payload, emission.label, emission.sweep
-            self._tell(Payload(self.sensor, index, peer or 0, data, start_ns, end_ns, True, label, sweep, pace))
-
-    def _carried(self, index: int, frame: Carried, own: bool) -> None:
-        start_ns = frame.start_ns if own else frame.end_ns
-        sweep = self._sweep_of(index, frame) if own else None
-        self._tell(Payload(self.sensor, index, frame.peer, frame.data, start_ns, frame.end_ns, own, sweep=sweep))
-
-    def _sweep_of(self, index: int, frame: Carried) -> int | None:
-        """The scan that a carried frame begins; frames that the bus has lost are forgotten with it."""
-        waiting = self._on_bus[index]
-        for place, (peer, data, sweep) in enumerate(waiting):
-            if (peer, data) == (frame.peer, frame.data):
-                for _ in range(place + 1):
-                    waiting.popleft()
-                return sweep
-        return None
-
-    def _tell(self, payload: Payload) -> None:
-        for watcher in self._watchers:
-            watcher.payload(payload)
+            if link.stats.payloads_dropped == refused:
+                self.onlookers.left(index, peer, emission)
 
     def _note_events(self) -> None:
         for event in self.session.take_events():
             self._events.append(event)
             if self.faults is not None:
                 self.faults.noted(event)
-            for watcher in self._watchers:
-                watcher.event(self.sensor, event)
-            if isinstance(event, Dropped):
-                reason = event.reason.value
-                kind = self.stats.scans_dropped if reason in SCAN_REASONS else self.stats.input_dropped
-                kind[reason] += event.count
-            elif isinstance(event, CommandHandled):
-                self.stats.commands[f"{event.command}: {event.outcome}"] += 1
-            elif isinstance(event, ModeChanged | Restarted):
-                self.stats.last_scan_due_ns = None
-                self.stats.restarts += isinstance(event, Restarted)
+            self.onlookers.event(event)
+            self.stats.note_event(event)
 
     @staticmethod
     def _key(plan: ScanPlan) -> tuple[int, int]:

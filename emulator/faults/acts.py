@@ -109,7 +109,7 @@ class Gear:
         """A telegram that leaves later, in pieces: sent as far as counters go, once for all its links."""
         faults = self.instrument.faults
         if faults is None or not faults.counted:
-            self.instrument.count(emission)
+            self.instrument.stats.note_telegram(emission)
         if faults is not None:
             faults.counted = True
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from emulator.instrument import SCAN_REASONS
+from emulator.instrument_stats import SCAN_REASONS
 from emulator.object_metrics import ObjectScore, TruthObject
 from emulator.recording.layout import RecordedScan
 from emulator.recording.streaming import Beams, Cut, End, Head, Measured, Progress, Told, Wire, items

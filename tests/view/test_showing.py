@@ -36,7 +36,7 @@ class Shown:
 
     @property
     def watched(self) -> bool:
-        return self.showing._keeper in self.rig.instrument._watchers  # a virtual run has a watcher of its own
+        return self.showing._keeper in self.rig.instrument.onlookers  # a virtual run has a watcher of its own
 
     def run(self, until_ns: int) -> None:
         self.rig.run.advance(until_ns)
