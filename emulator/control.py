@@ -6,7 +6,8 @@
 Belongs here: the server and its client. Not: what the methods do (orders). The server waits in a thread of its own;
 what an order does is done by the run's own thread, between two steps. Garbage is answered with an error. A client is
 answered no further while it leaves `MOST_UNREAD` unread; one that reads nothing for `DEAF_S`, or whose line is longer
-than `LONGEST_LINE`, is hung up on. The run goes on in any case.
+than `LONGEST_LINE`, is hung up on. Of `MOST_CLIENTS` the one that has been silent longest makes room for the next. The
+run goes on in any case.
 """
 
 from __future__ import annotations
@@ -72,6 +73,8 @@ class _Client:
     unread: bytes = b""
     read_at_ns: int = 0
     "When it last took some of what it had not read."
+    spoke_at_ns: int = 0
+    "When it last sent something, or came."
 
 
 def default_folder() -> Path:
@@ -164,7 +167,8 @@ class ControlServer:
 
     def _serve(self) -> None:
         while not self._closing:
-            for key, mask in self._selector.select(TICK_S if self._full or self._clients else None):
+            ready = self._selector.select(TICK_S if self._full or self._clients else None)
+            for key, mask in sorted(ready, key=lambda one: one[0].fileobj is self._listener):  # who is here comes first
                 if key.fileobj is self._listener:
                     while self._accept():
                         pass
@@ -193,11 +197,16 @@ class ControlServer:
             self._selector.unregister(self._listener)
             self._full = True
             return False
+        now_ns = self._clock.now_ns()
         if len(self._clients) >= MOST_CLIENTS:
-            _farewell(connection, f"{MOST_CLIENTS} clients are connected already")
-            return True
+            idle = [client for client in self._clients.values() if not _is_busy(client, now_ns)]
+            if not idle:
+                _farewell(connection, f"{MOST_CLIENTS} clients are connected already, each within a request")
+                return True
+            silent = min(idle, key=lambda client: client.spoke_at_ns)
+            self._hang_up(silent, f"the longest silent of {MOST_CLIENTS} clients when another one came; hung up")
         connection.setblocking(False)
-        self._clients[connection.fileno()] = _Client(connection)
+        self._clients[connection.fileno()] = _Client(connection, spoke_at_ns=now_ns)
         self._selector.register(connection, selectors.EVENT_READ)
         return True
 
@@ -211,6 +220,7 @@ class ControlServer:
                     self._hang_up(client)
                     return
                 client.text += data
+                client.spoke_at_ns = self._clock.now_ns()
                 self._answer_lines(client)
         except BlockingIOError:
             pass
@@ -284,6 +294,19 @@ class ControlServer:
             raise OrderError(REFUSED, str(error)) from None
 
 
+def _is_busy(client: _Client, now_ns: int) -> bool:
+    """Whether it has an answer to read, or a request on its way of which something came within `DEAF_S`."""
+    if client.unread:
+        return True
+    try:
+        sent = client.connection.recv(1, socket.MSG_PEEK)
+    except BlockingIOError:
+        sent = client.text
+    except OSError:
+        return False
+    return bool(sent) and now_ns - client.spoke_at_ns <= DEAF_S * 1e9
+
+
 def _farewell(connection: socket.socket, why: str) -> None:
     """Say why, as far as the other end takes it, and close."""
     answer = {"jsonrpc": "2.0", "id": None, "error": {"code": REFUSED, "message": why}}
@@ -320,7 +343,8 @@ def ask(path: Path, method: str, params: Mapping[str, Any]) -> object:
         try:
             connection.connect(str(path))
             request = {"jsonrpc": "2.0", "id": 1, "method": method, "params": dict(params)}
-            connection.sendall(json.dumps(request).encode() + b"\n")
+            with contextlib.suppress(BrokenPipeError):  # turned away: it has said why
+                connection.sendall(json.dumps(request).encode() + b"\n")
             text = b""
             while not text.endswith(b"\n"):
                 data = connection.recv(65_536)

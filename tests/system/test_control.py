@@ -187,10 +187,14 @@ def test_garbage_is_answered_and_a_client_that_floods_or_never_reads_is_hung_up_
         eager.sendall(b'{"id": 1, "method": "metrics"}\n' * 500)
         assert [line(eager)["id"] for _ in range(500)] == [1] * 500  # more than may wait unread, but it reads
     with contextlib.ExitStack() as crowd:
-        for _ in range(16):
-            crowd.enter_context(connect(path))
+        half = [crowd.enter_context(connect(path)) for _ in range(16)]
+        for one in half:
+            one.sendall(b'{"id": 1, "method"')
         with connect(path) as late:
             assert "clients are connected already" in line(late)["error"]["message"]
+        for one in half:
+            one.sendall(b': "glance"}\n')
+            assert line(one)["id"] == 1
     with connect(path) as deaf:
         deaf.settimeout(2.0)
         try:
@@ -202,6 +206,24 @@ def test_garbage_is_answered_and_a_client_that_floods_or_never_reads_is_hung_up_
     with LmsHost(running.path("front")) as host:
         assert host.ask(b"\x3a", 0xBA)[1:7] == b"LMS291"
     assert running.stop() == 0
+
+
+def test_two_hundred_silent_clients_lock_nobody_out(daemon: Callable[..., object], path: Path) -> None:
+    daemon("flat_wall", "--control", str(path))
+    with contextlib.ExitStack() as crowd:
+        working = crowd.enter_context(connect(path))
+        working.sendall(b'{"id": 1, "method": "status"')  # the rest comes when all the others are there
+        first = crowd.enter_context(connect(path))
+        first.sendall(b'{"id": 2, "method": "glance"}\n')
+        assert line(first)["id"] == 2
+        for number in range(200):
+            crowd.enter_context(connect(path))
+            if number % 20 == 0:
+                assert main(["ctl", "glance", "--socket", str(path)]) == 0
+        assert "the longest silent of 16 clients when another one came" in line(first)["error"]["message"]
+        assert first.recv(1) == b""
+        working.sendall(b"}\n")
+        assert line(working)["id"] == 1
 
 
 def test_an_order_without_a_daemon_and_a_socket_in_use_are_told(
