@@ -7,18 +7,14 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from emulator.tables import DescribedTable
 
 MOST_STEPS = 256
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
-
-
-class ClockStep(_Table):
+class ClockStep(DescribedTable):
     """The clock is put forward, or back, while the run goes on."""
 
     t_s: Annotated[float, Field(ge=0.0, le=1e9)]
@@ -26,7 +22,7 @@ class ClockStep(_Table):
     by_s: Annotated[float, Field(ge=-1e9, le=1e9)]
 
 
-class ClockOptions(_Table):
+class ClockOptions(DescribedTable):
     """The time that a device tells, against the run's."""
 
     drift_ppm: Annotated[float, Field(ge=-100_000.0, le=100_000.0)] = 0.0

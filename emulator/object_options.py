@@ -10,7 +10,9 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from emulator.tables import DescribedTable
 
 if TYPE_CHECKING:
     from emulator.objects.options import TrackerOptions
@@ -25,12 +27,8 @@ OF_FORMAT: Mapping[str, Mapping[str, Any]] = MappingProxyType(
 "Where a format's own default differs from the tracker's."
 
 
-class ObjectOptions(BaseModel):
+class ObjectOptions(DescribedTable):
     """Choices of a run; None: the tracker's own, see docs/can_objects.md."""
-
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
 
     segmentation: Literal["cluster", "actor"] | None = None
     "cluster: echoes that lie near each other (default); actor: ideal, echoes of one actor."

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from emulator.tables import NotNegative, Positive, Table
 
 BundleRule = Literal["axis", "laguerre", "spiral", "grid", "adaptive"]
 Profile = Literal["gauss", "tophat"]
@@ -16,8 +18,6 @@ DetectionMethod = Literal["leading_edge", "constant_fraction", "peak", "centroid
 Sparingly = Literal["auto", "always", "never"]
 EchoChoice = Literal["first", "strongest", "last", "all"]
 
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
 Amplitude = Annotated[float, Field(ge=1e-3, le=1e12)]
 "In rms noise. Beyond these ends no receiver is, and their squares keep their digits."
 Gate = Annotated[float, Field(ge=1e-3, le=1e6)]
@@ -25,10 +25,8 @@ Gate = Annotated[float, Field(ge=1e-3, le=1e6)]
 Divergence = Annotated[float, Field(ge=0.0, le=20.0)]
 
 
-class WindscreenOptions(BaseModel):
+class WindscreenOptions(Table):
     """A laminated pane in front of the sensor, every beam through it both ways."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
     rake_deg: Annotated[float, Field(ge=0.0, lt=90.0)] = 60.0
     "Between a beam along the sensor's x axis and the pane's normal, which leans back."
@@ -37,10 +35,8 @@ class WindscreenOptions(BaseModel):
     index: Annotated[float, Field(ge=1.0, le=4.0)] = 1.5
 
 
-class PhotonOptions(BaseModel):
+class PhotonOptions(Table):
     """A receiver that counts photons: a histogram of first photons over many shots, or of photon pairs."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
     shots: Annotated[int, Field(ge=1, le=10_000_000)] = 1000
     "Pulses a beam."
@@ -54,10 +50,8 @@ class PhotonOptions(BaseModel):
     "Pairs: time for which coincidences of a beam are collected."
 
 
-class LeaveOut(BaseModel):
+class LeaveOut(Table):
     """Switches of single rules of leaving out; `needs` lists them with their bounds. `full` switches all off."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
     clear_air: bool = True
     "No extinction where all that is met is too near for it to be seen."
@@ -92,10 +86,8 @@ class LeaveOut(BaseModel):
         return cls.model_validate({name: "never" if name == "closed_form" else False for name in cls.model_fields})
 
 
-class PhysicsOptions(BaseModel):
+class PhysicsOptions(Table):
     """Choices of a run; None: as the model's spec has it."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
     rule: BundleRule | None = None
     sub_beams: Annotated[int, Field(ge=1, le=65536)] | None = None

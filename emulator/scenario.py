@@ -14,7 +14,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError
+from pydantic import ConfigDict, Field, PrivateAttr, ValidationError
 from ruamel.yaml import YAML
 
 from emulator import overrides as changes
@@ -24,8 +24,9 @@ from emulator.errors import ScenarioError
 from emulator.faults.config import Common
 from emulator.object_options import ObjectOptions
 from emulator.physics_options import PhysicsOptions
-from emulator.scenario_tables import Actor, Id, Mount, Positive, Shape, Table, WorldItem, long_as
+from emulator.scenario_tables import Actor, Id, Mount, Shape, WorldItem, long_as
 from emulator.spec import is_file
+from emulator.tables import DescribedTable, Positive, Table
 from emulator.weather import WeatherConfig
 from emulator.yaml_source import fault_lines
 
@@ -33,7 +34,7 @@ MOST_ACTORS = 10_000
 MOST_SENSORS = 256
 
 
-class SensorConfig(Table):
+class SensorConfig(DescribedTable):
     """One emulated sensor."""
 
     id: Id
@@ -56,16 +57,16 @@ class SensorConfig(Table):
     "How it makes them; of models that list objects."
 
 
-class Expectation(BaseModel):
+class Expectation(Table):
     """What must hold at the end of a test run; its other keys depend on `that`."""
 
-    model_config = ConfigDict(extra="allow", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="allow")
 
     that: str
     within: Annotated[tuple[float, float], long_as(2)] | None = None
 
 
-class Record(Table):
+class Record(DescribedTable):
     """What a run keeps."""
 
     wire: bool = False
@@ -74,7 +75,7 @@ class Record(Table):
     "What each echo was."
 
 
-class Scenario(Table):
+class Scenario(DescribedTable):
     """Everything that a run is made of."""
 
     schema_: Literal[1] = Field(alias="schema")

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+
+from emulator.tables import MOST_M, Coordinate, DescribedTable
 
 MOST_FRAMES = 1000
 MOST_WAYPOINTS = 100_000
-MOST_M = 1e9
-"Of a coordinate or length: float64 tells 1e-7 m apart there, beyond it ever less."
 LEAST_M = 1e-9
 "Of a length: smaller things than a wavelength do not reflect as surfaces."
 MOST_M_S = 1e5
@@ -37,41 +37,31 @@ def _not_tiny(length_m: float) -> float:
     return length_m
 
 
-Coordinate = Annotated[float, Field(ge=-MOST_M, le=MOST_M)]
 Length = Annotated[float, Field(gt=0.0, le=MOST_M), AfterValidator(_not_tiny)]
 Speed = Annotated[float, Field(ge=-MOST_M_S, le=MOST_M_S)]
 Angle = Annotated[float, Field(ge=-1e6, le=1e6)]
 Vector = Annotated[tuple[Coordinate, Coordinate, Coordinate], long_as(3)]
 Velocity = Annotated[tuple[Speed, Speed, Speed], long_as(3)]
-Positive = Annotated[float, Field(gt=0.0)]
 Id = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_-]{0,63}$")]
 
 SHAPES = ("mesh", "frames", "plane", "box", "cylinder", "sphere")
 
 
-class Table(BaseModel):
-    """Frozen, strict, without keys of its own making."""
-
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
-
-
-class Plane(Table):
+class Plane(DescribedTable):
     """A rectangle centred on its origin, normal +z, seen from both sides."""
 
     size_m: Annotated[tuple[Length, Length], long_as(2)]
     "Along x, along y."
 
 
-class Box(Table):
+class Box(DescribedTable):
     """A closed box; its origin is the centre of its base."""
 
     size_m: Annotated[tuple[Length, Length, Length], long_as(3)]
     "Along x, y, z."
 
 
-class Cylinder(Table):
+class Cylinder(DescribedTable):
     """A closed upright cylinder; its origin is the centre of its base."""
 
     radius_m: Length
@@ -80,7 +70,7 @@ class Cylinder(Table):
     "Flat faces around; their edges lie on the circle."
 
 
-class Sphere(Table):
+class Sphere(DescribedTable):
     """A closed sphere that stands on its origin."""
 
     radius_m: Length
@@ -88,7 +78,7 @@ class Sphere(Table):
     "Meridians; half as many rings. The corners lie on the sphere."
 
 
-class FramesConfig(Table):
+class FramesConfig(DescribedTable):
     """A mesh that changes its shape: a file a frame, the same triangles in each, vertices in straight lines between."""
 
     meshes: Annotated[tuple[str, ...], Field(min_length=2, max_length=MOST_FRAMES)]
@@ -101,7 +91,7 @@ class FramesConfig(Table):
     "After the last frame the first again. false: the first until `at_s`, the last for ever."
 
 
-class Shape(Table):
+class Shape(DescribedTable):
     """Exactly one of a mesh file, frames of a mesh, and the primitives."""
 
     mesh: str | None = None
@@ -146,7 +136,7 @@ class WorldItem(Shape):
     "Part of the mesh (its material's or object's name in the file) -> material."
 
 
-class Waypoint(Table):
+class Waypoint(DescribedTable):
     """Where something is at a time."""
 
     t_s: Annotated[float, Field(ge=-1e9, le=1e9)]
@@ -156,7 +146,7 @@ class Waypoint(Table):
     roll_deg: Angle = 0.0
 
 
-class MotionConfig(Table):
+class MotionConfig(DescribedTable):
     """Either a start with constant velocity, or waypoints."""
 
     at_m: Vector = (0.0, 0.0, 0.0)
@@ -175,7 +165,7 @@ class MotionConfig(Table):
 Category = Literal["car", "truck", "motorcycle", "bicycle", "pedestrian", "wide", "point", "unknown"]
 
 
-class Actor(Table):
+class Actor(DescribedTable):
     """Something that can move and that sensors can be mounted on."""
 
     id: Id
@@ -190,7 +180,7 @@ class Actor(Table):
     motion: MotionConfig = Field(default_factory=MotionConfig)
 
 
-class Mount(Table):
+class Mount(DescribedTable):
     """Where a sensor's optical centre is, on an actor or in the world."""
 
     actor: str | None = None

@@ -12,16 +12,15 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from emulator.errors import SpecError
 from emulator.physics_options import BundleRule, DetectionMethod, EchoChoice, Profile, PulseShape
+from emulator.tables import NotNegative, Positive, Table
 from emulator.yaml_source import Loc, Source, fault_lines, read
 
 Value = TypeVar("Value")
 
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
 Share = Annotated[float, Field(gt=0.0, le=1.0)]
 Divergence = Annotated[float, Field(ge=0.0, le=349.065850398866)]
 "Full angle in mrad; 20 degrees is the limit of the tangent-plane bundle."
@@ -31,11 +30,7 @@ Evidence = Literal["seed", "read", "calc", "mem", "choice", "derived", "verified
 checked; choice: ours; derived: follows from others; verified: seen on a real driver or recording."""
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class Fact(_Table, Generic[Value]):
+class Fact(Table, Generic[Value]):
     """A value with where it comes from."""
 
     value: Value
@@ -43,7 +38,7 @@ class Fact(_Table, Generic[Value]):
     evidence: Evidence
 
 
-class OpticsSpec(_Table):
+class OpticsSpec(Table):
     """The emitted beam."""
 
     wavelength_nm: Fact[Annotated[float, Field(ge=300.0, le=3000.0)]]
@@ -59,7 +54,7 @@ class OpticsSpec(_Table):
     "Diameter of the beam at the window, by the same measure as the divergence."
 
 
-class PulseSpec(_Table):
+class PulseSpec(Table):
     """The emitted pulse."""
 
     shape: Fact[PulseShape]
@@ -67,7 +62,7 @@ class PulseSpec(_Table):
     energy_uj: Fact[Positive] | None = None
 
 
-class ReceiverSpec(_Table):
+class ReceiverSpec(Table):
     """Optics and electronics of the receiver. Either the system constant or the pulse energy must be known."""
 
     aperture_mm: Fact[Positive]
@@ -111,7 +106,7 @@ class ReceiverSpec(_Table):
     echoes (fog in front of the window) stay below it. None: one threshold at all ranges."""
 
 
-class DetectionSpec(_Table):
+class DetectionSpec(Table):
     """How the receiver makes echoes of the signal."""
 
     threshold_to_noise: Fact[Positive]
@@ -128,14 +123,14 @@ class DetectionSpec(_Table):
     "Finest step of the reported range."
 
 
-class BundleSpec(_Table):
+class BundleSpec(Table):
     """What sensing does unless a scenario says otherwise."""
 
     rule: Fact[BundleRule]
     sub_beams: Fact[Annotated[int, Field(ge=1, le=65536)]]
 
 
-class BeamTable(_Table):
+class BeamTable(Table):
     """Beam directions and firing instants of a sensor without a protocol family that plans them."""
 
     azimuth_deg: Fact[list[float]]
@@ -156,7 +151,7 @@ class BeamTable(_Table):
         return self
 
 
-class GeometrySpec(_Table):
+class GeometrySpec(Table):
     """How the device scans. For a family these facts are told, not used: the family's own table plans the sweeps."""
 
     field_deg: Fact[Positive]
@@ -165,7 +160,7 @@ class GeometrySpec(_Table):
     direction: Fact[Literal["counter-clockwise", "clockwise", "none"]]
 
 
-class SensorSpec(_Table):
+class SensorSpec(Table):
     """All facts of one model."""
 
     schema_: Literal[1] = Field(alias="schema")

@@ -10,18 +10,15 @@ import bisect
 import itertools
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
+from emulator.tables import MOST_M, Coordinate, NotNegative, Positive, Table
+
 Rate = Annotated[float, Field(ge=0.0, le=2000.0)]
 "mm/h of water; 300 mm/h is the wettest minute of most places."
-MOST_M = 1e9
-"Of a coordinate or extent, as of everything else in a scenario."
 MOST_VOLUMES = 1000
 "Layers, and plumes, of one state: each is crossed by every beam of every sweep."
 MOST_CHANGES = 10_000
-Coordinate = Annotated[float, Field(ge=-MOST_M, le=MOST_M)]
 Length = Annotated[float, Field(gt=0.0, le=MOST_M)]
 Speed = Annotated[float, Field(ge=-1e5, le=1e5)]
 Extinction = Annotated[float, Field(ge=0.0, le=1e6)]
@@ -32,11 +29,7 @@ Velocity = tuple[Speed, Speed, Speed]
 Extent = tuple[Length, Length, Length]
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class _Seen(_Table):
+class _Seen(Table):
     """A medium given by how far one sees in it."""
 
     visibility_m: Positive | None = None
@@ -71,7 +64,7 @@ class Smoke(_Seen):
     law: Literal["ijaz"] = "ijaz"
 
 
-class _Falling(_Table):
+class _Falling(Table):
     rate_mm_h: Rate
     echoes: Literal["auto", "drops", "continuum", "off"] = "auto"
     """drops: single particles, drawn where one alone can be seen. continuum: a soft target. auto: whichever the number
@@ -112,7 +105,7 @@ class Snow(_Falling):
     flake_reflectance: Annotated[float, Field(gt=0.0, le=1.0)] = 0.8
 
 
-class Spray(_Table):
+class Spray(Table):
     """Water whirled up behind moving vehicles on a wet road."""
 
     behind: tuple[str, ...] | None = None
@@ -125,7 +118,7 @@ class Spray(_Table):
     lidar_ratio_sr: Ratio = 18.8
 
 
-class Sun(_Table):
+class Sun(Table):
     """The sun; without this table it is night."""
 
     total_w_m2: Annotated[float, Field(ge=0.0, le=1e5)] = 1370.0
@@ -137,7 +130,7 @@ class Sun(_Table):
     "Share of sun and sky that clouds leave."
 
 
-class _Media(_Table):
+class _Media(Table):
     """What can be in a part of the air."""
 
     fog: Fog | None = None
@@ -181,7 +174,7 @@ class Plume(_Media):
         return self
 
 
-class _State(_Table):
+class _State(Table):
     """Everything that can change."""
 
     visibility_m: Positive | None = None

@@ -16,6 +16,7 @@ ONLY_IN = {
         "emulator/scenario.py",
         "emulator/scenario_tables.py",
         "emulator/spec.py",
+        "emulator/tables.py",
         "emulator/weather.py",
         "emulator/live_weather.py",
         "emulator/physics_options.py",

@@ -7,19 +7,19 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
+
+from emulator.tables import DescribedTable
 
 Seconds = Annotated[float, Field(ge=0.0, le=1e9)]
 Span = Annotated[float, Field(gt=0.0, le=1e9)]
 Count = Annotated[int, Field(ge=1, le=10**12)]
 
 
-class Common(BaseModel):
+class Common(DescribedTable):
     """Something that goes wrong on purpose; its other keys depend on `do`, see `lidaremu list faults NAME`."""
 
-    model_config = ConfigDict(
-        extra="allow", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
+    model_config = ConfigDict(extra="allow")
 
     on: str
     "The sensor."

@@ -9,8 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import BaseModel, ConfigDict
-
+from emulator.tables import DescribedTable
 from protocols.session import LinkKind
 
 if TYPE_CHECKING:
@@ -22,12 +21,8 @@ BOTH_WAYS = ("to_host", "from_host")
 FROM_HOST = ("from_host",)
 
 
-class Keys(BaseModel):
+class Keys(DescribedTable):
     """Keys of one kind of fault; none by itself."""
-
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
 
 
 @dataclass(frozen=True)
