@@ -193,6 +193,16 @@ class CommandRow:
     note: str = ""
 
 
+@dataclass(frozen=True)
+class DeviceKey:
+    """One key of a scenario's `device:` table, as `lidaremu list device MODEL` shows it."""
+
+    name: str
+    allowed: str
+    default: str
+    meaning: str
+
+
 class Family(Protocol):
     """What a module of `protocols` offers as `FAMILY`."""
 

@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
 
-from protocols.can_objects.settings import DeviceKeys, Key
+from protocols.can_objects.settings import DeviceKeys
 from protocols.errors import DeviceSettingError
 from protocols.framing import Framing
-from protocols.session import CommandRow, LinkKind, Session
+from protocols.session import CommandRow, DeviceKey, LinkKind, Session
 from protocols.timebase import inside
 
 FORMATS = {
@@ -22,7 +22,7 @@ FORMATS = {
     "esr": "protocols.can_objects.esr",
     "leddar_vu8": "protocols.can_objects.leddar_vu8",
 }
-"Format name -> module."
+"Format name -> module, which has `Settings`, `SESSION` and `SENT`."
 
 
 class CanObjects:
@@ -34,8 +34,9 @@ class CanObjects:
     def new_session(self, device: Mapping[str, Any], facts: Mapping[str, Any]) -> Session:
         """A session in the format that the model, or the scenario, names."""
         wanted = _format({**facts, **device})
-        rest = [{key: value for key, value in part.items() if key != "format"} for part in (device, facts)]
-        session: Session = import_module(FORMATS[wanted]).new_session(*rest)
+        own, known = ({key: value for key, value in part.items() if key != "format"} for part in (device, facts))
+        chosen = import_module(FORMATS[wanted])
+        session: Session = chosen.SESSION(chosen.Settings.read(DeviceKeys(own, known)))
         return session
 
     def commands(self) -> tuple[CommandRow, ...]:
@@ -51,7 +52,7 @@ class CanObjects:
         own, _ = inside(session, 0)
         return own.framing() if isinstance(own, CanObjectSession) else None
 
-    def keys_of_model(self, facts: Mapping[str, Any]) -> tuple[Key, ...]:
+    def keys_of_model(self, facts: Mapping[str, Any]) -> tuple[DeviceKey, ...]:
         """Every key of the `device` table in the format of a model, from the code that checks them."""
         keys = DeviceKeys({}, {})
         import_module(FORMATS[_format(facts)]).Settings.read(keys)

@@ -8,7 +8,6 @@ Sources: see the head of `ars408.dbc`; times from the recording named there.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -362,11 +361,6 @@ SENT = (
     ("RelayControl", "maker's DBC", "once a second while relay control is on"),
 )
 "Messages of the device: name in the DBC, source, note."
-
-
-def new_session(device: Mapping[str, Any], facts: Mapping[str, Any]) -> Ars408Session:
-    """A sensor from a scenario's table and its model's."""
-    return Ars408Session(Settings.read(DeviceKeys(device, facts)))
 
 
 SESSION = Ars408Session

@@ -276,9 +276,4 @@ SENT = (
 "Messages of the device: name in the DBC, source, note."
 
 
-def new_session(device: Mapping[str, Any], facts: Mapping[str, Any]) -> EsrSession:
-    """A radar from a scenario's table and its model's."""
-    return EsrSession(Settings.read(DeviceKeys(device, facts)))
-
-
 SESSION = EsrSession

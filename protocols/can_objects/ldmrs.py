@@ -7,7 +7,6 @@ in `ldmrs_choice`, their frames in `ldmrs_lists`, parameters in `ldmrs_parameter
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, ClassVar
@@ -21,7 +20,6 @@ from protocols.can_objects.ldmrs_choice import ObjectChoice
 from protocols.can_objects.ldmrs_lists import object_frames
 from protocols.can_objects.ldmrs_settings import Settings
 from protocols.can_objects.session import SECOND_NS, CanObjectSession, Frame, HostMessage
-from protocols.can_objects.settings import DeviceKeys
 from protocols.can_objects.table import Floats, ObjectTable
 from protocols.device_clock import DeviceClock
 from protocols.session import DropReason
@@ -345,11 +343,6 @@ SENT = (
     ("ErrorsWarnings", "SICK 8014493", "once a second while there is something to tell"),
 )
 "Messages of the device: name in the DBC, source, note."
-
-
-def new_session(device: Mapping[str, Any], facts: Mapping[str, Any]) -> LdmrsSession:
-    """A sensor from a scenario's table and its model's."""
-    return LdmrsSession(Settings.read(DeviceKeys(device, facts)))
 
 
 SESSION = LdmrsSession

@@ -7,10 +7,9 @@ Detections are made of the objects seen: one for every segment that an object's 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -202,11 +201,6 @@ SENT = (
     ("Detection", "LeddarTech Vu8 user guide", "one identifier, or one each with multi-id"),
 )
 "Messages of the device: name in the DBC, source, note."
-
-
-def new_session(device: Mapping[str, Any], facts: Mapping[str, Any]) -> LeddarVu8Session:
-    """A sensor from a scenario's table and its model's."""
-    return LeddarVu8Session(Settings.read(DeviceKeys(device, facts)))
 
 
 SESSION = LeddarVu8Session

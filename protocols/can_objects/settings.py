@@ -10,18 +10,9 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from protocols.errors import DeviceSettingError
+from protocols.session import DeviceKey
 
 Value = TypeVar("Value")
-
-
-@dataclass(frozen=True)
-class Key:
-    """One key of the table, as `lidaremu list device MODEL` shows it."""
-
-    name: str
-    allowed: str
-    default: str
-    meaning: str
 
 
 class DeviceKeys:
@@ -30,13 +21,13 @@ class DeviceKeys:
     def __init__(self, device: Mapping[str, Any], facts: Mapping[str, Any], prefix: str = "") -> None:
         self._values: dict[str, Any] = {**facts, **device}
         self._prefix = prefix
-        self.known: list[Key] = []
+        self.known: list[DeviceKey] = []
         "Keys asked for so far."
 
     def integer(self, key: str, meaning: str, default: int, low: int, high: int) -> int:
         """An integer from `low` to `high`."""
         return self._take(
-            Key(key, f"an integer from {low} to {high}", str(default), meaning),
+            DeviceKey(key, f"an integer from {low} to {high}", str(default), meaning),
             default,
             lambda value: type(value) is int and low <= value <= high,
         )
@@ -44,7 +35,7 @@ class DeviceKeys:
     def number(self, key: str, meaning: str, default: float, low: float, high: float) -> float:
         """A number from `low` to `high`."""
         found: float = self._take(
-            Key(key, f"a number from {low:g} to {high:g}", f"{default:g}", meaning),
+            DeviceKey(key, f"a number from {low:g} to {high:g}", f"{default:g}", meaning),
             default,
             lambda value: type(value) in (int, float) and low <= value <= high,
         )
@@ -53,17 +44,19 @@ class DeviceKeys:
     def flag(self, key: str, meaning: str, default: bool) -> bool:
         """true or false."""
         text = "true" if default else "false"
-        return self._take(Key(key, "true or false", text, meaning), default, lambda value: isinstance(value, bool))
+        return self._take(
+            DeviceKey(key, "true or false", text, meaning), default, lambda value: isinstance(value, bool)
+        )
 
     def choice(self, key: str, meaning: str, default: str, allowed: Sequence[str]) -> str:
         """One of a few words."""
-        entry = Key(key, " | ".join(allowed), default, meaning)
+        entry = DeviceKey(key, " | ".join(allowed), default, meaning)
         return self._take(entry, default, lambda value: isinstance(value, str) and value in allowed)
 
     def number_of(self, key: str, meaning: str, default: float, allowed: Sequence[float]) -> float:
         """One of a few numbers."""
         found: float = self._take(
-            Key(key, " | ".join(f"{number:.12g}" for number in allowed), f"{default:.12g}", meaning),
+            DeviceKey(key, " | ".join(f"{number:.12g}" for number in allowed), f"{default:.12g}", meaning),
             default,
             lambda value: type(value) in (int, float) and value in allowed,
         )
@@ -72,7 +65,7 @@ class DeviceKeys:
     def words(self, key: str, meaning: str, allowed: Sequence[str]) -> tuple[str, ...]:
         """A list of words, empty by default."""
         found: Sequence[str] = self._take(
-            Key(key, f"a list of {', '.join(allowed)}", "[]", meaning),
+            DeviceKey(key, f"a list of {', '.join(allowed)}", "[]", meaning),
             (),
             lambda value: isinstance(value, list | tuple) and all(word in allowed for word in value),
         )
@@ -81,7 +74,7 @@ class DeviceKeys:
     def integers(self, key: str, meaning: str, default: Sequence[int], low: int, high: int) -> tuple[int, ...]:
         """As many integers from `low` to `high` as the default has."""
         found: Sequence[int] = self._take(
-            Key(key, f"{len(default)} integers from {low} to {high}", str(list(default)), meaning),
+            DeviceKey(key, f"{len(default)} integers from {low} to {high}", str(list(default)), meaning),
             tuple(default),
             lambda value: (
                 isinstance(value, list | tuple)
@@ -93,7 +86,7 @@ class DeviceKeys:
 
     def table(self, key: str, meaning: str) -> Mapping[str, Any] | None:
         """A table, None when it is absent."""
-        entry = Key(key, "a table", "none", meaning)
+        entry = DeviceKey(key, "a table", "none", meaning)
         nothing: Mapping[str, Any] | None = None
         return self._take(entry, nothing, lambda value: value is None or isinstance(value, Mapping))
 
@@ -103,7 +96,7 @@ class DeviceKeys:
             names = ", ".join(sorted(entry.name for entry in self.known))
             raise DeviceSettingError(self._prefix + str(key), value, f"no such key; known: {names}")
 
-    def _take(self, entry: Key, default: Value, fits: Callable[[Any], bool]) -> Value:
+    def _take(self, entry: DeviceKey, default: Value, fits: Callable[[Any], bool]) -> Value:
         self.known.append(entry)
         value: Value = self._values.pop(entry.name, default)
         # the default need not be among what a file may say: it stands for an absent key

@@ -13,8 +13,8 @@ from protocols.lms2xx.commands import coverage_rows
 from protocols.lms2xx.framing import Lms2xxFraming
 from protocols.lms2xx.models import model_of
 from protocols.lms2xx.session import Lms2xxSession
-from protocols.lms2xx.settings import KEYS, Key, read
-from protocols.session import CommandRow, LinkKind, Session
+from protocols.lms2xx.settings import KEYS, read
+from protocols.session import CommandRow, DeviceKey, LinkKind, Session
 
 
 class Lms2xxFamily:
@@ -37,7 +37,7 @@ class Lms2xxFamily:
         """How its telegrams are changed on their way."""
         return Lms2xxFraming()
 
-    def device_keys(self) -> tuple[Key, ...]:
+    def device_keys(self) -> tuple[DeviceKey, ...]:
         """Every key of a scenario's `device:` table, with what is allowed, the default and the meaning."""
         return KEYS
 

@@ -15,6 +15,7 @@ from protocols.lms2xx.models import Model
 from protocols.lms2xx.timing import DELAYS, Delays
 from protocols.lms2xx.values import MEASURING_MODES
 from protocols.lms2xx.variants import FAST, STANDARD, VARIANTS, Variant
+from protocols.session import DeviceKey
 
 RATES = (9600, 19200, 38400, 500000)
 LENIENT_GAP_S = 0.2
@@ -47,46 +48,42 @@ class Settings:
     strict_gap: bool
 
 
-@dataclass(frozen=True)
-class Key:
-    """One key of the table."""
-
-    name: str
-    allowed: str
-    default: str
-    meaning: str
-
-
 KEYS = (
-    Key("resolution_deg", "1, 0.5, 0.25 (S14: 0.5)", "0.5", "angular step at power-on; the host changes it with 3B"),
-    Key("field_deg", "180, 100 (S14: 90); 0.25 deg has 100 only", "180", "field of view at power-on"),
-    Key("unit", "cm, mm, dm", "cm", "configuration byte E"),
-    Key("measuring_mode", "a name or number of the table of modes", "8m-fields-a-b-dazzle", "configuration byte D"),
-    Key("sensitivity", "standard, medium, low, high", "standard", "configuration byte B high; not LMS200/220"),
-    Key("availability", "0..7", "0", "configuration byte C"),
-    Key("real_time_indices", "true, false", "false", "bit 1 of configuration byte C"),
-    Key("configuration", "1 to 34 bytes in hex", "factory block", "front of the block; the keys above come after it"),
-    Key("address", "0..127", "0", "own address; requests to 0 are always answered"),
-    Key("password", "8 ASCII characters", "SICK_LMS", "of installation mode"),
-    Key(
+    DeviceKey(
+        "resolution_deg", "1, 0.5, 0.25 (S14: 0.5)", "0.5", "angular step at power-on; the host changes it with 3B"
+    ),
+    DeviceKey("field_deg", "180, 100 (S14: 90); 0.25 deg has 100 only", "180", "field of view at power-on"),
+    DeviceKey("unit", "cm, mm, dm", "cm", "configuration byte E"),
+    DeviceKey(
+        "measuring_mode", "a name or number of the table of modes", "8m-fields-a-b-dazzle", "configuration byte D"
+    ),
+    DeviceKey("sensitivity", "standard, medium, low, high", "standard", "configuration byte B high; not LMS200/220"),
+    DeviceKey("availability", "0..7", "0", "configuration byte C"),
+    DeviceKey("real_time_indices", "true, false", "false", "bit 1 of configuration byte C"),
+    DeviceKey(
+        "configuration", "1 to 34 bytes in hex", "factory block", "front of the block; the keys above come after it"
+    ),
+    DeviceKey("address", "0..127", "0", "own address; requests to 0 are always answered"),
+    DeviceKey("password", "8 ASCII characters", "SICK_LMS", "of installation mode"),
+    DeviceKey(
         "baud",
         "9600, 19200, 38400, 500000",
         "9600",
         "line speed after power-on; other than 9600 it is a permanent rate",
     ),
-    Key("serial_number", "up to 8 ASCII characters", "00000001", "status telegram, bytes 9-16"),
-    Key("errors", "list of {code, severity, present}", "empty", "stored errors, oldest first (32)"),
-    Key("operating_hours", "number >= 0", "0", "operating data counter (35)"),
-    Key("switch_ons", "0..65535", "0", "operating data counter (35), before this run"),
-    Key("severity", "0..4: ok, info, warning, error, fatal", "0", "bits 0-2 of the status byte"),
-    Key("restart_input", "true, false", "false", "bit 5 of the status byte"),
-    Key("implausible", "true, false", "false", "bit 6 of the status byte"),
-    Key("pollution", "true, false", "false", "bit 7 of the status byte"),
-    Key("delays", "fast, real, or a table of seconds over fast", "fast", "how long replies take"),
-    Key("boot_s", "number >= 0", "2 fast, 25 real", "from power-on or reset to the power-on telegram"),
-    Key("start", "running, cold", "running", "running: has booted and is silent when the run begins"),
-    Key("strict_gap", "true, false", "false", "6 ms between bytes of a request end it, as on a real line"),
-    Key("gap_s", "number > 0", "0.2 (strict 0.006)", "longest pause between bytes of a request"),
+    DeviceKey("serial_number", "up to 8 ASCII characters", "00000001", "status telegram, bytes 9-16"),
+    DeviceKey("errors", "list of {code, severity, present}", "empty", "stored errors, oldest first (32)"),
+    DeviceKey("operating_hours", "number >= 0", "0", "operating data counter (35)"),
+    DeviceKey("switch_ons", "0..65535", "0", "operating data counter (35), before this run"),
+    DeviceKey("severity", "0..4: ok, info, warning, error, fatal", "0", "bits 0-2 of the status byte"),
+    DeviceKey("restart_input", "true, false", "false", "bit 5 of the status byte"),
+    DeviceKey("implausible", "true, false", "false", "bit 6 of the status byte"),
+    DeviceKey("pollution", "true, false", "false", "bit 7 of the status byte"),
+    DeviceKey("delays", "fast, real, or a table of seconds over fast", "fast", "how long replies take"),
+    DeviceKey("boot_s", "number >= 0", "2 fast, 25 real", "from power-on or reset to the power-on telegram"),
+    DeviceKey("start", "running, cold", "running", "running: has booted and is silent when the run begins"),
+    DeviceKey("strict_gap", "true, false", "false", "6 ms between bytes of a request end it, as on a real line"),
+    DeviceKey("gap_s", "number > 0", "0.2 (strict 0.006)", "longest pause between bytes of a request"),
 )
 "Every key of `device:`. A real LMS returns to 180 deg at 0.5 deg at power-on; ours to what the table says."
 
@@ -127,7 +124,7 @@ def read(table: Mapping[str, Any], model: Model) -> Settings:
 class _Taker:
     """Values of the table, each checked; a wrong one is told with what `KEYS` allows."""
 
-    def __init__(self, table: Mapping[str, Any], keys: Mapping[str, Key]) -> None:
+    def __init__(self, table: Mapping[str, Any], keys: Mapping[str, DeviceKey]) -> None:
         self.table = table
         self._keys = keys
 

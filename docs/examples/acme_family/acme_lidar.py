@@ -28,6 +28,7 @@ from protocols.session import (
     Address,
     CommandHandled,
     CommandRow,
+    DeviceKey,
     Dropped,
     DropReason,
     Emission,
@@ -48,17 +49,7 @@ LONGEST_LINE = 64
 SOURCE = "this page"
 
 
-@dataclass(frozen=True)
-class Key:
-    """One key of a scenario's `device:` table, for `lidaremu list device`."""
-
-    name: str
-    allowed: str
-    default: str
-    meaning: str
-
-
-KEYS = (Key("serial_number", "text", "0001", "sent behind ID"),)
+KEYS = (DeviceKey("serial_number", "text", "0001", "sent behind ID"),)
 
 
 def encode_scan(number: int, range_m: Floats) -> bytes:
@@ -244,7 +235,7 @@ class AcmeFamily:
         """The coverage table."""
         return tuple(CommandRow(code.decode(), row.name, "done", SOURCE) for code, row in COMMANDS.items())
 
-    def device_keys(self) -> tuple[Key, ...]:
+    def device_keys(self) -> tuple[DeviceKey, ...]:
         """For `lidaremu list device`."""
         return KEYS
 
