@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from emulator.instrument import Instrument
 
@@ -16,23 +16,22 @@ def _label(text: str) -> str:
     return text.replace("\\", r"\\").replace('"', r"\"").replace("\n", r"\n")
 
 
+def _by_reason(what: str, meaning: str, dropped: Iterable[tuple[str, Mapping[str, int]]]) -> Iterator[str]:
+    yield f"# HELP lidaremu_{what}_dropped_total {meaning}, by reason."
+    yield f"# TYPE lidaremu_{what}_dropped_total counter"
+    for sensor, counts in dropped:
+        for reason, count in sorted(counts.items()):
+            labels = f'sensor="{_label(sensor)}",reason="{_label(reason)}"'
+            yield f"lidaremu_{what}_dropped_total{{{labels}}} {count}"
+
+
 def _lines(instruments: Sequence[Instrument]) -> Iterator[str]:
     yield "# HELP lidaremu_scans_sent_total Scans handed to the links."
     yield "# TYPE lidaremu_scans_sent_total counter"
     for one in instruments:
         yield f'lidaremu_scans_sent_total{{sensor="{_label(one.sensor)}"}} {one.stats.scans_sent}'
-    yield "# HELP lidaremu_scans_dropped_total Scans given up, by reason."
-    yield "# TYPE lidaremu_scans_dropped_total counter"
-    for one in instruments:
-        for reason, count in sorted(one.stats.scans_dropped.items()):
-            labels = f'sensor="{_label(one.sensor)}",reason="{_label(reason)}"'
-            yield f"lidaremu_scans_dropped_total{{{labels}}} {count}"
-    yield "# HELP lidaremu_input_dropped_total Input not taken, by reason."
-    yield "# TYPE lidaremu_input_dropped_total counter"
-    for one in instruments:
-        for reason, count in sorted(one.stats.input_dropped.items()):
-            labels = f'sensor="{_label(one.sensor)}",reason="{_label(reason)}"'
-            yield f"lidaremu_input_dropped_total{{{labels}}} {count}"
+    yield from _by_reason("scans", "Scans given up", [(one.sensor, one.stats.scans_dropped) for one in instruments])
+    yield from _by_reason("input", "Input not taken", [(one.sensor, one.stats.input_dropped) for one in instruments])
     yield "# HELP lidaremu_fault_hits_total What faults have hit, by name."
     yield "# TYPE lidaremu_fault_hits_total counter"
     for one in instruments:

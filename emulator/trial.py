@@ -25,7 +25,7 @@ from emulator.series import SeriesWatcher, lookup
 from emulator.spec import load_spec
 from emulator.transcript import Transcript
 from emulator.transports import open_link
-from emulator.transports.can_link import BITRATE, CanPorts, Outlet
+from emulator.transports.can_link import BITRATE, CanPorts, LoopOutlet
 from emulator.transports.can_wire import CanWire, Carried
 from emulator.transports.link import Link
 from emulator.transports.loopback import Loops
@@ -57,24 +57,14 @@ class Verdict:
         return all(item.held for item in self.judgements)
 
 
-class SilentBus(Outlet):
+class SilentBus(LoopOutlet):
     """A bus of sensors alone, heard by one silent node."""
-
-    @property
-    def url(self) -> str:
-        return "loop:can"
-
-    def filenos(self) -> tuple[int, ...]:
-        return ()
 
     def poll(self, now_ns: int) -> None:
         pass
 
     def deliver(self, carried: Sequence[Carried], now_ns: int) -> bool:
         return True
-
-    def close(self) -> None:
-        pass
 
 
 class Trial:

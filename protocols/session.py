@@ -17,6 +17,9 @@ from typing import Any, NamedTuple, Protocol
 from protocols.device_clock import DeviceClock, Told
 from protocols.scan import Scan, ScanPlan
 
+MAX_EVENTS = 10_000
+"Events that a session keeps for a caller that never takes them; the oldest go first."
+
 
 class Address(NamedTuple):
     """Whom bytes came from or go to."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from emulator.endurance.guests import Guestbook, noise
-from emulator.transports.can_link import CanPort, Outlet
+from emulator.transports.can_link import CanPort, LoopOutlet
 from emulator.transports.can_wire import Carried
 
 LIST_HEADER = 0x60A
@@ -19,7 +19,7 @@ HOST_IDS = 0x600
 "The flood stays below: 0x200, 0x202 and their like would be commands, which a device obeys."
 
 
-class GuestBus(Outlet):
+class GuestBus(LoopOutlet):
     """The way out of the bus: every host there is."""
 
     def __init__(self, rng: np.random.Generator, book: Guestbook) -> None:
@@ -37,13 +37,6 @@ class GuestBus(Outlet):
     def attached(self, port: CanPort) -> None:
         self._port = port
         self._node = port.wire.join("hosts")
-
-    @property
-    def url(self) -> str:
-        return "loop:can"
-
-    def filenos(self) -> tuple[int, ...]:
-        return ()
 
     def poll(self, now_ns: int) -> None:
         if self._port is None or now_ns < self._quiet_until_ns:
@@ -80,6 +73,3 @@ class GuestBus(Outlet):
             self._book.faults["gap between lists"] += 1
         self._last_ns = frame.start_ns
         self._book.clean_scans += 1
-
-    def close(self) -> None:
-        pass

@@ -20,14 +20,13 @@ from emulator.instrument import Instrument
 from emulator.measuring import InPlace
 from emulator.orders import Orders
 from emulator.transports import check_url, open_link
-from emulator.transports.can_link import CanPort
+from emulator.transports.can_link import BITRATE, CanPort
 from emulator.transports.can_wire import CanWire
 from emulator.transports.slcan import Adapter
 from emulator.transports.socketcand import Client, SocketcandServer
 from emulator.virtual_daemon import VirtualDaemon
 from protocols.lms2xx.telegrams import read_values, request
 
-BITRATE = 500_000
 SECOND_NS = 1_000_000_000
 CAN_SEEDS = (
     b"< open can0 >< rawmode >< send 123 2 11 22 >",

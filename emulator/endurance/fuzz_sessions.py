@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 
 from emulator.spec import load_spec
 from protocols import family
+from protocols.can_frame import EXTENDED
 from protocols.errors import ScanRefused
 from protocols.ld.packages import encode_packages
 from protocols.ld.segments import encode_segments
@@ -23,7 +24,6 @@ PAUSES_NS = (0, 100_000, 1_000_000, 7_000_000, 30_000_000, 300_000_000, 2_000_00
 MOST_HELD = 20_000
 "Emissions that a session may have pending after one input."
 ROUNDS = 40
-EXTENDED = 1 << 31
 
 
 def operations(pieces: Sequence[tuple[int, bytes]]) -> bytes:

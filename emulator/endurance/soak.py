@@ -23,13 +23,12 @@ from emulator.endurance.repeats import repeating
 from emulator.endurance.scene import soak_scenario
 from emulator.instrument import Instrument
 from emulator.measuring import InPlace
-from emulator.transports.can_link import CanPorts
+from emulator.transports.can_link import BITRATE, CanPorts
 from emulator.transports.can_wire import CanWire
 from emulator.transports.link import Link
 from emulator.transports.loopback import LoopLink, Loops
 from emulator.virtual import VirtualHost, VirtualRun
 
-BITRATE = 500_000
 GROUP_NS = 20_000_000
 "Bytes of a line reach a host in groups of this duration, or at the end of a telegram: ten times those of real links."
 LEAST_SAMPLES, MOST_SAMPLES, SAMPLE_S = 40, 400, 30.0

@@ -12,7 +12,7 @@ import numpy as np
 from emulator.expressions import ExpressionError, Name, Value, evaluate, names, parse, truth
 from emulator.instrument import Instrument
 from emulator.series import SeriesWatcher, check_name, lookup
-from emulator.watching import Watcher
+from emulator.watching import FOREVER_NS, Watcher
 from protocols.scan import Scan
 
 LIVE = (
@@ -34,8 +34,6 @@ LIVE = (
     "faults",
 )
 "Quantities with a value for one scan, and counters of the run so far."
-
-FOREVER_NS = 2**62
 
 
 def check_expression(text: str, sensors: Sequence[str], actors: Sequence[str]) -> None:

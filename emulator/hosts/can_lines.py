@@ -11,13 +11,13 @@ import socket
 from typing import Any, NamedTuple
 
 from emulator.errors import EmulatorError, LinkError
+from emulator.transports.can_link import BITRATE
 from emulator.transports.urls import host_and_port, option_value, parse_url
 from protocols.can_frame import EXTENDED, MAX_STANDARD_ID
 
 SCHEMES = ("socketcand", "slcan", "can")
 GREETING_S = 10.0
 "A socketcand server greets at once; python-can's client would wait for ever."
-BITRATE = 500_000
 
 
 class Frame(NamedTuple):

@@ -19,7 +19,6 @@ from protocols.scan import Floats
 RATE_CODES = {500_000: 0x48, 38_400: 0x40, 19_200: 0x41, 9_600: 0x42}
 "Line speed -> sub-code of command 20."
 
-ACK = b"\x06"
 HEADER_BYTES, OTHER_BYTES = 4, 6
 MAX_PAYLOAD = 820
 SECONDS_FOR_A_REPLY = 3.5

@@ -95,6 +95,20 @@ class Outlet(ABC):
         """Release everything."""
 
 
+class LoopOutlet(Outlet):
+    """A bus whose hosts live in this process: nobody else can connect."""
+
+    @property
+    def url(self) -> str:
+        return "loop:can"
+
+    def filenos(self) -> tuple[int, ...]:
+        return ()
+
+    def close(self) -> None:
+        pass
+
+
 class CanPort:
     """One bus and its way out; runs when any of its links is asked."""
 

@@ -30,6 +30,7 @@ from protocols.ld.telegrams import (
 )
 from protocols.scan import Scan, ScanPlan
 from protocols.session import (
+    MAX_EVENTS,
     Address,
     CommandHandled,
     Dropped,
@@ -44,9 +45,6 @@ from protocols.session import (
 
 MAX_CHANNELS = 256
 "Hosts kept apart at once; TCP links bound theirs themselves, senders of datagrams and CAN frames could be endless."
-
-MAX_EVENTS = 10_000
-"Events kept until somebody takes them; the oldest are forgotten."
 
 WORKING_SERVICES = 4
 "High byte of the services that change the mode."

@@ -24,6 +24,7 @@ from protocols.lms2xx.timing import TURN_DENOMINATOR, TURN_NUMERATOR_NS, Mirror
 from protocols.quartz import TRUE, Quartz
 from protocols.scan import Scan, ScanPlan
 from protocols.session import (
+    MAX_EVENTS,
     Address,
     CommandHandled,
     Dropped,
@@ -38,8 +39,6 @@ from protocols.session import (
 
 MAX_WAITING = 8
 "Requests that may wait for their reply; more are lost, as in a device whose input buffer is full."
-MAX_EVENTS = 10_000
-"Events kept for a caller that never takes them; the oldest go first."
 MAX_RECEIVERS = 64
 "Connections whose half telegrams are remembered."
 

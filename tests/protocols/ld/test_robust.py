@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from protocols.ld import FAMILY
 from protocols.ld.channels import MAX_INBOX
 from protocols.ld.services import COMMANDS
-from protocols.ld.session import MAX_CHANNELS, MAX_EVENTS
+from protocols.ld.session import MAX_CHANNELS
 from protocols.ld.usp import MAX_REQUEST_BYTES
-from protocols.session import Address, DropReason, LinkKind
+from protocols.session import MAX_EVENTS, Address, DropReason, LinkKind
 from tests.protocols.ld.reader import can_frames, package, read_frames, read_packages, request, words
 from tests.protocols.ld.rig import FACTS, MS, SECOND, TCP, Rig, measuring, ten_metres
 
