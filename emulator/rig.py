@@ -139,6 +139,8 @@ class Rig:
         self.close()
         if self._trouble is not None and error is None:
             raise RuntimeError("the run ended by itself") from self._trouble
+        if self._daemon.lost_links and error is None:
+            raise RuntimeError(f"links were lost: {'; '.join(self._daemon.lost_links)}")
 
     def close(self) -> None:
         """End the run and release its links; may be called twice."""

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from emulator.clock import ManualClock
-from emulator.errors import EmulatorError
+from emulator.errors import EmulatorError, LinkError
 from emulator.instrument import Instrument
 from emulator.watching import Payload, Watcher
 from protocols.session import LinkKind
@@ -45,12 +45,20 @@ class VirtualRun:
         instruments: Sequence[Instrument],
         hosts: Sequence[VirtualHost] = (),
         settle: Callable[[], set[str]] = nothing_owed,
+        on_lost: Callable[[str, LinkError], None] | None = None,
     ) -> None:
-        """`settle` waits for the scans that other processes still owe and names their sensors."""
+        """`settle` waits for the scans that other processes still owe and names their sensors.
+
+        `on_lost` is told of a sensor that has lost a link: it is not stepped again, the others go on. None: that ends
+        the run.
+        """
         self.clock = ManualClock()
         self.instruments = tuple(instruments)
         self.hosts = tuple(hosts)
         self._settle = settle
+        self._on_lost = on_lost
+        self.lost: set[str] = set()
+        "Sensors that have lost a link."
         self._wakes: list[int | None] = [None] * len(self.instruments)
         self._host_wakes: list[int | None] = [0] * len(self.hosts)
         self._still = 0
@@ -67,7 +75,8 @@ class VirtualRun:
     def touch(self) -> None:
         """Look at every instrument at the present instant: hosts may have written meanwhile."""
         self._still = 0
-        self._wakes = [self.clock.now_ns()] * len(self.instruments)
+        now_ns = self.clock.now_ns()
+        self._wakes = [None if one.sensor in self.lost else now_ns for one in self.instruments]
 
     def next_wake(self) -> int | None:
         """When something happens next, without input; None: never."""
@@ -93,13 +102,23 @@ class VirtualRun:
         for index, instrument in enumerate(self.instruments):
             mine = self._wakes[index]
             if mine is not None and mine <= wake:
-                self._wakes[index] = instrument.step(wake)
+                self._wakes[index] = self._step_one(instrument, wake)
         fresh = self._settle()
         for index, instrument in enumerate(self.instruments):
-            if instrument.sensor in fresh or instrument.poked:
+            if (instrument.sensor in fresh or instrument.poked) and instrument.sensor not in self.lost:
                 self._wakes[index] = wake
         self._step_hosts(wake)
         return True
+
+    def _step_one(self, instrument: Instrument, now_ns: int) -> int | None:
+        try:
+            return instrument.step(now_ns)
+        except LinkError as error:
+            if self._on_lost is None:
+                raise
+            self.lost.add(instrument.sensor)
+            self._on_lost(instrument.sensor, error)
+            return None
 
     def _restless(self, now_ns: int) -> str:
         """Who wants to be called at this instant again and again."""

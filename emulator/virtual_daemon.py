@@ -67,9 +67,11 @@ class VirtualDaemon:
         """
         self._warnings = [] if warnings is None else warnings
         self._workers = workers
-        self.run_of = VirtualRun(instruments, settle=self._settle)
+        self.run_of = VirtualRun(instruments, settle=self._settle, on_lost=self._lose)
         self.instruments = tuple(instruments)
         self.links: tuple[Link, ...] = tuple(link for one in instruments for link in one.links)
+        self._served = self.links
+        "Those of sensors that have lost none."
         for link in self.links:
             link.hold = speed is None
         self._speed = speed
@@ -128,6 +130,16 @@ class VirtualDaemon:
                 self.on_failure(text)
         self._workers.failures.clear()
         return fresh
+
+    def _lose(self, sensor: str, error: LinkError) -> None:
+        """The others go on; without any, time would stand for ever."""
+        self.lost_links.append(str(error))
+        self.on_failure(str(error))
+        self._served = tuple(
+            link for one in self.instruments if one.sensor not in self.run_of.lost for link in one.links
+        )
+        if not self._served:
+            self.stop()
 
     @contextlib.contextmanager
     def signals(self) -> Iterator[None]:
@@ -188,15 +200,12 @@ class VirtualDaemon:
     def run(self, until_ns: int | None = None, while_true: Callable[[], bool] | None = None) -> None:
         """Serve until `stop`, until that virtual instant, or until `while_true` says no.
 
-        As fast as hosts read, the end waits for what they have not read yet.
+        As fast as hosts read, the end waits for what they have not read yet. A sensor that has lost a link is told and
+        served no more, the others go on; with the last of them the run ends.
         """
-        try:
-            self._serve(until_ns, while_true)
-            if self._speed is None:
-                self.drain()
-        except LinkError as error:
-            self.lost_links.append(str(error))
-            self.on_failure(str(error))
+        self._serve(until_ns, while_true)
+        if self._speed is None:
+            self.drain()
         self._refuse_orders()
 
     def _serve(self, until_ns: int | None, while_true: Callable[[], bool] | None) -> None:
@@ -211,9 +220,9 @@ class VirtualDaemon:
         """Let hosts read what was sent to them while time stands; closing a link takes the rest away."""
         least, since_ns = None, self._real.now_ns()
         while not self._stop:
-            for link in self.links:
+            for link in self._served:
                 link.flush(self.now_ns)
-            held = sum(link.held() for link in self.links if link.has_host())
+            held = sum(link.held() for link in self._served if link.has_host())
             if least is None or held < least:
                 least, since_ns = held, self._real.now_ns()
             if not held or self._real.now_ns() - since_ns > LEFT_NS:
@@ -257,7 +266,7 @@ class VirtualDaemon:
         return min(IDLE_S, (min(waits) - self.now_ns) * 1e-9 / self._speed) if waits else IDLE_S
 
     def _pulled(self, until_ns: int | None) -> float:
-        present = [link for link in self.links if link.has_host()]
+        present = [link for link in self._served if link.has_host()]
         if not present and self.waits_for_hosts:
             self._tell_alone()
             self.rebase(None)
@@ -308,7 +317,7 @@ class VirtualDaemon:
         return 0.001
 
     def _wait(self, timeout_s: float) -> None:
-        numbers = (self._bell, *(number for link in self.links for number in link.filenos()))
+        numbers = (self._bell, *(number for link in self._served for number in link.filenos()))
         if numbers != self._poller.numbers:
             self._poller = Poller(numbers)
         self._poller.wait(round(timeout_s * 1e9))

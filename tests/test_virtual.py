@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from emulator import scenario
-from emulator.errors import ScenarioError
+from emulator import assembly, scenario
+from emulator.errors import LinkError, ScenarioError
 from emulator.transports.can_link import CanLink
+from emulator.transports.link import Received
 from emulator.trial import Trial, run_trial
 from emulator.virtual import ByteSteps
 from emulator.watching import Payload, Watcher
@@ -86,6 +87,76 @@ def test_a_step_by_lists_on_a_bus_ends_with_the_last_frame_of_the_list() -> None
         assert not [one for one in seen[count:] if 0x60B <= one.peer <= 0x60D]
     assert [one.peer for one in seen].count(0x60A) == 4
     assert len([one for one in seen if one.peer == 0x60B]) > 4
+
+
+class Pulled:
+    """A link that goes at an instant, and tells it each time that it is asked."""
+
+    def __init__(self, trial: Trial, index: int, at_ns: int, monkeypatch: pytest.MonkeyPatch) -> None:
+        self._link, self._at_ns, self.asked = trial.instruments[index].links[0], at_ns, 0
+        self._receive = self._link.receive
+        monkeypatch.setattr(self._link, "receive", self.receive)
+
+    def receive(self, now_ns: int) -> list[Received]:
+        if now_ns < self._at_ns:
+            return self._receive(now_ns)
+        self.asked += 1
+        raise LinkError(f"{self._link.url}: lost: pulled")
+
+
+def sent_by(trial: Trial, sensor: int) -> list[Payload]:
+    seen: list[Payload] = []
+    watcher = Watcher()
+    watcher.payload = seen.append  # type: ignore[method-assign]
+    trial.instruments[sensor].watch(watcher)
+    return seen
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+def test_a_sensor_that_loses_its_link_is_told_once_and_the_others_go_on(
+    lost: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, hurt = Trial(load()), Trial(load())
+    expected, found, silent = sent_by(whole, 1 - lost), sent_by(hurt, 1 - lost), sent_by(hurt, lost)
+    pulled = Pulled(hurt, lost, 400_000_000, monkeypatch)
+    told: list[tuple[str, str]] = []
+    hurt.run._on_lost = lambda sensor, error: told.append((sensor, str(error)))
+    for trial in (whole, hurt):
+        for end_ns in (500_000_000, 800_000_000):
+            trial.run.advance(end_ns)
+    assert found == expected
+    assert found[-1].start_ns > 700_000_000
+    assert silent[-1].start_ns < 450_000_000
+    name = hurt.instruments[lost].sensor
+    assert told == [(name, f"loop:{name}: lost: pulled")]
+    assert pulled.asked == 1
+    assert hurt.run.lost == {name}
+    hurt.instruments[lost].poked = True  # as a fault ordered for it does
+    assert hurt.run.step_scans(1, 900_000_000, name) == 0
+
+
+def test_a_run_that_nobody_watches_over_ends_with_its_link(monkeypatch: pytest.MonkeyPatch) -> None:
+    trial = Trial(load())
+    Pulled(trial, 0, 400_000_000, monkeypatch)
+    with pytest.raises(LinkError, match="lost: pulled"):
+        trial.run.advance(800_000_000)
+
+
+def test_with_its_last_link_a_virtual_run_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    linked = [f"sensors.{name}.links=['loop:{name}']" for name in ("front", "top")]
+    daemon, _ = assembly.start_virtual(scenario.loads(WALL, Path("case.yaml"), linked), 1.0)
+    said: list[str] = []
+    daemon.on_failure = said.append
+    for link in daemon.links:
+        monkeypatch.setattr(link, "receive", lambda now_ns, url=link.url: broken(url))
+    daemon.power_on()
+    daemon.run()
+    daemon.close()
+    assert said == daemon.lost_links == ["loop:front: lost", "loop:top: lost"]
+
+
+def broken(url: str) -> list[Received]:
+    raise LinkError(f"{url}: lost")
 
 
 def test_another_seed_gives_other_bytes(reference: str) -> None:

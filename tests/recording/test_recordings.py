@@ -252,6 +252,21 @@ def test_replay_keeps_the_time_between_links_from_round_to_round() -> None:
     assert sorted(sent) == [(0, 20), (10, 30), (70, 90), (75, 20), (85, 30), (145, 90)]
 
 
+def test_a_link_that_is_lost_ends_its_part_of_a_replay() -> None:
+    wires = [WireOf("front", 0, "stream", "loop:front", [WirePayload(at, at, b"x") for at in (0, 10, 20)])]
+    session = open_players(wires, {})[0].session
+    assert isinstance(session, ReplaySession)
+    session.loops = 0
+    session.start(0)
+    session.take_emissions(10)
+    assert not session.finished
+    session.give_up()
+    assert session.finished
+    assert session.progress == 1.0
+    assert session.next_ns() is None
+    assert session.take_emissions(10**9) == []
+
+
 def test_diff_reads_logs_of_other_tools(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = [*FRAMES[:1], FRAMES[1]._replace(data=bytes(8)), *FRAMES[2:]]
     for ending in (".blf", ".asc"):

@@ -1,0 +1,115 @@
+"""A serial adapter that is pulled out while other sensors serve their hosts, in runs and in replays."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import serial
+
+from tests.system.conftest import PATIENCE_S, RunningDaemon
+from tests.system.hosts import LmsHost
+
+ROOT = Path(__file__).resolve().parents[2]
+CASE = """\
+schema: 1
+world:
+  - {box: {size_m: [0.3, 50, 4]}, at_m: [10, 0, 0], material: concrete}
+sensors:
+  - {id: front, model: sick-lms291-s05, links: ["pty:./front"], device: {delays: fast}}
+  - {id: rear, model: sick-lms291-s05, links: ["serial:ADAPTER"], device: {delays: fast}}
+"""
+
+
+class Adapter:
+    """A serial device that can be pulled out: `path` is the emulator's, the other end the host's."""
+
+    def __init__(self) -> None:
+        self.host, own = os.openpty()
+        self.path = os.ttyname(own)
+        self._own: int | None = own
+
+    def opened(self) -> None:
+        """The emulator has it: our own descriptor would keep it alive."""
+        assert self._own is not None
+        os.close(self._own)
+        self._own = None
+
+    def pull(self) -> None:
+        """Once."""
+        if self.host >= 0:
+            os.close(self.host)
+            self.host = -1
+
+    def close(self) -> None:
+        self.pull()
+        if self._own is not None:
+            self.opened()
+
+
+@pytest.fixture
+def adapter() -> Iterator[Adapter]:
+    made = Adapter()
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize("clock", ["real", "virtual"])
+def test_the_other_sensor_goes_on(
+    daemon: Callable[..., RunningDaemon], adapter: Adapter, tmp_path: Path, clock: str
+) -> None:
+    (tmp_path / "case.yaml").write_text(CASE.replace("ADAPTER", adapter.path), encoding="utf-8")
+    running = daemon("case.yaml", "--clock", clock)
+    adapter.opened()
+    with LmsHost(running.path("front")) as host:
+        host.stream()
+        assert len(host.scan()) == 361
+        adapter.pull()
+        said = running.process.stderr.readline()  # type: ignore[union-attr]
+        assert said.startswith(f"lidaremu: serial:{adapter.path}: lost: ")
+        host.seen = b""
+        host.port.reset_input_buffer()
+        for _ in range(20):
+            assert len(host.scan()) == 361
+    assert running.stop() == 3
+    assert running.errors == ""  # told once
+    assert running.end["front"]["scans_sent"] > 20
+
+
+def test_the_rest_of_a_replay_goes_on(daemon: Callable[..., RunningDaemon], adapter: Adapter, tmp_path: Path) -> None:
+    (tmp_path / "case.yaml").write_text(CASE.replace("serial:ADAPTER", "pty:./rear"), encoding="utf-8")
+    running = daemon("case.yaml", "--clock", "virtual", "--record", "rec")
+    for sensor in ("front", "rear"):
+        with LmsHost(running.path(sensor)) as host:
+            host.stream()
+            host.scan()
+    assert running.stop() == 0
+    process = subprocess.Popen(
+        [sys.executable, "-m", "emulator", "replay", "rec", "--loop", "0", "--json",
+         "--link", "front=pty:./again?speed=ignore", "--link", f"rear=serial:{adapter.path}"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
+        env=dict(os.environ) | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    try:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert json.loads(process.stdout.readline())["event"] == "ready"
+        adapter.opened()
+        with serial.Serial(str(tmp_path / "again"), 9600, timeout=PATIENCE_S) as port:
+            assert port.read(1)
+            adapter.pull()
+            assert process.stderr.readline().startswith(f"lidaremu: serial:{adapter.path}: lost: ")
+            port.reset_input_buffer()
+            assert len(port.read(5000)) == 5000
+        process.send_signal(signal.SIGTERM)
+        assert process.communicate(timeout=PATIENCE_S)[1] == ""
+        assert process.returncode == 3
+    finally:
+        process.kill()
+        process.communicate()
