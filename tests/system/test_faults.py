@@ -87,7 +87,7 @@ def test_a_pty_is_unplugged_and_a_device_is_switched_off_and_hosts_come_back(run
     host.stream()
     assert len(host.scan()) == 361
 
-    fault(running, on="front", do="unplug", for_s=0.5)
+    fault(running, on="front", do="unplug", for_s=2.0)
     until(lambda: hung_up(lambda: host.port.read(1000)))
     assert not os.path.lexists(path)
     host.port.close()
@@ -122,14 +122,14 @@ def _sockets_go_and_come(running: RunningDaemon, port: int, connect: Callable[[]
     host = connect()
     host.measure()
 
-    fault(running, on="ld", do="unplug", for_s=0.5)
+    fault(running, on="ld", do="unplug", for_s=2.0)
     until(lambda: hung_up(lambda: host.ask(0x0102)))
     until(lambda: refused(("127.0.0.1", port)))
     until(lambda: not refused(("127.0.0.1", port)))
     again = connect()
     assert again.ask(0x0102), "the device has gone on all the while"
 
-    fault(running, on="ld", do="power_cycle", off_s=0.5)
+    fault(running, on="ld", do="power_cycle", off_s=2.0)
     until(lambda: refused(("127.0.0.1", port)))
     again.socket.settimeout(0.1)
     with pytest.raises(TimeoutError):

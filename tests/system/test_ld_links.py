@@ -21,6 +21,7 @@ from emulator.transports import open_link
 from protocols.ld import FAMILY
 from tests.protocols.ld.reader import package, read_frames, read_packages, read_profile, request, words
 from tests.protocols.ld.rig import FACTS, MS, SECOND, ten_metres
+from tests.system.conftest import PATIENCE_S
 
 
 class Bench:
@@ -45,7 +46,7 @@ class Bench:
     def connect(self) -> socket.socket:
         """A host on the TCP link."""
         host, port = self.links[0].url.removeprefix("tcp:").rsplit(":", 1)
-        connection = socket.create_connection((host, int(port)), timeout=5)
+        connection = socket.create_connection((host, int(port)), timeout=PATIENCE_S)
         self.run(4 * MS)
         return connection
 
@@ -164,7 +165,7 @@ def test_a_stack_that_only_listens_gets_profiles_by_datagram() -> None:
         made = Bench([f"udp:127.0.0.1:{host.getsockname()[1]}?listen=127.0.0.1:0"], mode=None, step_deg=0.5)
         try:
             made.run(SECOND)
-            host.settimeout(5)
+            host.settimeout(PATIENCE_S)
             profiles = [read_profile(read_frames(host.recv(70_000))[0]) for _ in range(10)]
             assert [profile.sent for profile in profiles] == list(range(1, 11))
             assert {profile.form for profile in profiles} == {0x3DFF}

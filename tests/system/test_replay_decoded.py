@@ -24,6 +24,7 @@ from emulator.recording.reader import RecordedRun, read_run
 from emulator.trial import Trial
 from protocols.ld.telegrams import words_of
 from protocols.lms2xx.telegrams import read_values
+from tests.system.conftest import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
 CASE = """\
@@ -95,18 +96,18 @@ def heard(url: str) -> bytes:
     got = b""
     if scheme == "tcp":
         host, _, port = place.rpartition(":")
-        with socket.create_connection((host, int(port)), timeout=20.0) as line:
+        with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as line:
             while data := line.recv(4096):
                 got += data
         return got
     with serial.Serial(place, 500_000) as port_, contextlib.suppress(OSError):
-        while select.select([port_], [], [], 20.0)[0] and (data := os.read(port_.fd, 4096)):
+        while select.select([port_], [], [], PATIENCE_S)[0] and (data := os.read(port_.fd, 4096)):
             got += data  # the terminal goes when all has been read
     return got
 
 
 def last_line(process: subprocess.Popen[str]) -> dict[str, object]:
-    out, errors = process.communicate(timeout=20.0)
+    out, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, errors
     found: dict[str, object] = json.loads(out.splitlines()[-1])
     return found

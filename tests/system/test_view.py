@@ -21,6 +21,7 @@ import pytest
 from emulator.control import ask
 from emulator.hosts.lines import SerialLine
 from emulator.hosts.lms2xx import Lms2xxHost
+from tests.system.conftest import PATIENCE_S
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 DRIVER = shutil.which("chromedriver")
@@ -171,7 +172,7 @@ def test_page_and_daemon_act_on_each_other(
     # the door
     for path in ("", "?token=wrong"):
         with pytest.raises(urllib.error.HTTPError) as refused:
-            urllib.request.urlopen(url.partition("?")[0] + path, timeout=5.0)
+            urllib.request.urlopen(url.partition("?")[0] + path, timeout=PATIENCE_S)
         refused.value.close()
         assert refused.value.code == 403
 
