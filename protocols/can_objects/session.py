@@ -24,6 +24,7 @@ from protocols.device_clock import Told
 from protocols.errors import ScanRefused
 from protocols.scan import Scan, ScanPlan
 from protocols.session import (
+    MAX_EVENTS,
     Address,
     CommandHandled,
     Dropped,
@@ -104,7 +105,7 @@ class CanObjectSession(Session):
         self._protection = Protection(common.e2e, self._layout) if common.e2e is not None else None
         self._bit_ns = SECOND_NS / common.bitrate
         self.can_bitrate = common.bitrate
-        self._events: list[Event] = []
+        self._events: deque[Event] = deque(maxlen=MAX_EVENTS)
         self._links: list[int] = []
         self._foreign: Counter[int] = Counter()
         self._seen_foreign: set[int] = set()
@@ -276,7 +277,8 @@ class CanObjectSession(Session):
         return out
 
     def take_events(self) -> list[Event]:
-        events, self._events = self._events, []
+        events = list(self._events)
+        self._events.clear()
         return events
 
     def framing(self) -> CanFraming:

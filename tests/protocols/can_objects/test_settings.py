@@ -12,6 +12,7 @@ from protocols.can_objects import FAMILY, FORMATS
 from protocols.can_objects.layout import load
 from protocols.errors import DeviceSettingError, ScanRefused
 from protocols.scan import Scan
+from protocols.session import MAX_EVENTS, Address, Restarted
 from tests.protocols.can_objects.rig import crowd, start
 
 WRONG: list[tuple[str, str, Any]] = [
@@ -134,3 +135,15 @@ def test_a_scan_of_an_older_plan_is_refused(name: str) -> None:
     rig.session.advance(rig.now_ns + 600_000_000)
     with pytest.raises(ScanRefused):
         rig.session.submit(Scan.empty(fresh))
+
+
+@pytest.mark.parametrize("name", ["ars408", "ldmrs", "esr", "leddar_vu8"])
+def test_events_that_nobody_takes_do_not_fill_the_memory(name: str) -> None:
+    session = start({"format": name}).session
+    for now_ns in range(MAX_EVENTS + 500):
+        session.receive(b"\xff" * 8, now_ns, Address(0, 0x7F0 + now_ns % 3))
+    session.power_on(10**9)
+    events = session.take_events()
+    assert len(events) == MAX_EVENTS
+    assert events[-1] == Restarted(10**9)
+    assert session.take_events() == []
