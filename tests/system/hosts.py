@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import select
 import socket
 import time
 from collections.abc import Sequence
+from typing import Any
 
 import serial
 
@@ -33,8 +36,15 @@ class LmsHost:
     """Talks to an LMS2xx through pyserial."""
 
     def __init__(self, path: str, baud: int = 9600) -> None:
-        self.port = serial.Serial(path, baud, timeout=0.05)
+        self.port: Any = serial.Serial(path, baud, timeout=0.05)
         self.seen = b""
+
+    @classmethod
+    def on(cls, port: EndOfLine) -> LmsHost:
+        """Of a line without a path."""
+        made = cls.__new__(cls)
+        made.port, made.seen = port, b""
+        return made
 
     def __enter__(self) -> LmsHost:
         return self
@@ -98,6 +108,47 @@ class LmsHost:
                 count = int.from_bytes(got[1:3], "little") & 0x3FF
                 return [int.from_bytes(got[3 + 2 * i : 5 + 2 * i], "little") for i in range(count)]
         raise AssertionError("no scan")
+
+
+class Adapter:
+    """A serial device that can be pulled out: `path` is the emulator's, the other end the host's."""
+
+    def __init__(self) -> None:
+        self.host, own = os.openpty()
+        self.path = os.ttyname(own)
+        self._own: int | None = own
+
+    def opened(self) -> None:
+        """The emulator has it: our own descriptor would keep it alive."""
+        assert self._own is not None
+        os.close(self._own)
+        self._own = None
+
+    def pull(self) -> None:
+        """Once."""
+        if self.host >= 0:
+            os.close(self.host)
+            self.host = -1
+
+    def close(self) -> None:
+        self.pull()
+        if self._own is not None:
+            self.opened()
+
+
+class EndOfLine:
+    """A host's end of an `Adapter`, used as `LmsHost` uses a port of pyserial."""
+
+    def __init__(self, number: int) -> None:
+        self._number = number
+        self.in_waiting = 65_536
+        self.baudrate = 9600
+
+    def read(self, most: int) -> bytes:
+        return os.read(self._number, most) if select.select([self._number], [], [], 0.05)[0] else b""
+
+    def write(self, data: bytes) -> None:
+        os.write(self._number, data)
 
 
 def drift_s(stamps_s: Sequence[float], rate_hz: float) -> tuple[float, float]:

@@ -14,7 +14,7 @@ import pytest
 import serial
 
 from tests.system.conftest import PATIENCE_S, RunningDaemon
-from tests.system.hosts import LmsHost
+from tests.system.hosts import Adapter, LmsHost
 
 ROOT = Path(__file__).resolve().parents[2]
 CASE = """\
@@ -25,32 +25,6 @@ sensors:
   - {id: front, model: sick-lms291-s05, links: ["pty:./front"], device: {delays: fast}}
   - {id: rear, model: sick-lms291-s05, links: ["serial:ADAPTER"], device: {delays: fast}}
 """
-
-
-class Adapter:
-    """A serial device that can be pulled out: `path` is the emulator's, the other end the host's."""
-
-    def __init__(self) -> None:
-        self.host, own = os.openpty()
-        self.path = os.ttyname(own)
-        self._own: int | None = own
-
-    def opened(self) -> None:
-        """The emulator has it: our own descriptor would keep it alive."""
-        assert self._own is not None
-        os.close(self._own)
-        self._own = None
-
-    def pull(self) -> None:
-        """Once."""
-        if self.host >= 0:
-            os.close(self.host)
-            self.host = -1
-
-    def close(self) -> None:
-        self.pull()
-        if self._own is not None:
-            self.opened()
 
 
 @pytest.fixture
