@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from emulator.scenario import Scenario
 
 LONGEST_STEP_S = 3600.0
+LONGEST_S = 1e9
 SLOWEST, FASTEST = 1e-3, 1e6
 "Virtual seconds a real one."
 JUDGED_S = 2.0
@@ -151,10 +152,14 @@ class Orders:
         return Later(whole) if asked else told
 
     def pause(self, params: Mapping[str, Any]) -> object:
-        """Virtual time stands."""
-        _taken(params)
-        self._virtual("pause").paused = True
-        return self._did("pause")
+        """Virtual time stands, now or as soon as it is `at_s`."""
+        wanted = _taken(params, at_s=(0.0, LONGEST_S))
+        daemon = self._virtual("pause")
+        if wanted:
+            daemon.pause_at_ns = round(wanted["at_s"] * 1e9)
+        else:
+            daemon.paused = True
+        return self._did("pause", **wanted)
 
     def resume(self, params: Mapping[str, Any]) -> object:
         """Virtual time goes on."""

@@ -84,6 +84,8 @@ class VirtualDaemon:
         self._poller = Poller([self._bell])
         self._stop = False
         self.paused = False
+        self.pause_at_ns: int | None = None
+        "Virtual instant at which time will stand; None: it goes on."
         self.idles = True
         "With nothing due, time goes on with the real clock; otherwise it stands."
         self.waits_for_hosts = True
@@ -238,6 +240,10 @@ class VirtualDaemon:
                 order.done.set_exception(error)
         self.run_of.touch()
         self._here()
+        if self.pause_at_ns is not None and self.now_ns >= self.pause_at_ns:
+            self.paused, self.pause_at_ns = True, None
+        elif self.pause_at_ns is not None:
+            until_ns = self.pause_at_ns if until_ns is None else min(until_ns, self.pause_at_ns)
         if self.paused:
             return IDLE_S
         if self._speed is not None:

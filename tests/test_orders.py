@@ -42,6 +42,8 @@ def orders(daemon: VirtualDaemon) -> Orders:
         ("speed", {"x": 1e-300}, "want 0, or 0.001 to 1e\\+06"),
         ("speed", {"x": 1e7}, "0 to 1e\\+06"),
         ("speed", {"x": float("nan")}, "nan"),
+        ("pause", {"at_s": -1}, "at_s: 0 to 1e\\+09"),
+        ("pause", {"at_s": float("nan")}, "nan"),
         ("step", {"scans": 1.5}, "whole number"),
         ("step", {"bytes": 2.5}, "whole number"),
         ("step", {"bytes": True}, "True"),
@@ -54,11 +56,11 @@ def orders(daemon: VirtualDaemon) -> Orders:
 def test_a_value_that_is_none_is_refused_with_what_is_allowed(
     orders: Orders, daemon: VirtualDaemon, method: str, params: dict[str, Any], told: str
 ) -> None:
-    before = daemon.speed, daemon.paused, daemon.now_ns
+    before = daemon.speed, daemon.paused, daemon.pause_at_ns, daemon.now_ns
     with pytest.raises(OrderError, match=told) as refused:
         orders.methods()[method](params)
     assert refused.value.code == BAD_PARAMS
-    assert (daemon.speed, daemon.paused, daemon.now_ns) == before
+    assert (daemon.speed, daemon.paused, daemon.pause_at_ns, daemon.now_ns) == before
 
 
 @pytest.mark.parametrize("x", [0.001, 1, 1e6])

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 NEEDS = "the page needs more: pip install 'lidaremu[view]'"
 STOPPED_S = 10.0
 LONG_S = 1e8
-"A scenario of our own goes on until the page is closed, whatever its file says."
+"A daemon of our own goes on until the page is closed: at the scenario's end its time stands."
 
 
 @click.command()
@@ -48,7 +48,8 @@ def view(
     """See a run in the browser: scene, echoes, telegrams; weather, faults and time at hand.
 
     CONTROL is a running daemon's control socket (left out: the only daemon that runs), RECORDING a folder or run.mcap
-    of `--record`, SCENARIO a file or built-in name: it is started with hosts of ours on its links, at real time's pace.
+    of `--record`, SCENARIO a file or built-in name: it is started with hosts of ours on its links, at real time's pace;
+    where it ends by its `duration_s` time stands, and the page stays.
     """
     if token is not None and (len(token) < 8 or not token.isascii() or not token.isalnum()):
         raise click.BadParameter(f"{token!r}; want 8 or more letters and digits", param_hint="--token")
@@ -106,7 +107,9 @@ def opened(what: str | None) -> Iterator[Source]:
         yield LiveSource(find(path))
     else:
         with own_daemon(str(what)) as control:
-            yield LiveSource(control)
+            source = LiveSource(control)
+            source.stand_at_end()
+            yield source
 
 
 @contextmanager

@@ -98,13 +98,15 @@ def state(
     """Time, and what each sensor does, as HTML; `lists`: sensors that tell objects, not points."""
     clock = "recording" if recorded else "virtual clock" if frame.virtual else "real clock"
     speed = "as fast as hosts read" if frame.speed is None else f"{frame.speed:g} x real time"
-    what = "ended" if frame.ended else "paused" if frame.paused else "runs"
+    what = "ended" if frame.ended or frame.stands else "paused" if frame.paused else "runs"
     rows = [
         f'<div style="font-size:13px;line-height:1.5"><b id="view-time" data-now="{frame.now_s:.3f}">'
         f"{frame.now_s:.2f} s</b> · {what} · {clock}, {speed}"
     ]
     if frame.ended:
         rows.append(f'<div style="color:#e57373">{escape(frame.ended)}</div>')
+    elif frame.stands:
+        rows.append(f'<div style="color:#ffb74d">{escape(frame.stands)}</div>')
     for name, sensor in frame.sensors.items():
         rows.append(_sensor(name, models.get(name, ""), sensor, points.get(name, 0), frame, recorded, name in lists))
     if frame.telegrams_missed:

@@ -110,6 +110,8 @@ class Frame:
     "What happened last, newest last."
     ended: str = ""
     "Why there is no more."
+    stands: str = ""
+    "Why time stands though nobody has paused it."
 
 
 class ViewError(EmulatorError):

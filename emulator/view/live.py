@@ -20,6 +20,7 @@ from emulator.view.frames import Frame, ShownLink, ShownScan, ShownSensor, Shown
 
 KEPT = 64
 "Telegrams of each sensor."
+INSTANT_S = 1e-6
 
 
 class LiveSource:
@@ -46,9 +47,21 @@ class LiveSource:
         self._missed: int = 0
         self._notes: tuple[str, ...] = ()
         self._last: Frame = Frame(0.0, False, False, None)
+        self._end_s: float | None = None
 
     def _ask(self, method: str, params: Mapping[str, Any]) -> Any:
         return ask(self._path, method, params)
+
+    def stand_at_end(self) -> None:
+        """Have time stand where the scenario ends by its `duration_s`; whoever looks may let it go on."""
+        self._end_s = self.scenario.duration_s
+        if self._end_s is not None:
+            self._ask("pause", {"at_s": self._end_s})
+
+    def _at_end(self, glance: Mapping[str, Any]) -> str:
+        if self._end_s is None or not glance["paused"] or abs(glance["now_s"] - self._end_s) > INSTANT_S:
+            return ""
+        return f"The scenario ends here, at {self._end_s:g} s. Resume goes on beyond it."
 
     def order(self, method: str, params: Mapping[str, Any]) -> Any:
         """An order to the daemon."""
@@ -74,6 +87,7 @@ class LiveSource:
             telegrams=self._told(),
             telegrams_missed=self._missed,
             notes=self._notes,
+            stands=self._at_end(glance),
         )
         return self._last
 

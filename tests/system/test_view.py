@@ -229,3 +229,17 @@ def test_a_scenario_is_started_with_hosts_of_ours(view: Callable[..., str], brow
     browser.get(url)
     count = "return [...document.querySelectorAll('.view-sensor')].filter(one => +one.dataset.points > 10).length"
     until(lambda: browser.execute_script(count) == 2, why="not both sensors have points")
+
+
+@pytest.mark.timeout(600)
+def test_a_scenario_stands_at_its_end_and_the_page_says_so(
+    view: Callable[..., str], browser: Any, tmp_path: Path
+) -> None:
+    (tmp_path / "short.yaml").write_text(
+        "schema: 1\nduration_s: 2\nsensors:\n  - {id: front, model: sick-lms291-s05, links: ['pty:./front']}\n"
+    )
+    browser.get(view("short.yaml"))
+    there(browser, "//*[contains(text(), 'The scenario ends here, at 2 s.')]")
+    assert browser.execute_script(NOW) == 2.0
+    press(browser, "Resume")
+    until(lambda: browser.execute_script(NOW) > 2.0, why="time does not go on")
