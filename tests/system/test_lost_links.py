@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 import serial
 
+from emulator.rig import Rig
 from tests.system.conftest import PATIENCE_S, RunningDaemon
 from tests.system.hosts import Adapter, LmsHost
 
@@ -54,6 +55,24 @@ def test_the_other_sensor_goes_on(
     assert running.stop() == 3
     assert running.errors == ""  # told once
     assert running.end["front"]["scans_sent"] > 20
+
+
+def test_a_test_of_a_driver_fails_at_its_end(adapter: Adapter, tmp_path: Path) -> None:
+    (tmp_path / "case.yaml").write_text(CASE.replace("ADAPTER", adapter.path), encoding="utf-8")
+    links = {"rear": f"serial:{adapter.path}"}
+
+    def drive() -> None:
+        with Rig(str(tmp_path / "case.yaml"), tmp_path, links=links) as rig, LmsHost(rig["front"].path) as host:
+            adapter.opened()
+            host.stream()
+            host.scan()
+            adapter.pull()
+            for _ in range(20):
+                assert len(host.scan()) == 361
+            rig.step_scans(3, "front")
+
+    with pytest.raises(RuntimeError, match=f"links were lost: serial:{adapter.path}: lost: "):
+        drive()
 
 
 def test_the_rest_of_a_replay_goes_on(daemon: Callable[..., RunningDaemon], adapter: Adapter, tmp_path: Path) -> None:
