@@ -92,10 +92,9 @@ def test_both_scanners_see_the_car_come_nearer_and_their_hosts_do_not_disturb_ea
     assert running.stop() == 0
 
     # 112 and 30; fewer on a busy machine, where sweeps that come too late are passed over, and counted
-    for sensor, seen, rate_hz in (("lms", lms, 37.5), ("ld", ld, 10.0)):
+    for sensor, seen, least, most in (("lms", lms, 90, 120), ("ld", ld, 24, 34)):
         late = running.end[sensor]["scans_dropped"].get("measured too late", 0)
-        assert 3.0 * rate_hz * 0.8 - late < len(seen) < 3.0 * rate_hz + 8
-        assert len(seen) > 4
+        assert max(least - late, 4) < len(seen) < most
     for seen, step_deg in ((lms, 0.5), (ld, 0.25)):
         (_, far_m, few), (_, near_m, many) = seen[0], seen[-1]
         assert speed_m_s(seen) == pytest.approx(SPEED_M_S, rel=1.0 / (SPEED_M_S * 3.0))

@@ -16,7 +16,8 @@ from typing import Any
 
 import pytest
 
-from tests.system.conftest import PATIENCE_S, STANDING
+from emulator.control import ask
+from tests.system.conftest import PATIENCE_S, STANDING, RunningDaemon
 from tests.system.terminals import Terminal
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -82,13 +83,21 @@ def test_the_demo_respects_no_color_and_sigterm_tidies_up(terminal: Callable[...
     assert "scans sent" in shown.text
 
 
+def measured_late(running: RunningDaemon) -> bool:
+    """Some list, or a scan that lists are made of, was not ready in time."""
+    status: Any = ask(running.control, "status", {})
+    return any(row["scans_dropped"].get("measured too late") for row in status["sensors"])
+
+
 def test_objects_on_can_are_drawn_and_listed_while_others_are_read_by_socketcand_and_slcan(
     daemon: Callable[..., Any], terminal: Callable[..., Terminal], tmp_path: Path
 ) -> None:
     links = ("--link", "radar=socketcand:127.0.0.1:0/can0", "--link", f"radar=slcan:{tmp_path / 'adapter'}")
     running = daemon("fog_objects", *links, "--set", "weather.changes=[]")  # no fog yet, whenever the hosts come
     shown = terminal("look", running.link("radar"), "--family", "can_objects", "--extended")
-    text = shown.until(lambda text: re.search(r" 1?\d\.\d/s", text) is not None and " car " in text)
+    rated = re.compile(r" 13\.[34]/s")
+    # whatever a busy machine measures too late, and counts, comes less often
+    text = shown.until(lambda text: " car " in text and (rated.search(text) is not None or measured_late(running)))
     assert text.splitlines()[0].split() == ["can-ars408"]
     rows = [line.split()[-7:] for line in text.splitlines() if line.rstrip().endswith("100")]
     assert 4 <= len(rows) <= 5
