@@ -10,7 +10,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 
 ONLY_IN = {
-    "embreex": {"emulator/raycast.py", "emulator/deforming.py"},
+    "embreex": {"emulator/embree.py", "emulator/deforming.py"},
     "trimesh": {"emulator/scene.py", "emulator/raycast.py", "emulator/mesh_files.py", "emulator/meshes.py"},
     "pydantic": {
         "emulator/scenario.py",

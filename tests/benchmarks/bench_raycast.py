@@ -119,9 +119,9 @@ def deforming() -> None:
         for sub_beams in (1, 61):
             direction = fan(361, sub_beams)
             number = iter(range(1_000_000))
-            before = caster._slices[0].handed_over
+            before = caster._moving._slices[0].handed_over
             caster.first_hits(np.zeros(3), direction, 0.2)
-            handed_over = caster._slices[0].handed_over - before
+            handed_over = caster._moving._slices[0].handed_over - before
             own = cpu_us(lambda c=caster, d=direction, n=number: c.first_hits(np.zeros(3), d, 0.01 * next(n)))
             whole = cpu_us(lambda f=frames, d=direction: rebuilt(f, d), 7)
             row = f"{len(ball.faces):9d} {len(direction):6d} {handed_over:11d} {own / 1e3:9.2f} {whole / 1e3:10.2f}"

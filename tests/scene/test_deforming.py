@@ -111,10 +111,10 @@ def test_a_slice_hands_over_a_few_triangles_of_a_hundred_thousand() -> None:
     caster = Caster(changing(ball, shapes, Steady((4.0, 0.0, -1.0))))
     assert len(ball.faces) > 99_000
     caster.first_hits(np.zeros(3), fan(361, 90.0), 0.0)
-    handed_over = caster._slices[0].handed_over
+    handed_over = caster._moving._slices[0].handed_over
     assert 0 < handed_over <= len(ball.faces) / 50
     caster.first_hits(np.zeros(3), -fan(361, 90.0), 0.0)  # away from it
-    assert caster._slices[0].handed_over == handed_over
+    assert caster._moving._slices[0].handed_over == handed_over
 
 
 def test_rays_that_come_again_and_the_order_of_sweeps_change_nothing() -> None:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emulator import nearby, raycast, triangles
+from emulator import moving_cast, nearby, triangles
 from emulator.motion import Motion, Steady, Waypoints
 from emulator.nearby import Nearby
 from emulator.raycast import Caster
@@ -99,7 +99,7 @@ def test_far_bodies_are_looked_at_once_a_second(monkeypatch: pytest.MonkeyPatch)
     choices, asked = [], []
     real = Nearby._chosen
     monkeypatch.setattr(Nearby, "_chosen", lambda self, *rest: choices.append(1) or real(self, *rest))
-    monkeypatch.setattr(raycast, "may_meet", lambda *rest: asked.append(1) or (np.zeros(0, int),) * 2)
+    monkeypatch.setattr(moving_cast, "may_meet", lambda *rest: asked.append(1) or (np.zeros(0, int),) * 2)
     for k in range(75):
         caster.first_hits(np.zeros(3), fan(361), 5.0 + k / 75.0 + np.linspace(0.0, 0.006, 361), max_range_m=90.0)
     assert len(choices) <= 2

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emulator import raycast, structures, triangles
+from emulator import embree, raycast, structures, triangles
 from emulator.motion import Steady, Waypoints, rotation_matrix
 from emulator.raycast import BLOCK, Caster, Hits
 from emulator.triangles import Geometry, checked
@@ -486,8 +486,8 @@ def test_rays_that_come_again_are_cast_on_nothing_that_rests(monkeypatch: pytest
     car = (triangles.box(4.0, 2.0, 1.5), Steady((5.0, -20.0, -0.7), velocity_m_s=(0.0, 10.0, 0.0)))
     caster = Caster(scene_of((triangles.plane(60.0, 60.0), WALL), car))
     direction, origin, cast_rays = fan(720, 120.0), np.zeros((720, 3)), []
-    real = raycast._run
-    monkeypatch.setattr(raycast, "_run", lambda structure, start, *rest: cast_rays.append(len(start)) or real(
+    real = embree.run
+    monkeypatch.setattr(embree, "run", lambda structure, start, *rest: cast_rays.append(len(start)) or real(
         structure, start, *rest))  # fmt: skip
     far_away = [caster.first_hits(origin, direction, t_s, again=True) for t_s in (-1.0, -0.9)]
     assert sum(cast_rays) == 720

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from emulator import raycast
+from emulator import embree, raycast
 from protocols.scan import Scan
 from tests.sensing.rig import QUIET, build, plan, plate
 
@@ -71,8 +71,8 @@ def test_a_sensor_at_rest_sees_what_it_would_see_for_the_first_time(
 def test_a_sweep_of_what_has_not_moved_casts_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     measure = build(tmp_path, [plate(20.0, "half")], physics={"leave_out": {"closed_form": "never"}})
     cast: list[int] = []
-    real = raycast._run
-    monkeypatch.setattr(raycast, "_run", lambda structure, start, *rest: cast.append(len(start)) or real(
+    real = embree.run
+    monkeypatch.setattr(embree, "run", lambda structure, start, *rest: cast.append(len(start)) or real(
         structure, start, *rest))  # fmt: skip
     for number in range(5):
         measure(plan(AZIMUTH, sweep=number))
