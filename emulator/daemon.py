@@ -30,6 +30,8 @@ from emulator.waiting import Waiter, sharpen_timers
 
 SWITCH_S = 0.0005
 "Another thread (control, a browser's page) that computes gives way to the sender after this; Python's own is 5 ms."
+LONG_STEP_NS = 200_000
+"After a step of so long, what others have to send by now leaves before the next one."
 
 
 class Daemon:
@@ -43,6 +45,8 @@ class Daemon:
         on_failure: Callable[[str], None] = lambda text: None,
     ) -> None:
         self._instruments = list(instruments)
+        for instrument in self._instruments:
+            instrument.hearing.clock_ns = clock.now_ns
         self._clock = clock
         self._workers = workers
         self.on_failure = on_failure
@@ -140,6 +144,9 @@ class Daemon:
             wake = now_ns if instrument.poked else self._wake.get(index)
             if wake is not None and wake <= now_ns and index not in self._lost:
                 self._step(index, instrument)
+                late_ns = self._clock.now_ns()
+                if late_ns - now_ns > LONG_STEP_NS:  # others' instants may have come in the meantime
+                    self._send_due(late_ns)
 
     def _send_due(self, now_ns: int) -> None:
         """What waits in links for this instant leaves before anything else is done."""
@@ -162,6 +169,9 @@ class Daemon:
 
     def _step(self, index: int, instrument: Instrument) -> None:
         now_ns = self._clock.now_ns()
+        instrument.hearing.resting = 1 + sum(
+            one.hearing.rests(now_ns) for one in self._instruments if one is not instrument
+        )
         try:
             self._wake[index] = instrument.step(now_ns)
         except LinkError as error:
@@ -182,7 +192,8 @@ class Daemon:
                 link.stats.lateness_ns.clear()
 
     def _watch(self, index: int, instrument: Instrument) -> None:
-        wanted = tuple(number for link in instrument.links for number in link.filenos())
+        resting = instrument.hearing.rests(self._clock.now_ns())
+        wanted = () if resting else tuple(number for link in instrument.links for number in link.filenos())
         state = (instrument.connections_seen, wanted)
         if state == self._watch_state.get(index):
             return

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from emulator.conditions import NORMAL, Conditions
 from emulator.faults.events import FaultEvent
+from emulator.hearing import Hearing
 from emulator.instrument_stats import InstrumentStats
 from emulator.onlookers import Onlookers
 from emulator.transports.link import Link, Received
@@ -59,6 +60,7 @@ class Instrument:
         self.sensor = sensor
         self.session = session
         self.links = tuple(links)
+        self.hearing = Hearing(self.links)
         self.stats = InstrumentStats()
         self.conditions = NORMAL
         "Go with every sweep asked for from now on; what was asked for before, at most the look-ahead, keeps its own."
@@ -138,6 +140,7 @@ class Instrument:
             wakes.append(plan.start_ns - self._look_ahead_ns)
         if self.faults is not None:
             wakes.append(self.faults.next_ns())
+        wakes.append(self.hearing.wake_ns(now_ns))
         due = [wake for wake in wakes if wake is not None]
         return min(due) if due else None
 
@@ -148,6 +151,7 @@ class Instrument:
         wakes = [link.flush(now_ns) for link in self.links]
         if self.faults is not None:
             wakes.append(self.faults.next_ns())
+        wakes.append(self.hearing.wake_ns(now_ns))
         return min((wake for wake in wakes if wake is not None), default=None)
 
     @property
@@ -212,15 +216,14 @@ class Instrument:
             link.close()
 
     def _take_input(self, now_ns: int) -> None:
-        for index, link in enumerate(self.links):
-            for received in link.receive(now_ns):
-                if received.opened or received.closed:
-                    self.connections_seen += 1
-                if self.faults is None:
-                    self._take(received, index, now_ns)
-                    continue
-                for part in self.faults.hearing(received, index, now_ns):
-                    self._take_or_miss(part, index, now_ns)
+        for index, received in self.hearing.take(now_ns):
+            if received.opened or received.closed:
+                self.connections_seen += 1
+            if self.faults is None:
+                self._take(received, index, now_ns)
+                continue
+            for part in self.faults.hearing(received, index, now_ns):
+                self._take_or_miss(part, index, now_ns)
 
     def _take(self, received: Received, index: int, now_ns: int) -> None:
         link = self.links[index]

@@ -149,8 +149,11 @@ class Adapter(Outlet):
         """Obey what the host has written, as far as commands are complete."""
         *commands, rest = (bytes(self._text) + text).split(CR)
         self._text[:] = rest
-        for command in commands:
-            self._terminal.say(self._obey(command, now_ns))
+        answers = b"".join([self._obey(command, now_ns) for command in commands])
+        if self._terminal.backlog >= BACKLOG_LIMIT:
+            self._flags |= FLAG_OVERRUN  # whoever asks and never reads has no answer
+        elif answers:
+            self._terminal.say(answers)
         if len(self._text) > LONGEST_COMMAND:
             self._text.clear()
             self._refuse()

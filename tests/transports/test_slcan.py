@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 from emulator.transports import open_link
 from emulator.transports.can_link import CanLink
 from emulator.transports.link import Received
+from emulator.transports.slcan import BACKLOG_LIMIT
 from protocols.can_frame import EXTENDED
 
 MS = 1_000_000
@@ -222,6 +224,17 @@ def test_a_host_that_does_not_read_loses_whole_frames_and_none_while_the_buffer_
     numbers = [int(text[5:], 16) for text in lines[:-1]]
     assert numbers[:2000] == list(range(2000))
     assert rig.ask("F\r") == "F08\r"
+
+
+def test_a_host_that_asks_without_end_and_never_reads_does_not_fill_the_memory(rig: Rig) -> None:
+    for _ in range(400):
+        with contextlib.suppress(BlockingIOError):
+            os.write(rig.fd, b"V\r" * 2000)
+        rig.step()
+        rig.now_ns += SECOND
+    assert rig.link.held() < BACKLOG_LIMIT + 20_000
+    assert set(rig.read().split("\r")) == {"V1013", ""}
+    assert rig.ask("F\r") == "F08\r", "some answers did not fit"
 
 
 @settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])

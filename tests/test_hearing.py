@@ -1,0 +1,104 @@
+"""How long a sensor listens at one go: what waits, how long it rests, and that nothing is lost or out of order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import cast
+
+import pytest
+
+from emulator.hearing import AT_ONCE_NS, REST, Hearing
+from emulator.transports.link import Link, Received
+
+
+@dataclass
+class Clock:
+    now: int = 0
+
+    def now_ns(self) -> int:
+        return self.now
+
+
+class Flooded:
+    """A link on which something has come in; it is asked for nothing else."""
+
+    def __init__(self, *batches: Sequence[bytes]) -> None:
+        self.batches = [list(batch) for batch in batches]
+        self.looks = 0
+
+    def receive(self, now_ns: int) -> list[Received]:
+        self.looks += 1
+        return [Received(0, data) for data in self.batches.pop(0)] if self.batches else []
+
+
+@dataclass
+class Sensor:
+    """Hears one thing in so many nanoseconds."""
+
+    hearing: Hearing
+    clock: Clock
+    each_ns: int
+    heard: list[tuple[int, bytes]] = field(default_factory=list)
+
+    def step(self, now_ns: int) -> int:
+        self.clock.now = max(self.clock.now, now_ns)
+        for index, received in self.hearing.take(now_ns):
+            self.heard.append((index, received.data))
+            self.clock.now += self.each_ns
+        return len(self.heard)
+
+
+def sensor(*links: Flooded, each_ns: int = 400_000, timed: bool = True) -> Sensor:
+    clock, hearing = Clock(), Hearing(cast(Sequence[Link], links))
+    if timed:
+        hearing.clock_ns = clock.now_ns
+    return Sensor(hearing, clock, each_ns)
+
+
+def test_what_takes_longer_than_its_share_waits_and_is_heard_in_order() -> None:
+    words = [bytes((k,)) for k in range(10)]
+    link = Flooded(words)
+    one = sensor(link)
+    assert one.step(0) == 3  # the third ends behind a millisecond
+    assert one.hearing.rests(1)
+    wake = one.hearing.wake_ns(1)
+    assert wake == 3 * 400_000 * (1 + REST)
+    assert one.step(wake - 1) == 3
+    assert one.step(wake) == 6
+    assert link.looks == 1, "the link is not asked before all has been heard"
+    now_ns = 0
+    while len(one.heard) < 10:
+        now_ns = one.hearing.wake_ns(one.clock.now) or one.clock.now
+        one.step(now_ns)
+    assert [data for _, data in one.heard] == words
+    one.step(now_ns + 10**9)
+    assert link.looks == 2
+
+
+def test_a_third_of_a_core_is_the_most_for_all_who_rest() -> None:
+    for others in (1, 2, 7):
+        one = sensor(*(Flooded([b"x"] * 1000) for _ in range(2)))
+        one.hearing.resting = others
+        now_ns = worked_ns = 0
+        for _ in range(50):
+            before = len(one.heard)
+            one.step(now_ns)
+            worked_ns += (len(one.heard) - before) * one.each_ns
+            now_ns = one.hearing.wake_ns(one.clock.now) or one.clock.now
+        assert worked_ns / now_ns == pytest.approx(1.0 / (1 + REST * others))
+        assert others * worked_ns / now_ns <= 1.0 / 3.0
+
+
+def test_hosts_that_behave_are_heard_at_once() -> None:
+    links = Flooded([b"a", b"b"]), Flooded([b"c"])
+    one = sensor(*links, each_ns=AT_ONCE_NS // 4)
+    assert one.step(5) == 3
+    assert one.heard == [(0, b"a"), (0, b"b"), (1, b"c")]
+    assert one.hearing.wake_ns(6) is None
+
+
+def test_in_virtual_time_everything_is_heard_at_its_instant() -> None:
+    one = sensor(Flooded([b"x"] * 500), timed=False)
+    assert one.step(0) == 500
+    assert one.hearing.wake_ns(one.clock.now) is None
