@@ -50,3 +50,10 @@ class CpuClock:
 
     def now_ns(self) -> int:
         return time.process_time_ns() - self._start_ns
+
+
+class ThreadClock:
+    """Time that the calling thread has computed for; only differences mean something, and only within one thread."""
+
+    def now_ns(self) -> int:
+        return time.thread_time_ns()

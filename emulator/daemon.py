@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from emulator.clock import Clock
+from emulator.clock import Clock, ThreadClock
 from emulator.errors import LinkError
 from emulator.faults.run import FaultRun
 from emulator.instrument import Instrument
@@ -46,7 +46,7 @@ class Daemon:
     ) -> None:
         self._instruments = list(instruments)
         for instrument in self._instruments:
-            instrument.hearing.clock_ns = clock.now_ns
+            instrument.hearing.clock_ns = ThreadClock().now_ns
         self._clock = clock
         self._workers = workers
         self.on_failure = on_failure

@@ -26,7 +26,7 @@ class Hearing:
         self._waiting: deque[tuple[int, Received]] = deque()
         self._rests_until_ns = 0
         self.clock_ns: Callable[[], int] | None = None
-        "Tells the time that hearing takes; None: there is no limit."
+        "Tells the processor time that hearing takes; None: there is no limit."
         self.resting = 1
         "Sensors that rest now, this one included."
 
