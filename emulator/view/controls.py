@@ -73,6 +73,8 @@ class Controls:
         self.over = False
         "The page is being closed."
         self._quiet = 0
+        self._settled: dict[int, Any] = {}
+        "Value of each slider, by identity, that we gave it or that its order was made of."
         self._weather: dict[str, Any] = {}
         self._faults: list[Mapping[str, Any]] = []
         self._shown: dict[str, Any] = {}
@@ -111,13 +113,13 @@ class Controls:
 
     def _sped(self, event: Any) -> None:
         if event.client is not None:
-            value = self._speed.value
+            value = self._settle(self._speed)
             self._orders.send("speed", "speed", {"x": 0 if value == "fastest" else float(value)})
 
     def _sought(self, event: Any) -> None:
         if event.client is not None:
             self._quiet = 3
-            self._orders.send("seek", "seek", {"to_s": self._seek.value})
+            self._orders.send("seek", "seek", {"to_s": self._settle(self._seek)})
 
     # ------------------------------------------------------------ weather
 
@@ -131,10 +133,12 @@ class Controls:
             self._height = gui.add_slider("Sun's height, deg", 0.0, 90.0, 1.0, 45.0)
             self._sky = gui.add_html("")
 
-        def ordered(key: str, table: Callable[[], Mapping[str, Any]]) -> Callable[[Any], None]:
+        def ordered(key: str, table: Callable[[], Mapping[str, Any]], *handles: Any) -> Callable[[Any], None]:
             def moved(event: Any) -> None:
                 if event.client is not None:
                     self._quiet = QUIET_LOOKS
+                    for handle in handles:
+                        self._settle(handle)
                     self._orders.send(key, "weather", table(), self._take_weather)
 
             return moved
@@ -148,11 +152,11 @@ class Controls:
         def sun() -> Mapping[str, Any]:
             return {"sun": {"elevation_deg": float(self._height.value)} if self._sun.value else None}
 
-        self._fog.on_update(ordered("fog", fog))
-        self._rain.on_update(ordered("rain", lambda: {"rain": falling(self._rain.value)}))
-        self._snow.on_update(ordered("snow", lambda: {"snow": falling(self._snow.value)}))
-        self._sun.on_update(ordered("sun", sun))
-        self._height.on_update(ordered("sun", sun))
+        self._fog.on_update(ordered("fog", fog, self._fog))
+        self._rain.on_update(ordered("rain", lambda: {"rain": falling(self._rain.value)}, self._rain))
+        self._snow.on_update(ordered("snow", lambda: {"snow": falling(self._snow.value)}, self._snow))
+        self._sun.on_update(ordered("sun", sun, self._sun, self._height))
+        self._height.on_update(ordered("sun", sun, self._sun, self._height))
 
     def _take_weather(self, answer: Any) -> None:
         self._weather = answer["weather"]
@@ -283,8 +287,18 @@ class Controls:
             self._set("height", self._height, max(0.0, sun.get("elevation_deg", 45.0)))
 
     def _set(self, key: str, handle: Any, value: Any) -> None:
-        """Only what has changed: a value set again would take the user's hand off the slider."""
+        """Only what has changed: a value set again would take the user's hand off the slider.
+
+        Nor where the user has moved it and the order that tells so is still to come: it would be made of our value.
+        """
         if key == "speed" and value not in handle.options:
             handle.options = (*handle.options, value)
-        if handle.value != value:
+        now = handle.value
+        if now != value and now == self._settled.setdefault(id(handle), now):
             handle.value = value
+            self._settled[id(handle)] = handle.value
+
+    def _settle(self, handle: Any) -> Any:
+        """The value that the user has given it."""
+        self._settled[id(handle)] = handle.value
+        return self._settled[id(handle)]

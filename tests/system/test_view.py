@@ -217,6 +217,7 @@ def test_page_and_daemon_act_on_each_other(
     browser.get(view(str(tmp_path / "run")))
     until(lambda: browser.execute_script(POINTS) > 100, why="no points of the recording")
     press(browser, "Pause")
+    there(browser, "//button[normalize-space(.)='Resume']")  # it stands, before it is moved
     slide(browser, "At, s", Keys.END)
     slide(browser, "At, s", Keys.HOME)
     until(lambda: browser.execute_script(POINTS) == 0 and browser.execute_script(NOW) < 0.1, why="not at its beginning")
