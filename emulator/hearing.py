@@ -45,6 +45,12 @@ class Hearing:
         if self.clock_ns is not None and (took_ns := self.clock_ns() - began_ns) > AT_ONCE_NS:
             self._rests_until_ns = now_ns + took_ns * (1 + REST * max(self.resting, 1))
 
+    def forget(self) -> int:
+        """Nothing that waits is heard any more: its device has lost its power. How many bytes that were."""
+        lost = sum(len(received.data) for _, received in self._waiting)
+        self._waiting.clear()
+        return lost
+
     def rests(self, now_ns: int) -> bool:
         """Nothing is heard now."""
         return now_ns < self._rests_until_ns

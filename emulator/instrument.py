@@ -172,6 +172,8 @@ class Instrument:
             self.stats.scans_dropped["switched off"] += forgotten
         self._given.clear()
         lost = sum(link.clear() for link in self.links)
+        if unheard := self.hearing.forget():
+            self.stats.input_dropped["switched off"] += unheard
         self.onlookers.clear(now_ns)
         return lost + (0 if self.faults is None else self.faults.cut())
 

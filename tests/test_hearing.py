@@ -90,6 +90,13 @@ def test_a_third_of_a_core_is_the_most_for_all_who_rest() -> None:
         assert others * worked_ns / now_ns <= 1.0 / 3.0
 
 
+def test_what_waits_when_the_power_goes_is_not_heard_afterwards() -> None:
+    one = sensor(Flooded([b"abc"] * 10))
+    assert one.step(0) == 3
+    assert one.hearing.forget() == 7 * 3
+    assert one.step(10**9) == 3
+
+
 def test_hosts_that_behave_are_heard_at_once() -> None:
     links = Flooded([b"a", b"b"]), Flooded([b"c"])
     one = sensor(*links, each_ns=AT_ONCE_NS // 4)

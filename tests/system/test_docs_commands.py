@@ -74,7 +74,7 @@ def shortened(text: str) -> str:
     if head.startswith(("lidaremu run", "lidaremu demo")) and not (separator and "--duration" not in head):
         head = re.sub(r" --duration \S+", "", head) + (" --duration 4" if "demo" in head else " --duration 0.5")
         head = head.replace("run bumper", "run bumper --link ld=tcp:127.0.0.1:0")  # its own port may be another's
-        head = re.sub(r" --link ld=\S*49152", "", head).replace(":29536/", ":0/").replace("pty:/tmp/", "pty:./")
+        head = re.sub(r" --link ld=\S*49152", "", head).replace(":29536/", ":0/")
     if head.startswith("lidaremu look") and "--scans" not in head:
         head += " --scans 2"
     return head + separator + driver
