@@ -58,11 +58,13 @@ def refined(
     normal = plane[:3]
     facing = np.einsum("ik,ik->k", normal, ray)
     with np.errstate(divide="ignore", invalid="ignore"):
-        range_m = (plane[3] - np.einsum("ik,ik->k", normal, origin)) / facing
+        range_m = np.einsum("ik,ik->k", normal, origin)
+        np.subtract(plane[3], range_m, out=range_m)
+        range_m /= facing
         good = np.abs(range_m - distance) <= SUSPICIOUS * (1.0 + distance)
     if hit is not None:
         good |= ~hit
     if not good.all():
         counters.suspicious += int(len(good) - np.count_nonzero(good))
         range_m = np.where(good, range_m, distance)
-    return np.maximum(range_m, 0.0), normal, facing  # a surface that the ray begins on may lie a hair behind
+    return np.maximum(range_m, 0.0, out=range_m), normal, facing  # a surface that the ray begins on may lie a hair behind

@@ -6,7 +6,7 @@ motions (motion), meeting triangles (raycast). Vectors are (3, n): one long row 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ Flags = NDArray[np.bool_]
 
 CHUNK = 8
 "Least number of neighbouring rays that are tested as one cone."
-MOST_CHUNKS = 128
+MOST_CHUNKS = 512
 REMEMBER_S = 1e-9
 "A stretch is looked up anew so long before its end, and as a share of the time."
 ROUNDING = 1e-9
@@ -148,15 +148,54 @@ def through_sphere(origin: Floats, ray: Floats, reach: Floats | float) -> tuple[
     return np.maximum(middle - half, 0.0), leave, (chord > 0.0) & (leave > 0.0)
 
 
-def may_meet(centre: Floats, reach: Floats, origin: Floats, ray: Floats, far: float) -> tuple[Longs, Longs]:
-    """Pairs of a sphere and a ray that may meet within `far`; neighbouring rays are tested together, as a cone.
+@dataclass(frozen=True, eq=False)
+class Cones:
+    """Neighbouring rays of m, `size` to each of c cones, the last of them as many times as there is room."""
 
-    `centre` : (3, b), `reach` : (b,), `origin`, `ray` : (3, m). Some of the pairs do not meet; none that do is missing.
+    size: int
+    axis: Floats
+    "(3, c) unit."
+    half: Floats
+    "(c,) [rad]"
+
+    @classmethod
+    def of(cls, ray: Floats) -> Cones:
+        """Around the rays (3, m)."""
+        count = ray.shape[1]
+        size = max(CHUNK, -(-count // MOST_CHUNKS))
+        chunks = -(-count // size)
+        if chunks * size != count:
+            ray = ray.take(np.minimum(np.arange(chunks * size), count - 1), axis=1)
+        ray = ray.reshape(3, chunks, size)
+        axis = ray.sum(axis=2)
+        axis /= np.maximum(np.sqrt(np.einsum("ic,ic->c", axis, axis)), 1e-30)
+        half = np.arccos(clamped(np.einsum("ics,ic->cs", ray, axis).min(axis=1), -1.0, 1.0)) + 1e-6
+        return cls(size, axis, half)
+
+    def most(self, values: Floats) -> Floats:
+        """(c,) largest of the values (m,) of the rays in each."""
+        return np.maximum.reduceat(values, np.arange(0, len(values), self.size))
+
+
+def may_meet(
+    centre: Floats,
+    reach: Floats,
+    box: tuple[Floats, Floats],
+    ray: Floats,
+    far: float,
+    known_m: Floats,
+    cones: Callable[[], Cones],
+) -> tuple[Longs, Longs]:
+    """Pairs of a sphere and a ray that may meet before `known_m`; neighbouring rays are tested together, as a cone.
+
+    `centre` : (3, b), `reach` : (b,), `box` : least and largest origin of the rays, each (3,), `ray` : (3, m), `far` :
+    largest range of all of them, `known_m` : (m,) of each, `cones` : those around these rays. Some of the pairs do not
+    meet; none that do is missing.
     """
     count = ray.shape[1]
     if len(reach) * count <= DIRECT:
         return np.arange(len(reach)).repeat(count), np.tile(np.arange(count), len(reach))
-    low, high = origin.min(axis=1), origin.max(axis=1)
+    low, high = box
     eye = low + (high - low) / 2.0
     reach = reach + float(np.linalg.norm(high - eye))
     view = centre - eye[:, None]
@@ -165,22 +204,17 @@ def may_meet(centre: Floats, reach: Floats, origin: Floats, ray: Floats, far: fl
     if not len(near):
         return near, near
     view, away, reach = view[:, near], away[near], reach[near]
-    size = max(CHUNK, -(-count // MOST_CHUNKS))
-    chunks = -(-count // size)
-    cones = ray
-    if chunks * size != count:
-        cones = ray.take(np.minimum(np.arange(chunks * size), count - 1), axis=1)
-    cones = cones.reshape(3, chunks, size)
-    axis = cones.sum(axis=2)
-    axis /= np.maximum(np.sqrt(np.einsum("ic,ic->c", axis, axis)), 1e-30)
-    half = np.arccos(clamped(np.einsum("ics,ic->cs", cones, axis).min(axis=1), -1.0, 1.0)) + 1e-6
     inside = away <= reach
     view = view / np.where(inside, 1.0, away)
     width = np.where(inside, np.pi, np.arcsin(np.minimum(reach / np.where(inside, 1.0, away), 1.0)))
-    sphere, chunk = _in_cones(view, width, axis, half)
+    around = cones()
+    size = around.size
+    sphere, chunk = _in_cones(view, width, around.axis, around.half)
+    before = indexes((away - reach).take(sphere) <= around.most(known_m).take(chunk))
+    sphere, chunk = sphere.take(before), chunk.take(before)
     rays = (chunk[:, None] * size + np.arange(size)).ravel()
     which = sphere.repeat(size)
-    if chunks * size != count:
+    if len(around.half) * size != count:
         real = rays < count
         which, rays = which[real], rays[real]
     if len(which) > MANY:

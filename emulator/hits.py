@@ -6,10 +6,12 @@ Belongs here: hits, counters, and parts of them that are put together. Not: cast
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from emulator.fleet import Flags, Longs
+from emulator.fleet import Cones, Flags, Longs
 from emulator.physics.arrays import indexes
 from emulator.triangles import Floats, Ints
 
@@ -48,10 +50,16 @@ class Hits:
             actor,
             np.full(count, -1, np.int64),
             material,
-            np.zeros((count, 3)),
+            np.zeros((3, count)).T,
             np.zeros(count, bool),
         )
 
+    @classmethod
+    def joined(cls, parts: list[Hits]) -> Hits:
+        """Those of several blocks of rays."""
+        if len(parts) == 1:
+            return parts[0]
+        return cls(*map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True)))
 
     def taken(self, rays: Longs) -> Hits:
         """Those of some rays."""
@@ -81,8 +89,7 @@ class Renewed:
             return cls(resting, np.zeros(0, np.int64), Hits.misses(0))
         if len(parts) == 1:
             return cls(resting, *parts[0])
-        columns = zip(*(vars(hits).values() for _, hits in parts), strict=True)
-        return cls(resting, np.concatenate([rays for rays, _ in parts]), Hits(*map(np.concatenate, columns)))
+        return cls(resting, np.concatenate([rays for rays, _ in parts]), Hits.joined([hits for _, hits in parts]))
 
     @property
     def hits(self) -> Hits:
@@ -172,13 +179,34 @@ class Passing:
 
 
 @dataclass(frozen=True, eq=False)
+class Aim:
+    """Directions of rays, and what follows from them alone: those that come again have it ready."""
+
+    ray: Floats
+    "(3, m)"
+
+    def __len__(self) -> int:
+        return self.ray.shape[1]
+
+    @cached_property
+    def rows(self) -> NDArray[np.float32]:
+        """(m, 3), as embree wants them."""
+        return self.ray.T.astype(np.float32, order="C")
+
+    @cached_property
+    def cones(self) -> Cones:
+        """Neighbouring rays, together."""
+        return Cones.of(self.ray)
+
+
+@dataclass(frozen=True, eq=False)
 class Block:
     """Some rays of a fan, and what they meet of resting bodies."""
 
     here: slice
     origin: Floats
     "(3, m)"
-    ray: Floats
+    aim: Aim
     box: tuple[Floats, Floats]
     "Least and largest origin."
     nearest: Nearest

@@ -16,7 +16,7 @@ from emulator import embree
 from emulator.deforming import Slices
 from emulator.embree import Singles
 from emulator.fleet import Flags, Longs, Stretch, may_meet, through_sphere
-from emulator.hits import MISS, Counters, Met, Passing, all_met
+from emulator.hits import MISS, Aim, Counters, Met, Passing, all_met
 from emulator.nearby import KEPT, Nearby
 from emulator.physics.arrays import indexes
 from emulator.structures import Layout, Movers
@@ -48,7 +48,7 @@ class MovingCast:
     def met(
         self,
         origin: Floats,
-        ray: Floats,
+        aim: Aim,
         times: Floats,
         far: float,
         known_m: Floats,
@@ -56,12 +56,12 @@ class MovingCast:
     ) -> Met | None:
         """Each ray on the moving bodies whose spheres it meets before `known_m`, in their own frames."""
         begin, end = float(times.min()), float(times.max())
-        low, high = (origin.min(axis=1), origin.max(axis=1)) if box is None else box
-        movers = self._near(low, high, begin, end, far)
+        box = (origin.min(axis=1), origin.max(axis=1)) if box is None else box
+        movers = self._near(*box, begin, end, far)
         if not len(movers.body):
             return None
         now, place, swept, curved = _whereabouts(movers, begin, end)
-        which, rays = may_meet(place, movers.reach + swept, origin, ray, far)
+        which, rays = may_meet(place, movers.reach + swept, box, aim.ray, far, known_m, lambda: aim.cones)
         if not len(which):
             return None
 
@@ -76,7 +76,7 @@ class MovingCast:
                 motion = movers.fleet.motions[mover]
                 offset[:, pairs] = origin[:, rays[pairs]] - motion.position(when[pairs]).T
                 turned[:, :, pairs] = motion.rotation(when[pairs]).transpose(1, 2, 0)
-        along = ray.take(rays, axis=1)
+        along = aim.ray.take(rays, axis=1)
         centre = movers.centre.take(which, axis=1)
         sphere = offset - np.einsum("ijk,jk->ik", turned, centre)
         enter, leave, touch = through_sphere(sphere, along, movers.reach.take(which))

@@ -16,22 +16,21 @@ from collections.abc import Iterable
 import numpy as np
 
 from emulator import embree
+from emulator.embree import Singles
 from emulator.fleet import Flags, Longs, through_sphere
-from emulator.hits import Block, Counters, Fan, Hits, Met, Nearest, Renewed, keep_nearer
+from emulator.hits import Aim, Block, Counters, Fan, Hits, Met, Nearest, Renewed, keep_nearer
 from emulator.moving_cast import MovingCast
 from emulator.physics.arrays import indexes
 from emulator.scene import Scene
 from emulator.structures import Group, lay_out
-from emulator.triangles import Floats
+from emulator.triangles import Floats, Ints
 
 LEAK_TURN_RAD = 1e-6
 "How far a ray that slipped between two triangles is turned for its second cast."
 LONGEST = 1e30
 "Stands for an unlimited ray in float32."
-BLOCK = 8192
-"Rays cast together on what rests, so that their arrays stay in the processor's cache."
-TOGETHER = 4 * BLOCK
-"Rays that come again, for which moving bodies are looked for together: a hundred short steps, however few they are."
+BLOCK = 32_768
+"Rays cast together: more short steps cost more than arrays that leave the processor's cache."
 KEEP_NUMBERS = 3_900_000
 "An array of so many (31 MB) is made and freed once: glibc then keeps freed memory instead of mapping it anew."
 SUBSETS_KEPT = 16
@@ -55,8 +54,13 @@ class Caster:
         self._actor_of = np.array([body.actor for body in scene.bodies], np.int32)
         self._parts_of = np.cumsum([0, *counts])[: len(counts)].astype(np.int64)
         self._part_material = np.concatenate([np.zeros(0, np.int32), *(body.part_material for body in scene.bodies)])
+        self._merged = sum(len(group.content.faces) for group in layout.groups)
+        "Triangles that belong to one body each: the first ones."
+        self._material = self._material_of(self._table.body[: self._merged], np.arange(self._merged))
         self._subsets: dict[frozenset[int], Caster] = {}
         self._fans: tuple[Fan, ...] = ()
+        "The latest last."
+        self._aimed: tuple[tuple[Floats, tuple[Aim, ...]], ...] = ()
         "The latest last."
         np.zeros(KEEP_NUMBERS)  # page faults were half the time of a large cast
 
@@ -70,6 +74,7 @@ class Caster:
         tnear_m: Floats | float = 0.0,
         max_range_m: float = np.inf,
         again: bool = False,
+        aimed: bool = False,
     ) -> Hits:
         """What each ray meets first.
 
@@ -100,23 +105,28 @@ class Caster:
         times = np.broadcast_to(np.asarray(t_s, dtype=np.float64), (count,))
         near = np.asarray(tnear_m, dtype=np.float64)
         skip = np.broadcast_to(near, (count,)) if near.any() else None
-        hits = Hits.misses(count)
         self.counters.rays += count
         if not len(self._table):
-            return hits
+            return Hits.misses(count)
         with np.errstate(under="ignore"):  # components below 1e-38 are nothing in float32
-            for begin in range(0, count, BLOCK):
+            aims = self._aims(ray) if aimed else map(_aim, _blocks(ray))
+            parts = []
+            for begin, aim in zip(range(0, count, BLOCK), aims, strict=True):
                 here = slice(begin, begin + BLOCK)
-                self._cast(
-                    np.ascontiguousarray(origin[here].T),
-                    np.ascontiguousarray(ray[here].T),
-                    times[here],
-                    None if skip is None else skip[here],
-                    max_range_m,
-                    hits,
-                    here,
-                )
-        return hits
+                start = np.ascontiguousarray(origin[here].T)
+                parts.append(self._cast(start, aim, times[here], None if skip is None else skip[here], max_range_m))
+        return Hits.joined(parts) if parts else Hits.misses(0)
+
+    def _aims(self, direction: Floats) -> tuple[Aim, ...]:
+        """These directions in blocks, as they are known from the last time."""
+        known = next((aims for given, aims in reversed(self._aimed) if given is direction), None)
+        if known is None:
+            known = tuple(map(_aim, _blocks(direction)))
+            kept = [*self._aimed, (direction, known)]
+            while len(kept) > 1 and sum(len(given) for given, _ in kept) > FAN_RAYS_KEPT:
+                kept.pop(0)
+            self._aimed = tuple(kept)
+        return known
 
     @property
     def moves(self) -> bool:
@@ -161,27 +171,28 @@ class Caster:
 
     def _fan(self, origin_m: Floats, direction: Floats, far: float) -> Fan:
         count = len(direction)
-        hits, blocks = Hits.misses(count), []
-        for begin in range(0, count, TOGETHER) if len(self._table) else ():
-            here = slice(begin, min(begin + TOGETHER, count))
-            origin, ray = np.ascontiguousarray(origin_m[here].T), np.ascontiguousarray(direction[here].T)
-            found = self._resting(origin, ray, far)
+        parts, blocks = [Hits.misses(0)], []
+        for begin in range(0, count, BLOCK) if len(self._table) else ():
+            here = slice(begin, min(begin + BLOCK, count))
+            origin, aim = np.ascontiguousarray(origin_m[here].T), _aim(direction[here])
+            found = self._resting(origin, aim, far)
             inner = self._is_inner(found)
             box = origin.min(axis=1), origin.max(axis=1)
-            blocks.append(Block(here, origin, ray, box, found, indexes(inner)))
+            blocks.append(Block(here, origin, aim, box, found, indexes(inner)))
             if not self.moves and inner.any():
-                self._recast_leaks(found, inner, origin, ray, np.zeros(ray.shape[1]), far)
-            self._enter(found, inner, far, hits, here)
+                self._recast_leaks(found, inner, origin, aim.ray, np.zeros(len(aim)), far)
+            parts.append(self._told(found, inner, far))
+        hits = Hits.joined(parts) if blocks else Hits.misses(count)
         for column in vars(hits).values():
             column.flags.writeable = False
         return Fan(origin_m, direction, far, tuple(blocks), hits)
 
     def _changed(self, fan: Fan, block: Block, times: Floats) -> tuple[Longs, Hits] | None:
         """Rays of a block, ascending, that meet a moving body or may have slipped past one, and their hits."""
-        met = self._moving.met(block.origin, block.ray, times, fan.far, block.nearest.range_m, block.box)
+        met = self._moving.met(block.origin, block.aim, times, fan.far, block.nearest.range_m, block.box)
         if met is None and not len(block.unsettled):
             return None
-        changed = np.zeros(block.ray.shape[1], bool)
+        changed = np.zeros(len(block.aim), bool)
         changed[block.unsettled] = True
         if met is not None:
             changed[met.rays] = True
@@ -189,13 +200,11 @@ class Caster:
         found = block.nearest.taken(rays)
         if met is not None:
             keep_nearer(found, rays.searchsorted(met.rays), met)
-        origin, ray, times = block.origin[:, rays], block.ray[:, rays], times[rays]
+        origin, ray, times = block.origin[:, rays], block.aim.ray[:, rays], times[rays]
         inner = self._is_inner(found)
         if inner.any():
             self._recast_leaks(found, inner, origin, ray, times, fan.far)
-        hits = Hits.misses(len(rays))
-        self._enter(found, inner, fan.far, hits, slice(0, len(rays)))
-        return rays + block.here.start, hits
+        return rays + block.here.start, self._told(found, inner, fan.far)
 
     def _subset(self, bodies: frozenset[int]) -> Caster:
         if bodies not in self._subsets:
@@ -204,42 +213,47 @@ class Caster:
             self._subsets[bodies] = Caster(self._scene, bodies)
         return self._subsets[bodies]
 
-    def _cast(
-        self, origin: Floats, ray: Floats, times: Floats, skip: Floats | None, far: float, hits: Hits, here: slice
-    ) -> None:
+    def _cast(self, origin: Floats, aim: Aim, times: Floats, skip: Floats | None, far: float) -> Hits:
         if skip is not None:
-            origin = origin + skip * ray
-        found = self._nearest(origin, ray, times, far)
+            origin = origin + skip * aim.ray
+        found = self._nearest(origin, aim, times, far)
         inner = self._is_inner(found)
         if inner.any():
-            self._recast_leaks(found, inner, origin, ray, times, far)
+            self._recast_leaks(found, inner, origin, aim.ray, times, far)
         if skip is not None:
             found.range_m = found.range_m + skip
-        self._enter(found, inner, far, hits, here)
+        return self._told(found, inner, far)
 
-    def _enter(self, found: Nearest, inner: Flags, far: float, hits: Hits, here: slice) -> None:
-        """Write what was found of the rays `here`, which are misses so far."""
+    def _told(self, found: Nearest, inner: Flags, far: float) -> Hits:
+        """What was found, as it is told; `found` stays as it is."""
         table, body, triangle = self._table, found.body, found.triangle
-        hit = triangle >= 0
+        missed = triangle < 0
         if far < np.inf:
-            hit &= found.range_m <= far
+            missed |= found.range_m > far
+        index = indexes(missed)
+        range_m = found.range_m
+        if len(index):
+            range_m = range_m.copy()
         side = np.where(found.facing > 0.0, -1.0, 1.0)  # not the sign: a grazing normal must not vanish
-        where: slice | Longs
-        if hit.all():
-            where = here
-            range_m, normal = found.range_m, found.normal
-        else:
-            index = indexes(hit)
-            where = index + here.start
-            body, triangle = body[index], triangle[index]
-            range_m, normal, side, inner = found.range_m[index], found.normal[:, index], side[index], inner[index]
-        hits.range_m[where] = range_m
-        hits.body[where] = body
-        hits.actor[where] = self._actor_of.take(body)
-        hits.face[where] = table.face.take(triangle)
-        hits.material[where] = self._part_material.take(self._parts_of.take(body) + table.part.take(triangle))
-        hits.normal[where] = (normal * side).T
-        hits.inner[where] = inner
+        material = self._material.take(triangle, mode="wrap") if self._merged else np.zeros(len(body), np.int32)
+        single = indexes(triangle >= self._merged)
+        if len(single):
+            material[single] = self._material_of(body[single], triangle[single])
+        hits = Hits(
+            range_m,
+            body.astype(np.int32),
+            self._actor_of.take(body, mode="wrap"),
+            table.face.take(triangle, mode="wrap"),
+            material,
+            (found.normal * side).T,
+            inner,
+        )
+        if len(index):
+            hits.put(index, Hits.misses(len(index)))
+        return hits
+
+    def _material_of(self, body: Longs, triangle: Longs) -> Ints:
+        return self._part_material.take(self._parts_of.take(body) + self._table.part.take(triangle))
 
     def _is_inner(self, found: Nearest) -> Flags:
         inner = found.facing > 0.0
@@ -256,7 +270,7 @@ class Caster:
         ray met, with the distance of the original ray to that plane.
         """
         index = indexes(inner)
-        again = self._nearest(origin[:, index], _turned(ray[:, index]), times[index], far)
+        again = self._nearest(origin[:, index], Aim(_turned(ray[:, index])), times[index], far)
         leaked = indexes(~self._is_inner(again))
         if not len(leaked):
             return
@@ -274,42 +288,32 @@ class Caster:
         found.facing[target] = np.where(good, facing, turned_facing)
         inner[target] = False
 
-    def _nearest(self, origin: Floats, ray: Floats, times: Floats, far: float) -> Nearest:
-        found = self._resting(origin, ray, far)
+    def _nearest(self, origin: Floats, aim: Aim, times: Floats, far: float) -> Nearest:
+        found = self._resting(origin, aim, far)
         if self.moves:
-            met = self._moving.met(origin, ray, times, far, found.range_m)
+            met = self._moving.met(origin, aim, times, far, found.range_m)
             if met is not None:
                 keep_nearer(found, met.rays, met)
         return found
 
-    def _resting(self, origin: Floats, ray: Floats, far: float) -> Nearest:
-        count = ray.shape[1]
-        if count <= BLOCK:
-            return self._resting_of(origin, ray, far)
-        found = Nearest.nothing(count)
-        for begin in range(0, count, BLOCK):
-            here = slice(begin, begin + BLOCK)
-            found.put(here, self._resting_of(origin[:, here], ray[:, here], far))
-        return found
-
-    def _resting_of(self, origin: Floats, ray: Floats, far: float) -> Nearest:
+    def _resting(self, origin: Floats, aim: Aim, far: float) -> Nearest:
         if len(self._groups) == 1 and _norm(origin[:, :1] - self._groups[0].centre) < self._groups[0].radius:
-            return self._cast_around(origin, ray, far)
-        found = Nearest.nothing(ray.shape[1])
+            return self._cast_around(origin, aim, far)
+        found = Nearest.nothing(len(aim))
         for group, structure in zip(self._groups, self._built, strict=True):
-            self._cast_afar(group, structure, origin, ray, far, found)
+            self._cast_afar(group, structure, origin, aim.ray, far, found)
         return found
 
-    def _cast_around(self, origin: Floats, ray: Floats, far: float) -> Nearest:
+    def _cast_around(self, origin: Floats, aim: Aim, far: float) -> Nearest:
         """All rays on the only group of resting bodies, among which they begin."""
         group = self._groups[0]
         local = origin - group.centre
-        until = np.full(ray.shape[1], min(far, LONGEST), np.float32)
-        number, span = embree.run(self._built[0], embree.rows(local), embree.rows(ray), until)
+        until = np.full(len(aim), min(far, LONGEST), np.float32)
+        number, span = embree.run(self._built[0], embree.rows(local), aim.rows, until)
         self.counters.cast += len(until)
         triangle = np.add(number, group.offset, dtype=np.int64)
         hit = number >= 0
-        range_m, normal, facing = embree.refined(self._table, self.counters, triangle, local, ray, span, hit)
+        range_m, normal, facing = embree.refined(self._table, self.counters, triangle, local, aim.ray, span, hit)
         body = self._table.body.take(triangle, mode="wrap")
         if not hit.all():
             miss = ~hit
@@ -338,6 +342,15 @@ class Caster:
         )
         met = Met(rays[hit], triangle, self._table.body.take(triangle), range_m, normal, facing)
         keep_nearer(found, met.rays, met)
+
+
+def _aim(direction: Floats) -> Aim:
+    """Of directions (m, 3)."""
+    return Aim(np.ascontiguousarray(direction.T))
+
+
+def _blocks(direction: Floats) -> Iterable[Floats]:
+    return (direction[begin : begin + BLOCK] for begin in range(0, len(direction), BLOCK))
 
 
 def _norm(vector: Floats) -> float:

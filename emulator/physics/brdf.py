@@ -32,10 +32,15 @@ def oren_nayar_back(rho: Values, sigma_rad: Values, incidence_rad: Values) -> Fl
 
 def oren_nayar_cos(rho: Values, sigma_rad: Values, cosine: Values) -> Floats:
     """The same from the cosine: rho (A cos + B sin^2), which has no pole at grazing incidence."""
-    s2, c = floats(sigma_rad) ** 2, _clean(cosine)
-    a = 1.0 - s2 / (2.0 * (s2 + 0.33))
-    b = 0.45 * s2 / (s2 + 0.09)
+    c = _clean(cosine)
+    a, b = oren_nayar_factors(sigma_rad)
     return rho * (a * c + b * (1.0 - c * c))
+
+
+def oren_nayar_factors(sigma_rad: Values) -> tuple[Floats, Floats]:
+    """A and B of these slopes: 1 and 0 of a smooth one."""
+    s2 = floats(sigma_rad) ** 2
+    return 1.0 - s2 / (2.0 * (s2 + 0.33)), 0.45 * s2 / (s2 + 0.09)
 
 
 def phong_back(rho_d: Values, rho_s: Values, exponent: Values, incidence_rad: Values) -> Floats:

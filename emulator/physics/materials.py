@@ -10,7 +10,7 @@ import difflib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from importlib import resources
 from types import MappingProxyType
 from typing import Any, Literal, get_args
@@ -18,7 +18,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from emulator.physics import brdf
-from emulator.physics.arrays import Floats, Ints, floats
+from emulator.physics.arrays import Bools, Floats, Ints, floats, indexes
 from emulator.physics.constants import WATER_INDEX_905
 
 Model = Literal["lambert", "oren_nayar", "phong", "ggx", "coated", "mirror", "glass", "retro"]
@@ -232,6 +232,10 @@ def _table() -> Mapping[str, Material]:
 
 
 # ------------------------------------------------------------------------------- whole scans of hits
+_LOBED: Mapping[str, tuple[str, ...]] = MappingProxyType({"phong": ("phong",), "ggx": ("ggx", "coated")})
+"Lobes, and the models that have them."
+
+
 @dataclass(frozen=True, eq=False)
 class SurfaceTable:
     """The materials of a scene at one wavelength, evaluated for arrays of hits without a loop over hits."""
@@ -260,24 +264,35 @@ class SurfaceTable:
         """
         index = np.asarray(index)
         c = np.minimum(np.abs(floats(cosine)), 1.0)
+        flat, rough, retro, lobed = self._shapes
         with np.errstate(under="ignore"):  # what reflects 1e-300 is black
-            result = self.rho[index] * c
-        for model in {m.model for m in self.materials} & {"oren_nayar", "phong", "ggx", "coated", "retro"}:
-            chosen = np.array([m.model == model for m in self.materials])[index]
-            if not bool(chosen.any()):
-                continue
-            k, cs = index[chosen], c[chosen]
-            if model == "oren_nayar":
-                result[chosen] = brdf.oren_nayar_cos(self.rho[k], self._column("slope_rad")[k], cs)
-            elif model == "phong":
-                specular, exponent = self._column("rho_specular")[k], self._column("exponent")[k]
-                result[chosen] = brdf.phong_cos(self.rho[k], specular, exponent, cs)
-            elif model == "retro":
-                result[chosen] += brdf.retro_equivalent(self._column("retro_cd_lx_m2")[k])
-            else:
-                lobe = brdf.ggx_cos(self._column("f0")[k], self._column("roughness")[k], cs)
-                result[chosen] += self._column("lobe_share")[k] * lobe
+            result = flat.take(index) * c
+            if rough.any():
+                result += rough.take(index) * (1.0 - c * c)
+            if retro.any():
+                result += retro.take(index)
+            for model, has in lobed:
+                at = indexes(has.take(index))
+                if not len(at):
+                    continue
+                k, cs = index[at], c[at]
+                if model == "phong":
+                    specular, exponent = self._column("rho_specular")[k], self._column("exponent")[k]
+                    result[at] = brdf.phong_cos(self.rho[k], specular, exponent, cs)
+                else:
+                    lobe = brdf.ggx_cos(self._column("f0")[k], self._column("roughness")[k], cs)
+                    result[at] += self._column("lobe_share")[k] * lobe
         return result
+
+    @cached_property
+    def _shapes(self) -> tuple[Floats, Floats, Floats, list[tuple[str, Bools]]]:
+        """(materials,) factors of cos and of sin^2, what sheeting sends back, and which have a lobe, by model."""
+        slope = np.array([m.slope_rad if m.model == "oren_nayar" else 0.0 for m in self.materials])
+        flat, rough = brdf.oren_nayar_factors(slope)
+        retro = [brdf.retro_equivalent(m.retro_cd_lx_m2) if m.model == "retro" else 0.0 for m in self.materials]
+        lobed = [(one, np.array([m.model in of for m in self.materials], bool)) for one, of in _LOBED.items()]
+        lobed = [(one, has) for one, has in lobed if has.any()]
+        return self.rho * flat, self.rho * rough, np.array(retro, np.float64), lobed
 
     def mirror_share(self, index: Ints, cosine: Floats) -> Floats:
         """Share of the light of every hit that goes on in the mirror direction."""

@@ -28,7 +28,7 @@ from emulator.sensing.model import SensorModel, sensor_model
 from emulator.sensing.particles import seen_particles
 from emulator.sensing.paths import FacedCaster, Seen, Surfaces, reach_of, returned
 from emulator.sensing.photon_receiver import PhotonReceiver
-from emulator.sensing.rays import BundleCache, Rays, cast_rays
+from emulator.sensing.rays import RAYS_KEPT, BundleCache, Rays, cast_rays, rays_of
 from emulator.sensing.receiver import Receiver
 from emulator.sensing.resting import Resting, with_others
 from emulator.sensing.soft import SoftTargets
@@ -46,8 +46,6 @@ if TYPE_CHECKING:
 
 DEEP = 5.0
 "Optical depth beyond which single scattering is an estimate."
-RAYS_KEPT = 400_000
-"Of a sensor at rest, over all its sets of angles."
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +206,9 @@ class Measure:
             if resting is not None:
                 seen = resting.seen(rays, self._caster, far, *what)
             else:
-                hits = self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=far)
+                hits = self._caster.first_hits(
+                    rays.origin_m, rays.direction, rays.t_s, max_range_m=far, aimed=rays.steady
+                )
                 seen = returned(hits, rays, self._caster, *what)
             if far < np.inf and surfaces_show(air.sun, self.model):
                 seen = self._background(seen, rays, far)
@@ -245,7 +245,8 @@ class Measure:
         """Rays of fixed bundles; a sensor at rest casts the same ones as long as the plan's angles stay."""
         bundles = self._bundles.of(plan)
         if self._still_pose is None:
-            return cast_rays(bundles, pose, t_s), None
+            spread, steady = self._bundles.turned(bundles, pose.rotation)
+            return rays_of(spread, pose.position_m, t_s, steady), None
         known = next((one for one in self._at_rest if one.bundles is bundles), None)
         if known is None:
             known = Resting(bundles, cast_rays(bundles, pose, t_s))

@@ -24,6 +24,8 @@ UNSEEN = 0.05
 "A ray is not continued when the best surface, met by the whole beam, would return less than this of the threshold."
 MOST_EMPTY = 4
 "Rows of sub-echoes are sorted one by one up to so many places an echo."
+MOST_RUNS = 8
+"Parts of sub-echoes, each in the order of the beams, that are put into such rows one after another."
 BEHIND_M = 1e-4
 "A second ray starts this far behind the surface, and a thousandth of it more per metre: the caster works in float32."
 
@@ -86,8 +88,9 @@ class FacedCaster(Protocol):
         """(m,) rays on which something may lie farther than that."""
 
     def first_hits(
-        self, origin_m: Floats, direction: Floats, t_s: Floats, *, max_range_m: float = np.inf, again: bool = False
-    ) -> FacedHits: ...
+        self, origin_m: Floats, direction: Floats, t_s: Floats, *, max_range_m: float = np.inf, again: bool = False,
+        aimed: bool = False,
+    ) -> FacedHits: ...  # fmt: skip
 
     def renewed(self, origin_m: Floats, direction: Floats, t_s: Floats, max_range_m: float) -> Renewed: ...
 
@@ -410,18 +413,29 @@ def _order(beam: Ints, range_m: Floats) -> Ints:
     if range_bits < 24:
         return np.lexsort((range_m, beam))
     scale = (2.0**range_bits - 1.0) / max(float(range_m.max()), 1e-9)
-    coarse = (range_m * scale).astype(np.int64) << index_bits
-    starts = indexes(np.diff(beam, prepend=-1))
-    most = int(np.diff(starts, append=len(beam)).max())
-    if bool((beam[1:] >= beam[:-1]).all()) and len(starts) * most <= MOST_EMPTY * len(beam):
-        # sorted by beam already: short rows are sorted ten times as fast as all numbers together
-        size = np.diff(starts, append=len(beam))
-        rows = np.full((len(starts), most), np.iinfo(np.int64).max)
-        filled = np.arange(most) < size[:, None]
-        rows[filled] = coarse | np.arange(len(beam))
-        rows.sort(axis=1)
-        key = rows[filled]
+    key = (range_m * scale).astype(np.int64) << index_bits
+    key |= np.arange(len(beam))
+    size = np.bincount(beam)
+    most = int(size.max())
+    falls = indexes(beam[1:] < beam[:-1]) + 1
+    if len(falls) < MOST_RUNS and len(size) * most <= MOST_EMPTY * len(beam):
+        # runs sorted by beam already: short rows are sorted ten times as fast as all numbers together
+        rows = np.full(len(size) * most, np.iinfo(np.int64).max)
+        begins = np.arange(len(size)) * most
+        free = begins
+        for begin, end in zip((0, *falls), (*falls, len(beam)), strict=True):
+            count = np.bincount(beam[begin:end], minlength=len(size)) if len(falls) else size
+            rows[_places(free, count)] = key[begin:end]
+            free = free + count
+        rows.reshape(len(size), most).sort(axis=1)
+        key = rows.take(_places(begins, size))
     else:
-        key = (beam << (63 - beam_bits)) | coarse | np.arange(len(beam))
+        key |= beam << (63 - beam_bits)
         key.sort()
-    return np.asarray(key & ((1 << index_bits) - 1))
+    key &= (1 << index_bits) - 1
+    return key
+
+
+def _places(begins: Ints, counts: Ints) -> Ints:
+    """`counts` whole numbers from each of `begins` on, one after another."""
+    return np.asarray((begins - (counts.cumsum() - counts)).repeat(counts) + np.arange(counts.sum()))

@@ -19,6 +19,8 @@ from protocols.scan import ScanPlan
 
 KEPT_PLANS = 8
 "Different sets of angles remembered: a device switches between a handful (interlaced turns, sub-ranges)."
+RAYS_KEPT = 400_000
+"Of a sensor, over all its sets of angles."
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,10 +69,36 @@ class Rays:
     "(n, 3)"
     own_axis: Floats
     "(n, 3) in the sensor's frame."
+    steady: bool = False
+    "`direction` is the array of an earlier sweep."
 
     def at(self, t_s: Floats) -> Rays:
         """The same rays, cast at other instants (n,) by a sensor at rest."""
         return replace(self, t_s=t_s[self.beam])
+
+
+@dataclass(frozen=True, eq=False)
+class Turned:
+    """Bundles turned into the world: the same ones as long as the sensor does not turn, wherever it drives."""
+
+    bundles: Bundles
+    rotation: Floats
+    "(n, 3, 3)"
+    direction: Floats
+    "(n m, 3), not to be written to."
+    axis: Floats
+    "(n, 3)"
+    start_m: Floats | None
+    "(n m, 3) on the exit pupil, from its centre."
+
+    @classmethod
+    def of(cls, bundles: Bundles, rotation: Floats) -> Turned:
+        """By a rotation of each beam."""
+        n, m = len(rotation), bundles.sub_beams
+        direction = turned(rotation, bundles.direction)
+        axis = direction[:, 0, :] if m == 1 else turned(rotation, bundles.axis[:, None, :])[:, 0, :]
+        start = None if bundles.start_m is None else turned(rotation, bundles.start_m).reshape(n * m, 3)
+        return cls(bundles, rotation, direction.reshape(n * m, 3), axis, start)
 
 
 class BundleCache:
@@ -81,6 +109,19 @@ class BundleCache:
         rule = "axis" if model.beam.is_ray else "spiral" if model.rule == "adaptive" else model.rule
         self._nodes = beams.bundle(rule, model.sub_beams, model.beam.profile)
         self._kept: OrderedDict[tuple[bytes, bytes], Bundles] = OrderedDict()
+        self._turned: tuple[Turned, ...] = ()
+
+    def turned(self, bundles: Bundles, rotation: Floats) -> tuple[Turned, bool]:
+        """Bundles turned by rotations (n, 3, 3), and whether they are those of an earlier sweep."""
+        for one in self._turned:
+            if one.bundles is bundles and np.array_equal(one.rotation, rotation):
+                return one, True
+        made = Turned.of(bundles, rotation)
+        kept = [made, *(one for one in self._turned if one.bundles is not bundles)][:KEPT_PLANS]
+        while len(kept) > 1 and sum(len(one.direction) for one in kept) > RAYS_KEPT:
+            kept.pop()
+        self._turned = tuple(kept)
+        return made, False
 
     def of(self, plan: ScanPlan) -> Bundles:
         """Bundles for the plan's angles."""
@@ -109,43 +150,48 @@ class BundleCache:
 
 def cast_rays(bundles: Bundles, pose: Pose, t_s: Floats) -> Rays:
     """Rays in the world: `pose` of the sensor at the instants `t_s` (n,) of the beams."""
-    n, m = len(t_s), bundles.sub_beams
-    direction = turned(pose.rotation, bundles.direction)
-    axis = direction[:, 0, :] if m == 1 else turned(pose.rotation, bundles.axis[:, None, :])[:, 0, :]
-    if bundles.start_m is None:
-        origin = np.broadcast_to(pose.position_m[:, None, :], (n, m, 3))
-    else:
-        origin = pose.position_m[:, None, :] + turned(pose.rotation, bundles.start_m)
+    return rays_of(Turned.of(bundles, pose.rotation), pose.position_m, t_s)
+
+
+def rays_of(spread: Turned, position_m: Floats, t_s: Floats, steady: bool = False) -> Rays:
+    """The same of turned bundles, from the places (n, 3)."""
+    bundles = spread.bundles
+    m = bundles.sub_beams
+    origin = position_m.T.repeat(m, axis=1)
+    if spread.start_m is not None:
+        origin += spread.start_m.T
     return Rays(
-        origin_m=np.ascontiguousarray(origin).reshape(n * m, 3),
-        direction=direction.reshape(n * m, 3),
+        origin_m=origin.T,
+        direction=spread.direction,
         t_s=t_s.repeat(m),
         beam=bundles.beam,
         share=bundles.flat_share,
         nearest_axis=bundles.nearest_axis,
-        centre_m=pose.position_m,
-        axis=axis,
+        centre_m=position_m,
+        axis=spread.axis,
         own_axis=bundles.axis,
+        steady=steady,
     )
 
 
 def turned(rotation: Floats, vectors: Floats) -> Floats:
-    """Vectors (n, m, 3) turned by rotations (n or more, 3, 3), at once where all rotations are the same."""
+    """Vectors (n, m, 3) turned by rotations (n or more, 3, 3); each coordinate of the result is one long row.
+
+    A product of matrices of so flat a shape goes to a threaded library, whose threads wait for each other: a hundred
+    times slower at 176 000 rays on a busy machine.
+    """
     first = rotation[0] if len(rotation) else np.eye(3)
+    weights = rotation.transpose(1, 2, 0)[:, :, : len(vectors), None]
     if rotation.strides[0] == 0 or bool((rotation == first).all()):
-        return rotated(first, vectors.reshape(-1, 3)).reshape(vectors.shape)
-    return np.asarray(vectors @ rotation.transpose(0, 2, 1))
+        weights = first[:, :, None, None]
+    out = np.zeros((3, *vectors.shape[:2]))
+    for row, into in zip(weights, out, strict=True):
+        for number, weight in enumerate(row):
+            if weight.any():
+                into += weight * vectors[:, :, number]
+    return out.transpose(1, 2, 0)
 
 
 def rotated(rotation: Floats, vectors: Floats) -> Floats:
-    """Vectors (k, 3) turned by one rotation (3, 3), by columns.
-
-    A matrix product of so flat a shape goes to a threaded library, whose threads wait for each other: a hundred times
-    slower at 176 000 rays on a busy machine.
-    """
-    out = np.zeros_like(vectors)
-    for row, into in zip(rotation, out.T, strict=True):
-        for weight, column in zip(row, vectors.T, strict=True):
-            if weight != 0.0:
-                into += weight * column
-    return out
+    """Vectors (k, 3) turned by one rotation (3, 3)."""
+    return turned(rotation[None], vectors[None])[0]
