@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from emulator.physics.arrays import Bools, Floats, Ints, clamped, indexes
+from emulator.physics.arrays import Bools, Floats, Ints, clamped, cos_sin, indexes
 from emulator.physics.detector import Detector
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import SubEchoes
@@ -40,25 +40,25 @@ class AirUnder:
     cluster: Ints
     "(h,) numbers of the clusters."
     before: Ints
-    "(h,) index of a sub-echo among all less that in the arrays below."
+    "(h,) index of a sub-echo among all less that in `sums`, less one."
     open: Floats
     "(h,) share of the beam that reaches the cluster."
-    blocked: Floats
-    "(m,) running sums: shares that end at the sub-echoes, and these with the integrals of the medium up to there."
-    a: Floats
-    real: Floats
-    imaginary: Floats
+    begins: Ints
+    "(h,) index in `sums` of what lies before each cluster."
+    sums: Floats
+    "(4, m + 1) running: shares that end at the sub-echoes, and these with the integrals of the medium up to there."
 
     def at(self, x_m: Floats, last: Ints) -> Floats:
         """Its part at apparent ranges (h,), where these sub-echoes are the last ones begun; linear between bins."""
-        soft, end = self.soft, last - self.before
-        still = np.maximum(self.open - self.blocked[end], 0.0)
+        soft = self.soft
+        blocked, a, real, imaginary = self.sums.take(last - self.before, axis=1) - self.sums.take(self.begins, axis=1)
+        still = np.maximum(self.open - blocked, 0.0)
         bins = np.floor(x_m / soft.bin_m)
         value = []
         for number in (bins, bins + 1.0):
             upper, lower = soft.tables(number.astype(np.int64))
             turn = soft.pulse.wave_number * soft.bin_m * number
-            ended = self.a[end] + np.cos(turn) * self.real[end] - np.sin(turn) * self.imaginary[end]
+            ended = a + np.cos(turn) * real - np.sin(turn) * imaginary
             value.append(np.maximum(0.5 * (still * upper + ended - self.open * lower), 0.0))
         return np.asarray(value[0] + (x_m / soft.bin_m - bins) * (value[1] - value[0]))
 
@@ -135,7 +135,8 @@ class Cosines:
         if air is not None:
             left = wanted[air.cluster]
             number = (wanted.cumsum() - 1)[air.cluster[left]]
-            air = replace(air, cluster=number, before=air.before[left], open=air.open[left]) if len(number) else None
+            air = replace(air, cluster=number, before=air.before[left], open=air.open[left],
+                          begins=air.begins[left]) if len(number) else None
         return replace(
             self, beam=self.beam[at], centre_m=self.centre_m[at], height=self.height[at], source=self.source[at],
             first_m=self.first_m[at], start=self.start[at], size=self.size[at], air=air,
@@ -169,7 +170,7 @@ def split_cosines(echoes: SubEchoes, detector: Detector, soft: SoftProfile | Non
     if not bool(short.any()):
         return Cosines.none(), echoes
     phase = k * (r - first.repeat(size))
-    cosine, sine = np.cos(phase), np.sin(phase)
+    cosine, sine = cos_sin(phase)  # of those that are not short nothing is asked
     real, imaginary = _running(a * cosine, start, size), _running(a * sine, start, size)
     # a pulse begins half a turn of the cosine before its centre
     begun = 0.5 * (total - cosine * real - sine * imaginary)
@@ -236,16 +237,22 @@ def _air(
         return None
     count, first = size[which], start[which]
     member = (first - (count.cumsum() - count)).repeat(count) + np.arange(count.sum())
-    passed = np.concatenate(([0.0], echoes.blocked.cumsum()))
-    open_ = clamped(1.0 - (passed[first] - passed[echoes.beam.searchsorted(beam[which])]), 0.0, 1.0)
-    blocked, begins = echoes.blocked[member], count.cumsum() - count
-    a, b = soft.integrals(echoes.range_m[member])
-    sums = (_running(weight, begins, count) for weight in (blocked, blocked * a, blocked * b.real, blocked * b.imag))
+    begins = count.cumsum() - count
+    sums = np.zeros((4, len(member) + 1))
+    blocked = echoes.blocked.take(member)
+    np.cumsum(blocked, out=sums[0, 1:])
+    np.cumsum(soft.integrals(echoes.range_m.take(member)) * blocked, axis=1, out=sums[1:, 1:])
+    open_ = np.ones(len(which))
+    behind = indexes(echoes.beam[first - 1] == beam[which])  # of the clusters: in beams of which some is blocked before
+    if len(behind):
+        passed = np.concatenate(([0.0], echoes.blocked.cumsum()))
+        head = echoes.beam.searchsorted(beam[which[behind]])
+        open_[behind] = clamped(1.0 - (passed[first[behind]] - passed[head]), 0.0, 1.0)
     number = short.cumsum() - 1
     # each pass leaves that share of the error, as the medium falls more slowly than the pulses rise
     most = min(max(float(under[which].max()), EXACT), FAINT)
     passes = max(math.ceil(math.log(EXACT) / math.log(most)) - 1, 1)
-    return AirUnder(passes, soft, number[which], first - begins, open_, *sums)
+    return AirUnder(passes, soft, number[which], first - begins - 1, open_, begins, sums)
 
 
 def _running(values: Floats, start: Ints, size: Ints) -> Floats:

@@ -109,6 +109,7 @@ class SoftProfile:
             near.append(near[-1] + min(0.5 * bin_m, 0.05 * near[-1]))
         knots = np.unique(np.concatenate([near, [full], x + half, x - half]))
         knots = knots[(knots >= start_m) & (knots <= end)]
+        knots = knots[np.diff(knots, prepend=-np.inf) > 1e-9]  # x + half and x' - half may be one but for rounding
         if knots.size < 2:
             return None
         k = pulse.wave_number
@@ -165,40 +166,44 @@ class SoftProfile:
             upper[beyond] = lower[beyond] = self.a[-1] + np.real(turn * self.b[-1])
         return upper, lower
 
-    def integrals(self, range_m: Floats) -> tuple[Floats, Complexes]:
-        """A and B up to a range: cubic between the knots, from their values and the density itself."""
+    def integrals(self, range_m: Floats) -> Floats:
+        """(3, m) up to the ranges (m,): A and both parts of B, cubic between the knots, from values and slopes."""
         knots = self.knots
-        r = np.minimum(np.maximum(floats(range_m), knots[0]), knots[-1])
+        r = clamped(floats(range_m), knots[0], knots[-1])
         i = np.minimum(knots.searchsorted(r, side="right") - 1, knots.size - 2)
         t = r - knots.take(i)
-        a, real, imaginary = (
-            table[0].take(i) + t * (table[1].take(i) + t * (table[2].take(i) + t * table[3].take(i)))
-            for table in self._cubics
-        )
-        return a, real + 1j * imaginary
+        constant, linear, square, cube = self._cubics.take(i, axis=1).reshape(4, 3, -1)
+        cube *= t
+        cube += square
+        cube *= t
+        cube += linear
+        cube *= t
+        cube += constant
+        return cube
 
     @cached_property
-    def _cubics(self) -> tuple[Floats, Floats, Floats]:
-        """(4, knots - 1) of A and of both parts of B: coefficients of the distance from the knot before."""
+    def _cubics(self) -> Floats:
+        """(12, knots - 1) coefficients of the distance from the knot before: of A and both parts of B, by their order."""
         step = np.diff(self.knots)
 
-        def table(value: Floats, slope: Floats) -> Floats:
+        def table(value: Floats, slope: Floats) -> tuple[Floats, ...]:
             chord = np.diff(value) / step
             bend = slope[:-1] + slope[1:] - 2.0 * chord
-            return np.array([value[:-1], slope[:-1], (chord - slope[:-1] - bend) / step, bend / (step * step)])
+            return value[:-1], slope[:-1], (chord - slope[:-1] - bend) / step, bend / (step * step)
 
-        return (
+        each = (
             table(self.a, self.slope_a),
             table(self.b.real, self.slope_b.real),
             table(self.b.imag, self.slope_b.imag),
         )
+        return np.array([column for order in zip(*each, strict=True) for column in order])
 
     def nodes(self) -> tuple[Floats, Floats]:
         """The medium as point scatterers: ranges and amplitudes, a fifth of the pulse's FWHM apart or closer."""
         edges = np.linspace(self.start_m, self.end_m, 2 + int(5.0 * (self.end_m - self.start_m) / self.pulse.fwhm_m))
         near = self.start_m * 1.25 ** np.arange(24)
         edges = np.unique(np.concatenate([edges, near[near < self.end_m]]))
-        a, _ = self.integrals(edges)
+        a = self.integrals(edges)[0]
         return np.sqrt(edges[1:] * edges[:-1]), np.maximum(np.diff(a), 0.0)  # the mean place under 1/r^2
 
 

@@ -136,8 +136,8 @@ def sample(
         stop = blocked > 0.0
         near = stop & (r < soft.end_m + 2.0 * half)
         if bool(near.any()):
-            a, b = soft.integrals(r[near])
-            b = b * np.exp(1j * k * (bin_m * first_bin)[window[near]])
+            a, real, imaginary = soft.integrals(r[near])
+            b = (real + 1j * imaginary) * np.exp(1j * k * (bin_m * first_bin)[window[near]])
             share, into, out = blocked[near], on[near], off[near]
             edge = np.concatenate([into, out])
 
