@@ -170,7 +170,7 @@ def split_cosines(echoes: SubEchoes, detector: Detector, soft: SoftProfile | Non
     if not bool(short.any()):
         return Cosines.none(), echoes
     phase = k * (r - first.repeat(size))
-    cosine, sine = cos_sin(phase)  # of those that are not short nothing is asked
+    cosine, sine = cos_sin(phase)
     real, imaginary = _running(a * cosine, start, size), _running(a * sine, start, size)
     # a pulse begins half a turn of the cosine before its centre
     begun = 0.5 * (total - cosine * real - sine * imaginary)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emulator.physics.arrays import Bools, Floats, Ints, clamped, floats, group_starts, indexes
+from emulator.physics.arrays import Bools, Floats, Ints, clamped, floats, group_starts, indexes, ramp
 
 NO_SOURCE = -1
 
@@ -177,11 +177,16 @@ def cluster(echoes: SubEchoes, support_m: float, resolution_m: float) -> Cluster
     weight = np.where(amplitude > 0.0, amplitude, 1.0)
     near = r[first]
     offset = np.add.reduceat(echoes.amplitude * (r - near.repeat(np.diff(np.append(first, n)))), first) / weight
-    group = joined.cumsum() - 1
-    top = np.maximum.reduceat(echoes.amplitude, first)
-    strongest = indexes(echoes.amplitude == top[group])
-    source = np.full(first.size, NO_SOURCE, np.int64)
-    source[group[strongest[::-1]]] = echoes.source[strongest[::-1]]  # the first of equals wins
+    source = echoes.source[first]
+    turns = indexes((echoes.source[1:] != echoes.source[:-1]) & ~joined[1:])
+    if len(turns):
+        mixed = np.unique(first.searchsorted(turns, side="right") - 1)
+        size = np.diff(np.append(first, n))[mixed]
+        at = first[mixed].repeat(size) + ramp(size)
+        height = echoes.amplitude[at]
+        top = np.maximum.reduceat(height, size.cumsum() - size)
+        strongest = indexes(height == top.repeat(size))[::-1]
+        source[mixed.repeat(size)[strongest]] = echoes.source[at[strongest]]  # the first of equals wins
     mine = number[first]
     head = group_starts(mine)
     return Clusters(

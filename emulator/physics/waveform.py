@@ -10,12 +10,13 @@ however many sub-echoes there are.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from emulator.physics.arrays import Bools, Complexes, Floats, Ints, clamped, floats, ramp
+from emulator.physics.arrays import Bools, Complexes, Floats, Ints, clamped, cos_sin, floats, indexes, ramp
 from emulator.physics.pulse import Pulse
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import Clusters
@@ -110,53 +111,47 @@ def sample(
     off = base + np.floor((r + half) / bin_m).astype(np.int64) + 1
     local = ramp(count)
     k, series = pulse.wave_number, pulse.series
-    turn = np.exp(1j * k * (r - (bin_m * first_bin)[window]))
-    steps = np.concatenate([on, off])
-
-    # each window's running sums start from exactly 0: what rounding left in the last one is taken off
-    def running(weight: Floats) -> Floats:
-        sums = _deposit(steps, np.concatenate([weight, -weight]), total).cumsum()
-        return floats(sums - sums[start].repeat(count))
-
+    # between two samples begins and ends what lies between these numbers of sub-echoes
+    begun, ended = (np.bincount(edge, minlength=total).cumsum() for edge in (on, off))
+    origin = bin_m * first_bin
+    real, imaginary = cos_sin(k * (r - origin.repeat(sub_count)))
     angle = k * bin_m * np.arange(int(count.max(initial=1)))
-    cosine, sine = np.cos(angle)[local], np.sin(angle)[local]
-    value = series[0] * running(amplitude)
-    weight = amplitude * turn
+    cosine, sine = np.cos(angle).take(local), np.sin(angle).take(local)
+    value = series[0] * _between(_sums(amplitude), begun, ended)
+    turned = amplitude * real, amplitude * imaginary
     for m in range(1, series.size):
-        cos_m, sin_m = (cosine, sine) if m == 1 else (np.cos(m * angle)[local], np.sin(m * angle)[local])
-        value += series[m] * (cos_m * running(weight.real) + sin_m * running(weight.imag))
-        weight = weight * turn
+        cos_m, sin_m = (cosine, sine) if m == 1 else (np.cos(m * angle).take(local), np.sin(m * angle).take(local))
+        value += series[m] * cos_m * _between(_sums(turned[0]), begun, ended)
+        value += series[m] * sin_m * _between(_sums(turned[1]), begun, ended)
+        if m + 1 < series.size:
+            turned = _product(turned, (real, imaginary))
     np.maximum(value, 0.0, out=value)
     part = np.zeros(total)
     if soft is not None and pulse.shape == "sin2" and total:
-        j = first_bin.repeat(count) + local
-        upper, lower = soft.tables(j)
+        upper, lower = soft.tables(first_bin.repeat(count) + local)
         open_far = clear_share[chosen].repeat(count)
-        open_near = open_far.copy()
-        stop = blocked > 0.0
-        near = stop & (r < soft.end_m + 2.0 * half)
-        if bool(near.any()):
-            a, real, imaginary = soft.integrals(r[near])
-            b = (real + 1j * imaginary) * np.exp(1j * k * (bin_m * first_bin)[window[near]])
-            share, into, out = blocked[near], on[near], off[near]
-            edge = np.concatenate([into, out])
-
-            def between(weight: Floats) -> Floats:
-                return _deposit(edge, np.concatenate([weight, -weight]), total).cumsum()
-
-            def after(index: Ints) -> Floats:  # running share, restarted in every window
-                sums = _deposit(index, share, total).cumsum()
-                return np.asarray(sums - sums[start].repeat(count))
-
-            open_far = open_far - after(into)
-            open_near = open_near - after(out)
-            part += between(share * a)
-            part += cosine * between(share * b.real)
-            part -= sine * between(share * b.imag)
-        part += np.maximum(open_far, 0.0) * upper - np.maximum(open_near, 0.0) * lower
+        open_near = open_far
+        stops = (blocked > 0.0) & (r < soft.end_m + 2.0 * half)
+        near = indexes(stops)
+        if len(near):
+            passed = np.concatenate(([0], stops.cumsum()))
+            if len(near) < len(r):
+                begun, ended = passed.take(begun), passed.take(ended)
+            share, of = blocked.take(near), window.take(near)
+            sums = _sums(share)
+            before = sums.take(passed.take(sub_first)).repeat(count)
+            open_far = open_far - (sums.take(begun) - before)
+            open_near = open_near - (sums.take(ended) - before)
+            a, *b = soft.integrals(r.take(near)) * share
+            b = _product(b, (np.cos(k * origin).take(of), np.sin(k * origin).take(of)))
+            part += _between(_sums(a), begun, ended)
+            part += cosine * _between(_sums(b[0]), begun, ended)
+            part -= sine * _between(_sums(b[1]), begun, ended)
+        part += np.maximum(open_far, 0.0) * upper
+        part -= np.maximum(open_near, 0.0) * lower
         part *= 0.5
         np.maximum(part, 0.0, out=part)
-        value = value + part
+        value += part
     return Waveform(
         pulse,
         bin_m,
@@ -175,9 +170,21 @@ def sample(
     )
 
 
-def _deposit(index: Ints, weight: Floats, length: int) -> Floats:
-    """Sum of the weights at every index below `length`."""
-    return np.bincount(index, weight, length).astype(np.float64, copy=False)
+def _sums(weight: Floats) -> Floats:
+    """Running sums from 0 on, one more than there are weights."""
+    sums = np.zeros(len(weight) + 1)
+    np.cumsum(weight, out=sums[1:])
+    return sums
+
+
+def _between(sums: Floats, begun: Ints, ended: Ints) -> Floats:
+    """Sum of what has begun and not yet ended; exactly 0 where that is nothing."""
+    return sums.take(begun) - sums.take(ended)
+
+
+def _product(one: Sequence[Floats], other: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """Of complex numbers as real and imaginary parts."""
+    return one[0] * other[0] - one[1] * other[1], one[0] * other[1] + one[1] * other[0]
 
 
 @dataclass(frozen=True, eq=False)
