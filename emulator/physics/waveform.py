@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from emulator.physics.arrays import Bools, Complexes, Floats, Ints, clamped, cos_sin, floats, indexes, ramp
+from emulator.physics.arrays import Bools, Floats, Ints, clamped, cos_sin, floats, indexes, ramp
 from emulator.physics.pulse import Pulse
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import Clusters
@@ -47,6 +47,9 @@ class Waveform:
     sub_range: Floats
     sub_amplitude: Floats
     sub_source: Ints
+    sums: tuple[Floats, ...]
+    """Running sums over the sub-echoes, from 0 on: of their amplitudes, and for each further term of the pulse's series
+    of the amplitudes times the cosine and the sine of their distance from the window's first sample."""
     hazy: bool = True
     "There is a medium in it."
 
@@ -61,7 +64,29 @@ class Waveform:
 
     def surfaces_at(self, x_m: Floats, window: Ints) -> Floats:
         """Exact value of the surfaces' part at any apparent range inside windows; same shape as x."""
-        return self._sums.at(x_m, window) if x_m.size else np.zeros(0)
+        if not x_m.size:
+            return np.zeros(0)
+        key, length = self._keys
+        half, k = self.pulse.half_support_m, self.pulse.wave_number
+        offset = x_m - self.bin_m * self.first_bin[window]
+        begin, most = window * length, length - 4.0 * half
+        ended = key.searchsorted(begin + clamped(offset - half, -2.0 * half, most), side="left")
+        begun = key.searchsorted(begin + clamped(offset + half, -2.0 * half, most), side="right")
+        series = self.pulse.series
+        value = series[0] * _between(self.sums[0], begun, ended)
+        for m in range(1, series.size):
+            angle = m * k * offset
+            value += series[m] * np.cos(angle) * _between(self.sums[2 * m - 1], begun, ended)
+            value += series[m] * np.sin(angle) * _between(self.sums[2 * m], begun, ended)
+        return np.maximum(value, 0.0)
+
+    @cached_property
+    def _keys(self) -> tuple[Floats, float]:
+        """One ascending number for each sub-echo: `length` times its window, and its distance from the first sample."""
+        window = np.arange(self.sub_first.size).repeat(self.sub_count)
+        offset = self.sub_range - (self.bin_m * self.first_bin)[window]
+        length = float(offset.max(initial=0.0)) + 8.0 * self.pulse.half_support_m
+        return window * length + offset, length
 
     def soft_at(self, x_m: Floats, window: Ints) -> Floats:
         """The medium's part at any apparent range inside windows, linear between the samples."""
@@ -77,10 +102,6 @@ class Waveform:
         if not self.hazy:
             return self.surfaces_at(x_m, window)
         return np.maximum(self.surfaces_at(x_m, window) + self.soft_at(x_m, window), 0.0)
-
-    @cached_property
-    def _sums(self) -> _RunningSums:
-        return _RunningSums.of(self)
 
 
 def sample(
@@ -117,12 +138,14 @@ def sample(
     real, imaginary = cos_sin(k * (r - origin.repeat(sub_count)))
     angle = k * bin_m * np.arange(int(count.max(initial=1)))
     cosine, sine = np.cos(angle).take(local), np.sin(angle).take(local)
-    value = series[0] * _between(_sums(amplitude), begun, ended)
+    sums = [_sums(amplitude)]
+    value = series[0] * _between(sums[0], begun, ended)
     turned = amplitude * real, amplitude * imaginary
     for m in range(1, series.size):
         cos_m, sin_m = (cosine, sine) if m == 1 else (np.cos(m * angle).take(local), np.sin(m * angle).take(local))
-        value += series[m] * cos_m * _between(_sums(turned[0]), begun, ended)
-        value += series[m] * sin_m * _between(_sums(turned[1]), begun, ended)
+        sums += [_sums(turned[0]), _sums(turned[1])]
+        value += series[m] * cos_m * _between(sums[-2], begun, ended)
+        value += series[m] * sin_m * _between(sums[-1], begun, ended)
         if m + 1 < series.size:
             turned = _product(turned, (real, imaginary))
     np.maximum(value, 0.0, out=value)
@@ -138,10 +161,10 @@ def sample(
             if len(near) < len(r):
                 begun, ended = passed.take(begun), passed.take(ended)
             share, of = blocked.take(near), window.take(near)
-            sums = _sums(share)
-            before = sums.take(passed.take(sub_first)).repeat(count)
-            open_far = open_far - (sums.take(begun) - before)
-            open_near = open_near - (sums.take(ended) - before)
+            stopped = _sums(share)
+            before = stopped.take(passed.take(sub_first)).repeat(count)
+            open_far = open_far - (stopped.take(begun) - before)
+            open_near = open_near - (stopped.take(ended) - before)
             a, *b = soft.integrals(r.take(near)) * share
             b = _product(b, (np.cos(k * origin).take(of), np.sin(k * origin).take(of)))
             part += _between(_sums(a), begun, ended)
@@ -166,6 +189,7 @@ def sample(
         r,
         amplitude,
         clusters.source[kept],
+        tuple(sums),
         soft is not None,
     )
 
@@ -185,41 +209,3 @@ def _between(sums: Floats, begun: Ints, ended: Ints) -> Floats:
 def _product(one: Sequence[Floats], other: Sequence[Floats]) -> tuple[Floats, Floats]:
     """Of complex numbers as real and imaginary parts."""
     return one[0] * other[0] - one[1] * other[1], one[0] * other[1] + one[1] * other[0]
-
-
-@dataclass(frozen=True, eq=False)
-class _RunningSums:
-    """Running sums over the sub-echoes of a waveform, one for each term of the pulse's series."""
-
-    origin: Floats
-    key: Floats
-    length: float
-    sums: tuple[Complexes, ...]
-    half: float
-    k: float
-
-    @classmethod
-    def of(cls, wave: Waveform) -> _RunningSums:
-        window = np.arange(wave.sub_first.size).repeat(wave.sub_count)
-        origin = wave.sub_range[wave.sub_first]
-        offset = wave.sub_range - origin[window]
-        half, k = wave.pulse.half_support_m, wave.pulse.wave_number
-        length = float(offset.max(initial=0.0)) + 8.0 * half
-        turn = np.exp(-1j * k * offset)
-        weight = wave.sub_amplitude.astype(np.complex128)
-        sums = []
-        for term in wave.pulse.series:
-            sums.append(np.concatenate([np.zeros(1, np.complex128), (term * weight).cumsum()]))
-            weight = weight * turn
-        return cls(origin, window * length + offset, length, tuple(sums), half, k)
-
-    def at(self, x_m: Floats, window: Ints) -> Floats:
-        offset = x_m - self.origin[window]
-        low = window * self.length + clamped(offset - self.half, -2.0 * self.half, self.length - 4.0 * self.half)
-        high = window * self.length + clamped(offset + self.half, -2.0 * self.half, self.length - 4.0 * self.half)
-        lo, hi = self.key.searchsorted(low, side="left"), self.key.searchsorted(high, side="right")
-        turn = np.exp(1j * self.k * offset)
-        value = np.zeros(offset.shape, np.complex128)
-        for total in reversed(self.sums):
-            value = value * turn + (total[hi] - total[lo])
-        return np.maximum(value.real, 0.0)
