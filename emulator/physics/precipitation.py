@@ -8,6 +8,7 @@ Diameters in mm where a name says so; everything else SI. Randomness comes in as
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -116,17 +117,13 @@ def detectable_mean(
 
 
 def _cone(b: Floats, r: Values) -> Floats:
-    """int_0^r t^2 exp(-b t^2) dt; a series where the closed form cancels (b r^2 small)."""
+    """int_0^r t^2 exp(-b t^2) dt = r^3 gamma(3/2, b r^2) / (2 (b r^2)^(3/2)), the lower incomplete gamma function."""
     r = floats(r)
     y = b * r * r
-    small = y < 1e-2
-    b_safe, y_small = np.where(small, 1.0, b), np.where(small, y, 0.0)
-    closed = np.sqrt(np.pi) * special.erf(np.sqrt(b_safe) * r) / (4.0 * b_safe**1.5)
-    closed = closed - r * exp_or_zero(-b_safe * r * r) / (2.0 * b_safe)
-    series = r**3 * (
-        1.0 / 3.0 - y_small * (1.0 / 5.0 - y_small * (1.0 / 14.0 - y_small / 54.0 * (1.0 - y_small * 0.2)))
-    )
-    return np.where(small, series, closed)
+    small = y < 1e-8
+    y_safe = np.where(small, 1.0, y)
+    closed = 0.5 * math.gamma(1.5) * special.gammainc(1.5, y_safe) / (y_safe * np.sqrt(y_safe))
+    return r**3 * np.where(small, 1.0 / 3.0 - y / 5.0, closed)
 
 
 def detectable_particles(
@@ -159,31 +156,12 @@ def detectable_particles(
     b = spectrum.slope_mm * floats(scale_mm_m2)[beam]
     lo = np.full(beam.shape, float(near_m))
     hi = np.maximum(floats(far_m)[beam], near_m)
-    bottom, top = _cone(b, lo), _cone(b, hi)
-    wanted = bottom + uniform[:, 0] * (top - bottom)
-    r = _rising_root(b, wanted, lo, hi)
+    bottom, top = special.gammainc(1.5, b * lo * lo), special.gammainc(1.5, b * hi * hi)
+    r = np.sqrt(special.gammaincinv(1.5, bottom + uniform[:, 0] * (top - bottom)) / b)
+    r = np.minimum(np.maximum(r, lo), hi)
     least = floats(scale_mm_m2)[beam] * r * r
     diameter = least - np.log(np.maximum(uniform[:, 1], 1e-300)) / spectrum.slope_mm
     return beam, r, np.maximum(np.minimum(diameter, LARGEST_DROP_MM), np.minimum(least, LARGEST_DROP_MM))
-
-
-def _rising_root(b: Floats, wanted: Floats, lo: Floats, hi: Floats) -> Floats:
-    """Where `_cone` (b, r) is `wanted`, between lo and hi: Newton's steps, halves where these lead outside."""
-    r, live = 0.5 * (lo + hi), np.arange(len(b))
-    lo, hi = lo.copy(), hi.copy()
-    for _ in range(80):
-        if not len(live):
-            break
-        here, rate = r[live], b[live]
-        off = _cone(rate, here) - wanted[live]
-        below = off < 0.0
-        lo[live[below]], hi[live[~below]] = here[below], here[~below]
-        slope = here * here * exp_or_zero(-rate * here * here)
-        step = here - off / np.where(slope > 0.0, slope, 1.0)
-        inside = (slope > 0.0) & (step >= lo[live]) & (step <= hi[live])
-        r[live] = np.where(inside, step, 0.5 * (lo[live] + hi[live]))
-        live = live[np.abs(r[live] - here) > 1e-13 * here]
-    return r
 
 
 def particle_power(

@@ -8,10 +8,12 @@ Amplitudes are in units of the receiver's nominal rms noise: signal current at t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike, NDArray
 
-from emulator.physics.arrays import Bools, Floats, Ints, clamped, floats, group_starts, indexes, ramp
+from emulator.physics.arrays import Bools, Floats, Ints, Values, clamped, floats, group_starts, indexes, ramp
 
 NO_SOURCE = -1
 
@@ -96,17 +98,42 @@ class SubEchoes:
     @classmethod
     def joined(cls, *parts: SubEchoes) -> SubEchoes:
         """All sub-echoes of several sources, surfaces and drops for instance."""
-        spread = None
-        if any(part.spread_m is not None for part in parts):
-            spread = np.concatenate([np.zeros(len(p)) if p.spread_m is None else p.spread_m for p in parts])
-        return cls.of(
-            np.concatenate([p.beam for p in parts]),
-            np.concatenate([p.range_m for p in parts]),
-            np.concatenate([p.amplitude for p in parts]),
-            np.concatenate([p.blocked for p in parts]),
-            np.concatenate([p.source for p in parts]),
-            spread,
-        )
+        whole = parts[0]
+        for part in parts[1:]:
+            whole = _merged(whole, part)
+        return whole
+
+
+def _merged(one: SubEchoes, other: SubEchoes) -> SubEchoes:
+    """Both, sorted as they are; those of the first come first among equals."""
+    if not len(one) or not len(other):
+        return one if len(one) else other
+    # of numbers so far apart that beams stay apart, the fewer are looked up among the others
+    low = min(0.0, float(one.range_m.min()), float(other.range_m.min()))
+    length = max(float(one.range_m.max()), float(other.range_m.max())) - low + 1.0
+    key, keys = one.beam * length + one.range_m, other.beam * length + other.range_m
+    place = key.searchsorted(keys, side="right") + np.arange(len(keys))
+    of_other = np.zeros(len(key) + len(keys), np.bool_)
+    of_other[place] = True
+    own = indexes(~of_other)
+
+    def column(first: Values, second: Values, kind: DTypeLike) -> NDArray[Any]:
+        both = np.empty(len(of_other), kind)
+        both[own], both[place] = first, second
+        return both
+
+    spread = None
+    if one.spread_m is not None or other.spread_m is not None:
+        first, second = (0.0 if part.spread_m is None else part.spread_m for part in (one, other))
+        spread = column(first, second, np.float64)
+    return SubEchoes(
+        column(one.beam, other.beam, np.int64),
+        column(one.range_m, other.range_m, np.float64),
+        column(one.amplitude, other.amplitude, np.float64),
+        column(one.blocked, other.blocked, np.float64),
+        column(one.source, other.source, np.int64),
+        spread,
+    )
 
 
 @dataclass(frozen=True, eq=False)
