@@ -230,7 +230,7 @@ def _in_cones(view: Floats, width: Floats, axis: Floats, half: Floats) -> tuple[
     Many cones are first put together to wider ones.
     """
     count = len(half)
-    if len(width) * count <= MANY or count < 9:
+    if len(width) * count <= 4 * MANY or count < 9:
         return _touching(view, width, axis, half)
     size = int(np.ceil(np.sqrt(count)))
     groups = -(-count // size)

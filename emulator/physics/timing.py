@@ -44,12 +44,75 @@ def edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -
     f_lo = np.sqrt(wave.value[before]) - root
     f_hi = np.maximum(np.sqrt(np.maximum(wave.value[first], level)) - root, 0.0)
     window = found.window
+    if wave.pulse.shape == "sin2":
+        rising = indexes(usable & (f_lo < 0.0) & (f_hi > 0.0) & (hi > lo))
+        soft = wave.soft[before[rising]], wave.soft[first[rising]]
+        x = hi
+        x[rising] = _between_samples(wave, lo[rising], hi[rising], level[rising], window[rising], soft)
+    else:
 
-    def over_level(x: Floats, at: Ints) -> Floats:
-        return np.sqrt(wave.at(x, window[at])) - root[at]
+        def over_level(x: Floats, at: Ints) -> Floats:
+            return np.sqrt(wave.at(x, window[at])) - root[at]
 
-    x = _crossing(over_level, lo, hi, f_lo, f_hi, usable)
+        x = _crossing(over_level, lo, hi, f_lo, f_hi, usable)
     return np.where(usable, x, otherwise)
+
+
+def _between_samples(
+    wave: Waveform, lo: Floats, hi: Floats, level: Floats, window: Ints, soft: tuple[Floats, Floats]
+) -> Floats:
+    """First crossings of sin^2 pulses between two neighbouring samples, of which the first lies below the level.
+
+    Between the instants at which pulses begin or end the sum is one cosine, and the medium is linear, `soft` at both
+    samples: Newton's steps from a false position of the square roots.
+    """
+    slope = (soft[1] - soft[0]) / (hi - lo)
+    constant = soft[0] - slope * lo
+    begun, ended = wave.under_way(lo, window)
+    more_begun, more_ended = wave.under_way(hi, window)
+    lo, hi = _without_kinks(wave, lo, hi, level, window, begun, more_begun - begun, ended, more_ended - ended)
+    begun, ended = wave.under_way(0.5 * (lo + hi), window)
+    (even,), (real, imaginary) = wave.terms(begun, ended)
+    even += constant
+    k, origin = wave.pulse.wave_number, wave.bin_m * wave.first_bin[window]
+
+    def value(x: Floats) -> tuple[Floats, Floats]:
+        turn = k * (x - origin)
+        cosine, sine = np.cos(turn), np.sin(turn)
+        return even + slope * x + cosine * real + sine * imaginary, slope + k * (cosine * imaginary - sine * real)
+
+    low, high = (np.sqrt(np.maximum(value(x)[0], 0.0)) for x in (lo, hi))
+    share = (np.sqrt(level) - low) / np.maximum(high - low, 1e-300)
+    x = lo + clamped(share, 0.0, 1.0) * (hi - lo)
+    for _ in range(20):
+        is_now, rises = value(x)
+        new = clamped(np.where(rises > 0.0, x + (level - is_now) / np.where(rises > 0.0, rises, 1.0), x), lo, hi)
+        done = bool((np.abs(new - x) < _EXACT_M).all())
+        x = new
+        if done:
+            break
+    return x
+
+
+def _without_kinks(
+    wave: Waveform, lo: Floats, hi: Floats, level: Floats, window: Ints,
+    begun: Ints, begin: Ints, ended: Ints, end: Ints,
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """The same brackets, narrowed until no pulse begins or ends in them: `begin` and `end` many do, from these on."""
+    half = wave.pulse.half_support_m
+    number = np.arange(lo.size)
+    owner = np.concatenate([number.repeat(begin), number.repeat(end)])
+    starts = wave.sub_range[begun.repeat(begin) + ramp(begin)] - half
+    place = np.concatenate([starts, wave.sub_range[ended.repeat(end) + ramp(end)] + half])
+    order = np.lexsort((place, owner))
+    owner, place = owner[order], clamped(place[order], lo[owner[order]], hi[owner[order]])
+    over = wave.at(place, window[owner]) >= level[owner]
+    lo, hi = lo.copy(), hi.copy()
+    at = indexes(over)[::-1]
+    hi[owner[at]] = place[at]  # the first of each
+    at = indexes(~over & (place < hi[owner]))
+    lo[owner[at]] = place[at]  # the last of each
+    return lo, hi
 
 
 def _crossing(

@@ -10,7 +10,7 @@ however many sub-echoes there are.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -62,23 +62,36 @@ class Waveform:
         """Apparent range of samples by flat index and window. [m]"""
         return self.bin_m * (self.first_bin[window] + (index - self.start[window])).astype(np.float64)
 
+    def under_way(self, x_m: Floats, window: Ints) -> tuple[Ints, Ints]:
+        """Of the sub-echoes of windows: how many pulses have begun by apparent ranges, and how many ended before."""
+        key, length = self._keys
+        half = self.pulse.half_support_m
+        offset = x_m - self.bin_m * self.first_bin[window]
+        begin, most = window * length, length - 4.0 * half
+        begun = key.searchsorted(begin + clamped(offset + half, -2.0 * half, most), side="right")
+        ended = key.searchsorted(begin + clamped(offset - half, -2.0 * half, most), side="left")
+        return begun, ended
+
     def surfaces_at(self, x_m: Floats, window: Ints) -> Floats:
         """Exact value of the surfaces' part at any apparent range inside windows; same shape as x."""
         if not x_m.size:
             return np.zeros(0)
-        key, length = self._keys
-        half, k = self.pulse.half_support_m, self.pulse.wave_number
-        offset = x_m - self.bin_m * self.first_bin[window]
-        begin, most = window * length, length - 4.0 * half
-        ended = key.searchsorted(begin + clamped(offset - half, -2.0 * half, most), side="left")
-        begun = key.searchsorted(begin + clamped(offset + half, -2.0 * half, most), side="right")
-        series = self.pulse.series
-        value = series[0] * _between(self.sums[0], begun, ended)
-        for m in range(1, series.size):
-            angle = m * k * offset
-            value += series[m] * np.cos(angle) * _between(self.sums[2 * m - 1], begun, ended)
-            value += series[m] * np.sin(angle) * _between(self.sums[2 * m], begun, ended)
+        turn = self.pulse.wave_number * (x_m - self.bin_m * self.first_bin[window])
+        (constant,), *terms = self.terms(*self.under_way(x_m, window))
+        value = constant
+        for m, (real, imaginary) in enumerate(terms, 1):
+            value += np.cos(m * turn) * real + np.sin(m * turn) * imaginary
         return np.maximum(value, 0.0)
+
+    def terms(self, begun: Ints, ended: Ints) -> Iterator[tuple[Floats, ...]]:
+        """The sum of the pulses under way as a series: the constant, then factors of cos mkx and sin mkx, m = 1, 2, ...
+
+        x counts from the first sample of the window.
+        """
+        series = self.pulse.series
+        yield (series[0] * _between(self.sums[0], begun, ended),)
+        for m in range(1, series.size):
+            yield tuple(series[m] * _between(sums, begun, ended) for sums in self.sums[2 * m - 1 : 2 * m + 1])
 
     @cached_property
     def _keys(self) -> tuple[Floats, float]:
