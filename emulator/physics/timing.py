@@ -224,15 +224,20 @@ def sources(wave: Waveform, found: Candidates) -> Ints:
     """Source of the sub-echo nearest to the maximum among those that stand under it; -1 where a medium is higher."""
     if found.beam.size == 0:
         return np.zeros(0, np.int64)
-    count = wave.sub_count[found.window]
-    member = wave.sub_first[found.window].repeat(count) + ramp(count)
-    owner = np.arange(count.size).repeat(count)
-    pull = wave.sub_amplitude[member] * wave.pulse.profile(found.centre_m[owner] - wave.sub_range[member])
+    start = wave.sub_first[found.window]
+    source = wave.sub_source[start]
+    medium = wave.soft_at(found.centre_m, found.window) if wave.soft.size else np.zeros(len(source))
+    changes = np.concatenate(([0], (wave.sub_source[1:] != wave.sub_source[:-1]).cumsum()))
+    mixed = changes[start] != changes[start + wave.sub_count[found.window] - 1]
+    at = indexes(mixed | (medium > found.amplitude - medium))  # of the others there is nothing to choose
+    if not len(at):
+        return source
+    count, centre = wave.sub_count[found.window[at]], found.centre_m[at]
+    member = start[at].repeat(count) + ramp(count)
+    pull = wave.sub_amplitude[member] * wave.pulse.profile(centre.repeat(count) - wave.sub_range[member])
     best = np.maximum.reduceat(pull, count.cumsum() - count)
-    at = indexes(pull == best[owner])
-    source = np.full(count.size, NO_SOURCE, np.int64)
-    source[owner[at[::-1]]] = wave.sub_source[member[at[::-1]]]
-    if wave.soft.size:
-        medium = wave.soft_at(found.centre_m, found.window)
-        source = np.where(medium > np.maximum(found.amplitude - medium, best), NO_SOURCE, source)
+    strongest = indexes(pull == best.repeat(count))[::-1]
+    source[at.repeat(count)[strongest]] = wave.sub_source[member[strongest]]
+    hidden = medium[at] > np.maximum(found.amplitude[at] - medium[at], best)
+    source[at[hidden]] = NO_SOURCE
     return source
