@@ -11,6 +11,7 @@ passed its maximum, so the sum rises; running sums at the beginnings tell betwee
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,10 +25,16 @@ SHORT = 1.0
 "Longest cluster that is summed in closed form, in half pulses: beyond it, first pulses fall while last ones rise."
 
 
+LEAST = 1e-6
+"Share of a level that a medium leaves to the pulses at the least."
 FAINT = 0.1
 "Share of the threshold that a medium may have under a cluster that is crossed in closed form."
 EXACT = 1e-4
 "Share of the medium's shift of a crossing that may be left."
+SLIGHT = 1e-4
+"Share of a cluster's height that a medium may have for its part in the height to be left out."
+SHIFT = 0.125
+"Shift of a crossing, in steps of the range, below which it is left out under such a cluster."
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +55,10 @@ class AirUnder:
     sums: Floats
     "(4, m + 1) running: shares that end at the sub-echoes, and these with the integrals of the medium up to there."
 
+    def chosen(self, at: Ints, cluster: Ints) -> AirUnder:
+        """Those of some places, under other numbers of the clusters."""
+        return replace(self, cluster=cluster, before=self.before[at], open=self.open[at], begins=self.begins[at])
+
     def at(self, x_m: Floats, last: Ints) -> Floats:
         """Its part at apparent ranges (h,), where these sub-echoes are the last ones begun; linear between bins."""
         soft = self.soft
@@ -61,6 +72,25 @@ class AirUnder:
             ended = a + np.cos(turn) * real - np.sin(turn) * imaginary
             value.append(np.maximum(0.5 * (still * upper + ended - self.open * lower), 0.0))
         return np.asarray(value[0] + (x_m / soft.bin_m - bins) * (value[1] - value[0]))
+
+
+@dataclass(frozen=True, eq=False)
+class AirDoubted:
+    """A medium so faint under h clusters that it is computed only where a crossing may depend on it."""
+
+    cluster: Ints
+    "(h,) numbers of the clusters."
+    most: Floats
+    "(h,) bound of what it adds under each."
+    step_m: float
+    "Of the range."
+    number: Ints
+    "(h,) what `under` calls them."
+    under: Callable[[Ints], AirUnder]
+
+    def chosen(self, at: Ints, cluster: Ints) -> AirDoubted:
+        """Those of some places, under other numbers of the clusters."""
+        return replace(self, cluster=cluster, most=self.most[at], number=self.number[at])
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +120,7 @@ class Cosines:
     half_m: float
     wave_number: float
     air: AirUnder | None = None
+    doubted: AirDoubted | None = None
 
     def __len__(self) -> int:
         return len(self.beam)
@@ -99,16 +130,28 @@ class Cosines:
         if len(self) == 0:
             return np.zeros(0)
         crossing, last = self._crossed(level, self.start, self.size)
-        air = self.air
-        if air is not None:
+        for air in (self.air, self._doubtful(level, crossing)):
+            if air is None:
+                continue
             at = air.cluster
             wanted, start, size = level[at], self.start[at], self.size[at]
             x, of = crossing[at], last[at]
             for _ in range(air.passes):
-                left = np.maximum(wanted - air.at(x, of), 1e-6 * wanted)
+                left = np.maximum(wanted - air.at(x, of), LEAST * wanted)
                 x, of = self._crossed(left, start, size, at)
             crossing[at] = x
         return crossing
+
+    def _doubtful(self, level: Floats, crossing: Floats) -> AirUnder | None:
+        """The medium under those clusters whose crossing is elsewhere if all of it is added."""
+        doubted = self.doubted
+        if doubted is None:
+            return None
+        at = doubted.cluster
+        left = np.maximum(level[at] - doubted.most, LEAST * level[at])
+        first, _ = self._crossed(left, self.start[at], self.size[at], at)
+        some = indexes(crossing[at] - first > SHIFT * doubted.step_m)
+        return replace(doubted.under(doubted.number[some]), cluster=at[some]) if len(some) else None
 
     def _crossed(self, level: Floats, start: Ints, size: Ints, at: Ints | None = None) -> tuple[Floats, Ints]:
         """Where the pulses of these clusters first reach a level, and the index of the last one begun by then."""
@@ -131,15 +174,17 @@ class Cosines:
         """Some of the clusters, `wanted` (c,)."""
         if bool(wanted.all()):
             return self
-        at, air = indexes(wanted), self.air
+        at, air, doubted = indexes(wanted), self.air, self.doubted
+        renumbered = wanted.cumsum() - 1
         if air is not None:
-            left = wanted[air.cluster]
-            number = (wanted.cumsum() - 1)[air.cluster[left]]
-            air = replace(air, cluster=number, before=air.before[left], open=air.open[left],
-                          begins=air.begins[left]) if len(number) else None
+            left = indexes(wanted[air.cluster])
+            air = air.chosen(left, renumbered[air.cluster[left]]) if len(left) else None
+        if doubted is not None:
+            left = indexes(wanted[doubted.cluster])
+            doubted = doubted.chosen(left, renumbered[doubted.cluster[left]]) if len(left) else None
         return replace(
             self, beam=self.beam[at], centre_m=self.centre_m[at], height=self.height[at], source=self.source[at],
-            first_m=self.first_m[at], start=self.start[at], size=self.size[at], air=air,
+            first_m=self.first_m[at], start=self.start[at], size=self.size[at], air=air, doubted=doubted,
         )  # fmt: skip
 
     @classmethod
@@ -166,7 +211,7 @@ def split_cosines(echoes: SubEchoes, detector: Detector, soft: SoftProfile | Non
     first, end = r[start], start + size - 1
     total = _running(a, start, size)
     short = (r[end] - first < SHORT * half) & (total[end] > 0.0)
-    air = None if soft is None else _air(echoes, soft, detector.threshold, short, start, size, first - half)
+    near, under = (None, first) if soft is None else _near(soft, detector.threshold, short, beam[start], first - half)
     if not bool(short.any()):
         return Cosines.none(), echoes
     phase = k * (r - first.repeat(size))
@@ -194,26 +239,19 @@ def split_cosines(echoes: SubEchoes, detector: Detector, soft: SoftProfile | Non
         imaginary,
         half,
         k,
-        air,
     )
-    if air is not None:
-        found.height[air.cluster] += air.at(found.centre_m[air.cluster], last[air.cluster])
+    if soft is not None and near is not None:
+        found = _with_air(found, echoes, soft, detector, near, (short.cumsum() - 1)[near], start, size, under[near])
     if bool(short.all()):
         return found, SubEchoes.none()
     rest = indexes((~short).repeat(size))
     return found, SubEchoes(beam[rest], r[rest], a[rest], echoes.blocked[rest], echoes.source[rest])
 
 
-def _air(
-    echoes: SubEchoes,
-    soft: SoftProfile,
-    threshold: float,
-    short: Bools,
-    start: Ints,
-    size: Ints,
-    begin_m: Floats,
-) -> AirUnder | None:
-    """The medium under those short clusters that begin where it shows; None: there are none.
+def _near(
+    soft: SoftProfile, threshold: float, short: Bools, beam: Ints, begin_m: Floats
+) -> tuple[Ints | None, Floats]:
+    """The short clusters that begin where the medium shows, and of all clusters its bound over the threshold.
 
     A beam with such a cluster that is not short has none that is: its medium is sampled, with all that blocks it.
     """
@@ -221,8 +259,7 @@ def _air(
     alone_m = soft.peak_m + 2.0 * soft.bin_m if soft.shows else -np.inf
     near = begin_m < max(soft.until_m, alone_m)
     if not bool(near.any()):
-        return None
-    beam = echoes.beam[start]
+        return None, begin_m
     # where the medium may come near a level itself, what is crossed first is not told by the pulses alone
     under = soft.wave(np.maximum(begin_m, soft.peak_m)) / threshold
     faint = (under < FAINT) & (begin_m >= alone_m)
@@ -233,26 +270,53 @@ def _air(
         other[sampled] = True
         short &= ~other[beam]
     which = indexes(near & short)
-    if not len(which):
-        return None
-    count, first = size[which], start[which]
-    member = (first - (count.cumsum() - count)).repeat(count) + np.arange(count.sum())
+    return (which if len(which) else None), under
+
+
+def _with_air(
+    found: Cosines, echoes: SubEchoes, soft: SoftProfile, detector: Detector, which: Ints, number: Ints,
+    start: Ints, size: Ints, under: Floats,
+) -> Cosines:  # fmt: skip
+    """Short clusters with the medium below those of `which`; `number` is what `found` calls these."""
+    most = under * detector.threshold
+    strong = (most <= SLIGHT * found.height[number]) & (soft.until_m < np.inf)
+
+    def computed(some: Ints) -> AirUnder:
+        at = which[some]
+        return _air(echoes, soft, start[at], size[at], float(under[some].max()))
+
+    weak, slight = indexes(~strong), indexes(strong)
+    air = doubted = None
+    if len(weak):
+        air = replace(computed(weak), cluster=number[weak])
+        last = (found.start + found.size - 1)[air.cluster]
+        found.height[air.cluster] += air.at(found.centre_m[air.cluster], last)
+    if len(slight):
+        doubted = AirDoubted(number[slight], most[slight], detector.resolution_m, slight, computed)
+    return replace(found, air=air, doubted=doubted)
+
+
+def _air(echoes: SubEchoes, soft: SoftProfile, first: Ints, count: Ints, most: float) -> AirUnder:
+    """The medium under clusters of `count` sub-echoes from `first` on, numbered as they come.
+
+    `most` : bound of the medium over the threshold.
+    """
     begins = count.cumsum() - count
+    member = (first - begins).repeat(count) + np.arange(count.sum())
     sums = np.zeros((4, len(member) + 1))
     blocked = echoes.blocked.take(member)
     np.cumsum(blocked, out=sums[0, 1:])
     np.cumsum(soft.integrals(echoes.range_m.take(member)) * blocked, axis=1, out=sums[1:, 1:])
-    open_ = np.ones(len(which))
-    behind = indexes(echoes.beam[first - 1] == beam[which])  # of the clusters: in beams of which some is blocked before
+    open_ = np.ones(len(first))
+    behind = indexes(echoes.beam[first - 1] == echoes.beam[first])  # in beams of which some is blocked before
     if len(behind):
         passed = np.concatenate(([0.0], echoes.blocked.cumsum()))
-        head = echoes.beam.searchsorted(beam[which[behind]])
+        head = echoes.beam.searchsorted(echoes.beam[first[behind]])
         open_[behind] = clamped(1.0 - (passed[first[behind]] - passed[head]), 0.0, 1.0)
-    number = short.cumsum() - 1
     # each pass leaves that share of the error, as the medium falls more slowly than the pulses rise
-    most = min(max(float(under[which].max()), EXACT), FAINT)
+    most = min(max(most, EXACT), FAINT)
     passes = max(math.ceil(math.log(EXACT) / math.log(most)) - 1, 1)
-    return AirUnder(passes, soft, number[which], first - begins - 1, open_, begins, sums)
+    return AirUnder(passes, soft, np.arange(len(first)), first - begins - 1, open_, begins, sums)
 
 
 def _running(values: Floats, start: Ints, size: Ints) -> Floats:
