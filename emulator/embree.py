@@ -67,4 +67,5 @@ def refined(
     if not good.all():
         counters.suspicious += int(len(good) - np.count_nonzero(good))
         range_m = np.where(good, range_m, distance)
-    return np.maximum(range_m, 0.0, out=range_m), normal, facing  # a surface that the ray begins on may lie a hair behind
+    np.maximum(range_m, 0.0, out=range_m)  # a surface that the ray begins on may lie a hair behind
+    return range_m, normal, facing

@@ -186,7 +186,7 @@ class Aim:
     "(3, m)"
 
     def __len__(self) -> int:
-        return self.ray.shape[1]
+        return len(self.ray[0])
 
     @cached_property
     def rows(self) -> NDArray[np.float32]:

@@ -16,7 +16,6 @@ from collections.abc import Iterable
 import numpy as np
 
 from emulator import embree
-from emulator.embree import Singles
 from emulator.fleet import Flags, Longs, through_sphere
 from emulator.hits import Aim, Block, Counters, Fan, Hits, Met, Nearest, Renewed, keep_nearer
 from emulator.moving_cast import MovingCast

@@ -45,17 +45,18 @@ def cos_sin(angle: Floats) -> tuple[Floats, Floats]:
 
     Series about half the angle, over whole arrays: numpy's own take twice as long where a processor has no AVX-512.
     """
-    half = angle * (0.5 / np.pi)
-    half -= np.rint(half)
-    half *= np.pi
-    square = half * half
-    cosine, sine = _series(_COS, square), _series(_SIN, square)
-    sine *= half
-    cosine *= sine
-    cosine *= 2.0  # sin 2x = 2 sin x cos x
-    sine *= sine
-    sine *= -2.0
-    sine += 1.0  # cos 2x = 1 - 2 sin^2 x
+    with np.errstate(under="ignore"):
+        half = angle * (0.5 / np.pi)
+        half -= np.rint(half)
+        half *= np.pi
+        square = half * half
+        cosine, sine = _series(_COS, square), _series(_SIN, square)
+        sine *= half
+        cosine *= sine
+        cosine *= 2.0  # sin 2x = 2 sin x cos x
+        sine *= sine
+        sine *= -2.0
+        sine += 1.0  # cos 2x = 1 - 2 sin^2 x
     return sine, cosine
 
 

@@ -10,7 +10,6 @@ passed its maximum, so the sum rises; running sums at the beginnings tell betwee
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -29,8 +28,10 @@ LEAST = 1e-6
 "Share of a level that a medium leaves to the pulses at the least."
 FAINT = 0.1
 "Share of the threshold that a medium may have under a cluster that is crossed in closed form."
-EXACT = 1e-4
-"Share of the medium's shift of a crossing that may be left."
+EXACT_M = 1e-5
+"Crossings are looked for anew, with the medium that is under them, until they move by less than this."
+MOST_PASSES = 60
+"Each leaves the share of the shift that the medium falls by while the pulses rise by as much: a tenth, mostly."
 SLIGHT = 1e-4
 "Share of a cluster's height that a medium may have for its part in the height to be left out."
 SHIFT = 0.125
@@ -41,8 +42,6 @@ SHIFT = 0.125
 class AirUnder:
     """What a faint medium adds under h clusters while their pulses rise; m sub-echoes in them. See softprofile."""
 
-    passes: int
-    "Times that a crossing is looked for anew with the medium that is under it."
     soft: SoftProfile
     cluster: Ints
     "(h,) numbers of the clusters."
@@ -133,13 +132,16 @@ class Cosines:
         for air in (self.air, self._doubtful(level, crossing)):
             if air is None:
                 continue
-            at = air.cluster
-            wanted, start, size = level[at], self.start[at], self.size[at]
-            x, of = crossing[at], last[at]
-            for _ in range(air.passes):
-                left = np.maximum(wanted - air.at(x, of), LEAST * wanted)
-                x, of = self._crossed(left, start, size, at)
-            crossing[at] = x
+            of = last[air.cluster]
+            for _ in range(MOST_PASSES):
+                at = air.cluster
+                before = crossing[at]
+                left = np.maximum(level[at] - air.at(before, of), LEAST * level[at])
+                crossing[at], of = self._crossed(left, self.start[at], self.size[at], at)
+                on = indexes(np.abs(crossing[at] - before) > EXACT_M)
+                if not len(on):
+                    break
+                air, of = air.chosen(on, at[on]), of[on]
         return crossing
 
     def _doubtful(self, level: Floats, crossing: Floats) -> AirUnder | None:
@@ -283,7 +285,7 @@ def _with_air(
 
     def computed(some: Ints) -> AirUnder:
         at = which[some]
-        return _air(echoes, soft, start[at], size[at], float(under[some].max()))
+        return _air(echoes, soft, start[at], size[at])
 
     weak, slight = indexes(~strong), indexes(strong)
     air = doubted = None
@@ -296,11 +298,8 @@ def _with_air(
     return replace(found, air=air, doubted=doubted)
 
 
-def _air(echoes: SubEchoes, soft: SoftProfile, first: Ints, count: Ints, most: float) -> AirUnder:
-    """The medium under clusters of `count` sub-echoes from `first` on, numbered as they come.
-
-    `most` : bound of the medium over the threshold.
-    """
+def _air(echoes: SubEchoes, soft: SoftProfile, first: Ints, count: Ints) -> AirUnder:
+    """The medium under clusters of `count` sub-echoes from `first` on, numbered as they come."""
     begins = count.cumsum() - count
     member = (first - begins).repeat(count) + np.arange(count.sum())
     sums = np.zeros((4, len(member) + 1))
@@ -313,10 +312,7 @@ def _air(echoes: SubEchoes, soft: SoftProfile, first: Ints, count: Ints, most: f
         passed = np.concatenate(([0.0], echoes.blocked.cumsum()))
         head = echoes.beam.searchsorted(echoes.beam[first[behind]])
         open_[behind] = clamped(1.0 - (passed[first[behind]] - passed[head]), 0.0, 1.0)
-    # each pass leaves that share of the error, as the medium falls more slowly than the pulses rise
-    most = min(max(most, EXACT), FAINT)
-    passes = max(math.ceil(math.log(EXACT) / math.log(most)) - 1, 1)
-    return AirUnder(passes, soft, np.arange(len(first)), first - begins - 1, open_, begins, sums)
+    return AirUnder(soft, np.arange(len(first)), first - begins - 1, open_, begins, sums)
 
 
 def _running(values: Floats, start: Ints, size: Ints) -> Floats:

@@ -189,7 +189,7 @@ class SoftProfile:
         cube += linear
         cube *= t
         cube += constant
-        return cube
+        return floats(cube)
 
     @cached_property
     def _cells(self) -> tuple[float, Ints]:
@@ -201,7 +201,7 @@ class SoftProfile:
 
     @cached_property
     def _cubics(self) -> Floats:
-        """(12, knots - 1) coefficients of the distance from the knot before: of A and both parts of B, by their order."""
+        """(12, knots - 1) coefficients of the distance from the knot before: of A and both parts of B, by order."""
         step = np.diff(self.knots)
 
         def table(value: Floats, slope: Floats) -> tuple[Floats, ...]:

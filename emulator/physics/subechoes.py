@@ -8,14 +8,15 @@ Amplitudes are in units of the receiver's nominal rms noise: signal current at t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
-from emulator.physics.arrays import Bools, Floats, Ints, Values, clamped, floats, group_starts, indexes, ramp
+from emulator.physics.arrays import Bools, Floats, Ints, clamped, floats, group_starts, indexes, ramp
 
 NO_SOURCE = -1
+Number = TypeVar("Number", np.float64, np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,21 +118,20 @@ def _merged(one: SubEchoes, other: SubEchoes) -> SubEchoes:
     of_other[place] = True
     own = indexes(~of_other)
 
-    def column(first: Values, second: Values, kind: DTypeLike) -> NDArray[Any]:
-        both = np.empty(len(of_other), kind)
+    def column(first: NDArray[Number], second: NDArray[Number]) -> NDArray[Number]:
+        both = np.zeros(len(of_other), first.dtype)
         both[own], both[place] = first, second
         return both
 
     spread = None
     if one.spread_m is not None or other.spread_m is not None:
-        first, second = (0.0 if part.spread_m is None else part.spread_m for part in (one, other))
-        spread = column(first, second, np.float64)
+        spread = column(*(np.zeros(len(part)) if part.spread_m is None else part.spread_m for part in (one, other)))
     return SubEchoes(
-        column(one.beam, other.beam, np.int64),
-        column(one.range_m, other.range_m, np.float64),
-        column(one.amplitude, other.amplitude, np.float64),
-        column(one.blocked, other.blocked, np.float64),
-        column(one.source, other.source, np.int64),
+        column(one.beam, other.beam),
+        column(one.range_m, other.range_m),
+        column(one.amplitude, other.amplitude),
+        column(one.blocked, other.blocked),
+        column(one.source, other.source),
         spread,
     )
 

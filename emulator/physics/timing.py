@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from emulator.physics.arrays import Bools, Floats, Ints, clamped, indexes, ramp
+from emulator.physics.arrays import Bools, Floats, Ints, clamped, floats, indexes, ramp
 from emulator.physics.candidates import Candidates
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.detector import Detector
@@ -64,7 +64,7 @@ def _between_samples(
     """First crossings of sin^2 pulses between two neighbouring samples, of which the first lies below the level.
 
     Between the instants at which pulses begin or end the sum is one cosine, and the medium is linear, `soft` at both
-    samples: Newton's steps from a false position of the square roots.
+    samples: Newton's steps from where the cosine rises through what the medium leaves it in the middle.
     """
     slope = (soft[1] - soft[0]) / (hi - lo)
     constant = soft[0] - slope * lo
@@ -81,9 +81,12 @@ def _between_samples(
         cosine, sine = np.cos(turn), np.sin(turn)
         return even + slope * x + cosine * real + sine * imaginary, slope + k * (cosine * imaginary - sine * real)
 
-    low, high = (np.sqrt(np.maximum(value(x)[0], 0.0)) for x in (lo, hi))
-    share = (np.sqrt(level) - low) / np.maximum(high - low, 1e-300)
-    x = lo + clamped(share, 0.0, 1.0) * (hi - lo)
+    swing, middle = np.hypot(real, imaginary), 0.5 * (lo + hi)
+    # from the trough on, whose angle keeps its digits; its turn is the one that is nearest
+    share = 0.5 + 0.5 * (level - even - slope * middle) / np.maximum(swing, 1e-300)
+    rise = 2.0 * np.arcsin(np.sqrt(clamped(share, 0.0, 1.0))) - np.pi
+    x = origin + (np.arctan2(imaginary, real) + rise) / k
+    x = clamped(x + 2.0 * np.pi / k * np.rint((middle - x) * k / (2.0 * np.pi)), lo, hi)
     for _ in range(20):
         is_now, rises = value(x)
         new = clamped(np.where(rises > 0.0, x + (level - is_now) / np.where(rises > 0.0, rises, 1.0), x), lo, hi)
@@ -91,7 +94,7 @@ def _between_samples(
         x = new
         if done:
             break
-    return x
+    return floats(x)
 
 
 def _without_kinks(

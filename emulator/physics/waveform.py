@@ -99,7 +99,7 @@ class Waveform:
         window = np.arange(self.sub_first.size).repeat(self.sub_count)
         offset = self.sub_range - (self.bin_m * self.first_bin)[window]
         length = float(offset.max(initial=0.0)) + 8.0 * self.pulse.half_support_m
-        return window * length + offset, length
+        return np.asarray(window * length + offset, np.float64), length
 
     def soft_at(self, x_m: Floats, window: Ints) -> Floats:
         """The medium's part at any apparent range inside windows, linear between the samples."""
@@ -178,8 +178,8 @@ def sample(
             before = stopped.take(passed.take(sub_first)).repeat(count)
             open_far = open_far - (stopped.take(begun) - before)
             open_near = open_near - (stopped.take(ended) - before)
-            a, *b = soft.integrals(r.take(near)) * share
-            b = _product(b, (np.cos(k * origin).take(of), np.sin(k * origin).take(of)))
+            a, *parts = soft.integrals(r.take(near)) * share
+            b = _product(parts, (np.cos(k * origin).take(of), np.sin(k * origin).take(of)))
             part += _between(_sums(a), begun, ended)
             part += cosine * _between(_sums(b[0]), begun, ended)
             part -= sine * _between(_sums(b[1]), begun, ended)

@@ -189,9 +189,9 @@ def turned(rotation: Floats, vectors: Floats) -> Floats:
         for number, weight in enumerate(row):
             if weight.any():
                 into += weight * vectors[:, :, number]
-    return out.transpose(1, 2, 0)
+    return np.asarray(out.transpose(1, 2, 0))
 
 
 def rotated(rotation: Floats, vectors: Floats) -> Floats:
     """Vectors (k, 3) turned by one rotation (3, 3)."""
-    return turned(rotation[None], vectors[None])[0]
+    return np.asarray(turned(rotation[None], vectors[None])[0])

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from emulator.physics.cosines import split_cosines
+from emulator.physics.detection import detect
 from emulator.physics.detector import Detector
 from emulator.physics.pulse import Pulse
 from emulator.physics.subechoes import SubEchoes
@@ -52,6 +53,32 @@ def test_a_short_cluster_is_crossed_where_its_pulses_say(
     level = share * float(found.height[0])
     assert signal(float(found.centre_m[0]), range_m, amplitude) == pytest.approx(float(found.height[0]), rel=1e-9)
     assert found.crossing(np.array([level]))[0] == pytest.approx(first_crossing(level, range_m, amplitude), abs=1e-6)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    spread=st.lists(st.integers(0, 4000).map(lambda thousandth: 1e-3 * thousandth), min_size=2, max_size=9,
+                    unique=True),
+    weight=st.lists(st.floats(0.01, 1.0), min_size=9, max_size=9),
+    share=st.floats(0.001, 0.9999),
+)
+def test_a_sampled_cluster_is_crossed_where_its_pulses_say(
+    spread: list[float], weight: list[float], share: float
+) -> None:
+    range_m = 20.0 + HALF_M * np.sort(np.asarray(spread))
+    amplitude = np.asarray(weight[: len(spread)])
+    grid = np.linspace(range_m[0] - HALF_M, range_m[-1] + HALF_M, 4001)
+    amplitude *= 5.0 / (share * max(signal(x, range_m, amplitude) for x in grid))
+    wanted = first_crossing(5.0, range_m, amplitude)
+    beams = 3  # what other beams have changes nothing
+    echoes = SubEchoes.of(np.arange(beams).repeat(len(spread)), np.tile(range_m, beams), np.tile(amplitude, beams))
+    detector = Detector(PULSE, threshold=5.0, walk_table=False, sampled=True, resolution_m=1e-9)
+    found = detect(echoes, beams, detector)
+    found_m = found.range_m[:, 0] - PULSE.start_lead_m + detector.offset_m
+    assert found_m == pytest.approx(wanted, abs=2e-7) or (
+        # what crosses between two samples and falls again before the second is seen by a parabola through three
+        share > 0.98 and found_m == pytest.approx(wanted, abs=1.5 * detector.bin_m)
+    )
 
 
 def test_a_single_echo_is_crossed_as_its_pulse_alone() -> None:

@@ -164,6 +164,32 @@ def test_the_order_of_sub_beams_changes_nothing(method: Method, shape: PulseShap
     assert np.nanmax(np.abs(first.range_m - third.range_m)) < 1e-9
 
 
+@given(seed=st.integers(0, 10**6))
+@settings(max_examples=40, deadline=None)
+def test_joined_parts_are_as_if_all_had_come_together(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    parts = []
+    for tag in range(int(rng.integers(2, 5))):
+        n = int(rng.integers(0, 30))
+        columns = rng.integers(0, 6, n), np.round(rng.uniform(-0.5, 9.0, n), 1), rng.uniform(0.1, 9.0, n), rng.random(n)
+        parts.append(SubEchoes.of(*columns, np.full(n, tag)))
+    found = SubEchoes.joined(*parts)
+    wanted = SubEchoes.of(
+        *(np.concatenate([getattr(one, name) for one in parts]) for name in
+          ("beam", "range_m", "amplitude", "blocked", "source"))
+    )  # fmt: skip
+    for name in ("beam", "range_m", "amplitude", "blocked", "source"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name), err_msg=name)
+
+
+def test_joined_planes_keep_their_spread_and_points_have_none() -> None:
+    plane = SubEchoes.of(np.array([1]), np.array([5.0]), np.array([3.0]), spread_m=np.array([0.2]))
+    point = SubEchoes.of(np.array([0, 2]), np.array([4.0, 6.0]), np.array([1.0, 1.0]))
+    for joined in (SubEchoes.joined(plane, point), SubEchoes.joined(point, plane)):
+        assert joined.spread_m is not None
+        assert joined.spread_m.tolist() == [0.0, 0.2, 0.0]
+
+
 def test_the_joined_cluster_keeps_energy_and_mean_range() -> None:
     rng = np.random.default_rng(2)
     r, a = 20.0 + rng.uniform(0.0, 0.5, 200), rng.uniform(0.0, 1.0, 200)
@@ -172,6 +198,23 @@ def test_the_joined_cluster_keeps_energy_and_mean_range() -> None:
     assert len(joined.range_m) < 200
     assert joined.amplitude.sum() == pytest.approx(a.sum(), rel=1e-13)
     assert np.sum(joined.amplitude * joined.range_m) == pytest.approx(np.sum(a * r), rel=1e-13)
+
+
+def test_joined_sub_echoes_are_of_the_strongest_s_source() -> None:
+    r = np.array([20.0, 20.0001, 20.0002, 20.5, 20.5001, 30.0])
+    a = np.array([1.0, 4.0, 3.0, 2.0, 2.0, 1.0])
+    joined = cluster(SubEchoes.of(np.zeros(6, np.int64), r, a, None, np.array([7, 8, 9, 5, 6, 3])), 4.8, 0.01)
+    assert joined.source.tolist() == [8, 5, 3]  # of equals the first
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+def test_an_echo_of_several_sources_is_of_the_one_that_stands_highest_under_it(sampled: bool) -> None:
+    echoes = SubEchoes.of(
+        np.array([0, 0, 0, 1, 1]), np.array([20.0, 20.3, 20.4, 20.0, 20.2]), np.array([20.0, 90.0, 30.0, 50.0, 40.0]),
+        None, np.array([1, 2, 3, 4, 4]),
+    )  # fmt: skip
+    found = detect(echoes, 2, Detector(PULSE, 5.0, sampled=sampled))
+    assert found.source[:, 0].tolist() == [2, 4]
 
 
 def test_joining_sub_echoes_within_a_quarter_of_the_resolution_moves_nothing() -> None:

@@ -22,6 +22,26 @@ def test_the_mean_of_detectable_drops_is_the_reference_formula() -> None:
         assert found == pytest.approx(exact, rel=1e-9)
 
 
+@pytest.mark.parametrize("y", [0.0, 1e-15, 1e-9, 1e-7, 1e-3, 0.5, 3.0, 40.0])
+def test_the_cone_s_integral_keeps_its_digits_from_no_limit_to_a_sharp_one(y: float) -> None:
+    t = np.linspace(0.0, 1.0, 20001)
+    density = t * t * np.exp(-y * t * t)
+    simpson = float(density[0] + density[-1] + 4.0 * density[1::2].sum() + 2.0 * density[2:-1:2].sum()) / 60000.0
+    assert float(rain._cone(np.float64(y / 900.0), 30.0)) == pytest.approx(27000.0 * simpson, rel=1e-12)
+
+
+def test_a_drop_lies_where_its_share_of_the_cone_is_reached() -> None:
+    spectrum = rain.rain_spectrum(10.0)
+    share = np.array([1e-9, 0.01, 0.3, 0.5, 0.9, 1.0 - 1e-9] * 2)
+    far = np.array([5.0, 200.0])
+    _, r, _ = rain.detectable_particles(
+        spectrum, np.full(2, SCALE), HALF, 1.0, far, np.array([6, 6]), np.column_stack([share, share])
+    )
+    b = np.full(12, spectrum.slope_mm * SCALE)
+    low, high = rain._cone(b, 1.0), rain._cone(b, far.repeat(6))
+    assert (rain._cone(b, r) - low) / (high - low) == pytest.approx(share, rel=1e-6, abs=1e-12)
+
+
 def test_the_mean_does_not_cancel_where_every_drop_is_seen() -> None:
     spectrum = rain.rain_spectrum(10.0)
     everything = float(rain.detectable_mean(spectrum, 1e-12, HALF, 1.0, 30.0))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from emulator.physics import atmosphere, softtarget
+from emulator.physics import atmosphere, cosines, softtarget
 from emulator.physics.arrays import Floats
 from emulator.physics.detection import detect
 from emulator.physics.detector import Detector
@@ -174,6 +175,61 @@ def test_a_medium_beside_short_clusters_is_as_if_all_were_sampled(size: float, f
     np.testing.assert_array_equal(closed.count, sampled.count)
     np.testing.assert_allclose(closed.range_m, sampled.range_m, rtol=0.0, atol=1e-3)
     np.testing.assert_allclose(closed.amplitude, sampled.amplitude, rtol=2e-3, atol=1e-2)
+
+
+def clear_air(pulse: Pulse) -> SoftProfile:
+    soft = SoftProfile.of_medium(pulse, pulse.fwhm_m / 512.0, 150.0, 1e-4, 1e-3, 0.3, 1.0, 80.0)
+    assert soft is not None
+    assert 0.05 < soft.peak < 0.5
+    return replace(soft, until_m=12.0, shows=False)
+
+
+@pytest.mark.parametrize(
+    ("range_m", "amplitude", "computed"),
+    [
+        ([3.0, 3.02], [2e4, 2e4], 0),  # rises too steeply for the air to move it by an eighth of a step
+        ([3.0, 3.02], [6.0, 6.0], 1),  # faint: the air is a part of its height
+        ([3.0, 3.0 + 0.95 * PULSE.half_support_m], [5.06, 2e4], 1),  # crossed near the maximum of what is faint
+        ([3.0, 3.0 + 0.95 * PULSE.half_support_m], [8.0, 2e4], 1),  # moved by a step and a half
+        ([9.0, 9.4], [2e4, 2e4], 0),
+    ],
+)
+def test_clear_air_is_computed_where_a_crossing_depends_on_it(
+    monkeypatch: pytest.MonkeyPatch, range_m: list[float], amplitude: list[float], computed: int
+) -> None:
+    soft, calls = clear_air(PULSE), []
+    real = cosines._air
+    monkeypatch.setattr(cosines, "_air", lambda *rest: calls.append(len(rest[2])) or real(*rest))
+    # the cluster in question in the second of three beams, of which all others are far away
+    far = np.array([50.0, 50.0])
+    echoes = SubEchoes.of(
+        np.array([0, 1, 1, 2]), np.array([far[0], *range_m, far[1]]), np.array([50.0, *amplitude, 50.0]),
+        np.array([0.5, 0.3, 0.3, 0.5]),
+    )  # fmt: skip
+    detector = Detector(PULSE, 5.0, walk_table=False, resolution_m=1e-2, follows_noise=True, bin_s=PULSE.fwhm_s / 512.0)
+    found = detect(echoes, 3, detector, soft=soft)
+    assert sum(calls) == computed
+    everything = detect(echoes, 3, replace(detector, sampled=True), soft=replace(soft, until_m=np.inf, shows=True))
+    assert found.range_m[:, 0] == pytest.approx(everything.range_m[:, 0], abs=0.126 * 1e-2)
+    assert found.amplitude[:, 0] == pytest.approx(everything.amplitude[:, 0], rel=2e-4)
+
+
+def test_some_clusters_are_crossed_as_among_all() -> None:
+    """Far away, faint, and strong ones that the air moves and does not move."""
+    late = 0.95 * PULSE.half_support_m
+    range_m = np.array([[50.0, 50.1], [3.0, 3.1], [4.0, 4.0 + late], [3.0, 3.1], [3.0, 3.0 + late]])
+    amplitude = np.array([[50.0, 50.0], [6.0, 6.0], [8.0, 2e4], [2e4, 2e4], [8.0, 2e4]])
+    echoes = SubEchoes.from_grid(range_m, amplitude, np.full((5, 2), 0.3))
+    found, rest = cosines.split_cosines(echoes, replace(DETECTOR, resolution_m=1e-2), clear_air(PULSE))
+    assert (len(found), len(rest)) == (5, 0)
+    assert found.air is not None
+    assert found.doubted is not None
+    assert (found.air.cluster.tolist(), found.doubted.cluster.tolist()) == ([1], [2, 3, 4])
+    level = np.array([5.0, 4.5, 5.2, 5.0, 4.8])
+    everywhere = found.crossing(level)
+    for wanted in ([0, 1, 2, 3], [1, 4], [3, 4], [0], [2, 4]):
+        of = np.isin(np.arange(5), wanted)
+        assert found.chosen(of).crossing(level[of]).tolist() == everywhere[of].tolist()
 
 
 def test_the_echo_of_a_medium_alone_rises_as_its_samples_do() -> None:

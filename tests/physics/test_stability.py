@@ -6,8 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from emulator.physics import atmosphere, background, brdf, geometry, noise, pulse, radiometry, softtarget, tilted
+from emulator.physics.arrays import cos_sin
 
 ALPHA_1M = float(atmosphere.fog_kim(1.0, 905e-9))
 SEED_HALF = 6.1086523819801535e-4
@@ -61,6 +64,18 @@ def test_a_strip_far_from_the_axis_is_a_difference_of_tails_not_of_ones() -> Non
     near, far = float(radiometry.fill_strip(4.0, 5.0, 1.0)), float(radiometry.fill_strip(-5.0, -4.0, 1.0))
     assert near == far
     assert near == pytest.approx(6.220960574271786e-16, rel=1e-9)  # Q(8), the far edge adds nothing
+
+
+@given(angle=st.lists(st.floats(-1e4, 1e4, allow_subnormal=False), min_size=1, max_size=50))
+def test_cosines_of_whole_arrays_are_those_of_the_library(angle: list[float]) -> None:
+    wanted = np.array(angle)
+    cosine, sine = cos_sin(wanted)
+    limit = 2e-15 + 4e-16 * np.maximum(np.abs(wanted), 1.0)
+    assert bool((np.abs(cosine - np.cos(wanted)) <= limit).all())
+    assert bool((np.abs(sine - np.sin(wanted)) <= limit).all())
+    nothing, half_turn = (float(value[0]) for value in cos_sin(np.zeros(1))), cos_sin(np.array([np.pi]))
+    assert tuple(nothing) == (1.0, 0.0)
+    assert (half_turn[0][0], half_turn[1][0]) == (-1.0, pytest.approx(0.0, abs=1e-15))
 
 
 def test_solid_angle_of_a_small_cone_keeps_all_digits() -> None:

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emulator import embree, raycast, structures, triangles
-from emulator.motion import Steady, Waypoints, rotation_matrix
+from emulator import embree, moving_cast, raycast, structures, triangles
 from emulator.hits import Aim
+from emulator.motion import Steady, Waypoints, rotation_matrix
 from emulator.raycast import BLOCK, Caster, Hits
 from emulator.triangles import Geometry, checked
 from tests.scene.builders import brute_force, bumpy_wall, fan, random_rays, scene_of
@@ -498,6 +498,47 @@ def test_rays_that_come_again_are_cast_on_nothing_that_rests(monkeypatch: pytest
     near = caster.first_hits(origin, direction, 2.0, again=True)
     assert 720 < sum(cast_rays) < 1200
     assert set(near.actor) == {1, 2}
+
+
+@given(seed=st.integers(0, 100_000))
+@settings(max_examples=10, deadline=None)
+def test_directions_that_come_again_from_elsewhere_meet_what_new_ones_would(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    shapes = [(triangles.plane(80.0, 80.0), Steady((0.0, 0.0, -3.0)))]
+    for k in range(int(rng.integers(1, 30))):
+        geometry = [triangles.box(1.0, 2.0, 1.0), triangles.sphere(1.8, 8)][k % 2]
+        at, velocity = rng.normal(size=3) * 6.0, rng.normal(size=3) * float(rng.choice([0.0, 20.0]))
+        shapes.append((geometry, Steady(tuple(at), *rng.uniform(-90, 90, 3), tuple(velocity))))
+    caster, fresh = (Caster(scene_of(*shapes)) for _ in range(2))
+    origin, direction = random_rays(int(rng.choice([3, 500, 9000])), seed, 0.5)
+    far = float(rng.choice([np.inf, 7.0]))
+    for t_s in (0.0, 0.3, 0.6):
+        times = t_s + np.linspace(0.0, 0.1, len(origin))
+        got = caster.first_hits(origin + t_s, direction, times, max_range_m=far, aimed=True)
+        want = fresh.first_hits(origin + t_s, direction, times, max_range_m=far)
+        for name, column in vars(want).items():
+            np.testing.assert_array_equal(getattr(got, name), column, err_msg=name)
+
+
+def test_directions_kept_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(raycast, "FAN_RAYS_KEPT", 1000)
+    caster = Caster(scene_of((triangles.plane(60.0, 60.0), WALL)))
+    for k in range(9):
+        caster.first_hits(np.zeros((300, 3)), fan(300, 100.0 + k), 0.0, aimed=True)
+    assert sum(len(direction) for direction, _ in caster._aimed) == 900
+
+
+def test_bodies_behind_a_wall_are_not_looked_at_ray_by_ray(monkeypatch: pytest.MonkeyPatch) -> None:
+    moving = {"velocity_m_s": (0.0, 0.001, 0.0)}
+    shapes = [(triangles.sphere(2.0, 8), Steady((x, 0.0, -2.0), **moving)) for x in (5.0, 30.0)]
+    caster = Caster(scene_of((triangles.plane(60.0, 60.0), WALL), *shapes))
+    looked: list[int] = []
+    real = moving_cast.may_meet
+    monkeypatch.setattr(moving_cast, "may_meet", lambda *rest: looked.extend(
+        np.unique((found := real(*rest))[0])) or found)  # fmt: skip
+    hits = cast(caster, fan(2000, 60.0))
+    assert set(hits.actor) == {1, 2}
+    assert looked == [0]
 
 
 def test_rays_kept_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:

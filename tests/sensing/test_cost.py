@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from emulator import embree, raycast
+from emulator import embree, hits, raycast
 from protocols.scan import Scan
 from tests.sensing.rig import QUIET, build, plan, plate
 
@@ -66,6 +66,28 @@ def test_a_sensor_at_rest_sees_what_it_would_see_for_the_first_time(
         np.testing.assert_allclose(view.echoes.range_m, anew.view(one).echoes.range_m, rtol=0.0, atol=1e-12)
         changed.append(-1 if view.kept is None else int(np.count_nonzero(view.kept.changed)))
     assert not moving or weather or (0 < changed[0] < len(AZIMUTH) and changed[-1] == 0), "some beams, and none at last"
+
+
+@pytest.mark.parametrize("yaw_rate_deg_s", [0.0, 20.0])
+def test_directions_are_kept_while_a_car_drives_straight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, yaw_rate_deg_s: float
+) -> None:
+    ego = {"id": "ego", "motion": {"velocity_m_s": [8.0, 0.5, 0.0], "yaw_rate_deg_s": yaw_rate_deg_s}}
+    other = {"id": "car", "shape": {"box": {"size_m": [4.0, 1.8, 1.5]}}, "material": "half",
+             "motion": {"at_m": [15.0, 2.0, -0.7], "velocity_m_s": [4.0, 0.0, 0.0]}}  # fmt: skip
+    rooms = [plate(30.0, "half"), {"box": {"size_m": [2.0, 2.0, 2.0]}, "at_m": [9.0, -3.0, -1.0], "material": "dark"}]
+    settings: dict[str, Any] = {"actors": [ego, other], "mount": {"actor": "ego"}, "model": "sick-lms291-s05"}
+    measure = build(tmp_path, rooms, **settings)
+    made: list[int] = []
+    cones_of = hits.Cones.of
+    monkeypatch.setattr(hits.Cones, "of", lambda ray: made.append(ray.shape[1]) or cones_of(ray))
+    for sweep in range(4):
+        fresh = build(tmp_path, rooms, **settings)
+        made.clear()
+        one = plan(AZIMUTH, sweep=sweep, start_s=0.2 * sweep, fire_s=np.linspace(0.0, 0.01, len(AZIMUTH)))
+        got = measure(one)
+        assert bool(made) == (sweep < 2 or yaw_rate_deg_s != 0.0)  # the second sweep tells that they come again
+        same(got, fresh(one))
 
 
 def test_a_sweep_of_what_has_not_moved_casts_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

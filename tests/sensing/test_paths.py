@@ -7,8 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from emulator.physics import brdf, radiometry
+from emulator.sensing.paths import _order
 from protocols.scan import SATURATED
 from tests.sensing.rig import QUIET, build, grey, plan, plate
 
@@ -153,3 +156,19 @@ def test_no_more_light_comes_back_than_went_out(tmp_path: Path) -> None:
         measure = build(tmp_path, world, materials=MATERIALS, weather=CLEAR, physics=physics)
         model = measure.model
         assert measure.view(plan()).echoes.amplitude.sum() <= model.k_m2 / model.aperture_radius_m**2 * (1 + 1e-9)
+
+
+# ---------------------------------------------------------------- order
+
+
+@given(seed=st.integers(0, 10**6))
+@settings(max_examples=60, deadline=None)
+def test_sub_echoes_of_several_parts_come_by_beam_and_range(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    beams = int(rng.choice([1, 3, 40]))
+    parts = [np.sort(rng.integers(0, beams, int(rng.integers(1, 200)))) for _ in range(int(rng.choice([1, 2, 3, 12])))]
+    if rng.random() < 0.2:
+        parts[0] = rng.permutation(parts[0])
+    beam = np.concatenate(parts)
+    range_m = rng.permutation(len(beam)) * 0.01  # no two are equal
+    np.testing.assert_array_equal(_order(beam, range_m), np.lexsort((range_m, beam)))
