@@ -16,6 +16,10 @@ from emulator.physics.subechoes import Clusters
 from emulator.physics.waveform import Waveform
 
 
+FAINT = 1e-3
+"Share of a maximum that a medium may have for it to be that of a cosine."
+
+
 @dataclass(frozen=True, eq=False)
 class Candidates:
     """Possible echoes of a scan, flat arrays."""
@@ -113,6 +117,8 @@ def _parabola(wave: Waveform, value: Floats, peak: Ints, window: Ints, detector:
     if detector.pulse.shape == "gauss":
         height = np.exp(height)
     centre = wave.position(peak, window) + shift * wave.bin_m
+    if detector.pulse.shape == "sin2":
+        _exact(wave, peak, window, centre, height)
     clipped = value[peak] >= detector.full_scale
     if bool(clipped.any()):
         below = indexes(value < detector.full_scale)
@@ -128,3 +134,24 @@ def _parabola(wave: Waveform, value: Floats, peak: Ints, window: Ints, detector:
         centre[clipped] = wave.bin_m * (0.5 * (up + down) - start + first)
         height[clipped] = np.maximum(height[clipped], limit)
     return centre, height
+
+
+def _exact(wave: Waveform, peak: Ints, window: Ints, centre: Floats, height: Floats) -> None:
+    """Maxima of the one cosine that stands there, where no pulse begins or ends between it and the parabola's.
+
+    Where a medium is more than a thousandth of it, its own bend shifts them, and the parabola's is as good.
+    """
+    begun, ended = wave.under_way(centre, window)
+    (even,), (real, imaginary) = wave.terms(begun, ended)
+    swing = np.hypot(real, imaginary)
+    k = wave.pulse.wave_number
+    medium = wave.soft
+    slope = 0.5 * (medium[peak + 1] - medium[peak - 1]) / wave.bin_m
+    found = wave.bin_m * wave.first_bin[window] + np.arctan2(imaginary, real) / k
+    found += 2.0 * np.pi / k * np.rint((centre - found) * k / (2.0 * np.pi))
+    found += slope / np.maximum(swing * k * k, 1e-300)  # a medium that falls shifts it towards the sensor
+    same = np.array(wave.under_way(found, window)) == np.array((begun, ended))
+    good = same.all(axis=0) & (np.abs(found - centre) <= wave.bin_m) & (medium[peak] <= FAINT * height)
+    at = indexes(good)
+    top = even[at] + swing[at] * np.cos(k * slope[at] / np.maximum(swing[at] * k * k, 1e-300))
+    centre[at], height[at] = found[at], top + wave.soft_at(found[at], window[at])

@@ -70,6 +70,8 @@ class SoftProfile:
     "Apparent range behind which it shifts no other echo."
     shows: bool = True
     "It may make an echo of its own."
+    high_m: float = float("inf")
+    "Apparent range behind which it is faint beside the threshold."
 
     @classmethod
     def of_medium(

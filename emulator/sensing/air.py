@@ -344,6 +344,8 @@ class Wake:
     def crossed(self, origin_m: Floats, direction: Floats, t_s: Floats) -> tuple[Floats, Floats]:
         # a sweep lasts milliseconds, a wake is metres long: one pose serves all rays
         when = np.asarray(t_s)[:1]
+        if not len(when):
+            return np.zeros(0), np.zeros(0)
         pose = self.scene.pose(self.actor, when)
         rotation, velocity = pose.rotation[0], self.scene.velocity(self.actor, when)[0]
         local, along = rotated(rotation.T, origin_m - pose.position_m[0]), rotated(rotation.T, direction)

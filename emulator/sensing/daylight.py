@@ -21,6 +21,8 @@ from emulator.sensing.rays import Rays
 if TYPE_CHECKING:
     from emulator.weather import Sun
 
+TOP = 1e-3
+"In noise rms: crossings so near to the maximum of an echo are not looked after."
 INVISIBLE = 2e-3
 "Background whose shot noise adds less than this to the square of the noise is not seen."
 
@@ -45,7 +47,17 @@ def unseen_w(model: SensorModel) -> float:
     receiver = model.receiver
     excess = float(noise.excess_noise(receiver.gain, receiver.ionisation_ratio))
     shot = 2.0 * ELEMENTARY_CHARGE_C * receiver.responsivity_a_w * receiver.gain**2 * excess * receiver.bandwidth_hz
-    return INVISIBLE * receiver.baseline_a**2 / shot
+    return _unseen_share(model) * receiver.baseline_a**2 / shot
+
+
+def _unseen_share(model: SensorModel) -> float:
+    """Share of the square of the noise that shifts no crossing by half a step.
+
+    The threshold follows the noise, and three rms of it shift the level. A crossing that is nearer than `TOP` to its
+    maximum is moved farther by any change.
+    """
+    slope = math.pi / model.pulse.fwhm_m * math.sqrt(model.threshold * TOP)
+    return min(INVISIBLE, 2.0 * 0.5 * model.lsb_m * slope / (model.threshold + 3.0))
 
 
 def largest_diffuse_w(sun: Sun, model: SensorModel) -> float:

@@ -147,9 +147,14 @@ class SensorModel:
         """What may be missing under echoes of this amplitude without shifting their crossing by half a step.
 
         To first order, where three noise rms have lowered the threshold to a fifth; half of it, as the foot of an echo
-        of many ranges is flatter than that of one.
+        of many ranges is flatter than that of one. A Gaussian pulse rises by its logarithm there; other methods than
+        the leading edge weigh all of the pulse, and what lies a pulse from it.
         """
         level = 0.2 * self.threshold
+        if self.method != "leading_edge":
+            return 0.05 * self.lsb_m / self.pulse.fwhm_m * amplitude
+        if self.pulse.shape == "gauss":
+            return 0.25 * self.lsb_m / self.pulse.sigma_m * level * np.sqrt(2.0 * np.log(amplitude / level))
         return 0.25 * self.lsb_m * math.pi / self.pulse.fwhm_m * np.sqrt(level * (amplitude - level))
 
     @property

@@ -13,6 +13,7 @@ import numpy as np
 
 from emulator.physics import radiometry
 from emulator.physics.arrays import Floats, Ints, exp_or_zero
+from emulator.physics.cosines import FAINT
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import SubEchoes
 from emulator.sensing.air import AirNow
@@ -92,15 +93,19 @@ class SoftTargets:
     def _nearby(self, made: SoftProfile) -> SoftProfile | None:
         """The medium as far as it shifts echoes of surfaces; None: nowhere by half a step, and no echo of its own."""
         model = self._model
-        if made.pulse.shape != "sin2" or model.photons is not None:
+        if model.photons is not None:
             return made if made.shows else None
+        if made.pulse.shape != "sin2" or model.method != "leading_edge":
+            return made  # what is timed by more than the foot of a pulse is shifted by less
         x = made.bin_m * np.arange(made.first, made.first + len(made.upper), dtype=np.float64)
         # what is crossed before is not reported
         reported = x > model.near_gate_m - made.pulse.half_support_m
         shown = np.flatnonzero(reported & (made.wave(x) >= model.unseen_under(model.least_amplitude(x))))
         if not len(shown):
             return replace(made, until_m=-np.inf) if made.shows else None
-        return replace(made, until_m=float(x[shown[-1]]) + made.bin_m)
+        high = np.flatnonzero(made.wave(x) >= FAINT * model.threshold)
+        high_m = float(x[high[-1]]) + made.bin_m if len(high) else -np.inf
+        return replace(made, until_m=float(x[shown[-1]]) + made.bin_m, high_m=high_m)
 
     def _bound(self, backscatter: float, extinction_per_m: float, start_m: float) -> float:
         """Upper bound of the return in rms noise, from `start_m` on: the pulse integrates to its FWHM."""

@@ -83,7 +83,7 @@ CASES: dict[str, tuple[Scene, str, WeatherConfig | None, dict[str, object], Wron
     "resting": (PASSING, LD, None, {}, wrongly((raycast.Caster, "_changed", lambda *_: None))),
     "far_objects": (MIXED, LD, None, {}, wrongly(
         (measure, "reach_of", lambda *_: 8.0), (sparing, "reach_of", lambda *_: 8.0))),
-    "background_light": (POLE, LMS, LOW_SUN, {}, wrongly((daylight, "INVISIBLE", 1e9))),
+    "background_light": (POLE, LMS, LOW_SUN, {}, wrongly((daylight, "_unseen_share", lambda model: 1e9))),
     "noise_echoes": (MIXED, LD, None, {"threshold_to_noise": 4.0}, wrongly((receiver, "RARE", 1e9))),
     "backscatter": (MIXED, PAPER, FOG, {}, wrongly(
         (soft, "UNSEEN", 1e9), (SensorModel, "unseen_amplitude", ALWAYS),
