@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, floats, indexes, ramp
-from emulator.physics.candidates import Candidates
+from emulator.physics.candidates import FAINT, Candidates
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.detector import Detector
 from emulator.physics.subechoes import NO_SOURCE
@@ -36,17 +36,23 @@ def edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -
     first[owner[over[::-1]]] = flat[over[::-1]]
     hit[owner[over]] = True
     top = ~hit  # the maximum between two samples reaches the level, the samples do not
+    hi = wave.position(first, found.window)
     before = np.maximum(first - 1, wave.start[found.window])
+    before[top & (found.centre_m > hi)] += 1
     usable = (hit & (first > found.begin)) | (top & (found.index > found.begin))
-    lo, hi = wave.position(before, found.window), wave.position(first, found.window)
+    lo = wave.position(before, found.window)
     hi = np.where(top, np.maximum(found.centre_m, lo), hi)
     root = np.sqrt(level)
     f_lo = np.sqrt(wave.value[before]) - root
-    f_hi = np.maximum(np.sqrt(np.maximum(wave.value[first], level)) - root, 0.0)
+    # a maximum that is mostly a cosine is exact, and rises as one; that of a medium is a parabola's
+    exact = top & (wave.soft[first] <= FAINT * found.amplitude)
+    highest = np.where(exact, found.amplitude, wave.value[first])
+    f_hi = np.maximum(np.sqrt(np.maximum(highest, level)) - root, 0.0)
     window = found.window
     if wave.pulse.shape == "sin2":
         rising = indexes(usable & (f_lo < 0.0) & (f_hi > 0.0) & (hi > lo))
-        soft = wave.soft[before[rising]], wave.soft[first[rising]]
+        low = wave.soft[before[rising]]
+        soft = low, (wave.soft[before[rising] + 1] - low) / wave.bin_m
         x = hi
         x[rising] = _between_samples(wave, lo[rising], hi[rising], level[rising], window[rising], soft)
     else:
@@ -61,12 +67,12 @@ def edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -
 def _between_samples(
     wave: Waveform, lo: Floats, hi: Floats, level: Floats, window: Ints, soft: tuple[Floats, Floats]
 ) -> Floats:
-    """First crossings of sin^2 pulses between two neighbouring samples, of which the first lies below the level.
+    """First crossings of sin^2 pulses between a sample below the level and the next one, or a maximum before it.
 
-    Between the instants at which pulses begin or end the sum is one cosine, and the medium is linear, `soft` at both
-    samples: Newton's steps from where the cosine rises through what the medium leaves it in the middle.
+    Between the instants at which pulses begin or end the sum is one cosine, and the medium, `soft`, is linear, from its
+    value at the first on by its slope: Newton's steps from where the cosine rises through what the medium leaves it in the middle.
     """
-    slope = (soft[1] - soft[0]) / (hi - lo)
+    slope = soft[1]
     constant = soft[0] - slope * lo
     begun, ended = wave.under_way(lo, window)
     more_begun, more_ended = wave.under_way(hi, window)
