@@ -268,7 +268,7 @@ def _measure(signals: Signals, detector: Detector, normals: Floats | None) -> _F
     else:
         range_m = centre.copy()
         if mixed.beam.size and detector.method == "centroid":
-            range_m[k:] = centroids(wave, mixed, detector)
+            range_m[k:] = centroids(wave, mixed, detector, signals.threshold)
         elif mixed.beam.size and detector.method == "constant_fraction":
             range_m[k:] = fractions(wave, mixed, detector, signals.threshold)
         far = 0.5 * detector.pulse.fwhm_m

@@ -19,6 +19,8 @@ from emulator.physics.waveform import Waveform
 
 _EXACT_M = 1e-7
 "Crossings between the samples are found to this."
+BASE_OF_THRESHOLD, BASE_OF_ECHO = 0.5, 0.1
+"What is below the lesser of these shares of the threshold and of the echo's height weighs little in a centroid."
 
 
 def edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -> Floats:
@@ -89,7 +91,8 @@ def _between_samples(
 
     swing, middle = np.hypot(real, imaginary), 0.5 * (lo + hi)
     # from the trough on, whose angle keeps its digits; its turn is the one that is nearest
-    share = 0.5 + 0.5 * (level - even - slope * middle) / np.maximum(swing, 1e-300)
+    left = level - even - slope * middle
+    share = np.where(np.abs(left) < swing, 0.5 + 0.5 * left / np.maximum(swing, np.abs(left)), left > 0.0)
     rise = 2.0 * np.arcsin(np.sqrt(clamped(share, 0.0, 1.0))) - np.pi
     x = origin + (np.arctan2(imaginary, real) + rise) / k
     x = clamped(x + 2.0 * np.pi / k * np.rint((middle - x) * k / (2.0 * np.pi)), lo, hi)
@@ -177,13 +180,20 @@ def _ends(wave: Waveform, found: Candidates) -> Ints:
     return end
 
 
-def centroids(wave: Waveform, found: Candidates, detector: Detector) -> Floats:
-    """First moment of the clipped signal between the valleys on both sides of each echo."""
+def centroids(wave: Waveform, found: Candidates, detector: Detector, threshold: Floats) -> Floats:
+    """First moment of the clipped signal v between the valleys on both sides of each echo, each with v^5/(v^2 + b^2)^2.
+
+    The base b is half the threshold (n,) of the beam, and at most a tenth of the echo: without one, what the air sends
+    back before a far wall weighs by its distance; a sharp one would show the bins.
+    """
     begin, end = found.begin, _ends(wave, found)
     count = end - begin + 1
     flat = begin.repeat(count) + ramp(count)
     edge = count.cumsum() - count
+    height = np.minimum(found.amplitude, detector.full_scale)
+    base = np.minimum(BASE_OF_THRESHOLD * threshold[found.beam], BASE_OF_ECHO * height)
     value = np.minimum(wave.value[flat], detector.full_scale)
+    value *= (value / np.maximum(np.hypot(value, base.repeat(count)), 1e-300)) ** 4
     offset = (flat - found.index.repeat(count)).astype(np.float64)
     total = np.add.reduceat(value, edge)
     moment = np.add.reduceat(value * offset, edge)

@@ -245,13 +245,15 @@ def test_a_third_of_a_metre_a_second_moves_nothing_by_half_a_centimetre_within_a
 def test_faint_reflections_are_dropped_until_their_sum_would_show() -> None:
     beam = np.repeat([0, 1], [30, 4])
     amplitude = np.concatenate([np.full(30, 4e-3), [4e-3, 4e-3, 50.0, 4e-3]])
-    found = SubEchoes.of(beam, np.arange(34.0) + 5.0, amplitude)
+    found = SubEchoes.of(beam, np.arange(34.0) + 5.0, amplitude, np.full(34, 0.01))
     kept = faint.without_faint(found, 5.0, 0.05)
     lost = np.bincount(found.beam, found.amplitude) - np.bincount(kept.beam, kept.amplitude)
     assert lost == pytest.approx([0.048, 0.012])
     assert kept.amplitude.max() == 50.0
     assert faint.without_faint(SubEchoes.of(beam, np.arange(34.0), np.full(34, 9.0)), 5.0, 0.05).amplitude.size == 34
     assert len(faint.without_faint(found, 5.0, 0.05, beyond_m=1e3)) == len(found)
+    points = replace(found, blocked=np.zeros(34))  # of a medium: faint each, an echo together
+    assert faint.without_faint(points, 5.0, 0.05) is points
 
 
 def test_under_a_fog_that_crosses_the_threshold_itself_clusters_are_sampled() -> None:
