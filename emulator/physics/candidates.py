@@ -15,7 +15,6 @@ from emulator.physics.detector import Detector
 from emulator.physics.subechoes import Clusters
 from emulator.physics.waveform import Waveform
 
-
 FAINT = 1e-3
 "Share of a maximum that a medium may have for it to be that of a cosine."
 

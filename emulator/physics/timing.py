@@ -72,7 +72,8 @@ def _between_samples(
     """First crossings of sin^2 pulses between a sample below the level and the next one, or a maximum before it.
 
     Between the instants at which pulses begin or end the sum is one cosine, and the medium, `soft`, is linear, from its
-    value at the first on by its slope: Newton's steps from where the cosine rises through what the medium leaves it in the middle.
+    value at the first on by its slope: Newton's steps from where the cosine rises through what the medium leaves it in
+    the middle.
     """
     slope = soft[1]
     constant = soft[0] - slope * lo

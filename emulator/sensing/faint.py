@@ -30,8 +30,8 @@ def most_dropped(model: SensorModel) -> float:
 def without_faint(found: SubEchoes, threshold: float, together: float, beyond_m: float = -np.inf) -> SubEchoes:
     """The sub-echoes but those that are faint; of each beam the nearest ones, until their sum would show.
 
-    They also stop light: up to `beyond_m`, where a medium is followed, all are kept. So are those that stop none: drops,
-    and points of a medium, which are faint each and an echo together.
+    They also stop light: up to `beyond_m`, where a medium is followed, all are kept. So are those that stop none:
+    drops, and points of a medium, which are faint each and an echo together.
     """
     at = indexes((found.amplitude < ALONE * threshold) & (found.range_m > beyond_m) & (found.blocked > 0.0))
     if len(at) <= WORTH * len(found):

@@ -25,7 +25,7 @@ from emulator.spec import load_spec
 from emulator.weather import WeatherConfig
 from protocols.scan import ScanPlan
 
-MODELS = ("sick-ld-lrs1000", "sick-lms291-s05", "paper-905nm")
+MODELS = LD, LMS, PAPER = "sick-ld-lrs1000", "sick-lms291-s05", "paper-905nm"
 MATERIALS = ("asphalt", "concrete", "car_paint_silver", "window_glass", "retro_sheeting", "brick")
 
 

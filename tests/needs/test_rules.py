@@ -23,9 +23,20 @@ from emulator.sensing import closed, daylight, faint, measure, particles, paths,
 from emulator.sensing.model import SensorModel
 from emulator.weather import WeatherConfig
 from protocols.scan import ScanPlan
-from tests.needs.scenes import Tally, body, full_against_pruned, measure_of, plan, random_scene, same, tally
+from tests.needs.scenes import (
+    LD,
+    LMS,
+    PAPER,
+    Tally,
+    body,
+    full_against_pruned,
+    measure_of,
+    plan,
+    random_scene,
+    same,
+    tally,
+)
 
-LD, LMS, PAPER = "sick-ld-lrs1000", "sick-lms291-s05", "paper-905nm"
 KEYS = tuple(LeaveOut.model_fields)
 
 
