@@ -130,7 +130,12 @@ class Caster:
     @property
     def moves(self) -> bool:
         """Some body moves, or is stored as those that do."""
-        return len(self._moving) > 0
+        return self.movers > 0
+
+    @property
+    def movers(self) -> int:
+        """How many do."""
+        return len(self._moving)
 
     def may_lie_beyond(self, origin_m: Floats, direction: Floats, t_s: Floats, beyond_m: float) -> Flags:
         """(m,) rays on which something may lie farther than that, by the spheres that hold what rests and what moves.

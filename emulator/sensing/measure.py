@@ -44,6 +44,10 @@ if TYPE_CHECKING:
     from emulator.sensing.faulty import FaultySweeps
 
 
+MANY_BEYOND = 0.05
+"Share of beams for which one more ray in daylight costs more than casting all as far."
+FEW_MOVERS = 32
+"With more moving bodies out of reach it does not."
 DEEP = 5.0
 "Optical depth beyond which single scattering is an estimate."
 
@@ -104,6 +108,8 @@ class Measure:
         self._bundles = BundleCache(model)
         self._receiver = receiver
         self._deepest = 0.0
+        self._beyond_pays_not = False
+        "In daylight: what is out of reach is met at once by all rays, not by one more for each beam that met nothing."
         self._at_rest: tuple[Resting, ...] = ()
         "Of a sensor that does not move: the latest last."
         self._soft = SoftTargets(model, receiver.bin_m)
@@ -201,7 +207,10 @@ class Measure:
             seen = returned(cells, rays, self._caster, surfaces, air, self.model, gain, plan.max_range_m)
         else:
             rays, resting = self._rays(plan, pose, t_s)
+            shines = surfaces_show(air.sun, self.model)
             far = reach_of(self.model, plan.max_range_m) if self.model.spare_far else np.inf
+            if shines and self._beyond_pays_not:
+                far = np.inf
             what = surfaces, air, self.model, gain, plan.max_range_m
             if resting is not None:
                 seen = resting.seen(rays, self._caster, far, *what)
@@ -210,7 +219,7 @@ class Measure:
                     rays.origin_m, rays.direction, rays.t_s, max_range_m=far, aimed=rays.steady
                 )
                 seen = returned(hits, rays, self._caster, *what)
-            if far < np.inf and surfaces_show(air.sun, self.model):
+            if far < np.inf and shines:
                 seen = self._background(seen, rays, far)
         drops = []
         for particles in air.particles:
@@ -266,6 +275,7 @@ class Measure:
         if not bool(beyond.any()):
             return seen
         beams, at = beams[beyond], at[beyond]
+        self._beyond_pays_not = len(beams) > MANY_BEYOND * len(seen.axis_material) and self._caster.movers <= FEW_MOVERS
         hits = self._caster.first_hits(rays.origin_m[at], rays.direction[at], rays.t_s[at])
         material, normal = seen.axis_material.copy(), seen.axis_normal.copy()
         material[beams], normal[beams] = hits.material, hits.normal

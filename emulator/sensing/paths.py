@@ -83,6 +83,8 @@ class FacedCaster(Protocol):
 
     @property
     def moves(self) -> bool: ...
+    @property
+    def movers(self) -> int: ...
 
     def may_lie_beyond(self, origin_m: Floats, direction: Floats, t_s: Floats, beyond_m: float) -> NDArray[np.bool_]:
         """(m,) rays on which something may lie farther than that."""

@@ -116,6 +116,31 @@ def test_in_the_sun_a_single_ray_a_beam_looks_beyond_reach(tmp_path: Path) -> No
     assert (seen >= 0).sum() > 60
 
 
+@pytest.mark.parametrize("movers", [1, 40])
+def test_in_the_sun_all_rays_look_beyond_reach_where_one_more_for_many_beams_costs_more(
+    tmp_path: Path, movers: int
+) -> None:
+    far = [{"id": f"far{k}", "shape": {"box": {"size_m": [9.0, 90.0, 60.0]}}, "material": "white",
+            "motion": {"at_m": [400.0 + 20.0 * k, 0.0, -20.0], "velocity_m_s": [0.0, 1.0, 0.0]}}
+           for k in range(movers)]  # fmt: skip
+    settings: dict[str, Any] = {
+        "actors": far, "model": "sick-lms291-s05", "physics": {"leave_out": {"closed_form": "never"}},
+        "weather": {"sun": {"azimuth_deg": 180.0, "elevation_deg": 20.0}},
+    }  # fmt: skip
+    world = [plate(30.0, "half", width_m=10.0)]
+    measure = build(tmp_path, world, **settings)
+    assert isinstance(measure._caster, raycast.Caster)
+    asked, scans = [0], []
+    for sweep in range(3):
+        scans.append(measure(plan(AZIMUTH, sweep=sweep, start_s=0.1 * sweep)))
+        asked.append(measure._caster.counters.rays - sum(asked))
+    bundles = 121 * measure.model.sub_beams
+    assert asked[1] > bundles
+    assert (asked[2] == asked[3] == bundles) == (movers == 1)
+    for sweep in (2, 1):
+        same(build(tmp_path, world, **settings)(plan(AZIMUTH, sweep=sweep, start_s=0.1 * sweep)), scans[sweep])
+
+
 def test_in_the_sun_no_ray_looks_beyond_reach_where_nothing_is(tmp_path: Path) -> None:
     near = [{"id": "near", "shape": {"box": {"size_m": [2.0, 2.0, 2.0]}}, "material": "white",
              "motion": {"at_m": [20.0, 9.0, -1.0], "velocity_m_s": [0.0, 0.5, 0.0]}}]  # fmt: skip
