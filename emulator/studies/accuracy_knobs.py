@@ -62,7 +62,7 @@ def bins() -> Table:
         ),
         tuple(rows),
         "Orders 3 and 2 for what samples alone tell. The product, here with every cluster sampled and against the true "
-        "range, knows which pulses are under way at a sample: maxima of one cosine and crossings it finds in closed form.",
+        "range, knows which pulses are under way at a sample: crossings and maxima of one cosine have a closed form.",
     )
 
 
