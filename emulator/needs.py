@@ -8,17 +8,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from emulator.physics.arrays import Floats
+from emulator.physics.cosines import SHORT, split_cosines
+from emulator.physics.softprofile import SoftProfile
+from emulator.physics.subechoes import SubEchoes
 from emulator.sensing import Measure
+from emulator.sensing.closed import LEAN_LSB, SHIFT_LSB
 from emulator.sensing.daylight import largest_diffuse_w, surfaces_show, unseen_w
-from emulator.sensing.faint import most_dropped, without_faint
-from emulator.sensing.paths import reach_of
-from emulator.sensing.receiver import RARE
-from emulator.sensing.soft import UNSEEN
+from emulator.sensing.faint import looked_at, most_dropped
+from emulator.sensing.model import SensorModel
+from emulator.sensing.particles import RARE as RAREST_PARTICLES
+from emulator.sensing.particles import mean_seen
+from emulator.sensing.paths import UNSEEN as BEHIND
+from emulator.sensing.paths import best_behind, reach_of
+from emulator.sensing.rays import cast_rays
+from emulator.sensing.receiver import RARE, Receiver
+from emulator.sensing.soft import UNSEEN, SoftTargets
 from emulator.spec import SensorSpec
 from protocols.scan import ScanPlan
 
@@ -34,6 +44,13 @@ class Finding:
     saves: str
     idle: bool = False
     "There is nothing here that the rule could leave out or keep."
+    unit: str = ""
+    "Of value and bound."
+
+    @property
+    def exact(self) -> bool:
+        """Nothing is compared: all is computed, or what is left out adds nothing at all."""
+        return self.value is None
 
     @property
     def margin(self) -> float | None:
@@ -63,30 +80,43 @@ class Rule:
 
 def _clear_air(measure: Measure, plan: ScanPlan) -> Finding:
     view = measure.view(plan)
-    if view.air.uneven or not len(view.echoes):
-        return Finding(False, None, None, "an exponential an echo", idle=not len(view.echoes))
-    depth = 2.0 * view.air.everywhere.extinction_per_m * float(view.echoes.range_m.max())
+    found = view.seen.echoes
+    if view.air.uneven or not len(found):
+        return Finding(False, None, None, "an exponential an echo", idle=not len(found))
+    depth = 2.0 * view.air.everywhere.extinction_per_m * float(found.range_m.max())
     bound = measure.model.clear_depth
-    return Finding(measure.model.leave_out.clear_air and depth < bound, depth, bound, "an exponential an echo")
+    out = measure.model.leave_out.clear_air and depth < bound
+    return Finding(out, depth, bound, "an exponential an echo", unit="of depth")
 
 
 def _closed_form(measure: Measure, plan: ScanPlan) -> Finding:
-    view = measure.view(plan)
+    view, model = measure.view(plan), measure.model
     whole = len(plan) * len(measure._bundles.of(plan).share)
+    outside = math.exp(-2.0 * model.plain_radii**2) if model.beam.profile == "gauss" else 0.0
     if view.plain is None:
-        return Finding(False, None, None, "0 rays: a test of edges would cost more than it saves")
-    share = float(np.mean(view.plain))
-    saved = f"{whole - view.cast} of {whole} rays, {share:.0%} of the beams plain"
-    return Finding(share > 0.0, math.exp(-2.0 * measure.model.plain_radii**2), 1e-3, saved)
+        saved = "0 rays: a test of edges would cost more than it saves"
+        return Finding(False, outside, 1e-3, saved, unit="of the power")
+    plain = int(np.count_nonzero(view.plain))
+    saved = f"{whole - view.cast} of {whole} rays, {plain} of {len(plan)} beams plain"
+    return Finding(plain > 0, outside, 1e-3, saved, unit="of the power")
 
 
 def _plane_moments(measure: Measure, plan: ScanPlan) -> Finding:
-    view, sub_beams = measure.view(plan), len(measure._bundles.of(plan).share)
-    if view.plain is None or not bool(np.any(view.plain)):
+    view, step_m = measure.view(plan), measure.model.lsb_m
+    t_s = 1e-9 * plan.start_ns + plan.fire_offset_s
+    with np.errstate(under="ignore"):
+        spared = measure._spared(plan, measure._pose(t_s), t_s, view.surfaces, view.air)
+    if spared is None or not bool(spared.plain.any()):
         return Finding(False, None, None, "0 beams", idle=True)
-    single = np.bincount(view.seen.echoes.beam, minlength=len(plan)) == 1
-    short = int(np.count_nonzero(view.plain & single)) if sub_beams > 1 else 0
-    return Finding(short > 0, None, None, f"the bundle's ranges in {short} of {int(view.plain.sum())} plain beams")
+    shifts, plain = spared.shifts, int(spared.plain.sum())
+    short = int(np.count_nonzero(np.isfinite(shifts.crossing_m)))
+    saves = f"the bundle's ranges in {short} of {plain} plain beams"
+    if not short:
+        return Finding(False, None, None, saves)
+    of_lean = float(np.nanmax(shifts.lean_m)), LEAN_LSB * step_m
+    of_crossing = float(np.nanmax(shifts.crossing_m)), SHIFT_LSB * step_m
+    value, bound = max(of_lean, of_crossing, key=lambda pair: pair[0] / pair[1])
+    return Finding(True, value, bound, saves, unit="m")
 
 
 def _resting(measure: Measure, plan: ScanPlan) -> Finding:
@@ -95,30 +125,76 @@ def _resting(measure: Measure, plan: ScanPlan) -> Finding:
 
 
 def _far_objects(measure: Measure, plan: ScanPlan) -> Finding:
-    air = measure.air.at(1e-9 * plan.start_ns)
-    saves = f"all surfaces beyond {reach_of(measure.model, plan.max_range_m):.0f} m"
-    if surfaces_show(air.sun, measure.model):
+    air, model = measure.air.at(1e-9 * plan.start_ns), measure.model
+    reach_m = reach_of(model, plan.max_range_m)
+    met_m = measure.view(plan).seen.nearest_m
+    saves = f"all surfaces beyond {reach_m:.0f} m"
+    if bool(np.isfinite(met_m).any()):
+        saves += f" (the farthest that a beam meets first: {float(np.max(met_m[np.isfinite(met_m)])):.1f} m)"
+    if surfaces_show(air.sun, model):
         saves += ", but for one ray of each beam that met nothing: background"
-    return Finding(measure.model.leave_out.far_objects, None, None, saves)
+    # what begins within the gate is an echo; a pulse that comes two half supports later does not reach into it
+    last_m = min(model.gate_m, plan.max_range_m) + 2.0 * model.pulse.half_support_m
+    return Finding(model.leave_out.far_objects, last_m, reach_m, saves, unit="m")
 
 
 def _soft(measure: Measure, plan: ScanPlan) -> Finding:
     model, air, soft = measure.model, measure.air.at(1e-9 * plan.start_ns), measure._soft
-    start_m = max(model.overlap_start_m, model.near_gate_m)
-    value = soft._bound(air.everywhere.backscatter_per_m_sr, air.everywhere.extinction_per_m, start_m) * plan.gain
-    bound, saves = UNSEEN * model.threshold, "the medium's waveform in every beam"
+    least, saves = UNSEEN * model.threshold, "the medium's waveform in every beam"
     if not model.weather_echoes:
-        return Finding(True, 0.0, bound, saves, idle=True)
+        return Finding(True, 0.0, least, saves, idle=True, unit="rms noise")
+    start_m = max(model.overlap_start_m, model.near_gate_m)
     if soft.uneven(air):
-        return Finding(False, value, bound, saves)
+        value = max(soft._bound(one.medium.backscatter_per_m_sr, 0.0, start_m) for one in air.volumes)
+        return Finding(False, value, least, saves, unit="rms noise")
+    value = soft._bound(air.everywhere.backscatter_per_m_sr, air.everywhere.extinction_per_m, start_m) * plan.gain
     made = soft.everywhere(air, plan.gain)
+    if made is None and value < min(least, model.unseen_amplitude):
+        return Finding(True, value, min(least, model.unseen_amplitude), saves, unit="rms noise")
+    # decided by the medium's own wave, at each range
+    whole = SoftTargets(_keeping_media(model), measure._receiver.bin_m).everywhere(air, plan.gain)
+    if whole is None:  # no light of it comes within the gate
+        return Finding(made is None, value, least, saves, unit="rms noise")
     if made is not None and (made.shows or math.isinf(made.until_m)):
-        return Finding(False, value, bound, saves)
+        value, bound = _nearest_to_showing(whole, model)
+        return Finding(False, value, bound, saves, unit="rms noise")
+    if made is None and (whole.pulse.shape != "sin2" or model.photons is not None):
+        value, bound = _nearest_to_showing(whole, model)
+        return Finding(True, value, bound, saves, unit="rms noise")
+    until_m = -math.inf
     if made is not None:
-        saves = f"the medium's waveform beyond {made.until_m:.1f} m; before, it shifts echoes of surfaces"
-    if value >= bound:  # decided by the medium's own wave against the threshold at each range
-        return Finding(True, None, None, saves)
-    return Finding(True, value, bound, saves)
+        until_m = made.until_m
+        saves = f"the medium's waveform beyond {until_m:.1f} m; before, it shifts echoes of surfaces"
+    value, bound = _nearest_to_shifting(whole, until_m, model)
+    return Finding(True, value, bound, saves, unit="rms noise")
+
+
+def _keeping_media(model: SensorModel) -> SensorModel:
+    return replace(model, leave_out=model.leave_out.model_copy(update={"backscatter": False}))
+
+
+def _nearest_to_showing(whole: SoftProfile, model: SensorModel) -> tuple[float, float]:
+    """Return of a medium and what it is compared with, where it comes nearest to an echo of its own."""
+    x_m = np.append(_ranges_of(whole), whole.peak_m)
+    return _worst(whole.wave(x_m), UNSEEN * np.maximum(model.threshold, model.floor_m2 / np.maximum(x_m, 1e-3) ** 2))
+
+
+def _nearest_to_shifting(whole: SoftProfile, beyond_m: float, model: SensorModel) -> tuple[float, float]:
+    """The same where it comes nearest to shifting another echo by half a step, behind a range and the near gate."""
+    x_m = _ranges_of(whole)
+    x_m = x_m[(x_m > beyond_m) & (x_m > model.near_gate_m - whole.pulse.half_support_m)]
+    if not len(x_m):
+        return 0.0, model.unseen_amplitude
+    return _worst(whole.wave(x_m), model.unseen_under(model.least_amplitude(x_m)))
+
+
+def _ranges_of(whole: SoftProfile) -> Floats:
+    return whole.bin_m * np.arange(whole.first, whole.first + len(whole.upper), dtype=np.float64)
+
+
+def _worst(value: Floats, bound: Floats) -> tuple[float, float]:
+    at = int(np.argmax(value / bound))
+    return float(value[at]), float(bound[at])
 
 
 def _soft_table(measure: Measure, plan: ScanPlan) -> Finding:
@@ -128,52 +204,104 @@ def _soft_table(measure: Measure, plan: ScanPlan) -> Finding:
 
 
 def _sun(measure: Measure, plan: ScanPlan) -> Finding:
-    sun, model = measure.air.at(1e-9 * plan.start_ns).sun, measure.model
+    sun, model, unit = measure.air.at(1e-9 * plan.start_ns).sun, measure.model, "W"
     if sun is None:
-        return Finding(True, 0.0, unseen_w(model), "noise of every beam, one ray to the sun", idle=True)
+        saves = "noise of every beam, one ray to the sun"
+        return Finding(True, 0.0, unseen_w(model), saves, idle=True, unit=unit)
     value = largest_diffuse_w(sun, model)
     out = value <= unseen_w(model) and model.leave_out.background_light
-    return Finding(out, value, unseen_w(model), "noise of every beam")
+    return Finding(out, value, unseen_w(model), "noise of every beam", unit=unit)
 
 
 def _false_alarms(measure: Measure, plan: ScanPlan) -> Finding:
-    value = float(getattr(measure._receiver, "_false_alarms", 0.0)) * len(plan)
-    wanted = measure.model.false_alarms
-    out = not wanted or (value < RARE and measure.model.leave_out.noise_echoes)
-    return Finding(out, value, RARE, "draws of a sweep", idle=not wanted)
+    receiver, unit = measure._receiver, "a sweep"
+    if not isinstance(receiver, Receiver) or not measure.model.false_alarms:
+        return Finding(True, 0.0, RARE, "draws of a sweep", idle=True, unit=unit)
+    value = receiver.noise_echoes_of(len(plan))
+    return Finding(value < RARE and measure.model.leave_out.noise_echoes, value, RARE, "draws of a sweep", unit=unit)
 
 
 def _particles(measure: Measure, plan: ScanPlan) -> Finding:
-    none = not measure.air.at(1e-9 * plan.start_ns).particles
-    return Finding(none, None, None, "drops or flakes of every beam", idle=none)
+    view, model, saves = measure.view(plan), measure.model, "drops or flakes of every beam"
+    if not view.air.particles:
+        return Finding(True, 0.0, RAREST_PARTICLES, saves, idle=True, unit="a sweep")
+    # of rain and of snow each is decided by itself
+    value = max(float(mean_seen(one, view.seen.nearest_m, model, plan.gain).sum()) for one in view.air.particles)
+    out = value < RAREST_PARTICLES and model.leave_out.particles
+    return Finding(out, value, RAREST_PARTICLES, saves, unit="a sweep")
 
 
 def _waveform(measure: Measure, plan: ScanPlan) -> Finding:
-    model = measure.model
-    fits = model.pulse.shape == "sin2" and model.method == "leading_edge" and model.photons is None
-    if not fits:
+    model, receiver, unit = measure.model, measure._receiver, "m"
+    bound = SHORT * model.pulse.half_support_m
+    if not isinstance(receiver, Receiver) or not receiver.detector.closed_form:
         return Finding(
             False, None, None, "nothing: only sin2 pulses under a leading edge have a closed form", idle=True
         )
-    saves = "samples of every cluster shorter than half a pulse where a medium is faint, and of the medium alone"
-    return Finding(model.leave_out.waveform, None, None, saves)
+    detector, soft, parts = receiver.detector, _medium(measure, plan), _looked_at(measure, plan)
+    every, closed, longest = 0, 0, 0.0
+    for found in parts:
+        short, _ = split_cosines(found, detector, soft)
+        every, closed = every + len(found), closed + int(short.size.sum())
+        if len(short):
+            longest = max(longest, float(np.max(found.range_m[short.start + short.size - 1] - short.first_m)))
+    out = model.leave_out.waveform and (soft is None or soft.peak < detector.full_scale)
+    saves = f"samples of the clusters of {closed} of {every} reflections, and of a medium where it is alone"
+    return Finding(out, longest, bound, saves, unit=unit)
 
 
 def _bounces(measure: Measure, plan: ScanPlan) -> Finding:
-    none = not (measure._dry.sends_on and measure.model.bounces > 0)
-    return Finding(none, None, None, "second rays and their air", idle=none)
+    model, view = measure.model, measure.view(plan)
+    bound, unit = BEHIND * model.threshold, "rms noise"
+    if not (view.surfaces.sends_on and model.bounces > 0):
+        return Finding(True, 0.0, bound, "second rays and their air", idle=True, unit=unit)
+    t_s = 1e-9 * plan.start_ns + plan.fire_offset_s
+    with np.errstate(under="ignore"):
+        # of the axes alone nothing goes on: beams that are plain see no mirror and no pane
+        rays = view.rays if view.plain is None else cast_rays(measure._bundles.of(plan), measure._pose(t_s), t_s)
+        hits = measure._caster.first_hits(rays.origin_m, rays.direction, rays.t_s)
+        best = best_behind(hits, rays, view.surfaces, view.air, model, plan.gain, plan.max_range_m)
+    gone = int(np.count_nonzero(best <= bound)) if model.leave_out.second_rays else 0
+    value = float(best.max(initial=0.0))
+    saves = f"{gone} of {len(best)} second rays and their air"
+    return Finding(gone == len(best), value, bound, saves, idle=not len(best), unit=unit)
 
 
 def _faint(measure: Measure, plan: ScanPlan) -> Finding:
-    echoes, threshold = measure.view(plan).echoes, measure.model.threshold
-    bound = most_dropped(measure.model)
-    kept = without_faint(echoes, threshold, bound)
-    gone = len(echoes) - len(kept)
-    lost = np.bincount(echoes.beam, echoes.amplitude) if len(echoes) else np.zeros(1)
-    left = np.bincount(kept.beam, kept.amplitude, len(lost)) if len(kept) else np.zeros(len(lost))
-    saves = f"{gone} of {len(echoes)} reflections" if gone else "0 reflections: too few are faint to be worth it"
-    value = float(np.max(lost - left)) if gone else 0.0
-    return Finding(gone > 0 and measure.model.leave_out.faint, value, bound, saves)
+    model, bound, unit = measure.model, most_dropped(measure.model), "rms noise"
+    if not isinstance(measure._receiver, Receiver):
+        return Finding(False, None, None, "nothing: a receiver of photons counts them all", idle=True)
+    soft, every, gone, value = _medium(measure, plan), 0, 0, 0.0
+    for given in _given(measure, plan):
+        kept = looked_at(given, soft, model)
+        every, gone = every + len(given), gone + len(given) - len(kept)
+        lost = np.bincount(given.beam, given.amplitude, len(plan)) - np.bincount(kept.beam, kept.amplitude, len(plan))
+        value = max(value, float(lost.max(initial=0.0))) if len(kept) < len(given) else value
+    saves = f"{gone} of {every} reflections"
+    if not gone and soft is not None and soft.until_m == math.inf:
+        saves += ": a medium is followed everywhere, and they stop its light"
+    elif not gone and model.leave_out.faint:
+        behind = "" if soft is None or soft.until_m == -math.inf else f" behind {soft.until_m:.1f} m of a medium"
+        saves += f": too few are faint{behind} to be worth it"
+    return Finding(gone > 0, value, bound, saves, unit=unit)
+
+
+def _medium(measure: Measure, plan: ScanPlan) -> SoftProfile | None:
+    """The medium that the receiver is given."""
+    return measure._soft.everywhere(measure.view(plan).air, plan.gain)
+
+
+def _given(measure: Measure, plan: ScanPlan) -> list[SubEchoes]:
+    """Reflections that the receiver is given: of beams that see what they saw before, and of all others."""
+    view = measure.view(plan)
+    if view.kept is None:
+        return [view.found]
+    return [view.kept.found, *([view.found] if bool(view.kept.changed.any()) else [])]
+
+
+def _looked_at(measure: Measure, plan: ScanPlan) -> list[SubEchoes]:
+    """The same without the faint ones."""
+    return [looked_at(found, _medium(measure, plan), measure.model) for found in _given(measure, plan)]
 
 
 def _exact(saves: str) -> Callable[[Measure, ScanPlan], Finding]:
@@ -190,22 +318,23 @@ RULES: tuple[Rule, ...] = (
     Rule("bundles of plain beams", "closed_form", "per sweep; once for what rests",
          "no edge within plain_radii: exp(-2 k^2) of the power lies outside", _closed_form),
     Rule("bundle ranges on planes", "plane_moments", "per beam",
-         "mean, energy and spread of a tilted plane shift no range by a quarter of a step", _plane_moments),
+         "mean, energy and spread of a tilted plane shift no range by a quarter of a step, no crossing by an eighth",
+         _plane_moments),
     Rule("rebuilding of structures", None, "never needed", "rays are moved, in float64", _exact("every build")),
     Rule("casts on what rests", "resting", "once for a sensor at rest", "the same rays meet the same, bit by bit",
          _resting),
     Rule("surfaces out of reach", "far_objects", "per sweep",
-         "nothing beyond the gate and a pulse is an echo; in daylight it is background", _far_objects),
+         "farther than the gate and a pulse, where nothing is an echo; in daylight it is background", _far_objects),
     Rule("background light", "background_light", "per sweep", "shot noise below 2e-3 of the square of the noise", _sun),
     Rule("noise echoes", "noise_echoes", "per sweep", "mean count of a sweep below 1e-6", _false_alarms),
     Rule("backscatter of the air", "backscatter", "once per state of the weather",
-         "its waveform's bound is below a tenth of the threshold; followed where it shifts a crossing", _soft),
+         "its return is below a tenth of the threshold, and followed where it shifts a crossing by half a step", _soft),
     Rule("tables of the medium", "soft_table", "once per state of the weather", "exact in air that is even everywhere",
          _soft_table),
     Rule("falling particles", "particles", "per state of the weather, draws per sweep",
          "none falls, or fewer than 1e-3 a sweep reach the threshold", _particles),
-    Rule("sampled waveforms", "waveform", "per cluster of reflections", "shorter than half a pulse: sums of cosines",
-         _waveform),
+    Rule("sampled waveforms", "waveform", "per cluster of reflections",
+         "these are sums of cosines, the longest of them shorter than half a pulse; others are sampled", _waveform),
     Rule("second rays", "second_rays", "once per scene, then per ray",
          "no surface mirrors or transmits 1 %, or the best one behind returns below 5 % of the threshold", _bounces),
     Rule("poses within a sweep", None, "never", "one pose for all would spare nothing: rays are moved all the same",
@@ -226,7 +355,8 @@ def explained(measure: Measure, plan: ScanPlan) -> list[dict[str, Any]]:
         finding = rule.find(measure, plan)
         row = {"term": rule.name, "switch": rule.switch, "when": rule.when, "why": rule.why, **asdict(finding)}
         margin = finding.margin
-        found.append({**row, "margin": margin if margin is None or math.isfinite(margin) else None})
+        margin = margin if margin is None or math.isfinite(margin) else None
+        found.append({**row, "exact": finding.exact, "margin": margin})
     return found
 
 

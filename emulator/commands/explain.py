@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from emulator.commands.common import OK, bar, load_scenario, part_of, say, scenario_options
+from emulator.commands.common import OK, bar, load_scenario, note, part_of, say, scenario_options
 
 if TYPE_CHECKING:
     from emulator.savings import Cost
@@ -47,6 +47,8 @@ def explain(
     world = scene.build(loaded)
     actual = plans.plans_of(loaded)
     seeing = [sensor for sensor in loaded.sensors if load_spec(sensor.model).sees == "beams"]
+    if not seeing:
+        note(f"{loaded.label('sensors')}: no sensor here sees beams: there is nothing to explain")
     with bar("explain") as progress:
         for number, sensor in enumerate(seeing):
             spec = load_spec(sensor.model)
@@ -87,12 +89,18 @@ def _against(whole: Cost | None) -> str:
 
 def _tell(row: dict[str, Any]) -> None:
     state = "not there" if row["idle"] else "left out" if row["left_out"] else "kept"
-    bound = "" if row["bound"] is None else f"  {row['value']:.3g} of {row['bound']:.3g}"
-    margin = "" if row["margin"] is None else f", margin {row['margin']:.3g}"
-    say(f"  {row['term']:24s} {state:9s}{bound}{margin}")
+    say(f"  {row['term']:24s} {state:9s}  {_numbers(row)}")
     saved = ""
     if row["ms_saved"] is not None:
         would = "saves" if row["left_out"] else "would save"
         saved = f"; {would} {row['rays_saved']:.2f} rays a beam, {row['ms_saved']:.2f} ms"
     say(f"      {row['when']}: {row['why']}")
     say(f"      spares {row['saves']}{saved}; switch: {row['switch']}")
+
+
+def _numbers(row: dict[str, Any]) -> str:
+    """What is compared and how far it is from its bound; `exact` where nothing need be."""
+    if row["exact"]:
+        return "exact"
+    margin = "inf" if row["margin"] is None else f"{row['margin']:.3g}"
+    return f"{row['value']:.3g} of {row['bound']:.3g} {row['unit']}, margin {margin}"

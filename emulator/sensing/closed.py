@@ -31,6 +31,8 @@ computed, so that a scan does not depend on what was left out.
 
 SHIFT_LSB = 0.125
 "Shift of the crossing by that spread, in steps of the range, from which the bundle's ranges are computed."
+LEAN_LSB = 0.25
+"Shift of the mean range by a reflectance that leans across the beam, in steps of the range, from which they are too."
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +57,23 @@ def planes(rays: Rays, hits: Hits, model: SensorModel, radii: float) -> Planes:
     return Planes(cosine, 0.5 * width * tangent, radii * width * tangent)
 
 
-def holds(seen: Planes, hits: Hits, scene: Surfaces, air: Medium, model: SensorModel, plain: Bools) -> Bools:
-    """(n,) plain beams whose echo the moments give."""
-    beam = model.beam
+@dataclass(frozen=True, eq=False)
+class Shifts:
+    """What the moments of a plane may be wrong by in beams that have their echo from them."""
+
+    lean_m: Floats
+    "(n,) of the mean range, NaN in other beams; less than `LEAN_LSB` of a step."
+    crossing_m: Floats
+    "(n,) of the crossing, NaN in other beams; at most `SHIFT_LSB` of a step."
+
+
+def holds(
+    seen: Planes, hits: Hits, scene: Surfaces, air: Medium, model: SensorModel, plain: Bools
+) -> tuple[Bools, Floats]:
+    """(n,) plain beams whose echo the moments give, and by how much it may lean, NaN where they do not."""
+    beam, leans = model.beam, np.full(len(plain), np.nan)
     if air.uneven or beam.profile != "gauss" or beam.half_angle_x_rad != beam.half_angle_y_rad:
-        return np.zeros(len(plain), bool)
+        return np.zeros(len(plain), bool), leans
     good = plain & (hits.range_m > model.overlap_full_m * (1.0 + STEEPEST))
     good &= seen.spread * hits.range_m < SPREAD_LSB * model.lsb_m
     at = indexes(good)
@@ -72,15 +86,19 @@ def holds(seen: Planes, hits: Hits, scene: Surfaces, air: Medium, model: SensorM
     down = scene.table.back(kind, less) / some - less / c
     lean, bow = 0.5 * np.abs(up - down), np.abs(up + down)
     shift = 0.5 * lean * seen.spread[at] * hits.range_m[at]
-    good[at] = (bow < SECOND_ORDER) & (shift < 0.25 * model.lsb_m)
-    return good
+    good[at] = (bow < SECOND_ORDER) & (shift < LEAN_LSB * model.lsb_m)
+    leans[at] = np.where(good[at], shift, np.nan)
+    return good, leans
 
 
 def echoes(
     beams: Ints, rays: Rays, seen: Planes, hits: Hits, scene: Surfaces, air: Medium, model: SensorModel, gain: float,
     reach_m: float,
-) -> tuple[SubEchoes, Ints]:  # fmt: skip
-    """Sub-echoes of these beams (k,), whose planes are met by their whole cones; and beams whose spread would show."""
+) -> tuple[SubEchoes, Ints, Floats]:  # fmt: skip
+    """Sub-echoes of these beams (k,), whose planes are met by their whole cones; beams whose spread would show.
+
+    And (n,) by how much the crossings of those echoes may be shifted, NaN where there is none.
+    """
     beams = beams[hits.range_m[beams] <= reach_m]
     range_m, c, relative = hits.range_m[beams], seen.cosine[beams], seen.spread[beams]
     kind = hits.material[beams].astype(np.int64)
@@ -102,7 +120,9 @@ def echoes(
     stretch = stretch_peak_sin2 if pulse.shape == "sin2" else stretch_peak_gauss
     amplitude = amplitude[one] * stretch(pulse.fwhm_s, spread_m[one])
     source = hits.actor[beams[one]].astype(np.int64)
-    return SubEchoes.of(beams[one], mean[one], amplitude, np.ones(len(one)), source), beams[wide]
+    shifts = np.full(len(hits.range_m), np.nan)
+    shifts[beams[one]] = shift[one]
+    return SubEchoes.of(beams[one], mean[one], amplitude, np.ones(len(one)), source), beams[wide], shifts
 
 
 def plane_ranges(rays: Rays, hits: Hits, beam_of: Ints) -> Floats:

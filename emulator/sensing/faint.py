@@ -6,12 +6,16 @@ Belongs here: which of a sweep's sub-echoes. Not: what is detected (physics.dete
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from emulator.physics.arrays import indexes
 from emulator.physics.subechoes import SubEchoes
 from emulator.sensing.model import SensorModel
+
+if TYPE_CHECKING:
+    from emulator.physics.softprofile import SoftProfile
 
 ALONE = 1e-3
 "Share of the threshold below which a reflection is faint."
@@ -25,6 +29,14 @@ WORTH = 0.1
 def most_dropped(model: SensorModel) -> float:
     """Sum of the amplitudes that may be dropped from a beam."""
     return min(TOGETHER * model.threshold, model.unseen_amplitude)
+
+
+def looked_at(found: SubEchoes, soft: SoftProfile | None, model: SensorModel) -> SubEchoes:
+    """The sub-echoes that this sensor's receiver looks at: all but the faint, where these may be left out."""
+    if not model.leave_out.faint or (soft is not None and soft.until_m == np.inf):
+        return found
+    beyond_m = -np.inf if soft is None else soft.until_m + 2.0 * model.pulse.half_support_m
+    return without_faint(found, model.threshold, most_dropped(model), beyond_m)
 
 
 def without_faint(found: SubEchoes, threshold: float, together: float, beyond_m: float = -np.inf) -> SubEchoes:

@@ -129,21 +129,19 @@ def seen_particles(
 ) -> SubEchoes | None:
     """Sub-echoes of the particles that alone reach the threshold, up to each beam's first surface, `far_m` (n,)."""
     half_angle, near_m = _cone_of(model)
-    if half_angle == 0.0 or near_m >= model.gate_m:
+    mean = mean_seen(particles, far_m, model, gain)
+    if not bool(mean.any()) or (float(mean.sum()) < RARE and model.leave_out.particles):
         return None
     nep_w = model.nep_w
     area_m2 = math.pi * model.aperture_radius_m**2
     kappa = particles.kappa_sr if particles.spectrum is None else particles.spectrum.kappa_sr
     scale = _scale(particles, half_angle, model, gain)
     far = np.minimum(far_m, model.gate_m)
+    count = draws.poisson(particles.term, sweep, mean)
     if particles.spectrum is None:
-        rarest = RARE if model.leave_out.particles else 0.0
-        beam, range_m, diameter_mm = _one_size(particles, scale, half_angle, near_m, far, sweep, draws, rarest)
+        end = _last_of_one_size(particles, scale, near_m, far)
+        beam, range_m, diameter_mm = _one_size(particles, near_m, end, sweep, draws, count)
     else:
-        mean = precipitation.detectable_mean(particles.spectrum, scale, half_angle, near_m, far)
-        if float(mean.sum()) < RARE and model.leave_out.particles:
-            return None
-        count = draws.poisson(particles.term, sweep, mean)
         uniform = _numbers(draws, particles.term, sweep, count)
         beam, range_m, diameter_mm = precipitation.detectable_particles(
             particles.spectrum, np.full(len(far), scale), half_angle, near_m, far, count, uniform
@@ -159,26 +157,29 @@ def seen_particles(
     return SubEchoes.of(beam, range_m, gain * power_w / nep_w)
 
 
+def mean_seen(particles: Particles, far_m: Floats, model: SensorModel, gain: float = 1.0) -> Floats:
+    """(n,) mean numbers of those that alone reach the threshold, up to each beam's first surface, `far_m` (n,)."""
+    half_angle, near_m = _cone_of(model)
+    if half_angle == 0.0 or near_m >= model.gate_m:
+        return np.zeros(len(far_m))
+    scale, far = _scale(particles, half_angle, model, gain), np.minimum(far_m, model.gate_m)
+    if particles.spectrum is None:
+        end = _last_of_one_size(particles, scale, near_m, far)
+        return np.asarray(particles.number_m3 * math.pi * half_angle**2 * (end**3 - near_m**3) / 3.0)
+    return np.asarray(precipitation.detectable_mean(particles.spectrum, scale, half_angle, near_m, far))
+
+
+def _last_of_one_size(particles: Particles, scale: float, near_m: float, far: Floats) -> Floats:
+    return np.maximum(np.minimum(far, math.sqrt(particles.diameter_mm / scale)), near_m)
+
+
 def _one_size(
-    particles: Particles,
-    scale: float,
-    half_angle: float,
-    near_m: float,
-    far: Floats,
-    sweep: int,
-    draws: Draws,
-    rarest: float,
+    particles: Particles, near_m: float, end: Floats, sweep: int, draws: Draws, count: Ints
 ) -> tuple[Ints, Floats, Floats]:
-    end = np.minimum(far, math.sqrt(particles.diameter_mm / scale))
-    end = np.maximum(end, near_m)
-    mean = particles.number_m3 * math.pi * half_angle**2 * (end**3 - near_m**3) / 3.0
-    if float(mean.sum()) < rarest:
-        return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
-    count = draws.poisson(particles.term, sweep, mean)
     if not bool(count.any()):
         return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
     uniform = _numbers(draws, particles.term, sweep, count)[:, 0]
-    beam = np.arange(len(far)).repeat(count)
+    beam = np.arange(len(end)).repeat(count)
     range_m = np.cbrt(near_m**3 + uniform * (end[beam] ** 3 - near_m**3))
     return beam, range_m, np.full(len(beam), particles.diameter_mm)
 

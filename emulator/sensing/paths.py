@@ -192,10 +192,7 @@ def returned(
     if len(index):
         every = len(index) == len(rays.beam)
         chosen = None if every else index
-        weight = rays.share
-        if gain != 1.0 or model.windscreen is not None:
-            weight = weight * windows(rays, model, gain)[rays.beam]
-        front = _Front(rays.origin_m, rays.direction, rays.t_s, rays.beam, weight, 0.0, 0.0)
+        front = _first(rays, model, gain)
         found, onward = _meet(front, hits, chosen, rays, scene, air, model)
         share = rays.share if every else rays.share[index]
         parts.append((*found, share, hits.actor if every else hits.actor[index]))
@@ -209,6 +206,32 @@ def returned(
         nearest = np.fmin.reduceat(hits.range_m, starts)
         nearest[np.isnan(nearest)] = np.inf
     return Seen(echoes, nearest, hits.material[at_axis], hits.normal[at_axis])
+
+
+def _first(rays: Rays, model: SensorModel, gain: float) -> _Front:
+    weight = rays.share
+    if gain != 1.0 or model.windscreen is not None:
+        weight = weight * windows(rays, model, gain)[rays.beam]
+    return _Front(rays.origin_m, rays.direction, rays.t_s, rays.beam, weight, 0.0, 0.0)
+
+
+def best_behind(
+    hits: Hits, rays: Rays, scene: Surfaces, air: Medium, model: SensorModel, gain: float = 1.0,
+    farthest_m: float = np.inf,
+) -> Floats:  # fmt: skip
+    """Amplitudes of the best surface behind each mirror and pane that the rays meet; below `UNSEEN` none is looked for.
+
+    Of the first of them: what is behind a second one is fainter.
+    """
+    reach = reach_of(model, farthest_m)
+    index = indexes(hits.range_m <= reach)
+    if not len(index):
+        return np.zeros(0)
+    front = _first(rays, model, gain)
+    _, onward = _meet(front, hits, index, rays, scene, air, model)
+    whole = len(rays.beam) / len(rays.axis)
+    parts = [_best(front, one, whole, scene, model)[one.length_m < reach] for one in onward]
+    return np.concatenate([np.zeros(0), *parts])
 
 
 def reach_of(model: SensorModel, farthest_m: float = np.inf) -> float:
@@ -336,9 +359,8 @@ def _continue(
         fronts = []
         for one in onward:
             weight = front.weight[one.index] * one.share**2
-            best = whole * weight * scene.strongest * model.k_m2 / (one.length_m**2 + model.aperture_radius_m**2)
             least = UNSEEN * model.threshold if model.leave_out.second_rays else 0.0
-            kept = (best > least) & (one.length_m < reach_m)
+            kept = (_best(front, one, whole, scene, model) > least) & (one.length_m < reach_m)
             if not bool(kept.any()):
                 continue
             index, step = one.index[kept], BEHIND_M * (1.0 + one.length_m[kept] / 1000.0)
@@ -366,6 +388,12 @@ def _continue(
         found, onward = _meet(front, hits, met, rays, scene, air, model)
         parts.append((*found, np.zeros(len(met)), hits.actor[met]))
     return parts
+
+
+def _best(front: _Front, one: _Onward, whole: float, scene: Surfaces, model: SensorModel) -> Floats:
+    """Amplitude of the best surface right behind, met by the whole beam."""
+    weight = whole * (front.weight[one.index] * one.share**2)
+    return np.asarray(weight * scene.strongest * model.k_m2 / (one.length_m**2 + model.aperture_radius_m**2))
 
 
 def _merged(fronts: list[_Front]) -> _Front:

@@ -20,7 +20,7 @@ from emulator.physics.detector import Detector, Echoes
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import Kept, SubEchoes
 from emulator.sensing.daylight import NIGHT, Daylight
-from emulator.sensing.faint import most_dropped, without_faint
+from emulator.sensing.faint import looked_at
 from emulator.sensing.model import SensorModel
 from protocols.scan import DAZZLED, SATURATED, Scan, ScanPlan
 
@@ -81,6 +81,15 @@ class Receiver:
         """Step of its waveforms, on which media are tabulated."""
         return self._detector.bin_m
 
+    @property
+    def detector(self) -> Detector:
+        """How it makes echoes of sub-echoes."""
+        return self._detector
+
+    def noise_echoes_of(self, beams: int) -> float:
+        """Mean count of noise echoes of a sweep of so many beams."""
+        return self._false_alarms * beams
+
     def receive(
         self,
         plan: ScanPlan,
@@ -129,17 +138,13 @@ class Receiver:
         return signals
 
     def _made(self, found: SubEchoes, beams: int, soft: SoftProfile | None, noise: Floats | None) -> Signals:
-        model = self._model
-        if model.leave_out.faint and (soft is None or soft.until_m < np.inf):
-            beyond_m = -np.inf if soft is None else soft.until_m + 2.0 * model.pulse.half_support_m
-            found = without_faint(found, model.threshold, most_dropped(model), beyond_m)
-        rms = 1.0 if noise is None else noise
-        return signals_of(found, beams, self._detector, noisy=model.noise, noise=rms, soft=soft)
+        found, rms = looked_at(found, soft, self._model), 1.0 if noise is None else noise
+        return signals_of(found, beams, self._detector, noisy=self._model.noise, noise=rms, soft=soft)
 
     def _noise_echoes(self, plan: ScanPlan, rms: Floats | None) -> tuple[Ints, Floats, Floats] | None:
         """Crossings of the threshold by noise alone: anywhere in the gate."""
         n, model = len(plan), self._model
-        if self._false_alarms * n < RARE and model.leave_out.noise_echoes:
+        if self.noise_echoes_of(n) < RARE and model.leave_out.noise_echoes:
             return None
         count = self._draws.poisson("false alarms", plan.sweep, np.full(n, self._false_alarms))
         if not bool(count.any()):

@@ -67,6 +67,8 @@ class Spared:
     "(n,) beams of which one plane is seen, or nothing."
     cast: int
     "Rays cast."
+    shifts: closed.Shifts
+    "Of the plain beams that have their echo from the moments of their plane."
 
 
 def wanted(model: SensorModel, scene: Scene) -> bool:
@@ -141,10 +143,10 @@ class Sparing:
         plain = looked.plain & (planes.steep < closed.STEEPEST)
         if surfaces.sends_on and model.bounces > 0:
             plain[met] &= ~surfaces.onward[hits.material[met]]
-        short = closed.holds(planes, hits, surfaces, air, model, plain & met)
+        short, leans = closed.holds(planes, hits, surfaces, air, model, plain & met)
         if model.rule == "laguerre" or not model.leave_out.plane_moments:
             short[:] = False  # that rule is chosen for its exact sums
-        found, wide = closed.echoes(indexes(short), rays, planes, hits, surfaces, air, model, gain, reach)
+        found, wide, crossings = closed.echoes(indexes(short), rays, planes, hits, surfaces, air, model, gain, reach)
         short[wide] = False
         group = indexes(~plain | (met & ~short))
         nearest = np.where(met, hits.range_m, np.inf)
@@ -159,7 +161,8 @@ class Sparing:
             material[group], normal[group] = part.axis_material, part.axis_normal
         if air.particles and bool(short.any()):
             self._exact_nearest(nearest, indexes(short), bundles, pose, t_s, looked)
-        return Spared(rays, Seen(found, nearest, material, normal), plain, cast)
+        shifts = closed.Shifts(np.where(np.isnan(crossings), np.nan, leans), crossings)
+        return Spared(rays, Seen(found, nearest, material, normal), plain, cast, shifts)
 
     def _bundle_part(
         self, bundles: Bundles, pose: Pose, t_s: Floats, group: Ints, plain: Bools, looked: Looked,

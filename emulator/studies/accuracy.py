@@ -323,15 +323,16 @@ def advice(curves: Curves, runs: dict[str, list[Run]]) -> Table:
         spiral = found.get("spiral")
         first = min(found, key=lambda name: found[name]) if found else None
         if first is None:
-            rows.append((allowed, None, None, None, None, None, None))
+            rows.append((allowed, None, None, None, None, None, None, None))
             continue
         # equal within what the place of the edges does: the spiral, which has any number and no direction of its own
         named = "spiral" if spiral is not None and spiral <= TIE * found[first] else first
-        offered = {name: n for name, n in found.items() if name in PRODUCT}
-        times = {name: time for name in offered if (time := _time_for(runs[name], allowed)) is not None}
+        times = {name: time for name in PRODUCT if (time := _time_for(runs[name], allowed)) is not None}
         fastest = min(times, key=lambda name: times[name]) if times else None
+        untimed = "; ".join(_untimed(name, runs[name], found.get(name)) for name in PRODUCT if name not in times)
         rows.append((allowed, TITLES[named], found[named], spiral, found.get("adaptive"),
-                     TITLES[fastest] if fastest else None, times[fastest] * 1e6 if fastest else None))  # fmt: skip
+                     TITLES[fastest] if fastest else None, times[fastest] * 1e6 if fastest else None,
+                     untimed or None))  # fmt: skip
     return Table(
         "accuracy_advice",
         "Rule and sub-beams for an allowed error of the share on an edge",
@@ -341,15 +342,26 @@ def advice(curves: Curves, runs: dict[str, list[Run]]) -> Table:
             Column("rays", "rays/beam", ".0f"),
             Column("spiral", "spiral needs", ".0f"),
             Column("adaptive", "adaptive needs", ".0f"),
-            Column("fastest", "least time in the product"),
+            Column("fastest", "least time in the product, of rules run so far"),
             Column("us", "us/beam", ".0f"),
+            Column("untimed", "not run so far"),
         ),
         tuple(rows),
         "Between computed points by straight lines in logarithms. A rule that needs at most 15 % fewer rays than the "
         "spiral counts as equal to it (adaptive: as the product splits, edges of its own scene): "
         "the spiral takes any number and favours no direction. An error under that of "
-        "the smallest number tried is given with that number. Thin wires need more: see the curves.",
+        "the smallest number tried is given with that number. Thin wires need more: see the curves. Times are compared "
+        "among rules that were run through the product down to that error; the others may take less, and are listed: "
+        "about what they would take with the rays that they need in bare numpy, at the time a ray of their last run.",
     )
+
+
+def _untimed(name: str, of: list[Run], rays: float | None) -> str:
+    """A rule that was not run down to an error, and about what it would take with so many rays."""
+    last = of[-1]
+    if rays is None or rays <= last.rays:
+        return TITLES[name]
+    return f"{TITLES[name]}: about {1e6 * float(np.median(last.seconds)) * rays / last.rays:.0f} us"
 
 
 def product_curve(of: list[Run]) -> tuple[list[float], list[float]]:

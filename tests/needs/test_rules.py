@@ -104,7 +104,7 @@ CASES: dict[str, tuple[Scene, str, WeatherConfig | None, dict[str, object], Wron
         (cosines, "SHORT", 3.0))),
     "second_rays": (BEHIND_GLASS, PAPER, None, {"echoes": "last"}, wrongly((paths, "UNSEEN", 1e9))),
     "faint": (MIXED, PAPER, None, {"weather_echoes": False}, wrongly(
-        (faint, "ALONE", 1.0), (faint, "WORTH", 0.0), (receiver, "most_dropped", lambda model: 1e9))),
+        (faint, "ALONE", 1.0), (faint, "WORTH", 0.0), (faint, "most_dropped", lambda model: 1e9))),
 }  # fmt: skip
 
 
