@@ -131,11 +131,14 @@ def _far_objects(measure: Measure, plan: ScanPlan) -> Finding:
     saves = f"all surfaces beyond {reach_m:.0f} m"
     if bool(np.isfinite(met_m).any()):
         saves += f" (the farthest that a beam meets first: {float(np.max(met_m[np.isfinite(met_m)])):.1f} m)"
+    out = model.leave_out.far_objects
     if surfaces_show(air.sun, model):
         saves += ", but for one ray of each beam that met nothing: background"
+        if out and measure._beyond_pays_not:
+            out, saves = False, "0 rays: in daylight one more for each beam that met nothing would cost more"
     # what begins within the gate is an echo; a pulse that comes two half supports later does not reach into it
     last_m = min(model.gate_m, plan.max_range_m) + 2.0 * model.pulse.half_support_m
-    return Finding(model.leave_out.far_objects, last_m, reach_m, saves, unit="m")
+    return Finding(out, last_m, reach_m, saves, unit="m")
 
 
 def _soft(measure: Measure, plan: ScanPlan) -> Finding:
@@ -155,18 +158,15 @@ def _soft(measure: Measure, plan: ScanPlan) -> Finding:
     whole = SoftTargets(_keeping_media(model), measure._receiver.bin_m).everywhere(air, plan.gain)
     if whole is None:  # no light of it comes within the gate
         return Finding(made is None, value, least, saves, unit="rms noise")
-    if made is not None and (made.shows or math.isinf(made.until_m)):
+    if model.photons is not None or (made is not None and made.shows):
         value, bound = _nearest_to_showing(whole, model)
-        return Finding(False, value, bound, saves, unit="rms noise")
-    if made is None and (whole.pulse.shape != "sin2" or model.photons is not None):
-        value, bound = _nearest_to_showing(whole, model)
-        return Finding(True, value, bound, saves, unit="rms noise")
-    until_m = -math.inf
-    if made is not None:
-        until_m = made.until_m
+        return Finding(made is None, value, bound, saves, unit="rms noise")
+    followed = made is not None and made.until_m == math.inf
+    until_m = -math.inf if made is None or followed else made.until_m
+    if until_m > -math.inf:
         saves = f"the medium's waveform beyond {until_m:.1f} m; before, it shifts echoes of surfaces"
     value, bound = _nearest_to_shifting(whole, until_m, model)
-    return Finding(True, value, bound, saves, unit="rms noise")
+    return Finding(not followed, value, bound, saves, unit="rms noise")
 
 
 def _keeping_media(model: SensorModel) -> SensorModel:

@@ -201,6 +201,10 @@ def test_backscatter_that_is_followed_is_told_by_what_is_left_out_of_it() -> Non
     assert row["left_out"]
     assert "before, it shifts echoes of surfaces" in str(row["saves"])
     assert 0.9 * bound < value <= bound
+    whole = told(wall(), weather=HAZE, pulse="gauss")["backscatter of the air"]
+    value, bound = numbers(whole)
+    assert not whole["left_out"]
+    assert value > bound
     shown = told(wall(), "sick-lms291-s05", WeatherConfig.model_validate({"visibility_m": 10.0}),
                  floor_reflectance="off")["backscatter of the air"]  # fmt: skip
     value, bound = numbers(shown)
@@ -227,6 +231,14 @@ def test_second_rays_are_told_by_the_best_surface_behind() -> None:
 def test_surfaces_out_of_reach_are_told_with_the_last_range_of_an_echo() -> None:
     value, bound = numbers(told(wall())["surfaces out of reach"])
     assert plan().max_range_m < value < bound
+
+
+def test_surfaces_out_of_reach_are_told_as_kept_where_one_more_ray_for_their_light_costs_more() -> None:
+    sun = WeatherConfig.model_validate({"sun": {"azimuth_deg": 180.0, "elevation_deg": 30.0}})
+    for x_m, left_out in ((20.0, True), (400.0, False)):
+        row = told(wall(x_m), "sick-lms291-s05", sun)["surfaces out of reach"]
+        assert row["left_out"] is left_out
+        assert str(row["saves"]).startswith("0 rays") is not left_out
 
 
 def test_plain_beams_are_counted_not_rounded_up_to_all() -> None:
