@@ -48,7 +48,8 @@ class SoftTargets:
                 backscatter,
                 model.overlap_start_m,
                 model.overlap_full_m,
-                min(self._sight_m(extinction_per_m, backscatter * gain), model.gate_m),
+                # where the middle of a pulse is out of sight, its begin is not yet
+                min(self._sight_m(extinction_per_m, backscatter * gain) + model.pulse.half_support_m, model.gate_m),
             )
             if made is None or not model.leave_out.backscatter:
                 return made
