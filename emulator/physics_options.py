@@ -101,7 +101,7 @@ class PhysicsOptions(Table):
     pulse: PulseShape | None = None
     pulse_fwhm_ns: Annotated[float, Field(ge=0.01, le=1e5)] | None = None
     wavelength_nm: Annotated[float, Field(ge=300.0, le=3000.0)] | None = None
-    filter_offset_nm: float | None = None
+    filter_offset_nm: Annotated[float, Field(ge=-3000.0, le=3000.0)] | None = None
     "Laser line off the centre of the receiver's filter, by temperature for instance: 0.3 nm/K."
     system_constant_m2: Annotated[float, Field(ge=1e-30, le=1e30)] | None = None
     threshold_to_noise: Amplitude | None = None
@@ -117,7 +117,8 @@ class PhysicsOptions(Table):
     systematic_mm: Annotated[float, Field(ge=-1e6, le=1e6)] | None = None
     near_gate_m: Annotated[float, Field(ge=0.0, le=1e6)] | None = None
     gate_m: Gate | None = None
-    floor_reflectance: Positive | Literal["off"] | None = None
+    floor_reflectance: Annotated[float, Field(gt=0.0, le=1e4)] | Literal["off"] | None = None
+    "Near by, what is darker than a plate of it is overlooked; a retroreflector is as bright as one of some thousand."
     recovery_ns: NotNegative | None = None
     full_scale_snr: Amplitude | Literal["off"] | None = None
     noise: bool = True

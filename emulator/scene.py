@@ -18,9 +18,12 @@ from emulator.motion import Floats, Motion, Pose, Steady, Waypoints
 from emulator.scenario import Scenario
 from emulator.scenario_tables import Actor, FramesConfig, MotionConfig, Mount, Shape, WorldItem
 from emulator.triangles import Geometry, Ints
+from emulator.twins import twins
 
 MOST_TRIANGLES = 20_000_000
 "Of all different shapes together; 1e7 build in about a minute and 2 GB."
+MOST_TWINS_TOLD = 5
+"Pairs of bodies that lie on each other; of more only their number."
 WORLD = 0
 "Index of the actor that everything of the scenario's `world` belongs to."
 
@@ -118,6 +121,7 @@ def build(scenario: Scenario) -> Scene:
         builder.faults.append(f"{scenario.source}: {total} triangles in all; want at most {MOST_TRIANGLES}")
     if builder.faults:
         raise SceneError("\n".join(builder.faults))
+    builder.tell_twins()
     return Scene(
         ("world", *(actor.id for actor in scenario.actors)),
         ("unknown", *(actor.class_ for actor in scenario.actors)),
@@ -151,6 +155,8 @@ class _Builder:
         self.frames: dict[int, Frames] = {}
         self.materials: dict[str, int] = {}
         self.bodies: list[Body] = []
+        self.places: list[str] = []
+        "Of each body, in the scenario."
         self.faults: list[str] = []
         self.warnings: list[str] = []
 
@@ -165,6 +171,20 @@ class _Builder:
         numbers = [self.materials.setdefault(name, len(self.materials)) for name in names]
         frames = self.frames.get(id(geometry))
         self.bodies.append(Body(actor, geometry, np.array(numbers, np.int32), motion, frames))
+        self.places.append(dotted)
+
+    def tell_twins(self) -> None:
+        """Warn of resting bodies that lie on each other with other materials."""
+        found = sorted(twins(self.bodies).items())
+        for (one, two), count in found[:MOST_TWINS_TOLD]:
+            where, other = (self._scenario.label(self.places[body]) for body in (two, one))
+            self.warnings.append(
+                f"{where}: {count} triangles lie on those of {other.rpartition(': ')[2]}, of another material; which"
+                " is seen is arbitrary"
+            )
+        if len(found) > MOST_TWINS_TOLD:
+            rest = len(found) - MOST_TWINS_TOLD
+            self.warnings.append(f"{self._scenario.source}: {rest} more pairs of bodies lie on each other")
 
     def frames_of(self, geometry: Geometry) -> int:
         """How many frames are kept of a shape."""

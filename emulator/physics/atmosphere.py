@@ -203,8 +203,9 @@ def q_forward(diameter_m: Values, wavelength_m: Values, half_angle_rad: Values) 
 
     1 + J0^2(u) + J1^2(u), u = pi D sin(theta)/lambda: 2 for a narrow beam or a small droplet, 1 for a wide one.
     """
-    u = np.pi * floats(diameter_m) / wavelength_m * np.sin(half_angle_rad)
-    return floats(1.0 + special.j0(u) ** 2 + special.j1(u) ** 2)
+    with np.errstate(under="ignore"):  # an angle of 1e-200 is none
+        u = np.pi * floats(diameter_m) / wavelength_m * np.sin(half_angle_rad)
+        return floats(1.0 + special.j0(u) ** 2 + special.j1(u) ** 2)
 
 
 def forward_scatter_factor(rain_mm_h: float, wavelength_m: float, half_angle_rad: float) -> float:

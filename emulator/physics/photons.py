@@ -29,8 +29,40 @@ def first_photon_distribution(mean_counts: Floats) -> Floats:
     P(i) = exp(-sum_{j<i} m_j) (1 - exp(-m_i)); what is missing to 1 is no photon at all.
     """
     m = floats(mean_counts)
-    before = np.cumsum(m, axis=-1) - m
+    before = np.zeros(m.shape)
+    np.cumsum(m[..., :-1], axis=-1, out=before[..., 1:])
     return exp_or_zero(-before) * -np.expm1(-m)
+
+
+def first_photon_counts(mean_counts: Floats, shots: int, generator: np.random.Generator) -> Ints:
+    """Histogram of the first photons of many shots, drawn by the law of `first_photon_distribution`.
+
+    Parameters
+    ----------
+    mean_counts : (beams, bins) mean counts of the bins of one gate, >= 0
+    shots : pulses a beam
+
+    Notes
+    -----
+    The gate is halved until each part is one bin. Of the photons of a part, each falls in its first half with the
+    chance (1 - exp(-m1))/(1 - exp(-(m1 + m2))) of the halves' mean counts: no sum of chances has to be 1.
+    """
+    m = floats(mean_counts)
+    bins = m.shape[-1]
+    parts = [np.concatenate([m, np.zeros((len(m), (1 << (bins - 1).bit_length()) - bins))], axis=1)]
+    while parts[-1].shape[1] > 1:
+        parts.append(parts[-1][:, ::2] + parts[-1][:, 1::2])
+    counts: Ints = generator.binomial(shots, -np.expm1(-parts.pop()))
+    while parts:
+        half = parts.pop()
+        seen, first = -np.expm1(-(half[:, ::2] + half[:, 1::2])), -np.expm1(-half[:, ::2])
+        filled = counts > 0
+        here = counts[filled]
+        early = generator.binomial(here, np.minimum(first[filled] / seen[filled], 1.0))
+        finer = np.zeros(half.shape, np.int64)
+        finer[:, ::2][filled], finer[:, 1::2][filled] = early, here - early
+        counts = finer
+    return counts[:, :bins]
 
 
 def first_photon_draw(mean_counts: Floats, uniform: Floats) -> Ints:

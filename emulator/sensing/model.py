@@ -38,6 +38,8 @@ MOST_BINS = 256
 "Bins of it by default at the most: a parabola finds the peak to 1e-8 of it, 15 um of a pulse of 10 us."
 FINEST_CHOSEN = 65536
 "Bins of it that may be asked for: more would only fill the memory."
+MOST_TABLED = 3_000_000
+"Bins of a gate over which the return of the air is tabulated: so many take ten seconds."
 
 
 @dataclass(frozen=True)
@@ -214,6 +216,8 @@ def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> Sensor
     if options.full_scale_snr is not None:
         full_scale = math.inf if options.full_scale_snr == "off" else options.full_scale_snr
     bin_s = _bin_s(options.bin_ns, pulse)
+    if options.weather_echoes and not seed and options.photons is None:
+        _require_short(gate_m, 0.5 * SPEED_OF_LIGHT_M_S * bin_s)
     return SensorModel(
         seed_mode=seed,
         wavelength_m=1e-9 * _or(options.wavelength_nm, optics.wavelength_nm),
@@ -282,7 +286,18 @@ def _bin_s(chosen_ns: float | None, pulse: Pulse) -> float:
         return min(max(1e-9, pulse.fwhm_s / MOST_BINS), pulse.fwhm_s / FINEST_BIN_SHARE)
     if 1e-9 * chosen_ns < pulse.fwhm_s / FINEST_CHOSEN:
         raise ValueError(f"bin_ns: {chosen_ns}; want at least {1e9 * pulse.fwhm_s / FINEST_CHOSEN:.3g}")
+    if 1e-9 * chosen_ns > 1.001 * pulse.fwhm_s:
+        raise ValueError(f"bin_ns: {chosen_ns}; want at most the pulse's FWHM, {1e9 * pulse.fwhm_s:.4g}")
     return 1e-9 * chosen_ns
+
+
+def _require_short(gate_m: float, bin_m: float) -> None:
+    if gate_m > 1.001 * MOST_TABLED * bin_m:
+        raise ValueError(
+            f"gate_m {gate_m:g} has {gate_m / bin_m:.4g} steps of the sampled waveform,"
+            f" {2e9 * bin_m / SPEED_OF_LIGHT_M_S:.4g} ns each; want at most {MOST_TABLED}: gate_m to"
+            f" {MOST_TABLED * bin_m:.4g}, a longer pulse_fwhm_ns or bin_ns, or weather_echoes: false"
+        )
 
 
 def _beam(optics: OpticsSpec, options: PhysicsOptions, profile: Profile) -> BeamShape:

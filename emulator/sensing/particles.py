@@ -24,6 +24,8 @@ RARE = 1e-3
 TYPICAL_M = 10.0
 "Where the pulse cell is taken that decides between particles and continuum."
 SMALLEST_COUNTED_MM = 0.5
+LEAST_K_M2 = 1e-40
+"System constant below which no particle is seen: the filter keeps all light out, and sizes would overflow."
 MOST_A_BEAM = 3000.0
 "Particles seen alone by one beam from which they are a continuum."
 
@@ -65,6 +67,8 @@ def snow_particles(snow: Snow | None, model: SensorModel) -> Particles | None:
 
 def _singly(particles: Particles, model: SensorModel, echoes: str) -> Particles | None:
     """The particles, where they are to be drawn one by one; a `ValueError` where that is asked and cannot be."""
+    if model.k_m2 < LEAST_K_M2:
+        return None
     drawn = echoes == "drops" or _sparse(particles, model)
     if drawn and (mean := _mean_of_a_beam(particles, model)) > MOST_A_BEAM:
         if echoes == "drops":

@@ -24,6 +24,12 @@ from protocols.scan import Scan, ScanPlan
 
 PEAK_AT_ONCE = 2_000_000
 "Most bins of all beams that are held in memory together."
+FINEST_BIN_SHARE = 1024
+"Bins of a pulse's FWHM at the most: a parabola finds a peak to far less than its noise with a hundredth of them."
+MOST_BINS = 100_000
+"Bins of a gate at the most: a beam of so many takes some 20 ms."
+LONG_PULSE = 257
+"Bins of a pulse from which a sum under it is faster by a Fourier transform."
 
 
 class PhotonReceiver:
@@ -33,6 +39,20 @@ class PhotonReceiver:
         self.draws = draws
         self._model, self._options = model, options
         self.bin_m = 0.5e-9 * SPEED_OF_LIGHT_M_S * options.bin_ns
+        # a thousandth more, so that what a refusal tells is allowed
+        if options.pair_rate_hz is None and 1.001 * self.bin_m * FINEST_BIN_SHARE < model.pulse.fwhm_m:
+            least_ns = 1e9 * model.pulse.fwhm_s / FINEST_BIN_SHARE
+            raise ValueError(
+                f"photons.bin_ns {options.bin_ns:g} under a pulse of {1e9 * model.pulse.fwhm_s:g} ns;"
+                f" want at least {least_ns:.4g}"
+            )
+        if model.gate_m > 1.001 * MOST_BINS * self.bin_m:
+            least_ns = 2e9 * model.gate_m / (MOST_BINS * SPEED_OF_LIGHT_M_S)
+            raise ValueError(
+                f"photons.bin_ns {options.bin_ns:g} makes {model.gate_m / self.bin_m:.4g} bins of gate_m"
+                f" {model.gate_m:g}; want at most {MOST_BINS}: bin_ns from {least_ns:.4g}, or gate_m to"
+                f" {MOST_BINS * self.bin_m:.4g}"
+            )
         self._bins = math.ceil(model.gate_m / self.bin_m) + 1
         reach = math.ceil(model.pulse.half_support_m / self.bin_m)
         shape = model.pulse.profile(self.bin_m * np.arange(-reach, reach + 1, dtype=np.float64))
@@ -83,7 +103,7 @@ class PhotonReceiver:
         flat += np.bincount((row + low + 1)[kept], (weight * part)[kept], beams * self._bins)
         signal: Floats = np.asarray(flat, np.float64).reshape(beams, self._bins)
         if len(self._pulse) > 1:
-            signal = _correlated(signal, self._pulse)
+            signal = np.maximum(_correlated(signal, self._pulse), 0.0)
         if soft is not None:
             first = np.full(beams, np.inf)
             np.minimum.at(first, found.beam[mine] - begin, np.where(found.blocked[mine] > 0.0, place, np.inf))
@@ -107,12 +127,10 @@ class PhotonReceiver:
         signal, hertz = self.mean_counts(found, begin, end, soft, daylight)
         if options.pair_rate_hz is None:
             background = np.broadcast_to((hertz * bin_s)[:, None], signal.shape)
-            chance = photons.first_photon_distribution(signal + background)
             alone = photons.first_photon_distribution(background) * options.shots
             if not self._model.noise:
-                return chance * options.shots, alone
-            rest = np.maximum(1.0 - chance.sum(axis=1, keepdims=True), 0.0)
-            drawn = generator.multinomial(options.shots, np.concatenate([chance, rest], axis=1))[:, :-1]
+                return photons.first_photon_distribution(signal + background) * options.shots, alone
+            drawn = photons.first_photon_counts(signal + background, options.shots, generator)
             return drawn.astype(np.float64), alone
         seconds, pairs = 1e-3 * options.integration_ms, options.pair_rate_hz
         true = pairs * options.idler_efficiency * seconds * signal
@@ -158,7 +176,18 @@ class PhotonReceiver:
 
 
 def _correlated(counts: Floats, weight: Floats) -> Floats:
-    """Counts (beams, bins) under the weight (odd) around each bin; nothing lies beyond the ends."""
-    from scipy import ndimage  # takes long to import, and few sensors count photons
+    """Counts (beams, bins) under the weight (odd, symmetric) around each bin; nothing lies beyond the ends."""
+    if len(weight) < LONG_PULSE:
+        from scipy import ndimage  # takes long to import, and few sensors count photons
 
-    return np.asarray(ndimage.correlate1d(counts, weight, axis=1, mode="constant"), np.float64)
+        return np.asarray(ndimage.correlate1d(counts, weight, axis=1, mode="constant"), np.float64)
+    from scipy import signal
+
+    found = np.asarray(signal.oaconvolve(counts, weight[None, :], mode="same", axes=1), np.float64)
+    # the transform leaves its rounding where there is nothing under the weight
+    reach, bins = len(weight) // 2, counts.shape[1]
+    filled = np.zeros((len(counts), bins + 1), np.int64)
+    np.cumsum(counts != 0.0, axis=1, out=filled[:, 1:])
+    at = np.arange(bins)
+    some = filled[:, np.minimum(at + reach + 1, bins)] > filled[:, np.maximum(at - reach, 0)]
+    return np.where(some, found, 0.0)

@@ -121,6 +121,8 @@ class SoftTargets:
         """Media as point scatterers along the axis of every beam, as far as the beam is not stopped by surfaces."""
         model, n = self._model, len(rays.axis)
         edges = self._edges()
+        if len(edges) < 2:
+            return None  # the gate ends before the overlap begins
         middle, step = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
         m = len(middle)
         backscatter = np.full((n, m), air.everywhere.backscatter_per_m_sr)
@@ -151,6 +153,8 @@ class SoftTargets:
         model = self._model
         start_m = max(model.overlap_start_m, model.near_gate_m)
         step = model.pulse.fwhm_m / POINTS_A_PULSE
+        if model.gate_m <= start_m:
+            return np.zeros(0)
         near = start_m * 1.1 ** np.arange(200)
         near = near[(np.diff(near, append=np.inf) < step) & (near < model.gate_m)]
         begin = float(near[-1]) if len(near) else start_m

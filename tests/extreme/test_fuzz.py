@@ -127,7 +127,7 @@ PHYSICS = st.fixed_dictionaries(
         "gate_m": ends(0.1, 1e4),
         "full_scale_snr": ends(1e-3, 1e12),
         "recovery_ns": ends(0.0, 1e6),
-        "floor_reflectance": ends(1e-12, 1e12),
+        "floor_reflectance": ends(1e-12, 1e4),
         "noise": st.booleans(),
         "background": st.booleans(),
         "weather_echoes": st.booleans(),

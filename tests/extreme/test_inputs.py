@@ -46,6 +46,34 @@ def test_a_beam_without_divergence_is_its_axis(tmp_path: Path, rule: str) -> Non
     assert same(nearly(plan(FAN)), axis(plan(FAN)))
 
 
+@pytest.mark.parametrize("law", ["marshall_palmer", "carbonneau"])
+def test_a_beam_of_nearly_no_divergence_in_rain_and_snow_is_its_axis(tmp_path: Path, law: str) -> None:
+    scans = []
+    for divergence_deg in (0.0, 1e-200):
+        physics = {**QUIET, "rule": "axis", "divergence_deg": divergence_deg}
+        weather = {"rain": {"rate_mm_h": 20.0, "law": law}, "snow": {"rate_mm_h": 2.0}}
+        scans.append(build(tmp_path, [plate(20.0, "half")], weather=weather, physics=physics)(plan(FAN)))
+    assert same(*scans)
+
+
+@pytest.mark.parametrize("model", ["paper-905nm", "sick-ld-lrs1000"])
+@pytest.mark.parametrize("offset_nm", [500.0, -3000.0])
+def test_a_laser_beside_its_filter_sees_no_drop(tmp_path: Path, model: str, offset_nm: float) -> None:
+    weather = {"rain": {"rate_mm_h": 50.0, "echoes": "drops"}, "snow": {"rate_mm_h": 1.0}}
+    physics = {**QUIET, "filter_offset_nm": offset_nm}
+    scan = build(tmp_path, [plate(5.0, "white")], model=model, weather=weather, physics=physics)(plan(FAN))
+    assert np.isnan(scan.range_m).all()
+
+
+def test_a_gate_before_the_overlap_sees_nothing_of_a_layer(tmp_path: Path) -> None:
+    physics = {"gate_m": 0.2, "near_gate_m": 0.0, "pulse_fwhm_ns": 0.1, "false_alarms": False}
+    layer = {"top_m": 1.0, "extinction_per_m": 0.01}
+    for weather in ({"layers": [layer]}, {"layers": [{**layer, "extinction_per_m": 1.0}]}):
+        measure = build(tmp_path, model="sick-ld-lrs1000", weather=weather, physics=physics)
+        assert measure.model.overlap_start_m > 0.2
+        assert np.isnan(measure(plan(FAN)).range_m).all()
+
+
 @pytest.mark.parametrize("radius_m", [1e-6, 1e-4, 1e-2, 1.0])
 def test_a_beam_without_divergence_sees_a_wire_of_any_width_or_not(tmp_path: Path, radius_m: float) -> None:
     wire = {"cylinder": {"radius_m": radius_m, "height_m": 4.0}, "at_m": [20.0, 0.0, -2.0], "material": "white"}

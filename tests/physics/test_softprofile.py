@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from emulator.physics import atmosphere, cosines, softtarget
-from emulator.physics.arrays import Floats
+from emulator.physics.arrays import Floats, Values
 from emulator.physics.detection import detect
 from emulator.physics.detector import Detector
 from emulator.physics.ownecho import OwnEchoes
@@ -242,3 +243,48 @@ def test_the_echo_of_a_medium_alone_rises_as_its_samples_do() -> None:
     assert own.beam.tolist() == [1, 2, 3]
     assert soft.wave(found[:2]) == pytest.approx(level[:2], rel=1e-9)
     assert found[2] == own.centre_m
+
+
+def test_a_gaussian_pulse_over_fine_bins_is_its_convolution(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Even pieces of a quarter of a bin, where bins are short against the nearest range: one pulse for all of them."""
+    pulse, asked, real = Pulse(1e-9, "gauss"), [0], Pulse.profile
+
+    def counted(self: Pulse, x_m: Values) -> Floats:
+        asked[0] += np.size(x_m)
+        return real(self, x_m)
+
+    monkeypatch.setattr(Pulse, "profile", counted)
+    soft = SoftProfile.of_medium(pulse, 0.01, 1e20, 0.01, 1e-3, 5.0, 6.0, 50.0)
+    assert soft is not None
+    assert asked[0] < soft.free.size
+    x = soft.bin_m * np.arange(soft.first, soft.first + soft.free.size)
+    t, weight = np.polynomial.legendre.leggauss(40)
+    for j in np.linspace(20, soft.free.size - 100, 40).astype(int):
+        cuts = np.unique(np.clip([5.0, 6.0, *np.linspace(x[j] - 1.0, x[j] + 1.0, 30)], 5.0, 50.0))
+        half = 0.5 * np.diff(cuts)[:, None]
+        r = cuts[:-1, None] + half * (t + 1.0)
+        density = 1e17 * np.clip(r - 5.0, 0.0, 1.0) / r**2 * np.exp(-0.02 * r)
+        exact = float((half * weight * density * pulse.profile(x[j] - r)).sum())
+        assert soft.free[j] == pytest.approx(exact, rel=1e-6, abs=4e-6 * soft.peak)
+
+
+def test_a_gate_of_millions_of_bins_is_tabulated_by_whole_arrays() -> None:
+    """Python's own loops counted, not the clock: two knots a bin were made one by one."""
+    pulse = Pulse(0.1e-9)
+    events = 0
+
+    def count(*_: object) -> None:
+        nonlocal events
+        events += 1
+
+    bins = 200_000
+    sys.setprofile(count)
+    try:
+        soft = SoftProfile.of_medium(pulse, pulse.fwhm_m / 16.0, 1e15, 4e-5, 1e-6, 0.3, 1.0, bins * pulse.fwhm_m / 16.0)
+    finally:
+        sys.setprofile(None)
+    assert soft is not None
+    assert soft.free.size > 0.99 * bins
+    assert events < bins / 10
+    # two knots a bin and more: half a bin apart at the most, so that cubics hold
+    assert np.max(np.diff(soft.knots)) < 0.5001 * soft.bin_m

@@ -34,6 +34,13 @@ SCAN_DEG = np.arange(-60.0, 60.5, 0.5)
         ({"windscreen": {"rake_deg": 90}}, "physics.windscreen.rake_deg: 90; want a number < 90"),
         ({"full_scale_snr": 4.0}, "full_scale"),
         ({"wavelength_nm": 532}, "no value for 532 nm"),
+        ({"floor_reflectance": 1e300}, "physics.floor_reflectance: 1e+300; want a number <= 10000"),
+        ({"filter_offset_nm": -1e300}, "physics.filter_offset_nm: -1e+300; want a number >= -3000"),
+        ({"bin_ns": 1e300}, "bin_ns: 1e+300; want at most the pulse's FWHM, 16"),
+        ({"pulse_fwhm_ns": 0.1, "gate_m": 1e4}, "1.067e+07 steps of the sampled waveform, 0.00625 ns each; want"),
+        ({"photons": {"bin_ns": 0.001}}, "photons.bin_ns 0.001 under a pulse of 16 ns; want at least 0.01562"),
+        ({"photons": {"bin_ns": 0.1}, "gate_m": 1e4}, "want at most 100000: bin_ns from 0.6671, or gate_m to 1499"),
+        ({"photons": {}, "gate_m": 1e6}, "6.671e+06 bins of gate_m 1e+06; want at most 100000"),
     ],
 )
 def test_a_wrong_choice_is_refused_by_file_line_and_key(tmp_path: Path, physics: dict[str, Any], told: str) -> None:
@@ -103,3 +110,16 @@ def test_what_is_left_out_does_not_show(tmp_path: Path, weather: dict[str, Any])
         for full in (False, True)
     ]
     assert agree(*scans, lsb_m=0.010) >= 0.99
+
+
+@pytest.mark.parametrize(
+    "physics",
+    [
+        {"photons": {"bin_ns": 0.01562}},
+        {"photons": {"bin_ns": 0.6671}, "gate_m": 1e4},
+        {"pulse_fwhm_ns": 0.1, "gate_m": 2811},
+        {"pulse_fwhm_ns": 0.1, "gate_m": 1e4, "weather_echoes": False},
+    ],
+)
+def test_what_a_refusal_tells_is_allowed(tmp_path: Path, physics: dict[str, Any]) -> None:
+    build(tmp_path, physics={"gate_m": 200.0, **physics})

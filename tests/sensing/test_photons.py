@@ -11,7 +11,7 @@ import pytest
 
 from emulator.physics import photons
 from emulator.sensing.daylight import NIGHT
-from emulator.sensing.photon_receiver import PhotonReceiver
+from emulator.sensing.photon_receiver import LONG_PULSE, PhotonReceiver, _correlated
 from tests.sensing.rig import build, plan, plate
 
 CLEAR: dict[str, Any] = {"visibility_m": 1e9}
@@ -113,3 +113,61 @@ def test_counting_is_the_same_whenever_it_is_done(tmp_path: Path) -> None:
 def test_an_empty_scene_in_the_dark_is_empty(tmp_path: Path) -> None:
     scan = build(tmp_path, physics={**ONE_BEAM, "photons": {"dark_count_hz": 0.0}})(plan(np.zeros(20)))
     assert np.isnan(scan.range_m).all()
+
+
+@pytest.mark.parametrize("range_m", [0.5, 2.0, 3.7, 11.5])
+@pytest.mark.parametrize("fwhm_ns", [1.0, 4.0])
+def test_a_strong_echo_is_counted_though_the_chances_of_its_bins_round_to_more_than_one(
+    tmp_path: Path, range_m: float, fwhm_ns: float
+) -> None:
+    physics = {"pulse_fwhm_ns": fwhm_ns, "photons": {}}
+    measure = build(tmp_path, [plate(range_m, "white")], model="sick-lms291-s05", physics=physics)
+    scan = measure(plan(np.linspace(-5.0, 5.0, 21)))
+    assert np.isfinite(scan.range_m).all()
+    early = range_m - np.median(scan.range_m)
+    assert -0.5 * measure.model.pulse.fwhm_m < early < measure.model.pulse.fwhm_m + 0.15
+
+
+@pytest.mark.parametrize("bins", [1, 2, 5, 16])
+def test_drawn_first_photons_follow_their_distribution(bins: int) -> None:
+    """Counts of bins are binomial: within five sigma of their mean, and of two bins with the right covariance."""
+    mean = np.geomspace(1e-3, 2.0, bins)
+    shots, beams = 1000, 4000
+    drawn = photons.first_photon_counts(np.tile(mean, (beams, 1)), shots, np.random.default_rng(5))
+    p = photons.first_photon_distribution(mean)
+    assert drawn.shape == (beams, bins)
+    sigma = np.sqrt(shots * p * (1.0 - p))
+    assert np.all(np.abs(drawn.mean(axis=0) - shots * p) < 5.0 * sigma / np.sqrt(beams))
+    assert drawn.std(axis=0) == pytest.approx(sigma, rel=0.06)
+    if bins > 1:
+        together = np.cov(drawn[:, -2], drawn[:, -1])[0, 1]
+        assert together == pytest.approx(-shots * p[-2] * p[-1], abs=5.0 * sigma[-1] * sigma[-2] / np.sqrt(beams))
+
+
+def test_first_photons_of_no_light_and_of_too_much_are_all_told() -> None:
+    mean = np.array([[0.0, 0.0, 0.0], [0.0, 1e30, 1e30], [1e-320, 0.0, 1e5], [50.0, 1e-17, 0.0]])
+    drawn = photons.first_photon_counts(mean, 7, np.random.default_rng(1))
+    assert drawn.tolist() == [[0, 0, 0], [0, 7, 0], [0, 0, 7], [7, 0, 0]]
+
+
+@pytest.mark.parametrize("shape", ["sin2", "gauss"])
+def test_bins_far_shorter_than_the_pulse_count_as_others_do(tmp_path: Path, shape: str) -> None:
+    """A sum under the pulse by a Fourier transform, against one by numpy's definition."""
+    physics = {**ONE_BEAM, "pulse": shape, "photons": {"bin_ns": 0.03}}
+    counter = receiver(build(tmp_path, [plate(30.0, "half")], weather=CLEAR, physics=physics))
+    weight = counter._pulse
+    assert len(weight) > LONG_PULSE
+    counts = np.zeros((2, 9000))
+    counts[0, [0, 3000, 8990]] = 1e12, 5.0, 2.0
+    summed = _correlated(counts, weight)
+    exact = np.convolve(counts[0], weight, mode="same")
+    assert summed[0] == pytest.approx(exact, abs=1e-12 * float(exact.max()))
+    assert summed[0, 5500] == 0.0
+    assert not summed[1].any()
+    wide = np.convolve(np.ones(11), weight)
+    assert _correlated(np.ones((1, 11)), weight)[0] == pytest.approx(wide[len(weight) // 2 :][:11], rel=1e-12)
+
+
+def test_the_range_does_not_depend_on_how_short_the_bins_are(tmp_path: Path) -> None:
+    scan = faint(tmp_path, bin_ns=0.02)(plan(np.zeros(20)))
+    assert np.median(scan.range_m) == pytest.approx(30.0, abs=0.1)
