@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from emulator.physics import brdf, radiometry
-from emulator.sensing.paths import _order
+from emulator.sensing.order import _order
 from protocols.scan import SATURATED
 from tests.sensing.rig import QUIET, build, grey, plan, plate
 
