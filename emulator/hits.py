@@ -132,11 +132,6 @@ class Nearest:
         no = np.full(count, -1, np.int64)
         return cls(np.full(count, np.inf), no, no.copy(), np.zeros((3, count)), np.zeros(count))
 
-    def put(self, here: slice, part: Nearest) -> None:
-        """Set those of some rays."""
-        for name, column in vars(part).items():
-            getattr(self, name)[..., here] = column
-
     def taken(self, rays: Longs) -> Nearest:
         """Those of some rays."""
         return Nearest(

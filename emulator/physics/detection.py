@@ -99,12 +99,12 @@ def signals_of(
             left = np.zeros(beams, np.bool_)
             left[echoes.beam] = True
             marked = shows & left
-            if soft is not None and not soft.shows:
-                # too low for an echo of its own, it may still be what a surface's echo is first crossed by
-                head = group_starts(echoes.beam)
-                early = echoes.range_m[head] - detector.pulse.half_support_m < soft.high_m
-                marked = np.zeros(beams, np.bool_)
-                marked[echoes.beam[head[early]]] = True
+        if soft is not None and not soft.shows:
+            # too low for an echo of its own, it may still be what a surface's echo is first crossed by
+            head = group_starts(echoes.beam)
+            early = echoes.range_m[head] - detector.pulse.half_support_m < soft.high_m
+            marked = np.zeros(beams, np.bool_)
+            marked[echoes.beam[head[early]]] = True
         own = OwnEchoes.of(soft, shows & ~marked)
         clusters, chosen, clear = _clusters_of(echoes, threshold, detector, soft, marked)
         single = single_candidates(clusters, ~chosen, least)

@@ -97,6 +97,7 @@ class Turned:
         n, m = len(rotation), bundles.sub_beams
         direction = turned(rotation, bundles.direction)
         axis = direction[:, 0, :] if m == 1 else turned(rotation, bundles.axis[:, None, :])[:, 0, :]
+        direction.flags.writeable = False
         start = None if bundles.start_m is None else turned(rotation, bundles.start_m).reshape(n * m, 3)
         return cls(bundles, rotation, direction.reshape(n * m, 3), axis, start)
 

@@ -36,7 +36,12 @@ def test_a_near_wall_in_haze_is_first_crossed_by_the_haze(
     tmp_path: Path, model: str, wall_m: float, visibility_m: float
 ) -> None:
     world, haze = [plate(wall_m, "half")], {"visibility_m": visibility_m}
-    assert differing(*both(tmp_path, world, {}, model=model, weather=haze)) == 0
+    spared, whole = both(tmp_path, world, {}, model=model, weather=haze)
+    assert differing(spared, whole) == 0
+    sampled = build(tmp_path, world, physics={"leave_out": {"waveform": False}}, model=model, weather=haze)
+    assert differing(sampled, whole) == 0
+    clipped = {"full_scale_snr": 60.0}  # the air clips, too
+    assert differing(*both(tmp_path, world, clipped, model=model, weather=haze)) == 0
 
 
 @pytest.mark.parametrize(
