@@ -148,9 +148,12 @@ def _exact(wave: Waveform, peak: Ints, window: Ints, centre: Floats, height: Flo
     slope = 0.5 * (medium[peak + 1] - medium[peak - 1]) / wave.bin_m
     found = wave.bin_m * wave.first_bin[window] + np.arctan2(imaginary, real) / k
     found += 2.0 * np.pi / k * np.rint((centre - found) * k / (2.0 * np.pi))
-    found += slope / np.maximum(swing * k * k, 1e-300)  # a medium that falls shifts it towards the sensor
+    bend = swing * k * k
+    bends = np.abs(slope) < bend * wave.bin_m
+    shift = np.where(bends, slope, 0.0) / np.where(bends, bend, 1.0)
+    found += shift  # a medium that falls shifts it towards the sensor
     same = np.array(wave.under_way(found, window)) == np.array((begun, ended))
-    good = same.all(axis=0) & (np.abs(found - centre) <= wave.bin_m) & (medium[peak] <= FAINT * height)
+    good = same.all(axis=0) & bends & (np.abs(found - centre) <= wave.bin_m) & (medium[peak] <= FAINT * height)
     at = indexes(good)
-    top = even[at] + swing[at] * np.cos(k * slope[at] / np.maximum(swing[at] * k * k, 1e-300))
+    top = even[at] + swing[at] * np.cos(k * shift[at])
     centre[at], height[at] = found[at], top + wave.soft_at(found[at], window[at])

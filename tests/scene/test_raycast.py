@@ -463,9 +463,8 @@ def test_threads_may_share_a_caster() -> None:
 # ---------------------------------------------------------------- rays that come again
 
 
-@given(seed=st.integers(0, 100_000))
-@settings(max_examples=10, deadline=None)
-def test_rays_that_come_again_meet_bit_by_bit_what_they_would_meet_anew(seed: int) -> None:
+def crowd(seed: int) -> tuple[Caster, Caster, np.ndarray, np.ndarray, float]:
+    """Two casters of the same random bodies, some of which move, rays among them, and how far these look."""
     rng = np.random.default_rng(seed)
     shapes = [(triangles.plane(80.0, 80.0), Steady((0.0, 0.0, -3.0)))] if rng.random() < 0.5 else []
     for k in range(int(rng.integers(1, 30))):
@@ -475,6 +474,13 @@ def test_rays_that_come_again_meet_bit_by_bit_what_they_would_meet_anew(seed: in
     caster, fresh = (Caster(scene_of(*shapes)) for _ in range(2))
     origin, direction = random_rays(int(rng.choice([3, 500, 9000])), seed, 0.5)
     far = float(rng.choice([np.inf, 7.0]))
+    return caster, fresh, origin, direction, far
+
+
+@given(seed=st.integers(0, 100_000))
+@settings(max_examples=10, deadline=None)
+def test_rays_that_come_again_meet_bit_by_bit_what_they_would_meet_anew(seed: int) -> None:
+    caster, fresh, origin, direction, far = crowd(seed)
     for t_s in (0.0, 0.3, 0.3, 0.6):
         times = t_s + np.linspace(0.0, 0.1, len(origin))
         got = caster.first_hits(origin, direction, times, max_range_m=far, again=True)
@@ -503,15 +509,7 @@ def test_rays_that_come_again_are_cast_on_nothing_that_rests(monkeypatch: pytest
 @given(seed=st.integers(0, 100_000))
 @settings(max_examples=10, deadline=None)
 def test_directions_that_come_again_from_elsewhere_meet_what_new_ones_would(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    shapes = [(triangles.plane(80.0, 80.0), Steady((0.0, 0.0, -3.0)))]
-    for k in range(int(rng.integers(1, 30))):
-        geometry = [triangles.box(1.0, 2.0, 1.0), triangles.sphere(1.8, 8)][k % 2]
-        at, velocity = rng.normal(size=3) * 6.0, rng.normal(size=3) * float(rng.choice([0.0, 20.0]))
-        shapes.append((geometry, Steady(tuple(at), *rng.uniform(-90, 90, 3), tuple(velocity))))
-    caster, fresh = (Caster(scene_of(*shapes)) for _ in range(2))
-    origin, direction = random_rays(int(rng.choice([3, 500, 9000])), seed, 0.5)
-    far = float(rng.choice([np.inf, 7.0]))
+    caster, fresh, origin, direction, far = crowd(seed)
     for t_s in (0.0, 0.3, 0.6):
         times = t_s + np.linspace(0.0, 0.1, len(origin))
         got = caster.first_hits(origin + t_s, direction, times, max_range_m=far, aimed=True)
