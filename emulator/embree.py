@@ -39,11 +39,6 @@ def run(made: Structure, origin: Singles, ray: Singles, until: Singles) -> tuple
     return answer["primID"], answer["tfar"]
 
 
-def rows(vectors: Floats) -> Singles:
-    """(3, m) in float64 to (m, 3) in float32."""
-    return vectors.T.astype(np.float32, order="C")
-
-
 def refined(
     table: Table,
     counters: Counters,

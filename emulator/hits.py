@@ -173,6 +173,11 @@ class Passing:
         return Passing(*(column[..., chosen] for column in vars(self).values()))
 
 
+def rows(vectors: Floats) -> NDArray[np.float32]:
+    """(3, m) in float64 to (m, 3) in float32."""
+    return vectors.T.astype(np.float32, order="C")
+
+
 @dataclass(frozen=True, eq=False)
 class Aim:
     """Directions of rays, and what follows from them alone: those that come again have it ready."""
@@ -186,7 +191,7 @@ class Aim:
     @cached_property
     def rows(self) -> NDArray[np.float32]:
         """(m, 3), as embree wants them."""
-        return self.ray.T.astype(np.float32, order="C")
+        return rows(self.ray)
 
     @cached_property
     def cones(self) -> Cones:

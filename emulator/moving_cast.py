@@ -16,7 +16,7 @@ from emulator import embree
 from emulator.deforming import Slices
 from emulator.embree import Singles
 from emulator.fleet import Flags, Longs, Stretch, may_meet, through_sphere
-from emulator.hits import MISS, Aim, Counters, Met, Passing, all_met
+from emulator.hits import MISS, Aim, Counters, Met, Passing, all_met, rows
 from emulator.nearby import KEPT, Nearby
 from emulator.physics.arrays import indexes
 from emulator.structures import Layout, Movers
@@ -109,9 +109,9 @@ class MovingCast:
         which, rays = near.which, near.rays
         if not len(which):
             return None
-        start = embree.rows(near.local + near.enter * near.along + movers.cell.take(which, axis=1))
+        start = rows(near.local + near.enter * near.along + movers.cell.take(which, axis=1))
         until = (near.leave - near.enter).astype(np.float32)
-        number, span = self._run_slots(movers.structure[which], start, embree.rows(near.along), until)
+        number, span = self._run_slots(movers.structure[which], start, rows(near.along), until)
         hit = indexes(number >= 0)
         if not len(hit):
             return None

@@ -134,7 +134,7 @@ def _far_objects(measure: Measure, plan: ScanPlan) -> Finding:
     out = model.leave_out.far_objects
     if surfaces_show(air.sun, model):
         saves += ", but for one ray of each beam that met nothing: background"
-        if out and measure._beyond_pays_not:
+        if out and measure._looks_far:
             out, saves = False, "0 rays: in daylight one more for each beam that met nothing would cost more"
     # what begins within the gate is an echo; a pulse that comes two half supports later does not reach into it
     last_m = min(model.gate_m, plan.max_range_m) + 2.0 * model.pulse.half_support_m

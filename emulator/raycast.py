@@ -17,7 +17,7 @@ import numpy as np
 
 from emulator import embree
 from emulator.fleet import Flags, Longs, through_sphere
-from emulator.hits import Aim, Block, Counters, Fan, Hits, Met, Nearest, Renewed, keep_nearer
+from emulator.hits import Aim, Block, Counters, Fan, Hits, Met, Nearest, Renewed, keep_nearer, rows
 from emulator.moving_cast import MovingCast
 from emulator.physics.arrays import indexes
 from emulator.scene import Scene
@@ -313,7 +313,7 @@ class Caster:
         group = self._groups[0]
         local = origin - group.centre
         until = np.full(len(aim), min(far, LONGEST), np.float32)
-        number, span = embree.run(self._built[0], embree.rows(local), aim.rows, until)
+        number, span = embree.run(self._built[0], rows(local), aim.rows, until)
         self.counters.cast += len(until)
         triangle = np.add(number, group.offset, dtype=np.int64)
         hit = number >= 0
@@ -337,7 +337,7 @@ class Caster:
             return
         local, along, enter = local[:, rays], ray[:, rays], enter[rays]
         until = np.full(len(rays), LONGEST, np.float32)
-        number, span = embree.run(structure, embree.rows(local + enter * along), embree.rows(along), until)
+        number, span = embree.run(structure, rows(local + enter * along), rows(along), until)
         self.counters.cast += len(until)
         hit = indexes(number >= 0)
         triangle = np.add(number[hit], group.offset, dtype=np.int64)

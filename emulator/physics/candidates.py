@@ -140,20 +140,20 @@ def _exact(wave: Waveform, peak: Ints, window: Ints, centre: Floats, height: Flo
 
     Where a medium is more than a thousandth of it, its own bend shifts them, and the parabola's is as good.
     """
-    begun, ended = wave.under_way(centre, window)
+    at = indexes(wave.soft[peak] <= FAINT * height)
+    if not len(at):
+        return
+    peak, window, parabola = peak[at], window[at], centre[at]
+    begun, ended = wave.under_way(parabola, window)
     (even,), (real, imaginary) = wave.terms(begun, ended)
-    swing = np.hypot(real, imaginary)
-    k = wave.pulse.wave_number
-    medium = wave.soft
-    slope = 0.5 * (medium[peak + 1] - medium[peak - 1]) / wave.bin_m
+    swing, k = np.hypot(real, imaginary), wave.pulse.wave_number
     found = wave.bin_m * wave.first_bin[window] + np.arctan2(imaginary, real) / k
-    found += 2.0 * np.pi / k * np.rint((centre - found) * k / (2.0 * np.pi))
-    bend = swing * k * k
+    found += 2.0 * np.pi / k * np.rint((parabola - found) * k / (2.0 * np.pi))
+    slope, bend = 0.5 * (wave.soft[peak + 1] - wave.soft[peak - 1]) / wave.bin_m, swing * k * k
     bends = np.abs(slope) < bend * wave.bin_m
     shift = np.where(bends, slope, 0.0) / np.where(bends, bend, 1.0)
     found += shift  # a medium that falls shifts it towards the sensor
-    same = np.array(wave.under_way(found, window)) == np.array((begun, ended))
-    good = same.all(axis=0) & bends & (np.abs(found - centre) <= wave.bin_m) & (medium[peak] <= FAINT * height)
-    at = indexes(good)
-    top = even[at] + swing[at] * np.cos(k * shift[at])
-    centre[at], height[at] = found[at], top + wave.soft_at(found[at], window[at])
+    same = (np.array(wave.under_way(found, window)) == np.array((begun, ended))).all(axis=0)
+    good = indexes(same & bends & (np.abs(found - parabola) <= wave.bin_m))
+    centre[at[good]] = found[good]
+    height[at[good]] = (even + swing * np.cos(k * shift) + wave.soft_at(found, window))[good]

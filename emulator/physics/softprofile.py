@@ -204,17 +204,10 @@ class SoftProfile:
     @cached_property
     def _cubics(self) -> Floats:
         """(12, knots - 1) coefficients of the distance from the knot before: of A and both parts of B, by order."""
-        step = np.diff(self.knots)
-
-        def table(value: Floats, slope: Floats) -> tuple[Floats, ...]:
-            chord = np.diff(value) / step
-            bend = slope[:-1] + slope[1:] - 2.0 * chord
-            return value[:-1], slope[:-1], (chord - slope[:-1] - bend) / step, bend / (step * step)
-
         each = (
-            table(self.a, self.slope_a),
-            table(self.b.real, self.slope_b.real),
-            table(self.b.imag, self.slope_b.imag),
+            _cubic(self.knots, self.a, self.slope_a),
+            _cubic(self.knots, self.b.real, self.slope_b.real),
+            _cubic(self.knots, self.b.imag, self.slope_b.imag),
         )
         return np.array([column for order in zip(*each, strict=True) for column in order])
 
@@ -266,6 +259,14 @@ def _running(
     return a.cumsum(), b.cumsum()
 
 
+def _cubic(knots: Floats, value: Floats, slope: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Coefficients (knots - 1,) of the distance from the knot before, of the cubic with these values and slopes."""
+    step = np.diff(knots)
+    chord = np.diff(value) / step
+    bend = slope[:-1] + slope[1:] - 2.0 * chord
+    return value[:-1], slope[:-1], (chord - slope[:-1] - bend) / step, bend / (step * step)
+
+
 def _near(start: float, end: float, bin_m: float) -> Floats:
     """Ranges from the start to behind the end: each a twentieth farther than the one before, half a bin at the most."""
     near = [start]
@@ -297,11 +298,9 @@ def _even_wave(pulse: Pulse, x: Floats, bin_m: float, knots: Floats, a: Floats, 
     edges = x[0] + bin_m / PIECES * np.arange(-PIECES * reach, PIECES * (x.size + reach) + 1, dtype=np.float64)
     r = clamped(edges, knots[0], knots[-1])
     i = clamped(knots.searchsorted(r, side="right") - 1, 0, knots.size - 2)
-    step, t = knots[i + 1] - knots[i], r - knots[i]
-    chord = (a[i + 1] - a[i]) / step
-    bend = slope[i] + slope[i + 1] - 2.0 * chord
-    t /= step
-    piece = np.diff(a[i] + step * t * (slope[i] + t * ((chord - slope[i] - bend) + t * bend)))
+    constant, linear, square, cube = (column.take(i) for column in _cubic(knots, a, slope))
+    t = r - knots.take(i)
+    piece = np.diff(constant + t * (linear + t * (square + t * cube)))
     wave = np.zeros(x.shape)
     for phase in range(PIECES):
         at = bin_m * (np.arange(2 * reach, dtype=np.float64) - reach + (phase + 0.5) / PIECES)

@@ -134,15 +134,14 @@ def _crossing(
     """Zeros of functions that rise from f_lo < 0 at lo to f_hi >= 0 at hi, to `_EXACT_M`.
 
     False position, the value at the stale end lessened as the new one tells (Anderson and Bjorck), a bisection where
-    three steps have not halved the bracket; only those not there yet are evaluated, and none for a last step whose own
-    error is small enough. Where there is no bracket the upper end is returned.
+    three steps have not halved the bracket; only those not there yet are evaluated. Where there is no bracket the upper
+    end is returned.
     """
     x = hi.copy()
     live = indexes(wanted & (f_lo < 0.0) & (f_hi > 0.0) & (hi > lo))
     a, b, fa, fb = lo[live], hi[live], f_lo[live], f_hi[live]
     side, before = np.zeros(live.size, np.int64), np.full(live.size, np.inf)
-    whole = b - a
-    slope = (fb - fa) / whole
+    slope = (fb - fa) / (b - a)
     for step in range(60):
         if live.size == 0:
             break
@@ -152,6 +151,7 @@ def _crossing(
             mid = np.where(width > 0.5 * before, 0.5 * (a + b), mid)
             before = width
         f = rises(mid, live)
+        x[live] = mid
         up = f >= 0.0
         old = np.where(up, fb, fa)
         less = 1.0 - f / old
@@ -161,15 +161,12 @@ def _crossing(
         # the slope from the nearer end tells how far it still is
         moved = mid - np.where(up, b, a)
         slope = np.where(moved != 0.0, (f - old) / np.where(moved != 0.0, moved, 1.0), slope)
-        # over a whole bracket a slope changes by some tenths of itself
-        last = (np.abs(f * moved) <= 0.5 * _EXACT_M * slope * whole) & (slope > 0.0)
-        x[live] = np.where(last, clamped(mid - f / np.where(last, slope, 1.0), a, b), mid)
         a, b = np.where(up, a, mid), np.where(up, mid, b)
         side = np.where(up, 1, -1)
-        more = ~last & (b - a > _EXACT_M) & (np.abs(f) > 0.1 * _EXACT_M * slope) & (fa < 0.0) & (fb > 0.0)
+        more = (b - a > _EXACT_M) & (np.abs(f) > 0.1 * _EXACT_M * slope) & (fa < 0.0) & (fb > 0.0)
         if not bool(more.all()):
             live, a, b, fa, fb, side = live[more], a[more], b[more], fa[more], fb[more], side[more]
-            before, slope, whole = before[more], slope[more], whole[more]
+            before, slope = before[more], slope[more]
     return x
 
 

@@ -57,7 +57,7 @@ def _unseen_share(model: SensorModel) -> float:
     maximum is moved farther by any change.
     """
     slope = math.pi / model.pulse.fwhm_m * math.sqrt(model.threshold * TOP)
-    return min(INVISIBLE, 2.0 * 0.5 * model.lsb_m * slope / (model.threshold + 3.0))
+    return min(INVISIBLE, model.lsb_m * slope / (model.threshold + 3.0))
 
 
 def largest_diffuse_w(sun: Sun, model: SensorModel) -> float:

@@ -108,8 +108,8 @@ class Measure:
         self._bundles = BundleCache(model)
         self._receiver = receiver
         self._deepest = 0.0
-        self._beyond_pays_not = False
-        "In daylight: what is out of reach is met at once by all rays, not by one more for each beam that met nothing."
+        self._looks_far = False
+        "In daylight all rays look out of reach at once: one more for each beam that met nothing would cost more."
         self._at_rest: tuple[Resting, ...] = ()
         "Of a sensor that does not move: the latest last."
         self._soft = SoftTargets(model, receiver.bin_m)
@@ -209,7 +209,7 @@ class Measure:
             rays, resting = self._rays(plan, pose, t_s)
             shines = surfaces_show(air.sun, self.model)
             far = reach_of(self.model, plan.max_range_m) if self.model.spare_far else np.inf
-            if shines and self._beyond_pays_not:
+            if shines and self._looks_far:
                 far = np.inf
             what = surfaces, air, self.model, gain, plan.max_range_m
             if resting is not None:
@@ -275,7 +275,7 @@ class Measure:
         if not bool(beyond.any()):
             return seen
         beams, at = beams[beyond], at[beyond]
-        self._beyond_pays_not = len(beams) > MANY_BEYOND * len(seen.axis_material) and self._caster.movers <= FEW_MOVERS
+        self._looks_far = len(beams) > MANY_BEYOND * len(seen.axis_material) and self._caster.movers <= FEW_MOVERS
         hits = self._caster.first_hits(rays.origin_m[at], rays.direction[at], rays.t_s[at])
         material, normal = seen.axis_material.copy(), seen.axis_normal.copy()
         material[beams], normal[beams] = hits.material, hits.normal

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.physics.arrays import Floats, Ints, indexes
+from emulator.physics.arrays import Floats, Ints, indexes, ramp
 from emulator.physics.subechoes import SubEchoes
 
 MOST_EMPTY = 4
@@ -75,4 +75,4 @@ def _order(beam: Ints, range_m: Floats) -> Ints:
 
 def _places(begins: Ints, counts: Ints) -> Ints:
     """`counts` whole numbers from each of `begins` on, one after another."""
-    return np.asarray((begins - (counts.cumsum() - counts)).repeat(counts) + np.arange(counts.sum()))
+    return np.asarray(begins.repeat(counts) + ramp(counts))
