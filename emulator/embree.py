@@ -6,20 +6,23 @@ Belongs here: building, one search for many rays, distances recomputed from plan
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from collections.abc import Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
+from emulator.compiled import kernels
 from emulator.fleet import Flags, Longs
 from emulator.hits import Counters
 from emulator.structures import Content, Table
 from emulator.triangles import Floats, Ints
 
 Singles = NDArray[np.float32]
-Structure: TypeAlias = EmbreeScene
+Structure: TypeAlias = Any
+"Of embreex, or for packets of rays where loops are compiled."
 
 SUSPICIOUS = 1e-3
 "Refined and float32 distance differ by more than this times (1 + distance): the plane is not to be trusted."
@@ -27,16 +30,27 @@ SUSPICIOUS = 1e-3
 
 def structure(content: Content) -> Structure:
     """A search structure over triangles, built."""
-    made = Structure(robust=True)  # without it 8 % of rays aimed at shared edges slip through
+    loops = kernels()
+    if loops is not None and loops.library() is not None:
+        return loops.Packets(content.vertices, content.faces)
+    made = EmbreeScene(robust=True)  # without it 8 % of rays aimed at shared edges slip through
     TriangleMesh(made, content.vertices, content.faces)
     run(made, np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), np.ones(1, np.float32))  # builds it
     return made
 
 
+def in_packets(made: Sequence[Structure]) -> bool:
+    """These structures, all of the same kind, are for packets of rays."""
+    return bool(made) and not isinstance(made[0], EmbreeScene)
+
+
 def run(made: Structure, origin: Singles, ray: Singles, until: Singles) -> tuple[Ints, Singles]:
     """Triangle (-1: none) and distance of each ray's first hit; `until` is overwritten."""
-    answer = made.run(origin, ray, dists=until, output=1)
-    return answer["primID"], answer["tfar"]
+    if isinstance(made, EmbreeScene):
+        answer = made.run(origin, ray, dists=until, output=1)
+        return answer["primID"], answer["tfar"]
+    triangle, distance = made.run(origin, ray, until)
+    return triangle, distance
 
 
 def refined(

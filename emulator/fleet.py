@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from emulator.compiled import kernels
 from emulator.motion import Floats, Motion, Steady, Waypoints, matrix_of, whole_turns
 from emulator.physics.arrays import clamped, indexes
 
@@ -208,7 +209,10 @@ def may_meet(
     view = view / np.where(inside, 1.0, away)
     width = np.where(inside, np.pi, np.arcsin(np.minimum(reach / np.where(inside, 1.0, away), 1.0)))
     around = cones()
-    size = around.size
+    size, loops = around.size, kernels()
+    if loops is not None and len(near) * len(around.half) <= 4 * MANY:
+        sphere, rays = loops.pairs(view, away, reach, around.axis, around.half, size, known_m, ROUNDING)
+        return near[sphere], rays
     sphere, chunk = _in_cones(view, width, around.axis, around.half)
     before = indexes((away - reach).take(sphere) <= around.most(known_m).take(chunk))
     sphere, chunk = sphere.take(before), chunk.take(before)

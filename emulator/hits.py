@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from emulator.compiled import kernels
 from emulator.fleet import Cones, Flags, Longs
 from emulator.physics.arrays import indexes
 from emulator.triangles import Floats, Ints
@@ -173,6 +174,15 @@ class Passing:
         return Passing(*(column[..., chosen] for column in vars(self).values()))
 
 
+def extent(vectors: Floats) -> tuple[Floats, Floats]:
+    """Least and largest of each coordinate of (3, m), m > 0."""
+    loops = kernels()
+    if loops is not None:
+        low, high = loops.extent(vectors)
+        return low, high
+    return vectors.min(axis=1), vectors.max(axis=1)
+
+
 def rows(vectors: Floats) -> NDArray[np.float32]:
     """(3, m) in float64 to (m, 3) in float32."""
     return vectors.T.astype(np.float32, order="C")
@@ -238,6 +248,13 @@ def all_met(parts: list[Met]) -> Met | None:
 
 def keep_nearer(found: Nearest, rays: Longs, met: Met) -> None:
     """Put hits of `rays` (which may repeat) where nothing is nearer."""
+    loops = kernels()
+    if loops is not None:
+        loops.keep_nearer(
+            found.range_m, found.triangle, found.body, found.normal, found.facing,
+            rays, met.range_m, met.triangle, met.body, met.normal, met.facing,
+        )  # fmt: skip
+        return
     best = found.range_m.copy()
     np.minimum.at(best, rays, met.range_m)
     wins = indexes(met.range_m == best[rays])

@@ -37,7 +37,11 @@ class Pose:
     def after(self, outer: Pose) -> Pose:
         """This pose, given in a frame whose own pose in the world is `outer`."""
         with np.errstate(under="ignore"):
-            return Pose(outer.to_world(self.position_m), outer.rotation @ self.rotation)
+            if outer.rotation.strides[0] == 0 and self.rotation.strides[0] == 0:  # one for all times
+                rotation = np.broadcast_to(outer.rotation[0] @ self.rotation[0], self.rotation.shape)
+            else:
+                rotation = outer.rotation @ self.rotation
+            return Pose(outer.to_world(self.position_m), rotation)
 
 
 def rotation_matrix(yaw_deg: float, pitch_deg: float = 0.0, roll_deg: float = 0.0) -> Floats:

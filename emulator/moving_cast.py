@@ -10,13 +10,16 @@ Meshes that change their shape are cast by slices (deforming).
 
 from __future__ import annotations
 
+from types import ModuleType
+
 import numpy as np
 
 from emulator import embree
+from emulator.compiled import kernels
 from emulator.deforming import Slices
 from emulator.embree import Singles
 from emulator.fleet import Flags, Longs, Stretch, may_meet, through_sphere
-from emulator.hits import MISS, Aim, Counters, Met, Passing, all_met, rows
+from emulator.hits import MISS, Aim, Counters, Met, Passing, all_met, extent, rows
 from emulator.nearby import KEPT, Nearby
 from emulator.physics.arrays import indexes
 from emulator.structures import Layout, Movers
@@ -30,6 +33,7 @@ class MovingCast:
         self.counters = counters
         self._all, self._table = layout.movers, layout.table
         self._slots = [embree.structure(content) for content in layout.slots]
+        self._packets = embree.in_packets(self._slots) and not layout.frames
         self._slices = [Slices(frames, centre) for frames, centre in layout.frames]
         self._nearby = Nearby(self._all.fleet.motions, self._all.reach + self._all.arm)
         self._kept: tuple[tuple[Longs, Movers], ...] = ()
@@ -56,7 +60,7 @@ class MovingCast:
     ) -> Met | None:
         """Each ray on the moving bodies whose spheres it meets before `known_m`, in their own frames."""
         begin, end = float(times.min()), float(times.max())
-        box = (origin.min(axis=1), origin.max(axis=1)) if box is None else box
+        box = extent(origin) if box is None else box
         movers = self._near(*box, begin, end, far)
         if not len(movers.body):
             return None
@@ -64,6 +68,10 @@ class MovingCast:
         which, rays = may_meet(place, movers.reach + swept, box, aim.ray, far, known_m, lambda: aim.cones)
         if not len(which):
             return None
+
+        loops = kernels()
+        if loops is not None and self._packets:
+            return self._met_compiled(loops, movers, now, curved, which, rays, origin, aim.ray, times, far, known_m)
 
         # the ray's origin seen from the body's first: large coordinates cancel there
         when = times.take(rays)
@@ -104,6 +112,35 @@ class MovingCast:
         for number in np.unique(home[home < 0]):
             parts.append(self._frames(movers, passing.taken(indexes(home == number)), times, -1 - number))
         return all_met([part for part in parts if part is not None])
+
+    def _met_compiled(
+        self, loops: ModuleType, movers: Movers, now: Stretch, curved: Longs, which: Longs, rays: Longs,
+        origin: Floats, ray: Floats, times: Floats, far: float, known_m: Floats,
+    ) -> Met | None:  # fmt: skip
+        """The same in compiled loops, where all bodies are rigid."""
+        bent, offset, turned = np.zeros(0, np.int64), np.zeros((3, 0)), np.zeros((3, 3, 0))
+        if len(curved):
+            pairs = [indexes(which == mover) for mover in curved]
+            bent = np.full(len(which), -1)
+            bent[np.concatenate(pairs)] = np.arange(sum(map(len, pairs)))
+            where = [(movers.fleet.motions[of], times[rays[at]]) for of, at in zip(curved, pairs, strict=True)]
+            offset = origin[:, rays[np.concatenate(pairs)]]
+            offset -= np.concatenate([motion.position(when) for motion, when in where]).T
+            poses = [np.broadcast_to(motion.rotation(when), (len(when), 3, 3)) for motion, when in where]
+            turned = np.concatenate(poses).transpose(1, 2, 0)
+        parts = []
+        for number in np.unique(movers.structure) if len(self._slots) > 1 else (0,):
+            *columns, cast, wrong = loops.moving(
+                *self._slots[number].how, number, which, rays, origin, ray, times, far, known_m,
+                now.at, now.velocity, now.since, now.turned, movers.centre, movers.reach, movers.half, movers.cell,
+                movers.shift, movers.structure, movers.body, bent, offset, turned, self._table.plane, embree.SUSPICIOUS,
+            )  # fmt: skip
+            self.counters.cast += cast
+            self.counters.suspicious += wrong
+            if len(columns[0]):
+                rays_met, triangle, body, range_m, normal, facing = columns
+                parts.append(Met(rays_met, triangle, body, range_m, normal, facing))
+        return all_met(parts)
 
     def _rigid(self, movers: Movers, near: Passing) -> Met | None:
         which, rays = near.which, near.rays

@@ -12,12 +12,14 @@ rays begin where they enter a bounding sphere.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from types import ModuleType
 
 import numpy as np
 
 from emulator import embree
+from emulator.compiled import kernels
 from emulator.fleet import Flags, Longs, through_sphere
-from emulator.hits import Aim, Block, Counters, Fan, Hits, Met, Nearest, Renewed, keep_nearer, rows
+from emulator.hits import Aim, Block, Counters, Fan, Hits, Met, Nearest, Renewed, extent, keep_nearer, rows
 from emulator.moving_cast import MovingCast
 from emulator.physics.arrays import indexes
 from emulator.scene import Scene
@@ -47,6 +49,7 @@ class Caster:
         layout = lay_out(scene.bodies, chosen)
         self._groups = layout.groups
         self._built = [embree.structure(group.content) for group in layout.groups]
+        self._packets = embree.in_packets(self._built)
         self._moving = MovingCast(layout, self.counters)
         self._table = layout.table
         counts = [len(body.part_material) for body in scene.bodies]
@@ -181,7 +184,7 @@ class Caster:
             origin, aim = np.ascontiguousarray(origin_m[here].T), _aim(direction[here])
             found = self._resting(origin, aim, far)
             inner = self._is_inner(found)
-            box = origin.min(axis=1), origin.max(axis=1)
+            box = extent(origin)
             blocks.append(Block(here, origin, aim, box, found, indexes(inner)))
             if not self.moves and inner.any():
                 self._recast_leaks(found, inner, origin, aim.ray, np.zeros(len(aim)), far)
@@ -231,6 +234,13 @@ class Caster:
     def _told(self, found: Nearest, inner: Flags, far: float) -> Hits:
         """What was found, as it is told; `found` stays as it is."""
         table, body, triangle = self._table, found.body, found.triangle
+        loops = kernels()
+        if loops is not None:
+            range_m, body, actor, face, material, normal = loops.told(
+                found.range_m, triangle, body, found.normal, found.facing, far, inner, self._actor_of, table.face,
+                self._material, table.part, self._parts_of, self._part_material,
+            )  # fmt: skip
+            return Hits(range_m, body, actor, face, material, normal.T, inner)
         missed = triangle < 0
         if far < np.inf:
             missed |= found.range_m > far
@@ -301,11 +311,28 @@ class Caster:
         return found
 
     def _resting(self, origin: Floats, aim: Aim, far: float) -> Nearest:
+        loops = kernels()
+        if loops is not None and self._packets:
+            return self._resting_compiled(loops, origin, aim, far)
         if len(self._groups) == 1 and _norm(origin[:, :1] - self._groups[0].centre) < self._groups[0].radius:
             return self._cast_around(origin, aim, far)
         found = Nearest.nothing(len(aim))
         for group, structure in zip(self._groups, self._built, strict=True):
             self._cast_afar(group, structure, origin, aim.ray, far, found)
+        return found
+
+    def _resting_compiled(self, loops: ModuleType, origin: Floats, aim: Aim, far: float) -> Nearest:
+        found = Nearest.nothing(len(aim))
+        table = self._table
+        for group, structure in zip(self._groups, self._built, strict=True):
+            around = len(self._groups) == 1 and _norm(origin[:, :1] - group.centre) < group.radius
+            cast, wrong = loops.resting(
+                *structure.how, origin, aim.ray, group.centre[:, 0], np.inf if around else group.radius, far,
+                embree.SUSPICIOUS, table.plane, table.body, group.offset,
+                found.range_m, found.triangle, found.body, found.normal, found.facing,
+            )  # fmt: skip
+            self.counters.cast += cast
+            self.counters.suspicious += wrong
         return found
 
     def _cast_around(self, origin: Floats, aim: Aim, far: float) -> Nearest:

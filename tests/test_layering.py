@@ -31,6 +31,8 @@ ONLY_IN = {
     "cantools": {"protocols/can_objects/"},
     "viser": {"emulator/view/"},
     "websockets": {"emulator/view/"},
+    "numba": {"emulator/compiled/"},
+    "llvmlite": {"emulator/compiled/"},
 }
 "Library -> the only files (or folders, ending in /) that import it."
 
@@ -74,9 +76,11 @@ def test_a_module_imports_only_what_its_place_allows(path: Path) -> None:
             assert not strange, f"{place} imports {sorted(strange)}"
     if place.startswith("protocols/"):
         assert "emulator" not in found
+    if place.startswith("emulator/compiled/"):
+        assert all(name.startswith("emulator.compiled") for name in imported(path) if name.startswith("emulator"))
     if place.startswith("emulator/physics/"):
         outside = {name for name in imported(path) if name.startswith("emulator") and ".physics" not in name}
-        assert outside <= {"emulator.errors"}, outside
+        assert outside <= {"emulator.errors", "emulator.compiled"}, outside
 
 
 def test_the_reader_of_imports_sees_them() -> None:

@@ -15,13 +15,15 @@ from emulator.commands.common import OK, say
 @click.option("--seconds", type=click.FloatRange(0.1, 600.0), default=3.0, show_default=True, help="For the timers.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
 def doctor(seconds: float, as_json: bool) -> int:
-    """What this machine allows: pseudo-terminals and their speeds, multicast, SocketCAN, adapters, timers."""
+    """What this machine allows: pseudo-terminals and their speeds, multicast, SocketCAN, adapters, timers, loops."""
+    from emulator import compiled
     from emulator.pacing_trial import measure
     from emulator.transports.probes import Probe, probe_links
     from emulator.waiting import realtime_allowed
 
     cores = len(os.sched_getaffinity(0))
     probes = [Probe("processor cores", cores > 1, f"{cores}: one sends, {max(1, cores - 1)} measure")]
+    probes.append(Probe("compiled loops", *compiled.why()))
     probes += probe_links(os.environ)
     found = measure(seconds)
     ours, other = found.ours, found.asyncio_sleep

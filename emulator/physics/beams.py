@@ -211,6 +211,21 @@ def bundle(rule: str, count: int, profile: Profile = "gauss") -> Bundle:
     return RULES[rule](_counted(count), profile)
 
 
+PACKET = 16
+"Rays that are searched for together, see `compiled.packets`."
+
+
+def together(nodes: Bundle) -> Bundle:
+    """The same nodes in an order in which neighbours follow each other: rows of squares of `PACKET` of them.
+
+    Rays of a packet that lie close together take half the time of a spiral's.
+    """
+    packets = -(-len(nodes) // PACKET)
+    rows = np.array_split(np.argsort(nodes.v, kind="stable"), max(1, round(math.sqrt(packets))))
+    order = np.concatenate([row[np.argsort(nodes.u[row], kind="stable")] for row in rows])
+    return Bundle(nodes.u[order], nodes.v[order], nodes.share[order])
+
+
 # ------------------------------------------------------------------------------- directions of a scan
 def beam_phase(index: Values | np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> Floats:
     """Turn of each beam's bundle about its axis, a hash of the beam's index times 2 pi, the same in every run."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from emulator.compiled import kernels
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, indexes, ramp
 from emulator.physics.detector import Detector
 from emulator.physics.subechoes import Clusters
@@ -63,6 +64,13 @@ def wave_candidates(
     if n == 0:
         return Candidates(none, np.zeros(0), np.zeros(0), none, none, none)
     value = np.minimum(wave.value, detector.full_scale)
+    loops = kernels()
+    if loops is not None and wave.pulse.shape == "sin2":
+        peak, window, centre, height, begin = loops.maxima(
+            *wave.flat, wave.beam, least, rms, threshold, detector.full_scale, FAINT
+        )
+        _clip(wave, value, peak, window, detector.full_scale, centre, height)
+        return Candidates(wave.beam[window], centre, height, peak, window, begin)
     top = np.zeros(n, np.bool_)
     top[1:-1] = (value[1:-1] > value[:-2]) & (value[1:-1] >= value[2:])
     top[wave.start] = False
@@ -118,21 +126,28 @@ def _parabola(wave: Waveform, value: Floats, peak: Ints, window: Ints, detector:
     centre = wave.position(peak, window) + shift * wave.bin_m
     if detector.pulse.shape == "sin2":
         _exact(wave, peak, window, centre, height)
-    clipped = value[peak] >= detector.full_scale
-    if bool(clipped.any()):
-        below = indexes(value < detector.full_scale)
-        last = (wave.start + wave.count - 1)[window[clipped]]  # a medium can clip beyond the window
-        after = np.append(below, value.size)[below.searchsorted(peak[clipped], side="right")]
-        after = np.minimum(after, last)
-        before = peak[clipped] - 1
-        v = wave.value
-        limit = detector.full_scale
-        up = before + (limit - v[before]) / np.maximum(v[before + 1] - v[before], 1e-300)
-        down = after - np.maximum(limit - v[after], 0.0) / np.maximum(v[after - 1] - v[after], 1e-300)
-        start, first = wave.start[window[clipped]], wave.first_bin[window[clipped]]
-        centre[clipped] = wave.bin_m * (0.5 * (up + down) - start + first)
-        height[clipped] = np.maximum(height[clipped], limit)
+    _clip(wave, value, peak, window, detector.full_scale, centre, height)
     return centre, height
+
+
+def _clip(
+    wave: Waveform, value: Floats, peak: Ints, window: Ints, limit: float, centre: Floats, height: Floats
+) -> None:
+    """Maxima that are clipped at a limit lie in the middle of their run."""
+    clipped = value[peak] >= limit
+    if not bool(clipped.any()):
+        return
+    below = indexes(value < limit)
+    last = (wave.start + wave.count - 1)[window[clipped]]  # a medium can clip beyond the window
+    after = np.append(below, value.size)[below.searchsorted(peak[clipped], side="right")]
+    after = np.minimum(after, last)
+    before = peak[clipped] - 1
+    v = wave.value
+    up = before + (limit - v[before]) / np.maximum(v[before + 1] - v[before], 1e-300)
+    down = after - np.maximum(limit - v[after], 0.0) / np.maximum(v[after - 1] - v[after], 1e-300)
+    start, first = wave.start[window[clipped]], wave.first_bin[window[clipped]]
+    centre[clipped] = wave.bin_m * (0.5 * (up + down) - start + first)
+    height[clipped] = np.maximum(height[clipped], limit)
 
 
 def _exact(wave: Waveform, peak: Ints, window: Ints, centre: Floats, height: Floats) -> None:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from emulator.compiled import kernels
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, cos_sin, indexes
 from emulator.physics.detector import Detector
 from emulator.physics.softprofile import SoftProfile
@@ -60,7 +61,9 @@ class AirUnder:
 
     def at(self, x_m: Floats, last: Ints) -> Floats:
         """Its part at apparent ranges (h,), where these sub-echoes are the last ones begun; linear between bins."""
-        soft = self.soft
+        soft, loops = self.soft, kernels()
+        if loops is not None:
+            return np.asarray(loops.under(*soft.flat, x_m, last, self.before, self.begins, self.open, self.sums))
         blocked, a, real, imaginary = self.sums.take(last - self.before, axis=1) - self.sums.take(self.begins, axis=1)
         still = np.maximum(self.open - blocked, 0.0)
         bins = np.floor(x_m / soft.bin_m)
@@ -133,6 +136,14 @@ class Cosines:
             if air is None:
                 continue
             of = last[air.cluster]
+            loops = kernels()
+            if loops is not None:
+                at, sums = air.cluster, (self.begun, self.total, self.real, self.imaginary)
+                crossing[at] = loops.crossed_under(
+                    *air.soft.flat, level[at], self.start[at], self.size[at], self.first_m[at], *sums, self.half_m,
+                    air.before, air.begins, air.open, air.sums, crossing[at], of, LEAST, EXACT_M, MOST_PASSES,
+                )  # fmt: skip
+                continue
             for _ in range(MOST_PASSES):
                 at = air.cluster
                 before = crossing[at]
@@ -157,6 +168,12 @@ class Cosines:
 
     def _crossed(self, level: Floats, start: Ints, size: Ints, at: Ints | None = None) -> tuple[Floats, Ints]:
         """Where the pulses of these clusters first reach a level, and the index of the last one begun by then."""
+        first_m = self.first_m if at is None else self.first_m[at]
+        loops = kernels()
+        if loops is not None:
+            sums = self.begun, self.total, self.real, self.imaginary
+            crossing, last = loops.crossed(level, start, size, first_m, *sums, self.half_m, self.wave_number)
+            return crossing, last
         ends = size.cumsum()
         begun = self.begun
         if ends[-1] < len(begun):
@@ -166,7 +183,7 @@ class Cosines:
         last = start + np.maximum(passed, 1) - 1
         total, real, imaginary = self.total[last], self.real[last], self.imaginary[last]
         swing = np.hypot(real, imaginary)
-        centre = (self.first_m if at is None else self.first_m[at]) + np.arctan2(imaginary, real) / self.wave_number
+        centre = first_m + np.arctan2(imaginary, real) / self.wave_number
         # the angle from the trough, which keeps its digits for a level far below the maximum
         share = (2.0 * level - total + swing) / (2.0 * swing)
         rise = 2.0 * np.arcsin(np.sqrt(clamped(share, 0.0, 1.0)))
@@ -207,31 +224,31 @@ def split_cosines(echoes: SubEchoes, detector: Detector, soft: SoftProfile | Non
         return Cosines.none(), echoes
     half, k = pulse.half_support_m, pulse.wave_number
     beam, r, a = echoes.beam, echoes.range_m, echoes.amplitude
-    cut = (beam[1:] != beam[:-1]) | (r[1:] - r[:-1] > 2.0 * half)
-    start = np.concatenate(([0], indexes(cut) + 1))
-    size = np.diff(np.append(start, n))
+    loops = kernels()
+    if loops is not None:
+        start, size, span, whole = loops.split(beam, r, a, 2.0 * half)
+    else:
+        cut = (beam[1:] != beam[:-1]) | (r[1:] - r[:-1] > 2.0 * half)
+        start = np.concatenate(([0], indexes(cut) + 1))
+        size = np.diff(np.append(start, n))
+        total = _running(a, start, size)
+        span, whole = r[start + size - 1] - r[start], total[start + size - 1]
     first, end = r[start], start + size - 1
-    total = _running(a, start, size)
-    short = (r[end] - first < SHORT * half) & (total[end] > 0.0)
+    short = (span < SHORT * half) & (whole > 0.0)
     near, under = (None, first) if soft is None else _near(soft, detector.threshold, short, beam[start], first - half)
     if not bool(short.any()):
         return Cosines.none(), echoes
-    phase = k * (r - first.repeat(size))
-    cosine, sine = cos_sin(phase)
-    real, imaginary = _running(a * cosine, start, size), _running(a * sine, start, size)
-    # a pulse begins half a turn of the cosine before its centre
-    begun = 0.5 * (total - cosine * real - sine * imaginary)
-    top = np.maximum.reduceat(a, start)
-    strongest = indexes(a == top.repeat(size))
-    source = np.zeros(len(start), np.int64)
-    owner = np.arange(len(start)).repeat(size)[strongest[::-1]]
-    source[owner] = echoes.source[strongest[::-1]]  # the first of equals wins
+    if loops is not None:
+        total, real, imaginary, begun, source = loops.sums(r, a, echoes.source, start[short], size[short], k)
+    else:
+        real, imaginary, begun = _sums(r, a, total, start, size, k)
+        source = _strongest(echoes, start, size)[short]
     last = end[short]
     found = Cosines(
         beam[start][short],
         first[short] + np.arctan2(imaginary[last], real[last]) / k,
         0.5 * (total[last] + np.hypot(real[last], imaginary[last])),
-        source[short],
+        source,
         first[short],
         start[short],
         size[short],
@@ -250,9 +267,25 @@ def split_cosines(echoes: SubEchoes, detector: Detector, soft: SoftProfile | Non
     return found, SubEchoes(beam[rest], r[rest], a[rest], echoes.blocked[rest], echoes.source[rest])
 
 
-def _near(
-    soft: SoftProfile, threshold: float, short: Bools, beam: Ints, begin_m: Floats
-) -> tuple[Ints | None, Floats]:
+def _sums(
+    r: Floats, a: Floats, total: Floats, start: Ints, size: Ints, wave_number: float
+) -> tuple[Floats, Floats, Floats]:
+    """Running sums over the sub-echoes of clusters: the two parts of C, and the signal where each pulse begins."""
+    cosine, sine = cos_sin(wave_number * (r - r[start].repeat(size)))
+    real, imaginary = _running(a * cosine, start, size), _running(a * sine, start, size)
+    # a pulse begins half a turn of the cosine before its centre
+    return real, imaginary, 0.5 * (total - cosine * real - sine * imaginary)
+
+
+def _strongest(echoes: SubEchoes, start: Ints, size: Ints) -> Ints:
+    """(c,) source of the strongest sub-echo of each cluster; the first of equals wins."""
+    strongest = indexes(echoes.amplitude == np.maximum.reduceat(echoes.amplitude, start).repeat(size))[::-1]
+    source = np.zeros(len(start), np.int64)
+    source[np.arange(len(start)).repeat(size)[strongest]] = echoes.source[strongest]
+    return source
+
+
+def _near(soft: SoftProfile, threshold: float, short: Bools, beam: Ints, begin_m: Floats) -> tuple[Ints | None, Floats]:
     """The short clusters that begin where the medium shows, and of all clusters its bound over the threshold.
 
     A beam with such a cluster that is not short has none that is: its medium is sampled, with all that blocks it.
@@ -300,12 +333,11 @@ def _with_air(
 
 def _air(echoes: SubEchoes, soft: SoftProfile, first: Ints, count: Ints) -> AirUnder:
     """The medium under clusters of `count` sub-echoes from `first` on, numbered as they come."""
-    begins = count.cumsum() - count
-    member = (first - begins).repeat(count) + np.arange(count.sum())
-    sums = np.zeros((4, len(member) + 1))
-    blocked = echoes.blocked.take(member)
-    np.cumsum(blocked, out=sums[0, 1:])
-    np.cumsum(soft.integrals(echoes.range_m.take(member)) * blocked, axis=1, out=sums[1:, 1:])
+    begins, loops = count.cumsum() - count, kernels()
+    if loops is not None:
+        sums = loops.ended_under(*soft.flat, echoes.range_m, echoes.blocked, first, count)
+    else:
+        sums = _ended(echoes, soft, first, count, begins)
     open_ = np.ones(len(first))
     behind = indexes(echoes.beam[first - 1] == echoes.beam[first])  # in beams of which some is blocked before
     if len(behind):
@@ -313,6 +345,16 @@ def _air(echoes: SubEchoes, soft: SoftProfile, first: Ints, count: Ints) -> AirU
         head = echoes.beam.searchsorted(echoes.beam[first[behind]])
         open_[behind] = clamped(1.0 - (passed[first[behind]] - passed[head]), 0.0, 1.0)
     return AirUnder(soft, np.arange(len(first)), first - begins - 1, open_, begins, sums)
+
+
+def _ended(echoes: SubEchoes, soft: SoftProfile, first: Ints, count: Ints, begins: Ints) -> Floats:
+    """`AirUnder.sums` of these clusters."""
+    member = (first - begins).repeat(count) + np.arange(count.sum())
+    sums = np.zeros((4, len(member) + 1))
+    blocked = echoes.blocked.take(member)
+    np.cumsum(blocked, out=sums[0, 1:])
+    np.cumsum(soft.integrals(echoes.range_m.take(member)) * blocked, axis=1, out=sums[1:, 1:])
+    return sums
 
 
 def _running(values: Floats, start: Ints, size: Ints) -> Floats:

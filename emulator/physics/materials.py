@@ -285,6 +285,21 @@ class SurfaceTable:
         return result
 
     @cached_property
+    def factors(self) -> Floats:
+        """(6, materials) of `back` but for Phong: factors of cos and of sin^2, sheeting; a GGX lobe's share, F0 and
+        roughness."""
+        ggx = np.zeros(len(self.materials))
+        for model, has in self._shapes[3]:
+            if model == "ggx":
+                ggx = has * self._column("lobe_share")
+        return np.array([*self._shapes[:3], ggx, self._column("f0"), self._column("roughness")], np.float64)
+
+    @cached_property
+    def phong(self) -> Bools:
+        """(materials,) those of Phong's model."""
+        return np.array([m.model == "phong" for m in self.materials], bool)
+
+    @cached_property
     def _shapes(self) -> tuple[Floats, Floats, Floats, list[tuple[str, Bools]]]:
         """(materials,) factors of cos and of sin^2, what sheeting sends back, and which have a lobe, by model."""
         slope = np.array([m.slope_rad if m.model == "oren_nayar" else 0.0 for m in self.materials])

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from scipy import special
@@ -37,6 +38,12 @@ PIECES = 4
 "Of a bin, where the waveform of a Gaussian pulse is summed from even pieces of the medium."
 MARK = 1e-9
 "Amplitude of the markers that make the waveform be sampled where the medium has its maximum."
+
+Flat: TypeAlias = tuple[Floats, int, float, float, Floats, Floats, Floats, Ints, float]
+"A medium for compiled loops: tables with an edge, first bin, bin, wave number, ends, knots, cubics, cells, cell."
+NO_MEDIUM: Flat = (
+    np.zeros((2, 1)), 0, 1.0, 1.0, np.zeros(3), np.zeros(2), np.zeros((12, 1)), np.zeros(1, np.int64), 1.0
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,6 +172,16 @@ class SoftProfile:
             turn = np.exp(1j * self.pulse.wave_number * self.bin_m * j[beyond].astype(np.float64))
             upper[beyond] = lower[beyond] = self.a[-1] + np.real(turn * self.b[-1])
         return upper, lower
+
+    @cached_property
+    def flat(self) -> Flat:
+        """All of this as compiled loops want it."""
+        cell, at_edge = self._cells
+        ends = np.array([self.a[-1], self.b[-1].real, self.b[-1].imag])
+        return (
+            self._edged, self.first, self.bin_m, self.pulse.wave_number, ends, self.knots,
+            np.ascontiguousarray(self._cubics), at_edge, cell,
+        )  # fmt: skip
 
     @cached_property
     def _edged(self) -> Floats:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from emulator.compiled import kernels
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, floats, indexes, ramp
 from emulator.physics.candidates import FAINT, Candidates
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
@@ -19,6 +20,8 @@ from emulator.physics.waveform import Waveform
 
 _EXACT_M = 1e-7
 "Crossings between the samples are found to this."
+_MOST_STEPS = 20
+"Of Newton's."
 BASE_OF_THRESHOLD, BASE_OF_ECHO = 0.5, 0.1
 "What is below the lesser of these shares of the threshold and of the echo's height weighs little in a centroid."
 
@@ -29,6 +32,10 @@ def edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -
     An echo that rises from a valley above its level never crosses it: it keeps the place that a single echo with this
     maximum would have.
     """
+    loops = kernels()
+    if loops is not None and wave.pulse.shape == "sin2":
+        what = found.index, found.window, found.begin, found.centre_m, found.amplitude, level, otherwise
+        return floats(loops.edges(*wave.flat, *what, FAINT, _EXACT_M, _MOST_STEPS))
     count = found.index - found.begin + 1
     flat = found.begin.repeat(count) + ramp(count)
     owner = np.arange(count.size).repeat(count)
@@ -97,7 +104,7 @@ def _between_samples(
     rise = 2.0 * np.arcsin(np.sqrt(clamped(share, 0.0, 1.0))) - np.pi
     x = origin + (np.arctan2(imaginary, real) + rise) / k
     x = clamped(x + 2.0 * np.pi / k * np.rint((middle - x) * k / (2.0 * np.pi)), lo, hi)
-    for _ in range(20):
+    for _ in range(_MOST_STEPS):
         is_now, rises = value(x)
         new = clamped(np.where(rises > 0.0, x + (level - is_now) / np.where(rises > 0.0, rises, 1.0), x), lo, hi)
         done = bool((np.abs(new - x) < _EXACT_M).all())

@@ -13,12 +13,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from emulator.compiled import kernels
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, cos_sin, floats, indexes, ramp
 from emulator.physics.pulse import Pulse
-from emulator.physics.softprofile import SoftProfile
+from emulator.physics.softprofile import NO_MEDIUM, SoftProfile
 from emulator.physics.subechoes import Clusters
 
 
@@ -52,6 +54,14 @@ class Waveform:
     of the amplitudes times the cosine and the sine of their distance from the window's first sample."""
     hazy: bool = True
     "There is a medium in it."
+
+    @property
+    def flat(self) -> tuple[Any, ...]:
+        """A sin^2 pulse's samples and sub-echoes as compiled loops want them."""
+        return (
+            self.bin_m, self.pulse.half_support_m, self.pulse.wave_number, self.hazy, self.first_bin, self.start,
+            self.count, self.value, self.soft, self.sub_first, self.sub_count, self.sub_range, *self.sums,
+        )  # fmt: skip
 
     @property
     def window(self) -> Ints:
@@ -134,60 +144,26 @@ def sample(
     r, amplitude, blocked = clusters.range_m[kept], clusters.amplitude[kept], clusters.blocked[kept]
     sub_count = clusters.count[chosen]
     sub_first = sub_count.cumsum() - sub_count
-    window = np.arange(sub_count.size).repeat(sub_count)
     low, high = r[sub_first], r[sub_first + sub_count - 1]
     first_bin = np.floor((low - half) / bin_m).astype(np.int64) - 1
     count = np.ceil((high + half) / bin_m).astype(np.int64) - first_bin + 2
     start = count.cumsum() - count
-    total = int(count.sum())
-    base = (start - first_bin)[window]
-    on = base + np.ceil((r - half) / bin_m).astype(np.int64)
-    off = base + np.floor((r + half) / bin_m).astype(np.int64) + 1
-    local = ramp(count)
-    k, series = pulse.wave_number, pulse.series
-    # between two samples begins and ends what lies between these numbers of sub-echoes
-    begun, ended = (np.bincount(edge, minlength=total).cumsum() for edge in (on, off))
-    origin = bin_m * first_bin
-    real, imaginary = cos_sin(k * (r - origin.repeat(sub_count)))
-    angle = k * bin_m * np.arange(int(count.max(initial=1)))
-    cosine, sine = np.cos(angle).take(local), np.sin(angle).take(local)
-    sums = [_sums(amplitude)]
-    value = series[0] * _between(sums[0], begun, ended)
-    turned = amplitude * real, amplitude * imaginary
-    for m in range(1, series.size):
-        cos_m, sin_m = (cosine, sine) if m == 1 else (np.cos(m * angle).take(local), np.sin(m * angle).take(local))
+    k, terms = pulse.wave_number, pulse.series.size
+    real, imaginary = cos_sin(k * (r - (bin_m * first_bin).repeat(sub_count)))
+    sums, turned = [_sums(amplitude)], (amplitude * real, amplitude * imaginary)
+    for m in range(1, terms):
         sums += [_sums(turned[0]), _sums(turned[1])]
-        value += series[m] * cos_m * _between(sums[-2], begun, ended)
-        value += series[m] * sin_m * _between(sums[-1], begun, ended)
-        if m + 1 < series.size:
+        if m + 1 < terms:
             turned = _product(turned, (real, imaginary))
-    np.maximum(value, 0.0, out=value)
-    part = np.zeros(total)
-    if soft is not None and pulse.shape == "sin2" and total:
-        upper, lower = soft.tables(first_bin.repeat(count) + local)
-        open_far = clear_share[chosen].repeat(count)
-        open_near = open_far
-        stops = (blocked > 0.0) & (r < soft.end_m + 2.0 * half)
-        near = indexes(stops)
-        if len(near):
-            passed = np.concatenate(([0], stops.cumsum()))
-            if len(near) < len(r):
-                begun, ended = passed.take(begun), passed.take(ended)
-            share, of = blocked.take(near), window.take(near)
-            stopped = _sums(share)
-            before = stopped.take(passed.take(sub_first)).repeat(count)
-            open_far = open_far - (stopped.take(begun) - before)
-            open_near = open_near - (stopped.take(ended) - before)
-            a, *parts = soft.integrals(r.take(near)) * share
-            b = _product(parts, (np.cos(k * origin).take(of), np.sin(k * origin).take(of)))
-            part += _between(_sums(a), begun, ended)
-            part += cosine * _between(_sums(b[0]), begun, ended)
-            part -= sine * _between(_sums(b[1]), begun, ended)
-        part += np.maximum(open_far, 0.0) * upper
-        part -= np.maximum(open_near, 0.0) * lower
-        part *= 0.5
-        np.maximum(part, 0.0, out=part)
-        value += part
+    loops, grid = kernels(), (first_bin, start, count, sub_first, sub_count)
+    if loops is not None and pulse.shape == "sin2":
+        medium = NO_MEDIUM if soft is None else soft.flat
+        value, part = loops.sampled(
+            *medium, soft is not None, 0.0 if soft is None else soft.end_m, half, bin_m, k, *grid, r, amplitude,
+            blocked, clear_share[chosen],
+        )  # fmt: skip
+    else:
+        value, part = _samples(pulse, bin_m, soft, *grid, r, blocked, clear_share[chosen], sums)
     return Waveform(
         pulse,
         bin_m,
@@ -205,6 +181,57 @@ def sample(
         tuple(sums),
         soft is not None,
     )
+
+
+def _samples(
+    pulse: Pulse, bin_m: float, soft: SoftProfile | None, first_bin: Ints, start: Ints, count: Ints, sub_first: Ints,
+    sub_count: Ints, r: Floats, blocked: Floats, clear: Floats, sums: Sequence[Floats],
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """All that stands at the samples, and the medium's part of it; `clear` : (w,), the rest as in `Waveform`."""
+    half, k, series, total = pulse.half_support_m, pulse.wave_number, pulse.series, int(count.sum())
+    window = np.arange(sub_count.size).repeat(sub_count)
+    base = (start - first_bin)[window]
+    on = base + np.ceil((r - half) / bin_m).astype(np.int64)
+    off = base + np.floor((r + half) / bin_m).astype(np.int64) + 1
+    local = ramp(count)
+    # between two samples begins and ends what lies between these numbers of sub-echoes
+    begun, ended = (np.bincount(edge, minlength=total).cumsum() for edge in (on, off))
+    angle = k * bin_m * np.arange(int(count.max(initial=1)))
+    cosine, sine = np.cos(angle).take(local), np.sin(angle).take(local)
+    value = series[0] * _between(sums[0], begun, ended)
+    for m in range(1, series.size):
+        cos_m, sin_m = (cosine, sine) if m == 1 else (np.cos(m * angle).take(local), np.sin(m * angle).take(local))
+        value += series[m] * cos_m * _between(sums[2 * m - 1], begun, ended)
+        value += series[m] * sin_m * _between(sums[2 * m], begun, ended)
+    np.maximum(value, 0.0, out=value)
+    part = np.zeros(total)
+    if soft is not None and pulse.shape == "sin2" and total:
+        upper, lower = soft.tables(first_bin.repeat(count) + local)
+        open_far = clear.repeat(count)
+        open_near = open_far
+        stops = (blocked > 0.0) & (r < soft.end_m + 2.0 * half)
+        near = indexes(stops)
+        if len(near):
+            passed = np.concatenate(([0], stops.cumsum()))
+            if len(near) < len(r):
+                begun, ended = passed.take(begun), passed.take(ended)
+            share, of = blocked.take(near), window.take(near)
+            stopped = _sums(share)
+            before = stopped.take(passed.take(sub_first)).repeat(count)
+            open_far = open_far - (stopped.take(begun) - before)
+            open_near = open_near - (stopped.take(ended) - before)
+            a, *parts = soft.integrals(r.take(near)) * share
+            turn = k * bin_m * first_bin
+            b = _product(parts, (np.cos(turn).take(of), np.sin(turn).take(of)))
+            part += _between(_sums(a), begun, ended)
+            part += cosine * _between(_sums(b[0]), begun, ended)
+            part -= sine * _between(_sums(b[1]), begun, ended)
+        part += np.maximum(open_far, 0.0) * upper
+        part -= np.maximum(open_near, 0.0) * lower
+        part *= 0.5
+        np.maximum(part, 0.0, out=part)
+        value += part
+    return value, part
 
 
 def _sums(weight: Floats) -> Floats:

@@ -75,6 +75,11 @@ class AirNow:
         """There are volumes with media of their own."""
         return bool(self.volumes)
 
+    @property
+    def extinction_per_m(self) -> float:
+        """Of what fills all the air."""
+        return self.everywhere.extinction_per_m
+
     def depth(self, origin_m: Floats, direction: Floats, length_m: Floats, t_s: Floats) -> Floats:
         """One-way optical depth of paths: (k,) from origins (k, 3) along unit vectors (k, 3)."""
         total = np.asarray(self.everywhere.extinction_per_m * length_m)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from emulator.compiled import kernels
 from emulator.physics.arrays import Floats, Ints, indexes, ramp
 from emulator.physics.subechoes import SubEchoes
 
@@ -32,6 +33,14 @@ def joined(parts: list[Part]) -> Part:
 
 def in_order(beam: Ints, range_m: Floats, amplitude: Floats, blocked: Floats, actor: NDArray[np.int32]) -> SubEchoes:
     """Sorted by beam, then range."""
+    loops = kernels()
+    if loops is not None and len(beam) and bool((beam[1:] >= beam[:-1]).all()):
+        size = np.bincount(beam)
+        most = int(size.max())
+        if np.count_nonzero(size) * most <= MOST_EMPTY * len(beam):
+            ranks = loops.keys(beam, range_m, most)
+            ranks.sort(axis=1)
+            return SubEchoes(beam, *loops.in_order(ranks, beam, range_m, amplitude, blocked, actor))
     source = actor.astype(np.int64)
     if len(beam) < 2 or bool((beam[1:] > beam[:-1]).all()):
         return SubEchoes(beam, range_m, amplitude, blocked, source)
@@ -49,7 +58,8 @@ def _order(beam: Ints, range_m: Floats) -> Ints:
     range_bits = 63 - index_bits - beam_bits
     if range_bits < 24:
         return np.lexsort((range_m, beam))
-    scale = (2.0**range_bits - 1.0) / max(float(range_m.max()), 1e-9)
+    # with more than 50 bits the largest would round into those of the beam
+    scale = (2.0 ** min(range_bits, 50) - 1.0) / max(float(range_m.max()), 1e-9)
     key = (range_m * scale).astype(np.int64) << index_bits
     key |= np.arange(len(beam))
     size = np.bincount(beam)

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from emulator.compiled import kernels
 from emulator.physics import brdf, radiometry
 from emulator.physics.arrays import Floats, Ints, exp_or_zero, indexes
 from emulator.physics.materials import SurfaceTable
@@ -101,6 +103,10 @@ class Medium(Protocol):
     def uneven(self) -> bool:
         """It differs from place to place, so that `depth` needs to know where the rays are."""
 
+    @property
+    def extinction_per_m(self) -> float:
+        """Of what fills all the air."""
+
     def depth(self, origin_m: Floats, direction: Floats, length_m: Floats, t_s: Floats) -> Floats: ...
 
 
@@ -185,23 +191,28 @@ def returned(
     """The same from the first hits of the rays."""
     reach = reach_of(model, farthest_m)
     index = indexes(hits.range_m <= reach)
-    parts = []
+    parts, nearest = [], None
     if len(index):
         every = len(index) == len(rays.beam)
         chosen = None if every else index
         front = _first(rays, model, gain)
-        found, onward = _meet(front, hits, chosen, rays, scene, air, model)
-        share = rays.share if every else rays.share[index]
-        parts.append((*found, share, hits.actor if every else hits.actor[index]))
+        loops = None if air.uneven else kernels()
+        if loops is not None:
+            part, onward, nearest = _first_met(loops, hits, chosen, rays, scene, air, model, front)
+        else:
+            found, onward = _meet(front, hits, chosen, rays, scene, air, model)
+            part = *found, rays.share if every else rays.share[index], hits.actor if every else hits.actor[index]
+        parts.append(part)
         if onward:
             parts += _continue(front, onward, caster, scene, air, model, rays, reach)
-    nearest = np.full(len(rays.axis), np.inf)
     at_axis = rays.nearest_axis
     echoes = in_order(*joined(parts))
-    if len(index):
-        starts = rays.beam.searchsorted(np.arange(len(rays.axis)))
-        nearest = np.fmin.reduceat(hits.range_m, starts)
-        nearest[np.isnan(nearest)] = np.inf
+    if nearest is None:
+        nearest = np.full(len(rays.axis), np.inf)
+        if len(index):
+            starts = rays.beam.searchsorted(np.arange(len(rays.axis)))
+            nearest = np.fmin.reduceat(hits.range_m, starts)
+            nearest[np.isnan(nearest)] = np.inf
     return Seen(echoes, nearest, hits.material[at_axis], hits.normal[at_axis])
 
 
@@ -271,10 +282,10 @@ def _meet(
 
     Whole vectors are only picked out where something needs them: most hits want a range and a cosine.
     """
-    cosine = -np.einsum("ij,ij->i", hits.normal, front.direction)
     range_m, material, beam, weight = hits.range_m, hits.material, front.beam, front.weight
     way = front.origin_m, front.direction, front.t_s
     before_m, before = front.length_m, front.depth
+    cosine = -np.einsum("ij,ij->i", hits.normal, front.direction)
     if chosen is not None:
         cosine, range_m, material = cosine[chosen], range_m[chosen], material[chosen]
         beam, weight = beam[chosen], weight[chosen]
@@ -283,33 +294,79 @@ def _meet(
             way = way[0][chosen], way[1][chosen], way[2][chosen]
     length = before_m + range_m
     depth = before + air.depth(way[0], way[1], range_m, way[2])
-    kind = material.astype(np.int64)
-    reflectance = scene.table.back(kind, cosine)
+    reflectance = scene.table.back(material.astype(np.int64), cosine)
+    lit = _Lit(beam, length, cosine, weight * collected(length, depth, model), reflectance, material)
+    onward = _sent_on(lit, depth, front, hits, chosen, rays, scene, model)
+    return (beam, length, lit.plate * reflectance), onward
+
+
+@dataclass(frozen=True, eq=False)
+class _Lit:
+    """Surfaces that rays of a front have met."""
+
+    beam: Ints
+    length_m: Floats
+    cosine: Floats
+    plate: Floats
+    "What a white plate there would send back."
+    reflectance: Floats
+    material: NDArray[np.int32]
+
+
+def _first_met(
+    loops: ModuleType, hits: Hits, chosen: Ints | None, rays: Rays, scene: Surfaces, air: Medium, model: SensorModel,
+    front: _Front,
+) -> tuple[Part, list[_Onward], Floats]:  # fmt: skip
+    """What `_meet` finds of first rays in even air, by compiled loops, as a part; (n,) nearest range of each beam."""
+    alpha, table = air.extinction_per_m, scene.table
+    beam, length, cosine, plate, reflectance, share, actor, material, nearest = loops.lit(
+        hits.normal.T, front.direction.T, hits.range_m, hits.material,
+        hits.actor, front.beam, front.weight, rays.share, np.zeros(0, np.int64) if chosen is None else chosen,
+        chosen is None, len(rays.axis), table.factors, alpha,
+        model.clear_depth if model.leave_out.clear_air else 0.0,
+        model.k_m2, model.aperture_radius_m, model.overlap_start_m, model.overlap_full_m,
+    )  # fmt: skip
+    if table.phong.any():
+        at = indexes(table.phong.take(material))
+        reflectance[at] = table.back(material[at], cosine[at])
+    lit = _Lit(beam, length, cosine, plate, reflectance, material)
+    onward = _sent_on(lit, alpha * length, front, hits, chosen, rays, scene, model)
+    return (beam, length, plate * reflectance, share, actor), onward, nearest
+
+
+def _sent_on(
+    lit: _Lit, depth: Floats, front: _Front, hits: Hits, chosen: Ints | None, rays: Rays, scene: Surfaces,
+    model: SensorModel,
+) -> list[_Onward]:  # fmt: skip
+    """Rays that go on from mirrors and panes; what these send straight back is added to the reflectance."""
+    if not scene.sends_on or model.bounces < 1:
+        return []
+    glossy = indexes(scene.onward.take(lit.material))
+    if not len(glossy):
+        return []
     onward = []
-    glossy = indexes(scene.onward[kind]) if scene.sends_on and model.bounces > 0 else kind[:0]
-    if len(glossy):
-        mirrored = scene.table.mirror_share(kind[glossy], cosine[glossy])
-        through = scene.table.transmission(kind[glossy], cosine[glossy])
-        row = glossy if chosen is None else chosen[glossy]  # their numbers in the front
-        at = indexes(mirrored > 0.0)
-        if len(at):
-            index, share, normal = glossy[at], mirrored[at], hits.normal[row[at]]
-            if isinstance(before_m, float):  # a beam already turned has no axis to measure the tilt from
-                reflectance[index] += _face_on(rays.axis[beam[index]], normal, share, length[index], model)
-            turned = front.direction[row[at]] + 2.0 * cosine[index, None] * normal
-            onward.append(_Onward(row[at], turned, share, length[index], depth[index]))
-        at = indexes(through > 0.0)
-        if len(at):
-            index = glossy[at]
-            onward.append(_Onward(row[at], front.direction[row[at]], through[at], length[index], depth[index]))
-    amplitude = weight * collected(length, depth, model) * reflectance
-    return (beam, length, amplitude), onward
+    kind, cosine, length = lit.material[glossy].astype(np.int64), lit.cosine, lit.length_m
+    mirrored = scene.table.mirror_share(kind, cosine[glossy])
+    through = scene.table.transmission(kind, cosine[glossy])
+    row = glossy if chosen is None else chosen[glossy]  # their numbers in the front
+    at = indexes(mirrored > 0.0)
+    if len(at):
+        index, share, normal = glossy[at], mirrored[at], hits.normal[row[at]]
+        if isinstance(front.length_m, float):  # a beam already turned has no axis to measure the tilt from
+            lit.reflectance[index] += _face_on(rays.axis[lit.beam[index]], normal, share, length[index], model)
+        turned = front.direction[row[at]] + 2.0 * cosine[index, None] * normal
+        onward.append(_Onward(row[at], turned, share, length[index], depth[index]))
+    at = indexes(through > 0.0)
+    if len(at):
+        index = glossy[at]
+        onward.append(_Onward(row[at], front.direction[row[at]], through[at], length[index], depth[index]))
+    return onward
 
 
 def collected(length_m: Floats, depth: Floats, model: SensorModel) -> Floats:
     """Amplitude of a white plate met face-on by the whole beam."""
     overlap: Floats | float = 1.0
-    if length_m.size and float(length_m.min()) < model.overlap_full_m:
+    if length_m.size and float(length_m.min()) < max(model.overlap_start_m, model.overlap_full_m):
         overlap = radiometry.overlap(length_m, model.overlap_start_m, model.overlap_full_m)
     if model.leave_out.clear_air and depth.size and 2.0 * float(depth.max()) < model.clear_depth:
         lost = 1.0 - 2.0 * depth * (1.0 - depth)  # wrong by 2e-10 at the most, and no exponential

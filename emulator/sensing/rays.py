@@ -108,7 +108,7 @@ class BundleCache:
     def __init__(self, model: SensorModel) -> None:
         self._model = model
         rule = "axis" if model.beam.is_ray else "spiral" if model.rule == "adaptive" else model.rule
-        self._nodes = beams.bundle(rule, model.sub_beams, model.beam.profile)
+        self._nodes = beams.together(beams.bundle(rule, model.sub_beams, model.beam.profile))
         self._kept: OrderedDict[tuple[bytes, bytes], Bundles] = OrderedDict()
         self._turned: tuple[Turned, ...] = ()
 

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from emulator import compiled
 from emulator.physics import brdf, radiometry
-from emulator.sensing.order import _order
+from emulator.sensing.order import _order, in_order
 from protocols.scan import SATURATED
 from tests.sensing.rig import QUIET, build, grey, plan, plate
 
@@ -172,3 +173,14 @@ def test_sub_echoes_of_several_parts_come_by_beam_and_range(seed: int) -> None:
     beam = np.concatenate(parts)
     range_m = rng.permutation(len(beam)) * 0.01  # no two are equal
     np.testing.assert_array_equal(_order(beam, range_m), np.lexsort((range_m, beam)))
+
+
+@pytest.mark.parametrize("compiled_loops", [False, True])
+@pytest.mark.parametrize("beams", [2, 9, 40])
+def test_few_sub_echoes_are_in_order_too(beams: int, compiled_loops: bool) -> None:
+    """The farthest of all, in an odd beam, came first where index and beam left the range more bits than it has."""
+    beam = np.array([0, beams - 1, beams - 1]) if beams % 2 == 0 else np.array([0, beams - 2, beams - 2])
+    range_m, same, actor = np.array([7.5, 78.0498, 60.8912]), np.zeros(3), np.zeros(3, np.int32)
+    with compiled.switched(compiled_loops):
+        found = in_order(beam, range_m, same, same, actor)
+    assert found.range_m.tolist() == [7.5, 60.8912, 78.0498]

@@ -16,6 +16,7 @@ def test_every_question_has_an_answer(capsys: pytest.CaptureFixture[str]) -> Non
     assert {"processor cores", "pseudo-terminals", "multicast on 127.0.0.1", "SocketCAN", "timers"} <= set(names)
     assert all(row["detail"] for row in rows)
     told = {row["name"]: row["detail"] for row in rows}
+    assert "fast" in told["compiled loops"] or "LIDAREMU_COMPILED" in told["compiled loops"]
     assert "asyncio.sleep" in told["timers"]
     assert "of a core spent awake" in told["timers"]
     assert "--realtime" in told["real-time scheduling"] or "want CAP_SYS_NICE" in told["real-time scheduling"]

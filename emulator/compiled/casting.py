@@ -1,0 +1,123 @@
+"""Rays on what rests: where they enter, what they meet, and how far that is, in one pass.
+
+Belongs here: what `Caster._cast_around`, `_cast_afar` and `_told` do with arrays. Not: the search (packets), moving
+bodies (moving).
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+import numpy as np
+
+from emulator.compiled.jit import (
+    EMBREE,
+    FLOAT,
+    FLOATS,
+    INT,
+    INTS,
+    OUT_FLAGS,
+    OUT_FLOATS,
+    OUT_INTS,
+    OUT_ROWS,
+    ROWS,
+    WORDS,
+    compiled,
+)
+from emulator.compiled.packets import TFAR, TRIANGLE, put, put_all, room, send
+
+LONGEST = 1e30
+"Stands for an unlimited ray in float32."
+
+
+@compiled(
+    *EMBREE, ROWS, ROWS, FLOATS, FLOAT, FLOAT, FLOAT, ROWS, INTS, INT,
+    OUT_FLOATS, OUT_INTS, OUT_INTS, OUT_ROWS, OUT_FLOATS,
+)  # fmt: skip
+def resting(
+    function, width, scene, arguments, origin, ray, centre, radius, far, suspicious,
+    plane, body_of, offset, range_m, triangle, body, normal, facing,
+):  # fmt: skip
+    """Put what rays meet of one group where nothing is nearer. How many were searched for, and how many suspicious.
+
+    `origin`, `ray` : (3, m) in the world; `radius` : of the group's sphere, infinite where rays begin in it; `plane` :
+    (4, F) and `body_of` : (F,) of all triangles; the rest as in `Nearest`.
+    """
+    packet, flags, lanes = room(width)
+    which, entered = np.zeros(width, np.int64), np.zeros(width)
+    cast = wrong = used = 0
+    m = len(range_m)
+    around = radius == np.inf
+    k = 0
+    while k < m:
+        if around:
+            used = min(width, m - k)
+            put_all(packet, flags, lanes, origin[:, k : k + used], ray[:, k : k + used], centre, min(far, LONGEST))
+            for lane in range(used):
+                which[lane] = k + lane
+            k += used
+        else:
+            used = 0
+            while k < m and used < width:
+                x, y, z = origin[0, k] - centre[0], origin[1, k] - centre[1], origin[2, k] - centre[2]
+                dx, dy, dz = ray[0, k], ray[1, k], ray[2, k]
+                middle = -(x * dx + y * dy + z * dz)
+                ax, ay, az = x + middle * dx, y + middle * dy, z + middle * dz
+                chord = radius * radius - (ax * ax + ay * ay + az * az)
+                half = np.sqrt(max(chord, 0.0))
+                enter = max(middle - half, 0.0)
+                if chord > 0.0 and middle + half > 0.0 and enter <= far and enter < range_m[k]:
+                    put(packet, flags, lanes, used,
+                        x + enter * dx, y + enter * dy, z + enter * dz, dx, dy, dz, LONGEST)  # fmt: skip
+                    which[used], entered[used] = k, enter
+                    used += 1
+                k += 1
+            if used == 0:
+                break
+        send(function, scene, arguments, packet, lanes, used)
+        cast += used
+        for lane in range(used):
+            found = flags[TRIANGLE, lane]
+            if found < 0 or not lanes[lane]:
+                continue
+            i, at = which[lane], found + offset
+            distance = packet[TFAR, lane] + entered[lane]
+            nx, ny, nz = plane[0, at], plane[1, at], plane[2, at]
+            turned = nx * ray[0, i] + ny * ray[1, i] + nz * ray[2, i]
+            height = nx * (origin[0, i] - centre[0]) + ny * (origin[1, i] - centre[1]) + nz * (origin[2, i] - centre[2])
+            refined = (plane[3, at] - height) / turned
+            if not abs(refined - distance) <= suspicious * (1.0 + distance):
+                refined = distance
+                wrong += 1
+            refined = max(refined, 0.0)
+            if refined <= range_m[i]:
+                range_m[i], triangle[i], body[i], facing[i] = refined, at, body_of[at], turned
+                normal[0, i], normal[1, i], normal[2, i] = nx, ny, nz
+    return cast, wrong
+
+
+@compiled(FLOATS, INTS, INTS, ROWS, FLOATS, FLOAT, OUT_FLAGS, WORDS, INTS, WORDS, INTS, INTS, WORDS)
+def told(
+    found_range_m, triangle, found_body, found_normal, facing, far, inner,
+    actor_of, face_of, material_of, part_of, parts_of, part_material,
+):  # fmt: skip
+    """Columns of `Hits`, the normals (3, m) last; `inner` is told of no miss.
+
+    `material_of` : of the merged triangles, the first ones; for others it is looked up by body and part.
+    """
+    m = len(triangle)
+    range_m, normal = np.full(m, np.nan), np.zeros((3, m))
+    body, actor, material = np.full(m, -1, np.int32), np.full(m, -1, np.int32), np.full(m, -1, np.int32)
+    face = np.full(m, -1, np.int64)
+    for k in range(m):
+        at = triangle[k]
+        if at < 0 or found_range_m[k] > far:
+            inner[k] = False
+            continue
+        own = found_body[k]
+        side = -1.0 if facing[k] > 0.0 else 1.0
+        range_m[k], body[k], actor[k], face[k] = found_range_m[k], own, actor_of[own], face_of[at]
+        material[k] = material_of[at] if at < len(material_of) else part_material[parts_of[own] + part_of[at]]
+        normal[0, k] = found_normal[0, k] * side
+        normal[1, k] = found_normal[1, k] * side
+        normal[2, k] = found_normal[2, k] * side
+    return range_m, body, actor, face, material, normal

@@ -1,0 +1,55 @@
+"""How loops are compiled: for these types of arguments, when they are first imported. Nothing else belongs here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from typing import Any
+
+import numpy as np
+from numba import boolean, float32, float64, int32, int64, njit
+from numba.types import Array
+
+
+def _columns(kind: Any) -> tuple[Any, Any, Any]:
+    """Arrays of one, two and three dimensions, in rows, that are only read."""
+    return Array(kind, 1, "C", readonly=True), Array(kind, 2, "C", readonly=True), Array(kind, 3, "C", readonly=True)
+
+
+FLOAT, INT, FLAG, SINGLE, WORD = float64, int64, boolean, float32, int32
+FLOATS, ROWS, TURNS = _columns(float64)
+INTS, INT_ROWS, _ = _columns(int64)
+WORDS, _, _ = _columns(int32)
+FLAGS, _, _ = _columns(boolean)
+SINGLES, SINGLE_ROWS, _ = _columns(float32)
+OUT_FLOATS, OUT_ROWS, OUT_LOOSE = float64[::1], float64[:, ::1], float64[:, :]
+OUT_INTS, OUT_WORDS, OUT_FLAGS, OUT_SINGLES = int64[::1], int32[::1], boolean[::1], float32[::1]
+"Written to; loose: in rows or not."
+EMBREE = (INT, INT, INT, INT)
+"`Packets.how`."
+
+
+def compiled(*arguments: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Compile for arguments of these types; none: for whatever calls it, from compiled loops alone.
+
+    Kept on disk. Other threads run meanwhile. A division by zero gives what numpy gives. Arrays that are only read are
+    put in rows where they are not.
+    """
+    options = {"cache": True, "nogil": True, "error_model": "numpy"}
+    if not arguments:
+        return njit(**options)  # type: ignore[no-any-return]
+    read = [number for number, kind in enumerate(arguments) if isinstance(kind, Array) and not kind.mutable]
+
+    def compiling(function: Callable[..., Any]) -> Callable[..., Any]:
+        made = njit(arguments, **options)(function)
+
+        @wraps(function)
+        def called(*given: Any) -> Any:
+            loose = [number for number in read if not given[number].flags.c_contiguous]
+            if loose:
+                given = tuple(np.ascontiguousarray(one) if at in loose else one for at, one in enumerate(given))
+            return made(*given)
+
+        return called
+
+    return compiling

@@ -1,0 +1,33 @@
+"""All compiled functions, by name. Nothing else belongs here."""
+
+from emulator.compiled.casting import resting, told
+from emulator.compiled.clusters import crossed, split, sums
+from emulator.compiled.maxima import edges, maxima
+from emulator.compiled.media import crossed_under, ended_under, under
+from emulator.compiled.moving import extent, keep_nearer, moving, pairs
+from emulator.compiled.packets import Packets, library
+from emulator.compiled.surfaces import in_order, keys, lit
+from emulator.compiled.waves import sampled
+
+__all__ = [
+    "Packets",
+    "crossed",
+    "crossed_under",
+    "edges",
+    "ended_under",
+    "extent",
+    "in_order",
+    "keep_nearer",
+    "keys",
+    "library",
+    "lit",
+    "maxima",
+    "moving",
+    "pairs",
+    "resting",
+    "sampled",
+    "split",
+    "sums",
+    "told",
+    "under",
+]

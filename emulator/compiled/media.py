@@ -1,0 +1,111 @@
+"""What a medium adds under pulses: its integrals at surfaces, its return, and crossings of short clusters in it.
+
+Belongs here: what `SoftProfile` and `AirUnder` do with arrays. Not: how the tables of a medium are made (softprofile).
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+import numpy as np
+
+from emulator.compiled.clusters import cross
+from emulator.compiled.jit import FLOAT, FLOATS, INT, INTS, ROWS, compiled
+
+MEDIUM = (ROWS, INT, FLOAT, FLOAT, FLOATS, FLOATS, ROWS, INTS, FLOAT)
+"`SoftProfile.flat`: edged, first, bin_m, wave_number, ends, knots, cubics, cells, cell."
+
+
+@compiled()
+def integral(which, range_m, knots, cubics, cells, cell):
+    """A (0), real (1) or imaginary part (2) of B up to a range; all three are asked for the same one."""
+    r = min(max(range_m, knots[0]), knots[-1])
+    i = cells[min(max(int((r - knots[0]) * (1.0 / cell)), 0), len(cells) - 1)]
+    while i < len(knots) - 2 and knots[i + 1] <= r:
+        i += 1
+    t = r - knots[i]
+    return ((cubics[9 + which, i] * t + cubics[6 + which, i]) * t + cubics[3 + which, i]) * t + cubics[which, i]
+
+
+@compiled()
+def bounds(number, edged, first, bin_m, wave_number, ends):
+    """`upper` and `lower` at a bin, see `SoftProfile.tables`."""
+    last = edged.shape[1] - 1
+    if number >= first + last:
+        turn = wave_number * bin_m * number
+        whole = ends[0] + np.cos(turn) * ends[1] - np.sin(turn) * ends[2]
+        return whole, whole
+    at = min(max(number - (first - 1), 0), last)
+    return edged[0, at], edged[1, at]
+
+
+@compiled(*MEDIUM, FLOATS, FLOATS, INTS, INTS)
+def ended_under(edged, first, bin_m, wave_number, ends, knots, cubics, cells, cell, range_m, blocked, start, count):
+    """(4, m + 1) `AirUnder.sums` of clusters of `count` sub-echoes from `start` on."""
+    m = 0
+    for c in range(len(count)):
+        m += count[c]
+    sums = np.zeros((4, m + 1))
+    at = 0
+    for c in range(len(count)):
+        for k in range(start[c], start[c] + count[c]):
+            share, r = blocked[k], range_m[k]
+            sums[0, at + 1] = sums[0, at] + share
+            for part in range(3):
+                sums[1 + part, at + 1] = sums[1 + part, at] + share * integral(part, r, knots, cubics, cells, cell)
+            at += 1
+    return sums
+
+
+@compiled()
+def _under(x_m, last, before, begins, open_, sums, edged, first, bin_m, wave_number, ends):
+    """See `AirUnder.at`."""
+    now = last - before
+    still = max(open_ - (sums[0, now] - sums[0, begins]), 0.0)
+    a, real, imaginary = sums[1, now] - sums[1, begins], sums[2, now] - sums[2, begins], sums[3, now] - sums[3, begins]
+    place = np.floor(x_m / bin_m)
+    values = (0.0, 0.0)
+    for step in range(2):
+        number = int(place) + step
+        upper, lower = bounds(number, edged, first, bin_m, wave_number, ends)
+        turn = wave_number * bin_m * (place + step)
+        ended = a + np.cos(turn) * real - np.sin(turn) * imaginary
+        value = max(0.5 * (still * upper + ended - open_ * lower), 0.0)
+        values = (value, values[1]) if step == 0 else (values[0], value)
+    return values[0] + (x_m / bin_m - place) * (values[1] - values[0])
+
+
+@compiled(*MEDIUM, FLOATS, INTS, INTS, INTS, FLOATS, ROWS)
+def under(
+    edged, first, bin_m, wave_number, ends, knots, cubics, cells, cell, x_m, last, before, begins, open_, sums
+):  # fmt: skip
+    """`AirUnder.at` of each cluster."""
+    value = np.zeros(len(x_m))
+    for c in range(len(x_m)):
+        value[c] = _under(x_m[c], last[c], before[c], begins[c], open_[c], sums, edged, first, bin_m, wave_number, ends)
+    return value
+
+
+@compiled(
+    *MEDIUM, FLOATS, INTS, INTS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, FLOAT,
+    INTS, INTS, FLOATS, ROWS, FLOATS, INTS, FLOAT, FLOAT, INT,
+)  # fmt: skip
+def crossed_under(
+    edged, first, bin_m, wave_number, ends, knots, cubics, cells, cell,
+    level, start, size, first_m, begun, total, real, imaginary, half_m,
+    before, begins, open_, sums, crossing, last, least, exact_m, passes,
+):  # fmt: skip
+    """Where clusters with a medium under them first reach a level: looked for anew from `crossing` and `last` on until
+    they move by less than `exact_m`."""
+    found = crossing.copy()
+    for c in range(len(level)):
+        of = last[c]
+        for _ in range(passes):
+            air = _under(found[c], of, before[c], begins[c], open_[c], sums, edged, first, bin_m, wave_number, ends)
+            was = found[c]
+            left = max(level[c] - air, least * level[c])
+            found[c], of = cross(
+                left, start[c], size[c], first_m[c], begun, total, real, imaginary, half_m, wave_number
+            )
+            if not abs(found[c] - was) > exact_m:
+                break
+    return found

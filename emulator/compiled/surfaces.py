@@ -1,0 +1,122 @@
+"""Light that comes back from surfaces: incidence and strength of hits, and sub-echoes in order.
+
+Belongs here: what `paths._meet` and `sensing.order.in_order` do with arrays, where each hit can be taken alone. Not:
+lobes, and what goes on through glass, which few hits have.
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+import numpy as np
+
+from emulator.compiled.jit import FLAG, FLOAT, FLOATS, INT, INT_ROWS, INTS, ROWS, WORDS, compiled
+
+NOTHING = -575.0
+"Exponent below which light is nothing, see `physics.arrays`."
+
+
+@compiled(
+    ROWS, ROWS, FLOATS, WORDS, WORDS, INTS, FLOATS, FLOATS, INTS, FLAG, INT,
+    ROWS, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT,
+)  # fmt: skip
+def lit(
+    normal, direction, range_m, material, actor, beam, weight, share, chosen, every, beams,
+    factors, extinction, clear_depth, strength, aperture_m, overlap_start_m, overlap_full_m,
+):  # fmt: skip
+    """Of `every` hit, or of those `chosen`: beam, range, cosine of incidence, what a white plate there would return,
+    reflectance but for Phong's, share of the beam, actor, material; and (`beams`,) the nearest range of each beam.
+
+    `normal`, `direction` : (3, m), others (m,); `factors` : (6, materials), see `SurfaceTable.factors`; `clear_depth` :
+    optical depth there and back below which three terms stand for the exponential.
+    """
+    count = len(range_m) if every else len(chosen)
+    nearest = np.full(beams, np.inf)
+    for k in range(len(range_m)):
+        if range_m[k] < nearest[beam[k]]:
+            nearest[beam[k]] = range_m[k]
+    of, actors, kinds = np.zeros(count, np.int64), np.zeros(count, np.int32), np.zeros(count, np.int32)
+    length, cosine, plate, reflectance, stop = (
+        np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
+    )  # fmt: skip
+    nx, ny, nz = normal[0], normal[1], normal[2]
+    dx, dy, dz = direction[0], direction[1], direction[2]
+    farthest = 0.0
+    for k in range(count):
+        i = k if every else chosen[k]
+        length[k], stop[k], plate[k], of[k], actors[k], kinds[k] = (
+            range_m[i], share[i], weight[i], beam[i], actor[i], material[i]
+        )  # fmt: skip
+        cosine[k] = -(nx[i] * dx[i] + ny[i] * dy[i] + nz[i] * dz[i])
+        farthest = max(farthest, length[k])
+    area = aperture_m * aperture_m
+    for k in range(count):
+        plate[k] *= strength / (length[k] * length[k] + area)
+    if 2.0 * extinction * farthest < clear_depth:
+        for k in range(count):
+            depth = extinction * length[k]
+            plate[k] *= 1.0 - 2.0 * depth * (1.0 - depth)
+    else:
+        for k in range(count):
+            depth = 2.0 * extinction * length[k]
+            plate[k] *= np.exp(-depth) if -depth >= NOTHING else 0.0
+    for k in range(count):
+        if length[k] < overlap_start_m:
+            plate[k] = 0.0
+        elif length[k] < overlap_full_m:
+            plate[k] *= (length[k] - overlap_start_m) / (overlap_full_m - overlap_start_m)
+    flat, rough, retro, lobe, mirror, roughness = (
+        factors[0], factors[1], factors[2], factors[3], factors[4], factors[5]
+    )  # fmt: skip
+    for k in range(count):
+        kind, c = kinds[k], min(abs(cosine[k]), 1.0)
+        square = c * c
+        back = flat[kind] * c + rough[kind] * (1.0 - square) + retro[kind]
+        if lobe[kind] > 0.0:  # see `brdf.ggx_cos`
+            wide = roughness[kind] * roughness[kind]
+            spread = (1.0 - square) + wide * square
+            back += lobe[kind] * (
+                mirror[kind] * wide / (4.0 * spread * spread * np.sqrt(square + wide * (1.0 - square)))
+            )
+        reflectance[k] = back
+    return of, length, cosine, plate, reflectance, stop, actors, kinds, nearest
+
+
+@compiled(INTS, FLOATS, INT)
+def keys(beam, range_m, most):
+    """Numbers (n, most) that sort as the ranges of each beam, and whose last bits are the place in the beam.
+
+    `beam` : (m,) ascending, `most` : in a beam, of which there are n. Ranges are told apart to 1e-10 of themselves.
+    """
+    m = len(beam)
+    groups = 0
+    for k in range(m):
+        groups += k == 0 or beam[k] != beam[k - 1]
+    out = np.full((groups, most), np.iinfo(np.int64).max)
+    bits = range_m.view(np.int64)
+    places = 1
+    while places < most:
+        places *= 2
+    row, column = -1, 0
+    for k in range(m):
+        if k == 0 or beam[k] != beam[k - 1]:
+            row, column = row + 1, 0
+        out[row, column] = (bits[k] & ~(places - 1)) | column
+        column += 1
+    return out
+
+
+@compiled(INT_ROWS, INTS, FLOATS, FLOATS, FLOATS, WORDS)
+def in_order(ranks, beam, range_m, amplitude, blocked, actor):
+    """Sub-echoes by the sorted `keys`: range, amplitude, blocked share and source."""
+    m, most = len(beam), ranks.shape[1]
+    length, height, stop, source = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m, np.int64)
+    places = 1
+    while places < most:
+        places *= 2
+    row, first = -1, 0
+    for k in range(m):
+        if k == 0 or beam[k] != beam[k - 1]:
+            row, first = row + 1, k
+        i = first + (ranks[row, k - first] & (places - 1))
+        length[k], height[k], stop[k], source[k] = range_m[i], amplitude[i], blocked[i], actor[i]
+    return length, height, stop, source

@@ -1,0 +1,267 @@
+"""Each step by arrays and by compiled loops, on cases of its own."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from emulator import compiled, embree, raycast, triangles
+from emulator.fleet import Cones, may_meet
+from emulator.hits import Hits
+from emulator.motion import Steady
+from emulator.physics.cosines import split_cosines
+from emulator.physics.detection import detect
+from emulator.physics.detector import Detector, Echoes
+from emulator.physics.materials import MODELS, SurfaceTable, material_from_mapping
+from emulator.physics.pulse import Pulse
+from emulator.physics.softprofile import SoftProfile
+from emulator.physics.subechoes import SubEchoes
+from emulator.raycast import Caster
+from emulator.sensing.order import in_order
+from emulator.structures import Content
+from tests.compiled.both import RANGE_M, both
+from tests.scene.test_raycast import WALL, fan, moving_shapes, random_rays, scene_of
+
+pytest.importorskip("numba")
+
+FEW = settings(max_examples=60)
+
+
+# ------------------------------------------------------------------------------- rays
+def same_hits(one: Hits, other: Hits, tied: int = 0) -> None:
+    """But for rays that meet an edge of two triangles, of which either may be told."""
+    differ = (one.body != other.body) | (one.face != other.face)
+    assert np.count_nonzero(differ) <= tied
+    for name in ("range_m", "actor", "material", "normal", "inner"):
+        a, b = (getattr(hits, name)[~differ] for hits in (one, other))
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12, err_msg=name)
+    np.testing.assert_allclose(one.range_m, other.range_m, atol=1e-5)
+
+
+@given(seed=st.integers(0, 100_000))
+@FEW
+def test_rays_meet_the_same(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    shapes = [(triangles.plane(80.0, 80.0), Steady((0.0, 0.0, -3.0)))] if rng.random() < 0.5 else []
+    for k in range(int(rng.integers(0, 90))):
+        geometry = [triangles.box(1.0, 2.0, 1.0), triangles.sphere(1.8, 8)][k % 2]
+        velocity = rng.normal(size=3) * float(rng.choice([0.0, 20.0]))
+        # beyond 1000 m resting bodies are another group
+        at = rng.normal(size=3) * float(rng.choice([6.0, 6.0, 1500.0]))
+        turning = float(rng.choice([0.0, 90.0]))
+        shapes.append((geometry, Steady(tuple(at), *rng.uniform(-90, 90, 3), tuple(velocity), turning)))
+    origin, direction = random_rays(int(rng.choice([1, 3, 500, 9000])), seed, 0.5)
+    times = float(rng.uniform(-1.0, 1.0)) + np.linspace(0.0, 0.1, len(origin))
+    options = {"max_range_m": float(rng.choice([np.inf, 7.0])), "tnear_m": float(rng.choice([0.0, 1.0]))}
+    hits = both(lambda: Caster(scene_of(*shapes)).first_hits(origin, direction, times, **options))
+    same_hits(*hits, tied=2)
+
+
+def test_bodies_that_turn_stop_and_jump_are_met_alike() -> None:
+    direction, times = fan(721, 170.0, -2.0), np.linspace(0.02, 0.16, 721)
+    same_hits(*both(lambda: Caster(scene_of(*moving_shapes())).first_hits(np.zeros(3), direction, times)))
+
+
+def test_many_shapes_in_several_structures_are_met_alike() -> None:
+    shapes = [
+        (triangles.sphere(0.5 + 0.01 * k, 6), Steady((8.0 + k % 9, k - 50.0, -0.5), velocity_m_s=(0.0, 2.0, 0.0)))
+        for k in range(100)
+    ]
+    direction, times = fan(3001, 120.0, -0.7), np.linspace(0.0, 0.1, 3001)
+    one, other = both(lambda: Caster(scene_of(*shapes)).first_hits(np.zeros(3), direction, times))
+    assert len(np.unique(one.body)) > 30
+    same_hits(one, other)
+
+
+def test_counts_of_casts_are_the_same() -> None:
+    def counted() -> tuple[int, int, int, int]:
+        caster = Caster(scene_of(*moving_shapes(), (triangles.plane(60.0, 60.0), WALL)))
+        caster.first_hits(np.zeros(3), fan(721, 170.0, -2.0), np.linspace(0.02, 0.16, 721))
+        counters = caster.counters
+        return counters.rays, counters.cast, counters.suspicious, counters.leaks
+
+    one, other = both(counted)
+    assert one == other
+    assert one[1] > 721
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e300])
+def test_a_ray_that_is_no_ray_meets_nothing_and_spoils_no_neighbour(bad: float) -> None:
+    structure = embree.structure(Content(*box_at_the_origin()))
+    origin = np.tile(np.array([[-5.0, 0.1, 0.2]], np.float32), (40, 1))
+    ray = np.tile(np.array([[1.0, 0.0, 0.0]], np.float32), (40, 1))
+    with np.errstate(over="ignore"):
+        origin[7, 1], ray[21, 2] = np.float32(bad), np.float32(bad)
+    triangle, distance = embree.run(structure, origin, ray, np.full(40, 100.0, np.float32))
+    wrong = np.isin(np.arange(40), (7, 21))
+    assert (triangle[wrong] == -1).all()
+    assert (triangle[~wrong] >= 0).all()
+    np.testing.assert_allclose(distance[~wrong], 4.5, atol=1e-5)
+
+
+def test_rays_end_where_they_are_told() -> None:
+    structure = embree.structure(Content(*box_at_the_origin()))
+    origin = np.tile(np.array([[-5.0, 0.1, 0.2]], np.float32), (3, 1))
+    ray = np.tile(np.array([[1.0, 0.0, 0.0]], np.float32), (3, 1))
+    triangle, _ = embree.run(structure, origin, ray, np.array([4.4, 4.6, 1e30], np.float32))
+    assert (triangle >= 0).tolist() == [False, True, True]
+
+
+def box_at_the_origin() -> tuple[np.ndarray, np.ndarray]:
+    shape = triangles.box(1.0, 1.0, 1.0)
+    return (shape.vertices - shape.centre).astype(np.float32), shape.faces.astype(np.int32)
+
+
+def test_threads_may_cast_at_the_same_time() -> None:
+    caster, direction = Caster(scene_of(*moving_shapes())), fan(5001, 170.0, -2.0)
+    wanted = caster.first_hits(np.zeros(3), direction, 0.1)
+    found: list[Hits] = []
+    threads = [
+        threading.Thread(target=lambda: found.append(caster.first_hits(np.zeros(3), direction, 0.1))) for _ in range(8)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(found) == 8
+    for hits in found:
+        np.testing.assert_array_equal(hits.range_m, wanted.range_m)
+
+
+@given(seed=st.integers(0, 100_000), spheres=st.integers(1, 40))
+@FEW
+def test_pairs_that_may_meet_are_the_same(seed: int, spheres: int) -> None:
+    rng = np.random.default_rng(seed)
+    _, direction = random_rays(3000, seed, 0.1)
+    centre, reach = rng.normal(size=(3, spheres)) * 10.0, rng.uniform(0.1, 12.0, spheres)
+    known = np.where(rng.random(3000) < 0.3, np.inf, rng.uniform(0.0, 30.0, 3000))
+    box, ray = (np.full(3, -0.1), np.full(3, 0.1)), np.ascontiguousarray(direction.T)
+    found = both(lambda: may_meet(centre, reach, box, ray, 25.0, known, lambda: Cones.of(ray)))
+    one, other = (set(zip(which.tolist(), rays.tolist(), strict=True)) for which, rays in found)
+    assert not (one - other) or len(one) > 4096  # above that arrays look at them once more
+
+
+# ------------------------------------------------------------------------------- light
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("wet", [False, True])
+def test_every_model_of_a_surface_reflects_the_same(model: str, wet: bool) -> None:
+    """The table of factors and `back`, of which one is for loops."""
+    keys = {
+        "lambert": {"rho": 0.5},
+        "oren_nayar": {"rho": 0.4, "slope_rad": 0.4},
+        "phong": {"rho": 0.3, "rho_specular": 0.4, "exponent": 20.0},
+        "ggx": {"rho": 0.3, "f0": 0.05, "roughness": 0.2},
+        "coated": {"rho": 0.3, "roughness": 0.1},
+        "mirror": {"rho": 0.01, "specular": 0.9},
+        "glass": {"rho": 0.02},
+        "retro": {"rho": 0.3, "retro_cd_lx_m2": 250.0},
+    }[model]
+    table = SurfaceTable.of([material_from_mapping("it", {"model": model, **keys})], 905.0, wet)
+    if table.phong.any():
+        return  # loops leave it to `back`
+    cosine = np.linspace(0.0, 1.0, 101)
+    flat, rough, retro, share, f0, roughness = table.factors[:, 0]
+    square, wide = cosine**2, roughness**2
+    lobe = f0 * wide / (4.0 * ((1.0 - square) + wide * square) ** 2 * np.sqrt(square + wide * (1.0 - square)) + 1e-300)
+    expected = flat * cosine + rough * (1.0 - square) + retro + (share * lobe if share else 0.0)
+    np.testing.assert_allclose(expected, table.back(np.zeros(101, np.int64), cosine), rtol=1e-12)
+
+
+@given(seed=st.integers(0, 100_000), sub_beams=st.sampled_from([1, 2, 7, 61, 64, 65, 300]))
+@FEW
+def test_sub_echoes_are_sorted_alike(seed: int, sub_beams: int) -> None:
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(1, 30)) * sub_beams
+    beam = np.sort(rng.integers(0, 40, count))
+    range_m = np.round(rng.uniform(0.0, 80.0, count), int(rng.integers(0, 6)))
+    actor = rng.integers(-1, 9, count).astype(np.int32)
+    one, other = both(lambda: in_order(beam, range_m, range_m + 1.0, range_m + 2.0, actor))
+    for name in ("beam", "range_m", "amplitude", "blocked"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+
+
+# ------------------------------------------------------------------------------- echoes
+PULSE = Pulse(16e-9)
+
+
+def medium(extinction_per_m: float, bin_m: float) -> SoftProfile | None:
+    return SoftProfile.of_medium(PULSE, bin_m, 4e5, extinction_per_m, extinction_per_m / 18.8, 0.3, 3.0, 100.0)
+
+
+def light(seed: int, beams: int = 40) -> SubEchoes:
+    """Beams of one surface, of slopes, of several surfaces; near and far, faint and blinding."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for beam in range(beams):
+        for _ in range(int(rng.integers(0, 4))):
+            count = int(rng.integers(1, 62))
+            spread = float(rng.choice([0.0, 0.001, 0.3, 1.5, 6.0, 20.0]))
+            near = float(rng.uniform(0.0, 40.0))
+            r = near + spread * rng.random(count)
+            share = rng.random(count) / count / 3.0
+            a = float(10.0 ** rng.uniform(-1.0, 5.0)) * share
+            parts.append((np.full(count, beam), r, a, share, rng.integers(0, 5, count)))
+    if not parts:
+        return SubEchoes.none()
+    return SubEchoes.of(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def same_echoes(one: Echoes, other: Echoes) -> None:
+    np.testing.assert_allclose(one.range_m, other.range_m, atol=RANGE_M)
+    np.testing.assert_allclose(one.amplitude, other.amplitude, rtol=1e-6)
+    np.testing.assert_array_equal(one.saturated, other.saturated)
+    np.testing.assert_array_equal(one.source, other.source)
+
+
+@given(
+    seed=st.integers(0, 100_000),
+    extinction=st.sampled_from([0.0, 2e-4, 0.005, 0.05]),
+    sampled=st.booleans(),
+    method=st.sampled_from(["leading_edge", "leading_edge", "peak", "centroid", "constant_fraction"]),
+    noisy=st.booleans(),
+    full_scale=st.sampled_from([np.inf, 50.0]),
+)
+@settings(max_examples=250)
+def test_echoes_are_the_same(
+    seed: int, extinction: float, sampled: bool, method: str, noisy: bool, full_scale: float
+) -> None:
+    detector = Detector(
+        PULSE, 5.0, method, sampled=sampled, full_scale=full_scale, max_echoes=4, shot_factor=0.01 * (seed % 2),  # type: ignore[arg-type]
+    )  # fmt: skip
+    found, beams = light(seed), 40
+    soft = medium(extinction, detector.bin_m) if extinction else None
+    if soft is not None and seed % 3:
+        soft = replace(soft, until_m=8.0, shows=bool(seed % 2), high_m=3.0)
+    rng = np.random.default_rng(seed)
+    normals = rng.normal(size=(beams, 4)) if noisy else None
+    rms = rng.uniform(1.0, 1.5, beams) if seed % 5 == 0 else 1.0
+    same_echoes(*both(lambda: detect(found, beams, detector, normals=normals, noise=rms, soft=soft)))
+
+
+@given(seed=st.integers(0, 100_000))
+@FEW
+def test_short_clusters_are_the_same(seed: int) -> None:
+    detector, found = Detector(PULSE, 5.0), light(seed)
+    (one, rest), (other, left) = both(lambda: split_cosines(found, detector))
+    assert len(rest) == len(left)
+    for name in ("beam", "source", "start", "size"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+    for name in ("centre_m", "height", "first_m"):
+        # arrays add up all clusters one after another, and lose digits of faint ones behind bright ones
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-6, err_msg=name)
+    crossings: list[Callable[[], np.ndarray]] = [lambda c=c: c.crossing(0.3 * c.height) for c in (one, other)]  # type: ignore[misc]
+    with compiled.switched(False):
+        arrays = crossings[0]()
+    np.testing.assert_allclose(crossings[1](), arrays, atol=RANGE_M)
+
+
+def test_the_longest_ray_is_the_same_everywhere() -> None:
+    from emulator.compiled import casting
+
+    assert casting.LONGEST == raycast.LONGEST

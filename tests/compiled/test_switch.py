@@ -1,0 +1,69 @@
+"""Whether compiled loops are used, and what happens where they cannot be."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from emulator import compiled, embree, triangles
+from emulator.raycast import Caster
+from emulator.structures import Content
+from tests.scene.test_raycast import WALL, fan, scene_of
+
+pytest.importorskip("numba")
+
+
+@pytest.fixture(autouse=True)
+def _looked_anew() -> None:
+    compiled._loops.cache_clear()
+
+
+def told(**environment: str) -> str:
+    """Whether a process of its own uses them."""
+    code = "from emulator.compiled import kernels; print(kernels() is not None)"
+    env = {**os.environ, **environment}
+    return subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True).stdout
+
+
+def test_the_environment_leaves_them_out() -> None:
+    assert told(LIDAREMU_COMPILED="0") == "False\n"
+    assert told(LIDAREMU_COMPILED="1") == "True\n"
+
+
+def test_without_numba_arrays_do_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "numba" else real(name))
+    with compiled.switched(True):
+        assert compiled.kernels() is None
+        assert met() == 721
+
+
+def test_without_the_library_of_embree_its_own_rays_are_cast(monkeypatch: pytest.MonkeyPatch) -> None:
+    with compiled.switched(True):
+        loops = compiled.kernels()
+        assert loops is not None
+        monkeypatch.setattr(loops, "library", lambda: None)
+        shape = triangles.box(1.0, 1.0, 1.0)
+        made = embree.structure(Content(shape.vertices.astype(np.float32), shape.faces.astype(np.int32)))
+        assert not embree.in_packets([made])
+        assert met() == 721
+
+
+def test_what_was_built_with_them_serves_without() -> None:
+    with compiled.switched(True):
+        caster = Caster(scene_of((triangles.plane(60.0, 60.0), WALL)))
+    with compiled.switched(False):
+        hits = caster.first_hits(np.zeros(3), fan(721, 20.0), 0.0)
+    assert np.isfinite(hits.range_m).all()
+
+
+def met() -> int:
+    """Rays that meet a wall before them."""
+    caster = Caster(scene_of((triangles.plane(60.0, 60.0), WALL)))
+    return int(np.count_nonzero(np.isfinite(caster.first_hits(np.zeros(3), fan(721, 20.0), 0.0).range_m)))
+
