@@ -37,11 +37,12 @@ class Pose:
     def after(self, outer: Pose) -> Pose:
         """This pose, given in a frame whose own pose in the world is `outer`."""
         with np.errstate(under="ignore"):
-            if outer.rotation.strides[0] == 0 and self.rotation.strides[0] == 0:  # one for all times
-                rotation = np.broadcast_to(outer.rotation[0] @ self.rotation[0], self.rotation.shape)
-            else:
-                rotation = outer.rotation @ self.rotation
-            return Pose(outer.to_world(self.position_m), rotation)
+            fixed = len(self.rotation) and not (self.rotation.strides[0] or self.position_m.strides[0])
+            if fixed and not outer.rotation.strides[0]:  # the same at all times
+                turned = outer.rotation[0]
+                rotation = np.broadcast_to(turned @ self.rotation[0], self.rotation.shape)
+                return Pose(outer.position_m + turned @ self.position_m[0], rotation)
+            return Pose(outer.to_world(self.position_m), outer.rotation @ self.rotation)
 
 
 def rotation_matrix(yaw_deg: float, pitch_deg: float = 0.0, roll_deg: float = 0.0) -> Floats:
@@ -139,6 +140,8 @@ class Steady(Motion):
         return math.hypot(*self.velocity_m_s)
 
     def position(self, t_s: Floats) -> Floats:
+        if not any(self.velocity_m_s):
+            return np.broadcast_to(np.asarray(self.at_m, dtype=np.float64), (len(t_s), 3))
         return np.asarray(np.asarray(self.at_m) + t_s[:, None] * np.asarray(self.velocity_m_s))
 
     def rotation(self, t_s: Floats) -> Floats:

@@ -37,6 +37,49 @@ def split(beam, range_m, amplitude, gap_m):
     return start, size, span, total
 
 
+@compiled(INTS, FLOATS, FLOATS, FLOATS, INTS, FLOAT, FLOAT)
+def joined(beam, range_m, amplitude, blocked, source, gap_m, quarter_m):
+    """Columns of `Clusters`, see `subechoes.cluster`: sub-echoes within `quarter_m` are joined, of sorted ones."""
+    n = len(range_m)
+    of, place, height, stop = np.zeros(n, np.int64), np.zeros(n), np.zeros(n), np.zeros(n)
+    origin, number = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    first, count = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    clusters = made = 0
+    begin = 0
+    while begin < n:
+        end = begin + 1
+        while end < n and beam[end] == beam[begin] and range_m[end] - range_m[end - 1] <= gap_m:
+            end += 1
+        narrow = range_m[end - 1] - range_m[begin] < quarter_m
+        first[clusters] = made
+        k = begin
+        while k < end:
+            near = range_m[k]
+            cell = np.floor((near - range_m[begin]) / quarter_m) if quarter_m > 0.0 else 0.0
+            total = moment = share = 0.0
+            best, j = -1.0, k
+            while j < end:
+                apart = range_m[j] - range_m[begin]
+                if j > k and (quarter_m <= 0.0 or not (narrow or np.floor(apart / quarter_m) == cell)):
+                    break
+                total += amplitude[j]
+                moment += amplitude[j] * (range_m[j] - near)
+                share += blocked[j]
+                if amplitude[j] > best:  # the first of equals
+                    best, origin[made] = amplitude[j], source[j]
+                j += 1
+            of[made], height[made], stop[made], number[made] = beam[begin], total, share, clusters
+            place[made] = near + moment / (total if total > 0.0 else 1.0)
+            made, k = made + 1, j
+        count[clusters] = made - first[clusters]
+        clusters += 1
+        begin = end
+    return (
+        of[:made].copy(), place[:made].copy(), height[:made].copy(), stop[:made].copy(), origin[:made].copy(),
+        number[:made].copy(), first[:clusters].copy(), count[:clusters].copy(),
+    )  # fmt: skip
+
+
 @compiled(FLOATS, FLOATS, INTS, INTS, INTS, FLOAT)
 def sums(range_m, amplitude, source, start, size, wave_number):
     """Running sums over the sub-echoes (n,) of these clusters, none of them longer than half a turn; 0 elsewhere.

@@ -1,7 +1,7 @@
 """All compiled functions, by name. Nothing else belongs here."""
 
 from emulator.compiled.casting import resting, told
-from emulator.compiled.clusters import crossed, split, sums
+from emulator.compiled.clusters import crossed, joined, split, sums
 from emulator.compiled.maxima import edges, maxima
 from emulator.compiled.media import crossed_under, ended_under, under
 from emulator.compiled.moving import extent, keep_nearer, moving, pairs
@@ -17,6 +17,7 @@ __all__ = [
     "ended_under",
     "extent",
     "in_order",
+    "joined",
     "keep_nearer",
     "keys",
     "library",

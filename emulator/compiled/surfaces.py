@@ -9,31 +9,33 @@ from __future__ import annotations
 
 import numpy as np
 
-from emulator.compiled.jit import FLAG, FLOAT, FLOATS, INT, INT_ROWS, INTS, ROWS, WORDS, compiled
+from emulator.compiled.jit import FLOAT, FLOATS, INT, INT_ROWS, INTS, ROWS, WORDS, compiled
 
 NOTHING = -575.0
 "Exponent below which light is nothing, see `physics.arrays`."
 
 
 @compiled(
-    ROWS, ROWS, FLOATS, WORDS, WORDS, INTS, FLOATS, FLOATS, INTS, FLAG, INT,
+    ROWS, ROWS, FLOATS, WORDS, WORDS, INTS, FLOATS, FLOATS, INT, FLOAT,
     ROWS, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT,
 )  # fmt: skip
 def lit(
-    normal, direction, range_m, material, actor, beam, weight, share, chosen, every, beams,
+    normal, direction, range_m, material, actor, beam, weight, share, beams, reach_m,
     factors, extinction, clear_depth, strength, aperture_m, overlap_start_m, overlap_full_m,
 ):  # fmt: skip
-    """Of `every` hit, or of those `chosen`: beam, range, cosine of incidence, what a white plate there would return,
-    reflectance but for Phong's, share of the beam, actor, material; and (`beams`,) the nearest range of each beam.
+    """Of hits within `reach_m`: beam, range, cosine of incidence, what a white plate there would return, reflectance
+    but for Phong's, share of the beam, actor, material, their numbers; and (`beams`,) the nearest range of each beam.
 
     `normal`, `direction` : (3, m), others (m,); `factors` : (6, materials), see `SurfaceTable.factors`; `clear_depth` :
     optical depth there and back below which three terms stand for the exponential.
     """
-    count = len(range_m) if every else len(chosen)
-    nearest = np.full(beams, np.inf)
+    count = 0
+    chosen, nearest = np.zeros(len(range_m), np.int64), np.full(beams, np.inf)
     for k in range(len(range_m)):
         if range_m[k] < nearest[beam[k]]:
             nearest[beam[k]] = range_m[k]
+        chosen[count] = k
+        count += range_m[k] <= reach_m
     of, actors, kinds = np.zeros(count, np.int64), np.zeros(count, np.int32), np.zeros(count, np.int32)
     length, cosine, plate, reflectance, stop = (
         np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
@@ -42,7 +44,7 @@ def lit(
     dx, dy, dz = direction[0], direction[1], direction[2]
     farthest = 0.0
     for k in range(count):
-        i = k if every else chosen[k]
+        i = chosen[k]
         length[k], stop[k], plate[k], of[k], actors[k], kinds[k] = (
             range_m[i], share[i], weight[i], beam[i], actor[i], material[i]
         )  # fmt: skip
@@ -78,7 +80,9 @@ def lit(
                 mirror[kind] * wide / (4.0 * spread * spread * np.sqrt(square + wide * (1.0 - square)))
             )
         reflectance[k] = back
-    return of, length, cosine, plate, reflectance, stop, actors, kinds, nearest
+    if count == 0:
+        nearest[:] = np.inf
+    return of, length, cosine, plate, reflectance, stop, actors, kinds, chosen[:count], nearest
 
 
 @compiled(INTS, FLOATS, INT)

@@ -160,8 +160,11 @@ class SoftProfile:
     def wave(self, x_m: Values) -> Floats:
         """Return of a beam that nothing blocks at apparent range x, linear between the bins. [noise units]"""
         x = floats(x_m)
-        grid = self.bin_m * np.arange(self.first, self.first + len(self.upper), dtype=np.float64)
-        return floats(np.interp(x, grid, self.free, left=0.0, right=0.0))
+        return floats(np.interp(x, self._grid, self.free, left=0.0, right=0.0))
+
+    @cached_property
+    def _grid(self) -> Floats:
+        return self.bin_m * np.arange(self.first, self.first + len(self.upper), dtype=np.float64)
 
     def tables(self, j: Ints) -> tuple[Floats, Floats]:
         """`upper` and `lower` at bins j; beyond the end both are the whole integrals, so that nothing is left."""

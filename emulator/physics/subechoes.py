@@ -13,6 +13,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from emulator.compiled import kernels
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, floats, group_starts, indexes, ramp
 
 NO_SOURCE = -1
@@ -185,7 +186,10 @@ def cluster(echoes: SubEchoes, support_m: float, resolution_m: float) -> Cluster
     if n == 0:
         none, nothing = np.zeros(0, np.int64), np.zeros(0)
         return Clusters(none, nothing, nothing, nothing, none, none, none, none)
-    beam, r = echoes.beam, echoes.range_m
+    beam, r, loops = echoes.beam, echoes.range_m, kernels()
+    if loops is not None:
+        columns = beam, r, echoes.amplitude, echoes.blocked, echoes.source
+        return Clusters(*loops.joined(*columns, support_m, 0.25 * resolution_m))
     cut = np.ones(n, np.bool_)
     cut[1:] = (beam[1:] != beam[:-1]) | (r[1:] - r[:-1] > support_m)
     number = cut.cumsum() - 1

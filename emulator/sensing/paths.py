@@ -7,6 +7,7 @@ what the air does between (air), reflection models (physics.brdf).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, Protocol
@@ -190,29 +191,15 @@ def returned(
 ) -> Seen:
     """The same from the first hits of the rays."""
     reach = reach_of(model, farthest_m)
-    index = indexes(hits.range_m <= reach)
-    parts, nearest = [], None
-    if len(index):
-        every = len(index) == len(rays.beam)
-        chosen = None if every else index
-        front = _first(rays, model, gain)
-        loops = None if air.uneven else kernels()
-        if loops is not None:
-            part, onward, nearest = _first_met(loops, hits, chosen, rays, scene, air, model, front)
-        else:
-            found, onward = _meet(front, hits, chosen, rays, scene, air, model)
-            part = *found, rays.share if every else rays.share[index], hits.actor if every else hits.actor[index]
-        parts.append(part)
-        if onward:
-            parts += _continue(front, onward, caster, scene, air, model, rays, reach)
+    front, loops = _first(rays, model, gain), None if air.uneven else kernels()
+    if loops is not None:
+        parts, onward, nearest = _first_met(loops, front, hits, rays, scene, air, model, reach)
+    else:
+        parts, onward, nearest = _first_met_by_arrays(front, hits, rays, scene, air, model, reach)
+    if onward:
+        parts += _continue(front, onward, caster, scene, air, model, rays, reach)
     at_axis = rays.nearest_axis
     echoes = in_order(*joined(parts))
-    if nearest is None:
-        nearest = np.full(len(rays.axis), np.inf)
-        if len(index):
-            starts = rays.beam.searchsorted(np.arange(len(rays.axis)))
-            nearest = np.fmin.reduceat(hits.range_m, starts)
-            nearest[np.isnan(nearest)] = np.inf
     return Seen(echoes, nearest, hits.material[at_axis], hits.normal[at_axis])
 
 
@@ -296,7 +283,7 @@ def _meet(
     depth = before + air.depth(way[0], way[1], range_m, way[2])
     reflectance = scene.table.back(material.astype(np.int64), cosine)
     lit = _Lit(beam, length, cosine, weight * collected(length, depth, model), reflectance, material)
-    onward = _sent_on(lit, depth, front, hits, chosen, rays, scene, model)
+    onward = _sent_on(lit, depth.__getitem__, front, hits, chosen, rays, scene, model)
     return (beam, length, lit.plate * reflectance), onward
 
 
@@ -313,30 +300,47 @@ class _Lit:
     material: NDArray[np.int32]
 
 
+def _first_met_by_arrays(
+    front: _Front, hits: Hits, rays: Rays, scene: Surfaces, air: Medium, model: SensorModel, reach_m: float
+) -> tuple[list[Part], list[_Onward], Floats]:
+    """What first rays meet: sub-echoes, what goes on, and (n,) the nearest range of each beam."""
+    nearest = np.full(len(rays.axis), np.inf)
+    index = indexes(hits.range_m <= reach_m)
+    if not len(index):
+        return [], [], nearest
+    every = len(index) == len(rays.beam)
+    found, onward = _meet(front, hits, None if every else index, rays, scene, air, model)
+    starts = rays.beam.searchsorted(np.arange(len(rays.axis)))
+    nearest = np.fmin.reduceat(hits.range_m, starts)
+    nearest[np.isnan(nearest)] = np.inf
+    share, actor = (rays.share, hits.actor) if every else (rays.share[index], hits.actor[index])
+    return [(*found, share, actor)], onward, nearest
+
+
 def _first_met(
-    loops: ModuleType, hits: Hits, chosen: Ints | None, rays: Rays, scene: Surfaces, air: Medium, model: SensorModel,
-    front: _Front,
-) -> tuple[Part, list[_Onward], Floats]:  # fmt: skip
-    """What `_meet` finds of first rays in even air, by compiled loops, as a part; (n,) nearest range of each beam."""
+    loops: ModuleType, front: _Front, hits: Hits, rays: Rays, scene: Surfaces, air: Medium, model: SensorModel,
+    reach_m: float,
+) -> tuple[list[Part], list[_Onward], Floats]:  # fmt: skip
+    """The same in even air, by compiled loops."""
     alpha, table = air.extinction_per_m, scene.table
-    beam, length, cosine, plate, reflectance, share, actor, material, nearest = loops.lit(
-        hits.normal.T, front.direction.T, hits.range_m, hits.material,
-        hits.actor, front.beam, front.weight, rays.share, np.zeros(0, np.int64) if chosen is None else chosen,
-        chosen is None, len(rays.axis), table.factors, alpha,
-        model.clear_depth if model.leave_out.clear_air else 0.0,
+    beam, length, cosine, plate, reflectance, share, actor, material, index, nearest = loops.lit(
+        hits.normal.T, front.direction.T, hits.range_m, hits.material, hits.actor, front.beam, front.weight, rays.share,
+        len(rays.axis), reach_m, table.factors, alpha, model.clear_depth if model.leave_out.clear_air else 0.0,
         model.k_m2, model.aperture_radius_m, model.overlap_start_m, model.overlap_full_m,
     )  # fmt: skip
+    if not len(index):
+        return [], [], nearest
     if table.phong.any():
         at = indexes(table.phong.take(material))
         reflectance[at] = table.back(material[at], cosine[at])
     lit = _Lit(beam, length, cosine, plate, reflectance, material)
-    onward = _sent_on(lit, alpha * length, front, hits, chosen, rays, scene, model)
-    return (beam, length, plate * reflectance, share, actor), onward, nearest
+    onward = _sent_on(lit, lambda at: alpha * length[at], front, hits, index, rays, scene, model)
+    return [(beam, length, plate * reflectance, share, actor)], onward, nearest
 
 
 def _sent_on(
-    lit: _Lit, depth: Floats, front: _Front, hits: Hits, chosen: Ints | None, rays: Rays, scene: Surfaces,
-    model: SensorModel,
+    lit: _Lit, depth: Callable[[Ints], Floats], front: _Front, hits: Hits, chosen: Ints | None, rays: Rays,
+    scene: Surfaces, model: SensorModel,
 ) -> list[_Onward]:  # fmt: skip
     """Rays that go on from mirrors and panes; what these send straight back is added to the reflectance."""
     if not scene.sends_on or model.bounces < 1:
@@ -355,11 +359,11 @@ def _sent_on(
         if isinstance(front.length_m, float):  # a beam already turned has no axis to measure the tilt from
             lit.reflectance[index] += _face_on(rays.axis[lit.beam[index]], normal, share, length[index], model)
         turned = front.direction[row[at]] + 2.0 * cosine[index, None] * normal
-        onward.append(_Onward(row[at], turned, share, length[index], depth[index]))
+        onward.append(_Onward(row[at], turned, share, length[index], depth(index)))
     at = indexes(through > 0.0)
     if len(at):
         index = glossy[at]
-        onward.append(_Onward(row[at], front.direction[row[at]], through[at], length[index], depth[index]))
+        onward.append(_Onward(row[at], front.direction[row[at]], through[at], length[index], depth(index)))
     return onward
 
 
