@@ -3,7 +3,8 @@
 python -m tests.benchmarks.bench_scan [REPEATS] [--far]
 
 Medians of CPU time, one thread, and the least of the whole: what others do on the machine makes the median longer, by
-half where they are busy. `--far` prints instead what actors cost that are out of reach, 10 to 10 000 of them.
+half where they are busy. By compiled loops where numba is installed, by arrays without it and with LIDAREMU_COMPILED=0.
+`--far` prints instead what actors cost that are out of reach, 10 to 10 000 of them.
 """
 
 # ruff: noqa: E402
@@ -29,7 +30,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from ruamel.yaml import YAML
 
-from emulator import raycast, scenario, scene, sensing
+from emulator import compiled, raycast, scenario, scene, sensing
 from emulator.scene import Scene
 from emulator.sensing.daylight import daylight
 from emulator.sensing.measure import Measure
@@ -130,6 +131,8 @@ def encoding(scan: Scan) -> Callable[[], object]:
 
 
 def main(repeats: int) -> None:
+    used, detail = compiled.why()
+    sys.stdout.write(f"by {'compiled loops' if used else 'arrays'} ({detail})\n")
     sys.stdout.write("CPU times in ms, medians, one thread; us/beam of the whole; at rest: what rests is kept\n")
     names = ("raw", "cast", "seen", "receive", "encode", "whole", "least", "/raw", "us/beam")
     head = f"{'scene, 361 beams':42s} {'rays':>7s}"
