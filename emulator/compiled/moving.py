@@ -77,12 +77,8 @@ def keep_nearer(
     for k in range(len(rays)):
         at = rays[k]
         if met_range_m[k] <= range_m[at]:
-            range_m[at], triangle[at], body[at], facing[at] = (
-                met_range_m[k],
-                met_triangle[k],
-                met_body[k],
-                met_facing[k],
-            )
+            range_m[at], facing[at] = met_range_m[k], met_facing[k]
+            triangle[at], body[at] = met_triangle[k], met_body[k]
             normal[0, at], normal[1, at], normal[2, at] = met_normal[0, k], met_normal[1, k], met_normal[2, k]
 
 
@@ -106,11 +102,11 @@ def moving(
     k = len(which)
     numbers, values = np.zeros((4 * width, 3), np.int64), np.zeros((4 * width, 5))
     packet, flags, lanes = room(width)
-    mine = np.zeros(width, np.int64)
-    kept = np.zeros((width, 16))
-    "Of each lane: origin and direction in the body's frame, where it enters, and the body's axes."
+    # of each lane: its pair, origin and direction in the body's frame, where it enters, the body's axes
+    mine, start, way = np.zeros(width, np.int64), np.zeros((width, 3)), np.zeros((width, 3))
+    entered, axes = np.zeros(width), np.zeros((width, 3, 3))
     hits = cast = wrong = used = 0
-    to_world, offset, local, along = np.zeros((3, 3)), np.zeros(3), np.zeros(3), np.zeros(3)
+    offset = np.zeros(3)
     for pair in range(k + 1):
         if used == width or (pair == k and used > 0):
             send(function, scene, arguments, packet, lanes, used)
@@ -122,19 +118,19 @@ def moving(
                 found = flags[TRIANGLE, lane]
                 if found < 0 or not lanes[lane]:
                     continue
-                mover, own = which[mine[lane]], kept[lane]
+                mover, begin, along, own = which[mine[lane]], start[lane], way[lane], axes[lane]
                 triangle = found + shift[mover]
-                distance = packet[TFAR, lane] + own[6]
+                distance = packet[TFAR, lane] + entered[lane]
                 nx, ny, nz = plane[0, triangle], plane[1, triangle], plane[2, triangle]
-                facing = nx * own[3] + ny * own[4] + nz * own[5]
-                refined = (plane[3, triangle] - (nx * own[0] + ny * own[1] + nz * own[2])) / facing
+                facing = nx * along[0] + ny * along[1] + nz * along[2]
+                refined = (plane[3, triangle] - (nx * begin[0] + ny * begin[1] + nz * begin[2])) / facing
                 if not abs(refined - distance) <= suspicious * (1.0 + distance):
                     refined = distance
                     wrong += 1
                 numbers[hits, 0], numbers[hits, 1], numbers[hits, 2] = rays[mine[lane]], triangle, body[mover]
                 values[hits, 0], values[hits, 1] = max(refined, 0.0), facing
                 for i in range(3):
-                    values[hits, 2 + i] = own[7 + 3 * i] * nx + own[8 + 3 * i] * ny + own[9 + 3 * i] * nz
+                    values[hits, 2 + i] = own[i, 0] * nx + own[i, 1] * ny + own[i, 2] * nz
                 hits += 1
             used = 0
         if pair == k:
@@ -142,6 +138,7 @@ def moving(
         mover, r = which[pair], rays[pair]
         if home[mover] != structure:
             continue
+        local, along, to_world = start[used], way[used], axes[used]
         if len(bent) and bent[pair] >= 0:
             for i in range(3):
                 offset[i] = bent_offset[i, bent[pair]]
@@ -156,11 +153,8 @@ def moving(
         middle = 0.0
         for i in range(3):
             # of the sphere's centre, seen from the ray's origin
-            local[i] = offset[i] - (
-                to_world[i, 0] * centre[0, mover]
-                + to_world[i, 1] * centre[1, mover]
-                + to_world[i, 2] * centre[2, mover]
-            )
+            row = to_world[i]
+            local[i] = offset[i] - (row[0] * centre[0, mover] + row[1] * centre[1, mover] + row[2] * centre[2, mover])
             middle -= local[i] * ray[i, r]
         across = 0.0
         for i in range(3):
@@ -185,12 +179,7 @@ def moving(
         put(packet, flags, lanes, used,
             local[0] + enter * along[0] + cell[0, mover], local[1] + enter * along[1] + cell[1, mover],
             local[2] + enter * along[2] + cell[2, mover], along[0], along[1], along[2], leave - enter)  # fmt: skip
-        mine[used] = pair
-        for i in range(3):
-            kept[used, i], kept[used, 3 + i] = local[i], along[i]
-            for j in range(3):
-                kept[used, 7 + 3 * i + j] = to_world[i, j]
-        kept[used, 6] = enter
+        mine[used], entered[used] = pair, enter
         used += 1
     told, sizes = numbers[:hits].T.copy(), values[:hits].T.copy()
     return told[0], told[1], told[2], sizes[0], sizes[2:], sizes[1], cast, wrong

@@ -28,6 +28,7 @@ Singles = NDArray[np.float32]
 Floats = NDArray[np.float64]
 
 # Embree 4, rtcore_*.h
+_MAJOR_VERSION = 1
 _ROBUST = 1 << 2
 _COHERENT = 1 << 16
 _ALL_FEATURES = 0xFFFFFFFF
@@ -76,6 +77,8 @@ class _Library:
             function.restype, function.argtypes = result, arguments
         self.call = here
         self.device = here.rtcNewDevice(None)
+        if here.rtcGetDeviceProperty(self.device, _MAJOR_VERSION) != 4:
+            raise OSError(f"{path}: not Embree 4")
         native = (size for size, number in _NATIVE_PACKETS.items() if here.rtcGetDeviceProperty(self.device, number))
         self.width = next(native, 4)
         self.function = ctypes.cast(getattr(here, f"rtcIntersect{self.width}"), pointer).value

@@ -17,6 +17,7 @@ from emulator.spec import load_spec
 from protocols.scan import Scan, ScanPlan
 from tests.compiled.both import both, differing
 from tests.needs import scenes
+from tests.sensing.rig import build, plate
 
 pytest.importorskip("numba")
 
@@ -50,6 +51,22 @@ def test_random_scenes_are_measured_alike(seed: int, drives: bool) -> None:
     for options in ({"leave_out": LeaveOut(closed_form="auto")}, {"full": True}):
         for one, other in zip(*both(lambda: random_sweeps(seed, drives, **options)), strict=True):  # noqa: B023
             assert len(differing(one, other)) <= TIED.get(seed, 0)
+
+
+@pytest.mark.parametrize("model", scenes.MODELS)
+@pytest.mark.parametrize("full", [False, True])
+def test_what_comes_back_from_near_and_from_beyond_reach_is_the_same(tmp_path: Path, model: str, full: bool) -> None:
+    """Walls where the field of view does not yet hold the beam, and where no echo is looked for."""
+    walls = [plate(x, "car_paint_silver", 0.1 * x) for x in (0.05, 0.2, 0.6, 1.5, 3.0, 40.0, 900.0)]
+    walls = [{**wall, "at_m": [wall["at_m"][0], 0.5 * (k - 3) * wall["at_m"][0], 0.0]} for k, wall in enumerate(walls)]
+    made = both(lambda: build(tmp_path, walls, model=model, physics={"full": full}).view(scenes.plan(241, 70.0)))
+    one, other = (view.echoes for view in made)
+    assert 0.0 < one.range_m.min() < 0.3
+    for name in ("beam", "source"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+    for name in ("range_m", "amplitude", "blocked"):
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-9, err_msg=name)
+    np.testing.assert_allclose(made[0].seen.nearest_m, made[1].seen.nearest_m, rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", scenario.builtin_names())
