@@ -211,7 +211,7 @@ class Caster:
         inner = self._is_inner(found)
         if inner.any():
             self._recast_leaks(found, inner, origin, ray, times, fan.far)
-        return rays + block.here.start, self._told(found, inner, fan.far)
+        return rays + block.here.start, self._told(found, inner, fan.far, spent=True)
 
     def _subset(self, bodies: frozenset[int]) -> Caster:
         if bodies not in self._subsets:
@@ -229,15 +229,18 @@ class Caster:
             self._recast_leaks(found, inner, origin, aim.ray, times, far)
         if skip is not None:
             found.range_m = found.range_m + skip
-        return self._told(found, inner, far)
+        return self._told(found, inner, far, spent=True)
 
-    def _told(self, found: Nearest, inner: Flags, far: float) -> Hits:
-        """What was found, as it is told; `found` stays as it is."""
+    def _told(self, found: Nearest, inner: Flags, far: float, spent: bool = False) -> Hits:
+        """What was found, as it is told; `found` stays as it is unless it is not needed any more."""
         table, body, triangle = self._table, found.body, found.triangle
         loops = kernels()
         if loops is not None:
-            range_m, body, actor, face, material, normal = loops.told(
-                found.range_m, triangle, body, found.normal, found.facing, far, inner, self._actor_of, table.face,
+            range_m, normal = found.range_m, np.ascontiguousarray(found.normal)
+            if not spent:
+                range_m, normal = range_m.copy(), normal.copy()
+            body, actor, face, material = loops.told(
+                range_m, triangle, body, normal, found.facing, far, inner, self._actor_of, table.face,
                 self._material, table.part, self._parts_of, self._part_material,
             )  # fmt: skip
             return Hits(range_m, body, actor, face, material, normal.T, inner)
@@ -270,6 +273,9 @@ class Caster:
         return self._part_material.take(self._parts_of.take(body) + self._table.part.take(triangle))
 
     def _is_inner(self, found: Nearest) -> Flags:
+        loops = kernels()
+        if loops is not None:
+            return np.asarray(loops.inner(found.facing, found.triangle, self._table.closed))
         inner = found.facing > 0.0
         if inner.any():
             inner &= self._table.closed.take(found.triangle)

@@ -11,6 +11,7 @@ import numpy as np
 
 from emulator.compiled.jit import (
     EMBREE,
+    FLAGS,
     FLOAT,
     FLOATS,
     INT,
@@ -95,29 +96,39 @@ def resting(
     return cast, wrong
 
 
-@compiled(FLOATS, INTS, INTS, ROWS, FLOATS, FLOAT, OUT_FLAGS, WORDS, INTS, WORDS, INTS, INTS, WORDS)
+@compiled(FLOATS, INTS, FLAGS)
+def inner(facing, triangle, closed):
+    """Hits on the inside of a closed shell."""
+    found = np.zeros(len(facing), np.bool_)
+    for k in range(len(facing)):
+        if facing[k] > 0.0:
+            found[k] = closed[triangle[k]]
+    return found
+
+
+@compiled(
+    OUT_FLOATS, INTS, INTS, OUT_ROWS, FLOATS, FLOAT, OUT_FLAGS, WORDS, INTS, WORDS, INTS, INTS, WORDS
+)
 def told(
-    found_range_m, triangle, found_body, found_normal, facing, far, inner,
+    range_m, triangle, found_body, normal, facing, far, inner,
     actor_of, face_of, material_of, part_of, parts_of, part_material,
 ):  # fmt: skip
-    """Columns of `Hits`, the normals (3, m) last; `inner` is told of no miss.
+    """Body, actor, face and material of `Hits`. Ranges, normals (3, m) and `inner` are made those of hits, in place.
 
     `material_of` : of the merged triangles, the first ones; for others it is looked up by body and part.
     """
     m = len(triangle)
-    range_m, normal = np.full(m, np.nan), np.zeros((3, m))
     body, actor, material = np.full(m, -1, np.int32), np.full(m, -1, np.int32), np.full(m, -1, np.int32)
     face = np.full(m, -1, np.int64)
     for k in range(m):
         at = triangle[k]
-        if at < 0 or found_range_m[k] > far:
-            inner[k] = False
+        if at < 0 or range_m[k] > far:
+            range_m[k], inner[k] = np.nan, False
+            normal[0, k] = normal[1, k] = normal[2, k] = 0.0
             continue
         own = found_body[k]
-        side = -1.0 if facing[k] > 0.0 else 1.0
-        range_m[k], body[k], actor[k], face[k] = found_range_m[k], own, actor_of[own], face_of[at]
+        body[k], actor[k], face[k] = own, actor_of[own], face_of[at]
         material[k] = material_of[at] if at < len(material_of) else part_material[parts_of[own] + part_of[at]]
-        normal[0, k] = found_normal[0, k] * side
-        normal[1, k] = found_normal[1, k] * side
-        normal[2, k] = found_normal[2, k] * side
-    return range_m, body, actor, face, material, normal
+        if facing[k] > 0.0:
+            normal[0, k], normal[1, k], normal[2, k] = -normal[0, k], -normal[1, k], -normal[2, k]
+    return body, actor, face, material

@@ -1,6 +1,6 @@
 """All compiled functions, by name. Nothing else belongs here."""
 
-from emulator.compiled.casting import resting, told
+from emulator.compiled.casting import inner, resting, told
 from emulator.compiled.clusters import crossed, joined, split, sums
 from emulator.compiled.maxima import edges, maxima
 from emulator.compiled.media import crossed_under, ended_under, under
@@ -17,6 +17,7 @@ __all__ = [
     "ended_under",
     "extent",
     "in_order",
+    "inner",
     "joined",
     "keep_nearer",
     "keys",
