@@ -30,16 +30,16 @@ _wanted = os.environ.get(SWITCH, "1") != "0"
 
 def kernels() -> ModuleType | None:
     """The compiled functions, see `loops`; None: they are not to be used, or numba is not there."""
-    return _loops() if _wanted else None
+    return _loops()[0] if _wanted else None
 
 
 def why() -> tuple[bool, str]:
     """Whether they are used, and what that means or what is missing."""
     if not _wanted:
         return False, f"{SWITCH}=0 leaves them out"
-    loops = kernels()
+    loops, wrong = _loops()
     if loops is None:
-        return False, "numba is not installed; pip install 'lidaremu[fast]' halves the time of a sweep"
+        return False, wrong
     found = loops.library()
     if found is None:
         return True, "numba; embreex as it is found here has no library to cast packets of rays with"
@@ -47,14 +47,18 @@ def why() -> tuple[bool, str]:
 
 
 @cache
-def _loops() -> ModuleType | None:
+def _loops() -> tuple[ModuleType | None, str]:
+    """The functions, or why there are none."""
     if not importlib.util.find_spec("numba"):
-        return None
+        return None, "numba is not installed; pip install 'lidaremu[fast]' halves the time of a sweep"
     told = threading.Timer(TOLD_AFTER_S, sys.stderr.write, (MESSAGE,))
     told.daemon = True
     told.start()
     try:
-        return importlib.import_module("emulator.compiled.loops")
+        return importlib.import_module("emulator.compiled.loops"), ""
+    except ImportError as error:  # a numba that does not go with this numpy says so when it is imported
+        sys.stderr.write(f"lidaremu: loops are not compiled: {error}\n")
+        return None, str(error)
     finally:
         told.cancel()
 

@@ -32,16 +32,15 @@ EMBREE = (INT, INT, INT, INT)
 def compiled(*arguments: Any) -> Callable[[Callable[..., Any]], Any]:
     """Compile for arguments of these types; none: for whatever calls it, from compiled loops alone.
 
-    Kept on disk. Other threads run meanwhile. A division by zero gives what numpy gives. Arrays that are only read are
-    put in rows where they are not.
+    Kept on disk, where that is allowed. Other threads run meanwhile. A division by zero gives what numpy gives. Arrays
+    that are only read are put in rows where they are not.
     """
-    options = {"cache": True, "nogil": True, "error_model": "numpy"}
     if not arguments:
-        return njit(**options)  # type: ignore[no-any-return]
+        return _compile
     read = [number for number, kind in enumerate(arguments) if isinstance(kind, Array) and not kind.mutable]
 
     def compiling(function: Callable[..., Any]) -> Callable[..., Any]:
-        made = njit(arguments, **options)(function)
+        made = _compile(function, arguments)
 
         @wraps(function)
         def called(*given: Any) -> Any:
@@ -53,3 +52,11 @@ def compiled(*arguments: Any) -> Callable[[Callable[..., Any]], Any]:
         return called
 
     return compiling
+
+
+def _compile(function: Callable[..., Any], arguments: tuple[Any, ...] | None = None) -> Any:
+    options = {"nogil": True, "error_model": "numpy"}
+    try:
+        return njit(arguments, cache=True, **options)(function)
+    except RuntimeError:  # no folder that may be written to
+        return njit(arguments, **options)(function)

@@ -6,6 +6,7 @@ import importlib.util
 import os
 import subprocess
 import sys
+import threading
 
 import numpy as np
 import pytest
@@ -40,6 +41,7 @@ def test_without_numba_arrays_do_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "numba" else real(name))
     with compiled.switched(True):
         assert compiled.kernels() is None
+        assert "lidaremu[fast]" in compiled.why()[1]
         assert met() == 721
 
 
@@ -52,6 +54,56 @@ def test_without_the_library_of_embree_its_own_rays_are_cast(monkeypatch: pytest
         made = embree.structure(Content(shape.vertices.astype(np.float32), shape.faces.astype(np.int32)))
         assert not embree.in_packets([made])
         assert met() == 721
+
+
+def test_a_numba_that_does_not_go_with_this_numpy_is_told_and_arrays_do_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = "Numba needs NumPy 2.4 or less. Got NumPy 9.9."
+
+    def refuse(name: str) -> object:
+        raise ImportError(wrong)
+
+    monkeypatch.setattr(importlib, "import_module", refuse)
+    with compiled.switched(True):
+        assert met() == 721
+        assert compiled.why() == (False, wrong)
+    assert capsys.readouterr().err == f"lidaremu: loops are not compiled: {wrong}\n"
+
+
+def test_a_folder_that_may_not_be_written_to_costs_the_compiled_code_its_place() -> None:
+    """Each process compiles then; one function stands for all."""
+    code = (
+        "from numba.core import caching\n"
+        "caching.CacheImpl._locator_classes = []\n"
+        "from emulator.compiled import clusters, jit\n"
+        "import numpy as np\n"
+        "print(jit.compiled(jit.INT)(lambda k: k + 1)(2))\n"
+    )
+    env = {**os.environ, "LIDAREMU_COMPILED": "1"}
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
+    assert done.stdout == "3\n", done.stderr
+
+
+def test_a_long_wait_for_the_compiler_is_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Late(threading.Timer):
+        def start(self) -> None:
+            self.function(*self.args)
+
+    monkeypatch.setattr(threading, "Timer", Late)
+    with compiled.switched(True):
+        assert compiled.kernels() is not None
+    assert capsys.readouterr().err == compiled.MESSAGE
+
+
+def test_doctor_is_told_why() -> None:
+    with compiled.switched(True):
+        assert compiled.why()[0]
+        assert "packets of" in compiled.why()[1]
+    with compiled.switched(False):
+        assert compiled.why() == (False, "LIDAREMU_COMPILED=0 leaves them out")
 
 
 def test_what_was_built_with_them_serves_without() -> None:
