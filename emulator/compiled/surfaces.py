@@ -29,27 +29,29 @@ def lit(
     `normal`, `direction` : (3, m), others (m,); `factors` : (6, materials), see `SurfaceTable.factors`; `clear_depth` :
     optical depth there and back below which three terms stand for the exponential.
     """
-    count = 0
-    chosen, nearest = np.zeros(len(range_m), np.int64), np.full(beams, np.inf)
+    count, nearest = 0, np.full(beams, np.inf)
     for k in range(len(range_m)):
         if range_m[k] < nearest[beam[k]]:
             nearest[beam[k]] = range_m[k]
-        chosen[count] = k
         count += range_m[k] <= reach_m
+    chosen = np.zeros(count, np.int64)
     of, actors, kinds = np.zeros(count, np.int64), np.zeros(count, np.int32), np.zeros(count, np.int32)
     length, cosine, plate, reflectance, stop = (
         np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
     )  # fmt: skip
     nx, ny, nz = normal[0], normal[1], normal[2]
     dx, dy, dz = direction[0], direction[1], direction[2]
-    farthest = 0.0
-    for k in range(count):
-        i = chosen[k]
-        length[k], stop[k], plate[k], of[k], actors[k], kinds[k] = (
-            range_m[i], share[i], weight[i], beam[i], actor[i], material[i]
-        )  # fmt: skip
-        cosine[k] = -(nx[i] * dx[i] + ny[i] * dy[i] + nz[i] * dz[i])
-        farthest = max(farthest, length[k])
+    closest, farthest = np.inf, 0.0
+    k = 0
+    for i in range(len(range_m)):
+        r = range_m[i]
+        if r <= reach_m:
+            length[k], stop[k], plate[k] = r, share[i], weight[i]
+            of[k], actors[k], kinds[k], chosen[k] = beam[i], actor[i], material[i], i
+            cosine[k] = -(nx[i] * dx[i] + ny[i] * dy[i] + nz[i] * dz[i])
+            closest = r if r < closest else closest
+            farthest = r if r > farthest else farthest
+            k += 1
     area = aperture_m * aperture_m
     for k in range(count):
         plate[k] *= strength / (length[k] * length[k] + area)
@@ -61,11 +63,12 @@ def lit(
         for k in range(count):
             depth = 2.0 * extinction * length[k]
             plate[k] *= np.exp(-depth) if -depth >= NOTHING else 0.0
-    for k in range(count):
-        if length[k] < overlap_start_m:
-            plate[k] = 0.0
-        elif length[k] < overlap_full_m:
-            plate[k] *= (length[k] - overlap_start_m) / (overlap_full_m - overlap_start_m)
+    if closest < max(overlap_start_m, overlap_full_m):
+        for k in range(count):
+            if length[k] < overlap_start_m:
+                plate[k] = 0.0
+            elif length[k] < overlap_full_m:
+                plate[k] *= (length[k] - overlap_start_m) / (overlap_full_m - overlap_start_m)
     flat, rough, retro, lobe, mirror, roughness = (
         factors[0], factors[1], factors[2], factors[3], factors[4], factors[5]
     )  # fmt: skip
@@ -82,19 +85,27 @@ def lit(
         reflectance[k] = back
     if count == 0:
         nearest[:] = np.inf
-    return of, length, cosine, plate, reflectance, stop, actors, kinds, chosen[:count], nearest
+    return of, length, cosine, plate, reflectance, stop, actors, kinds, chosen, nearest
 
 
 @compiled(INTS, FLOATS, INT)
-def keys(beam, range_m, most):
+def keys(beam, range_m, most_empty):
     """Numbers (n, most) that sort as the ranges of each beam, and whose last bits are the place in the beam.
 
-    `beam` : (m,) ascending, `most` : in a beam, of which there are n. Ranges are told apart to 1e-10 of themselves.
+    `beam` : (m,), ascending; n of them, with at most so many each. Ranges are told apart to 1e-10 of themselves. (0, 0)
+    where beams do not ascend, or where there would be more than `most_empty` places to each range.
     """
     m = len(beam)
-    groups = 0
+    groups = most = size = 0
     for k in range(m):
-        groups += k == 0 or beam[k] != beam[k - 1]
+        if k == 0 or beam[k] > beam[k - 1]:
+            groups, size = groups + 1, 0
+        elif beam[k] < beam[k - 1]:
+            return np.zeros((0, 0), np.int64)
+        size += 1
+        most = size if size > most else most
+    if groups * most > most_empty * m:
+        return np.zeros((0, 0), np.int64)
     out = np.full((groups, most), np.iinfo(np.int64).max)
     bits = range_m.view(np.int64)
     places = 1

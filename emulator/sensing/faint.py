@@ -45,7 +45,10 @@ def without_faint(found: SubEchoes, threshold: float, together: float, beyond_m:
     They also stop light: up to `beyond_m`, where a medium is followed, all are kept. So are those that stop none:
     drops, and points of a medium, which are faint each and an echo together.
     """
-    at = indexes((found.amplitude < ALONE * threshold) & (found.range_m > beyond_m) & (found.blocked > 0.0))
+    low = found.amplitude < ALONE * threshold
+    if np.count_nonzero(low) <= WORTH * len(found):
+        return found
+    at = indexes(low & (found.range_m > beyond_m) & (found.blocked > 0.0))
     if len(at) <= WORTH * len(found):
         return found
     amplitude, beam = found.amplitude[at], found.beam[at]

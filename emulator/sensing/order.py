@@ -34,11 +34,9 @@ def joined(parts: list[Part]) -> Part:
 def in_order(beam: Ints, range_m: Floats, amplitude: Floats, blocked: Floats, actor: NDArray[np.int32]) -> SubEchoes:
     """Sorted by beam, then range."""
     loops = kernels()
-    if loops is not None and len(beam) and bool((beam[1:] >= beam[:-1]).all()):
-        size = np.bincount(beam)
-        most = int(size.max())
-        if np.count_nonzero(size) * most <= MOST_EMPTY * len(beam):
-            ranks = loops.keys(beam, range_m, most)
+    if loops is not None and len(beam):
+        ranks = loops.keys(beam, range_m, MOST_EMPTY)
+        if len(ranks):
             ranks.sort(axis=1)
             return SubEchoes(beam, *loops.in_order(ranks, beam, range_m, amplitude, blocked, actor))
     source = actor.astype(np.int64)
