@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,17 @@ Ints = NDArray[np.int64]
 _TO_UNIT = 2.0**-53
 MANY = 1000.0
 "Mean count from which a Poisson law is drawn as a normal one."
+
+
+class Normals:
+    """Standard normal numbers, made of uniform ones where they are asked for."""
+
+    def __init__(self, chance: Floats) -> None:
+        self._chance = chance
+        self.shape = chance.shape
+
+    def __getitem__(self, at: Any) -> Floats:
+        return np.asarray(special.ndtri(self._chance[at]), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -40,6 +52,10 @@ class Draws:
     def normal(self, term: str, sweep: int, beams: int, columns: int = 1) -> Floats:
         """Standard normal numbers, shape (beams, columns)."""
         return np.asarray(special.ndtri(self.uniform(term, sweep, beams, columns)), dtype=np.float64)
+
+    def normals(self, term: str, sweep: int, beams: int, columns: int = 1) -> Normals:
+        """The same numbers as `normal`, of which only some are wanted."""
+        return Normals(self.uniform(term, sweep, beams, columns))
 
     def poisson(self, term: str, sweep: int, mean: Floats) -> Ints:
         """Counts with the given means (beams,); above a mean of `MANY` by the normal law."""

@@ -12,6 +12,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,8 +145,14 @@ class Steady(Motion):
             return np.broadcast_to(np.asarray(self.at_m, dtype=np.float64), (len(t_s), 3))
         return np.asarray(np.asarray(self.at_m) + t_s[:, None] * np.asarray(self.velocity_m_s))
 
-    def rotation(self, t_s: Floats) -> Floats:
+    @cached_property
+    def _start(self) -> Floats:
         start = rotation_matrix(self.yaw_deg, self.pitch_deg, self.roll_deg)[None]
+        start.flags.writeable = False
+        return start
+
+    def rotation(self, t_s: Floats) -> Floats:
+        start = self._start
         if not self.turns:
             return start
         angle = np.radians(np.remainder(self.yaw_rate_deg_s * t_s, 360.0))

@@ -7,14 +7,14 @@ reflects (physics).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from emulator import mesh_files, triangles
 from emulator.deforming import Frames
 from emulator.errors import SceneError
-from emulator.motion import Floats, Motion, Pose, Steady, Waypoints
+from emulator.motion import Floats, Motion, Pose, Steady, Vector, Waypoints
 from emulator.scenario import Scenario
 from emulator.scenario_tables import Actor, FramesConfig, MotionConfig, Mount, Shape, WorldItem
 from emulator.triangles import Geometry, Ints
@@ -101,8 +101,14 @@ class Scene:
     def sensor_pose(self, mount: Mount, t_s: Floats) -> Pose:
         """Optical centre and axes of a sensor at times (n,)."""
         times = np.atleast_1d(np.asarray(t_s, dtype=np.float64))
-        own = Steady(mount.at_m, mount.yaw_deg, mount.pitch_deg, mount.roll_deg).pose(times)
+        own = _mounted(mount.at_m, mount.yaw_deg, mount.pitch_deg, mount.roll_deg).pose(times)
         return own if mount.actor is None else own.after(self.pose(self.index[mount.actor], times))
+
+
+@lru_cache(maxsize=64)
+def _mounted(at_m: Vector, yaw_deg: float, pitch_deg: float, roll_deg: float) -> Steady:
+    """A sensor's place on what carries it."""
+    return Steady(at_m, yaw_deg, pitch_deg, roll_deg)
 
 
 def build(scenario: Scenario) -> Scene:

@@ -6,7 +6,7 @@ from emulator.compiled.maxima import edges, maxima
 from emulator.compiled.media import crossed_under, ended_under, under
 from emulator.compiled.moving import extent, keep_nearer, moving, pairs
 from emulator.compiled.packets import Packets, library
-from emulator.compiled.surfaces import in_order, keys, lit
+from emulator.compiled.surfaces import in_order, keys, lit, repeated
 from emulator.compiled.waves import sampled
 
 __all__ = [
@@ -26,6 +26,7 @@ __all__ = [
     "maxima",
     "moving",
     "pairs",
+    "repeated",
     "resting",
     "sampled",
     "split",

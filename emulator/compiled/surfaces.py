@@ -88,6 +88,20 @@ def lit(
     return of, length, cosine, plate, reflectance, stop, actors, kinds, chosen, nearest
 
 
+@compiled(ROWS, INT)
+def repeated(position, times):
+    """(3, n times) of (n, 3): each row as often, a coordinate at a time."""
+    n = len(position)
+    out = np.zeros((3, n * times))
+    for i in range(3):
+        row = out[i]
+        for k in range(n):
+            value = position[k, i]
+            for at in range(k * times, (k + 1) * times):
+                row[at] = value
+    return out
+
+
 @compiled(INTS, FLOATS, INT)
 def keys(beam, range_m, most_empty):
     """Numbers (n, most) that sort as the ranges of each beam, and whose last bits are the place in the beam.

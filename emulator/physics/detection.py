@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -30,6 +31,14 @@ from emulator.physics.waveform import Waveform, sample
 
 _SIGMAS = 6.0
 "Echoes this many noise rms below the threshold are not worth a draw: 1e-9."
+
+
+class Numbers(Protocol):
+    """An array of numbers, or whoever makes those that are asked for."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+    def __getitem__(self, at: Any, /) -> Any: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +127,7 @@ def detect(
     beams: int,
     detector: Detector,
     *,
-    normals: Floats | None = None,
+    normals: Numbers | None = None,
     noise: Values = 1.0,
     soft: SoftProfile | None = None,
     dazzled: Bools | None = None,
@@ -221,7 +230,7 @@ def _soft_marks(echoes: SubEchoes, soft: SoftProfile, marked: Bools) -> SubEchoe
 
 
 # ------------------------------------------------------------------------------- seen, and where
-def _measure(signals: Signals, detector: Detector, normals: Floats | None) -> _Found:
+def _measure(signals: Signals, detector: Detector, normals: Numbers | None) -> _Found:
     rms, cosines, own, single, mixed = signals.rms, signals.cosines, signals.own, signals.single, signals.mixed
     wave, clusters = signals.wave, signals.clusters
     beam = np.concatenate([cosines.beam, own.beam, single.beam, mixed.beam])

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from emulator.compiled import kernels
 from emulator.motion import Pose
 from emulator.physics import beams
 from emulator.physics.arrays import Floats, Ints
@@ -158,7 +159,8 @@ def rays_of(spread: Turned, position_m: Floats, t_s: Floats, steady: bool = Fals
     """The same of turned bundles, from the places (n, 3)."""
     bundles = spread.bundles
     m = bundles.sub_beams
-    origin = position_m.T.repeat(m, axis=1)
+    loops = kernels()
+    origin = position_m.T.repeat(m, axis=1) if loops is None else loops.repeated(position_m, m)
     if spread.start_m is not None:
         origin += spread.start_m.T
     return Rays(

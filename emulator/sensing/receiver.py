@@ -104,7 +104,7 @@ class Receiver:
         if plan.max_echoes < detector.max_echoes:
             detector = replace(detector, max_echoes=plan.max_echoes)
         signals = self._signals(found, kept, n, soft, daylight.noise)
-        normals = self._draws.normal("receiver", plan.sweep, n, NUMBERS_A_BEAM) if model.noise else None
+        normals = self._draws.normals("receiver", plan.sweep, n, NUMBERS_A_BEAM) if model.noise else None
         echoes = detect(
             found,
             n,
