@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from emulator.motion import Pose
 from emulator.physics import adaptive, beams
 from emulator.physics.arrays import Floats, Ints, indexes
+from emulator.sensing.contracts import Caster, Hits
 from emulator.sensing.model import SensorModel
-from emulator.sensing.paths import Caster, Hits
 from emulator.sensing.rays import Rays, turned
 from protocols.scan import ScanPlan
 

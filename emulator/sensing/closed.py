@@ -13,8 +13,9 @@ import numpy as np
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, indexes
 from emulator.physics.pulse import stretch_peak_gauss, stretch_peak_sin2
 from emulator.physics.subechoes import SubEchoes
+from emulator.sensing.contracts import Hits, Medium
 from emulator.sensing.model import SensorModel
-from emulator.sensing.paths import Hits, Medium, Surfaces, collected, windows
+from emulator.sensing.paths import Surfaces, collected, windows
 from emulator.sensing.rays import Rays
 
 STEEPEST = 0.3

@@ -14,8 +14,9 @@ import numpy as np
 from emulator.physics import background, geometry, noise
 from emulator.physics.arrays import Bools, Floats, clamped
 from emulator.physics.constants import ELEMENTARY_CHARGE_C, SKY_RADIANCE_W_M2_SR_NM, SUN_TABLE_TOTAL_W_M2
+from emulator.sensing.contracts import Caster
 from emulator.sensing.model import RECEIVER_TEMPERATURE_K, SensorModel
-from emulator.sensing.paths import Caster, Seen, Surfaces
+from emulator.sensing.paths import Seen, Surfaces
 from emulator.sensing.rays import Rays
 
 if TYPE_CHECKING:

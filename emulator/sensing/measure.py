@@ -23,10 +23,11 @@ from emulator.physics.materials import Material, SurfaceTable, material, materia
 from emulator.physics.subechoes import Kept, SubEchoes
 from emulator.sensing.adapt import adaptive_rays
 from emulator.sensing.air import Air, AirNow
+from emulator.sensing.contracts import FacedCaster
 from emulator.sensing.daylight import Daylight, daylight, surfaces_show
 from emulator.sensing.model import SensorModel, sensor_model
 from emulator.sensing.particles import seen_particles
-from emulator.sensing.paths import FacedCaster, Seen, Surfaces, reach_of, returned
+from emulator.sensing.paths import Seen, Surfaces, reach_of, returned
 from emulator.sensing.photon_receiver import PhotonReceiver
 from emulator.sensing.rays import RAYS_KEPT, BundleCache, Rays, cast_rays, rays_of
 from emulator.sensing.receiver import Receiver

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from emulator.physics import brdf, radiometry
 from emulator.physics.arrays import Floats, Ints, exp_or_zero, indexes
 from emulator.physics.materials import SurfaceTable
 from emulator.physics.subechoes import Kept, SubEchoes
+from emulator.sensing.contracts import Caster, Hits, Medium
 from emulator.sensing.model import SensorModel
 from emulator.sensing.order import Part, in_order, joined
 from emulator.sensing.rays import Rays
@@ -28,87 +29,6 @@ UNSEEN = 0.05
 "A ray is not continued when the best surface, met by the whole beam, would return less than this of the threshold."
 BEHIND_M = 1e-4
 "A second ray starts this far behind the surface, and a thousandth of it more per metre: the caster works in float32."
-
-
-class Hits(Protocol):
-    """What a cast gives, see raycast."""
-
-    @property
-    def range_m(self) -> Floats: ...
-    @property
-    def body(self) -> NDArray[np.int32]: ...
-    @property
-    def actor(self) -> NDArray[np.int32]: ...
-    @property
-    def material(self) -> NDArray[np.int32]: ...
-    @property
-    def normal(self) -> Floats: ...
-
-
-class FacedHits(Hits, Protocol):
-    """The same with the face of the body that is met."""
-
-    @property
-    def face(self) -> Ints: ...
-
-
-class AgainHits(FacedHits, Protocol):
-    """Hits of which parts are taken and set."""
-
-    def taken(self, rays: Ints) -> AgainHits: ...
-    def put(self, rays: Ints, others: Any) -> None: ...
-
-
-class Renewed(Protocol):
-    """Hits of rays that come again, see hits."""
-
-    @property
-    def resting(self) -> AgainHits: ...
-    @property
-    def rays(self) -> Ints: ...
-    @property
-    def now(self) -> AgainHits: ...
-    @property
-    def hits(self) -> AgainHits: ...
-
-
-class Caster(Protocol):
-    """Whoever finds the first surface on rays, up to where they end."""
-
-    def first_hits(self, origin_m: Floats, direction: Floats, t_s: Floats, *, max_range_m: float = np.inf) -> Hits: ...
-
-
-class FacedCaster(Protocol):
-    """The same with faces, and rays that come again."""
-
-    @property
-    def moves(self) -> bool: ...
-    @property
-    def movers(self) -> int: ...
-
-    def may_lie_beyond(self, origin_m: Floats, direction: Floats, t_s: Floats, beyond_m: float) -> NDArray[np.bool_]:
-        """(m,) rays on which something may lie farther than that."""
-
-    def first_hits(
-        self, origin_m: Floats, direction: Floats, t_s: Floats, *, max_range_m: float = np.inf, again: bool = False,
-        aimed: bool = False,
-    ) -> FacedHits: ...  # fmt: skip
-
-    def renewed(self, origin_m: Floats, direction: Floats, t_s: Floats, max_range_m: float) -> Renewed: ...
-
-
-class Medium(Protocol):
-    """Whoever knows the extinction along rays."""
-
-    @property
-    def uneven(self) -> bool:
-        """It differs from place to place, so that `depth` needs to know where the rays are."""
-
-    @property
-    def extinction_per_m(self) -> float:
-        """Of what fills all the air."""
-
-    def depth(self, origin_m: Floats, direction: Floats, length_m: Floats, t_s: Floats) -> Floats: ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,9 @@ import numpy as np
 
 from emulator.physics.arrays import Ints, indexes
 from emulator.physics.subechoes import Kept, SubEchoes
+from emulator.sensing.contracts import AgainHits, FacedCaster, Medium
 from emulator.sensing.model import SensorModel
-from emulator.sensing.paths import AgainHits, FacedCaster, Medium, Seen, Surfaces, returned
+from emulator.sensing.paths import Seen, Surfaces, returned
 from emulator.sensing.rays import Bundles, Rays
 
 MOST_CHANGED = 0.6

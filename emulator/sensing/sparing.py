@@ -20,9 +20,10 @@ from emulator.physics.subechoes import SubEchoes
 from emulator.sensing import closed
 from emulator.sensing.adapt import CellHits
 from emulator.sensing.air import AirNow
+from emulator.sensing.contracts import FacedCaster, FacedHits
 from emulator.sensing.daylight import surfaces_show
 from emulator.sensing.model import SensorModel
-from emulator.sensing.paths import FacedCaster, FacedHits, Seen, Surfaces, reach_of, returned
+from emulator.sensing.paths import Seen, Surfaces, reach_of, returned
 from emulator.sensing.plain import MOST_PAIRS, Edges, Pieces, sights_of
 from emulator.sensing.rays import Bundles, Rays, cast_rays, turned
 from protocols.scan import ScanPlan

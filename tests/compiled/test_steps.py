@@ -298,7 +298,9 @@ def test_short_clusters_are_the_same(seed: int) -> None:
     np.testing.assert_allclose(crossings[1](), arrays, atol=RANGE_M)
 
 
-def test_the_longest_ray_is_the_same_everywhere() -> None:
-    from emulator.compiled import casting
+def test_what_both_must_know_stands_twice_alike() -> None:
+    from emulator.compiled import casting, surfaces
+    from emulator.physics import arrays
 
     assert casting.LONGEST == raycast.LONGEST
+    assert surfaces.NOTHING == arrays.LOG_NOTHING
