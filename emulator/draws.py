@@ -51,7 +51,7 @@ class Draws:
 
     def normal(self, term: str, sweep: int, beams: int, columns: int = 1) -> Floats:
         """Standard normal numbers, shape (beams, columns)."""
-        return np.asarray(special.ndtri(self.uniform(term, sweep, beams, columns)), dtype=np.float64)
+        return self.normals(term, sweep, beams, columns)[:]
 
     def normals(self, term: str, sweep: int, beams: int, columns: int = 1) -> Normals:
         """The same numbers as `normal`, of which only some are wanted."""

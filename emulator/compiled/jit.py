@@ -16,12 +16,12 @@ def _columns(kind: Any) -> tuple[Any, Any, Any]:
     return Array(kind, 1, "C", readonly=True), Array(kind, 2, "C", readonly=True), Array(kind, 3, "C", readonly=True)
 
 
-FLOAT, INT, FLAG, SINGLE, WORD = float64, int64, boolean, float32, int32
+FLOAT, INT, FLAG = float64, int64, boolean
 FLOATS, ROWS, TURNS = _columns(float64)
 INTS, INT_ROWS, _ = _columns(int64)
 WORDS, _, _ = _columns(int32)
 FLAGS, _, _ = _columns(boolean)
-SINGLES, SINGLE_ROWS, _ = _columns(float32)
+_, SINGLE_ROWS, _ = _columns(float32)
 OUT_FLOATS, OUT_ROWS, OUT_LOOSE = float64[::1], float64[:, ::1], float64[:, :]
 OUT_INTS, OUT_WORDS, OUT_FLAGS, OUT_SINGLES = int64[::1], int32[::1], boolean[::1], float32[::1]
 "Written to; loose: in rows or not."

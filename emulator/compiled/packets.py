@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from emulator.compiled.jit import EMBREE, OUT_SINGLES, OUT_WORDS, SINGLE_ROWS, compiled
 
 Singles = NDArray[np.float32]
-Floats = NDArray[np.float64]
 
 # Embree 4, rtcore_*.h
 _MAJOR_VERSION = 1
@@ -126,7 +125,7 @@ class Packets:
         if call.rtcGetDeviceError(device):
             raise MemoryError("embree: structure not built")
         self.how = (embree.function, embree.width, scene, ctypes.addressof(embree.arguments))
-        "What `search` needs: function, rays a packet, scene, arguments."
+        "What a search needs: function, rays a packet, scene, arguments."
 
     def run(self, origin: Singles, ray: Singles, until: Singles) -> tuple[NDArray[np.int32], Singles]:
         """Triangle (-1: none) and distance of the first hit of each ray (m, 3); as `embree.run`."""
@@ -174,8 +173,9 @@ def put(packet, flags, lanes, lane, ox, oy, oz, dx, dy, dz, until):  # type: ign
     packet[DIRECTION, lane], packet[DIRECTION + 1, lane], packet[DIRECTION + 2, lane] = dx, dy, dz
     packet[TFAR, lane] = until
     flags[TRIANGLE, lane] = flags[GEOMETRY, lane] = -1
-    total = ox + oy + oz + dx + dy + dz
-    lanes[lane] = -1 if total - total == 0.0 else 0
+    total = packet[0, lane] + packet[1, lane] + packet[2, lane]  # in float32, in which they may not be finite
+    total += packet[DIRECTION, lane] + packet[DIRECTION + 1, lane] + packet[DIRECTION + 2, lane]
+    lanes[lane] = -1 if total - total == np.float32(0.0) else 0
 
 
 @compiled()

@@ -1,7 +1,7 @@
 """Light that comes back from surfaces: incidence and strength of hits, and sub-echoes in order.
 
-Belongs here: what `paths._meet` and `sensing.order.in_order` do with arrays, where each hit can be taken alone. Not:
-lobes, and what goes on through glass, which few hits have.
+Belongs here: what `paths._meet`, `rays.rays_of` and `order.in_order` do with arrays, where each ray can be taken alone.
+Not: Phong's model, and what goes on through glass, which few hits have.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -102,6 +102,15 @@ def repeated(position, times):
     return out
 
 
+@compiled()
+def _place_bits(most):
+    """The last bits of a key, which tell the place in a beam of so many."""
+    places = 1
+    while places < most:
+        places *= 2
+    return places - 1
+
+
 @compiled(INTS, FLOATS, INT)
 def keys(beam, range_m, most_empty):
     """Numbers (n, most) that sort as the ranges of each beam, and whose last bits are the place in the beam.
@@ -121,15 +130,12 @@ def keys(beam, range_m, most_empty):
     if groups * most > most_empty * m:
         return np.zeros((0, 0), np.int64)
     out = np.full((groups, most), np.iinfo(np.int64).max)
-    bits = range_m.view(np.int64)
-    places = 1
-    while places < most:
-        places *= 2
+    bits, place = range_m.view(np.int64), _place_bits(most)
     row, column = -1, 0
     for k in range(m):
         if k == 0 or beam[k] != beam[k - 1]:
             row, column = row + 1, 0
-        out[row, column] = (bits[k] & ~(places - 1)) | column
+        out[row, column] = (bits[k] & ~place) | column
         column += 1
     return out
 
@@ -139,13 +145,10 @@ def in_order(ranks, beam, range_m, amplitude, blocked, actor):
     """Sub-echoes by the sorted `keys`: range, amplitude, blocked share and source."""
     m, most = len(beam), ranks.shape[1]
     length, height, stop, source = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m, np.int64)
-    places = 1
-    while places < most:
-        places *= 2
-    row, first = -1, 0
+    row, first, place = -1, 0, _place_bits(most)
     for k in range(m):
         if k == 0 or beam[k] != beam[k - 1]:
             row, first = row + 1, k
-        i = first + (ranks[row, k - first] & (places - 1))
+        i = first + (ranks[row, k - first] & place)
         length[k], height[k], stop[k], source[k] = range_m[i], amplitude[i], blocked[i], actor[i]
     return length, height, stop, source

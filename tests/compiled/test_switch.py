@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -20,8 +21,10 @@ pytest.importorskip("numba")
 
 
 @pytest.fixture(autouse=True)
-def _looked_anew() -> None:
+def _looked_anew() -> Iterator[None]:
     compiled._loops.cache_clear()
+    yield
+    compiled._loops.cache_clear()  # what a test pretended is not found by the next one
 
 
 def told(**environment: str) -> str:
