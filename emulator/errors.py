@@ -1,10 +1,10 @@
 """Errors of the emulator half, each with the exit code of the command line.
 
-    EmulatorError
-      ScenarioError(ValueError)      file:line: key: found; allowed         exit code 2
-      SpecError(ValueError)          the same for a sensor spec             exit code 2
-      SceneError(ValueError)         mesh missing, empty, not finite        exit code 2
-      LinkError(OSError)             cannot open, or lost                   exit code 3
+EmulatorError
+  ScenarioError(ValueError)      file:line: key: found; allowed         exit code 2
+  SpecError(ValueError)          the same for a sensor spec             exit code 2
+  SceneError(ValueError)         mesh missing, empty, not finite        exit code 2
+  LinkError(OSError)             cannot open, or lost                   exit code 3
 """
 
 from __future__ import annotations

@@ -91,7 +91,8 @@ class Fleet:
         left = self._until[knot] - local
         linear = end_s - begin_s < left
         straight = self._steady_turn[knot] & linear
-        found = Stretch(self._at[:, knot], self._velocity[:, knot], since, self._turned[:, :, knot], straight, linear)
+        at, velocity, turned = (column.take(knot, axis=-1) for column in (self._at, self._velocity, self._turned))
+        found = Stretch(at, velocity, since, turned, straight, linear)
         # not to the last instant: what rounds there must not depend on what was asked before
         until = begin_s + float(left.min()) - REMEMBER_S * (1.0 + abs(begin_s))
         if end_s < until:
@@ -204,7 +205,7 @@ def may_meet(
     near = indexes(away - reach <= far)
     if not len(near):
         return near, near
-    view, away, reach = view[:, near], away[near], reach[near]
+    view, away, reach = view.take(near, axis=1), away[near], reach[near]
     inside = away <= reach
     view = view / np.where(inside, 1.0, away)
     width = np.where(inside, np.pi, np.arcsin(np.minimum(reach / np.where(inside, 1.0, away), 1.0)))

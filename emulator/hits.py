@@ -5,6 +5,7 @@ Belongs here: hits, counters, and parts of them that are put together. Not: cast
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -37,9 +38,15 @@ class Hits:
     "(m, 3) unit, in the world, on the side the ray came from; zeros for a miss."
     inner: Flags
     "(m,) met from inside of a closed shell."
+    cosine: Floats
+    "(m,) of incidence; 0 for a miss."
 
     def __len__(self) -> int:
         return len(self.range_m)
+
+    def normals(self, rays: Longs) -> Floats:
+        """(k, 3) of some rays."""
+        return self.normal[rays]
 
     @classmethod
     def misses(cls, count: int) -> Hits:
@@ -53,6 +60,7 @@ class Hits:
             material,
             np.zeros((3, count)).T,
             np.zeros(count, bool),
+            np.zeros(count),
         )
 
     @classmethod
@@ -70,6 +78,56 @@ class Hits:
         """Set those of some rays."""
         for column, other in zip(vars(self).values(), vars(others).values(), strict=True):
             column[rays] = other
+
+
+@dataclass(frozen=True, eq=False)
+class LateHits:
+    """The same where bodies, faces and normals are only looked up if somebody asks for them."""
+
+    range_m: Floats
+    actor: Ints
+    material: Ints
+    inner: Flags
+    cosine: Floats
+    parts: tuple[tuple[Nearest, Callable[[], Hits]], ...]
+    "What was found for the rays, one block after another, and how all of it is told."
+
+    def __len__(self) -> int:
+        return len(self.range_m)
+
+    @classmethod
+    def joined(cls, parts: list[LateHits]) -> LateHits:
+        """Those of several blocks of rays."""
+        if len(parts) == 1:
+            return parts[0]
+        names = ("range_m", "actor", "material", "inner", "cosine")
+        columns = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
+        return cls(*columns, tuple(one for part in parts for one in part.parts))
+
+    @cached_property
+    def whole(self) -> Hits:
+        return Hits.joined([told() for _, told in self.parts])
+
+    @property
+    def body(self) -> Ints:
+        return self.whole.body
+
+    @property
+    def face(self) -> Longs:
+        return self.whole.face
+
+    @property
+    def normal(self) -> Floats:
+        return self.whole.normal
+
+    def normals(self, rays: Longs) -> Floats:
+        """(k, 3) of some rays."""
+        if len(self.parts) > 1:
+            return self.whole.normal[rays]
+        found, _ = self.parts[0]
+        side = np.where(found.facing[rays] > 0.0, -1.0, 1.0)
+        side[np.isnan(self.range_m[rays])] = 0.0
+        return np.asarray((found.normals(rays) * side).T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,20 +182,31 @@ class Nearest:
     triangle: Longs
     body: Longs
     normal: Floats
-    "(3, m) by the winding, not yet turned to the ray's side."
+    "(3, m) by the winding, not yet turned to the ray's side; see `plane`."
     facing: Floats
     "normal . direction; 0 for a miss."
+    plane: Floats | None = None
+    "(4, F) of triangles, of which the first `flat` have their normal here, and not in `normal`; None: none has."
+    flat: int = 0
 
     @classmethod
     def nothing(cls, count: int) -> Nearest:
         no = np.full(count, -1, np.int64)
         return cls(np.full(count, np.inf), no, no.copy(), np.zeros((3, count)), np.zeros(count))
 
+    def normals(self, rays: Longs | None = None) -> Floats:
+        """(3, k) of some rays, or all."""
+        if self.plane is None:
+            return self.normal if rays is None else self.normal[:, rays]
+        triangle = self.triangle if rays is None else self.triangle[rays]
+        normal = self.plane[:3].take(triangle, axis=1, mode="wrap")
+        own = indexes(triangle >= self.flat)
+        normal[:, own] = self.normal[:, own if rays is None else rays[own]]
+        return normal
+
     def taken(self, rays: Longs) -> Nearest:
         """Those of some rays."""
-        return Nearest(
-            self.range_m[rays], self.triangle[rays], self.body[rays], self.normal[:, rays], self.facing[rays]
-        )
+        return Nearest(self.range_m[rays], self.triangle[rays], self.body[rays], self.normals(rays), self.facing[rays])
 
 
 @dataclass(frozen=True, eq=False)

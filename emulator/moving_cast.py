@@ -25,6 +25,9 @@ from emulator.physics.arrays import indexes
 from emulator.structures import Layout, Movers
 from emulator.triangles import Floats, Ints
 
+NONE_BENT = np.zeros(0, np.int64), np.zeros((3, 0)), np.zeros((3, 3, 0))
+"All pairs are of bodies that move straight."
+
 
 class MovingCast:
     """The moving bodies of a scene."""
@@ -118,7 +121,7 @@ class MovingCast:
         origin: Floats, ray: Floats, times: Floats, far: float, known_m: Floats,
     ) -> Met | None:  # fmt: skip
         """The same in compiled loops, where all bodies are rigid."""
-        bent, offset, turned = np.zeros(0, np.int64), np.zeros((3, 0)), np.zeros((3, 3, 0))
+        bent, offset, turned = NONE_BENT
         if len(curved):
             pairs = [indexes(which == mover) for mover in curved]
             bent = np.full(len(which), -1)

@@ -12,6 +12,7 @@ rays begin where they enter a bounding sphere.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from types import ModuleType
 
 import numpy as np
@@ -19,7 +20,7 @@ import numpy as np
 from emulator import embree
 from emulator.compiled import kernels
 from emulator.fleet import Flags, Longs, through_sphere
-from emulator.hits import Aim, Block, Counters, Fan, Hits, Met, Nearest, Renewed, extent, keep_nearer, rows
+from emulator.hits import Aim, Block, Counters, Fan, Hits, LateHits, Met, Nearest, Renewed, extent, keep_nearer, rows
 from emulator.moving_cast import MovingCast
 from emulator.physics.arrays import indexes
 from emulator.scene import Scene
@@ -77,7 +78,7 @@ class Caster:
         max_range_m: float = np.inf,
         again: bool = False,
         aimed: bool = False,
-    ) -> Hits:
+    ) -> Hits | LateHits:
         """What each ray meets first.
 
         Parameters
@@ -117,7 +118,7 @@ class Caster:
                 here = slice(begin, begin + BLOCK)
                 start = np.ascontiguousarray(origin[here].T)
                 parts.append(self._cast(start, aim, times[here], None if skip is None else skip[here], max_range_m))
-        return Hits.joined(parts) if parts else Hits.misses(0)
+        return _joined(parts)
 
     def _aims(self, direction: Floats) -> tuple[Aim, ...]:
         """These directions in blocks, as they are known from the last time."""
@@ -211,7 +212,7 @@ class Caster:
         inner = self._is_inner(found)
         if inner.any():
             self._recast_leaks(found, inner, origin, ray, times, fan.far)
-        return rays + block.here.start, self._told(found, inner, fan.far, spent=True)
+        return rays + block.here.start, self._told(found, inner, fan.far)
 
     def _subset(self, bodies: frozenset[int]) -> Caster:
         if bodies not in self._subsets:
@@ -220,7 +221,7 @@ class Caster:
             self._subsets[bodies] = Caster(self._scene, bodies)
         return self._subsets[bodies]
 
-    def _cast(self, origin: Floats, aim: Aim, times: Floats, skip: Floats | None, far: float) -> Hits:
+    def _cast(self, origin: Floats, aim: Aim, times: Floats, skip: Floats | None, far: float) -> Hits | LateHits:
         if skip is not None:
             origin = origin + skip * aim.ray
         found = self._nearest(origin, aim, times, far)
@@ -229,24 +230,23 @@ class Caster:
             self._recast_leaks(found, inner, origin, aim.ray, times, far)
         if skip is not None:
             found.range_m = found.range_m + skip
-        return self._told(found, inner, far, spent=True)
-
-    def _told(self, found: Nearest, inner: Flags, far: float, spent: bool = False) -> Hits:
-        """What was found, as it is told; `found` stays as it is unless it is not needed any more."""
-        table, body, triangle = self._table, found.body, found.triangle
         loops = kernels()
-        if loops is not None:
-            range_m, normal = found.range_m, np.ascontiguousarray(found.normal)
-            if not spent:
-                range_m, normal = range_m.copy(), normal.copy()
-            body, actor, face, material = loops.told(
-                range_m, triangle, body, normal, found.facing, far, inner, self._actor_of, table.face,
-                self._material, table.part, self._parts_of, self._part_material,
-            )  # fmt: skip
-            return Hits(range_m, body, actor, face, material, normal.T, inner)
+        if loops is None:
+            return self._told(found, inner, far)
+        actor, material, cosine = loops.told(
+            found.range_m, found.triangle, found.body, found.facing, far, inner, self._actor_of, self._material,
+            self._table.part, self._parts_of, self._part_material,
+        )  # fmt: skip
+        return LateHits(
+            found.range_m, actor, material, inner, cosine, ((found, partial(self._told, found, inner, far)),)
+        )
+
+    def _told(self, found: Nearest, inner: Flags, far: float) -> Hits:
+        """What was found, as it is told; `found` stays as it is."""
+        table, body, triangle = self._table, found.body, found.triangle
         missed = triangle < 0
         if far < np.inf:
-            missed |= found.range_m > far
+            missed |= ~(found.range_m <= far)
         index = indexes(missed)
         range_m = found.range_m
         if len(index):
@@ -262,8 +262,9 @@ class Caster:
             self._actor_of.take(body, mode="wrap"),
             table.face.take(triangle, mode="wrap"),
             material,
-            (found.normal * side).T,
+            (found.normals() * side).T,
             inner,
+            np.abs(found.facing),
         )
         if len(index):
             hits.put(index, Hits.misses(len(index)))
@@ -297,14 +298,15 @@ class Caster:
         self.counters.leaks += len(leaked)
         target = index[leaked]
         range_m, turned_facing = again.range_m[leaked], again.facing[leaked]
-        facing = np.einsum("ik,ik->k", again.normal[:, leaked], ray[:, target])
+        normal = again.normals(leaked)
+        facing = np.einsum("ik,ik->k", normal, ray[:, target])
         with np.errstate(divide="ignore", invalid="ignore"):
             refined = range_m * turned_facing / facing
             good = np.abs(refined - range_m) <= embree.SUSPICIOUS * (1.0 + range_m)
         found.range_m[target] = np.where(good, refined, range_m)
         found.triangle[target] = again.triangle[leaked]
         found.body[target] = again.body[leaked]
-        found.normal[:, target] = again.normal[:, leaked]
+        found.normal[:, target] = normal
         found.facing[target] = np.where(good, facing, turned_facing)
         inner[target] = False
 
@@ -328,14 +330,16 @@ class Caster:
         return found
 
     def _resting_compiled(self, loops: ModuleType, origin: Floats, aim: Aim, far: float) -> Nearest:
-        found = Nearest.nothing(len(aim))
-        table = self._table
-        for group, structure in zip(self._groups, self._built, strict=True):
-            around = len(self._groups) == 1 and _norm(origin[:, :1] - group.centre) < group.radius
+        table, groups = self._table, self._groups
+        if not groups:
+            return Nearest.nothing(len(aim))
+        found = Nearest(*loops.unwritten(len(aim)), table.plane, self._merged)
+        for number, (group, structure) in enumerate(zip(groups, self._built, strict=True)):
+            around = len(groups) == 1 and _norm(origin[:, :1] - group.centre) < group.radius
             cast, wrong = loops.resting(
                 *structure.how, origin, aim.ray, group.centre[:, 0], np.inf if around else group.radius, far,
-                embree.SUSPICIOUS, table.plane, table.body, group.offset,
-                found.range_m, found.triangle, found.body, found.normal, found.facing,
+                embree.SUSPICIOUS, table.plane, table.body, group.offset, number == 0,
+                found.range_m, found.triangle, found.body, found.facing,
             )  # fmt: skip
             self.counters.cast += cast
             self.counters.suspicious += wrong
@@ -379,6 +383,13 @@ class Caster:
         )
         met = Met(rays[hit], triangle, self._table.body.take(triangle), range_m, normal, facing)
         keep_nearer(found, met.rays, met)
+
+
+def _joined(parts: list[Hits | LateHits]) -> Hits | LateHits:
+    late = [part for part in parts if isinstance(part, LateHits)]
+    if late:
+        return LateHits.joined(late)
+    return Hits.joined([part for part in parts if isinstance(part, Hits)] or [Hits.misses(0)])
 
 
 def _aim(direction: Floats) -> Aim:

@@ -96,7 +96,7 @@ class Movers:
 
     def chosen(self, which: Longs) -> Movers:
         """Some of them."""
-        columns = {name: column[..., which] for name, column in vars(self).items() if name != "fleet"}
+        columns = {name: column.take(which, axis=-1) for name, column in vars(self).items() if name != "fleet"}
         return Movers(**columns, fleet=Fleet([self.fleet.motions[mover] for mover in which]))
 
 
@@ -206,7 +206,7 @@ def _placed(
     homes = [home[id(bodies[index].geometry)] for index in single]
     centre = np.array([bodies[index].centre_m for index in single], np.float64).reshape(-1, 3).T
     reach = np.array([bodies[index].radius_m for index in single], np.float64)
-    half = np.array([halves[id(bodies[index].geometry)] for index in single], np.float64).reshape(-1, 3).T
+    half = np.array([halves[id(bodies[index].geometry)] for index in single], np.float64).reshape(-1, 3).T.copy()
     movers = Movers(
         np.array(single, np.int64),
         np.array([one[0] for one in homes], np.int64),

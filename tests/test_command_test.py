@@ -37,9 +37,7 @@ def test_the_exit_code_is_the_worst_verdicts(folder: Path, names: list[str], cod
     assert main(["test", *(str(folder / f"{name}.yaml") for name in names), "--jobs", "1"]) == code
 
 
-def test_several_at_once_tell_the_same_as_one_after_the_other(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_several_at_once_tell_the_same_as_one_after_the_other(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     told = []
     for jobs in ("1", "2"):
         assert main(["test", str(folder), "--json", "--jobs", jobs]) == 2

@@ -1,7 +1,7 @@
 """Rays on what rests: where they enter, what they meet, and how far that is, in one pass.
 
-Belongs here: what `Caster._cast_around`, `_cast_afar` and `_told` do with arrays. Not: the search (packets), moving
-bodies (moving).
+Belongs here: what `Caster._cast_around`, `_cast_afar` and `_told` do with arrays, but for what few ask for. Not: the
+search (packets), moving bodies (moving).
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -11,6 +11,7 @@ import numpy as np
 
 from emulator.compiled.jit import (
     EMBREE,
+    FLAG,
     FLAGS,
     FLOAT,
     FLOATS,
@@ -19,7 +20,6 @@ from emulator.compiled.jit import (
     OUT_FLAGS,
     OUT_FLOATS,
     OUT_INTS,
-    OUT_ROWS,
     ROWS,
     WORDS,
     compiled,
@@ -31,23 +31,25 @@ LONGEST = 1e30
 
 
 @compiled(
-    *EMBREE, ROWS, ROWS, FLOATS, FLOAT, FLOAT, FLOAT, ROWS, INTS, INT,
-    OUT_FLOATS, OUT_INTS, OUT_INTS, OUT_ROWS, OUT_FLOATS,
+    *EMBREE, ROWS, ROWS, FLOATS, FLOAT, FLOAT, FLOAT, ROWS, INTS, INT, FLAG,
+    OUT_FLOATS, OUT_INTS, OUT_INTS, OUT_FLOATS,
 )  # fmt: skip
 def resting(
     function, width, scene, arguments, origin, ray, centre, radius, far, suspicious,
-    plane, body_of, offset, range_m, triangle, body, normal, facing,
+    plane, body_of, offset, first, range_m, triangle, body, facing,
 ):  # fmt: skip
     """Put what rays meet of one group where nothing is nearer. How many were searched for, and how many suspicious.
 
     `origin`, `ray` : (3, m) in the world; `radius` : of the group's sphere, infinite where rays begin in it; `plane` :
-    (4, F) and `body_of` : (F,) of all triangles; the rest as in `Nearest`.
+    (4, F) and `body_of` : (F,) of all triangles; `first` : nothing is known yet; the rest as in `Nearest`.
     """
     packet, flags, lanes = room(width)
     which, entered = np.zeros(width, np.int64), np.zeros(width)
     cast = wrong = used = 0
     m = len(range_m)
     around = radius == np.inf
+    if first:
+        range_m[:], triangle[:], body[:], facing[:] = np.inf, -1, -1, 0.0
     k = 0
     while k < m:
         if around:
@@ -92,8 +94,12 @@ def resting(
             refined = max(refined, 0.0)
             if refined <= range_m[i]:
                 range_m[i], triangle[i], body[i], facing[i] = refined, at, body_of[at], turned
-                normal[0, i], normal[1, i], normal[2, i] = nx, ny, nz
     return cast, wrong
+
+
+def unwritten(count):
+    """Columns of `Nearest`, for `resting` to write: all but normals, which only hits on moving bodies have."""
+    return np.empty(count), np.empty(count, np.int64), np.empty(count, np.int64), np.empty((3, count)), np.empty(count)
 
 
 @compiled(FLOATS, INTS, FLAGS)
@@ -106,29 +112,20 @@ def inner(facing, triangle, closed):
     return found
 
 
-@compiled(
-    OUT_FLOATS, INTS, INTS, OUT_ROWS, FLOATS, FLOAT, OUT_FLAGS, WORDS, INTS, WORDS, INTS, INTS, WORDS
-)
-def told(
-    range_m, triangle, found_body, normal, facing, far, inner,
-    actor_of, face_of, material_of, part_of, parts_of, part_material,
-):  # fmt: skip
-    """Body, actor, face and material of `Hits`. Ranges, normals (3, m) and `inner` are made those of hits, in place.
+@compiled(OUT_FLOATS, INTS, INTS, FLOATS, FLOAT, OUT_FLAGS, WORDS, WORDS, INTS, INTS, WORDS)
+def told(range_m, triangle, body, facing, far, inner, actor_of, material_of, part_of, parts_of, part_material):
+    """Actor, material and cosine of hits (m,). Ranges and `inner` are made those of hits, in place.
 
     `material_of` : of the merged triangles, the first ones; for others it is looked up by body and part.
     """
     m = len(triangle)
-    body, actor, material = np.full(m, -1, np.int32), np.full(m, -1, np.int32), np.full(m, -1, np.int32)
-    face = np.full(m, -1, np.int64)
+    actor, material, cosine = np.empty(m, np.int32), np.empty(m, np.int32), np.empty(m)
     for k in range(m):
         at = triangle[k]
         if at < 0 or range_m[k] > far:
             range_m[k], inner[k] = np.nan, False
-            normal[0, k] = normal[1, k] = normal[2, k] = 0.0
+            actor[k], material[k], cosine[k] = -1, -1, 0.0
             continue
-        own = found_body[k]
-        body[k], actor[k], face[k] = own, actor_of[own], face_of[at]
-        material[k] = material_of[at] if at < len(material_of) else part_material[parts_of[own] + part_of[at]]
-        if facing[k] > 0.0:
-            normal[0, k], normal[1, k], normal[2, k] = -normal[0, k], -normal[1, k], -normal[2, k]
-    return body, actor, face, material
+        actor[k], cosine[k] = actor_of[body[k]], abs(facing[k])
+        material[k] = material_of[at] if at < len(material_of) else part_material[parts_of[body[k]] + part_of[at]]
+    return actor, material, cosine

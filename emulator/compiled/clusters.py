@@ -11,30 +11,33 @@ import math
 
 import numpy as np
 
-from emulator.compiled.jit import FLOAT, FLOATS, INTS, compiled
+from emulator.compiled.jit import FLAGS, FLOAT, FLOATS, INT_ROWS, INTS, compiled
 
 _COSINE = tuple((-1.0) ** n / math.factorial(2 * n) for n in range(11))
 _SINE = tuple((-1.0) ** n / math.factorial(2 * n + 1) for n in range(11))
 
 
-@compiled(INTS, FLOATS, FLOATS, FLOAT)
-def split(beam, range_m, amplitude, gap_m):
-    """Clusters (c,) of sorted sub-echoes: first sub-echo, how many, span of ranges, sum of amplitudes."""
+@compiled(INTS, FLOATS, FLOATS, FLOAT, FLOAT)
+def split(beam, range_m, amplitude, gap_m, longest_m):
+    """Clusters (c,) of sorted sub-echoes: beam, first sub-echo, how many, first range, and which of them are short."""
     n = len(range_m)
-    first = np.zeros(n, np.int64)
+    first = np.empty(n, np.int64)
     count = 0
     for k in range(n):
         if k == 0 or beam[k] != beam[k - 1] or range_m[k] - range_m[k - 1] > gap_m:
             first[count] = k
             count += 1
-    start, size, total, span = first[:count].copy(), np.zeros(count, np.int64), np.zeros(count), np.zeros(count)
+    whole, near_m, short = np.empty((3, count), np.int64), np.empty(count), np.empty(count, np.bool_)
     for c in range(count):
-        end = start[c + 1] if c + 1 < count else n
-        size[c] = end - start[c]
-        span[c] = range_m[end - 1] - range_m[start[c]]
-        for k in range(start[c], end):
-            total[c] += amplitude[k]
-    return start, size, span, total
+        begin, end = first[c], first[c + 1] if c + 1 < count else n
+        whole[0, c], whole[1, c], whole[2, c], near_m[c] = beam[begin], begin, end - begin, range_m[begin]
+        short[c] = range_m[end - 1] - range_m[begin] < longest_m
+        if short[c]:
+            total = 0.0
+            for k in range(begin, end):
+                total += amplitude[k]
+            short[c] = total > 0.0
+    return whole, near_m, short
 
 
 @compiled(INTS, FLOATS, FLOATS, FLOATS, INTS, FLOAT, FLOAT)
@@ -80,18 +83,26 @@ def joined(beam, range_m, amplitude, blocked, source, gap_m, quarter_m):
     )  # fmt: skip
 
 
-@compiled(FLOATS, FLOATS, INTS, INTS, INTS, FLOAT)
-def sums(range_m, amplitude, source, start, size, wave_number):
-    """Running sums over the sub-echoes (n,) of these clusters, none of them longer than half a turn; 0 elsewhere.
-
-    Returns A, the two parts of C, the signal where each pulse begins, see `Cosines`, and of each cluster the source of
-    its strongest sub-echo, the first of equals.
+@compiled(FLOATS, FLOATS, INTS, INT_ROWS, FLAGS, FLOAT)
+def sums(range_m, amplitude, source, whole, short, wave_number):
+    """Of the short ones of these clusters, none of them longer than half a turn, see `Cosines`: running sums over the
+    sub-echoes (4, n), defined for theirs; beam, source, start and size (4, c); place of the maximum, height and first
+    range (3, c). And the numbers of the sub-echoes of all others.
     """
-    n, count = len(range_m), len(start)
-    total, real, imaginary, begun = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-    strongest = np.zeros(count, np.int64)
-    for c in range(count):
-        first, end = start[c], start[c] + size[c]
+    n, count = len(range_m), 0
+    for c in range(len(short)):
+        count += short[c]
+    running, told, size = np.empty((4, n)), np.empty((4, count), np.int64), np.empty((3, count))
+    begun, total, real, imaginary = running[0], running[1], running[2], running[3]
+    left = np.empty(n, np.int64)
+    made = others = 0
+    for c in range(whole.shape[1]):
+        first, end = whole[1, c], whole[1, c] + whole[2, c]
+        if not short[c]:
+            for k in range(first, end):
+                left[others] = k
+                others += 1
+            continue
         for k in range(first, end):
             # series about half the angle, as `arrays.cos_sin` has them
             half = 0.5 * wave_number * (range_m[k] - range_m[first])
@@ -103,7 +114,7 @@ def sums(range_m, amplitude, source, start, size, wave_number):
             sine *= half
             real[k], imaginary[k] = 1.0 - 2.0 * sine * sine, 2.0 * sine * cosine
         a = x = y = 0.0
-        best = -1.0
+        best, strongest = -1.0, 0
         for k in range(first, end):
             here, cosine, sine = amplitude[k], real[k], imaginary[k]
             a += here
@@ -112,9 +123,13 @@ def sums(range_m, amplitude, source, start, size, wave_number):
             total[k], real[k], imaginary[k] = a, x, y
             # a pulse begins half a turn of the cosine before its centre
             begun[k] = 0.5 * (a - cosine * x - sine * y)
-            if here > best:
-                best, strongest[c] = here, source[k]
-    return total, real, imaginary, begun, strongest
+            if here > best:  # the first of equals
+                best, strongest = here, source[k]
+        told[0, made], told[1, made], told[2, made], told[3, made] = whole[0, c], strongest, first, end - first
+        size[0, made] = range_m[first] + np.arctan2(y, x) / wave_number
+        size[1, made], size[2, made] = 0.5 * (a + np.hypot(x, y)), range_m[first]
+        made += 1
+    return running, told, size, left[:others].copy()
 
 
 @compiled()

@@ -44,10 +44,10 @@ def compiled(*arguments: Any) -> Callable[[Callable[..., Any]], Any]:
 
         @wraps(function)
         def called(*given: Any) -> Any:
-            loose = [number for number in read if not given[number].flags.c_contiguous]
-            if loose:
-                given = tuple(np.ascontiguousarray(one) if at in loose else one for at, one in enumerate(given))
-            return made(*given)
+            try:
+                return made(*given)
+            except TypeError:  # looking first takes longer than all else around a call
+                return made(*(np.ascontiguousarray(one) if at in read else one for at, one in enumerate(given)))
 
         return called
 

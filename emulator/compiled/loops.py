@@ -1,15 +1,19 @@
 """All compiled functions, by name. Nothing else belongs here."""
 
-from emulator.compiled.casting import inner, resting, told
+from emulator.compiled.casting import inner, resting, told, unwritten
 from emulator.compiled.clusters import crossed, joined, split, sums
-from emulator.compiled.maxima import edges, maxima
+from emulator.compiled.echoes import FIRST, LAST, STRONGEST, levels, ranks, readings, reported
+from emulator.compiled.maxima import edges, maxima, sources
 from emulator.compiled.media import crossed_under, ended_under, under
 from emulator.compiled.moving import extent, keep_nearer, moving, pairs
 from emulator.compiled.packets import Packets, library
-from emulator.compiled.surfaces import in_order, keys, lit, repeated
+from emulator.compiled.surfaces import in_order, repeated, special, strengths
 from emulator.compiled.waves import sampled
 
 __all__ = [
+    "FIRST",
+    "LAST",
+    "STRONGEST",
     "Packets",
     "crossed",
     "crossed_under",
@@ -20,17 +24,23 @@ __all__ = [
     "inner",
     "joined",
     "keep_nearer",
-    "keys",
+    "levels",
     "library",
-    "lit",
     "maxima",
     "moving",
     "pairs",
+    "ranks",
+    "readings",
     "repeated",
+    "reported",
     "resting",
     "sampled",
+    "sources",
+    "special",
     "split",
+    "strengths",
     "sums",
     "told",
     "under",
+    "unwritten",
 ]

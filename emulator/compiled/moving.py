@@ -82,6 +82,17 @@ def keep_nearer(
             normal[0, at], normal[1, at], normal[2, at] = met_normal[0, k], met_normal[1, k], met_normal[2, k]
 
 
+@compiled()
+def _crosses(place, along, half):
+    """Where a ray enters and leaves the slab of a box; nothing is excluded along a side, where that is no number."""
+    each = 1.0 / along
+    near, deep = place * each, abs(each) * half
+    low, high = -deep - near, deep - near
+    if np.isnan(low) or np.isnan(high):
+        return -np.inf, np.inf
+    return low, high
+
+
 @compiled(
     *EMBREE, INT, INTS, INTS, ROWS, ROWS, FLOATS, FLOAT, FLOATS,
     ROWS, ROWS, FLOATS, TURNS, ROWS, FLOATS, ROWS, ROWS, INTS, INTS, INTS, INTS, ROWS, TURNS, ROWS, FLOAT,
@@ -102,11 +113,9 @@ def moving(
     k = len(which)
     numbers, values = np.zeros((4 * width, 3), np.int64), np.zeros((4 * width, 5))
     packet, flags, lanes = room(width)
-    # of each lane: its pair, origin and direction in the body's frame, where it enters, the body's axes
-    mine, start, way = np.zeros(width, np.int64), np.zeros((width, 3)), np.zeros((width, 3))
-    entered, axes = np.zeros(width), np.zeros((width, 3, 3))
+    # of each lane: its pair, where it enters, and origin, direction and the body's axes in the body's frame
+    mine, entered, frames = np.zeros(width, np.int64), np.zeros(width), np.zeros((width, 15))
     hits = cast = wrong = used = 0
-    offset = np.zeros(3)
     for pair in range(k + 1):
         if used == width or (pair == k and used > 0):
             send(function, scene, arguments, packet, lanes, used)
@@ -118,19 +127,21 @@ def moving(
                 found = flags[TRIANGLE, lane]
                 if found < 0 or not lanes[lane]:
                     continue
-                mover, begin, along, own = which[mine[lane]], start[lane], way[lane], axes[lane]
+                mover = which[mine[lane]]
                 triangle = found + shift[mover]
                 distance = packet[TFAR, lane] + entered[lane]
                 nx, ny, nz = plane[0, triangle], plane[1, triangle], plane[2, triangle]
-                facing = nx * along[0] + ny * along[1] + nz * along[2]
-                refined = (plane[3, triangle] - (nx * begin[0] + ny * begin[1] + nz * begin[2])) / facing
+                facing = nx * frames[lane, 3] + ny * frames[lane, 4] + nz * frames[lane, 5]
+                height = nx * frames[lane, 0] + ny * frames[lane, 1] + nz * frames[lane, 2]
+                refined = (plane[3, triangle] - height) / facing
                 if not abs(refined - distance) <= suspicious * (1.0 + distance):
                     refined = distance
                     wrong += 1
                 numbers[hits, 0], numbers[hits, 1], numbers[hits, 2] = rays[mine[lane]], triangle, body[mover]
                 values[hits, 0], values[hits, 1] = max(refined, 0.0), facing
-                for i in range(3):
-                    values[hits, 2 + i] = own[i, 0] * nx + own[i, 1] * ny + own[i, 2] * nz
+                values[hits, 2] = frames[lane, 6] * nx + frames[lane, 7] * ny + frames[lane, 8] * nz
+                values[hits, 3] = frames[lane, 9] * nx + frames[lane, 10] * ny + frames[lane, 11] * nz
+                values[hits, 4] = frames[lane, 12] * nx + frames[lane, 13] * ny + frames[lane, 14] * nz
                 hits += 1
             used = 0
         if pair == k:
@@ -138,48 +149,51 @@ def moving(
         mover, r = which[pair], rays[pair]
         if home[mover] != structure:
             continue
-        local, along, to_world = start[used], way[used], axes[used]
-        if len(bent) and bent[pair] >= 0:
-            for i in range(3):
-                offset[i] = bent_offset[i, bent[pair]]
-                for j in range(3):
-                    to_world[i, j] = bent_turned[i, j, bent[pair]]
+        dx, dy, dz = ray[0, r], ray[1, r], ray[2, r]
+        column = bent[pair] if len(bent) else -1
+        if column >= 0:
+            ox, oy, oz = bent_offset[0, column], bent_offset[1, column], bent_offset[2, column]
+            xx, xy, xz = bent_turned[0, 0, column], bent_turned[0, 1, column], bent_turned[0, 2, column]
+            yx, yy, yz = bent_turned[1, 0, column], bent_turned[1, 1, column], bent_turned[1, 2, column]
+            zx, zy, zz = bent_turned[2, 0, column], bent_turned[2, 1, column], bent_turned[2, 2, column]
         else:
             passed = times[r] - since[mover]
-            for i in range(3):
-                offset[i] = origin[i, r] - at[i, mover] - passed * velocity[i, mover]
-                for j in range(3):
-                    to_world[i, j] = turned[i, j, mover]
-        middle = 0.0
-        for i in range(3):
-            # of the sphere's centre, seen from the ray's origin
-            row = to_world[i]
-            local[i] = offset[i] - (row[0] * centre[0, mover] + row[1] * centre[1, mover] + row[2] * centre[2, mover])
-            middle -= local[i] * ray[i, r]
-        across = 0.0
-        for i in range(3):
-            across += (local[i] + middle * ray[i, r]) ** 2
-        chord = reach[mover] * reach[mover] - across
-        wide = np.sqrt(max(chord, 0.0))
+            ox = origin[0, r] - at[0, mover] - passed * velocity[0, mover]
+            oy = origin[1, r] - at[1, mover] - passed * velocity[1, mover]
+            oz = origin[2, r] - at[2, mover] - passed * velocity[2, mover]
+            xx, xy, xz = turned[0, 0, mover], turned[0, 1, mover], turned[0, 2, mover]
+            yx, yy, yz = turned[1, 0, mover], turned[1, 1, mover], turned[1, 2, mover]
+            zx, zy, zz = turned[2, 0, mover], turned[2, 1, mover], turned[2, 2, mover]
+        cx, cy, cz = centre[0, mover], centre[1, mover], centre[2, mover]
+        # of the sphere's centre, seen from the ray's origin
+        sx, sy = ox - (xx * cx + xy * cy + xz * cz), oy - (yx * cx + yy * cy + yz * cz)
+        sz = oz - (zx * cx + zy * cy + zz * cz)
+        middle = -(sx * dx + sy * dy + sz * dz)
+        ax, ay, az = sx + middle * dx, sy + middle * dy, sz + middle * dz
+        chord = reach[mover] * reach[mover] - (ax * ax + ay * ay + az * az)
+        if not chord > 0.0:
+            continue
+        wide = np.sqrt(chord)
         enter, leave = max(middle - wide, 0.0), middle + wide
-        if not (chord > 0.0 and leave > 0.0 and enter <= far and enter < known_m[r]):
+        if not (leave > 0.0 and enter <= far and enter < known_m[r]):
             continue
-        low, high, unknown = -np.inf, np.inf, False
-        for j in range(3):
-            local[j] = (
-                to_world[0, j] * offset[0] + to_world[1, j] * offset[1] + to_world[2, j] * offset[2] - centre[j, mover]
-            )
-            along[j] = to_world[0, j] * ray[0, r] + to_world[1, j] * ray[1, r] + to_world[2, j] * ray[2, r]
-            each = 1.0 / along[j]
-            near, deep = local[j] * each, abs(each) * half[j, mover]
-            unknown |= np.isnan(-deep - near) or np.isnan(deep - near)
-            low, high = max(low, -deep - near), min(high, deep - near)
-        if low > high and not unknown:  # a ray along a side excludes nothing
+        x, y, z = (
+            xx * ox + yx * oy + zx * oz - cx, xy * ox + yy * oy + zy * oz - cy, xz * ox + yz * oy + zz * oz - cz
+        )  # fmt: skip
+        dx, dy, dz = xx * dx + yx * dy + zx * dz, xy * dx + yy * dy + zy * dz, xz * dx + yz * dy + zz * dz
+        x_in, x_out = _crosses(x, dx, half[0, mover])
+        y_in, y_out = _crosses(y, dy, half[1, mover])
+        z_in, z_out = _crosses(z, dz, half[2, mover])
+        if max(x_in, y_in, z_in) > min(x_out, y_out, z_out):
             continue
-        put(packet, flags, lanes, used,
-            local[0] + enter * along[0] + cell[0, mover], local[1] + enter * along[1] + cell[1, mover],
-            local[2] + enter * along[2] + cell[2, mover], along[0], along[1], along[2], leave - enter)  # fmt: skip
+        put(packet, flags, lanes, used, x + enter * dx + cell[0, mover], y + enter * dy + cell[1, mover],
+            z + enter * dz + cell[2, mover], dx, dy, dz, leave - enter)  # fmt: skip
         mine[used], entered[used] = pair, enter
+        frames[used, 0], frames[used, 1], frames[used, 2] = x, y, z
+        frames[used, 3], frames[used, 4], frames[used, 5] = dx, dy, dz
+        frames[used, 6], frames[used, 7], frames[used, 8] = xx, xy, xz
+        frames[used, 9], frames[used, 10], frames[used, 11] = yx, yy, yz
+        frames[used, 12], frames[used, 13], frames[used, 14] = zx, zy, zz
         used += 1
     told, sizes = numbers[:hits].T.copy(), values[:hits].T.copy()
     return told[0], told[1], told[2], sizes[0], sizes[2:], sizes[1], cast, wrong

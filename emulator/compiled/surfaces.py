@@ -1,79 +1,118 @@
-"""Light that comes back from surfaces: incidence and strength of hits, and sub-echoes in order.
+"""Light that comes back from surfaces: strength of hits, and sub-echoes in order.
 
-Belongs here: what `paths._meet`, `rays.rays_of` and `order.in_order` do with arrays, where each ray can be taken alone.
-Not: Phong's model, and what goes on through glass, which few hits have.
+Belongs here: what `paths._meet`, `rays.rays_of` and `order.in_order` do with arrays. Not: Phong's model, mirrors and
+glass, which few hits have.
 """
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from emulator.compiled.jit import FLOAT, FLOATS, INT, INT_ROWS, INTS, ROWS, WORDS, compiled
+from emulator.compiled.jit import FLAGS, FLOAT, FLOATS, INT, INT_ROWS, INTS, ROWS, WORDS, compiled
 
-NOTHING = -575.0
-"Exponent below which light is nothing, see `physics.arrays`."
+_FACTORS = tuple(1.0 / math.factorial(n) for n in range(14))
+_HALVES = np.where(np.arange(900) <= 829, 0.5 ** np.arange(900.0), 0.0)
+"Powers of a half; below 1e-250, see `physics.arrays.LOG_NOTHING`, nothing."
+_LN_2_HIGH, _LN_2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
+"Their sum is the logarithm of 2; the first has bits to spare for a whole factor."
+
+
+@compiled()
+def _exp(exponent):
+    """exp of numbers up to 0, wrong by 3e-16, and 0 below 1e-250; without a branch, so that several go at once."""
+    exponent = exponent if exponent >= -600.0 else -600.0
+    whole = np.floor(exponent / (_LN_2_HIGH + _LN_2_LOW) + 0.5)
+    rest = (exponent - whole * _LN_2_HIGH) - whole * _LN_2_LOW
+    total = _FACTORS[13]
+    for n in range(12, -1, -1):
+        total = total * rest + _FACTORS[n]
+    return total * _HALVES[int(-whole)]
+
+
+@compiled()
+def _end(beam, begin):
+    """Where another beam begins."""
+    end = begin + 1
+    while end < len(beam) and beam[end] == beam[begin]:
+        end += 1
+    return end
+
+
+@compiled()
+def _places(beam, range_m, reach_m, most_empty, nearest):
+    """Numbers (n, most) that sort as the ranges of each beam, and whose last bits are the place in the beam; of hits
+    beyond reach the largest. `nearest` is filled.
+
+    Ranges are told apart to 1e-10 of themselves. (0, 0) where there would be more than `most_empty` places to each.
+    """
+    m = len(beam)
+    ends = np.empty(len(nearest), np.int64)
+    groups = most = begin = 0
+    while begin < m:
+        end = begin + 1
+        while end < m and beam[end] == beam[begin]:
+            end += 1
+        ends[groups], most, begin = end, max(most, end - begin), end
+        groups += 1
+    room = groups * most <= most_empty * m
+    none = np.iinfo(np.int64).max
+    keys = np.full((groups, most) if room else (0, 0), none)
+    # numbers of no sign are in the order of their bits, that which is none behind infinity: whole ones are faster
+    bits, limits, least = range_m.view(np.int64), np.array([reach_m, np.inf]).view(np.int64), nearest.view(np.int64)
+    reach, place = limits[0], _place_bits(most)
+    begin, seen = 0, False
+    for row in range(groups):
+        end = ends[row]
+        lowest = limits[1]
+        for k in range(begin, end):
+            lowest = min(lowest, bits[k])
+        least[beam[begin]] = lowest
+        if lowest <= reach:
+            seen = True
+            for column in range(end - begin if room else 0):
+                key = bits[begin + column]
+                keys[row, column] = (key & ~place) | column if key <= reach else none
+        begin = end
+    if not seen:
+        nearest[:] = np.inf
+    return keys, seen
+
+
+@compiled()
+def _place_bits(most):
+    """The last bits of a key, which tell the place in a beam of so many."""
+    places = 1
+    while places < most:
+        places *= 2
+    return places - 1
 
 
 @compiled(
-    ROWS, ROWS, FLOATS, WORDS, WORDS, INTS, FLOATS, FLOATS, INT, FLOAT,
-    ROWS, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT,
+    FLOATS, WORDS, FLOATS, INTS, FLOATS, INT, FLOAT, INT,
+    ROWS, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT, INTS, FLOATS,
 )  # fmt: skip
-def lit(
-    normal, direction, range_m, material, actor, beam, weight, share, beams, reach_m,
-    factors, extinction, clear_depth, strength, aperture_m, overlap_start_m, overlap_full_m,
+def strengths(
+    range_m, material, cosine, beam, weight, beams, reach_m, most_empty,
+    factors, extinction, clear_depth, strength, aperture_m, overlap_start_m, overlap_full_m, more_at, more,
 ):  # fmt: skip
-    """Of hits within `reach_m`: beam, range, cosine of incidence, what a white plate there would return, reflectance
-    but for Phong's, share of the beam, actor, material, their numbers; and (`beams`,) the nearest range of each beam.
+    """Amplitude (m,) of hits; `_places` of those within `reach_m`, if there are any; each beam's nearest range.
 
-    `normal`, `direction` : (3, m), others (m,); `factors` : (6, materials), see `SurfaceTable.factors`; `clear_depth` :
-    optical depth there and back below which three terms stand for the exponential.
+    Columns are (m,), `beam` ascends; `factors` : (6, materials), see `SurfaceTable.factors`; `clear_depth` : optical
+    depth there and back below which three terms stand for the exponential; `more` : reflectance of the hits `more_at`
+    beyond what their materials' factors give.
     """
-    count, nearest = 0, np.full(beams, np.inf)
-    for k in range(len(range_m)):
-        if range_m[k] < nearest[beam[k]]:
-            nearest[beam[k]] = range_m[k]
-        count += range_m[k] <= reach_m
-    chosen = np.zeros(count, np.int64)
-    of, actors, kinds = np.zeros(count, np.int64), np.zeros(count, np.int32), np.zeros(count, np.int32)
-    length, cosine, plate, reflectance, stop = (
-        np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
-    )  # fmt: skip
-    nx, ny, nz = normal[0], normal[1], normal[2]
-    dx, dy, dz = direction[0], direction[1], direction[2]
-    closest, farthest = np.inf, 0.0
-    k = 0
-    for i in range(len(range_m)):
-        r = range_m[i]
-        if r <= reach_m:
-            length[k], stop[k], plate[k] = r, share[i], weight[i]
-            of[k], actors[k], kinds[k], chosen[k] = beam[i], actor[i], material[i], i
-            cosine[k] = -(nx[i] * dx[i] + ny[i] * dy[i] + nz[i] * dz[i])
-            closest = r if r < closest else closest
-            farthest = r if r > farthest else farthest
-            k += 1
-    area = aperture_m * aperture_m
-    for k in range(count):
-        plate[k] *= strength / (length[k] * length[k] + area)
-    if 2.0 * extinction * farthest < clear_depth:
-        for k in range(count):
-            depth = extinction * length[k]
-            plate[k] *= 1.0 - 2.0 * depth * (1.0 - depth)
-    else:
-        for k in range(count):
-            depth = 2.0 * extinction * length[k]
-            plate[k] *= np.exp(-depth) if -depth >= NOTHING else 0.0
-    if closest < max(overlap_start_m, overlap_full_m):
-        for k in range(count):
-            if length[k] < overlap_start_m:
-                plate[k] = 0.0
-            elif length[k] < overlap_full_m:
-                plate[k] *= (length[k] - overlap_start_m) / (overlap_full_m - overlap_start_m)
+    nearest = np.full(beams, np.inf)
+    keys, seen = _places(beam, range_m, reach_m, most_empty, nearest)
+    m = len(range_m) if seen else 0
     flat, rough, retro, lobe, mirror, roughness = (
         factors[0], factors[1], factors[2], factors[3], factors[4], factors[5]
     )  # fmt: skip
-    for k in range(count):
-        kind, c = kinds[k], min(abs(cosine[k]), 1.0)
+    amplitude = np.empty(m)
+    for k in range(m):
+        kind, c = max(material[k], 0), min(cosine[k], 1.0)
         square = c * c
         back = flat[kind] * c + rough[kind] * (1.0 - square) + retro[kind]
         if lobe[kind] > 0.0:  # see `brdf.ggx_cos`
@@ -82,10 +121,67 @@ def lit(
             back += lobe[kind] * (
                 mirror[kind] * wide / (4.0 * spread * spread * np.sqrt(square + wide * (1.0 - square)))
             )
-        reflectance[k] = back
-    if count == 0:
-        nearest[:] = np.inf
-    return of, length, cosine, plate, reflectance, stop, actors, kinds, chosen, nearest
+        amplitude[k] = back
+    for k in range(len(more_at) if m else 0):
+        amplitude[more_at[k]] += more[k]
+    area = aperture_m * aperture_m
+    for k in range(m):
+        amplitude[k] *= weight[k] * strength / (range_m[k] * range_m[k] + area)
+    dim = 0
+    for k in range(m):
+        dim += np.int64((2.0 * extinction * range_m[k] >= clear_depth) & (range_m[k] <= reach_m))
+    if dim == 0:
+        for k in range(m):
+            depth = extinction * range_m[k]
+            amplitude[k] *= 1.0 - 2.0 * depth * (1.0 - depth)
+    else:
+        for k in range(m):
+            amplitude[k] *= _exp(-2.0 * extinction * range_m[k])
+    if m and nearest.min() < max(overlap_start_m, overlap_full_m):
+        for k in range(m):
+            if range_m[k] < overlap_start_m:
+                amplitude[k] = 0.0
+            elif range_m[k] < overlap_full_m:
+                amplitude[k] *= (range_m[k] - overlap_start_m) / (overlap_full_m - overlap_start_m)
+    return amplitude, keys, seen, nearest
+
+
+@compiled(INT_ROWS, INTS, FLOATS, FLOATS, FLOATS, WORDS)
+def in_order(ranks, beam, range_m, amplitude, blocked, actor):
+    """Sub-echoes whose sorted `_places` these are: beam, range, amplitude, blocked share and source."""
+    none, count = np.iinfo(np.int64).max, 0
+    sizes = np.empty(len(ranks), np.int64)
+    for row in range(len(ranks)):
+        sizes[row] = ranks.shape[1]
+        while sizes[row] and ranks[row, sizes[row] - 1] == none:
+            sizes[row] -= 1
+        count += sizes[row]
+    of, length, height, stop, source = (
+        np.empty(count, np.int64), np.empty(count), np.empty(count), np.empty(count), np.empty(count, np.int64)
+    )  # fmt: skip
+    place = _place_bits(ranks.shape[1])
+    begin = made = 0
+    for row in range(len(ranks)):
+        for column in range(sizes[row]):
+            i = begin + (ranks[row, column] & place)
+            of[made], length[made], height[made], stop[made], source[made] = (
+                beam[i], range_m[i], amplitude[i], blocked[i], actor[i]
+            )  # fmt: skip
+            made += 1
+        begin = _end(beam, begin)
+    return of, length, height, stop, source
+
+
+@compiled(FLOATS, WORDS, FLAGS, FLOAT)
+def special(range_m, material, of_interest, reach_m):
+    """Indexes of hits within reach on these materials (materials,)."""
+    found = np.empty(len(range_m), np.int64)
+    count = 0
+    for k in range(len(range_m)):
+        if material[k] >= 0 and of_interest[material[k]] and range_m[k] <= reach_m:
+            found[count] = k
+            count += 1
+    return found[:count].copy()
 
 
 @compiled(ROWS, INT)
@@ -100,55 +196,3 @@ def repeated(position, times):
             for at in range(k * times, (k + 1) * times):
                 row[at] = value
     return out
-
-
-@compiled()
-def _place_bits(most):
-    """The last bits of a key, which tell the place in a beam of so many."""
-    places = 1
-    while places < most:
-        places *= 2
-    return places - 1
-
-
-@compiled(INTS, FLOATS, INT)
-def keys(beam, range_m, most_empty):
-    """Numbers (n, most) that sort as the ranges of each beam, and whose last bits are the place in the beam.
-
-    `beam` : (m,), ascending; n of them, with at most so many each. Ranges are told apart to 1e-10 of themselves. (0, 0)
-    where beams do not ascend, or where there would be more than `most_empty` places to each range.
-    """
-    m = len(beam)
-    groups = most = size = 0
-    for k in range(m):
-        if k == 0 or beam[k] > beam[k - 1]:
-            groups, size = groups + 1, 0
-        elif beam[k] < beam[k - 1]:
-            return np.zeros((0, 0), np.int64)
-        size += 1
-        most = size if size > most else most
-    if groups * most > most_empty * m:
-        return np.zeros((0, 0), np.int64)
-    out = np.full((groups, most), np.iinfo(np.int64).max)
-    bits, place = range_m.view(np.int64), _place_bits(most)
-    row, column = -1, 0
-    for k in range(m):
-        if k == 0 or beam[k] != beam[k - 1]:
-            row, column = row + 1, 0
-        out[row, column] = (bits[k] & ~place) | column
-        column += 1
-    return out
-
-
-@compiled(INT_ROWS, INTS, FLOATS, FLOATS, FLOATS, WORDS)
-def in_order(ranks, beam, range_m, amplitude, blocked, actor):
-    """Sub-echoes by the sorted `keys`: range, amplitude, blocked share and source."""
-    m, most = len(beam), ranks.shape[1]
-    length, height, stop, source = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m, np.int64)
-    row, first, place = -1, 0, _place_bits(most)
-    for k in range(m):
-        if k == 0 or beam[k] != beam[k - 1]:
-            row, first = row + 1, k
-        i = first + (ranks[row, k - first] & place)
-        length[k], height[k], stop[k], source[k] = range_m[i], amplitude[i], blocked[i], actor[i]
-    return length, height, stop, source

@@ -52,9 +52,7 @@ def single_candidates(clusters: Clusters, chosen: Bools, least: Floats) -> Candi
     return Candidates(beam, clusters.range_m[sub], clusters.amplitude[sub], sub, minus, minus)
 
 
-def wave_candidates(
-    wave: Waveform, least: Floats, rms: Floats, threshold: Floats, detector: Detector
-) -> Candidates:
+def wave_candidates(wave: Waveform, least: Floats, rms: Floats, threshold: Floats, detector: Detector) -> Candidates:
     """Maxima of the clipped waveform, joined where no valley separates them.
 
     `least`, `rms`, `threshold` : (n,) of each beam: what is worth a look, its noise, and the level to be reached.

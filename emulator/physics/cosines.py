@@ -226,44 +226,37 @@ def split_cosines(echoes: SubEchoes, detector: Detector, soft: SoftProfile | Non
     beam, r, a = echoes.beam, echoes.range_m, echoes.amplitude
     loops = kernels()
     if loops is not None:
-        start, size, span, whole = loops.split(beam, r, a, 2.0 * half)
+        whole, first, short = loops.split(beam, r, a, 2.0 * half, SHORT * half)
+        group, start, size = whole
     else:
         cut = (beam[1:] != beam[:-1]) | (r[1:] - r[:-1] > 2.0 * half)
         start = np.concatenate(([0], indexes(cut) + 1))
         size = np.diff(np.append(start, n))
-        total = _running(a, start, size)
-        span, whole = r[start + size - 1] - r[start], total[start + size - 1]
-    first, end = r[start], start + size - 1
-    short = (span < SHORT * half) & (whole > 0.0)
-    near, under = (None, first) if soft is None else _near(soft, detector.threshold, short, beam[start], first - half)
+        group, first, total = beam[start], r[start], _running(a, start, size)
+        end = start + size - 1
+        short = (r[end] - first < SHORT * half) & (total[end] > 0.0)
+    near, most = (None, first) if soft is None else _near(soft, detector.threshold, short, group, first - half)
     if not bool(short.any()):
         return Cosines.none(), echoes
     if loops is not None:
-        total, real, imaginary, begun, source = loops.sums(r, a, echoes.source, start[short], size[short], k)
+        running, (group, source, *where), (centre, height, first), rest = loops.sums(
+            r, a, echoes.source, whole, short, k
+        )
+        found = Cosines(group, centre, height, source, first, *where, *running, half, k)
     else:
         real, imaginary, begun = _sums(r, a, total, start, size, k)
-        source = _strongest(echoes, start, size)[short]
-    last = end[short]
-    found = Cosines(
-        beam[start][short],
-        first[short] + np.arctan2(imaginary[last], real[last]) / k,
-        0.5 * (total[last] + np.hypot(real[last], imaginary[last])),
-        source,
-        first[short],
-        start[short],
-        size[short],
-        begun,
-        total,
-        real,
-        imaginary,
-        half,
-        k,
-    )
+        last, first = end[short], first[short]
+        centre = first + np.arctan2(imaginary[last], real[last]) / k
+        height = 0.5 * (total[last] + np.hypot(real[last], imaginary[last]))
+        source, running = _strongest(echoes, start, size)[short], (begun, total, real, imaginary)
+        found = Cosines(
+            group[short], centre, height, source, first, start[short], size[short], *running, half, k
+        )  # fmt: skip
+        rest = indexes((~short).repeat(size))
     if soft is not None and near is not None:
-        found = _with_air(found, echoes, soft, detector, near, (short.cumsum() - 1)[near], start, size, under[near])
-    if bool(short.all()):
+        found = _with_air(found, echoes, soft, detector, near, (short.cumsum() - 1)[near], start, size, most)
+    if not len(rest):
         return found, SubEchoes.none()
-    rest = indexes((~short).repeat(size))
     return found, SubEchoes(beam[rest], r[rest], a[rest], echoes.blocked[rest], echoes.source[rest])
 
 
@@ -286,26 +279,28 @@ def _strongest(echoes: SubEchoes, start: Ints, size: Ints) -> Ints:
 
 
 def _near(soft: SoftProfile, threshold: float, short: Bools, beam: Ints, begin_m: Floats) -> tuple[Ints | None, Floats]:
-    """The short clusters that begin where the medium shows, and of all clusters its bound over the threshold.
+    """The short clusters that begin where the medium shows, and its bound under each of them over the threshold.
 
     A beam with such a cluster that is not short has none that is: its medium is sampled, with all that blocks it.
     """
     # its own echo stands alone up to its maximum, and a valley behind it
     alone_m = soft.peak_m + 2.0 * soft.bin_m if soft.shows else -np.inf
-    near = begin_m < max(soft.until_m, alone_m)
-    if not bool(near.any()):
+    near = indexes(begin_m < max(soft.until_m, alone_m))
+    if not len(near):
         return None, begin_m
     # where the medium may come near a level itself, what is crossed first is not told by the pulses alone
-    under = soft.wave(np.maximum(begin_m, soft.peak_m)) / threshold
-    faint = (under < FAINT) & (begin_m >= alone_m)
-    short &= faint | ~near
-    sampled = beam[near & ~short]
+    begin = begin_m[near]
+    under = soft.wave(np.maximum(begin, soft.peak_m)) / threshold
+    kept = short[near] & (under < FAINT) & (begin >= alone_m)
+    short[near] = kept
+    sampled = beam[near[~kept]]
     if len(sampled):
         other = np.zeros(int(beam[-1]) + 1, bool)
         other[sampled] = True
         short &= ~other[beam]
-    which = indexes(near & short)
-    return (which if len(which) else None), under
+        kept = short[near]
+    which = near[kept]
+    return (which if len(which) else None), under[kept]
 
 
 def _with_air(

@@ -286,13 +286,17 @@ class SurfaceTable:
 
     @cached_property
     def factors(self) -> Floats:
-        """(6, materials) of `back` but for Phong: factors of cos and of sin^2, sheeting; a GGX lobe's share, F0 and
-        roughness."""
+        """(6, materials) of `back`: factors of cos and of sin^2, sheeting; a GGX lobe's share, F0 and roughness.
+
+        Of Phong's model nothing.
+        """
         ggx = np.zeros(len(self.materials))
         for model, has in self._shapes[3]:
             if model == "ggx":
                 ggx = has * self._column("lobe_share")
-        return np.array([*self._shapes[:3], ggx, self._column("f0"), self._column("roughness")], np.float64)
+        flat, rough, retro, _ = self._shapes
+        flat = np.where(self.phong, 0.0, flat)
+        return np.array([flat, rough, retro, ggx, self._column("f0"), self._column("roughness")], np.float64)
 
     @cached_property
     def phong(self) -> Bools:

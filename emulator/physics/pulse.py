@@ -8,6 +8,7 @@ for the Gaussian pulse, which has no start.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -33,32 +34,32 @@ class Pulse:
         if self.shape not in ("sin2", "gauss"):
             raise ValueError(f"shape: {self.shape!r}; want sin2 or gauss")
 
-    @property
+    @cached_property
     def fwhm_m(self) -> float:
         """Full width at half maximum in apparent range."""
         return 0.5 * C * self.fwhm_s
 
-    @property
+    @cached_property
     def sigma_m(self) -> float:
         """Standard deviation of the Gaussian of the same FWHM, in apparent range."""
         return self.fwhm_m / FWHM_PER_SIGMA
 
-    @property
+    @cached_property
     def half_support_m(self) -> float:
         """Distance from the centre beyond which the pulse is nothing: exactly for sin^2, below 1e-11 for Gauss."""
         return self.fwhm_m if self.shape == "sin2" else 3.0 * self.fwhm_m
 
-    @property
+    @cached_property
     def start_lead_m(self) -> float:
         """Distance from the instant that counts as zero to the centre: sin^2 counts from its start."""
         return self.fwhm_m if self.shape == "sin2" else 0.0
 
-    @property
+    @cached_property
     def wave_number(self) -> float:
         """k of `series`; 2 pi/(c tau) for sin^2, whose pulse is (1 + cos k x)/2. [1/m]"""
         return float(np.pi / self.half_support_m)
 
-    @property
+    @cached_property
     def series(self) -> Floats:
         """c_m of the pulse as a cosine series, sum of c_m cos(m k x) with k = pi/half_support_m, |x| < half_support_m.
 

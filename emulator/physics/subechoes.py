@@ -93,9 +93,7 @@ class SubEchoes:
         """Those of the beams (n,) that are wanted."""
         at = indexes(wanted[self.beam])
         spread = None if self.spread_m is None else self.spread_m[at]
-        return SubEchoes(
-            self.beam[at], self.range_m[at], self.amplitude[at], self.blocked[at], self.source[at], spread
-        )
+        return SubEchoes(self.beam[at], self.range_m[at], self.amplitude[at], self.blocked[at], self.source[at], spread)
 
     @classmethod
     def joined(cls, *parts: SubEchoes) -> SubEchoes:

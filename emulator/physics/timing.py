@@ -248,6 +248,13 @@ def sources(wave: Waveform, found: Candidates) -> Ints:
     """Source of the sub-echo nearest to the maximum among those that stand under it; -1 where a medium is higher."""
     if found.beam.size == 0:
         return np.zeros(0, np.int64)
+    loops = kernels()
+    if loops is not None and wave.pulse.shape == "sin2":
+        return np.asarray(
+            loops.sources(
+                *wave.flat, wave.sub_amplitude, wave.sub_source, found.window, found.centre_m, found.amplitude
+            )
+        )
     start = wave.sub_first[found.window]
     source = wave.sub_source[start]
     medium = wave.soft_at(found.centre_m, found.window) if wave.soft.size else np.zeros(len(source))

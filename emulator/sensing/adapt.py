@@ -24,6 +24,7 @@ START_LEVEL = 3
 SAME_NORMAL = 1e-4
 SAME_PLANE_M = 1e-3
 "Cells whose planes agree to this see the same facet."
+COLUMNS = ("range_m", "body", "actor", "material", "normal", "cosine")
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,16 +36,21 @@ class CellHits:
     actor: NDArray[np.int32]
     material: NDArray[np.int32]
     normal: Floats
+    cosine: Floats
+
+    def normals(self, rays: Ints) -> Floats:
+        """(k, 3) of some rays."""
+        return self.normal[rays]
 
     @classmethod
     def of(cls, hits: Hits) -> CellHits:
         """The columns that are needed here."""
-        return cls(hits.range_m, hits.body, hits.actor, hits.material, hits.normal)
+        return cls(*(getattr(hits, name) for name in COLUMNS))
 
     def renewed(self, parent: Ints, index: Ints, hits: Hits) -> CellHits:
         """Those of the parents, with new hits at `index`."""
         columns = []
-        for name in ("range_m", "body", "actor", "material", "normal"):
+        for name in COLUMNS:
             column = getattr(self, name)[parent]
             column[index] = getattr(hits, name)
             columns.append(column)

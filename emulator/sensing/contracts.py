@@ -26,6 +26,11 @@ class Hits(Protocol):
     def material(self) -> NDArray[np.int32]: ...
     @property
     def normal(self) -> Floats: ...
+    @property
+    def cosine(self) -> Floats: ...
+
+    def normals(self, rays: Ints) -> Floats:
+        """(k, 3) of some rays."""
 
 
 class FacedHits(Hits, Protocol):

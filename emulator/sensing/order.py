@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.compiled import kernels
 from emulator.physics.arrays import Floats, Ints, indexes, ramp
 from emulator.physics.subechoes import SubEchoes
 
@@ -33,12 +32,6 @@ def joined(parts: list[Part]) -> Part:
 
 def in_order(beam: Ints, range_m: Floats, amplitude: Floats, blocked: Floats, actor: NDArray[np.int32]) -> SubEchoes:
     """Sorted by beam, then range."""
-    loops = kernels()
-    if loops is not None and len(beam):
-        ranks = loops.keys(beam, range_m, MOST_EMPTY)
-        if len(ranks):
-            ranks.sort(axis=1)
-            return SubEchoes(beam, *loops.in_order(ranks, beam, range_m, amplitude, blocked, actor))
     source = actor.astype(np.int64)
     if len(beam) < 2 or bool((beam[1:] > beam[:-1]).all()):
         return SubEchoes(beam, range_m, amplitude, blocked, source)

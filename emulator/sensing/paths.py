@@ -22,7 +22,7 @@ from emulator.physics.materials import SurfaceTable
 from emulator.physics.subechoes import Kept, SubEchoes
 from emulator.sensing.contracts import Caster, Hits, Medium
 from emulator.sensing.model import SensorModel
-from emulator.sensing.order import Part, in_order, joined
+from emulator.sensing.order import MOST_EMPTY, Part, in_order, joined
 from emulator.sensing.rays import Rays
 
 UNSEEN = 0.05
@@ -42,12 +42,14 @@ class Surfaces:
     "Largest equivalent reflectance of any of them."
     onward: NDArray[np.bool_]
     "(materials,) those that mirror or transmit."
+    special: NDArray[np.bool_]
+    "(materials,) those, and those of Phong's model."
 
     @classmethod
     def of(cls, table: SurfaceTable) -> Surfaces:
         """Those of a table."""
         onward = np.array([m.model in ("glass", "mirror") for m in table.materials], bool)
-        return cls(table, table.sends_on, float(table.largest.max(initial=0.0)), onward)
+        return cls(table, table.sends_on, float(table.largest.max(initial=0.0)), onward, onward | table.phong)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,14 +115,17 @@ def returned(
     reach = reach_of(model, farthest_m)
     front, loops = _first(rays, model, gain), None if air.uneven else kernels()
     if loops is not None:
-        parts, onward, nearest = _first_met(loops, front, hits, rays, scene, air, model, reach)
+        echoes, onward, nearest = _first_met(loops, front, hits, rays, scene, air, model, reach)
+        more = _continue(front, onward, caster, scene, air, model, rays, reach) if onward else []
+        if more:
+            echoes = SubEchoes.joined(echoes, in_order(*joined(more)))
     else:
         parts, onward, nearest = _first_met_by_arrays(front, hits, rays, scene, air, model, reach)
-    if onward:
-        parts += _continue(front, onward, caster, scene, air, model, rays, reach)
+        if onward:
+            parts += _continue(front, onward, caster, scene, air, model, rays, reach)
+        echoes = in_order(*joined(parts))
     at_axis = rays.nearest_axis
-    echoes = in_order(*joined(parts))
-    return Seen(echoes, nearest, hits.material[at_axis], hits.normal[at_axis])
+    return Seen(echoes, nearest, hits.material[at_axis], hits.normals(at_axis))
 
 
 def _first(rays: Rays, model: SensorModel, gain: float) -> _Front:
@@ -192,7 +197,7 @@ def _meet(
     range_m, material, beam, weight = hits.range_m, hits.material, front.beam, front.weight
     way = front.origin_m, front.direction, front.t_s
     before_m, before = front.length_m, front.depth
-    cosine = -np.einsum("ij,ij->i", hits.normal, front.direction)
+    cosine = hits.cosine
     if chosen is not None:
         cosine, range_m, material = cosine[chosen], range_m[chosen], material[chosen]
         beam, weight = beam[chosen], weight[chosen]
@@ -202,9 +207,9 @@ def _meet(
     length = before_m + range_m
     depth = before + air.depth(way[0], way[1], range_m, way[2])
     reflectance = scene.table.back(material.astype(np.int64), cosine)
-    lit = _Lit(beam, length, cosine, weight * collected(length, depth, model), reflectance, material)
+    lit = _Lit(beam, length, cosine, reflectance, material)
     onward = _sent_on(lit, depth.__getitem__, front, hits, chosen, rays, scene, model)
-    return (beam, length, lit.plate * reflectance), onward
+    return (beam, length, weight * collected(length, depth, model) * reflectance), onward
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,8 +219,6 @@ class _Lit:
     beam: Ints
     length_m: Floats
     cosine: Floats
-    plate: Floats
-    "What a white plate there would send back."
     reflectance: Floats
     material: NDArray[np.int32]
 
@@ -240,22 +243,28 @@ def _first_met_by_arrays(
 def _first_met(
     loops: ModuleType, front: _Front, hits: Hits, rays: Rays, scene: Surfaces, air: Medium, model: SensorModel,
     reach_m: float,
-) -> tuple[list[Part], list[_Onward], Floats]:  # fmt: skip
-    """The same in even air, by compiled loops."""
-    alpha, table = air.extinction_per_m, scene.table
-    beam, length, cosine, plate, reflectance, share, actor, material, index, nearest = loops.lit(
-        hits.normal.T, front.direction.T, hits.range_m, hits.material, hits.actor, front.beam, front.weight, rays.share,
-        len(rays.axis), reach_m, table.factors, alpha, model.clear_depth if model.leave_out.clear_air else 0.0,
-        model.k_m2, model.aperture_radius_m, model.overlap_start_m, model.overlap_full_m,
+) -> tuple[SubEchoes, list[_Onward], Floats]:  # fmt: skip
+    """The same in even air, by compiled loops; the sub-echoes in order."""
+    onward: list[_Onward] = []
+    index, more, alpha = np.zeros(0, np.int64), np.zeros(0), air.extinction_per_m
+    if bool(scene.special.any()):
+        index = loops.special(hits.range_m, hits.material, scene.special, reach_m)
+    if len(index):
+        kind, length, cosine = hits.material[index], hits.range_m[index], hits.cosine[index]
+        more = np.where(scene.table.phong.take(kind), scene.table.back(kind.astype(np.int64), cosine), 0.0)
+        lit = _Lit(front.beam[index], length, cosine, more, kind)
+        onward = _sent_on(lit, lambda at: alpha * length[at], front, hits, index, rays, scene, model)
+    amplitude, keys, seen, nearest = loops.strengths(
+        hits.range_m, hits.material, hits.cosine, front.beam, front.weight, len(rays.axis), reach_m, MOST_EMPTY,
+        scene.table.factors, alpha, model.clear_depth if model.leave_out.clear_air else 0.0, model.k_m2,
+        model.aperture_radius_m, model.overlap_start_m, model.overlap_full_m, index, more,
     )  # fmt: skip
-    if not len(index):
-        return [], [], nearest
-    if table.phong.any():
-        at = indexes(table.phong.take(material))
-        reflectance[at] = table.back(material[at], cosine[at])
-    lit = _Lit(beam, length, cosine, plate, reflectance, material)
-    onward = _sent_on(lit, lambda at: alpha * length[at], front, hits, index, rays, scene, model)
-    return [(beam, length, plate * reflectance, share, actor)], onward, nearest
+    columns = front.beam, hits.range_m, amplitude, rays.share, hits.actor
+    if seen and not len(keys):  # bundles of very different sizes
+        at = indexes(hits.range_m <= reach_m)
+        return in_order(*(column[at] for column in columns)), onward, nearest
+    keys.sort(axis=1)
+    return SubEchoes(*loops.in_order(keys, *columns)), onward, nearest
 
 
 def _sent_on(
@@ -275,7 +284,7 @@ def _sent_on(
     row = glossy if chosen is None else chosen[glossy]  # their numbers in the front
     at = indexes(mirrored > 0.0)
     if len(at):
-        index, share, normal = glossy[at], mirrored[at], hits.normal[row[at]]
+        index, share, normal = glossy[at], mirrored[at], hits.normals(row[at])
         if isinstance(front.length_m, float):  # a beam already turned has no axis to measure the tilt from
             lit.reflectance[index] += _face_on(rays.axis[lit.beam[index]], normal, share, length[index], model)
         turned = front.direction[row[at]] + 2.0 * cosine[index, None] * normal

@@ -18,7 +18,7 @@ from emulator.physics import beams
 from emulator.physics.arrays import Bools, Floats, Ints, indexes
 from emulator.physics.subechoes import SubEchoes
 from emulator.sensing import closed
-from emulator.sensing.adapt import CellHits
+from emulator.sensing.adapt import COLUMNS, CellHits
 from emulator.sensing.air import AirNow
 from emulator.sensing.contracts import FacedCaster, FacedHits
 from emulator.sensing.daylight import surfaces_show
@@ -180,7 +180,7 @@ class Sparing:
         axes, owner = looked.hits, group[rays.beam]
         columns = CellHits(
             np.full(len(owner), np.nan), axes.body[owner], axes.actor[owner], axes.material[owner],
-            axes.normal[owner],
+            axes.normal[owner], -np.einsum("ij,ij->i", axes.normal[owner], rays.direction),
         )  # fmt: skip
         columns.range_m[known] = closed.plane_ranges(_taken(rays, known), _at(looked, group), rays.beam[known])
         cast = indexes(~known)
@@ -188,7 +188,7 @@ class Sparing:
             met = self._caster.first_hits(
                 rays.origin_m[cast], rays.direction[cast], rays.t_s[cast], max_range_m=far
             )  # fmt: skip
-            for name in ("range_m", "body", "actor", "material", "normal"):
+            for name in COLUMNS:
                 getattr(columns, name)[cast] = getattr(met, name)
         return returned(columns, rays, self._caster, surfaces, air, self._model, gain, plan.max_range_m), len(cast)
 
@@ -327,5 +327,6 @@ def _taken(rays: Rays, chosen: Bools) -> Rays:
 def _at(looked: Looked, beams_: Ints) -> CellHits:
     hits = looked.hits
     return CellHits(
-        hits.range_m[beams_], hits.body[beams_], hits.actor[beams_], hits.material[beams_], hits.normal[beams_]
-    )
+        hits.range_m[beams_], hits.body[beams_], hits.actor[beams_], hits.material[beams_], hits.normal[beams_],
+        hits.cosine[beams_],
+    )  # fmt: skip

@@ -1,6 +1,6 @@
 """Cost of an LMS2xx telegram: values, CRC, whole telegram, whole session. Prints, does not judge.
 
-    python tests/benchmarks/bench_lms2xx.py
+python tests/benchmarks/bench_lms2xx.py
 """
 
 from __future__ import annotations

@@ -19,12 +19,10 @@ from emulator.motion import Steady, Waypoints
 from emulator.physics.cosines import split_cosines
 from emulator.physics.detection import detect
 from emulator.physics.detector import Detector, Echoes
-from emulator.physics.materials import MODELS, SurfaceTable, material_from_mapping
 from emulator.physics.pulse import Pulse
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import SubEchoes
 from emulator.raycast import Caster
-from emulator.sensing.order import in_order
 from emulator.structures import Content
 from tests.compiled.both import RANGE_M, both
 from tests.scene.test_raycast import WALL, fan, moving_shapes, random_rays, scene_of
@@ -183,45 +181,6 @@ def test_pairs_that_may_meet_are_the_same(seed: int, spheres: int) -> None:
     assert not (one - other) or len(one) > 4096  # above that arrays look at them once more
 
 
-# ------------------------------------------------------------------------------- light
-@pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("wet", [False, True])
-def test_every_model_of_a_surface_reflects_the_same(model: str, wet: bool) -> None:
-    """The table of factors and `back`, of which one is for loops."""
-    keys = {
-        "lambert": {"rho": 0.5},
-        "oren_nayar": {"rho": 0.4, "slope_rad": 0.4},
-        "phong": {"rho": 0.3, "rho_specular": 0.4, "exponent": 20.0},
-        "ggx": {"rho": 0.3, "f0": 0.05, "roughness": 0.2},
-        "coated": {"rho": 0.3, "roughness": 0.1},
-        "mirror": {"rho": 0.01, "specular": 0.9},
-        "glass": {"rho": 0.02},
-        "retro": {"rho": 0.3, "retro_cd_lx_m2": 250.0},
-    }[model]
-    table = SurfaceTable.of([material_from_mapping("it", {"model": model, **keys})], 905.0, wet)
-    if table.phong.any():
-        return  # loops leave it to `back`
-    cosine = np.linspace(0.0, 1.0, 101)
-    flat, rough, retro, share, f0, roughness = table.factors[:, 0]
-    square, wide = cosine**2, roughness**2
-    lobe = f0 * wide / (4.0 * ((1.0 - square) + wide * square) ** 2 * np.sqrt(square + wide * (1.0 - square)) + 1e-300)
-    expected = flat * cosine + rough * (1.0 - square) + retro + (share * lobe if share else 0.0)
-    np.testing.assert_allclose(expected, table.back(np.zeros(101, np.int64), cosine), rtol=1e-12)
-
-
-@given(seed=st.integers(0, 100_000), sub_beams=st.sampled_from([1, 2, 7, 61, 64, 65, 300]))
-@FEW
-def test_sub_echoes_are_sorted_alike(seed: int, sub_beams: int) -> None:
-    rng = np.random.default_rng(seed)
-    count = int(rng.integers(1, 30)) * sub_beams
-    beam = np.sort(rng.integers(0, 40, count))
-    range_m = np.round(rng.uniform(0.0, 80.0, count), int(rng.integers(0, 6)))
-    actor = rng.integers(-1, 9, count).astype(np.int32)
-    one, other = both(lambda: in_order(beam, range_m, range_m + 1.0, range_m + 2.0, actor))
-    for name in ("beam", "range_m", "amplitude", "blocked"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
-
-
 # ------------------------------------------------------------------------------- echoes
 PULSE = Pulse(16e-9)
 
@@ -299,8 +258,6 @@ def test_short_clusters_are_the_same(seed: int) -> None:
 
 
 def test_what_both_must_know_stands_twice_alike() -> None:
-    from emulator.compiled import casting, surfaces
-    from emulator.physics import arrays
+    from emulator.compiled import casting
 
     assert casting.LONGEST == raycast.LONGEST
-    assert surfaces.NOTHING == arrays.LOG_NOTHING

@@ -121,4 +121,3 @@ def met() -> int:
     """Rays that meet a wall before them."""
     caster = Caster(scene_of((triangles.plane(60.0, 60.0), WALL)))
     return int(np.count_nonzero(np.isfinite(caster.first_hits(np.zeros(3), fan(721, 20.0), 0.0).range_m)))
-

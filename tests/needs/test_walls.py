@@ -68,9 +68,7 @@ def test_the_centroid_of_a_far_wall_is_not_drawn_towards_the_sensor_by_clear_air
 
 @pytest.mark.parametrize(("model", "wall_m"), [(LMS, 50.0), (LMS, 53.0), (PAPER, 60.0)])
 @pytest.mark.parametrize("sunny", [False, True])
-def test_a_wall_at_the_end_of_sight_is_the_same_in_full(
-    tmp_path: Path, model: str, wall_m: float, sunny: bool
-) -> None:
+def test_a_wall_at_the_end_of_sight_is_the_same_in_full(tmp_path: Path, model: str, wall_m: float, sunny: bool) -> None:
     weather = {"sun": {"azimuth_deg": 180.0, "elevation_deg": 20.0}} if sunny else {}
     materials = {"grey": {"rho": 0.3, "model": "lambert"}}
     pair = both(tmp_path, [plate(wall_m, "grey")], {}, model=model, weather=weather, materials=materials)

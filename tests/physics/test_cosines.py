@@ -57,8 +57,9 @@ def test_a_short_cluster_is_crossed_where_its_pulses_say(
 
 @settings(max_examples=60, deadline=None)
 @given(
-    spread=st.lists(st.integers(0, 4000).map(lambda thousandth: 1e-3 * thousandth), min_size=2, max_size=9,
-                    unique=True),
+    spread=st.lists(
+        st.integers(0, 4000).map(lambda thousandth: 1e-3 * thousandth), min_size=2, max_size=9, unique=True
+    ),
     weight=st.lists(st.floats(0.01, 1.0), min_size=9, max_size=9),
     share=st.floats(0.001, 0.9999),
 )

@@ -295,4 +295,3 @@ def rig_of(name: str, folder: Path) -> Iterator[Rig]:
         yield rig
     finally:
         rig.close()
-
