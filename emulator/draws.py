@@ -8,7 +8,9 @@ distribution function, so element j of a draw belongs to beam j whatever the oth
 from __future__ import annotations
 
 import hashlib
+import threading
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -45,7 +47,7 @@ class Draws:
 
     def uniform(self, term: str, sweep: int, beams: int, columns: int = 1) -> Floats:
         """Uniform numbers in (0, 1), shape (beams, columns); row j is the same for every `beams` > j."""
-        words = self._bits(term, sweep).random_raw(beams * columns)
+        words = _set(_own_philox(), _key(self.seed, self.sensor, term), sweep).random_raw(beams * columns)
         unit = ((words >> np.uint64(11)).astype(np.float64) + 0.5) * _TO_UNIT
         return unit.reshape(beams, columns)
 
@@ -63,7 +65,7 @@ class Draws:
         count = np.zeros(mean.shape, dtype=np.int64)
         chance = self.uniform(term, sweep, mean.size)[:, 0]
         largest = float(mean.max(initial=0.0))
-        if largest == 0.0:
+        if largest == 0.0 or (largest <= MANY and chance.max() <= exp_or_zero(-largest)):
             return count
         many = mean > MANY
         if largest > MANY:
@@ -80,10 +82,32 @@ class Draws:
 
     def generator(self, term: str, sweep: int) -> np.random.Generator:
         """A stream of its own, for laws that need more than one word a number; depends on the order of its use."""
-        return np.random.Generator(self._bits(term, sweep))
+        return np.random.Generator(_set(np.random.Philox(0), _key(self.seed, self.sensor, term), sweep))
 
-    def _bits(self, term: str, sweep: int) -> np.random.Philox:
-        text = f"{self.seed}\0{self.sensor}\0{term}".encode()
-        digest = hashlib.blake2b(text, digest_size=16).digest()
-        key = np.frombuffer(digest, dtype="<u8")
-        return np.random.Philox(key=key, counter=np.array([0, 0, sweep & (2**64 - 1), 0], dtype=np.uint64))
+
+@lru_cache(maxsize=1024)
+def _key(seed: int, sensor: str, term: str) -> NDArray[np.uint64]:
+    digest = hashlib.blake2b(f"{seed}\0{sensor}\0{term}".encode(), digest_size=16).digest()
+    return np.frombuffer(digest, dtype="<u8")
+
+
+_threads = threading.local()
+_EMPTY = np.zeros(4, np.uint64)
+
+
+def _own_philox() -> np.random.Philox:
+    """This thread's generator, to be set before each use: a new one asks the system for entropy that nobody wants."""
+    if not hasattr(_threads, "philox"):
+        _threads.philox = np.random.Philox(0)
+    found: np.random.Philox = _threads.philox
+    return found
+
+
+def _set(philox: np.random.Philox, key: NDArray[np.uint64], sweep: int) -> np.random.Philox:
+    """At the beginning of the numbers of a sweep."""
+    counter = np.array([0, 0, sweep & (2**64 - 1), 0], np.uint64)
+    philox.state = {
+        "bit_generator": "Philox", "state": {"counter": counter, "key": key}, "buffer": _EMPTY, "buffer_pos": 4,
+        "has_uint32": 0, "uinteger": 0,
+    }  # fmt: skip
+    return philox

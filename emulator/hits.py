@@ -244,12 +244,8 @@ class Passing:
 
 
 def extent(vectors: Floats) -> tuple[Floats, Floats]:
-    """Least and largest of each coordinate of (3, m), m > 0."""
-    loops = kernels()
-    if loops is not None:
-        low, high = loops.extent(vectors)
-        return low, high
-    return vectors.min(axis=1), vectors.max(axis=1)
+    """Least and largest of each coordinate of (3, m), m > 0; what is no number does not count."""
+    return np.fmin.reduce(vectors, axis=1), np.fmax.reduce(vectors, axis=1)
 
 
 def rows(vectors: Floats) -> NDArray[np.float32]:

@@ -104,10 +104,8 @@ class Caster:
             return chosen.first_hits(origin_m, direction, t_s, tnear_m=tnear_m, max_range_m=max_range_m)
         ray = np.asarray(direction, dtype=np.float64)
         count = len(ray)
-        origin = np.broadcast_to(np.asarray(origin_m, dtype=np.float64), (count, 3))
-        times = np.broadcast_to(np.asarray(t_s, dtype=np.float64), (count,))
-        near = np.asarray(tnear_m, dtype=np.float64)
-        skip = np.broadcast_to(near, (count,)) if near.any() else None
+        origin, times = _spread(origin_m, (count, 3)), _spread(t_s, (count,))
+        skip = _spread(tnear_m, (count,)) if np.any(tnear_m) else None
         self.counters.rays += count
         if not len(self._table):
             return Hits.misses(count)
@@ -383,6 +381,12 @@ class Caster:
         )
         met = Met(rays[hit], triangle, self._table.body.take(triangle), range_m, normal, facing)
         keep_nearer(found, met.rays, met)
+
+
+def _spread(values: Floats | float, shape: tuple[int, ...]) -> Floats:
+    """The values, or the one that stands for all, in this shape."""
+    found = np.asarray(values, dtype=np.float64)
+    return found if found.shape == shape else np.broadcast_to(found, shape)
 
 
 def _joined(parts: list[Hits | LateHits]) -> Hits | LateHits:

@@ -101,14 +101,27 @@ class Scene:
     def sensor_pose(self, mount: Mount, t_s: Floats) -> Pose:
         """Optical centre and axes of a sensor at times (n,)."""
         times = np.atleast_1d(np.asarray(t_s, dtype=np.float64))
-        own = _mounted(mount.at_m, mount.yaw_deg, mount.pitch_deg, mount.roll_deg).pose(times)
-        return own if mount.actor is None else own.after(self.pose(self.index[mount.actor], times))
+        place = _mounted(mount.at_m, mount.yaw_deg, mount.pitch_deg, mount.roll_deg)
+        if mount.actor is None:
+            return place.pose(times)
+        carrier = self.motions[self.index[mount.actor]]
+        if carrier.turns:
+            return place.pose(times).after(carrier.pose(times))
+        offset_m, rotation = _carried(place, carrier, len(times))
+        return Pose(carrier.position(times) + offset_m, rotation)
 
 
 @lru_cache(maxsize=64)
 def _mounted(at_m: Vector, yaw_deg: float, pitch_deg: float, roll_deg: float) -> Steady:
     """A sensor's place on what carries it."""
     return Steady(at_m, yaw_deg, pitch_deg, roll_deg)
+
+
+@lru_cache(maxsize=64)
+def _carried(place: Steady, carrier: Motion, times: int) -> tuple[Floats, Floats]:
+    """Offset (3,) in the world and orientation (times, 3, 3) of what sits there on something that does not turn."""
+    pose = place.pose(np.zeros(times)).after(Pose(np.zeros((times, 3)), carrier.pose(np.zeros(times)).rotation))
+    return pose.position_m[0], pose.rotation
 
 
 def build(scenario: Scenario) -> Scene:

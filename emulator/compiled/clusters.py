@@ -7,14 +7,10 @@ that are sampled.
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
+from emulator.compiled.arithmetic import short_cos_sin
 from emulator.compiled.jit import FLAGS, FLOAT, FLOATS, INT_ROWS, INTS, compiled
-
-_COSINE = tuple((-1.0) ** n / math.factorial(2 * n) for n in range(11))
-_SINE = tuple((-1.0) ** n / math.factorial(2 * n + 1) for n in range(11))
 
 
 @compiled(INTS, FLOATS, FLOATS, FLOAT, FLOAT)
@@ -104,15 +100,7 @@ def sums(range_m, amplitude, source, whole, short, wave_number):
                 others += 1
             continue
         for k in range(first, end):
-            # series about half the angle, as `arrays.cos_sin` has them
-            half = 0.5 * wave_number * (range_m[k] - range_m[first])
-            square = half * half
-            sine, cosine = _SINE[10], _COSINE[10]
-            for term in range(9, -1, -1):
-                sine = sine * square + _SINE[term]
-                cosine = cosine * square + _COSINE[term]
-            sine *= half
-            real[k], imaginary[k] = 1.0 - 2.0 * sine * sine, 2.0 * sine * cosine
+            real[k], imaginary[k] = short_cos_sin(wave_number * (range_m[k] - range_m[first]))
         a = x = y = 0.0
         best, strongest = -1.0, 0
         for k in range(first, end):

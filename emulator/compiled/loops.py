@@ -5,7 +5,7 @@ from emulator.compiled.clusters import crossed, joined, split, sums
 from emulator.compiled.echoes import FIRST, LAST, STRONGEST, levels, ranks, readings, reported
 from emulator.compiled.maxima import edges, maxima, sources
 from emulator.compiled.media import crossed_under, ended_under, under
-from emulator.compiled.moving import extent, keep_nearer, moving, pairs
+from emulator.compiled.moving import keep_nearer, moving, pairs
 from emulator.compiled.packets import Packets, library
 from emulator.compiled.surfaces import in_order, repeated, special, strengths
 from emulator.compiled.waves import sampled
@@ -19,7 +19,6 @@ __all__ = [
     "crossed_under",
     "edges",
     "ended_under",
-    "extent",
     "in_order",
     "inner",
     "joined",

@@ -24,19 +24,6 @@ from emulator.compiled.jit import (
 from emulator.compiled.packets import TFAR, TRIANGLE, put, room, send
 
 
-@compiled(ROWS)
-def extent(columns):
-    """Least and largest number of each row of (r, m)."""
-    low, high = np.zeros(len(columns)), np.zeros(len(columns))
-    for row in range(len(columns)):
-        least = most = columns[row, 0]
-        for number in columns[row]:
-            least = number if number < least else least
-            most = number if number > most else most
-        low[row], high[row] = least, most
-    return low, high
-
-
 @compiled(ROWS, FLOATS, FLOATS, ROWS, FLOATS, INT, FLOATS, FLOAT)
 def pairs(view, away, reach, axis, half, size, known_m, rounding):
     """Pairs of a sphere and a ray of a cone that it touches before what all of the cone's rays have met.

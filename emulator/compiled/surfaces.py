@@ -7,29 +7,10 @@ glass, which few hits have.
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
+from emulator.compiled.arithmetic import exp
 from emulator.compiled.jit import FLAGS, FLOAT, FLOATS, INT, INT_ROWS, INTS, ROWS, WORDS, compiled
-
-_FACTORS = tuple(1.0 / math.factorial(n) for n in range(14))
-_HALVES = np.where(np.arange(900) <= 829, 0.5 ** np.arange(900.0), 0.0)
-"Powers of a half; below 1e-250, see `physics.arrays.LOG_NOTHING`, nothing."
-_LN_2_HIGH, _LN_2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
-"Their sum is the logarithm of 2; the first has bits to spare for a whole factor."
-
-
-@compiled()
-def _exp(exponent):
-    """exp of numbers up to 0, wrong by 3e-16, and 0 below 1e-250; without a branch, so that several go at once."""
-    exponent = exponent if exponent >= -600.0 else -600.0
-    whole = np.floor(exponent / (_LN_2_HIGH + _LN_2_LOW) + 0.5)
-    rest = (exponent - whole * _LN_2_HIGH) - whole * _LN_2_LOW
-    total = _FACTORS[13]
-    for n in range(12, -1, -1):
-        total = total * rest + _FACTORS[n]
-    return total * _HALVES[int(-whole)]
 
 
 @compiled()
@@ -136,7 +117,7 @@ def strengths(
             amplitude[k] *= 1.0 - 2.0 * depth * (1.0 - depth)
     else:
         for k in range(m):
-            amplitude[k] *= _exp(-2.0 * extinction * range_m[k])
+            amplitude[k] *= exp(-2.0 * extinction * range_m[k])
     if m and nearest.min() < max(overlap_start_m, overlap_full_m):
         for k in range(m):
             if range_m[k] < overlap_start_m:

@@ -139,6 +139,19 @@ def sample(
     soft : the medium, None for none; only with a sin^2 pulse, a Gaussian one takes its `nodes` as sub-echoes
     clear_share : (c,) share of the beam that nothing before the cluster blocks
     """
+    loops = kernels()
+    if loops is not None and pulse.shape == "sin2":
+        medium, end_m = (NO_MEDIUM, 0.0) if soft is None else (soft.flat, soft.end_m)
+        (beam, *grid), (value, part), (r, amplitude), source, sums = loops.sampled(
+            *medium, soft is not None, end_m, pulse.half_support_m, bin_m, pulse.wave_number, chosen, clear_share,
+            clusters.first, clusters.count, clusters.beam, clusters.range_m, clusters.amplitude, clusters.blocked,
+            clusters.source,
+        )  # fmt: skip
+        first_bin, start, count, *of_sub = grid
+        return Waveform(
+            pulse, bin_m, beam, first_bin, start, count, value, part, *of_sub, r, amplitude, source, tuple(sums),
+            soft is not None,
+        )  # fmt: skip
     half = pulse.half_support_m
     kept = chosen[clusters.cluster]
     r, amplitude, blocked = clusters.range_m[kept], clusters.amplitude[kept], clusters.blocked[kept]
@@ -155,15 +168,8 @@ def sample(
         sums += [_sums(turned[0]), _sums(turned[1])]
         if m + 1 < terms:
             turned = _product(turned, (real, imaginary))
-    loops, grid = kernels(), (first_bin, start, count, sub_first, sub_count)
-    if loops is not None and pulse.shape == "sin2":
-        medium = NO_MEDIUM if soft is None else soft.flat
-        value, part = loops.sampled(
-            *medium, soft is not None, 0.0 if soft is None else soft.end_m, half, bin_m, k, *grid, r, amplitude,
-            blocked, clear_share[chosen],
-        )  # fmt: skip
-    else:
-        value, part = _samples(pulse, bin_m, soft, *grid, r, blocked, clear_share[chosen], sums)
+    grid = first_bin, start, count, sub_first, sub_count
+    value, part = _samples(pulse, bin_m, soft, *grid, r, blocked, clear_share[chosen], sums)
     return Waveform(
         pulse,
         bin_m,

@@ -116,7 +116,7 @@ class BundleCache:
     def turned(self, bundles: Bundles, rotation: Floats) -> tuple[Turned, bool]:
         """Bundles turned by rotations (n, 3, 3), and whether they are those of an earlier sweep."""
         for one in self._turned:
-            if one.bundles is bundles and np.array_equal(one.rotation, rotation):
+            if one.bundles is bundles and (one.rotation is rotation or np.array_equal(one.rotation, rotation)):
                 return one, True
         made = Turned.of(bundles, rotation)
         kept = [made, *(one for one in self._turned if one.bundles is not bundles)][:KEPT_PLANS]

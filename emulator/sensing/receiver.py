@@ -7,6 +7,7 @@ Belongs here: the sensor's detector and its random numbers, false alarms, the sc
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,11 @@ class _Known:
         if self.noise is None or noise is None:
             return self.noise is noise
         return self.noise is noise or bool(np.array_equal(self.noise[wanted], noise[wanted]))
+
+
+@lru_cache(maxsize=16)
+def _with_echoes(detector: Detector, most: int) -> Detector:
+    return replace(detector, max_echoes=most)
 
 
 class Receiver:
@@ -102,7 +108,7 @@ class Receiver:
         model, n = self._model, len(plan)
         detector = self._detector
         if plan.max_echoes < detector.max_echoes:
-            detector = replace(detector, max_echoes=plan.max_echoes)
+            detector = _with_echoes(detector, plan.max_echoes)
         signals = self._signals(found, kept, n, soft, daylight.noise)
         normals = self._draws.normals("receiver", plan.sweep, n, NUMBERS_A_BEAM) if model.noise else None
         echoes = detect(
