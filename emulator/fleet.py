@@ -198,6 +198,15 @@ def may_meet(
     if len(reach) * count <= DIRECT:
         return np.arange(len(reach)).repeat(count), np.tile(np.arange(count), len(reach))
     low, high = box
+    loops = kernels()
+    if loops is not None and len(reach) * MOST_CHUNKS <= 4 * MANY:
+        if not loops.any_near(centre, reach, low, high, far):
+            return np.zeros(0, np.int64), np.zeros(0, np.int64)
+        around = cones()
+        which, rays = loops.pairs(
+            centre, reach, low, high, far, around.axis, around.half, around.size, known_m, ROUNDING
+        )  # fmt: skip
+        return which, rays
     eye = low + (high - low) / 2.0
     reach = reach + float(np.linalg.norm(high - eye))
     view = centre - eye[:, None]
@@ -210,10 +219,7 @@ def may_meet(
     view = view / np.where(inside, 1.0, away)
     width = np.where(inside, np.pi, np.arcsin(np.minimum(reach / np.where(inside, 1.0, away), 1.0)))
     around = cones()
-    size, loops = around.size, kernels()
-    if loops is not None and len(near) * len(around.half) <= 4 * MANY:
-        sphere, rays = loops.pairs(view, away, reach, around.axis, around.half, size, known_m, ROUNDING)
-        return near[sphere], rays
+    size = around.size
     sphere, chunk = _in_cones(view, width, around.axis, around.half)
     before = indexes((away - reach).take(sphere) <= around.most(known_m).take(chunk))
     sphere, chunk = sphere.take(before), chunk.take(before)

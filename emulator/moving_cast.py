@@ -133,16 +133,15 @@ class MovingCast:
             turned = np.concatenate(poses).transpose(1, 2, 0)
         parts = []
         for number in np.unique(movers.structure) if len(self._slots) > 1 else (0,):
-            *columns, cast, wrong = loops.moving(
+            (met, triangle, body), sizes, cast, wrong = loops.moving(
                 *self._slots[number].how, number, which, rays, origin, ray, times, far, known_m,
                 now.at, now.velocity, now.since, now.turned, movers.centre, movers.reach, movers.half, movers.cell,
                 movers.shift, movers.structure, movers.body, bent, offset, turned, self._table.plane, embree.SUSPICIOUS,
             )  # fmt: skip
             self.counters.cast += cast
             self.counters.suspicious += wrong
-            if len(columns[0]):
-                rays_met, triangle, body, range_m, normal, facing = columns
-                parts.append(Met(rays_met, triangle, body, range_m, normal, facing))
+            if len(met):
+                parts.append(Met(met, triangle, body, sizes[0], sizes[2:], sizes[1]))
         return all_met(parts)
 
     def _rigid(self, movers: Movers, near: Passing) -> Met | None:
@@ -201,10 +200,13 @@ class MovingCast:
 
 def _whereabouts(movers: Movers, begin: float, end: float) -> tuple[Stretch, Floats, Floats, Longs]:
     """Motions from `begin` to `end`; centres (3, b), how far they may be from there, and which do not move straight."""
-    now = movers.fleet.during(begin, end)
+    now, loops = movers.fleet.during(begin, end), kernels()
     middle = begin + (end - begin) / 2.0
-    place = now.at + (middle - now.since) * now.velocity + np.einsum("ijb,jb->ib", now.turned, movers.centre)
-    swept = np.sqrt(np.einsum("ib,ib->b", now.velocity, now.velocity)) * ((end - begin) / 2.0)
+    if loops is not None:
+        place, swept = loops.whereabouts(now.at, now.velocity, now.since, now.turned, movers.centre, begin, end)
+    else:
+        place = now.at + (middle - now.since) * now.velocity + np.einsum("ijb,jb->ib", now.turned, movers.centre)
+        swept = np.sqrt(np.einsum("ib,ib->b", now.velocity, now.velocity)) * ((end - begin) / 2.0)
     curved = indexes(~now.straight)
     if len(curved):  # anywhere around where the body's origin is, as far as it can have come
         for mover in curved:

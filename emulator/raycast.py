@@ -231,7 +231,7 @@ class Caster:
         loops = kernels()
         if loops is None:
             return self._told(found, inner, far)
-        actor, material, cosine = loops.told(
+        (actor, material), cosine = loops.told(
             found.range_m, found.triangle, found.body, found.facing, far, inner, self._actor_of, self._material,
             self._table.part, self._parts_of, self._part_material,
         )  # fmt: skip

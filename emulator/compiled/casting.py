@@ -114,12 +114,13 @@ def inner(facing, triangle, closed):
 
 @compiled(OUT_FLOATS, INTS, INTS, FLOATS, FLOAT, OUT_FLAGS, WORDS, WORDS, INTS, INTS, WORDS)
 def told(range_m, triangle, body, facing, far, inner, actor_of, material_of, part_of, parts_of, part_material):
-    """Actor, material and cosine of hits (m,). Ranges and `inner` are made those of hits, in place.
+    """Actor and material (2, m), and cosine (m,) of hits. Ranges and `inner` are made those of hits, in place.
 
     `material_of` : of the merged triangles, the first ones; for others it is looked up by body and part.
     """
     m = len(triangle)
-    actor, material, cosine = np.empty(m, np.int32), np.empty(m, np.int32), np.empty(m)
+    whole, cosine = np.empty((2, m), np.int32), np.empty(m)
+    actor, material = whole[0], whole[1]
     for k in range(m):
         at = triangle[k]
         if at < 0 or range_m[k] > far:
@@ -128,4 +129,4 @@ def told(range_m, triangle, body, facing, far, inner, actor_of, material_of, par
             continue
         actor[k], cosine[k] = actor_of[body[k]], abs(facing[k])
         material[k] = material_of[at] if at < len(material_of) else part_material[parts_of[body[k]] + part_of[at]]
-    return actor, material, cosine
+    return whole, cosine

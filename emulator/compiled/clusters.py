@@ -38,11 +38,14 @@ def split(beam, range_m, amplitude, gap_m, longest_m):
 
 @compiled(INTS, FLOATS, FLOATS, FLOATS, INTS, FLOAT, FLOAT)
 def joined(beam, range_m, amplitude, blocked, source, gap_m, quarter_m):
-    """Columns of `Clusters`, see `subechoes.cluster`: sub-echoes within `quarter_m` are joined, of sorted ones."""
+    """Columns of `Clusters`, see `subechoes.cluster`: sub-echoes within `quarter_m` are joined, of sorted ones.
+
+    Beam, source and cluster (3, g), range, amplitude and blocked share (3, g), first and count (2, c).
+    """
     n = len(range_m)
-    of, place, height, stop = np.zeros(n, np.int64), np.zeros(n), np.zeros(n), np.zeros(n)
-    origin, number = np.zeros(n, np.int64), np.zeros(n, np.int64)
-    first, count = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    whole, sizes, groups = np.empty((3, n), np.int64), np.empty((3, n)), np.empty((2, n), np.int64)
+    of, origin, number, first, count = whole[0], whole[1], whole[2], groups[0], groups[1]
+    place, height, stop = sizes[0], sizes[1], sizes[2]
     clusters = made = 0
     begin = 0
     while begin < n:
@@ -73,10 +76,7 @@ def joined(beam, range_m, amplitude, blocked, source, gap_m, quarter_m):
         count[clusters] = made - first[clusters]
         clusters += 1
         begin = end
-    return (
-        of[:made].copy(), place[:made].copy(), height[:made].copy(), stop[:made].copy(), origin[:made].copy(),
-        number[:made].copy(), first[:clusters].copy(), count[:clusters].copy(),
-    )  # fmt: skip
+    return whole[:, :made].copy(), sizes[:, :made].copy(), groups[:, :clusters].copy()
 
 
 @compiled(FLOATS, FLOATS, INTS, INT_ROWS, FLAGS, FLOAT)

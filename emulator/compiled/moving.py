@@ -24,36 +24,84 @@ from emulator.compiled.jit import (
 from emulator.compiled.packets import TFAR, TRIANGLE, put, room, send
 
 
-@compiled(ROWS, FLOATS, FLOATS, ROWS, FLOATS, INT, FLOATS, FLOAT)
-def pairs(view, away, reach, axis, half, size, known_m, rounding):
-    """Pairs of a sphere and a ray of a cone that it touches before what all of the cone's rays have met.
+@compiled(ROWS, ROWS, FLOATS, TURNS, ROWS, FLOAT, FLOAT)
+def whereabouts(at, velocity, since, turned, centre, begin_s, end_s):
+    """Centres of spheres (3, b) in the middle of a time, and how far they may be from there; of straight motions."""
+    middle, half = begin_s + (end_s - begin_s) / 2.0, (end_s - begin_s) / 2.0
+    place, swept = np.empty((3, len(since))), np.empty(len(since))
+    for b in range(len(since)):
+        square = 0.0
+        for i in range(3):
+            turned_m = turned[i, 0, b] * centre[0, b] + turned[i, 1, b] * centre[1, b] + turned[i, 2, b] * centre[2, b]
+            place[i, b] = at[i, b] + (middle - since[b]) * velocity[i, b] + turned_m
+            square += velocity[i, b] * velocity[i, b]
+        swept[b] = np.sqrt(square) * half
+    return place, swept
 
-    `view` : (3, b) unit vectors to the spheres; `away`, `reach` : (b,); `axis`, `half` : of cones of `size` rays each.
+
+@compiled()
+def _away(place, b, low, high):
+    """From the middle of a box to a sphere, (4,): a vector and its length."""
+    x = place[0, b] - (low[0] + (high[0] - low[0]) / 2.0)
+    y = place[1, b] - (low[1] + (high[1] - low[1]) / 2.0)
+    z = place[2, b] - (low[2] + (high[2] - low[2]) / 2.0)
+    return x, y, z, np.sqrt(x * x + y * y + z * z)
+
+
+@compiled()
+def _room(low, high):
+    """From the middle of a box to its corners."""
+    x, y, z = (high[0] - low[0]) / 2.0, (high[1] - low[1]) / 2.0, (high[2] - low[2]) / 2.0
+    return np.sqrt(x * x + y * y + z * z)
+
+
+@compiled(ROWS, FLOATS, FLOATS, FLOATS, FLOAT)
+def any_near(place, reach, low, high, far):
+    """Some sphere is not out of reach."""
+    room = _room(low, high)
+    for b in range(len(reach)):
+        if _away(place, b, low, high)[3] - (reach[b] + room) <= far:
+            return True
+    return False
+
+
+@compiled(ROWS, FLOATS, FLOATS, FLOATS, FLOAT, ROWS, FLOATS, INT, FLOATS, FLOAT)
+def pairs(place, reach, low, high, far, axis, half, size, known_m, rounding):
+    """Pairs of a sphere and a ray of a cone that it touches before what all of the cone's rays have met, (2, k).
+
+    `place` : (3, b) and `reach` : (b,) of the spheres; `low`, `high` : (3,) box of the rays' origins; `axis`, `half` :
+    of cones of `size` rays each.
     """
-    which, rays = np.zeros(4 * size, np.int64), np.zeros(4 * size, np.int64)
+    found = np.empty((2, 4 * size), np.int64)
     count, m = 0, len(known_m)
-    cosines, sines = np.cos(half), np.sin(half)
-    for b in range(len(away)):
-        inside = away[b] <= reach[b]
-        sine = 0.0 if inside else min(reach[b] / away[b], 1.0)
+    cosines, sines, farthest = np.cos(half), np.sin(half), np.full(len(half), -1.0)
+    room = _room(low, high)
+    for b in range(len(reach)):
+        x, y, z, away = _away(place, b, low, high)
+        radius = reach[b] + room
+        if away - radius > far:
+            continue
+        inside = away <= radius
+        sine = 0.0 if inside else radius / away
         cosine, width = np.sqrt(1.0 - sine * sine), np.pi if inside else np.arcsin(sine)
+        if not inside:
+            x, y, z = x / away, y / away, z / away
         for c in range(len(half)):
-            towards = view[0, b] * axis[0, c] + view[1, b] * axis[1, c] + view[2, b] * axis[2, c]
+            towards = x * axis[0, c] + y * axis[1, c] + z * axis[2, c]
             if towards < cosine * cosines[c] - sine * sines[c] - rounding and width + half[c] < np.pi:
                 continue
             first, end = c * size, min(c * size + size, m)
-            farthest = 0.0
-            for k in range(first, end):
-                farthest = max(farthest, known_m[k])
-            if away[b] - reach[b] > farthest:
+            if farthest[c] < 0.0:
+                for k in range(first, end):
+                    farthest[c] = max(farthest[c], known_m[k])
+            if away - radius > farthest[c]:
                 continue
-            if count + size > len(which):
-                which = np.concatenate((which, np.zeros_like(which)))
-                rays = np.concatenate((rays, np.zeros_like(rays)))
+            if count + size > found.shape[1]:
+                found = np.concatenate((found, np.empty_like(found)), axis=1)
             for k in range(first, end):
-                which[count], rays[count] = b, k
+                found[0, count], found[1, count] = b, k
                 count += 1
-    return which[:count], rays[:count]
+    return found[:, :count].copy()
 
 
 @compiled(OUT_FLOATS, OUT_INTS, OUT_INTS, OUT_LOOSE, OUT_FLOATS, INTS, FLOATS, INTS, INTS, ROWS, FLOATS)
@@ -94,8 +142,8 @@ def moving(
     `bent` : (k,) -1, or the column of `bent_offset` (3, .) and `bent_turned` (3, 3, .) where the pair's body does not
     move straight; (0,) where all do. `home` : structure of each body. The rest as in `Movers`, `Stretch` and `Table`.
 
-    Returns rays, triangles, bodies, ranges, normals (3, .) in the world and normal . ray of all hits, how many pairs
-    were searched for, and how many distances were suspicious.
+    Returns rays, triangles and bodies (3, .), ranges, normal . ray and normals (5, .) in the world of all hits, how
+    many pairs were searched for, and how many distances were suspicious.
     """
     k = len(which)
     numbers, values = np.zeros((4 * width, 3), np.int64), np.zeros((4 * width, 5))
@@ -182,5 +230,4 @@ def moving(
         frames[used, 9], frames[used, 10], frames[used, 11] = yx, yy, yz
         frames[used, 12], frames[used, 13], frames[used, 14] = zx, zy, zz
         used += 1
-    told, sizes = numbers[:hits].T.copy(), values[:hits].T.copy()
-    return told[0], told[1], told[2], sizes[0], sizes[2:], sizes[1], cast, wrong
+    return numbers[:hits].T.copy(), values[:hits].T.copy(), cast, wrong

@@ -129,7 +129,7 @@ def strengths(
 
 @compiled(INT_ROWS, INTS, FLOATS, FLOATS, FLOATS, WORDS)
 def in_order(ranks, beam, range_m, amplitude, blocked, actor):
-    """Sub-echoes whose sorted `_places` these are: beam, range, amplitude, blocked share and source."""
+    """Sub-echoes whose sorted `_places` these are: beam and source (2, k), range, amplitude, blocked share (3, k)."""
     none, count = np.iinfo(np.int64).max, 0
     sizes = np.empty(len(ranks), np.int64)
     for row in range(len(ranks)):
@@ -137,9 +137,9 @@ def in_order(ranks, beam, range_m, amplitude, blocked, actor):
         while sizes[row] and ranks[row, sizes[row] - 1] == none:
             sizes[row] -= 1
         count += sizes[row]
-    of, length, height, stop, source = (
-        np.empty(count, np.int64), np.empty(count), np.empty(count), np.empty(count), np.empty(count, np.int64)
-    )  # fmt: skip
+    whole, sizes_m = np.empty((2, count), np.int64), np.empty((3, count))
+    of, source = whole[0], whole[1]
+    length, height, stop = sizes_m[0], sizes_m[1], sizes_m[2]
     place = _place_bits(ranks.shape[1])
     begin = made = 0
     for row in range(len(ranks)):
@@ -150,7 +150,7 @@ def in_order(ranks, beam, range_m, amplitude, blocked, actor):
             )  # fmt: skip
             made += 1
         begin = _end(beam, begin)
-    return of, length, height, stop, source
+    return whole, sizes_m
 
 
 @compiled(FLOATS, WORDS, FLAGS, FLOAT)

@@ -264,7 +264,8 @@ def _first_met(
         at = indexes(hits.range_m <= reach_m)
         return in_order(*(column[at] for column in columns)), onward, nearest
     keys.sort(axis=1)
-    return SubEchoes(*loops.in_order(keys, *columns)), onward, nearest
+    (beam, source), (range_m, amplitude, blocked) = loops.in_order(keys, *columns)
+    return SubEchoes(beam, range_m, amplitude, blocked, source), onward, nearest
 
 
 def _sent_on(
