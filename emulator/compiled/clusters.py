@@ -92,15 +92,19 @@ def sums(range_m, amplitude, source, whole, short, wave_number):
     begun, total, real, imaginary = running[0], running[1], running[2], running[3]
     left = np.empty(n, np.int64)
     made = others = 0
-    for c in range(whole.shape[1]):
+    for c in range(len(short)):
+        near = range_m[whole[1, c]]
+        for k in range(whole[1, c], whole[1, c] + whole[2, c]):
+            real[k] = wave_number * (range_m[k] - near) if short[c] else 0.0
+    for k in range(n):  # over all at once, so that several are computed together
+        real[k], imaginary[k] = short_cos_sin(real[k])
+    for c in range(len(short)):
         first, end = whole[1, c], whole[1, c] + whole[2, c]
         if not short[c]:
             for k in range(first, end):
                 left[others] = k
                 others += 1
             continue
-        for k in range(first, end):
-            real[k], imaginary[k] = short_cos_sin(wave_number * (range_m[k] - range_m[first]))
         a = x = y = 0.0
         best, strongest = -1.0, 0
         for k in range(first, end):

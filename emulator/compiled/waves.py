@@ -55,11 +55,14 @@ def sampled(
     for j in range(most):
         cosine[j], sine[j] = cos_sin(wave_number * step_m * j)
     for w in range(windows):
+        for k in range(sub_first[w], sub_first[w] + sub_count[w]):
+            real[k + 1] = wave_number * (range_m[k] - step_m * first_bin[w])
+    for k in range(m + 1):  # over all at once, so that several are computed together
+        real[k], imaginary[k] = cos_sin(real[k])
+    for w in range(windows):
         head, tail = sub_first[w], sub_first[w] + sub_count[w]
         origin = step_m * first_bin[w]
         shown_cosine, shown_sine = cos_sin(wave_number * origin)
-        for k in range(head, tail):
-            real[k + 1], imaginary[k + 1] = cos_sin(wave_number * (range_m[k] - origin))
         for k in range(head, tail):
             here, x, y = amplitude[k], amplitude[k] * real[k + 1], amplitude[k] * imaginary[k + 1]
             sums[0, k + 1], sums[1, k + 1], sums[2, k + 1] = sums[0, k] + here, sums[1, k] + x, sums[2, k] + y
