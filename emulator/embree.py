@@ -63,7 +63,7 @@ def refined(
     hit: Flags | None = None,
 ) -> tuple[Floats, Floats, Floats]:
     """Distance to the plane of each triangle, its normal and normal . ray, all in float64; misses as they come."""
-    plane = table.plane.take(triangle, axis=1, mode="wrap")
+    plane = table.plane.take(triangle, axis=0, mode="wrap").T
     normal = plane[:3]
     facing = np.einsum("ik,ik->k", normal, ray)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -186,7 +186,7 @@ class Nearest:
     facing: Floats
     "normal . direction; 0 for a miss."
     plane: Floats | None = None
-    "(4, F) of triangles, of which the first `flat` have their normal here, and not in `normal`; None: none has."
+    "(F, 4) of triangles, of which the first `flat` have their normal here, and not in `normal`; None: none has."
     flat: int = 0
 
     @classmethod
@@ -199,7 +199,7 @@ class Nearest:
         if self.plane is None:
             return self.normal if rays is None else self.normal[:, rays]
         triangle = self.triangle if rays is None else self.triangle[rays]
-        normal = self.plane[:3].take(triangle, axis=1, mode="wrap")
+        normal = self.plane.take(triangle, axis=0, mode="wrap")[:, :3].T
         own = indexes(triangle >= self.flat)
         normal[:, own] = self.normal[:, own if rays is None else rays[own]]
         return normal

@@ -38,7 +38,7 @@ class Table:
     """Facts of triangles by their global number."""
 
     plane: Floats
-    "(4, F) unit normal n and n . v of the triangle's plane, in the frame of its structure (merged) or shape (slots)."
+    "(F, 4) unit normal n and n . v of the triangle's plane, in the frame of its structure (merged) or shape (slots)."
     body: Longs
     "(F,) -1 where a shape belongs to several bodies."
     face: Longs
@@ -234,7 +234,7 @@ def _content(vertices: Sequence[Floats], faces: Sequence[Ints]) -> Content:
 
 def _table_of(shape: Geometry, normals: Floats, local: Floats, body: int) -> Table:
     points = local[shape.faces[:, 0]]
-    plane = np.concatenate([normals.T, np.einsum("ij,ij->i", normals, points)[None]])
+    plane = np.concatenate([normals, np.einsum("ij,ij->i", normals, points)[:, None]], axis=1)
     count = len(shape.faces)
     return Table(
         plane,
@@ -247,7 +247,7 @@ def _table_of(shape: Geometry, normals: Floats, local: Floats, body: int) -> Tab
 
 def _joined(tables: Sequence[Table]) -> Table:
     return Table(
-        np.concatenate([np.zeros((4, 0)), *(table.plane for table in tables)], axis=1),
+        np.concatenate([np.zeros((0, 4)), *(table.plane for table in tables)]),
         np.concatenate([np.zeros(0, np.int64), *(table.body for table in tables)]),
         np.concatenate([np.zeros(0, np.int64), *(table.face for table in tables)]),
         np.concatenate([np.zeros(0, np.int64), *(table.part for table in tables)]),

@@ -41,7 +41,7 @@ def resting(
     """Put what rays meet of one group where nothing is nearer. How many were searched for, and how many suspicious.
 
     `origin`, `ray` : (3, m) in the world; `radius` : of the group's sphere, infinite where rays begin in it; `plane` :
-    (4, F) and `body_of` : (F,) of all triangles; `first` : nothing is known yet; the rest as in `Nearest`.
+    (F, 4) and `body_of` : (F,) of all triangles; `first` : nothing is known yet; the rest as in `Nearest`.
     """
     packet, flags, lanes = room(width)
     which, entered = np.zeros(width, np.int64), np.zeros(width)
@@ -84,10 +84,10 @@ def resting(
                 continue
             i, at = which[lane], found + offset
             distance = packet[TFAR, lane] + entered[lane]
-            nx, ny, nz = plane[0, at], plane[1, at], plane[2, at]
+            nx, ny, nz = plane[at, 0], plane[at, 1], plane[at, 2]
             turned = nx * ray[0, i] + ny * ray[1, i] + nz * ray[2, i]
             height = nx * (origin[0, i] - centre[0]) + ny * (origin[1, i] - centre[1]) + nz * (origin[2, i] - centre[2])
-            refined = (plane[3, at] - height) / turned
+            refined = (plane[at, 3] - height) / turned
             if not abs(refined - distance) <= suspicious * (1.0 + distance):
                 refined = distance
                 wrong += 1

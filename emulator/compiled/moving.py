@@ -165,10 +165,10 @@ def moving(
                 mover = which[mine[lane]]
                 triangle = found + shift[mover]
                 distance = packet[TFAR, lane] + entered[lane]
-                nx, ny, nz = plane[0, triangle], plane[1, triangle], plane[2, triangle]
+                nx, ny, nz = plane[triangle, 0], plane[triangle, 1], plane[triangle, 2]
                 facing = nx * frames[lane, 3] + ny * frames[lane, 4] + nz * frames[lane, 5]
                 height = nx * frames[lane, 0] + ny * frames[lane, 1] + nz * frames[lane, 2]
-                refined = (plane[3, triangle] - height) / facing
+                refined = (plane[triangle, 3] - height) / facing
                 if not abs(refined - distance) <= suspicious * (1.0 + distance):
                     refined = distance
                     wrong += 1

@@ -111,7 +111,7 @@ def test_a_sensor_and_its_wall_far_from_the_origin_measure_as_at_the_origin(
 def test_an_implausible_plane_leaves_the_casters_distance_and_is_counted(tmp_path: Path) -> None:
     """Rule 2: more than 1e-3 (1 + t) between both distances."""
     caster = Caster(scene_from(tmp_path, world=[plate(20.0, "asphalt")]))
-    caster._table.plane[3] += 1.0
+    caster._table.plane[:, 3] += 1.0
     hits = caster.first_hits(np.zeros(3), np.array([[1.0, 0.0, 0.0]]), 0.0)
     assert hits.range_m[0] == pytest.approx(20.0, rel=1e-6)
     assert caster.counters.suspicious == 1

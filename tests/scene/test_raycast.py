@@ -365,7 +365,7 @@ def test_a_sliver_is_hit_by_the_share_of_rays_that_it_fills(half_width_m: float)
 
 def test_a_plane_that_cannot_be_trusted_leaves_the_casters_own_distance() -> None:
     caster = Caster(scene_of((triangles.plane(6.0, 60.0), WALL)))
-    caster._table.plane[3] += 5.0
+    caster._table.plane[:, 3] += 5.0
     hits = cast(caster, fan(3, 2.0))
     np.testing.assert_allclose(hits.range_m, 8.0 / fan(3, 2.0)[:, 0], rtol=1e-6)
     assert caster.counters.suspicious == 3
