@@ -6,7 +6,7 @@ Belongs here: hits, counters, and parts of them that are put together. Not: cast
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -259,6 +259,8 @@ class Aim:
 
     ray: Floats
     "(3, m)"
+    order: Longs = field(default_factory=lambda: np.zeros(0, np.int64))
+    "(m,) in which packets of them are searched for; (0,): as they come."
 
     def __len__(self) -> int:
         return len(self.ray[0])

@@ -78,6 +78,7 @@ class Caster:
         max_range_m: float = np.inf,
         again: bool = False,
         aimed: bool = False,
+        order: Longs | None = None,
     ) -> Hits | LateHits:
         """What each ray meets first.
 
@@ -91,6 +92,9 @@ class Caster:
         max_range_m : hits farther from the origin are misses; bodies beyond cost nothing. [m]
         again : these very arrays `origin_m` and `direction`, both (m, 3) in float64, will come again, unchanged: what
             they meet of resting bodies is kept, and only moving ones are cast on. Not together with the two before.
+        aimed : this very array `direction` will come again.
+        order : (m,) in which packets of rays are searched for, each `BLOCK` of them apart; neighbours should meet the
+            same. None: as they come. What is met does not depend on it.
 
         Returns
         -------
@@ -110,7 +114,7 @@ class Caster:
         if not len(self._table):
             return Hits.misses(count)
         with np.errstate(under="ignore"):  # components below 1e-38 are nothing in float32
-            aims = self._aims(ray) if aimed else map(_aim, _blocks(ray))
+            aims = self._aims(ray, order) if aimed else _aims(ray, order)
             parts = []
             for begin, aim in zip(range(0, count, BLOCK), aims, strict=True):
                 here = slice(begin, begin + BLOCK)
@@ -118,11 +122,11 @@ class Caster:
                 parts.append(self._cast(start, aim, times[here], None if skip is None else skip[here], max_range_m))
         return _joined(parts)
 
-    def _aims(self, direction: Floats) -> tuple[Aim, ...]:
+    def _aims(self, direction: Floats, order: Longs | None) -> tuple[Aim, ...]:
         """These directions in blocks, as they are known from the last time."""
         known = next((aims for given, aims in reversed(self._aimed) if given is direction), None)
         if known is None:
-            known = tuple(map(_aim, _blocks(direction)))
+            known = tuple(_aims(direction, order))
             kept = [*self._aimed, (direction, known)]
             while len(kept) > 1 and sum(len(given) for given, _ in kept) > FAN_RAYS_KEPT:
                 kept.pop(0)
@@ -335,7 +339,7 @@ class Caster:
         for number, (group, structure) in enumerate(zip(groups, self._built, strict=True)):
             around = len(groups) == 1 and _norm(origin[:, :1] - group.centre) < group.radius
             cast, wrong = loops.resting(
-                *structure.how, origin, aim.ray, group.centre[:, 0], np.inf if around else group.radius, far,
+                *structure.how, origin, aim.ray, aim.order, group.centre[:, 0], np.inf if around else group.radius, far,
                 embree.SUSPICIOUS, table.plane, table.body, group.offset, number == 0,
                 found.range_m, found.triangle, found.body, found.facing,
             )  # fmt: skip
@@ -401,8 +405,11 @@ def _aim(direction: Floats) -> Aim:
     return Aim(np.ascontiguousarray(direction.T))
 
 
-def _blocks(direction: Floats) -> Iterable[Floats]:
-    return (direction[begin : begin + BLOCK] for begin in range(0, len(direction), BLOCK))
+def _aims(direction: Floats, order: Longs | None) -> Iterable[Aim]:
+    """Of directions (m, 3), a block after the other."""
+    for begin in range(0, len(direction), BLOCK):
+        aim = _aim(direction[begin : begin + BLOCK])
+        yield aim if order is None else Aim(aim.ray, order[begin : begin + BLOCK] - begin)
 
 
 def _norm(vector: Floats) -> float:

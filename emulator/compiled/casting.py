@@ -31,17 +31,18 @@ LONGEST = 1e30
 
 
 @compiled(
-    *EMBREE, ROWS, ROWS, FLOATS, FLOAT, FLOAT, FLOAT, ROWS, INTS, INT, FLAG,
+    *EMBREE, ROWS, ROWS, INTS, FLOATS, FLOAT, FLOAT, FLOAT, ROWS, INTS, INT, FLAG,
     OUT_FLOATS, OUT_INTS, OUT_INTS, OUT_FLOATS,
 )  # fmt: skip
 def resting(
-    function, width, scene, arguments, origin, ray, centre, radius, far, suspicious,
+    function, width, scene, arguments, origin, ray, order, centre, radius, far, suspicious,
     plane, body_of, offset, first, range_m, triangle, body, facing,
 ):  # fmt: skip
     """Put what rays meet of one group where nothing is nearer. How many were searched for, and how many suspicious.
 
-    `origin`, `ray` : (3, m) in the world; `radius` : of the group's sphere, infinite where rays begin in it; `plane` :
-    (F, 4) and `body_of` : (F,) of all triangles; `first` : nothing is known yet; the rest as in `Nearest`.
+    `origin`, `ray` : (3, m) in the world; `order` : (m,) in which they are searched for, (0,): as they come; `radius` :
+    of the group's sphere, infinite where rays begin in it; `plane` : (F, 4) and `body_of` : (F,) of all triangles;
+    `first` : nothing is known yet; the rest as in `Nearest`.
     """
     packet, flags, lanes = room(width)
     which, entered = np.zeros(width, np.int64), np.zeros(width)
@@ -54,24 +55,25 @@ def resting(
     while k < m:
         if around:
             used = min(width, m - k)
-            put_all(packet, flags, lanes, origin[:, k : k + used], ray[:, k : k + used], centre, min(far, LONGEST))
             for lane in range(used):
-                which[lane] = k + lane
+                which[lane] = order[k + lane] if len(order) else k + lane
+            put_all(packet, flags, lanes, which, used, origin, ray, centre, min(far, LONGEST))
             k += used
         else:
             used = 0
             while k < m and used < width:
-                x, y, z = origin[0, k] - centre[0], origin[1, k] - centre[1], origin[2, k] - centre[2]
-                dx, dy, dz = ray[0, k], ray[1, k], ray[2, k]
+                i = order[k] if len(order) else k
+                x, y, z = origin[0, i] - centre[0], origin[1, i] - centre[1], origin[2, i] - centre[2]
+                dx, dy, dz = ray[0, i], ray[1, i], ray[2, i]
                 middle = -(x * dx + y * dy + z * dz)
                 ax, ay, az = x + middle * dx, y + middle * dy, z + middle * dz
                 chord = radius * radius - (ax * ax + ay * ay + az * az)
                 half = np.sqrt(max(chord, 0.0))
                 enter = max(middle - half, 0.0)
-                if chord > 0.0 and middle + half > 0.0 and enter <= far and enter < range_m[k]:
+                if chord > 0.0 and middle + half > 0.0 and enter <= far and enter < range_m[i]:
                     put(packet, flags, lanes, used,
                         x + enter * dx, y + enter * dy, z + enter * dz, dx, dy, dz, LONGEST)  # fmt: skip
-                    which[used], entered[used] = k, enter
+                    which[used], entered[used] = i, enter
                     used += 1
                 k += 1
             if used == 0:

@@ -179,15 +179,14 @@ def put(packet, flags, lanes, lane, ox, oy, oz, dx, dy, dz, until):  # type: ign
 
 
 @compiled()
-def put_all(packet, flags, lanes, origin, ray, centre, until):  # type: ignore[no-untyped-def]
-    """The same with rays (3, k), of which there are no more than lanes; a coordinate at a time, which is faster."""
-    used = origin.shape[1]
+def put_all(packet, flags, lanes, which, used, origin, ray, centre, until):  # type: ignore[no-untyped-def]
+    """The same with rays `which` of (3, m); a coordinate at a time, which is faster."""
     for i in range(3):
         to, direction, starts, ways, middle = packet[i], packet[DIRECTION + i], origin[i], ray[i], centre[i]
         for lane in range(used):
-            to[lane] = starts[lane] - middle
+            to[lane] = starts[which[lane]] - middle
         for lane in range(used):
-            direction[lane] = ways[lane]
+            direction[lane] = ways[which[lane]]
     ends, triangle, geometry = packet[TFAR], flags[TRIANGLE], flags[GEOMETRY]
     for lane in range(used):
         ends[lane] = until

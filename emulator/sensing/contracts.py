@@ -79,7 +79,7 @@ class FacedCaster(Protocol):
 
     def first_hits(
         self, origin_m: Floats, direction: Floats, t_s: Floats, *, max_range_m: float = np.inf, again: bool = False,
-        aimed: bool = False,
+        aimed: bool = False, order: Ints | None = None,
     ) -> FacedHits: ...  # fmt: skip
 
     def renewed(self, origin_m: Floats, direction: Floats, t_s: Floats, max_range_m: float) -> Renewed: ...

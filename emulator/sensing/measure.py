@@ -217,7 +217,7 @@ class Measure:
                 seen = resting.seen(rays, self._caster, far, *what)
             else:
                 hits = self._caster.first_hits(
-                    rays.origin_m, rays.direction, rays.t_s, max_range_m=far, aimed=rays.steady
+                    rays.origin_m, rays.direction, rays.t_s, max_range_m=far, aimed=rays.steady, order=rays.order
                 )
                 seen = returned(hits, rays, self._caster, *what)
             if far < np.inf and shines:
