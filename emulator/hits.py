@@ -100,9 +100,14 @@ class LateHits:
         """Those of several blocks of rays."""
         if len(parts) == 1:
             return parts[0]
-        names = ("range_m", "actor", "material", "inner", "cosine")
-        columns = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
-        return cls(*columns, tuple(one for part in parts for one in part.parts))
+        return cls(
+            np.concatenate([part.range_m for part in parts]),
+            np.concatenate([part.actor for part in parts]),
+            np.concatenate([part.material for part in parts]),
+            np.concatenate([part.inner for part in parts]),
+            np.concatenate([part.cosine for part in parts]),
+            tuple(one for part in parts for one in part.parts),
+        )
 
     @cached_property
     def whole(self) -> Hits:

@@ -335,7 +335,8 @@ class Caster:
         table, groups = self._table, self._groups
         if not groups:
             return Nearest.nothing(len(aim))
-        found = Nearest(*loops.unwritten(len(aim)), table.plane, self._merged)
+        range_m, triangle, body, normal, facing = loops.unwritten(len(aim))
+        found = Nearest(range_m, triangle, body, normal, facing, table.plane, self._merged)
         for number, (group, structure) in enumerate(zip(groups, self._built, strict=True)):
             around = len(groups) == 1 and _norm(origin[:, :1] - group.centre) < group.radius
             cast, wrong = loops.resting(

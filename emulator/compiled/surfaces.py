@@ -108,7 +108,7 @@ def strengths(
     area = aperture_m * aperture_m
     for k in range(m):
         amplitude[k] *= weight[k] * strength / (range_m[k] * range_m[k] + area)
-    dim = 0
+    dim = np.int64(0)
     for k in range(m):
         dim += np.int64((2.0 * extinction * range_m[k] >= clear_depth) & (range_m[k] <= reach_m))
     if dim == 0:

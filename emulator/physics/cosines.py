@@ -10,7 +10,7 @@ passed its maximum, so the sum rises; running sums at the beginnings tell betwee
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -88,7 +88,8 @@ class AirDoubted:
     "Of the range."
     number: Ints
     "(h,) what `under` calls them."
-    under: Callable[[Ints], AirUnder]
+    under: Callable[[Ints, Ints], AirUnder]
+    "Of some of these, under numbers of clusters."
 
     def chosen(self, at: Ints, cluster: Ints) -> AirDoubted:
         """Those of some places, under other numbers of the clusters."""
@@ -164,7 +165,7 @@ class Cosines:
         left = np.maximum(level[at] - doubted.most, LEAST * level[at])
         first, _ = self._crossed(left, self.start[at], self.size[at], at)
         some = indexes(crossing[at] - first > SHIFT * doubted.step_m)
-        return replace(doubted.under(doubted.number[some]), cluster=at[some]) if len(some) else None
+        return doubted.under(doubted.number[some], at[some]) if len(some) else None
 
     def _crossed(self, level: Floats, start: Ints, size: Ints, at: Ints | None = None) -> tuple[Floats, Ints]:
         """Where the pulses of these clusters first reach a level, and the index of the last one begun by then."""
@@ -242,19 +243,21 @@ def split_cosines(echoes: SubEchoes, detector: Detector, soft: SoftProfile | Non
         running, (group, source, *where), (centre, height, first), rest = loops.sums(
             r, a, echoes.source, whole, short, k
         )
-        found = Cosines(group, centre, height, source, first, *where, *running, half, k)
+        begun, total, real, imaginary = running
     else:
         real, imaginary, begun = _sums(r, a, total, start, size, k)
         last, first = end[short], first[short]
         centre = first + np.arctan2(imaginary[last], real[last]) / k
         height = 0.5 * (total[last] + np.hypot(real[last], imaginary[last]))
-        source, running = _strongest(echoes, start, size)[short], (begun, total, real, imaginary)
-        found = Cosines(
-            group[short], centre, height, source, first, start[short], size[short], *running, half, k
-        )  # fmt: skip
-        rest = indexes((~short).repeat(size))
+        source = _strongest(echoes, start, size)[short]
+        group, where, rest = group[short], [start[short], size[short]], indexes((~short).repeat(size))
+    air: tuple[AirUnder | None, AirDoubted | None] = None, None
     if soft is not None and near is not None:
-        found = _with_air(found, echoes, soft, detector, near, (short.cumsum() - 1)[near], start, size, most)
+        number = (short.cumsum() - 1)[near]
+        air = _under(centre, height, where, number, echoes, soft, detector, start[near], size[near], most)
+    found = Cosines(
+        group, centre, height, source, first, where[0], where[1], begun, total, real, imaginary, half, k, *air
+    )  # fmt: skip
     if not len(rest):
         return found, SubEchoes.none()
     return found, SubEchoes(beam[rest], r[rest], a[rest], echoes.blocked[rest], echoes.source[rest])
@@ -303,31 +306,34 @@ def _near(soft: SoftProfile, threshold: float, short: Bools, beam: Ints, begin_m
     return (which if len(which) else None), under[kept]
 
 
-def _with_air(
-    found: Cosines, echoes: SubEchoes, soft: SoftProfile, detector: Detector, which: Ints, number: Ints,
-    start: Ints, size: Ints, under: Floats,
-) -> Cosines:  # fmt: skip
-    """Short clusters with the medium below those of `which`; `number` is what `found` calls these."""
-    most = under * detector.threshold
-    strong = (most <= SLIGHT * found.height[number]) & (soft.until_m < np.inf)
+def _under(
+    centre: Floats, height: Floats, where: Sequence[Ints], number: Ints, echoes: SubEchoes, soft: SoftProfile,
+    detector: Detector, start: Ints, size: Ints, share: Floats,
+) -> tuple[AirUnder | None, AirDoubted | None]:  # fmt: skip
+    """The medium under some short clusters, which adds to their `height`, and where it is doubtful.
 
-    def computed(some: Ints) -> AirUnder:
-        at = which[some]
-        return _air(echoes, soft, start[at], size[at])
+    `centre`, `height`, `where` (start and size) : of all; `number` : of those with a medium among them; `start`,
+    `size`, `share` : of these, the last its bound over the threshold.
+    """
+    most = share * detector.threshold
+    strong = (most <= SLIGHT * height[number]) & (soft.until_m < np.inf)
+
+    def computed(some: Ints, cluster: Ints) -> AirUnder:
+        return _air(echoes, soft, start[some], size[some], cluster)
 
     weak, slight = indexes(~strong), indexes(strong)
     air = doubted = None
     if len(weak):
-        air = replace(computed(weak), cluster=number[weak])
-        last = (found.start + found.size - 1)[air.cluster]
-        found.height[air.cluster] += air.at(found.centre_m[air.cluster], last)
+        of = number[weak]
+        air = computed(weak, of)
+        height[of] += air.at(centre[of], where[0][of] + where[1][of] - 1)
     if len(slight):
         doubted = AirDoubted(number[slight], most[slight], detector.resolution_m, slight, computed)
-    return replace(found, air=air, doubted=doubted)
+    return air, doubted
 
 
-def _air(echoes: SubEchoes, soft: SoftProfile, first: Ints, count: Ints) -> AirUnder:
-    """The medium under clusters of `count` sub-echoes from `first` on, numbered as they come."""
+def _air(echoes: SubEchoes, soft: SoftProfile, first: Ints, count: Ints, cluster: Ints) -> AirUnder:
+    """The medium under clusters of `count` sub-echoes from `first` on, under these numbers."""
     begins, loops = count.cumsum() - count, kernels()
     if loops is not None:
         sums = loops.ended_under(*soft.flat, echoes.range_m, echoes.blocked, first, count)
@@ -339,7 +345,7 @@ def _air(echoes: SubEchoes, soft: SoftProfile, first: Ints, count: Ints) -> AirU
         passed = np.concatenate(([0.0], echoes.blocked.cumsum()))
         head = echoes.beam.searchsorted(echoes.beam[first[behind]])
         open_[behind] = clamped(1.0 - (passed[first[behind]] - passed[head]), 0.0, 1.0)
-    return AirUnder(soft, np.arange(len(first)), first - begins - 1, open_, begins, sums)
+    return AirUnder(soft, cluster, first - begins - 1, open_, begins, sums)
 
 
 def _ended(echoes: SubEchoes, soft: SoftProfile, first: Ints, count: Ints, begins: Ints) -> Floats:

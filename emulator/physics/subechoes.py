@@ -186,10 +186,10 @@ def cluster(echoes: SubEchoes, support_m: float, resolution_m: float) -> Cluster
         return Clusters(none, nothing, nothing, nothing, none, none, none, none)
     beam, r, loops = echoes.beam, echoes.range_m, kernels()
     if loops is not None:
-        (beam, source, number), sizes, groups = loops.joined(
+        (beam, source, number), (r, amplitude, blocked), (first, count) = loops.joined(
             beam, r, echoes.amplitude, echoes.blocked, echoes.source, support_m, 0.25 * resolution_m
         )
-        return Clusters(beam, *sizes, source, number, *groups)
+        return Clusters(beam, r, amplitude, blocked, source, number, first, count)
     cut = np.ones(n, np.bool_)
     cut[1:] = (beam[1:] != beam[:-1]) | (r[1:] - r[:-1] > support_m)
     number = cut.cumsum() - 1

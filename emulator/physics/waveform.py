@@ -142,15 +142,15 @@ def sample(
     loops = kernels()
     if loops is not None and pulse.shape == "sin2":
         medium, end_m = (NO_MEDIUM, 0.0) if soft is None else (soft.flat, soft.end_m)
-        (beam, *grid), (value, part), (r, amplitude), source, sums = loops.sampled(
+        whole, (value, part), (r, amplitude), source, sums = loops.sampled(
             *medium, soft is not None, end_m, pulse.half_support_m, bin_m, pulse.wave_number, chosen, clear_share,
             clusters.first, clusters.count, clusters.beam, clusters.range_m, clusters.amplitude, clusters.blocked,
             clusters.source,
         )  # fmt: skip
-        first_bin, start, count, *of_sub = grid
+        beam, first_bin, start, count, sub_first, sub_count = whole
         return Waveform(
-            pulse, bin_m, beam, first_bin, start, count, value, part, *of_sub, r, amplitude, source, tuple(sums),
-            soft is not None,
+            pulse, bin_m, beam, first_bin, start, count, value, part, sub_first, sub_count, r, amplitude, source,
+            tuple(sums), soft is not None,
         )  # fmt: skip
     half = pulse.half_support_m
     kept = chosen[clusters.cluster]

@@ -259,12 +259,14 @@ def _first_met(
         scene.table.factors, alpha, model.clear_depth if model.leave_out.clear_air else 0.0, model.k_m2,
         model.aperture_radius_m, model.overlap_start_m, model.overlap_full_m, index, more,
     )  # fmt: skip
-    columns = front.beam, hits.range_m, amplitude, rays.share, hits.actor
     if seen and not len(keys):  # bundles of very different sizes
         at = indexes(hits.range_m <= reach_m)
-        return in_order(*(column[at] for column in columns)), onward, nearest
+        found = in_order(front.beam[at], hits.range_m[at], amplitude[at], rays.share[at], hits.actor[at])
+        return found, onward, nearest
     keys.sort(axis=1)
-    (beam, source), (range_m, amplitude, blocked) = loops.in_order(keys, *columns)
+    (beam, source), (range_m, amplitude, blocked) = loops.in_order(
+        keys, front.beam, hits.range_m, amplitude, rays.share, hits.actor
+    )
     return SubEchoes(beam, range_m, amplitude, blocked, source), onward, nearest
 
 
