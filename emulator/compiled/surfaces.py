@@ -165,15 +165,15 @@ def special(range_m, material, of_interest, reach_m):
     return found[:count].copy()
 
 
-@compiled(ROWS, INT)
-def repeated(position, times):
-    """(3, n times) of (n, 3): each row as often, a coordinate at a time."""
+@compiled(ROWS, FLOATS, INT)
+def repeated(position, t_s, times):
+    """(4, n times) of positions (n, 3) and instants (n,): each as often, a coordinate at a time."""
     n = len(position)
-    out = np.zeros((3, n * times))
-    for i in range(3):
+    out = np.empty((4, n * times))
+    for i in range(4):
         row = out[i]
         for k in range(n):
-            value = position[k, i]
+            value = position[k, i] if i < 3 else t_s[k]
             for at in range(k * times, (k + 1) * times):
                 row[at] = value
     return out

@@ -167,13 +167,17 @@ def rays_of(spread: Turned, position_m: Floats, t_s: Floats, steady: bool = Fals
     bundles = spread.bundles
     m = bundles.sub_beams
     loops = kernels()
-    origin = position_m.T.repeat(m, axis=1) if loops is None else loops.repeated(position_m, m)
+    if loops is not None:
+        columns = loops.repeated(position_m, t_s, m)
+        origin, times = columns[:3], columns[3]
+    else:
+        origin, times = position_m.T.repeat(m, axis=1), t_s.repeat(m)
     if spread.start_m is not None:
         origin += spread.start_m.T
     return Rays(
         origin_m=origin.T,
         direction=spread.direction,
-        t_s=t_s.repeat(m),
+        t_s=times,
         beam=bundles.beam,
         share=bundles.flat_share,
         nearest_axis=bundles.nearest_axis,

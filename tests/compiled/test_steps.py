@@ -147,6 +147,26 @@ def test_rays_end_where_they_are_told() -> None:
     assert (triangle >= 0).tolist() == [False, True, True]
 
 
+@pytest.mark.parametrize("far_group", [False, True])
+def test_what_is_met_does_not_depend_on_the_order_of_the_search(far_group: bool) -> None:
+    """Of one group of resting bodies and of two, more rays than a block has."""
+    shapes = [*moving_shapes(), (triangles.plane(60.0, 60.0), WALL)]
+    if far_group:
+        shapes.append((triangles.sphere(40.0, 9), Steady((1500.0, 0.0, 0.0))))
+    origin, direction = random_rays(raycast.BLOCK + 3000, 5, 0.5)
+    parts = [np.random.default_rng(1).permutation(n) for n in (raycast.BLOCK, 3000)]
+    order = np.concatenate([parts[0], raycast.BLOCK + parts[1]])
+    one, other = (
+        Caster(scene_of(*shapes)).first_hits(origin, direction, 0.05, max_range_m=2000.0, order=given)
+        for given in (None, order)
+    )
+    assert np.count_nonzero(one.body >= 0) > 5000
+    for name in vars(Hits.misses(0)):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+    rays = np.array([7, 30, raycast.BLOCK + 9])
+    np.testing.assert_array_equal(one.normals(rays), one.normal[rays])
+
+
 def box_at_the_origin() -> tuple[np.ndarray, np.ndarray]:
     shape = triangles.box(1.0, 1.0, 1.0)
     return (shape.vertices - shape.centre).astype(np.float32), shape.faces.astype(np.int32)

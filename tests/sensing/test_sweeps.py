@@ -219,3 +219,24 @@ def test_whatever_is_allowed_gives_a_scan_of_numbers(tmp_path: Path, **drawn: An
     assert (scan.range_m[seen] >= 0.0).all()
     assert (scan.intensity[seen] >= 1.0).all()
     assert (np.diff(np.where(seen, scan.range_m, 1e9), axis=1)[seen[:, 1:]] >= 0.0).all()
+
+
+def test_sub_beams_are_searched_for_by_rows() -> None:
+    """Some beams at a time, upper and lower halves apart, each from one side to the other."""
+    from emulator.raycast import BLOCK
+    from emulator.sensing.rays import TILE, in_bands
+
+    rng = np.random.default_rng(3)
+    azimuth = np.radians(np.arange(-90.0, 90.5, 0.5))
+    axis = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(len(azimuth))], axis=1)
+    direction = axis[:, None, :] + 0.005 * rng.normal(size=(len(axis), 61, 3))
+    order = in_bands(axis, direction)
+    flat = direction.reshape(-1, 3)
+    assert BLOCK % TILE == 0
+    np.testing.assert_array_equal(order // TILE, np.arange(len(flat)) // TILE)
+    np.testing.assert_array_equal(np.sort(order), np.arange(len(flat)))
+    row = flat[order[:TILE]]
+    upper = row[:, 2] >= 0.0
+    assert np.count_nonzero(upper[1:] != upper[:-1]) == 1
+    for half in (row[upper], row[~upper]):
+        assert (np.diff(np.arctan2(half[:, 1], half[:, 0])) >= 0.0).all()
