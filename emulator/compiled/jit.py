@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from functools import wraps
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,6 +29,21 @@ OUT_INTS, OUT_WORDS, OUT_FLAGS, OUT_SINGLES = int64[::1], int32[::1], boolean[::
 "Written to; loose: in rows or not."
 EMBREE = (INT, INT, INT, INT)
 "`Packets.how`."
+
+
+def forget_older(folder: Path) -> None:
+    """Remove what was compiled before the latest change of any file there.
+
+    numba itself looks only at the file of a function, not at those of the functions that it calls.
+    """
+    with suppress(OSError):  # another process does the same, or the folder may not be written to
+        latest = max((path.stat().st_mtime for path in folder.glob("*.py")), default=0.0)
+        for index in (folder / "__pycache__").glob("*.nbi"):
+            if index.stat().st_mtime < latest:
+                index.unlink()
+
+
+forget_older(Path(__file__).parent)
 
 
 def compiled(*arguments: Any) -> Callable[[Callable[..., Any]], Any]:

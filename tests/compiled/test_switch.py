@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -86,6 +87,20 @@ def test_a_folder_that_may_not_be_written_to_costs_the_compiled_code_its_place()
     env = {**os.environ, "LIDAREMU_COMPILED": "1"}
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
     assert done.stdout == "3\n", done.stderr
+
+
+def test_a_change_of_one_file_has_all_of_them_compiled_anew(tmp_path: Path) -> None:
+    """A function that calls one of another file has the old one in it."""
+    from emulator.compiled.jit import forget_older
+
+    kept = tmp_path / "__pycache__"
+    kept.mkdir()
+    for name, seconds in (("one.py", 100), ("other.py", 300), ("__pycache__/a.nbi", 200), ("__pycache__/b.nbi", 300)):
+        (tmp_path / name).touch()
+        os.utime(tmp_path / name, (seconds, seconds))
+    forget_older(tmp_path)
+    assert [path.name for path in kept.iterdir()] == ["b.nbi"]
+    forget_older(tmp_path / "nowhere")
 
 
 def test_a_long_wait_for_the_compiler_is_told(
