@@ -293,7 +293,7 @@ class Caster:
         ray met, with the distance of the original ray to that plane.
         """
         index = indexes(inner)
-        again = self._nearest(origin[:, index], Aim(_turned(ray[:, index])), times[index], far)
+        again = self._nearest(origin.take(index, axis=1), Aim(_turned(ray.take(index, axis=1))), times[index], far)
         leaked = indexes(~self._is_inner(again))
         if not len(leaked):
             return
@@ -301,7 +301,7 @@ class Caster:
         target = index[leaked]
         range_m, turned_facing = again.range_m[leaked], again.facing[leaked]
         normal = again.normals(leaked)
-        facing = np.einsum("ik,ik->k", normal, ray[:, target])
+        facing = np.einsum("ik,ik->k", normal, ray.take(target, axis=1))
         with np.errstate(divide="ignore", invalid="ignore"):
             refined = range_m * turned_facing / facing
             good = np.abs(refined - range_m) <= embree.SUSPICIOUS * (1.0 + range_m)

@@ -55,16 +55,20 @@ def compiled(*arguments: Any) -> Callable[[Callable[..., Any]], Any]:
     if not arguments:
         return _compile
     read = [number for number, kind in enumerate(arguments) if isinstance(kind, Array) and not kind.mutable]
+    tables = [number for number in read if arguments[number].ndim > 1]
 
     def compiling(function: Callable[..., Any]) -> Callable[..., Any]:
         made = _compile(function, arguments)
 
         @wraps(function)
         def called(*given: Any) -> Any:
-            try:
-                return made(*given)
-            except TypeError:  # looking first takes longer than all else around a call
-                return made(*(np.ascontiguousarray(one) if at in read else one for at, one in enumerate(given)))
+            loose = [at for at in tables if not given[at].flags.c_contiguous]
+            if not loose:
+                try:
+                    return made(*given)
+                except TypeError:  # rare, and to look at every column first takes longer than all else around a call
+                    loose = read
+            return made(*(np.ascontiguousarray(one) if at in loose else one for at, one in enumerate(given)))
 
         return called
 

@@ -33,9 +33,7 @@ def _places(beam, range_m, reach_m, most_empty, nearest):
     ends = np.empty(len(nearest), np.int64)
     groups = most = begin = 0
     while begin < m:
-        end = begin + 1
-        while end < m and beam[end] == beam[begin]:
-            end += 1
+        end = _end(beam, begin)
         ends[groups], most, begin = end, max(most, end - begin), end
         groups += 1
     room = groups * most <= most_empty * m
