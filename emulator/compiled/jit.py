@@ -62,13 +62,12 @@ def compiled(*arguments: Any) -> Callable[[Callable[..., Any]], Any]:
 
         @wraps(function)
         def called(*given: Any) -> Any:
-            loose = [at for at in tables if not given[at].flags.c_contiguous]
-            if not loose:
+            if all([given[at].flags.c_contiguous for at in tables]):
                 try:
                     return made(*given)
-                except TypeError:  # rare, and to look at every column first takes longer than all else around a call
-                    loose = read
-            return made(*(np.ascontiguousarray(one) if at in loose else one for at, one in enumerate(given)))
+                except TypeError:  # rare; to look at every column takes longer than all else around a call
+                    pass
+            return made(*(np.ascontiguousarray(one) if at in read else one for at, one in enumerate(given)))
 
         return called
 

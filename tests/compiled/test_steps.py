@@ -260,6 +260,50 @@ def test_echoes_are_the_same(
     same_echoes(*both(lambda: detect(found, beams, detector, normals=normals, noise=rms, soft=soft)))
 
 
+@given(
+    seed=st.integers(0, 100_000),
+    keep=st.sampled_from(["first", "strongest", "last", "all"]),
+    max_echoes=st.integers(1, 5),
+    recovery_s=st.sampled_from([0.0, 2e-8, 2e-7]),
+    full_scale=st.sampled_from([np.inf, 50.0, 5.5]),
+    floor_m2=st.sampled_from([0.0, 900.0]),
+    gate=st.sampled_from([(0.0, np.inf), (3.0, 30.0)]),
+    offset_m=st.sampled_from([None, 0.0, 0.7]),
+    columns=st.sampled_from([0, 1, 3]),
+    follows_noise=st.booleans(),
+    bright=st.booleans(),
+    false=st.booleans(),
+)
+@settings(max_examples=200)
+def test_what_is_reported_is_the_same(
+    seed: int, keep: str, max_echoes: int, recovery_s: float, full_scale: float, floor_m2: float,
+    gate: tuple[float, float], offset_m: float | None, columns: int, follows_noise: bool, bright: bool, false: bool,
+) -> None:  # fmt: skip
+    """Equal echoes, blinding ones and what comes after them, dazzled beams, noise, what touches the sensor."""
+    rng, beams = np.random.default_rng(seed), 40
+    detector = Detector(
+        PULSE, 5.0, sampled=bool(seed % 2), keep=keep, max_echoes=max_echoes, recovery_s=recovery_s,  # type: ignore[arg-type]
+        full_scale=full_scale, floor_m2=floor_m2, near_gate_m=gate[0], far_gate_m=gate[1],
+        walk_table=offset_m is None, offset_m=offset_m or 0.0, shot_factor=0.02 * (seed % 3),
+        follows_noise=follows_noise,
+    )  # fmt: skip
+    found = light(seed)
+    if seed % 4 == 0 and len(found):  # all at one of few ranges, all as bright
+        near = found.range_m.copy()
+        parts = found.beam, np.round(near / 7.0) * 7.0, np.full(len(near), 400.0 / 61.0), found.blocked, found.source
+        found = SubEchoes.of(*parts)
+    options: dict[str, object] = {
+        "normals": rng.normal(size=(beams, columns)) * 3.0 if columns else None,
+        "noise": rng.uniform(1.0, 4.0, beams) if bright else 1.0,
+        "dazzled": rng.random(beams) < 0.2 if bright else None,
+        "soft": medium(0.02, detector.bin_m, 100.0) if seed % 5 == 0 else None,
+    }
+    if false:
+        at = np.sort(rng.integers(0, beams, 30))
+        options["noise_echoes"] = at, rng.uniform(0.0, 60.0, 30), rng.uniform(5.0, 6.0, 30)
+    same_echoes(*both(lambda: detect(found, beams, detector, **options)))  # type: ignore[arg-type]
+
+
 @given(seed=st.integers(0, 100_000))
 @FEW
 def test_short_clusters_are_the_same(seed: int) -> None:
