@@ -37,7 +37,7 @@ def same_hits(one: Hits, other: Hits, tied: int = 0) -> None:
     """But for rays that meet an edge of two triangles, of which either may be told."""
     differ = (one.body != other.body) | (one.face != other.face)
     assert np.count_nonzero(differ) <= tied
-    for name in ("range_m", "actor", "material", "normal", "inner"):
+    for name in ("range_m", "actor", "material", "normal", "inner", "cosine"):
         a, b = (getattr(hits, name)[~differ] for hits in (one, other))
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12, err_msg=name)
     np.testing.assert_allclose(one.range_m, other.range_m, atol=1e-5)
@@ -217,10 +217,10 @@ def light(seed: int, beams: int = 40) -> SubEchoes:
         for _ in range(int(rng.integers(0, 4))):
             count = int(rng.integers(1, 62))
             spread = float(rng.choice([0.0, 0.001, 0.3, 1.5, 6.0, 20.0]))
-            near = float(rng.uniform(0.0, 40.0))
+            near = float(rng.uniform(0.0, rng.choice([1.0, 40.0, 40.0])))
             r = near + spread * rng.random(count)
             share = rng.random(count) / count / 3.0
-            a = float(10.0 ** rng.uniform(-1.0, 5.0)) * share
+            a = float(10.0 ** rng.uniform(-1.0, 5.0) * (rng.random() > 0.05)) * share
             parts.append((np.full(count, beam), r, a, share, rng.integers(0, 5, count)))
     if not parts:
         return SubEchoes.none()
