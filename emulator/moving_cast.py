@@ -220,6 +220,6 @@ def _may_cross(origin: Floats, ray: Floats, half: Floats) -> Flags:
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         each = 1.0 / ray
         middle, wide = origin * each, np.abs(each) * half
-        # a ray along a side gives NaN, which excludes nothing
-        outside = np.max(-wide - middle, axis=0) > np.min(wide - middle, axis=0)
+        # a ray along a side gives NaN there, which excludes nothing
+        outside = np.fmax.reduce(-wide - middle, axis=0) > np.fmin.reduce(wide - middle, axis=0)
     return np.asarray(~outside)

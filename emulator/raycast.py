@@ -31,6 +31,8 @@ LEAK_TURN_RAD = 1e-6
 "How far a ray that slipped between two triangles is turned for its second cast."
 LONGEST = 1e30
 "Stands for an unlimited ray in float32."
+LONGER = 1.0 + 1e-6
+"So much farther than asked for a search looks: what lies just at the end of a ray is met, and judged in float64."
 BLOCK = 32_768
 "Rays cast together: more short steps cost more than arrays that leave the processor's cache."
 KEEP_NUMBERS = 3_900_000
@@ -98,8 +100,8 @@ class Caster:
 
         Returns
         -------
-        hits : `Hits` of m rays, ranges from `origin_m` also where `tnear_m` is given. The same object, not to be
-            written to, where rays that come again met no moving body.
+        hits : `Hits` of m rays, ranges from `origin_m` also where `tnear_m` is given; by compiled loops `LateHits`,
+            with the same columns. The same object, not to be written to, where rays that come again met no moving body.
         """
         if again:
             return self.renewed(origin_m, direction, t_s, max_range_m).hits
@@ -352,7 +354,7 @@ class Caster:
         """All rays on the only group of resting bodies, among which they begin."""
         group = self._groups[0]
         local = origin - group.centre
-        until = np.full(len(aim), min(far, LONGEST), np.float32)
+        until = np.full(len(aim), min(far * LONGER, LONGEST), np.float32)
         number, span = embree.run(self._built[0], rows(local), aim.rows, until)
         self.counters.cast += len(until)
         triangle = np.add(number, group.offset, dtype=np.int64)

@@ -107,8 +107,8 @@ class Scene:
         carrier = self.motions[self.index[mount.actor]]
         if carrier.turns:
             return place.pose(times).after(carrier.pose(times))
-        offset_m, rotation = _carried(place, carrier, len(times))
-        return Pose(carrier.position(times) + offset_m, rotation)
+        offset_m, rotation = _carried(place, carrier)
+        return Pose(carrier.position(times) + offset_m, np.broadcast_to(rotation, (len(times), 3, 3)))
 
 
 @lru_cache(maxsize=64)
@@ -118,10 +118,10 @@ def _mounted(at_m: Vector, yaw_deg: float, pitch_deg: float, roll_deg: float) ->
 
 
 @lru_cache(maxsize=64)
-def _carried(place: Steady, carrier: Motion, times: int) -> tuple[Floats, Floats]:
-    """Offset (3,) in the world and orientation (times, 3, 3) of what sits there on something that does not turn."""
-    pose = place.pose(np.zeros(times)).after(Pose(np.zeros((times, 3)), carrier.pose(np.zeros(times)).rotation))
-    return pose.position_m[0], pose.rotation
+def _carried(place: Steady, carrier: Motion) -> tuple[Floats, Floats]:
+    """Offset (3,) in the world and orientation (3, 3) of what sits there on something that does not turn."""
+    pose = place.pose(np.zeros(1)).after(Pose(np.zeros((1, 3)), carrier.pose(np.zeros(1)).rotation))
+    return pose.position_m[0].copy(), pose.rotation[0].copy()
 
 
 def build(scenario: Scenario) -> Scene:

@@ -28,6 +28,8 @@ from emulator.compiled.packets import TFAR, TRIANGLE, put, put_all, room, send
 
 LONGEST = 1e30
 "Stands for an unlimited ray in float32."
+LONGER = 1.0 + 1e-6
+"So much farther than asked for a search looks: what lies just at the end of a ray is met, and judged in float64."
 
 
 @compiled(
@@ -57,7 +59,7 @@ def resting(
             used = min(width, m - k)
             for lane in range(used):
                 which[lane] = order[k + lane] if len(order) else k + lane
-            put_all(packet, flags, lanes, which, used, origin, ray, centre, min(far, LONGEST))
+            put_all(packet, flags, lanes, which, used, origin, ray, centre, min(far * LONGER, LONGEST))
             k += used
         else:
             used = 0

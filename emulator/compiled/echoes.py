@@ -11,6 +11,8 @@ import numpy as np
 from emulator.compiled.jit import FLAG, FLAGS, FLOAT, FLOATS, INT, INTS, compiled
 
 FIRST, STRONGEST, LAST = 0, 1, 2
+FEW = 64
+"Echoes of a beam that are compared with each other; more are sorted."
 
 
 @compiled()
@@ -32,6 +34,10 @@ def _grouped(beam, chosen, beams):
 @compiled()
 def _sort(order, begin, end, keys):
     """Put indexes from begin to end in the order of their keys, equal ones as they come."""
+    if end - begin > FEW:
+        some = order[begin:end].copy()
+        order[begin:end] = some[np.argsort(keys[some], kind="mergesort")]
+        return
     for i in range(begin + 1, end):
         one, j = order[i], i - 1
         while j >= begin and keys[order[j]] > keys[one]:
@@ -114,6 +120,22 @@ def readings(
     return whole, sizes, clipped
 
 
+@compiled()
+def _by_strength(amplitude, order):
+    """Places of these echoes of a beam if the strongest came first, equal ones as they come."""
+    count = len(order)
+    place = np.zeros(count, np.int64)
+    if count > FEW:
+        place[np.argsort(-amplitude[order], kind="mergesort")] = np.arange(count)
+        return place
+    for i in range(count):
+        one = amplitude[order[i]]
+        for j in range(count):
+            other = amplitude[order[j]]
+            place[i] += other > one or (other == one and j < i)
+    return place
+
+
 @compiled(INTS, FLOATS, FLOATS, FLAGS, INTS, FLAGS, INT, INT, INT, FLOAT, FLOAT, FLOAT)
 def reported(beam, range_m, amplitude, saturated, source, dazzled, beams, columns, keep, near_m, far_m, blind_m):
     """Range and amplitude (2, beams, columns), saturation and source (beams, columns) of the echoes that are kept.
@@ -130,6 +152,7 @@ def reported(beam, range_m, amplitude, saturated, source, dazzled, beams, column
     order, begin = _grouped(beam, wanted, beams)
     sizes = np.full((2, beams, columns), np.nan)
     clipped, origin = np.zeros((beams, columns), np.bool_), np.full((beams, columns), -1, np.int64)
+    none = np.zeros(0, np.int64)
     for b in range(beams):
         first, end = begin[b], begin[b + 1]
         _sort(order, first, end, range_m)
@@ -144,15 +167,11 @@ def reported(beam, range_m, amplitude, saturated, source, dazzled, beams, column
                     until = max(until, range_m[one] + blind_m)
             end = left
         column = min(columns - (end - first), 0) if keep == LAST else 0
+        place = _by_strength(amplitude, order[first:end]) if keep == STRONGEST else none
         for i in range(first, end):
             one = order[i]
-            if keep == STRONGEST:
-                stronger = 0
-                for j in range(first, end):
-                    other = amplitude[order[j]]
-                    stronger += other > amplitude[one] or (other == amplitude[one] and j < i)
-                if stronger >= columns:
-                    continue
+            if keep == STRONGEST and place[i - first] >= columns:
+                continue
             if 0 <= column < columns:
                 sizes[0, b, column], sizes[1, b, column] = range_m[one], amplitude[one]
                 clipped[b, column], origin[b, column] = saturated[one], source[one]

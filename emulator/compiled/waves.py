@@ -93,7 +93,7 @@ def sampled(
             value[at] = max(0.5 * (sum_a + cosine[j] * sum_real + sine[j] * sum_imaginary), 0.0)
             if not hazy:
                 continue
-            upper, lower = bounds(number, edged, first, bin_m, wave_number, ends)
+            upper, lower = bounds(number, edged, first, bin_m, medium_number, ends)
             open_far = open_near = clear[w]
             medium = 0.0
             x = y = 0.0

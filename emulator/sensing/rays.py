@@ -122,7 +122,7 @@ class BundleCache:
     def turned(self, bundles: Bundles, rotation: Floats) -> tuple[Turned, bool]:
         """Bundles turned by rotations (n, 3, 3), and whether they are those of an earlier sweep."""
         for one in self._turned:
-            if one.bundles is bundles and (one.rotation is rotation or np.array_equal(one.rotation, rotation)):
+            if one.bundles is bundles and _same(one.rotation, rotation):
                 return one, True
         made = Turned.of(bundles, rotation)
         kept = [made, *(one for one in self._turned if one.bundles is not bundles)][:KEPT_PLANS]
@@ -187,6 +187,13 @@ def rays_of(spread: Turned, position_m: Floats, t_s: Floats, steady: bool = Fals
         steady=steady,
         order=bundles.order,
     )
+
+
+def _same(one: Floats, other: Floats) -> bool:
+    """Equal rotations (n, 3, 3), of which one may stand for all."""
+    if len(one) and one.shape == other.shape and not (one.strides[0] or other.strides[0]):
+        return bool((one[0] == other[0]).all())
+    return np.array_equal(one, other)
 
 
 def in_bands(axis: Floats, direction: Floats) -> Ints:

@@ -62,6 +62,16 @@ def test_rays_meet_the_same(seed: int) -> None:
     same_hits(*hits, tied=2)
 
 
+@pytest.mark.parametrize("far_m", [3.0, 0.3, 1000.1])
+def test_what_lies_just_at_the_end_of_a_ray_is_met(far_m: float) -> None:
+    """Of one kind of structure and of two: Embree leaves out what is just at the end, or the end rounds before it."""
+    ground = (triangles.plane(80.0, 80.0), Steady((0.0, 0.0, -far_m)))
+    direction = np.tile([0.0, 0.0, -1.0], (16, 1))
+    for shapes in ([ground], [ground, (triangles.sphere(1.0, 8), Steady((20.0, 0.0, -far_m)))]):
+        for hits in both(lambda: Caster(scene_of(*shapes)).first_hits(np.zeros(3), direction, 0.0, max_range_m=far_m)):  # noqa: B023
+            np.testing.assert_allclose(hits.range_m, far_m, atol=1e-9)
+
+
 def test_bodies_that_turn_stop_and_jump_are_met_alike() -> None:
     direction, times = fan(721, 170.0, -2.0), np.linspace(0.02, 0.16, 721)
     same_hits(*both(lambda: Caster(scene_of(*moving_shapes())).first_hits(np.zeros(3), direction, times)))
@@ -304,6 +314,19 @@ def test_what_is_reported_is_the_same(
     same_echoes(*both(lambda: detect(found, beams, detector, **options)))  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("keep", ["first", "strongest", "last"])
+def test_thousands_of_echoes_in_a_beam_take_no_square_of_them(keep: str) -> None:
+    """They are noise, in no order; a beam of 200 000 would take minutes if each were compared with each."""
+    rng, count = np.random.default_rng(5), 200_000
+    detector = Detector(PULSE, 5.0, keep=keep, max_echoes=3)  # type: ignore[arg-type]
+    noise = (
+        np.zeros(count, np.int64),
+        np.round(rng.uniform(0.0, 60.0, count), 3),
+        np.round(rng.uniform(5.0, 9.0, count), 4),
+    )
+    same_echoes(*both(lambda: detect(SubEchoes.none(), 1, detector, noise_echoes=noise)))
+
+
 @given(seed=st.integers(0, 100_000))
 @FEW
 def test_short_clusters_are_the_same(seed: int) -> None:
@@ -322,6 +345,8 @@ def test_short_clusters_are_the_same(seed: int) -> None:
 
 
 def test_what_both_must_know_stands_twice_alike() -> None:
-    from emulator.compiled import casting
+    from emulator.compiled import arithmetic, casting
+    from emulator.physics import arrays
 
-    assert casting.LONGEST == raycast.LONGEST
+    assert (casting.LONGEST, casting.LONGER) == (raycast.LONGEST, raycast.LONGER)
+    assert (arithmetic._COS, arithmetic._SIN) == (arrays._COS, arrays._SIN)

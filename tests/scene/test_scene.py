@@ -12,7 +12,10 @@ import trimesh
 
 from emulator import mesh_files, scenario, scene, triangles
 from emulator.errors import SceneError
+from emulator.motion import Steady
 from emulator.raycast import Caster
+from emulator.scenario_tables import Mount
+from emulator.scene import Scene
 from emulator.solids import Node, block, glb
 from emulator.triangles import Geometry
 
@@ -303,3 +306,14 @@ def test_a_primitive_may_be_named_in_a_table_of_materials(tmp_path: Path) -> Non
 def test_smoothness_is_the_scenarios_choice(tmp_path: Path) -> None:
     world = built("world: [{cylinder: {radius_m: 1, height_m: 1, segments: 8}, material: brick}]\n", tmp_path)
     assert len(world.bodies[0].faces) == len(triangles.cylinder(1, 1, 8).faces) == 32
+
+
+def test_a_sensor_on_a_car_has_a_pose_for_any_number_of_times() -> None:
+    motions = (Steady(), Steady(velocity_m_s=(1.0, 0.0, 0.0), yaw_deg=90.0))
+    world = Scene(("world", "car"), ("unknown", "car"), motions, (), ())
+    for count in (0, 1, 3):
+        pose = world.sensor_pose(Mount(actor="car", at_m=(0.5, 0.0, 1.0)), np.arange(float(count)))
+        np.testing.assert_allclose(
+            pose.position_m, [[t, 0.5, 1.0] for t in range(count)] or np.zeros((0, 3)), atol=1e-12
+        )
+        assert pose.rotation.shape == (count, 3, 3)
