@@ -421,9 +421,10 @@ def _norm(vector: Floats) -> float:
 
 def _turned(ray: Floats) -> Floats:
     """Each ray turned by `LEAK_TURN_RAD` about an axis across it."""
-    helper = np.zeros_like(ray)
-    helper[np.argmin(np.abs(ray), axis=0), np.arange(ray.shape[1])] = 1.0
-    across = np.cross(ray, helper, axis=0)
+    least, each = np.abs(ray).argmin(axis=0), np.arange(ray.shape[1])
+    across = np.zeros_like(ray)  # the product with the axis along which it has least
+    across[(least + 1) % 3, each] = ray[(least + 2) % 3, each]
+    across[(least + 2) % 3, each] = -ray[(least + 1) % 3, each]
     across /= np.sqrt(np.einsum("ik,ik->k", across, across))
     turned = ray + LEAK_TURN_RAD * across
     return np.asarray(turned / np.sqrt(np.einsum("ik,ik->k", turned, turned)))
