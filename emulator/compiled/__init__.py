@@ -50,7 +50,7 @@ def why() -> tuple[bool, str]:
 def _loops() -> tuple[ModuleType | None, str]:
     """The functions, or why there are none."""
     if not importlib.util.find_spec("numba"):
-        return None, "numba is not installed; pip install 'lidaremu[fast]' takes half to two thirds off the time of a sweep"
+        return None, "numba is not installed; with 'lidaremu[fast]' a sweep takes a half or a third of its time"
     told = threading.Timer(TOLD_AFTER_S, sys.stderr.write, (MESSAGE,))
     told.daemon = True
     told.start()
