@@ -256,7 +256,7 @@ class Measure:
         bundles = self._bundles.of(plan)
         if self._still_pose is None:
             spread, steady = self._bundles.turned(bundles, pose.rotation)
-            return rays_of(spread, pose.position_m, t_s, steady), None
+            return rays_of(spread, pose.position_m, t_s, steady, ordered=self._bundles.again), None
         known = next((one for one in self._at_rest if one.bundles is bundles), None)
         if known is None:
             known = Resting(bundles, cast_rays(bundles, pose, t_s))

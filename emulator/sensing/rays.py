@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -44,12 +45,15 @@ class Bundles:
     "(n m,)"
     nearest_axis: Ints
     "(n,) flat index of each beam's sub-beam nearest to its axis."
-    order: Ints | None = None
-    "(n m,) in which they are best searched for, see `in_bands`; None: as they come."
 
     @property
     def sub_beams(self) -> int:
         return len(self.share)
+
+    @cached_property
+    def order(self) -> Ints:
+        """(n m,) in which they are best searched for, see `in_bands`."""
+        return in_bands(self.axis, self.direction)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +81,7 @@ class Rays:
     steady: bool = False
     "`direction` is the array of an earlier sweep."
     order: Ints | None = None
-    "(n m,) of the bundles."
+    "(n m,) of the bundles; None: as they come."
 
     def at(self, t_s: Floats) -> Rays:
         """The same rays, cast at other instants (n,) by a sensor at rest."""
@@ -118,6 +122,8 @@ class BundleCache:
         self._nodes = beams.together(beams.bundle(rule, model.sub_beams, model.beam.profile))
         self._kept: OrderedDict[tuple[bytes, bytes], Bundles] = OrderedDict()
         self._turned: tuple[Turned, ...] = ()
+        self.again = False
+        "The bundles asked for last had been asked for before: what takes long to find out of them is worth it."
 
     def turned(self, bundles: Bundles, rotation: Floats) -> tuple[Turned, bool]:
         """Bundles turned by rotations (n, 3, 3), and whether they are those of an earlier sweep."""
@@ -135,6 +141,7 @@ class BundleCache:
         """Bundles for the plan's angles."""
         key = plan.azimuth_rad.tobytes(), plan.elevation_rad.tobytes()
         found = self._kept.get(key)
+        self.again = found is not None
         if found is None:
             found = self._spread(plan.azimuth_rad, plan.elevation_rad)
             self._kept[key] = found
@@ -153,8 +160,7 @@ class BundleCache:
             return Bundles(axis, axis[:, None, :], None, nodes.share, *flat)
         direction, start_m = beams.spread(nodes, self._model.beam, azimuth_rad, elevation_rad)
         has_width = self._model.beam.exit_radius_m > 0.0
-        order = in_bands(axis, direction)
-        return Bundles(axis, direction, start_m if has_width else None, nodes.share, *flat, order)
+        return Bundles(axis, direction, start_m if has_width else None, nodes.share, *flat)
 
 
 def cast_rays(bundles: Bundles, pose: Pose, t_s: Floats) -> Rays:
@@ -162,8 +168,8 @@ def cast_rays(bundles: Bundles, pose: Pose, t_s: Floats) -> Rays:
     return rays_of(Turned.of(bundles, pose.rotation), pose.position_m, t_s)
 
 
-def rays_of(spread: Turned, position_m: Floats, t_s: Floats, steady: bool = False) -> Rays:
-    """The same of turned bundles, from the places (n, 3)."""
+def rays_of(spread: Turned, position_m: Floats, t_s: Floats, steady: bool = False, ordered: bool = False) -> Rays:
+    """The same of turned bundles, from the places (n, 3); `ordered`: packets of them are worth their order."""
     bundles = spread.bundles
     m = bundles.sub_beams
     loops = kernels()
@@ -185,7 +191,7 @@ def rays_of(spread: Turned, position_m: Floats, t_s: Floats, steady: bool = Fals
         axis=spread.axis,
         own_axis=bundles.axis,
         steady=steady,
-        order=bundles.order,
+        order=bundles.order if ordered and m > 1 and loops is not None else None,
     )
 
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from emulator import sensing
+from emulator import compiled, sensing
 from emulator.physics import counting, radiometry
 from emulator.spec import load_spec
 from protocols.scan import Scan
@@ -240,3 +240,17 @@ def test_sub_beams_are_searched_for_by_rows() -> None:
     assert np.count_nonzero(upper[1:] != upper[:-1]) == 1
     for half in (row[upper], row[~upper]):
         assert (np.diff(np.arctan2(half[:, 1], half[:, 0])) >= 0.0).all()
+
+
+@pytest.mark.parametrize("loops", [False, True])
+def test_an_order_is_found_for_angles_that_come_again_and_for_packets_alone(tmp_path: Path, loops: bool) -> None:
+    """A plan that never comes again, as one whose angles a fault moves, is not worth it."""
+    if loops:
+        pytest.importorskip("numba")
+    drive = [{"id": "ego", "motion": {"velocity_m_s": [1.0, 0.0, 0.0]}}]
+    with compiled.switched(loops):
+        physics = {"rule": "spiral", "sub_beams": 16, "leave_out": {"closed_form": "never"}}
+        measure = build(tmp_path, [plate(60.0, "white")], actors=drive, mount={"actor": "ego"}, physics=physics)
+        first, again = (measure.view(plan(sweep=number)).rays for number in range(2))
+    assert first.order is None
+    assert (again.order is not None) == loops
