@@ -199,14 +199,16 @@ def may_meet(
         return np.arange(len(reach)).repeat(count), np.tile(np.arange(count), len(reach))
     low, high = box
     loops = kernels()
-    if loops is not None and len(reach) * MOST_CHUNKS <= 4 * MANY:
-        if not loops.any_near(centre, reach, low, high, far):
+    if loops is not None:
+        spheres = loops.near(centre, reach, low, high, far)
+        if not spheres:
             return np.zeros(0, np.int64), np.zeros(0, np.int64)
         around = cones()
-        which, rays = loops.pairs(
-            centre, reach, low, high, far, around.axis, around.half, around.size, known_m, ROUNDING
-        )  # fmt: skip
-        return which, rays
+        if spheres * len(around.half) <= 4 * MANY:
+            which, rays = loops.pairs(
+                centre, reach, low, high, far, around.axis, around.half, around.size, known_m, ROUNDING
+            )
+            return which, rays
     eye = low + (high - low) / 2.0
     reach = reach + float(np.linalg.norm(high - eye))
     view = centre - eye[:, None]

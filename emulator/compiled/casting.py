@@ -102,7 +102,7 @@ def resting(
 
 
 def unwritten(count):
-    """Columns of `Nearest`, for `resting` to write: all but normals, which only hits on moving bodies have."""
+    """Columns of `Nearest`, for `resting` to write; normals are written and read of hits on moving bodies alone."""
     return np.empty(count), np.empty(count, np.int64), np.empty(count, np.int64), np.empty((3, count)), np.empty(count)
 
 

@@ -24,7 +24,7 @@ INTS, INT_ROWS, _ = _columns(int64)
 WORDS, _, _ = _columns(int32)
 FLAGS, _, _ = _columns(boolean)
 _, SINGLE_ROWS, _ = _columns(float32)
-OUT_FLOATS, OUT_ROWS, OUT_LOOSE = float64[::1], float64[:, ::1], float64[:, :]
+OUT_FLOATS, OUT_LOOSE = float64[::1], float64[:, :]
 OUT_INTS, OUT_WORDS, OUT_FLAGS, OUT_SINGLES = int64[::1], int32[::1], boolean[::1], float32[::1]
 "Written to; loose: in rows or not."
 EMBREE = (INT, INT, INT, INT)

@@ -5,7 +5,7 @@ from emulator.compiled.clusters import crossed, joined, split, sums
 from emulator.compiled.echoes import FIRST, LAST, STRONGEST, levels, ranks, readings, reported
 from emulator.compiled.maxima import edges, maxima, sources
 from emulator.compiled.media import crossed_under, ended_under, under
-from emulator.compiled.moving import any_near, keep_nearer, moving, pairs, whereabouts
+from emulator.compiled.moving import keep_nearer, moving, near, pairs, whereabouts
 from emulator.compiled.packets import Packets, library
 from emulator.compiled.surfaces import in_order, repeated, special, strengths
 from emulator.compiled.waves import sampled
@@ -15,7 +15,6 @@ __all__ = [
     "LAST",
     "STRONGEST",
     "Packets",
-    "any_near",
     "crossed",
     "crossed_under",
     "edges",
@@ -28,6 +27,7 @@ __all__ = [
     "library",
     "maxima",
     "moving",
+    "near",
     "pairs",
     "ranks",
     "readings",

@@ -56,13 +56,12 @@ def _room(low, high):
 
 
 @compiled(ROWS, FLOATS, FLOATS, FLOATS, FLOAT)
-def any_near(place, reach, low, high, far):
-    """Some sphere is not out of reach."""
-    room = _room(low, high)
+def near(place, reach, low, high, far):
+    """How many spheres are not out of reach."""
+    room, count = _room(low, high), 0
     for b in range(len(reach)):
-        if _away(place, b, low, high)[3] - (reach[b] + room) <= far:
-            return True
-    return False
+        count += _away(place, b, low, high)[3] - (reach[b] + room) <= far
+    return count
 
 
 @compiled(ROWS, FLOATS, FLOATS, FLOATS, FLOAT, ROWS, FLOATS, INT, FLOATS, FLOAT)
@@ -121,8 +120,8 @@ def keep_nearer(
 def _crosses(place, along, half):
     """Where a ray enters and leaves the slab of a box; nothing is excluded along a side, where that is no number."""
     each = 1.0 / along
-    near, deep = place * each, abs(each) * half
-    low, high = -deep - near, deep - near
+    middle, deep = place * each, abs(each) * half
+    low, high = -deep - middle, deep - middle
     if np.isnan(low) or np.isnan(high):
         return -np.inf, np.inf
     return low, high

@@ -170,6 +170,6 @@ def repeated(position, t_s, times):
     out = np.empty((4, n * times))
     for i in range(4):
         row = out[i]
-        for k in range(n):  # a slice at once is written four times as fast as one by one
+        for k in range(n):  # slices, which are written several numbers at a time
             row[k * times : (k + 1) * times] = position[k, i] if i < 3 else t_s[k]
     return out

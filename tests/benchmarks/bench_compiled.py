@@ -3,7 +3,8 @@
 python -m tests.benchmarks.bench_compiled [SCENES]
 
 First the start of a process that measures: without them, where they are compiled for the first time, with them. Then
-readings of random scenes, at rest and driving, and of 400 sweeps of `street`, against those by arrays.
+the search for the rays of a sweep alone, one by one and in packets; then readings of random scenes, at rest and
+driving, and of 400 sweeps of `street`, against those by arrays.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from pathlib import Path
 
 import numpy as np
 
@@ -20,6 +22,7 @@ from emulator import plans, raycast, scenario, scene, sensing
 from emulator.compiled import SWITCH
 from emulator.physics_options import LeaveOut
 from protocols.scan import Scan
+from tests.benchmarks import bench_scan
 from tests.compiled.both import both
 from tests.compiled.test_same import random_sweeps
 
@@ -40,6 +43,25 @@ def start(name: str, **environment: str) -> None:
     told = subprocess.run([sys.executable, "-c", START], env=env, capture_output=True, text=True, check=True).stdout
     seconds, megabytes = map(float, told.split())
     sys.stdout.write(f"start, {name:28s} {seconds:6.2f} s {megabytes:6.0f} MB\n")
+
+
+def search(repeats: int) -> None:
+    """Least CPU time of a driving sweep's rays on what rests of `street` on rolling ground."""
+    with tempfile.TemporaryDirectory() as folder:
+        bench_scan.hills(Path(folder) / "hills.obj", 171)
+        measure, caster = bench_scan.of(bench_scan.street(Path(folder), {}, False))
+    plan = bench_scan.sweep(0.5)
+    rays = [measure.view(bench_scan.at(plan, number)).rays for number in range(2)][-1]
+    raw = bench_scan.raw_cast(measure._scene, rays.origin_m, rays.direction)
+    found = {"one by one": min(bench_scan.times_ms(raw, repeats))}
+    assert rays.order is not None
+    for name, order in (("in packets as they come", np.arange(len(rays.order))), ("in packets by rows", rays.order)):
+        origin = (rays.origin_m[order] - caster._groups[0].centre[:, 0]).astype(np.float32, order="C")
+        direction, long = rays.direction[order].astype(np.float32, order="C"), np.full(len(order), 1e30, np.float32)
+        run = caster._built[0].run
+        found[name] = min(bench_scan.times_ms(lambda: run(origin, direction, long.copy()), repeats))  # noqa: B023
+    told = ", ".join(f"{name} {ms:.2f} ms" for name, ms in found.items())
+    sys.stdout.write(f"{len(rays.order)} rays: {told}\n")
 
 
 def alike(name: str, pairs: list[tuple[Scan, Scan]]) -> None:
@@ -66,6 +88,7 @@ def main(scenes: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         start("loops, the first time", **{SWITCH: "1", "NUMBA_CACHE_DIR": folder})
     start("loops", **{SWITCH: "1"})
+    search(80)
     pairs: list[tuple[Scan, Scan]] = []
     for seed in range(scenes):
         for drives in (False, True):
