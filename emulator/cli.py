@@ -1,7 +1,8 @@
 """The command line: reads arguments, prints, and turns errors into exit codes. The only place that prints.
 
 Exit codes: 0 held, or stopped as asked; 1 an expectation failed; 2 cannot run: bad scenario, spec or arguments;
-3 a link could not be opened or was lost. Parts are imported by the command that needs them.
+3 a link could not be opened or was lost; 4 the run went on but its recording ended early; 5 a sensor fell silent, or
+scans do not add up. Parts are imported by the command that needs them.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from emulator.errors import EmulatorError, LinkError
 if TYPE_CHECKING:
     from emulator.daemon import Daemon
     from emulator.faults.events import FaultEvent
+    from emulator.incidents import Incident, Incidents
     from emulator.instrument import Instrument
     from emulator.scenario import Scenario
     from emulator.transcript import Transcript
@@ -173,6 +175,7 @@ def run(
     else:
         daemon, instruments = assembly.start(loaded, real, workers)
     daemon.on_failure = note
+    daemon.incidents.listeners.append(incident_teller(as_json))
     if daemon.faults is not None:
         daemon.faults.listeners.append(fault_teller(as_json))
     if isinstance(daemon, VirtualDaemon):
@@ -203,14 +206,16 @@ def run(
         if recorder is not None:
             recorder.close()
         driver_code = None if driver is None else end_driver(driver)
-    announce_end(instruments, as_json, None if transcript is None else transcript.sha256())
+    announce_end(instruments, as_json, None if transcript is None else transcript.sha256(), daemon.incidents)
     for cause, count in daemon.failures.items():
         note(f"{count} scans could not be measured: {cause}")
     if driver_code not in (None, 0):
         note(f"{command[0]} ended with {how_it_ended(driver_code)}")
     if daemon.lost_links:
         return LINK_LOST
-    return OK if driver_code in (None, 0) else FAILED
+    if driver_code not in (None, 0):
+        return FAILED
+    return daemon.incidents.exit_code
 
 
 def how_it_ended(code: int) -> str:
@@ -271,7 +276,19 @@ def watched(instruments: Sequence[Instrument]) -> Transcript:
     return transcript
 
 
-def announce_end(instruments: Sequence[Instrument], as_json: bool, sha256: str | None) -> None:
+def incident_teller(as_json: bool) -> Callable[[Incident], None]:
+    """Tells of each incident when it happens."""
+
+    def tell(incident: Incident) -> None:
+        if as_json:
+            say(json.dumps({"event": "incident"} | incident.as_json()))
+        else:
+            note(f"{incident.at_ns * 1e-9:.3f} s: {incident.on}: {incident.kind}: {incident.text}")
+
+    return tell
+
+
+def announce_end(instruments: Sequence[Instrument], as_json: bool, sha256: str | None, incidents: Incidents) -> None:
     """Say what each sensor did: scans sent, dropped, rate, lateness of sends. `sha256`: of a run in virtual time."""
     from emulator.daemon import summary
     from emulator.object_metrics import told
@@ -279,7 +296,8 @@ def announce_end(instruments: Sequence[Instrument], as_json: bool, sha256: str |
     totals = [summary(item) for item in instruments]
     if as_json:
         digest = {} if sha256 is None else {"sha256": sha256}
-        say(json.dumps({"event": "stopped", "sensors": totals} | digest))
+        told_of = {"incidents": incidents.rows(), "incident_totals": incidents.totals()}
+        say(json.dumps({"event": "stopped", "sensors": totals} | told_of | digest))
         return
     for total in totals:
         dropped = ", ".join(f"{count} {reason}" for reason, count in total["scans_dropped"].items()) or "none"
@@ -303,6 +321,8 @@ def announce_end(instruments: Sequence[Instrument], as_json: bool, sha256: str |
         if "objects" in total:
             for line in told(total["objects"]):
                 say(f"{total['id']}: {line}")
+    for kind, count in incidents.totals().items():
+        say(f"incidents: {count} {kind}")
     if sha256 is not None:
         say(f"sha256 of all wire bytes with their virtual times: {sha256}")
 

@@ -24,6 +24,7 @@ import numpy as np
 from emulator.clock import Clock, ThreadClock
 from emulator.errors import LinkError
 from emulator.faults.run import FaultRun
+from emulator.incidents import Incidents
 from emulator.instrument import Instrument
 from emulator.measuring import Workers
 from emulator.waiting import Waiter, sharpen_timers
@@ -67,6 +68,8 @@ class Daemon:
         "What goes wrong on purpose in this run."
         self.failures: Counter[str] = Counter()
         "Scans that could not be measured, by cause."
+        self.incidents = Incidents()
+        "What befell our own processes, files and links."
 
     def stop(self) -> None:
         """End the run after the present step; safe in a signal handler."""

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+from emulator.incidents import Incidents
 from emulator.instrument import Instrument
 
 
-def prometheus(instruments: Sequence[Instrument]) -> str:
-    """Counters and the histogram of every sensor."""
-    return "\n".join(_lines(instruments)) + "\n"
+def prometheus(instruments: Sequence[Instrument], incidents: Incidents | None = None) -> str:
+    """Counters and the histogram of every sensor, and what befell the run."""
+    return "\n".join([*_lines(instruments), *_incident_lines(incidents or Incidents())]) + "\n"
+
+
+def _incident_lines(incidents: Incidents) -> Iterator[str]:
+    yield "# HELP lidaremu_incidents_total What befell processes, files and links of the run, by kind."
+    yield "# TYPE lidaremu_incidents_total counter"
+    for (kind, where), count in sorted(dict(incidents.counts).items()):
+        yield f'lidaremu_incidents_total{{kind="{_label(kind)}",on="{_label(where)}"}} {count}'
 
 
 def _label(text: str) -> str:

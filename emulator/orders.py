@@ -111,12 +111,14 @@ class Orders:
             "now_s": self._now_ns() * 1e-9,
             "paused": self._daemon.paused if isinstance(self._daemon, VirtualDaemon) else False,
             "sensors": [summary(one) for one in self._instruments],
+            "incidents": self._daemon.incidents.rows(),
+            "incident_totals": self._daemon.incidents.totals(),
         }
 
     def metrics(self, params: Mapping[str, Any]) -> object:
         """Counters and the histogram of lateness as Prometheus text."""
         _taken(params)
-        return prometheus(self._instruments)
+        return prometheus(self._instruments, self._daemon.incidents)
 
     def weather(self, params: Mapping[str, Any]) -> dict[str, Any]:
         """Tables of `weather:` laid over what holds, from the next sweep asked for on; without any: what holds."""

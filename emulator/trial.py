@@ -17,6 +17,7 @@ from emulator.daemon import summary
 from emulator.expectations import Judgement, understand, verdicts
 from emulator.faults.run import FaultRun
 from emulator.hosts.scripted import HasScript, LdScript, Lms2xxScript
+from emulator.incidents import Incidents
 from emulator.instrument import Instrument, Measuring
 from emulator.measuring import InPlace, Workers
 from emulator.recording.writer import Recorder
@@ -50,6 +51,10 @@ class Verdict:
     sensors: tuple[dict[str, Any], ...]
     warnings: tuple[str, ...] = ()
     "What was computed outside the range where it is known to hold."
+    incidents: tuple[dict[str, object], ...] = ()
+    "What befell our own processes, files and links."
+    exit_code: int = 0
+    "Of those incidents."
 
     @property
     def held(self) -> bool:
@@ -84,6 +89,7 @@ class Trial:
         """
         self.scenario = scenario
         self.expected = understand(scenario)
+        self.incidents = Incidents()
         sessions = assembly.new_sessions(scenario)
         names = [sensor.id for sensor in scenario.sensors]
         build = partial(assembly.build_measures, scenario)
@@ -147,7 +153,10 @@ class Trial:
         judged += [Judgement("every sweep can be measured", False, text, "no failure") for text in failures]
         sensors = tuple(summary(item) for item in self.instruments)
         name, digest = str(self.scenario.source), self.transcript.sha256()
-        return Verdict(name, tuple(judged), digest, duration_s, sensors, tuple(self._warnings))
+        incidents = tuple(self.incidents.rows())
+        return Verdict(
+            name, tuple(judged), digest, duration_s, sensors, tuple(self._warnings), incidents, self.incidents.exit_code
+        )
 
     def close(self) -> None:
         """Release everything, finish the recording."""

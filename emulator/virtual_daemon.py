@@ -21,6 +21,7 @@ from types import FrameType
 from emulator.clock import SystemClock
 from emulator.errors import LinkError
 from emulator.faults.run import FaultRun
+from emulator.incidents import Incidents
 from emulator.instrument import Instrument
 from emulator.measuring import Workers
 from emulator.transports.link import Link
@@ -104,6 +105,8 @@ class VirtualDaemon:
         self.lost_links: list[str] = []
         self.faults: FaultRun | None = None
         "What goes wrong on purpose in this run."
+        self.incidents = Incidents()
+        "What befell our own processes, files and links."
 
     @property
     def now_ns(self) -> int:

@@ -48,6 +48,7 @@ class Result:
             "expect": [asdict(item) for item in self.found.judgements],
             "sensors": list(self.found.sensors),
             "warnings": list(self.found.warnings),
+            "incidents": list(self.found.incidents),
         }
 
 
@@ -105,7 +106,8 @@ def test(
     if not as_json:
         counts = {verdict: sum(result.verdict == verdict for result in results) for verdict in CODES}
         say(", ".join(f"{count} {verdict}" for verdict, count in counts.items() if count))
-    return max((CODES[result.verdict] for result in results), default=OK)
+    code = max((CODES[result.verdict] for result in results), default=OK)
+    return code or min((one.found.exit_code for one in results if one.found and one.found.exit_code), default=OK)
 
 
 def _files(scenarios: Sequence[str]) -> Iterator[str]:
@@ -185,6 +187,8 @@ def _tell(result: Result) -> None:
     )
     for text in found.warnings:
         say(f"  warning: {text}")
+    for row in found.incidents:
+        say(f"  {row['on']}: {row['kind']}: {row['text']}")
     for sensor in found.sensors:
         if "objects" in sensor:
             all_ = sensor["objects"]["total"]
