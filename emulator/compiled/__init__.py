@@ -14,7 +14,6 @@ import importlib
 import importlib.util
 import os
 import sys
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -22,7 +21,6 @@ from types import ModuleType
 
 SWITCH = "LIDAREMU_COMPILED"
 "Environment: 0 leaves compiled functions out."
-TOLD_AFTER_S = 3.0
 MESSAGE = "lidaremu: loops are being compiled for this machine, once\n"
 
 _wanted = os.environ.get(SWITCH, "1") != "0"
@@ -51,16 +49,12 @@ def _loops() -> tuple[ModuleType | None, str]:
     """The functions, or why there are none."""
     if not importlib.util.find_spec("numba"):
         return None, "numba is not installed; with 'lidaremu[fast]' a sweep takes a half or a third of its time"
-    told = threading.Timer(TOLD_AFTER_S, sys.stderr.write, (MESSAGE,))
-    told.daemon = True
-    told.start()
     try:
-        return importlib.import_module("emulator.compiled.loops"), ""
+        with importlib.import_module("emulator.compiled.jit").told_once(sys.stderr.write, MESSAGE):
+            return importlib.import_module("emulator.compiled.loops"), ""
     except ImportError as error:  # a numba that does not go with this numpy says so when it is imported
         sys.stderr.write(f"lidaremu: loops are not compiled: {error}\n")
         return None, str(error)
-    finally:
-        told.cancel()
 
 
 @contextmanager

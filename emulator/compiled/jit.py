@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import wraps
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numba import boolean, float32, float64, int32, int64, njit
+from numba.core import event
 from numba.types import Array
 
 
@@ -44,6 +45,28 @@ def forget_older(folder: Path) -> None:
 
 
 forget_older(Path(__file__).parent)
+
+
+class _OnStart(event.Listener):  # type: ignore[misc]
+    """Calls back when the first compilation begins; what is loaded from disk is not compiled."""
+
+    def __init__(self, action: Callable[[], object]) -> None:
+        self._action: Callable[[], object] | None = action
+
+    def on_start(self, _event: event.Event) -> None:
+        if self._action is not None:
+            self._action()
+            self._action = None
+
+    def on_end(self, _event: event.Event) -> None:
+        pass
+
+
+@contextmanager
+def told_once(tell: Callable[[str], object], text: str) -> Iterator[None]:
+    """Says so when the compiler begins to run, and only then."""
+    with event.install_listener("numba:compile", _OnStart(lambda: tell(text))):
+        yield
 
 
 def compiled(*arguments: Any) -> Callable[[Callable[..., Any]], Any]:
