@@ -19,6 +19,8 @@ from contextlib import contextmanager
 from functools import cache
 from types import ModuleType
 
+from emulator.compiled import build
+
 SWITCH = "LIDAREMU_COMPILED"
 "Environment: 0 leaves compiled functions out."
 MESSAGE = "lidaremu: loops are being compiled for this machine, once\n"
@@ -51,7 +53,10 @@ def _loops() -> tuple[ModuleType | None, str]:
         return None, "numba is not installed; with 'lidaremu[fast]' a sweep takes a half or a third of its time"
     try:
         with importlib.import_module("emulator.compiled.jit").told_once(sys.stderr.write, MESSAGE):
-            return importlib.import_module("emulator.compiled.loops"), ""
+            loops = importlib.import_module("emulator.compiled.loops")
+        if not build.built():
+            build.note_built(importlib.import_module("emulator.compiled.jit").KEPT_IN)
+        return loops, ""
     except ImportError as error:  # a numba that does not go with this numpy says so when it is imported
         sys.stderr.write(f"lidaremu: loops are not compiled: {error}\n")
         return None, str(error)

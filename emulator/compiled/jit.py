@@ -30,6 +30,8 @@ OUT_INTS, OUT_WORDS, OUT_FLAGS, OUT_SINGLES = int64[::1], int32[::1], boolean[::
 "Written to; loose: in rows or not."
 EMBREE = (INT, INT, INT, INT)
 "`Packets.how`."
+KEPT_IN: set[str] = set()
+"Folders in which numba keeps what it compiled."
 
 
 def forget_older(folder: Path) -> None:
@@ -100,6 +102,8 @@ def compiled(*arguments: Any) -> Callable[[Callable[..., Any]], Any]:
 def _compile(function: Callable[..., Any], arguments: tuple[Any, ...] | None = None) -> Any:
     options = {"nogil": True, "error_model": "numpy"}
     try:
-        return njit(arguments, cache=True, **options)(function)
+        made = njit(arguments, cache=True, **options)(function)
+        KEPT_IN.add(made._cache.cache_path)
+        return made
     except RuntimeError:  # no folder that may be written to
         return njit(arguments, **options)(function)
