@@ -206,9 +206,10 @@ class Workers:
         return self._run_clock
 
     def takes_ns(self, sensor: str) -> int | None:
-        """The longest of the last sweeps of that sensor; None before one was measured in its present process."""
-        pace = self._home[sensor].pace[sensor]
-        return None if pace.fresh else pace.longest_ns
+        """The longest of the last sweeps of that sensor; None while the first one in its process is still to come."""
+        home = self._home[sensor]
+        pace = home.pace[sensor]
+        return None if pace.fresh and home.state == "ready" else pace.longest_ns
 
     def rows(self) -> list[dict[str, object]]:
         """The processes, for whoever asks."""
@@ -441,7 +442,8 @@ class Workers:
         elif was_ready and work is None:
             why += " between two sweeps"
         self._take_back(home, work)
-        blamed = self._run_clock is not None and isinstance(work, Sweep)
+        # a sensor that ends one worker after the other pauses itself: its worker need not
+        blamed = isinstance(work, Sweep) and work.sensor in self._blame and self._blame[work.sensor].deaths > 1
         lived = was_ready and (blamed or self._ran.ns - home.ready_ns > patience.LIVED_NS)
         home.failures = 1 if lived else home.failures + 1
         pause_ns = patience.pause_ns(home.failures)

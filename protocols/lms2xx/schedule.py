@@ -199,11 +199,11 @@ class Schedule:
         self._plan = self._planned = None
         slot.take(nearest(scan))
 
-    def give_up(self, plan: ScanPlan, now_ns: int) -> int:
+    def give_up(self, plan: ScanPlan, now_ns: int) -> dict[DropReason, int]:
         """The scan of `next_plan` will not be measured. Raises `ScanRefused` for any other.
 
-        The stream goes on in a later slot; what a host has asked for by name is measured later. How many scans
-        `passed_over` will not count.
+        The stream goes on in a later slot: the scans that this costs, as `passed_over`. What a host has asked for by
+        name is measured later.
         """
         slot = self._planned
         if self._plan is None or slot is None or (plan.epoch, plan.sweep) != (self._plan.epoch, self._plan.sweep):
@@ -213,15 +213,17 @@ class Schedule:
         if not slot.once:
             self._slots.remove(slot)
             self._telegrams -= 1
-            self._late = self._sent_turn > 0
-            return 0 if self._sent_turn else slot.output.scans
+            causes = self.passed_over(slot)
+            causes[DropReason.LATE] = causes.get(DropReason.LATE, 0) + slot.output.scans
+            self._late = True
+            return causes
         begin = self._scan_from(now_ns, slot.comb.turns) * slot.comb.turns
         slot.first_turn = max(begin, slot.first_turn)
         slot.measured, slot.mean = 0, None
         slot.send_ns = self._mirror.turn_ns(slot.end_turn)
         if slot.reserved:
             self._line.promise(slot.send_ns, slot.size)
-        return 0
+        return {}
 
     def take_due(self, now_ns: int) -> Slot | None:
         """The next slot whose time has come and whose scans are there, removed; call until None."""

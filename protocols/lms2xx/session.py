@@ -342,10 +342,10 @@ class Lms2xxSession(Session):
         self._send_due_values()
 
     def give_up(self, plan: ScanPlan, now_ns: int) -> bool:
-        """The stream goes on with a later scan, counted with the next telegram; one asked for comes later."""
+        """The stream goes on with a later scan; one asked for comes later."""
         self.advance(now_ns)
-        if uncounted := self._schedule.give_up(plan, self._now_ns):
-            self._drop(DropReason.LATE, "not measured in time", uncounted)
+        for reason, passed in self._schedule.give_up(plan, self._now_ns).items():
+            self._drop(reason, "not measured in time", passed)
         return True
 
     def take_emissions(self, now_ns: int) -> list[Emission]:
