@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import socket
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-
 
 from emulator import assembly, scenario
 from emulator.clock import ManualClock
@@ -233,7 +232,9 @@ class Rig:
     def stream(self, *sensors: str) -> None:
         """Go on until each has sent five scans."""
         names = sensors or tuple(self.hosts)
-        assert self.advance(30.0, lambda: all(len(self.sent.at_ns.get(name, ())) >= 5 for name in names)), self.sent.at_ns
+        assert self.advance(30.0, lambda: all(len(self.sent.at_ns.get(name, ())) >= 5 for name in names)), (
+            self.sent.at_ns
+        )
         self.advance(0.5)
 
     def rate_hz(self, sensor: str, seconds: float) -> float:
@@ -270,5 +271,3 @@ class _Stepping:
         if not hasattr(self._rig, "daemon"):
             self._rig.played()
         return self._rig.clock.now_ns()
-
-

@@ -13,7 +13,7 @@ from emulator.conditions import NORMAL
 from emulator.errors import EmulatorError, SceneError
 from emulator.patience import Pace, RunningTime, Stillness, pause_ns
 from emulator.supervision import Workers
-from protocols.scan import Scan, ScanPlan
+from protocols.scan import ScanPlan
 from tests.process_rig import LD, LISTS, MS, SECOND, Played, Rig
 
 RATE_HZ = 37.5
@@ -332,7 +332,7 @@ def started(play: Callable[[Played], None], clock_rig: Rig) -> Workers:
     [
         (lambda made: made.end(-9), r"ended with signal 9 \(SIGKILL\) while it built the scene \(out of memory\?\)"),
         (lambda made: setattr(made, "refuses", "wall.obj: no triangle"), "wall.obj: no triangle"),
-        (lambda made: (setattr(made, "stopped", True)), "stood still: 2.. s without processor time building the sce"),
+        (lambda made: setattr(made, "stopped", True), "stood still: 2.. s without processor time building the sce"),
     ],
 )
 def test_a_first_start_that_fails_says_why(
@@ -397,5 +397,3 @@ def test_stillness_is_time_without_processor_time() -> None:
     assert still.look(3 * SECOND, 5) == 2 * SECOND
     assert still.look(4 * SECOND, 6) == 0
     assert still.look(9 * SECOND, None) == 0
-
-

@@ -49,7 +49,8 @@ def main(argv: Sequence[str]) -> int:
         server.close()
         daemon.close()
     totals = [summary(one) | {"account": ledgers[one.sensor].account(one.stats.scans_dropped)} for one in instruments]
-    say(json.dumps({"event": "stopped", "sensors": totals, "failures": dict(daemon.failures)}))
+    ends = {"incidents": daemon.incidents.totals(), "silent": daemon.liveness.silent}
+    say(json.dumps({"event": "stopped", "sensors": totals, "failures": dict(daemon.failures)} | ends))
     return 0
 
 

@@ -127,9 +127,7 @@ class Listener:
             self.socket.settimeout(PATIENCE_S)
 
 
-def test_a_stopped_sender_and_stopped_onlookers(
-    daemon: Daemons, case: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stopped_sender_and_stopped_onlookers(daemon: Daemons, case: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     service = Listener(case / "notify")
     monkeypatch.setenv("NOTIFY_SOCKET", str(case / "notify"))
     monkeypatch.setenv("WATCHDOG_USEC", "400000")
@@ -181,6 +179,9 @@ def test_a_stopped_sender_and_stopped_onlookers(
         for process in (reader, page):
             process.kill()
             process.communicate()
+            assert process.stdout is not None
+            process.stdout.close()
+    service.hear()
     assert running.stop() in (0, 5)  # 5: on a machine so busy that a scan came two seconds late
     assert "STOPPING=1" in service.hear()
     service.socket.close()
