@@ -7,13 +7,14 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from emulator.clock import Clock
-from emulator.daemon import Daemon, worker_count
+from emulator.daemon import Daemon
 from emulator.device_clock import with_clock
 from emulator.faults.run import FaultRun
 from emulator.instrument import Instrument, Measuring
-from emulator.measuring import InPlace, Measure, Measures, Workers
+from emulator.measuring import InPlace, Measure, Measures
 from emulator.scenario import Scenario
 from emulator.spec import load_spec
+from emulator.supervision import Workers, worker_count
 from emulator.transports import open_link
 from emulator.transports.can_link import CanPorts
 from emulator.transports.link import Link
@@ -118,7 +119,7 @@ def start(scenario: Scenario, clock: Clock, workers: int | None = None) -> tuple
     """Everything of a real-time run, devices still switched off: workers first, links after them."""
     sessions = new_sessions(scenario)
     names = [sensor.id for sensor in scenario.sensors]
-    measuring = Workers(partial(build_measures, scenario), names, workers or worker_count(len(names)))
+    measuring = Workers(partial(build_measures, scenario), names, workers or worker_count(len(names)), clock)
     try:
         instruments = open_instruments(scenario, sessions, measuring)
     except BaseException:
@@ -126,7 +127,6 @@ def start(scenario: Scenario, clock: Clock, workers: int | None = None) -> tuple
         raise
     daemon = Daemon(instruments, clock, measuring)
     daemon.faults = FaultRun(scenario, instruments)
-    daemon.watch_workers()
     return daemon, instruments
 
 

@@ -156,6 +156,9 @@ def run(
     """
     if shim and not command:
         raise click.UsageError("--shim wants the driver's command: lidaremu run SCENARIO --shim -- ./driver ARGS")
+    from emulator.notify import Notifier
+
+    notifier = Notifier.of_environment(os.environ)  # neither workers nor a driver speak for us
     environment = dict(os.environ)
     if shim:
         from emulator.transports.shim import shim_environment
@@ -175,6 +178,7 @@ def run(
     else:
         daemon, instruments = assembly.start(loaded, real, workers)
     daemon.on_failure = note
+    daemon.notifier = notifier
     daemon.incidents.listeners.append(incident_teller(as_json))
     if daemon.faults is not None:
         daemon.faults.listeners.append(fault_teller(as_json))

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import os
 import selectors
 import signal
 import socket
@@ -26,7 +25,10 @@ from emulator.errors import LinkError
 from emulator.faults.run import FaultRun
 from emulator.incidents import Incidents
 from emulator.instrument import Instrument
-from emulator.measuring import Workers
+from emulator.liveness import Liveness
+from emulator.notify import Notifier
+from emulator.patience import TICK_NS, RunningTime
+from emulator.supervision import Workers
 from emulator.waiting import Waiter, sharpen_timers
 
 SWITCH_S = 0.0005
@@ -70,6 +72,15 @@ class Daemon:
         "Scans that could not be measured, by cause."
         self.incidents = Incidents()
         "What befell our own processes, files and links."
+        self.notifier = Notifier()
+        "Who started us, if it wants to know."
+        self._ran = RunningTime()
+        self._look_ns = 0
+        "When processes and sensors are looked at next."
+        takes_ns = {} if workers is None else {"takes_ns": workers.takes_ns}
+        self.liveness = Liveness(self._instruments, self.incidents, **takes_ns)
+        for number in () if workers is None else workers.filenos():
+            self._selector.register(number, selectors.EVENT_READ, "workers")
 
     def stop(self) -> None:
         """End the run after the present step; safe in a signal handler."""
@@ -130,8 +141,11 @@ class Daemon:
         sys.setswitchinterval(SWITCH_S)
         gc.collect()
         gc.freeze()  # what lives as long as the run is not walked again by the collector
+        self.notifier.ready()
         while not self._stop:
             now_ns = self._clock.now_ns()
+            if now_ns >= self._look_ns:
+                self._look_around(now_ns)
             if until_ns is not None and now_ns >= until_ns:
                 return
             if while_true is not None and not while_true():
@@ -219,7 +233,11 @@ class Daemon:
         if at_most_ns is not None:
             wakes.append(self._clock.now_ns() + at_most_ns)
         deadline_ns = min(wakes) if wakes else None
-        if not self.waiter.until(deadline_ns, lambda now_ns: self._rehearse(now_ns, deadline_ns)):
+        if deadline_ns is None or deadline_ns > self._look_ns:
+            ready = self.waiter.doze(self._look_ns)
+        else:
+            ready = self.waiter.until(deadline_ns, lambda now_ns: self._rehearse(now_ns, deadline_ns))
+        if not ready:
             return
         for key, _ in self._selector.select(0):
             if key.data == "workers":
@@ -230,18 +248,24 @@ class Daemon:
                 self._wake[key.data] = self._clock.now_ns()
 
     def _take_results(self) -> None:
-        if self._workers is None:
-            return
-        fresh = self._workers.poll()
-        for text in self._workers.failures:
-            self._say_once(text)
-        self._workers.failures.clear()
-        self._tell_warnings()
+        if self._workers is not None:
+            self._tell_of(self._workers.poll())
+
+    def _tell_of(self, fresh: set[str]) -> None:
+        """Pass on what workers have told; step the sensors that have something new."""
+        assert self._workers is not None
         now_ns = self._clock.now_ns()
-        for index, instrument in enumerate(self._instruments):
+        if self._workers.failures or self._workers.incidents or self._workers.warnings:
+            for text in self._workers.failures:
+                self._say_once(text)
+            self._workers.failures.clear()
+            for kind, worker, text in self._workers.incidents:
+                self.incidents.note(kind, now_ns, worker, text)
+            self._workers.incidents.clear()
+            self._tell_warnings()
+        for index, instrument in enumerate(self._instruments if fresh else ()):
             if instrument.sensor in fresh:
                 self._wake[index] = now_ns
-        self.watch_workers()
 
     def _tell_warnings(self) -> None:
         while self._workers is not None and self._workers.warnings:
@@ -254,20 +278,23 @@ class Daemon:
         if self.failures[cause] == 1:
             self.on_failure(text)
 
-    def watch_workers(self) -> None:
-        """Wake up when a worker has finished a scan; called again when workers were replaced."""
-        if self._workers is None:
-            return
-        for key in [key for key in self._selector.get_map().values() if key.data == "workers"]:
-            if key.fd not in self._workers.filenos():
-                with contextlib.suppress(KeyError, ValueError, OSError):
-                    self._selector.unregister(key.fd)
-        for number in self._workers.filenos():
-            if number not in self._selector.get_map():
-                self._selector.register(number, selectors.EVENT_READ, "workers")
+    def _look_around(self, now_ns: int) -> None:
+        """Some ten times a second: do our processes, our sensors and we ourselves live?"""
+        wait_ns = TICK_NS
+        if self._workers is not None:
+            self._tell_of(self._workers.check())
+            wait_ns = self._workers.check_ns
+        self.liveness.look(now_ns, self._ran.pass_to(now_ns), {self._instruments[index].sensor for index in self._lost})
+        self.notifier.alive(now_ns, status_text(self._instruments, self.liveness))
+        self._look_ns = now_ns + min(wait_ns, self.notifier.wake_ns or wait_ns)
+
+    def worker_rows(self) -> list[dict[str, object]]:
+        """The measuring processes, for whoever asks."""
+        return [] if self._workers is None else self._workers.rows()
 
     def close(self) -> None:
         """Close every link and end the workers."""
+        self.notifier.stopping()
         for instrument in self._instruments:
             instrument.close()
         if self._workers is not None:
@@ -275,6 +302,7 @@ class Daemon:
         self._selector.close()
         self._bell.close()
         self._ring.close()
+        self.notifier.close()
 
 
 @dataclass(frozen=True)
@@ -337,6 +365,7 @@ def summary(instrument: Instrument) -> dict[str, Any]:
     } | judged
 
 
-def worker_count(sensors: int) -> int:
-    """One core is left to the sender."""
-    return max(1, min(sensors, len(os.sched_getaffinity(0)) - 1))
+def status_text(instruments: Sequence[Instrument], liveness: Liveness) -> str:
+    """One line for `systemctl status`."""
+    silent = liveness.silent
+    return f"{len(instruments)} sensors" + (f"; silent: {', '.join(silent)}" if silent else "")

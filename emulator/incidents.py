@@ -32,6 +32,7 @@ class IncidentKind:
 KINDS = {
     "worker replaced": IncidentKind("a measuring process ended or stood still; another one goes on with what it owed"),
     "worker lost": IncidentKind("no measuring process could be started any more", SILENT),
+    "worker back": IncidentKind("a measuring process could be started after all"),
     "sensor silent": IncidentKind("a sensor that a host has subscribed to sent nothing for many scan times", SILENT),
     "sensor back": IncidentKind("a silent sensor sends again"),
     "scans unaccounted": IncidentKind("asked is not sent + dropped + withdrawn + under way", SILENT),

@@ -15,6 +15,7 @@ from emulator.conditions import NORMAL, Conditions
 from emulator.faults.events import FaultEvent
 from emulator.hearing import Hearing
 from emulator.instrument_stats import InstrumentStats
+from emulator.measuring import NotMeasured
 from emulator.onlookers import Onlookers
 from emulator.transports.link import Link, Received
 from emulator.watching import Watcher
@@ -66,6 +67,9 @@ class Instrument:
         "Go with every sweep asked for from now on; what was asked for before, at most the look-ahead, keeps its own."
         self.asked_ns = -1
         "First firing of the newest sweep that has been asked for: it and those before it keep their conditions."
+        self.wanted_ns = -1
+        "When a sweep was asked for last, and when the device took one: for the check whether it has fallen silent."
+        self.lived_ns = -1
         self._measuring = measuring
         self._look_ahead_ns = look_ahead_ns
         self._asked: tuple[int, int] | None = None
@@ -251,7 +255,7 @@ class Instrument:
     def _take_scans(self, now_ns: int) -> bool:
         moved = False
         for scan in self._measuring.collect(self.sensor):
-            self.stats.scans_measured += 1
+            self.stats.scans_measured += not isinstance(scan, NotMeasured)
             self._outstanding -= 1
             moved = True
             if self._discarded:
@@ -261,10 +265,14 @@ class Instrument:
             if self._key(scan.plan) == self._asked:
                 self._asked = None
             try:
+                if isinstance(scan, NotMeasured):
+                    self.session.give_up(scan.plan, now_ns)
+                    continue
                 self.session.submit(scan)
             except ScanRefused:
                 self.stats.scans_dropped["withdrawn by a changed setting"] += 1
             else:
+                self.lived_ns = now_ns
                 self._given.append((scan.plan.sweep, scan.plan.start_ns + round(scan.plan.duration_s * 1e9)))
                 self.onlookers.scan(scan)
                 self.stats.note_taken(scan)
@@ -275,6 +283,7 @@ class Instrument:
         if plan is None or self._key(plan) == self._asked or plan.start_ns > now_ns + self._look_ahead_ns:
             return False
         self._asked = self._key(plan)
+        self.wanted_ns = now_ns
         first_ns = plan.start_ns + (math.ceil(1e9 * plan.fire_offset_s[0]) if len(plan) else 0)
         self.asked_ns = max(self.asked_ns, first_ns)
         if self.faults is not None:

@@ -6,11 +6,22 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from emulator.incidents import Incidents
 from emulator.instrument import Instrument
+from emulator.liveness import Liveness
 
 
-def prometheus(instruments: Sequence[Instrument], incidents: Incidents | None = None) -> str:
-    """Counters and the histogram of every sensor, and what befell the run."""
-    return "\n".join([*_lines(instruments), *_incident_lines(incidents or Incidents())]) + "\n"
+def prometheus(
+    instruments: Sequence[Instrument], incidents: Incidents | None = None, liveness: Liveness | None = None
+) -> str:
+    """Counters and the histogram of every sensor, what befell the run, and who is silent."""
+    silence = [] if liveness is None else _silence_lines(instruments, liveness)
+    return "\n".join([*_lines(instruments), *_incident_lines(incidents or Incidents()), *silence]) + "\n"
+
+
+def _silence_lines(instruments: Sequence[Instrument], liveness: Liveness) -> Iterator[str]:
+    yield "# HELP lidaremu_sensor_silent_seconds How long scans that a host waits for have been missing."
+    yield "# TYPE lidaremu_sensor_silent_seconds gauge"
+    for one in instruments:
+        yield f'lidaremu_sensor_silent_seconds{{sensor="{_label(one.sensor)}"}} {liveness.silent_s(one.sensor):g}'
 
 
 def _incident_lines(incidents: Incidents) -> Iterator[str]:

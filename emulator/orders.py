@@ -110,7 +110,10 @@ class Orders:
             "clock": "virtual" if virtual else "real",
             "now_s": self._now_ns() * 1e-9,
             "paused": self._daemon.paused if isinstance(self._daemon, VirtualDaemon) else False,
-            "sensors": [summary(one) for one in self._instruments],
+            "sensors": [
+                summary(one) | {"silent_s": self._daemon.liveness.silent_s(one.sensor)} for one in self._instruments
+            ],
+            "workers": self._daemon.worker_rows(),
             "incidents": self._daemon.incidents.rows(),
             "incident_totals": self._daemon.incidents.totals(),
         }
@@ -118,7 +121,7 @@ class Orders:
     def metrics(self, params: Mapping[str, Any]) -> object:
         """Counters and the histogram of lateness as Prometheus text."""
         _taken(params)
-        return prometheus(self._instruments, self._daemon.incidents)
+        return prometheus(self._instruments, self._daemon.incidents, self._daemon.liveness)
 
     def weather(self, params: Mapping[str, Any]) -> dict[str, Any]:
         """Tables of `weather:` laid over what holds, from the next sweep asked for on; without any: what holds."""

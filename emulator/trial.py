@@ -19,11 +19,13 @@ from emulator.faults.run import FaultRun
 from emulator.hosts.scripted import HasScript, LdScript, Lms2xxScript
 from emulator.incidents import Incidents
 from emulator.instrument import Instrument, Measuring
-from emulator.measuring import InPlace, Workers
+from emulator.liveness import Liveness
+from emulator.measuring import InPlace
 from emulator.recording.writer import Recorder
 from emulator.scenario import Scenario
 from emulator.series import SeriesWatcher, lookup
 from emulator.spec import load_spec
+from emulator.supervision import Workers
 from emulator.transcript import Transcript
 from emulator.transports import open_link
 from emulator.transports.can_link import BITRATE, CanPorts, LoopOutlet
@@ -115,9 +117,18 @@ class Trial:
             hosts += [] if host is None else [host]
         self.faults = FaultRun(scenario, self.instruments)
         self._recorder = None if record is None else Recorder(record, scenario, self.instruments)
-        settle = nothing_owed if self._workers is None else self._workers.settle
-        self.run = VirtualRun(self.instruments, hosts, settle)
+        self.run = VirtualRun(self.instruments, hosts, nothing_owed if self._workers is None else self._settle)
+        self.liveness = Liveness(self.instruments, self.incidents)
+        self.run.on_look = lambda now_ns: self.liveness.look(now_ns, now_ns)
         self.run.power_on()
+
+    def _settle(self) -> set[str]:
+        assert self._workers is not None
+        fresh = self._workers.settle()
+        for kind, worker, text in self._workers.incidents:
+            self.incidents.note(kind, self.run.clock.now_ns(), worker, text)
+        self._workers.incidents.clear()
+        return fresh
 
     def _host_of(self, index: int, family: Family, loops: Loops) -> VirtualHost | None:
         sensor = self.scenario.sensors[index]

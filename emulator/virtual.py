@@ -21,6 +21,8 @@ MAX_STEPS_AT_ONCE = 10_000
 rest. Looks are not counted: a host that leaves its bytes unread, or none at all, holds time for ever."""
 
 
+LOOK_NS = 500_000_000
+"Between two looks whether sensors live."
 LIST_GAP_NS = 1_000_000
 "Frames of a list follow each other sooner than this; a list is one scan."
 
@@ -62,6 +64,9 @@ class VirtualRun:
         self._wakes: list[int | None] = [None] * len(self.instruments)
         self._host_wakes: list[int | None] = [0] * len(self.hosts)
         self._still = 0
+        self.on_look: Callable[[int], None] = lambda now_ns: None
+        "Called every `LOOK_NS` of virtual time, between two steps, and at the end of an `advance`."
+        self._look_ns = LOOK_NS
         self._ends = LastBits()
         for instrument in self.instruments:
             instrument.watch(self._ends)
@@ -89,6 +94,12 @@ class VirtualRun:
         while self.step(until_ns):
             pass
         self.clock.set(until_ns)
+        self._maybe_look(until_ns)
+
+    def _maybe_look(self, now_ns: int) -> None:
+        if now_ns >= self._look_ns:
+            self._look_ns = now_ns + LOOK_NS
+            self.on_look(now_ns)
 
     def step(self, until_ns: int) -> bool:
         """Do what is due at the next instant, if that is not after `until_ns`; whether there was something."""
@@ -98,6 +109,7 @@ class VirtualRun:
         self._still = self._still + 1 if wake == self.clock.now_ns() else 0
         if self._still > MAX_STEPS_AT_ONCE:
             raise EmulatorError(f"{self._restless(wake)}: does not come to rest at {wake} ns of virtual time")
+        self._maybe_look(wake)
         self.clock.set(wake)
         for index, instrument in enumerate(self.instruments):
             mine = self._wakes[index]

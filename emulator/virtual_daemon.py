@@ -19,11 +19,15 @@ from dataclasses import dataclass
 from types import FrameType
 
 from emulator.clock import SystemClock
-from emulator.errors import LinkError
+from emulator.daemon import status_text
+from emulator.errors import EmulatorError, LinkError
 from emulator.faults.run import FaultRun
 from emulator.incidents import Incidents
 from emulator.instrument import Instrument
-from emulator.measuring import Workers
+from emulator.liveness import Liveness
+from emulator.notify import Notifier
+from emulator.patience import TICK_NS
+from emulator.supervision import Workers
 from emulator.transports.link import Link
 from emulator.virtual import VirtualRun
 from emulator.waiting import Poller
@@ -107,6 +111,12 @@ class VirtualDaemon:
         "What goes wrong on purpose in this run."
         self.incidents = Incidents()
         "What befell our own processes, files and links."
+        self.notifier = Notifier()
+        "Who started us, if it wants to know."
+        self._look_ns = 0
+        "When it is told next that we live, in real time."
+        self.liveness = Liveness(self.instruments, self.incidents)
+        self.run_of.on_look = lambda now_ns: self.liveness.look(now_ns, now_ns, self.run_of.lost)
 
     @property
     def now_ns(self) -> int:
@@ -127,7 +137,15 @@ class VirtualDaemon:
         self._tell_warnings()
         if self._workers is None:
             return set()
-        fresh = self._workers.settle()
+        try:
+            fresh = self._workers.settle(self._go_on)
+        except EmulatorError as error:  # time would stand for ever
+            self.on_failure(str(error))
+            self.stop()
+            fresh = set()
+        for kind, worker, text in self._workers.incidents:
+            self.incidents.note(kind, self.now_ns, worker, text)
+        self._workers.incidents.clear()
         for text in self._workers.failures:
             cause = text.rpartition(": ")[2]
             self.failures[cause] += 1
@@ -135,6 +153,22 @@ class VirtualDaemon:
                 self.on_failure(text)
         self._workers.failures.clear()
         return fresh
+
+    def _go_on(self) -> bool:
+        """Asked while time stands for what workers owe."""
+        self._look_around()
+        return not self._stop
+
+    def _look_around(self) -> None:
+        """Tell who started us that we live."""
+        now_ns = self._real.now_ns()
+        if now_ns >= self._look_ns:
+            self._look_ns = now_ns + min(TICK_NS, self.notifier.wake_ns or TICK_NS)
+            self.notifier.alive(now_ns, status_text(self.instruments, self.liveness))
+
+    def worker_rows(self) -> list[dict[str, object]]:
+        """The measuring processes, for whoever asks."""
+        return [] if self._workers is None else self._workers.rows()
 
     def _lose(self, sensor: str, error: LinkError) -> None:
         """The others go on; without any, time would stand for ever."""
@@ -208,6 +242,7 @@ class VirtualDaemon:
         As fast as hosts read, the end waits for what they have not read yet. A sensor that has lost a link is told and
         served no more, the others go on; with the last of them the run ends.
         """
+        self.notifier.ready()
         self._serve(until_ns, while_true)
         if self._speed is None:
             self.drain()
@@ -215,6 +250,7 @@ class VirtualDaemon:
 
     def _serve(self, until_ns: int | None, while_true: Callable[[], bool] | None) -> None:
         while not self._stop:
+            self._look_around()
             if until_ns is not None and self.now_ns >= until_ns:
                 return
             if while_true is not None and not while_true():
@@ -225,6 +261,7 @@ class VirtualDaemon:
         """Let hosts read what was sent to them while time stands; closing a link takes the rest away."""
         least, since_ns = None, self._real.now_ns()
         while not self._stop:
+            self._look_around()
             for link in self._served:
                 link.flush(self.now_ns)
             held = sum(link.held() for link in self._served if link.has_host())
@@ -343,10 +380,12 @@ class VirtualDaemon:
             order.done.set_exception(RuntimeError("the run has ended"))
 
     def close(self) -> None:
-        """Close every link."""
+        """Close every link and end the workers."""
+        self.notifier.stopping()
         for instrument in self.instruments:
             instrument.close()
         if self._workers is not None:
             self._workers.close()
         for number in (self._bell, self._ring):
             os.close(number)
+        self.notifier.close()

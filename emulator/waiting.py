@@ -140,6 +140,10 @@ class Waiter:
         self._stock_ns -= now_ns - began_ns
         return False
 
+    def doze(self, until_ns: int) -> bool:
+        """Wait for an instant that nothing is due at: not awake, and nothing is learned. Whether as `until`."""
+        return self._poller.wait(until_ns - self._clock.now_ns())
+
     def _allowed_ns(self, now_ns: int) -> int:
         gained_ns = int((now_ns - self._stock_at_ns) * self._share)
         self._stock_ns = min(STOCK_NS, self._stock_ns + gained_ns) if self._share else 0

@@ -167,6 +167,14 @@ class Session(ABC):
     def submit(self, scan: Scan) -> None:
         """Take the sweep of `next_plan`. Raises `ScanRefused` when the settings have changed since."""
 
+    def give_up(self, plan: ScanPlan, now_ns: int) -> bool:
+        """The sweep of `next_plan` was asked for and will not be measured: whoever measures could not in time.
+
+        Whether what is wanted next has been chosen anew by `now_ns`, sweeps passed over told as `DropReason.LATE`;
+        False: the device knows no other, and wants that one still. Raises `ScanRefused` when it wants it no more.
+        """
+        return False
+
     @abstractmethod
     def take_emissions(self, now_ns: int) -> list[Emission]:
         """What is due by `now_ns`, in the order it leaves. What is not yet due can still be withdrawn."""

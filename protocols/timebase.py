@@ -93,10 +93,15 @@ class Timebase(Session):
         )
 
     def submit(self, scan: Scan) -> None:
-        own = self._plans.get((scan.plan.epoch, scan.plan.sweep))
-        if own is None:  # of a plan long withdrawn: the session says so
-            own = replace(scan.plan, start_ns=self.quartz.own_ns(scan.plan.start_ns))
-        self.inner.submit(replace(scan, plan=own))
+        self.inner.submit(replace(scan, plan=self._own(scan.plan)))
+
+    def give_up(self, plan: ScanPlan, now_ns: int) -> bool:
+        return self.inner.give_up(self._own(plan), self.quartz.own_ns(now_ns))
+
+    def _own(self, plan: ScanPlan) -> ScanPlan:
+        """The device's own plan; of one long withdrawn something that the session refuses."""
+        own = self._plans.get((plan.epoch, plan.sweep))
+        return replace(plan, start_ns=self.quartz.own_ns(plan.start_ns)) if own is None else own
 
     def take_emissions(self, now_ns: int) -> list[Emission]:
         return [self._sent(one) for one in self.inner.take_emissions(self.quartz.own_ns(now_ns))]

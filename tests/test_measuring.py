@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from emulator.errors import SceneError
-from emulator.measuring import InPlace, Measures, Workers
+from emulator.measuring import InPlace, Measures
+from emulator.supervision import Workers
 from protocols.scan import Scan, ScanPlan
 
 
@@ -49,10 +50,13 @@ def workers(count: int = 1) -> Iterator[Workers]:
 
 def gather(made: Workers, sensor: str, wanted: int) -> list[Scan]:
     scans: list[Scan] = []
-    while len(scans := scans + made.collect(sensor)) < wanted:
-        assert select.select(made.filenos(), [], [], 20.0)[0], "no scan came"
+    for _ in range(400):
+        if len(scans := scans + made.collect(sensor)) >= wanted:
+            return scans
+        select.select(made.filenos(), [], [], 0.05)
         made.poll()
-    return scans
+        made.check()
+    raise AssertionError("no scan came")
 
 
 @pytest.mark.parametrize("count", [1, 2, 8])
@@ -92,9 +96,12 @@ def test_a_worker_that_dies_is_started_again_and_given_what_it_owed() -> None:
         assert float(good.range_m[0, 0]) == 14.0
         assert len(gather(made, "a", 1)) == 1
         assert made.failures == [
-            "measuring process 0: ended with code 9, started again",
-            "measuring process 0: ended with code 9, started again",
             "deadly: sweep 13: ended the measuring process twice",
+        ]
+        why = "ended with exit code 9 while it measured deadly, sweep 13"
+        assert made.incidents == [
+            ("worker replaced", "worker 0", f"{why}; another one is started at once"),
+            ("worker replaced", "worker 0", f"{why}; another one is started in 0.25 s"),
         ]
 
 

@@ -19,8 +19,8 @@ from emulator.commands.common import note, say
 from emulator.control import ControlServer
 from emulator.daemon import Daemon, summary
 from emulator.endurance.ledger import Ledger, LedgerMeasuring, LedgerSession
-from emulator.measuring import Workers
 from emulator.orders import Orders
+from emulator.supervision import Workers
 
 
 def main(argv: Sequence[str]) -> int:
@@ -33,11 +33,10 @@ def main(argv: Sequence[str]) -> int:
         LedgerSession(session, ledgers[name])
         for name, session in zip(names, assembly.new_sessions(loaded), strict=True)
     ]
-    workers = Workers(partial(assembly.build_measures, loaded), names, 1)
+    workers = Workers(partial(assembly.build_measures, loaded), names, 1, clock)
     instruments = assembly.open_instruments(loaded, sessions, LedgerMeasuring(workers, ledgers))
     daemon = Daemon(instruments, clock, workers)
     daemon.on_failure = note
-    daemon.watch_workers()
     server = ControlServer(Path(argv[1]), Orders(daemon, instruments, clock, loaded).methods(), daemon)
     try:
         with daemon.signals():
@@ -50,7 +49,8 @@ def main(argv: Sequence[str]) -> int:
         server.close()
         daemon.close()
     totals = [summary(one) | {"account": ledgers[one.sensor].account(one.stats.scans_dropped)} for one in instruments]
-    say(json.dumps({"event": "stopped", "sensors": totals, "failures": dict(daemon.failures)}))
+    ends = {"incidents": daemon.incidents.totals(), "silent": daemon.liveness.silent}
+    say(json.dumps({"event": "stopped", "sensors": totals, "failures": dict(daemon.failures)} | ends))
     return 0
 
 

@@ -22,6 +22,7 @@ import numpy as np
 from emulator.clock import SystemClock
 from emulator.endurance.growth import Growth, cpu_s, look
 from emulator.endurance.guests import Guestbook, LineGuests, StreamGuests
+from emulator.endurance.process_guests import Saboteur
 from emulator.endurance.real_guests import Endpoint, Intruders, ListReader, Terminal
 from emulator.endurance.scene import soak_text
 from emulator.endurance.soak import Soaked, judged
@@ -29,6 +30,8 @@ from emulator.errors import EmulatorError
 
 TICK_S = 0.02
 "Hosts are stepped this often."
+BESIDE = ("control", "processes")
+"Who comes beside the hosts of the links."
 SAMPLES = 120
 LEAST_SAMPLE_S = 0.25
 SETTLED_S = 30.0
@@ -63,8 +66,9 @@ def _run_in(folder: Path, seconds: float, seed: int, progress: Callable[[float],
             raise EmulatorError("the daemon of the soak did not start")
         ready = json.loads(first)
         links = {row["id"]: row["links"][0] for row in ready["sensors"]}
-        books = {name: Guestbook() for name in (*links, "control")}
-        growth, taken = _soak(daemon.pid, links, str(control), books, seconds, seed, progress)
+        books = {name: Guestbook() for name in (*links, *BESIDE)}
+        saboteur = Saboteur(daemon.pid, np.random.default_rng((seed, 5)), books["processes"].visits, seconds)
+        growth, taken = _soak(daemon.pid, links, str(control), books, seconds, seed, saboteur, progress)
         cpu = cpu_s(daemon.pid)
         daemon.send_signal(signal.SIGTERM)
         out, _ = daemon.communicate(timeout=30.0)
@@ -74,7 +78,8 @@ def _run_in(folder: Path, seconds: float, seed: int, progress: Callable[[float],
             daemon.wait()
         daemon.stdout.close()
     stopped = json.loads(out.splitlines()[-1])
-    return _verdict(stopped, books, growth, taken, cpu, seed)
+    told = saboteur.told(stopped["incidents"])
+    return _verdict(stopped, books, growth, taken, cpu, seed, told)
 
 
 def _address(link: str) -> tuple[str, int]:
@@ -84,7 +89,7 @@ def _address(link: str) -> tuple[str, int]:
 
 def _soak(
     pid: int, links: dict[str, str], control: str, books: dict[str, Guestbook], seconds: float, seed: int,
-    progress: Callable[[float], None],
+    saboteur: Saboteur, progress: Callable[[float], None],
 ) -> tuple[Growth, float]:  # fmt: skip
     clock = SystemClock()
     draws = [np.random.default_rng((seed, number)) for number in range(5)]
@@ -98,6 +103,7 @@ def _soak(
         ListReader(can, links["objects"].rpartition("/")[2], books["objects"]),
         Intruders(can, draws[2], books["objects"].visits, CAN_WORDS),
         Intruders(orders, draws[3], books["control"].visits, ORDERS),
+        saboteur,
     ]
     growth, every_s = Growth(), max(LEAST_SAMPLE_S, seconds / SAMPLES)
     before = look(0.0, pid).descriptors
@@ -130,8 +136,9 @@ def _drive(
 
 
 def _verdict(
-    stopped: dict[str, Any], books: dict[str, Guestbook], growth: Growth, taken_s: float, cpu: float, seed: int
-) -> Soaked:
+    stopped: dict[str, Any], books: dict[str, Guestbook], growth: Growth, taken_s: float, cpu: float, seed: int,
+    told: Sequence[str],
+) -> Soaked:  # fmt: skip
     sensors, lateness = {}, {}
     for row in stopped["sensors"]:
         lateness[row["id"]] = {key: row["lateness_us"][key] for key in ("median", "p99", "worst")}
@@ -148,6 +155,7 @@ def _verdict(
         for name, book in books.items()
     }
     memory = growth.told() | {"cpu_s": round(cpu, 2), "cpu_share": round(cpu / taken_s, 4)}
-    faults = judged(sensors, {name: one for name, one in hosts.items() if name != "control"}, memory)
+    faults = judged(sensors, {name: one for name, one in hosts.items() if name not in BESIDE}, memory)
     failures = tuple(f"daemon: {text}: {count} times" for text, count in stopped["failures"].items())
-    return Soaked("real", taken_s, taken_s, seed, sensors, hosts, memory, faults + failures)
+    hosts["processes"]["incidents"] = stopped["incidents"]
+    return Soaked("real", taken_s, taken_s, seed, sensors, hosts, memory, faults + failures + tuple(told))

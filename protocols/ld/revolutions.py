@@ -156,6 +156,15 @@ class Revolutions:
         self._next = asked.revolution + 1
         self._outstanding = None
 
+    def give_up(self, plan: ScanPlan) -> None:
+        """The plan given out will not be measured; `ScanRefused` for any other. What has ended by then is late."""
+        asked = self._outstanding
+        if asked is None or (plan.epoch, plan.sweep) != (asked.plan.epoch, asked.plan.sweep):
+            raise ScanRefused(f"sweep {plan.sweep} of epoch {plan.epoch} is no longer wanted")
+        self._next = asked.revolution
+        self._outstanding = None
+        self.epoch += 1
+
     def layout(self, form: int, geometry: Geometry) -> Layout:
         """The layout of a format under the present geometry."""
         found = self._layouts.get(form)

@@ -199,6 +199,32 @@ class Schedule:
         self._plan = self._planned = None
         slot.take(nearest(scan))
 
+    def give_up(self, plan: ScanPlan, now_ns: int) -> dict[DropReason, int]:
+        """The scan of `next_plan` will not be measured. Raises `ScanRefused` for any other.
+
+        The stream goes on in a later slot: the scans that this costs, as `passed_over`. What a host has asked for by
+        name is measured later.
+        """
+        slot = self._planned
+        if self._plan is None or slot is None or (plan.epoch, plan.sweep) != (self._plan.epoch, self._plan.sweep):
+            raise ScanRefused(f"sweep {plan.sweep} of epoch {plan.epoch} is not wanted any more")
+        self._plan = self._planned = None
+        self._epoch += 1
+        if not slot.once:
+            self._slots.remove(slot)
+            self._telegrams -= 1
+            causes = self.passed_over(slot)
+            causes[DropReason.LATE] = causes.get(DropReason.LATE, 0) + slot.output.scans
+            self._late = True
+            return causes
+        begin = self._scan_from(now_ns, slot.comb.turns) * slot.comb.turns
+        slot.first_turn = max(begin, slot.first_turn)
+        slot.measured, slot.mean = 0, None
+        slot.send_ns = self._mirror.turn_ns(slot.end_turn)
+        if slot.reserved:
+            self._line.promise(slot.send_ns, slot.size)
+        return {}
+
     def take_due(self, now_ns: int) -> Slot | None:
         """The next slot whose time has come and whose scans are there, removed; call until None."""
         if not self._slots or self._slots[0].result is None or self._slots[0].send_ns > now_ns:

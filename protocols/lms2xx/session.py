@@ -341,6 +341,13 @@ class Lms2xxSession(Session):
         # A late scan moves the line and with it the next slot: before `next_plan` gives that one out.
         self._send_due_values()
 
+    def give_up(self, plan: ScanPlan, now_ns: int) -> bool:
+        """The stream goes on with a later scan; one asked for comes later."""
+        self.advance(now_ns)
+        for reason, passed in self._schedule.give_up(plan, self._now_ns).items():
+            self._drop(reason, "not measured in time", passed)
+        return True
+
     def take_emissions(self, now_ns: int) -> list[Emission]:
         """What is due by `now_ns`, in the order it leaves."""
         self.advance(now_ns)
