@@ -21,7 +21,7 @@ from emulator.watching import Watcher
 from protocols.errors import ScanRefused
 from protocols.framing import Frames, Framing
 from protocols.scan import Scan, ScanPlan
-from protocols.session import Address, Emission, Event, LinkKind, Restarted, Session
+from protocols.session import Address, DropReason, Emission, Event, LinkKind, Restarted, Session
 
 if TYPE_CHECKING:
     from emulator.faults.run import SensorFaults
@@ -32,6 +32,9 @@ LOOK_AHEAD_NS = 250_000_000
 
 EVENTS_KEPT = 1024
 "Events that wait for `take_events`, the oldest forgotten: they are counted in any case, and a run lasts for weeks."
+
+HANDED_KEPT = 256
+"A link whose host does not read gives up more than its buffers hold."
 
 SWITCHED_OFF = "switched off"
 "Why scans and input are dropped that a device without power forgets, or does not hear."
@@ -75,6 +78,10 @@ class Instrument:
         self.connections_seen = 0
         "Connections opened and closed so far: a descriptor's number may have a new owner when this has moved."
         self._events: deque[Event] = deque(maxlen=EVENTS_KEPT)
+        self._handed: deque[Emission] = deque(maxlen=HANDED_KEPT)
+        "Telegrams with scans that links have taken last: one may still give them up whole."
+        for link in self.links:
+            link.on_given_up = self._given_up
         self.onlookers = Onlookers(sensor, self.links)
         self.family: Family | None = None
         "Whose protocol it speaks; for faults that change telegrams."
@@ -295,8 +302,7 @@ class Instrument:
         life = self._lives
         for emission in emissions:
             if self.faults is None:
-                self._send(emission)
-                self.stats.note_telegram(emission)
+                self._note_sent(emission, self._send(emission))
             else:
                 self._send_through_faults(emission, now_ns, life)
         return bool(emissions)
@@ -310,14 +316,15 @@ class Instrument:
             if emission.sweep is not None:
                 self.ledger.send(emission, SWITCHED_OFF)
             return
-        for one, only in self.faults.leaving(pieces, now_ns):
-            self._send(one, only)
+        leaving = [(one.sweep, self._send(one, only)) for one, only in self.faults.leaving(pieces, now_ns)]
+        refusals = [why for sweep, why in leaving if sweep is not None]
+        refused = None if None in refusals or not refusals else refusals[0]
         sent = [one for one, _, _ in pieces if one.payload or not emission.payload]
         carrying = [one for one in sent if (one.sweep is None) == (emission.sweep is None)]
         if self.faults.counted:
             return
         if carrying:  # a repeated telegram is one scan, or one reply
-            self.stats.note_telegram(carrying[0])
+            self._note_sent(carrying[0], refused)
         elif emission.sweep is not None and self.faults.taker is not None:
             self.ledger.send(emission, f"fault {self.faults.taker}")
 
@@ -333,16 +340,36 @@ class Instrument:
                     self.ledger.send(one, SWITCHED_OFF)
             return
         for (one, only), counted in released:
-            self._send(one, only)
+            refused = self._send(one, only)
             if not counted:
-                self.stats.note_telegram(one)
+                self._note_sent(one, refused)
+            elif refused is not None:
+                self.stats.note_lost(one, refused)
 
-    def _send(self, emission: Emission, only: int | None = None) -> None:
-        """Hand a telegram to its links, or to one of them."""
+    def _note_sent(self, emission: Emission, refused: str | None) -> None:
+        """Count a telegram as sent, or as what its links refused it for."""
+        if refused is None or emission.sweep is None:
+            self.stats.note_telegram(emission)
+        else:
+            self.ledger.send(emission, refused)
+
+    def _given_up(self, payload: bytes) -> None:
+        """A link has given up a telegram that it had taken."""
+        for emission in self._handed:
+            if emission.payload is payload:
+                self.stats.note_lost(emission, DropReason.HOST_SLOW.value)
+                return
+
+    def _send(self, emission: Emission, only: int | None = None) -> str | None:
+        """Hand a telegram to its links, or to one of them; why not one of them has taken it, None if one has."""
         address = emission.address
         self.onlookers.told(emission)
         targets = range(len(self.links)) if address is None else range(len(self.links))[address.link : address.link + 1]
         peer = None if address is None else address.peer
+        if emission.sweep is not None:
+            self._handed.append(emission)
+        why: str | None = None
+        taken = False
         for index in targets if only is None else (only,):
             link = self.links[index]
             refused = link.stats.payloads_dropped
@@ -350,6 +377,11 @@ class Instrument:
             link.send(emission.payload, emission.due_ns, peer, emission.line_speed)
             if link.stats.payloads_dropped == refused:
                 self.onlookers.left(index, peer, emission)
+                taken = True
+            else:
+                slow = DropReason.LINE_BUSY if link.kind in (LinkKind.SERIAL, LinkKind.CAN) else DropReason.HOST_SLOW
+                why = slow.value
+        return None if taken else why
 
     def _note_events(self, earlier: Sequence[Event] = ()) -> None:
         for event in (*earlier, *self.session.take_events()):

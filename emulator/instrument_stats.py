@@ -64,6 +64,11 @@ class InstrumentStats:
             self.gaps_ns += emission.due_ns - self.last_scan_due_ns
         self.last_scan_due_ns = emission.due_ns
 
+    def note_lost(self, emission: Emission, reason: str) -> None:
+        """A scan that was sent has got lost behind the device: held back by a fault, or given up by its link."""
+        if emission.sweep is not None and self.ledger.take_back(emission, reason):
+            self.scans_sent -= 1
+
     def note_taken(self, scan: Scan) -> None:
         """The device has taken a scan: a list of objects is judged."""
         if isinstance(scan, ListedScan):

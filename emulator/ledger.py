@@ -13,7 +13,7 @@ Belongs here: the numbers and their sums. Not: who measures and sends (`instrume
 
 from __future__ import annotations
 
-from collections import Counter, OrderedDict, deque
+from collections import Counter, deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -66,10 +66,13 @@ class _Settled:
 class _Stream:
     """Numbers from `first` on, up to `front`: open, passed over, or settled."""
 
-    key: object
+    name: object
+    "Its number, or the epoch of its plans where the session gives no numbers."
     stride: int
     first: int
     front: int
+    ended: bool = False
+    "What is asked for from now on under that name is another stream."
     open: dict[int, _Slot] = field(default_factory=dict)
     passed: list[tuple[range, int]] = field(default_factory=list)
     "Numbers that were passed over and that nothing was told of; the number behind them, with which it is to be told."
@@ -113,7 +116,8 @@ class Ledger:
         self.dropped: Counter[str] = Counter()
         self.now_ns = 0
         "Up to when slots have come, by the clock of the run."
-        self._streams: OrderedDict[object, _Stream] = OrderedDict()
+        self._streams: list[_Stream] = []
+        "The newest last."
         self._current: _Stream | None = None
 
     # ---------------------------------------------------------------- sums
@@ -121,7 +125,7 @@ class Ledger:
     def account(self) -> dict[str, Any]:
         """The sums by now, ready for JSON."""
         dropped, asked, withdrawn, under_way = Counter(self.dropped), self.asked, self.withdrawn, 0
-        for stream in self._streams.values():
+        for stream in self._streams:
             under_way += len(stream.open) + stream.waits()
             if stream is not self._current:
                 given_up = sum(self._given_up(slot) for slot in stream.open.values())
@@ -158,15 +162,17 @@ class Ledger:
 
     def ask(self, plan: ScanPlan) -> None:
         """A sweep is asked for."""
-        key = _key(plan)
-        number, stream = plan.sweep, self._streams.get(key)
+        number, name = plan.sweep, _name(plan)
+        stream = next((one for one in reversed(self._streams) if one.name == name and not one.ended), None)
         if stream is None:
-            stream = self._streams[key] = _Stream(key, plan.stride, number, number)
+            stream = _Stream(name, plan.stride, number, number)
+            self._streams.append(stream)
+            self._forget_streams()
         if stream is not self._current:
             self._leave()
             self._current = stream
-            self._streams.move_to_end(key)
-            self._forget_streams()
+            self._streams.remove(stream)
+            self._streams.append(stream)
         if number >= stream.front:
             gap = range(stream.front, number, stream.stride)
             known = min(stream.ahead, len(gap))
@@ -192,8 +198,11 @@ class Ledger:
 
     def wants(self, plan: ScanPlan | None) -> None:
         """What the session wants measured now; None: nothing more for the time being."""
-        if self._current is not None and (plan is None or _key(plan) != self._current.key):
+        current = self._current
+        if current is not None and (plan is None or _name(plan) != current.name):
             self._leave()
+            # without numbers of its own, what comes after a rest may be another stream: nobody was owed what is between
+            current.ended = isinstance(current.name, tuple)
             self._current = None
 
     def _reopen(self, stream: _Stream, number: int) -> bool:
@@ -232,7 +241,7 @@ class Ledger:
 
     def _forget_streams(self) -> None:
         while len(self._streams) > STREAMS_KEPT:
-            _, old = self._streams.popitem(last=False)
+            old = self._streams.pop(0)
             # what was measured for it and has not left is withdrawn; what was never measured has been lost
             self.withdrawn += sum(not slot.measuring for slot in old.open.values())
 
@@ -240,7 +249,7 @@ class Ledger:
 
     def take(self, plan: ScanPlan) -> None:
         """The session has taken the scan of a plan."""
-        stream = self._streams.get(_key(plan))
+        stream = self._of_plan(plan)
         if stream is None:
             return
         if plan.sweep not in stream.open:
@@ -251,7 +260,7 @@ class Ledger:
 
     def refuse(self, plan: ScanPlan, reason: str = WITHDRAWN) -> None:
         """The scan of a plan is not wanted any more, or never comes; unless its slot was asked for anew."""
-        stream = self._streams.get(_key(plan))
+        stream = self._of_plan(plan)
         slot = None if stream is None else stream.open.get(plan.sweep)
         if stream is not None and slot is not None and slot.key == (plan.epoch, plan.sweep):
             self._settle(stream, plan.sweep, reason)
@@ -287,20 +296,26 @@ class Ledger:
             stream.passed.append((range(one, one + 1), number))
         if len(self._streams) == 1:
             return
-        for other in self._streams.values():
+        for other in self._streams:
             if other is not stream:
                 gone = [one for one, slot in other.open.items() if slot.end_ns < end_ns and not slot.measuring]
                 for one in gone:
                     self._settle(other, one, WITHDRAWN)
 
-    def take_back(self, sweep: int, reason: str, scans: int = 1) -> None:
-        """A scan that was sent has got lost on its way out."""
-        self.sent -= scans
-        self._count(reason, scans)
-        stream = self._of_sweep(sweep)
-        settled = None if stream is None else stream.find(sweep)
-        if settled is not None and settled.outcome == SENT:
-            settled.outcome = reason
+    def take_back(self, emission: Emission, reason: str) -> bool:
+        """A scan that was sent has got lost on its way out; False: it is not known to have been sent."""
+        assert emission.sweep is not None
+        stream = self._of_sweep(emission.sweep)
+        settled = None if stream is None else stream.find(emission.sweep)
+        if stream is None or settled is None or settled.outcome != SENT:
+            return False
+        numbers = range(emission.sweep, emission.sweep + emission.scans * stream.stride, stream.stride)
+        for number in numbers:
+            if (one := stream.find(number)) is not None and one.outcome == SENT:
+                one.outcome = reason
+                self._count(SENT, -1)
+                self._count(reason, 1)
+        return True
 
     def tell(self, event: Dropped) -> None:
         """The session has said that scans go no further, and why."""
@@ -310,7 +325,9 @@ class Ledger:
             return
         if not numbers:
             return
-        stream = self._streams.get(event.stream) if event.stream is not None else self._of_sweep(numbers.start)
+        stream = self._of_sweep(numbers.start)
+        if event.stream is not None:
+            stream = next((one for one in reversed(self._streams) if one.name == event.stream), stream)
         stream = stream or self._newest()
         if stream is None:
             self.asked += len(numbers)
@@ -344,7 +361,7 @@ class Ledger:
         """Without numbers: the oldest that are missing, else the oldest that were measured, else those to come."""
         if reason in HELD_REASONS:
             count -= self._tell_held(reason, count)
-        for stream in self._streams.values():
+        for stream in self._streams:
             while count and stream.passed:
                 numbers, behind = stream.passed[0]
                 taken = numbers[:count]
@@ -367,7 +384,7 @@ class Ledger:
 
     def _tell_held(self, reason: str, count: int) -> int:
         done = 0
-        for stream in self._streams.values():
+        for stream in self._streams:
             for number in sorted(number for number, slot in stream.open.items() if not slot.measuring):
                 if done < count:
                     self._settle(stream, number, reason)
@@ -386,7 +403,8 @@ class Ledger:
 
     def _end_streams(self, outcome: str) -> None:
         self._current = None
-        for stream in self._streams.values():
+        for stream in self._streams:
+            stream.ended = True
             waiting = [(numbers, behind) for numbers, behind in stream.passed if behind in stream.open]
             stream.passed = [one for one in stream.passed if one not in waiting]
             for numbers, _ in waiting:
@@ -398,11 +416,16 @@ class Ledger:
     # ---------------------------------------------------------------- own
 
     def _newest(self) -> _Stream | None:
-        return next(reversed(self._streams.values()), None)
+        return self._streams[-1] if self._streams else None
+
+    def _of_plan(self, plan: ScanPlan) -> _Stream | None:
+        """The stream of a plan that was asked for."""
+        found = [one for one in reversed(self._streams) if one.name == _name(plan)]
+        return next((one for one in found if one.first <= plan.sweep < one.front), None)
 
     def _of_sweep(self, sweep: int) -> _Stream | None:
         """The newest stream in which that number is under way, else in which it has ended."""
-        newest_first = list(reversed(self._streams.values()))
+        newest_first = self._streams[::-1]
         return next((one for one in newest_first if sweep in one.open), None) or next(
             (one for one in newest_first if one.first <= sweep < one.front), None
         )
@@ -432,7 +455,7 @@ class Ledger:
         return taken
 
 
-def _key(plan: ScanPlan) -> object:
+def _name(plan: ScanPlan) -> object:
     return ("epoch", plan.epoch) if plan.stream is None else plan.stream
 
 
@@ -450,6 +473,6 @@ def faults_of(account: dict[str, Any]) -> str:
     if not missing:
         return ""
     dropped = sum(account["dropped"].values())
-    sums = f"{account['sent']} sent, {dropped} dropped, {account['withdrawn']} withdrawn, {account['under_way']} under way"
-    return f"{missing} of {account['asked']} scans asked for are nowhere: {sums}"
+    ended = f"{account['sent']} sent, {dropped} dropped, {account['withdrawn']} withdrawn"
+    return f"{missing} of {account['asked']} scans asked for are nowhere: {ended}, {account['under_way']} under way"
 

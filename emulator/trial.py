@@ -19,6 +19,7 @@ from emulator.faults.run import FaultRun
 from emulator.hosts.scripted import HasScript, LdScript, Lms2xxScript
 from emulator.incidents import Incidents
 from emulator.instrument import Instrument, Measuring
+from emulator.ledger import check_accounts
 from emulator.measuring import InPlace, Workers
 from emulator.recording.writer import Recorder
 from emulator.scenario import Scenario
@@ -150,6 +151,7 @@ class Trial:
             lambda from_ns, to_ns: lookup(self.series, by_name, actors, from_ns, min(to_ns, end_ns), end_ns),
         )
         failures = [] if self._workers is None else self._workers.failures
+        check_accounts(self.instruments, self.incidents, end_ns)
         judged += [Judgement("every sweep can be measured", False, text, "no failure") for text in failures]
         sensors = tuple(summary(item) for item in self.instruments)
         name, digest = str(self.scenario.source), self.transcript.sha256()
