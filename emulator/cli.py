@@ -34,6 +34,7 @@ from emulator.commands.view import view
 from emulator.errors import EmulatorError, LinkError
 
 if TYPE_CHECKING:
+    from emulator.clock import Clock
     from emulator.daemon import Daemon
     from emulator.faults.events import FaultEvent
     from emulator.incidents import Incident, Incidents
@@ -168,6 +169,7 @@ def run(
 
     from emulator import assembly
     from emulator.clock import SystemClock
+    from emulator.ledger import check_accounts
     from emulator.virtual_daemon import VirtualDaemon
     from emulator.waiting import be_realtime
 
@@ -203,6 +205,7 @@ def run(
                 environment |= {variable_of(item.sensor): place_of(item.links[0].url) for item in linked}
                 driver = start_driver(command, environment, as_json)
             daemon.run(until_ns, None if driver is None else lambda: driver.poll() is None)
+            check_accounts(instruments, daemon.incidents, now_of(daemon, real))
     finally:
         if server is not None:
             server.close()
@@ -220,6 +223,13 @@ def run(
     if driver_code not in (None, 0):
         return FAILED
     return daemon.incidents.exit_code
+
+
+def now_of(daemon: Daemon | VirtualDaemon, clock: Clock) -> int:
+    """The instant of a run, on the clock that it runs by."""
+    from emulator.virtual_daemon import VirtualDaemon
+
+    return daemon.now_ns if isinstance(daemon, VirtualDaemon) else clock.now_ns()
 
 
 def how_it_ended(code: int) -> str:
@@ -307,6 +317,10 @@ def announce_end(instruments: Sequence[Instrument], as_json: bool, sha256: str |
         dropped = ", ".join(f"{count} {reason}" for reason, count in total["scans_dropped"].items()) or "none"
         rate = "-" if total["scans_per_s"] is None else f"{total['scans_per_s']:.3f}/s"
         say(f"{total['id']}: {total['scans_sent']} scans sent, {rate}; dropped: {dropped}")
+        account = total["account"]
+        if account["unaccounted"] or account["under_way"]:
+            parts = ", ".join(f"{account[key]} {key.replace('_', ' ')}" for key in ("asked", "under_way", "unaccounted"))
+            say(f"{total['id']}: scans by their numbers: {parts}")
         late = total["lateness_us"]
         if late["sends"]:
             say(

@@ -340,6 +340,7 @@ def summary(instrument: Instrument) -> dict[str, Any]:
         "scans_measured": stats.scans_measured,
         "scans_per_s": number(stats.rate_hz),
         "scans_dropped": dict(stats.scans_dropped),
+        "account": stats.ledger.account(),
         "replies_sent": stats.replies_sent,
         "input_dropped": dict(stats.input_dropped),
         "restarts": stats.restarts,

@@ -22,7 +22,7 @@ from emulator.watching import Watcher
 from protocols.errors import ScanRefused
 from protocols.framing import Frames, Framing
 from protocols.scan import Scan, ScanPlan
-from protocols.session import Address, Emission, Event, LinkKind, Session
+from protocols.session import Address, DropReason, Emission, Event, LinkKind, Restarted, Session
 
 if TYPE_CHECKING:
     from emulator.faults.run import SensorFaults
@@ -33,6 +33,12 @@ LOOK_AHEAD_NS = 250_000_000
 
 EVENTS_KEPT = 1024
 "Events that wait for `take_events`, the oldest forgotten: they are counted in any case, and a run lasts for weeks."
+
+HANDED_KEPT = 256
+"A link whose host does not read gives up more than its buffers hold."
+
+SWITCHED_OFF = "switched off"
+"Why scans and input are dropped that a device without power forgets, or does not hear."
 
 MAX_ROUNDS = 64
 "A step that does not come to rest ends after this many rounds and is called again: one sensor cannot starve others."
@@ -76,6 +82,10 @@ class Instrument:
         self.connections_seen = 0
         "Connections opened and closed so far: a descriptor's number may have a new owner when this has moved."
         self._events: deque[Event] = deque(maxlen=EVENTS_KEPT)
+        self._handed: deque[Emission] = deque(maxlen=HANDED_KEPT)
+        "Telegrams with scans that links have taken last: one may still give them up whole."
+        for link in self.links:
+            link.on_given_up = self._given_up
         self.onlookers = Onlookers(sensor, self.links)
         self.family: Family | None = None
         "Whose protocol it speaks; for faults that change telegrams."
@@ -95,8 +105,8 @@ class Instrument:
         "Sweeps asked for that have not come back."
         self._discarded = 0
         "Of those, how many belong to a life of the device that has ended."
-        self._given: deque[tuple[int, int]] = deque(maxlen=64)
-        "Sweep and end of what the device has been given and has not sent."
+        self.ledger = self.stats.ledger
+        "The account of its scans."
 
     def watch(self, watcher: Watcher) -> None:
         """Tell `watcher` of every payload, scan and event from now on.
@@ -120,12 +130,16 @@ class Instrument:
     def step(self, now_ns: int) -> int | None:
         """Do all that can be done by `now_ns`; the instant of the next step, None while only a host can wake it."""
         self.poked = False
+        self.ledger.now_ns = now_ns
         if self.faults is not None:
             self.faults.advance(now_ns)
         self._take_input(now_ns)
         if not self.powered:
             return self._rest_without_power(now_ns)
         self.session.advance(now_ns)
+        events = self.session.take_events()
+        if any(isinstance(event, Restarted) for event in events):
+            self.ledger.restart()  # before sweeps of the device's new life are asked for
         for _ in range(MAX_ROUNDS):
             moved = self._take_scans(now_ns)
             moved = self._ask_for_scan(now_ns) or moved
@@ -136,10 +150,11 @@ class Instrument:
             return now_ns
         if self.faults is not None:
             self._release(now_ns)
-        self._note_events()
+        self._note_events(events)
         wakes = [link.flush(now_ns) for link in self.links]
         wakes.append(self.session.next_deadline())
         plan = self.session.next_plan()
+        self.ledger.wants(plan)
         if plan is not None and self._key(plan) != self._asked:
             wakes.append(plan.start_ns - self._look_ahead_ns)
         if self.faults is not None:
@@ -171,13 +186,12 @@ class Instrument:
         self._lives += 1
         self._asked = None
         self._discarded = self._outstanding
-        # those that it could not have sent yet: of others the session may have told already
-        if forgotten := sum(end_ns > now_ns for _, end_ns in self._given):
-            self.stats.scans_dropped["switched off"] += forgotten
-        self._given.clear()
+        self._note_events()  # what it has told already
+        self.ledger.now_ns = now_ns
+        self.ledger.cut(SWITCHED_OFF)
         lost = sum(link.clear() for link in self.links)
         if unheard := self.hearing.forget():
-            self.stats.input_dropped["switched off"] += unheard
+            self.stats.input_dropped[SWITCHED_OFF] += unheard
         self.onlookers.clear(now_ns)
         return lost + (0 if self.faults is None else self.faults.cut())
 
@@ -248,7 +262,7 @@ class Instrument:
         """The same where faults are: a device without power hears nothing."""
         if not self.powered:
             if received.data:
-                self.stats.input_dropped["switched off"] += len(received.data)
+                self.stats.input_dropped[SWITCHED_OFF] += len(received.data)
             return
         self._take(received, index, now_ns)
 
@@ -259,21 +273,21 @@ class Instrument:
             self._outstanding -= 1
             moved = True
             if self._discarded:
-                self._discarded -= 1
-                self.stats.scans_dropped["switched off"] += 1
+                self._discarded -= 1  # on account since the cut
                 continue
             if self._key(scan.plan) == self._asked:
                 self._asked = None
             try:
                 if isinstance(scan, NotMeasured):
                     self.session.give_up(scan.plan, now_ns)
+                    self.ledger.give_up(scan.plan)
                     continue
                 self.session.submit(scan)
             except ScanRefused:
-                self.stats.scans_dropped["withdrawn by a changed setting"] += 1
+                self.ledger.refuse(scan.plan)
             else:
                 self.lived_ns = now_ns
-                self._given.append((scan.plan.sweep, scan.plan.start_ns + round(scan.plan.duration_s * 1e9)))
+                self.ledger.take(scan.plan)
                 self.onlookers.scan(scan)
                 self.stats.note_taken(scan)
         return moved
@@ -289,6 +303,7 @@ class Instrument:
         if self.faults is not None:
             self.faults.asked(plan)
         self._outstanding += 1
+        self.ledger.ask(plan)
         self._measuring.request(self.sensor, plan, self.conditions)
         return True
 
@@ -296,12 +311,8 @@ class Instrument:
         emissions = self.session.take_emissions(now_ns)
         life = self._lives
         for emission in emissions:
-            if emission.sweep is not None:
-                while self._given and self._given[0][0] <= emission.sweep:
-                    self._given.popleft()
             if self.faults is None:
-                self._send(emission)
-                self.stats.note_telegram(emission)
+                self._note_sent(emission, self._send(emission))
             else:
                 self._send_through_faults(emission, now_ns, life)
         return bool(emissions)
@@ -313,18 +324,19 @@ class Instrument:
         if life != self._lives:  # a telegram has begun a power cut: neither it nor those behind it leave
             self.faults.cut()
             if emission.sweep is not None:
-                self.stats.scans_dropped["switched off"] += 1
+                self.ledger.send(emission, SWITCHED_OFF)
             return
-        for one, only in self.faults.leaving(pieces, now_ns):
-            self._send(one, only)
+        leaving = [(one.sweep, self._send(one, only)) for one, only in self.faults.leaving(pieces, now_ns)]
+        refusals = [why for sweep, why in leaving if sweep is not None]
+        refused = None if None in refusals or not refusals else refusals[0]
         sent = [one for one, _, _ in pieces if one.payload or not emission.payload]
         carrying = [one for one in sent if (one.sweep is None) == (emission.sweep is None)]
         if self.faults.counted:
             return
         if carrying:  # a repeated telegram is one scan, or one reply
-            self.stats.note_telegram(carrying[0])
+            self._note_sent(carrying[0], refused)
         elif emission.sweep is not None and self.faults.taker is not None:
-            self.stats.scans_dropped[f"fault {self.faults.taker}"] += 1
+            self.ledger.send(emission, f"fault {self.faults.taker}")
 
     def _release(self, now_ns: int) -> None:
         """Send what faults have held back."""
@@ -333,20 +345,41 @@ class Instrument:
         released = self.faults.released(now_ns)
         if life != self._lives:  # one of them has begun a power cut
             self.faults.cut()
-            if lost := sum(one.sweep is not None for (one, _), counted in released if not counted):
-                self.stats.scans_dropped["switched off"] += lost
+            for (one, _), counted in released:
+                if one.sweep is not None and not counted:
+                    self.ledger.send(one, SWITCHED_OFF)
             return
         for (one, only), counted in released:
-            self._send(one, only)
+            refused = self._send(one, only)
             if not counted:
-                self.stats.note_telegram(one)
+                self._note_sent(one, refused)
+            elif refused is not None:
+                self.stats.note_lost(one, refused)
 
-    def _send(self, emission: Emission, only: int | None = None) -> None:
-        """Hand a telegram to its links, or to one of them."""
+    def _note_sent(self, emission: Emission, refused: str | None) -> None:
+        """Count a telegram as sent, or as what its links refused it for."""
+        if refused is None or emission.sweep is None:
+            self.stats.note_telegram(emission)
+        else:
+            self.ledger.send(emission, refused)
+
+    def _given_up(self, payload: bytes) -> None:
+        """A link has given up a telegram that it had taken."""
+        for emission in self._handed:
+            if emission.payload is payload:
+                self.stats.note_lost(emission, DropReason.HOST_SLOW.value)
+                return
+
+    def _send(self, emission: Emission, only: int | None = None) -> str | None:
+        """Hand a telegram to its links, or to one of them; why not one of them has taken it, None if one has."""
         address = emission.address
         self.onlookers.told(emission)
         targets = range(len(self.links)) if address is None else range(len(self.links))[address.link : address.link + 1]
         peer = None if address is None else address.peer
+        if emission.sweep is not None:
+            self._handed.append(emission)
+        why: str | None = None
+        taken = False
         for index in targets if only is None else (only,):
             link = self.links[index]
             refused = link.stats.payloads_dropped
@@ -354,9 +387,14 @@ class Instrument:
             link.send(emission.payload, emission.due_ns, peer, emission.line_speed)
             if link.stats.payloads_dropped == refused:
                 self.onlookers.left(index, peer, emission)
+                taken = True
+            else:
+                slow = DropReason.LINE_BUSY if link.kind in (LinkKind.SERIAL, LinkKind.CAN) else DropReason.HOST_SLOW
+                why = slow.value
+        return None if taken else why
 
-    def _note_events(self) -> None:
-        for event in self.session.take_events():
+    def _note_events(self, earlier: Sequence[Event] = ()) -> None:
+        for event in (*earlier, *self.session.take_events()):
             self._events.append(event)
             if self.faults is not None:
                 self.faults.noted(event)

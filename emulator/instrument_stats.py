@@ -11,13 +11,12 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from emulator.lateness import LatenessLog
+from emulator.ledger import Ledger
 from emulator.object_metrics import ListedScan, ObjectScore
 from protocols.scan import Scan
 from protocols.session import CommandHandled, Dropped, DropReason, Emission, Event, ModeChanged, Restarted
 
-SCAN_REASONS = frozenset(
-    reason.value for reason in (DropReason.LINE_BUSY, DropReason.LATE, DropReason.STALE, DropReason.HOST_SLOW)
-)
+SCAN_REASONS = frozenset(reason.value for reason in DropReason if reason.of_scans)
 "`DropReason` values that count scans rather than input bytes."
 
 
@@ -33,7 +32,8 @@ class InstrumentStats:
     gaps: int = 0
     "Gaps between scans of one stream, and how long they were in all."
     gaps_ns: int = 0
-    scans_dropped: Counter[str] = field(default_factory=Counter)
+    ledger: Ledger = field(default_factory=Ledger)
+    "Every scan that hosts are entitled to."
     input_dropped: Counter[str] = field(default_factory=Counter)
     commands: Counter[str] = field(default_factory=Counter)
     restarts: int = 0
@@ -47,16 +47,27 @@ class InstrumentStats:
         """Scans a second while they were streamed; NaN before the second scan of a stream."""
         return self.gaps * 1e9 / self.gaps_ns if self.gaps_ns > 0 else math.nan
 
+    @property
+    def scans_dropped(self) -> Counter[str]:
+        """Scans that hosts did not get, by reason, as they stand on account; those withdrawn are among them."""
+        return self.ledger.scans_dropped()
+
     def note_telegram(self, emission: Emission) -> None:
         """One more telegram has left, or will."""
         if emission.sweep is None:
             self.replies_sent += bool(emission.payload)  # an empty one only sets the line's speed
             return
         self.scans_sent += 1
+        self.ledger.send(emission)
         if self.last_scan_due_ns is not None:
             self.gaps += 1
             self.gaps_ns += emission.due_ns - self.last_scan_due_ns
         self.last_scan_due_ns = emission.due_ns
+
+    def note_lost(self, emission: Emission, reason: str) -> None:
+        """A scan that was sent has got lost behind the device: held back by a fault, or given up by its link."""
+        if emission.sweep is not None and self.ledger.take_back(emission, reason):
+            self.scans_sent -= 1
 
     def note_taken(self, scan: Scan) -> None:
         """The device has taken a scan: a list of objects is judged."""
@@ -67,9 +78,10 @@ class InstrumentStats:
     def note_event(self, event: Event) -> None:
         """Something the session told."""
         if isinstance(event, Dropped):
-            reason = event.reason.value
-            kind = self.scans_dropped if reason in SCAN_REASONS else self.input_dropped
-            kind[reason] += event.count
+            if event.reason.of_scans:
+                self.ledger.tell(event)
+            else:
+                self.input_dropped[event.reason.value] += event.count
         elif isinstance(event, CommandHandled):
             self.commands[f"{event.command}: {event.outcome}"] += 1
         elif isinstance(event, ModeChanged | Restarted):

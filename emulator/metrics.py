@@ -49,6 +49,12 @@ def _lines(instruments: Sequence[Instrument]) -> Iterator[str]:
     yield "# TYPE lidaremu_scans_sent_total counter"
     for one in instruments:
         yield f'lidaremu_scans_sent_total{{sensor="{_label(one.sensor)}"}} {one.stats.scans_sent}'
+    yield "# HELP lidaremu_scans_account Scans that hosts are entitled to, by where they are; unaccounted has to be 0."
+    yield "# TYPE lidaremu_scans_account gauge"
+    for one in instruments:
+        account = one.ledger.account()
+        for state in ("asked", "sent", "withdrawn", "under_way", "unaccounted"):
+            yield f'lidaremu_scans_account{{sensor="{_label(one.sensor)}",state="{state}"}} {account[state]}'
     yield from _by_reason("scans", "Scans given up", [(one.sensor, one.stats.scans_dropped) for one in instruments])
     yield from _by_reason("input", "Input not taken", [(one.sensor, one.stats.input_dropped) for one in instruments])
     yield "# HELP lidaremu_fault_hits_total What faults have hit, by name."

@@ -102,9 +102,15 @@ class Orders:
         self._note(self._now_ns(), {"event": "Order", "order": what} | more)
         return {"now_s": self._now_ns() * 1e-9}
 
+    def _read_ledgers(self) -> None:
+        """Sensors that wait for a scan have not been stepped: what has passed meanwhile is on account too."""
+        for one in self._instruments:
+            one.ledger.now_ns = max(one.ledger.now_ns, self._now_ns())
+
     def status(self, params: Mapping[str, Any]) -> object:
         """Clock, time, and what each sensor did so far."""
         _taken(params)
+        self._read_ledgers()
         virtual = isinstance(self._daemon, VirtualDaemon)
         return {
             "clock": "virtual" if virtual else "real",
@@ -121,6 +127,7 @@ class Orders:
     def metrics(self, params: Mapping[str, Any]) -> object:
         """Counters and the histogram of lateness as Prometheus text."""
         _taken(params)
+        self._read_ledgers()
         return prometheus(self._instruments, self._daemon.incidents, self._daemon.liveness)
 
     def weather(self, params: Mapping[str, Any]) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from emulator.expectations import Judgement, understand, verdicts
 from emulator.expressions import Value, evaluate, names, parse
 from emulator.faults.run import FaultRun
 from emulator.instrument import Instrument
+from emulator.ledger import check_accounts
 from emulator.recording.writer import Recorder
 from emulator.series import SeriesWatcher, check_name, lookup
 from emulator.spec import load_spec
@@ -139,6 +140,9 @@ class Rig:
         self.close()
         if self._trouble is not None and error is None:
             raise RuntimeError("the run ended by itself") from self._trouble
+        if (cut := self._daemon.incidents.exit_code) and error is None:
+            told = "; ".join(f"{row['on']}: {row['kind']}: {row['text']}" for row in self._daemon.incidents.rows())
+            raise RuntimeError(f"the run had incidents (exit code {cut}): {told}")
         if self._daemon.lost_links and error is None:
             raise RuntimeError(f"links were lost: {'; '.join(self._daemon.lost_links)}")
 
@@ -148,6 +152,7 @@ class Rig:
             self._daemon.stop()
             self._thread.join(PATIENCE_S)
             self._thread = None
+            check_accounts(self.instruments, self._daemon.incidents, self._daemon.now_ns)
             self._daemon.close()
             self._recorder.close()
 

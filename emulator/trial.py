@@ -19,6 +19,7 @@ from emulator.faults.run import FaultRun
 from emulator.hosts.scripted import HasScript, LdScript, Lms2xxScript
 from emulator.incidents import Incidents
 from emulator.instrument import Instrument, Measuring
+from emulator.ledger import check_accounts
 from emulator.liveness import Liveness
 from emulator.measuring import InPlace
 from emulator.recording.writer import Recorder
@@ -161,6 +162,7 @@ class Trial:
             lambda from_ns, to_ns: lookup(self.series, by_name, actors, from_ns, min(to_ns, end_ns), end_ns),
         )
         failures = [] if self._workers is None else self._workers.failures
+        check_accounts(self.instruments, self.incidents, end_ns)
         judged += [Judgement("every sweep can be measured", False, text, "no failure") for text in failures]
         sensors = tuple(summary(item) for item in self.instruments)
         name, digest = str(self.scenario.source), self.transcript.sha256()

@@ -45,6 +45,13 @@ class ScanPlan:
     "Receiver sensitivity against the model's standard setting: factor on the received power."
     wants_intensity: bool = False
     wants_objects: bool = False
+    stream: int | None = None
+    """Which stream of scans it belongs to; None: that of its epoch. Within one, a sweep whose number is passed over is
+    owed to hosts, and the session tells why it is not measured (`Dropped`)."""
+    stride: int = 1
+    "By how much the number goes up from scan to scan within the stream: turns of a mirror that one scan takes."
+    period_ns: int | None = None
+    "From scan to scan of the stream; 0: no other follows by itself; None: as they turn out to come."
 
     def __len__(self) -> int:
         return len(self.azimuth_rad)

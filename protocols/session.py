@@ -58,6 +58,8 @@ class Emission:
     "What it is, for traces: `B0`, `ACK`, `A0`."
     told: Told | None = None
     "What it tells of the device's time, of the first telegram of a scan; for recordings and reports."
+    scans: int = 1
+    "Scans that it carries: of a mean, as many as were measured for it, with numbers from `sweep` on."
 
 
 class DropReason(Enum):
@@ -81,6 +83,11 @@ class DropReason(Enum):
     STALE = "withdrawn by a changed setting"
     HOST_SLOW = "host reads too slowly"
 
+    @property
+    def of_scans(self) -> bool:
+        """Whether scans went no further, not input of a host."""
+        return self in (DropReason.LINE_BUSY, DropReason.LATE, DropReason.STALE, DropReason.HOST_SLOW)
+
 
 @dataclass(frozen=True)
 class Dropped:
@@ -91,6 +98,24 @@ class Dropped:
     detail: str = ""
     count: int = 1
     "Bytes of input, or scans, or frames: whatever was dropped."
+    sweeps: range | None = None
+    "Numbers of the scans, by which an account of them is kept; None: the oldest that are missing."
+    stream: int | None = None
+    "Stream of those numbers (`ScanPlan.stream`); None: the newest that has them."
+    address: Address | None = None
+    "For whom they were, where hosts are told apart and others may have got them; None: everybody."
+
+
+def dropped_scans(
+    at_ns: int,
+    reason: DropReason,
+    sweeps: range,
+    detail: str = "",
+    stream: int | None = None,
+    address: Address | None = None,
+) -> list[Dropped]:
+    """What a session tells of scans that hosts do not get, by their numbers; nothing when there are none."""
+    return [Dropped(at_ns, reason, detail, len(sweeps), sweeps, stream, address)] if sweeps else []
 
 
 @dataclass(frozen=True)

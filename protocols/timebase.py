@@ -89,7 +89,11 @@ class Timebase(Session):
         # the rate at the beginning of the sweep: one that changes within it counts from the next one on
         scale = BILLION / (BILLION + self.quartz.ppb(start_ns))
         return replace(
-            own, start_ns=start_ns, fire_offset_s=own.fire_offset_s * scale, duration_s=own.duration_s * scale
+            own,
+            start_ns=start_ns,
+            fire_offset_s=own.fire_offset_s * scale,
+            duration_s=own.duration_s * scale,
+            period_ns=None if own.period_ns is None else round(own.period_ns * scale),
         )
 
     def submit(self, scan: Scan) -> None:

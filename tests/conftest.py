@@ -1,8 +1,33 @@
-"""What holds for all tests: property tests draw the same cases every time, and none has a limit by the clock."""
+"""What holds for all tests: property tests draw the same cases every time, none has a limit by the clock, and at the
+end of each test every scan of every sensor that it ran is on account."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
 from hypothesis import settings
+
+from emulator.instrument import Instrument
+from emulator.ledger import faults_of
 
 settings.register_profile("lidaremu", deadline=None, derandomize=True)
 settings.load_profile("lidaremu")
+
+
+@pytest.fixture(autouse=True)
+def _every_scan_is_on_account(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Whatever a test runs to whatever end; `@pytest.mark.unaccounted` for one that loses scans on purpose."""
+    made: list[Instrument] = []
+    begin = Instrument.__init__
+
+    def noted(self: Instrument, *given: Any, **named: Any) -> None:
+        begin(self, *given, **named)
+        made.append(self)
+
+    monkeypatch.setattr(Instrument, "__init__", noted)
+    yield
+    if request.node.get_closest_marker("unaccounted") is None:
+        told = {one.sensor: text for one in made if (text := faults_of(one.ledger.account()))}
+        assert not told, f"scans that are nowhere: {told}"

@@ -175,6 +175,6 @@ class Act:
         """When `release` has something."""
         return None
 
-    def cut(self) -> int:
-        """The power is away: what was held back is gone; its bytes."""
-        return 0
+    def cut(self) -> list[Emission]:
+        """The power is away: what was held back is gone."""
+        return []

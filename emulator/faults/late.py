@@ -74,9 +74,9 @@ class LateTelegrams:
                     one.emission = replace(one.emission, due_ns=min(one.emission.due_ns, now_ns))
                     one.by = 0
 
-    def clear(self) -> int:
-        """The power is away: what waited is gone; its bytes."""
-        lost = sum(len(one.emission.payload) for queue in self._queues for one in queue)
+    def clear(self) -> list[Emission]:
+        """The power is away: what waited is gone."""
+        lost = [one.emission for queue in self._queues for one in queue]
         for queue in self._queues:
             queue.clear()
         return lost

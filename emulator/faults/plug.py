@@ -167,8 +167,8 @@ class Slow(Holding):
                 found.append(self._piece(key))
         return found
 
-    def cut(self) -> int:
-        lost = sum(len(one.payload) for waiting in self._waiting.values() for one in waiting)
+    def cut(self) -> list[Emission]:
+        lost = [one for waiting in self._waiting.values() for one in waiting]
         self._waiting.clear()
         self._begun.clear()
         return lost

@@ -17,7 +17,7 @@ from emulator.faults.late import LateTelegrams, Piece
 from emulator.faults.reading import FaultError, read, target_of
 from emulator.faults.running import Running
 from emulator.faults.scene_events import LastScans, check_expression
-from emulator.instrument import Instrument
+from emulator.instrument import SWITCHED_OFF, Instrument
 from emulator.transports.link import Received
 from protocols.scan import ScanPlan
 from protocols.session import CommandHandled, Emission, Event
@@ -86,8 +86,11 @@ class SensorFaults:
         row["hits"] += one.hits
 
     def cut(self) -> int:
-        """The power is away: bytes that faults have held back."""
-        return self.late.clear() + sum(one.act.cut() for one in self.live if one.act is not None)
+        """The power is away: bytes that faults have held back; their scans have not left."""
+        lost = self.late.clear() + [held for one in self.live if one.act is not None for held in one.act.cut()]
+        for emission in {one.sweep: one for one in lost if one.sweep is not None}.values():
+            self.instrument.stats.note_lost(emission, SWITCHED_OFF)
+        return sum(len(one.payload) for one in lost)
 
     def next_ns(self) -> int | None:
         """When `advance` or `released` has something to do."""

@@ -98,8 +98,8 @@ class Reorder(Act):
         self._held.clear()
         return held
 
-    def cut(self) -> int:
-        lost = sum(len(one.payload) for _, one in self._held)
+    def cut(self) -> list[Emission]:
+        lost = [one for _, one in self._held]
         self._held.clear()
         return lost
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from protocols.session import LinkKind
@@ -62,6 +63,8 @@ class Link(ABC):
 
     def __init__(self) -> None:
         self.stats = LinkStats()
+        self.on_given_up: Callable[[bytes], None] = lambda payload: None
+        "Told of each payload that `send` has taken and that is given up whole after all: no host gets it."
 
     @property
     @abstractmethod

@@ -100,19 +100,21 @@ class TcpStream(_TcpLink):
             due_ns, payload, peer = self._queue.popleft()
             self._queued -= len(payload)
             hosts = self._hosts.present() if peer is None else [self._hosts.find(peer)]
-            for host in hosts:
-                if host is not None:
-                    self._give(host, payload, now_ns)
+            given = [self._give(host, payload, now_ns) for host in hosts if host is not None]
+            if given and not any(given):
+                self.on_given_up(payload)
             if not any(hosts):
                 self.stats.bytes_lost += len(payload)
             self.stats.lateness_ns.append(now_ns - due_ns)
         return self._earliest(self._queue[0][0] if self._queue else None)
 
-    def _give(self, host: Host, payload: bytes, now_ns: int) -> None:
+    def _give(self, host: Host, payload: bytes, now_ns: int) -> bool:
+        """Whether it was not given up."""
         if host.backlog >= BACKLOG_LIMIT and not self.hold:
             self.stats.payloads_dropped += 1
-        else:
-            self._hosts.send(host, payload, now_ns)
+            return False
+        self._hosts.send(host, payload, now_ns)
+        return True
 
     def clear(self) -> int:
         forgotten, self._queued = self._queued, 0
@@ -134,6 +136,8 @@ class TcpLine(_TcpLink):
     def __init__(self, url: str, host: str, port: int) -> None:
         super().__init__(url, host, port)
         self._line = PacedLine()
+        self._waiting: deque[bytes] = deque()
+        "Payloads that have not begun to leave."
 
     def receive(self, now_ns: int) -> list[Received]:
         self.flush(now_ns)
@@ -141,20 +145,27 @@ class TcpLine(_TcpLink):
         return [Received(0, data)] if data else []
 
     def send(self, payload: bytes, due_ns: int, peer: int | None = None, line_speed: int | None = None) -> None:
-        if self._hosts.fileno() >= 0 and not self._line.put(payload, due_ns, line_speed):
+        if self._hosts.fileno() < 0:
+            return
+        if not self._line.put(payload, due_ns, line_speed):
             self.stats.payloads_dropped += 1
+        elif payload:
+            self._waiting.append(payload)
 
     def flush(self, now_ns: int) -> int | None:
         if self._hosts.fileno() < 0:
             return None
         for left in self._line.take(now_ns):
             hosts = self._hosts.present()
+            payload = self._waiting.popleft() if left.starts and self._waiting else b""
             for host in hosts:
                 if left.starts:
                     host.skipping = host.backlog >= BACKLOG_LIMIT and not self.hold
                     self.stats.payloads_dropped += host.skipping
                 if not host.skipping:
                     self._hosts.send(host, left.data, now_ns)
+            if payload and hosts and all(host.skipping for host in hosts):
+                self.on_given_up(payload)
             if not hosts:
                 self.stats.bytes_lost += len(left.data)
             if left.ends:
@@ -169,4 +180,5 @@ class TcpLine(_TcpLink):
         self._line.set_speed(baud)
 
     def clear(self) -> int:
+        self._waiting.clear()
         return self._line.clear()

@@ -183,6 +183,7 @@ class UdpSender(Link):
             self._out.sendto(payload, place)
         except OSError:  # no route, no room, or longer than a datagram can be
             self.stats.payloads_dropped += 1
+            self.on_given_up(payload)
         else:
             self.stats.bytes_out += len(payload)
             self.stats.lateness_ns.append(max(0, late_ns))

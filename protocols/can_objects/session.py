@@ -35,6 +35,7 @@ from protocols.session import (
     ModeChanged,
     Restarted,
     Session,
+    dropped_scans,
 )
 
 SECOND_NS = 1_000_000_000
@@ -121,6 +122,8 @@ class CanObjectSession(Session):
         self._sweep = 0
         self._next_start_ns = 0
         self._list_duration_ns = 0
+        self._list_end_ns = 0
+        "When the list that began last will have left a bus that carries nothing else."
         self._now_ns = 0
         self._told: Told | None = None
         "What the list made last tells of the time; its format sets it."
@@ -232,6 +235,8 @@ class CanObjectSession(Session):
                 fire_offset_s=nothing,
                 duration_s=self._common.evaluation_ns * 1e-9,
                 wants_objects=True,
+                stream=self._epoch,
+                period_ns=max(self._cycle_ns(), self._list_duration_ns),
             )
         return self._plan
 
@@ -243,18 +248,20 @@ class CanObjectSession(Session):
         step_ns = max(self._cycle_ns(), self._list_duration_ns)
         lists = -(-late_ns // step_ns)
         self._next_start_ns += lists * step_ns
+        passed = range(self._sweep, self._sweep + lists)
         self._sweep += lists
-        self._drop(self._now_ns, DropReason.LATE, "not measured in time", lists)
+        self._events += dropped_scans(self._now_ns, DropReason.LATE, passed, "not measured in time", self._epoch)
 
     def submit(self, scan: Scan) -> None:
         plan = self._plan
         if plan is None or (scan.plan.epoch, scan.plan.sweep) != (plan.epoch, plan.sweep):
             raise ScanRefused(f"sweep {scan.plan.sweep} of epoch {scan.plan.epoch} is not wanted any more")
         self._pending.append((plan.start_ns + self._common.evaluation_ns, scan))
-        # a list that takes longer than the cycle lengthens the cycle: no list begins before the last one has left
+        # a list that takes longer than the cycle lengthens the cycle: no list begins before the last one has left.
+        # Other frames do not: a list that was measured late would take those of the meantime for one of its own.
         self._next_start_ns = max(
             plan.start_ns + max(self._cycle_ns(), self._list_duration_ns),
-            self._bus.free_ns - self._common.evaluation_ns,
+            self._list_end_ns - self._common.evaluation_ns,
         )
         self._sweep += 1
         self._plan = None
@@ -316,9 +323,9 @@ class CanObjectSession(Session):
         self._epoch += 1
         self._plan = None
         self._next_start_ns = now_ns
-        if self._pending:
-            self._events.append(Dropped(now_ns, DropReason.STALE, "list raster changed", len(self._pending)))
-            self._pending.clear()
+        for _, scan in self._pending:
+            self._unsent(now_ns, DropReason.STALE, "list raster changed", scan)
+        self._pending.clear()
 
     def _frame(self, name: str, raw: Mapping[str, int] | None = None, **physical: float) -> Frame:
         """One frame of a message, at its present identifier."""
@@ -327,6 +334,10 @@ class CanObjectSession(Session):
 
     def _drop(self, now_ns: int, reason: DropReason, detail: str, count: int = 1) -> None:
         self._events.append(Dropped(now_ns, reason, detail, count))
+
+    def _unsent(self, now_ns: int, reason: DropReason, detail: str, scan: Scan) -> None:
+        sweep = scan.plan.sweep
+        self._events += dropped_scans(now_ns, reason, range(sweep, sweep + 1), detail, scan.plan.stream)
 
     def _handled(self, now_ns: int, command: str, outcome: str = "done") -> None:
         self._events.append(CommandHandled(now_ns, command, outcome))
@@ -377,16 +388,17 @@ class CanObjectSession(Session):
     def _begin_list(self, at_ns: int) -> None:
         due_ns, scan = self._pending.popleft()
         if not self._lists_wanted():
-            self._drop(at_ns, DropReason.STALE, "output switched off")
+            self._unsent(at_ns, DropReason.STALE, "output switched off", scan)
             return
         if at_ns - due_ns > self._cycle_ns():
-            self._drop(at_ns, DropReason.LINE_BUSY, "bus still full of the lists before")
+            self._unsent(at_ns, DropReason.LINE_BUSY, "bus still full of the lists before", scan)
             return
         frames = self._encode_list(ObjectTable.of(scan.objects), at_ns, scan.plan.start_ns)
         if self._protection is not None:
             frames = [frame._replace(payload=self._protection.protect(frame.label, frame.payload)) for frame in frames]
         lengths_ns = np.rint(self._list_bits(frames) * self._bit_ns).astype(np.int64).tolist()
         self._list_duration_ns = sum(lengths_ns)
+        self._list_end_ns = at_ns + self._list_duration_ns
         self._bus.current.extend(zip(frames, lengths_ns, strict=True))
         self._bus.sweep, self._bus.told = scan.plan.sweep, self._told
         self._bus.free_ns = max(self._bus.free_ns, at_ns)

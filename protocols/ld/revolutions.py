@@ -63,15 +63,20 @@ class Revolutions:
     def __init__(self) -> None:
         self.epoch = 0
         self.measured: deque[Measured] = deque()
-        self.late = 0
+        self.late = range(0)
         "Revolutions that passed without being measured, since last asked."
+        self.stream = 0
+        "Number of the stream: from when a host wants profiles until none does, or the settings change."
         self._outstanding: Outstanding | None = None
         self._next = 0
+        self._rested = False
+        "No host wanted a profile for a while."
         self._layouts: dict[int, Layout] = {}
 
-    def begin(self) -> int:
-        """Settings have changed: nothing planned or measured so far counts any more; how many scans that costs."""
-        gone = len(self.measured)
+    def begin(self) -> list[int]:
+        """Settings have changed: nothing planned or measured so far counts any more; the sweeps that this costs."""
+        gone = [item.sweep for item in self.measured]
+        self.stream += 1
         self.measured.clear()
         self._outstanding = None
         self._layouts.clear()
@@ -105,6 +110,8 @@ class Revolutions:
         geometry, rotation = device.geometry, device.rotation
         if geometry is None or rotation is None or not needs or len(self.measured) >= MAX_AHEAD:
             self._outstanding = None
+            if not needs:
+                self._rested = True
             return None
         if self._outstanding is None:
             self._outstanding = self._choose(geometry, rotation, needs, device.model.max_range_m, now_ns)
@@ -120,11 +127,14 @@ class Revolutions:
         ]
         if not wanted:
             return None
+        if self._rested:
+            self.stream += 1
+            self._rested = False
         # one that has ended already is passed over: a device that cannot keep up skips, it does not lag
         running = rotation.first_from(now_ns + 1, geometry.first) - 1
         due = max(self._next, min(wanted))
         revolution = max(due, running)
-        self.late += revolution - due
+        self.late = range(due, revolution)
         start_ns = rotation.passes_ns(revolution, geometry.first)
         slowed, offsets_s = rotation.slowed(start_ns), geometry.fire_offset_s
         plan = ScanPlan(
@@ -138,6 +148,8 @@ class Revolutions:
             max_echoes=2 if geometry.near_field_m else 1,
             max_range_m=max_range_m,
             wants_intensity=any(need.echoes for need in needs),
+            stream=self.stream,
+            period_ns=round(SECOND_NS * slowed / rotation.hz),
         )
         return Outstanding(revolution, plan, rotation.passes_ns(revolution + 1, geometry.first))
 

@@ -41,6 +41,7 @@ from protocols.session import (
     ModeChanged,
     Restarted,
     Session,
+    dropped_scans,
 )
 
 MAX_CHANNELS = 256
@@ -143,7 +144,8 @@ class LdSession(Session):
     def disconnected(self, now_ns: int, address: Address) -> None:
         self._run(now_ns)
         self._channels.pop(address, None)
-        self._outbox.withdraw(lambda sent: sent.to == address)
+        gone = self._outbox.withdraw(lambda sent: sent.to == address)
+        self._tell_withdrawn(now_ns, gone, address)
 
     def _channel(self, address: Address) -> Channel | None:
         """The channel of an address; senders of datagrams and CAN frames get one when they are first heard."""
@@ -219,7 +221,7 @@ class LdSession(Session):
             return
         service = int.from_bytes(request.payload[:2], "big")
         if answer.stops_profiles:
-            self._stop(channel)
+            self._stop(channel, now_ns)
         self._settle(now_ns)
         what = title(service)
         if answer.refused is not None:
@@ -261,12 +263,24 @@ class LdSession(Session):
         size = self._revolutions.layout(profiles.form, self._geometry).size
         return f" ({size} bytes, sicktoolbox has room for {SICKTOOLBOX_BYTES})" if size > SICKTOOLBOX_BYTES else ""
 
-    def _stop(self, channel: Channel) -> None:
+    def _stop(self, channel: Channel, now_ns: int) -> None:
         """End a host's profiles, and those on their way to it that have not begun."""
         channel.profiles = None
         address = channel.address
-        for sent in self._outbox.withdraw(lambda sent: sent.to == address and sent.is_profile and not sent.begun):
+        gone = self._outbox.withdraw(lambda sent: sent.to == address and sent.is_profile and not sent.begun)
+        for sent in gone:
             channel.withdrawn(sent)
+        self._tell_withdrawn(now_ns, gone, address)
+
+    def _tell_withdrawn(self, now_ns: int, gone: list[Outgoing], address: Address) -> None:
+        for sweep in sorted(one.emissions[0].sweep or 0 for one in gone if one.is_profile and not one.begun):
+            self._unsent(now_ns, DropReason.STALE, sweep, "on its way", address)
+
+    def _unsent(
+        self, now_ns: int, reason: DropReason, sweep: int, detail: str = "", address: Address | None = None
+    ) -> None:
+        """A revolution that a host does not get; of all hosts without `address`."""
+        self._events.extend(dropped_scans(now_ns, reason, range(sweep, sweep + 1), detail, None, address))
 
     def _settle(self, now_ns: int) -> None:
         """After anything that may have changed mode or speed: end what can no longer be, answer who waited for it."""
@@ -276,11 +290,10 @@ class LdSession(Session):
             device.measure()
         if device.geometry is not self._geometry:
             self._geometry = device.geometry
-            gone = self._revolutions.begin()
-            if gone:
-                self._drop(now_ns, DropReason.STALE, gone)
+            for sweep in self._revolutions.begin():
+                self._unsent(now_ns, DropReason.STALE, sweep)
             for channel in self._channels.values():
-                self._stop(channel)
+                self._stop(channel, now_ns)
             self._serve_listeners(now_ns)
         self._tell_mode(now_ns)
         if device.spin_up is None:
@@ -302,6 +315,7 @@ class LdSession(Session):
         """A revolution has ended: its profile goes to everybody who wants it."""
         geometry, rotation = self._geometry, self.device.rotation
         if geometry is None or rotation is None:
+            self._unsent(now_ns, DropReason.STALE, item.sweep)
             return
         revolution = revolution_of(item, self.device, geometry, rotation, self.first_count)
         told = self.clock.told(item.start_ns, CLOCK_TICK_NS, 16)
@@ -312,7 +326,7 @@ class LdSession(Session):
                 continue
             wanted = True
             if channel.is_paced and channel.line.free_ns > now_ns:
-                self._drop(now_ns, DropReason.LINE_BUSY, 1)
+                self._unsent(now_ns, DropReason.LINE_BUSY, item.sweep, "", channel.address)
                 continue
             profiles.sent += 1
             payload = encode_profile(self._revolutions.layout(profiles.form, geometry), profiles.sent, revolution)
@@ -326,7 +340,7 @@ class LdSession(Session):
                 if not profiles.left:
                     channel.profiles = None
         if not wanted:  # measured ahead for a host that has gone, or has had enough
-            self._drop(now_ns, DropReason.STALE, 1)
+            self._unsent(now_ns, DropReason.STALE, item.sweep)
 
     # time
 
@@ -377,9 +391,24 @@ class LdSession(Session):
         needs = [Need(profiles.first_ns, profiles.left, wants_echoes(profiles.form)) for profiles in wanting]
         plan = self._revolutions.plan(self.device, needs, self._now_ns)
         if self._revolutions.late:
-            self._drop(self._now_ns, DropReason.LATE, self._revolutions.late, "not measured in time")
-            self._revolutions.late = 0
+            self._tell_late()
         return plan
+
+    def _tell_late(self) -> None:
+        """Revolutions that passed unmeasured, for each host that had asked for them by then."""
+        late, self._revolutions.late = self._revolutions.late, range(0)
+        geometry, rotation = self._geometry, self.device.rotation
+        assert geometry is not None
+        assert rotation is not None
+        for channel in self._channels.values():
+            if channel.profiles is not None:
+                first = max(late.start, rotation.first_from(channel.profiles.first_ns, geometry.first))
+                sweeps = range(rotation.first_sweep + first, rotation.first_sweep + late.stop)
+                told = dropped_scans(
+                    self._now_ns, DropReason.LATE, sweeps, "not measured in time", self._revolutions.stream,
+                    channel.address,
+                )  # fmt: skip
+                self._events.extend(told)
 
     def submit(self, scan: Scan) -> None:
         if all(channel.profiles is None for channel in self._channels.values()):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from protocols.errors import EncodeError, ScanRefused
 from protocols.lms2xx.device import Device
@@ -54,6 +55,8 @@ class Slot:
     "Asked for, and not part of the mode's stream."
     reserved: bool
     "The line is already promised to it."
+    stream: int
+    "Number of the stream it belongs to; what is asked for is one of its own."
     measured: int = 0
     mean: Mean | None = None
     result: Measured | None = None
@@ -84,6 +87,14 @@ class Slot:
             self.result = self.mean.result()
 
 
+class Unsent(NamedTuple):
+    """Scans that hosts do not get: why, the first turns of each, and of which stream."""
+
+    reason: DropReason
+    turns: range
+    stream: int
+
+
 class Schedule:
     """The slots of one device, nearest first."""
 
@@ -95,8 +106,11 @@ class Schedule:
         self._stream_from_ns = 0
         self._stream_turn = 0
         "End of the last scan of the stream that has a slot."
-        self._sent_turn = 0
-        "End of the last scan of the stream that was sent; 0: none yet."
+        self._sent_turn: int | None = None
+        "Beginning of the first scan of the stream that was neither sent nor told of; None: no scan was looked for yet."
+        self._number = 0
+        "Of streams, and of scans that were asked for."
+        self._stream_number = 0
         self._slots: deque[Slot] = deque()
         self._late = False
         "Scans pass unsent because one was not measured in time."
@@ -114,27 +128,50 @@ class Schedule:
         self._mirror = mirror
         self._stream = None
 
-    def withdraw(self) -> int:
-        """Forget every slot that the line is not promised to; how many had been measured in whole or in part.
+    def withdraw(self, now_ns: int) -> list[Unsent]:
+        """Forget every slot that the line is not promised to; the scans that hosts do not get.
 
         A scan that was asked for before stays: its telegram comes before the ACK of whatever withdraws the others.
         """
-        wasted = sum(slot.measured > 0 for slot in self._slots if not slot.reserved)
+        unsent = self._passed_unsent(now_ns)
+        for slot in self._slots:
+            if not slot.reserved and slot.measured:
+                numbers = range(slot.first_turn, slot.next_turn, slot.comb.turns)
+                unsent.append(Unsent(DropReason.STALE, numbers, slot.stream))
         self._keep([slot for slot in self._slots if slot.reserved])
         self._epoch += 1
         self._stream = None
-        return wasted
+        return unsent
 
-    def stream(self, device: Device, from_ns: int) -> int:
+    def _passed_unsent(self, now_ns: int) -> list[Unsent]:
+        """Scans of the stream that have ended since the last telegram; those before a slot whose scan is asked for."""
+        if self._stream is None or self._device is None or self._sent_turn is None:
+            return []
+        slot = next((slot for slot in self._slots if not slot.once), None)
+        made = comb(self._device.variant, None) if slot is None else slot.comb
+        ended = max(0, self._mirror.first_turn_from(now_ns + 1) - 1) // made.turns * made.turns
+        if slot is None:
+            size = self._stream.telegram_bytes(made.points, self._device.format.indices)
+            return self._by_cause(ended, made.turns, size, self._stream.scans)
+        passed = self._by_cause(min(ended, slot.first_turn), made.turns, slot.size, slot.output.scans)
+        begun = max(self._sent_turn, ended)
+        if slot is self._planned or slot.measured:  # all scans before it are on account
+            passed.append(Unsent(DropReason.STALE, range(begun, slot.first_turn, made.turns), slot.stream))
+        return passed
+
+    def stream(self, device: Device, from_ns: int, now_ns: int) -> list[Unsent]:
         """Send what the device's mode sends from now on; scans begin at `from_ns` or later. Returns as `withdraw`."""
-        wasted = self.withdraw()
+        unsent = self.withdraw(now_ns)
         self._device = device
         self._stream = device.stream
         self._stream_from_ns = from_ns
-        self._stream_turn = self._sent_turn = 0
+        self._stream_turn = 0
+        self._sent_turn = None
+        self._number += 1
+        self._stream_number = self._number
         self._late = False
         self._telegrams = 0
-        return wasted
+        return unsent
 
     def speed_changed(self, device: Device) -> None:
         """The line has another speed: the stream goes on, in other slots."""
@@ -161,7 +198,8 @@ class Schedule:
         scan = max(scan, output.scans)
         send_ns = self._mirror.turn_ns(scan * made.turns)
         first = (scan - output.scans) * made.turns
-        slot = Slot(output, made, None, device.format, device.gain, first, send_ns, size, True, single)
+        self._number += 1
+        slot = Slot(output, made, None, device.format, device.gain, first, send_ns, size, True, single, self._number)
         place = sum(other.reserved for other in self._slots) if single else len(self._slots)
         self._slots.insert(place, slot)
         if single:
@@ -199,11 +237,11 @@ class Schedule:
         self._plan = self._planned = None
         slot.take(nearest(scan))
 
-    def give_up(self, plan: ScanPlan, now_ns: int) -> dict[DropReason, int]:
+    def give_up(self, plan: ScanPlan, now_ns: int) -> list[Unsent]:
         """The scan of `next_plan` will not be measured. Raises `ScanRefused` for any other.
 
         The stream goes on in a later slot: the scans that this costs, as `passed_over`. What a host has asked for by
-        name is measured later.
+        name is measured later, under a new number.
         """
         slot = self._planned
         if self._plan is None or slot is None or (plan.epoch, plan.sweep) != (self._plan.epoch, self._plan.sweep):
@@ -213,17 +251,20 @@ class Schedule:
         if not slot.once:
             self._slots.remove(slot)
             self._telegrams -= 1
-            causes = self.passed_over(slot)
-            causes[DropReason.LATE] = causes.get(DropReason.LATE, 0) + slot.output.scans
+            unsent = self.passed_over(slot)
             self._late = True
-            return causes
+            given_up = range(slot.first_turn, slot.end_turn, slot.comb.turns)
+            return [*unsent, Unsent(DropReason.LATE, given_up, slot.stream)]
+        unsent = [Unsent(DropReason.LATE, range(slot.first_turn, slot.end_turn, slot.comb.turns), slot.stream)]
+        self._number += 1
+        slot.stream = self._number
         begin = self._scan_from(now_ns, slot.comb.turns) * slot.comb.turns
         slot.first_turn = max(begin, slot.first_turn)
         slot.measured, slot.mean = 0, None
         slot.send_ns = self._mirror.turn_ns(slot.end_turn)
         if slot.reserved:
             self._line.promise(slot.send_ns, slot.size)
-        return {}
+        return unsent
 
     def take_due(self, now_ns: int) -> Slot | None:
         """The next slot whose time has come and whose scans are there, removed; call until None."""
@@ -246,19 +287,22 @@ class Schedule:
         """A scan came so late that the next ones pass unsent for that reason, beside those that the line costs."""
         self._late = True
 
-    def passed_over(self, slot: Slot) -> dict[DropReason, int]:
+    def passed_over(self, slot: Slot) -> list[Unsent]:
         """Scans that ended unsent between the stream's telegram before this one and this one, by cause."""
         if slot.once:
-            return {}
-        passed = (slot.first_turn - self._sent_turn) // slot.comb.turns if self._sent_turn else 0
+            return []
+        passed = self._by_cause(slot.first_turn, slot.comb.turns, slot.size, slot.output.scans)
         self._sent_turn = slot.end_turn
-        late = 0
-        if self._late:
-            line_scans = -(-line_ns(slot.size, self._line.baud) // slot.scan_ns) - slot.output.scans
-            late = max(0, passed - max(0, line_scans))
-            self._late = False
-        causes = {DropReason.LINE_BUSY: passed - late, DropReason.LATE: late}
-        return {reason: count for reason, count in causes.items() if count}
+        return passed
+
+    def _by_cause(self, until_turn: int, turns: int, size: int, scans: int) -> list[Unsent]:
+        """Why the scans from the last telegram on were not sent: as many as a telegram takes, others were late."""
+        numbers = range(until_turn if self._sent_turn is None else self._sent_turn, until_turn, turns)
+        line_scans = -(-line_ns(size, self._line.baud) // (turns * TURN_NS)) - scans
+        by_line = max(0, line_scans) if self._late else len(numbers)
+        self._late = False
+        causes = ((DropReason.LINE_BUSY, numbers[:by_line]), (DropReason.LATE, numbers[by_line:]))
+        return [Unsent(reason, found, self._stream_number) for reason, found in causes if found]
 
     def _scan_from(self, time_ns: int, turns: int) -> int:
         """Number of the first scan of so many turns that begins at `time_ns` or later."""
@@ -291,18 +335,22 @@ class Schedule:
         if self._slots:
             last = self._slots[-1]
             free_ns = max(free_ns, last.send_ns + line_ns(last.size, self._line.baud))
+        first = self._scan_from(self._stream_from_ns, made.turns)
+        if self._sent_turn is None:
+            self._sent_turn = first * made.turns
         # A program that was held up does not make good more than the last scan.
         if now_ns - made.turns * TURN_NS > free_ns:
             free_ns = now_ns - made.turns * TURN_NS
-            self._late = self._sent_turn > 0
+            self._late = True
         end = max(
             self._scan_from(free_ns, made.turns),
-            self._scan_from(self._stream_from_ns, made.turns) + output.scans,
+            first + output.scans,
             -(-self._stream_turn // made.turns) + output.scans,
         )
         first_turn = (end - output.scans) * made.turns
         send_ns = self._mirror.turn_ns(end * made.turns)
-        return Slot(output, made, part, device.format, device.gain, first_turn, send_ns, size, False, False)
+        number = self._stream_number
+        return Slot(output, made, part, device.format, device.gain, first_turn, send_ns, size, False, False, number)
 
     def _note_stream_end(self) -> None:
         self._stream_turn = max((slot.end_turn for slot in self._slots if not slot.once), default=self._stream_turn)
@@ -311,7 +359,7 @@ class Schedule:
         """Take back what of the stream has not been sent; its place is found anew."""
         kept = [slot for slot in self._slots if slot.once]
         self._telegrams -= len(self._slots) - len(kept)
-        self._stream_turn = self._sent_turn
+        self._stream_turn = self._sent_turn or 0
         self._keep(kept)
 
     def _keep(self, kept: list[Slot]) -> None:
@@ -336,4 +384,7 @@ class Schedule:
             max_range_m=slot.form.farthest_m,
             gain=slot.gain,
             wants_intensity=slot.form.wants_intensity(slot.output),
+            stream=slot.stream,
+            stride=slot.comb.turns,
+            period_ns=0 if slot.once else round(slot.scan_ns * slowed),
         )

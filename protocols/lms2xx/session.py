@@ -18,7 +18,7 @@ from protocols.lms2xx.device import Device, new_device, restarted
 from protocols.lms2xx.models import Model
 from protocols.lms2xx.outputs import encode
 from protocols.lms2xx.receiver import Fault, Receiver
-from protocols.lms2xx.schedule import Line, Schedule, Slot
+from protocols.lms2xx.schedule import Line, Schedule, Slot, Unsent
 from protocols.lms2xx.settings import Settings
 from protocols.lms2xx.timing import TURN_DENOMINATOR, TURN_NUMERATOR_NS, Mirror
 from protocols.quartz import TRUE, Quartz
@@ -35,6 +35,7 @@ from protocols.session import (
     ModeChanged,
     Restarted,
     Session,
+    dropped_scans,
 )
 
 MAX_WAITING = 8
@@ -244,9 +245,10 @@ class Lms2xxSession(Session):
         self._note(request, reply)
         if reply.resets:
             self._phase, self._phase_end_ns = Phase.RESETTING, self._line.free_ns
-            self._stale(self._schedule.withdraw())
+            self._tell_unsent(self._schedule.withdraw(self._now_ns), "measured, not sent")
         elif self._changed(before):
-            self._stale(self._schedule.stream(self._device, self._line.free_ns))
+            unsent = self._schedule.stream(self._device, self._line.free_ns, self._now_ns)
+            self._tell_unsent(unsent, "measured, not sent")
         elif reply.new_baud is not None:
             self._schedule.speed_changed(self._device)
 
@@ -304,11 +306,18 @@ class Lms2xxSession(Session):
         while place and self._replies[place - 1].due_ns > due_ns:
             place -= 1
         self._replies.insert(
-            place, Emission(due_ns, telegram, sweep=slot.first_turn, label=f"{slot.output.command:02X}", told=told)
+            place,
+            Emission(
+                due_ns,
+                telegram,
+                sweep=slot.first_turn,
+                label=f"{slot.output.command:02X}",
+                told=told,
+                scans=slot.output.scans,
+            ),
         )
         self._line.promise(due_ns, len(telegram))
-        for reason, passed in self._schedule.passed_over(slot).items():
-            self._drop(reason, f"{slot.output.command:02X}", passed)
+        self._tell_unsent(self._schedule.passed_over(slot), f"{slot.output.command:02X}")
         if late:
             self._schedule.note_late()
         self._schedule.line_moved()
@@ -344,8 +353,7 @@ class Lms2xxSession(Session):
     def give_up(self, plan: ScanPlan, now_ns: int) -> bool:
         """The stream goes on with a later scan; one asked for comes later."""
         self.advance(now_ns)
-        for reason, passed in self._schedule.give_up(plan, self._now_ns).items():
-            self._drop(reason, "not measured in time", passed)
+        self._tell_unsent(self._schedule.give_up(plan, self._now_ns), "not measured in time")
         return True
 
     def take_emissions(self, now_ns: int) -> list[Emission]:
@@ -366,9 +374,9 @@ class Lms2xxSession(Session):
     def _drop(self, reason: DropReason, detail: str, count: int = 1) -> None:
         self._events.append(Dropped(self._now_ns, reason, detail, count))
 
-    def _stale(self, count: int) -> None:
-        if count:
-            self._drop(DropReason.STALE, "measured, not sent", count)
+    def _tell_unsent(self, unsent: list[Unsent], detail: str) -> None:
+        for reason, turns, stream in unsent:
+            self._events.extend(dropped_scans(self._now_ns, reason, turns, detail, stream))
 
 
 def _turns(span_ns: int) -> int:

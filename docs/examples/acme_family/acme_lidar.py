@@ -35,6 +35,7 @@ from protocols.session import (
     Event,
     Restarted,
     Session,
+    dropped_scans,
 )
 
 BAUD = 115_200
@@ -89,7 +90,7 @@ class AcmeSession(Session):
     def power_on(self, now_ns: int) -> None:
         self._buffer.clear()
         self._replies.clear()
-        self._stop()
+        self._stop(now_ns)
         self._now_ns, self._ready_ns = now_ns, now_ns + BOOT_NS
         self._replies.append(Emission(now_ns, b"", line_speed=BAUD, label="power-on"))  # the line's speed, no bytes
         self._events.append(Restarted(now_ns))
@@ -137,7 +138,10 @@ class AcmeSession(Session):
     def _stop(self, now_ns: int = 0) -> bytes:
         self._streaming = False
         self._epoch += 1
-        self._scans.clear()  # what has not left is withdrawn
+        waiting = [scan.sweep for scan in self._scans if scan.sweep is not None]
+        self._scans.clear()  # what has not left is withdrawn, and told by its numbers
+        if waiting:
+            self._events += dropped_scans(now_ns, DropReason.STALE, range(waiting[0], waiting[-1] + 1))
         return b""
 
     def _identify(self, now_ns: int) -> bytes:
@@ -186,8 +190,8 @@ class AcmeSession(Session):
         self._sweep += 1
         missed = self._first_sweep_from(self._now_ns - SWEEP_NS) - self._sweep
         if missed > 0:  # they ended while this one was measured: never silently
+            self._events += dropped_scans(self._now_ns, DropReason.LATE, range(self._sweep, self._sweep + missed))
             self._sweep += missed
-            self._events.append(Dropped(self._now_ns, DropReason.LATE, count=missed))
 
     def take_emissions(self, now_ns: int) -> list[Emission]:
         due = [queue.popleft() for queue in (self._replies, self._scans) for _ in range(_count_due(queue, now_ns))]
