@@ -266,7 +266,7 @@ class Instrument:
                 self._asked = None
             try:
                 if isinstance(scan, NotMeasured):
-                    self.session.give_up(scan.plan, now_ns)
+                    self.session.missed(scan.plan, now_ns)
                     continue
                 self.session.submit(scan)
             except ScanRefused:
