@@ -75,15 +75,20 @@ def test_a_host_that_stops_the_stream_of_a_dead_sensor_ends_its_silence(run: Rig
 
 def test_a_sensor_without_power_is_not_missed(run: Rig) -> None:
     run.stream()
-    run.instruments[0].power_off(run.clock.now_ns())
     run.processes[0].stopped = True
+    run.advance(0.5)
+    run.instruments[0].power_off(run.clock.now_ns())
     run.advance(4.0)
     assert run.kinds() == []
 
 
 def test_time_in_which_the_sender_was_stopped_is_not_silence(run: Rig) -> None:
     run.stream()
+    run.processes[0].stopped = True
+    run.advance(1.0)
     run.sleep(30.0)
+    run.advance(0.5)
+    run.processes[0].stopped = False
     run.advance(1.0)
     assert run.kinds() == []
 
