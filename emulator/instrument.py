@@ -279,8 +279,8 @@ class Instrument:
                 self._asked = None
             try:
                 if isinstance(scan, NotMeasured):
-                    self.session.give_up(scan.plan, now_ns)
-                    self.ledger.give_up(scan.plan)
+                    self.session.missed(scan.plan, now_ns)
+                    self.ledger.missed(scan.plan)
                     continue
                 self.session.submit(scan)
             except ScanRefused:

@@ -258,7 +258,7 @@ class Ledger:
             stream.open[plan.sweep] = _Slot((plan.epoch, plan.sweep), plan.start_ns + round(1e9 * plan.duration_s))
         stream.open[plan.sweep].measuring = False
 
-    def give_up(self, plan: ScanPlan) -> None:
+    def missed(self, plan: ScanPlan) -> None:
         """The scan of a plan never comes, and the session knows: it tells why, or wants it once more."""
         stream = self._of_plan(plan)
         slot = None if stream is None else stream.open.get(plan.sweep)

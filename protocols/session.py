@@ -192,7 +192,7 @@ class Session(ABC):
     def submit(self, scan: Scan) -> None:
         """Take the sweep of `next_plan`. Raises `ScanRefused` when the settings have changed since."""
 
-    def give_up(self, plan: ScanPlan, now_ns: int) -> bool:
+    def missed(self, plan: ScanPlan, now_ns: int) -> bool:
         """The sweep of `next_plan` was asked for and will not be measured: whoever measures could not in time.
 
         Whether what is wanted next has been chosen anew by `now_ns`, sweeps passed over told as `DropReason.LATE`;

@@ -99,8 +99,8 @@ class Timebase(Session):
     def submit(self, scan: Scan) -> None:
         self.inner.submit(replace(scan, plan=self._own(scan.plan)))
 
-    def give_up(self, plan: ScanPlan, now_ns: int) -> bool:
-        return self.inner.give_up(self._own(plan), self.quartz.own_ns(now_ns))
+    def missed(self, plan: ScanPlan, now_ns: int) -> bool:
+        return self.inner.missed(self._own(plan), self.quartz.own_ns(now_ns))
 
     def _own(self, plan: ScanPlan) -> ScanPlan:
         """The device's own plan; of one long withdrawn something that the session refuses."""

@@ -111,6 +111,7 @@ def test_a_worker_that_goes_on_in_time_is_kept_and_what_it_owed_is_not_sent(rig:
         first_ns = next(at for at in run.sent.at_ns[sensor] if at >= back_ns)
         assert first_ns < back_ns + 0.2 * SECOND
         assert run.late(sensor) == pytest.approx(4.0 * RATE_HZ, abs=8)
+        assert set(run.by_name[sensor].stats.scans_dropped) == {"measured too late"}
     # nothing is measured for the bin: the one in hand, then what is fresh
     assert len(run.process.measured) - measured <= 2 * (0.3 * RATE_HZ + 3)
     sweeps = [sweep for sensor, sweep in run.process.measured[measured + 1 :] if sensor == "left"]

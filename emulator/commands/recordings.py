@@ -120,7 +120,7 @@ def replay(
                     daemon.run_of.touch()
                 for player, session in zip(players, sessions, strict=True):
                     if player.sensor in daemon.run_of.lost:
-                        session.abandon()
+                        session.give_up()
                 served = [player for player in players if player.sensor not in daemon.run_of.lost]
                 busy = any(player.links[0].flush(daemon.now_ns) is not None for player in served)
                 return not all(session.finished for session in sessions) or busy

@@ -113,8 +113,8 @@ class LedgerSession(Session):
             ledger.waiting.popitem(last=False)
             ledger.missing += 1
 
-    def give_up(self, plan: ScanPlan, now_ns: int) -> bool:
-        return self._inner.give_up(plan, now_ns)
+    def missed(self, plan: ScanPlan, now_ns: int) -> bool:
+        return self._inner.missed(plan, now_ns)
 
     def take_emissions(self, now_ns: int) -> list[Emission]:
         emissions = self._inner.take_emissions(now_ns)

@@ -58,7 +58,7 @@ class ReplaySession(Session):
         """Begin, and end a round, with the recording and not with the first and last payload of this link."""
         self._first_ns, self._last_ns = first_ns, last_ns
 
-    def abandon(self) -> None:
+    def give_up(self) -> None:
         """Send no more: its link is lost."""
         self._entries = []
 

@@ -266,7 +266,7 @@ class CanObjectSession(Session):
         self._sweep += 1
         self._plan = None
 
-    def give_up(self, plan: ScanPlan, now_ns: int) -> bool:
+    def missed(self, plan: ScanPlan, now_ns: int) -> bool:
         self.advance(now_ns)
         if self._plan is None or (plan.epoch, plan.sweep) != (self._plan.epoch, self._plan.sweep):
             raise ScanRefused(f"sweep {plan.sweep} of epoch {plan.epoch} is not wanted any more")

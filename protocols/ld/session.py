@@ -415,7 +415,7 @@ class LdSession(Session):
             raise ScanRefused("no host wants a profile any more")
         self._revolutions.submit(scan, self._geometry, self.device.model.max_range_m)
 
-    def give_up(self, plan: ScanPlan, now_ns: int) -> bool:
+    def missed(self, plan: ScanPlan, now_ns: int) -> bool:
         self._run(now_ns)
         self._revolutions.give_up(plan)
         return True

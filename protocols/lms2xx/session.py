@@ -350,7 +350,7 @@ class Lms2xxSession(Session):
         # A late scan moves the line and with it the next slot: before `next_plan` gives that one out.
         self._send_due_values()
 
-    def give_up(self, plan: ScanPlan, now_ns: int) -> bool:
+    def missed(self, plan: ScanPlan, now_ns: int) -> bool:
         """The stream goes on with a later scan; one asked for comes later."""
         self.advance(now_ns)
         self._tell_unsent(self._schedule.give_up(plan, self._now_ns), "not measured in time")

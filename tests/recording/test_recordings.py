@@ -260,7 +260,7 @@ def test_a_link_that_is_lost_ends_its_part_of_a_replay() -> None:
     session.start(0)
     session.take_emissions(10)
     assert not session.finished
-    session.abandon()
+    session.give_up()
     assert session.finished
     assert session.progress == 1.0
     assert session.next_ns() is None
