@@ -22,6 +22,7 @@ from emulator.expressions import Value, evaluate, names, parse
 from emulator.faults.run import FaultRun
 from emulator.instrument import Instrument
 from emulator.recording.writer import Recorder
+from emulator.recording.writing import VIRTUAL
 from emulator.series import SeriesWatcher, check_name, lookup
 from emulator.spec import load_spec
 from emulator.transcript import Transcript
@@ -121,7 +122,14 @@ class Rig:
         self.sensors = {
             one.sensor: RigSensor(one.sensor, tuple(link.url for link in one.links)) for one in self.instruments
         }
-        self._recorder = Recorder(self.recording, self.scenario, self.instruments)
+        self._recorder = Recorder(
+            self.recording,
+            self.scenario,
+            self.instruments,
+            incidents=self._daemon.incidents,
+            now_ns=lambda: self._daemon.now_ns,
+            manner=VIRTUAL,
+        )
         self._daemon.power_on()
         self._thread = threading.Thread(target=self._serve, name="lidaremu-rig", daemon=True)
         self._thread.start()
@@ -141,6 +149,8 @@ class Rig:
             raise RuntimeError("the run ended by itself") from self._trouble
         if self._daemon.lost_links and error is None:
             raise RuntimeError(f"links were lost: {'; '.join(self._daemon.lost_links)}")
+        if self._recorder.failure and error is None:
+            raise RuntimeError(f"{self._recorder.folder}: the recording ended early: {self._recorder.failure}")
 
     def close(self) -> None:
         """End the run and release its links; may be called twice."""
