@@ -126,7 +126,7 @@ class Trial:
         self.faults = FaultRun(scenario, self.instruments)
         settle = nothing_owed if self._workers is None else self._workers.settle
         self.run = VirtualRun(self.instruments, hosts, settle)
-        self._recorder = None if record is None else self._record(record)
+        self.recorder = None if record is None else self._record(record)
         self.run.power_on()
 
     def _record(self, folder: Path) -> Recorder:
@@ -167,8 +167,8 @@ class Trial:
         judged += [Judgement("every sweep can be measured", False, text, "no failure") for text in failures]
         sensors = tuple(summary(item) for item in self.instruments)
         name, digest = str(self.scenario.source), self.transcript.sha256()
-        if self._recorder is not None:
-            self._recorder.close()  # what it meets at its end belongs to the verdict
+        if self.recorder is not None:
+            self.recorder.close()  # what it meets at its end belongs to the verdict
         return Verdict(
             name,
             tuple(judged),
@@ -178,13 +178,13 @@ class Trial:
             tuple(self._warnings),
             tuple(self.incidents.rows()),
             self.incidents.exit_code,
-            None if self._recorder is None else self._recorder.state(),
+            None if self.recorder is None else self.recorder.state(),
         )
 
     def close(self) -> None:
         """Release everything, finish the recording."""
-        if self._recorder is not None:
-            self._recorder.close()
+        if self.recorder is not None:
+            self.recorder.close()
         for instrument in self.instruments:
             instrument.close()
         if self._workers is not None:
