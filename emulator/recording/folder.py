@@ -61,7 +61,7 @@ class RecordingFile:
         if not found.st_nlink or os.path.basename(_path_of(self.number)).startswith(NFS_REMOVED):
             raise RecordingLost(0, f"{self.name} was removed")
         if found.st_size < self.written:
-            raise RecordingLost(0, f"{self.name} was cut to {found.st_size} of {self.written} bytes")
+            raise RecordingLost(0, f"{self.name} was cut: {found.st_size} of {self.written} bytes are there")
 
     def measure(self) -> None:
         """Somebody else has written into it by its number: take its size from the system."""
@@ -115,10 +115,15 @@ class RecordingFolder:
             os.close(self._number)
             raise RecordingError(f"{path}: cannot record there: {reason(error)}") from None
 
-    def create(self, name: str) -> RecordingFile:
-        """A new file; `FileExistsError` where anything of that name is, a symbolic link too."""
+    def create(self, name: str, append: bool = True) -> RecordingFile:
+        """A new file; `FileExistsError` where anything of that name is, a symbolic link too.
+
+        `append`: written from its beginning to its end; if somebody cuts it, its size will tell.
+        """
         try:
-            number = os.open(name, FLAGS, 0o666, dir_fd=self._number)
+            number = os.open(name, FLAGS | (os.O_APPEND if append else 0), 0o666, dir_fd=self._number)
+        except FileNotFoundError:
+            raise RecordingLost(0, "the folder was removed") from None
         except OSError as error:
             raise OSError(error.errno, f"{name}: {error.strerror}") from None
         self.files.append(RecordingFile(name, number))

@@ -370,7 +370,7 @@ class Recorder(Watcher):
 
     def _convert(self, log: RecordingFile, stem: str) -> None:
         """The frames of a finished log as BLF and ASC."""
-        made = [(ending, self._folder.create(stem + ending)) for ending in LOG_ENDINGS[1:]]
+        made = [(ending, self._folder.create(stem + ending, append=False)) for ending in LOG_ENDINGS[1:]]
         opened = [
             (ending, os.fdopen(file.number, "w+b", closefd=False) if ending == ".blf" else _text(file.number, "w"))
             for ending, file in made
