@@ -91,14 +91,18 @@ _HEAD = struct.Struct("<BQ")
 MAGIC = b"\x89MCAP0\r\n"
 
 
-def mcap_records(file: BinaryIO) -> Iterator[McapRecord]:
+def mcap_records(file: BinaryIO, most: int | None = None) -> Iterator[McapRecord]:
     """Records of an MCAP file, those in chunks too, each chunk after its checksum was found right.
 
     `Ends` where the file was cut, as by a run that was killed; `Altered` where its bytes are not those that were
-    written. What has no checksum, as in files of older versions, is taken as it stands.
+    written. What has no checksum, as in files of older versions, is taken as it stands. `most`: bytes of all chunks
+    when unpacked, of a reader that keeps them.
     """
-    count = 0
+    count = size = 0
     for record, at in _records(file):
+        size += record.uncompressed_size if isinstance(record, Chunk) else 0
+        if most is not None and size > most:
+            raise TooLarge(f"more than {most} bytes when unpacked; want a shorter recording")
         for item in _within(record, at) if isinstance(record, Chunk) else (record,):
             count += 1
             if count > MOST_RECORDS:
@@ -201,7 +205,8 @@ def _is_chunk(data: bytes, at: int) -> bool:
     try:
         body = data[at + _HEAD.size : at + _HEAD.size + length]
         chunk = Chunk.read(ReadDataStream(BytesIO(body)))
-        return chunk.uncompressed_crc == zlib.crc32(unpacked(chunk.compression, chunk.data)) != 0
+        crc: int = chunk.uncompressed_crc
+        return crc != 0 and zlib.crc32(unpacked(chunk.compression, chunk.data)) == crc
     except BROKEN:
         return False
 
@@ -216,6 +221,8 @@ def _within(chunk: Chunk, at: int) -> Iterator[McapRecord]:
         raise Altered(f"the chunk at byte {at}: {error}") from None
     if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
         raise Altered(f"CRC of the chunk at byte {at}")
+    if len(data) != chunk.uncompressed_size:
+        raise Altered(f"the chunk at byte {at}: {len(data)} bytes; want {chunk.uncompressed_size}")
     place = 0
     while place < len(data):
         if place + _HEAD.size > len(data):

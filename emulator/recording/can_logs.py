@@ -60,6 +60,7 @@ def write_logs(files: Sequence[tuple[str, IO[Any]]], frames: Iterable[LoggedFram
     import can
 
     writers: list[Any] = []
+    file: Any
     for ending, file in files:
         writer: Any = can.ASCWriter(file) if ending == ".asc" else can.BLFWriter(file)
         writers.append(writer)

@@ -88,7 +88,7 @@ def bytes_of(*records: McapRecord) -> bytes:
     builder = RecordBuilder()
     for record in records:
         record.write(builder)
-    return bytes(builder.end())
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
 class McapFile:
@@ -137,7 +137,9 @@ class McapFile:
         head = struct.pack("<BQQQQI", 6, length, chunk.first_ns, chunk.last_ns, len(plain), crc) + name
         at = self._file.written
         index_at = at + len(head) + len(packed)
-        offsets, parts, size = {}, [], 0
+        offsets: dict[int, int] = {}
+        parts: list[bytes] = []
+        size = 0
         for channel, places in chunk.index.items():
             offsets[channel] = index_at + size
             rows = _little(places)

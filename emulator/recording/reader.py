@@ -120,7 +120,7 @@ def read_run(path: Path) -> RecordedRun:
     version = None
     with path.open("rb") as file:
         try:
-            for record in mcap_records(file):
+            for record in mcap_records(file, MOST_BYTES):
                 if isinstance(record, Metadata) and record.name == layout.META_NAME:
                     version = record.metadata.get("layout", "")
                     if version != str(layout.VERSION):
