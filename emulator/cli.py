@@ -11,7 +11,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from emulator.faults.events import FaultEvent
     from emulator.incidents import Incident, Incidents
     from emulator.instrument import Instrument
+    from emulator.recording.writer import Recorder
     from emulator.scenario import Scenario
     from emulator.transcript import Transcript
     from emulator.virtual_daemon import VirtualDaemon
@@ -188,11 +189,13 @@ def run(
         daemon.waits_for_hosts, daemon.tells_alone = not no_wait, True
     if realtime and (refused := be_realtime()):
         note(f"--realtime: {refused}; scheduled as usual")
-    recorder = recorder_for(loaded, instruments, record)
     transcript = watched(instruments) if isinstance(daemon, VirtualDaemon) else None
     server = None
+    recorder: Recorder | None = None
     driver: subprocess.Popen[bytes] | None = None
+    now_ns = (lambda: daemon.now_ns) if isinstance(daemon, VirtualDaemon) else real.now_ns
     try:
+        recorder = recorder_for(loaded, instruments, record, daemon, now_ns)
         with daemon.signals():
             real.restart()
             server = control_of(daemon, instruments, real, loaded, recorder, control)
@@ -213,7 +216,9 @@ def run(
         if recorder is not None:
             recorder.close()
         driver_code = None if driver is None else end_driver(driver)
-    announce_end(instruments, as_json, None if transcript is None else transcript.sha256(), daemon.incidents)
+    recorded = None if recorder is None else recorder.state()
+    sha256 = None if transcript is None else transcript.sha256()
+    announce_end(instruments, as_json, sha256, daemon.incidents, recorded)
     for cause, count in daemon.failures.items():
         note(f"{count} scans could not be measured: {cause}")
     if driver_code not in (None, 0):
@@ -302,15 +307,24 @@ def incident_teller(as_json: bool) -> Callable[[Incident], None]:
     return tell
 
 
-def announce_end(instruments: Sequence[Instrument], as_json: bool, sha256: str | None, incidents: Incidents) -> None:
-    """Say what each sensor did: scans sent, dropped, rate, lateness of sends. `sha256`: of a run in virtual time."""
+def announce_end(
+    instruments: Sequence[Instrument],
+    as_json: bool,
+    sha256: str | None,
+    incidents: Incidents,
+    recording: Mapping[str, object] | None,
+) -> None:
+    """Say what each sensor did: scans sent, dropped, rate, lateness of sends. `sha256`: of a run in virtual time.
+
+    `recording`: how it stands with it, None when the run was not recorded.
+    """
     from emulator.daemon import summary
     from emulator.object_metrics import told
 
     totals = [summary(item) for item in instruments]
     if as_json:
         digest = {} if sha256 is None else {"sha256": sha256}
-        told_of = {"incidents": incidents.rows(), "incident_totals": incidents.totals()}
+        told_of = {"recording": recording, "incidents": incidents.rows(), "incident_totals": incidents.totals()}
         say(json.dumps({"event": "stopped", "sensors": totals} | told_of | digest))
         return
     for total in totals:
@@ -341,6 +355,8 @@ def announce_end(instruments: Sequence[Instrument], as_json: bool, sha256: str |
                 say(f"{total['id']}: {line}")
     for kind, count in incidents.totals().items():
         say(f"incidents: {count} {kind}")
+    if recording is not None and recording["state"] == "ended":
+        say(f"recording: ended at {recording['at_s']:.3f} s: {recording['why']}; {recording['folder']}")
     if sha256 is not None:
         say(f"sha256 of all wire bytes with their virtual times: {sha256}")
 

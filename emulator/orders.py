@@ -60,6 +60,7 @@ class Orders:
         note: Callable[[int, dict[str, object]], None] = lambda now_ns, row: None,
     ) -> None:
         """`note` is told of every order that changes something. To be made before the devices are switched on."""
+        self._recording: Callable[[], dict[str, object] | None] = lambda: None
         self._daemon = daemon
         self._instruments = tuple(instruments)
         self._clock = clock
@@ -73,6 +74,10 @@ class Orders:
                 for link in range(len(one.links)):
                     steps = self._byte_steps[one.sensor, link] = ByteSteps(daemon.run_of, one.sensor, link)
                     one.watch(steps)
+
+    def record(self, note: Callable[[int, dict[str, object]], None], state: Callable[[], dict[str, object]]) -> None:
+        """The run is recorded: `note` is told of orders, `state` tells how it stands with the recording."""
+        self._note, self._recording = note, state
 
     def methods(self) -> dict[str, Method]:
         """Name -> method."""
@@ -120,6 +125,7 @@ class Orders:
                 summary(one) | {"silent_s": self._daemon.liveness.silent_s(one.sensor)} for one in self._instruments
             ],
             "workers": self._daemon.worker_rows(),
+            "recording": self._recording(),
             "incidents": self._daemon.incidents.rows(),
             "incident_totals": self._daemon.incidents.totals(),
         }

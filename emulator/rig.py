@@ -9,6 +9,7 @@ The pytest fixture `lidaremu` gives these out; other test frameworks use `Rig` d
 
 from __future__ import annotations
 
+import socket
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ from emulator.faults.run import FaultRun
 from emulator.instrument import Instrument
 from emulator.ledger import check_accounts
 from emulator.recording.writer import Recorder
+from emulator.recording.writing import VIRTUAL
 from emulator.series import SeriesWatcher, check_name, lookup
 from emulator.spec import load_spec
 from emulator.transcript import Transcript
@@ -64,17 +66,28 @@ class RigSensor:
 
 
 def free_links(loaded: scenario.Scenario, folder: Path) -> dict[str, list[str]]:
-    """Links like the scenario's own on free ports and in `folder`; by family where it has none."""
-    replaced = {}
+    """Links like the scenario's own on free ports and in `folder`; by family where it has none.
+
+    Servers of CAN stay as many as they were: two ports are two buses, whatever their channels are called.
+    """
+    replaced: dict[str, list[str]] = {}
+    servers: dict[str, int] = {}
     for index, sensor in enumerate(loaded.sensors):
         default = {"lms2xx": "pty:x", "ld": "tcp:127.0.0.1:0", "can_objects": f"socketcand:127.0.0.1:0/{sensor.id}"}
         family = load_spec(sensor.model).family
         links = sensor.links or ((default[family],) if family in default else ())
-        replaced[sensor.id] = [_freed(url, folder, f"{index}-{number}") for number, url in enumerate(links)]
+        replaced[sensor.id] = [_freed(url, folder, f"{index}-{number}", servers) for number, url in enumerate(links)]
     return replaced
 
 
-def _freed(url: str, folder: Path, name: str) -> str:
+def _free_port() -> int:
+    with socket.socket() as asked:
+        asked.bind(("127.0.0.1", 0))
+        port: int = asked.getsockname()[1]
+        return port
+
+
+def _freed(url: str, folder: Path, name: str, servers: dict[str, int]) -> str:
     scheme, _, rest = url.partition(":")
     target, mark, options = rest.partition("?")
     if scheme in ("pty", "slcan"):
@@ -82,7 +95,10 @@ def _freed(url: str, folder: Path, name: str) -> str:
     elif scheme == "tcp":
         target = "127.0.0.1:0"
     elif scheme == "socketcand":
-        target = "127.0.0.1:0/" + target.partition("/")[2]
+        server, _, channel = target.partition("/")
+        if server not in servers:  # the kernel chooses for the first; of several, 0 would be the same one
+            servers[server] = _free_port() if servers else 0
+        target = f"127.0.0.1:{servers[server]}/{channel}"
     return f"{scheme}:{target}{mark}{options}"
 
 
@@ -122,7 +138,14 @@ class Rig:
         self.sensors = {
             one.sensor: RigSensor(one.sensor, tuple(link.url for link in one.links)) for one in self.instruments
         }
-        self._recorder = Recorder(self.recording, self.scenario, self.instruments)
+        self._recorder = Recorder(
+            self.recording,
+            self.scenario,
+            self.instruments,
+            incidents=self._daemon.incidents,
+            now_ns=lambda: self._daemon.now_ns,
+            manner=VIRTUAL,
+        )
         self._daemon.power_on()
         self._thread = threading.Thread(target=self._serve, name="lidaremu-rig", daemon=True)
         self._thread.start()
@@ -145,6 +168,8 @@ class Rig:
             raise RuntimeError(f"the run had incidents (exit code {cut}): {told}")
         if self._daemon.lost_links and error is None:
             raise RuntimeError(f"links were lost: {'; '.join(self._daemon.lost_links)}")
+        if self._recorder.failure and error is None:
+            raise RuntimeError(f"{self._recorder.folder}: the recording ended early: {self._recorder.failure}")
 
     def close(self) -> None:
         """End the run and release its links; may be called twice."""

@@ -58,6 +58,8 @@ class Verdict:
     "What befell our own processes, files and links."
     exit_code: int = 0
     "Of those incidents."
+    recording: dict[str, Any] | None = None
+    "How it stands with the recording, as `Recorder.state` tells it; None when there is none."
 
     @property
     def held(self) -> bool:
@@ -67,6 +69,14 @@ class Verdict:
 
 class SilentBus(LoopOutlet):
     """A bus of sensors alone, heard by one silent node."""
+
+    def __init__(self, url: str = "loop:can") -> None:
+        super().__init__()
+        self._url = url
+
+    @property
+    def url(self) -> str:
+        return self._url
 
     def poll(self, now_ns: int) -> None:
         pass
@@ -117,8 +127,8 @@ class Trial:
             host = self._host_of(index, family, loops)
             hosts += [] if host is None else [host]
         self.faults = FaultRun(scenario, self.instruments)
-        self._recorder = None if record is None else Recorder(record, scenario, self.instruments)
         self.run = VirtualRun(self.instruments, hosts, nothing_owed if self._workers is None else self._settle)
+        self.recorder = None if record is None else self._record(record)
         self.liveness = Liveness(self.instruments, self.incidents)
         self.run.on_look = lambda now_ns: self.liveness.look(now_ns, now_ns)
         self.run.power_on()
@@ -130,6 +140,10 @@ class Trial:
             self.incidents.note(kind, self.run.clock.now_ns(), worker, text)
         self._workers.incidents.clear()
         return fresh
+
+    def _record(self, folder: Path) -> Recorder:
+        now_ns = self.run.clock.now_ns
+        return Recorder(folder, self.scenario, self.instruments, incidents=self.incidents, now_ns=now_ns)
 
     def _host_of(self, index: int, family: Family, loops: Loops) -> VirtualHost | None:
         sensor = self.scenario.sensors[index]
@@ -144,7 +158,7 @@ class Trial:
         return None
 
     def finish(self, progress: Callable[[float], None] | None = None) -> Verdict:
-        """Run to the end and judge. `progress` is told the share of the time that has passed."""
+        """Run to the end, finish the recording, and judge. `progress` is told the share of the time that has passed."""
         duration_s = self.scenario.duration_s or DEFAULT_S
         end_ns = round(duration_s * 1e9)
         if progress is not None:
@@ -166,15 +180,24 @@ class Trial:
         judged += [Judgement("every sweep can be measured", False, text, "no failure") for text in failures]
         sensors = tuple(summary(item) for item in self.instruments)
         name, digest = str(self.scenario.source), self.transcript.sha256()
-        incidents = tuple(self.incidents.rows())
+        if self.recorder is not None:
+            self.recorder.close()  # what it meets at its end belongs to the verdict
         return Verdict(
-            name, tuple(judged), digest, duration_s, sensors, tuple(self._warnings), incidents, self.incidents.exit_code
+            name,
+            tuple(judged),
+            digest,
+            duration_s,
+            sensors,
+            tuple(self._warnings),
+            tuple(self.incidents.rows()),
+            self.incidents.exit_code,
+            None if self.recorder is None else self.recorder.state(),
         )
 
     def close(self) -> None:
         """Release everything, finish the recording."""
-        if self._recorder is not None:
-            self._recorder.close()
+        if self.recorder is not None:
+            self.recorder.close()
         for instrument in self.instruments:
             instrument.close()
         if self._workers is not None:
@@ -185,9 +208,9 @@ def _link_of(scenario: Scenario, index: int, tcp_is_line: bool, loops: Loops, bu
     sensor = scenario.sensors[index]
     if assembly.family_of(scenario, index).name != "can_objects":
         return open_link(f"loop:{sensor.id}", tcp_is_line, loops=loops)
-    bus = next((url for url in sensor.links), f"can:{sensor.id}").partition("?")[0]
+    bus = next((url for url in sensor.links), f"loop:{sensor.id}").partition("?")[0]
     bitrate = load_spec(sensor.model).device.get("bitrate", BITRATE)
-    return buses.link(bus, lambda: (CanWire(int(sensor.device.get("bitrate", bitrate))), SilentBus()))
+    return buses.link(bus, lambda: (CanWire(int(sensor.device.get("bitrate", bitrate))), SilentBus(bus)))
 
 
 def run_trial(

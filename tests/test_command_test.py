@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import xml.etree.ElementTree as Tree
 from pathlib import Path
 
 import pytest
 
 from emulator.cli import main
+from emulator.recording.chunks import McapFile
 
 CASE = """\
 schema: 1
@@ -49,6 +52,44 @@ def test_several_at_once_tell_the_same_as_one_after_the_other(folder: Path, caps
     assert told[0][0]["sha256"] == told[0][1]["sha256"]
     assert "range_at" in told[0][2]["faults"][0]
     assert told[0][0]["expect"][0]["held"] is False
+
+
+def test_a_recording_that_ends_early_is_exit_code_4_unless_something_graver_was(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def outcome(number: int, *names: str) -> int:
+        record = ["--record", str(tmp_path / f"runs{number}"), "--junitxml", str(tmp_path / "r.xml")]
+        return main(["test", *(str(folder / f"{name}.yaml") for name in names), "--jobs", "1", *record, *extra])
+
+    monkeypatch.setattr(McapFile, "chunk", full)
+    extra = ["--json"]
+    assert outcome(1, "good") == 4
+    row = json.loads(capsys.readouterr().out)
+    assert (row["verdict"], row["recording"]["state"]) == ("passed", "ended")
+    assert [one["kind"] for one in row["incidents"]] == ["recording ended"]
+    assert outcome(2, "good", "bad") == 1
+    assert outcome(3, "good", "wrong") == 2
+    capsys.readouterr()
+    extra = []
+    assert outcome(4, "good") == 4
+    told = capsys.readouterr().out
+    assert "recording ended: No space left on device" in told
+    assert told.endswith("1 passed, 1 recording ended early\n")
+    suite = Tree.parse(tmp_path / "r.xml").getroot().find("testsuite")
+    assert suite is not None
+    assert (suite.get("tests"), suite.get("errors")) == ("2", "1")
+    assert "No space left" in str(suite.findall("testcase/error")[0].get("message"))
+
+
+def test_scenarios_of_one_name_are_recorded_side_by_side(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "Good.yaml").write_text(CASE, encoding="utf-8")
+    names = [str(folder / "good.yaml"), str(tmp_path / "other" / "Good.yaml")]
+    assert main(["test", *names, "--jobs", "1", "--record", str(tmp_path / "runs")]) == 0
+    assert sorted(path.name for path in (tmp_path / "runs").iterdir()) == ["Good-2", "good"]
 
 
 def test_the_junit_report_has_a_case_an_expectation(folder: Path) -> None:

@@ -34,7 +34,9 @@ def control_of(
     from emulator.control import ControlServer, new_path
     from emulator.orders import Orders
 
-    orders = Orders(daemon, instruments, clock, scenario, *(() if recorder is None else (recorder.note,)))
+    orders = Orders(daemon, instruments, clock, scenario)
+    if recorder is not None:
+        orders.record(recorder.note, recorder.state)
     return ControlServer(path or new_path(), orders.methods(), daemon)
 
 

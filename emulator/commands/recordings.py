@@ -16,7 +16,7 @@ from emulator.commands.common import FAILED, LINK_LOST, OK, bar, note, say
 from emulator.errors import EmulatorError
 
 if TYPE_CHECKING:
-    from emulator.daemon import Lateness
+    from emulator.daemon import Daemon, Lateness
     from emulator.instrument import Instrument
     from emulator.recording.writer import Recorder
     from emulator.scenario import Scenario
@@ -28,22 +28,25 @@ DRAWN_NS = 1_000_000_000
 "Between two drawings of the bar, which keep the sender for a millisecond."
 
 
-def recorder_for(scenario: Scenario, instruments: Sequence[Instrument], folder: Path | None) -> Recorder | None:
+def recorder_for(
+    scenario: Scenario,
+    instruments: Sequence[Instrument],
+    folder: Path | None,
+    daemon: Daemon | VirtualDaemon,
+    now_ns: Callable[[], int],
+) -> Recorder | None:
     """The recorder that `--record` or the scenario asks for; a scenario's own goes to `NAME-recording` here."""
     wanted = scenario.record
     if folder is None and not (wanted.wire or wanted.truth):
         return None
     from emulator.recording.writer import Recorder
+    from emulator.recording.writing import LIVE, VIRTUAL
+    from emulator.virtual_daemon import VirtualDaemon
 
     own = Path(f"{scenario.source.stem}-recording")
-    try:
-        recorder = Recorder(folder or own, scenario, instruments, folder is not None or wanted.truth)
-        recorder.on_failure = note
-        return recorder
-    except EmulatorError:
-        for instrument in instruments:
-            instrument.close()
-        raise
+    truth = folder is not None or wanted.truth
+    manner = VIRTUAL if isinstance(daemon, VirtualDaemon) else LIVE
+    return Recorder(folder or own, scenario, instruments, truth, daemon.incidents, now_ns, manner)
 
 
 @click.command()

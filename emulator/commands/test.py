@@ -37,6 +37,11 @@ class Result:
     fault: str = ""
     "Why it could not run."
 
+    @property
+    def recording_ended(self) -> bool:
+        """Whether it was to be recorded to its end, and was not."""
+        return self.found is not None and (self.found.recording or {}).get("state") == "ended"
+
     def as_json(self) -> dict[str, Any]:
         """One line of `--json`."""
         row: dict[str, Any] = {"scenario": self.scenario, "verdict": self.verdict, "real_s": round(self.real_s, 3)}
@@ -48,6 +53,7 @@ class Result:
             "expect": [asdict(item) for item in self.found.judgements],
             "sensors": list(self.found.sensors),
             "warnings": list(self.found.warnings),
+            "recording": self.found.recording,
             "incidents": list(self.found.incidents),
         }
 
@@ -91,10 +97,11 @@ def test(
         names += _examples(examples)
     if not names:
         raise click.UsageError("no scenario; want SCENARIO... or --examples DIR")
-    one = partial(_outcome, overrides=overrides, seed=seed, links=links, workers=workers, record=record)
+    one = partial(_outcome, overrides=overrides, seed=seed, links=links, workers=workers)
+    folders = _folders(names, record)
     results = []
     with bar("test") as progress:
-        for result in _all(names, one, jobs or len(os.sched_getaffinity(0)), progress):
+        for result in _all(names, folders, one, jobs or len(os.sched_getaffinity(0)), progress):
             results.append(result)
             progress(len(results) / len(names))
             if as_json:
@@ -105,6 +112,7 @@ def test(
         _write_junit(results, junitxml)
     if not as_json:
         counts = {verdict: sum(result.verdict == verdict for result in results) for verdict in CODES}
+        counts["recording ended early"] = sum(result.recording_ended for result in results)
         say(", ".join(f"{count} {verdict}" for verdict, count in counts.items() if count))
     code = max((CODES[result.verdict] for result in results), default=OK)
     return code or min((one.found.exit_code for one in results if one.found and one.found.exit_code), default=OK)
@@ -122,6 +130,15 @@ def _files(scenarios: Sequence[str]) -> Iterator[str]:
         yield from map(str, found)
 
 
+def _folders(names: Sequence[str], record: Path | None) -> list[Path | None]:
+    """Where each scenario is recorded: named after its file, numbered where files of two folders have one name."""
+    from emulator.recording.names import distinct
+
+    if record is None:
+        return [None] * len(names)
+    return [record / name for name in distinct([Path(name).stem for name in names])]
+
+
 def _examples(folder: Path) -> list[str]:
     from emulator.examples import write
 
@@ -133,11 +150,11 @@ def _examples(folder: Path) -> list[str]:
 
 def _outcome(
     name: str,
+    folder: Path | None,
     overrides: Sequence[str],
     seed: int | None,
     links: Sequence[str],
     workers: int,
-    record: Path | None,
     progress: Progress | None = None,
 ) -> Result:
     from emulator.clock import SystemClock
@@ -145,18 +162,19 @@ def _outcome(
 
     clock = SystemClock()
     try:
-        folder = None if record is None else record / Path(name).stem
         found = run_trial(load_scenario(name, overrides, seed, links), workers, name, folder, progress)
     except EmulatorError as error:
         return Result(name, "error", clock.now_ns() * 1e-9, fault=str(error))
     return Result(name, "passed" if found.held else "failed", clock.now_ns() * 1e-9, found)
 
 
-def _all(names: Sequence[str], one: partial[Result], jobs: int, progress: Progress) -> Iterator[Result]:
+def _all(
+    names: Sequence[str], folders: Sequence[Path | None], one: partial[Result], jobs: int, progress: Progress
+) -> Iterator[Result]:
     """Every outcome, in the order of the names; `progress` is told of what goes on within one."""
     if min(jobs, len(names)) <= 1:
-        for number, name in enumerate(names):
-            yield one(name, progress=part_of(progress, number, len(names)))
+        for number, (name, folder) in enumerate(zip(names, folders, strict=True)):
+            yield one(name, folder, progress=part_of(progress, number, len(names)))
         return
     import multiprocessing
 
@@ -165,7 +183,7 @@ def _all(names: Sequence[str], one: partial[Result], jobs: int, progress: Progre
     import emulator.trial  # noqa: F401  # loaded once here, and there after the fork
 
     with ProcessPoolExecutor(min(jobs, len(names)), multiprocessing.get_context("fork")) as pool:
-        waiting: list[Future[Result]] = [pool.submit(one, name) for name in names]
+        waiting: list[Future[Result]] = [pool.submit(one, *both) for both in zip(names, folders, strict=True)]
         for name, future in zip(names, waiting, strict=True):
             try:
                 yield future.result()
@@ -227,6 +245,12 @@ def _write_junit(results: Sequence[Result], path: Path) -> None:
         for case, item in zip(cases, judged, strict=False):
             if not item.held:
                 Tree.SubElement(case, "failure", message=_clean(f"{item.found}; expected {item.wanted}"))
+        if result.recording_ended and result.found is not None and result.found.recording is not None:
+            suite.set("tests", str(len(cases) + 1))
+            suite.set("errors", "1")
+            told = {"classname": _clean(result.scenario), "name": "is recorded to its end", "time": "0.000"}
+            case = Tree.SubElement(suite, "testcase", told)
+            Tree.SubElement(case, "error", message=_clean(f"recording ended: {result.found.recording['why']}"))
         if result.found is None:
             error = Tree.SubElement(cases[0], "error", message=_clean(result.fault.partition("\n")[0]))
             error.text = _clean(result.fault)

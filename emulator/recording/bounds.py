@@ -8,14 +8,29 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
-from mcap.records import Chunk, McapRecord
-from mcap.stream_reader import StreamReader
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile, McapError
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    Channel,
+    Chunk,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Message,
+    MessageIndex,
+    Metadata,
+    Schema,
+)
 
 MOST_BYTES = 1 << 30
 "Of one recording file: all of it is kept in memory."
@@ -48,40 +63,177 @@ def bearable(path: Path) -> None:
         raise TooLarge(f"{size} bytes; want at most {MOST_BYTES}")
 
 
-class _Bounded:
-    """A stream that makes no room for more than a record can hold: lengths inside records are a stranger's, too."""
-
-    def __init__(self, stream: BinaryIO) -> None:
-        self._stream = stream
-
-    def read(self, size: int = -1) -> bytes:
-        """As of a file."""
-        if not 0 <= size <= MOST_RECORD:
-            raise ValueError(f"a length of {size} bytes; want at most {MOST_RECORD}")
-        return self._stream.read(size)
+class Altered(ValueError):
+    """Bytes of a file are not those that were written; the text says where."""
 
 
-def mcap_records(file: BinaryIO) -> Iterator[McapRecord]:
-    """Records of an MCAP file, those in chunks too."""
-    count = 0
-    reader: Any = _Bounded(file)
-    for record in StreamReader(reader, record_size_limit=MOST_RECORD, emit_chunks=True).records:
-        for item in _chunk(record) if isinstance(record, Chunk) else (record,):
+class Ends(ValueError):
+    """A file ends before its end."""
+
+
+READ: dict[int, Callable[[ReadDataStream, int], McapRecord]] = {
+    Opcode.HEADER: lambda stream, length: Header.read(stream),
+    Opcode.FOOTER: lambda stream, length: Footer.read(stream),
+    Opcode.SCHEMA: lambda stream, length: Schema.read(stream),
+    Opcode.CHANNEL: lambda stream, length: Channel.read(stream),
+    Opcode.MESSAGE: Message.read,
+    Opcode.CHUNK: lambda stream, length: Chunk.read(stream),
+    Opcode.MESSAGE_INDEX: lambda stream, length: MessageIndex.read(stream),
+    Opcode.ATTACHMENT: lambda stream, length: Attachment.read(stream),
+    Opcode.METADATA: lambda stream, length: Metadata.read(stream),
+    Opcode.DATA_END: lambda stream, length: DataEnd.read(stream),
+}
+"How the library reads what stands in the data; the summary repeats it."
+IN_CHUNKS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})
+PRIVATE = 0x80
+"Opcodes from here on are other tools' own."
+_HEAD = struct.Struct("<BQ")
+MAGIC = b"\x89MCAP0\r\n"
+
+
+def mcap_records(file: BinaryIO, most: int | None = None) -> Iterator[McapRecord]:
+    """Records of an MCAP file, those in chunks too, each chunk after its checksum was found right.
+
+    `Ends` where the file was cut, as by a run that was killed; `Altered` where its bytes are not those that were
+    written. What has no checksum, as in files of older versions, is taken as it stands. `most`: bytes of all chunks
+    when unpacked, of a reader that keeps them.
+    """
+    count = size = 0
+    for record, at in _records(file):
+        size += record.uncompressed_size if isinstance(record, Chunk) else 0
+        if most is not None and size > most:
+            raise TooLarge(f"more than {most} bytes when unpacked; want a shorter recording")
+        for item in _within(record, at) if isinstance(record, Chunk) else (record,):
             count += 1
             if count > MOST_RECORDS:
                 raise TooLarge(f"more than {MOST_RECORDS} records; want a shorter recording")
             yield item
 
 
-def _chunk(chunk: Chunk) -> Iterator[McapRecord]:
-    data = unpacked(chunk.compression, chunk.data)
-    inner: Any = _Bounded(BytesIO(data))
-    records = StreamReader(inner, skip_magic=True, record_size_limit=MOST_RECORD).records
-    while inner._stream.tell() < len(data):
-        record = next(records, None)
-        if record is None:  # a footer within a chunk ends it
+def _records(file: BinaryIO) -> Iterator[tuple[McapRecord, int]]:
+    """Records of the data as they lie in the file, with their places."""
+    size = file.seek(0, os.SEEK_END)
+    file.seek(max(0, size - len(MAGIC)))
+    finished = size > 2 * len(MAGIC) and file.read() == MAGIC
+    file.seek(0)
+    crc = zlib.crc32(_exactly(file, len(MAGIC)))
+    summary = False
+    while True:
+        at = file.tell()
+        try:
+            head = _exactly(file, _HEAD.size)
+            kind, length = _HEAD.unpack(head)
+            if length > MOST_RECORD:
+                raise ValueError(f"a length of {length} bytes; want at most {MOST_RECORD}")
+            body = _exactly(file, length)
+            record = None if summary and kind != Opcode.FOOTER else _record(kind, body, finished)
+        except BROKEN as error:
+            raise _verdict(file, at, size, finished, error) from None
+        if isinstance(record, Footer):
+            if summary and record.summary_crc not in (0, zlib.crc32(head + body[:-4], crc)):
+                raise Altered(f"CRC of the summary, before byte {at}")
+            if file.read(len(MAGIC) + 1) != MAGIC:
+                raise Altered(f"not the end behind byte {file.tell()}") if finished else Ends(ENDS)
             return
-        yield record
+        if isinstance(record, DataEnd):
+            if record.data_section_crc not in (0, crc):
+                raise Altered(f"CRC of everything before byte {at}")
+            summary, crc = True, 0
+            continue
+        if isinstance(record, Attachment) and int.from_bytes(body[-4:], "little") not in (0, zlib.crc32(body[:-4])):
+            raise Altered(f"CRC of the attachment at byte {at}")
+        crc = zlib.crc32(body, zlib.crc32(head, crc))
+        if record is not None:
+            yield record, at
+
+
+def _record(kind: int, body: bytes, finished: bool) -> McapRecord | None:
+    """One record; `ValueError` for what nobody writes there, and where no sum over all will tell, for any doubt."""
+    reader = READ.get(kind)
+    if reader is None:
+        if finished and kind >= PRIVATE:
+            return None
+        raise ValueError(f"a record of kind {kind}; want one of the data")
+    stream = ReadDataStream(BytesIO(body))
+    record = reader(stream, len(body))
+    if stream.count != len(body) and not finished:
+        raise ValueError(f"{len(body)} bytes for a {type(record).__name__} of {stream.count}")
+    return record
+
+
+ENDS = "the file ends within a record"
+BROKEN = (McapError, struct.error, ValueError, LookupError, OverflowError, TypeError)
+SOUGHT = 1 << 26
+"Bytes behind a broken record in which a whole one is looked for."
+
+
+def _exactly(file: BinaryIO, size: int) -> bytes:
+    data = file.read(size)
+    if len(data) < size:
+        raise Ends(ENDS)
+    return data
+
+
+def _verdict(file: BinaryIO, at: int, size: int, finished: bool, error: Exception) -> Exception:
+    """What a broken record means: a file that was cut there, or one that was altered.
+
+    A run that was killed leaves a piece of a record at the end, or zeros where the power failed. Where the file has its
+    end, or a whole chunk comes after, something else has happened.
+    """
+    told = ENDS if isinstance(error, Ends | struct.error | EndOfFile) else str(error) or type(error).__name__
+    if finished:
+        return Altered(f"the record at byte {at}: {told}")
+    file.seek(at)
+    rest = file.read(SOUGHT)
+    if not any(rest):
+        return Ends(f"nothing but zeros from byte {at} on") if rest else Ends(ENDS)
+    place = rest.find(b"\x06", 1)
+    while place >= 0:
+        if _is_chunk(rest, place):
+            return Altered(f"the record at byte {at}: {told}; a whole chunk comes after it")
+        place = rest.find(b"\x06", place + 1)
+    return Ends(told)
+
+
+def _is_chunk(data: bytes, at: int) -> bool:
+    """Whether a whole chunk with a right checksum stands there."""
+    if at + _HEAD.size > len(data):
+        return False
+    length = _HEAD.unpack_from(data, at)[1]
+    if not 40 <= length <= len(data) - at - _HEAD.size:
+        return False
+    try:
+        body = data[at + _HEAD.size : at + _HEAD.size + length]
+        chunk = Chunk.read(ReadDataStream(BytesIO(body)))
+        crc: int = chunk.uncompressed_crc
+        return crc != 0 and zlib.crc32(unpacked(chunk.compression, chunk.data)) == crc
+    except BROKEN:
+        return False
+
+
+def _within(chunk: Chunk, at: int) -> Iterator[McapRecord]:
+    """Records of a chunk that lies at that place."""
+    try:
+        data = unpacked(chunk.compression, chunk.data)
+    except TooLarge:
+        raise
+    except ValueError as error:
+        raise Altered(f"the chunk at byte {at}: {error}") from None
+    if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+        raise Altered(f"CRC of the chunk at byte {at}")
+    if len(data) != chunk.uncompressed_size:
+        raise Altered(f"the chunk at byte {at}: {len(data)} bytes; want {chunk.uncompressed_size}")
+    place = 0
+    while place < len(data):
+        if place + _HEAD.size > len(data):
+            raise ValueError(f"the chunk at byte {at} ends within a record")
+        kind, length = _HEAD.unpack_from(data, place)
+        place += _HEAD.size
+        if length > len(data) - place:
+            raise ValueError(f"the chunk at byte {at}: a record of {length} bytes; {len(data) - place} are left")
+        if kind in IN_CHUNKS:
+            yield READ[kind](ReadDataStream(BytesIO(data[place : place + length])), length)
+        place += length
 
 
 def unpacked(compression: str, data: bytes) -> bytes:

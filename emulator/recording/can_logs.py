@@ -5,10 +5,11 @@ candump's lines are written here: python-can appends a direction letter that tsh
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 from emulator.muting import muted
 from protocols.can_frame import EXTENDED
@@ -47,31 +48,39 @@ def read_candump(lines: Iterable[str]) -> Iterator[LoggedFrame]:
 
 def write_with_library(paths: Sequence[Path], frames: Iterable[LoggedFrame]) -> None:
     """The same frames into .blf and .asc files, by the ending of each name."""
+    with contextlib.ExitStack() as opened:
+        files: list[IO[Any]] = [
+            opened.enter_context(path.open("w" if path.suffix == ".asc" else "w+b")) for path in paths
+        ]
+        write_logs(list(zip((path.suffix for path in paths), files, strict=True)), frames)
+
+
+def write_logs(files: Sequence[tuple[str, IO[Any]]], frames: Iterable[LoggedFrame]) -> None:
+    """Frames into open files, each with its ending; `OSError` when one cannot be written. Closes the files."""
     import can
 
     writers: list[Any] = []
-    try:
-        for path in paths:
-            writer: Any = can.ASCWriter(path) if path.suffix == ".asc" else can.BLFWriter(path)
-            writers.append(writer)
-            # instants count from the start of the run, not from the first frame: as in every other file of it
-            if path.suffix == ".asc":
-                writer.log_event("Start of the run", 0.0)
-            else:
-                writer.start_timestamp = 0.0
-        for frame in frames:
-            message = can.Message(
-                timestamp=frame.at_ns * 1e-9,
-                arbitration_id=frame.peer & 0x1FFFFFFF,
-                is_extended_id=bool(frame.peer & EXTENDED),
-                data=frame.data,
-                channel=0,
-            )
-            for writer in writers:
-                writer.on_message_received(message)
-    finally:
+    file: Any
+    for ending, file in files:
+        writer: Any = can.ASCWriter(file) if ending == ".asc" else can.BLFWriter(file)
+        writers.append(writer)
+        # instants count from the start of the run, not from the first frame: as in every other file of it
+        if ending == ".asc":
+            writer.log_event("Start of the run", 0.0)
+        else:
+            writer.start_timestamp = 0.0
+    for frame in frames:
+        message = can.Message(
+            timestamp=frame.at_ns * 1e-9,
+            arbitration_id=frame.peer & 0x1FFFFFFF,
+            is_extended_id=bool(frame.peer & EXTENDED),
+            data=frame.data,
+            channel=0,
+        )
         for writer in writers:
-            writer.stop()
+            writer.on_message_received(message)
+    for writer in writers:
+        writer.stop()
 
 
 def read_with_library(path: Path) -> list[LoggedFrame]:

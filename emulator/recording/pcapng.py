@@ -24,37 +24,50 @@ def _block(kind: int, body: bytes) -> bytes:
     return struct.pack("<I", kind) + size + body + size
 
 
-class PcapngWriter:
-    """One file of one sensor."""
+class Packets:
+    """What one sensor said and heard, as the bytes of a capture."""
 
-    def __init__(self, path: Path, name: str) -> None:
-        self._file: BinaryIO = path.open("wb")
+    def __init__(self, name: str) -> None:
         self._sequence: dict[tuple[int, bool], int] = {}
         title = name.encode()[:200]
         options = struct.pack("<HH", 2, len(title)) + title + b"\0" * (-len(title) % 4)
         options += struct.pack("<HHB3x", 9, 1, 9) + struct.pack("<HH", 0, 0)  # if_name, if_tsresol 10^-9, end
-        self._file.write(_block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)))
-        self._file.write(_block(1, struct.pack("<HHI", RAW_IP, 0, 0) + options))
-        self._file.flush()
+        self.head = _block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))
+        "What the file begins with."
+        self.head += _block(1, struct.pack("<HHI", RAW_IP, 0, 0) + options)
 
-    def add(self, at_ns: int, data: bytes, sent: bool, device_port: int, peer: int, datagram: bool) -> None:
+    def of(self, at_ns: int, data: bytes, sent: bool, device_port: int, peer: int, datagram: bool) -> bytes:
         """Bytes of one direction; a stream's are cut into packets."""
         size = MOST_IN_PACKET if not datagram else max(1, len(data))
         host_port = 1024 + peer % 64_000 if not datagram else (peer or 1024)
         ports = (device_port, host_port) if sent else (host_port, device_port)
+        blocks = []
         for first in range(0, len(data), size):
             part = data[first : first + size]
             segment = _udp(ports, part) if datagram else self._tcp(peer, sent, ports, part)
             packet = _ipv4(UDP if datagram else TCP, segment)
             head = struct.pack("<IIIII", 0, at_ns >> 32, at_ns & 0xFFFFFFFF, len(packet), len(packet))
-            self._file.write(_block(6, head + packet))
-        self._file.flush()
+            blocks.append(_block(6, head + packet))
+        return b"".join(blocks)
 
     def _tcp(self, peer: int, sent: bool, ports: tuple[int, int], part: bytes) -> bytes:
         number = self._sequence.get((peer, sent), 1)
         other = self._sequence.get((peer, not sent), 1)
         self._sequence[(peer, sent)] = (number + len(part)) & 0xFFFFFFFF
         return struct.pack(">HHIIHHHH", *ports, number, other, 0x5018, 65535, 0, 0) + part
+
+
+class PcapngWriter:
+    """One file of one sensor."""
+
+    def __init__(self, path: Path, name: str) -> None:
+        self._packets = Packets(name)
+        self._file: BinaryIO = path.open("wb")
+        self._file.write(self._packets.head)
+
+    def add(self, at_ns: int, data: bytes, sent: bool, device_port: int, peer: int, datagram: bool) -> None:
+        """Bytes of one direction."""
+        self._file.write(self._packets.of(at_ns, data, sent, device_port, peer, datagram))
 
     def close(self) -> None:
         """Everything is in the file."""

@@ -1,4 +1,4 @@
-"""Reads recordings: our own folders, cut ones too, and what other tools have recorded.
+"""Reads recordings: our own folders, those of killed runs too, and what other tools have recorded.
 
 `read_run` for everything in a `run.mcap`; `read_wire` for what a device sent, whoever recorded it.
 """
@@ -13,17 +13,17 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from mcap.exceptions import McapError
+from mcap.exceptions import EndOfFile, McapError
 from mcap.records import Attachment, Channel, Message, Metadata
 
 from emulator.recording import layout
-from emulator.recording.bounds import MOST_BYTES, TooLarge, bearable, check_blf, mcap_records
+from emulator.recording.bounds import ENDS, MOST_BYTES, Altered, Ends, TooLarge, bearable, check_blf, mcap_records
 from emulator.recording.can_logs import LoggedFrame, read_candump, read_with_library
 from emulator.recording.captures import read_segments, streams_of
+from emulator.recording.folder import RecordingError
 from emulator.recording.layout import RecordedScan, decode_scan
 from emulator.recording.line_dumps import telegrams_of
 from emulator.recording.pcapng import LD_PORT
-from emulator.recording.writer import RecordingError
 from protocols.device_clock import Told
 from protocols.scan import Floats
 
@@ -33,9 +33,21 @@ DAMAGE = (McapError, struct.error, ValueError, LookupError, EOFError, OverflowEr
 
 def damage(error: Exception) -> str:
     """What is wrong with a file, for people."""
-    if type(error).__name__ == "EndOfFile" or isinstance(error, EOFError | struct.error):
-        return "the file ends within a record"
+    if isinstance(error, Ends):
+        return str(error)
+    if isinstance(error, EndOfFile | EOFError | struct.error):
+        return ENDS
     return f"{type(error).__name__}: {error}".removesuffix(": ")
+
+
+NOT_OURS = "no recording of lidaremu, or one cut within its first bytes"
+
+
+def altered(path: Path, error: Altered, ours: bool) -> str:
+    """What is said of a file whose bytes are not those that were written."""
+    if not ours:
+        return f"{path}: {NOT_OURS}: altered: {error}"
+    return f"{path}: altered: {error}; want the file as it was written"
 
 
 DEFAULT_BAUD = 38_400
@@ -108,7 +120,7 @@ def read_run(path: Path) -> RecordedRun:
     version = None
     with path.open("rb") as file:
         try:
-            for record in mcap_records(file):
+            for record in mcap_records(file, MOST_BYTES):
                 if isinstance(record, Metadata) and record.name == layout.META_NAME:
                     version = record.metadata.get("layout", "")
                     if version != str(layout.VERSION):
@@ -121,10 +133,12 @@ def read_run(path: Path) -> RecordedRun:
                     _take(run, channels[record.channel_id], record, offsets)
         except TooLarge as error:
             raise RecordingError(f"{path}: {error}") from None
+        except Altered as error:
+            raise RecordingError(altered(path, error, version is not None)) from None
         except DAMAGE as error:
             run.cut = damage(error)
     if version is None:
-        raise RecordingError(f"{path}: no recording of lidaremu, or one cut within its first bytes")
+        raise RecordingError(f"{path}: {NOT_OURS}")
     return run
 
 

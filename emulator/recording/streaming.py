@@ -15,10 +15,10 @@ import numpy as np
 from mcap.records import Attachment, Channel, Message, Metadata
 
 from emulator.recording import layout
-from emulator.recording.bounds import TooLarge, mcap_records, regular
+from emulator.recording.bounds import Altered, TooLarge, mcap_records, regular
+from emulator.recording.folder import RecordingError
 from emulator.recording.layout import RecordedScan, decode_scan
-from emulator.recording.reader import DAMAGE, WirePayload, damage
-from emulator.recording.writer import RecordingError
+from emulator.recording.reader import DAMAGE, NOT_OURS, WirePayload, altered, damage
 from protocols.scan import Floats
 
 
@@ -121,11 +121,13 @@ def items(path: Path, progress: Progress) -> Iterator[Item]:
                 yield item
         except TooLarge as error:
             raise RecordingError(f"{file_path}: {error}") from None
+        except Altered as error:
+            raise RecordingError(altered(file_path, error, begun)) from None
         except DAMAGE as error:
             if begun:
                 yield Cut(damage(error))
     if not begun:
-        raise RecordingError(f"{file_path}: no recording of lidaremu, or one cut within its first bytes")
+        raise RecordingError(f"{file_path}: {NOT_OURS}")
 
 
 def _items(file: BinaryIO, path: Path, channels: dict[int, Channel], progress: Progress) -> Iterator[Item]:

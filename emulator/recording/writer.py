@@ -1,28 +1,37 @@
-"""Writes a run into a folder while it goes on. A killed run leaves everything up to its last payload.
+"""Writes a run into a folder while it goes on. A killed run leaves everything up to its last chunk.
 
-Each message is handed to the kernel at once: nothing waits in this process. BLF and ASC are written at the end, from
-frames that are in `run.mcap` and in the candump log already.
+Messages wait in this process until there are `CHUNK_BYTES` of them or they span `CHUNK_NS` of the run, and in a run
+that hosts wait for half a second of real time at most. BLF and ASC are written at the end, from the candump log.
+A recording that cannot go on ends, with its reason, and is told as an incident; the run goes on.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import os
+import threading
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import BinaryIO, TextIO
+from typing import IO
 
 import numpy as np
-from mcap.writer import CompressionType, Writer
+from mcap.records import Channel, Schema
 
 from emulator import __version__
-from emulator.errors import EmulatorError
 from emulator.faults.events import FaultEvent
+from emulator.incidents import Incident, Incidents
 from emulator.instrument import Instrument
 from emulator.recording import layout
-from emulator.recording.can_logs import LoggedFrame, candump_line, read_candump, write_with_library
-from emulator.recording.pcapng import LD_PORT, PcapngWriter
+from emulator.recording.can_logs import LoggedFrame, candump_line, read_candump, write_logs
+from emulator.recording.chunks import McapFile, OpenChunk
+from emulator.recording.folder import RecordingError as RecordingError
+from emulator.recording.folder import RecordingFile, RecordingFolder, reason
+from emulator.recording.names import CAPTURE_ENDING, LOG_ENDINGS, SCENARIO_NAME, BusName, bus_names, planned
+from emulator.recording.pcapng import LD_PORT, Packets
+from emulator.recording.writing import IN_STEP, Manner, Writing
 from emulator.scenario import Scenario, dump
 from emulator.transports.urls import parse_url
 from emulator.watching import Payload, Watcher
@@ -30,118 +39,122 @@ from protocols.device_clock import Told
 from protocols.scan import Floats, Scan, ScanPlan
 from protocols.session import Event, LinkKind
 
+CHUNK_BYTES = 1 << 18
+CHUNK_NS = 1_000_000_000
+"Of the run's own time."
+LOG_BYTES = 1 << 16
+"Of a capture or a log that wait together."
+MOST_CHANNELS = 50_000
+"Of the 65535 that MCAP counts: connections come and go; those after it are recorded without their number."
 SAME_FRAME = 4096
 "Frames of a bus that are remembered: every sensor on it tells of each, the log has it once."
-
-
 SAME_INSTANT_S = 5e-8
 "Beams fired within it of each other are the same: devices count in ticks of some nanoseconds."
 
 
-class RecordingError(EmulatorError):
-    """A recording that cannot be written or read."""
+@dataclass
+class _Pieces:
+    """A file beside `run.mcap`, made when there is something for it."""
+
+    name: str
+    parts: list[bytes] = field(default_factory=list)
+    size: int = 0
+    file: RecordingFile | None = None
+
+    def add(self, data: bytes) -> None:
+        self.parts.append(data)
+        self.size += len(data)
 
 
 class Recorder(Watcher):
     """Everything of a run into one folder."""
 
-    def __init__(self, folder: Path, scenario: Scenario, instruments: Sequence[Instrument], truth: bool = True) -> None:
-        """Makes the folder, and looks on at every instrument. `RecordingError` when that cannot be."""
-        self.folder = folder
-        self._instruments = {one.sensor: one for one in instruments}
-        self._truth = truth
+    def __init__(
+        self,
+        folder: Path,
+        scenario: Scenario,
+        instruments: Sequence[Instrument],
+        truth: bool = True,
+        incidents: Incidents | None = None,
+        now_ns: Callable[[], int] | None = None,
+        manner: Manner = IN_STEP,
+    ) -> None:
+        """Makes the folder, and looks on at every instrument. `RecordingError` when that cannot be.
+
+        `incidents` is told when the recording ends early, at `now_ns()` on the run's clock.
+        """
         self.failure = ""
         "Why the recording ended before the run; empty while it goes on."
-        self.on_failure: Callable[[str], None] = lambda text: None
+        self._ended_ns = 0
+        self._closed = False
+        self._incidents = incidents if incidents is not None else Incidents()
+        self._now_ns = now_ns if now_ns is not None else self._last
+        self._last_ns = 0
+        self._instruments = {one.sensor: one for one in instruments}
+        self._truth = truth
+        self._sync = manner.sync
         self._channels: dict[tuple[object, ...], int] = {}
-        self._captures: dict[str, PcapngWriter] = {}
-        self._logs: dict[str, TextIO] = {}
+        self._known: list[Channel] = []
+        self._captures: dict[str, tuple[Packets, _Pieces]] = {}
+        self._logs: dict[str, _Pieces] = {}
         self._seen: dict[str, dict[int, None]] = {}
         "Of each bus the ends of its last frames: every sensor on it tells of each frame."
-        self._text = dump(scenario)
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            (folder / "scenario.yaml").write_text(self._text, encoding="utf-8")
-            self._file: BinaryIO = (folder / layout.FILE_NAME).open("xb")
-        except FileExistsError:
-            raise RecordingError(f"{folder}: holds a recording already; want another folder, or an empty one") from None
-        except OSError as error:
-            raise RecordingError(f"{folder}: cannot record there: {error.strerror}") from None
-        self._writer = Writer(self._file, compression=CompressionType.NONE, use_chunking=False)
-        self._writer.start("", f"lidaremu {__version__}")
-        self._writer.add_metadata(layout.META_NAME, {"layout": str(layout.VERSION), "version": __version__})
-        self._writer.add_attachment(0, 0, "scenario.yaml", "application/yaml", self._text.encode())
-        self._wire = self._writer.register_schema("lidaremu.Wire", "text", (layout.__doc__ or "").encode())
-        self._scan = self._writer.register_schema("lidaremu.Scan", "text", layout.SCAN_LAYOUT.encode())
-        self._clock = self._writer.register_schema("lidaremu.Clock", "jsonschema", b'{"type": "object"}')
-        self._beams = self._writer.register_schema("lidaremu.Beams", "text", b"float64 fire_offset_s[n]")
         self._offsets: dict[str, Floats] = {}
         self._told: dict[str, tuple[int, int]] = {}
         "Sensor -> the sweep whose time was written last, and its instant: it is told once for each host."
-        self._event = self._writer.register_schema("lidaremu.Event", "jsonschema", b'{"type": "object"}')
-        self._file.flush()
+        self._buses = _buses(scenario, instruments)
+        stems = [bus.stem for bus in self._buses.values()]
+        self._lock = threading.RLock()
+        "Around what waits: a run's thread adds, the recorder's takes it away."
+        self._chunk = OpenChunk()
+        self._schemas: list[Schema] = []
+        self._folder = RecordingFolder(folder, layout.FILE_NAME, planned(stems, list(self._instruments)))
+        try:
+            self._begin(dump(scenario).encode())
+        except OSError as error:
+            self._folder.undo()
+            raise RecordingError(f"{folder}: cannot record there: {reason(error)}") from None
+        self._writing = Writing(manner, self.flush, self._fail)
+        self._incidents.listeners.append(self._befell)
         for instrument in instruments:
             instrument.watch(self)
 
+    @property
+    def folder(self) -> Path:
+        """Where the recording is."""
+        return self._folder.path
+
+    def _begin(self, scenario: bytes) -> None:
+        self._folder.create(SCENARIO_NAME).write(scenario)
+        self._file = McapFile(self._folder.first, f"lidaremu {__version__}")
+        self._file.metadata(layout.META_NAME, {"layout": str(layout.VERSION), "version": __version__})
+        self._file.attachment(SCENARIO_NAME, "application/yaml", scenario)
+        self._wire = self._schema("lidaremu.Wire", "text", (layout.__doc__ or "").encode())
+        self._scan = self._schema("lidaremu.Scan", "text", layout.SCAN_LAYOUT.encode())
+        self._clock = self._schema("lidaremu.Clock", "jsonschema", b'{"type": "object"}')
+        self._beams = self._schema("lidaremu.Beams", "text", b"float64 fire_offset_s[n]")
+        self._event = self._schema("lidaremu.Event", "jsonschema", b'{"type": "object"}')
+
+    def _schema(self, name: str, encoding: str, data: bytes) -> int:
+        self._schemas.append(Schema(id=len(self._schemas) + 1, data=data, encoding=encoding, name=name))
+        self._chunk.record(self._schemas[-1])
+        return len(self._schemas)
+
+    def _channel(self, topic: str, encoding: str, schema: int, about: dict[str, str]) -> int:
+        number = len(self._known) + 1
+        channel = Channel(id=number, topic=topic, message_encoding=encoding, metadata=about, schema_id=schema)
+        self._known.append(channel)
+        self._chunk.record(channel)
+        return number
+
+    # ------------------------------------------------------------ what is told
+
     def payload(self, payload: Payload) -> None:
-        self._guarded(lambda: self._payload(payload))
-
-    def _guarded(self, write: Callable[[], None]) -> None:
-        """A full disk ends the recording, not the run."""
-        if self.failure:
-            return
-        try:
-            write()
-        except OSError as error:
-            self.failure = f"{self.folder}: recording ended: {error.strerror or error}"
-            self.on_failure(self.failure)
-
-    def _payload(self, payload: Payload) -> None:
-        link = self._instruments[payload.sensor].links[payload.link]
-        baud = payload.pace[2] if payload.pace is not None else 0
-        key = (payload.sensor, payload.link, payload.sent, payload.peer, baud)
-        channel = self._channels.get(key)
-        if channel is None:
-            channel = self._channels[key] = self._writer.register_channel(
-                f"/{payload.sensor}/{payload.link}/{'tx' if payload.sent else 'rx'}",
-                layout.WIRE_ENCODING,
-                self._wire,
-                {
-                    "sensor": payload.sensor,
-                    "link": str(payload.link),
-                    "kind": link.kind.value,
-                    "url": link.url,
-                    "direction": "tx" if payload.sent else "rx",
-                    "peer": str(payload.peer),
-                    "baud": str(baud),
-                },
-            )
-        sequence = 0 if payload.sweep is None else (payload.sweep + 1) & 0xFFFFFFFF
-        self._writer.add_message(channel, max(0, payload.start_ns), payload.data, max(0, payload.end_ns), sequence)
-        self._file.flush()
-        if link.kind is LinkKind.CAN:
-            self._log(link.url, payload)
-        elif link.kind is not LinkKind.SERIAL or link.url.startswith(("tcp:", "udp:")):
-            self._capture(link.url, payload, link.kind is LinkKind.DATAGRAM or link.url.startswith("udp:"))
+        self._guarded(self._payload, payload)
 
     def scan(self, sensor: str, scan: Scan) -> None:
-        if self._truth:
-            self._note_beams(sensor, scan.plan)
-            self._add(sensor, "scan", layout.SCAN_ENCODING, self._scan, scan.plan.start_ns, layout.encode_scan(scan))
-
-    def _note_beams(self, sensor: str, plan: ScanPlan) -> None:
-        """When each beam is fired: the same for every sweep until a setting changes."""
-        known = self._offsets.get(sensor)
-        if known is plan.fire_offset_s or not len(plan):
-            return
-        if known is None or known.shape != plan.fire_offset_s.shape:
-            away_s = np.inf
-        else:
-            away_s = float(np.abs(known - plan.fire_offset_s).max())
-        if away_s > SAME_INSTANT_S:
-            self._offsets[sensor] = plan.fire_offset_s
-            data = plan.fire_offset_s.astype("<f8").tobytes()
-            self._add(sensor, "beams", layout.BEAMS_ENCODING, self._beams, plan.start_ns, data)
+        if self._truth and not self.failure:
+            self._guarded(self._measured, sensor, scan)
 
     def told(self, sensor: str, sweep: int, told: Told) -> None:
         if self._truth and self._told.get(sensor) != (sweep, told.true_ns):
@@ -158,67 +171,232 @@ class Recorder(Watcher):
         """Something about the whole run: a change of the weather, a fault, an order of the user's."""
         self._add("run", "event", layout.EVENT_ENCODING, self._event, now_ns, json.dumps(row).encode())
 
-    def _add(self, sensor: str, what: str, encoding: str, schema: int, at_ns: int, data: bytes) -> None:
-        self._guarded(lambda: self._write(sensor, what, encoding, schema, at_ns, data))
+    def _befell(self, incident: Incident) -> None:
+        self.note(incident.at_ns, {"event": "Incident"} | incident.as_json())
 
-    def _write(self, sensor: str, what: str, encoding: str, schema: int, at_ns: int, data: bytes) -> None:
+    def state(self) -> dict[str, object]:
+        """How it stands with the recording, ready for JSON: for `status` and the last line of a run."""
+        return {
+            "folder": str(self.folder),
+            "state": "ended" if self.failure else "on",
+            "why": self.failure or None,
+            "bytes": self._folder.written,
+            "at_s": self._ended_ns * 1e-9 if self.failure else None,
+        }
+
+    # ------------------------------------------------------------ what waits
+
+    def _guarded(self, add: Callable[..., None], *arguments: object) -> None:
+        """Whatever goes wrong ends the recording, not the run."""
+        if self.failure or self._closed:
+            return
+        try:
+            with self._lock:
+                add(*arguments)
+                if self._chunk.size > CHUNK_BYTES or self._chunk.last_ns - self._chunk.first_ns > CHUNK_NS:
+                    self._turn()
+        except Exception as error:
+            self._writing.fail(error)
+        self._writing.make_room()
+
+    def _payload(self, payload: Payload) -> None:
+        link = self._instruments[payload.sensor].links[payload.link]
+        baud = payload.pace[2] if payload.pace is not None else 0
+        peer = payload.peer if len(self._known) < MOST_CHANNELS else 0
+        key = (payload.sensor, payload.link, payload.sent, peer, baud)
+        channel = self._channels.get(key)
+        if channel is None:
+            channel = self._channels[key] = self._channel(
+                f"/{payload.sensor}/{payload.link}/{'tx' if payload.sent else 'rx'}",
+                layout.WIRE_ENCODING,
+                self._wire,
+                {
+                    "sensor": payload.sensor,
+                    "link": str(payload.link),
+                    "kind": link.kind.value,
+                    "url": link.url,
+                    "direction": "tx" if payload.sent else "rx",
+                    "peer": str(peer),
+                    "baud": str(baud),
+                },
+            )
+        sequence = 0 if payload.sweep is None else (payload.sweep + 1) & 0xFFFFFFFF
+        self._message(channel, payload.start_ns, payload.data, payload.end_ns, sequence)
+        if link.kind is LinkKind.CAN:
+            self._log(link.url, payload)
+        elif link.kind is not LinkKind.SERIAL or link.url.startswith(("tcp:", "udp:")):
+            self._capture(link.url, payload, link.kind is LinkKind.DATAGRAM or link.url.startswith("udp:"))
+
+    def _message(self, channel: int, log_ns: int, data: bytes, publish_ns: int, sequence: int = 0) -> None:
+        self._last_ns = max(self._last_ns, publish_ns)
+        self._chunk.message(channel, max(0, log_ns), data, max(0, publish_ns), sequence)
+
+    def _measured(self, sensor: str, scan: Scan) -> None:
+        self._note_beams(sensor, scan.plan)
+        at_ns, data = scan.plan.start_ns, layout.encode_scan(scan)
+        self._message(self._of(sensor, "scan", layout.SCAN_ENCODING, self._scan), at_ns, data, at_ns)
+
+    def _note_beams(self, sensor: str, plan: ScanPlan) -> None:
+        """When each beam is fired: the same for every sweep until a setting changes."""
+        known = self._offsets.get(sensor)
+        if known is plan.fire_offset_s or not len(plan):
+            return
+        if known is None or known.shape != plan.fire_offset_s.shape:
+            away_s = np.inf
+        else:
+            away_s = float(np.abs(known - plan.fire_offset_s).max())
+        if away_s > SAME_INSTANT_S:
+            self._offsets[sensor] = plan.fire_offset_s
+            data = plan.fire_offset_s.astype("<f8").tobytes()
+            channel = self._of(sensor, "beams", layout.BEAMS_ENCODING, self._beams)
+            self._message(channel, plan.start_ns, data, plan.start_ns)
+
+    def _add(self, sensor: str, what: str, encoding: str, schema: int, at_ns: int, data: bytes) -> None:
+        self._guarded(lambda: self._message(self._of(sensor, what, encoding, schema), at_ns, data, at_ns))
+
+    def _of(self, sensor: str, what: str, encoding: str, schema: int) -> int:
         key = (sensor, what)
         if key not in self._channels:
-            about = {"sensor": sensor}
-            self._channels[key] = self._writer.register_channel(f"/{sensor}/{what}", encoding, schema, about)
-        self._writer.add_message(self._channels[key], max(0, at_ns), data, max(0, at_ns))
-        self._file.flush()
+            self._channels[key] = self._channel(f"/{sensor}/{what}", encoding, schema, {"sensor": sensor})
+        return self._channels[key]
 
     def _capture(self, url: str, payload: Payload, datagram: bool) -> None:
-        if payload.sensor not in self._captures:
-            path = self.folder / f"{payload.sensor}.pcapng"
-            self._captures[payload.sensor] = PcapngWriter(path, f"{payload.sensor} {url}")
+        found = self._captures.get(payload.sensor)
+        if found is None:
+            found = Packets(f"{payload.sensor} {url}"), _Pieces(payload.sensor + CAPTURE_ENDING)
+            self._captures[payload.sensor] = found
+            found[1].add(found[0].head)
         port = parse_url(url).target.rpartition(":")[2]
         number = int(port) if port.isdigit() else LD_PORT
         device, peer = (2112, payload.peer or number) if datagram else (number, payload.peer)
-        self._captures[payload.sensor].add(payload.start_ns, payload.data, payload.sent, device, peer, datagram)
+        found[1].add(found[0].of(payload.start_ns, payload.data, payload.sent, device, peer, datagram))
+        if found[1].size > LOG_BYTES:
+            self._turn_pieces(found[1])
 
     def _log(self, url: str, payload: Payload) -> None:
-        bus = _bus_name(url)
-        seen = self._seen.setdefault(bus, {})
+        seen = self._seen.setdefault(url, {})
         if payload.end_ns in seen:
             return
         seen[payload.end_ns] = None
         if len(seen) > SAME_FRAME:
             del seen[next(iter(seen))]
-        if bus not in self._logs:
-            self._logs[bus] = (self.folder / f"{bus}.log").open("w", encoding="ascii", newline="\n")
-        self._logs[bus].write(candump_line(LoggedFrame(payload.end_ns, payload.peer, payload.data, bus)))
-        self._logs[bus].flush()
+        bus = self._buses[url]
+        if url not in self._logs:
+            self._logs[url] = _Pieces(bus.stem + LOG_ENDINGS[0])
+        frame = LoggedFrame(payload.end_ns, payload.peer, payload.data, bus.channel)
+        self._logs[url].add(candump_line(frame).encode("ascii"))
+        if self._logs[url].size > LOG_BYTES:
+            self._turn_pieces(self._logs[url])
+
+    # ------------------------------------------------------------ what is written
+
+    def _turn(self) -> None:
+        """The chunk is full: a new one, and in the same go what waits for the other files."""
+        chunk, self._chunk = self._chunk, OpenChunk()
+        if chunk.parts:
+            self._writing.put(partial(self._file.chunk, chunk), chunk.size)
+        for pieces in self._pieces():
+            self._turn_pieces(pieces)
+        if self._writing.in_step:
+            self._writing.put(self._look, 0)
+
+    def _pieces(self) -> list[_Pieces]:
+        return [*(pieces for _, pieces in self._captures.values()), *self._logs.values()]
+
+    def _turn_pieces(self, pieces: _Pieces) -> None:
+        parts, size = pieces.parts, pieces.size
+        pieces.parts, pieces.size = [], 0
+        if parts:
+            self._writing.put(partial(self._write, pieces, parts), size)
+
+    def _write(self, pieces: _Pieces, parts: list[bytes]) -> None:
+        if pieces.file is None:
+            pieces.file = self._folder.create(pieces.name)
+        pieces.file.write(b"".join(parts))
+
+    def flush(self) -> None:
+        """Hand everything to the system, and look whether the files are still there."""
+        with self._lock:
+            self._turn()
+        self._look()
+
+    def _look(self) -> None:
+        moved = self._folder.look()
+        if moved:
+            text = f"the folder was moved to {moved}; the recording goes on there"
+            self._incidents.note("recording moved", self._now_ns(), moved, text)
+
+    def _last(self) -> int:
+        return self._last_ns
+
+    def _fail(self, error: Exception) -> None:
+        why = reason(error)
+        self._ended_ns = self._now_ns()
+        self.failure = why
+        with contextlib.suppress(OSError):  # nobody reads what is said; it is counted all the same
+            text = f"{why}; what is before can be read"
+            self._incidents.note("recording ended", self._ended_ns, str(self.folder), text)
+
+    # ------------------------------------------------------------ the end
 
     def close(self) -> None:
-        """Finish every file."""
-        if self._file.closed:
+        """Finish every file; trouble at the end is told as one on the way."""
+        if self._closed:
             return
-        self._guarded(self._finish)
-        closing = [self._file.close]
-        closing += [capture.close for capture in self._captures.values()]
-        closing += [log.close for log in self._logs.values()]
-        for close in closing:
-            with contextlib.suppress(OSError):  # told when it first happened
-                close()
+        with self._lock:
+            if not self.failure:
+                self._turn()
+        self._closed = True
+        moving = self._writing.close()
+        self._writing.do(self._finish)
+        self._file.close()
+        if not moving:
+            return  # the disk stands still: whoever touched a file would, too
+        if self.failure:
+            self._folder.abandon()
+        else:
+            self._writing.do(partial(self._folder.close, self._sync))
 
     def _finish(self) -> None:
         from emulator.daemon import summary
 
         ends = {name: json.dumps(summary(one)) for name, one in self._instruments.items()}
-        self._writer.add_metadata(layout.END_NAME, ends)
-        self._writer.finish()  # type: ignore[no-untyped-call]
-        self._file.flush()
-        for bus, log in self._logs.items():
-            log.flush()
-            with (self.folder / f"{bus}.log").open(encoding="ascii") as lines:
-                paths = [self.folder / f"{bus}{ending}" for ending in (".blf", ".asc")]
-                write_with_library(paths, read_candump(lines))
+        self._file.metadata(layout.END_NAME, ends)
+        self._file.finish(self._schemas, self._known)
+        for url, log in self._logs.items():
+            if log.file is not None:
+                self._convert(log.file, self._buses[url].stem)
+        self._look()
+
+    def _convert(self, log: RecordingFile, stem: str) -> None:
+        """The frames of a finished log as BLF and ASC."""
+        made = [(ending, self._folder.create(stem + ending, append=False)) for ending in LOG_ENDINGS[1:]]
+        opened = [
+            (ending, os.fdopen(file.number, "w+b", closefd=False) if ending == ".blf" else _text(file.number, "w"))
+            for ending, file in made
+        ]
+        os.lseek(log.number, 0, os.SEEK_SET)
+        try:
+            with _text(log.number, "r") as lines:
+                write_logs(opened, read_candump(lines))
+        finally:
+            for _, stream in opened:
+                stream.close()
+        for _, file in made:
+            file.measure()
 
 
-def _bus_name(url: str) -> str:
-    """Name of a bus for files: the channel in the link's text, with what file names cannot hold replaced."""
-    target = parse_url(url).target
-    name = target.rpartition("/")[2].rpartition(":")[2] or "can"
-    return "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in name)
+def _text(number: int, mode: str) -> IO[str]:
+    return os.fdopen(number, mode, encoding="ascii", errors="replace", closefd=False)
+
+
+def _buses(scenario: Scenario, instruments: Sequence[Instrument]) -> dict[str, BusName]:
+    """The buses of a run by the address that its links tell; sensors that share one have the same."""
+    given = {sensor.id: sensor.links for sensor in scenario.sensors}
+    texts: dict[str, str] = {}
+    for one in instruments:
+        links = given.get(one.sensor, ())
+        for number, link in enumerate(one.links):
+            if link.kind is LinkKind.CAN:
+                texts.setdefault(link.url, links[number] if number < len(links) else link.url)
+    return bus_names(texts)

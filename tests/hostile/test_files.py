@@ -270,6 +270,18 @@ def test_a_chunk_that_grows_is_refused_whatever_it_says_of_its_size(
         read_wire(path)
 
 
+def test_chunks_that_are_small_one_by_one_and_too_much_together_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("emulator.recording.reader.MOST_BYTES", 1 << 20)
+    packed = lz4.frame.compress(bytes(1 << 18))
+    path = tmp_path / "a.mcap"
+    path.write_bytes(HEAD + 5 * chunk("lz4", packed, 1 << 18))
+    assert path.stat().st_size < 10_000
+    with pytest.raises(RecordingError, match="more than 1048576 bytes when unpacked"):
+        read_wire(path)
+
+
 LIES = (
     b"\x01" + struct.pack("<Q", 2**60),
     b"\x01" + struct.pack("<QI", 12, 2**32 - 1),

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mcap.writer import Writer
 
 from emulator import scenario as scenario_file
 from emulator.cli import main
+from emulator.recording.chunks import McapFile
 from emulator.recording.reader import read_run
 from emulator.recording.streaming import Progress, items
 from emulator.recording.writer import Recorder
@@ -25,6 +25,7 @@ from emulator.run_report.page import report_of
 from emulator.run_report.weather import steps
 from emulator.studies.report import page
 from emulator.trial import Trial, run_trial
+from tests.recording.older import write_older
 
 EDGE_RAD = math.atan(30.0 / 8.0)
 "The wall is 60 m long and 8 m away."
@@ -193,9 +194,9 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, capsys: pytest.CaptureF
 @pytest.mark.usefixtures("undrawn")
 def test_an_old_recording_without_beams_and_end_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Recorder, "_note_beams", lambda self, sensor, plan: None)
-    add = Writer.add_metadata
+    add = McapFile.metadata
     monkeypatch.setattr(
-        Writer, "add_metadata", lambda self, name, data: add(self, name, data) if name == "lidaremu" else None
+        McapFile, "metadata", lambda self, name, table: add(self, name, table) if name == "lidaremu" else None
     )
     run_trial(scenario_file.load("flat_wall", ["duration_s=0.6"]), record=tmp_path / "rec")
     run = gather(tmp_path / "rec")
@@ -237,8 +238,7 @@ def test_a_recording_without_truth_says_so(tmp_path: Path) -> None:
 def test_a_scene_that_cannot_be_built_again_leaves_the_rest(wall: Path, tmp_path: Path) -> None:
     copy = tmp_path / "rec"
     shutil.copytree(wall, copy)
-    data = (copy / "run.mcap").read_bytes()
-    (copy / "run.mcap").write_bytes(data.replace(b"white_plaster", b"white_plastic"))  # its CRC is not looked at
+    write_older(wall / "run.mcap", copy / "run.mcap", lambda text: text.replace(b"white_plaster", b"white_plastic"))
     run = gather(copy)
     assert run.sensors["front"].truth is None
     assert any(remark.startswith("The recorded sc") for remark in run.remarks)

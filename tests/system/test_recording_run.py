@@ -1,10 +1,11 @@
-"""Recording and replaying as users do: a killed run, `--record`, `lidaremu replay` to a host."""
+"""Recording and replaying as users do: a killed run, `--record`, `lidaremu replay` to a host; a disk that fails."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -14,8 +15,9 @@ from pathlib import Path
 import pytest
 import serial
 
+from emulator.control import ask
 from emulator.recording.reader import read_run
-from tests.system.conftest import PATIENCE_S
+from tests.system.conftest import PATIENCE_S, RunningDaemon
 from tests.system.hosts import LmsHost
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -44,10 +46,10 @@ def recording(daemon: Callable[..., object], tmp_path: Path) -> Path:
     with LmsHost(running.path("front")) as host:
         host.set_baud(38_400)
         host.stream()
-        for _ in range(6):
+        for _ in range(20):  # over a second
             host.scan()
-    running.process.kill()  # a run that is killed leaves everything up to its last payload
-    running.process.wait()
+        running.process.kill()  # a run that is killed leaves everything but its last half second
+        running.process.wait()
     (tmp_path / "lms291").unlink(missing_ok=True)
     return tmp_path / "rec"
 
@@ -57,6 +59,7 @@ def test_a_killed_runs_recording_is_replayed_with_its_gaps_and_its_bytes(recordi
     assert run.cut
     sent = run.sent["front", 0].payloads
     assert sum(1 for one in sent if one.sweep is not None) >= 6
+    assert {path.name for path in recording.iterdir()} == {"run.mcap", "scenario.yaml"}
     process = replay(tmp_path, "rec", "--link", "front=pty:./again?speed=ignore")
     with serial.Serial(str(tmp_path / "again"), 38_400, timeout=0.2) as port:
         began, got = time.monotonic(), b""
@@ -109,3 +112,64 @@ def test_a_recording_that_is_none_and_a_sensor_that_is_not_in_it_are_told(record
         assert done.returncode == 2
         assert told in done.stderr
         assert "Traceback" not in done.stderr
+
+
+def command(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """A command of ours, to its end."""
+    return subprocess.run(
+        [*words[:-1], *words[-1].split()] if words[0] == "sh" else [sys.executable, "-m", "emulator", *words],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        env=dict(os.environ) | {"PYTHONPATH": str(ROOT)},
+        timeout=2 * PATIENCE_S,
+        check=False,
+    )
+
+
+def test_a_folder_has_one_recording_and_its_removal_is_told_while_the_run_goes_on(
+    daemon: Callable[..., RunningDaemon], tmp_path: Path
+) -> None:
+    running = daemon("flat_wall", "--record", "rec")
+    status = ask(running.control, "status", {})
+    assert isinstance(status, dict)
+    assert status["recording"]["state"] == "on"
+    before = (tmp_path / "rec" / "scenario.yaml").stat()
+    second = command(tmp_path, "run", "flat_wall", "--link", "front=pty:./other", "--record", "rec")
+    assert second.returncode == 2
+    assert "rec: holds a recording already" in second.stderr
+    assert (tmp_path / "rec" / "scenario.yaml").stat() == before
+
+    shutil.rmtree(tmp_path / "rec")
+    began = time.monotonic()
+    while status["recording"]["state"] == "on":
+        assert time.monotonic() - began < PATIENCE_S
+        time.sleep(0.05)
+        status = ask(running.control, "status", {})
+        assert isinstance(status, dict)
+    assert status["recording"]["why"] == "run.mcap was removed"
+    assert status["incident_totals"] == {"recording ended": 1}
+    with LmsHost(running.path("front")) as host:  # the run goes on
+        host.stream()
+        assert len(host.scan()) == 361
+    running.process.terminate()
+    out, errors = running.process.communicate(timeout=PATIENCE_S)
+    assert running.process.returncode == 4, errors
+    rows = [json.loads(line) for line in out.splitlines()]
+    assert [row["kind"] for row in rows if row["event"] == "incident"] == ["recording ended"]
+    assert rows[-1]["event"] == "stopped"
+    assert rows[-1]["recording"] == status["recording"]
+    assert not (tmp_path / "rec").exists()
+
+
+def test_a_limit_on_files_ends_a_recording_of_a_test_with_exit_code_4(tmp_path: Path) -> None:
+    words = f"{sys.executable} -m emulator test flat_wall --duration 2 --record runs --json"
+    done = command(tmp_path, "sh", "-c", 'ulimit -f 300; exec "$@"', "sh", words)  # the kernel's own EFBIG
+    assert done.returncode == 4, done.stderr
+    row = json.loads(done.stdout)
+    assert row["verdict"] == "passed"
+    assert (row["recording"]["state"], row["recording"]["why"]) == ("ended", "File too large")
+    assert [one["kind"] for one in row["incidents"]] == ["recording ended"]
+    run = read_run(tmp_path / "runs" / "flat_wall")
+    assert run.cut
+    assert len(run.scans["front"]) > 10

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import socket
 import time
 from collections.abc import Callable
@@ -108,3 +109,16 @@ def test_a_can_host_gets_every_frame_on_virtual_time_and_the_logs_have_them(
         assert [(one.peer, one.data.hex().upper()) for one in read_with_library(folder / name)] == logged
         assert main(["diff", str(folder / name), str(folder / name)]) == 0
     assert main(["diff", str(folder / "list.log"), str(folder)]) == 2
+
+
+def test_a_rig_whose_recording_ends_early_fails_at_its_end_and_only_then(lidaremu: Callable[..., object]) -> None:
+    def without_its_folder(then: Callable[[], object]) -> None:
+        with lidaremu("flat_wall") as rig:
+            shutil.rmtree(rig.recording)
+            rig.advance(seconds=0.1)
+            then()
+
+    with pytest.raises(RuntimeError, match=r"recording: the recording ended early: .* was removed"):
+        without_its_folder(lambda: None)
+    with pytest.raises(ZeroDivisionError):  # the block's own error is the one that counts
+        without_its_folder(lambda: 1 // 0)
