@@ -10,6 +10,7 @@ A scenario cannot raise a limit, for a stranger may have written it as well; the
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import stat
@@ -133,7 +134,7 @@ MOST_FLOAT_CHARACTERS = 400
 
 
 def loads_json(text: str | bytes) -> Any:
-    """JSON whose numbers are no longer than numbers are; `ValueError` for those, and for what is no JSON or too deep."""
+    """JSON whose numbers are as long as numbers are; `ValueError` for others, and for what is no JSON or too deep."""
     try:
         return json.loads(text, parse_int=_whole, parse_float=_other)
     except RecursionError:
@@ -162,7 +163,10 @@ class PlainFile:
     """
 
     def __init__(self, path: Path) -> None:
-        self._number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        try:
+            self._number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        except ValueError:  # a byte 0 within the name
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT)) from None
         found = os.fstat(self._number)
         if not stat.S_ISREG(found.st_mode):
             os.close(self._number)
@@ -178,13 +182,13 @@ class PlainFile:
         os.close(self._number)
 
     def read(self, start: int = 0, count: int | None = None) -> bytes:
-        """`count` bytes from `start`, or as many as there were; `ValueError` when the file has become shorter."""
+        """`count` bytes from `start`, or as many as there were; `OSError` when the file has become shorter."""
         wanted = self.size - start if count is None else min(count, self.size - start)
         parts = []
         while wanted > 0:
             part = os.pread(self._number, min(wanted, 1 << 26), start)
             if not part:
-                raise ValueError("the file became shorter while it was read")
+                raise OSError("became shorter while it was read")
             parts.append(part)
             start, wanted = start + len(part), wanted - len(part)
         return parts[0] if len(parts) == 1 else b"".join(parts)

@@ -65,7 +65,7 @@ def _triangles(found: Judged) -> Raw:
     offsets: dict[tuple[int, int], int] = {}
     lists: dict[tuple[int, int], NDArray[np.int64]] = {}
     total = 0
-    for _, _, number, mesh, (which, primitive, mode, corners, count) in sorted(shown, key=lambda one: one[:3]):
+    for _, _, number, mesh, (which, primitive, mode, corners, _) in sorted(shown, key=lambda one: one[:3]):
         if corners not in arrays:
             arrays[corners] = _positions(found, corners)
         if (number, corners) not in offsets:  # several primitives of a mesh share their vertices
@@ -165,28 +165,27 @@ def _matrix(node: dict[str, Any], number: int) -> Floats | None:
     """A node's own matrix, then its translation, rotation and scale (glTF 2.0, 3.5.3)."""
     place = None
     if "matrix" in node:
-        place = _vector(node, "matrix", 16, number).reshape(4, 4).T
-    for key, length in (("translation", 3), ("rotation", 4), ("scale", 3)):
-        if key not in node:
-            continue
-        value = _vector(node, key, length, number)
-        step = np.eye(4)
-        if key == "translation":
-            step[:3, 3] = value
-        elif key == "rotation":
-            step[:3, :3] = _rotation(value)
-        else:
-            step[:3, :3] = np.diag(value)
-        place = step if place is None else place @ step
-    return None if place is None or np.array_equal(place, np.eye(4)) else place
+        place = np.array(_vector(node, "matrix", 16, number)).reshape(4, 4).T.copy()
+    if "translation" in node:
+        place = _EYE.copy() if place is None else place
+        place[:, 3] += place[:, :3] @ _vector(node, "translation", 3, number)
+    if "rotation" in node:
+        place = _EYE.copy() if place is None else place
+        place[:, :3] = place[:, :3] @ _rotation(np.array(_vector(node, "rotation", 4, number)))
+    if "scale" in node:
+        place = _EYE.copy() if place is None else place
+        place[:, :3] *= _vector(node, "scale", 3, number)
+    return None if place is None or (place == _EYE).all() else place
 
 
-def _vector(node: dict[str, Any], key: str, length: int, number: int) -> Floats:
+_EYE = np.eye(4)
+
+
+def _vector(node: dict[str, Any], key: str, length: int, number: int) -> list[float]:
     value = node[key]
-    numbers = isinstance(value, list) and len(value) == length
-    if not numbers or not all(isinstance(one, int | float) and not isinstance(one, bool) for one in value):
+    if type(value) is not list or len(value) != length or not {type(one) for one in value} <= {int, float}:
         raise ValueError(f"node {number}: {key}; want {length} numbers")
-    return np.array([float(one) for one in value])
+    return [float(one) for one in value]
 
 
 def _rotation(quaternion: Floats) -> Floats:
@@ -225,13 +224,13 @@ def _names(tree: dict[str, Any]) -> dict[tuple[int, int], str]:
     for mesh, table in enumerate(tree["meshes"]):
         for number, primitive in enumerate(primitives_of(tree, mesh)):
             if primitive.get("mode", TRIANGLES) in (POINTS, LINES, TRIANGLES, STRIP, FAN):
-                name = _unique(str(table.get("name", "GLTF")), taken, counts)
+                name = unique_name(str(table.get("name", "GLTF")), taken, counts)
                 found[mesh, number] = name
                 taken.add(name)
     return found
 
 
-def _unique(start: str, taken: Container[str], counts: dict[str, int]) -> str:
+def unique_name(start: str, taken: Container[str], counts: dict[str, int]) -> str:
     """`start`, or with a number behind it; one that ends in a number counts on."""
     if start and start not in taken:
         return start

@@ -10,16 +10,16 @@ glTF, `up="z"` takes a glTF as it is.
 
 from __future__ import annotations
 
+import re
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from emulator.budgets import MESH, MeshBudget, PlainFile, TooMuch, raised
+from emulator.budgets import MESH, MOST_FLOAT_CHARACTERS, MeshBudget, PlainFile, TooMuch, raised
 from emulator.errors import SceneError
-from emulator.gltf_file import Raw, load_gltf
+from emulator.gltf_file import Raw, load_gltf, unique_name
 from emulator.muting import muted
 from emulator.obj_file import load_obj
 from emulator.triangles import Geometry, checked
@@ -30,8 +30,9 @@ STL_HEAD, STL_TRIANGLE = 84, 50
 "Bytes of a binary STL: free text with the number of triangles at its end, then each triangle."
 PLY_HEAD = 65_536
 "Bytes of a PLY's header that are looked at."
-PLY_BYTES = {"char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2,
-             "int": 4, "uint": 4, "int32": 4, "uint32": 4, "float": 4, "float32": 4, "double": 8, "float64": 8}  # fmt: skip
+PLY_BYTES = dict.fromkeys(("char", "uchar", "int8", "uint8"), 1) | dict.fromkeys(("short", "ushort"), 2)
+PLY_BYTES |= dict.fromkeys(("int16", "uint16"), 2) | dict.fromkeys(("int", "uint", "int32", "uint32"), 4)
+PLY_BYTES |= dict.fromkeys(("float", "float32"), 4) | dict.fromkeys(("double", "float64"), 8)
 
 
 def load(path: Path, up: Literal["y", "z"] | None, scale: float, where: str, budget: MeshBudget = MESH) -> Geometry:
@@ -93,12 +94,40 @@ def _stl(path: Path, budget: MeshBudget) -> Raw:
             return points, np.arange(3 * count).reshape(-1, 3), np.zeros(count, np.int32), (path.name,)
         budget.need("text_bytes", file.size, "bytes")
         text = file.read()
-    try:  # trimesh would guess an encoding, if a library for that is there
+    try:
         text.decode()
     except UnicodeDecodeError:
         raise ValueError("neither binary nor text in UTF-8") from None
-    budget.need("vertices", text.count(b"vertex") + text.count(b"VERTEX"), "vertices")
-    return _by_trimesh(text, "stl")
+    return _stl_text(text, budget)
+
+
+def _stl_text(text: bytes, budget: MeshBudget) -> Raw:
+    """Solids of a readable STL, each a part; what stands behind the last `endsolid` is not looked at."""
+    pieces = re.split(rb"endsolid[^\n]*", text, flags=re.IGNORECASE)[:-1]
+    budget.need("items", len(pieces), "solids")
+    points, part = [np.zeros((0, 3))], [np.zeros(0, np.int32)]
+    names: dict[str, int] = {}
+    counts: dict[str, int] = {}
+    total = 0
+    for piece in pieces:
+        head = re.search(rb"solid([^\n]*)", piece, re.IGNORECASE)
+        if head is None:
+            raise ValueError("an `endsolid` without its `solid`")
+        rows = re.findall(rb"vertex([^\n]*)", piece[head.end() :], re.IGNORECASE)
+        total += len(rows)
+        budget.need("vertices", total, "vertices")
+        if not rows:
+            continue
+        words = b" ".join(rows).split()
+        if len(rows) % 3 or len(words) != 3 * len(rows):
+            raise ValueError(f"{len(rows)} vertices of {len(words)} numbers; want three of three for each triangle")
+        if max(map(len, words)) > MOST_FLOAT_CHARACTERS:
+            raise TooMuch(f"a number of {max(map(len, words))} characters; want at most {MOST_FLOAT_CHARACTERS}")
+        points.append(np.array(list(map(float, words))).reshape(-1, 3))
+        name = unique_name(head.group(1).strip().decode("utf-8", "replace"), names, counts)
+        part.append(np.full(len(rows) // 3, names.setdefault(name, len(names)), np.int32))
+    every = np.concatenate(points)
+    return every, np.arange(len(every)).reshape(-1, 3), np.concatenate(part), tuple(names)
 
 
 # ---------------------------------------------------------------- PLY
@@ -109,7 +138,7 @@ def _ply(path: Path, budget: MeshBudget) -> Raw:
         budget.need("bytes", file.size, "bytes")
         _judge_ply(file.read(0, PLY_HEAD), file.size, budget)
         text = file.read()
-    return _by_trimesh(text, "ply", path.name)
+    return _ply_by_trimesh(text, path.name)
 
 
 def _judge_ply(start: bytes, size: int, budget: MeshBudget) -> None:
@@ -140,33 +169,19 @@ def _judge_ply(start: bytes, size: int, budget: MeshBudget) -> None:
         raise ValueError(f"elements of at least {need} bytes; behind its header are {room}")
 
 
-# ---------------------------------------------------------------- trimesh
-
-
-def _by_trimesh(data: bytes, kind: str, only: str = "") -> Raw:
-    """Every mesh of a text of that kind, in its order; pictures are not looked for. `only`: name of its one part."""
+def _ply_by_trimesh(data: bytes, name: str) -> Raw:
+    """Its triangles as one part; pictures are not looked for."""
     import trimesh  # a third of the time that a scenario without files takes to start
 
-    wanted: dict[str, Any] = {"skip_materials": True, "fix_texture": False} if kind == "ply" else {}
-    loaded = trimesh.load_scene(BytesIO(data), file_type=kind, process=False, maintain_order=True, **wanted)
-    points, faces, part = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int32)]
-    names: dict[str, int] = {}
-    offset = 0
-    for name, mesh in loaded.geometry.items():
-        if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-            continue
-        points.append(np.asarray(mesh.vertices, dtype=np.float64))
-        faces.append(np.asarray(mesh.faces, dtype=np.int64) + offset)
-        part.append(
-            np.full(len(faces[-1]), names.setdefault(only or _part_name(mesh, str(name)), len(names)), np.int32)
-        )
-        offset += len(points[-1])
-    return np.concatenate(points), np.concatenate(faces), np.concatenate(part), tuple(names)
-
-
-def _part_name(mesh: Any, name: str) -> str:
-    material = getattr(getattr(mesh, "visual", None), "material", None)
-    return str(getattr(material, "name", None) or name)
+    wanted: dict[str, Any] = {"skip_materials": True, "fix_texture": False}
+    loaded = trimesh.load_scene(BytesIO(data), file_type="ply", process=False, maintain_order=True, **wanted)
+    points, faces = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)]
+    for mesh in loaded.geometry.values():
+        if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
+            faces.append(np.asarray(mesh.faces, dtype=np.int64) + sum(map(len, points)))
+            points.append(np.asarray(mesh.vertices, dtype=np.float64))
+    every = np.concatenate(faces)
+    return np.concatenate(points), every, np.zeros(len(every), np.int32), (name,)
 
 
 READERS = {".glb": load_gltf, ".gltf": load_gltf, ".obj": _obj, ".stl": _stl, ".ply": _ply}
