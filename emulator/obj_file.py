@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.budgets import MESH, MOST_DIGITS, MOST_FLOAT_CHARACTERS, MeshBudget, TooMuch
+from emulator.budgets import MESH, MOST_DIGITS, MOST_FLOAT_CHARACTERS, MeshBudget, TooMuch, raised
 
 PIECE = 4_000_000
 "Bytes read at a time; about twenty times as much is needed for it."
@@ -67,8 +67,8 @@ class _Reader:
         ends = np.flatnonzero(data == NEWLINE)
         starts = np.concatenate([[0], ends[:-1] + 1])
         if (ends - starts).max() > MOST_LINE:
-            line = int(np.argmax(ends - starts))
-            raise ValueError(f"line {self._line + line + 1}: of {ends[line] - starts[line]} bytes; want {MOST_LINE}")
+            line, found = int(np.argmax(ends - starts)), int((ends - starts).max())
+            raise TooMuch(f"line {self._line + line + 1}: of {found} bytes; want at most {MOST_LINE}")
         blank = _BLANK[data]
         hidden = _after(data == HASH, starts, ends)
         words = ~(blank | hidden)
@@ -109,7 +109,7 @@ class _Reader:
             before = self._vertices if name == "vertices" else self._triangles
             total = before + np.cumsum(np.where(chosen, each.clip(0), 0))
             line = self._line + int(np.argmax(total > most)) + 1
-            raise TooMuch(f"line {line}: more than {most} {name}")
+            raise TooMuch(f"line {line}: more than {most} {name} {raised(name)}")
 
     def _refuse_long(self, length: Ints, line_of: Ints, chosen: NDArray[np.bool_]) -> None:
         far = np.flatnonzero((length >= MOST_FLOAT_CHARACTERS) & chosen[line_of])
