@@ -18,7 +18,18 @@ from typing import TYPE_CHECKING
 import click
 
 from emulator import __version__
-from emulator.commands.common import CANNOT_RUN, FAILED, LINK_LOST, OK, load_scenario, note, say, scenario_options
+from emulator.commands.common import (
+    CANNOT_RUN,
+    FAILED,
+    LINK_LOST,
+    LONGEST_S,
+    OK,
+    Finite,
+    load_scenario,
+    note,
+    say,
+    scenario_options,
+)
 from emulator.commands.ctl import control_of, ctl
 from emulator.commands.doctor import doctor
 from emulator.commands.driver import end_driver, start_driver
@@ -123,10 +134,10 @@ def check(
 @click.argument("scenario")
 @click.argument("command", nargs=-1, type=click.UNPROCESSED)
 @scenario_options
-@click.option("--duration", type=click.FloatRange(min=0.0), metavar="S", help="Stop after this many seconds.")
+@click.option("--duration", type=Finite(0.0, LONGEST_S), metavar="S", help="Stop after this many seconds.")
 @click.option("--workers", type=click.IntRange(min=1), help="Measuring processes (default: cores less one).")
 @click.option("--clock", type=click.Choice(["real", "virtual"]), default="real", help="virtual: as fast as hosts read.")
-@click.option("--speed", type=click.FloatRange(min=0.001), metavar="X", help="Virtual clock at X times real time.")
+@click.option("--speed", type=Finite(0.001, 1e9), metavar="X", help="Virtual clock at X times real time.")
 @click.option("--no-wait", is_flag=True, help="Virtual time moves though no host is connected.")
 @click.option("--realtime", is_flag=True, help="Schedule the sender before all other programs, where that is allowed.")
 @click.option("--control", type=click.Path(path_type=Path), metavar="PATH", help="Control socket.")

@@ -26,6 +26,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from emulator.budgets import TooMuch, loads_json
 from emulator.clock import SystemClock
 from emulator.errors import EmulatorError, LinkError
 
@@ -290,7 +291,7 @@ class ControlServer:
             raise
         except TookTooLong:
             raise OrderError(REFUSED, f"not done within {PATIENCE_S:g} s") from None
-        except (EmulatorError, ValueError, TypeError, RuntimeError) as error:
+        except (EmulatorError, ValueError, TypeError, RuntimeError, ArithmeticError) as error:
             raise OrderError(REFUSED, str(error)) from None
 
 
@@ -318,8 +319,10 @@ def _farewell(connection: socket.socket, why: str) -> None:
 
 def _request(line: bytes) -> dict[str, Any]:
     try:
-        request = json.loads(line)
-    except (ValueError, RecursionError):
+        request = loads_json(line)
+    except TooMuch as error:
+        raise OrderError(PARSE, str(error)) from None
+    except ValueError:
         raise OrderError(PARSE, "not JSON; want one object a line") from None
     if not isinstance(request, dict) or not isinstance(request.get("method"), str):
         raise OrderError(INVALID, 'not a request; want {"jsonrpc": "2.0", "id": 1, "method": "status"}')

@@ -14,6 +14,8 @@ from typing import Any
 from emulator.errors import ScenarioError
 from emulator.yaml_lines import Loc, Source, parse_value
 
+SHOWN = 200
+"Characters of a change that are told of it."
 _KEY = re.compile(r"[^.\[\]=\s]+(?:\[\d+\])*(?:\.[^.\[\]=\s]+(?:\[\d+\])*)*\Z")
 
 ENDED_BY_NULL = ("weather", "changes")
@@ -38,7 +40,7 @@ def changed(
     data = _copied(data)
     faults: list[str] = []
     for text in overrides:
-        label = f"--set {text}"
+        label = f"--set {text if len(text) <= SHOWN else text[: SHOWN - 3] + '...'}"
         key, separator, value = text.partition("=")
         try:
             if not separator or not _KEY.match(key.strip()):
@@ -111,7 +113,7 @@ def _index(items: list[Any], part: str, label: str, where: str) -> int:
     names = [item.get("id") if isinstance(item, dict) else None for item in items]
     if part in names:
         return names.index(part)
-    if part.isdecimal() and int(part) < len(items):
+    if part.isdecimal() and len(part) < 10 and int(part) < len(items):
         return int(part)
     known = [name for name in names if isinstance(name, str)]
     near = difflib.get_close_matches(part, known, n=1)

@@ -228,7 +228,7 @@ def _in_file_order(told: Sequence[str]) -> list[str]:
 
     def line(text: str) -> tuple[str, int]:
         file, _, number = text.partition(": ")[0].rpartition(":")
-        return (file, int(number)) if number.isdecimal() else ("", 0)
+        return (file, int(number)) if number.isdecimal() and len(number) < 10 else ("", 0)
 
     return sorted(first.values(), key=line)
 

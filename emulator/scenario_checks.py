@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -139,7 +140,8 @@ def _shapes(data: dict[str, Any], folder: Path) -> Iterator[Found]:
             if mesh[len(BUILTIN) :] not in builtin_meshes():
                 yield loc, repr(mesh), nearest(mesh, [BUILTIN + name for name in builtin_meshes()])
         elif not _is_file(folder / mesh):
-            yield loc, f"{mesh!r}: no such file in {folder}", "a mesh file"
+            found = "not a regular file" if os.path.lexists(folder / mesh.partition("\0")[0]) else "no such file"
+            yield loc, f"{mesh!r}: {found} in {folder}", "a mesh file"
 
 
 def _is_file(path: Path) -> bool:

@@ -15,13 +15,15 @@ from emulator import mesh_files, triangles
 from emulator.deforming import Frames
 from emulator.errors import SceneError
 from emulator.motion import Floats, Motion, Pose, Steady, Vector, Waypoints
+from emulator.reading_apart import Reader
 from emulator.scenario import Scenario
+from emulator.scenario_checks import BUILTIN
 from emulator.scenario_tables import Actor, FramesConfig, MotionConfig, Mount, Shape, WorldItem
 from emulator.triangles import Geometry, Ints
 from emulator.twins import twins
 
 MOST_TRIANGLES = 20_000_000
-"Of all different shapes together; 1e7 build in about a minute and 2 GB."
+"Of all different shapes together, unless one file may have more; 1e7 build in about a minute and 2 GB."
 MOST_TWINS_TOLD = 5
 "Pairs of bodies that lie on each other; of more only their number."
 WORLD = 0
@@ -126,18 +128,18 @@ def _carried(place: Steady, carrier: Motion) -> tuple[Floats, Floats]:
 
 def build(scenario: Scenario) -> Scene:
     """Load the meshes of a scenario and place its bodies; `SceneError` with one line a fault."""
-    builder = _Builder(scenario)
-    for number, item in enumerate(scenario.world):
-        placed = Steady(item.at_m, item.yaw_deg, item.pitch_deg, item.roll_deg)
-        builder.add(WORLD, item, item, placed, f"world.{number}")
     motions: list[Motion] = [Steady()]
-    for number, actor in enumerate(scenario.actors):
-        motions.append(motion_of(actor.motion))
-        if actor.shape is not None:
-            builder.add(number + 1, actor.shape, actor, motions[-1], f"actors.{number}")
-    total = sum(len(made.faces) * builder.frames_of(made) for made in builder.made.values())
-    if total > MOST_TRIANGLES:
-        builder.faults.append(f"{scenario.source}: {total} triangles in all; want at most {MOST_TRIANGLES}")
+    with Reader() as reader:
+        builder = _Builder(scenario, reader)
+        for number, item in enumerate(scenario.world):
+            placed = Steady(item.at_m, item.yaw_deg, item.pitch_deg, item.roll_deg)
+            builder.add(WORLD, item, item, placed, f"world.{number}")
+        for number, actor in enumerate(scenario.actors):
+            motions.append(motion_of(actor.motion))
+            if actor.shape is not None:
+                builder.add(number + 1, actor.shape, actor, motions[-1], f"actors.{number}")
+    if builder.total > builder.most:
+        builder.faults.append(f"{scenario.source}: {builder.total} triangles in all; want at most {builder.most}")
     if builder.faults:
         raise SceneError("\n".join(builder.faults))
     builder.tell_twins()
@@ -168,8 +170,11 @@ def motion_of(config: MotionConfig) -> Motion:
 class _Builder:
     """Collects bodies; meshes of the same file and primitives of the same size are made once."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        self._scenario = scenario
+    def __init__(self, scenario: Scenario, reader: Reader) -> None:
+        self._scenario, self._reader = scenario, reader
+        self.most = max(MOST_TRIANGLES, reader.budget.triangles)
+        "Triangles in all; once there are more nothing else is made."
+        self.total = 0
         self.made: dict[str, Geometry] = {}
         self.frames: dict[int, Frames] = {}
         self.materials: dict[str, int] = {}
@@ -180,6 +185,8 @@ class _Builder:
         self.warnings: list[str] = []
 
     def add(self, actor: int, shape: Shape, owner: Actor | WorldItem, motion: Motion, dotted: str) -> None:
+        if self.total > self.most:
+            return
         below = f"{dotted}.shape" if isinstance(owner, Actor) else dotted
         try:
             geometry = self._geometry(shape, self._scenario.label(f"{below}.{shape.kind}"))
@@ -205,15 +212,12 @@ class _Builder:
             rest = len(found) - MOST_TWINS_TOLD
             self.warnings.append(f"{self._scenario.source}: {rest} more pairs of bodies lie on each other")
 
-    def frames_of(self, geometry: Geometry) -> int:
-        """How many frames are kept of a shape."""
-        frames = self.frames.get(id(geometry))
-        return 1 if frames is None else len(frames.vertices)
-
     def _geometry(self, shape: Shape, where: str) -> Geometry:
         key = shape.model_dump_json(include={"mesh", "plane", "box", "cylinder", "sphere", "frames", "up", "scale"})
         if key not in self.made:
             self.made[key] = geometry = self._make(shape, where)
+            frames = self.frames.get(id(geometry))
+            self.total += len(geometry.faces) * (1 if frames is None else len(frames.vertices))
             if geometry.dropped:
                 self.warnings.append(f"{where}: {geometry.dropped} triangles of no area left out")
             if geometry.twins:
@@ -224,7 +228,7 @@ class _Builder:
 
     def _make(self, shape: Shape, where: str) -> Geometry:
         if shape.mesh is not None:
-            return mesh_files.load(self._scenario.resolve(shape.mesh), shape.up, shape.scale, where)
+            return self._load(shape.mesh, shape, where)
         if shape.frames is not None:
             return self._make_frames(shape, shape.frames, where)
         if shape.plane is not None:
@@ -236,15 +240,23 @@ class _Builder:
         assert shape.sphere is not None
         return triangles.sphere(shape.sphere.radius_m, shape.sphere.segments)
 
+    def _load(self, name: str, shape: Shape, where: str) -> Geometry:
+        """A mesh of the package is read here, any other file in a process of its own."""
+        path = self._scenario.resolve(name)
+        load = mesh_files.load if name.startswith(BUILTIN) else self._reader.read
+        return load(path, shape.up, shape.scale, where)
+
     def _make_frames(self, shape: Shape, config: FramesConfig, where: str) -> Geometry:
         """The first frame with the sphere of all; every other one must be the same mesh with its vertices moved."""
         made: list[Geometry] = []
         loaded: dict[str, Geometry] = {}
         for number, name in enumerate(config.meshes):
             if name not in loaded:
-                path = self._scenario.resolve(name)
-                loaded[name] = mesh_files.load(path, shape.up, shape.scale, f"{where}.meshes.{number}")
+                loaded[name] = self._load(name, shape, f"{where}.meshes.{number}")
             one = loaded[name]
+            many = self.total + (number + 1) * len(one.faces)
+            if many > self.most:
+                raise SceneError(f"{where}.meshes.{number}: {many} triangles in all; want at most {self.most}")
             first = made[0] if made else one
             told = f"{where}.meshes.{number}: {name}"
             if len(one.vertices) != len(first.vertices) or len(one.faces) != len(first.faces):

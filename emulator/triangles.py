@@ -7,6 +7,7 @@ Belongs here: what can be said of triangles alone (finite, closed, wound outward
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,8 @@ Ints = NDArray[np.int32]
 
 MOST_M = 1e10
 "Of a coordinate: float64 tells 1e-6 m apart there."
+SLICE = 1 << 18
+"Triangles that are worked on at a time."
 MOST_SHELLS_NESTED = 2000
 "Above so many closed shells in one mesh none is taken for a cavity of another: the test is quadratic."
 
@@ -80,21 +83,17 @@ def checked(
     used = np.zeros(len(vertices), dtype=bool)
     used[indices] = True
     low, high = vertices[used].min(axis=0), vertices[used].max(axis=0)
+    if (low == high).sum() > 1:  # told before any of them is looked at
+        raise SceneError(f"{where}: all {len(indices)} triangles have no area; want a surface")
     centre = low + (high - low) / 2.0
     local = vertices - centre
-    a, b, c = (local[indices[:, k]] for k in range(3))
-    cross = np.cross(b - a, c - a)
-    double_area = np.linalg.norm(cross, axis=1)
-    longest = np.sqrt(
-        np.maximum.reduce([((b - a) ** 2).sum(axis=1), ((c - b) ** 2).sum(axis=1), ((a - c) ** 2).sum(axis=1)])
-    )
-    keep = double_area > 1e-14 * longest * longest  # height below 1e-14 of the length: rounding, no surface
+    cross, double_area, keep = _areas(local, indices)
     dropped = int(len(keep) - keep.sum())
     if dropped:
         indices, part, cross, double_area = indices[keep], part[keep], cross[keep], double_area[keep]
         if len(indices) == 0:
             raise SceneError(f"{where}: all {dropped} triangles have no area; want a surface")
-    normals = cross / double_area[:, None]
+    normals = np.divide(cross, double_area[:, None], out=cross)
     closed, flip, twins = _shells(local, indices, part)
     if flip.any():
         indices[flip] = indices[flip][:, ::-1]
@@ -103,11 +102,32 @@ def checked(
     return Geometry(vertices, indices.astype(np.int32), part, parts, normals, closed, centre, radius, dropped, twins)
 
 
+def _areas(local: Floats, faces: NDArray[np.int64]) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Of each triangle its cross product (f, 3), that one's length, and whether it has an area."""
+    cross, double_area, keep = np.zeros((len(faces), 3)), np.zeros(len(faces)), np.zeros(len(faces), dtype=bool)
+    for some in _slices(len(faces)):
+        a, b, c = (local[faces[some, k]] for k in range(3))
+        cross[some] = np.cross(b - a, c - a)
+        double_area[some] = np.linalg.norm(cross[some], axis=1)
+        longest = np.sqrt(
+            np.maximum.reduce([((b - a) ** 2).sum(axis=1), ((c - b) ** 2).sum(axis=1), ((a - c) ** 2).sum(axis=1)])
+        )
+        keep[some] = double_area[some] > 1e-14 * longest * longest  # a height below 1e-14 of it: rounding, no surface
+    return cross, double_area, keep
+
+
+def _slices(count: int) -> Iterator[slice]:
+    """Parts of what is many: what is made on the way of all at once would take ten times the mesh."""
+    return (slice(first, first + SLICE) for first in range(0, count, SLICE))
+
+
 def _shells(local: Floats, faces: NDArray[np.int64], part: Ints) -> tuple[NDArray[np.bool_], NDArray[np.bool_], int]:
     """Which faces belong to closed shells, which of them to turn so that they face outwards, and coplanar twins."""
     order = np.lexsort(local.T)
     step = np.ones(len(local), dtype=np.int64)
-    step[1:] = (local[order][1:] != local[order][:-1]).any(axis=1)
+    for some in _slices(len(local) - 1):
+        place = local[order[some.start : some.stop + 1]]
+        step[1:][some] = (place[1:] != place[:-1]).any(axis=1)
     welded = np.zeros(len(local), dtype=np.int64)
     welded[order] = np.cumsum(step) - 1
     corners = welded[faces]
@@ -116,27 +136,34 @@ def _shells(local: Floats, faces: NDArray[np.int64], part: Ints) -> tuple[NDArra
 
     start, end = corners.ravel(), corners[:, [1, 2, 0]].ravel()
     key = np.minimum(start, end) * count + np.maximum(start, end)
+    way = np.where(start < end, np.int8(1), np.int8(-1))
+    del start, end, corners
     order = np.argsort(key, kind="stable")
-    begins = np.flatnonzero(np.diff(key[order], prepend=-1))
-    way = np.where(start < end, 1, -1)[order]
-    balanced = np.add.reduceat(way, begins) == 0  # as often one way as the other: no border
+    key = key[order]
+    begins = np.flatnonzero(np.diff(key, prepend=-1))
+    balanced = np.add.reduceat(way[order], begins, dtype=np.int64) == 0  # as often one way as the other: no border
     sizes = np.diff(begins, append=len(order))
     good = np.zeros(len(order), dtype=bool)
     good[order] = np.repeat(balanced, sizes)
-    linked = np.flatnonzero(np.repeat(balanced, sizes)[1:] & (np.diff(key[order]) == 0))
-    face = order // 3
+    linked = np.flatnonzero(np.repeat(balanced, sizes)[1:] & (key[1:] == key[:-1]))
+    face = (order // 3).astype(np.int32)
+    del key, order, begins, sizes, balanced
     joints = (np.ones(len(linked), dtype=np.int8), (face[linked], face[linked + 1]))
     shells, shell = connected_components(coo_array(joints, shape=(len(faces), len(faces))), directed=False)
     whole = np.ones(shells, dtype=bool)
     whole[shell[~good.reshape(-1, 3).all(axis=1)]] = False
 
-    a, b, c = (local[faces[:, k]] for k in range(3))
-    volume = np.bincount(shell, weights=np.einsum("ij,ij->i", a, np.cross(b, c)), minlength=shells)
+    del joints, linked, face
+    wedge = np.zeros(len(faces))
+    for some in _slices(len(faces)):
+        a, b, c = (local[faces[some, k]] for k in range(3))
+        wedge[some] = np.einsum("ij,ij->i", a, np.cross(b, c))
+    volume = np.bincount(shell, weights=wedge, minlength=shells)
     inwards = whole & (volume < 0.0)
     if inwards.any() and shells <= MOST_SHELLS_NESTED:
         low = np.full((shells, 3), np.inf)
         high = np.full((shells, 3), -np.inf)
-        for corner in (a, b, c):
+        for corner in (local[faces[:, k]] for k in range(3)):
             np.minimum.at(low, shell, corner)
             np.maximum.at(high, shell, corner)
         outer = np.flatnonzero(whole)

@@ -30,20 +30,12 @@ from ruamel.yaml.events import (
     SequenceStartEvent,
 )
 
+from emulator.budgets import MOST_DIGITS, MOST_FLOAT_CHARACTERS, TEXT, PlainFile, TooMuch
 from emulator.errors import EmulatorError
 
 Loc = tuple[str | int, ...]
 
-MAX_BYTES = 4_000_000
-"Largest file; 10 000 actors written out need about 1.5 MB."
-MAX_VALUES = 400_000
-"Most values, as written and after aliases are followed."
-MAX_SEPARATORS = 500_000
-"Most of what separates values: the text alone tells it, long before the values could be counted."
-MAX_DEPTH = 32
-"Deepest nesting; a scenario needs about 8."
-MAX_DIGITS = 40
-"Longest whole number."
+MAX_BYTES, MAX_VALUES, MAX_SEPARATORS, MAX_DEPTH = TEXT.bytes, TEXT.values, TEXT.separators, TEXT.depth
 
 _NULL = re.compile(r"(?:|~|null|Null|NULL)\Z")
 _BOOL = re.compile(r"(?:true|True|TRUE|false|False|FALSE)\Z")
@@ -93,12 +85,14 @@ class Source:
 def read_text(path: Path, error: type[EmulatorError]) -> str:
     """Text of a file; what cannot be read is an `error`."""
     try:
-        if not path.is_file():
-            raise error(f"{path}:1: no such file; want a YAML file")
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise error(f"{path}:1: {size} bytes; want at most {MAX_BYTES}")
-        return path.read_bytes().decode("utf-8-sig")
+        with PlainFile(path) as file:
+            if file.size > MAX_BYTES:
+                raise error(f"{path}:1: {file.size} bytes; want at most {MAX_BYTES}")
+            return file.read().decode("utf-8-sig")
+    except FileNotFoundError:
+        raise error(f"{path}:1: no such file; want a YAML file") from None
+    except TooMuch as exc:
+        raise error(f"{path}:1: {exc}") from None
     except UnicodeDecodeError as exc:
         line = exc.object[: exc.start].count(b"\n") + 1
         raise error(f"{path}:{line}: byte {exc.object[exc.start]:#04x} is not UTF-8; want UTF-8") from None
@@ -291,10 +285,12 @@ def _scalar(event: Any, line: int) -> _Node:
 
 def _plain_scalar(text: str) -> tuple[Any, tuple[str, str] | None]:
     if _INT.match(text) or _OCT.match(text) or _HEX.match(text):
-        if len(text) > MAX_DIGITS:
-            return None, (f"a number of {len(text)} digits", f"at most {MAX_DIGITS}")
+        if len(text) > MOST_DIGITS:
+            return None, (f"a number of {len(text)} digits", f"at most {MOST_DIGITS}")
         return int(text, 0 if text[:2] in ("0o", "0x") else 10), None
     if _FLOAT.match(text):
+        if len(text) > MOST_FLOAT_CHARACTERS:
+            return None, (f"a number of {len(text)} characters", f"at most {MOST_FLOAT_CHARACTERS}")
         return float(text), None
     if _ODD.match(text):
         return float(text.replace(".", "")), None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,6 +14,19 @@ if TYPE_CHECKING:
     from emulator.scenario import Scenario
 
 OK, FAILED, CANNOT_RUN, LINK_LOST = 0, 1, 2, 3
+LONGEST_S = 1e9
+"Of a duration on the command line: thirty years, in nanoseconds still a 64 bit number."
+
+
+class Finite(click.FloatRange):
+    """A number within bounds; click itself lets NaN pass."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The number, or a refusal."""
+        found = float(super().convert(value, param, ctx))
+        if math.isnan(found):
+            self.fail(f"{value!r}; want a number", param, ctx)
+        return found
 
 
 def say(text: str) -> None:

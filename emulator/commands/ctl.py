@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from emulator.budgets import TooMuch, loads_json
 from emulator.commands.common import OK, say
 from emulator.errors import LinkError
 
@@ -104,7 +105,9 @@ def parameters_of(texts: Sequence[str]) -> dict[str, Any]:
         if parts[-1] in here:
             raise click.BadParameter(f"{text!r}; {name} was given before it", param_hint="NAME=VALUE")
         try:
-            here[parts[-1]] = json.loads(value)
+            here[parts[-1]] = loads_json(value)
+        except TooMuch as error:
+            raise click.BadParameter(f"{name}: {error}", param_hint="NAME=VALUE") from None
         except ValueError:
             here[parts[-1]] = value
     return params

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from emulator.commands.common import note, say
+from emulator.commands.common import LONGEST_S, Finite, note, say
 from emulator.errors import EmulatorError
 
 
@@ -20,7 +20,7 @@ from emulator.errors import EmulatorError
 @click.option("--extended", is_flag=True, help="Ask an ARS408 for class, size and existence too (not stored).")
 @click.option("--baud", type=int, default=38_400, show_default=True, help="Line speed to ask for (serial).")
 @click.option("--scans", type=click.IntRange(min=1), help="Stop after so many scans or lists.")
-@click.option("--duration", type=click.FloatRange(min=0.0), metavar="S", help="Stop after so many seconds.")
+@click.option("--duration", type=Finite(0.0, LONGEST_S), metavar="S", help="Stop after so many seconds.")
 @click.option("--png", type=click.Path(dir_okay=False, path_type=Path), help="Draw the last scan into FILE.")
 @click.option("--csv", type=click.Path(dir_okay=False, path_type=Path), help="Write every scan's points to FILE.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a scan on standard output; nothing is drawn.")
@@ -65,7 +65,7 @@ def look(
 @click.option("--scenario", metavar="NAME", help="Built-in name or path (default: one that shows the family).")
 @click.option("--sensor", help="Which of its sensors to look through (default: the first of the family).")
 @click.option("--family", "family_name", metavar="F", help="lms2xx (default), ld or can_objects.")
-@click.option("--duration", type=click.FloatRange(min=0.0), default=None, metavar="S", help="Stop after so long.")
+@click.option("--duration", type=Finite(0.0, LONGEST_S), default=None, metavar="S", help="Stop after so long.")
 @click.option("--baud", type=int, default=500_000, show_default=True, help="Line speed the host asks for.")
 def demo(scenario: str | None, sensor: str | None, family_name: str | None, duration: float | None, baud: int) -> int:
     """A built-in scenario with a built-in host on the other end, drawn live in the terminal.

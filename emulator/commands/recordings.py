@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from emulator.commands.common import FAILED, LINK_LOST, OK, bar, note, say
+from emulator.commands.common import FAILED, LINK_LOST, OK, Finite, bar, note, say
 from emulator.errors import EmulatorError
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def recorder_for(
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--link", "links", multiple=True, metavar="SENSOR=URL", help="Where to send, instead of as recorded.")
-@click.option("--speed", type=click.FloatRange(min=0.001), default=1.0, metavar="X", help="X times the recorded pace.")
+@click.option("--speed", type=Finite(0.001, 1e9), default=1.0, metavar="X", help="X times the recorded pace.")
 @click.option("--stepped", is_flag=True, help="One payload a line on standard input.")
 @click.option("--loop", "loops", type=click.IntRange(min=0), default=1, help="So many times; 0: without end.")
 @click.option("--port", type=click.IntRange(1, 65535), default=49152, show_default=True, help="Device in a pcap.")

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import click
 
 from emulator.clock import SystemClock
-from emulator.commands.common import FAILED, OK, say
+from emulator.commands.common import FAILED, OK, Finite, say
 
 MOST_SPEEDS = 50
 
@@ -63,17 +61,6 @@ class Speeds(click.ParamType[tuple[float, ...]]):
         if not speeds or len(speeds) > MOST_SPEEDS or not all(0.0 < speed <= 500.0 for speed in speeds):
             self.fail(f"{value!r}; want up to {MOST_SPEEDS} numbers over 0 and up to 500, by commas", param, ctx)
         return speeds
-
-
-class Finite(click.FloatRange):
-    """A number within bounds; click itself lets NaN pass."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """The number, or a refusal."""
-        found = float(super().convert(value, param, ctx))
-        if math.isnan(found):
-            self.fail(f"{value!r}; want a number", param, ctx)
-        return found
 
 
 FRICTION = Finite(0.01, 2.0)

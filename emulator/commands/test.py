@@ -15,7 +15,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from emulator.commands.common import CANNOT_RUN, FAILED, OK, bar, load_scenario, part_of, say, scenario_options
+from emulator.commands.common import (
+    CANNOT_RUN,
+    FAILED,
+    LONGEST_S,
+    OK,
+    Finite,
+    bar,
+    load_scenario,
+    part_of,
+    say,
+    scenario_options,
+)
 from emulator.errors import EmulatorError
 
 if TYPE_CHECKING:
@@ -69,7 +80,7 @@ class Result:
 )
 @click.option("--jobs", type=click.IntRange(min=1), help="Scenarios at once (default: cores).")
 @click.option("--workers", type=click.IntRange(min=0), default=0, help="Measuring processes a scenario (0: in place).")
-@click.option("--duration", type=click.FloatRange(min=0.0, min_open=True), metavar="S", help="Instead of the files'.")
+@click.option("--duration", type=Finite(0.0, LONGEST_S, min_open=True), metavar="S", help="Instead of the files'.")
 @click.option("--record", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="A recording each.")
 @click.option("--junitxml", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE", help="JUnit XML report.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a scenario.")

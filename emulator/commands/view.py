@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from emulator.commands.common import OK, note, say
+from emulator.commands.common import LONGEST_S, OK, Finite, note, say
 from emulator.errors import EmulatorError
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ LONG_S = 1e8
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port; 0: any that is free (default).")
 @click.option("--token", help="Without it nobody comes in (default: a new one).")
 @click.option("--no-browser", is_flag=True, help="Only say where the page is.")
-@click.option("--duration", type=click.FloatRange(min=0.0), metavar="S", help="Stop after this many seconds.")
+@click.option("--duration", type=Finite(0.0, LONGEST_S), metavar="S", help="Stop after this many seconds.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line on standard output.")
 def view(
     what: str | None,

@@ -32,18 +32,14 @@ from mcap.records import (
     Schema,
 )
 
-MOST_BYTES = 1 << 30
-"Of one recording file: all of it is kept in memory."
-MOST_RECORDS = 4_000_000
-"Records of one MCAP file: what is made of them takes about 300 bytes each."
-MOST_RECORD = 1 << 28
-MOST_UNPACKED = 1 << 26
-"Bytes of one chunk or container when unpacked; tools write some MB at a time."
+from emulator.budgets import RECORDING, TooMuch
+
+MOST_BYTES, MOST_RECORDS, MOST_RECORD = RECORDING.bytes, RECORDING.records, RECORDING.record_bytes
+MOST_UNPACKED = RECORDING.unpacked_bytes
 BLF_OBJECT_HEAD, BLF_CONTAINER_HEAD, BLF_CONTAINER, ZLIB = 16, 32, 10, 2
 
 
-class TooLarge(ValueError):
-    """A limit was passed; the text names what was found and what is allowed."""
+TooLarge = TooMuch
 
 
 def regular(path: Path) -> None:

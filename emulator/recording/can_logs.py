@@ -15,7 +15,7 @@ from emulator.muting import muted
 from protocols.can_frame import EXTENDED
 
 _LINE = re.compile(
-    r"\((\d+)\.(\d{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#((?:[0-9A-Fa-f]{2}){0,8})(?:\s+[RT])?\s*\Z"
+    r"\((\d{1,12})\.(\d{1,9})\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#((?:[0-9A-Fa-f]{2}){0,8})(?:\s+[RT])?\s*\Z"
 )
 
 

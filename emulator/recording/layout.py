@@ -20,6 +20,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from emulator.budgets import loads_json
 from emulator.object_metrics import ListedScan
 from protocols.scan import DetectedObject, Floats, Ints, Scan
 
@@ -109,7 +110,7 @@ def decode_scan(data: bytes) -> RecordedScan:
         for count, kind in ((n, "<f4"), (n, "<f4"), (n * k, "<f4"), (n * k, "<f4"), (n * k, "<i4")):
             fields.append(np.frombuffer(data, kind, count, at))
             at += 4 * count
-        rest = json.loads(data[at + n :])
+        rest = loads_json(data[at + n :])
     except (struct.error, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise ValueError(f"not a recorded scan: {error}") from None
     objects, truth = (rest.get("objects", ()), rest.get("truth", ())) if isinstance(rest, dict) else (rest, ())

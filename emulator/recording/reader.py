@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from collections import Counter
 from collections.abc import Sequence
@@ -16,6 +15,7 @@ import numpy as np
 from mcap.exceptions import EndOfFile, McapError
 from mcap.records import Attachment, Channel, Message, Metadata
 
+from emulator.budgets import loads_json
 from emulator.recording import layout
 from emulator.recording.bounds import ENDS, MOST_BYTES, Altered, Ends, TooLarge, bearable, check_blf, mcap_records
 from emulator.recording.can_logs import LoggedFrame, read_candump, read_with_library
@@ -159,10 +159,10 @@ def _take(run: RecordedRun, channel: Channel, message: Message, offsets: dict[st
     elif channel.message_encoding == layout.BEAMS_ENCODING:
         offsets[meta["sensor"]] = np.frombuffer(message.data, "<f8").astype(np.float64)
     elif channel.message_encoding == layout.CLOCK_ENCODING:
-        row = json.loads(message.data)
+        row = loads_json(message.data)
         run.clocks.setdefault(meta["sensor"], []).append((row.pop("sweep"), Told(**row)))
     elif channel.message_encoding == layout.EVENT_ENCODING:
-        run.events.append((message.log_time, meta["sensor"], json.loads(message.data)))
+        run.events.append((message.log_time, meta["sensor"], loads_json(message.data)))
 
 
 def is_ours(path: Path) -> bool:

@@ -5,7 +5,6 @@ Belongs here: records in the order of the file to whoever takes them. Not: a who
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from mcap.records import Attachment, Channel, Message, Metadata
 
+from emulator.budgets import loads_json
 from emulator.recording import layout
 from emulator.recording.bounds import Altered, TooLarge, mcap_records, regular
 from emulator.recording.folder import RecordingError
@@ -140,7 +140,7 @@ def _items(file: BinaryIO, path: Path, channels: dict[int, Channel], progress: P
                 raise RecordingError(f"{path}: layout {found!r}; this version reads {layout.VERSION}")
             version = record.metadata.get("version", "")
         elif isinstance(record, Metadata) and record.name == layout.END_NAME:
-            yield End({sensor: json.loads(text) for sensor, text in record.metadata.items()})
+            yield End({sensor: loads_json(text) for sensor, text in record.metadata.items()})
         elif version is None:
             continue
         elif isinstance(record, Attachment):
@@ -166,6 +166,6 @@ def _message(channel: Channel, message: Message) -> Item | None:
     if encoding == layout.BEAMS_ENCODING:
         return Beams(meta["sensor"], np.frombuffer(message.data, "<f8").astype(np.float64))
     if encoding == layout.EVENT_ENCODING:
-        row = json.loads(message.data)
+        row = loads_json(message.data)
         return Told(message.log_time, meta["sensor"], row if isinstance(row, dict) else {"event": str(row)})
     return None

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from urllib.parse import parse_qsl
 
+from emulator.budgets import MOST_DIGITS
+
 LOOPBACK = "127.0.0.1"
 
 
@@ -90,6 +92,8 @@ def option_value(text: str) -> int | float | bool | str:
     """An option for python-can, as its own configuration reads it: a number or truth value where the text is one."""
     if text in ("true", "false"):
         return text == "true"
+    if len(text) > MOST_DIGITS:  # no number of an option is as long
+        return text
     for kind in (lambda given: int(given, 0), float):
         try:
             number: int | float = kind(text)

@@ -70,7 +70,9 @@ def _flag(value: Any) -> bool:
 
 def _ip(value: Any) -> bool:
     parts = value.split(".") if isinstance(value, str) else []
-    return len(parts) == 4 and all(part.isascii() and part.isdigit() and int(part) <= 255 for part in parts)
+    return len(parts) == 4 and all(
+        len(part) <= 3 and part.isascii() and part.isdigit() and int(part) <= 255 for part in parts
+    )
 
 
 def _ticks(degrees: Any) -> int | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import json
 import struct
-import tracemalloc
 import zlib
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import lz4.frame
 import pytest
 import zstandard
 
-from emulator import gltf_guard, mesh_files, scenario, yaml_lines
+from emulator import mesh_files, scenario, yaml_lines
 from emulator.cli import main
 from emulator.errors import ScenarioError, SceneError
 from emulator.recording import bounds
@@ -80,6 +79,14 @@ def test_aliases_of_aliases_do_not_grow(monkeypatch: pytest.MonkeyPatch) -> None
         ("[" * 500, "nested more than 32 deep"),
         ("seed: 1\nseed: 2", "given twice"),
         ("seed: " + "9" * 5000, "a number of 5000 digits"),
+        ("seed: -" + "9" * 100_000, "a number of 100001 digits"),
+        ("seed: 0x" + "f" * 100_000, "a number of 100002 digits"),
+        ("seed: 0o" + "7" * 100_000, "a number of 100002 digits"),
+        ("duration_s: 0." + "9" * 100_000, "a number of 100002 characters"),
+        ("duration_s: 1e" + "9" * 100_000, "a number of 100002 characters"),
+        ("duration_s: 1e999999999", "duration_s: inf; want a finite number"),
+        ("seed: '" + "9" * 100_000 + "'", "want a whole number"),
+        ("seed: " + "1_0" * 40_000, "want a whole number"),
         ("a: !!python/object/apply:os.system [echo]", "tag"),
         ("a: &a [*a]", "inside its own anchor"),
         ("%YAML 1.6", "not YAML"),
@@ -196,9 +203,6 @@ def test_pictures_are_not_looked_at(tmp_path: Path) -> None:
     path = tmp_path / "a.gltf"
     path.write_text(json.dumps(text))
     assert loaded(path) == 1
-    tree = json.loads(gltf_guard.read_gltf(path, 1000)[0])
-    assert "images" not in tree
-    assert tree["materials"] == [{"name": "body"}]
 
 
 @pytest.mark.parametrize(
@@ -221,27 +225,6 @@ def test_a_mesh_whose_lengths_lie_is_refused(
     with pytest.raises(SceneError, match=f"case.yaml:3: {name}"):
         loaded(tmp_path / name)
     assert "Traceback" not in capsys.readouterr().err
-
-
-def test_a_mesh_beyond_its_size_is_refused_before_it_is_read(tmp_path: Path) -> None:
-    for name, limit in (("a.obj", mesh_files.MOST_TEXT_BYTES), ("a.stl", mesh_files.MOST_BYTES)):
-        with (tmp_path / name).open("wb") as file:
-            file.truncate(limit + 1)
-        with pytest.raises(SceneError, match=f"{limit + 1} bytes; want at most {limit}"):
-            loaded(tmp_path / name)
-
-
-def test_a_short_file_with_one_face_of_many_corners_is_refused_while_it_is_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(mesh_files, "MOST_TRIANGLES", 1000)
-    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf " + "1 2 3 " * 10_000)
-    tracemalloc.start()
-    with pytest.raises(SceneError, match=r"line 5: 'f 1 2 3.*': more than 1000 triangles"):
-        loaded(tmp_path / "a.obj")
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 4_000_000  # its words, no triangle
 
 
 # ------------------------------------------------------------------------------------------------ recordings
