@@ -32,6 +32,7 @@ from emulator.commands.study import study
 from emulator.commands.test import test
 from emulator.commands.view import view
 from emulator.errors import EmulatorError, LinkError
+from emulator.own_daemon import leashed
 
 if TYPE_CHECKING:
     from emulator.daemon import Daemon
@@ -130,6 +131,8 @@ def check(
 @click.option("--control", type=click.Path(path_type=Path), metavar="PATH", help="Control socket.")
 @click.option("--record", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="Record into DIR.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line on standard output.")
+@click.option("--until-eof", is_flag=True, help="End with the standard input: with the program that holds it open.")
+@click.option("--own-folder", type=click.Path(path_type=Path), hidden=True, help="See emulator.own_daemon.")
 @click.option("--shim", is_flag=True, help="Give COMMAND the preload shim for drivers that set 500 kBd by TIOCSSERIAL.")
 def run(
     scenario: str,
@@ -146,16 +149,21 @@ def run(
     control: Path | None,
     record: Path | None,
     as_json: bool,
+    until_eof: bool,
+    own_folder: Path | None,
     shim: bool,
 ) -> int:
     """Open every link of SCENARIO and answer hosts until SIGINT, SIGTERM or --duration.
 
     After `--` a COMMAND may follow: it is started once every link accepts a host, with the path or address of each
     sensor's first link in the variable LIDAREMU_<SENSOR>, and the run ends with it. With --json its standard output
-    goes to standard error.
+    goes to standard error. What COMMAND prints is passed on as it is.
     """
     if shim and not command:
         raise click.UsageError("--shim wants the driver's command: lidaremu run SCENARIO --shim -- ./driver ARGS")
+    if until_eof and (command or sys.stdin is None):
+        raise click.UsageError("--until-eof wants a standard input of its own, without a COMMAND that would read it")
+    leash = click.get_current_context().with_resource(leashed(until_eof, own_folder))
     environment = dict(os.environ)
     if shim:
         from emulator.transports.shim import shim_environment
@@ -189,6 +197,8 @@ def run(
     try:
         with daemon.signals():
             real.restart()
+            if leash is not None:
+                leash.watch(daemon.stop, daemon.call)
             server = control_of(daemon, instruments, real, loaded, recorder, control)
             daemon.power_on()
             announce_ready(loaded, instruments, as_json, server.url)

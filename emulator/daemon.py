@@ -27,6 +27,7 @@ from emulator.faults.run import FaultRun
 from emulator.incidents import Incidents
 from emulator.instrument import Instrument
 from emulator.measuring import Workers
+from emulator.own_daemon import ending_signals
 from emulator.waiting import Waiter, sharpen_timers
 
 SWITCH_S = 0.0005
@@ -95,7 +96,7 @@ class Daemon:
 
     @contextlib.contextmanager
     def signals(self) -> Iterator[None]:
-        """SIGINT and SIGTERM stop the run while this lasts."""
+        """SIGINT, SIGTERM and a closed terminal stop the run while this lasts."""
         reader, writer = socket.socketpair()
         reader.setblocking(False)
         writer.setblocking(False)
@@ -104,7 +105,7 @@ class Daemon:
         def handler(_number: int, _frame: FrameType | None) -> None:
             self.stop()
 
-        old = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
+        old = {number: signal.signal(number, handler) for number in ending_signals()}
         self._selector.register(reader, selectors.EVENT_READ)
         try:
             yield

@@ -24,6 +24,7 @@ from emulator.faults.run import FaultRun
 from emulator.incidents import Incidents
 from emulator.instrument import Instrument
 from emulator.measuring import Workers
+from emulator.own_daemon import ending_signals
 from emulator.transports.link import Link
 from emulator.virtual import VirtualRun
 from emulator.waiting import Poller
@@ -148,12 +149,12 @@ class VirtualDaemon:
 
     @contextlib.contextmanager
     def signals(self) -> Iterator[None]:
-        """SIGINT and SIGTERM stop the run while this lasts."""
+        """SIGINT, SIGTERM and a closed terminal stop the run while this lasts."""
 
         def handler(_number: int, _frame: FrameType | None) -> None:
             self.stop()
 
-        old = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
+        old = {number: signal.signal(number, handler) for number in ending_signals()}
         try:
             yield
         finally:

@@ -38,8 +38,13 @@ NO_LINES = np.zeros((1, 2, 3))
 class Page:
     """One page on one source; all browsers see the same."""
 
-    def __init__(self, server: viser.ViserServer, source: Source) -> None:
+    def __init__(
+        self, server: viser.ViserServer, source: Source, tell: Callable[[str], None] = lambda text: None
+    ) -> None:
+        """`tell` is told what whoever has started the page should know."""
         self._server = server
+        self._tell = tell
+        self._ended = ""
         self._source = source
         self._scenario = source.scenario
         self._world = scenes.build(self._scenario)
@@ -201,6 +206,9 @@ class Page:
     def look(self) -> None:
         """One look at the source: what has changed is drawn."""
         frame = self._source.frame()
+        if frame.ended and not self._ended:
+            self._ended = frame.ended
+            self._tell(f"{frame.ended}; the page shows what was there last")
         with self._server.atomic():
             self._move(frame)
             for name, scan in frame.scans.items():
