@@ -18,7 +18,18 @@ from typing import TYPE_CHECKING
 import click
 
 from emulator import __version__
-from emulator.commands.common import CANNOT_RUN, FAILED, LINK_LOST, OK, load_scenario, note, say, scenario_options
+from emulator.commands.common import (
+    CANNOT_RUN,
+    FAILED,
+    LINK_LOST,
+    OK,
+    complain,
+    complain_of_use,
+    load_scenario,
+    note,
+    say,
+    scenario_options,
+)
 from emulator.commands.ctl import control_of, ctl
 from emulator.commands.doctor import doctor
 from emulator.commands.driver import end_driver, start_driver
@@ -33,6 +44,7 @@ from emulator.commands.test import test
 from emulator.commands.view import view
 from emulator.errors import EmulatorError, LinkError
 from emulator.own_daemon import leashed
+from emulator.telling import guard
 
 if TYPE_CHECKING:
     from emulator.daemon import Daemon
@@ -46,6 +58,7 @@ if TYPE_CHECKING:
 
 def entry() -> None:
     """Entry point of the installed command."""
+    guard()
     sys.exit(main(sys.argv[1:]))
 
 
@@ -58,10 +71,10 @@ def main(argv: Sequence[str]) -> int:
     except click.Abort:
         return CANNOT_RUN
     except click.ClickException as error:
-        error.show()
+        complain_of_use(error)
         return CANNOT_RUN
     except EmulatorError as error:
-        note(str(error))
+        complain(error)
         return error.exit_code
     except BrokenPipeError:  # the reader of our output has gone, as with `| head`
         sys.stdout = open(os.devnull, "w")
@@ -100,9 +113,9 @@ def check(
         except EmulatorError as error:
             code = max(code, error.exit_code)
             if as_json:
-                say(json.dumps({"scenario": name, "ok": False, "faults": str(error).splitlines()}))
+                say(json.dumps({"scenario": name, "ok": False, "faults": list(error.lines)}))
             else:
-                click.echo(str(error), err=True)
+                complain(error, head="")
             continue
         triangles = sum(len(body.faces) for body in world.bodies)
         if as_json:

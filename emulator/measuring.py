@@ -135,7 +135,7 @@ def _serve(connection: Connection, build: BuildMeasures, parent: int) -> None:
     try:
         measures = build()
     except EmulatorError as error:
-        connection.send(("refused", type(error), str(error)))
+        connection.send(("refused", type(error), error.lines))
         return
     told = _Told()
     connection.send(("ready", None, told.new(warnings_of(measures))))
@@ -209,7 +209,7 @@ class Workers:
         except EOFError:
             raise SceneError("the measuring process ended while it built the scene (out of memory?)") from None
         if word == "refused":
-            raise kind(detail)
+            raise kind.of(detail)
         self.warnings += self._told.new(detail)
 
     def filenos(self) -> tuple[int, ...]:

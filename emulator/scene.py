@@ -139,7 +139,7 @@ def build(scenario: Scenario) -> Scene:
     if total > MOST_TRIANGLES:
         builder.faults.append(f"{scenario.source}: {total} triangles in all; want at most {MOST_TRIANGLES}")
     if builder.faults:
-        raise SceneError("\n".join(builder.faults))
+        raise SceneError.of(builder.faults)
     builder.tell_twins()
     return Scene(
         ("world", *(actor.id for actor in scenario.actors)),
@@ -185,7 +185,7 @@ class _Builder:
             geometry = self._geometry(shape, self._scenario.label(f"{below}.{shape.kind}"))
             names = self._part_materials(geometry, owner, dotted)
         except SceneError as error:
-            self.faults.append(str(error))
+            self.faults.extend(error.lines)
             return
         numbers = [self.materials.setdefault(name, len(self.materials)) for name in names]
         frames = self.frames.get(id(geometry))

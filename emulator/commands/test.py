@@ -17,6 +17,7 @@ import click
 
 from emulator.commands.common import CANNOT_RUN, FAILED, OK, bar, load_scenario, part_of, say, scenario_options
 from emulator.errors import EmulatorError
+from emulator.telling import visible
 
 if TYPE_CHECKING:
     from emulator.trial import Verdict
@@ -41,7 +42,7 @@ class Result:
         """One line of `--json`."""
         row: dict[str, Any] = {"scenario": self.scenario, "verdict": self.verdict, "real_s": round(self.real_s, 3)}
         if self.found is None:
-            return row | {"faults": self.fault.splitlines()}
+            return row | {"faults": self.fault.split("\n")}
         return row | {
             "sha256": self.found.sha256,
             "duration_s": self.found.duration_s,
@@ -148,7 +149,7 @@ def _outcome(
         folder = None if record is None else record / Path(name).stem
         found = run_trial(load_scenario(name, overrides, seed, links), workers, name, folder, progress)
     except EmulatorError as error:
-        return Result(name, "error", clock.now_ns() * 1e-9, fault=str(error))
+        return Result(name, "error", clock.now_ns() * 1e-9, fault="\n".join(map(visible, error.lines)))
     return Result(name, "passed" if found.held else "failed", clock.now_ns() * 1e-9, found)
 
 
@@ -176,7 +177,7 @@ def _all(names: Sequence[str], one: partial[Result], jobs: int, progress: Progre
 def _tell(result: Result) -> None:
     if result.found is None:
         say(f"{result.scenario}: cannot run")
-        for line in result.fault.splitlines():
+        for line in result.fault.split("\n"):
             say(f"  {line}")
         return
     found = result.found

@@ -15,6 +15,7 @@ import click
 
 from emulator.commands.common import LINK_LOST, OK, note, say
 from emulator.errors import EmulatorError
+from emulator.telling import visible
 
 if TYPE_CHECKING:
     from emulator.view.frames import Source
@@ -75,7 +76,7 @@ def view(
     try:
         with ExitStack() as held:
             source = held.enter_context(opened(what))
-            server = open_server(host, port, key, f"lidaremu: {source.title}", allowed, _refused())
+            server = open_server(host, port, key, f"lidaremu: {visible(source.title)}", allowed, _refused())
             held.callback(server.stop)
             page = Page(server, source, note)
             held.callback(page.close)

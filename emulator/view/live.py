@@ -14,8 +14,8 @@ import numpy as np
 from emulator import scenario as scenario_file
 from emulator.control import ask
 from emulator.errors import EmulatorError, LinkError
-from emulator.scenario import Scenario
 from emulator.own_daemon import OwnDaemon
+from emulator.scenario import Scenario
 from emulator.showing import LONG, SHORT
 from emulator.view.frames import Frame, ShownLink, ShownScan, ShownSensor, ShownTelegram, ViewError
 

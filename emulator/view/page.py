@@ -20,6 +20,7 @@ from emulator.errors import EmulatorError
 from emulator.hosts.describe import Speaker, describe
 from emulator.scenario_tables import Mount
 from emulator.spec import load_spec
+from emulator.telling import html, visible
 from emulator.view import drawing, points, solids
 from emulator.view.controls import Controls
 from emulator.view.frames import Floats, Frame, Ints, ShownScan, ShownTelegram, Source
@@ -155,7 +156,7 @@ class Page:
     def _build_panels(self) -> None:
         gui = self._server.gui
         gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, brand_color=(38, 166, 154))
-        gui.set_panel_label(f"lidaremu · {self._source.title}")
+        gui.set_panel_label(f"lidaremu · {visible(self._source.title)}")
         gui.main_panel.dock_right()
         names = list(self._mounts)
         self._state = gui.add_html("")
@@ -368,5 +369,5 @@ def legend(colouring: str, world: scenes.Scene, scan: ShownScan | None) -> str:
     for actor in seen:
         red, green, blue = points.actor_colour(actor) if actor >= 0 else (255, 255, 255)
         name = world.actors[actor] if 0 <= actor < len(world.actors) else "air"
-        rows.append(f'<span style="color:rgb({red},{green},{blue})">●</span> {name}')
+        rows.append(f'<span style="color:rgb({red},{green},{blue})">●</span> {html(name)}')
     return f'<div style="font-size:11px">{" &nbsp; ".join(rows)}</div>'
