@@ -2,9 +2,10 @@
 
 The command holds the other end of the daemon's standard input. When it goes, killed or not, the kernel closes that end;
 the daemon reads the end of its input, stops, and removes the folder that the command had made for it. Where a daemon
-does not stop within `PATIENCE_S` it ends itself. Where both are killed at once, the next command of that user clears up.
+does not stop within `PATIENCE_S` it ends itself. Where both are killed at once, the next such command clears up.
 
-Belongs here: both sides, the command's (`own_daemon`) and the daemon's (`leashed`); which signals end either. Not: what the daemon does (cli).
+Belongs here: both sides, the command's (`own_daemon`) and the daemon's (`leashed`); which signals end either. Not: what
+the daemon does (cli).
 """
 
 from __future__ import annotations

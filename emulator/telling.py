@@ -40,8 +40,10 @@ def html(text: str) -> str:
     return escape(visible(text, "\n"))
 
 
-def put(stream: TextIO, lines: Iterable[str]) -> None:
+def put(stream: TextIO | None, lines: Iterable[str]) -> None:
     """Write lines, each ended by us. Raises `BrokenPipeError` when nobody reads, `EmulatorError` for all else."""
+    if stream is None:  # closed by whoever started us
+        return
     try:
         stream.write("".join(fitting(visible(line), stream) + "\n" for line in lines))
         stream.flush()
