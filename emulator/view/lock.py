@@ -12,6 +12,7 @@ page's own. Programs that are no browsers send no `Origin` and need the token al
 from __future__ import annotations
 
 import hmac
+import re
 import secrets
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ from emulator.errors import EmulatorError
 LOCAL = ("127.0.0.1", "localhost", "::1")
 EVERY = ("0.0.0.0", "::", "")
 "Addresses that stand for all of this machine."
+HOST = re.compile(r"(\w+://)?[][\w.:-]+", re.ASCII)
 DEFAULT_PORTS = {"http": 80, "https": 443}
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval' blob:; script-src-attr 'none';"
@@ -66,8 +68,7 @@ def place_of(text: str) -> Callable[[int], Place]:
         name, port = found.hostname or "", found.port
     except ValueError:
         raise EmulatorError(wanted) from None
-    strange = [letter for letter in name if not (letter.isascii() and (letter.isalnum() or letter in "-._:"))]
-    if not name or strange or found.scheme not in DEFAULT_PORTS or found.path or found.query or found.username:
+    if not name or not HOST.fullmatch(text) or found.scheme not in DEFAULT_PORTS:
         raise EmulatorError(wanted)
     if port is None and "://" in text:
         port = DEFAULT_PORTS[found.scheme]
