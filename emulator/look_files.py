@@ -112,6 +112,8 @@ def save_png(seen: Seen, title: str, path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib.figure import Figure
 
+    from emulator.studies.drawing import tame
+
     figure = Figure(figsize=(9.0, 5.4 if isinstance(seen, HostScan) and is_half(seen.azimuth_rad) else 7.6))
     figure.set_layout_engine("constrained")
     axes = figure.add_subplot()
@@ -126,6 +128,7 @@ def save_png(seen: Seen, title: str, path: Path) -> None:
     axes.set_axisbelow(True)
     axes.plot(0.0, 0.0, "^", color="#444444", markersize=9, clip_on=False)
     axes.set_title(title.replace("  ", ", "), fontsize=11)
+    tame(figure)
     try:
         figure.savefig(path, dpi=130, format="png")
     except OSError as error:
