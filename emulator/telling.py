@@ -16,7 +16,7 @@ import errno
 import sys
 from collections.abc import Iterable
 from html import escape
-from typing import Any, TextIO, cast
+from typing import Any, TextIO
 
 from emulator.errors import EmulatorError
 
@@ -89,4 +89,4 @@ def guard() -> None:
 
 def raw(stream: TextIO) -> TextIO:
     """The stream behind the guard: for Rich alone."""
-    return cast(TextIO, stream.behind) if isinstance(stream, Guarded) else stream
+    return stream.behind if isinstance(stream, Guarded) else stream
