@@ -25,6 +25,8 @@ from emulator.commands.common import (
     LONGEST_S,
     OK,
     Finite,
+    complain,
+    complain_of_use,
     load_scenario,
     note,
     say,
@@ -43,6 +45,8 @@ from emulator.commands.study import study
 from emulator.commands.test import test
 from emulator.commands.view import view
 from emulator.errors import EmulatorError, LinkError
+from emulator.own_daemon import leashed
+from emulator.telling import guard
 
 if TYPE_CHECKING:
     from emulator.clock import Clock
@@ -58,6 +62,7 @@ if TYPE_CHECKING:
 
 def entry() -> None:
     """Entry point of the installed command."""
+    guard()
     sys.exit(main(sys.argv[1:]))
 
 
@@ -70,10 +75,10 @@ def main(argv: Sequence[str]) -> int:
     except click.Abort:
         return CANNOT_RUN
     except click.ClickException as error:
-        error.show()
+        complain_of_use(error)
         return CANNOT_RUN
     except EmulatorError as error:
-        note(str(error))
+        complain(error)
         return error.exit_code
     except BrokenPipeError:  # the reader of our output has gone, as with `| head`
         sys.stdout = open(os.devnull, "w")
@@ -112,9 +117,9 @@ def check(
         except EmulatorError as error:
             code = max(code, error.exit_code)
             if as_json:
-                say(json.dumps({"scenario": name, "ok": False, "faults": str(error).splitlines()}))
+                say(json.dumps({"scenario": name, "ok": False, "faults": list(error.lines)}))
             else:
-                click.echo(str(error), err=True)
+                complain(error, head="")
             continue
         triangles = sum(len(body.faces) for body in world.bodies)
         if as_json:
@@ -143,6 +148,8 @@ def check(
 @click.option("--control", type=click.Path(path_type=Path), metavar="PATH", help="Control socket.")
 @click.option("--record", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="Record into DIR.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line on standard output.")
+@click.option("--until-eof", is_flag=True, help="End with the standard input: with the program that holds it open.")
+@click.option("--own-folder", type=click.Path(path_type=Path), hidden=True, help="See emulator.own_daemon.")
 @click.option("--shim", is_flag=True, help="Give COMMAND the preload shim for drivers that set 500 kBd by TIOCSSERIAL.")
 def run(
     scenario: str,
@@ -159,19 +166,24 @@ def run(
     control: Path | None,
     record: Path | None,
     as_json: bool,
+    until_eof: bool,
+    own_folder: Path | None,
     shim: bool,
 ) -> int:
     """Open every link of SCENARIO and answer hosts until SIGINT, SIGTERM or --duration.
 
     After `--` a COMMAND may follow: it is started once every link accepts a host, with the path or address of each
     sensor's first link in the variable LIDAREMU_<SENSOR>, and the run ends with it. With --json its standard output
-    goes to standard error.
+    goes to standard error. What COMMAND prints is passed on as it is.
     """
     if shim and not command:
         raise click.UsageError("--shim wants the driver's command: lidaremu run SCENARIO --shim -- ./driver ARGS")
     from emulator.notify import Notifier
 
+    if until_eof and (command or sys.stdin is None):
+        raise click.UsageError("--until-eof wants a standard input of its own, without a COMMAND that would read it")
     notifier = Notifier.of_environment(os.environ)  # neither workers nor a driver speak for us
+    leash = click.get_current_context().with_resource(leashed(until_eof, own_folder))
     environment = dict(os.environ)
     if shim:
         from emulator.transports.shim import shim_environment
@@ -209,6 +221,8 @@ def run(
         recorder = recorder_for(loaded, instruments, record, daemon, now_ns)
         with daemon.signals():
             real.restart()
+            if leash is not None:
+                leash.watch(daemon.stop, daemon.call)
             server = control_of(daemon, instruments, real, loaded, recorder, control)
             daemon.power_on()
             announce_ready(loaded, instruments, as_json, server.url)
@@ -344,7 +358,8 @@ def announce_end(
         say(f"{total['id']}: {total['scans_sent']} scans sent, {rate}; dropped: {dropped}")
         account = total["account"]
         if account["unaccounted"] or account["under_way"]:
-            parts = ", ".join(f"{account[key]} {key.replace('_', ' ')}" for key in ("asked", "under_way", "unaccounted"))
+            shown = ("asked", "under_way", "unaccounted")
+            parts = ", ".join(f"{account[key]} {key.replace('_', ' ')}" for key in shown)
             say(f"{total['id']}: scans by their numbers: {parts}")
         late = total["lateness_us"]
         if late["sends"]:

@@ -358,7 +358,7 @@ def ask(path: Path, method: str, params: Mapping[str, Any]) -> object:
             raise LinkError(f"{path}: no daemon answers: {error.strerror or error}") from None
     answer = json.loads(text)
     if "error" in answer:
-        raise EmulatorError(answer["error"]["message"])
+        raise EmulatorError.of(answer["error"]["message"].split("\n"))
     return answer["result"]
 
 

@@ -27,6 +27,7 @@ from emulator.incidents import Incidents
 from emulator.instrument import Instrument
 from emulator.liveness import Liveness
 from emulator.notify import Notifier
+from emulator.own_daemon import ending_signals
 from emulator.patience import TICK_NS, RunningTime
 from emulator.supervision import Workers
 from emulator.waiting import Waiter, sharpen_timers
@@ -106,7 +107,7 @@ class Daemon:
 
     @contextlib.contextmanager
     def signals(self) -> Iterator[None]:
-        """SIGINT and SIGTERM stop the run while this lasts."""
+        """SIGINT, SIGTERM and a closed terminal stop the run while this lasts."""
         reader, writer = socket.socketpair()
         reader.setblocking(False)
         writer.setblocking(False)
@@ -115,7 +116,7 @@ class Daemon:
         def handler(_number: int, _frame: FrameType | None) -> None:
             self.stop()
 
-        old = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
+        old = {number: signal.signal(number, handler) for number in ending_signals()}
         self._selector.register(reader, selectors.EVENT_READ)
         try:
             yield

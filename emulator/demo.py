@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +10,7 @@ from typing import Any
 from emulator import scenario as scenario_file
 from emulator.errors import EmulatorError, LinkError
 from emulator.look import CAN_FAMILY, FAMILIES, Wanted, connect, watch
+from emulator.own_daemon import DaemonError, OwnDaemon, own_daemon
 from emulator.screen import drawable
 from emulator.spec import load_spec
 from protocols import family as protocol_family
@@ -23,8 +21,6 @@ DEFAULT_S = 20.0
 "How long the demo lasts on a terminal when neither the user nor the scenario says."
 UNWATCHED_S = 5.0
 "The same where nobody watches."
-STARTED_S = 60.0
-STOPPED_S = 10.0
 
 
 def run_demo(
@@ -47,42 +43,46 @@ def run_demo(
         raise EmulatorError(f"{f'sensor {sensor!r}' if sensor else f'family {family}'}; {name} has {told}")
     live = drawable()
     lasts_s = duration_s or ((loaded.duration_s or DEFAULT_S) if live else UNWATCHED_S)
-    with tempfile.TemporaryDirectory(prefix="lidaremu-") as folder:
-        links = [f"--link={item}={_link(item, its, Path(folder))}" for item, its in families.items()]
-        log = Path(folder) / "log"
-        with log.open("wb") as errors:  # kept out of the picture
-            command = [sys.executable, "-m", "emulator", "run", name, "--json", f"--duration={lasts_s + 60.0}", *links]
-            daemon = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
+    options = [f"--duration={lasts_s + 60.0}"]
+    with tempfile.TemporaryFile() as log:  # kept out of the picture
         try:
-            assert daemon.stdout is not None
-            first = daemon.stdout.readline()
-            if not first:
-                code, told = daemon.wait(), log.read_text(encoding="utf-8", errors="replace").strip()
-                raise EmulatorError(f"the daemon did not start (exit code {code}): {told}")
-            ready = json.loads(first)
-            say(f"daemon: {name}: " + ", ".join(item["links"][0] for item in ready["sensors"]))
-            place = next(item["links"][0] for item in ready["sensors"] if item["id"] == chosen)
-            host = connect(place, families[chosen], baud, more=True)
-            try:
-                seen = watch(host, Wanted(duration_s=lasts_s, live=live), say)
-            finally:
-                host.close()
-            if seen is None:
-                raise LinkError(f"{place}: the device sends no scan")
-        finally:
-            daemon.terminate()
-            try:
-                rest, _ = daemon.communicate(timeout=STOPPED_S)
-            except subprocess.TimeoutExpired:
-                daemon.kill()
-                rest, _ = daemon.communicate()
-        for line in rest.splitlines():
-            event = json.loads(line)
-            if event.get("event") == "stopped":
-                _tell(next(item for item in event["sensors"] if item["id"] == chosen), say)
-        if not live:
-            say(f"that was {name} through {chosen}; in a terminal it is drawn live")
+            with own_daemon(
+                name,
+                options,
+                lambda folder: [f"{item}={_link(item, its, folder)}" for item, its in families.items()],
+                errors=log,
+            ) as daemon:
+                _show(daemon, name, chosen, families[chosen], baud, lasts_s, live, say)
+        except DaemonError as error:
+            log.seek(0)
+            raise DaemonError(f"{error}: {log.read().decode('utf-8', 'replace').strip()}") from None
+    if daemon.last:
+        _tell(next(item for item in daemon.last["sensors"] if item["id"] == chosen), say)
+    if not live:
+        say(f"that was {name} through {chosen}; in a terminal it is drawn live")
     return 0
+
+
+def _show(
+    daemon: OwnDaemon,
+    name: str,
+    chosen: str,
+    family: str,
+    baud: int,
+    lasts_s: float,
+    live: bool,
+    say: Callable[[str], None],
+) -> None:
+    """A host on one sensor's link."""
+    links = {item["id"]: item["links"][0] for item in daemon.ready["sensors"]}
+    say(f"daemon: {name}: " + ", ".join(links.values()))
+    host = connect(links[chosen], family, baud, more=True)
+    try:
+        seen = watch(host, Wanted(duration_s=lasts_s, live=live), say)
+    finally:
+        host.close()
+    if seen is None:
+        raise LinkError(f"{links[chosen]}: the device sends no scan")
 
 
 def _link(sensor: str, family: str, folder: Path) -> str:

@@ -9,11 +9,28 @@ EmulatorError
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Self
+
 
 class EmulatorError(Exception):
     """A fault that the user can mend; its text says where, what was found and what is allowed."""
 
     exit_code = 2
+    _lines: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, lines: Iterable[str]) -> Self:
+        """Several faults, a line each; an end of a line within one is somebody else's."""
+        told = tuple(lines)
+        error = cls("\n".join(told))
+        error._lines = told
+        return error
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """Its faults."""
+        return self._lines or (str(self),)
 
 
 class ScenarioError(EmulatorError, ValueError):

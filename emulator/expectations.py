@@ -65,7 +65,7 @@ def understand(scenario: Scenario) -> list[Expected]:
         except ExpressionError as error:
             told.append(f"{scenario.label(f'expect.{index}')}: {error}")
     if told:
-        raise ScenarioError("\n".join(told))
+        raise ScenarioError.of(told)
     return found
 
 

@@ -59,10 +59,10 @@ def changed(weather: WeatherConfig, table: Mapping[str, Any], from_ns: int, acto
     try:
         change = Change.model_validate_json(json.dumps({"t_s": t_s} | merged))
     except ValidationError as error:
-        raise ScenarioError("\n".join(fault_lines(source, Change, error))) from None
+        raise ScenarioError.of(fault_lines(source, Change, error)) from None
     unknown = [source.fault(*found) for found in names_in_weather(merged, (), actors)]
     if unknown:
-        raise ScenarioError("\n".join(unknown))
+        raise ScenarioError.of(unknown)
     fields |= {key: getattr(change, key) for key in change.model_fields_set}
     entry = Change.model_construct(_fields_set=set(fields), **fields)
     past = [one for one in weather.changes if one.t_s < t_s]

@@ -177,7 +177,10 @@ def watch(host: Host, wanted: Wanted, say: Say) -> Seen | None:
     if view.last is not None and not wanted.as_json and wanted.lines:
         from emulator.screen import plain
 
-        say(view.status(clock.now_ns()) if wanted.live else plain(view.page(80, 24, clock.now_ns()), 80))
+        for line in (
+            [view.status(clock.now_ns())] if wanted.live else plain(view.page(80, 24, clock.now_ns()), 80).split("\n")
+        ):
+            say(line)
     return view.last
 
 

@@ -5,7 +5,6 @@ Belongs here: the forms and their columns. Not: where scans come from (hosts), t
 
 from __future__ import annotations
 
-import csv
 import importlib.util
 import math
 from collections.abc import Sequence
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from emulator.csv_tables import Cell, Writer
 from emulator.errors import EmulatorError
 from emulator.hosts.scans import HostObjects, HostScan, Seen
 from emulator.plot import is_half, nice_range
@@ -23,10 +23,12 @@ from protocols.scan import Floats
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SCAN_COLUMNS = ("scan", "azimuth_deg", "range_m", "intensity", "time_s")
-OBJECT_COLUMNS = (
-    "list", "id", "x_m", "y_m", "vx_m_s", "vy_m_s", "length_m", "width_m", "yaw_deg", "class", "existence", "time_s",
-)  # fmt: skip
+SCAN_COLUMNS = {"scan": "", "azimuth_deg": ".4f", "range_m": ".4f", "intensity": "g", "time_s": ".6f"}
+OBJECT_COLUMNS = {
+    "list": "", "id": "", "x_m": ".3f", "y_m": ".3f", "vx_m_s": ".3f", "vy_m_s": ".3f", "length_m": ".3f",
+    "width_m": ".3f", "yaw_deg": ".2f", "class": "", "existence": "g", "time_s": ".6f",
+}  # fmt: skip
+"Heads, and formats of their numbers."
 
 
 class Table:
@@ -38,16 +40,14 @@ class Table:
             self._file = path.open("w", newline="", encoding="utf-8")
         except OSError as error:
             raise EmulatorError(f"{path}: cannot be written: {error.strerror}") from None
-        self._writer = csv.writer(self._file, lineterminator="\n")
-        self._begun = False
+        self._writer: Writer | None = None
 
     def add(self, seen: Seen, time_s: float) -> None:
         """Append a scan or a list that came `time_s` after the first."""
         try:
-            if not self._begun:
-                self._writer.writerow(OBJECT_COLUMNS if isinstance(seen, HostObjects) else SCAN_COLUMNS)
-                self._begun = True
-            self._writer.writerows(_object_rows(seen, time_s) if isinstance(seen, HostObjects) else _rows(seen, time_s))
+            if self._writer is None:
+                self._writer = Writer(self._file, OBJECT_COLUMNS if isinstance(seen, HostObjects) else SCAN_COLUMNS)
+            self._writer.rows(_object_rows(seen, time_s) if isinstance(seen, HostObjects) else _rows(seen, time_s))
         except OSError as error:
             raise EmulatorError(f"{self._path}: cannot be written: {error.strerror}") from None
 
@@ -56,29 +56,23 @@ class Table:
         self._file.close()
 
 
-def _rows(scan: HostScan, time_s: float) -> list[tuple[object, ...]]:
+def _rows(scan: HostScan, time_s: float) -> list[tuple[Cell, ...]]:
     degrees = np.degrees(scan.azimuth_rad).tolist()
     peaks = [math.nan] * len(degrees) if scan.intensity is None else scan.intensity.tolist()
     return [
-        (scan.number, f"{angle:.4f}", _told(metres, ".4f"), _told(peak, "g"), f"{time_s:.6f}")
+        (scan.number, angle, metres, peak, time_s)
         for angle, metres, peak in zip(degrees, scan.range_m.tolist(), peaks, strict=True)
     ]
 
 
-def _object_rows(found: HostObjects, time_s: float) -> list[tuple[object, ...]]:
+def _object_rows(found: HostObjects, time_s: float) -> list[tuple[Cell, ...]]:
     return [
         (
-            found.number, one.number, _told(one.x_m, ".3f"), _told(one.y_m, ".3f"), _told(one.vx_m_s, ".3f"),
-            _told(one.vy_m_s, ".3f"), _told(one.length_m, ".3f"), _told(one.width_m, ".3f"),
-            _told(None if one.yaw_rad is None else math.degrees(one.yaw_rad), ".2f"),
-            one.category or "", _told(one.existence, "g"), f"{time_s:.6f}",
+            found.number, one.number, one.x_m, one.y_m, one.vx_m_s, one.vy_m_s, one.length_m, one.width_m,
+            None if one.yaw_rad is None else math.degrees(one.yaw_rad), one.category, one.existence, time_s,
         )
         for one in found.objects
     ]  # fmt: skip
-
-
-def _told(value: float | None, form: str) -> str:
-    return "" if value is None or math.isnan(value) else format(value, form)
 
 
 def as_json(seen: Seen, time_s: float, errors: int) -> dict[str, Any]:
@@ -118,6 +112,8 @@ def save_png(seen: Seen, title: str, path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib.figure import Figure
 
+    from emulator.studies.drawing import tame
+
     figure = Figure(figsize=(9.0, 5.4 if isinstance(seen, HostScan) and is_half(seen.azimuth_rad) else 7.6))
     figure.set_layout_engine("constrained")
     axes = figure.add_subplot()
@@ -132,6 +128,7 @@ def save_png(seen: Seen, title: str, path: Path) -> None:
     axes.set_axisbelow(True)
     axes.plot(0.0, 0.0, "^", color="#444444", markersize=9, clip_on=False)
     axes.set_title(title.replace("  ", ", "), fontsize=11)
+    tame(figure)
     try:
         figure.savefig(path, dpi=130, format="png")
     except OSError as error:

@@ -50,7 +50,7 @@ def changed(
             parts = key.strip().replace("[", ".").replace("]", "").split(".")
             _put(data, parts, parse_value(value, label, ScenarioError), label, places)
         except ScenarioError as error:
-            faults.append(str(error))
+            faults.extend(error.lines)
     if seed is not None:
         _put(data, ["seed"], seed, f"--seed {seed}", places)
     for sensor, urls in (links or {}).items():
@@ -58,9 +58,9 @@ def changed(
         try:
             _put(data, ["sensors", sensor, "links"], list(urls), label, places)
         except ScenarioError as error:
-            faults.append(str(error))
+            faults.extend(error.lines)
     if faults:
-        raise ScenarioError("\n".join(faults))
+        raise ScenarioError.of(faults)
     return Source(source.path, data, places, source.faults)
 
 

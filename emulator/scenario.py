@@ -207,7 +207,7 @@ def _judged(
         told += fault_lines(source, Scenario, exc)
     told += scenario_checks.faults(source)
     if told:
-        raise ScenarioError("\n".join(_in_file_order(told)))
+        raise ScenarioError.of(_in_file_order(told))
     scenario._source = source
     return scenario
 

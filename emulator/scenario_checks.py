@@ -230,7 +230,7 @@ def _models(data: dict[str, Any], folder: Path) -> Iterator[Found]:
         try:
             spec = load_spec(model)
         except SpecError as error:
-            yield (*loc, "model"), str(error), "a spec file without faults"
+            yield (*loc, "model"), "; ".join(error.lines), "a spec file without faults"
             continue
         sees[str(sensor.get("id"))] = spec.sees
         if spec.family is None and sensor.get("links"):

@@ -141,7 +141,7 @@ def build(scenario: Scenario) -> Scene:
     if builder.total > builder.most:
         builder.faults.append(f"{scenario.source}: {builder.total} triangles in all; want at most {builder.most}")
     if builder.faults:
-        raise SceneError("\n".join(builder.faults))
+        raise SceneError.of(builder.faults)
     builder.tell_twins()
     return Scene(
         ("world", *(actor.id for actor in scenario.actors)),
@@ -192,7 +192,7 @@ class _Builder:
             geometry = self._geometry(shape, self._scenario.label(f"{below}.{shape.kind}"))
             names = self._part_materials(geometry, owner, dotted)
         except SceneError as error:
-            self.faults.append(str(error))
+            self.faults.extend(error.lines)
             return
         numbers = [self.materials.setdefault(name, len(self.materials)) for name in names]
         frames = self.frames.get(id(geometry))

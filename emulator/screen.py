@@ -19,6 +19,7 @@ from rich.live import Live
 from rich.text import Text
 
 from emulator.plot import FRAME, LABEL, LEVELS, NOTHING, Drawing
+from emulator.telling import raw, visible
 
 PALETTE = (27, 33, 38, 43, 48, 82, 154, 220, 208, 196)
 "Colours of levels 0 to LEVELS - 1, numbers of the 256: blue, green, yellow, red. Rich takes the nearest on less."
@@ -59,7 +60,7 @@ class Screen:
     """Pages on a terminal, drawn over each other without blanking it."""
 
     def __init__(self, console: Console | None = None) -> None:
-        self._console = console or Console()
+        self._console = console or Console(file=raw(sys.stdout))
         self._live = Live(screen=True, auto_refresh=False, console=self._console, vertical_overflow="crop")
 
     def __enter__(self) -> Screen:
@@ -78,16 +79,16 @@ class Screen:
         """Show a page."""
         columns, rows = self.size
         text = Text(no_wrap=True, overflow="crop", end="")
-        text.append(f"{page.title[:columns]}\n", style="bold")
-        beside = [*page.beside, *[""] * len(page.drawing.lines)]
+        text.append(f"{visible(page.title)[:columns]}\n", style="bold")
+        beside = [*map(visible, page.beside), *[""] * len(page.drawing.lines)]
         for line, levels, more in zip(page.drawing.lines, page.drawing.levels.tolist(), beside, strict=False):
             at = 0
             for level, run in groupby(levels):
                 length = len(list(run))
                 text.append(line[at : at + length], style=STYLES.get(level, ""))
                 at += length
-            text.append(f"  {more}\n" if more else "\n", style="reverse" if more and more is page.beside[0] else "")
-        text.append(page.status[:columns])
+            text.append(f"  {more}\n" if more else "\n", style="reverse" if more and more is beside[0] else "")
+        text.append(visible(page.status)[:columns])
         if rows > 12 and page.keys:
             text.append("\n" + page.keys[:columns], style="color(245)")
         self._live.update(text, refresh=True)

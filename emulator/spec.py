@@ -238,7 +238,7 @@ def load_spec_file(path: Path) -> SensorSpec:
     try:
         spec = SensorSpec.model_validate(source.data)
     except ValidationError as exc:
-        raise SpecError("\n".join(fault_lines(source, SensorSpec, exc))) from exc
+        raise SpecError.of(fault_lines(source, SensorSpec, exc)) from exc
     if spec.model != path.stem:
         raise SpecError(f"{source.place(('model',))}: model: {spec.model!r}; want the file's name, {path.stem!r}")
     return spec

@@ -257,8 +257,8 @@ class Workers:
             self._ready(home, result)
         elif word == "refused":
             if self._first:
-                raise what(result)
-            self._ended(home, f"refused: {result}")
+                raise what.of(result)
+            self._ended(home, f"refused: {'; '.join(result)}")
         elif word == "warning":
             self.warnings += self._told.new([result])
         elif home.in_hand is not None:

@@ -26,6 +26,7 @@ from emulator.incidents import Incidents
 from emulator.instrument import Instrument
 from emulator.liveness import Liveness
 from emulator.notify import Notifier
+from emulator.own_daemon import ending_signals
 from emulator.patience import TICK_NS
 from emulator.supervision import Workers
 from emulator.transports.link import Link
@@ -182,12 +183,12 @@ class VirtualDaemon:
 
     @contextlib.contextmanager
     def signals(self) -> Iterator[None]:
-        """SIGINT and SIGTERM stop the run while this lasts."""
+        """SIGINT, SIGTERM and a closed terminal stop the run while this lasts."""
 
         def handler(_number: int, _frame: FrameType | None) -> None:
             self.stop()
 
-        old = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
+        old = {number: signal.signal(number, handler) for number in ending_signals()}
         try:
             yield
         finally:

@@ -147,7 +147,8 @@ def _die_with(parent: int) -> None:
 
 def _body(end: socket.socket, build: BuildMeasures, parent: int) -> None:
     """Of the process: it is the sender's own from here on."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for ending in (signal.SIGINT, signal.SIGHUP):  # of the whole terminal: the daemon ends its workers
+        signal.signal(ending, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.set_wakeup_fd(-1)
     _die_with(parent)
@@ -163,10 +164,10 @@ def serve(pipe: WorkerEnd, build: BuildMeasures) -> None:
     try:
         measures = build()
     except EmulatorError as error:
-        pipe.send("refused", type(error), str(error))
+        pipe.send("refused", type(error), error.lines)
         return
     except MemoryError:
-        pipe.send("refused", EmulatorError, "the scene does not fit into memory")
+        pipe.send("refused", EmulatorError, ("the scene does not fit into memory",))
         return
     told = Told()
     pipe.send("ready", None, told.new(warnings_of(measures)))

@@ -104,7 +104,7 @@ def read(path: Path, error: type[EmulatorError]) -> Source:
     """Read a YAML 1.2 file; whatever is wrong with its text is an `error` with file and line."""
     source = parse(read_text(path, error), path, error)
     if source.faults:
-        raise error("\n".join(source.faults))
+        raise error.of(source.faults)
     return source
 
 
@@ -149,7 +149,7 @@ def parse_value(text: str, label: str, error: type[EmulatorError]) -> Any:
     """A value written on one line, as in `--set a.b=VALUE`; messages begin with `label`."""
     source = parse(text, Path(label), error)
     if source.faults:
-        raise error("\n".join(source.faults))
+        raise error.of(source.faults)
     return source.data
 
 

@@ -173,8 +173,8 @@ def test_without_a_terminal_the_last_scan_is_drawn_with_its_status(tmp_path: Pat
     host = Played([WALL, WALL])
     assert run_look(host, "pty:x", Wanted(table=tmp_path / "x.csv"), said.append) == 0
     assert host.closed
-    assert said[-1].splitlines()[0] == " LMS291; S05; V02.10  status 10"
-    assert "181 beams, 181 echoes  nearest 8.00 m  3 errors" in said[-1].splitlines()[-1]
+    assert said[0] == " LMS291; S05; V02.10  status 10"
+    assert "181 beams, 181 echoes  nearest 8.00 m  3 errors" in said[-1]
     rows = (tmp_path / "x.csv").read_text().splitlines()
     assert rows[0].split(",") == list(SCAN_COLUMNS)
     assert len(rows) == 1 + 2 * 181

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -9,6 +10,9 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from emulator.errors import EmulatorError
+from emulator.telling import put, raw, visible
 
 if TYPE_CHECKING:
     from emulator.scenario import Scenario
@@ -31,13 +35,35 @@ class Finite(click.FloatRange):
 
 def say(text: str) -> None:
     """One line for the user, at once; above a bar that is being drawn."""
-    click.echo(text, file=sys.stdout)
-    sys.stdout.flush()
+    put(sys.stdout, [text])
 
 
 def note(text: str) -> None:
-    """One line of the log, on standard error."""
-    click.echo(f"lidaremu: {text}", err=True)
+    """One line of the log, on standard error; dropped where nobody is left to read it."""
+    with contextlib.suppress(BrokenPipeError, EmulatorError):
+        put(sys.stderr, [f"lidaremu: {text}"])
+
+
+def complain(error: EmulatorError, head: str = "lidaremu: ") -> None:
+    """An error's lines, on standard error."""
+    with contextlib.suppress(BrokenPipeError, EmulatorError):
+        put(sys.stderr, [f"{head}{line}" for line in error.lines])
+
+
+def complain_of_use(error: click.ClickException) -> None:
+    """What is wrong with the arguments, as click says it; foreign words in it are on one line."""
+    lines = []
+    context = getattr(error, "ctx", None)
+    if context is not None:
+        lines = [
+            *context.get_usage().split("\n"),
+            f"Try '{context.command_path} {context.help_option_names[0]}' for help.",
+            "",
+        ]
+    text = error.format_message()
+    told = text.split("\n") if isinstance(error, click.MissingParameter) else [text]  # of these, choices are lines
+    with contextlib.suppress(BrokenPipeError, EmulatorError):
+        put(sys.stderr, [*lines, f"Error: {told[0]}", *told[1:]])
 
 
 @contextmanager
@@ -50,12 +76,13 @@ def bar(title: str) -> Iterator[Callable[[float], None]]:
         yield lambda share: None
         return
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import Progress
 
     with Progress(
-        console=Console(stderr=True), transient=True, auto_refresh=False, redirect_stdout=sys.stdout.isatty()
+        console=Console(file=raw(sys.stderr)), transient=True, auto_refresh=False, redirect_stdout=sys.stdout.isatty()
     ) as shown:
-        task = shown.add_task(title, total=1.0)
+        task = shown.add_task(escape(visible(title)), total=1.0)
         shown.refresh()
 
         def tell(share: float) -> None:

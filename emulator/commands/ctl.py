@@ -72,7 +72,8 @@ def ctl(order: str, parameters: tuple[str, ...], path: Path | None) -> int:
             raise LinkError(f"which daemon? {told}; want --socket PATH")
         path = found[0]
     result = control.ask(Path(str(path).removeprefix("unix:")), order, params)
-    say(result.rstrip() if isinstance(result, str) else json.dumps(result))
+    for line in result.rstrip().split("\n") if isinstance(result, str) else [json.dumps(result)]:
+        say(line)
     return OK
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import click
 
 from emulator.clock import SystemClock
 from emulator.commands.common import FAILED, OK, Finite, say
+from emulator.telling import raw, visible
 
 MOST_SPEEDS = 50
 
@@ -33,12 +35,14 @@ json_option = click.option("--json", "as_json", is_flag=True, help="One line of 
 def progress(names: list[str]) -> Iterator[str]:
     """The names one by one, with a bar on standard error where that is a terminal."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import Progress
 
-    with Progress(console=Console(stderr=True), transient=True, disable=not Console(stderr=True).is_terminal) as bar:
+    console = Console(file=raw(sys.stderr))
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("", total=len(names))
         for name in names:
-            bar.update(task, description=name)
+            bar.update(task, description=escape(visible(name)))
             yield name
             bar.advance(task)
 

@@ -28,6 +28,7 @@ from emulator.commands.common import (
     scenario_options,
 )
 from emulator.errors import EmulatorError
+from emulator.telling import visible
 
 if TYPE_CHECKING:
     from emulator.trial import Verdict
@@ -57,7 +58,7 @@ class Result:
         """One line of `--json`."""
         row: dict[str, Any] = {"scenario": self.scenario, "verdict": self.verdict, "real_s": round(self.real_s, 3)}
         if self.found is None:
-            return row | {"faults": self.fault.splitlines()}
+            return row | {"faults": self.fault.split("\n")}
         return row | {
             "sha256": self.found.sha256,
             "duration_s": self.found.duration_s,
@@ -175,7 +176,7 @@ def _outcome(
     try:
         found = run_trial(load_scenario(name, overrides, seed, links), workers, name, folder, progress)
     except EmulatorError as error:
-        return Result(name, "error", clock.now_ns() * 1e-9, fault=str(error))
+        return Result(name, "error", clock.now_ns() * 1e-9, fault="\n".join(map(visible, error.lines)))
     return Result(name, "passed" if found.held else "failed", clock.now_ns() * 1e-9, found)
 
 
@@ -205,7 +206,7 @@ def _all(
 def _tell(result: Result) -> None:
     if result.found is None:
         say(f"{result.scenario}: cannot run")
-        for line in result.fault.splitlines():
+        for line in result.fault.split("\n"):
             say(f"  {line}")
         return
     found = result.found

@@ -5,25 +5,25 @@ from __future__ import annotations
 import json
 import secrets
 import signal
-import subprocess
-import sys
-import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from emulator.commands.common import LONGEST_S, OK, Finite, note, say
+from emulator.commands.common import LINK_LOST, LONGEST_S, OK, Finite, note, say
 from emulator.errors import EmulatorError
+from emulator.telling import visible
 
 if TYPE_CHECKING:
     from emulator.view.frames import Source
+    from emulator.view.live import LiveSource
 
 NEEDS = "the page needs more: pip install 'lidaremu[view]'"
-STOPPED_S = 10.0
+MOST_TOLD = 8
+"Names that are told; a browser that is refused tries again."
 LONG_S = 1e8
 "A daemon of our own goes on until the page is closed: at the scenario's end its time stands."
 
@@ -31,6 +31,13 @@ LONG_S = 1e8
 @click.command()
 @click.argument("what", required=False, metavar="[CONTROL | RECORDING | SCENARIO]")
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
+@click.option(
+    "--allow-host",
+    "allowed",
+    multiple=True,
+    metavar="NAME[:PORT]",
+    help="A further name by which a browser may reach the page: through a tunnel or a proxy (https://NAME).",
+)
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port; 0: any that is free (default).")
 @click.option("--token", help="Without it nobody comes in (default: a new one).")
 @click.option("--no-browser", is_flag=True, help="Only say where the page is.")
@@ -39,6 +46,7 @@ LONG_S = 1e8
 def view(
     what: str | None,
     host: str,
+    allowed: Sequence[str],
     port: int,
     token: str | None,
     no_browser: bool,
@@ -54,40 +62,56 @@ def view(
     if token is not None and (len(token) < 8 or not token.isascii() or not token.isalnum()):
         raise click.BadParameter(f"{token!r}; want 8 or more letters and digits", param_hint="--token")
     try:
-        from emulator.view.door import LOCAL, be_free, open_server
+        from emulator.view.door import be_free, open_server
+        from emulator.view.lock import LOCAL
         from emulator.view.page import Page
     except ModuleNotFoundError as error:
         raise EmulatorError(f"{error}; {NEEDS}") from None
+    from emulator.own_daemon import ending_signals
 
     be_free(host, port)
     key = token or secrets.token_urlsafe(18).replace("-", "x").replace("_", "y")
     stopped = threading.Event()
-    old = {number: signal.signal(number, lambda *_: stopped.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+    old = {number: signal.signal(number, lambda *_: stopped.set()) for number in ending_signals()}
     try:
         with ExitStack() as held:
             source = held.enter_context(opened(what))
-            server = open_server(host, port, key, f"lidaremu: {source.title}")
+            server = open_server(host, port, key, f"lidaremu: {visible(source.title)}", allowed, _refused())
             held.callback(server.stop)
-            page = Page(server, source)
+            page = Page(server, source, note)
             held.callback(page.close)
             reached = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)
-            url = f"http://{reached}:{server.get_port()}/?token={key}"
+            place = f"http://{reached}:{server.get_port()}"
+            url = f"{place}/{key}/"
             say(json.dumps({"event": "ready", "url": url}) if as_json else f"see {url}")
             if host not in LOCAL:
                 note(f"{host}: the page is open to the network, to who has the token; it is not encrypted")
             if not no_browser:
                 import webbrowser
 
-                threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
+                threading.Thread(target=webbrowser.open, args=(place + server.lock.ticket(),), daemon=True).start()
             if duration is not None:
                 timer = threading.Timer(duration, stopped.set)
                 timer.daemon = True
                 timer.start()
             page.run(stopped)
+            code = LINK_LOST if getattr(source, "failed", False) else OK
     finally:
         for number, action in old.items():
             signal.signal(number, action)
-    return OK
+    return code
+
+
+def _refused() -> Callable[[str], None]:
+    """Tells of a browser that has the token and comes by a name that was not opened; each name once."""
+    told: set[str] = set()
+
+    def tell(host: str) -> None:
+        if host not in told and len(told) < MOST_TOLD:
+            told.add(host)
+            note(f"refused: a browser asks for {host[:100]!r}, which was not opened; --allow-host lets it in")
+
+    return tell
 
 
 @contextmanager
@@ -106,35 +130,27 @@ def opened(what: str | None) -> Iterator[Source]:
     elif path is None or path.is_socket() or str(what).startswith("unix:") or path.suffix == ".sock":
         yield LiveSource(find(path))
     else:
-        with own_daemon(str(what)) as control:
-            source = LiveSource(control)
-            source.stand_at_end()
+        with own_source(str(what)) as source:
             yield source
 
 
 @contextmanager
-def own_daemon(scenario: str) -> Iterator[Path]:
-    """A daemon on a scenario at real time's pace, with hosts of ours on its links; its control socket."""
+def own_source(scenario: str) -> Iterator[LiveSource]:
+    """A daemon on a scenario at real time's pace, with hosts of ours on its links."""
+    from emulator.own_daemon import own_daemon
     from emulator.view.guests import Guests, free_links
+    from emulator.view.live import LiveSource
 
-    with tempfile.TemporaryDirectory(prefix="lidaremu-") as folder:
-        links = [f"--link={text}" for text in free_links(scenario, Path(folder))]
-        command = [sys.executable, "-m", "emulator", "run", scenario, "--json", "--speed", "1"]
-        command += [f"--duration={LONG_S}", *links]
-        daemon = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    def heard(event: Mapping[str, Any]) -> None:
+        if event.get("event") == "incident":
+            note("{at_s:.3f} s: {on}: {kind}: {text}".format_map(event))
+
+    options = ["--speed", "1", f"--duration={LONG_S}"]
+    with own_daemon(scenario, options, lambda folder: free_links(scenario, folder), heard) as daemon:
+        guests = Guests(daemon.ready["sensors"], note)
         try:
-            assert daemon.stdout is not None
-            first = daemon.stdout.readline()
-            if not first:
-                raise EmulatorError(f"the daemon did not start (exit code {daemon.wait()})")
-            ready = json.loads(first)
-            guests = Guests(ready["sensors"], note)
-            yield Path(ready["control"].removeprefix("unix:"))
-            guests.close()
+            source = LiveSource(daemon.control, daemon)
+            source.stand_at_end()
+            yield source
         finally:
-            daemon.terminate()
-            try:
-                daemon.communicate(timeout=STOPPED_S)
-            except subprocess.TimeoutExpired:
-                daemon.kill()
-                daemon.communicate()
+            guests.close()

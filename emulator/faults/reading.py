@@ -198,7 +198,7 @@ def read(entry: Mapping[str, Any], target: Target, known: Callable[[str], None],
     wrong += problems(entry, target, known, live)
     if wrong or common is None:
         lines = dict.fromkeys(f"{'.'.join(map(str, key))}: {found}; want {want}" for key, found, want in wrong)
-        raise FaultError("\n".join(lines))
+        raise FaultError.of(lines)
     kind = kinds()[common.do]
     own = {key: value for key, value in entry.items() if key in kind.keys.model_fields}
     return Fault(kind, common, kind.keys.model_validate(frozen(own)))

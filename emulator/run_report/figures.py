@@ -14,7 +14,7 @@ from emulator.object_metrics import DISTANCE_BINS_M
 from emulator.run_report.errors import BIN_M, CURVE_BINS, CURVE_M, HALF_BINS, Errors, RangeTally
 from emulator.run_report.gather import Gathered, Happening, ObjectTally, SensorTally
 from emulator.run_report.weather import QUANTITIES, Step
-from emulator.studies.drawing import COLOURS, figure, png
+from emulator.studies.drawing import COLOURS, figure, png, word
 from protocols.scan import Floats
 
 MOST_CURVES = 7
@@ -269,7 +269,7 @@ def time_line(run: Gathered, happenings: Sequence[Happening]) -> bytes:
         if KINDS[kind] == "fault":
             for begun, ended in _spans(happenings, sensor, run.duration_s):
                 axes.plot([begun, ended], [height, height], color=COLOURS[kind], linewidth=5, alpha=0.35)
-    axes.set_yticks(range(len(rows)), [f"{sensor}: {KINDS[kind]}s" for _, sensor, kind in rows])
+    axes.set_yticks(range(len(rows)), [word(f"{sensor}: {KINDS[kind]}s") for _, sensor, kind in rows])
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.set_xlim(-0.02 * run.duration_s, 1.02 * run.duration_s)
     axes.set_xlabel("time [s]")

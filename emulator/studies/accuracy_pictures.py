@@ -156,7 +156,7 @@ def efficiency(runs: dict[str, list[Run]]) -> Picture:
         of = runs[rule]
         value = np.array([1.0 / (np.median(_energy(one)) ** 2 * np.median(one.seconds)) for one in of])
         _line(axes, rule, np.array([one.rays for one in of]), value)
-    axes.set(xscale="log", yscale="log", xlabel="rays per beam", ylabel="1 / (error$^2$ time)  (1/s)")
+    axes.set(xscale="log", yscale="log", xlabel="rays per beam", ylabel="1 / (error² time)  (1/s)")
     _plain(axes, RAYS)
     _legend(made, axes, 4)
     return Picture(

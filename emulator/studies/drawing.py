@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from emulator.physics.arrays import Floats
+from emulator.telling import visible
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,9 +38,29 @@ def figure(columns: int = 1, rows: int = 1, size: tuple[float, float] = (9.0, 5.
 
 def png(made: Figure) -> bytes:
     """The figure as a PNG file; the same bytes for the same drawing."""
+    tame(made)
     out = io.BytesIO()
     made.savefig(out, format="png", dpi=DPI, metadata={"Software": None})
     return out.getvalue()
+
+
+def tame(made: Figure) -> None:
+    """Names in a figure are letters: no formulas, which a `$` begins, no control characters; of ticks see `word`."""
+    from matplotlib.text import Text
+
+    ticks = set()
+    for axes in made.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            ticks |= {*axis.get_ticklabels(which="both"), axis.get_offset_text()}  # powers of ten are formulas
+    for text in made.findobj(Text):
+        if isinstance(text, Text) and text not in ticks:
+            text.set_text(visible(text.get_text(), "\n"))
+            text.set_parse_math(False)
+
+
+def word(name: str) -> str:
+    """A name as the label of a tick."""
+    return visible(name).replace("$", r"\$")
 
 
 def curve(axes: Axes, x: Floats, y: Floats, number: int, label: str | None, **more: Any) -> None:

@@ -6,7 +6,6 @@ Belongs here: the form. Not: numbers (the studies), how curves are drawn (drawin
 from __future__ import annotations
 
 import base64
-import csv
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +13,9 @@ from importlib.resources import files
 from pathlib import Path
 
 from emulator import __version__
+from emulator.csv_tables import Writer
 from emulator.errors import EmulatorError
+from emulator.telling import visible
 
 Value = str | float | int | bool | None
 
@@ -167,17 +168,24 @@ def page(report: Report) -> str:
     import jinja2
 
     source = (files("emulator.studies") / "report.html.j2").read_text(encoding="utf-8")
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, finalize=_tamed
+    )
     environment.filters["shown"] = shown
     environment.filters["with_code"] = with_code
     return environment.from_string(source).render(report=report, version=__version__)
+
+
+def _tamed(value: object) -> object:
+    """A text as it is shown, whatever was in the recording."""
+    return visible(value, "\n") if isinstance(value, str) and not hasattr(value, "__html__") else value
 
 
 def with_code(text: str) -> str:
     """HTML of a text in which names of keys and commands stand between backticks."""
     import markupsafe
 
-    return markupsafe.Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(markupsafe.escape(text))))
+    return markupsafe.Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(markupsafe.escape(visible(text)))))
 
 
 def shown(value: Value, form: str) -> str:
@@ -193,17 +201,7 @@ def shown(value: Value, form: str) -> str:
 
 def _write_csv(table: Table, path: Path) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([column.key for column in table.columns])
-        writer.writerows([_plain(value) for value in row] for row in table.rows)
-
-
-def _plain(value: Value) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:.9g}" if isinstance(value, float) else str(value)
+        Writer(file, {column.key: ".9g" for column in table.columns}).rows(table.rows)
 
 
 def rows_of(values: Sequence[Sequence[Value]]) -> tuple[tuple[Value, ...], ...]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable, Mapping
-from html import escape
 from types import MappingProxyType
 from typing import Any
 
@@ -13,6 +12,7 @@ import viser
 
 from emulator.commands.ctl import parameters_of
 from emulator.errors import EmulatorError
+from emulator.telling import html, visible
 from emulator.view.drawing import inset
 from emulator.view.frames import Frame, Source
 from emulator.view.sky import FOG_MARKS, faults_of, fog_share, fog_visibility_m, told
@@ -88,8 +88,8 @@ class Controls:
         if self.over:
             return
         for client in self._server.get_clients().values():
-            client.add_notification("Not done", text, color="red", auto_close_seconds=6.0)
-        self._answer.content = inset(f'<div style="color:#e57373;font-size:12px">{escape(text)}</div>')
+            client.add_notification("Not done", visible(text), color="red", auto_close_seconds=6.0)
+        self._answer.content = inset(f'<div style="color:#e57373;font-size:12px">{html(text)}</div>')
 
     # ------------------------------------------------------------ time
 
@@ -213,10 +213,10 @@ class Controls:
         if kind is None:
             return
         keys = "".join(
-            f"<div><b>{escape(row['key'])}</b> = {escape(row['default'])} <i>({escape(row['allowed'])})</i></div>"
+            f"<div><b>{html(row['key'])}</b> = {html(row['default'])} <i>({html(row['allowed'])})</i></div>"
             for row in keys_of(kind)
         )
-        self._about.content = inset(f'<div style="font-size:11px">{escape(kind.summary)}{keys}</div>')
+        self._about.content = inset(f'<div style="font-size:11px">{html(kind.summary)}{keys}</div>')
 
     def _start_chosen(self) -> None:
         import click

@@ -1,88 +1,43 @@
-"""Who may come in: the page's server on one address, and a token without which it answers nothing.
+"""The page's server behind its lock.
 
 viser has no door of its own. Its server asks `process_request` about every request, also the one that opens a web
-socket; here that question is asked first whether the request brings the token, in the address the first time, later in
-a cookie of this port. `open_server` tries the lock after it was fitted, and refuses to run without it.
+socket; here the lock is asked first (`lock`). `open_server` tries the lock after it was fitted, and refuses to run
+without it. Who connects and does not ask is cut off, and of too many such the one that came first.
 """
 
 from __future__ import annotations
 
-import hmac
 import http.client
 import io
 import logging
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from http import HTTPStatus
-from http.cookies import CookieError, SimpleCookie
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
 
 import viser
 import websockets.asyncio.server as websocket_server
-from websockets.datastructures import Headers
-from websockets.http11 import Request, Response
+from websockets.http11 import Request
 
 from emulator.errors import LinkError
+from emulator.view.lock import Lock
 
-LOCAL = ("127.0.0.1", "localhost", "::1")
-POLICY = (
-    "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; connect-src 'self' ws: data: blob:;"
-    " frame-ancestors 'none'"
-)
-"The browser fetches nothing from elsewhere: the page is whole by itself."
+OPEN_S = 5.0
+"Until a connection has asked for something."
+MOST_WAITING = 32
+"Connections that have not asked yet."
 GOODBYE_S = 1.0
 "A browser that does not answer the goodbye for so long is cut off."
 LONGEST_END_S = 30.0
 _FITTING = threading.Lock()
 
 
-class Lock:
-    """Lets in who has the token."""
-
-    def __init__(self, token: str) -> None:
-        self._token = token
-        self.port = 0
-
-    @property
-    def cookie(self) -> str:
-        """Its name: browsers keep one jar for all ports of a host."""
-        return f"lidaremu-view-{self.port}"
-
-    def opens(self, path: str, cookies: str) -> str | None:
-        """`address` or `cookie`, wherever the token was found; None: stay outside."""
-        given = parse_qs(urlsplit(path).query).get("token", [""])[0]
-        if hmac.compare_digest(given.encode(errors="surrogatepass"), self._token.encode()):
-            return "address"
-        try:
-            kept = SimpleCookie(cookies).get(self.cookie)
-        except CookieError:
-            return None
-        return (
-            "cookie"
-            if kept is not None and hmac.compare_digest(kept.value.encode(errors="surrogatepass"), self._token.encode())
-            else None
-        )
-
-    def ask(self, request: Request, inner: Callable[[], Any]) -> Any:
-        """The answer to a request: what lies behind the door, or 403."""
-        found = self.opens(request.path, "; ".join(request.headers.get_all("Cookie")))
-        if found is None:
-            headers = Headers({"Content-Type": "text/plain", "Content-Length": "0"})
-            return Response(HTTPStatus.FORBIDDEN, "FORBIDDEN", headers, b"")
-        response = inner()
-        if isinstance(response, Response):
-            response.headers["Content-Security-Policy"] = POLICY
-            response.headers["Referrer-Policy"] = "no-referrer"
-            if found == "address":
-                response.headers["Set-Cookie"] = f"{self.cookie}={self._token}; HttpOnly; SameSite=Strict; Path=/"
-        return response
-
-
 class LocalServer(viser.ViserServer):
     """viser's server without its tunnel to the outside, and without its words at the end."""
+
+    lock: Lock
 
     def stop(self) -> None:
         """End it. Its thread says on the standard output that it ended, later than viser waits when hosts are slow."""
@@ -96,17 +51,57 @@ class LocalServer(viser.ViserServer):
         """Nothing leaves this machine."""
 
 
-def open_server(host: str, port: int, token: str, title: str) -> LocalServer:
-    """The page's server, listening. Raises `LinkError` when the address cannot be had, or the lock does not hold."""
+class Patient(websocket_server.ServerConnection):
+    """A connection; of those that have not asked yet only so many are kept."""
+
+    waiting: dict[Patient, None]
+    "Of its server, in the order in which they came."
+
+    def connection_made(self, transport: Any) -> None:
+        """One more has come."""
+        super().connection_made(transport)
+        self.waiting[self] = None
+        while len(self.waiting) > MOST_WAITING:
+            first = next(iter(self.waiting))
+            del self.waiting[first]
+            first.transport.abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """It has gone."""
+        self.waiting.pop(self, None)
+        super().connection_lost(exc)
+
+    async def handshake(self, *args: Any, **options: Any) -> None:
+        """Until it has asked and was answered."""
+        try:
+            await super().handshake(*args, **options)
+        finally:
+            self.waiting.pop(self, None)
+
+
+def open_server(
+    host: str,
+    port: int,
+    token: str,
+    title: str,
+    further: Sequence[str] = (),
+    refused: Callable[[str], None] = lambda host: None,
+) -> LocalServer:
+    """The page's server, listening. Raises `LinkError` when the address cannot be had, or the lock does not hold.
+
+    `further`: hosts by which it may be reached besides, as with `--allow-host`; `refused` is told of others.
+    """
     be_free(host, port)
-    lock = Lock(token)
+    lock = Lock(token, host, further)
     logging.getLogger("websockets.server").addFilter(_quiet)
     with _FITTING, _fitted(lock), redirect_stdout(io.StringIO()):  # it prints its address even when told not to
         server = LocalServer(host=host, port=port, label=title, verbose=False)
+    server.lock = lock
     lock.port = server.get_port()
-    if _answers(host, lock.port, "/") != HTTPStatus.FORBIDDEN:
+    if any(_answers(host, lock.port, path) != HTTPStatus.FORBIDDEN for path in ("/", f"/{token}/")):
         server.stop()
         raise LinkError("this version of viser lets in whoever comes; want viser 1.1, see extra `view`")
+    lock.refused = refused
     return server
 
 
@@ -129,12 +124,17 @@ def be_free(host: str, port: int) -> None:
 def _fitted(lock: Lock) -> Iterator[None]:
     """While this lasts, servers of websockets are made with the lock."""
     serve = websocket_server.serve
+    patient = type("Patient", (Patient,), {"waiting": {}})
 
     def locked(*args: Any, process_request: Any = None, **options: Any) -> Any:
         def ask(connection: Any, request: Request) -> Any:
-            return lock.ask(request, lambda: None if process_request is None else process_request(connection, request))
+            reached = connection.local_address[0]
+            return lock.ask(
+                request, lambda asked: None if process_request is None else process_request(connection, asked), reached
+            )
 
-        return serve(*args, process_request=ask, **{"close_timeout": GOODBYE_S} | options)
+        fixed = {"create_connection": patient, "open_timeout": OPEN_S, "close_timeout": GOODBYE_S}
+        return serve(*args, process_request=ask, **options | fixed)
 
     websocket_server.serve = locked  # type: ignore[assignment, misc]
     try:
@@ -144,10 +144,11 @@ def _fitted(lock: Lock) -> Iterator[None]:
 
 
 def _answers(host: str, port: int, path: str) -> int:
+    """What a stranger is answered: nobody has opened the name by which it asks."""
     reached = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
     connection = http.client.HTTPConnection(reached, port, timeout=10.0)
     try:
-        connection.request("GET", path)
+        connection.request("GET", path, headers={"Host": "stranger.invalid"})
         return connection.getresponse().status
     except OSError as error:
         raise LinkError(f"the page does not answer on {reached}:{port}: {error}") from None

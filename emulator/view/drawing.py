@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from html import escape
 from typing import Any
 
 import numpy as np
 
 from emulator.hosts.describe import Described
+from emulator.telling import html
 from emulator.view.frames import Frame, ShownScan, ShownSensor, ShownTelegram
 from emulator.view.points import colours_of
 
@@ -104,9 +104,9 @@ def state(
         f"{frame.now_s:.2f} s</b> · {what} · {clock}, {speed}"
     ]
     if frame.ended:
-        rows.append(f'<div style="color:#e57373">{escape(frame.ended)}</div>')
+        rows.append(f'<div style="color:#e57373">{html(frame.ended)}</div>')
     elif frame.stands:
-        rows.append(f'<div style="color:#ffb74d">{escape(frame.stands)}</div>')
+        rows.append(f'<div style="color:#ffb74d">{html(frame.stands)}</div>')
     for name, sensor in frame.sensors.items():
         rows.append(_sensor(name, models.get(name, ""), sensor, points.get(name, 0), frame, recorded, name in lists))
     if frame.telegrams_missed:
@@ -128,20 +128,20 @@ def _sensor(name: str, model: str, sensor: ShownSensor, points: int, frame: Fram
         parts.append(f"every {scan.every}. beam is shown")
     for word, counts in (("dropped", sensor.dropped), ("input not taken", sensor.input_dropped)):
         if counts:
-            parts.append(f"{word}: " + ", ".join(f"{count} {escape(reason)}" for reason, count in counts.items()))
+            parts.append(f"{word}: " + ", ".join(f"{count} {html(reason)}" for reason, count in counts.items()))
     for link in sensor.links:
         dot, told = {True: ("#66bb6a", "host"), False: ("#9e9e9e", "no host"), None: ("#90a4ae", "recorded")}[link.host]
         lost = f", {link.bytes_lost} lost" if link.bytes_lost else ""
         parts.append(
             f'<span style="color:{dot}">●</span> '
-            f'<span style="{MONO};word-break:break-all">{escape(link.url)}</span><br>'
+            f'<span style="{MONO};word-break:break-all">{html(link.url)}</span><br>'
             f"{told}, {_bytes(link.bytes_out)} out, {_bytes(link.bytes_in)} in{lost}"
         )
     body = "<br>".join(parts)
     return (
-        f'<div class="view-sensor" data-sensor="{escape(name)}" data-points="{points}" data-sent="{sensor.scans_sent}"'
+        f'<div class="view-sensor" data-sensor="{html(name)}" data-points="{points}" data-sent="{sensor.scans_sent}"'
         f' style="margin-top:6px;padding-left:8px;border-left:3px solid #607d8b">'
-        f"<b>{escape(name)}</b> <small>{escape(model)}</small><br>{body}</div>"
+        f"<b>{html(name)}</b> <small>{html(model)}</small><br>{body}</div>"
     )
 
 
@@ -165,7 +165,7 @@ def telegram_list(rows: Sequence[ShownTelegram], most: int = 6) -> str:
         peer = f" {row.peer & 0x1FFFFFFF:X}" if row.peer else ""
         colour = "inherit" if row.sent else "#ffb74d"
         lines.append(
-            f'<tr style="color:{colour}"><td>{row.at_s:.4f}</td><td>{way}{peer}</td><td>{escape(row.label)}</td>'
+            f'<tr style="color:{colour}"><td>{row.at_s:.4f}</td><td>{way}{peer}</td><td>{html(row.label)}</td>'
             f"<td>{len(row.data) + row.cut}</td><td>{start}{more}</td></tr>"
         )
     head = "<tr><th>s</th><th></th><th></th><th>bytes</th><th>begins</th></tr>"
@@ -178,7 +178,7 @@ def telegram_fields(row: ShownTelegram | None, fields: Sequence[Described]) -> s
     if row is None:
         return "<i>nothing on the wire yet</i>"
     lines = "".join(
-        f"<tr><td>{escape(one.name)}</td><td>{escape(one.value)}</td><td>{escape(one.unit)}</td></tr>" for one in fields
+        f"<tr><td>{html(one.name)}</td><td>{html(one.value)}</td><td>{html(one.unit)}</td></tr>" for one in fields
     )
     told = f"{row.at_s:.4f} s, {len(row.data) + row.cut} bytes {'to' if row.sent else 'from'} the host"
     dump = row.data[:MOST_HEX].hex(" ") + (" …" if len(row.data) > MOST_HEX else "")
@@ -193,4 +193,4 @@ def notes(rows: Sequence[str]) -> str:
     """What happened last."""
     if not rows:
         return "<small>nothing happened yet</small>"
-    return f'<div style="{MONO}">' + "<br>".join(escape(row) for row in reversed(rows)) + "</div>"
+    return f'<div style="{MONO}">' + "<br>".join(html(row) for row in reversed(rows)) + "</div>"

@@ -14,6 +14,7 @@ import numpy as np
 from emulator import scenario as scenario_file
 from emulator.control import ask
 from emulator.errors import EmulatorError, LinkError
+from emulator.own_daemon import OwnDaemon
 from emulator.scenario import Scenario
 from emulator.showing import LONG, SHORT
 from emulator.view.frames import Frame, ShownLink, ShownScan, ShownSensor, ShownTelegram, ViewError
@@ -21,6 +22,8 @@ from emulator.view.frames import Frame, ShownLink, ShownScan, ShownSensor, Shown
 KEPT = 64
 "Telegrams of each sensor."
 INSTANT_S = 1e-6
+SOON_S = 1.0
+"A daemon that hangs up will have ended by then."
 
 
 class LiveSource:
@@ -28,9 +31,10 @@ class LiveSource:
 
     length_s: float | None = None
 
-    def __init__(self, path: Path) -> None:
-        """Raises `LinkError` when no daemon answers, `ViewError` when it shows nothing."""
+    def __init__(self, path: Path, daemon: OwnDaemon | None = None) -> None:
+        """Raises `LinkError` when no daemon answers, `ViewError` when it shows nothing. `daemon`: where it is ours."""
         self._path = path
+        self._daemon = daemon
         parts, at = [], 0
         while at is not None:
             found = self._ask("scene", {"at": at})
@@ -74,7 +78,7 @@ class LiveSource:
             self._take_scans(self._ask("scans", {"since": self._numbers}))
             self._take_telegrams(self._ask("telegrams", {"since": self._telegram_numbers, "count": 32}))
         except EmulatorError as error:  # gone, or just going
-            return replace(self._last, ended=str(error))
+            return replace(self._last, ended=self._how_it_ended() or str(error))
         except (KeyError, TypeError, ValueError) as error:
             raise ViewError(f"{self._path}: an answer that is none of ours: {error!r}") from None
         self._last = Frame(
@@ -90,6 +94,15 @@ class LiveSource:
             stands=self._at_end(glance),
         )
         return self._last
+
+    def _how_it_ended(self) -> str:
+        """Of a daemon of ours that answers no more; empty while it runs."""
+        return "" if self._daemon is None or self._daemon.code(SOON_S) is None else self._daemon.how
+
+    @property
+    def failed(self) -> bool:
+        """Whether a daemon of ours has ended, and not as asked."""
+        return self._daemon is not None and self._daemon.code() not in (None, 0)
 
     def _told(self) -> dict[str, tuple[ShownTelegram, ...]]:
         return {name: tuple(rows) for name, rows in self._telegrams.items()}

@@ -20,6 +20,7 @@ from emulator.errors import EmulatorError
 from emulator.hosts.describe import Speaker, describe
 from emulator.scenario_tables import Mount
 from emulator.spec import load_spec
+from emulator.telling import html, visible
 from emulator.view import drawing, points, solids
 from emulator.view.controls import Controls
 from emulator.view.frames import Floats, Frame, Ints, ShownScan, ShownTelegram, Source
@@ -38,8 +39,13 @@ NO_LINES = np.zeros((1, 2, 3))
 class Page:
     """One page on one source; all browsers see the same."""
 
-    def __init__(self, server: viser.ViserServer, source: Source) -> None:
+    def __init__(
+        self, server: viser.ViserServer, source: Source, tell: Callable[[str], None] = lambda text: None
+    ) -> None:
+        """`tell` is told what whoever has started the page should know."""
         self._server = server
+        self._tell = tell
+        self._ended = ""
         self._source = source
         self._scenario = source.scenario
         self._world = scenes.build(self._scenario)
@@ -150,7 +156,7 @@ class Page:
     def _build_panels(self) -> None:
         gui = self._server.gui
         gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, brand_color=(38, 166, 154))
-        gui.set_panel_label(f"lidaremu · {self._source.title}")
+        gui.set_panel_label(f"lidaremu · {visible(self._source.title)}")
         gui.main_panel.dock_right()
         names = list(self._mounts)
         self._state = gui.add_html("")
@@ -201,6 +207,9 @@ class Page:
     def look(self) -> None:
         """One look at the source: what has changed is drawn."""
         frame = self._source.frame()
+        if frame.ended and not self._ended:
+            self._ended = frame.ended
+            self._tell(f"{frame.ended}; the page shows what was there last")
         with self._server.atomic():
             self._move(frame)
             for name, scan in frame.scans.items():
@@ -360,5 +369,5 @@ def legend(colouring: str, world: scenes.Scene, scan: ShownScan | None) -> str:
     for actor in seen:
         red, green, blue = points.actor_colour(actor) if actor >= 0 else (255, 255, 255)
         name = world.actors[actor] if 0 <= actor < len(world.actors) else "air"
-        rows.append(f'<span style="color:rgb({red},{green},{blue})">●</span> {name}')
+        rows.append(f'<span style="color:rgb({red},{green},{blue})">●</span> {html(name)}')
     return f'<div style="font-size:11px">{" &nbsp; ".join(rows)}</div>'

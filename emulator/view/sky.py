@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from html import escape
 from typing import Any
+
+from emulator.telling import html
 
 CLEAR_M, THICK_M = 10_000.0, 10.0
 FOG_MARKS = ((0, "clear"), (33, "1 km"), (67, "100 m"), (100, "10 m"))
@@ -44,7 +45,7 @@ def told(weather: Mapping[str, Any]) -> str:
     if sun:
         parts.append(f"sun {sun.get('elevation_deg', 45.0):g} deg high")
     parts += [name for name in ("spray", "layers", "plumes") if weather.get(name)]
-    return f'<div style="font-size:12px">{escape(", ".join(parts)) or "clear and dark"}</div>'
+    return f'<div style="font-size:12px">{html(", ".join(parts)) or "clear and dark"}</div>'
 
 
 def faults_of(faults: Sequence[Mapping[str, Any]]) -> str:
@@ -55,5 +56,5 @@ def faults_of(faults: Sequence[Mapping[str, Any]]) -> str:
             until = "" if row["until_s"] is None else f", until {row['until_s']:.2f} s"
             hits = f", {row['hits']} hits" if row["hits"] else ""
             text = f"{row['number']} {row['on']}: {row['do']} {row['state']}{hits}{until}"
-            lines.append(f'<div class="view-fault" style="color:#ef9a9a;font-size:12px">● {escape(text)}</div>')
+            lines.append(f'<div class="view-fault" style="color:#ef9a9a;font-size:12px">● {html(text)}</div>')
     return "".join(lines)

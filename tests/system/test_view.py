@@ -123,6 +123,16 @@ class Reading(threading.Thread):
         self.join(2.0)
 
 
+def answered(url: str, **headers: str) -> int:
+    """The status with which a request is answered."""
+    try:
+        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=PATIENCE_S) as answer:
+            return int(answer.status)
+    except urllib.error.HTTPError as refused:
+        refused.close()
+        return refused.code
+
+
 def until(what: Callable[[], object], seconds: float = 60.0, why: str = "") -> None:
     end = time.monotonic() + seconds
     while not what():
@@ -170,16 +180,17 @@ def test_page_and_daemon_act_on_each_other(
     url = view(str(control))
 
     # the door
-    for path in ("", "?token=wrong"):
-        with pytest.raises(urllib.error.HTTPError) as refused:
-            urllib.request.urlopen(url.partition("?")[0] + path, timeout=PATIENCE_S)
-        refused.value.close()
-        assert refused.value.code == 403
+    assert url.endswith(f"/{TOKEN}/")
+    own = url.removesuffix(f"{TOKEN}/")
+    assert answered(url) == 200
+    assert answered(own) == answered(f"{own}?token=wrong") == answered(f"{own}wrong/") == 403
+    assert answered(url, Origin="http://evil.example") == answered(url, Host="evil.example") == 403
 
     # points appear
     browser.get(url)
     until(lambda: browser.execute_script(POINTS) > 100, why="no points in the page")
     assert not [row for row in browser.get_log("browser") if row["level"] == "SEVERE"]
+    assert browser.get_cookies() == []
     assert host.wall > 50
 
     # the fog slider acts on what the host receives
