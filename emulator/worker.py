@@ -196,6 +196,7 @@ class Forked:
 
     def __init__(self, build: BuildMeasures) -> None:
         self.pipe, theirs = socket.socketpair()
+        self._code: int | None = None
         try:
             context = multiprocessing.get_context("fork")
             self._process = context.Process(
@@ -211,16 +212,22 @@ class Forked:
         self.pid = self._process.pid
 
     def exit_code(self) -> int | None:
-        """None while it runs."""
-        return self._process.exitcode
+        """None while it runs. Once it has ended, nothing of it is left here: neither a zombie nor a descriptor."""
+        if self._code is None and (code := self._process.exitcode) is not None:
+            self._code = code
+            self._process.join()
+            self._process.close()
+        return self._code
 
     def ask_to_end(self) -> None:
         """It ends at once unless it stands still."""
-        self._process.terminate()
+        if self.exit_code() is None:
+            self._process.terminate()
 
     def kill(self) -> None:
         """It ends, standing still or not."""
-        self._process.kill()
+        if self.exit_code() is None:
+            self._process.kill()
 
     def cpu_ns(self) -> int | None:
         """proc(5): fields 14 and 15 of `stat`, in ticks."""

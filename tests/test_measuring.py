@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import select
+import signal
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 
 import numpy as np
 import pytest
 
+from emulator import patience
 from emulator.errors import SceneError
 from emulator.measuring import InPlace, Measures
 from emulator.supervision import Workers
@@ -155,3 +157,21 @@ def test_warnings_of_measuring_in_place_come_out_once() -> None:
     for sweep in range(3):
         made.request("a", plan(sweep))
     assert made.warnings == ["a mesh is odd", "a: fog: too thin", "a: too deep"]
+
+
+def test_a_process_that_was_made_to_end_leaves_no_descriptor_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(patience, "SWEEP_NS", patience.SECOND_NS // 5)
+    with workers() as made:
+        made.request("a", plan(0))
+        gather(made, "a", 1)
+        before = len(os.listdir("/proc/self/fd"))
+        os.kill(int(str(made.rows()[0]["pid"])), signal.SIGSTOP)
+        made.request("a", plan(1))
+        gather(made, "a", 1)
+        assert [kind for kind, _, _ in made.incidents] == ["worker replaced"]
+        for _ in range(400):
+            made.check()
+            if len(os.listdir("/proc/self/fd")) == before:
+                return
+            select.select([], [], [], 0.005)
+        raise AssertionError("left open")
