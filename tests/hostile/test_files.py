@@ -257,7 +257,7 @@ def test_chunks_that_are_small_one_by_one_and_too_much_together_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("emulator.recording.reader.MOST_BYTES", 1 << 20)
-    packed = lz4.frame.compress(bytes(1 << 18))
+    packed = lz4.frame.compress(struct.pack("<BQ", 0x80, (1 << 18) - 9) + bytes((1 << 18) - 9))
     path = tmp_path / "a.mcap"
     path.write_bytes(HEAD + 5 * chunk("lz4", packed, 1 << 18))
     assert path.stat().st_size < 10_000
