@@ -90,9 +90,9 @@ def test_garbage_is_hung_up_and_the_page_stays(
     assert b"200" in asked(port, request(f"/{TOKEN}/", f"Host: 127.0.0.1:{port}"))
 
 
-def test_of_those_who_wait_and_ask_for_nothing_the_first_makes_room(
-    server: LocalServer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_those_who_wait_and_ask_for_nothing_the_first_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(door, "OPEN_S", 1000.0)
+    server = open_server("127.0.0.1", free_port(), TOKEN, "test")
     port = server.get_port()
     silent = [socket.create_connection(("127.0.0.1", port), timeout=20.0) for _ in range(door.MOST_WAITING + 3)]
     assert b"200" in asked(port, request(f"/{TOKEN}/", f"Host: 127.0.0.1:{port}"))
@@ -100,6 +100,7 @@ def test_of_those_who_wait_and_ask_for_nothing_the_first_makes_room(
     assert _hung_up(silent[1])
     for one in silent:
         one.close()
+    server.stop()
 
 
 def _hung_up(connection: socket.socket) -> bool:
@@ -112,7 +113,7 @@ def _hung_up(connection: socket.socket) -> bool:
 def test_who_asks_for_nothing_is_hung_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(door, "OPEN_S", 0.05)
     server = open_server("127.0.0.1", free_port(), TOKEN, "test")
-    with socket.create_connection(("127.0.0.1", server.get_port()), timeout=20.0) as slow:
+    with socket.create_connection(("127.0.0.1", server.get_port()), timeout=5.0) as slow:
         slow.sendall(b"GET / HT")
         assert _hung_up(slow)
     server.stop()
