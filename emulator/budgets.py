@@ -170,8 +170,9 @@ class PlainFile:
         found = os.fstat(self._number)
         if not stat.S_ISREG(found.st_mode):
             os.close(self._number)
-            kind = "a folder" if stat.S_ISDIR(found.st_mode) else "not a regular file"
-            raise TooMuch(f"{kind}; want a file")
+            if stat.S_ISDIR(found.st_mode):
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+            raise TooMuch("not a regular file; want one")
         self.size = found.st_size
         "Bytes when it was opened; what is written later is not read."
 

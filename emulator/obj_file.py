@@ -193,7 +193,7 @@ def _after(marks: NDArray[np.bool_], starts: Ints, ends: Ints) -> NDArray[np.boo
 
 def _in_word(data: NDArray[np.uint8], words: NDArray[np.bool_], begins: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Which bytes stand at or behind a slash of their own word."""
-    marks = words & (data == SLASH)
+    marks: NDArray[np.bool_] = words & (data == SLASH)
     if not marks.any():
         return marks
     seen = np.cumsum(marks, dtype=np.int32)

@@ -36,8 +36,8 @@ from emulator.triangles import Geometry
 
 MOST_HEAD = 64_000_000
 "Bytes of the line in front of the arrays: names of parts, or what is wrong."
-PATIENCE = 10
-"A process that waits for its disk is given so many times its processor time."
+PATIENCE, PATIENCE_S = 20, 60.0
+"A process that waits for its disk, or for other programs, is given so many times its processor time, or that."
 PR_SET_PDEATHSIG = 1
 "linux/prctl.h."
 SHAPES: tuple[tuple[str, type, int], ...] = (
@@ -85,11 +85,9 @@ class Reader:
         try:
             return self._ask({"path": str(path), "up": up, "scale": scale, "where": where}, place)
         except TimeoutError:
-            most = f"{self.budget.cpu_s} s of processor time {raised('cpu_s')}"
             self.close()
-            raise SceneError(
-                f"{place}: not read within {PATIENCE * self.budget.cpu_s} s; want at most {most}"
-            ) from None
+            told = f"not read within {self._patience_s:g} s; want a file on a disk that answers {raised('cpu_s')}"
+            raise SceneError(f"{place}: {told}") from None
         except SceneError:
             raise
         except (EOFError, OSError):
@@ -125,7 +123,11 @@ class Reader:
             _child(theirs, parent, self.budget)
         theirs.close()
         self._pid, self._line = pid, ours
-        ours.settimeout(float(PATIENCE * self.budget.cpu_s))
+        ours.settimeout(self._patience_s)
+
+    @property
+    def _patience_s(self) -> float:
+        return max(PATIENCE_S, float(PATIENCE * self.budget.cpu_s))
 
     def _ask(self, request: dict[str, Any], place: str) -> Geometry:
         assert self._line is not None
@@ -169,7 +171,7 @@ class Reader:
         """So many bytes of the answer; `EOFError` when the other end has gone."""
         assert self._line is not None
         data = np.zeros(size, np.uint8)
-        room = memoryview(data)
+        room = memoryview(data.data)
         at = 0
         while at < size:
             count = self._line.recv_into(room[at:])
@@ -224,8 +226,8 @@ def _alone(keep: int, parent: int) -> None:
     with contextlib.suppress(OSError):  # where memory is short, the kernel takes this process first
         Path("/proc/self/oom_score_adj").write_text("1000")
     nothing = os.open(os.devnull, os.O_RDWR)
-    for number in (0, 1, 2):
-        os.dup2(nothing, number)
+    for kept in (0, 1, 2):
+        os.dup2(nothing, kept)
     for name in os.listdir("/proc/self/fd") if os.path.isdir("/proc/self/fd") else map(str, range(3, 1024)):
         if int(name) > 2 and int(name) != keep:
             with contextlib.suppress(OSError):
@@ -263,7 +265,8 @@ def _answer(line: socket.socket, asked: dict[str, Any], budget: MeshBudget) -> N
     head |= {"centre": found.centre.tolist(), "dropped": found.dropped, "twins": found.twins}
     _send(line, {"ok": True} | head)
     for name, kind, _ in SHAPES:
-        line.sendall(memoryview(np.ascontiguousarray(getattr(found, name), kind)).cast("B"))
+        array: NDArray[Any] = np.ascontiguousarray(getattr(found, name), kind)
+        line.sendall(array.data.cast("B"))
 
 
 def _send(line: socket.socket, head: dict[str, Any]) -> None:

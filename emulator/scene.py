@@ -12,6 +12,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from emulator import mesh_files, triangles
+from emulator.budgets import MESH
 from emulator.deforming import Frames
 from emulator.errors import SceneError
 from emulator.motion import Floats, Motion, Pose, Steady, Vector, Waypoints
@@ -172,7 +173,8 @@ class _Builder:
 
     def __init__(self, scenario: Scenario, reader: Reader) -> None:
         self._scenario, self._reader = scenario, reader
-        self.most = max(MOST_TRIANGLES, reader.budget.triangles)
+        one = reader.budget.triangles
+        self.most = max(MOST_TRIANGLES, one) if one > MESH.triangles else MOST_TRIANGLES
         "Triangles in all; once there are more nothing else is made."
         self.total = 0
         self.made: dict[str, Geometry] = {}

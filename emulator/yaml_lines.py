@@ -89,7 +89,7 @@ def read_text(path: Path, error: type[EmulatorError]) -> str:
             if file.size > MAX_BYTES:
                 raise error(f"{path}:1: {file.size} bytes; want at most {MAX_BYTES}")
             return file.read().decode("utf-8-sig")
-    except FileNotFoundError:
+    except (FileNotFoundError, IsADirectoryError):
         raise error(f"{path}:1: no such file; want a YAML file") from None
     except TooMuch as exc:
         raise error(f"{path}:1: {exc}") from None

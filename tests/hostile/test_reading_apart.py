@@ -135,7 +135,8 @@ def test_a_process_has_its_time_and_no_more(monkeypatch: pytest.MonkeyPatch, squ
 
 
 def test_a_process_that_waits_is_not_waited_for(monkeypatch: pytest.MonkeyPatch, square: Path) -> None:
-    monkeypatch.setattr(reading_apart, "PATIENCE", 0.2)
+    monkeypatch.setattr(reading_apart, "PATIENCE", 0)
+    monkeypatch.setattr(reading_apart, "PATIENCE_S", 0.2)
     instead(monkeypatch, signal.pause)
     with Reader(replace(MESH, cpu_s=1)) as reader:
         assert "not read within 0.2 s" in told_of(reader, square.with_name("bad.obj"))
