@@ -357,10 +357,9 @@ def announce_end(
         rate = "-" if total["scans_per_s"] is None else f"{total['scans_per_s']:.3f}/s"
         say(f"{total['id']}: {total['scans_sent']} scans sent, {rate}; dropped: {dropped}")
         account = total["account"]
-        if account["unaccounted"] or account["under_way"]:
-            shown = ("asked", "under_way", "unaccounted")
-            parts = ", ".join(f"{account[key]} {key.replace('_', ' ')}" for key in shown)
-            say(f"{total['id']}: scans by their numbers: {parts}")
+        if account["under_way"] or account["unaccounted"]:
+            rest = f"{account['under_way']} under way, {account['unaccounted']} unaccounted"
+            say(f"{total['id']}: {account['asked']} scans asked for, of them {rest}")
         late = total["lateness_us"]
         if late["sends"]:
             say(

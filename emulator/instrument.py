@@ -330,7 +330,7 @@ class Instrument:
         refusals = [why for sweep, why in leaving if sweep is not None]
         refused = None if None in refusals or not refusals else refusals[0]
         sent = [one for one, _, _ in pieces if one.payload or not emission.payload]
-        carrying = [one for one in sent if (one.sweep is None) == (emission.sweep is None)]
+        carrying = [one for one in sent if one.sweep == emission.sweep]  # others were held back, and are on account
         if self.faults.counted:
             return
         if carrying:  # a repeated telegram is one scan, or one reply

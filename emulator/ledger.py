@@ -482,4 +482,3 @@ def faults_of(account: dict[str, Any]) -> str:
     dropped = sum(account["dropped"].values())
     ended = f"{account['sent']} sent, {dropped} dropped, {account['withdrawn']} withdrawn"
     return f"{missing} of {account['asked']} scans asked for are nowhere: {ended}, {account['under_way']} under way"
-

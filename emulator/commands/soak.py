@@ -73,11 +73,13 @@ def table(soaked: Soaked) -> Iterator[str]:
     """What a soak has shown, line by line."""
     took = f"{soaked.simulated_s:.0f} s of {soaked.kind} time in {soaked.wall_s:.0f} s"
     yield f"{took}, {soaked.simulated_s / max(soaked.wall_s, 1e-9):.1f} times real; seed {soaked.seed}"
-    yield f"{'sensor':<9}{'asked':>9}{'sent':>9}{'again':>7}{'waiting':>9}{'lost':>6}  dropped, by reason"
+    heads = f"{'asked':>9}{'sent':>9}{'again':>7}{'withdrawn':>10}{'under way':>10}{'lost':>6}"
+    yield f"{'sensor':<9}{heads}  dropped, by reason"
     for name, one in soaked.sensors.items():
         dropped = ", ".join(f"{count} {reason}" for reason, count in one["dropped"].items()) or "none"
         counts = (
-            f"{one['asked']:>9}{one['sent']:>9}{one['measured_again']:>7}{one['waiting']:>9}{one['unaccounted']:>6}"
+            f"{one['asked']:>9}{one['sent']:>9}{one['measured_again']:>7}{one['withdrawn']:>10}"
+            f"{one['under_way']:>10}{one['unaccounted']:>6}"
         )
         yield f"{name:<9}{counts}  {dropped}"
     for name, book in soaked.hosts.items():

@@ -1,4 +1,4 @@
-"""The daemon of a real-time soak, as a process of its own: the usual parts with a ledger in between.
+"""The daemon of a real-time soak, as a process of its own: the usual parts.
 
     python -m emulator.endurance.real_daemon SCENARIO CONTROL_SOCKET
 
@@ -18,7 +18,7 @@ from emulator.clock import SystemClock
 from emulator.commands.common import note, say
 from emulator.control import ControlServer
 from emulator.daemon import Daemon, summary
-from emulator.endurance.ledger import Ledger, LedgerMeasuring, LedgerSession
+from emulator.ledger import check_accounts
 from emulator.orders import Orders
 from emulator.supervision import Workers
 
@@ -28,13 +28,9 @@ def main(argv: Sequence[str]) -> int:
     loaded = scenario.load(argv[0])
     clock = SystemClock()
     names = [sensor.id for sensor in loaded.sensors]
-    ledgers = {name: Ledger() for name in names}
-    sessions = [
-        LedgerSession(session, ledgers[name])
-        for name, session in zip(names, assembly.new_sessions(loaded), strict=True)
-    ]
+    sessions = assembly.new_sessions(loaded)
     workers = Workers(partial(assembly.build_measures, loaded), names, 1, clock)
-    instruments = assembly.open_instruments(loaded, sessions, LedgerMeasuring(workers, ledgers))
+    instruments = assembly.open_instruments(loaded, sessions, workers)
     daemon = Daemon(instruments, clock, workers)
     daemon.on_failure = note
     server = ControlServer(Path(argv[1]), Orders(daemon, instruments, clock, loaded).methods(), daemon)
@@ -45,10 +41,11 @@ def main(argv: Sequence[str]) -> int:
             ready = [{"id": one.sensor, "links": [link.url for link in one.links]} for one in instruments]
             say(json.dumps({"event": "ready", "sensors": ready, "control": server.url}))
             daemon.run()
+            check_accounts(instruments, daemon.incidents, clock.now_ns())
     finally:
         server.close()
         daemon.close()
-    totals = [summary(one) | {"account": ledgers[one.sensor].account(one.stats.scans_dropped)} for one in instruments]
+    totals = [summary(one) | {"measured_again": one.ledger.again} for one in instruments]
     ends = {"incidents": daemon.incidents.totals(), "silent": daemon.liveness.silent}
     say(json.dumps({"event": "stopped", "sensors": totals, "failures": dict(daemon.failures)} | ends))
     return 0

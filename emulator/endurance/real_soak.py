@@ -143,6 +143,7 @@ def _verdict(
     for row in stopped["sensors"]:
         lateness[row["id"]] = {key: row["lateness_us"][key] for key in ("median", "p99", "worst")}
         sensors[row["id"]] = row["account"] | {
+            "measured_again": row["measured_again"],
             "scans_per_s": row["scans_per_s"],
             "replies": row["replies_sent"],
             "input_dropped": row["input_dropped"],

@@ -18,7 +18,6 @@ from emulator.clock import SystemClock
 from emulator.endurance.bus_guests import GuestBus
 from emulator.endurance.growth import Growth, look
 from emulator.endurance.guests import Guestbook, LineGuests, StreamGuests
-from emulator.endurance.ledger import Ledger, LedgerMeasuring, LedgerSession
 from emulator.endurance.repeats import repeating
 from emulator.endurance.scene import soak_scenario
 from emulator.instrument import Instrument
@@ -85,11 +84,10 @@ class Soak:
     def __init__(self, seed: int, stay_s: tuple[float, float] = (20.0, 600.0)) -> None:
         scenario = soak_scenario(seed)
         names = [sensor.id for sensor in scenario.sensors]
-        self.ledgers = {name: Ledger() for name in names}
         self.books = {name: Guestbook() for name in names}
         draws = {name: np.random.default_rng((seed, number)) for number, name in enumerate(names)}
         self.measures = repeating(assembly.build_measures(scenario))
-        measuring = LedgerMeasuring(InPlace(self.measures), self.ledgers)
+        measuring = InPlace(self.measures)
         loops, buses = Loops(), CanPorts()
         self.instruments: list[Instrument] = []
         for index, session in enumerate(assembly.new_sessions(scenario)):
@@ -101,8 +99,7 @@ class Soak:
             else:
                 link = LoopLink(name, assembly.family_of(scenario, index).tcp_is_line, group_ns=GROUP_NS)
                 loops.add(link)
-            watched = LedgerSession(session, self.ledgers[name])
-            self.instruments.append(Instrument(name, watched, [link], measuring))
+            self.instruments.append(Instrument(name, session, [link], measuring))
         hosts: list[VirtualHost] = [
             LineGuests(loops["front"], draws["front"], self.books["front"], stay_s),
             StreamGuests(loops["top"], draws["top"], self.books["top"]),
@@ -128,8 +125,8 @@ class Soak:
         """Of every sensor: its scans, and what it refused to hear."""
         found = {}
         for instrument in self.instruments:
-            account = self.ledgers[instrument.sensor].account(instrument.stats.scans_dropped)
-            found[instrument.sensor] = account | {
+            found[instrument.sensor] = instrument.ledger.account() | {
+                "measured_again": instrument.ledger.again,
                 "scans_per_s": round(instrument.stats.rate_hz, 4),
                 "replies": instrument.stats.replies_sent,
                 "bytes_in": sum(link.stats.bytes_in for link in instrument.links),
