@@ -27,6 +27,7 @@ from emulator.faults.run import FaultRun
 from emulator.incidents import Incidents
 from emulator.instrument import Instrument
 from emulator.measuring import Workers
+from emulator.places import Places
 from emulator.waiting import Waiter, sharpen_timers
 
 SWITCH_S = 0.0005
@@ -70,6 +71,9 @@ class Daemon:
         "Scans that could not be measured, by cause."
         self.incidents = Incidents()
         "What befell our own processes, files and links."
+        self._places = Places(self._instruments, self.incidents)
+        if self._places.fileno() >= 0:
+            self._selector.register(self._places.fileno(), selectors.EVENT_READ, "places")
 
     def stop(self) -> None:
         """End the run after the present step; safe in a signal handler."""
@@ -137,6 +141,7 @@ class Daemon:
             if while_true is not None and not while_true():
                 return
             self._step_due(now_ns)
+            self._places.look(now_ns)
             if any(one.poked for index, one in enumerate(self._instruments) if index not in self._lost):
                 continue  # one sensor's scan has begun a fault of another
             self._wait(until_ns, 100_000_000 if while_true is not None else None)
@@ -216,6 +221,8 @@ class Daemon:
         wakes = [wake for index, wake in self._wake.items() if wake is not None and index not in self._lost]
         if until_ns is not None:
             wakes.append(until_ns)
+        if (look_ns := self._places.next_ns()) is not None:
+            wakes.append(look_ns)
         if at_most_ns is not None:
             wakes.append(self._clock.now_ns() + at_most_ns)
         deadline_ns = min(wakes) if wakes else None
@@ -226,6 +233,8 @@ class Daemon:
                 self._take_results()
             elif key.data == "orders":
                 self._take_orders()
+            elif key.data == "places":
+                self._places.changed(self._clock.now_ns())
             elif isinstance(key.data, int):
                 self._wake[key.data] = self._clock.now_ns()
 
@@ -268,6 +277,7 @@ class Daemon:
 
     def close(self) -> None:
         """Close every link and end the workers."""
+        self._places.close()
         for instrument in self._instruments:
             instrument.close()
         if self._workers is not None:

@@ -24,6 +24,7 @@ from emulator.faults.run import FaultRun
 from emulator.incidents import Incidents
 from emulator.instrument import Instrument
 from emulator.measuring import Workers
+from emulator.places import Places
 from emulator.transports.link import Link
 from emulator.virtual import VirtualRun
 from emulator.waiting import Poller
@@ -107,6 +108,7 @@ class VirtualDaemon:
         "What goes wrong on purpose in this run."
         self.incidents = Incidents()
         "What befell our own processes, files and links."
+        self._places = Places(instruments, self.incidents)
 
     @property
     def now_ns(self) -> int:
@@ -219,6 +221,7 @@ class VirtualDaemon:
                 return
             if while_true is not None and not while_true():
                 return
+            self._places.look(self._real.now_ns(), self.now_ns)
             self._wait(self._once(until_ns))
 
     def drain(self) -> None:
@@ -344,6 +347,7 @@ class VirtualDaemon:
 
     def close(self) -> None:
         """Close every link."""
+        self._places.close()
         for instrument in self.instruments:
             instrument.close()
         if self._workers is not None:

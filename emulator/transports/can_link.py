@@ -17,7 +17,7 @@ from typing import Protocol
 
 from emulator.errors import LinkError
 from emulator.transports.can_wire import CanWire, Carried, Node, Notice
-from emulator.transports.link import Link, Received
+from emulator.transports.link import Befallen, Link, Received
 from protocols.session import LinkKind
 
 BITRATE = 500_000
@@ -81,6 +81,15 @@ class Outlet(ABC):
     def next_ns(self) -> int | None:
         """When `poll` has something to do even if nothing arrives."""
         return None
+
+    @property
+    def path(self) -> str | None:
+        """As of a link."""
+        return None
+
+    def tend(self, now_ns: int) -> list[Befallen]:
+        """As of a link."""
+        return []
 
     def held(self) -> int:
         """Bytes that hosts have not read, as far as that can be known."""
@@ -183,6 +192,13 @@ class CanLink(Link):
     @property
     def url(self) -> str:
         return self._last_url if self._port is None else self._port.outlet.url
+
+    @property
+    def path(self) -> str | None:
+        return self._port.outlet.path if self._port is not None and self._port.links[0] is self else None
+
+    def tend(self, now_ns: int) -> list[Befallen]:
+        return self._port.outlet.tend(now_ns) if self._port is not None and self._port.links[0] is self else []
 
     def share(self) -> None:
         """Make a descriptor by which another sensor's run can wake this one."""

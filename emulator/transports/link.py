@@ -30,6 +30,15 @@ class Received:
     "A stream's host has gone."
 
 
+@dataclass(frozen=True)
+class Befallen:
+    """Something that somebody else did to a link's place in the file system."""
+
+    kind: str
+    "Of `emulator.incidents.KINDS`."
+    text: str
+
+
 @dataclass
 class LinkStats:
     """Counters of a link since it was opened."""
@@ -91,6 +100,18 @@ class Link(ABC):
     def speed(self) -> int | None:
         """Baud of the line now; None: it has no speed, or is not paced."""
         return None
+
+    @property
+    def path(self) -> str | None:
+        """The path in the file system by which hosts find it, and which others might take away; None: there is none."""
+        return None
+
+    def tend(self, now_ns: int) -> list[Befallen]:
+        """Look whether that path still leads here and put it back; what befell it since, each told once.
+
+        `now_ns`: of a clock that goes on whatever the run's does. Called when its folder has changed, and once a second.
+        """
+        return []
 
     # for faults; links that know no such thing leave it as it is. What is done twice must be undone twice
 

@@ -27,7 +27,7 @@ import termios
 from emulator.errors import LinkError
 from emulator.transports.inotify import OpenWatch
 from emulator.transports.intake import LINE_BURST, LINE_BYTES_S, Intake
-from emulator.transports.link import Link, Received
+from emulator.transports.link import Befallen, Link, Received
 from emulator.transports.pacing import Left, PacedLine
 from emulator.transports.stable_path import StablePath
 from emulator.transports.tty_modes import TtyModes, read_modes, set_raw
@@ -132,6 +132,13 @@ class PseudoTerminal(Link):
     @property
     def url(self) -> str:
         return f"pty:{self._place.path}"
+
+    @property
+    def path(self) -> str | None:
+        return self._place.path
+
+    def tend(self, now_ns: int) -> list[Befallen]:
+        return self._place.tend(now_ns) if self._master >= 0 else []
 
     @property
     def host_present(self) -> bool:
