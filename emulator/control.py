@@ -3,11 +3,11 @@
     {"jsonrpc": "2.0", "id": 1, "method": "status"}
     {"jsonrpc": "2.0", "id": 1, "result": {"clock": "real", "now_s": 12.5, ...}}
 
-Belongs here: the server and its client. Not: what the methods do (orders). The server waits in a thread of its own;
-what an order does is done by the run's own thread, between two steps. Garbage is answered with an error. A client is
-answered no further while it leaves `MOST_UNREAD` unread; one that reads nothing for `DEAF_S`, or whose line is longer
-than `LONGEST_LINE`, is hung up on. Of `MOST_CLIENTS` the one that has been silent longest makes room for the next. The
-run goes on in any case.
+Belongs here: the server and its client. Not: what the methods do (orders), and the socket's place (control_socket). The
+server waits in a thread of its own; what an order does is done by the run's own thread, between two steps. Garbage is
+answered with an error. A client is answered no further while it leaves `MOST_UNREAD` unread; one that reads nothing for
+`DEAF_S`, or whose line is longer than `LONGEST_LINE`, is hung up on. Of `MOST_CLIENTS` the one that has been silent
+longest makes room for the next. The run goes on in any case.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import json
 import os
 import selectors
 import socket
-import tempfile
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
@@ -27,17 +26,20 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from emulator.clock import SystemClock
+from emulator.control_socket import Doorway, default_folder, new_path, running
 from emulator.errors import EmulatorError, LinkError
 
 LONGEST_LINE = 65_536
 "Bytes of a request. Answers may be longer."
 MOST_UNREAD = 1 << 18
 MOST_CLIENTS = 16
-MOST_WAITING = 256
-"Who wants to connect and has not been looked at yet."
 DEAF_S = 30.0
 TICK_S = 1.0
+LOOK_NS = 1_000_000_000
+"So often it is seen whether the socket is still where clients look for it."
 PATIENCE_S = 60.0
+
+__all__ = ["ControlServer", "Later", "Method", "OrderError", "ask", "default_folder", "new_path", "running"]
 
 PARSE, INVALID, NO_METHOD, BAD_PARAMS, REFUSED = -32700, -32600, -32601, -32602, -32000
 
@@ -77,39 +79,6 @@ class _Client:
     "When it last sent something, or came."
 
 
-def default_folder() -> Path:
-    """Where sockets lie: of this user, and readable by nobody else."""
-    runtime = os.environ.get("XDG_RUNTIME_DIR")
-    folder = Path(runtime) / "lidaremu" if runtime else Path(tempfile.gettempdir()) / f"lidaremu-{os.getuid()}"
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    found = folder.stat()
-    if found.st_uid != os.getuid() or found.st_mode & 0o077:
-        raise LinkError(f"{folder}: not a folder of this user alone; want its owner and mode 0700")
-    return folder
-
-
-def new_path() -> Path:
-    """Of this process's socket in the default folder; what killed processes of this user have left there goes."""
-    folder = default_folder()
-    for old in folder.glob("*.sock"):
-        if old.stem.isdecimal() and not _runs(int(old.stem)):
-            with contextlib.suppress(OSError):
-                if not _answers(old):  # of another container it may be alive all the same
-                    old.unlink()
-    return folder / f"{os.getpid()}.sock"
-
-
-def _runs(pid: int) -> bool:
-    """Whether there is such a process; one that cannot be asked for counts as running."""
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except (OSError, OverflowError):
-        return True
-    return True
-
-
 @dataclass
 class ControlServer:
     """Serves a run's methods until closed."""
@@ -117,31 +86,23 @@ class ControlServer:
     path: Path
     methods: Mapping[str, Method]
     run: Controlled
+    on_incident: Callable[[str, str], None] | None = None
+    "Told of the kind and text of what befell the socket's place; called in the control's thread."
     _clients: dict[int, _Client] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        old = os.umask(0o177)
-        try:
-            with contextlib.suppress(FileNotFoundError):
-                if not _answers(self.path):
-                    self.path.unlink()
-            self._listener.bind(str(self.path))
-        except OSError as error:
-            self._listener.close()
-            raise LinkError(f"{self.path}: cannot listen for control: {error.strerror or error}") from None
-        finally:
-            os.umask(old)
-        self._listener.listen(MOST_WAITING)
-        self._listener.setblocking(False)
+        self._doorway = Doorway(self.path)
         self._bell, self._ring = socket.socketpair()
         self._selector = selectors.DefaultSelector()
-        self._selector.register(self._listener, selectors.EVENT_READ)
+        self._selector.register(self._doorway.listener, selectors.EVENT_READ)
         self._selector.register(self._bell, selectors.EVENT_READ)
         self._closing = False
         self._clock = SystemClock()
         self._full = False
         "No descriptor is left for another client; looked at again with the next tick."
+        self._look_ns = 0
+        self._away = False
+        "It has been told that the socket's place is somebody else's."
         self._thread = threading.Thread(target=self._serve, name="lidaremu-control", daemon=True)
         self._thread.start()
 
@@ -157,19 +118,18 @@ class ControlServer:
         self._closing = True
         self._ring.send(b".")
         self._thread.join(2.0)
-        with contextlib.suppress(OSError):
-            self.path.unlink()
         for client in list(self._clients.values()):
             client.connection.close()
-        for one in (self._listener, self._bell, self._ring):
+        for one in (self._doorway, self._bell, self._ring):
             one.close()
         self._selector.close()
 
     def _serve(self) -> None:
         while not self._closing:
-            ready = self._selector.select(TICK_S if self._full or self._clients else None)
-            for key, mask in sorted(ready, key=lambda one: one[0].fileobj is self._listener):  # who is here comes first
-                if key.fileobj is self._listener:
+            ready = self._selector.select(TICK_S)
+            door = self._doorway.listener
+            for key, mask in sorted(ready, key=lambda one: one[0].fileobj is door):  # who is here comes first
+                if key.fileobj is door:
                     while self._accept():
                         pass
                 elif key.fileobj is not self._bell:
@@ -181,20 +141,44 @@ class ControlServer:
     def _tick(self) -> None:
         if self._full:
             self._full = False
-            self._selector.register(self._listener, selectors.EVENT_READ)
+            self._selector.register(self._doorway.listener, selectors.EVENT_READ)
         now_ns = self._clock.now_ns()
+        if now_ns >= self._look_ns:
+            self._look_ns = now_ns + LOOK_NS
+            self._tend()
         for client in list(self._clients.values()):
             if client.unread and now_ns - client.read_at_ns > DEAF_S * 1e9:
                 self._hang_up(client)
 
+    def _tend(self) -> None:
+        """Listen at the path again when somebody took it away; what stands in its place alive is left alone."""
+        if self._doorway.stands():
+            return
+        try:
+            old = self._doorway.restore()
+        except LinkError as error:
+            if not self._away and self.on_incident is not None:
+                kind = "link path taken" if os.path.lexists(self.path) else "link path gone"
+                self.on_incident(kind, f"{error}; tried again every second")
+            self._away = True
+            return
+        self._away = False
+        with contextlib.suppress(KeyError):
+            self._selector.unregister(old)
+        old.close()
+        self._full = False
+        self._selector.register(self._doorway.listener, selectors.EVENT_READ)
+        if self.on_incident is not None:
+            self.on_incident("link restored", f"{self.path}: was removed; listening there again")
+
     def _accept(self) -> bool:
         """Let one client in, or turn it away; whether there was one."""
         try:
-            connection, _ = self._listener.accept()
+            connection, _ = self._doorway.listener.accept()
         except BlockingIOError:
             return False
         except OSError:  # out of descriptors: the listener would be ready for ever
-            self._selector.unregister(self._listener)
+            self._selector.unregister(self._doorway.listener)
             self._full = True
             return False
         now_ns = self._clock.now_ns()
@@ -326,16 +310,6 @@ def _request(line: bytes) -> dict[str, Any]:
     return request
 
 
-def _answers(path: Path) -> bool:
-    """Whether somebody listens there."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        try:
-            probe.connect(str(path))
-        except ConnectionRefusedError:
-            return False
-        return True
-
-
 def ask(path: Path, method: str, params: Mapping[str, Any]) -> object:
     """One order to a daemon; its result. `EmulatorError` has the daemon's own words; `LinkError`: none answers."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
@@ -357,13 +331,3 @@ def ask(path: Path, method: str, params: Mapping[str, Any]) -> object:
     if "error" in answer:
         raise EmulatorError(answer["error"]["message"])
     return answer["result"]
-
-
-def running() -> list[Path]:
-    """Sockets of this user's daemons that answer."""
-    found = []
-    for path in sorted(default_folder().glob("*.sock")):
-        with contextlib.suppress(OSError):
-            if _answers(path):
-                found.append(path)
-    return found

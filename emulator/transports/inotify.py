@@ -1,5 +1,4 @@
-"""Descriptors that become readable when somebody opens or closes a file, or a folder changes: Linux inotify through the
-C library.
+"""Descriptors that become readable when somebody opens or closes a file, or a folder changes: inotify through libc.
 
 They tell that something happened, not what: equal events that nobody has read yet are merged by the kernel, so opens and
 closes cannot be counted with them.

@@ -109,7 +109,7 @@ class Link(ABC):
     def tend(self, now_ns: int) -> list[Befallen]:
         """Look whether that path still leads here and put it back; what befell it since, each told once.
 
-        `now_ns`: of a clock that goes on whatever the run's does. Called when its folder has changed, and once a second.
+        `now_ns`: of a clock that never stands. Called when the path's folder has changed, and once a second.
         """
         return []
 

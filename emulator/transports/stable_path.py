@@ -22,10 +22,11 @@ from emulator.transports.link import Befallen
 
 TERMINALS = "/dev/pts/"
 SECOND_NS = 1_000_000_000
-QUIET_NS = 60 * SECOND_NS
+LONGEST_NS = 60 * SECOND_NS
+QUIET_NS = 2 * LONGEST_NS
 "A link that has stood for so long is put back at once when it goes."
 FREE = 8
-"So often it is put back at once within that time; then after 1 s, 2 s, 4 s, up to `QUIET_NS`."
+"So often it is put back at once within that time; then after 1 s, 2 s, 4 s, up to `LONGEST_NS`."
 RESTORED, TAKEN, GONE = "link restored", "link path taken", "link path gone"
 "Kinds of incidents."
 
@@ -37,6 +38,8 @@ class StablePath:
         self.path = os.path.abspath(path)
         self._target = target
         self._owner = os.getpid()
+        self._heir = False
+        "The lock was taken anew from somebody who is dead: a link into /dev/pts is his."
         self._away = ""
         "What was told of the link while it is not there: `TAKEN` or `GONE`."
         self._restored_ns = -QUIET_NS
@@ -135,11 +138,13 @@ class StablePath:
             return self._stay(GONE, f"{self.path}: folder {folder} is gone; put back when it is there again")
         try:
             if not locked:
+                left_behind = os.path.lexists(self._lock_path)
                 self._lock_anew()
+                self._heir = left_behind
             what, alive = self._what_stands()
             if alive:
                 return self._stay(TAKEN, f"{self.path}: {what} stands there now; left alone, put back when it goes")
-            pause_ns = 0 if self._restored < FREE else min(QUIET_NS, SECOND_NS << min(self._restored - FREE, 10))
+            pause_ns = 0 if self._restored < FREE else min(LONGEST_NS, SECOND_NS << min(self._restored - FREE, 10))
             if now_ns < self._restored_ns + pause_ns:
                 return []
             self._link(replace=bool(what))
@@ -149,7 +154,7 @@ class StablePath:
         except OSError as error:
             return self._stay(GONE, f"{self.path}: cannot be put back: {error.strerror}; tried again")
         self._restored = 1 if now_ns - self._restored_ns > QUIET_NS else self._restored + 1
-        self._restored_ns = now_ns
+        self._restored_ns, self._heir = now_ns, False
         return self._back(f"{what} stood there; put back" if what else "was removed; put back")
 
     def _back(self, how: str) -> list[Befallen]:
@@ -173,7 +178,10 @@ class StablePath:
     def _what_stands(self) -> tuple[str, bool]:
         """What is in the link's place, empty for nothing, and whether it is somebody's: not a link to nowhere."""
         if os.path.islink(self.path):
-            return f"a link to {os.readlink(self.path)}", os.path.exists(self.path)
+            target = os.readlink(self.path)
+            return f"a link to {target}", os.path.exists(self.path) and not (
+                self._heir and target.startswith(TERMINALS)
+            )
         if not os.path.lexists(self.path):
             return "", False
         return "a folder" if os.path.isdir(self.path) else "a file", True
