@@ -1,7 +1,7 @@
 """Descriptors that become readable when somebody opens or closes a file, or a folder changes: inotify through libc.
 
-They tell that something happened, not what: equal events that nobody has read yet are merged by the kernel, so opens and
-closes cannot be counted with them.
+They tell that something happened, not what: equal events that nobody has read yet are merged by the kernel, so opens
+and closes cannot be counted with them.
 """
 
 from __future__ import annotations
