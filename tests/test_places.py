@@ -145,6 +145,7 @@ def test_the_daemon_puts_back_what_is_removed_while_nothing_else_is_due(links: l
         if asked == 2:
             (tmp_path / "front").unlink()
         if asked == 4:
+            assert (tmp_path / "front").is_symlink()
             (tmp_path / "can").unlink()
             clock.set(LOOK_NS)
         return asked < 6
