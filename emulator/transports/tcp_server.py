@@ -16,7 +16,7 @@ from collections import deque
 
 from emulator.transports.link import Link, Received
 from emulator.transports.pacing import QUEUE_LIMIT, PacedLine
-from emulator.transports.tcp_hosts import BACKLOG_LIMIT, Host, Hosts
+from emulator.transports.tcp_hosts import Host, Hosts
 from emulator.transports.urls import host_and_port, join_host_port, parse_url
 from protocols.session import LinkKind
 
@@ -109,7 +109,7 @@ class TcpStream(_TcpLink):
         return self._earliest(self._queue[0][0] if self._queue else None)
 
     def _give(self, host: Host, payload: bytes, now_ns: int) -> None:
-        if host.backlog >= BACKLOG_LIMIT and not self.hold:
+        if not (self.hold or self._hosts.takes(host)):
             self.stats.payloads_dropped += 1
         else:
             self._hosts.send(host, payload, now_ns)
@@ -151,7 +151,7 @@ class TcpLine(_TcpLink):
             hosts = self._hosts.present()
             for host in hosts:
                 if left.starts:
-                    host.skipping = host.backlog >= BACKLOG_LIMIT and not self.hold
+                    host.skipping = not (self.hold or self._hosts.takes(host))
                     self.stats.payloads_dropped += host.skipping
                 if not host.skipping:
                     self._hosts.send(host, left.data, now_ns)
