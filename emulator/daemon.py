@@ -28,7 +28,8 @@ from emulator.incidents import Incidents
 from emulator.instrument import Instrument
 from emulator.measuring import Workers
 from emulator.places import Places
-from emulator.waiting import Waiter, sharpen_timers
+from emulator.transports.turns import Turn
+from emulator.waiting import Waiter, sharpen_timers, shorten_slices
 
 SWITCH_S = 0.0005
 "Another thread (control, a browser's page) that computes gives way to the sender after this; Python's own is 5 ms."
@@ -47,8 +48,9 @@ class Daemon:
         on_failure: Callable[[str], None] = lambda text: None,
     ) -> None:
         self._instruments = list(instruments)
-        for instrument in self._instruments:
-            instrument.hearing.clock_ns = ThreadClock().now_ns
+        self._turns = turns_of(self._instruments)
+        for turn in self._turns:
+            turn.clock_ns = ThreadClock().now_ns
         self._clock = clock
         self._workers = workers
         self.on_failure = on_failure
@@ -131,6 +133,7 @@ class Daemon:
     def run(self, until_ns: int | None = None, while_true: Callable[[], bool] | None = None) -> None:
         """Serve until `stop`, until `until_ns`, or until `while_true` says no (asked about ten times a second)."""
         sharpen_timers()
+        shorten_slices()
         sys.setswitchinterval(SWITCH_S)
         gc.collect()
         gc.freeze()  # what lives as long as the run is not walked again by the collector
@@ -177,9 +180,9 @@ class Daemon:
 
     def _step(self, index: int, instrument: Instrument) -> None:
         now_ns = self._clock.now_ns()
-        instrument.hearing.resting = 1 + sum(
-            one.hearing.rests(now_ns) for one in self._instruments if one is not instrument
-        )
+        resting = sum(turn.rests(now_ns) for turn in self._turns)
+        for turn in self._turns:
+            turn.resting = resting + (not turn.rests(now_ns))
         try:
             self._wake[index] = instrument.step(now_ns)
         except LinkError as error:
@@ -285,6 +288,13 @@ class Daemon:
         self._selector.close()
         self._bell.close()
         self._ring.close()
+
+
+def turns_of(instruments: Sequence[Instrument]) -> list[Turn]:
+    """Of all sensors and of the links that have their own; sensors on one bus have one together."""
+    found = [one.hearing.turn for one in instruments]
+    found += [link.turn for one in instruments for link in one.links if link.turn is not None]
+    return list({id(turn): turn for turn in found}.values())
 
 
 @dataclass(frozen=True)

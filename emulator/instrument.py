@@ -129,6 +129,7 @@ class Instrument:
             if not moved:
                 break
         else:
+            self.hearing.settle(now_ns)
             return now_ns
         if self.faults is not None:
             self._release(now_ns)
@@ -140,6 +141,7 @@ class Instrument:
             wakes.append(plan.start_ns - self._look_ahead_ns)
         if self.faults is not None:
             wakes.append(self.faults.next_ns())
+        self.hearing.settle(now_ns)
         wakes.append(self.hearing.wake_ns(now_ns))
         due = [wake for wake in wakes if wake is not None]
         return min(due) if due else None
@@ -151,6 +153,7 @@ class Instrument:
         wakes = [link.flush(now_ns) for link in self.links]
         if self.faults is not None:
             wakes.append(self.faults.next_ns())
+        self.hearing.settle(now_ns)
         wakes.append(self.hearing.wake_ns(now_ns))
         return min((wake for wake in wakes if wake is not None), default=None)
 

@@ -20,6 +20,7 @@ from emulator.places import AGAIN_NS, LOOK_NS, Places
 from emulator.transports import open_link
 from emulator.transports.link import Link
 from emulator.transports.stable_path import GONE, RESTORED, TAKEN
+from emulator.transports.turns import Turn
 
 
 @pytest.fixture
@@ -130,7 +131,7 @@ def test_the_daemon_puts_back_what_is_removed_while_nothing_else_is_due(links: l
 
         def __init__(self) -> None:
             self.links = tuple(links)
-            self.hearing = SimpleNamespace(clock_ns=None, resting=1, rests=lambda now_ns: False)
+            self.hearing = SimpleNamespace(turn=Turn(), rests=lambda now_ns: False)
 
         def close(self) -> None:
             pass

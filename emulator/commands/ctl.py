@@ -38,8 +38,13 @@ def control_of(
     orders = Orders(daemon, instruments, clock, scenario, *(() if recorder is None else (recorder.note,)))
 
     def befell(kind: str, text: str) -> None:
-        at_ns = daemon.now_ns if isinstance(daemon, VirtualDaemon) else clock.now_ns()
-        daemon.incidents.note(kind, at_ns, "control", text)
+        """Told by the control's thread; noted, and printed, by the run's."""
+
+        def note() -> None:
+            at_ns = daemon.now_ns if isinstance(daemon, VirtualDaemon) else clock.now_ns()
+            daemon.incidents.note(kind, at_ns, "control", text)
+
+        daemon.call(note)
 
     return ControlServer(path or new_path(), orders.methods(), daemon, befell)
 

@@ -155,10 +155,10 @@ class CanWire:
         node = self._nodes.get(place)
         return node if node is not None and node.waiting and node.waiting[0] is frame else None
 
-    def take(self, now_ns: int) -> list[Carried]:
-        """Frames whose last bit has left by `now_ns` and that were not taken before, in order."""
+    def take(self, now_ns: int, at_most: int | None = None) -> list[Carried]:
+        """Frames whose last bit has left by `now_ns` and that were not taken before, in order; the first `at_most`."""
         carried: list[Carried] = []
-        while True:
+        while at_most is None or len(carried) < at_most:
             if self._on_wire is None and not self._begin(now_ns):
                 break
             if self._on_wire is None:

@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from dataclasses import dataclass, field
 
+from emulator.transports.turns import Turn
 from protocols.session import LinkKind
 
 LATENESS_KEPT = 65_536
@@ -99,6 +100,11 @@ class Link(ABC):
     @property
     def speed(self) -> int | None:
         """Baud of the line now; None: it has no speed, or is not paced."""
+        return None
+
+    @property
+    def turn(self) -> Turn | None:
+        """Limits the time that its hosts may cost, where they can cost much without a sensor's hearing them; else None."""
         return None
 
     @property

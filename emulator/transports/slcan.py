@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 
 from emulator.transports.can_link import BITRATE, HIGHEST_BITRATE, LOWEST_BITRATE, CanPort, CanPorts, Outlet
 from emulator.transports.can_wire import CanWire, Carried
-from emulator.transports.intake import STREAM_BURST, STREAM_BYTES_S
+from emulator.transports.intake import CAN_BURST, STREAM_BYTES_S
 from emulator.transports.link import Befallen, Link
 from emulator.transports.pseudo_terminal import PseudoTerminal
 from emulator.transports.urls import parse_url
@@ -64,7 +64,7 @@ def open_link_slcan(url: str, *, can_ports: CanPorts | None = None, can_bitrate:
 class Terminal(PseudoTerminal):
     """A pseudo-terminal that keeps what the host has not room for, so that no frame is cut."""
 
-    INTAKE = STREAM_BYTES_S, STREAM_BURST
+    INTAKE = STREAM_BYTES_S, CAN_BURST
 
     def __init__(self, path: str) -> None:
         self._rest = bytearray()

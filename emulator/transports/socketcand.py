@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 
 from emulator.transports.can_link import BITRATE, HIGHEST_BITRATE, LOWEST_BITRATE, CanPort, CanPorts, Outlet
 from emulator.transports.can_wire import HOST_FRAMES, CanWire, Carried, Node, Notice
+from emulator.transports.intake import CAN_BURST, STREAM_BYTES_S, Intake
 from emulator.transports.link import Link, LinkStats
 from emulator.transports.tcp_hosts import Host, Hosts
 from emulator.transports.urls import host_and_port, join_host_port, parse_url
@@ -96,7 +97,7 @@ class SocketcandServer:
 
     def __init__(self, url: str, host: str, port: int) -> None:
         self.stats = LinkStats()
-        self.hosts = Hosts(url, host, port, self.stats)
+        self.hosts = Hosts(url, host, port, self.stats, Intake(STREAM_BYTES_S, CAN_BURST))
         self.channels: dict[str, Channel] = {}
         self._clients: dict[int, Client] = {}
         self.closed = False

@@ -18,7 +18,7 @@ import struct
 from dataclasses import dataclass, field
 
 from emulator.errors import LinkError
-from emulator.transports.intake import STREAM_BURST, STREAM_BYTES_S, Intake
+from emulator.transports.intake import Intake
 from emulator.transports.link import LinkStats, Received
 
 MAX_HOSTS = 64
@@ -77,7 +77,7 @@ class Host:
 class Hosts:
     """Listens and keeps the connections. Numbers count up from 1 and are not used again."""
 
-    def __init__(self, url: str, host: str, port: int, stats: LinkStats) -> None:
+    def __init__(self, url: str, host: str, port: int, stats: LinkStats, intake: Intake) -> None:
         self._stats = stats
         self._url = url
         self._listener = _listen(url, host, port)
@@ -89,7 +89,7 @@ class Hosts:
         self._by_fd: dict[int, Host] = {}
         self._accepted = 0
         self._pause_until_ns: int | None = None
-        self.intake = Intake(STREAM_BYTES_S, STREAM_BURST)
+        self.intake = intake
         "While it is closed, nobody needs to wait for the descriptor: `next_ns` tells when."
         self._read_last = -1
         "Descriptor of the host that was read last."

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections import deque
 
+from emulator.transports.intake import LINE_BURST, LINE_BYTES_S, STREAM_BURST, STREAM_BYTES_S, Intake
 from emulator.transports.link import Link, Received
 from emulator.transports.pacing import QUEUE_LIMIT, PacedLine
 from emulator.transports.tcp_hosts import Host, Hosts
@@ -35,9 +36,11 @@ def open_link_tcp(url: str, *, serial_line: bool) -> Link:
 
 
 class _TcpLink(Link):
+    INTAKE = STREAM_BYTES_S, STREAM_BURST
+
     def __init__(self, url: str, host: str, port: int) -> None:
         super().__init__()
-        self._hosts = Hosts(url, host, port, self.stats)
+        self._hosts = Hosts(url, host, port, self.stats, Intake(*self.INTAKE))
 
     @property
     def url(self) -> str:
@@ -130,6 +133,7 @@ class TcpLine(_TcpLink):
     """A serial device server's port in front of the sensor's line."""
 
     kind = LinkKind.SERIAL
+    INTAKE = LINE_BYTES_S, LINE_BURST
 
     def __init__(self, url: str, host: str, port: int) -> None:
         super().__init__(url, host, port)

@@ -62,6 +62,7 @@ def attack(kind: str, seconds: float, place: str, ends: int) -> dict[str, object
     numbers = {connect(kind, place): b"" for _ in range(ends)}
     written = came = 0
     end = time.monotonic() + seconds
+    began_s = time.process_time()
     reads = not kind.startswith("deaf")
     poller = select.epoll()
     for number in numbers:
@@ -101,7 +102,8 @@ def attack(kind: str, seconds: float, place: str, ends: int) -> dict[str, object
                 poller.register(fresh, select.EPOLLOUT | (select.EPOLLIN if reads else 0))
         if kind == "datagrams":
             time.sleep(0.0005)  # nothing makes its sender wait
-    return {"kind": kind, "place": place, "written": written, "came_again": came}
+    cpu_s = round(time.process_time() - began_s, 2)
+    return {"kind": kind, "place": place, "written": written, "came_again": came, "cpu_s": cpu_s}
 
 
 if __name__ == "__main__":
