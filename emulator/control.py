@@ -5,15 +5,17 @@
 
 Belongs here: the server and its client. Not: what the methods do (orders), and the socket's place (control_socket). The
 server waits in a thread of its own; what an order does is done by the run's own thread, between two steps. Garbage is
-answered with an error. A client is answered no further while it leaves `MOST_UNREAD` unread; one that reads nothing for
-`DEAF_S`, or whose line is longer than `LONGEST_LINE`, is hung up on. Of `MOST_CLIENTS` the one that has been silent
-longest makes room for the next. The run goes on in any case.
+answered with an error. Clients are answered in turn, a line each, and all together take `SHARE` of a core. One is
+answered no further while it leaves `MOST_UNREAD` unread; one that reads nothing for `DEAF_S`, or whose line is longer
+than `LONGEST_LINE`, is hung up on. Of `MOST_CLIENTS` the one that has been silent longest makes room for the next. The
+run goes on in any case.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import selectors
 import socket
@@ -25,14 +27,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from emulator.clock import SystemClock
+from emulator.clock import SystemClock, ThreadClock
 from emulator.control_socket import Doorway, default_folder, new_path, running
 from emulator.errors import EmulatorError, LinkError
 
 LONGEST_LINE = 65_536
 "Bytes of a request. Answers may be longer."
 MOST_UNREAD = 1 << 18
+MOST_UNREAD_ALL = 1 << 20
+"Of all clients together: beyond that only who has read everything is answered."
 MOST_CLIENTS = 16
+SHARE, STOCK_NS = 0.15, 200_000_000
+"Of one core, and processor time that may be spent ahead: what clients ask for is paid by the process that sends scans."
+DEAREST_NS = 50_000_000
+"Of one answer at most so much counts: an order that takes long holds up nobody for seconds."
 DEAF_S = 30.0
 TICK_S = 1.0
 LOOK_NS = 1_000_000_000
@@ -50,6 +58,25 @@ class OrderError(Exception):
     def __init__(self, code: int, text: str) -> None:
         super().__init__(text)
         self.code = code
+
+
+class Budget:
+    """Processor time for answers, of all clients together; it fills with time."""
+
+    def __init__(self, share: float = SHARE, stock_ns: int = STOCK_NS) -> None:
+        self._share, self._stock_ns = share, stock_ns
+        self._left_ns = float(stock_ns)
+        self._at_ns = 0
+
+    def wait_ns(self, now_ns: int) -> int:
+        """How long nobody is answered; 0: somebody may be."""
+        self._left_ns = min(self._stock_ns, self._left_ns + max(0, now_ns - self._at_ns) * self._share)
+        self._at_ns = now_ns
+        return 0 if self._left_ns > 0 else math.ceil((1 - self._left_ns) / self._share)
+
+    def spend(self, took_ns: int) -> None:
+        """An answer took so long."""
+        self._left_ns -= min(took_ns, DEAREST_NS)
 
 
 class Controlled(Protocol):
@@ -77,6 +104,13 @@ class _Client:
     "When it last took some of what it had not read."
     spoke_at_ns: int = 0
     "When it last sent something, or came."
+    wanted: int = selectors.EVENT_READ
+    "What the selector watches it for; 0: it is not there."
+
+    @property
+    def asks(self) -> bool:
+        """A whole line of it has not been answered."""
+        return b"\n" in self.text
 
 
 @dataclass
@@ -88,6 +122,8 @@ class ControlServer:
     run: Controlled
     on_incident: Callable[[str, str], None] | None = None
     "Told of the kind and text of what befell the socket's place; called in the control's thread."
+    limited: bool = True
+    "Answers take no more than their share of the processor; not so where nothing can be late."
     _clients: dict[int, _Client] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -98,6 +134,10 @@ class ControlServer:
         self._selector.register(self._bell, selectors.EVENT_READ)
         self._closing = False
         self._clock = SystemClock()
+        self._processor = ThreadClock()
+        self._budget = Budget() if self.limited else Budget(share=1.0, stock_ns=1 << 60)
+        self._cost_ns = 0
+        "Of the order that was obeyed last, in the run's own thread."
         self._full = False
         "No descriptor is left for another client; looked at again with the next tick."
         self._look_ns = 0
@@ -126,7 +166,9 @@ class ControlServer:
 
     def _serve(self) -> None:
         while not self._closing:
-            ready = self._selector.select(TICK_S)
+            wait_ns = self._budget.wait_ns(self._clock.now_ns())
+            asked = any(client.asks and self._may_be_answered(client) for client in self._clients.values())
+            ready = self._selector.select(min(TICK_S, wait_ns * 1e-9) if asked else TICK_S)
             door = self._doorway.listener
             for key, mask in sorted(ready, key=lambda one: one[0].fileobj is door):  # who is here comes first
                 if key.fileobj is door:
@@ -136,6 +178,7 @@ class ControlServer:
                     client = self._clients.get(key.fd)
                     if client is not None:
                         self._attend(client, mask)
+            self._answer_round()
             self._tick()
 
     def _tick(self) -> None:
@@ -197,7 +240,7 @@ class ControlServer:
     def _attend(self, client: _Client, mask: int) -> None:
         try:
             if mask & selectors.EVENT_WRITE:
-                self._answer_lines(client)
+                self._flush(client)
             elif mask & selectors.EVENT_READ:
                 data = client.connection.recv(LONGEST_LINE)
                 if not data:
@@ -205,27 +248,58 @@ class ControlServer:
                     return
                 client.text += data
                 client.spoke_at_ns = self._clock.now_ns()
-                self._answer_lines(client)
+                if len(client.text) > LONGEST_LINE and not client.asks:
+                    self._hang_up(client, f"a line longer than {LONGEST_LINE} bytes; hung up")
+                    return
+            self._watch(client)
         except BlockingIOError:
             pass
         except OSError:
             self._hang_up(client)
 
-    def _answer_lines(self, client: _Client) -> None:
-        self._flush(client)
-        while b"\n" in client.text and len(client.unread) <= MOST_UNREAD:
-            line, _, client.text = client.text.partition(b"\n")
-            answer = self.answer(line) if line.strip() else None
-            if answer is not None:
-                client.unread += json.dumps(answer).encode() + b"\n"
-                self._flush(client)
-        if len(client.text) > LONGEST_LINE and b"\n" not in client.text:
-            self._hang_up(client, f"a line longer than {LONGEST_LINE} bytes; hung up")
-            return
+    def _answer_round(self) -> None:
+        """One line of everybody who has asked and may be answered, as far as the budget goes."""
+        for number, client in list(self._clients.items()):
+            if not client.asks or not self._may_be_answered(client):
+                continue
+            if self._budget.wait_ns(self._clock.now_ns()):
+                return
+            self._clients[number] = self._clients.pop(number)  # behind all others
+            try:
+                began_ns, self._cost_ns = self._processor.now_ns(), 0
+                self._answer_line(client)
+                self._budget.spend(self._processor.now_ns() - began_ns + self._cost_ns)
+                self._watch(client)
+            except OSError:
+                self._hang_up(client)
+
+    def _may_be_answered(self, client: _Client) -> bool:
+        unread = len(client.unread)
+        if unread and sum(len(one.unread) for one in self._clients.values()) > MOST_UNREAD_ALL:
+            return False
+        return unread <= MOST_UNREAD
+
+    def _answer_line(self, client: _Client) -> None:
+        line, _, client.text = client.text.partition(b"\n")
+        answer = self.answer(line) if line.strip() else None
+        if answer is not None:
+            client.unread += json.dumps(answer).encode() + b"\n"
+            self._flush(client)
+
+    def _watch(self, client: _Client) -> None:
+        """Hear it only while nothing of it waits: what it sends ahead stays in the kernel."""
         wanted = selectors.EVENT_WRITE if client.unread else 0
-        if len(client.unread) <= MOST_UNREAD:
+        if not client.asks:
             wanted |= selectors.EVENT_READ
-        self._selector.modify(client.connection, wanted)
+        if wanted == client.wanted:
+            return
+        if not wanted:
+            self._selector.unregister(client.connection)
+        elif client.wanted:
+            self._selector.modify(client.connection, wanted)
+        else:
+            self._selector.register(client.connection, wanted)
+        client.wanted = wanted
 
     def _flush(self, client: _Client) -> None:
         if not client.unread:
@@ -242,7 +316,8 @@ class ControlServer:
 
     def _hang_up(self, client: _Client, why: str = "") -> None:
         self._clients.pop(client.connection.fileno(), None)
-        self._selector.unregister(client.connection)
+        if client.wanted:
+            self._selector.unregister(client.connection)
         if why:
             _farewell(client.connection, why)
         else:
@@ -266,7 +341,15 @@ class ControlServer:
         params = request.get("params", {})
         if not isinstance(params, dict):
             raise OrderError(BAD_PARAMS, "params; want a table of names and values")
-        done = self.run.call(lambda: method(params))
+
+        def obeyed() -> object:
+            began_ns = self._processor.now_ns()
+            try:
+                return method(params)
+            finally:
+                self._cost_ns = self._processor.now_ns() - began_ns
+
+        done = self.run.call(obeyed)
         try:
             found = done.result(PATIENCE_S)
             return found.make() if isinstance(found, Later) else found

@@ -46,7 +46,8 @@ def control_of(
 
         daemon.call(note)
 
-    return ControlServer(path or new_path(), orders.methods(), daemon, befell)
+    limited = not isinstance(daemon, VirtualDaemon)
+    return ControlServer(path or new_path(), orders.methods(), daemon, befell, limited)
 
 
 @click.command()

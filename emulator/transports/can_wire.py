@@ -96,9 +96,9 @@ class CanWire:
         self._nodes: dict[int, Node] = {}
         self._joined = 0
         self._later: list[tuple[int, int, _Waiting]] = []
-        "By the instant from which they want to go, first ones of nodes: (due, place, frame). What is stale is passed over."
+        "First frames of nodes by when they want to go: (due, place, frame). What is stale is passed over."
         self._ready: list[tuple[tuple[int, int, int], int, _Waiting]] = []
-        "By arbitration, first ones of nodes that wanted to go before now: (key, place, frame)."
+        "Those that wanted to go before now, by arbitration: (key, place, frame)."
         self._free_ns = 0
         self._on_wire: tuple[Node, _Waiting, int, int] | None = None
         self._busy: deque[tuple[int, int]] = deque()

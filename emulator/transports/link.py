@@ -104,7 +104,7 @@ class Link(ABC):
 
     @property
     def turn(self) -> Turn | None:
-        """Limits the time that its hosts may cost, where they can cost much without a sensor's hearing them; else None."""
+        """Limits what its hosts cost, where that can be much though no sensor hears them; else None."""
         return None
 
     @property

@@ -172,7 +172,7 @@ class Hosts:
 
     def takes(self, host: Host) -> bool:
         """Whether another payload may wait for it."""
-        return host.backlog < (BACKLOG_LIMIT if not self._slow else min(BACKLOG_LIMIT, BACKLOG_TOTAL // len(self._slow)))
+        return host.backlog < min(BACKLOG_LIMIT, BACKLOG_TOTAL // max(1, len(self._slow)))
 
     def pause(self, host: Host, paused: bool) -> None:
         """Leave what it sends in the kernel, where it holds up its sender; or read it again."""
@@ -266,7 +266,8 @@ class Hosts:
             self._end(silent, events)
         else:
             since = {host.number: _bad_since_ns(host) for host in self._hosts.values()}
-            worst_ns, number = min(((ns, number) for number, ns in since.items() if ns is not None), default=(now_ns, 0))
+            bad = ((ns, number) for number, ns in since.items() if ns is not None)
+            worst_ns, number = min(bad, default=(now_ns, 0))
             if now_ns - worst_ns < FLOOD_NS:
                 return False
             worst = self._hosts[number]

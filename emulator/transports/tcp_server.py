@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from emulator.transports.intake import LINE_BURST, LINE_BYTES_S, STREAM_BURST, STREAM_BYTES_S, Intake
+from emulator.transports.intake import STREAM_BURST, STREAM_BYTES_S, Intake
 from emulator.transports.link import Link, Received
 from emulator.transports.pacing import QUEUE_LIMIT, PacedLine
 from emulator.transports.tcp_hosts import Host, Hosts
@@ -36,11 +36,9 @@ def open_link_tcp(url: str, *, serial_line: bool) -> Link:
 
 
 class _TcpLink(Link):
-    INTAKE = STREAM_BYTES_S, STREAM_BURST
-
     def __init__(self, url: str, host: str, port: int) -> None:
         super().__init__()
-        self._hosts = Hosts(url, host, port, self.stats, Intake(*self.INTAKE))
+        self._hosts = Hosts(url, host, port, self.stats, Intake(STREAM_BYTES_S, STREAM_BURST))
 
     @property
     def url(self) -> str:
@@ -133,7 +131,6 @@ class TcpLine(_TcpLink):
     """A serial device server's port in front of the sensor's line."""
 
     kind = LinkKind.SERIAL
-    INTAKE = LINE_BYTES_S, LINE_BURST
 
     def __init__(self, url: str, host: str, port: int) -> None:
         super().__init__(url, host, port)

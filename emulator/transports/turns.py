@@ -13,7 +13,7 @@ AT_ONCE_NS = 1_000_000
 STOCK_NS = 3_000_000
 "So much may be worked ahead: a host that behaves is not kept waiting for one long step."
 REST = 3
-"So many times as long nothing is done when that is used up, and as many times more as others rest: a third of one core for all."
+"So many times as long nothing is done then, times those who rest: a third of one core for all."
 
 
 class Turn:
