@@ -50,7 +50,7 @@ class Daemon:
         self._instruments = list(instruments)
         self._turns = turns_of(self._instruments)
         for turn in self._turns:
-            turn.clock_ns = ThreadClock().now_ns
+            turn.clock_ns, turn.wall_ns = ThreadClock().now_ns, clock.now_ns
         self._clock = clock
         self._workers = workers
         self.on_failure = on_failure
@@ -180,9 +180,9 @@ class Daemon:
 
     def _step(self, index: int, instrument: Instrument) -> None:
         now_ns = self._clock.now_ns()
-        resting = sum(turn.rests(now_ns) for turn in self._turns)
+        crowd = sum(turn.crowds(now_ns) for turn in self._turns)
         for turn in self._turns:
-            turn.resting = resting + (not turn.rests(now_ns))
+            turn.resting = crowd + (not turn.crowds(now_ns))
         try:
             self._wake[index] = instrument.step(now_ns)
         except LinkError as error:

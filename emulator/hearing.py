@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from emulator.transports.link import Link, Received
-from emulator.transports.turns import AT_ONCE_NS, Turn
+from emulator.transports.turns import Turn
 from protocols.session import LinkKind
 
 PIECE = 256
@@ -39,11 +39,11 @@ class Hearing:
                 self._waiting.extend((index, received) for received in link.receive(now_ns))
         if not self._waiting:
             return  # as nearly always: to ask for processor time takes longer than this
-        clock_ns = self.turn.clock_ns
-        self._began_ns = None if clock_ns is None else clock_ns()
+        began_ns = self.turn.begin()
+        self._began_ns = None if self.turn.clock_ns is None else began_ns
         while self._waiting:
             yield self._next()
-            if clock_ns is not None and self._began_ns is not None and clock_ns() - self._began_ns > AT_ONCE_NS:
+            if self.turn.over(began_ns):
                 break
 
     def _next(self) -> tuple[int, Received]:

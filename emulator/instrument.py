@@ -135,13 +135,15 @@ class Instrument:
             self._release(now_ns)
         self._note_events()
         wakes = [link.flush(now_ns) for link in self.links]
+        self.hearing.settle(now_ns)
+        if self.hearing.rests(now_ns):  # a link whose input waits for us wants to be asked now; it has to wait
+            wakes = [wake for wake in wakes if wake is not None and wake > now_ns]
         wakes.append(self.session.next_deadline())
         plan = self.session.next_plan()
         if plan is not None and self._key(plan) != self._asked:
             wakes.append(plan.start_ns - self._look_ahead_ns)
         if self.faults is not None:
             wakes.append(self.faults.next_ns())
-        self.hearing.settle(now_ns)
         wakes.append(self.hearing.wake_ns(now_ns))
         due = [wake for wake in wakes if wake is not None]
         return min(due) if due else None
@@ -151,9 +153,11 @@ class Instrument:
         self._take_scans(now_ns)
         self._note_events()
         wakes = [link.flush(now_ns) for link in self.links]
+        self.hearing.settle(now_ns)
+        if self.hearing.rests(now_ns):
+            wakes = [wake for wake in wakes if wake is not None and wake > now_ns]
         if self.faults is not None:
             wakes.append(self.faults.next_ns())
-        self.hearing.settle(now_ns)
         wakes.append(self.hearing.wake_ns(now_ns))
         return min((wake for wake in wakes if wake is not None), default=None)
 

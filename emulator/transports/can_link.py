@@ -25,6 +25,8 @@ BITRATE = 500_000
 "Default bit rate of a bus."
 GROUP_NS = 2_000_000
 "Frames of hosts that follow each other are looked at together, so long, while no sensor has one to send."
+MOST_LISTENERS = 8
+"Hosts to whom each frame is shown when it ends; more of them get those of `GROUP_NS` in one piece."
 AT_ONCE_FRAMES = 64
 "Frames that are carried at one go on a bus whose time is limited; other sensors come before the rest."
 LOWEST_BITRATE, HIGHEST_BITRATE = 10_000, 1_000_000
@@ -82,6 +84,10 @@ class Outlet(ABC):
     def notify(self, notices: Sequence[Notice]) -> None:
         """Tell hosts of error states, where they have a word for it."""
         return None
+
+    def listeners(self) -> int:
+        """Hosts to whom each frame has to be shown one by one."""
+        return 1
 
     def next_ns(self) -> int | None:
         """When `poll` has something to do even if nothing arrives."""
@@ -166,9 +172,10 @@ class CanPort:
         self._strangers = timed and (
             said != self.outlet.counters.host_frames + self.outlet.counters.malformed
             or any(id(frame.node) not in own for frame in carried)
+            or self.outlet.listeners() > MOST_LISTENERS
         )
-        waits = any(link.node.waiting for link in self.links)
-        self._crowded_ns = now_ns if self._strangers and not waits else None
+        alone = self.outlet.listeners() <= MOST_LISTENERS and any(link.node.waiting for link in self.links)
+        self._crowded_ns = now_ns if self._strangers and not alone else None
         if began_ns is not None:
             self._rests = self.turn.end(began_ns, now_ns)
         if self._rests:

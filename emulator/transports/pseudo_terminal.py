@@ -222,7 +222,7 @@ class PseudoTerminal(Link):
         return self._line.next_ns(now_ns)
 
     def _may_have_changed(self) -> bool:
-        """Whether somebody opened or closed it; a look at a terminal that is flooded waits for the kernel's own thread."""
+        """Whether somebody opened or closed it; a look at a flooded terminal waits for the kernel's own thread."""
         return self._watch is None or bool(self._told.poll(0))
 
     def _look(self) -> None:

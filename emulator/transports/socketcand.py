@@ -280,6 +280,9 @@ class Channel(Outlet):
     def has_host(self) -> bool:
         return bool(self._server.clients(self))
 
+    def listeners(self) -> int:
+        return len(self._server.clients(self))
+
     def notify(self, notices: Sequence[Notice]) -> None:
         for notice in notices:
             if notice.state not in ERROR_IDS:

@@ -13,7 +13,10 @@ AT_ONCE_NS = 1_000_000
 STOCK_NS = 3_000_000
 "So much may be worked ahead: a host that behaves is not kept waiting for one long step."
 REST = 3
-"So many times as long nothing is done then, times those who rest: a third of one core for all."
+"So many times as long nothing is done then, times those who share it: a third of one core for all."
+
+CROWD_NS = 250_000_000
+"Who has rested counts for so long as one of those who want the same time, though it works just now."
 
 
 class Turn:
@@ -22,15 +25,22 @@ class Turn:
     def __init__(self) -> None:
         self.clock_ns: Callable[[], int] | None = None
         "Tells the processor time of the thread that works; None: there is no limit."
+        self.wall_ns: Callable[[], int] | None = None
+        "Tells the time, where that is sooner told than processor time; less of it than `AT_ONCE_NS` is never too much."
+        self._wall_began_ns = 0
         self.resting = 1
-        "Who rests at present, this one included."
+        "How many share the time at present, this one included."
         self._spent_ns = 0.0
         self._at_ns = 0
-        self._until_ns = 0
+        self._until_ns = -CROWD_NS
 
     def rests(self, now_ns: int) -> bool:
         """Nothing is to be done now."""
         return now_ns < self._until_ns
+
+    def crowds(self, now_ns: int) -> bool:
+        """It rests, or did a moment ago: one of those among whom the time is shared."""
+        return now_ns < self._until_ns + CROWD_NS
 
     def wake_ns(self, now_ns: int) -> int | None:
         """When it wants to go on; None: it does not rest."""
@@ -38,7 +48,16 @@ class Turn:
 
     def begin(self) -> int:
         """To be handed to `end`."""
+        self._wall_began_ns = 0 if self.wall_ns is None else self.wall_ns()
         return 0 if self.clock_ns is None else self.clock_ns()
+
+    def over(self, began_ns: int) -> bool:
+        """Whether that is enough for one go."""
+        if self.clock_ns is None:
+            return False
+        if self.wall_ns is not None and self.wall_ns() - self._wall_began_ns < AT_ONCE_NS:
+            return False
+        return self.clock_ns() - began_ns > AT_ONCE_NS
 
     def end(self, began_ns: int, now_ns: int) -> bool:
         """Count what was spent since `begin`; whether it rests from now on."""
