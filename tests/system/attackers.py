@@ -1,8 +1,8 @@
-"""One attacker of one link, as a process: `python -m tests.system.attackers KIND SECONDS PLACE...`; shares no code with the
-product.
+"""One attacker of one link, as a process: `python -m tests.system.attackers KIND SECONDS PLACE CONNECTIONS`.
 
-Kinds: `line` and `adapter` (path), `stream` and `bus` (port), `deaf` (port: clients that write and never read), `datagrams`
-(port), `control` (path), `deaf-control` (path). Each writes as fast as it is read from, and prints what it has written.
+It shares no code with the product. Kinds: `line` and `adapter` (of a path), `stream` and `bus` (of a port), `deaf` (of
+a port: clients of a bus that write and never read), `datagrams` (of a port), `control` and `deaf-control` (of a path).
+Each writes as fast as it is read from, comes again when it is hung up on, and prints what it has written.
 """
 
 from __future__ import annotations
