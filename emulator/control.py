@@ -3,8 +3,9 @@
     {"jsonrpc": "2.0", "id": 1, "method": "status"}
     {"jsonrpc": "2.0", "id": 1, "result": {"clock": "real", "now_s": 12.5, ...}}
 
-Belongs here: the server and its client. Not: what the methods do (orders). The server waits in a thread of its own;
-what an order does is done by the run's own thread, between two steps. Garbage is answered with an error. A client is
+Belongs here: the server and its client. Not: what the methods do (orders), and the socket's place (control_socket). The
+server waits in a thread of its own; what an order does is done by the run's own thread, between two steps. Garbage is
+answered with an error. Clients are answered in turn, a line each, and all together take `SHARE` of a core. One is
 answered no further while it leaves `MOST_UNREAD` unread; one that reads nothing for `DEAF_S`, or whose line is longer
 than `LONGEST_LINE`, is hung up on. Of `MOST_CLIENTS` the one that has been silent longest makes room for the next. The
 run goes on in any case.
@@ -14,10 +15,10 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import selectors
 import socket
-import tempfile
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
@@ -27,18 +28,27 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from emulator.budgets import TooMuch, loads_json
-from emulator.clock import SystemClock
+from emulator.clock import SystemClock, ThreadClock
+from emulator.control_socket import Doorway, default_folder, new_path, running
 from emulator.errors import EmulatorError, LinkError
 
 LONGEST_LINE = 65_536
 "Bytes of a request. Answers may be longer."
 MOST_UNREAD = 1 << 18
+MOST_UNREAD_ALL = 1 << 20
+"Of all clients together: beyond that only who has read everything is answered."
 MOST_CLIENTS = 16
-MOST_WAITING = 256
-"Who wants to connect and has not been looked at yet."
+SHARE, STOCK_NS = 0.15, 200_000_000
+"Of one core, and processor time that may be spent ahead: what clients ask for is paid by the process that sends scans."
+DEAREST_NS = 50_000_000
+"Of one answer at most so much counts: an order that takes long holds up nobody for seconds."
 DEAF_S = 30.0
 TICK_S = 1.0
+LOOK_NS = 1_000_000_000
+"So often it is seen whether the socket is still where clients look for it."
 PATIENCE_S = 60.0
+
+__all__ = ["ControlServer", "Later", "Method", "OrderError", "ask", "default_folder", "new_path", "running"]
 
 PARSE, INVALID, NO_METHOD, BAD_PARAMS, REFUSED = -32700, -32600, -32601, -32602, -32000
 
@@ -49,6 +59,25 @@ class OrderError(Exception):
     def __init__(self, code: int, text: str) -> None:
         super().__init__(text)
         self.code = code
+
+
+class Budget:
+    """Processor time for answers, of all clients together; it fills with time."""
+
+    def __init__(self, share: float = SHARE, stock_ns: int = STOCK_NS) -> None:
+        self._share, self._stock_ns = share, stock_ns
+        self._left_ns = float(stock_ns)
+        self._at_ns = 0
+
+    def wait_ns(self, now_ns: int) -> int:
+        """How long nobody is answered; 0: somebody may be."""
+        self._left_ns = min(self._stock_ns, self._left_ns + max(0, now_ns - self._at_ns) * self._share)
+        self._at_ns = now_ns
+        return 0 if self._left_ns > 0 else math.ceil((1 - self._left_ns) / self._share)
+
+    def spend(self, took_ns: int) -> None:
+        """An answer took so long."""
+        self._left_ns -= min(took_ns, DEAREST_NS)
 
 
 class Controlled(Protocol):
@@ -76,39 +105,13 @@ class _Client:
     "When it last took some of what it had not read."
     spoke_at_ns: int = 0
     "When it last sent something, or came."
+    wanted: int = selectors.EVENT_READ
+    "What the selector watches it for; 0: it is not there."
 
-
-def default_folder() -> Path:
-    """Where sockets lie: of this user, and readable by nobody else."""
-    runtime = os.environ.get("XDG_RUNTIME_DIR")
-    folder = Path(runtime) / "lidaremu" if runtime else Path(tempfile.gettempdir()) / f"lidaremu-{os.getuid()}"
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    found = folder.stat()
-    if found.st_uid != os.getuid() or found.st_mode & 0o077:
-        raise LinkError(f"{folder}: not a folder of this user alone; want its owner and mode 0700")
-    return folder
-
-
-def new_path() -> Path:
-    """Of this process's socket in the default folder; what killed processes of this user have left there goes."""
-    folder = default_folder()
-    for old in folder.glob("*.sock"):
-        if old.stem.isdecimal() and not _runs(int(old.stem)):
-            with contextlib.suppress(OSError):
-                if not _answers(old):  # of another container it may be alive all the same
-                    old.unlink()
-    return folder / f"{os.getpid()}.sock"
-
-
-def _runs(pid: int) -> bool:
-    """Whether there is such a process; one that cannot be asked for counts as running."""
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except (OSError, OverflowError):
-        return True
-    return True
+    @property
+    def asks(self) -> bool:
+        """A whole line of it has not been answered."""
+        return b"\n" in self.text
 
 
 @dataclass
@@ -118,31 +121,29 @@ class ControlServer:
     path: Path
     methods: Mapping[str, Method]
     run: Controlled
+    on_incident: Callable[[str, str], None] | None = None
+    "Told of the kind and text of what befell the socket's place; called in the control's thread."
+    limited: bool = True
+    "Answers take no more than their share of the processor; not so where nothing can be late."
     _clients: dict[int, _Client] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        old = os.umask(0o177)
-        try:
-            with contextlib.suppress(FileNotFoundError):
-                if not _answers(self.path):
-                    self.path.unlink()
-            self._listener.bind(str(self.path))
-        except OSError as error:
-            self._listener.close()
-            raise LinkError(f"{self.path}: cannot listen for control: {error.strerror or error}") from None
-        finally:
-            os.umask(old)
-        self._listener.listen(MOST_WAITING)
-        self._listener.setblocking(False)
+        self._doorway = Doorway(self.path)
         self._bell, self._ring = socket.socketpair()
         self._selector = selectors.DefaultSelector()
-        self._selector.register(self._listener, selectors.EVENT_READ)
+        self._selector.register(self._doorway.listener, selectors.EVENT_READ)
         self._selector.register(self._bell, selectors.EVENT_READ)
         self._closing = False
         self._clock = SystemClock()
+        self._processor = ThreadClock()
+        self._budget = Budget() if self.limited else Budget(share=1.0, stock_ns=1 << 60)
+        self._cost_ns = 0
+        "Of the order that was obeyed last, in the run's own thread."
         self._full = False
         "No descriptor is left for another client; looked at again with the next tick."
+        self._look_ns = 0
+        self._away = False
+        "It has been told that the socket's place is somebody else's."
         self._thread = threading.Thread(target=self._serve, name="lidaremu-control", daemon=True)
         self._thread.start()
 
@@ -158,44 +159,70 @@ class ControlServer:
         self._closing = True
         self._ring.send(b".")
         self._thread.join(2.0)
-        with contextlib.suppress(OSError):
-            self.path.unlink()
         for client in list(self._clients.values()):
             client.connection.close()
-        for one in (self._listener, self._bell, self._ring):
+        for one in (self._doorway, self._bell, self._ring):
             one.close()
         self._selector.close()
 
     def _serve(self) -> None:
         while not self._closing:
-            ready = self._selector.select(TICK_S if self._full or self._clients else None)
-            for key, mask in sorted(ready, key=lambda one: one[0].fileobj is self._listener):  # who is here comes first
-                if key.fileobj is self._listener:
+            wait_ns = self._budget.wait_ns(self._clock.now_ns())
+            asked = any(client.asks and self._may_be_answered(client) for client in self._clients.values())
+            ready = self._selector.select(min(TICK_S, wait_ns * 1e-9) if asked else TICK_S)
+            door = self._doorway.listener
+            for key, mask in sorted(ready, key=lambda one: one[0].fileobj is door):  # who is here comes first
+                if key.fileobj is door:
                     while self._accept():
                         pass
                 elif key.fileobj is not self._bell:
                     client = self._clients.get(key.fd)
                     if client is not None:
                         self._attend(client, mask)
+            self._answer_round()
             self._tick()
 
     def _tick(self) -> None:
         if self._full:
             self._full = False
-            self._selector.register(self._listener, selectors.EVENT_READ)
+            self._selector.register(self._doorway.listener, selectors.EVENT_READ)
         now_ns = self._clock.now_ns()
+        if now_ns >= self._look_ns:
+            self._look_ns = now_ns + LOOK_NS
+            self._tend()
         for client in list(self._clients.values()):
             if client.unread and now_ns - client.read_at_ns > DEAF_S * 1e9:
                 self._hang_up(client)
 
+    def _tend(self) -> None:
+        """Listen at the path again when somebody took it away; what stands in its place alive is left alone."""
+        if self._doorway.stands():
+            return
+        try:
+            old = self._doorway.restore()
+        except LinkError as error:
+            if not self._away and self.on_incident is not None:
+                kind = "link path taken" if os.path.lexists(self.path) else "link path gone"
+                self.on_incident(kind, f"{error}; tried again every second")
+            self._away = True
+            return
+        self._away = False
+        with contextlib.suppress(KeyError):
+            self._selector.unregister(old)
+        old.close()
+        self._full = False
+        self._selector.register(self._doorway.listener, selectors.EVENT_READ)
+        if self.on_incident is not None:
+            self.on_incident("link restored", f"{self.path}: was removed; listening there again")
+
     def _accept(self) -> bool:
         """Let one client in, or turn it away; whether there was one."""
         try:
-            connection, _ = self._listener.accept()
+            connection, _ = self._doorway.listener.accept()
         except BlockingIOError:
             return False
         except OSError:  # out of descriptors: the listener would be ready for ever
-            self._selector.unregister(self._listener)
+            self._selector.unregister(self._doorway.listener)
             self._full = True
             return False
         now_ns = self._clock.now_ns()
@@ -214,7 +241,7 @@ class ControlServer:
     def _attend(self, client: _Client, mask: int) -> None:
         try:
             if mask & selectors.EVENT_WRITE:
-                self._answer_lines(client)
+                self._flush(client)
             elif mask & selectors.EVENT_READ:
                 data = client.connection.recv(LONGEST_LINE)
                 if not data:
@@ -222,27 +249,58 @@ class ControlServer:
                     return
                 client.text += data
                 client.spoke_at_ns = self._clock.now_ns()
-                self._answer_lines(client)
+                if len(client.text) > LONGEST_LINE and not client.asks:
+                    self._hang_up(client, f"a line longer than {LONGEST_LINE} bytes; hung up")
+                    return
+            self._watch(client)
         except BlockingIOError:
             pass
         except OSError:
             self._hang_up(client)
 
-    def _answer_lines(self, client: _Client) -> None:
-        self._flush(client)
-        while b"\n" in client.text and len(client.unread) <= MOST_UNREAD:
-            line, _, client.text = client.text.partition(b"\n")
-            answer = self.answer(line) if line.strip() else None
-            if answer is not None:
-                client.unread += json.dumps(answer).encode() + b"\n"
-                self._flush(client)
-        if len(client.text) > LONGEST_LINE and b"\n" not in client.text:
-            self._hang_up(client, f"a line longer than {LONGEST_LINE} bytes; hung up")
-            return
+    def _answer_round(self) -> None:
+        """One line of everybody who has asked and may be answered, as far as the budget goes."""
+        for number, client in list(self._clients.items()):
+            if not client.asks or not self._may_be_answered(client):
+                continue
+            if self._budget.wait_ns(self._clock.now_ns()):
+                return
+            self._clients[number] = self._clients.pop(number)  # behind all others
+            try:
+                began_ns, self._cost_ns = self._processor.now_ns(), 0
+                self._answer_line(client)
+                self._budget.spend(self._processor.now_ns() - began_ns + self._cost_ns)
+                self._watch(client)
+            except OSError:
+                self._hang_up(client)
+
+    def _may_be_answered(self, client: _Client) -> bool:
+        unread = len(client.unread)
+        if unread and sum(len(one.unread) for one in self._clients.values()) > MOST_UNREAD_ALL:
+            return False
+        return unread <= MOST_UNREAD
+
+    def _answer_line(self, client: _Client) -> None:
+        line, _, client.text = client.text.partition(b"\n")
+        answer = self.answer(line) if line.strip() else None
+        if answer is not None:
+            client.unread += json.dumps(answer).encode() + b"\n"
+            self._flush(client)
+
+    def _watch(self, client: _Client) -> None:
+        """Hear it only while nothing of it waits: what it sends ahead stays in the kernel."""
         wanted = selectors.EVENT_WRITE if client.unread else 0
-        if len(client.unread) <= MOST_UNREAD:
+        if not client.asks:
             wanted |= selectors.EVENT_READ
-        self._selector.modify(client.connection, wanted)
+        if wanted == client.wanted:
+            return
+        if not wanted:
+            self._selector.unregister(client.connection)
+        elif client.wanted:
+            self._selector.modify(client.connection, wanted)
+        else:
+            self._selector.register(client.connection, wanted)
+        client.wanted = wanted
 
     def _flush(self, client: _Client) -> None:
         if not client.unread:
@@ -259,7 +317,8 @@ class ControlServer:
 
     def _hang_up(self, client: _Client, why: str = "") -> None:
         self._clients.pop(client.connection.fileno(), None)
-        self._selector.unregister(client.connection)
+        if client.wanted:
+            self._selector.unregister(client.connection)
         if why:
             _farewell(client.connection, why)
         else:
@@ -283,7 +342,15 @@ class ControlServer:
         params = request.get("params", {})
         if not isinstance(params, dict):
             raise OrderError(BAD_PARAMS, "params; want a table of names and values")
-        done = self.run.call(lambda: method(params))
+
+        def obeyed() -> object:
+            began_ns = self._processor.now_ns()
+            try:
+                return method(params)
+            finally:
+                self._cost_ns = self._processor.now_ns() - began_ns
+
+        done = self.run.call(obeyed)
         try:
             found = done.result(PATIENCE_S)
             return found.make() if isinstance(found, Later) else found
@@ -329,16 +396,6 @@ def _request(line: bytes) -> dict[str, Any]:
     return request
 
 
-def _answers(path: Path) -> bool:
-    """Whether somebody listens there."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        try:
-            probe.connect(str(path))
-        except ConnectionRefusedError:
-            return False
-        return True
-
-
 def ask(path: Path, method: str, params: Mapping[str, Any]) -> object:
     """One order to a daemon; its result. `EmulatorError` has the daemon's own words; `LinkError`: none answers."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
@@ -360,13 +417,3 @@ def ask(path: Path, method: str, params: Mapping[str, Any]) -> object:
     if "error" in answer:
         raise EmulatorError.of(answer["error"]["message"].split("\n"))
     return answer["result"]
-
-
-def running() -> list[Path]:
-    """Sockets of this user's daemons that answer."""
-    found = []
-    for path in sorted(default_folder().glob("*.sock")):
-        with contextlib.suppress(OSError):
-            if _answers(path):
-                found.append(path)
-    return found

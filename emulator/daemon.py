@@ -29,8 +29,10 @@ from emulator.liveness import Liveness
 from emulator.notify import Notifier
 from emulator.own_daemon import ending_signals
 from emulator.patience import TICK_NS, RunningTime
+from emulator.places import Places
 from emulator.supervision import Workers
-from emulator.waiting import Waiter, sharpen_timers
+from emulator.transports.turns import Turn
+from emulator.waiting import Waiter, sharpen_timers, shorten_slices
 
 SWITCH_S = 0.0005
 "Another thread (control, a browser's page) that computes gives way to the sender after this; Python's own is 5 ms."
@@ -49,8 +51,9 @@ class Daemon:
         on_failure: Callable[[str], None] = lambda text: None,
     ) -> None:
         self._instruments = list(instruments)
-        for instrument in self._instruments:
-            instrument.hearing.clock_ns = ThreadClock().now_ns
+        self._turns = turns_of(self._instruments)
+        for turn in self._turns:
+            turn.clock_ns, turn.wall_ns = ThreadClock().now_ns, clock.now_ns
         self._clock = clock
         self._workers = workers
         self.on_failure = on_failure
@@ -82,6 +85,9 @@ class Daemon:
         self.liveness = Liveness(self._instruments, self.incidents, **takes_ns)
         for number in () if workers is None else workers.filenos():
             self._selector.register(number, selectors.EVENT_READ, "workers")
+        self._places = Places(self._instruments, self.incidents)
+        if self._places.fileno() >= 0:
+            self._selector.register(self._places.fileno(), selectors.EVENT_READ, "places")
 
     def stop(self) -> None:
         """End the run after the present step; safe in a signal handler."""
@@ -139,6 +145,7 @@ class Daemon:
     def run(self, until_ns: int | None = None, while_true: Callable[[], bool] | None = None) -> None:
         """Serve until `stop`, until `until_ns`, or until `while_true` says no (asked about ten times a second)."""
         sharpen_timers()
+        shorten_slices()
         sys.setswitchinterval(SWITCH_S)
         gc.collect()
         gc.freeze()  # what lives as long as the run is not walked again by the collector
@@ -152,6 +159,7 @@ class Daemon:
             if while_true is not None and not while_true():
                 return
             self._step_due(now_ns)
+            self._places.look(now_ns)
             if any(one.poked for index, one in enumerate(self._instruments) if index not in self._lost):
                 continue  # one sensor's scan has begun a fault of another
             self._wait(until_ns, 100_000_000 if while_true is not None else None)
@@ -187,9 +195,9 @@ class Daemon:
 
     def _step(self, index: int, instrument: Instrument) -> None:
         now_ns = self._clock.now_ns()
-        instrument.hearing.resting = 1 + sum(
-            one.hearing.rests(now_ns) for one in self._instruments if one is not instrument
-        )
+        crowd = sum(turn.crowds(now_ns) for turn in self._turns)
+        for turn in self._turns:
+            turn.resting = crowd + (not turn.crowds(now_ns))
         try:
             self._wake[index] = instrument.step(now_ns)
         except LinkError as error:
@@ -231,6 +239,8 @@ class Daemon:
         wakes = [wake for index, wake in self._wake.items() if wake is not None and index not in self._lost]
         if until_ns is not None:
             wakes.append(until_ns)
+        if (look_ns := self._places.next_ns()) is not None:
+            wakes.append(look_ns)
         if at_most_ns is not None:
             wakes.append(self._clock.now_ns() + at_most_ns)
         deadline_ns = min(wakes) if wakes else None
@@ -245,6 +255,8 @@ class Daemon:
                 self._take_results()
             elif key.data == "orders":
                 self._take_orders()
+            elif key.data == "places":
+                self._places.changed(self._clock.now_ns())
             elif isinstance(key.data, int):
                 self._wake[key.data] = self._clock.now_ns()
 
@@ -296,6 +308,7 @@ class Daemon:
     def close(self) -> None:
         """Close every link and end the workers."""
         self.notifier.stopping()
+        self._places.close()
         for instrument in self._instruments:
             instrument.close()
         if self._workers is not None:
@@ -304,6 +317,13 @@ class Daemon:
         self._bell.close()
         self._ring.close()
         self.notifier.close()
+
+
+def turns_of(instruments: Sequence[Instrument]) -> list[Turn]:
+    """Of all sensors and of the links that have their own; sensors on one bus have one together."""
+    found = [one.hearing.turn for one in instruments]
+    found += [link.turn for one in instruments for link in one.links if link.turn is not None]
+    return list({id(turn): turn for turn in found}.values())
 
 
 @dataclass(frozen=True)

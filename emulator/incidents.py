@@ -40,6 +40,9 @@ KINDS = {
     "recording moved": IncidentKind("the folder of a recording was moved; it goes on in its new place"),
     "link restored": IncidentKind("the path of a link was removed or replaced, and put back"),
     "link path taken": IncidentKind("the path of a link was taken by somebody else and is theirs"),
+    "link path gone": IncidentKind(
+        "the path of a link is gone and cannot be put back: its folder is not there, or is closed"
+    ),
     "helper ended": IncidentKind("a process beside the run ended: the page, a driver, a recorder"),
 }
 "Name -> what it means; docs/endurance.md has the same table from here."

@@ -147,11 +147,15 @@ class Instrument:
             if not moved:
                 break
         else:
+            self.hearing.settle(now_ns)
             return now_ns
         if self.faults is not None:
             self._release(now_ns)
         self._note_events(events)
         wakes = [link.flush(now_ns) for link in self.links]
+        self.hearing.settle(now_ns)
+        if self.hearing.rests(now_ns):  # a link whose input waits for us wants to be asked now; it has to wait
+            wakes = [wake for wake in wakes if wake is not None and wake > now_ns]
         wakes.append(self.session.next_deadline())
         plan = self.session.next_plan()
         self.ledger.wants(plan)
@@ -168,6 +172,9 @@ class Instrument:
         self._take_scans(now_ns)
         self._note_events()
         wakes = [link.flush(now_ns) for link in self.links]
+        self.hearing.settle(now_ns)
+        if self.hearing.rests(now_ns):
+            wakes = [wake for wake in wakes if wake is not None and wake > now_ns]
         if self.faults is not None:
             wakes.append(self.faults.next_ns())
         wakes.append(self.hearing.wake_ns(now_ns))

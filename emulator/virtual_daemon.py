@@ -28,6 +28,7 @@ from emulator.liveness import Liveness
 from emulator.notify import Notifier
 from emulator.own_daemon import ending_signals
 from emulator.patience import TICK_NS
+from emulator.places import Places
 from emulator.supervision import Workers
 from emulator.transports.link import Link
 from emulator.virtual import VirtualRun
@@ -118,6 +119,7 @@ class VirtualDaemon:
         "When it is told next that we live, in real time."
         self.liveness = Liveness(self.instruments, self.incidents)
         self.run_of.on_look = lambda now_ns: self.liveness.look(now_ns, now_ns, self.run_of.lost)
+        self._places = Places(instruments, self.incidents)
 
     @property
     def now_ns(self) -> int:
@@ -256,6 +258,7 @@ class VirtualDaemon:
                 return
             if while_true is not None and not while_true():
                 return
+            self._places.look(self._real.now_ns(), self.now_ns)
             self._wait(self._once(until_ns))
 
     def drain(self) -> None:
@@ -383,6 +386,7 @@ class VirtualDaemon:
     def close(self) -> None:
         """Close every link and end the workers."""
         self.notifier.stopping()
+        self._places.close()
         for instrument in self.instruments:
             instrument.close()
         if self._workers is not None:

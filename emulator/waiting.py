@@ -9,6 +9,9 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
+import platform
+import struct
+import sys
 from collections import deque
 from collections.abc import Callable, Sequence
 
@@ -17,6 +20,10 @@ from emulator.clock import Clock
 POLLIN = 1
 FOREVER_NS = 10**15
 PR_SET_TIMERSLACK = 29
+SCHED_ATTR_SIZE = 48
+"linux/sched/types.h: SCHED_ATTR_SIZE_VER0."
+SLICE_NS = 300_000
+"The kernel's own is about 3 ms."
 
 AWAKE_SHARE = 0.05
 "At most this share of one core is spent waiting awake."
@@ -61,6 +68,22 @@ def sharpen_timers() -> None:
     """Ask the kernel to wake this process within a microsecond of its deadlines instead of fifty."""
     with contextlib.suppress(OSError, AttributeError):
         _LIBC.prctl(PR_SET_TIMERSLACK, 1000, 0, 0, 0)
+
+
+def shorten_slices() -> None:
+    """Ask for short turns on the processor: no more of it, but sooner, and over whoever asks for longer ones.
+
+    Linux 6.12 and later (EEVDF); before, and elsewhere, nothing happens. It needs no rights.
+    """
+    number = {"x86_64": 314, "aarch64": 274, "riscv64": 274}.get(platform.machine())
+    if sys.platform != "linux" or number is None:
+        return
+    attributes = struct.pack(
+        "=IIQiIQQQ", SCHED_ATTR_SIZE, os.SCHED_OTHER, 0, os.getpriority(os.PRIO_PROCESS, 0), 0, SLICE_NS, 0, 0
+    )
+    with contextlib.suppress(OSError, AttributeError):
+        if os.sched_getscheduler(0) == os.SCHED_OTHER:
+            _LIBC.syscall(number, 0, attributes, 0)
 
 
 def realtime_allowed() -> str:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import queue
+import shutil
 import socket
+import stat
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import ExitStack
@@ -11,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from emulator.clock import ManualClock
-from emulator.control import DEAF_S, MOST_CLIENTS, ControlServer
+from emulator.control import DEAF_S, LOOK_NS, MOST_CLIENTS, ControlServer, ask
 
 LIMIT_S = 60.0
 
@@ -74,3 +77,50 @@ def test_who_is_within_a_request_keeps_its_place_until_it_has_sent_nothing_for_l
     assert b'"result"' in room.ask(room.client())
     assert b"the longest silent" in crowd[1].recv(4096)
     assert b'"result"' in room.ask(crowd[0], b' "method": "echo"}\n')
+
+
+def test_a_socket_that_was_removed_is_put_back_and_who_is_connected_stays(tmp_path: Path) -> None:
+    told: queue.Queue[tuple[str, str]] = queue.Queue()
+    methods = {"echo": lambda params: params}
+    path = tmp_path / "folder" / "control.sock"
+    path.parent.mkdir()
+    with ExitStack() as stack:
+        server = ControlServer(path, methods, AtOnce(), lambda *what: told.put(what))
+        stack.callback(server.close)
+        clock = server._clock = ManualClock()  # type: ignore[assignment]
+        bell = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+        bell.settimeout(LIMIT_S)
+        bell.connect(str(path))
+
+        def look() -> None:
+            """Let the server's thread look: a request of one who is here wakes it."""
+            clock.set(clock.now_ns() + LOOK_NS)  # type: ignore[attr-defined]
+            for _ in range(2):  # it looks after it has answered
+                bell.sendall(b'{"id": 1, "method": "echo"}\n')
+                assert b"result" in bell.recv(4096)
+
+        path.unlink()
+        look()
+        assert told.get(timeout=LIMIT_S) == ("link restored", f"{path}: was removed; listening there again")
+        assert ask(path, "echo", {"a": 1}) == {"a": 1}
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+        path.unlink()
+        path.write_text("precious")
+        look()
+        assert told.get(timeout=LIMIT_S)[0] == "link path taken"
+        look()
+        assert path.read_text() == "precious"
+        shutil.rmtree(path.parent)
+        path.parent.mkdir()
+        look()
+        assert told.get(timeout=LIMIT_S)[0] == "link restored"
+        other = path.with_name("other.sock")
+        path.rename(other)
+        second = ControlServer(path, methods, AtOnce())
+        look()
+        assert "Address already in use" in told.get(timeout=LIMIT_S)[1]
+        second.close()
+        look()
+        assert told.get(timeout=LIMIT_S)[0] == "link restored"
+        assert told.empty()
+    assert not path.exists()

@@ -34,11 +34,23 @@ def control_of(
     """The control socket of a run, at `path` or at a place of its own."""
     from emulator.control import ControlServer, new_path
     from emulator.orders import Orders
+    from emulator.virtual_daemon import VirtualDaemon
 
     orders = Orders(daemon, instruments, clock, scenario)
     if recorder is not None:
         orders.record(recorder.note, recorder.state)
-    return ControlServer(path or new_path(), orders.methods(), daemon)
+
+    def befell(kind: str, text: str) -> None:
+        """Told by the control's thread; noted, and printed, by the run's."""
+
+        def note() -> None:
+            at_ns = daemon.now_ns if isinstance(daemon, VirtualDaemon) else clock.now_ns()
+            daemon.incidents.note(kind, at_ns, "control", text)
+
+        daemon.call(note)
+
+    limited = not isinstance(daemon, VirtualDaemon)
+    return ControlServer(path or new_path(), orders.methods(), daemon, befell, limited)
 
 
 @click.command()

@@ -100,6 +100,7 @@ def replay(
         session.loops, session.allowed = loops, 0 if stepped else None
     daemon = VirtualDaemon(players, speed=speed)
     daemon.on_failure = note
+    daemon.incidents.listeners.append(lambda one: note(f"{one.on}: {one.kind}: {one.text}"))
     daemon.paused = stepped
     errors = GapErrors(daemon)
     for player in players:

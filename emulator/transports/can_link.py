@@ -17,11 +17,18 @@ from typing import Protocol
 
 from emulator.errors import LinkError
 from emulator.transports.can_wire import CanWire, Carried, Node, Notice
-from emulator.transports.link import Link, Received
+from emulator.transports.link import Befallen, Link, Received
+from emulator.transports.turns import Turn
 from protocols.session import LinkKind
 
 BITRATE = 500_000
 "Default bit rate of a bus."
+GROUP_NS = 2_000_000
+"Frames of hosts that follow each other are looked at together, so long, while no sensor has one to send."
+MOST_LISTENERS = 8
+"Hosts to whom each frame is shown when it ends; more of them get those of `GROUP_NS` in one piece."
+AT_ONCE_FRAMES = 64
+"Frames that are carried at one go on a bus whose time is limited; other sensors come before the rest."
 LOWEST_BITRATE, HIGHEST_BITRATE = 10_000, 1_000_000
 
 
@@ -78,9 +85,22 @@ class Outlet(ABC):
         """Tell hosts of error states, where they have a word for it."""
         return None
 
+    def listeners(self) -> int:
+        """Hosts to whom each frame has to be shown one by one."""
+        return 1
+
     def next_ns(self) -> int | None:
         """When `poll` has something to do even if nothing arrives."""
         return None
+
+    @property
+    def path(self) -> str | None:
+        """As of a link."""
+        return None
+
+    def tend(self, now_ns: int) -> list[Befallen]:
+        """As of a link."""
+        return []
 
     def held(self) -> int:
         """Bytes that hosts have not read, as far as that can be known."""
@@ -118,13 +138,26 @@ class CanPort:
         self.links: list[CanLink] = []
         self._on_closed = on_closed
         self._asking: CanLink | None = None
+        self.turn = Turn()
+        "Of all that happens on this bus. While it rests, the bus stands."
+        self._rests = False
+        self._strangers = False
+        "Hosts said something, or had frames on the bus, when it ran last: what a sensor says itself is not limited."
+        self._crowded_ns: int | None = None
+        "When frames of hosts were carried, and none of a sensor waited."
         outlet.attached(self)
 
     def run(self, now_ns: int, asking: CanLink | None = None) -> None:
         """Let hosts speak, then everything happen on the bus up to `now_ns`."""
+        self._rests = self.turn.rests(now_ns)
+        if self._rests:
+            return
         self._asking = asking
+        timed = self.turn.clock_ns is not None
+        began_ns = self.turn.begin() if self._strangers else None
+        said = self.outlet.counters.host_frames + self.outlet.counters.malformed
         self.outlet.poll(now_ns)
-        carried = self.wire.take(now_ns)
+        carried = self.wire.take(now_ns, AT_ONCE_FRAMES if timed else None)
         if carried:
             heard = self.outlet.deliver(carried, now_ns)
             for link in self.links:
@@ -135,6 +168,23 @@ class CanPort:
             for link in self.links:
                 link.note(notices)
         self._asking = None
+        own = {id(link.node) for link in self.links}
+        self._strangers = timed and (
+            said != self.outlet.counters.host_frames + self.outlet.counters.malformed
+            or any(id(frame.node) not in own for frame in carried)
+            or self.outlet.listeners() > MOST_LISTENERS
+        )
+        alone = self.outlet.listeners() <= MOST_LISTENERS and any(link.node.waiting for link in self.links)
+        self._crowded_ns = now_ns if self._strangers and not alone else None
+        if began_ns is not None:
+            self._rests = self.turn.end(began_ns, now_ns)
+        if self._rests:
+            self.wire.stall(self.turn.wake_ns(now_ns) or now_ns)
+
+    @property
+    def resting(self) -> bool:
+        """The bus stands, as far as was seen when it ran last or was asked when to run."""
+        return self._rests
 
     def inject(self, received: Sequence[Received]) -> None:
         """Frames that were on a real bus already: they go to every sensor, not to the emulated wire."""
@@ -145,9 +195,14 @@ class CanPort:
         """Whether `link` is not the one that is being asked and must be woken."""
         return link is not self._asking
 
-    def next_ns(self) -> int | None:
+    def next_ns(self, now_ns: int) -> int | None:
         """When `run` should be called again."""
-        times = [time for time in (self.wire.next_ns(), self.outlet.next_ns()) if time is not None]
+        if (until_ns := self.turn.wake_ns(now_ns)) is not None:
+            return until_ns
+        wire_ns = self.wire.next_ns()
+        if wire_ns is not None and self._crowded_ns is not None:
+            wire_ns = max(wire_ns, self._crowded_ns + GROUP_NS)
+        times = [time for time in (wire_ns, self.outlet.next_ns()) if time is not None]
         return min(times) if times else None
 
     def remove(self, link: CanLink) -> None:
@@ -184,6 +239,17 @@ class CanLink(Link):
     def url(self) -> str:
         return self._last_url if self._port is None else self._port.outlet.url
 
+    @property
+    def turn(self) -> Turn | None:
+        return None if self._port is None else self._port.turn
+
+    @property
+    def path(self) -> str | None:
+        return self._port.outlet.path if self._port is not None and self._port.links[0] is self else None
+
+    def tend(self, now_ns: int) -> list[Befallen]:
+        return self._port.outlet.tend(now_ns) if self._port is not None and self._port.links[0] is self else []
+
     def share(self) -> None:
         """Make a descriptor by which another sensor's run can wake this one."""
         if self._wake_fd is None:
@@ -199,6 +265,8 @@ class CanLink(Link):
             return ()
         own = () if self._wake_fd is None else (self._wake_fd,)
         # a descriptor may be watched once: the first sensor of the bus does it
+        if self._port.resting:
+            return own
         return (*self._port.outlet.filenos(), *own) if self._port.links[0] is self else own
 
     def receive(self, now_ns: int) -> list[Received]:
@@ -228,7 +296,7 @@ class CanLink(Link):
         self._port.run(now_ns, self)
         if self._inbox:
             return now_ns
-        return self._port.next_ns()
+        return self._port.next_ns(now_ns)
 
     def clear(self) -> int:
         return self.wire.clear(self.node)

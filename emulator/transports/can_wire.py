@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from heapq import heapify, heappop, heappush
 from typing import NamedTuple
 
 from protocols.can_frame import MAX_DATA_BYTES, arbitration_key, frame_bits, is_identifier
@@ -18,6 +19,10 @@ from protocols.can_frame import MAX_DATA_BYTES, arbitration_key, frame_bits, is_
 SECOND_NS = 1_000_000_000
 QUEUE_FRAMES = 1024
 "Frames that may wait at one node: three of the longest lists."
+HOST_FRAMES = 64
+"At the controller of a host that waits for room by itself; what it has not handed over stays in the kernel."
+STALE = 64
+"First frames that are kept though their nodes have gone, beyond as many as there are nodes."
 RECOVERY_BITS = 128 * 11
 "ISO 11898-1: a controller that is off the bus comes back after 128 times 11 recessive bits."
 ERROR_PASSIVE, BUS_OFF = 128, 256
@@ -33,6 +38,10 @@ class Node:
     """One controller on the bus."""
 
     name: str
+    queue_frames: int = QUEUE_FRAMES
+    "Frames that may wait."
+    place: int = 0
+    "Of nodes that send the same identifier at once the first goes first."
     waiting: deque[_Waiting] = field(default_factory=deque)
     error_counter: int = 0
     recovery_ns: int = 0
@@ -84,7 +93,12 @@ class CanWire:
             raise ValueError(f"bit rate {bitrate}; want bit/s > 0")
         self.bitrate = bitrate
         self._queue_frames = queue_frames
-        self._nodes: list[Node] = []
+        self._nodes: dict[int, Node] = {}
+        self._joined = 0
+        self._later: list[tuple[int, int, _Waiting]] = []
+        "First frames of nodes by when they want to go: (due, place, frame). What is stale is passed over."
+        self._ready: list[tuple[tuple[int, int, int], int, _Waiting]] = []
+        "Those that wanted to go before now, by arbitration: (key, place, frame)."
         self._free_ns = 0
         self._on_wire: tuple[Node, _Waiting, int, int] | None = None
         self._busy: deque[tuple[int, int]] = deque()
@@ -93,20 +107,29 @@ class CanWire:
         self.notices: list[Notice] = []
         "Changes of error states, for the caller to take away."
 
-    def join(self, name: str) -> Node:
-        """A new controller on the bus."""
-        node = Node(name)
-        self._nodes.append(node)
+    def join(self, name: str, queue_frames: int | None = None) -> Node:
+        """A new controller on the bus; `queue_frames`: it holds so many, not what is usual on this bus."""
+        self._joined += 1
+        node = Node(name, self._queue_frames if queue_frames is None else queue_frames, self._joined)
+        self._nodes[node.place] = node
         return node
 
     def leave(self, node: Node) -> None:
         """A controller goes; a frame that it has begun is finished."""
-        if node in self._nodes:
-            self._nodes.remove(node)
+        self._nodes.pop(node.place, None)
+        self._sweep()
+
+    def _sweep(self) -> None:
+        """Forget what is stale, once it is more than what is not: hosts that come, send and go must not pile up."""
+        if len(self._later) + len(self._ready) > 2 * len(self._nodes) + STALE:
+            self._later = [one for one in self._later if self._owner(*one[1:]) is not None]
+            self._ready = [one for one in self._ready if self._owner(*one[1:]) is not None]
+            heapify(self._later)
+            heapify(self._ready)
 
     def has_room(self, node: Node) -> bool:
         """Whether `put` would take one more frame."""
-        return len(node.waiting) < self._queue_frames
+        return len(node.waiting) < node.queue_frames
 
     def put(self, node: Node, peer: int, data: bytes, due_ns: int) -> bool:
         """Queue a frame to start not before `due_ns`; False, and counted, when it is none, or there is no room."""
@@ -119,12 +142,23 @@ class CanWire:
                 return False
             self._recover(node)
         node.waiting.append(_Waiting(due_ns, peer, data))
+        if len(node.waiting) == 1:
+            self._queue(node)
         return True
 
-    def take(self, now_ns: int) -> list[Carried]:
-        """Frames whose last bit has left by `now_ns` and that were not taken before, in order."""
+    def _queue(self, node: Node) -> None:
+        """The node's first frame takes part in what follows."""
+        heappush(self._later, (node.waiting[0].due_ns, node.place, node.waiting[0]))
+
+    def _owner(self, place: int, frame: _Waiting) -> Node | None:
+        """The node whose first frame this still is."""
+        node = self._nodes.get(place)
+        return node if node is not None and node.waiting and node.waiting[0] is frame else None
+
+    def take(self, now_ns: int, at_most: int | None = None) -> list[Carried]:
+        """Frames whose last bit has left by `now_ns` and that were not taken before, in order; the first `at_most`."""
         carried: list[Carried] = []
-        while True:
+        while at_most is None or len(carried) < at_most:
             if self._on_wire is None and not self._begin(now_ns):
                 break
             if self._on_wire is None:
@@ -138,28 +172,33 @@ class CanWire:
                 self.notices.append(Notice(end_ns, node, "active"))
             node.error_counter = max(0, node.error_counter - 1)
             carried.append(Carried(node, frame.peer, frame.data, frame.due_ns, start_ns, end_ns))
-        for node in self._nodes:
+        for node in self._off_the_bus():
             if node.off_until_ns is not None and node.off_until_ns <= now_ns:
                 self._recover(node)
         return carried
+
+    def _off_the_bus(self) -> list[Node]:
+        return [node for node in self._nodes.values() if node.off_until_ns is not None]
 
     def next_ns(self) -> int | None:
         """When `take` should be called again, None when nothing waits."""
         if self._on_wire is not None:
             return self._on_wire[3]
         # when the next frame will have left, as far as can be said before the arbitration
-        ends = [
-            max(self._free_ns, node.waiting[0].due_ns) + self._frame_ns(node.waiting[0])
-            for node in self._nodes
-            if node.waiting
-        ]
-        ends += [node.off_until_ns for node in self._nodes if node.off_until_ns is not None]
+        firsts = [frame for _, place, frame in (*self._later, *self._ready) if self._owner(place, frame) is not None]
+        ends = [max(self._free_ns, frame.due_ns) + self._frame_ns(frame) for frame in firsts]
+        ends += [node.off_until_ns for node in self._off_the_bus() if node.off_until_ns is not None]
         return min(ends) if ends else None
+
+    def stall(self, now_ns: int) -> None:
+        """The bus has stood until now: no frame that has not begun begins before."""
+        self._free_ns = max(self._free_ns, now_ns)
 
     def clear(self, node: Node) -> int:
         """Forget what a node has not begun to send; how many bytes of data those were."""
         forgotten = sum(len(frame.data) for frame in node.waiting)
         node.waiting.clear()
+        self._sweep()
         return forgotten
 
     def disturb(self, node: Node, frames: int) -> None:
@@ -186,20 +225,31 @@ class CanWire:
 
     def _begin(self, now_ns: int) -> bool:
         """Let the winner of the next arbitration begin, when that is by `now_ns`."""
-        heads = [node for node in self._nodes if node.waiting]
-        if not heads:
+        while self._later and self._owner(*self._later[0][1:]) is None:
+            heappop(self._later)
+        while self._ready and self._owner(*self._ready[0][1:]) is None:
+            heappop(self._ready)
+        if not self._later and not self._ready:
             return False
-        start_ns = max(self._free_ns, min(node.waiting[0].due_ns for node in heads))
+        due_ns = min([frame.due_ns for _, _, frame in self._ready[:1]] + [due for due, _, _ in self._later[:1]])
+        start_ns = max(self._free_ns, due_ns)
         if start_ns > now_ns:
             return False
-        ready = [node for node in heads if node.waiting[0].due_ns <= start_ns]
-        winner = min(ready, key=lambda node: arbitration_key(node.waiting[0].peer))
-        frame = winner.waiting[0]
+        while self._later and self._later[0][0] <= start_ns:
+            _, place, frame = heappop(self._later)
+            heappush(self._ready, (arbitration_key(frame.peer), place, frame))
+        _, place, frame = heappop(self._ready)
+        while (winner := self._owner(place, frame)) is None:
+            _, place, frame = heappop(self._ready)
         end_ns = start_ns + self._frame_ns(frame)
         if winner.disturbed:
             self._destroy(winner, start_ns, end_ns)
+            if winner.waiting:
+                self._queue(winner)
             return True
         winner.waiting.popleft()
+        if winner.waiting:
+            self._queue(winner)
         self._occupy(start_ns, end_ns)
         self._on_wire = (winner, frame, start_ns, end_ns)
         return True

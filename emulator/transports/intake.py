@@ -10,6 +10,8 @@ LINE_BYTES_S, LINE_BURST = 100_000, 2_048
 "Of a serial line: twice the fastest; the longest request of any device fits in at once."
 STREAM_BYTES_S, STREAM_BURST = 500_000, 8_192
 "Of all hosts on a socket, and of a CAN adapter: more than the text of every frame of a full bus of 1 Mbit/s."
+CAN_BURST = 2_048
+"Of hosts that write frames as text: each of its 70 frames costs more than a few bytes of another link."
 SECOND_NS = 1_000_000_000
 
 

@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from emulator.transports.turns import Turn
 from protocols.session import LinkKind
 
 LATENESS_KEPT = 65_536
@@ -29,6 +30,15 @@ class Received:
     "A stream's host has connected."
     closed: bool = False
     "A stream's host has gone."
+
+
+@dataclass(frozen=True)
+class Befallen:
+    """Something that somebody else did to a link's place in the file system."""
+
+    kind: str
+    "Of `emulator.incidents.KINDS`."
+    text: str
 
 
 @dataclass
@@ -94,6 +104,23 @@ class Link(ABC):
     def speed(self) -> int | None:
         """Baud of the line now; None: it has no speed, or is not paced."""
         return None
+
+    @property
+    def turn(self) -> Turn | None:
+        """Limits what its hosts cost, where that can be much though no sensor hears them; else None."""
+        return None
+
+    @property
+    def path(self) -> str | None:
+        """The path in the file system by which hosts find it, and which others might take away; None: there is none."""
+        return None
+
+    def tend(self, now_ns: int) -> list[Befallen]:
+        """Look whether that path still leads here and put it back; what befell it since, each told once.
+
+        `now_ns`: of a clock that never stands. Called when the path's folder has changed, and once a second.
+        """
+        return []
 
     # for faults; links that know no such thing leave it as it is. What is done twice must be undone twice
 

@@ -27,7 +27,7 @@ import termios
 from emulator.errors import LinkError
 from emulator.transports.inotify import OpenWatch
 from emulator.transports.intake import LINE_BURST, LINE_BYTES_S, Intake
-from emulator.transports.link import Link, Received
+from emulator.transports.link import Befallen, Link, Received
 from emulator.transports.pacing import Left, PacedLine
 from emulator.transports.stable_path import StablePath
 from emulator.transports.tty_modes import TtyModes, read_modes, set_raw
@@ -71,7 +71,7 @@ class PseudoTerminal(Link):
         self._line = PacedLine()
         self._to_host: Receiver | None = None
         self._watch: OpenWatch | None = None
-        self._poll = select.poll()
+        self._poll = self._told = select.poll()
         self._path = path
         self._pulled = 0
         "How often the plug was pulled and not put in again."
@@ -105,10 +105,11 @@ class PseudoTerminal(Link):
             raise
         finally:
             os.close(slave)
-        self._poll = select.poll()
+        self._poll, self._told = select.poll(), select.poll()
         self._poll.register(self._master, select.POLLIN)
         if self._watch is not None:
             self._poll.register(self._watch.fileno(), select.POLLIN)
+            self._told.register(self._watch.fileno(), select.POLLIN)
 
     def unplug(self) -> None:
         self._pulled += 1
@@ -134,6 +135,13 @@ class PseudoTerminal(Link):
         return f"pty:{self._place.path}"
 
     @property
+    def path(self) -> str | None:
+        return self._place.path
+
+    def tend(self, now_ns: int) -> list[Befallen]:
+        return self._place.tend(now_ns) if self._master >= 0 else []
+
+    @property
     def host_present(self) -> bool:
         """Somebody had the slave open when we looked last."""
         return self._open
@@ -152,6 +160,7 @@ class PseudoTerminal(Link):
     def receive(self, now_ns: int) -> list[Received]:
         if self._master < 0:
             return []
+        self._look()
         self.flush(now_ns)
         data = self._read(self._intake.room(now_ns)) if self._input_waits else b""
         if not data:
@@ -192,11 +201,12 @@ class PseudoTerminal(Link):
     def flush(self, now_ns: int) -> int | None:
         if self._master < 0:
             return self._flush_unplugged(now_ns) if self._pulled else None
-        self._look()
+        left = self._line.take(now_ns)
+        if left or self._kept or self._may_have_changed():
+            self._look()
         if self._kept:
             kept, self._kept = self._kept, b""
             self._write(kept)
-        left = self._line.take(now_ns)
         if left:
             self._write(b"".join(self._as_heard(left)))
             late = (now_ns - item.last_ns for item in left if item.ends)
@@ -210,6 +220,10 @@ class PseudoTerminal(Link):
         """The device goes on speaking, at its own speed, to nobody."""
         self.stats.bytes_lost += sum(len(item.data) for item in self._line.take(now_ns))
         return self._line.next_ns(now_ns)
+
+    def _may_have_changed(self) -> bool:
+        """Whether somebody opened or closed it; a look at a flooded terminal waits for the kernel's own thread."""
+        return self._watch is None or bool(self._told.poll(0))
 
     def _look(self) -> None:
         """See whether a host is there. What the last one left unread goes with it, as a port's buffer does."""

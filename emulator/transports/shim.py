@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from emulator.errors import EmulatorError
+from emulator.private_folder import private_folder
 
 SOURCE = Path(__file__).with_name("preload_shim.c")
 COMPILERS = ("cc", "gcc", "clang")
@@ -51,7 +52,7 @@ def build_shim(environment: Mapping[str, str] | None = None) -> Path:
     if any(letter in str(library) for letter in " :\t\n"):
         raise EmulatorError(f"{library.parent}: LD_PRELOAD takes no path with spaces or colons; set XDG_CACHE_HOME")
     try:
-        library.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        private_folder(library.parent, "set XDG_CACHE_HOME")
         if not library.exists():
             _compile(compiler, library)
     except OSError as error:

@@ -13,8 +13,8 @@ from collections.abc import Callable, Sequence
 
 from emulator.transports.can_link import BITRATE, HIGHEST_BITRATE, LOWEST_BITRATE, CanPort, CanPorts, Outlet
 from emulator.transports.can_wire import CanWire, Carried
-from emulator.transports.intake import STREAM_BURST, STREAM_BYTES_S
-from emulator.transports.link import Link
+from emulator.transports.intake import CAN_BURST, STREAM_BYTES_S
+from emulator.transports.link import Befallen, Link
 from emulator.transports.pseudo_terminal import PseudoTerminal
 from emulator.transports.urls import parse_url
 from protocols.can_frame import EXTENDED, MAX_DATA_BYTES, MAX_EXTENDED_ID, MAX_STANDARD_ID, split_identifier
@@ -64,7 +64,7 @@ def open_link_slcan(url: str, *, can_ports: CanPorts | None = None, can_bitrate:
 class Terminal(PseudoTerminal):
     """A pseudo-terminal that keeps what the host has not room for, so that no frame is cut."""
 
-    INTAKE = STREAM_BYTES_S, STREAM_BURST
+    INTAKE = STREAM_BYTES_S, CAN_BURST
 
     def __init__(self, path: str) -> None:
         self._rest = bytearray()
@@ -131,6 +131,13 @@ class Adapter(Outlet):
     @property
     def url(self) -> str:
         return f"slcan:{self._terminal.url.partition(':')[2]}"
+
+    @property
+    def path(self) -> str | None:
+        return self._terminal.path
+
+    def tend(self, now_ns: int) -> list[Befallen]:
+        return self._terminal.tend(now_ns)
 
     def filenos(self) -> tuple[int, ...]:
         return self._terminal.filenos()

@@ -16,17 +16,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from emulator.transports.can_link import BITRATE, HIGHEST_BITRATE, LOWEST_BITRATE, CanPort, CanPorts, Outlet
-from emulator.transports.can_wire import CanWire, Carried, Node, Notice
+from emulator.transports.can_wire import HOST_FRAMES, CanWire, Carried, Node, Notice
+from emulator.transports.intake import CAN_BURST, STREAM_BYTES_S, Intake
 from emulator.transports.link import Link, LinkStats
-from emulator.transports.tcp_hosts import BACKLOG_LIMIT, Host, Hosts
+from emulator.transports.tcp_hosts import Host, Hosts
 from emulator.transports.urls import host_and_port, join_host_port, parse_url
 from protocols.can_frame import EXTENDED, MAX_DATA_BYTES, MAX_EXTENDED_ID, MAX_STANDARD_ID, split_identifier
 
 SETTLE_NS = 20_000_000
 LONGEST_GROUP = 512
 "Bytes between < and > beyond which a client is not speaking this protocol."
-TEXT_LIMIT = 1_048_576
-"Text of a client that waits for room on the bus; more is dropped."
+TEXT_LIMIT = 32_768
+"Text of a client that waits for room on the bus. It is not read any further meanwhile, so no client gets there."
 CHANNEL = re.compile(r"[A-Za-z0-9_.-]{1,15}")
 "As the kernel names its interfaces."
 GROUP = re.compile(rb"<([^<>]*)>")
@@ -96,7 +97,7 @@ class SocketcandServer:
 
     def __init__(self, url: str, host: str, port: int) -> None:
         self.stats = LinkStats()
-        self.hosts = Hosts(url, host, port, self.stats)
+        self.hosts = Hosts(url, host, port, self.stats, Intake(STREAM_BYTES_S, CAN_BURST))
         self.channels: dict[str, Channel] = {}
         self._clients: dict[int, Client] = {}
         self.closed = False
@@ -136,7 +137,7 @@ class SocketcandServer:
     def say(self, number: int, text: bytes, now_ns: int) -> bool:
         """Send to one client; False when it reads too slowly."""
         host: Host | None = self.hosts.find(number)
-        if host is None or host.backlog >= BACKLOG_LIMIT:
+        if host is None or not self.hosts.takes(host):
             return False
         self.hosts.send(host, text, now_ns)
         return True
@@ -187,6 +188,9 @@ class SocketcandServer:
         if len(text) > (TEXT_LIMIT if client.blocked else LONGEST_GROUP):
             self._malformed(client, b"too long", now_ns)
             text.clear()
+        host = self.hosts.find(client.number)
+        if host is not None:
+            self.hosts.pause(host, client.blocked)
 
     def _obey(self, client: Client, words: list[bytes], now_ns: int) -> None:
         command, arguments = (words[0], words[1:]) if words else (b"", [])
@@ -276,6 +280,9 @@ class Channel(Outlet):
     def has_host(self) -> bool:
         return bool(self._server.clients(self))
 
+    def listeners(self) -> int:
+        return len(self._server.clients(self))
+
     def notify(self, notices: Sequence[Notice]) -> None:
         for notice in notices:
             if notice.state not in ERROR_IDS:
@@ -290,7 +297,7 @@ class Channel(Outlet):
 
     def join(self, number: int) -> Node | None:
         """A client's controller."""
-        return None if self._port is None else self._port.wire.join(f"client {number}")
+        return None if self._port is None else self._port.wire.join(f"client {number}", HOST_FRAMES)
 
     def leave(self, node: Node) -> None:
         """A client has gone; what it had queued goes with it."""

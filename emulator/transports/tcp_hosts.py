@@ -15,16 +15,17 @@ import errno
 import select
 import socket
 import struct
-from collections import deque
 from dataclasses import dataclass, field
 
 from emulator.errors import LinkError
-from emulator.transports.intake import STREAM_BURST, STREAM_BYTES_S, Intake
+from emulator.transports.intake import Intake
 from emulator.transports.link import LinkStats, Received
 
 MAX_HOSTS = 64
 BACKLOG_LIMIT = 65_536
 "Bytes that may wait for one host; while as much waits, further payloads for it are dropped whole."
+BACKLOG_TOTAL = 1_048_576
+"Bytes that may wait for all hosts of a socket: who reads slowly shares it with the others that do."
 SEND_BUFFER = 65_536
 "Asked of the kernel (it takes twice as much): bounds how much a host that does not read finds when it reads again."
 READ_SIZE = 16_384
@@ -36,7 +37,8 @@ LEAST_SHARE = 256
 LINGER_NS = 10_000_000_000
 "Longer than the slowest reply of an LMS2xx (7 s): a host that half-closes behind its request still gets it."
 FLOOD_NS = 10_000_000_000
-"A host that has written faster than it is read for so long loses its place when somebody else wants it."
+"""A host that has written faster than it is read for so long, or has read nothing of what waits for it, loses its place
+when somebody else wants it."""
 NO_DESCRIPTOR_PAUSE_NS = 1_000_000_000
 "How long nobody is accepted after the process ran out of descriptors."
 KEEPALIVE = (("TCP_KEEPIDLE", 30), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 3))
@@ -50,9 +52,12 @@ class Host:
 
     number: int
     connection: socket.socket
-    waiting: deque[memoryview] = field(default_factory=deque)
-    backlog: int = 0
-    "Bytes in `waiting`."
+    waiting: bytearray = field(default_factory=bytearray)
+    "What the kernel has not taken yet."
+    deaf_ns: int | None = None
+    "Since when it has taken nothing of what waits for it."
+    paused: bool = False
+    "What it sends stays in the kernel."
     spoke: bool = False
     flooding_ns: int | None = None
     "Since when more of it has waited than was read; None: it has been read to the end."
@@ -63,11 +68,16 @@ class Host:
     "The payload being sent in pieces is not for this host: it reads too slowly."
     mask: int = select.EPOLLIN
 
+    @property
+    def backlog(self) -> int:
+        """Bytes that wait for it."""
+        return len(self.waiting)
+
 
 class Hosts:
     """Listens and keeps the connections. Numbers count up from 1 and are not used again."""
 
-    def __init__(self, url: str, host: str, port: int, stats: LinkStats) -> None:
+    def __init__(self, url: str, host: str, port: int, stats: LinkStats, intake: Intake) -> None:
         self._stats = stats
         self._url = url
         self._listener = _listen(url, host, port)
@@ -79,10 +89,12 @@ class Hosts:
         self._by_fd: dict[int, Host] = {}
         self._accepted = 0
         self._pause_until_ns: int | None = None
-        self.intake = Intake(STREAM_BYTES_S, STREAM_BURST)
+        self.intake = intake
         "While it is closed, nobody needs to wait for the descriptor: `next_ns` tells when."
         self._read_last = -1
         "Descriptor of the host that was read last."
+        self._slow: set[int] = set()
+        "Numbers of hosts for which something waits."
         self._gone: list[int] = []
         "Numbers of connections that were reset, still to be told."
         self._orphans: dict[int, socket.socket] = {}
@@ -127,7 +139,7 @@ class Hosts:
             elif host is not None:
                 if mask & select.EPOLLOUT:
                     self._send_waiting(host, now_ns)
-                if budget > 0 or host.broken:
+                if host.broken or (budget > 0 and (not host.paused or mask & (select.EPOLLHUP | select.EPOLLERR))):
                     budget -= self._read(host, mask, now_ns, events, max(1, min(budget, share)))
                     self._read_last = fd
         self._end_lingering(now_ns, events)
@@ -148,9 +160,25 @@ class Hosts:
         """Send now what the kernel takes; the rest waits its turn. Errors are noticed by the next `poll`."""
         if host.broken:
             return
-        host.waiting.append(memoryview(data))
-        host.backlog += len(data)
-        self._send_waiting(host, now_ns)
+        if host.waiting:
+            host.waiting += data  # the kernel says when it takes more
+            return
+        sent = self._hand_over(host, data, now_ns)
+        if sent < len(data) and not host.broken:
+            host.waiting += memoryview(data)[sent:]
+            host.deaf_ns = now_ns
+            self._slow.add(host.number)
+        self._watch(host)
+
+    def takes(self, host: Host) -> bool:
+        """Whether another payload may wait for it."""
+        return host.backlog < min(BACKLOG_LIMIT, BACKLOG_TOTAL // max(1, len(self._slow)))
+
+    def pause(self, host: Host, paused: bool) -> None:
+        """Leave what it sends in the kernel, where it holds up its sender; or read it again."""
+        if host.paused != paused:
+            host.paused = paused
+            self._watch(host)
 
     def reset_all(self) -> int:
         """Reset every connection; the next `poll` tells of them. How many it were."""
@@ -229,7 +257,7 @@ class Hosts:
         return ACCEPTS_A_CALL * ACCEPT_BYTES
 
     def _make_room(self, now_ns: int, events: list[Received]) -> bool:
-        """Whether one has lost its place: the oldest that never spoke, else who has flooded for longest.
+        """Whether one has lost its place: the oldest that never spoke, else who has flooded or been deaf for longest.
 
         What a flood left in the kernel is read for minutes after its programs are gone.
         """
@@ -237,10 +265,12 @@ class Hosts:
         if silent is not None:
             self._end(silent, events)
         else:
-            floods = [host for host in self._hosts.values() if host.flooding_ns is not None]
-            worst = min(floods, key=lambda host: host.flooding_ns or 0, default=None)
-            if worst is None or worst.flooding_ns is None or now_ns - worst.flooding_ns < FLOOD_NS:
+            since = {host.number: _bad_since_ns(host) for host in self._hosts.values()}
+            bad = ((ns, number) for number, ns in since.items() if ns is not None)
+            worst_ns, number = min(bad, default=(now_ns, 0))
+            if now_ns - worst_ns < FLOOD_NS:
                 return False
+            worst = self._hosts[number]
             self._stats.bytes_lost += worst.backlog
             self._leave(worst)
             _reset(worst.connection)
@@ -274,29 +304,34 @@ class Hosts:
         return len(data)
 
     def _send_waiting(self, host: Host, now_ns: int) -> None:
+        if host.waiting:
+            if sent := self._hand_over(host, host.waiting, now_ns):
+                del host.waiting[:sent]
+                host.deaf_ns = now_ns
+        if not host.waiting:
+            host.deaf_ns = None
+            self._slow.discard(host.number)
+        self._watch(host)
+
+    def _hand_over(self, host: Host, data: bytes | bytearray, now_ns: int) -> int:
+        """Bytes that the kernel has taken."""
         try:
-            while host.waiting:
-                sent = host.connection.send(host.waiting[0])
-                self._stats.bytes_out += sent
-                host.backlog -= sent
-                if host.half_closed_ns is not None:
-                    host.half_closed_ns = now_ns
-                if sent < len(host.waiting[0]):
-                    host.waiting[0] = host.waiting[0][sent:]
-                    break
-                host.waiting.popleft()
+            sent = host.connection.send(data)
         except BlockingIOError:
-            pass
+            return 0
         except OSError:
             host.broken = True  # the connection stays watched: `poll` finds it and tells
-            self._stats.bytes_lost += host.backlog
+            self._stats.bytes_lost += len(data)
             host.waiting.clear()
-            host.backlog = 0
-        self._watch(host)
+            return 0
+        self._stats.bytes_out += sent
+        if host.half_closed_ns is not None:
+            host.half_closed_ns = now_ns
+        return sent
 
     def _watch(self, host: Host) -> None:
         """Wait for what the host may do next. A broken connection reports itself whatever the mask."""
-        reading = select.EPOLLIN if host.half_closed_ns is None else 0
+        reading = select.EPOLLIN if host.half_closed_ns is None and not host.paused else 0
         mask = reading | (select.EPOLLOUT if host.waiting or host.broken else 0)
         if mask != host.mask:
             host.mask = mask
@@ -320,6 +355,7 @@ class Hosts:
         host.connection.close()
 
     def _leave(self, host: Host) -> None:
+        self._slow.discard(host.number)
         del self._hosts[host.number]
         del self._by_fd[host.connection.fileno()]
         self._epoll.unregister(host.connection)
@@ -363,6 +399,11 @@ def _prepare(connection: socket.socket) -> None:
         for name, value in KEEPALIVE:
             if hasattr(socket, name):
                 connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+
+
+def _bad_since_ns(host: Host) -> int | None:
+    """Since when it floods, or is deaf; None: it does not and is not."""
+    return min((ns for ns in (host.flooding_ns, host.deaf_ns) if ns is not None), default=None)
 
 
 def _has_unread(host: Host) -> bool:

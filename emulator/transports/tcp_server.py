@@ -14,9 +14,10 @@ from __future__ import annotations
 
 from collections import deque
 
+from emulator.transports.intake import STREAM_BURST, STREAM_BYTES_S, Intake
 from emulator.transports.link import Link, Received
 from emulator.transports.pacing import QUEUE_LIMIT, PacedLine
-from emulator.transports.tcp_hosts import BACKLOG_LIMIT, Host, Hosts
+from emulator.transports.tcp_hosts import Host, Hosts
 from emulator.transports.urls import host_and_port, join_host_port, parse_url
 from protocols.session import LinkKind
 
@@ -37,7 +38,7 @@ def open_link_tcp(url: str, *, serial_line: bool) -> Link:
 class _TcpLink(Link):
     def __init__(self, url: str, host: str, port: int) -> None:
         super().__init__()
-        self._hosts = Hosts(url, host, port, self.stats)
+        self._hosts = Hosts(url, host, port, self.stats, Intake(STREAM_BYTES_S, STREAM_BURST))
 
     @property
     def url(self) -> str:
@@ -110,7 +111,7 @@ class TcpStream(_TcpLink):
 
     def _give(self, host: Host, payload: bytes, now_ns: int) -> bool:
         """Whether it was not given up."""
-        if host.backlog >= BACKLOG_LIMIT and not self.hold:
+        if not (self.hold or self._hosts.takes(host)):
             self.stats.payloads_dropped += 1
             return False
         self._hosts.send(host, payload, now_ns)
@@ -160,7 +161,7 @@ class TcpLine(_TcpLink):
             payload = self._waiting.popleft() if left.starts and self._waiting else b""
             for host in hosts:
                 if left.starts:
-                    host.skipping = host.backlog >= BACKLOG_LIMIT and not self.hold
+                    host.skipping = not (self.hold or self._hosts.takes(host))
                     self.stats.payloads_dropped += host.skipping
                 if not host.skipping:
                     self._hosts.send(host, left.data, now_ns)

@@ -1,4 +1,4 @@
-"""A serial adapter that is pulled out while other sensors serve their hosts, in runs and in replays."""
+"""An adapter that is pulled out, and paths that are taken away, while hosts are served, in runs and in replays."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import serial
 
+from emulator.control import ask
 from emulator.rig import Rig
 from tests.system.conftest import PATIENCE_S, RunningDaemon
 from tests.system.hosts import Adapter, LmsHost
@@ -106,3 +108,37 @@ def test_the_rest_of_a_replay_goes_on(daemon: Callable[..., RunningDaemon], adap
     finally:
         process.kill()
         process.communicate()
+
+
+@pytest.mark.parametrize("clock", ["real", "virtual"])
+def test_paths_that_are_taken_away_are_put_back_and_told_and_the_host_goes_on(
+    daemon: Callable[..., RunningDaemon], tmp_path: Path, clock: str
+) -> None:
+    (tmp_path / "case.yaml").write_text(CASE.replace("serial:ADAPTER", "pty:./rear"), encoding="utf-8")
+    running = daemon("case.yaml", "--clock", clock, "--control", str(tmp_path / "control.sock"))
+    front, rear, control = (tmp_path / name for name in ("front", "rear", "control.sock"))
+    with LmsHost(running.path("front")) as host:
+        host.stream()
+        assert len(host.scan()) == 361
+        front.unlink()
+        rear.unlink()
+        rear.write_text("precious")
+        control.unlink()
+        while not (front.is_symlink() and control.exists()):
+            assert len(host.scan()) == 361
+        while True:
+            totals: Any = ask(control, "status", {})["incident_totals"]  # type: ignore[index]
+            if totals == {"link restored": 2, "link path taken": 1}:
+                break
+            assert len(host.scan()) == 361
+        assert rear.read_text() == "precious"
+        rear.unlink()
+        while not rear.is_symlink():
+            assert len(host.scan()) == 361
+        host.stop()
+    with LmsHost(str(rear)) as host:
+        host.stream()
+        assert len(host.scan()) == 361
+    assert running.stop() == 0, running.errors
+    assert running.errors == ""
+    assert not any(path.exists() for path in (front, rear, control))

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import shutil
+from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 from emulator.errors import LinkError
-from emulator.transports.stable_path import StablePath
+from emulator.transports.stable_path import FREE, SECOND_NS, StablePath
 
 GONE = "/dev/pts/4000000"
 "A terminal that does not exist."
@@ -16,7 +19,8 @@ GONE = "/dev/pts/4000000"
 
 @pytest.fixture
 def port(tmp_path: Path) -> Path:
-    return tmp_path / "front"
+    (tmp_path / "folder").mkdir()
+    return tmp_path / "folder" / "front"
 
 
 def test_it_leads_to_its_target_and_leaves_nothing_behind(port: Path) -> None:
@@ -134,3 +138,171 @@ def test_a_lock_that_was_removed_while_we_took_it_is_taken_anew(port: Path, monk
 def test_a_name_too_long_for_the_file_system_is_said_so(tmp_path: Path) -> None:
     with pytest.raises(LinkError, match="File name too long"):
         StablePath(str(tmp_path / ("x" * 300)), "/dev/pts/7")
+
+
+def told(place: StablePath, now_ns: int = 0) -> list[str]:
+    return [f"{one.kind}: {one.text.removeprefix(place.path + ': ')}" for one in place.tend(now_ns)]
+
+
+@pytest.fixture
+def place(port: Path) -> Iterator[StablePath]:
+    made = StablePath(str(port), GONE)
+    yield made
+    made.remove()
+
+
+def test_a_link_that_stands_is_told_nothing_of(place: StablePath) -> None:
+    assert told(place) == []
+
+
+def test_a_link_that_was_removed_is_put_back_and_told_once(place: StablePath, port: Path) -> None:
+    port.unlink()
+    assert told(place) == ["link restored: was removed; put back"]
+    assert os.readlink(port) == GONE
+    assert told(place) == []
+
+
+def test_a_link_that_was_renamed_is_put_back_and_the_other_name_left(place: StablePath, port: Path) -> None:
+    port.rename(port.parent / "old")
+    assert told(place) == ["link restored: was removed; put back"]
+    assert os.readlink(port) == os.readlink(port.parent / "old") == GONE
+
+
+@pytest.mark.parametrize("target", ["/dev/pts/4000001", "/no/such/place"])
+def test_a_link_to_nowhere_in_its_place_is_replaced_and_said_where_it_led(
+    place: StablePath, port: Path, target: str
+) -> None:
+    port.unlink()
+    port.symlink_to(target)
+    assert told(place) == [f"link restored: a link to {target} stood there; put back"]
+    assert os.readlink(port) == GONE
+
+
+def put_file(port: Path) -> None:
+    port.write_text("precious")
+
+
+def put_folder(port: Path) -> None:
+    port.mkdir()
+    (port / "precious").write_text("precious")
+
+
+def put_link(port: Path) -> None:
+    port.symlink_to("/dev/null")
+
+
+@pytest.mark.parametrize(
+    ("put", "what"), [(put_file, "a file"), (put_folder, "a folder"), (put_link, "a link to /dev/null")]
+)
+def test_what_is_somebody_elses_is_left_alone_until_it_goes(
+    place: StablePath, port: Path, put: Callable[[Path], None], what: str
+) -> None:
+    port.unlink()
+    put(port)
+    before = sorted(str(path) for path in port.parent.rglob("*"))
+    assert told(place) == [f"link path taken: {what} stands there now; left alone, put back when it goes"]
+    assert told(place, 5 * SECOND_NS) == []
+    assert sorted(str(path) for path in port.parent.rglob("*")) == before
+    port.rename(port.parent / "elsewhere")
+    assert told(place, 6 * SECOND_NS) == ["link restored: was removed; put back"]
+
+
+def test_a_living_terminal_in_its_place_is_left_alone_and_what_is_dead_is_not(place: StablePath, port: Path) -> None:
+    master, slave = os.openpty()
+    port.unlink()
+    port.symlink_to(os.ttyname(slave))
+    assert told(place)[0].startswith("link path taken: a link to /dev/pts/")
+    os.close(slave)
+    os.close(master)
+    assert told(place, 1)[0].startswith("link restored: a link to /dev/pts/")
+
+
+def test_a_link_that_its_mover_puts_back_is_told(place: StablePath, port: Path) -> None:
+    port.rename(port.parent / "old")
+    port.write_text("for a while")
+    told(place)
+    (port.parent / "old").replace(port)
+    assert told(place) == ["link restored: leads here again"]
+
+
+def test_of_two_running_owners_the_one_that_came_later_keeps_the_path_until_it_ends(port: Path) -> None:
+    first = StablePath(str(port), GONE)
+    shutil.rmtree(port.parent)
+    port.parent.mkdir()
+    second = StablePath(str(port), "/dev/pts/4000001")  # nothing shows that the path was taken
+    for number in range(100):
+        found = told(first, number * SECOND_NS)
+        assert found[:1] == [] if number else "in use by a running emulator" in found[0], found
+        assert told(second, number * SECOND_NS) == []
+        assert os.readlink(port) == "/dev/pts/4000001"
+    second.remove()
+    assert told(first, 100 * SECOND_NS) == ["link restored: was removed; put back"]
+    with pytest.raises(LinkError, match="in use by a running emulator"):
+        StablePath(str(port), "/dev/pts/4000001")
+    first.remove()
+    assert os.listdir(port.parent) == []
+
+
+def test_what_a_later_owner_left_behind_is_taken_over_though_its_terminal_lives_again(port: Path) -> None:
+    first = StablePath(str(port), GONE)
+    shutil.rmtree(port.parent)
+    port.parent.mkdir()
+    master, slave = os.openpty()  # somebody else's terminal, with the number that the later owner's had
+    port.symlink_to(os.ttyname(slave))
+    (port.parent / ".front.lidaremu").write_text("999999\n")
+    assert told(first)[0].startswith("link restored: a link to /dev/pts/")
+    first.remove()
+    os.close(master)
+    os.close(slave)
+
+
+def test_a_lock_that_was_removed_is_taken_anew_so_that_no_other_owner_comes(place: StablePath, port: Path) -> None:
+    (port.parent / ".front.lidaremu").unlink()
+    assert told(place) == []
+    port.unlink()
+    with pytest.raises(LinkError, match="in use by a running emulator"):
+        StablePath(str(port), "/dev/pts/4000001")
+    assert told(place) == ["link restored: was removed; put back"]
+
+
+def test_a_folder_that_is_gone_is_told_and_waited_for(place: StablePath, port: Path) -> None:
+    shutil.rmtree(port.parent)
+    assert told(place) == [f"link path gone: folder {port.parent} is gone; put back when it is there again"]
+    assert told(place, SECOND_NS) == []
+    port.parent.mkdir()
+    assert told(place, 2 * SECOND_NS) == ["link restored: was removed; put back"]
+    assert sorted(os.listdir(port.parent)) == [".front.lidaremu", "front"]
+
+
+def test_who_is_robbed_again_and_again_waits_longer_each_time(place: StablePath, port: Path) -> None:
+    at_s = []
+    for second in range(1000):
+        port.unlink(missing_ok=True)
+        assert len(place.tend(second * SECOND_NS)) == port.is_symlink()
+        at_s += [second] if port.is_symlink() else []
+    assert at_s[:FREE] == list(range(FREE))
+    gaps = [after - before for before, after in pairwise(at_s[FREE - 1 :])]
+    assert gaps[:7] == [1, 2, 4, 8, 16, 32, 60]
+    assert set(gaps[7:]) == {60}
+    port.unlink(missing_ok=True)
+    assert told(place, 2000 * SECOND_NS) == ["link restored: was removed; put back"]
+    port.unlink()
+    assert told(place, 2000 * SECOND_NS) == ["link restored: was removed; put back"]  # all is forgiven
+
+
+def test_a_lock_in_whose_place_stands_something_else_is_refused(port: Path) -> None:
+    os.mkfifo(port.parent / ".front.lidaremu")
+    with pytest.raises(LinkError, match="not a file of this user"):
+        StablePath(str(port), GONE)
+
+
+def test_after_its_end_and_in_a_forked_child_nothing_is_put_back(port: Path) -> None:
+    place = StablePath(str(port), GONE)
+    port.unlink()
+    child = os.fork()
+    if child == 0:
+        os._exit(len(place.tend(0)))
+    assert os.waitpid(child, 0)[1] == 0
+    place.remove()
+    assert told(place) == []
+    assert os.listdir(port.parent) == []
