@@ -119,7 +119,11 @@ def test_a_full_disk_ends_the_recording_and_not_the_run(
     ended(verdict, os.strerror(error))
     assert verdict.sha256 == digest
     run = read_run(tmp_path / "run")
-    assert run.cut == "the file ends within a record"  # at a whole one: the piece that was broken off is taken away
+    assert run.cut == "the file ends within a record"
+    data, at = (tmp_path / "run" / "run.mcap").read_bytes(), 8
+    while at < len(data):
+        at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+    assert at == len(data)  # the piece that was broken off is taken away
     assert sum(len(wire.payloads) for wire in run.sent.values()) > room / 2_000
     assert verdict.recording is not None
     at_ns = round(verdict.recording["at_s"] * 1e9)
@@ -232,10 +236,17 @@ def test_nobody_who_listens_any_more_is_no_fault(tmp_path: Path, monkeypatch: py
     def gone(_: object) -> None:
         raise BrokenPipeError
 
-    trial = trial_in(tmp_path / "run")
+    trial = Trial(scenario.loads(CASE, Path("case.yaml")))
     trial.incidents.listeners.append(gone)
+    recorder = Recorder(
+        tmp_path / "run", trial.scenario, trial.instruments, incidents=trial.incidents, manner=Manner(1000.0)
+    )
     monkeypatch.setattr("emulator.recording.folder.os.write", Disk(2_000).write)
-    ended(judged(trial), "No space left on device")
+    trial.finish()
+    trial.close()
+    recorder.close()
+    assert recorder.failure == "No space left on device"
+    assert trial.incidents.exit_code == 4
 
 
 def test_connections_without_end_are_recorded_without_their_numbers(
