@@ -398,7 +398,16 @@ class Instrument:
             else:
                 slow = DropReason.LINE_BUSY if link.kind in (LinkKind.SERIAL, LinkKind.CAN) else DropReason.HOST_SLOW
                 why = slow.value
+        if why is not None and not emission.scans:
+            self._break_off(emission, why)
         return None if taken else why
+
+    def _break_off(self, rest: Emission, reason: str) -> None:
+        """A frame of a scan has found no room: nobody reads the scan that has begun on that link."""
+        link = None if rest.address is None else rest.address.link
+        begun = (one for one in reversed(self._handed) if one.address is not None and one.address.link == link)
+        if (emission := next(begun, None)) is not None:
+            self.stats.note_lost(emission, reason)
 
     def _note_events(self, earlier: Sequence[Event] = ()) -> None:
         for event in (*earlier, *self.session.take_events()):

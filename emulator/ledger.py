@@ -81,16 +81,18 @@ class _Stream:
     "Slots told of without a number before their number was passed over."
     assumed: int = 0
     "Slots found to be late by the clock, which the session may still tell of."
-    last: tuple[int, int] = (0, 0)
+    last: tuple[int, int] | None = None
     "Number and beginning of the sweep asked for last."
     period_ns: float = 0.0
     "From slot to slot; 0: not known, or no other follows by itself."
 
     def late_by(self, now_ns: int) -> int:
         """Slots that have passed by the clock since the sweep that is still not measured."""
+        if self.last is None or self.period_ns <= 0.0:
+            return 0
         number, _ = self.last
         slot = self.open.get(number)
-        if slot is None or not slot.measuring or self.period_ns <= 0.0:
+        if slot is None or not slot.measuring:
             return 0
         behind = (self.front - number) // self.stride - 1
         return max(0, int((now_ns - slot.end_ns) / self.period_ns) - behind)
@@ -191,7 +193,7 @@ class Ledger:
             del stream.open[min(stream.open)]
         if plan.period_ns is not None:
             stream.period_ns = plan.period_ns
-        elif number > stream.last[0] and stream.last[1]:
+        elif stream.last is not None and number > stream.last[0]:
             scans = (number - stream.last[0]) / stream.stride
             stream.period_ns = (plan.start_ns - stream.last[1]) / scans
         stream.last = number, plan.start_ns
@@ -450,14 +452,11 @@ class Ledger:
             below = len(range(missing.start, min(missing.stop, numbers.start), missing.step))
             within = len(range(missing.start, min(missing.stop, numbers.stop), missing.step)) - below
             taken += within
-            if within and below and teller is not None:
-                kept.append((missing[:below], teller))
-                below = 0
-            elif within:
-                kept.append((missing[:below], behind))
-                kept.append((missing[below + within :], behind))
+            if not within:
+                kept.append((missing, behind))
                 continue
-            kept.append((missing[below + within :] if within else missing, behind))
+            kept.append((missing[:below], behind if teller is None else teller))
+            kept.append((missing[below + within :], behind))
         stream.passed = [one for one in kept if one[0]]
         return taken
 

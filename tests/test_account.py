@@ -176,6 +176,24 @@ def test_a_telegram_that_a_link_gives_up_later_is_taken_back() -> None:
     assert account["unaccounted"] == 0
 
 
+def test_a_list_of_which_one_frame_finds_no_room_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    yard = streaming("can")
+    put, frames = yard.wire.put, []
+
+    def full(node: Any, peer: int, data: bytes, due_ns: int) -> bool:
+        frames.append(peer)
+        return not (peer == 0x60B and len(frames) % 2) and put(node, peer, data, due_ns)
+
+    before = yard.account
+    monkeypatch.setattr(yard.wire, "put", full)
+    account = yard.wait(2.0).account
+    lists = frames.count(0x60A)
+    assert lists > 20
+    assert account["dropped"] == {"line slower than the scan rate": pytest.approx(lists, abs=1)}
+    assert account["sent"] == pytest.approx(before["sent"], abs=1)
+    assert account["unaccounted"] == 0
+
+
 @pytest.mark.unaccounted
 @pytest.mark.parametrize("kind", ["line", "tcp", "can"])
 def test_a_session_that_loses_scans_without_a_word_is_told_at_the_end(

@@ -410,7 +410,7 @@ class CanObjectSession(Session):
         end_ns = min(now_ns, bus.replies[0][0] - 1) if bus.replies else now_ns
         while current and free_ns <= end_ns:
             frame, length_ns = current.popleft()
-            self._put(out, frame, free_ns, links, sweep, bus.told)
+            self._put(out, frame, free_ns, links, sweep, bus.told, scans=int(sweep is not None))
             sweep = None
             free_ns += length_ns
         bus.free_ns, bus.sweep = free_ns, sweep
@@ -429,16 +429,18 @@ class CanObjectSession(Session):
         links: list[int],
         sweep: int | None,
         told: Told | None = None,
+        scans: int = 1,
     ) -> None:
-        """One emission a link; the first one of a list carries the sweep."""
+        """One emission a link; the first one of a list carries the sweep, the others (`scans` 0) are its rest."""
         identifier, payload, label = frame
         for link in links:
             key = (link, identifier)
             address = self._addresses.get(key)
             if address is None:
                 address = self._addresses[key] = Address(*key)
-            out.append(Emission(at_ns, payload, address, sweep, None, label, None if sweep is None else told))
-            sweep = None
+            out.append(Emission(at_ns, payload, address, sweep, None, label, None if sweep is None else told, scans))
+            if sweep is not None:
+                sweep, scans = None, 0
 
     def _note_foreign(self, identifier: int, now_ns: int) -> None:
         if identifier in self._seen_foreign or len(self._seen_foreign) >= 4096:
