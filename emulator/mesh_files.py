@@ -28,6 +28,8 @@ UP = {".glb": "y", ".gltf": "y", ".obj": "z", ".stl": "z", ".ply": "z"}
 "Suffix -> the axis that points up in that format unless the scenario says otherwise."
 STL_HEAD, STL_TRIANGLE = 84, 50
 "Bytes of a binary STL: free text with the number of triangles at its end, then each triangle."
+STL_SLICE = 1 << 18
+"Triangles of one that are read at a time."
 PLY_HEAD = 65_536
 "Bytes of a PLY's header that are looked at."
 PLY_BYTES = dict.fromkeys(("char", "uchar", "int8", "uint8"), 1) | dict.fromkeys(("short", "ushort"), 2)
@@ -89,8 +91,11 @@ def _stl(path: Path, budget: MeshBudget) -> Raw:
         count = int.from_bytes(head[80:], "little")
         if len(head) == STL_HEAD and file.size == STL_HEAD + STL_TRIANGLE * count:
             budget.need("triangles", count, "triangles")
-            rows = np.frombuffer(file.read(STL_HEAD), np.uint8).reshape(count, STL_TRIANGLE)
-            points = np.ascontiguousarray(rows[:, 12:48]).view("<f4").reshape(-1, 3).astype(np.float64)
+            points = np.zeros((3 * count, 3))
+            for first in range(0, count, STL_SLICE):
+                data = file.read(STL_HEAD + STL_TRIANGLE * first, STL_TRIANGLE * min(STL_SLICE, count - first))
+                rows = np.ascontiguousarray(np.frombuffer(data, np.uint8).reshape(-1, STL_TRIANGLE)[:, 12:48])
+                points[3 * first : 3 * (first + len(rows))] = rows.view("<f4").reshape(-1, 3)
             return points, np.arange(3 * count).reshape(-1, 3), np.zeros(count, np.int32), (path.name,)
         budget.need("text_bytes", file.size, "bytes")
         text = file.read()

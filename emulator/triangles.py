@@ -65,25 +65,14 @@ def checked(
     if indices.min() < 0 or indices.max() >= len(vertices):
         bad = int(np.flatnonzero(((indices < 0) | (indices >= len(vertices))).any(axis=1))[0])
         raise SceneError(f"{where}: triangle {bad} names vertex {indices[bad].tolist()}; want 0..{len(vertices) - 1}")
-    finite = np.asarray(np.isfinite(vertices).all(axis=1))
-    if not finite.all():
-        bad_faces = np.flatnonzero(~finite[indices].all(axis=1))
-        if len(bad_faces):
-            bad = int(bad_faces[0])
-            corner = vertices[indices[bad]][~finite[indices[bad]]][0].tolist()
-            raise SceneError(
-                f"{where}: triangle {bad} has the vertex {corner} ({len(bad_faces)} such in all); want finite numbers"
-            )
-        vertices = np.where(finite[:, None], vertices, 0.0)  # not used by any triangle
-    far = np.asarray((np.abs(vertices) > MOST_M).any(axis=1))
-    if far.any() and far[indices].any():
-        bad = int(np.flatnonzero(far[indices].any(axis=1))[0])
-        corner = vertices[indices[bad]][far[indices[bad]]][0].tolist()
-        raise SceneError(f"{where}: triangle {bad} has the vertex {corner}; want coordinates within {MOST_M:g} m")
+    low, high = vertices.min(axis=0), vertices.max(axis=0)  # NaN if one is
+    if not (np.abs([low, high]) <= MOST_M).all():
+        vertices = _with_sound_corners(vertices, indices, where)
     used = np.zeros(len(vertices), dtype=bool)
     used[indices] = True
-    low, high = vertices[used].min(axis=0), vertices[used].max(axis=0)
-    if (low == high).sum() > 1:  # told before any of them is looked at
+    if not used.all():
+        low, high = vertices[used].min(axis=0), vertices[used].max(axis=0)
+    if (low == high).sum() > 1:  # all on one line: told before any of them is looked at
         raise SceneError(f"{where}: all {len(indices)} triangles have no area; want a surface")
     centre = low + (high - low) / 2.0
     local = vertices - centre
@@ -100,6 +89,26 @@ def checked(
         normals[flip] = -normals[flip]
     radius = float(np.sqrt((local[used] ** 2).sum(axis=1).max()))
     return Geometry(vertices, indices.astype(np.int32), part, parts, normals, closed, centre, radius, dropped, twins)
+
+
+def _with_sound_corners(vertices: Floats, indices: NDArray[np.int64], where: str) -> Floats:
+    """The vertices, unused ones made finite; `SceneError` for a corner that is not finite, or too far."""
+    finite = np.asarray(np.isfinite(vertices).all(axis=1))
+    if not finite.all():
+        bad_faces = np.flatnonzero(~finite[indices].all(axis=1))
+        if len(bad_faces):
+            bad = int(bad_faces[0])
+            corner = vertices[indices[bad]][~finite[indices[bad]]][0].tolist()
+            raise SceneError(
+                f"{where}: triangle {bad} has the vertex {corner} ({len(bad_faces)} such in all); want finite numbers"
+            )
+        vertices = np.where(finite[:, None], vertices, 0.0)  # not used by any triangle
+    far = np.asarray((np.abs(vertices) > MOST_M).any(axis=1))
+    if far.any() and far[indices].any():
+        bad = int(np.flatnonzero(far[indices].any(axis=1))[0])
+        corner = vertices[indices[bad]][far[indices[bad]]][0].tolist()
+        raise SceneError(f"{where}: triangle {bad} has the vertex {corner}; want coordinates within {MOST_M:g} m")
+    return vertices
 
 
 def _areas(local: Floats, faces: NDArray[np.int64]) -> tuple[Floats, Floats, NDArray[np.bool_]]:
