@@ -18,7 +18,7 @@ from typing import Protocol
 from emulator.errors import LinkError
 from emulator.transports.can_wire import CanWire, Carried, Node, Notice
 from emulator.transports.link import Befallen, Link, Received
-from emulator.transports.turns import Turn
+from emulator.transports.turns import CROWD_NS, Turn
 from protocols.session import LinkKind
 
 BITRATE = 500_000
@@ -141,8 +141,9 @@ class CanPort:
         self.turn = Turn()
         "Of all that happens on this bus. While it rests, the bus stands."
         self._rests = False
-        self._strangers = False
-        "Hosts said something, or had frames on the bus, when it ran last: what a sensor says itself is not limited."
+        self._strangers_until_ns = 0
+        """Hosts said something, or had frames on the bus, a moment ago: until then time is counted. What sensors alone
+        say is not limited."""
         self._crowded_ns: int | None = None
         "When frames of hosts were carried, and none of a sensor waited."
         outlet.attached(self)
@@ -154,7 +155,7 @@ class CanPort:
             return
         self._asking = asking
         timed = self.turn.clock_ns is not None
-        began_ns = self.turn.begin() if self._strangers else None
+        began_ns = self.turn.begin() if timed and now_ns < self._strangers_until_ns else None
         said = self.outlet.counters.host_frames + self.outlet.counters.malformed
         self.outlet.poll(now_ns)
         carried = self.wire.take(now_ns, AT_ONCE_FRAMES if timed else None)
@@ -168,18 +169,21 @@ class CanPort:
             for link in self.links:
                 link.note(notices)
         self._asking = None
-        own = {id(link.node) for link in self.links}
-        self._strangers = timed and (
-            said != self.outlet.counters.host_frames + self.outlet.counters.malformed
-            or any(id(frame.node) not in own for frame in carried)
-            or self.outlet.listeners() > MOST_LISTENERS
-        )
-        alone = self.outlet.listeners() <= MOST_LISTENERS and any(link.node.waiting for link in self.links)
-        self._crowded_ns = now_ns if self._strangers and not alone else None
-        if began_ns is not None:
-            self._rests = self.turn.end(began_ns, now_ns)
-        if self._rests:
+        if timed:
+            said = self.outlet.counters.host_frames + self.outlet.counters.malformed - said
+            self._judge(now_ns, bool(said), carried)
+        if began_ns is not None and self.turn.end(began_ns, now_ns):
+            self._rests = True
             self.wire.stall(self.turn.wake_ns(now_ns) or now_ns)
+
+    def _judge(self, now_ns: int, said: bool, carried: Sequence[Carried]) -> None:
+        """See whether it is hosts that keep this bus busy, and whether what they say may wait a little."""
+        many = self.outlet.listeners() > MOST_LISTENERS
+        own = [link.node for link in self.links]
+        if said or many or any(frame.node not in own for frame in carried):
+            self._strangers_until_ns = now_ns + CROWD_NS
+        exact = not many and any(node.waiting for node in own)
+        self._crowded_ns = now_ns if now_ns < self._strangers_until_ns and not exact else None
 
     @property
     def resting(self) -> bool:

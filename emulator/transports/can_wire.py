@@ -33,7 +33,7 @@ TRANSMIT_ERROR = 8
 LOAD_WINDOW_NS = SECOND_NS
 
 
-@dataclass
+@dataclass(eq=False)
 class Node:
     """One controller on the bus."""
 

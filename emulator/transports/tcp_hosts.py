@@ -172,7 +172,10 @@ class Hosts:
 
     def takes(self, host: Host) -> bool:
         """Whether another payload may wait for it."""
-        return host.backlog < min(BACKLOG_LIMIT, BACKLOG_TOTAL // max(1, len(self._slow)))
+        if not host.waiting:
+            return True
+        total = sum(self._hosts[number].backlog for number in self._slow)
+        return total < BACKLOG_TOTAL and host.backlog < min(BACKLOG_LIMIT, BACKLOG_TOTAL // len(self._slow))
 
     def pause(self, host: Host, paused: bool) -> None:
         """Leave what it sends in the kernel, where it holds up its sender; or read it again."""

@@ -188,7 +188,16 @@ def main(folder: Path, seconds: float) -> None:
     (folder / "flood.yaml").write_text(SCENARIO)
     for attacked in (False, True, False, True):
         process = subprocess.Popen(
-            [sys.executable, "-m", "emulator", "run", "flood.yaml", "--json", "--control", str(folder / "control.sock")],
+            [
+                sys.executable,
+                "-m",
+                "emulator",
+                "run",
+                "flood.yaml",
+                "--json",
+                "--control",
+                str(folder / "control.sock"),
+            ],
             cwd=folder,
             stdout=subprocess.PIPE,
             text=True,
@@ -205,13 +214,14 @@ def main(folder: Path, seconds: float) -> None:
         process.terminate()
         end = json.loads(process.communicate()[0].splitlines()[-1])
         front = next(row for row in end["sensors"] if row["id"] == "front")
-        late = front["lateness_us"]
-        sender, worker = found.shares["sender"], found.shares["worker"]
+        late = {name: front["lateness_us"][name] / 1e3 for name in ("median", "p99", "worst")}
+        cores = "; ".join(
+            f"{name} {one.cpu:.0%} of a core, waits {one.waits:.0%}" for name, one in found.shares.items()
+        )
         sys.stdout.write(
-            f"{'attack' if attacked else 'quiet '}: load {load:.1f}; {found.scans} of {37.5 * found.took_s:.0f} scans read,"
-            f" dropped {front['scans_dropped']}; late median {late['median'] / 1e3:.2f} ms, p99 {late['p99'] / 1e3:.1f},"
-            f" worst {late['worst'] / 1e3:.1f}; {found.mb[0]:.1f} MB, then {found.mb[1]:.1f};"
-            f" sender {sender.cpu:.0%} of a core, waits {sender.waits:.0%}; worker {worker.cpu:.0%}, {worker.waits:.0%}\n"
+            f"{'attack' if attacked else 'quiet '}: load {load:.1f}; {found.scans} of {37.5 * found.took_s:.0f} scans"
+            f" read, dropped {front['scans_dropped']}; late median {late['median']:.2f} ms, p99 {late['p99']:.1f},"
+            f" worst {late['worst']:.1f}; {found.mb[0]:.1f} MB, then {found.mb[1]:.1f}; {cores}\n"
         )
 
 
