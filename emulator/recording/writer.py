@@ -150,7 +150,7 @@ class Recorder(Watcher):
             self._add(sensor, "clock", layout.CLOCK_ENCODING, self._clock, told.true_ns, data)
 
     def event(self, sensor: str, event: Event | FaultEvent) -> None:
-        told = {key: getattr(value, "value", value) for key, value in asdict(event).items()}
+        told = {key: _plain(value) for key, value in asdict(event).items()}
         row = {"event": type(event).__name__} | told
         self._add(sensor, "event", layout.EVENT_ENCODING, self._event, event.at_ns, json.dumps(row).encode())
 
@@ -222,3 +222,8 @@ def _bus_name(url: str) -> str:
     target = parse_url(url).target
     name = target.rpartition("/")[2].rpartition(":")[2] or "can"
     return "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in name)
+
+
+def _plain(value: object) -> object:
+    """A field of an event for JSON; numbers of sweeps as start, stop and step."""
+    return [value.start, value.stop, value.step] if isinstance(value, range) else getattr(value, "value", value)
