@@ -59,7 +59,7 @@ class Emission:
     told: Told | None = None
     "What it tells of the device's time, of the first telegram of a scan; for recordings and reports."
     scans: int = 1
-    "Scans that it carries, numbered from `sweep` on: of a mean those measured for it; 0: the rest of one begun."
+    "Scans that it carries, numbered from `sweep` on: of a mean all that it was made of; 0: the rest of one begun."
 
 
 class DropReason(Enum):

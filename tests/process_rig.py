@@ -95,7 +95,7 @@ class Played:
                 if self.refuses:
                     from emulator.errors import SceneError
 
-                    self._end.put(("refused", SceneError, self.refuses))
+                    self._end.put(("refused", SceneError, (self.refuses,)))
                     return
                 self.is_ready = True
                 self._end.put(("ready", None, []))

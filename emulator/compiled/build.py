@@ -101,7 +101,7 @@ def body() -> None:
     """What the process does."""
     with suppress(OSError):
         os.nice(NICENESS)
-    from emulator import compiled
+    from emulator.compiled import kernels
 
-    if compiled.kernels() is None:
+    if kernels() is None:
         sys.exit(1)

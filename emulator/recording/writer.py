@@ -163,7 +163,7 @@ class Recorder(Watcher):
             self._add(sensor, "clock", layout.CLOCK_ENCODING, self._clock, told.true_ns, data)
 
     def event(self, sensor: str, event: Event | FaultEvent) -> None:
-        told = {key: getattr(value, "value", value) for key, value in asdict(event).items()}
+        told = {key: _plain(value) for key, value in asdict(event).items()}
         row = {"event": type(event).__name__} | told
         self._add(sensor, "event", layout.EVENT_ENCODING, self._event, event.at_ns, json.dumps(row).encode())
 
@@ -400,3 +400,8 @@ def _buses(scenario: Scenario, instruments: Sequence[Instrument]) -> dict[str, B
             if link.kind is LinkKind.CAN:
                 texts.setdefault(link.url, links[number] if number < len(links) else link.url)
     return bus_names(texts)
+
+
+def _plain(value: object) -> object:
+    """A field of an event for JSON; numbers of sweeps as start, stop and step."""
+    return [value.start, value.stop, value.step] if isinstance(value, range) else getattr(value, "value", value)

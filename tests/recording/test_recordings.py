@@ -24,6 +24,7 @@ from emulator.transcript import Transcript
 from emulator.trial import Trial
 from emulator.view.recorded import RecordedSource
 from emulator.watching import Payload
+from protocols.session import Address, DropReason, dropped_scans
 
 CASE = """\
 schema: 1
@@ -75,6 +76,18 @@ def test_scans_carry_their_truth_and_events_their_reason(folder: Path) -> None:
     assert scan.actor[middle, 0] == 0
     kinds = {row["event"] for _, _, row in run.events}
     assert {"Restarted", "CommandHandled"} <= kinds
+
+
+def test_scans_that_hosts_do_not_get_are_recorded_with_their_numbers(tmp_path: Path) -> None:
+    trial = Trial(scenario.loads(CASE, Path("case.yaml")), record=tmp_path / "run")
+    (dropped,) = dropped_scans(5, DropReason.LINE_BUSY, range(4, 10, 2), "B0", 3, Address(0, 7))
+    trial.instruments[0].onlookers.event(dropped)
+    trial.close()
+    rows = [row for _, _, row in read_run(tmp_path / "run").events if row["event"] == "Dropped"]
+    assert rows == [
+        {"event": "Dropped", "at_ns": 5, "reason": "line slower than the scan rate", "detail": "B0", "count": 3,
+         "sweeps": [4, 10, 2], "stream": 3, "address": [0, 7]}
+    ]  # fmt: skip
 
 
 def test_a_scan_shown_from_a_recording_has_the_instants_of_its_beams(folder: Path) -> None:
