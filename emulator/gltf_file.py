@@ -59,26 +59,30 @@ def _triangles(found: Judged) -> Raw:
             mesh = node["mesh"]
             for item in drawn(tree, mesh):
                 shown.append((order[mesh, item[0]], str(node.get("name", number)), number, mesh, item))
-    points, faces, part = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int32)]
+    count = {(number, item[3]): tree["accessors"][item[3]]["count"] for _, _, number, _, item in shown}
+    points = np.zeros((sum(count.values()), 3))
+    faces = np.zeros((sum(item[4] for *_, item in shown), 3), np.int64)
+    part = np.zeros(len(faces), np.int32)
     numbers: dict[str, int] = {}
     arrays: dict[int, NDArray[Any]] = {}
     offsets: dict[tuple[int, int], int] = {}
     lists: dict[tuple[int, int], NDArray[np.int64]] = {}
-    total = 0
+    total = first = 0
     for _, _, number, mesh, (which, primitive, mode, corners, _) in sorted(shown, key=lambda one: one[:3]):
         if corners not in arrays:
             arrays[corners] = _positions(found, corners)
         if (number, corners) not in offsets:  # several primitives of a mesh share their vertices
             offsets[number, corners] = total
-            points.append(_placed(arrays[corners], places[number]))
-            total += len(points[-1])
+            points[total : total + len(arrays[corners])] = _placed(arrays[corners], places[number])
+            total += len(arrays[corners])
         if (mesh, which) not in lists:
             lists[mesh, which] = _faces(found, primitive, mode, len(arrays[corners]))
         indices = lists[mesh, which]
         name = _material(tree, primitive) or names[mesh, which]
-        faces.append(indices + offsets[number, corners])
-        part.append(np.full(len(indices), numbers.setdefault(name, len(numbers)), np.int32))
-    return np.concatenate(points), np.concatenate(faces), np.concatenate(part), tuple(numbers)
+        faces[first : first + len(indices)] = indices + offsets[number, corners]
+        part[first : first + len(indices)] = numbers.setdefault(name, len(numbers))
+        first += len(indices)
+    return points, faces, part, tuple(numbers)
 
 
 # ---------------------------------------------------------------- numbers

@@ -54,9 +54,9 @@ def load(path: Path, up: Literal["y", "z"] | None, scale: float, where: str, bud
         if len(faces) == 0:
             raise SceneError(f"{where}: {path.name}: no triangles; want a mesh with at least one")
         if (up or UP[suffix]) == "y":
-            points = points[:, [2, 0, 1]]
+            points[:] = points[:, [2, 0, 1]]  # in place: a large mesh is not kept twice
         if scale != 1.0:
-            points = points * scale
+            points *= scale
         return checked(points, faces, part, names, f"{where}: {path.name}")
     except SceneError:
         raise

@@ -206,21 +206,27 @@ def test_an_answer_that_is_none_is_not_taken(
         assert "answered nonsense" in told_of(reader, square)
 
 
-def test_a_process_ends_with_its_parent(square: Path) -> None:
-    """The kernel ends it, whatever it does: `kill -9` of the parent leaves nothing."""
-    ours, theirs = os.pipe()
+def test_a_process_ends_with_its_parent(monkeypatch: pytest.MonkeyPatch, square: Path) -> None:
+    """The kernel ends it in the midst of a file: `kill -9` of the parent leaves nothing."""
+    pipe = square.with_name("pipe")
+    os.mkfifo(pipe)
+
+    def turns() -> None:
+        pipe.write_text(str(os.getpid()))
+        while True:
+            pass
+
+    instead(monkeypatch, turns)
     middle = os.fork()
     if not middle:
         try:
-            reader = Reader(MESH)
-            reader.read(square, None, 1.0, "x")
-            os.write(theirs, struct.pack("<q", reader._pid))
+            with Reader(MESH) as reader:
+                reader.read(square.with_name("bad.obj"), None, 1.0, "x")
         finally:
-            os.kill(os.getpid(), signal.SIGKILL)
-    os.close(theirs)
+            os._exit(1)
+    pid = int(pipe.read_text())
+    os.kill(middle, signal.SIGKILL)
     os.waitpid(middle, 0)
-    with os.fdopen(ours, "rb") as told:
-        (pid,) = struct.unpack("<q", told.read())
     for _ in range(10_000_000):  # it is no child of ours: look until it has gone
         try:
             if Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2][0] == "Z":
