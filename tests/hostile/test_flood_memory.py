@@ -128,13 +128,15 @@ def test_clients_of_a_full_bus_are_left_unread_and_hear_no_more_than_they_hold(
 def test_hosts_that_come_send_and_go_do_not_pile_up() -> None:
     wire = CanWire(500_000)
     busy = [wire.join("busy"), wire.join("busier")]
-    for number in range(10_000):
-        host = wire.join("host")
-        wire.put(host, 0x7FF, bytes(8), 0)
+    for number in range(1000):
+        guests = [wire.join("host") for _ in range(20)]
+        for guest in guests:
+            wire.put(guest, 0x7FF, bytes(8), 0)
         for node in busy:
             wire.put(node, 0x001, bytes(8), 0)
         wire.take(number * 260_000)
-        wire.leave(host)
+        for guest in guests:
+            wire.leave(guest)
     assert len(wire._later) + len(wire._ready) <= STALE + 4
 
 
