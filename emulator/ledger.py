@@ -279,7 +279,8 @@ class Ledger:
         assert emission.sweep is not None
         stream = self._of_sweep(emission.sweep)
         if stream is None:
-            self._count(outcome, emission.scans)  # nobody has asked for it
+            self.asked += emission.scans  # of a session that plans nothing, as a replay
+            self._count(outcome, emission.scans)
             return
         stride = stream.stride
         last = stream.open.get(emission.sweep)

@@ -237,3 +237,22 @@ def test_a_sensor_that_never_rests_is_stopped_rather_than_hang_the_run() -> None
     rig.session.take_emissions = lambda now_ns: [Emission(now_ns, b"x")]  # type: ignore[method-assign]
     with pytest.raises(EmulatorError, match="does not come to rest"):
         rig.run.advance(1)
+
+
+def test_a_sensor_that_rests_is_not_woken_by_input_that_waits_for_it() -> None:
+    rig = Rig(LinkKind.STREAM)
+    link, clock = rig.links[0], [0]
+    turn = rig.instrument.hearing.turn
+    turn.clock_ns = lambda: clock[0]
+    link.flush = lambda now_ns: 5  # type: ignore[method-assign,assignment]
+    "What a link says whose intake was to open again at 5 ns, and was not asked since."
+
+    def dear(*_: object) -> None:
+        clock[0] += 4_000_000
+
+    rig.session.receive = dear  # type: ignore[method-assign,assignment]
+    rig.hear(b"flood")
+    wake = rig.instrument.step(10)
+    assert wake == 10 + 4 * 4_000_000
+    assert rig.instrument.step(11) == wake
+    assert rig.instrument.step(wake) == 5, "now it is asked for at once"

@@ -79,6 +79,7 @@ def answers(line: bytes) -> tuple[int, str]:
             return done
 
     server.run = Now()  # type: ignore[assignment]
+    server._processor = ThreadClock()
     answer = server.answer(line)
     assert answer is not None
     assert json.dumps(answer)
