@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from emulator.cli import main
+from emulator.clock import ThreadClock
 from emulator.commands.ctl import parameters_of
 from emulator.control import BAD_PARAMS, PARSE, REFUSED, ControlServer
 from emulator.errors import ScenarioError
