@@ -162,7 +162,7 @@ class Daemon:
                     now_ns = self._clock.now_ns()
 
     def _step_measured(self) -> None:
-        """Sensors whose scans have come are served between two long steps of others: a worker waits for its next plan."""
+        """Sensors whose scans have come are served between long steps of others: a worker waits for its next plan."""
         if self._workers is None:
             return
         before = dict(self._wake)
