@@ -38,7 +38,7 @@ MOST_UNREAD = 1 << 18
 MOST_UNREAD_ALL = 1 << 20
 "Of all clients together: beyond that only who has read everything is answered."
 MOST_CLIENTS = 16
-SHARE, STOCK_NS = 0.15, 200_000_000
+SHARE, STOCK_NS = 0.1, 200_000_000
 "Of one core, and processor time that may be spent ahead: what clients ask for is paid by the process that sends scans."
 DEAREST_NS = 50_000_000
 "Of one answer at most so much counts: an order that takes long holds up nobody for seconds."

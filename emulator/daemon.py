@@ -173,6 +173,18 @@ class Daemon:
                 late_ns = self._clock.now_ns()
                 if late_ns - now_ns > LONG_STEP_NS:  # others' instants may have come in the meantime
                     self._send_due(late_ns)
+                    self._step_measured()
+                    now_ns = self._clock.now_ns()
+
+    def _step_measured(self) -> None:
+        """Sensors whose scans have come are served between long steps of others: a worker waits for its next plan."""
+        if self._workers is None:
+            return
+        before = dict(self._wake)
+        self._take_results()
+        for index, instrument in enumerate(self._instruments):
+            if self._wake.get(index) != before.get(index) and index not in self._lost:
+                self._step(index, instrument)
 
     def _send_due(self, now_ns: int) -> None:
         """What waits in links for this instant leaves before anything else is done."""

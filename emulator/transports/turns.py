@@ -13,7 +13,9 @@ AT_ONCE_NS = 1_000_000
 STOCK_NS = 3_000_000
 "So much may be worked ahead: a host that behaves is not kept waiting for one long step."
 REST = 3
-"So many times as long nothing is done then, times those who share it: a third of one core for all."
+"So many times as long who is alone does nothing then: a quarter of one core."
+CROWD_REST = 5
+"The same times all who share the time, where they are several: a fifth of one core for all."
 
 CROWD_NS = 250_000_000
 "Who has rested counts for so long as one of those who want the same time, though it works just now."
@@ -63,7 +65,7 @@ class Turn:
         """Count what was spent since `begin`; whether it rests from now on."""
         if self.clock_ns is None:
             return False
-        slower = 1 + REST * max(self.resting, 1)
+        slower = 1 + (REST if self.resting <= 1 else CROWD_REST * self.resting)
         self._spent_ns = max(0.0, self._spent_ns - max(0, now_ns - self._at_ns) / slower)
         self._spent_ns += self.clock_ns() - began_ns
         self._at_ns = now_ns

@@ -61,9 +61,9 @@ MOST_MB_MORE = 16.0
 """What the attack may add to the daemon's memory. 3 to 6 MB are measured: a megabyte for all deaf hosts of a socket,
 64 frames for each of 64 clients, a megabyte of answers that nobody reads, and what Python keeps of all that."""
 MOST_OF_A_CORE = 0.9
-"Of the sending thread: its own work, a third for what all strangers want, 15 % for orders."
+"Of the sending thread: its own work, a fifth for what all strangers want, a tenth for orders."
 LEAST = 0.5
-"Of the scans that the machine left time for. Measured where other programs took half of both cores: 0.9 and more."
+"Of the scans that the machine left time for. Measured beside other programs on both cores: 1.2 and more."
 
 
 @dataclass
