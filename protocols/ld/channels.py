@@ -212,8 +212,8 @@ class Channel:
         bits = 0
         for data in encode_segments(payload, route):
             first = sweep if not frames else None  # a profile is counted once
-            rest = {} if sweep is None or not frames else {"scans": 0}
-            frames.append(Emission(start_ns + bits * 1_000_000_000 // rate, data, to, first, None, label, **rest))
+            scans = int(sweep is None or not frames)
+            frames.append(Emission(start_ns + bits * 1_000_000_000 // rate, data, to, first, None, label, scans=scans))
             bits += worst_case_bits(len(data))
         self.line.free_ns = start_ns + bits * 1_000_000_000 // rate
         return frames
