@@ -60,6 +60,8 @@ class _Settled:
     outcome: str
     of_host: bool
     "For one of several hosts; others may still get the scan."
+    provisional: bool = False
+    "Until the session tells why: it may have nobody to tell any more."
 
 
 @dataclass
@@ -110,6 +112,8 @@ class Ledger:
     """Of one sensor."""
 
     def __init__(self) -> None:
+        self.plans = True
+        "False of a replay: it plans nothing, and what leaves is what was asked for."
         self.asked = 0
         self.sent = 0
         self.withdrawn = 0
@@ -264,8 +268,9 @@ class Ledger:
         """The scan of a plan never comes, and the session knows: it tells why, or wants it once more."""
         stream = self._of_plan(plan)
         slot = None if stream is None else stream.open.get(plan.sweep)
-        if slot is not None and slot.key == (plan.epoch, plan.sweep):
-            slot.measuring = False
+        if stream is not None and slot is not None and slot.key == (plan.epoch, plan.sweep):
+            self._settle(stream, plan.sweep, LATE)
+            stream.settled[-1].provisional = True
 
     def refuse(self, plan: ScanPlan, reason: str = WITHDRAWN) -> None:
         """The scan of a plan is not wanted any more, or never comes; unless its slot was asked for anew."""
@@ -279,8 +284,8 @@ class Ledger:
         assert emission.sweep is not None
         stream = self._of_sweep(emission.sweep)
         if stream is None:
-            self.asked += emission.scans  # of a session that plans nothing, as a replay
-            self._count(outcome, emission.scans)
+            self.asked += 0 if self.plans else emission.scans
+            self._count(outcome, emission.scans)  # nobody has asked for it
             return
         stride = stream.stride
         last = stream.open.get(emission.sweep)
@@ -345,7 +350,16 @@ class Ledger:
             return
         self._tell_numbers(stream, numbers, reason, event.address is not None)
 
+    def _take_provisional(self, stream: _Stream, numbers: range) -> None:
+        """What was put down as late until the session tells is open again: now it does."""
+        for settled in [one for one in stream.settled if one.provisional and one.numbers.start in numbers]:
+            number = settled.numbers.start
+            self._count(settled.outcome, -1)
+            self._unsettle(stream, settled, number)
+            stream.open[number] = _Slot((-1, number), 0, measuring=False)
+
     def _tell_numbers(self, stream: _Stream, numbers: range, reason: str, of_host: bool) -> None:
+        self._take_provisional(stream, numbers)
         before = len(range(numbers.start, min(numbers.stop, stream.first), numbers.step))
         beyond = range(max(numbers.start, stream.front), numbers.stop, numbers.step)
         if before:

@@ -163,13 +163,13 @@ class Rig:
         self.close()
         if self._trouble is not None and error is None:
             raise RuntimeError("the run ended by itself") from self._trouble
+        if self._recorder.failure and error is None:
+            raise RuntimeError(f"{self._recorder.folder}: the recording ended early: {self._recorder.failure}")
         if (cut := self._daemon.incidents.exit_code) and error is None:
             told = "; ".join(f"{row['on']}: {row['kind']}: {row['text']}" for row in self._daemon.incidents.rows())
             raise RuntimeError(f"the run had incidents (exit code {cut}): {told}")
         if self._daemon.lost_links and error is None:
             raise RuntimeError(f"links were lost: {'; '.join(self._daemon.lost_links)}")
-        if self._recorder.failure and error is None:
-            raise RuntimeError(f"{self._recorder.folder}: the recording ended early: {self._recorder.failure}")
 
     def close(self) -> None:
         """End the run and release its links; may be called twice."""

@@ -127,7 +127,7 @@ def test_the_daemon_puts_back_what_is_removed_while_nothing_else_is_due(links: l
     class Idle:
         """A session that never wants anything, its line unplugged of time."""
 
-        sensor, poked, connections_seen = "front", False, 0
+        sensor, poked, connections_seen, powered, wanted_ns, lived_ns = "front", False, 0, False, -1, -1
 
         def __init__(self) -> None:
             self.links = tuple(links)

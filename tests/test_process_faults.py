@@ -16,6 +16,7 @@ from emulator.endurance.process_faults import PROCESS_FAULTS, drawn, table
 from emulator.errors import SceneError
 from emulator.incidents import KINDS
 from emulator.measuring import Measure, Measures
+from emulator.recording.folder import RecordingFile
 from emulator.scenario import Scenario
 from emulator.trial import Trial
 from protocols.scan import Scan, ScanPlan
@@ -124,25 +125,25 @@ def test_a_run_on_a_virtual_clock_ends_when_no_worker_can_be_started(
 def test_a_full_disk_ends_the_recording_and_not_the_run(
     case: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from mcap.writer import Writer
+    room = [20_000]
+    write = RecordingFile.write
 
-    written = [0]
-    add = Writer.add_message
-
-    def full(self: Writer, *words: object, **more: object) -> None:
-        written[0] += 1
-        if written[0] > 20:
+    def full(self: RecordingFile, data: bytes) -> None:
+        room[0] -= len(data)
+        if room[0] < 0:
             raise OSError(errno.ENOSPC, "No space left on device")
-        add(self, *words, **more)
+        write(self, data)
 
     expected, _, _ = digest(case)
-    monkeypatch.setattr(Writer, "add_message", full)
+    monkeypatch.setattr(RecordingFile, "write", full)
     trial = Trial(case, record=tmp_path / "kept")
     try:
-        assert trial.finish().sha256 == expected
+        found = trial.finish()
     finally:
         trial.close()
-    assert written[0] == 21
+    assert found.sha256 == expected
+    assert [row["kind"] for row in found.incidents] == ["recording ended"]
+    assert found.exit_code == 4
 
 
 # the table

@@ -176,6 +176,7 @@ def open_players(wires: Sequence[WireOf], links: Mapping[str, str], gap_ns: int 
             name = wire.sensor if wire.link == 0 else f"{wire.sensor}/{wire.link}"
             sessions.append(session)
             players.append(Instrument(name, session, opened[-1:], InPlace({})))
+            players[-1].ledger.plans = False
     except BaseException:
         for link in opened:
             link.close()
