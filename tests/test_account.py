@@ -113,6 +113,20 @@ def test_a_host_that_stops_a_stream_that_is_not_measured_leaves_its_slots_on_acc
         assert account["under_way"] == 0
 
 
+def test_a_host_that_asks_anew_while_nothing_is_measured_is_owed_nothing_of_the_time_between() -> None:
+    yard = Yard("tcp", {"mode": "measure"})
+    yard.wait(8.0)
+    first, second = yard.connect(), yard.connect()
+    first.write(PROFILES, yard.now_ns)
+    yard.wait(1.0)
+    yard.measuring.stand_still(2 * SECOND)
+    yard.wait(1.03)
+    first.close(yard.now_ns)
+    second.write(PROFILES, yard.now_ns)  # in one step: there is no moment in which nobody wants anything
+    for _ in range(6):
+        assert yard.wait(1.0).account["unaccounted"] == 0
+
+
 def test_a_mean_is_as_many_scans_as_were_measured_for_it() -> None:
     yard = Yard("line")
     host = yard.connect()

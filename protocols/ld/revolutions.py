@@ -127,12 +127,12 @@ class Revolutions:
         ]
         if not wanted:
             return None
-        if self._rested:
-            self.stream += 1
-            self._rested = False
         # one that has ended already is passed over: a device that cannot keep up skips, it does not lag
         running = rotation.first_from(now_ns + 1, geometry.first) - 1
         due = max(self._next, min(wanted))
+        if self._rested or due > self._next:  # what nobody wanted in between is no gap in a stream
+            self.stream += 1
+            self._rested = False
         revolution = max(due, running)
         self.late = range(due, revolution)
         start_ns = rotation.passes_ns(revolution, geometry.first)

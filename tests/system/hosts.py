@@ -12,6 +12,10 @@ from typing import Any
 import serial
 
 PATIENCE_S = 60.0
+LONGEST = 0x400
+"Bytes of a payload; what claims more is no header but bytes of a telegram of which the line has lost a part."
+SILENCE_S = 2.0
+"After which the rest of a telegram does not come."
 
 
 def crc(data: bytes) -> bytes:
@@ -64,21 +68,24 @@ class LmsHost:
 
     def next(self, seconds: float) -> bytes | None:
         """Payload of the next telegram with a good CRC."""
-        end = time.monotonic() + seconds
+        heard = time.monotonic()
+        end = heard + seconds
         while True:
             start = self.seen.find(b"\x02\x80")
             if start >= 0 and len(self.seen) >= start + 4:
                 length = int.from_bytes(self.seen[start + 2 : start + 4], "little")
                 whole = self.seen[start : start + length + 6]
-                if len(whole) == length + 6:
-                    if crc(whole[:-2]) == whole[-2:]:
-                        self.seen = self.seen[start + length + 6 :]
-                        return whole[4:-2]
+                if len(whole) == length + 6 and crc(whole[:-2]) == whole[-2:]:
+                    self.seen = self.seen[start + length + 6 :]
+                    return whole[4:-2]
+                if len(whole) == length + 6 or length > LONGEST or time.monotonic() > heard + SILENCE_S:
                     self.seen = self.seen[start + 1 :]
                     continue
             if time.monotonic() >= end:
                 return None
-            self.seen += self.port.read(max(1, self.port.in_waiting))
+            if got := self.port.read(max(1, self.port.in_waiting)):
+                self.seen += got
+                heard = time.monotonic()
 
     def set_baud(self, baud: int) -> None:
         code = {9600: 0x42, 19200: 0x41, 38400: 0x40, 500000: 0x48}[baud]

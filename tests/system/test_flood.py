@@ -112,8 +112,8 @@ def place_of(url: str) -> str:
 
 
 @contextlib.contextmanager
-def attack(ready: dict[str, Any], seconds: float) -> Iterator[None]:
-    """All attackers for so long, each a process."""
+def attack(ready: dict[str, Any], seconds: float) -> Iterator[Callable[[], bool]]:
+    """All attackers for so long, each a process; what is given tells whether any of them is still there."""
     links = {row["id"]: row["links"][0] for row in ready["sensors"]}
     places = {name: place_of(url) for name, url in links.items()} | {"": ready["control"].partition(":")[2]}
     started = [
@@ -126,7 +126,7 @@ def attack(ready: dict[str, Any], seconds: float) -> Iterator[None]:
         for kind, name, count in ATTACKERS
     ]
     try:
-        yield
+        yield lambda: any(one.poll() is None for one in started)
         for one in started:
             assert json.loads(one.communicate(timeout=60)[0])["written"] > 0
     finally:
@@ -149,8 +149,8 @@ class Outcome:
 def outcome(ready: dict[str, Any], pid: int, host: LmsHost, seconds: float, attacked: bool) -> Outcome:
     before = look(0.0, pid).rss_bytes / 1e6
     threads, began_s, scans, peak = Threads(pid), time.monotonic(), 0, before
-    with attack(ready, seconds) if attacked else contextlib.nullcontext():
-        while time.monotonic() - began_s < seconds:
+    with attack(ready, seconds) if attacked else contextlib.nullcontext(lambda: False) as goes_on:
+        while time.monotonic() - began_s < seconds or goes_on():  # a host that stops reading loses bytes
             scans += len(host.scan()) == 361
             peak = max(peak, look(0.0, pid).rss_bytes / 1e6)
         took_s, shares = time.monotonic() - began_s, threads.shares()

@@ -186,6 +186,8 @@ def test_stepped_each_line_sends_one_telegram_to_its_last_byte(run: RecordedRun,
                     began = time.monotonic()
                     while time.monotonic() - began < 0.4 and len(got) == before:
                         got += port.read(4096)
+                    while time.monotonic() - began < 10.0 and len(got) not in ends:  # it has begun
+                        got += port.read(4096)
                     got += port.read(4096)
                     assert len(got) in ends  # whole payloads, and at most one: the other lines were the LD's
                     assert sum(before < end <= len(got) for end in ends) <= 1
