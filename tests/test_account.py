@@ -142,6 +142,21 @@ def test_a_mean_is_as_many_scans_as_were_measured_for_it() -> None:
     assert account["unaccounted"] == 0
 
 
+def test_scans_that_replies_push_off_the_line_are_told_as_they_pass() -> None:
+    yard = streaming("line")
+    host = yard.connect()
+    before = yard.account
+    for _ in range(200):
+        host.write(request(b"\x31") * 3, yard.now_ns)
+        yard.wait(0.02)
+        assert yard.account["under_way"] <= ahead(yard)
+    account = yard.account
+    assert account["dropped"]["line slower than the scan rate"] > 50
+    assert account["sent"] - before["sent"] < 100
+    assert -1 <= account["asked"] - slots_by_the_clock(yard) <= ahead(yard)
+    assert account["unaccounted"] == 0
+
+
 def test_a_profile_for_two_hosts_is_a_slot_for_each() -> None:
     yard = streaming("tcp")
     other = yard.connect()

@@ -114,6 +114,8 @@ class Schedule:
         self._slots: deque[Slot] = deque()
         self._late = False
         "Scans pass unsent because one was not measured in time."
+        self.passed: list[Unsent] = []
+        "Scans that ended unsent before the next slot of the stream, since last asked."
         self._telegrams = 0
         "Of this stream so far, pending ones included: tells which partial scan is next."
         self._epoch = 0
@@ -149,7 +151,7 @@ class Schedule:
             return []
         slot = next((slot for slot in self._slots if not slot.once), None)
         made = comb(self._device.variant, None) if slot is None else slot.comb
-        ended = max(0, self._mirror.first_turn_from(now_ns + 1) - 1) // made.turns * made.turns
+        ended = self._ended_by(now_ns, made.turns)
         if slot is None:
             size = self._stream.telegram_bytes(made.points, self._device.format.indices)
             return self._by_cause(ended, made.turns, size, self._stream.scans)
@@ -295,14 +297,35 @@ class Schedule:
         self._sent_turn = slot.end_turn
         return passed
 
-    def _by_cause(self, until_turn: int, turns: int, size: int, scans: int) -> list[Unsent]:
-        """Why the scans from the last telegram on were not sent: as many as a telegram takes, others were late."""
+    def _by_cause(self, until_turn: int, turns: int, size: int, scans: int, later: int = 0) -> list[Unsent]:
+        """Why the scans from the last telegram on were not sent: as many as a telegram takes, others were late.
+
+        `later`: how many more will pass before the next telegram.
+        """
         numbers = range(until_turn if self._sent_turn is None else self._sent_turn, until_turn, turns)
-        line_scans = -(-line_ns(size, self._line.baud) // (turns * TURN_NS)) - scans
-        by_line = max(0, line_scans) if self._late else len(numbers)
+        line_scans = self._line_scans(size, turns) - scans
+        by_line = max(0, line_scans - later) if self._late else len(numbers)
         self._late = False
         causes = ((DropReason.LINE_BUSY, numbers[:by_line]), (DropReason.LATE, numbers[by_line:]))
         return [Unsent(reason, found, self._stream_number) for reason, found in causes if found]
+
+    def _pass_ended(self, slot: Slot, now_ns: int) -> None:
+        """Tell at once of scans before a slot that have ended, if one was late or replies have taken the line."""
+        turns = slot.comb.turns
+        until = min(slot.first_turn, self._ended_by(now_ns, turns))
+        passed = 0 if self._sent_turn is None else (until - self._sent_turn) // turns
+        if passed > (0 if self._late else self._line_scans(slot.size, turns)):
+            later = (slot.first_turn - until) // turns
+            self.passed += self._by_cause(until, turns, slot.size, slot.output.scans, later)
+            self._sent_turn = until
+
+    def _line_scans(self, size: int, turns: int) -> int:
+        """Scans that end while a telegram is on the line, itself among them."""
+        return -(-line_ns(size, self._line.baud) // (turns * TURN_NS))
+
+    def _ended_by(self, now_ns: int, turns: int) -> int:
+        """End of the last scan that has ended."""
+        return max(0, self._mirror.first_turn_from(now_ns + 1) - 1) // turns * turns
 
     def _scan_from(self, time_ns: int, turns: int) -> int:
         """Number of the first scan of so many turns that begins at `time_ns` or later."""
@@ -319,6 +342,7 @@ class Schedule:
         if self._stream is None or self._device is None:
             return None
         slot = self._next_of_stream(self._stream, self._device, now_ns)
+        self._pass_ended(slot, now_ns)
         self._slots.append(slot)
         self._note_stream_end()
         self._telegrams += 1

@@ -342,7 +342,13 @@ class Lms2xxSession(Session):
 
     def next_plan(self) -> ScanPlan | None:
         """The scan wanted next, known some scan times before it begins."""
-        return self._schedule.next_plan(self._now_ns) if self._phase in UP else None
+        if self._phase not in UP:
+            return None
+        plan = self._schedule.next_plan(self._now_ns)
+        if self._schedule.passed:
+            passed, self._schedule.passed = self._schedule.passed, []
+            self._tell_unsent(passed, "ended before the next slot")
+        return plan
 
     def submit(self, scan: Scan) -> None:
         """Take the scan of `next_plan`; `ScanRefused` when it is not wanted any more."""
