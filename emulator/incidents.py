@@ -37,7 +37,7 @@ KINDS = {
     "sensor back": IncidentKind("a silent sensor sends again"),
     "scans unaccounted": IncidentKind("asked is not sent + dropped + withdrawn + under way", SILENT),
     "recording ended": IncidentKind("a recording could not be written on", RECORDING_CUT),
-    "recording moved": IncidentKind("the folder of a recording was moved; it goes on in its new place"),
+    "recording moved": IncidentKind("the folder or a file of a recording was moved; it goes on in its new place"),
     "link restored": IncidentKind("the path of a link was removed or replaced, and put back"),
     "link path taken": IncidentKind("the path of a link was taken by somebody else and is theirs"),
     "link path gone": IncidentKind(

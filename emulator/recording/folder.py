@@ -41,6 +41,8 @@ class RecordingFile:
     def __init__(self, name: str, number: int) -> None:
         self.name = name
         self.number = number
+        self._place = name
+        "In its folder, or a whole path elsewhere."
         self.written = 0
         "Bytes that the system has taken."
         self.whole = 0
@@ -57,11 +59,19 @@ class RecordingFile:
 
     def look(self) -> None:
         """`RecordingLost` when the file was removed or cut: the system would go on taking bytes that nobody finds."""
-        found = os.fstat(self.number)
-        if not found.st_nlink or os.path.basename(_path_of(self.number)).startswith(NFS_REMOVED):
+        found, path = os.fstat(self.number), _path_of(self.number)
+        if not found.st_nlink or os.path.basename(path).startswith(NFS_REMOVED):
             raise RecordingLost(0, f"{self.name} was removed")
         if found.st_size < self.written:
             raise RecordingLost(0, f"{self.name} was cut: {found.st_size} of {self.written} bytes are there")
+
+    def moved(self, folder: str) -> str:
+        """Where the file is now, once it is no longer where it was told to be last; `folder` is where its folder is."""
+        path = _path_of(self.number)
+        if not path or not folder or path == os.path.join(folder, self._place):
+            return ""
+        self._place = path.removeprefix(folder + os.sep)
+        return path
 
     def measure(self) -> None:
         """Somebody else has written into it by its number: take its size from the system."""
@@ -134,18 +144,19 @@ class RecordingFolder:
         """Bytes in all files."""
         return sum(file.written for file in self.files)
 
-    def look(self) -> str:
-        """Where the folder was moved to since it was looked at last, or nothing; `OSError` when files are lost.
+    def look(self) -> list[tuple[str, str]]:
+        """What was moved, and where to, since it was looked at last; `OSError` when files are lost.
 
-        Of a folder that was moved, all files are still being written, where it is now.
+        All files are still being written, where they are now.
         """
         for file in self.files:
             file.look()
-        place = _path_of(self._number)
-        if place == self._place:
-            return ""
-        self._place, self.path = place, Path(place)
-        return place
+        found, place = [], _path_of(self._number)
+        if place != self._place:
+            self._place, self.path = place, Path(place)
+            found.append(("the folder", place))
+        found += [(file.name, path) for file in self.files if (path := file.moved(place))]
+        return found
 
     def close(self, sync: bool) -> None:
         """Close every file; the first `OSError` of them."""

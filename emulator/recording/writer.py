@@ -28,7 +28,7 @@ from emulator.recording import layout
 from emulator.recording.can_logs import LoggedFrame, candump_line, read_candump, write_logs
 from emulator.recording.chunks import McapFile, OpenChunk
 from emulator.recording.folder import RecordingError as RecordingError
-from emulator.recording.folder import RecordingFile, RecordingFolder, reason
+from emulator.recording.folder import RecordingFile, RecordingFolder, RecordingLost, reason
 from emulator.recording.names import CAPTURE_ENDING, LOG_ENDINGS, SCENARIO_NAME, BusName, bus_names, planned
 from emulator.recording.pcapng import LD_PORT, Packets
 from emulator.recording.writing import IN_STEP, Manner, Writing
@@ -163,9 +163,7 @@ class Recorder(Watcher):
             self._add(sensor, "clock", layout.CLOCK_ENCODING, self._clock, told.true_ns, data)
 
     def event(self, sensor: str, event: Event | FaultEvent) -> None:
-        told = {key: _plain(value) for key, value in asdict(event).items()}
-        row = {"event": type(event).__name__} | told
-        self._add(sensor, "event", layout.EVENT_ENCODING, self._event, event.at_ns, json.dumps(row).encode())
+        self._guarded(self._happened, sensor, event)
 
     def note(self, now_ns: int, row: dict[str, object]) -> None:
         """Something about the whole run: a change of the weather, a fault, an order of the user's."""
@@ -198,6 +196,11 @@ class Recorder(Watcher):
         except Exception as error:
             self._writing.fail(error)
         self._writing.make_room()
+
+    def _happened(self, sensor: str, event: Event | FaultEvent) -> None:
+        row = {"event": type(event).__name__} | {key: _plain(value) for key, value in asdict(event).items()}
+        channel = self._of(sensor, "event", layout.EVENT_ENCODING, self._event)
+        self._message(channel, event.at_ns, json.dumps(row).encode(), event.at_ns)
 
     def _payload(self, payload: Payload) -> None:
         link = self._instruments[payload.sensor].links[payload.link]
@@ -321,10 +324,9 @@ class Recorder(Watcher):
         self._look()
 
     def _look(self) -> None:
-        moved = self._folder.look()
-        if moved:
-            text = f"the folder was moved to {moved}; the recording goes on there"
-            self._incidents.note("recording moved", self._now_ns(), moved, text)
+        for what, place in self._folder.look():
+            text = f"{what} was moved to {place}; the recording goes on there"
+            self._incidents.note("recording moved", self._now_ns(), place, text)
 
     def _last(self) -> int:
         return self._last_ns
@@ -334,7 +336,7 @@ class Recorder(Watcher):
         self._ended_ns = self._now_ns()
         self.failure = why
         with contextlib.suppress(OSError):  # nobody reads what is said; it is counted all the same
-            text = f"{why}; what is before can be read"
+            text = why if isinstance(error, RecordingLost) else f"{why}; what is before can be read"
             self._incidents.note("recording ended", self._ended_ns, str(self.folder), text)
 
     # ------------------------------------------------------------ the end

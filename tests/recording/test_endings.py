@@ -21,6 +21,7 @@ from emulator.recording.writer import Recorder, RecordingError
 from emulator.recording.writing import IN_STEP, Manner, Writing
 from emulator.trial import Trial, Verdict, run_trial
 from emulator.watching import Payload
+from protocols.session import Address, CommandHandled, DropReason, dropped_scans
 
 CASE = """\
 schema: 1
@@ -160,6 +161,51 @@ def test_files_that_somebody_takes_away_end_the_recording(
     assert verdict.sha256 == digest
     assert verdict.recording is not None
     assert verdict.recording["at_s"] < 0.7  # when the next chunk was written, not only at the end
+
+
+@pytest.mark.usefixtures("small_chunks")
+def test_a_file_that_is_moved_is_told_though_another_takes_its_name(tmp_path: Path, digest: str) -> None:
+    def swap() -> None:
+        (tmp_path / "run" / "run.mcap").rename(tmp_path / "run" / "kept.mcap")
+        (tmp_path / "run" / "run.mcap").write_bytes(b"of somebody else")
+
+    trial = trial_in(tmp_path / "run")
+    verdict = judged(trial, swap)
+    kept = tmp_path / "run" / "kept.mcap"
+    assert [(row["kind"], row["text"]) for row in verdict.incidents] == [
+        ("recording moved", f"run.mcap was moved to {kept}; the recording goes on there")
+    ]
+    assert (verdict.exit_code, verdict.sha256) == (0, digest)
+    assert (tmp_path / "run" / "run.mcap").read_bytes() == b"of somebody else"
+    kept.replace(tmp_path / "run" / "run.mcap")
+    assert read_run(tmp_path / "run").cut == ""
+
+
+def test_of_files_that_are_gone_nobody_says_that_they_can_be_read(tmp_path: Path) -> None:
+    trial = trial_in(tmp_path / "run")
+    verdict = judged(trial, lambda: shutil.rmtree(tmp_path / "run"))
+    assert "can be read" not in str(verdict.incidents)
+
+
+def test_scans_that_are_measured_too_late_are_recorded_as_events(tmp_path: Path, digest: str) -> None:
+    trial = trial_in(tmp_path / "run")
+    recorder = trial.recorder
+    assert recorder is not None
+    (late,) = dropped_scans(400_000_000, DropReason.LATE, range(30, 33), address=Address(0, 1))
+    verdict = judged(trial, lambda: recorder.event("front", late))
+    assert (verdict.exit_code, verdict.incidents, verdict.sha256) == (0, (), digest)
+    rows = [event for _, _, event in read_run(tmp_path / "run").events]
+    assert [row["sweeps"] for row in rows if row.get("reason") == "measured too late"] == [[30, 33, 1]]
+
+
+def test_an_event_that_cannot_be_written_ends_the_recording_and_not_the_run(tmp_path: Path, digest: str) -> None:
+    trial = trial_in(tmp_path / "run")
+    recorder = trial.recorder
+    assert recorder is not None
+    strange = CommandHandled(400_000_000, "20", object())  # type: ignore[arg-type]
+    verdict = judged(trial, lambda: recorder.event("front", strange))
+    ended(verdict, "TypeError: ")
+    assert verdict.sha256 == digest
 
 
 def test_files_taken_away_after_the_last_chunk_are_found_at_the_end(tmp_path: Path) -> None:
