@@ -16,7 +16,8 @@ from protocols.scan import Scan
 from protocols.session import CommandHandled, Dropped, DropReason, Emission, Event, ModeChanged, Restarted
 
 SCAN_REASONS = frozenset(
-    reason.value for reason in (DropReason.LINE_BUSY, DropReason.LATE, DropReason.STALE, DropReason.HOST_SLOW)
+    reason.value
+    for reason in (DropReason.LINE_BUSY, DropReason.LATE, DropReason.STALE, DropReason.HOST_SLOW, DropReason.KEPT)
 )
 "`DropReason` values that count scans rather than input bytes."
 

@@ -1,9 +1,9 @@
 """Errors of the protocol half. A host's bytes never raise: they are answered, or recorded as `Dropped`.
 
-    ProtocolError                 our own misuse
-      EncodeError(ValueError)     a value that the format cannot hold
-      ScanRefused(ValueError)     a scan whose settings are no longer those of the device
-      DeviceSettingError(ValueError)   a `device:` key of a scenario that the family does not take
+ProtocolError                 our own misuse
+  EncodeError(ValueError)     a value that the format cannot hold
+  ScanRefused(ValueError)     a scan whose settings are no longer those of the device
+  DeviceSettingError(ValueError)   a `device:` key of a scenario that the family does not take
 """
 
 from __future__ import annotations

@@ -58,6 +58,10 @@ class Emission:
     "What it is, for traces: `B0`, `ACK`, `A0`."
     told: Told | None = None
     "What it tells of the device's time, of the first telegram of a scan; for recordings and reports."
+    pause: tuple[int, int] | None = None
+    "So many bytes leave first, the others not before that instant; serial lines only."
+    cuts: bool = False
+    "What is leaving on the line ends with the byte that is on its way at `due_ns`; the payload is empty."
 
 
 class DropReason(Enum):
@@ -75,6 +79,8 @@ class DropReason(Enum):
     REFUSED = "known command that no source settles; refused"
     BOOTING = "device is starting"
     BUSY = "device busy with earlier requests"
+    KEPT = "measured, nothing of it to be sent"
+    "For the device itself, or without an object where only objects are told."
     LINE_BUSY = "line slower than the scan rate"
     LATE = "measured too late"
     "Our own doing: the scan before it was not measured in time, or the program did not run."
@@ -91,6 +97,17 @@ class Dropped:
     detail: str = ""
     count: int = 1
     "Bytes of input, or scans, or frames: whatever was dropped."
+
+
+@dataclass(frozen=True)
+class CutShort:
+    """A request ended a telegram that was being sent."""
+
+    at_ns: int
+    label: str
+    left: int
+    "Bytes of it that have left, the last of them still on its way."
+    of: int
 
 
 @dataclass(frozen=True)
@@ -118,7 +135,7 @@ class Restarted:
     at_ns: int
 
 
-Event = Dropped | CommandHandled | ModeChanged | Restarted
+Event = Dropped | CutShort | CommandHandled | ModeChanged | Restarted
 
 
 class Session(ABC):

@@ -144,6 +144,9 @@ class TcpLine(_TcpLink):
         if self._hosts.fileno() >= 0 and not self._line.put(payload, due_ns, line_speed):
             self.stats.payloads_dropped += 1
 
+    def cut(self, now_ns: int) -> None:
+        self._line.cut(now_ns)
+
     def flush(self, now_ns: int) -> int | None:
         if self._hosts.fileno() < 0:
             return None
