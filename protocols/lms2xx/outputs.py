@@ -125,8 +125,8 @@ class Mean:
     """Sums of the scans of one telegram.
 
     A beam's mean is that of the scans in which it had an echo within the format. With more than `MOST_INVALID` of the
-    scans without one it has none (listing, p. 61); then, dazzled in all of these, it is dazzled. Ranges are averaged
-    unrounded and rounded once.
+    scans without one it has none (listing, p. 61); it is dazzled when it never had one and was dazzled once. Ranges are
+    averaged unrounded and rounded once.
     """
 
     def __init__(self, points: int, farthest_m: float) -> None:
@@ -135,7 +135,7 @@ class Mean:
         self._intensity = np.zeros(points)
         self._count = np.zeros(points)
         self._scans = 0
-        self._dazzled = np.zeros(points)
+        self._dazzled = np.zeros(points, dtype=np.bool_)
         self._saturated = np.zeros(points, dtype=np.bool_)
 
     def add(self, scan: Measured) -> None:
@@ -146,14 +146,14 @@ class Mean:
         self._intensity += np.where(valid, scan.intensity, 0.0)
         self._count += valid
         self._scans += 1
-        self._dazzled += dazzled
+        self._dazzled |= dazzled
         self._saturated |= (scan.flags & SATURATED) != 0
 
     def result(self) -> Measured:
         """The mean of what was added."""
         none = self._count < (1.0 - MOST_INVALID) * self._scans - 1e-9
         count = np.where(none, np.nan, self._count)
-        blind = none & (self._dazzled > 0) & (self._count + self._dazzled == self._scans)
+        blind = (self._count == 0) & self._dazzled
         flags = np.where(blind, DAZZLED, 0) | np.where(self._saturated, SATURATED, 0)
         return Measured(self._range_m / count, self._intensity / count, flags.astype(np.uint8))
 

@@ -125,11 +125,13 @@ def test_any_sub_code_of_20_is_answered_and_a_refusal_keeps_the_mode() -> None:
             assert same == before
 
 
-@pytest.mark.parametrize("code", [code for code, row in COMMANDS.items() if row.coverage == "refused"])
-def test_what_no_source_settles_is_refused_by_name(code: int) -> None:
-    _, reply = answer(device(), code, b"")
-    assert (reply.payload, reply.refusal) == (b"\x92", DropReason.REFUSED)
-    assert COMMANDS[code].name in reply.detail
+def test_what_the_listing_only_names_is_refused_by_name() -> None:
+    assert not [code for code, row in COMMANDS.items() if row.coverage == "refused"]
+    assert [code for code, row in SWITCHES.items() if row.coverage == "refused"] == [0x01, 0x2E]
+    for sub in (0x01, 0x2E):
+        _, reply = answer(device(), 0x20, bytes((sub,)))
+        assert (reply.payload, reply.refusal) == (b"\x92", DropReason.REFUSED)
+        assert SWITCHES[sub].name in reply.detail
 
 
 @pytest.mark.parametrize("code", [0x33, 0x34, 0x3C, 0x3D, 0x00, 0xFF, 0x90])
@@ -265,7 +267,7 @@ def test_a_rate_made_permanent_survives_and_can_be_taken_back() -> None:
     assert ask(made, "31")[1].payload[119] == 1
     made = after(made, "66 00")
     assert (made.startup_baud, made.permanent_baud, made.baud) == (9600, False, 500_000)
-    assert ask(made, "66 02")[1].refusal is DropReason.REFUSED
+    assert ask(made, "66 03")[1].payload == bytes.fromhex("E6 00 03")
 
 
 def test_errors_and_counter_are_those_of_the_table() -> None:

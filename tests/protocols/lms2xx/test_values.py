@@ -132,11 +132,21 @@ def test_a_mean_counts_only_scans_in_which_the_beam_had_an_echo() -> None:
     mean.add(measured([10.0, math.nan, 90.0, math.nan]))
     mean.add(measured([10.03, 7.0, 50.0, math.nan], [0, 0, 0, DAZZLED]))
     mean.add(measured([10.06, 9.0, 52.0, math.nan]))
+    mean.add(measured([10.03, 8.0, 51.0, math.nan]))
+    mean.add(measured([10.03, 8.0, 51.0, math.nan]))
     found = mean.result()
     assert found.range_m[:3] == pytest.approx([10.03, 8.0, 51.0])
     assert np.isnan(found.range_m[3])
     assert found.intensity[:3] == pytest.approx([2.0, 2.0, 2.0])
     assert found.flags.tolist() == [0, 0, 0, DAZZLED]
+
+
+@pytest.mark.parametrize(("missing", "scans", "kept"), [(1, 5, True), (2, 9, False), (2, 10, True), (50, 250, True)])
+def test_a_mean_with_more_than_a_fifth_missing_is_none(missing: int, scans: int, kept: bool) -> None:
+    mean = Mean(1, 81.825)
+    for number in range(scans):
+        mean.add(measured([math.nan if number < missing else 3.0]))
+    assert bool(mean.result().range_m[0] == 3.0) is kept
 
 
 def test_a_mean_is_rounded_once() -> None:
