@@ -81,7 +81,7 @@ def test_every_stream_has_the_rate_that_the_line_allows(stream: str, baud: int) 
     sizes = [size, *[size - 2 * ("partial" in stream)] * 3]  # the set x.00 has a value more than the others
     periods_s = [math.ceil(each * 10 / baud / (turns * TURN_S)) * turns * TURN_S for each in sizes]
     assert [len(scan.payload) for scan in scans[:4]] == sizes
-    assert rate_hz(scans) == pytest.approx((len(scans) - 1) / sum((periods_s * 9)[: len(scans) - 1]), rel=1e-6)
+    assert rate_hz(scans) == pytest.approx((len(scans) - 1) / sum((periods_s * 99)[: len(scans) - 1]), rel=1e-6)
     assert rate_hz(scans[:2]) == pytest.approx(TABLE_HZ[stream, baud], abs=0.006)
 
 
