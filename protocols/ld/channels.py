@@ -11,12 +11,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from protocols.ld import config as cfg
+from protocols.ld.answers import Handler
 from protocols.ld.device import Device
 from protocols.ld.head import MS
 from protocols.ld.outbox import Outgoing
 from protocols.ld.packages import NAK, Package, PackageJoiner, PackageReader, encode_packages, swapped
 from protocols.ld.segments import SegmentJoiner, encode_segments, worst_case_bits
-from protocols.ld.services import Handler
 from protocols.ld.telegrams import Fault
 from protocols.ld.usp import UspReader, encode_frame
 from protocols.session import Address, DropReason, Emission, LinkKind
@@ -26,6 +26,9 @@ INTER_BYTE_NS = 1000 * MS
 
 MAX_INBOX = 64
 "Requests of one host that wait for their turn; further ones are dropped."
+
+SERIAL_BITS = 10
+"Of a byte: parity, stop and data bits of item 0001 are stored, the line stays at 8N1 (UPS p. 19)."
 
 GAP_NS = 1 * MS
 "Between two telegrams on one channel: sicktoolbox holds one, and looks every millisecond."
@@ -219,10 +222,8 @@ class Channel:
 
 
 def serial_ns(size: int, device: Device) -> int:
-    """How long `size` bytes take on the serial line as it is configured."""
-    code, parity, stop_bits, data_bits = device.config[cfg.SERIAL]
-    bits = 1 + data_bits + (parity != 0) + stop_bits
-    return -(-size * bits * 1_000_000_000 // cfg.BAUD_CODES[code])
+    """How long `size` bytes take on the serial line."""
+    return -(-size * SERIAL_BITS * 1_000_000_000 // device.baud)
 
 
 def _readers(kind: LinkKind) -> tuple[UspReader | PackageReader | None, PackageJoiner | SegmentJoiner | None]:
