@@ -1,7 +1,7 @@
 """The configuration blocks of SET_CONFIG and GET_CONFIG: their words, what each may be, and what the factory sets.
 
-Sources: sicktoolbox `SickLD.cc` (0005, 0010), COMTEST (0001, 0002, 0005, 0010), the maker's listing (p. 19-21), Fawkes (lengths), `sickld.c`, a port of
-sicktoolbox to C (0011).
+Sources: the maker's listing 8011576 (p. 19-21), sicktoolbox `SickLD.cc` (0005, 0010), COMTEST (0001, 0002, 0005, 0010),
+Fawkes (lengths), `sickld.c`, a port of sicktoolbox to C (0011).
 """
 
 from __future__ import annotations

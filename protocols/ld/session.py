@@ -107,7 +107,10 @@ class LdSession(Session):
         self._outbox.withdraw(lambda sent: not sent.begun and sent.emissions[0].due_ns > from_ns)
         for channel in self._channels.values():
             channel.clear()
+        held = self.device.attached.get(routing.SERIAL)
         self.device.boot(from_ns, boot_ns)
+        if held is not None and held.baud != self.device.baud:
+            self._set_line_speed(from_ns)
         self._revolutions.begin()
         self._geometry = None
         self._will_start_itself, self._will_measure = True, False

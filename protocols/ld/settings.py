@@ -112,9 +112,7 @@ KEYS = (
         _whole(MIN_MOTOR_HZ, MAX_MOTOR_HZ),
     ),
     Key("step_deg", "multiple of 0.0625, from 0.125, that divides 360", 0.5, "configured angle step", _step),
-    Key(
-        "sectors", SECTORS_ALLOWED, None, "sector table kept in flash; null: the model's whole arc", lambda value: True
-    ),
+    Key("sectors", SECTORS_ALLOWED, None, "sector table kept in flash; null: the model's arc", lambda value: True),
     Key("sensor_id", "1..254", 16, "address on RS-422 and CAN", _whole(1, 254)),
     Key("baud", _listed(cfg.BAUD_CODES), 115200, "speed of the serial line", _one_of(*cfg.BAUD_CODES.values())),
     Key("parity", _listed(cfg.PARITY_CODES), "none", "of the serial line", _one_of(*cfg.PARITY_CODES.values())),
