@@ -178,7 +178,7 @@ def settings_of(device: Mapping[str, Any], model: Model) -> Settings:
     values = {key.name: device.get(key.name, key.default) for key in KEYS}
     step = int(values["step_deg"] * TICKS_PER_DEG)
     if values["motor_hz"] > model.fastest_hz:
-        raise DeviceSettingError("motor_hz", values["motor_hz"], f"5..{model.fastest_hz}")
+        raise DeviceSettingError("motor_hz", values["motor_hz"], known["motor_hz"].allowed)
     sectors = _table(_arc_of(model) if values["sectors"] is None else values["sectors"], step)
     if values["mode"] == "measure":
         verdict = check(sectors, values["motor_hz"], step)

@@ -271,7 +271,7 @@ def test_miro_starts_and_reads_profiles_on_the_serial_line(hz: int, step: int, p
     assert host.ask(0x0105, 1) == [0x8105, 1]
     for number in (1, 2, 1):
         message = host.ask(0x0301, number, 0x0700)
-        assert message[:3] == [0x8301, 0x0700, 1]
+        assert message[:3] == [0x8301, 0x0700, 0x0101]
         assert len(message) == 3 + 3 * points
         assert message[3::3] == list(range(1280, 1280 + points))
         assert message[4::3] == list(range(0, 5760, step))
