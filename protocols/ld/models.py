@@ -40,6 +40,8 @@ class Model:
     "Of the head; 10 in LD-LRS1000, 2100 and 3100 (supplement p. 5, 22)."
     useful_deg: int = 360
     "Arc that a device measures as delivered; 300 through the window of LD-LRS2100 and 3100."
+    speaks_cola: bool = False
+    "CoLa binary beside the user protocol (supplement, p. 18-21)."
     has_interlace: bool = False
     "Knows configuration item 0011 (LD-LRS36x1 only, by the C port of sicktoolbox)."
 
@@ -53,9 +55,9 @@ class Model:
 MODELS = {
     model.name: model
     for model in (
-        Model("sick-ld-lrs1000", "LD-LRS1000", 250.0, fastest_hz=10),
-        Model("sick-ld-lrs2100", "LD-LRS2100", 250.0, fastest_hz=10, useful_deg=300),
-        Model("sick-ld-lrs3100", "LD-LRS3100", 250.0, fastest_hz=10, useful_deg=300),
+        Model("sick-ld-lrs1000", "LD-LRS1000", 250.0, fastest_hz=10, speaks_cola=True),
+        Model("sick-ld-lrs2100", "LD-LRS2100", 250.0, fastest_hz=10, useful_deg=300, speaks_cola=True),
+        Model("sick-ld-lrs3100", "LD-LRS3100", 250.0, fastest_hz=10, useful_deg=300, speaks_cola=True),
         Model("sick-ld-oem1000", "LD-OEM1000", 250.0),
         Model("sick-ld-lrs3611", "LD-LRS3611", 250.0, has_interlace=True),
         Model("lase-eld-l-a", "ELD-L-A", 250.0),

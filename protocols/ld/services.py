@@ -276,6 +276,13 @@ COMMANDS: dict[int, Command] = {
 }
 
 ABSENT = (
+    CommandRow(
+        "CoLa",
+        "CoLa binary: sMN SetAccessMode, sMN Run, sRN DeviceIdent",
+        "done",
+        "SICK 9106698, p. 18-21 (names the protocol, prints no port and no variable)",
+        "LD-LRS1000, 2100, 3100; on serial and TCP links; any other telegram: sFA",
+    ),
     CommandRow("1000..3F00", "application services", "absent", "Fawkes", "no application firmware: SERVICE_FAILURE"),
     CommandRow("7E00..7EFF", "adjust services", "absent", "Fawkes", "factory only, unknown: SERVICE_FAILURE"),
 )

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from protocols.device_clock import DeviceClock
 from protocols.errors import ScanRefused
-from protocols.ld import routing
+from protocols.ld import cola, routing
 from protocols.ld.answers import Answer
 from protocols.ld.channels import MAX_INBOX, Channel, Line, Profiles, Request, new_channel
 from protocols.ld.device import CLOCK_TICK_NS, Caller, Device, Geometry
@@ -261,6 +261,9 @@ class LdSession(Session):
         """Carry out what waits, one request after the other: the next one when the last reply has left."""
         while channel.inbox and channel.waiting is None and channel.busy_until_ns <= now_ns:
             request = channel.inbox.popleft()
+            if request.is_cola:
+                self._answer_cola(channel, request.payload, now_ns)
+                continue
             words = words_of(request.payload)
             if not words:
                 nothing = Answer(refused=DropReason.BAD_LENGTH, failure=True, detail="no service word")
@@ -293,6 +296,19 @@ class LdSession(Session):
             self._reply(channel, request, (SERVICE_FAILURE, 0, 0, *self.device.status), answer, now_ns)
         elif answer.words is not None:
             self._reply(channel, request, (service | REPLY_BIT, *answer.words), answer, now_ns)
+
+    def _answer_cola(self, channel: Channel, payload: bytes, now_ns: int) -> None:
+        """CoLa telegrams log in and ask who the device is; nothing else of them is known."""
+        reply, done = cola.answer(payload, self.device.identity.__getitem__)
+        what = "CoLa " + payload[:24].partition(b"\0")[0].decode("ascii", "replace").strip()
+        if not done:
+            self._drop(now_ns, DropReason.REFUSED, 1, what)
+        outcome = "done" if done else DropReason.REFUSED.value
+        self._events.append(CommandHandled(now_ns, what, outcome))
+        due_ns = now_ns + self.device.delays.response_ns
+        sent = channel.telegram(reply, 0, due_ns, self.device, label="CoLa", is_cola=True)
+        channel.busy_until_ns = channel.last_sent_ns
+        self._outbox.put(sent)
 
     def _reply(self, channel: Channel, request: Request, words: tuple[int, ...], answer: Answer, now_ns: int) -> None:
         sent = channel.telegram(

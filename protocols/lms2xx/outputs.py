@@ -90,8 +90,8 @@ class Output:
             return FIXED_BYTES[self.command]
         size = FIXED_BYTES[self.command] + 2 * indices
         if self.direct:
-            chosen = _of_turn(*self.groups[0], part or 0, turns)
-            return size + 2 * max(0, chosen.stop - chosen.start)
+            first, last = self.groups[0]
+            return size + 2 * len(range(points)[_of_turn(first, last, part or 0, turns)])
         if self.find is Find.GROUPS:
             return size + 2 * len(self.groups)
         if self.count:
