@@ -82,7 +82,7 @@ class PackageFraming:
         self.errors = 0
 
     def pack(self, payload: bytes) -> bytes:
-        return encode_packages(payload, self._address)
+        return encode_packages(payload, self._address).upper()
 
     def feed(self, data: bytes) -> list[bytes]:
         found = []
