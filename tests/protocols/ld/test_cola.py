@@ -68,6 +68,15 @@ def test_a_model_without_cola_hears_noise() -> None:
     assert not rig.take()
 
 
+def test_a_frame_with_a_wrong_checksum_is_not_answered() -> None:
+    rig = Rig({"delays": "fast"})
+    whole = frame(b"sMN Run")
+    rig.put(whole[:-1] + bytes((whole[-1] ^ 1,)) + request(0x0102))
+    rig.run(2 * SECOND)
+    assert [emission.label for emission in rig.take()] == ["8102"]
+    assert DropReason.NO_START_BYTE in rig.dropped()
+
+
 def test_half_a_frame_is_given_up_and_the_user_protocol_goes_on() -> None:
     rig = Rig({"delays": "fast"})
     rig.put(frame(b"sMN Run")[:9])

@@ -288,3 +288,4 @@ def test_a_direct_stream_goes_through_the_turns_of_a_scan_at_any_line_speed() ->
     rig.wait(2.0)
     found = [read_values(open_frame(scan.payload)) for scan in rig.scans()]  # type: ignore[arg-type]
     assert [(one.header.partial, one.header.count) for one in found[:4] if one] == [(0, 181), (2, 180)] * 2
+    assert [scan.sweep % 2 for scan in rig.scans()[:4]] == [0, 1, 0, 1], "measured in the turn that has these beams"  # type: ignore[operator]

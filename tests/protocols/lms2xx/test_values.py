@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols.lms2xx.outputs import Mean, Measured
+from protocols.lms2xx.outputs import ALL, MEAN, Format, Mean, Measured, Output, encode
 from protocols.lms2xx.values import (
     MEASURING_MODES,
     intensity_words,
@@ -154,3 +154,12 @@ def test_a_mean_is_rounded_once() -> None:
     for range_m in (1.004, 1.004, 1.008):  # each would round to 100, 100, 101: a mean of 100.33
         mean.add(measured([range_m]))
     assert value_words(mean.result().range_m, np.zeros(1, np.uint8), MEASURING_MODES[0], CM).tolist() == [101]
+
+
+def test_means_carry_no_flag_even_where_they_are_dazzled() -> None:
+    form = Format(MEASURING_MODES[0], CM, False, 9000.0)
+    found = Measured(np.array([math.nan, 2.0]), np.ones(2), np.array([DAZZLED, 0], np.uint8))
+    words = np.frombuffer(encode(Output(MEAN, 2), found, form, None)[4:], "<u2")
+    assert words.tolist() == [0x1FFE, 200]
+    single = np.frombuffer(encode(Output(ALL), found, form, None)[3:], "<u2")
+    assert single.tolist() == [0x9FFE, 200], "a single scan does"
