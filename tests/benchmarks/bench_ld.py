@@ -90,6 +90,7 @@ def share_with_measuring(name: str = "bumper", seconds: int = 10) -> None:
     host = Address(0, 1)
     session.power_on(0)
     session.connected(0, host, LinkKind.STREAM)
+    session.receive(encode_frame(bytes.fromhex("04030000")), 0, host)
     session.receive(encode_frame(bytes.fromhex("0404")), 0, host)
     now_ns, spent, measured, profiles, asked, points = 0, 0.0, 0.0, 0, False, 0
     while now_ns < seconds * 1_000_000_000:
