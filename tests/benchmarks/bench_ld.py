@@ -61,7 +61,7 @@ def share_of_a_core() -> None:
     """One sensor streaming to one host: session only, the scans come ready."""
     for hz, step_deg in ((5, 0.1875), (10, 0.375), (10, 0.5), (20, 0.75)):
         device = {"motor_hz": hz, "step_deg": step_deg, "mode": "measure", "delays": "fast"}
-        session = FAMILY.new_session(device, {"model": "sick-ld-lrs1000"})
+        session = FAMILY.new_session(device, {"model": "sick-ld-oem1000"})
         session.power_on(0)
         session.connected(0, Address(0, 1), LinkKind.STREAM)
         session.receive(encode_frame(bytes.fromhex("030100003fff")), 0, Address(0, 1))
