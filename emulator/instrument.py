@@ -391,7 +391,14 @@ class Instrument:
             link = self.links[index]
             refused = link.stats.payloads_dropped
             self.onlookers.leaving(index, peer, emission)
-            link.send(emission.payload, emission.due_ns, peer, emission.line_speed)
+            if emission.cuts:
+                link.cut(emission.due_ns)
+            elif emission.pause is not None and link.kind is LinkKind.SERIAL:
+                count, resume_ns = emission.pause
+                link.send(emission.payload[:count], emission.due_ns, peer)
+                link.send(emission.payload[count:], resume_ns, peer, emission.line_speed)
+            else:
+                link.send(emission.payload, emission.due_ns, peer, emission.line_speed)
             if link.stats.payloads_dropped == refused:
                 self.onlookers.left(index, peer, emission)
                 taken = True

@@ -153,6 +153,9 @@ class TcpLine(_TcpLink):
         elif payload:
             self._waiting.append(payload)
 
+    def cut(self, now_ns: int) -> None:
+        self._line.cut(now_ns)
+
     def flush(self, now_ns: int) -> int | None:
         if self._hosts.fileno() < 0:
             return None
