@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from protocols.ld import usp
+
 STX = b"\x02\x02\x02\x02"
 HEADER_BYTES = 8
 MAX_BYTES = 4096
@@ -35,20 +37,35 @@ def encode_frame(payload: bytes) -> bytes:
 
 
 class ColaSplitter:
-    """Takes CoLa frames out of a stream; all other bytes go on. Holds at most one frame."""
+    """Takes CoLa frames out of a stream; all other bytes go on. Holds at most one frame.
+
+    Within a frame of the user protocol nothing is looked for: it may hold STX, and end with it.
+    """
 
     def __init__(self) -> None:
         self._held = b""
+        self._passing = 0
+        "Bytes to come of a frame of the user protocol."
 
     def __bool__(self) -> bool:
         """Whether something is held."""
-        return bool(self._held)
+        return bool(self._held) or self._passing > 0
 
     def feed(self, data: bytes) -> tuple[bytes, list[bytes]]:
         """Bytes for others, and payloads of whole frames with a right checksum."""
         self._held += data
         others, found = b"", []
         while self._held:
+            if self._passing:
+                others, gone = others + self._held[: self._passing], len(self._held[: self._passing])
+                self._held, self._passing = self._held[gone:], self._passing - gone
+                continue
+            if usp.HEADER.startswith(self._held[:4]) and len(self._held) > 1:
+                if len(self._held) < HEADER_BYTES:
+                    break
+                size = int.from_bytes(self._held[4:HEADER_BYTES], "big")
+                self._passing = size + usp.OVERHEAD if size <= usp.MAX_REQUEST_BYTES else len(usp.HEADER)
+                continue
             at = self._held.find(STX[:1])
             if at:
                 cut = len(self._held) if at < 0 else at
@@ -72,7 +89,7 @@ class ColaSplitter:
 
     def expire(self) -> bytes:
         """Give up what is held: it is for others."""
-        held, self._held = self._held, b""
+        held, self._held, self._passing = self._held, b"", 0
         return held
 
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from protocols.ld.cola import ColaSplitter, encode_frame
 from protocols.ld.packages import encode_packages
+from protocols.ld.usp import encode_frame as encode_usp
 from protocols.session import Address, DropReason, LinkKind
 from tests.protocols.ld.reader import package, request
 from tests.protocols.ld.rig import SECOND, Rig
@@ -101,3 +102,23 @@ def test_bytes_that_are_no_frame_go_on_unchanged_however_they_are_cut(data: byte
 def test_a_frame_is_taken_out_whole(payload: bytes) -> None:
     assert ColaSplitter().feed(b"\x55" + encode_frame(payload) + b"\x66") == (b"\x55\x66", [payload])
     assert encode_frame(payload) == frame(payload)
+
+
+@given(st.lists(st.sampled_from([0x02, 0x55, 0x00]), max_size=20).map(bytes), st.integers(1, 40))
+def test_a_frame_of_the_user_protocol_goes_on_at_once_whatever_it_holds(payload: bytes, chunk: int) -> None:
+    splitter, whole = ColaSplitter(), encode_usp(payload)
+    others, taken = b"", []
+    for start in range(0, len(whole), chunk):
+        rest, found = splitter.feed(whole[start : start + chunk])
+        others, taken = others + rest, taken + found
+    assert (others, taken, bool(splitter)) == (whole, [], False)
+    assert splitter.feed(frame(b"sMN Run")) == (b"", [b"sMN Run"])
+
+
+def test_a_request_that_ends_with_stx_is_answered_at_once() -> None:
+    rig = Rig({"mode": "idle", "delays": "fast"})
+    asked = request(0x0103)
+    assert asked.endswith(b"\x02")
+    rig.put(asked)
+    rig.run(SECOND // 100)
+    assert [emission.label for emission in rig.take()] == ["FF00"]
