@@ -89,7 +89,10 @@ def texts() -> Iterator[tuple[str, str]]:
             "{that: front.range_error_m, at_most: 0.0021}",
         ]
         device = f"{{delays: fast, motor_hz: {hz}, step_deg: {step:g}}}"
-        yield f"ld_{hz}hz_{step * 100:03.0f}", _text("sick-ld-lrs1000", device, 8.0, "{}", expect)
+        yield (
+            f"ld_{hz}hz_{step * 100:03.0f}",
+            _text("sick-ld-lrs1000" if hz <= 10 else "sick-ld-oem1000", device, 8.0, "{}", expect),
+        )
 
 
 def write(folder: Path) -> list[Path]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 from emulator.conditions import NORMAL, Conditions
@@ -391,7 +392,16 @@ class Instrument:
             link = self.links[index]
             refused = link.stats.payloads_dropped
             self.onlookers.leaving(index, peer, emission)
-            link.send(emission.payload, emission.due_ns, peer, emission.line_speed)
+            if emission.cuts:
+                link.cut(emission.due_ns)
+            elif emission.pause is not None and link.kind is LinkKind.SERIAL:
+                count, resume_ns = emission.pause
+                begin, rest = emission.payload[:count], emission.payload[count:]
+                self._handed.extend(replace(emission, payload=part) for part in (begin, rest))  # one may be given up
+                link.send(begin, emission.due_ns, peer)
+                link.send(rest, resume_ns, peer, emission.line_speed)
+            else:
+                link.send(emission.payload, emission.due_ns, peer, emission.line_speed)
             if link.stats.payloads_dropped == refused:
                 self.onlookers.left(index, peer, emission)
                 taken = True

@@ -96,7 +96,12 @@ class Onlookers:
         start_ns = end_ns = emission.due_ns
         pace = None
         if index in self._times:
-            start_ns, end_ns, pace = self._times[index].of(emission.payload, emission.due_ns, emission.line_speed)
+            if emission.cuts:
+                end_ns = self._times[index].cut(emission.due_ns)
+                for watcher in self._watchers:
+                    watcher.cut(self._sensor, index, end_ns)
+                return
+            start_ns, end_ns, pace = self._times[index].of_emission(emission)
         if emission.payload:
             data, label, sweep = emission.payload, emission.label, emission.sweep
             self._tell(Payload(self._sensor, index, peer or 0, data, start_ns, end_ns, True, label, sweep, pace))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Protocol
 
 from emulator.clock import ManualClock
@@ -217,6 +218,16 @@ class ByteSteps(Watcher):
             self._ahead.popleft()
             self._gone = 0
         self._ahead.append(payload)
+
+    def cut(self, sensor: str, link: int, end_ns: int) -> None:
+        if (sensor, link) != (self._sensor, self._link):
+            return
+        while self._ahead and self._ahead[-1].start_ns >= end_ns:
+            self._ahead.pop()
+        if self._ahead and self._ahead[-1].end_ns > end_ns:
+            last = self._ahead[-1]
+            kept = sum(last.leaves_ns(place) <= end_ns for place in range(len(last.data)))
+            self._ahead[-1] = replace(last, data=last.data[:kept], end_ns=end_ns)
 
     def step(self, count: int, until_ns: int) -> int:
         """Move until `count` more bytes have left, no further than `until_ns`; how many it were."""

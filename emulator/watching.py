@@ -13,7 +13,7 @@ from emulator.faults.events import FaultEvent
 from emulator.transports.pacing import PacedLine, leave_ns
 from protocols.device_clock import Told
 from protocols.scan import Scan
-from protocols.session import Event
+from protocols.session import Emission, Event
 
 FOREVER_NS = 2**62
 
@@ -51,6 +51,9 @@ class Watcher:
     def payload(self, payload: Payload) -> None:
         """Bytes that will leave, or came in."""
 
+    def cut(self, sensor: str, link: int, end_ns: int) -> None:
+        """What was told to leave on a line does so no further than this."""
+
     def scan(self, sensor: str, scan: Scan) -> None:
         """A sweep that the device has taken."""
 
@@ -82,13 +85,34 @@ class LineTimes:
         self._present.clear()
         self._foresee()
 
+    def cut(self, now_ns: int) -> int:
+        """What is leaving ends with the byte that is on its way; when that has left."""
+        self._present.take(now_ns)
+        self._present.cut(now_ns)
+        self._foresee()
+        return self._line.busy_until_ns
+
     def _foresee(self) -> None:
         self._line = deepcopy(self._present)
         self._line.take(FOREVER_NS)
 
-    def of(self, data: bytes, due_ns: int, line_speed: int | None) -> tuple[int, int, tuple[int, int, int] | None]:
-        """First and last bit, and pace, of a payload handed over with these arguments, in the order of handing over."""
-        self._present.take(due_ns)
+    def of_emission(self, emission: Emission) -> tuple[int, int, tuple[int, int, int] | None]:
+        """First and last instant of a telegram and its pace; with a pause in it, the pace is that of its end."""
+        data, pause = emission.payload, emission.pause
+        if pause is None:
+            return self.of(data, emission.due_ns, emission.line_speed)
+        start_ns, _, _ = self.of(data[: pause[0]], emission.due_ns, None)
+        _, end_ns, pace = self.of(data[pause[0] :], pause[1], emission.line_speed, emission.due_ns)
+        return start_ns, end_ns, None if pace is None else (pace[0], pace[1] - pause[0], pace[2])
+
+    def of(
+        self, data: bytes, due_ns: int, line_speed: int | None, seen_ns: int | None = None
+    ) -> tuple[int, int, tuple[int, int, int] | None]:
+        """First and last bit, and pace, of a payload handed over with these arguments, in the order of handing over.
+
+        `seen_ns`: until when the line is known to have gone on; None: until the payload is due.
+        """
+        self._present.take(due_ns if seen_ns is None else seen_ns)
         self._present.put(data, due_ns, line_speed)
         self._line.put(data, due_ns, line_speed)
         for left in self._line.take(FOREVER_NS):

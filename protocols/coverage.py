@@ -21,7 +21,8 @@ HEAD = """# Commands
 Made by `python -m protocols.coverage` from the command tables; do not edit.
 
 - done: answered as the device answers it.
-- refused: known by name, but no source settles its layout or effect; answered with the device's own refusal.
+- refused: named, but without a printed layout even in the maker's listing, reserved there, or for the factory only;
+  answered with the device's own refusal.
 - absent: not a command of this family, though a relative has it; answered like any unknown command.
 """
 

@@ -60,6 +60,10 @@ class Emission:
     "What it tells of the device's time, of the first telegram of a scan; for recordings and reports."
     scans: int = 1
     "Scans that it carries, numbered from `sweep` on: of a mean all that it was made of; 0: the rest of one begun."
+    pause: tuple[int, int] | None = None
+    "So many bytes leave first, the others not before that instant; serial lines only."
+    cuts: bool = False
+    "What is leaving on the line ends with the byte that is on its way at `due_ns`; the payload is empty."
 
 
 class DropReason(Enum):
@@ -77,6 +81,8 @@ class DropReason(Enum):
     REFUSED = "known command that no source settles; refused"
     BOOTING = "device is starting"
     BUSY = "device busy with earlier requests"
+    KEPT = "measured, nothing of it to be sent"
+    "For the device itself, or without an object where only objects are told."
     LINE_BUSY = "line slower than the scan rate"
     LATE = "measured too late"
     "Our own doing: the scan before it was not measured in time, or the program did not run."
@@ -86,7 +92,8 @@ class DropReason(Enum):
     @property
     def of_scans(self) -> bool:
         """Whether scans went no further, not input of a host."""
-        return self in (DropReason.LINE_BUSY, DropReason.LATE, DropReason.STALE, DropReason.HOST_SLOW)
+        kinds = (DropReason.LINE_BUSY, DropReason.LATE, DropReason.STALE, DropReason.HOST_SLOW, DropReason.KEPT)
+        return self in kinds
 
 
 @dataclass(frozen=True)
@@ -119,6 +126,17 @@ def dropped_scans(
 
 
 @dataclass(frozen=True)
+class CutShort:
+    """A request ended a telegram that was being sent."""
+
+    at_ns: int
+    label: str
+    left: int
+    "Bytes of it that have left, the last of them still on its way."
+    of: int
+
+
+@dataclass(frozen=True)
 class CommandHandled:
     """A host's command was understood and answered."""
 
@@ -143,7 +161,7 @@ class Restarted:
     at_ns: int
 
 
-Event = Dropped | CommandHandled | ModeChanged | Restarted
+Event = Dropped | CutShort | CommandHandled | ModeChanged | Restarted
 
 
 class Session(ABC):

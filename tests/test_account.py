@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from emulator.incidents import Incidents
 from emulator.ledger import check_accounts
 from protocols.lms2xx.telegrams import request
+from protocols.session import CutShort, DropReason
 from tests.account import SECOND, Yard
 from tests.protocols.ld.reader import request as service
 
@@ -157,6 +158,84 @@ def test_scans_that_replies_push_off_the_line_are_told_as_they_pass() -> None:
     assert account["unaccounted"] == 0
 
 
+INSTALL = request(b"\x20\x00SICK_LMS")
+DIRECT, ONCE_DIRECT = request(bytes.fromhex("202701806901")), request(bytes.fromhex("370180B400"))
+TEACH = request(bytes.fromhex("460140B40064000064" + "00" * 5))
+
+
+@pytest.mark.parametrize(
+    ("said", "slots"),
+    [((PARTIAL,), "sent"), ((DIRECT,), "sent"), ((INSTALL, TEACH), DropReason.KEPT.value)],
+    ids=["partial", "direct", "taught"],
+)
+def test_parts_of_scans_and_scans_for_the_device_are_a_slot_each(said: tuple[bytes, ...], slots: str) -> None:
+    yard = Yard("line")
+    host = yard.connect()
+    yard.wait(3.0)
+    for one in (BAUD_500, *said):
+        host.write(one, yard.now_ns)
+        yard.wait(0.2)
+    for still_s in (0.0, 0.1, 1.03):
+        yard.measuring.stand_still(round(still_s * SECOND))
+        account = yard.wait(3.0).account
+        assert account["unaccounted"] == 0
+        assert account["asked"] - account["under_way"] == ended(account)
+        assert -1 <= account["asked"] - slots_by_the_clock(yard) <= ahead(yard)
+    assert {"sent": account["sent"], **account["dropped"]}[slots] > 60
+    if slots == "sent":
+        assert account["sent"] == yard.instrument.stats.scans_sent
+    else:
+        assert account["sent"] == yard.instrument.stats.scans_sent == 0
+
+
+def test_a_scan_asked_for_by_turns_is_a_slot_for_each() -> None:
+    yard = Yard("line")
+    host = yard.connect()
+    yard.wait(3.0)
+    for _ in range(3):
+        before = yard.account
+        host.write(ONCE_DIRECT, yard.now_ns)
+        account = yard.wait(3.0).account
+        assert account["asked"] - before["asked"] == account["sent"] - before["sent"] > 1
+        assert (account["unaccounted"], account["under_way"]) == (0, 0)
+        assert account["sent"] == yard.instrument.stats.scans_sent
+
+
+def test_a_telegram_cut_short_by_a_request_counts_as_sent() -> None:
+    yard = Yard("line")
+    host = yard.connect()
+    yard.wait(3.0)
+    host.write(STREAM, yard.now_ns)  # at 9600 baud: a telegram takes 0.76 s
+    yard.wait(2.0)
+    for _ in range(4):
+        host.write(request(b"\x31"), yard.now_ns)
+        account = yard.wait(1.3).account
+        assert account["unaccounted"] == 0
+        assert account["sent"] == yard.instrument.stats.scans_sent
+    host.write(STOP, yard.now_ns)
+    account = yard.wait(0.05).account
+    assert account["asked"] == pytest.approx(slots_by_the_clock(yard), abs=ahead(yard))
+    assert account["unaccounted"] == 0
+    assert sum(isinstance(event, CutShort) for event in yard.instrument.take_events()) > 2
+
+
+def test_a_monitor_s_copy_is_a_slot_of_its_own() -> None:
+    yard = streaming("tcp")
+    watching = yard.connect()
+    for said in (service(0x0801, 2), service(0x0802, 1)):
+        watching.write(said, yard.now_ns)
+        yard.wait(0.2)
+    before = yard.account
+    account = yard.wait(3.0).account
+    assert account["sent"] - before["sent"] == pytest.approx(60, abs=2)
+    yard.measuring.stand_still(SECOND)
+    yard.wait(0.5)
+    watching.close(yard.now_ns)
+    account = yard.wait(3.0).account
+    assert account["unaccounted"] == 0
+    assert account["sent"] == yard.instrument.stats.scans_sent
+
+
 def test_a_profile_for_two_hosts_is_a_slot_for_each() -> None:
     yard = streaming("tcp")
     other = yard.connect()
@@ -202,6 +281,29 @@ def test_a_telegram_that_a_link_gives_up_later_is_taken_back() -> None:
     account = yard.wait(1.0).account
     assert account["sent"] == before["sent"] == yard.instrument.stats.scans_sent
     assert account["dropped"]["host reads too slowly"] == pytest.approx(10, abs=1)
+    assert account["unaccounted"] == 0
+
+
+@pytest.mark.parametrize("half", [0, 1])
+def test_a_telegram_of_which_a_link_gives_up_one_half_is_taken_back(half: int) -> None:
+    yard = streaming("line")  # 500 kBd: 508 bytes leave in one turn, the rest in the next
+    before = yard.account
+    send, lost = yard.link.send, []
+
+    def take(payload: bytes, due_ns: int, peer: int | None = None, line_speed: int | None = None) -> None:
+        send(payload, due_ns, peer, line_speed)
+        if (len(payload) == 508, 100 < len(payload) < 508)[half]:
+            lost.append(payload)
+
+    yard.link.send = take  # type: ignore[method-assign]
+    yard.wait(1.0)
+    yard.link.send = send  # type: ignore[method-assign]
+    for payload in lost[:3]:
+        yard.link.on_given_up(payload)
+    assert lost
+    account = yard.account
+    assert account["dropped"][DropReason.HOST_SLOW.value] == 3
+    assert account["sent"] == yard.instrument.stats.scans_sent > before["sent"]
     assert account["unaccounted"] == 0
 
 
@@ -260,6 +362,7 @@ SAID = {
         request(b"\x20\x40"),  # 38 400 baud
         *(request(b"\x30\x01"), request(b"\x30\x03\x05")),  # one scan, one mean
         *(request(b"\x3b\xb4\x00\x64\x00"), request(b"\x3b\x64\x00\x32\x00")),  # field and resolution
+        *(DIRECT, ONCE_DIRECT, INSTALL, TEACH),
         *(request(b"\x10"), request(b"\x31"), b"noise"),  # reset, status
     ],
     "tcp": [

@@ -244,6 +244,7 @@ def test_the_order_in_which_hosts_read_changes_nothing(order: str) -> None:
             for instrument in trial.instruments
         ]
         hosts[0].write(bytes.fromhex("02 00 02 00 20 24 34 08"), 50_000_000)
+        hosts[1].write(bytes.fromhex("02 55 53 50 00 00 00 04 04 03 00 00 07"), 55_000_000)
         hosts[1].write(bytes.fromhex("02 55 53 50 00 00 00 02 04 04 00"), 60_000_000)
         hosts[1].write(bytes.fromhex("02 55 53 50 00 00 00 06 03 01 00 00 3f ff c2"), 300_000_000)
         for step, at_ns in enumerate(range(0, 700_000_000, 20_000_000)):

@@ -82,7 +82,7 @@ class PackageFraming:
         self.errors = 0
 
     def pack(self, payload: bytes) -> bytes:
-        return encode_packages(payload, self._address)
+        return encode_packages(payload, self._address).upper()
 
     def feed(self, data: bytes) -> list[bytes]:
         found = []
@@ -154,14 +154,14 @@ class LdHost:
     def _find(self, baud: int) -> None:
         """End profiles of an earlier host; on a serial line, at whatever speed the device has."""
         if isinstance(self._line, SocketLine):
-            self._ask(0x0302)
+            self._cancel(REPLY_S)
             return
         for tried in dict.fromkeys((BAUDS[0], baud, *BAUDS)):
             if tried in BAUDS:
                 self._line.set_baud(tried)
                 self._line.flush_input()
                 try:
-                    self._ask(0x0302, seconds=1.5)
+                    self._cancel(1.5)
                     return
                 except LinkError:
                     continue
@@ -170,14 +170,21 @@ class LdHost:
     def _send(self, *words: int) -> None:
         self._line.write(self._framing.pack(payload_of(*words)))
 
-    def _ask(self, *words: int, seconds: float | None = None) -> tuple[int, ...]:
-        """Send a request; the words of its reply. Profiles on the way are passed over."""
+    def _cancel(self, seconds: float) -> None:
+        """End profiles; a device that is not measuring has none, and says that it fails."""
+        self._ask(0x0302, seconds=seconds, may_fail=True)
+
+    def _ask(self, *words: int, seconds: float | None = None, may_fail: bool = False) -> tuple[int, ...]:
+        """Send a request; the words of its reply. Profiles on the way are passed over.
+
+        `may_fail`: SERVICE_FAILURE is a reply too.
+        """
         self._send(*words)
         wanted = words[0] | REPLY_BIT
         end_ns = self._clock.now_ns() + int((REPLY_S if seconds is None else seconds) * 1e9)
         while (left_ns := end_ns - self._clock.now_ns()) > 0:
             reply = self._next(left_ns * 1e-9)
-            if reply is not None and reply[0] == wanted:
+            if reply is not None and (reply[0] == wanted or (may_fail and reply[0] == SERVICE_FAILURE)):
                 return (*reply, *(0,) * (8 - len(reply)))  # a short one reads as zeros
             if reply is not None and reply[0] == SERVICE_FAILURE:
                 raise LinkError(f"the device refuses service {words[0]:04X}")

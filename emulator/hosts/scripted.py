@@ -13,7 +13,7 @@ from emulator.hosts.ld import read_profile
 from emulator.hosts.lms2xx import RATE_CODES, Lms2xxView, TelegramReader
 from emulator.hosts.scans import HostScan
 from protocols.ld.profiles import ALL_FIELDS
-from protocols.ld.telegrams import GET_PROFILE_REPLY, REPLY_BIT, payload_of, words_of
+from protocols.ld.telegrams import GET_PROFILE_REPLY, REPLY_BIT, SERVICE_FAILURE, payload_of, words_of
 from protocols.ld.usp import HEADER, OVERHEAD, encode_frame, xor_of
 from protocols.lms2xx.telegrams import read_values, request
 
@@ -39,7 +39,7 @@ class Connection(Protocol):
         """Hang up, and connect anew; False: refused."""
 
 
-GET_STATUS, TRANS_MEASURE = 0x0102, 0x0404
+GET_STATUS, TRANS_ROTATE, TRANS_MEASURE = 0x0102, 0x0403, 0x0404
 
 OnScan = Callable[[int, HostScan], None]
 "(now_ns, scan)"
@@ -171,6 +171,11 @@ class LdScript:
             words = words_of(payload)
             if words and words[0] == GET_STATUS | REPLY_BIT and self._state == "status":
                 self._state, self._again_ns = "start", now_ns
+            elif words and words[0] == SERVICE_FAILURE and self._state == "measure":
+                # an idle device does not measure before its head turns (listing 8011576, p. 46)
+                self._line.write(encode_frame(payload_of(TRANS_ROTATE, 0)), now_ns)
+            elif words and words[0] == TRANS_ROTATE | REPLY_BIT:
+                self._line.write(encode_frame(payload_of(TRANS_MEASURE)), now_ns)
             elif words and words[0] == TRANS_MEASURE | REPLY_BIT:
                 self._line.write(encode_frame(payload_of(0x0301, 0, ALL_FIELDS)), now_ns)
                 self._state, self._again_ns = "stream", now_ns + SILENCE_NS

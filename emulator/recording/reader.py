@@ -162,7 +162,23 @@ def _take(run: RecordedRun, channel: Channel, message: Message, offsets: dict[st
         row = loads_json(message.data)
         run.clocks.setdefault(meta["sensor"], []).append((row.pop("sweep"), Told(**row)))
     elif channel.message_encoding == layout.EVENT_ENCODING:
-        run.events.append((message.log_time, meta["sensor"], loads_json(message.data)))
+        row = loads_json(message.data)
+        run.events.append((message.log_time, meta["sensor"], row))
+        if row.get("event") == "CutShort":
+            _cut_short(run, meta["sensor"], row)
+
+
+def _cut_short(run: RecordedRun, sensor: str, row: dict[str, object]) -> None:
+    """A request has ended a telegram that was recorded when it began: only its first bytes left."""
+    at_ns, left, of = row.get("at_ns"), row.get("left"), row.get("of")
+    if not (isinstance(at_ns, int) and isinstance(left, int) and isinstance(of, int) and 0 < left < of):
+        return
+    for wire in run.sent.values():
+        last = wire.payloads[-1] if wire.payloads else None
+        if wire.sensor != sensor or last is None or len(last.data) != of or not last.start_ns <= at_ns < last.end_ns:
+            continue
+        end_ns = last.end_ns if not last.baud else last.start_ns + -(-left * 10**10 // last.baud)
+        wire.payloads[-1] = replace(last, data=last.data[:left], end_ns=max(at_ns, end_ns))
 
 
 def is_ours(path: Path) -> bool:

@@ -93,6 +93,9 @@ class Link(ABC):
     def send(self, payload: bytes, due_ns: int, peer: int | None = None, line_speed: int | None = None) -> None:
         """Queue a payload for `peer` (None: all). `line_speed`: the speed of the line once it has left."""
 
+    def cut(self, now_ns: int) -> None:
+        """End what is leaving on a line with the byte that is on its way."""
+
     @abstractmethod
     def flush(self, now_ns: int) -> int | None:
         """Move what is due by `now_ns`; when to be called again, None when nothing is queued."""

@@ -259,6 +259,11 @@ class LoopLink(Link):
         else:
             self.stats.payloads_dropped += 1
 
+    def cut(self, now_ns: int) -> None:
+        if self.kind is LinkKind.SERIAL:
+            for _ in range(self._line.cut(now_ns)):
+                self._addressed.pop()
+
     def flush(self, now_ns: int) -> int | None:
         self._now_ns = now_ns
         input_ns = self._input[0].at_ns if self._input else None

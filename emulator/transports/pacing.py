@@ -103,6 +103,11 @@ class PacedLine:
         return self._speed
 
     @property
+    def busy_until_ns(self) -> int:
+        """When the last byte taken has left."""
+        return leave_ns(self._run_ns, self._run_count, self._speed)
+
+    @property
     def queued(self) -> int:
         """Bytes that have not been taken yet."""
         return self._queued
@@ -214,6 +219,25 @@ class PacedLine:
         if head is not None and head.begun:
             head.parted = head.parted or head.sent > 0
             head.data, head.sent, head.begun = head.data[head.sent :], 0, False
+
+    def cut(self, now_ns: int) -> int:
+        """End what is leaving with the byte that is on its way, and forget what waits behind it.
+
+        Returns how many payloads are gone whole. Changes of speed stay; on a line that is not paced all has left.
+        """
+        if self._speed is None or not self._queue:
+            return 0
+        gone = 0
+        while len(self._queue) > 1 and self._queue[-1].speed_after is None:
+            self._queued -= len(self._queue.pop().data)
+            gone += 1
+        head = self._queue[0]
+        run_ns, run_count = self._run_of(head)
+        begun = (now_ns - run_ns) * self._speed // BYTE_NS_BAUD - run_count + 1
+        keep = min(len(head.data), max(begun, head.sent, 1))
+        self._queued -= len(head.data) - keep
+        head.data = head.data[:keep]
+        return gone
 
     def clear(self) -> int:
         """Forget what has not been taken; how many bytes those were."""

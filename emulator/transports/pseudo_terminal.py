@@ -198,6 +198,9 @@ class PseudoTerminal(Link):
         if (self._master >= 0 or self._pulled) and not self._line.put(payload, due_ns, line_speed):
             self.stats.payloads_dropped += 1
 
+    def cut(self, now_ns: int) -> None:
+        self._line.cut(now_ns)
+
     def flush(self, now_ns: int) -> int | None:
         if self._master < 0:
             return self._flush_unplugged(now_ns) if self._pulled else None

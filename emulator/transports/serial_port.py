@@ -142,6 +142,17 @@ class SerialPort(Link):
         self._queue.append(_Waiting(memoryview(payload), due_ns, line_speed))
         self._queued += len(payload)
 
+    def cut(self, now_ns: int) -> None:
+        """What the driver of the port still holds goes too: its own buffer cannot be cut at a byte."""
+        kept = [item for item in self._queue if item.speed_after is not None]
+        self._queue.clear()
+        self._queue.extend(kept)
+        self._queued = sum(len(item.data) for item in kept)
+        if not self._gone:
+            with contextlib.suppress(OSError, termios.error):
+                termios.tcflush(self._fd, termios.TCOFLUSH)
+            self._busy_ns = min(self._busy_ns, now_ns)
+
     def flush(self, now_ns: int) -> int | None:
         try:
             return None if self._gone else self._flush(now_ns)

@@ -153,6 +153,10 @@ class TcpLine(_TcpLink):
         elif payload:
             self._waiting.append(payload)
 
+    def cut(self, now_ns: int) -> None:
+        for _ in range(min(self._line.cut(now_ns), len(self._waiting))):
+            self._waiting.pop()
+
     def flush(self, now_ns: int) -> int | None:
         if self._hosts.fileno() < 0:
             return None

@@ -10,6 +10,8 @@ head        rotation, directions, delays
 models, config, settings   facts, configuration blocks, the scenario's `device` table
 device      state of the device
 services    what each service does: the command table
+com_services, routing, files   services that route interfaces, keep files and watch
+cola        CoLa binary beside the user protocol
 channels, revolutions, session   hosts, measuring, and what happens when
 """
 

@@ -11,12 +11,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from protocols.ld import config as cfg
+from protocols.ld.answers import Handler
+from protocols.ld.cola import ColaSplitter
+from protocols.ld.cola import encode_frame as encode_cola
 from protocols.ld.device import Device
 from protocols.ld.head import MS
 from protocols.ld.outbox import Outgoing
 from protocols.ld.packages import NAK, Package, PackageJoiner, PackageReader, encode_packages, swapped
 from protocols.ld.segments import SegmentJoiner, encode_segments, worst_case_bits
-from protocols.ld.services import Handler
 from protocols.ld.telegrams import Fault
 from protocols.ld.usp import UspReader, encode_frame
 from protocols.session import Address, DropReason, Emission, LinkKind
@@ -26,6 +28,9 @@ INTER_BYTE_NS = 1000 * MS
 
 MAX_INBOX = 64
 "Requests of one host that wait for their turn; further ones are dropped."
+
+SERIAL_BITS = 10
+"Of a byte: parity, stop and data bits of item 0001 are stored, the line stays at 8N1 (UPS p. 19)."
 
 GAP_NS = 1 * MS
 "Between two telegrams on one channel: sicktoolbox holds one, and looks every millisecond."
@@ -40,6 +45,8 @@ class Request:
     payload: bytes
     route: int
     "What its reply needs beside the channel: address word of the package (serial), ID word (CAN)."
+    is_cola: bool = False
+    "The payload of a CoLa frame, and its reply is one too."
 
 
 @dataclass
@@ -78,6 +85,7 @@ class Channel:
     "Until its last reply has left, the next request waits."
     waiting: tuple[Request, Handler] | None = None
     "A request that is answered when the head is at speed."
+    cola: ColaSplitter = field(default_factory=ColaSplitter)
     heard_ns: int = 0
     "When the last byte of a half request came."
     last_reply_ns: int = -PROFILE_GAP_NS
@@ -95,6 +103,7 @@ class Channel:
     def clear(self) -> None:
         """Forget all but the connection itself, as a device that starts anew."""
         self.reader, self.joiner = _readers(self.kind)
+        self.cola = ColaSplitter()
         self.inbox.clear()
         self.profiles = self.waiting = None
         self.busy_until_ns = 0
@@ -109,21 +118,28 @@ class Channel:
             return [] if item is None else [self._from_can(item, device)]
         if self.reader is None:
             return []
+        frames: list[bytes] = []
+        if device.model.speaks_cola:
+            data, frames = self.cola.feed(data)
         found = self._understood(self.reader.feed(data), device)
-        if self.reader:
+        found += [Request(payload, 0, is_cola=True) for payload in frames]
+        if self.reader or self.cola:
             self.heard_ns = now_ns
         return found
 
     def half_until_ns(self) -> int | None:
         """When a half request is given up; None when there is none."""
         held = self.joiner if isinstance(self.joiner, SegmentJoiner) else self.reader
-        return self.heard_ns + INTER_BYTE_NS if held else None
+        return self.heard_ns + INTER_BYTE_NS if held or self.cola else None
 
     def expire(self, device: Device) -> list[Request | Fault]:
         """Give up a half request."""
         if isinstance(self.joiner, SegmentJoiner):
             return [*self.joiner.expire()]
-        return [] if self.reader is None else self._understood(self.reader.expire(), device)
+        if self.reader is None:
+            return []
+        found = self._understood(self.reader.feed(self.cola.expire()), device)
+        return found + self._understood(self.reader.expire(), device)
 
     def _understood(self, items: Iterable[bytes | Package | Fault], device: Device) -> list[Request | Fault]:
         found: list[Request | Fault] = []
@@ -167,6 +183,7 @@ class Channel:
         sweep: int | None = None,
         label: str = "",
         line_speed: int | None = None,
+        is_cola: bool = False,
     ) -> Outgoing:
         """Frame a message and give it its place on the line, not before `due_ns`."""
         is_profile = sweep is not None
@@ -177,11 +194,11 @@ class Channel:
             emissions = self._can_frames(payload, route, due_ns, device, sweep, label)
         else:
             if self.kind is LinkKind.SERIAL:
-                data = encode_packages(payload, route)
+                data = encode_cola(payload) if is_cola else encode_packages(payload, route)
                 due_ns = max(due_ns, before_ns)
                 self.line.free_ns = due_ns + serial_ns(len(data), device)
             else:
-                data = encode_frame(payload)
+                data = encode_cola(payload) if is_cola else encode_frame(payload)
             emissions = deque([Emission(due_ns, data, self.address, sweep, line_speed, label)])
         self.last_sent_ns = self.line.free_ns if self.is_paced else due_ns
         if not is_profile:
@@ -220,10 +237,8 @@ class Channel:
 
 
 def serial_ns(size: int, device: Device) -> int:
-    """How long `size` bytes take on the serial line as it is configured."""
-    code, parity, stop_bits, data_bits = device.config[cfg.SERIAL]
-    bits = 1 + data_bits + (parity != 0) + stop_bits
-    return -(-size * bits * 1_000_000_000 // cfg.BAUD_CODES[code])
+    """How long `size` bytes take on the serial line."""
+    return -(-size * SERIAL_BITS * 1_000_000_000 // device.baud)
 
 
 def _readers(kind: LinkKind) -> tuple[UspReader | PackageReader | None, PackageJoiner | SegmentJoiner | None]:

@@ -1,7 +1,7 @@
 """The configuration blocks of SET_CONFIG and GET_CONFIG: their words, what each may be, and what the factory sets.
 
-Sources: sicktoolbox `SickLD.cc` (0005, 0010), COMTEST (0001, 0002, 0005, 0010), Fawkes (lengths), `sickld.c`, a port of
-sicktoolbox to C (0011).
+Sources: the maker's listing 8011576 (p. 19-21), sicktoolbox `SickLD.cc` (0005, 0010), COMTEST (0001, 0002, 0005, 0010),
+Fawkes (lengths), `sickld.c`, a port of sicktoolbox to C (0011).
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ ITEMS = {
 
 FACTORY: Config = {
     SERIAL: (6, 0, 1, 8),
-    # Host identifier 2AB, sensor identifier 710, host's ID word 3 in Fawkes; that base and mask make them is a guess
-    CAN: (6, 0x2A8, 0x007, 0x700, NO_BROADCAST),
+    # Example of the listing (p. 53-55): identifier 2AB is host 3, the sensor's 710
+    CAN: (6, 0x2A8, 0x003, 0x700, NO_BROADCAST),
     ARCNET: (0, 0),
     # 192.168.1.10, 255.255.255.0, no gateway, node 1, transparent port 49152
     ETHERNET: (192, 168, 1, 10, 255, 255, 255, 0, 0, 0, 0, 0, 1, 49152),

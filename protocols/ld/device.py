@@ -12,13 +12,16 @@ import numpy as np
 
 from protocols.device_clock import DeviceClock, Knot
 from protocols.ld import config as cfg
+from protocols.ld.files import Files
 from protocols.ld.head import DELAYS, MS, Rotation, azimuths_rad, beam_ticks
 from protocols.ld.models import Model
+from protocols.ld.routing import Attached
 from protocols.ld.sectors import TICKS, MeasureError, Sector, Span, Table, check, spans, with_sector
 from protocols.ld.settings import Settings
 from protocols.ld.telegrams import Mode, Motor, status_words
 from protocols.quartz import TRUE, Quartz
 from protocols.scan import Floats
+from protocols.session import Address
 
 HOST_SIGNALS = 0x00F3
 "Bits of PORTVAL that a host sets: two yellow LEDs and four outputs. Green (2) and red (3) belong to the device."
@@ -55,6 +58,17 @@ class Geometry:
 
 
 @dataclass(frozen=True)
+class Caller:
+    """Who asks for a service."""
+
+    address: Address
+    route: int
+    "What telegrams to it need beside its channel."
+    interface: int
+    "1 serial, 2 CAN, 0 any other: as services 0601 to 0605 number them."
+
+
+@dataclass(frozen=True)
 class SpinUp:
     """The motor on its way to another speed."""
 
@@ -73,6 +87,10 @@ class Device:
         self.flash_sectors: Table = settings.sectors
         self.near_field = settings.near_field
         "Kept over power-off: SET_FILTER writes to flash (sicktoolbox, EnableNearfieldSuppression)."
+        self.files: Files = {}
+        "Kept over power-off."
+        self.caller: Caller | None = None
+        "Of the request that is being served."
         self.restarts = 0
         self.turns: Quartz = TRUE
         "The motor against what it should do."
@@ -90,6 +108,10 @@ class Device:
         self.geometry: Geometry | None = None
         self.sectors: Table = self.flash_sectors
         self.signals = 0
+        self.identity = dict(self.settings.identity)
+        self.attached: dict[int, Attached] = {}
+        self.monitor: Caller | None = None
+        self.monitors_profiles = False
         self.booted_ns: int | None = None
         self._next_first_sweep = 0  # of the first revolution after a standstill
         self.clock = self.clock.powered_on(now_ns)
@@ -221,7 +243,7 @@ class Device:
         if block is None or len(words) < block.words or (item == cfg.INTERLACE and not self.model.has_interlace):
             return False
         words = words[: block.words]
-        if not block.allows(words):
+        if not block.allows(words) or (item == cfg.GLOBAL and words[1] > self.model.fastest_hz):
             return False
         changed = {**self.config, item: words}
         if changed[cfg.CAN][3] + changed[cfg.GLOBAL][0] > cfg.MAX_CAN_ID:

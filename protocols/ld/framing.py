@@ -116,7 +116,7 @@ class PackageFraming(_Messages):
 
     def _package(self, data: bytes, change_crc: int = 0) -> bytes:
         crc = packages.crc_of(data) ^ change_crc
-        return b"\x02" + (data + crc.to_bytes(2, "big")).hex().upper().encode() + b"\x03"
+        return b"\x02" + (data + crc.to_bytes(2, "big")).hex().encode() + b"\x03"
 
     def _changed(self, payload: bytes, change: Callable[[bytes], bytes | None]) -> bytes | None:
         found = self._data(payload)

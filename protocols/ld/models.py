@@ -33,9 +33,15 @@ class Model:
     "As GET_IDENTIFICATION 0001 gives it."
     max_range_m: float
     "A farther echo is reported as none. 250 m: sicktoolbox_wrapper's range_max, Miro's no-echo limit."
-    near_field_m: float = 2.0
-    """Echoes nearer than this are passed over while near-field suppression is on. Ours: no source tells how far that
-    goes; it has to reach beyond 0.5 m, the shortest range without it (sicktoolbox_wrapper)."""
+    near_field_m: float = 2.5
+    """Echoes nearer than this are passed over while near-field suppression is on: the supplement (p. 5, 22) gives 2.5 m
+    as shortest range, and 250 m as largest one without it."""
+    fastest_hz: int = 20
+    "Of the head; 10 in LD-LRS1000, 2100 and 3100 (supplement p. 5, 22)."
+    useful_deg: int = 360
+    "Arc that a device measures as delivered; 300 through the window of LD-LRS2100 and 3100."
+    speaks_cola: bool = False
+    "CoLa binary beside the user protocol (supplement, p. 18-21)."
     has_interlace: bool = False
     "Knows configuration item 0011 (LD-LRS36x1 only, by the C port of sicktoolbox)."
 
@@ -49,7 +55,9 @@ class Model:
 MODELS = {
     model.name: model
     for model in (
-        Model("sick-ld-lrs1000", "LD-LRS1000", 250.0),
+        Model("sick-ld-lrs1000", "LD-LRS1000", 250.0, fastest_hz=10, speaks_cola=True),
+        Model("sick-ld-lrs2100", "LD-LRS2100", 250.0, fastest_hz=10, useful_deg=300, speaks_cola=True),
+        Model("sick-ld-lrs3100", "LD-LRS3100", 250.0, fastest_hz=10, useful_deg=300, speaks_cola=True),
         Model("sick-ld-oem1000", "LD-OEM1000", 250.0),
         Model("sick-ld-lrs3611", "LD-LRS3611", 250.0, has_interlace=True),
         Model("lase-eld-l-a", "ELD-L-A", 250.0),

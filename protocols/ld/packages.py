@@ -1,6 +1,7 @@
 """Packages of the user protocol on RS-232 and RS-422: words as ASCII hex between STX and ETX, with a CRC.
 
-Sources: Miro middleware `laser360` (sends lower case), COMTEST (sends upper case, has the vendor's table in its CRC).
+Sources: Miro middleware `laser360` (sends lower case), COMTEST (sends upper case, has the vendor's table in its CRC),
+the maker's listing 8011576 (p. 51-52: the host in upper case, the device in lower case).
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ def encode_packages(payload: bytes, address: int) -> bytes:
 
 def _package(address: int, body: bytes) -> bytes:
     data = address.to_bytes(2, "big") + (len(body) // 2 + 1).to_bytes(2, "big") + body
-    return b"\x02" + (data + crc_of(data).to_bytes(2, "big")).hex().upper().encode() + b"\x03"
+    return b"\x02" + (data + crc_of(data).to_bytes(2, "big")).hex().encode() + b"\x03"
 
 
 @dataclass(frozen=True)

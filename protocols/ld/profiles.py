@@ -40,6 +40,9 @@ class Field(IntFlag):
 
 ALL_FIELDS = 0x3FFF
 
+ONE_LAYER = 0x0100
+"High byte of PROFILEINFO (UPS p. 32); hosts read the sectors in the low one."
+
 RANGE_LSB_PER_M = 256
 LARGEST_WIRE_M = 65535 / 256
 
@@ -54,7 +57,7 @@ SICKTOOLBOX_BYTES = 5816
 def distance_words(range_m: Floats, largest_m: float = LARGEST_WIRE_M) -> Words:
     """Ranges as words of 1/256 m, rounded half up; 0 where there is no echo, or one beyond `largest_m`.
 
-    The device's word for "no echo" is not documented; 0 lies under every host's shortest range.
+    0 is the device's own word for no echo (UPS p. 32).
     """
     scaled = range_m * RANGE_LSB_PER_M + 0.5
     reported = (scaled >= 1.0) & (scaled < 65536.0) & (range_m <= largest_m)
@@ -103,7 +106,7 @@ def _put(kind: Field, form: int, value: int, words: list[int]) -> int | None:
 
 def layout(form: int, sectors: Sequence[Span], step: int) -> Layout:
     """The layout of `form` (0..3FFF) for these sectors at this angle step."""
-    words = [GET_PROFILE_REPLY, form, len(sectors)]  # the high byte, layers, is 0 in a single-layer device
+    words = [GET_PROFILE_REPLY, form, ONE_LAYER | len(sectors)]
     sent = _put(Field.PROFILESENT, form, 0, words)
     count = _put(Field.PROFILECOUNT, form, 0, words)
     _put(Field.LAYERNUM, form, 0, words)

@@ -73,9 +73,9 @@ class Span:
 
 
 def with_sector(table: Table, number: int, sector: Sector) -> Table:
-    """The table after SET_FUNCTION; clearing a sector clears the higher ones."""
+    """The table after SET_FUNCTION; function 0 clears the higher sectors, and the stop given with it is kept."""
     if sector.function is Function.NOT_INITIALISED:
-        return table[:number] + EMPTY[number:]
+        return (*table[:number], sector, *EMPTY[number + 1 :])
     return (*table[:number], sector, *table[number + 1 :])
 
 

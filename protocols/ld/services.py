@@ -5,70 +5,25 @@ A handler gets the device and the request's data words and gives an `Answer`; it
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from protocols.errors import ProtocolError
+from protocols.ld import com_services as com
 from protocols.ld import config as cfg
+from protocols.ld.answers import Answer, Handler, StartProfiles, Words, fails, refuses
 from protocols.ld.device import HOST_SIGNALS, Device
 from protocols.ld.models import IDENTITIES
 from protocols.ld.profiles import ALL_FIELDS
-from protocols.ld.sectors import MAX_MOTOR_HZ, MIN_MOTOR_HZ, TABLE_SIZE, TICKS, Function, MeasureError, Sector
+from protocols.ld.sectors import MIN_MOTOR_HZ, TABLE_SIZE, TICKS, Function, MeasureError, Sector
 from protocols.ld.telegrams import REFUSED, Mode, Motor, text_words
 from protocols.session import CommandRow, DropReason
-
-
-@dataclass(frozen=True)
-class StartProfiles:
-    """A host wants profiles."""
-
-    number: int
-    "0: until cancelled."
-    form: int
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What becomes of a request."""
-
-    words: tuple[int, ...] | None = ()
-    "Data of the reply; None: no reply of its own, profiles follow."
-    refused: DropReason | None = None
-    failure: bool = False
-    "Answered by SERVICE_FAILURE instead of its own reply."
-    detail: str = ""
-    when_at_speed: Handler | None = None
-    "Answered by this instead, once the head is at speed or has been told otherwise."
-    start: StartProfiles | None = None
-    stops_profiles: bool = False
-    "The caller's own profiles end. Those of all hosts end whenever MEASURE is left."
-    boots_ns: int | None = None
-    "The device starts anew once the reply has been sent, and takes this long."
-    line_speed: int | None = None
-
-
-Words = tuple[int, ...]
-Handler = Callable[[Device, Words, int], Answer]
-
-
-def fails(reason: DropReason, detail: str) -> Answer:
-    """Answered by SERVICE_FAILURE."""
-    return Answer(refused=reason, failure=True, detail=detail)
-
-
-def refuses(words: Words, detail: str) -> Answer:
-    """Answered by the service's own code of refusal."""
-    return Answer(words, refused=DropReason.BAD_ARGUMENT, detail=detail)
-
 
 # status services
 
 
 def _get_identification(device: Device, words: Words, now_ns: int) -> Answer:
-    name = IDENTITIES.get(words[0])
-    if name is None:
-        return fails(DropReason.BAD_ARGUMENT, f"item {words[0]:04X}")
-    return Answer((*text_words(device.settings.identity[name]), *device.status))
+    name = IDENTITIES.get(words[0] if words else 0, IDENTITIES[0])  # an unknown item is told as 0000 (UPS p. 16)
+    return Answer((*text_words(device.identity[name]), *device.status))
 
 
 def _get_status(device: Device, words: Words, now_ns: int) -> Answer:
@@ -86,11 +41,10 @@ def _set_signal(device: Device, words: Words, now_ns: int) -> Answer:
     return Answer((device.port,))
 
 
-def _accept(device: Device, words: Words, now_ns: int) -> Answer:
-    return Answer((0,))
-
-
 # configuration services
+
+IN_FLASH = 1
+"Flag of SET_FUNCTION; with any other value the sector is as it was after a reset (UPS p. 23)."
 
 
 def _set_config(device: Device, words: Words, now_ns: int) -> Answer:
@@ -104,7 +58,7 @@ def _set_config(device: Device, words: Words, now_ns: int) -> Answer:
 def _get_config(device: Device, words: Words, now_ns: int) -> Answer:
     item = words[0]
     if item not in cfg.ITEMS or (item == cfg.INTERLACE and not device.model.has_interlace):
-        return fails(DropReason.BAD_ARGUMENT, f"item {item:04X}")
+        return refuses((REFUSED,), f"item {item:04X}")
     return Answer((item, *device.config[item]))
 
 
@@ -126,23 +80,21 @@ def _set_filter(device: Device, words: Words, now_ns: int) -> Answer:
     if words[0] != 1 or words[1] > 1:
         return refuses((REFUSED,), f"filter {words[0]:04X} {words[1]:04X}")
     device.near_field = bool(words[1])
-    return Answer((1,))
+    return Answer((words[0], words[1]))
 
 
 def _set_function(device: Device, words: Words, now_ns: int) -> Answer:
     number, function, stop, flash = words[:4]
-    known = function in (0, 1, 3, 4)
-    if number >= TABLE_SIZE or not known or flash > 1 or (function and stop >= TICKS):
-        # sicktoolbox and COMTEST look for FFFF in the sector's place
-        return refuses((REFUSED, REFUSED, stop), f"sector {number}, function {function}, stop {stop}, flash {flash}")
-    # a stop beyond the circle is taken where it means nothing (Miro clears its sectors with FFF0)
-    device.set_sector(number, Sector(Function(function), stop if function else 0), bool(flash))
+    number = min(number, TABLE_SIZE - 1)
+    function = function if function in (0, 1, 3, 4) else 0
+    stop %= TICKS
+    device.set_sector(number, Sector(Function(function), stop), flash == IN_FLASH)
     return Answer((number, function, stop))
 
 
 def _get_function(device: Device, words: Words, now_ns: int) -> Answer:
     if words[0] >= TABLE_SIZE:
-        return refuses((REFUSED, REFUSED, 0), f"sector {words[0]}")
+        return refuses((REFUSED,) * 3, f"sector {words[0]}")
     sector = device.sectors[words[0]]
     return Answer((words[0], sector.function, sector.stop))
 
@@ -151,9 +103,9 @@ def _get_function(device: Device, words: Words, now_ns: int) -> Answer:
 
 
 def _get_profile(device: Device, words: Words, now_ns: int) -> Answer:
+    if len(words) < 2 or not 0 < words[1] <= ALL_FIELDS:
+        return refuses((), f"format {' '.join(f'{word:04X}' for word in words[1:2]) or 'missing'}")
     number, form = words[:2]
-    if form > ALL_FIELDS:
-        return fails(DropReason.BAD_ARGUMENT, f"format {form:04X}")
     if device.mode is not Mode.MEASURE:
         return fails(DropReason.WRONG_MODE, f"not measuring but in {device.mode.name}")
     return Answer(None, start=StartProfiles(number, form), stops_profiles=True)
@@ -164,6 +116,11 @@ def _cancel_profile(device: Device, words: Words, now_ns: int) -> Answer:
 
 
 # working services
+
+
+def _no_request(device: Device, words: Words, now_ns: int) -> Answer:
+    return fails(DropReason.UNKNOWN_COMMAND, "COM_DATA is the device's own")
+
 
 RELOAD_VOLTAGE = 0x10
 "DO_RESET level that Fawkes names; without effect here."
@@ -188,11 +145,12 @@ def _trans_idle(device: Device, words: Words, now_ns: int) -> Answer:
 
 
 def _trans_rotate(device: Device, words: Words, now_ns: int) -> Answer:
-    hz = words[0] or device.configured_hz
-    if not MIN_MOTOR_HZ <= hz <= MAX_MOTOR_HZ:
-        return fails(DropReason.BAD_ARGUMENT, f"{hz} Hz")
+    hz = (words[0] or device.configured_hz) if words else 1
     if device.motor is Motor.STOPPED:
         return Answer(device.status, refused=DropReason.WRONG_MODE, detail="motor stopped")
+    if not MIN_MOTOR_HZ <= hz <= device.model.fastest_hz:
+        device.idle(now_ns)  # UPS p. 34
+        return refuses(device.status, f"{hz} Hz")
     device.rotate(now_ns, hz)
     return Answer(when_at_speed=_get_status)
 
@@ -214,11 +172,9 @@ def _measure_now(device: Device, words: Words, now_ns: int) -> Answer:
     return Answer((*device.status, verdict), refused=DropReason.BAD_ARGUMENT, detail=f"error {verdict}, {verdict.name}")
 
 
-# monitor services
-
-
-def _monitor(device: Device, words: Words, now_ns: int) -> Answer:
-    return Answer((0,)) if words[0] <= 1 else refuses((REFUSED,), f"{words[0]:04X}")
+ANY = frozenset((Mode.IDLE, Mode.ROTATE, Mode.MEASURE))
+STILL, STOPPED = frozenset((Mode.IDLE,)), frozenset((Mode.IDLE, Mode.ROTATE))
+TURNING, MEASURING = frozenset((Mode.ROTATE, Mode.MEASURE)), frozenset((Mode.MEASURE,))
 
 
 @dataclass(frozen=True)
@@ -230,6 +186,10 @@ class Command:
     handler: Handler | None
     source: str
     note: str = ""
+    states: frozenset[Mode] = ANY
+    "In which it is served. ERROR, of which the listing says nothing, takes them all."
+    too_short: Words | None = None
+    "Data of its reply to a request with too few words; None: SERVICE_FAILURE."
 
 
 SOURCES = {
@@ -239,53 +199,90 @@ SOURCES = {
     "MIR": "Miro laser360",
     "CMT": "COMTEST",
     "HDE": "sickld.c",
+    "UPS": "SICK 8011576",
 }
 "Tags of the table: host software that uses or names a service; `sickld.c` is a port of sicktoolbox to C."
 
 _ITEMS = "items 0001 0002 0004 0005 0010 0011"
-_UNKNOWN = "request layout not in any source: SERVICE_FAILURE"
+_RESERVED = "reserved in the listing (p. 14): SERVICE_FAILURE"
+_NAMED = "not in the listing: SERVICE_FAILURE"
+_BAD, _BAD_3 = (REFUSED,), (REFUSED,) * 3
 
 COMMANDS: dict[int, Command] = {
-    0x0101: Command("GET_IDENTIFICATION", 1, _get_identification, "TBX, DGC, MIR, HDE, CMT"),
-    0x0102: Command("GET_STATUS", 0, _get_status, "TBX, CMT, HDE"),
-    0x0103: Command("GET_ERROR", 0, None, "FWK (name only)", _UNKNOWN),
-    0x0104: Command("GET_SIGNAL", 0, _get_signal, "TBX"),
-    0x0105: Command("SET_SIGNAL", 1, _set_signal, "TBX, MIR, CMT", "green and red LED stay the device's"),
-    0x0106: Command("LD_REGISTER_APPLICATION", 0, _accept, "TBX, CMT (reply)", "accepted, no effect"),
-    0x0201: Command("SET_CONFIG", 1, _set_config, "TBX, DGC, FWK, MIR, CMT, HDE", _ITEMS),
-    0x0202: Command("GET_CONFIG", 1, _get_config, "TBX, DGC, CMT, HDE", _ITEMS),
-    0x0203: Command("SET_TIME_ABSOLUTE", 1, _set_time_absolute, "TBX"),
-    0x0204: Command("SET_TIME_RELATIVE", 1, _set_time_relative, "TBX"),
-    0x0205: Command("GET_SYNC_CLOCK", 0, _get_clock, "TBX"),
-    0x0206: Command("SET_ZONE", 0, None, "FWK (name only)", _UNKNOWN),
-    0x0207: Command("GET_ZONE", 0, None, "FWK (name only)", _UNKNOWN),
-    0x0208: Command("RELEASE_ZONE", 0, None, "FWK (name only)", _UNKNOWN),
-    0x0209: Command("SET_FILTER", 2, _set_filter, "TBX", "filter 0001; its range is ours"),
-    0x020A: Command("SET_FUNCTION", 4, _set_function, "TBX, DGC, FWK, MIR, HDE", "function 2 (reserved) refused"),
-    0x020B: Command("GET_FUNCTION", 1, _get_function, "TBX, HDE, CMT"),
-    0x0301: Command("GET_PROFILE", 2, _get_profile, "all", "formats 0000..3FFF; fails outside MEASURE (ours)"),
-    0x0302: Command("CANCEL_PROFILE", 0, _cancel_profile, "TBX, FWK, MIR, CMT, HDE"),
-    0x0401: Command("DO_RESET", 1, _do_reset, "TBX, DGC, FWK, MIR", "levels 0 1 2 10"),
-    0x0402: Command("TRANS_IDLE", 0, _trans_idle, "TBX, FWK, MIR"),
-    0x0403: Command("TRANS_ROTATE", 1, _trans_rotate, "all", "answered when the head is at speed"),
-    0x0404: Command("TRANS_MEASURE", 0, _trans_measure, "all", "errors 0..4"),
-    0x0501: Command("DO_ADJUST", 0, None, "FWK (name only)", _UNKNOWN),
-    0x0502: Command("DO_TEST", 0, None, "FWK (name only)", _UNKNOWN),
-    0x0601: Command("COM_ATTACH", 0, None, "TBX, FWK (names only)", _UNKNOWN),
-    0x0602: Command("COM_DETACH", 0, None, "TBX, FWK (names only)", _UNKNOWN),
-    0x0603: Command("COM_INIT", 0, None, "TBX, FWK (names only)", _UNKNOWN),
-    0x0604: Command("COM_OUTPUT", 0, None, "TBX, FWK (names only)", _UNKNOWN),
-    0x0605: Command("COM_DATA", 0, None, "TBX, FWK (names only)", _UNKNOWN),
-    0x0701: Command("DIR", 0, None, "TBX, FWK (names only)", _UNKNOWN),
-    0x0702: Command("SAVE", 0, None, "TBX, FWK (names only)", _UNKNOWN),
-    0x0703: Command("LOAD", 0, None, "TBX, FWK (names only)", _UNKNOWN),
-    0x0704: Command("DELETE", 0, None, "TBX, FWK (names only)", _UNKNOWN),
-    0x0801: Command("MONITOR_RUN", 1, _monitor, "TBX, CMT (reply)", "0 off, 1 on accepted; no effect"),
-    0x0802: Command("MONITOR_PROFILE_LOG", 1, _monitor, "TBX, CMT (reply)", "0 off, 1 on accepted; no effect"),
-    0x7F00: Command("SPECIAL", 0, None, "FWK, CMT (reply)", "its reply is SERVICE_FAILURE itself"),
+    0x0101: Command("GET_IDENTIFICATION", 0, _get_identification, "UPS p. 16, TBX, DGC, MIR, HDE, CMT"),
+    0x0102: Command("GET_STATUS", 0, _get_status, "UPS p. 16, TBX, CMT, HDE"),
+    0x0103: Command("GET_ERROR", 0, None, "FWK (name only)", _RESERVED),
+    0x0104: Command("GET_SIGNAL", 0, _get_signal, "UPS p. 17, TBX"),
+    0x0105: Command(
+        "SET_SIGNAL", 1, _set_signal, "UPS p. 17, TBX, MIR, CMT", "green and red LED stay the device's", too_short=_BAD
+    ),
+    0x0106: Command(
+        "REGISTER_APPLICATION",
+        0,
+        com.register,
+        "UPS p. 18, TBX, CMT",
+        "items 0020 to 0022 until the next start; a real device takes it from its application board only",
+        STILL,
+    ),
+    0x0201: Command(
+        "SET_CONFIG", 1, _set_config, "UPS p. 19, TBX, DGC, FWK, MIR, CMT, HDE", _ITEMS, STILL, too_short=_BAD
+    ),
+    0x0202: Command("GET_CONFIG", 1, _get_config, "UPS p. 21, TBX, DGC, CMT, HDE", _ITEMS, STILL, too_short=_BAD),
+    0x0203: Command("SET_TIME_ABSOLUTE", 1, _set_time_absolute, "UPS p. 22, TBX", states=STOPPED),
+    0x0204: Command("SET_TIME_RELATIVE", 1, _set_time_relative, "UPS p. 22, TBX", states=STOPPED),
+    0x0205: Command("GET_SYNC_CLOCK", 0, _get_clock, "UPS p. 22, TBX"),
+    0x0206: Command("SET_ZONE", 0, None, "FWK (name only)", _RESERVED),
+    0x0207: Command("GET_ZONE", 0, None, "FWK (name only)", _RESERVED),
+    0x0208: Command("RELEASE_ZONE", 0, None, "FWK (name only)", _RESERVED),
+    0x0209: Command("SET_FILTER", 2, _set_filter, "UPS p. 23, TBX", "filter 0001", too_short=_BAD),
+    0x020A: Command(
+        "SET_FUNCTION",
+        4,
+        _set_function,
+        "UPS p. 23, TBX, DGC, FWK, MIR, HDE",
+        "sector, function and stop are brought into their ranges and told so",
+        STOPPED,
+        too_short=_BAD_3,
+    ),
+    0x020B: Command("GET_FUNCTION", 1, _get_function, "UPS p. 28, TBX, HDE, CMT", "", STOPPED, too_short=_BAD_3),
+    0x0301: Command(
+        "GET_PROFILE", 0, _get_profile, "UPS p. 31, all", "formats 0001..3FFF; others: one empty 8301", MEASURING
+    ),
+    0x0302: Command("CANCEL_PROFILE", 0, _cancel_profile, "UPS p. 32, TBX, FWK, MIR, CMT, HDE", "", MEASURING),
+    0x0401: Command("DO_RESET", 1, _do_reset, "UPS p. 33, TBX, DGC, FWK, MIR", "levels 0 1 2 10"),
+    0x0402: Command("TRANS_IDLE", 0, _trans_idle, "UPS p. 33, TBX, FWK, MIR", "", STOPPED),
+    0x0403: Command(
+        "TRANS_ROTATE", 0, _trans_rotate, "UPS p. 34, all", "answered when the head is at speed; a wrong one: IDLE"
+    ),
+    0x0404: Command("TRANS_MEASURE", 0, _trans_measure, "UPS p. 34, all", "errors 0..4", TURNING),
+    0x0501: Command("DO_ADJUST", 0, None, "FWK (name only)", _NAMED),
+    0x0502: Command("DO_TEST", 0, None, "FWK (name only)", _NAMED),
+    0x0601: Command("COM_ATTACH", 1, com.attach, "UPS p. 35", "", STILL, too_short=(REFUSED, REFUSED)),
+    0x0602: Command("COM_DETACH", 1, com.detach, "UPS p. 35", "", STILL, too_short=(REFUSED, REFUSED)),
+    0x0603: Command("COM_INIT", 1, com.initialise, "UPS p. 36", "", STILL, too_short=(REFUSED, REFUSED)),
+    0x0604: Command("COM_OUTPUT", 1, com.output, "UPS p. 38", too_short=(REFUSED, REFUSED)),
+    0x0605: Command(
+        "COM_DATA", 0, _no_request, "UPS p. 40", "sent by the device unasked; as a request: SERVICE_FAILURE"
+    ),
+    0x0701: Command("DIR", 0, com.directory, "UPS p. 41", "two words of each file are its header (ours)", STILL),
+    0x0702: Command("SAVE", 0, com.save, "UPS p. 41", "", STILL),
+    0x0703: Command("LOAD", 0, com.load, "UPS p. 42", "", STILL),
+    0x0704: Command("DELETE", 0, com.delete, "UPS p. 42", "", STILL),
+    0x0801: Command("MONITOR_RUN", 1, com.monitor, "UPS p. 43, TBX, CMT", "one interface at a time", too_short=_BAD),
+    0x0802: Command(
+        "MONITOR_PROFILE_LOG", 1, com.monitor_profiles, "UPS p. 43, TBX, CMT", "a copy of every 8301", too_short=_BAD
+    ),
+    0x7F00: Command("SPECIAL", 0, None, "UPS p. 44, FWK, CMT", "its reply is SERVICE_FAILURE itself"),
 }
 
 ABSENT = (
+    CommandRow(
+        "CoLa",
+        "CoLa binary: sMN SetAccessMode, sMN Run, sRN DeviceIdent",
+        "done",
+        "SICK 9106698, p. 18-21 (names the protocol, prints no port and no variable)",
+        "LD-LRS1000, 2100, 3100; on serial and TCP links; any other telegram: sFA",
+    ),
     CommandRow("1000..3F00", "application services", "absent", "Fawkes", "no application firmware: SERVICE_FAILURE"),
     CommandRow("7E00..7EFF", "adjust services", "absent", "Fawkes", "factory only, unknown: SERVICE_FAILURE"),
 )
@@ -304,8 +301,14 @@ def serve(device: Device, service: int, words: Words, now_ns: int) -> Answer:
         return fails(DropReason.UNKNOWN_COMMAND, f"service {service:04X}")
     if command.handler is None:
         return fails(DropReason.REFUSED, command.note)
+    served = device.mode is Mode.ERROR or device.mode in command.states or not device.settings.is_strict
+    if not served:
+        return fails(DropReason.WRONG_MODE, f"not served in {device.mode.name}")
     if len(words) < command.words:
-        return fails(DropReason.BAD_LENGTH, f"{len(words)} data words, want {command.words}")
+        detail = f"{len(words)} data words, want {command.words}"
+        if command.too_short is None:
+            return fails(DropReason.BAD_LENGTH, detail)
+        return Answer(command.too_short, refused=DropReason.BAD_LENGTH, detail=detail)
     return command.handler(device, words, now_ns)
 
 
@@ -319,7 +322,7 @@ def rows() -> tuple[CommandRow, ...]:
 
 
 def _sources(tags: str) -> str:
-    for tag, name in {**SOURCES, "all": ", ".join(SOURCES.values())}.items():
+    for tag, name in {**SOURCES, "all": ", ".join(name for name in SOURCES.values() if name != SOURCES["UPS"])}.items():
         tags = tags.replace(tag, name)
     return tags
 

@@ -11,13 +11,16 @@ from dataclasses import replace
 
 from protocols.device_clock import DeviceClock
 from protocols.errors import ScanRefused
+from protocols.ld import cola, routing
+from protocols.ld.answers import Answer
 from protocols.ld.channels import MAX_INBOX, Channel, Line, Profiles, Request, new_channel
-from protocols.ld.device import CLOCK_TICK_NS, Device, Geometry
+from protocols.ld.device import CLOCK_TICK_NS, Caller, Device, Geometry
 from protocols.ld.models import Model
 from protocols.ld.outbox import Outbox, Outgoing
 from protocols.ld.profiles import SICKTOOLBOX_BYTES, encode_profile
 from protocols.ld.revolutions import Measured, Need, Revolutions, revolution_of, wants_echoes
-from protocols.ld.services import Answer, serve, title
+from protocols.ld.routing import Attached
+from protocols.ld.services import serve, title
 from protocols.ld.settings import Settings
 from protocols.ld.telegrams import (
     GET_PROFILE_REPLY,
@@ -46,6 +49,9 @@ from protocols.session import (
 
 MAX_CHANNELS = 256
 "Hosts kept apart at once; TCP links bound theirs themselves, senders of datagrams and CAN frames could be endless."
+
+INTERFACES = {LinkKind.SERIAL: routing.SERIAL, LinkKind.CAN: routing.CAN}
+"Kinds of links that services 0601 to 0605 can attach."
 
 WORKING_SERVICES = 4
 "High byte of the services that change the mode."
@@ -102,7 +108,10 @@ class LdSession(Session):
         self._outbox.withdraw(lambda sent: not sent.begun and sent.emissions[0].due_ns > from_ns)
         for channel in self._channels.values():
             channel.clear()
+        held = self.device.attached.get(routing.SERIAL)
         self.device.boot(from_ns, boot_ns)
+        if held is not None and held.baud != self.device.baud:
+            self._set_line_speed(from_ns)
         self._revolutions.begin()
         self._geometry = None
         self._will_start_itself, self._will_measure = True, False
@@ -129,7 +138,9 @@ class LdSession(Session):
         for index, line in self._lines.items():
             if line.kind is LinkKind.SERIAL and line is not but:
                 address = Address(index, 0)
-                speed = Emission(now_ns, b"", address, line_speed=self.device.baud, label="line speed")
+                held = self.device.attached.get(routing.SERIAL)
+                baud = self.device.baud if held is None else held.baud
+                speed = Emission(now_ns, b"", address, line_speed=baud, label="line speed")
                 self._outbox.put(Outgoing(None, deque([speed])))
 
     # hosts
@@ -146,6 +157,7 @@ class LdSession(Session):
         self._channels.pop(address, None)
         gone = self._outbox.withdraw(lambda sent: sent.to == address)
         self._tell_withdrawn(now_ns, gone, address)
+        self._release(address, now_ns)
 
     def _channel(self, address: Address) -> Channel | None:
         """The channel of an address; senders of datagrams and CAN frames get one when they are first heard."""
@@ -173,10 +185,58 @@ class LdSession(Session):
                 return True
         return False
 
+    # interfaces in a host's hands
+
+    def _take_routed(self, data: bytes, now_ns: int, address: Address) -> bool:
+        """Whether input came on an attached interface: it goes to the host that holds it."""
+        line = self._lines.get(address.link)
+        held = None if line is None else self.device.attached.get(INTERFACES.get(line.kind, 0))
+        if line is None or held is None or self.device.is_booting(now_ns):
+            return False
+        if line.kind is LinkKind.SERIAL:
+            held.received += data
+            held.heard_ns = now_ns
+            while len(held.received) >= routing.SERIAL_BUFFER:
+                self._tell_received(held, now_ns)
+        elif held.accepts(address.peer):
+            self._tell(held, routing.can_data(self.device.clock_ms(now_ns), address.peer, data), now_ns)
+        return True
+
+    def _tell_received(self, held: Attached, now_ns: int) -> None:
+        characters = bytes(held.received[: routing.SERIAL_BUFFER])
+        del held.received[: routing.SERIAL_BUFFER]
+        self._tell(held, routing.serial_data(self.device.clock_ms(held.heard_ns), characters), now_ns)
+
+    def _tell(self, held: Attached, words: tuple[int, ...], now_ns: int) -> None:
+        channel = self._channels.get(held.holder)
+        if channel is not None:
+            label = f"{routing.COM_DATA:04X}"
+            self._outbox.put(channel.telegram(payload_of(*words), held.route, now_ns, self.device, label=label))
+
+    def _put_routed(self, routed: tuple[routing.Routed, ...], now_ns: int) -> None:
+        """Send what a host gave to an attached interface, on every link that it has."""
+        for index, line in self._lines.items():
+            mine = [one for one in routed if INTERFACES.get(line.kind) == one.interface]
+            if mine:
+                to = [Emission(now_ns, one.data, Address(index, one.peer), label="0604") for one in mine]
+                self._outbox.put(Outgoing(None, deque(to)))
+
+    def _release(self, address: Address, now_ns: int) -> None:
+        """A host has gone: what it held serves the protocol again."""
+        device = self.device
+        for interface in [number for number, held in device.attached.items() if held.holder == address]:
+            changed = device.attached.pop(interface).baud != device.baud
+            if interface == routing.SERIAL and changed:
+                self._set_line_speed(now_ns)
+        if device.monitor is not None and device.monitor.address == address:
+            device.monitor = None
+
     # requests
 
     def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
         self._run(now_ns)
+        if self._take_routed(data, now_ns, address or Address(0, 0)):
+            return
         channel = self._channel(address or Address(0, 0))
         if channel is None:
             self._drop(now_ns, DropReason.OTHER_ADDRESS, len(data))
@@ -203,6 +263,9 @@ class LdSession(Session):
         """Carry out what waits, one request after the other: the next one when the last reply has left."""
         while channel.inbox and channel.waiting is None and channel.busy_until_ns <= now_ns:
             request = channel.inbox.popleft()
+            if request.is_cola:
+                self._answer_cola(channel, request.payload, now_ns)
+                continue
             words = words_of(request.payload)
             if not words:
                 nothing = Answer(refused=DropReason.BAD_LENGTH, failure=True, detail="no service word")
@@ -212,6 +275,7 @@ class LdSession(Session):
                 self._drop(now_ns, DropReason.UNKNOWN_COMMAND, len(request.payload), title(words[0]))
             else:
                 self._will_measure = self._will_measure and words[0] >> 8 != WORKING_SERVICES
+                self.device.caller = Caller(channel.address, request.route, INTERFACES.get(channel.kind, 0))
                 self._answer(channel, request, serve(self.device, words[0], words[1:], now_ns), now_ns)
 
     def _answer(self, channel: Channel, request: Request, answer: Answer, now_ns: int) -> None:
@@ -231,9 +295,22 @@ class LdSession(Session):
             what += self._start(channel, profiles, now_ns)
         self._events.append(CommandHandled(now_ns, what, answer.refused.value if answer.refused else "done"))
         if answer.failure:
-            self._reply(channel, request, (SERVICE_FAILURE, *self.device.status), answer, now_ns)
+            self._reply(channel, request, (SERVICE_FAILURE, 0, 0, *self.device.status), answer, now_ns)
         elif answer.words is not None:
             self._reply(channel, request, (service | REPLY_BIT, *answer.words), answer, now_ns)
+
+    def _answer_cola(self, channel: Channel, payload: bytes, now_ns: int) -> None:
+        """CoLa telegrams log in and ask who the device is; nothing else of them is known."""
+        reply, done = cola.answer(payload, self.device.identity.__getitem__)
+        what = "CoLa " + payload[:24].partition(b"\0")[0].decode("ascii", "replace").strip()
+        if not done:
+            self._drop(now_ns, DropReason.REFUSED, 1, what)
+        outcome = "done" if done else DropReason.REFUSED.value
+        self._events.append(CommandHandled(now_ns, what, outcome))
+        due_ns = now_ns + self.device.delays.response_ns
+        sent = channel.telegram(reply, 0, due_ns, self.device, label="CoLa", is_cola=True)
+        channel.busy_until_ns = channel.last_sent_ns
+        self._outbox.put(sent)
 
     def _reply(self, channel: Channel, request: Request, words: tuple[int, ...], answer: Answer, now_ns: int) -> None:
         sent = channel.telegram(
@@ -248,6 +325,7 @@ class LdSession(Session):
         self._outbox.put(sent)
         if answer.line_speed is not None:
             self._set_line_speed(channel.last_sent_ns, but=channel.line)
+        self._put_routed(answer.routed, now_ns)
         if answer.boots_ns is not None:
             self._boot(now_ns, channel.last_sent_ns, answer.boots_ns)
 
@@ -335,12 +413,26 @@ class LdSession(Session):
             )
             sent.emissions[0] = replace(sent.emissions[0], told=told)
             self._outbox.put(sent)
+            self._copy_to_monitor(channel, payload, item)
             if profiles.left is not None:
                 profiles.left -= 1
                 if not profiles.left:
                     channel.profiles = None
         if not wanted:  # measured ahead for a host that has gone, or has had enough
             self._unsent(now_ns, DropReason.STALE, item.sweep)
+
+    def _copy_to_monitor(self, channel: Channel, payload: bytes, item: Measured) -> None:
+        """The monitor gets what a host gets, when its line is free."""
+        monitor = self.device.monitor if self.device.monitors_profiles else None
+        watching = None if monitor is None else self._channels.get(monitor.address)
+        if monitor is None or watching is None or watching is channel:
+            return
+        if watching.is_paced and watching.line.free_ns > item.end_ns:
+            return
+        label = f"{GET_PROFILE_REPLY:04X}"
+        self._outbox.put(
+            watching.telegram(payload, monitor.route, item.end_ns, self.device, sweep=item.sweep, label=label)
+        )
 
     # time
 
@@ -368,6 +460,7 @@ class LdSession(Session):
             if channel.inbox and channel.waiting is None:
                 instants.append(channel.busy_until_ns)
             instants.append(channel.half_until_ns())
+        instants += [held.due_ns() for held in device.attached.values()]
         return min((instant for instant in instants if instant is not None), default=None)
 
     def _happen(self, now_ns: int) -> None:
@@ -376,6 +469,9 @@ class LdSession(Session):
             return
         if self.device.advance(now_ns):
             self._settle(now_ns)
+        for held in list(self.device.attached.values()):
+            if (due_ns := held.due_ns()) is not None and due_ns <= now_ns:
+                self._tell_received(held, now_ns)
         for item in self._revolutions.ended(now_ns):
             self._deliver(item, now_ns)
         for channel in list(self._channels.values()):

@@ -106,16 +106,22 @@ def _identity(value: Any) -> bool:
 
 
 KEYS = (
-    Key("motor_hz", "5..20", 10, "configured speed of the head, whole Hz", _whole(MIN_MOTOR_HZ, MAX_MOTOR_HZ)),
+    Key(
+        "motor_hz",
+        "5..20, LD-LRS1000, 2100 and 3100: 5..10",
+        10,
+        "configured speed of the head, whole Hz",
+        _whole(MIN_MOTOR_HZ, MAX_MOTOR_HZ),
+    ),
     Key("step_deg", "multiple of 0.0625, from 0.125, that divides 360", 0.5, "configured angle step", _step),
-    Key("sectors", SECTORS_ALLOWED, "full", "sector table kept in flash", lambda value: True),
+    Key("sectors", SECTORS_ALLOWED, None, "sector table kept in flash; null: the model's arc", lambda value: True),
     Key("sensor_id", "1..254", 16, "address on RS-422 and CAN", _whole(1, 254)),
     Key("baud", _listed(cfg.BAUD_CODES), 115200, "speed of the serial line", _one_of(*cfg.BAUD_CODES.values())),
     Key("parity", _listed(cfg.PARITY_CODES), "none", "of the serial line", _one_of(*cfg.PARITY_CODES.values())),
     Key("stop_bits", "1, 2", 1, "of the serial line", _one_of(1, 2)),
     Key("can_kbit_s", _listed(cfg.CAN_RATE_CODES), 1000, "speed of the bus", _one_of(*cfg.CAN_RATE_CODES.values())),
     Key("can_host_id", "0..2047", 0x2A8, "base of the identifiers on which hosts send", _whole(0, 2047)),
-    Key("can_host_mask", "0..2047", 0x007, "bits of the identifier that tell which host it is", _whole(0, 2047)),
+    Key("can_host_mask", "0..2047", 0x003, "bits of the identifier that tell which host it is", _whole(0, 2047)),
     Key("can_sensor_id", "0..1793", 0x700, "base of the device's own identifiers; sensor_id is added", _whole(0, 1793)),
     Key("ip", "IPv4 address", "192.168.1.10", "told by GET_CONFIG; the real address is the link's", _ip),
     Key("netmask", "IPv4 mask", "255.255.255.0", "told by GET_CONFIG", _ip),
@@ -125,6 +131,13 @@ KEYS = (
     Key("delays", "real, fast", "real", "response, spin-up and boot times", _one_of("real", "fast")),
     Key("spin_up_s", "0..60, or null", None, "to any speed; null: as `delays` says", _or_null(_number(0, 60))),
     Key("start", "running, cold", "running", "running: has booted when the run begins", _one_of("running", "cold")),
+    Key(
+        "services",
+        "strict, liberal",
+        "strict",
+        "strict: by state, as the listing has them; liberal: whatever makes sense in any state",
+        _one_of("strict", "liberal"),
+    ),
     Key("mode", "idle, rotate, measure, or null", None, MODE_MEANING, _one_of("idle", "rotate", "measure", None)),
     Key("udp_format", f"0..{ALL_FIELDS}", 0x3DFF, "format of the profiles on udp links", _whole(0, ALL_FIELDS)),
     Key("zero_deg", "-360..360", 0, "azimuth of direction 0 in the sensor's own frame", _number(-360, 360)),
@@ -145,6 +158,8 @@ class Settings:
     delays: str
     spin_up_ns: int | None
     starts_running: bool
+    is_strict: bool
+    "Services outside the states that the listing gives them are refused."
     mode: str | None
     udp_format: int
     zero_ticks: float
@@ -164,7 +179,9 @@ def settings_of(device: Mapping[str, Any], model: Model) -> Settings:
             raise DeviceSettingError(name, found, known[name].allowed)
     values = {key.name: device.get(key.name, key.default) for key in KEYS}
     step = int(values["step_deg"] * TICKS_PER_DEG)
-    sectors = _table(values["sectors"], step)
+    if values["motor_hz"] > model.fastest_hz:
+        raise DeviceSettingError("motor_hz", values["motor_hz"], known["motor_hz"].allowed)
+    sectors = _table(_arc_of(model) if values["sectors"] is None else values["sectors"], step)
     if values["mode"] == "measure":
         verdict = check(sectors, values["motor_hz"], step)
         if verdict is not MeasureError.OK:
@@ -178,12 +195,18 @@ def settings_of(device: Mapping[str, Any], model: Model) -> Settings:
         delays=values["delays"],
         spin_up_ns=None if values["spin_up_s"] is None else round(values["spin_up_s"] * 1e9),
         starts_running=values["start"] == "running",
+        is_strict=values["services"] == "strict",
         mode=values["mode"],
         udp_format=values["udp_format"],
         zero_ticks=float(values["zero_deg"]) * TICKS_PER_DEG,
         clock_ms=values["clock_ms"],
         clock_ppm=values["clock_ppm"],
     )
+
+
+def _arc_of(model: Model) -> Any:
+    """What a model measures as delivered."""
+    return "full" if model.useful_deg == 360 else [{"from_deg": 0, "to_deg": model.useful_deg}]
 
 
 def _code(codes: Mapping[int, Any], value: Any) -> int:

@@ -17,13 +17,12 @@ REPLY_BIT = 0x8000
 "Set in the service word of every reply."
 
 SERVICE_FAILURE = 0xFF00
-"""Reply to a request that is unknown or cannot be carried out: followed by the sensor status. The layout is inferred;
-COMTEST looks for the status two words later, behind two words of which it knows nothing."""
+"Reply to a service that is unknown or not available in this state: two words of 0 and the status follow (UPS p. 44)."
 
 GET_PROFILE_REPLY = 0x8301
 
 REFUSED = 0xFFFF
-"First data word of a refused SET_CONFIG, SET_FUNCTION, GET_FUNCTION, SET_SIGNAL, SET_FILTER or MONITOR request."
+"Data of a refused SET_CONFIG, GET_CONFIG, SET_FUNCTION, GET_FUNCTION, SET_SIGNAL, SET_FILTER, COM or MONITOR."
 
 
 class Mode(IntEnum):
@@ -73,6 +72,12 @@ def payload_of(*words: int) -> bytes:
 def words_of(payload: bytes) -> tuple[int, ...]:
     """The whole words of a payload; an odd byte at its end is left out (the Stanford module sends stray bytes)."""
     return struct.unpack_from(f">{len(payload) // 2}H", payload)
+
+
+def words_text(words: tuple[int, ...]) -> str | None:
+    """The text in six words, without what fills them; None when it is not ASCII."""
+    data = payload_of(*words).rstrip(b"\0 ")
+    return data.decode("ascii") if data.isascii() else None
 
 
 def text_words(text: str) -> tuple[int, ...]:

@@ -11,7 +11,7 @@ from typing import Any
 
 from protocols.lms2xx.commands import coverage_rows
 from protocols.lms2xx.framing import Lms2xxFraming
-from protocols.lms2xx.models import model_of
+from protocols.lms2xx.models import model_of, with_firmware
 from protocols.lms2xx.session import Lms2xxSession
 from protocols.lms2xx.settings import KEYS, read
 from protocols.session import CommandRow, DeviceKey, LinkKind, Session
@@ -27,6 +27,8 @@ class Lms2xxFamily:
     def new_session(self, device: Mapping[str, Any], facts: Mapping[str, Any]) -> Lms2xxSession:
         """A device that is switched off. Raises `DeviceSettingError`."""
         model = model_of(facts)
+        if "firmware" in device:
+            model = with_firmware(model, device["firmware"])
         return Lms2xxSession(model, read(device, model))
 
     def commands(self) -> tuple[CommandRow, ...]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from protocols.lms2xx import configuration as block
+from protocols.lms2xx.evaluation import Fields
+from protocols.lms2xx.fields import FACTORY, FieldSet, Teaching
 from protocols.lms2xx.models import Model
 from protocols.lms2xx.outputs import Format, Output
 from protocols.lms2xx.settings import Settings
@@ -29,6 +31,8 @@ POLLUTED_BIT = 0x80
 DIRT_ERROR, MOTOR_ERROR = 18, 29
 "Codes of reply B2: dirt on pollution channel 1, motor revolutions."
 
+FACTORY_PASSWORD = b"SICK_LMS"
+
 STATUS_BYTES = 152
 "The listing's table adds up to 146; its example and every driver have 152."
 
@@ -49,6 +53,25 @@ class Device:
     "EEPROM."
     baud: int
     variant: Variant
+    startup_variant: Variant
+    "EEPROM."
+    password: bytes
+    "EEPROM: of SICK's service and authorised customers."
+    errors_stored: tuple[tuple[int, int], ...]
+    "EEPROM: type and code, oldest first."
+    maintenance_password: bytes = FACTORY_PASSWORD
+    "EEPROM."
+    new_password: bytes | None = None
+    "Code and password of a first 42 that waits for its confirmation."
+    second_block: bytes = block.SECOND_DEFAULT
+    "EEPROM: configuration of 7B and 7C."
+    field_sets: tuple[FieldSet, FieldSet] = ((FACTORY,) * 3, (FACTORY,) * 3)
+    "EEPROM."
+    active_set: int = 1
+    "EEPROM."
+    taught: tuple[int, int] | None = None
+    "EEPROM: set and field that was taught last."
+    teaching: Teaching | None = None
     mode: int = ON_REQUEST
     "Sub-code of command 20."
     stream: Output | None = None
@@ -74,7 +97,7 @@ class Device:
     @property
     def errors(self) -> tuple[tuple[int, int], ...]:
         """Type and code of each stored error, oldest first; those of now at the end."""
-        found = self.settings.errors
+        found = self.errors_stored
         if self.window < POLLUTED:
             found += ((ERROR if self.window < OPAQUE else WARNING, DIRT_ERROR),)
         return (*found, (ERROR, MOTOR_ERROR)) if self.motor_wrong else found
@@ -100,13 +123,33 @@ class Device:
             self.unit,
             bool(self.configuration[block.AVAILABILITY] & block.INDICES),
             self.model.reflectivity_k_m2 * self.gain,
+            self.fields,
+            self.variant.turns,
         )
 
     @property
+    def fields(self) -> Fields | None:
+        """The active set; S14 models have none."""
+        if self.model.fast:
+            return None
+        level = self.configuration[block.AVAILABILITY]
+        return Fields(
+            self.field_sets[self.active_set - 1],
+            bool(self.configuration[block.SUBTRACTIVE]),
+            self.model.special,
+            not level & (block.HIGHEST_LEVEL | block.DAZZLE_IGNORED),
+        )
+
+    @property
+    def evaluations(self) -> int:
+        """Scans in a row that an object must be in a field: byte H, with set 2 byte E of block 2 added."""
+        offset = block.signed(self.second_block[block.SET_2_OFFSET]) if self.active_set == 2 else 0
+        return max(1, self.configuration[block.MULTIPLE_EVALUATION] + offset)
+
+    @property
     def type_text(self) -> bytes:
-        """21 characters; in the 30106 and 30206 models a digit tells the unit (real LMS200: 3 in cm, 1 in mm)."""
-        digit = "1" if self.unit == block.MILLIMETRE else "3"
-        return self.model.type_text.replace("#", digit).encode("ascii")
+        """21 characters."""
+        return self.model.type_text.encode("ascii")
 
 
 def new_device(model: Model, settings: Settings) -> Device:
@@ -120,18 +163,27 @@ def new_device(model: Model, settings: Settings) -> Device:
         switch_ons=settings.switch_ons,
         baud=settings.startup_baud,
         variant=settings.variant,
+        startup_variant=settings.variant,
+        password=settings.password,
+        errors_stored=settings.errors,
     )
 
 
 def restarted(device: Device, switched_on: bool) -> Device:
-    """After power-on or reset: EEPROM kept; mode, speed and variant as at every start."""
+    """After power-on or reset: EEPROM kept; mode, speed and variant as at every start.
+
+    A reset clears the stored errors (listing, p. 38).
+    """
     return replace(
         device,
         switch_ons=min(device.switch_ons + switched_on, 0xFFFF),
         baud=device.startup_baud,
-        variant=device.settings.variant,
+        variant=device.startup_variant,
+        errors_stored=device.errors_stored if switched_on else (),
         mode=ON_REQUEST,
         stream=None,
+        new_password=None,
+        teaching=None,
         stream_number=device.stream_number + 1,
     )
 
@@ -152,7 +204,10 @@ def variant_words(device: Device) -> bytes:
 
 POLLUTION, POLLUTION_REFERENCE = 500, 600
 POLLUTION_CALIBRATION, REFERENCE_CALIBRATION = 510, 610
-MOTOR_REVOLUTIONS = 75
+NINETIETH_US = 148
+"Microseconds of 1/90 turn of the mirror at 75 turns a second (listing, p. 54)."
+LASER_POWER = 100
+"Per cent of the value at calibration."
 "Values of a clean, healthy device; plausible, not measured."
 
 
@@ -168,19 +223,22 @@ def status_block(device: Device) -> bytes:
     data[7] = device.mode
     data[8] = 1 if device.status & 7 >= ERROR else 0
     put(9, device.settings.serial_number)
-    data[17] = 1 if device.model.fast else 0
+    data[17] = 1 if device.model.special else 0
     put(18, word(round(POLLUTION * device.window)) * 8 + word(POLLUTION_REFERENCE) * 4)
     put(42, word(POLLUTION_CALIBRATION) * 8 + word(REFERENCE_CALIBRATION) * 4)
-    put(66, word(round(MOTOR_REVOLUTIONS * device.motor)))
+    put(66, word(min(round(NINETIETH_US / device.motor), 0xFFFF) if device.motor else 0))
+    put(82, word(LASER_POWER))
     data[101] = config[block.MEASURING_MODE]
     put(106, variant_words(device))
     data[110] = config[block.RESTART_MODE]
     put(111, word(config[block.RESTART_TIME]))
+    data[113] = device.second_block[block.SET_2_OFFSET]
     put(115, word(RATE_WORDS[device.baud]))
     data[117] = config[block.MULTIPLE_EVALUATION]
     data[118] = device.permanent_baud
     data[119] = device.settings.address
-    data[120] = 1
+    data[120] = device.active_set
     data[121] = device.unit
+    data[122] = 1 if device.motor else 0  # the laser is on while the mirror turns
     put(123, b"X01.03 ")
     return bytes(data)

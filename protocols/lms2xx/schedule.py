@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 from protocols.errors import EncodeError, ScanRefused
 from protocols.lms2xx.device import Device
-from protocols.lms2xx.outputs import Format, Mean, Measured, Output, nearest
-from protocols.lms2xx.timing import TURN_DENOMINATOR, TURN_NUMERATOR_NS, Mirror, line_ns
+from protocols.lms2xx.outputs import LEVELS, Format, Mean, Measured, Output, nearest
+from protocols.lms2xx.timing import BITS_A_BYTE, TURN_DENOMINATOR, TURN_NUMERATOR_NS, Mirror, line_ns
 from protocols.lms2xx.variants import PARTIAL_SETS, Comb, comb
 from protocols.scan import Scan, ScanPlan
 from protocols.session import DropReason
@@ -23,6 +23,8 @@ TURN_NS = TURN_NUMERATOR_NS // TURN_DENOMINATOR
 AHEAD_SCANS = 2
 "A plan is given out this many scan times before its scan begins (at least `AHEAD_NS`): time to measure it."
 AHEAD_NS = 40_000_000
+MOST_A_TURN, FASTEST_BAUD = 508, 500_000
+"Listing, p. 22 and 126-129."
 
 
 class Line:
@@ -31,12 +33,42 @@ class Line:
     def __init__(self) -> None:
         self.baud = 9600
         self.free_ns = 0
+        self.mirror = Mirror(0)
+        self.a_turn: int | None = MOST_A_TURN
+        "Bytes that leave in one turn of the mirror at the highest speed; None: as many as will."
 
     def promise(self, start_ns: int, count: int) -> int:
         """Let `count` bytes begin at `start_ns`; when they will have left."""
-        end_ns = start_ns + line_ns(count, self.baud)
+        end_ns = self.end_ns(start_ns, count)
         self.free_ns = max(self.free_ns, end_ns)
         return end_ns
+
+    def pause(self, start_ns: int, count: int) -> tuple[int, int] | None:
+        """How many bytes leave before the telegram waits for the next turn, and when that begins; None: all do."""
+        if self.a_turn is None or self.baud < FASTEST_BAUD or count <= self.a_turn:
+            return None
+        turn = self.mirror.first_turn_from(start_ns + line_ns(self.a_turn, self.baud))
+        return self.a_turn, self.mirror.turn_ns(turn)
+
+    def end_ns(self, start_ns: int, count: int) -> int:
+        """When `count` bytes that begin at `start_ns` will have left."""
+        pause = self.pause(start_ns, count)
+        if pause is None:
+            return start_ns + line_ns(count, self.baud)
+        return pause[1] + line_ns(count - pause[0], self.baud)
+
+    def begun(self, start_ns: int, count: int, now_ns: int) -> tuple[int, int]:
+        """How many of `count` bytes have begun by `now_ns`, and when the last of them will have left."""
+        pause = self.pause(start_ns, count)
+        if pause is not None and now_ns >= start_ns + line_ns(pause[0], self.baud):
+            more, end_ns = (0, now_ns) if now_ns < pause[1] else self._whole(pause[1], now_ns)
+            return min(pause[0] + more, count), end_ns
+        done, end_ns = self._whole(start_ns, now_ns)
+        return min(done, count), end_ns
+
+    def _whole(self, start_ns: int, now_ns: int) -> tuple[int, int]:
+        count = (now_ns - start_ns) * self.baud // (BITS_A_BYTE * 1_000_000_000) + 1
+        return count, start_ns + line_ns(count, self.baud)
 
 
 @dataclass(eq=False)
@@ -60,6 +92,16 @@ class Slot:
     measured: int = 0
     mean: Mean | None = None
     result: Measured | None = None
+    infringed: tuple[bool, bool, bool] | None = None
+    "Fields with an object in each of the scans, where that is asked."
+
+    @property
+    def is_silent(self) -> bool:
+        """Nothing of it leaves."""
+        return self.output.is_kept or (self.output.on_object and self.result is not None and not self._found())
+
+    def _found(self) -> bool:
+        return self.infringed is not None and any(self.infringed)
 
     @property
     def end_turn(self) -> int:
@@ -77,8 +119,15 @@ class Slot:
     def take(self, scan: Measured) -> None:
         """Take the next scan."""
         self.measured += 1
-        if self.output.scans == 1:
-            self.result = scan
+        levels, fields = self.output.command == LEVELS, self.form.fields
+        if fields is not None and (levels or self.output.on_object):
+            a, b, c = fields.infringed(scan.range_m, scan.flags, self.comb.grid)
+            if self.infringed is not None:
+                a, b, c = a and self.infringed[0], b and self.infringed[1], c and self.infringed[2]
+            self.infringed = (a, b, c)
+        if self.output.scans == 1 or levels:
+            self.result = scan if self.measured == self.output.scans else None
+            self.size = 0 if self.is_silent else self.size
             return
         if self.mean is None:
             self.mean = Mean(self.comb.points, self.form.farthest_m)
@@ -127,7 +176,7 @@ class Schedule:
         """The mirror begins to turn anew; nothing is wanted."""
         self._keep([])
         self._epoch += 1
-        self._mirror = mirror
+        self._mirror = self._line.mirror = mirror
         self._stream = None
 
     def withdraw(self, now_ns: int) -> list[Unsent]:
@@ -183,7 +232,7 @@ class Schedule:
     def motor_changed(self, mirror: Mirror) -> None:
         """The mirror turns at another speed: the stream goes on, in other slots."""
         self._drop_stream_slots()
-        self._mirror = mirror
+        self._mirror = self._line.mirror = mirror
 
     def once(self, device: Device, output: Output, ready_ns: int) -> None:
         """Send one telegram that was asked for: the scan that ends at `ready_ns` or next.
@@ -192,19 +241,42 @@ class Schedule:
         """
         self._device = device
         self._drop_stream_slots()
-        made = comb(device.variant, None)
-        size = output.telegram_bytes(made.points, device.format.indices)
+        if output.direct:
+            self._once_direct(device, output, ready_ns)
+            return
+        made = comb(device.variant, 0 if output.partial else None)
         free_ns = max(ready_ns, self._line.free_ns)
         single = output.scans == 1
         scan = self._scan_from(free_ns if single else ready_ns, made.turns) + (0 if single else output.scans)
         scan = max(scan, output.scans)
         send_ns = self._mirror.turn_ns(scan * made.turns)
         first = (scan - output.scans) * made.turns
+        part = first % PARTIAL_SETS if output.partial else None
+        made = comb(device.variant, part)
+        size = output.telegram_bytes(made.points, device.format.indices)
         self._number += 1
-        slot = Slot(output, made, None, device.format, device.gain, first, send_ns, size, True, single, self._number)
+        slot = Slot(output, made, part, device.format, device.gain, first, send_ns, size, True, single, self._number)
         place = sum(other.reserved for other in self._slots) if single else len(self._slots)
         self._slots.insert(place, slot)
         if single:
+            self._line.promise(send_ns, size)
+
+    def _once_direct(self, device: Device, output: Output, ready_ns: int) -> None:
+        """A telegram for each turn of the next scan, straight after it."""
+        turns, points = device.variant.turns, device.variant.points
+        place = sum(other.reserved for other in self._slots)
+        turn = max(0, self._mirror.first_turn_from(max(ready_ns, self._line.free_ns)) - 1)
+        first = -(-turn // turns) * turns
+        for index in range(turns):
+            part = index * PARTIAL_SETS // turns
+            made = comb(device.variant, part, direct=True)
+            size = output.telegram_bytes(points, device.format.indices, part, turns)
+            send_ns = max(self._mirror.turn_ns(first + index + 1), self._line.free_ns)
+            self._number += 1
+            slot = Slot(
+                output, made, part, device.format, device.gain, first + index, send_ns, size, True, True, self._number
+            )
+            self._slots.insert(place + index, slot)
             self._line.promise(send_ns, size)
 
     def line_moved(self) -> None:
@@ -303,7 +375,7 @@ class Schedule:
         `later`: how many more will pass before the next telegram.
         """
         numbers = range(until_turn if self._sent_turn is None else self._sent_turn, until_turn, turns)
-        line_scans = self._line_scans(size, turns) - scans
+        line_scans = self._line_scans(size, turns, until_turn) - scans
         by_line = max(0, line_scans - later) if self._late else len(numbers)
         self._late = False
         causes = ((DropReason.LINE_BUSY, numbers[:by_line]), (DropReason.LATE, numbers[by_line:]))
@@ -314,14 +386,15 @@ class Schedule:
         turns = slot.comb.turns
         until = min(slot.first_turn, self._ended_by(now_ns, turns))
         passed = 0 if self._sent_turn is None else (until - self._sent_turn) // turns
-        if passed > (0 if self._late else self._line_scans(slot.size, turns)):
+        if passed > (0 if self._late else self._line_scans(slot.size, turns, until)):
             later = (slot.first_turn - until) // turns
             self.passed += self._by_cause(until, turns, slot.size, slot.output.scans, later)
             self._sent_turn = until
 
-    def _line_scans(self, size: int, turns: int) -> int:
-        """Scans that end while a telegram is on the line, itself among them."""
-        return -(-line_ns(size, self._line.baud) // (turns * TURN_NS))
+    def _line_scans(self, size: int, turns: int, from_turn: int) -> int:
+        """Scans that end while a telegram that begins with a turn is on the line, itself among them."""
+        begin_ns = self._mirror.turn_ns(from_turn)
+        return -(-(self._line.end_ns(begin_ns, size) - begin_ns) // (turns * TURN_NS))
 
     def _ended_by(self, now_ns: int, turns: int) -> int:
         """End of the last scan that has ended."""
@@ -349,16 +422,18 @@ class Schedule:
         return slot
 
     def _next_of_stream(self, output: Output, device: Device, now_ns: int) -> Slot:
-        part = None
+        part, turns = None, device.variant.turns
         if output.partial:
-            sets = PARTIAL_SETS[device.variant.step_cdeg]
-            part = sets[self._telegrams % len(sets)]
-        made = comb(device.variant, part)
-        size = output.telegram_bytes(made.points, device.format.indices)
+            part = self._telegrams % PARTIAL_SETS
+        elif output.direct:
+            part = self._telegrams % turns * PARTIAL_SETS // turns
+        made = comb(device.variant, part, output.direct)
+        points = device.variant.points if output.direct else made.points
+        size = output.telegram_bytes(points, device.format.indices, part, turns)
         free_ns = self._line.free_ns
         if self._slots:
             last = self._slots[-1]
-            free_ns = max(free_ns, last.send_ns + line_ns(last.size, self._line.baud))
+            free_ns = max(free_ns, self._line.end_ns(last.send_ns, last.size))
         first = self._scan_from(self._stream_from_ns, made.turns)
         if self._sent_turn is None:
             self._sent_turn = first * made.turns
@@ -371,6 +446,8 @@ class Schedule:
             first + output.scans,
             -(-self._stream_turn // made.turns) + output.scans,
         )
+        if output.direct:  # the next turn that measures this part of the scan
+            end += (self._telegrams + 1 - end) % turns
         first_turn = (end - output.scans) * made.turns
         send_ns = self._mirror.turn_ns(end * made.turns)
         number = self._stream_number

@@ -1,7 +1,8 @@
 """The conversation of one LMS2xx: requests in, ACK and replies out, streams between them; power, boot and reset.
 
-Order on the line: a telegram that has begun is finished; then the ACK, then the reply, nothing of a stream between
-them; then the stream goes on in its next slot. Requests are answered one after the other, as they came.
+Order on the line: a request ends the telegram of values that is being sent (or waits for its end: `interrupt:
+finish`); then the ACK, then the reply, nothing of a stream between them; then the stream goes on in its next slot.
+Requests are answered one after the other, as they came; a reply that has begun is never cut.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ from protocols.device_clock import Told
 from protocols.lms2xx import telegrams as wire
 from protocols.lms2xx.commands import KNOWN, Answer, answer, describe
 from protocols.lms2xx.device import Device, new_device, restarted
+from protocols.lms2xx.field_commands import taught_by
 from protocols.lms2xx.models import Model
-from protocols.lms2xx.outputs import encode
+from protocols.lms2xx.outputs import LEVELS, Measured, encode, levels
 from protocols.lms2xx.receiver import Fault, Receiver
 from protocols.lms2xx.schedule import Line, Schedule, Slot, Unsent
 from protocols.lms2xx.settings import Settings
@@ -27,6 +29,7 @@ from protocols.session import (
     MAX_EVENTS,
     Address,
     CommandHandled,
+    CutShort,
     Dropped,
     DropReason,
     Emission,
@@ -71,6 +74,9 @@ class Lms2xxSession(Session):
         self._settings = settings
         self._device = new_device(model, settings)
         self._line = Line()
+        self._line.a_turn = None if model.fast else self._line.a_turn
+        self._values: Emission | None = None
+        "The telegram of measured values sent last: it can be cut off."
         self._schedule = Schedule(self._line)
         self._mirror = Mirror(0)
         self._motor: Quartz = TRUE
@@ -225,6 +231,7 @@ class Lms2xxSession(Session):
             self._drop(DropReason.BUSY, f"{MAX_WAITING} requests wait for their replies")
         elif isinstance(found, Fault):
             self._drop(found.reason, found.detail, found.count)
+            self._interrupt()
             self._say(wire.NAK, "NAK")
             self._reply_ends_ns.append(self._line.free_ns)
         else:
@@ -233,6 +240,7 @@ class Lms2xxSession(Session):
         self._schedule.line_moved()
 
     def _handle(self, request: wire.Telegram) -> None:
+        self._interrupt()
         before = self._device
         self._device, reply = answer(before, request.command, request.data)
         self._say(wire.ACK, "ACK")
@@ -270,6 +278,20 @@ class Lms2xxSession(Session):
 
     # --- output ---
 
+    def _interrupt(self) -> None:
+        """End the telegram of values on the line behind the byte that is leaving (listing, p. 24)."""
+        sent, self._values = self._values, None
+        if sent is None or not self._settings.aborts or not sent.due_ns <= self._now_ns < self._line.free_ns:
+            return
+        size = len(sent.payload)
+        if self._line.free_ns != self._line.end_ns(sent.due_ns, size):
+            return  # something waits behind it
+        left, self._line.free_ns = self._line.begun(sent.due_ns, size, self._now_ns)
+        if left < size:
+            place = next((i + 1 for i, other in enumerate(self._replies) if other is sent), 0)
+            self._replies.insert(place, Emission(self._now_ns, b"", label="cut", cuts=True))
+            self._events.append(CutShort(self._now_ns, sent.label, left, size))
+
     def _say(self, byte: bytes, label: str) -> None:
         """ACK or NAK, when the line is free and the device has understood."""
         due_ns = max(self._now_ns + _ns(self._settings.delays.ack_s), self._line.free_ns)
@@ -295,9 +317,15 @@ class Lms2xxSession(Session):
             due_ns = max(due_ns, self._line.free_ns)
         measured = slot.result
         assert measured is not None
-        payload = encode(slot.output, measured, slot.form, slot.part)
+        if slot.is_silent:
+            self._keep(slot, measured)
+            return
+        if slot.output.command == LEVELS:
+            payload = levels(slot.infringed)
+        else:
+            payload = encode(slot.output, measured, slot.form, slot.part, slot.comb.grid)
         told = None
-        if slot.form.indices:
+        if slot.form.indices and slot.output.command != LEVELS:
             told = self._scan_index(slot)
             payload += bytes((told.ticks, self._telegram_index & 0xFF))
         self._telegram_index += 1
@@ -305,22 +333,29 @@ class Lms2xxSession(Session):
         place = len(self._replies)
         while place and self._replies[place - 1].due_ns > due_ns:
             place -= 1
-        self._replies.insert(
-            place,
-            Emission(
-                due_ns,
-                telegram,
-                sweep=slot.first_turn,
-                label=f"{slot.output.command:02X}",
-                told=told,
-                scans=slot.output.scans,
-            ),
+        label = f"{slot.output.command:02X}"
+        self._values = Emission(
+            due_ns,
+            telegram,
+            sweep=slot.first_turn,
+            label=label,
+            told=told,
+            scans=slot.output.scans,
+            pause=self._line.pause(due_ns, len(telegram)),
         )
+        self._replies.insert(place, self._values)
         self._line.promise(due_ns, len(telegram))
         self._tell_unsent(self._schedule.passed_over(slot), f"{slot.output.command:02X}")
         if late:
             self._schedule.note_late()
         self._schedule.line_moved()
+
+    def _keep(self, slot: Slot, measured: Measured) -> None:
+        """A scan for the device itself, or one without an object: nothing leaves."""
+        if slot.output.is_kept:
+            self._device = taught_by(self._device, slot.comb.grid, measured.range_m, slot.form.farthest_m)
+        kept = Unsent(DropReason.KEPT, range(slot.first_turn, slot.end_turn, slot.comb.turns), slot.stream)
+        self._tell_unsent([*self._schedule.passed_over(slot), kept], f"{slot.output.command:02X}")
 
     def _scan_index(self, slot: Slot) -> Told:
         """The real-time scan index at the end of a slot's scan: turns so far, and what the clock is off by."""

@@ -46,6 +46,8 @@ class Settings:
     starts_running: bool
     gap_ns: int
     strict_gap: bool
+    aborts: bool
+    "A request cuts off the telegram of measured values on the line."
 
 
 KEYS = (
@@ -53,7 +55,7 @@ KEYS = (
         "resolution_deg", "1, 0.5, 0.25 (S14: 0.5)", "0.5", "angular step at power-on; the host changes it with 3B"
     ),
     DeviceKey("field_deg", "180, 100 (S14: 90); 0.25 deg has 100 only", "180", "field of view at power-on"),
-    DeviceKey("unit", "cm, mm, dm", "cm", "configuration byte E"),
+    DeviceKey("unit", "cm, mm, dm", "cm (LMS200/220: mm)", "configuration byte E"),
     DeviceKey(
         "measuring_mode", "a name or number of the table of modes", "8m-fields-a-b-dazzle", "configuration byte D"
     ),
@@ -62,6 +64,9 @@ KEYS = (
     DeviceKey("real_time_indices", "true, false", "false", "bit 1 of configuration byte C"),
     DeviceKey(
         "configuration", "1 to 34 bytes in hex", "factory block", "front of the block; the keys above come after it"
+    ),
+    DeviceKey(
+        "firmware", "V, X or S and a version: V02.10", "the model's", "before V02.10, X01.10: 32-byte configuration"
     ),
     DeviceKey("address", "0..127", "0", "own address; requests to 0 are always answered"),
     DeviceKey("password", "8 ASCII characters", "SICK_LMS", "of installation mode"),
@@ -82,7 +87,18 @@ KEYS = (
     DeviceKey("delays", "fast, real, or a table of seconds over fast", "fast", "how long replies take"),
     DeviceKey("boot_s", "number >= 0", "2 fast, 25 real", "from power-on or reset to the power-on telegram"),
     DeviceKey("start", "running, cold", "running", "running: has booted and is silent when the run begins"),
-    DeviceKey("strict_gap", "true, false", "false", "6 ms between bytes of a request end it, as on a real line"),
+    DeviceKey(
+        "strict_gap",
+        "true, false",
+        "true with delays: real",
+        "6 ms between bytes of a request end it, as on a real line",
+    ),
+    DeviceKey(
+        "interrupt",
+        "abort, finish",
+        "abort",
+        "a request cuts off the telegram of values that is being sent, or waits until it has left",
+    ),
     DeviceKey("gap_s", "number > 0", "0.2 (strict 0.006)", "longest pause between bytes of a request"),
 )
 "Every key of `device:`. A real LMS returns to 180 deg at 0.5 deg at power-on; ours to what the table says."
@@ -95,7 +111,7 @@ def read(table: Mapping[str, Any], model: Model) -> Settings:
         if name not in allowed:
             raise DeviceSettingError(str(name), value, f"one of the keys {', '.join(allowed)}")
     take = _Taker(table, allowed)
-    strict = take.flag("strict_gap")
+    strict = take.flag("strict_gap") if "strict_gap" in table else table.get("delays") == "real"
     gap_s = take.number("gap_s", STRICT_GAP_S if strict else LENIENT_GAP_S, positive=True)
     baud = take.choice("baud", RATES, RATES[0])
     severity = take.integer("severity", 0, 0, 4)
@@ -118,6 +134,7 @@ def read(table: Mapping[str, Any], model: Model) -> Settings:
         starts_running=take.choice("start", ("running", "cold"), "running") == "running",
         gap_ns=round(gap_s * 1e9),
         strict_gap=strict,
+        aborts=take.choice("interrupt", ("abort", "finish"), "abort") == "abort",
     )
 
 
@@ -181,7 +198,7 @@ def _variant(take: _Taker, model: Model) -> Variant:
 
 
 def _configuration(take: _Taker, model: Model) -> bytes:
-    start = block.DEFAULT[: model.config_bytes]
+    start = block.default_block(model.indoor)[: model.config_bytes]
     text = take.table.get("configuration", "")
     try:
         front = bytes.fromhex(text) if isinstance(text, str) else None
@@ -227,11 +244,12 @@ def _errors(take: _Taker) -> tuple[tuple[int, int], ...]:
     if not isinstance(found, list | tuple):
         raise take.wrong("errors", found)
     stored = []
+    allowed_errors = next(key for key in KEYS if key.name == "errors")
     for place, entry in enumerate(found):
         key = f"errors.{place}"
         if not isinstance(entry, Mapping) or not set(entry) <= {"code", "severity", "present"} or "code" not in entry:
             raise take.wrong(key, entry, "{code: 0..255, severity: 0..4, present: true or false}")
-        inner = _Taker({f"{key}.{name}": value for name, value in entry.items()}, {"errors": KEYS[12]})
+        inner = _Taker({f"{key}.{name}": value for name, value in entry.items()}, {"errors": allowed_errors})
         severity = inner.integer(f"{key}.severity", 3, 0, 4)
         gone = 0 if inner.table.get(f"{key}.present", True) is True else 0x80
         if not isinstance(inner.table.get(f"{key}.present", True), bool):

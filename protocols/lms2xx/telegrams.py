@@ -26,8 +26,10 @@ REPLY = 0x80
 HEADER_BYTES = 4
 CRC_BYTES = 2
 OVERHEAD_BYTES = HEADER_BYTES + CRC_BYTES
-MAX_REQUEST_PAYLOAD = 806
+MAX_REPLY_PAYLOAD = 806
 "Payload of the largest ordinary telegram, 812 bytes (listing 4.2, p. 22)."
+MAX_REQUEST_PAYLOAD = 807
+"Of 20 2C with its 201 segments."
 MAX_GROUPS = 5
 "Sub-ranges of F5 (listing via Gepruft_Lidar)."
 
@@ -123,6 +125,16 @@ def sub_range(first: int, last: int, values: Words, header: Header) -> bytes:
 def mean_sub_range(scans: int, first: int, last: int, values: Words, header: Header) -> bytes:
     """BF: number of scans, first and last beam, header, values."""
     return bytes((0xBF, scans)) + word(first) + word(last) + header.encode() + value_bytes(values)
+
+
+def field_values(first: int, last: int, table: Words, unit: int) -> bytes:
+    """BE: first and last beam, header that counts words, then four words a beam: value, fields A, B, C."""
+    return b"\xbe" + word(first) + word(last) + Header(len(table), unit).encode() + value_bytes(table)
+
+
+def cartesian(first: int, last: int, places: Words) -> bytes:
+    """F6: first and last beam, number of points, then x and y of each."""
+    return b"\xf6" + word(first) + word(last) + word(len(places) // 2) + value_bytes(places)
 
 
 def range_and_reflectivity(

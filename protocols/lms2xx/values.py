@@ -39,6 +39,8 @@ class MeasuringMode:
     only_reflectivity: bool = False
     raw_intensity: bool = False
     "Intensity words of F5 are raw amplitudes instead of normalised ones."
+    field_flags: tuple[int, ...] = ()
+    "Bits of a value in field A, B, C, as far as the mode has them."
 
     @property
     def mask(self) -> int:
@@ -51,13 +53,13 @@ class MeasuringMode:
 
 
 MEASURING_MODES = {
-    0x00: MeasuringMode("8m-fields-a-b-dazzle", 13, dazzle_flag=0x8000),
+    0x00: MeasuringMode("8m-fields-a-b-dazzle", 13, dazzle_flag=0x8000, field_flags=(0x2000, 0x4000)),
     0x01: MeasuringMode("8m-reflector-8", 13, reflectivity_bits=3),
-    0x02: MeasuringMode("8m-fields-a-b-c", 13),
+    0x02: MeasuringMode("8m-fields-a-b-c", 13, field_flags=(0x2000, 0x4000, 0x8000)),
     0x03: MeasuringMode("16m-reflector-4", 14, reflectivity_bits=2),
-    0x04: MeasuringMode("16m-fields-a-b", 14),
+    0x04: MeasuringMode("16m-fields-a-b", 14, field_flags=(0x4000, 0x8000)),
     0x05: MeasuringMode("32m-reflector-2", 15, reflectivity_bits=1),
-    0x06: MeasuringMode("32m-field-a", 15),
+    0x06: MeasuringMode("32m-field-a", 15, field_flags=(0x8000,)),
     0x0D: MeasuringMode("intensity-normalised", 13),
     0x0E: MeasuringMode("intensity-raw", 13, raw_intensity=True),
     0x0F: MeasuringMode("32m-immediate", 15),

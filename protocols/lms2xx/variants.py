@@ -37,9 +37,9 @@ VARIANTS = (Variant(180, 100, 1), STANDARD, Variant(100, 100, 1), Variant(100, 5
 FAST = Variant(90, 50, 1)
 "LMS2x1-S14: 45..135 deg, no 3B (sicktoolbox, MIT driver)."
 
-PARTIAL_SETS = {100: (0,), 50: (0, 2), 25: (0, 1, 2, 3)}
-"""Step in 1/100 deg -> partial scans in the order of their telegrams (quarters of a degree that the set starts at).
-Always over 180 deg: the MIT driver quotes the listing that the field asked for is ignored."""
+PARTIAL_SETS = 4
+"""Partial scans move on by a quarter of a degree a telegram, whatever the variant (listing, p. 46-47). Always over 180
+deg: the MIT driver quotes the listing that the field asked for is ignored."""
 
 
 def partial_points(part: int) -> int:
@@ -56,6 +56,8 @@ class Comb:
     fire_offset_s: Floats
     "After the beginning of the scan's first turn. Neighbours of a finer grid than a turn's lie one turn apart."
     turns: int
+    grid: tuple[int, int, int]
+    "Wire angle of the first beam and step, in hundredths of a degree, and the number of beams."
 
     @property
     def points(self) -> int:
@@ -63,22 +65,28 @@ class Comb:
 
 
 @lru_cache(maxsize=16)
-def comb(variant: Variant, part: int | None) -> Comb:
+def comb(variant: Variant, part: int | None, direct: bool = False) -> Comb:
     """The beams of a complete scan, or of partial scan `part` (steps of 1 deg over 180 deg in one turn).
+
+    `direct`: the beams of the variant itself that the turn of part `part` measures.
 
     A beam at wire angle a is fired a/360 of a turn after its turn began: 180 deg take half a turn.
     """
+    first_cdeg, turns = 9000 - 50 * variant.field_deg, variant.turns
     if part is None:
-        index = np.arange(variant.points)
-        angle_deg = 90.0 - variant.field_deg / 2 + index * variant.step_cdeg / 100.0
-        turn, turns = index % variant.turns, variant.turns
+        grid = (first_cdeg, variant.step_cdeg, variant.points)
+    elif direct:
+        own = part * variant.turns // PARTIAL_SETS
+        step_cdeg = variant.step_cdeg * variant.turns
+        grid = (first_cdeg + own * variant.step_cdeg, step_cdeg, len(range(own, variant.points, variant.turns)))
     else:
-        index = np.arange(partial_points(part))
-        angle_deg = (part * 0.25 + index).astype(np.float64)
-        turn, turns = np.zeros_like(index), 1
+        grid = (25 * part, 100, partial_points(part))
+    index = np.arange(grid[2])
+    angle_deg = (grid[0] + index * grid[1]).astype(np.float64) / 100.0
+    turn, turns = (index % turns, turns) if part is None else (np.zeros_like(index), 1)
     azimuth_rad = np.radians(angle_deg - 90.0).astype(np.float64)
     elevation_rad = np.zeros(len(index))
     fire_offset_s = ((turn + angle_deg / TURN_DEG) * TURN_S).astype(np.float64)
     for array in (azimuth_rad, elevation_rad, fire_offset_s):
         array.setflags(write=False)
-    return Comb(azimuth_rad, elevation_rad, fire_offset_s, turns)
+    return Comb(azimuth_rad, elevation_rad, fire_offset_s, turns, grid)

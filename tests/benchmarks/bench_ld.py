@@ -61,7 +61,7 @@ def share_of_a_core() -> None:
     """One sensor streaming to one host: session only, the scans come ready."""
     for hz, step_deg in ((5, 0.1875), (10, 0.375), (10, 0.5), (20, 0.75)):
         device = {"motor_hz": hz, "step_deg": step_deg, "mode": "measure", "delays": "fast"}
-        session = FAMILY.new_session(device, {"model": "sick-ld-lrs1000"})
+        session = FAMILY.new_session(device, {"model": "sick-ld-oem1000"})
         session.power_on(0)
         session.connected(0, Address(0, 1), LinkKind.STREAM)
         session.receive(encode_frame(bytes.fromhex("030100003fff")), 0, Address(0, 1))
@@ -90,6 +90,7 @@ def share_with_measuring(name: str = "bumper", seconds: int = 10) -> None:
     host = Address(0, 1)
     session.power_on(0)
     session.connected(0, host, LinkKind.STREAM)
+    session.receive(encode_frame(bytes.fromhex("04030000")), 0, host)
     session.receive(encode_frame(bytes.fromhex("0404")), 0, host)
     now_ns, spent, measured, profiles, asked, points = 0, 0.0, 0.0, 0, False, 0
     while now_ns < seconds * 1_000_000_000:

@@ -29,7 +29,7 @@ FRONT = (
     "device: {resolution_deg: 1, field_deg: 100, unit: mm, real_time_indices: true}}\n"
 )
 TOP = (
-    "  - {id: top, model: sick-ld-lrs1000, mount: {at_m: [0, 0, 1], pitch_deg: PITCH}, PHYSICS"
+    "  - {id: top, model: sick-ld-oem1000, mount: {at_m: [0, 0, 1], pitch_deg: PITCH}, PHYSICS"
     "device: {delays: fast, step_deg: 2.0, motor_hz: 20}}\n"
 )
 SENSORS = {"front": FRONT, "top": TOP}

@@ -213,7 +213,7 @@ class LdHost:
         while (got := self.next())[:2] != [0x8301, 0x3FFF]:
             pass
         points, at = [], 6
-        for sector in range(got[2]):
+        for sector in range(got[2] & 0xFF):  # the high byte: layers
             number, _step, count, _start_ms, start = got[at : at + 5]
             assert number == sector
             for index in range(count):

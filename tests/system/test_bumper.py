@@ -53,6 +53,7 @@ def watch_ld(port: int, begun: threading.Barrier, seconds: float, seen: Seen) ->
             echoes = [point for point in host.profile() if min(point[0], 360.0 - point[0]) < 20.0]
             seen.append((time.monotonic(), median(echo[1] for echo in echoes), len(echoes)))
         assert host.ask(0x0302) == [0, 3]
+        assert host.ask(0x0403, 0) == [0, 2]
         assert host.ask(0x0402) == [0, 1]
 
 

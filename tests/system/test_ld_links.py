@@ -124,13 +124,13 @@ def test_a_telegram_cut_anywhere_by_the_network_is_one_telegram(bench: Bench) ->
     host = bench.connect()
     host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     with host:
-        whole = request(0x0201, 0x0010, 16, 5, 3)
+        whole = request(0x0209, 1, 0)
         for cut in range(1, len(whole)):
             host.sendall(whole[:cut])
             bench.run(20 * MS)
             host.sendall(whole[cut:])
             bench.run(20 * MS)
-            assert read_frames(waiting(host)) == [bytes.fromhex("82 01 00 00")]
+            assert read_frames(waiting(host)) == [bytes.fromhex("82 09 00 01 00 00")]
 
 
 def test_a_host_on_a_pseudo_terminal_reads_a_profile_of_many_packages(tmp_path: Path) -> None:
@@ -152,7 +152,7 @@ def test_a_host_on_a_pseudo_terminal_reads_a_profile_of_many_packages(tmp_path: 
                 data += os.read(host, 4096)
         os.close(host)
         ((address, message),) = read_packages(data)
-        assert (address, message[:3], len(message)) == (0x1000, [0x8301, 0x0700, 1], 3 + 3 * 360)
+        assert (address, message[:3], len(message)) == (0x1000, [0x8301, 0x0700, 0x0101], 3 + 3 * 360)
         assert message[3::3] == [2560] * 360
         assert data.count(b"\x02") == 9
     finally:

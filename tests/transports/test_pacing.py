@@ -203,3 +203,38 @@ def test_any_looks_at_any_times_give_the_exact_schedule(
     assert [value for value, _ in seen] == [value for value, _ in expected]
     assert all(abs(time - ceil(exact)) <= len(payloads) for (_, time), (_, exact) in zip(seen, expected, strict=True))
     assert line.queued == 0
+
+
+@pytest.mark.parametrize("baud", [9600, 38_400, 500_000])
+@pytest.mark.parametrize("looked", [False, True])
+def test_a_cut_ends_a_payload_with_the_byte_that_is_on_its_way(baud: int, looked: bool) -> None:
+    line = PacedLine(baud)
+    line.put(bytes(range(200)), 1000)
+    at_ns = 1000 + leave_ns(0, 57, baud) + 5
+    taken = b"".join(left.data for left in line.take(at_ns)) if looked else b""
+    assert line.cut(at_ns) == 0
+    line.put(b"\x06", at_ns)
+    left = line.take(at_ns + 10**9)
+    assert taken + b"".join(one.data for one in left) == bytes(range(58)) + b"\x06"
+    assert left[-1].last_ns == 1000 + leave_ns(0, 59, baud)
+    assert line.queued == 0
+
+
+def test_a_cut_forgets_what_waits_but_no_change_of_speed() -> None:
+    line = PacedLine(9600)
+    line.put(b"abc", 0)
+    line.put(b"later", 10**9)
+    assert line.cut(leave_ns(0, 1, 9600)) == 1
+    assert b"".join(left.data for left in line.take(10**10)) == b"ab"
+    line.put(b"xyz", 10**10, 38_400)
+    line.cut(10**10)
+    line.take(2 * 10**10)
+    assert line.speed == 38_400
+
+
+def test_nothing_is_cut_on_a_line_without_a_speed_or_without_a_payload() -> None:
+    line = PacedLine(None)
+    line.put(b"abc", 10)
+    assert line.cut(20) == 0
+    assert line.take(30)[0].data == b"abc"
+    assert PacedLine(9600).cut(5) == 0

@@ -78,7 +78,7 @@ def read_packages(stream: bytes) -> list[tuple[int, list[int]]]:
     left = 0
     for piece in stream.split(b"\x03")[:-1]:
         assert piece[:1] == b"\x02"
-        assert piece[1:] == piece[1:].upper()
+        assert piece[1:] == piece[1:].lower(), "as the listing's example of a reply (p. 52)"
         data = bytes.fromhex(piece[1:].decode())
         assert crc(data[:-2]) == int.from_bytes(data[-2:], "big")
         address, count, number, *rest = words(data)

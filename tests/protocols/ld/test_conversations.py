@@ -170,7 +170,7 @@ def test_sicktoolbox_switches_formats_and_areas() -> None:
     before_ns = host.last_ns
     host.profile()
     assert host.last_ns - before_ns == 125 * MS  # 8 Hz
-    assert host.ask(0x0209, 1, 1) == [0x8209, 1]
+    assert host.ask(0x0209, 1, 1)[:2] == [0x8209, 1]
     assert host.ask(0x0401, 2) == [0x8401, 2]
     assert host.ask(0x0102) == [0x8102, 0, 1]
 
@@ -223,7 +223,7 @@ SERIAL = Address(0, 0)
 
 
 def serial_rig(**device: object) -> Rig:
-    return Rig(device, ramp, LinkKind.SERIAL, SERIAL)
+    return Rig(device, ramp, LinkKind.SERIAL, SERIAL, {"model": "sick-ld-oem1000"})
 
 
 class Miro:
@@ -265,13 +265,13 @@ def test_miro_starts_and_reads_profiles_on_the_serial_line(hz: int, step: int, p
     assert host.ask(0x0201, 0x0010, 0x0010, 0x000A, step, 0) == [0x8201, 0]
     assert host.ask(0x020A, 0, 3, 5760 - step, 1) == [0x820A, 0, 3, 5760 - step]
     for number in range(1, 8):
-        assert host.ask(0x020A, number, 0, 0xFFF0, 1) == [0x820A, number, 0, 0xFFF0]
+        assert host.ask(0x020A, number, 0, 0xFFF0, 1) == [0x820A, number, 0, 2160]
     assert host.ask(0x0403, hz, within_ns=10 * SECOND) == [0x8403, 0, 2]
     assert host.ask(0x0404, 0) == [0x8404, 0, 3, 0]
     assert host.ask(0x0105, 1) == [0x8105, 1]
     for number in (1, 2, 1):
         message = host.ask(0x0301, number, 0x0700)
-        assert message[:3] == [0x8301, 0x0700, 1]
+        assert message[:3] == [0x8301, 0x0700, 0x0101]
         assert len(message) == 3 + 3 * points
         assert message[3::3] == list(range(1280, 1280 + points))
         assert message[4::3] == list(range(0, 5760, step))
@@ -364,9 +364,10 @@ class Fawkes:
 @pytest.mark.parametrize(("hz", "step"), [(15, 8), (20, 16)])
 @pytest.mark.parametrize("form", [0x0100, 0x0400, 0x0500])
 def test_fawkes_starts_and_reads_profiles_on_can(hz: int, step: int, form: int) -> None:
-    rig = Rig({}, ramp, LinkKind.CAN, Address(0, 0))
+    rig = Rig({}, ramp, LinkKind.CAN, Address(0, 0), {"model": "lase-eld-l-a"})
     host = Fawkes(rig)
-    host.ask(0x0302)
+    assert host.ask(0x0302)[0] == 0xFF00, "which it passes over: nothing is being measured"
+    rig.dropped()
     assert host.ask(0x0401, 2) == [0x8401, 2]
     assert host.ask(0x0201, 0x0010, 0x0010, hz, step) == [0x8201, 0]
     assert host.ask(0x020A, 0, 3, 5760 - step, 1)[:2] == [0x820A, 0]
@@ -389,7 +390,7 @@ def test_fawkes_starts_and_reads_profiles_on_can(hz: int, step: int, form: int) 
 
 
 def test_a_cancel_on_can_withdraws_what_has_not_begun() -> None:
-    rig = Rig({"mode": "measure", "motor_hz": 15}, ramp, LinkKind.CAN, Address(0, 0))
+    rig = Rig({"mode": "measure", "motor_hz": 15}, ramp, LinkKind.CAN, Address(0, 0), {"model": "lase-eld-l-a"})
     host = Fawkes(rig)
     host.ask(0x0301, 0, 0x0100)
     assert host.ask(0x0302)[0] == 0x8302

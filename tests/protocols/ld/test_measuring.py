@@ -47,7 +47,7 @@ def test_a_head_begun_anew_counts_on_behind_the_revolution_under_way(instant_ns:
 
 @pytest.mark.parametrize("hz", [5, 7, 13, 20])
 def test_profiles_leave_once_a_revolution_without_drift(hz: int) -> None:
-    rig = measuring({"motor_hz": hz, "step_deg": 22.5})
+    rig = measuring({"motor_hz": hz, "step_deg": 22.5}, facts={"model": "sick-ld-oem1000"})
     rig.put(request(0x0301, 0, 0x0002))
     rig.run(120 * SECOND)
     sent = [emission for emission in rig.take() if emission.sweep is not None]
@@ -285,7 +285,7 @@ def test_a_host_that_disappears_stops_its_profiles_and_no_others() -> None:
 
 
 def test_a_faster_head_keeps_counting_revolutions() -> None:
-    rig = measuring({"step_deg": 0.75})
+    rig = measuring({"step_deg": 0.75}, facts={"model": "sick-ld-oem1000"})
     rig.put(request(0x0301, 0, 0x0002))
     rig.run(550 * MS)
     last = profiles(rig)[-1].counter

@@ -180,7 +180,7 @@ def test_a_motor_that_runs_wrong_is_told_in_every_status_and_heals() -> None:
     rig.run(SECOND)
     assert [profile.status for profile in profiles(rig)] == [0x03, 0x93]
     assert words(rig.ask(0x0403, 0)) == [0x8403, 0, 0xB4]
-    assert words(rig.ask(0x0404)) == [0xFF00, 0, 0xB4]
+    assert words(rig.ask(0x0404)) == [0xFF00, 0, 0, 0, 0xB4]
     rig.session.fail_motor(rig.now_ns, Motor.OK)
     assert words(rig.ask(0x0102)) == [0x8102, 0, 1]
     assert words(rig.ask(0x0403, 0)) == [0x8403, 0, 2]

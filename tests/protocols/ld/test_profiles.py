@@ -25,18 +25,19 @@ EXAMPLE = Revolution(
 )
 
 WORKED = {
-    # recomputed in the protocol's description: two sectors, 90..91 degrees in steps of 0.5, profile 1, counter 7
-    0x39FF: """02 55 53 50 00 00 00 32 83 01 39 ff 00 02 00 01 00 07 00 00
+    # recomputed in the protocol's description, one layer (UPS p. 32): two sectors, 90..91 degrees in steps of 0.5,
+    # profile 1, counter 7
+    0x39FF: """02 55 53 50 00 00 00 32 83 01 39 ff 01 02 00 01 00 07 00 00
                00 00 00 08 00 03 13 88 05 a0 0a 00 0a 0a 0a 14 13 88 05 b0
-               00 01 00 08 00 00 13 88 05 b8 13 ec 05 98 00 00 00 03 01""",
-    0x3DFF: """02 55 53 50 00 00 00 38 83 01 3d ff 00 02 00 01 00 07 00 00
+               00 01 00 08 00 00 13 88 05 b8 13 ec 05 98 00 00 00 03 00""",
+    0x3DFF: """02 55 53 50 00 00 00 38 83 01 3d ff 01 02 00 01 00 07 00 00
                00 00 00 08 00 03 13 88 05 a0 0a 00 00 64 0a 0a 00 65 0a 14 00 66 13 88 05 b0
-               00 01 00 08 00 00 13 88 05 b8 13 ec 05 98 00 00 00 03 62""",
-    0x3FFF: """02 55 53 50 00 00 00 3e 83 01 3f ff 00 02 00 01 00 07 00 00
+               00 01 00 08 00 00 13 88 05 b8 13 ec 05 98 00 00 00 03 63""",
+    0x3FFF: """02 55 53 50 00 00 00 3e 83 01 3f ff 01 02 00 01 00 07 00 00
                00 00 00 08 00 03 13 88 05 a0 0a 00 05 a0 00 64 0a 0a 05 a8 00 65 0a 14 05 b0 00 66 13 88 05 b0
-               00 01 00 08 00 00 13 88 05 b8 13 ec 05 98 00 00 00 03 dd""",
-    0x0100: "02 55 53 50 00 00 00 0c 83 01 01 00 00 02 0a 00 0a 0a 0a 14 95",
-    0x00B0: "02 55 53 50 00 00 00 12 83 01 00 b0 00 02 00 08 00 03 05 a0 00 08 00 00 05 b8 2b",
+               00 01 00 08 00 00 13 88 05 b8 13 ec 05 98 00 00 00 03 dc""",
+    0x0100: "02 55 53 50 00 00 00 0c 83 01 01 00 01 02 0a 00 0a 0a 0a 14 94",
+    0x00B0: "02 55 53 50 00 00 00 12 83 01 00 b0 01 02 00 08 00 03 05 a0 00 08 00 00 05 b8 2a",
 }
 
 
@@ -96,7 +97,7 @@ def test_a_stranger_reads_every_combination_of_fields(
     payload = encode_profile(made, sent, revolution)
     assert len(payload) == made.size
     profile = read_profile(payload, points)
-    assert (profile.form, profile.layers, len(profile.sectors)) == (form, 0, len(sectors))
+    assert (profile.form, profile.layers, len(profile.sectors)) == (form, 1, len(sectors))
     assert profile.sent == (sent & 0xFFFF if form & 1 else None)
     assert profile.counter == (seed if form & 2 else None)
     assert profile.layer == (0 if form & 4 else None)

@@ -120,7 +120,7 @@ def test_a_half_message_on_can_is_given_up() -> None:
 
 def test_replies_come_in_the_order_of_requests_a_millisecond_apart() -> None:
     rig = Rig({"delays": "fast"})
-    rig.put(b"".join(request(code) for code in (0x0403, 0x0102, 0x0205, 0x0104)))  # the first lacks its speed
+    rig.put(b"".join(request(code) for code in (0x0404, 0x0102, 0x0205, 0x0104)))  # the first wants a head that turns
     rig.put(request(0x0403, 0) + request(0x0102) + request(0x0404) + request(0x0205))
     rig.run(SECOND)
     sent = rig.take()
@@ -227,5 +227,5 @@ def test_packages_and_frames_of_one_device_do_not_mix_between_links() -> None:
     can = [emission.payload.hex() for emission in sent if emission.address == Address(2, 0x710)]
     assert len(tcp) + len(line) + len(can) == len(sent)
     assert [len(payload) for payload in tcp] == [6 + 1440 + 9] * 4
-    assert [read_packages(payload)[0][1] for payload in line] == [[0x8301, 2, 1, number] for number in (0, 1)]
+    assert [read_packages(payload)[0][1] for payload in line] == [[0x8301, 2, 0x0101, number] for number in (0, 1)]
     assert can == ["ffff000200038102", "000100000003"]

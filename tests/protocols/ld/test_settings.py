@@ -14,9 +14,9 @@ from protocols.ld.settings import KEYS
 from tests.protocols.ld.rig import FACTS
 
 GOOD: dict[str, list[Any]] = {
-    "motor_hz": [5, 20],
+    "motor_hz": [5, 10],
     "step_deg": [0.125, 1, 1.5, 0.1875, 360],
-    "sectors": ["full", [{"from_deg": 0, "to_deg": 300}], [{"from_deg": 350, "to_deg": 10}],
+    "sectors": [None, "full", [{"from_deg": 0, "to_deg": 300}], [{"from_deg": 350, "to_deg": 10}],
                 [{"from_deg": 0, "to_deg": 360}], [{"stop_deg": 359.5, "function": "normal"}]],
     "sensor_id": [1, 254],
     "baud": [4800, 115200],
@@ -34,6 +34,7 @@ GOOD: dict[str, list[Any]] = {
     "delays": ["real", "fast"],
     "spin_up_s": [None, 0, 4.5, 60],
     "start": ["running", "cold"],
+    "services": ["strict", "liberal"],
     "mode": [None, "idle", "rotate", "measure"],
     "udp_format": [0, 0x3FFF],
     "zero_deg": [-360, 90.5],
@@ -42,7 +43,7 @@ GOOD: dict[str, list[Any]] = {
 }  # fmt: skip
 
 BAD: dict[str, list[Any]] = {
-    "motor_hz": [4, 21, 10.0, "10", True, None],
+    "motor_hz": [4, 11, 21, 10.0, "10", True, None],
     "step_deg": [0, 0.0625, 0.1, 7, -1, "1", float("nan"), float("inf"), True],
     "sectors": [[], "half", 3, [{"from_deg": 0}], [{"from_deg": 300, "to_deg": 10}, {"from_deg": 20, "to_deg": 30}],
                 [{"from_deg": 0, "to_deg": 361}], [{"from_deg": -1, "to_deg": 10}], [{"from_deg": 0.03, "to_deg": 10}],
@@ -66,6 +67,7 @@ BAD: dict[str, list[Any]] = {
     "delays": ["slow", 1],
     "spin_up_s": [-1, 61, "1", True],
     "start": ["warm"],
+    "services": ["lax", True],
     "mode": ["sleep", 1],
     "udp_format": [0x4000, -1],
     "zero_deg": [361, float("nan"), None],

@@ -207,14 +207,30 @@ class Rig:
         return moved
 
     def _put(self, emission: Emission) -> None:
-        start_ns = max(emission.due_ns, self._line_end_ns)
-        for index, byte in enumerate(emission.payload, 1):
-            end_ns = start_ns + -(-index * 10 * SECOND // self.device_baud)
-            self._to_host.append((end_ns, byte, self.device_baud))
-        self._line_end_ns = start_ns + -(-len(emission.payload) * 10 * SECOND // self.device_baud)
+        if emission.cuts:
+            self._cut(emission.due_ns)
+        count, resume_ns = emission.pause or (len(emission.payload), 0)
+        self._put_part(emission.payload[:count], emission.due_ns)
+        self._put_part(emission.payload[count:], resume_ns)
         if emission.line_speed is not None:
             self._speeds.append((self._line_end_ns, emission.line_speed))
             self.device_baud = emission.line_speed
+
+    def _cut(self, now_ns: int) -> None:
+        """The byte that has begun is the last one."""
+        byte_ns = 10 * SECOND // self.device_baud
+        while self._to_host and self._to_host[-1][0] - byte_ns > now_ns:
+            self._to_host.pop()
+        self._line_end_ns = max(now_ns, self._to_host[-1][0] if self._to_host else 0)
+
+    def _put_part(self, data: bytes, due_ns: int) -> None:
+        if not data:
+            return
+        start_ns = max(due_ns, self._line_end_ns)
+        for index, byte in enumerate(data, 1):
+            end_ns = start_ns + -(-index * 10 * SECOND // self.device_baud)
+            self._to_host.append((end_ns, byte, self.device_baud))
+        self._line_end_ns = start_ns + -(-len(data) * 10 * SECOND // self.device_baud)
 
     def _speed_at(self, time_ns: int) -> int:
         """Speed at which the device listens at that time."""

@@ -136,8 +136,8 @@ def test_a_mean_keeps_what_any_of_its_scans_told() -> None:
     mean.add(first)
     mean.add(second)
     result = mean.result()
-    assert result.range_m[[0, 3]].tolist() == [10.0, 4.0]
-    assert np.isnan(result.range_m[1:3]).all()
+    assert result.range_m[0] == 10.0
+    assert np.isnan(result.range_m[1:]).all(), "the last beam: half of its single values are missing"
     assert result.flags.tolist() == [SATURATED, DAZZLED, 0, 0]
     assert result.flags.dtype == np.uint8
 

@@ -42,6 +42,13 @@ MODES = {
     "mean sub-range": "20 28 02 01 00 05 00",
     "partial": "20 2A",
     "intensity": "20 2B 01 00 01 00 05 00",
+    "segments": "20 20",
+    "segments with an object": "20 21",
+    "vertical": "20 22",
+    "vertical with an object": "20 23",
+    "direct": "20 27 01 80 05 00",
+    "field values": "20 29 01 00 05 00",
+    "minima": "20 2C 01 01 00 05 00",
 }
 GOOD = {
     "10": ("91", 1),
@@ -67,8 +74,34 @@ GOOD = {
     "3B B4 00 64 00": ("BB 01 B4 00 64 00", 6),
     "3B 64 00 19 00": ("BB 01 64 00 19 00", 6),
     "74": ("F4", 35),
+    "20 20": ("A0 00", 2),
+    "20 21": ("A0 00", 2),
+    "20 22": ("A0 00", 2),
+    "20 23": ("A0 00", 2),
+    "20 27 01 80 69 01": ("A0 00", 2),
+    "20 28 02 00 01 00 69 01": ("A0 00", 2),
+    "20 29 01 00 64 00": ("A0 00", 2),
+    "20 2C 02 01 00 69 01 05 00 05 00": ("A0 00", 2),
+    "41 00": ("C1 01", 2),
+    "41 02": ("C1 02", 2),
+    "45 00": ("C5 01 42 00", 32),
+    "45 02 02": ("C5 02 4E 00", 32),
+    "69 32 01 00 00 B4 00": ("E9 01 32 00 00 B4 00", 7),
+    "7B": ("FB", 85),
 }
-ONCE = ("30 01", "30 05 B4", "36 05", "37 01 00 16 00", "3F 05 01 00 16 00", "75 01 00 01 00 05 00")
+ONCE = (
+    *("30 01", "30 02", "30 05 B4", "30 06", "30 07", "30 08", "36 05", "37 01 00 16 00", "37 01 80 16 00"),
+    *("3E 01 00 16 00", "3F 05 01 00 16 00", "3F 05 00 01 00 16 00", "75 01 00 01 00 05 00", "76 01 00 16 00"),
+)
+INSTALLED = {
+    "77 00 00": "F7 01",
+    "66 01": "E6 01 01",
+    "66 02": "E6 01 02",
+    "7C 00": "FC 01",
+    "40 01 01 B4 00 32 00 01 00 05 00": "C0 01 01 01",
+    "42 00 00 53 49 43 4B 5F 4C 4D 32": "C2 02 00",
+    "46 01 40 B4 00 32 00 00 05 00 00 00 00 00": "C6 03",
+}
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -94,10 +127,11 @@ def test_values_are_given_once_in_every_mode_and_leave_it_as_it_is(mode: str, re
 @pytest.mark.parametrize("mode", MODES)
 def test_writing_needs_installation_mode(mode: str) -> None:
     before = after(device(), MODES[mode])
-    for text in ("77 00 00", "66 01"):
+    for text, start in INSTALLED.items():
         same, reply = ask(before, text)
         if mode == "installation":
             assert reply.refusal is None
+            assert reply.payload.startswith(bytes.fromhex(start))
         else:
             assert (same, reply.payload, reply.refusal) == (before, b"\x92", DropReason.WRONG_MODE)
 
@@ -105,7 +139,8 @@ def test_writing_needs_installation_mode(mode: str) -> None:
 @pytest.mark.parametrize("mode", MODES)
 def test_any_command_in_any_mode_is_answered_and_a_refusal_changes_nothing(mode: str) -> None:
     before = after(device(), MODES[mode])
-    for code, data in product(range(256), (b"", b"\x00", b"\x00\x00", b"\xff" * 9)):
+    lengths = (b"\xff" * count for count in (4, 5, 6, 9, 10, 13, 14, 84, 807))
+    for code, data in product(range(256), (b"", b"\x00", b"\x00\x00", *lengths)):
         same, reply = answer(before, code, data)
         assert reply.payload or reply.once
         if reply.payload[:1] == b"\x92":
@@ -125,11 +160,13 @@ def test_any_sub_code_of_20_is_answered_and_a_refusal_keeps_the_mode() -> None:
             assert same == before
 
 
-@pytest.mark.parametrize("code", [code for code, row in COMMANDS.items() if row.coverage == "refused"])
-def test_what_no_source_settles_is_refused_by_name(code: int) -> None:
-    _, reply = answer(device(), code, b"")
-    assert (reply.payload, reply.refusal) == (b"\x92", DropReason.REFUSED)
-    assert COMMANDS[code].name in reply.detail
+def test_what_the_listing_only_names_is_refused_by_name() -> None:
+    assert not [code for code, row in COMMANDS.items() if row.coverage == "refused"]
+    assert [code for code, row in SWITCHES.items() if row.coverage == "refused"] == [0x01, 0x2E]
+    for sub in (0x01, 0x2E):
+        _, reply = answer(device(), 0x20, bytes((sub,)))
+        assert (reply.payload, reply.refusal) == (b"\x92", DropReason.REFUSED)
+        assert SWITCHES[sub].name in reply.detail
 
 
 @pytest.mark.parametrize("code", [0x33, 0x34, 0x3C, 0x3D, 0x00, 0xFF, 0x90])
@@ -265,7 +302,7 @@ def test_a_rate_made_permanent_survives_and_can_be_taken_back() -> None:
     assert ask(made, "31")[1].payload[119] == 1
     made = after(made, "66 00")
     assert (made.startup_baud, made.permanent_baud, made.baud) == (9600, False, 500_000)
-    assert ask(made, "66 02")[1].refusal is DropReason.REFUSED
+    assert ask(made, "66 03")[1].payload == bytes.fromhex("E6 00 03")
 
 
 def test_errors_and_counter_are_those_of_the_table() -> None:
@@ -294,9 +331,9 @@ def test_the_coverage_table_has_every_command_once_with_a_source() -> None:
         assert row.source
         assert row.note or row.status != "refused"
     listed = {row.code for row in rows}
-    for code in "10 30 31 32 35 36 37 3A 3B 3E 3F 40 41 42 44 45 46 4A 66 69 74 75 76 77 7C".split():
+    for code in "10 30 31 32 35 36 37 3A 3B 3E 3F 40 41 42 44 45 46 4A 66 69 74 75 76 77 7B 7C".split():
         assert code in listed
-    for sub in "00 10 20 21 22 23 24 25 26 27 28 29 2A 2B 2C 2E 30 40 41 42 48 50".split():
+    for sub in "00 01 02 10 20 21 22 23 24 25 26 27 28 29 2A 2B 2C 2E 30 40 41 42 48 50".split():
         assert f"20 {sub}" in listed
 
 

@@ -24,10 +24,38 @@ def test_every_model_has_a_type_text_of_21_characters_that_names_it(model: str) 
     assert len(session.device.configuration) == MODELS[model].config_bytes
 
 
-def test_the_digit_of_the_type_text_tells_the_unit() -> None:
-    for unit, digit in (("cm", b"3"), ("mm", b"1")):
+def test_the_type_text_does_not_depend_on_the_unit() -> None:
+    for unit in ("cm", "mm"):
         session = FAMILY.new_session({"unit": unit}, {"model": "sick-lms200-30106"})
-        assert session.device.type_text == b"LMS200;30106" + digit + b";V02.10 "
+        assert session.device.type_text == b"LMS200;301063;V02.10 "
+
+
+def test_indoor_models_count_in_mm_at_delivery_and_the_others_in_cm() -> None:
+    units = {
+        name: FAMILY.new_session({}, {"model": name}).device.unit for name in ("sick-lms220-30106", "sick-lms291-s05")
+    }
+    assert units == {"sick-lms220-30106": 1, "sick-lms291-s05": 0}
+
+
+@pytest.mark.parametrize(
+    ("firmware", "count"), [("V02.09", 32), ("V02.10", 34), ("X01.09", 32), ("X01.10", 34), ("S01.00", 34)]
+)
+def test_older_firmware_has_a_shorter_block(firmware: str, count: int) -> None:
+    device = FAMILY.new_session({"firmware": firmware}, {"model": "sick-lms200-30106"}).device
+    assert len(device.configuration) == count
+    assert device.type_text == f"LMS200;301063;{firmware} ".encode()
+
+
+@pytest.mark.parametrize("firmware", ["V2.10", "W02.10", "V02.10 ", "", 2, None, True])
+def test_a_firmware_that_is_none_is_refused(firmware: object) -> None:
+    with pytest.raises(DeviceSettingError, match="firmware"):
+        FAMILY.new_session({"firmware": firmware}, {"model": "sick-lms200-30106"})
+
+
+def test_real_delays_bring_the_device_s_own_gap() -> None:
+    assert read({"delays": "real"}, S05).strict_gap
+    assert not read({"delays": "real", "strict_gap": False}, S05).strict_gap
+    assert not read({"delays": {"ack_s": 0.03}}, S05).strict_gap
 
 
 def test_an_empty_table_is_the_device_as_delivered() -> None:
@@ -35,7 +63,7 @@ def test_an_empty_table_is_the_device_as_delivered() -> None:
     assert (found.variant.field_deg, found.variant.step_cdeg) == (180, 50)
     assert (found.startup_baud, found.permanent_baud, found.address) == (9600, False, 0)
     assert found.password == b"SICK_LMS"
-    assert found.configuration.hex(" ").startswith("00 00 46 00 00 00 00 00 00 02 02 00 00 00 0a 0a 50 64")
+    assert found.configuration.hex(" ").startswith("00 00 46 00 00 00 00 00 00 02 02 02 00 00 0a 0a 50 64")
     assert found.starts_running
 
 
@@ -49,6 +77,8 @@ def test_every_key_can_be_set() -> None:
         "availability": 5,
         "real_time_indices": True,
         "configuration": "01 02 46",
+        "firmware": "X01.27",
+        "interrupt": "finish",
         "address": 3,
         "password": "PASSWORD",
         "baud": 500_000,

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols.lms2xx.outputs import Mean, Measured
+from protocols.lms2xx.outputs import ALL, MEAN, Format, Mean, Measured, Output, encode
 from protocols.lms2xx.values import (
     MEASURING_MODES,
     intensity_words,
@@ -132,6 +132,8 @@ def test_a_mean_counts_only_scans_in_which_the_beam_had_an_echo() -> None:
     mean.add(measured([10.0, math.nan, 90.0, math.nan]))
     mean.add(measured([10.03, 7.0, 50.0, math.nan], [0, 0, 0, DAZZLED]))
     mean.add(measured([10.06, 9.0, 52.0, math.nan]))
+    mean.add(measured([10.03, 8.0, 51.0, math.nan]))
+    mean.add(measured([10.03, 8.0, 51.0, math.nan]))
     found = mean.result()
     assert found.range_m[:3] == pytest.approx([10.03, 8.0, 51.0])
     assert np.isnan(found.range_m[3])
@@ -139,8 +141,25 @@ def test_a_mean_counts_only_scans_in_which_the_beam_had_an_echo() -> None:
     assert found.flags.tolist() == [0, 0, 0, DAZZLED]
 
 
+@pytest.mark.parametrize(("missing", "scans", "kept"), [(1, 5, True), (2, 9, False), (2, 10, True), (50, 250, True)])
+def test_a_mean_with_more_than_a_fifth_missing_is_none(missing: int, scans: int, kept: bool) -> None:
+    mean = Mean(1, 81.825)
+    for number in range(scans):
+        mean.add(measured([math.nan if number < missing else 3.0]))
+    assert bool(mean.result().range_m[0] == 3.0) is kept
+
+
 def test_a_mean_is_rounded_once() -> None:
     mean = Mean(1, 81.825)
     for range_m in (1.004, 1.004, 1.008):  # each would round to 100, 100, 101: a mean of 100.33
         mean.add(measured([range_m]))
     assert value_words(mean.result().range_m, np.zeros(1, np.uint8), MEASURING_MODES[0], CM).tolist() == [101]
+
+
+def test_means_carry_no_flag_even_where_they_are_dazzled() -> None:
+    form = Format(MEASURING_MODES[0], CM, False, 9000.0)
+    found = Measured(np.array([math.nan, 2.0]), np.ones(2), np.array([DAZZLED, 0], np.uint8))
+    words = np.frombuffer(encode(Output(MEAN, 2), found, form, None)[4:], "<u2")
+    assert words.tolist() == [0x1FFE, 200]
+    single = np.frombuffer(encode(Output(ALL), found, form, None)[3:], "<u2")
+    assert single.tolist() == [0x9FFE, 200], "a single scan does"
