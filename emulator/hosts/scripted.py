@@ -13,7 +13,7 @@ from emulator.hosts.ld import read_profile
 from emulator.hosts.lms2xx import RATE_CODES, Lms2xxView, TelegramReader
 from emulator.hosts.scans import HostScan
 from protocols.ld.profiles import ALL_FIELDS
-from protocols.ld.telegrams import GET_PROFILE_REPLY, REPLY_BIT, SERVICE_FAILURE, payload_of, words_of
+from protocols.ld.telegrams import GET_PROFILE_REPLY, REPLY_BIT, Mode, payload_of, words_of
 from protocols.ld.usp import HEADER, OVERHEAD, encode_frame, xor_of
 from protocols.lms2xx.telegrams import read_values, request
 
@@ -161,19 +161,19 @@ class LdScript:
         self._buffer = b""
         self._again_ns = 0
         self._scans = 0
-        self._state = "start"
-        "start | measure (asked for it) | stream | lost (hung up, or silent) | status (connected again)"
+        self._state = "status"
+        "status (asks in which mode the device is) | measure (asked for it) | stream | lost (hung up, or silent)"
 
     def step(self, now_ns: int) -> int | None:
         """Read, decode, ask; when to be called again."""
         self._buffer += self._line.read()
         while (payload := self._take()) is not None:
             words = words_of(payload)
-            if words and words[0] == GET_STATUS | REPLY_BIT and self._state == "status":
-                self._state, self._again_ns = "start", now_ns
-            elif words and words[0] == SERVICE_FAILURE and self._state == "measure":
+            if len(words) > 2 and words[0] == GET_STATUS | REPLY_BIT and self._state == "status":
                 # an idle device does not measure before its head turns (listing 8011576, p. 46)
-                self._line.write(encode_frame(payload_of(TRANS_ROTATE, 0)), now_ns)
+                asked = (TRANS_ROTATE, 0) if words[2] & 0xF == Mode.IDLE else (TRANS_MEASURE,)
+                self._line.write(encode_frame(payload_of(*asked)), now_ns)
+                self._state, self._again_ns = "measure", now_ns + LD_PATIENCE_NS
             elif words and words[0] == TRANS_ROTATE | REPLY_BIT:
                 self._line.write(encode_frame(payload_of(TRANS_MEASURE)), now_ns)
             elif words and words[0] == TRANS_MEASURE | REPLY_BIT:
@@ -199,12 +199,10 @@ class LdScript:
         line, connection = self._line, self._connection
         if self._state == "lost" and connection is not None and connection.reconnect(now_ns):
             self._state, self._buffer = "status", b""
-        if self._state == "status":
-            line.write(encode_frame(payload_of(GET_STATUS)), now_ns)
-        elif self._state != "lost":
+        if self._state != "lost":
             self._buffer = b""  # it has been silent: what was begun, a wrong length perhaps, will not be finished
-            line.write(encode_frame(payload_of(TRANS_MEASURE)), now_ns)
-            self._state, self._again_ns = "measure", now_ns + LD_PATIENCE_NS
+            line.write(encode_frame(payload_of(GET_STATUS)), now_ns)
+            self._state = "status"
 
     def _take(self) -> bytes | None:
         """Payload of the next whole frame; what is none is passed over."""
