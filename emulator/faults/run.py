@@ -18,6 +18,7 @@ from emulator.faults.reading import FaultError, read, target_of
 from emulator.faults.running import Running
 from emulator.faults.scene_events import LastScans, check_expression
 from emulator.instrument import Instrument
+from emulator.names import nearest
 from emulator.transports.link import Received
 from protocols.scan import ScanPlan
 from protocols.session import CommandHandled, Emission, Event
@@ -209,8 +210,6 @@ class FaultRun:
         sensor = entry["on"]
         instrument = self._instruments.get(str(sensor))
         if instrument is None:
-            from emulator.scenario_checks import nearest
-
             raise FaultError(f"on: {sensor!r}; want {nearest(sensor, self._instruments)}")
         config = next(one for one in self._scenario.sensors if one.id == sensor)
         actors = [actor.id for actor in self._scenario.actors]
