@@ -24,7 +24,7 @@ from protocols.scan import Scan, ScanPlan
 from protocols.session import Address, Emission, Event, LinkKind, Session
 
 if TYPE_CHECKING:
-    from emulator.faults.run import SensorFaults
+    from emulator.fault_hooks import FaultHooks
     from protocols.session import Family
 
 LOOK_AHEAD_NS = 250_000_000
@@ -75,7 +75,7 @@ class Instrument:
         self.onlookers = Onlookers(sensor, self.links)
         self.family: Family | None = None
         "Whose protocol it speaks; for faults that change telegrams."
-        self.faults: SensorFaults | None = None
+        self.faults: FaultHooks | None = None
         "What goes wrong on purpose; None: nothing, at no cost."
         self.poked = False
         "It wants to be stepped now, whatever it said: something outside has changed."

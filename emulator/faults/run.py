@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 from emulator.conditions import ActiveFault
 from emulator.expressions import evaluate, names, truth
+from emulator.fault_hooks import Made, Piece
 from emulator.faults.events import FaultEvent
-from emulator.faults.late import LateTelegrams, Piece
+from emulator.faults.late import LateTelegrams
 from emulator.faults.reading import FaultError, read, target_of
 from emulator.faults.running import Running
 from emulator.faults.scene_events import LastScans, check_expression
@@ -30,9 +31,6 @@ MOST_FAULTS = 1000
 "That a run remembers: of more, those that are over are forgotten, the oldest first."
 MEASURED_KEPT_NS = 10_000_000_000
 "Faults of what is measured go with plans so long after their end: no plan begins that long ago."
-
-Made = tuple[Emission, int | None, int]
-"A telegram, its only link or None, and the fault that has made it late or 0."
 
 
 class SensorFaults:
@@ -194,6 +192,7 @@ class FaultRun:
         self._scenario = scenario
         self._instruments = {one.sensor: one for one in instruments}
         self._actors = ("world", *(actor.id for actor in scenario.actors))
+        self._of: dict[str, SensorFaults] = {}
         self._faults: dict[int, Running] = {}
         self._numbers = 0
         self._measured: dict[int, ActiveFault] = {}
@@ -219,11 +218,12 @@ class FaultRun:
         self._make_room()
         self._numbers += 1
         number = self._numbers
-        if instrument.faults is None:
-            instrument.faults = SensorFaults(self, instrument)
+        if str(sensor) not in self._of:
+            instrument.faults = self._of[str(sensor)] = SensorFaults(self, instrument)
+        of = self._of[str(sensor)]
         at_ns = now_ns if fault.common.at_s is None else round(fault.common.at_s * 1e9)
-        self._faults[number] = running = Running(number, fault, instrument.faults, self.seed, at_ns)
-        instrument.faults.add(running)
+        self._faults[number] = running = Running(number, fault, of, self.seed, at_ns)
+        of.add(running)
         if running.tree is not None:
             self._watch_scans({name.parts[0] for name in names(running.tree)})
         instrument.poked = True
