@@ -298,7 +298,7 @@ def _faults(data: dict[str, Any], folder: Path) -> Iterator[Found]:
     if not data.get("faults"):
         return
     from emulator.faults.reading import problems, target_of
-    from emulator.faults.scene_events import check_expression
+    from emulator.quantities import check_expression
 
     sensors, actors = _ids(data, "sensors"), ["world", *_ids(data, "actors")]
     targets = {}

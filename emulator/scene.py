@@ -12,8 +12,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from emulator import mesh_files, triangles
-from emulator.deforming import Frames
 from emulator.errors import SceneError
+from emulator.mesh_frames import Frames
 from emulator.motion import Floats, Motion, Pose, Steady, Vector, Waypoints
 from emulator.scenario import Scenario
 from emulator.scenario_tables import Actor, FramesConfig, MotionConfig, Mount, Shape, WorldItem

@@ -13,9 +13,10 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
+import click
+
 from emulator import assembly, scenario
 from emulator.clock import SystemClock
-from emulator.commands.common import note, say
 from emulator.control import ControlServer
 from emulator.daemon import Daemon, summary
 from emulator.endurance.ledger import Ledger, LedgerMeasuring, LedgerSession
@@ -36,7 +37,7 @@ def main(argv: Sequence[str]) -> int:
     workers = Workers(partial(assembly.build_measures, loaded), names, 1)
     instruments = assembly.open_instruments(loaded, sessions, LedgerMeasuring(workers, ledgers))
     daemon = Daemon(instruments, clock, workers)
-    daemon.on_failure = note
+    daemon.on_failure = lambda text: click.echo(f"lidaremu: {text}", err=True)
     daemon.watch_workers()
     server = ControlServer(Path(argv[1]), Orders(daemon, instruments, clock, loaded).methods(), daemon)
     try:
@@ -44,13 +45,13 @@ def main(argv: Sequence[str]) -> int:
             clock.restart()
             daemon.power_on()
             ready = [{"id": one.sensor, "links": [link.url for link in one.links]} for one in instruments]
-            say(json.dumps({"event": "ready", "sensors": ready, "control": server.url}))
+            click.echo(json.dumps({"event": "ready", "sensors": ready, "control": server.url}))
             daemon.run()
     finally:
         server.close()
         daemon.close()
     totals = [summary(one) | {"account": ledgers[one.sensor].account(one.stats.scans_dropped)} for one in instruments]
-    say(json.dumps({"event": "stopped", "sensors": totals, "failures": dict(daemon.failures)}))
+    click.echo(json.dumps({"event": "stopped", "sensors": totals, "failures": dict(daemon.failures)}))
     return 0
 
 

@@ -17,9 +17,10 @@ from emulator.faults.events import FaultEvent
 from emulator.faults.late import LateTelegrams
 from emulator.faults.reading import FaultError, read, target_of
 from emulator.faults.running import Running
-from emulator.faults.scene_events import LastScans, check_expression
+from emulator.faults.scene_events import LastScans
 from emulator.instrument import Instrument
 from emulator.names import nearest
+from emulator.quantities import check_expression
 from emulator.transports.link import Received
 from protocols.scan import ScanPlan
 from protocols.session import CommandHandled, Emission, Event
