@@ -21,9 +21,8 @@ from emulator.expectations import Judgement, understand, verdicts
 from emulator.expressions import Value, evaluate, names, parse
 from emulator.faults.run import FaultRun
 from emulator.instrument import Instrument
-from emulator.quantities import check_name
 from emulator.recording.writer import Recorder
-from emulator.series import SeriesWatcher, lookup
+from emulator.series import SeriesWatcher, check_name, lookup
 from emulator.spec import load_spec
 from emulator.transcript import Transcript
 from emulator.transports.urls import parse_url

@@ -17,6 +17,7 @@ from emulator.expressions import Name, Value
 from emulator.hosts.scans import HostScan
 from emulator.instrument import Instrument
 from emulator.object_metrics import ListedScan, ObjectScore, Score, TruthObject
+from emulator.quantities import check_name as check_name
 from emulator.watching import Payload, Watcher
 from protocols.device_clock import Told
 from protocols.scan import DetectedObject, Floats, Ints, Scan

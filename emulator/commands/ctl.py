@@ -11,7 +11,7 @@ import click
 
 from emulator.commands.common import OK, say
 from emulator.errors import LinkError
-from emulator.order_words import parameters_of
+from emulator.order_words import parameters_of as parameters_of
 
 if TYPE_CHECKING:
     from emulator.clock import Clock

@@ -24,6 +24,16 @@ from emulator.measuring import Workers
 from emulator.orders import Orders
 
 
+def say(text: str) -> None:
+    """One line for whoever started it, at once."""
+    click.echo(text)
+
+
+def note(text: str) -> None:
+    """One line of the log, on standard error."""
+    click.echo(f"lidaremu: {text}", err=True)
+
+
 def main(argv: Sequence[str]) -> int:
     """Run until SIGTERM."""
     loaded = scenario.load(argv[0])
@@ -37,7 +47,7 @@ def main(argv: Sequence[str]) -> int:
     workers = Workers(partial(assembly.build_measures, loaded), names, 1)
     instruments = assembly.open_instruments(loaded, sessions, LedgerMeasuring(workers, ledgers))
     daemon = Daemon(instruments, clock, workers)
-    daemon.on_failure = lambda text: click.echo(f"lidaremu: {text}", err=True)
+    daemon.on_failure = note
     daemon.watch_workers()
     server = ControlServer(Path(argv[1]), Orders(daemon, instruments, clock, loaded).methods(), daemon)
     try:
@@ -45,13 +55,13 @@ def main(argv: Sequence[str]) -> int:
             clock.restart()
             daemon.power_on()
             ready = [{"id": one.sensor, "links": [link.url for link in one.links]} for one in instruments]
-            click.echo(json.dumps({"event": "ready", "sensors": ready, "control": server.url}))
+            say(json.dumps({"event": "ready", "sensors": ready, "control": server.url}))
             daemon.run()
     finally:
         server.close()
         daemon.close()
     totals = [summary(one) | {"account": ledgers[one.sensor].account(one.stats.scans_dropped)} for one in instruments]
-    click.echo(json.dumps({"event": "stopped", "sensors": totals, "failures": dict(daemon.failures)}))
+    say(json.dumps({"event": "stopped", "sensors": totals, "failures": dict(daemon.failures)}))
     return 0
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, replace
 
-from emulator.fault_hooks import Piece
+from emulator.fault_hooks import Piece as Piece
 from protocols.session import Emission
 
 

@@ -12,15 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 from emulator.conditions import ActiveFault
 from emulator.expressions import evaluate, names, truth
-from emulator.fault_hooks import Made, Piece
 from emulator.faults.events import FaultEvent
-from emulator.faults.late import LateTelegrams
+from emulator.faults.late import LateTelegrams, Piece
 from emulator.faults.reading import FaultError, read, target_of
 from emulator.faults.running import Running
-from emulator.faults.scene_events import LastScans
+from emulator.faults.scene_events import LastScans, check_expression
 from emulator.instrument import Instrument
-from emulator.names import nearest
-from emulator.quantities import check_expression
 from emulator.transports.link import Received
 from protocols.scan import ScanPlan
 from protocols.session import CommandHandled, Emission, Event
@@ -32,6 +29,9 @@ MOST_FAULTS = 1000
 "That a run remembers: of more, those that are over are forgotten, the oldest first."
 MEASURED_KEPT_NS = 10_000_000_000
 "Faults of what is measured go with plans so long after their end: no plan begins that long ago."
+
+Made = tuple[Emission, int | None, int]
+"A telegram, its only link or None, and the fault that has made it late or 0."
 
 
 class SensorFaults:
@@ -210,6 +210,8 @@ class FaultRun:
         sensor = entry["on"]
         instrument = self._instruments.get(str(sensor))
         if instrument is None:
+            from emulator.names import nearest
+
             raise FaultError(f"on: {sensor!r}; want {nearest(sensor, self._instruments)}")
         config = next(one for one in self._scenario.sensors if one.id == sensor)
         actors = [actor.id for actor in self._scenario.actors]
@@ -221,10 +223,9 @@ class FaultRun:
         number = self._numbers
         if str(sensor) not in self._of:
             instrument.faults = self._of[str(sensor)] = SensorFaults(self, instrument)
-        of = self._of[str(sensor)]
         at_ns = now_ns if fault.common.at_s is None else round(fault.common.at_s * 1e9)
-        self._faults[number] = running = Running(number, fault, of, self.seed, at_ns)
-        of.add(running)
+        self._faults[number] = running = Running(number, fault, self._of[str(sensor)], self.seed, at_ns)
+        running.of.add(running)
         if running.tree is not None:
             self._watch_scans({name.parts[0] for name in names(running.tree)})
         instrument.poked = True

@@ -49,6 +49,9 @@ class Owner(Protocol):
     def tell(self, event: FaultEvent) -> None:
         """Something has happened."""
 
+    def add(self, one: Running) -> None:
+        """One more."""
+
     def forget(self, one: Running) -> None:
         """A fault that is over goes out of the list; its counts stay."""
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 
 from emulator.expressions import Name, Value
 from emulator.instrument import Instrument
+from emulator.quantities import check_expression as check_expression
 from emulator.series import SeriesWatcher, lookup
 from emulator.watching import FOREVER_NS, Watcher
 from protocols.scan import Scan

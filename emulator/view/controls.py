@@ -11,8 +11,8 @@ from typing import Any
 
 import viser
 
+from emulator.commands.ctl import parameters_of
 from emulator.errors import EmulatorError
-from emulator.order_words import parameters_of
 from emulator.view.drawing import inset
 from emulator.view.frames import Frame, Source
 from emulator.view.sky import FOG_MARKS, faults_of, fog_share, fog_visibility_m, told
