@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from emulator.commands.common import OK, say
 from emulator.errors import LinkError
-from emulator.order_words import parameters_of as parameters_of
 
 if TYPE_CHECKING:
     from emulator.clock import Clock
@@ -85,3 +84,25 @@ def fault_order(words: Sequence[str]) -> tuple[str, tuple[str, ...]]:
     if len(plain) != 2:
         raise click.BadParameter(f"{' '.join(plain)!r}; want SENSOR NAME, clear [N] or list", param_hint="fault")
     return "fault", (f"on={json.dumps(plain[0])}", f"do={json.dumps(plain[1])}", *rest)
+
+
+def parameters_of(texts: Sequence[str]) -> dict[str, Any]:
+    """`fog.visibility_m=50` and the like as tables; the daemon judges names and values."""
+    params: dict[str, Any] = {}
+    for text in texts:
+        name, separator, value = text.partition("=")
+        parts = name.split(".")
+        if not separator or not all(parts):
+            raise click.BadParameter(f"{text!r}; want NAME=VALUE", param_hint="NAME=VALUE")
+        here = params
+        for part in parts[:-1]:
+            here = here.setdefault(part, {})
+            if not isinstance(here, dict):
+                raise click.BadParameter(f"{text!r} leads into a value given before it", param_hint="NAME=VALUE")
+        if parts[-1] in here:
+            raise click.BadParameter(f"{text!r}; {name} was given before it", param_hint="NAME=VALUE")
+        try:
+            here[parts[-1]] = json.loads(value)
+        except ValueError:
+            here[parts[-1]] = value
+    return params
