@@ -13,25 +13,14 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-import click
-
 from emulator import assembly, scenario
 from emulator.clock import SystemClock
+from emulator.commands.common import note, say
 from emulator.control import ControlServer
 from emulator.daemon import Daemon, summary
 from emulator.endurance.ledger import Ledger, LedgerMeasuring, LedgerSession
 from emulator.measuring import Workers
 from emulator.orders import Orders
-
-
-def say(text: str) -> None:
-    """One line for whoever started it, at once."""
-    click.echo(text)
-
-
-def note(text: str) -> None:
-    """One line of the log, on standard error."""
-    click.echo(f"lidaremu: {text}", err=True)
 
 
 def main(argv: Sequence[str]) -> int:
