@@ -10,8 +10,8 @@ import numpy as np
 
 from emulator.errors import ScenarioError
 from emulator.expressions import ExpressionError, Name, Node, Value, evaluate, names, parse
+from emulator.quantities import check_name
 from emulator.scenario import Scenario
-from emulator.series import check_name
 
 KEYS = ("within", "equals", "at_least", "at_most", "from_s", "to_s", "name")
 """What an expectation has beside `that`. One of the first four bounds a number, or every value of a series; without it

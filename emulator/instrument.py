@@ -26,7 +26,7 @@ from protocols.scan import Scan, ScanPlan
 from protocols.session import Address, DropReason, Emission, Event, LinkKind, Restarted, Session
 
 if TYPE_CHECKING:
-    from emulator.faults.run import SensorFaults
+    from emulator.fault_hooks import FaultHooks
     from protocols.session import Family
 
 LOOK_AHEAD_NS = 250_000_000
@@ -90,7 +90,7 @@ class Instrument:
         self.onlookers = Onlookers(sensor, self.links)
         self.family: Family | None = None
         "Whose protocol it speaks; for faults that change telegrams."
-        self.faults: SensorFaults | None = None
+        self.faults: FaultHooks | None = None
         "What goes wrong on purpose; None: nothing, at no cost."
         self.poked = False
         "It wants to be stepped now, whatever it said: something outside has changed."

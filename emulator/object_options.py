@@ -6,25 +6,14 @@ rules themselves (`emulator.objects`), what the device keeps (its family's `devi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from emulator.tables import DescribedTable
 
-if TYPE_CHECKING:
-    from emulator.objects.options import TrackerOptions
-
 Share = Annotated[float, Field(gt=0.0, lt=1.0)]
 Height = Annotated[float, Field(ge=-1e9, le=1e9)]
-
-OF_FORMAT: Mapping[str, Mapping[str, Any]] = MappingProxyType(
-    # a ranging module tells at once what comes back; it neither confirms nor remembers
-    {"leddar_vu8": MappingProxyType({"confirm_hits": 1, "coast_s": 0.0})}
-)
-"Where a format's own default differs from the tracker's."
 
 
 class ObjectOptions(DescribedTable):
@@ -60,12 +49,3 @@ class ObjectOptions(DescribedTable):
         if self.height_m is not None and self.height_m[0] >= self.height_m[1]:
             raise ValueError(f"height_m {self.height_m[0]} to {self.height_m[1]}; want the lower end first")
         return self
-
-    def for_tracker(self, classes: Mapping[str, str], format_name: str = "") -> TrackerOptions:
-        """What the tracker takes; `classes` of the scene's actors."""
-        from emulator.objects.options import TrackerOptions
-
-        given = {**OF_FORMAT.get(format_name, {}), **self.model_dump(exclude_none=True)}
-        if "classification" in given:
-            given["classify"] = given.pop("classification")
-        return TrackerOptions(**given, classes=MappingProxyType(dict(classes)))

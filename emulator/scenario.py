@@ -22,6 +22,7 @@ from emulator import scenario_checks, yaml_lines
 from emulator.clock_options import ClockOptions
 from emulator.errors import ScenarioError
 from emulator.faults.config import Common
+from emulator.names import nearest
 from emulator.object_options import ObjectOptions
 from emulator.physics_options import PhysicsOptions
 from emulator.scenario_tables import Actor, Id, Mount, Shape, WorldItem, long_as
@@ -153,7 +154,7 @@ def _path_of(name: str) -> Path:
     if name in names and not path.is_file():
         return Path(str(files("scenarios") / f"{name}.yaml"))
     if not path.exists() and path.suffix not in (".yaml", ".yml"):
-        raise ScenarioError(f"{name}: no such file or built-in scenario; want {scenario_checks.nearest(name, names)}")
+        raise ScenarioError(f"{name}: no such file or built-in scenario; want {nearest(name, names)}")
     return path
 
 

@@ -6,7 +6,6 @@ even when these failed. A value of the wrong type is left to the models. Not: me
 
 from __future__ import annotations
 
-import difflib
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -14,6 +13,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from emulator.names import nearest
 from emulator.yaml_lines import Loc, Source
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
@@ -21,9 +21,6 @@ BUILTIN = "builtin:"
 "Before the name of a mesh that comes with the package."
 ONE_HOLDER = ("pty", "slcan", "serial", "tcp", "udp")
 "Links that one sensor alone can hold; CAN buses and loops are shared."
-
-MOST_NAMES = 12
-"A message lists so many names whole, of more only the similar ones."
 
 Found = tuple[Loc, str, str]
 "Path, what was found, what is wanted."
@@ -61,19 +58,6 @@ def builtin_meshes() -> tuple[str, ...]:
     """Names of the meshes that come with the package."""
     folder = files("scenarios") / "meshes"
     return tuple(sorted(entry.name for entry in folder.iterdir() if entry.name.endswith(MESH_SUFFIXES)))
-
-
-def nearest(name: object, known: Iterable[str]) -> str:
-    """What is allowed instead of an unknown name, the most similar first."""
-    names = list(dict.fromkeys(known))
-    if not names:
-        return "none: there are none"
-    near = difflib.get_close_matches(str(name), names, n=1)
-    hint = f"{near[0]} or " if near and len(names) > 1 else ""
-    if len(names) <= MOST_NAMES:
-        return f"{hint}one of {', '.join(names)}"
-    similar = difflib.get_close_matches(str(name), names, n=5, cutoff=0.3) or names[:5]
-    return f"{', '.join(similar)} or another of the {len(names)} there are"
 
 
 def _tables(data: Mapping[str, Any], key: str) -> Iterator[tuple[Loc, dict[str, Any]]]:
@@ -316,7 +300,7 @@ def _faults(data: dict[str, Any], folder: Path) -> Iterator[Found]:
     if not data.get("faults"):
         return
     from emulator.faults.reading import problems, target_of
-    from emulator.faults.scene_events import check_expression
+    from emulator.quantities import check_expression
 
     sensors, actors = _ids(data, "sensors"), ["world", *_ids(data, "actors")]
     targets = {}

@@ -13,8 +13,8 @@ import numpy as np
 
 from emulator import mesh_files, triangles
 from emulator.budgets import MESH
-from emulator.deforming import Frames
 from emulator.errors import SceneError
+from emulator.mesh_frames import Frames
 from emulator.motion import Floats, Motion, Pose, Steady, Vector, Waypoints
 from emulator.reading_apart import Reader
 from emulator.scenario import Scenario

@@ -1,12 +1,11 @@
 """What is recorded of a run for its expectations: numbers a scan, with the time of each.
 
-`QUANTITIES` is the only list of the names: it checks, computes and is shown to users. Not here: the language itself
+Belongs here: the values. Not: the names and what they want in parentheses (quantities), the language itself
 (expressions), the verdict (expectations).
 """
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -14,10 +13,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from emulator.expressions import ExpressionError, Name, Value
+from emulator.expressions import Name, Value
 from emulator.hosts.scans import HostScan
 from emulator.instrument import Instrument
 from emulator.object_metrics import ListedScan, ObjectScore, Score, TruthObject
+from emulator.quantities import check_name as check_name
 from emulator.watching import Payload, Watcher
 from protocols.device_clock import Told
 from protocols.scan import DetectedObject, Floats, Ints, Scan
@@ -251,16 +251,6 @@ def _total(count: Callable[[Instrument], int]) -> Callable[[Window], Value]:
     return lambda window: float(count(window.instrument))
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """One name behind `SENSOR.`."""
-
-    value: Callable[[Window], Value]
-    help: str
-    wants: str = ""
-    "`actor`, `angle` or `fault` in parentheses."
-
-
 def _clock(number: Callable[[Told], float]) -> Callable[[Window], Value]:
     def value(window: Window) -> Value:
         told = [one for one in window.series.told.values() if window.holds(one.true_ns)]
@@ -274,106 +264,46 @@ def _faults(window: Window) -> Value:
     return 0.0 if running is None else float(running.hits_of(str(window.argument)))
 
 
-QUANTITIES: Mapping[str, Quantity] = {
-    "scans_per_s": Quantity(_rate, "scans sent a second, from the first to the last"),
-    "scans_sent": Quantity(lambda window: float(len(_sent(window))), "scans handed to the first link"),
-    "scans_read": Quantity(lambda window: float(len(window.read)), "scans that the built-in host decoded"),
-    "scans_measured": Quantity(lambda window: float(len(window.measured)), "sweeps measured and taken"),
-    "scans_dropped": Quantity(_total(lambda one: one.stats.scans_dropped.total()), "scans given up; whole run"),
-    "input_dropped": Quantity(_total(lambda one: one.stats.input_dropped.total()), "input not taken; whole run"),
-    "replies_sent": Quantity(_total(lambda one: one.stats.replies_sent), "replies; whole run"),
-    "restarts": Quantity(_total(lambda one: one.stats.restarts), "power-ons and resets; whole run"),
-    "faults": Quantity(_faults, "hits of the faults of that name; whole run", "fault"),
-    "bytes_out": Quantity(lambda window: float(window.series.bytes_out), "bytes sent; whole run"),
-    "bytes_in": Quantity(lambda window: float(window.series.bytes_in), "bytes received; whole run"),
-    "lateness_us": Quantity(
-        lambda window: window.instrument.stats.lateness.latest_ns().astype(np.float64) * 1e-3,
-        "series: actual minus scheduled instant of each send; under a virtual clock the grouping of bytes alone",
-    ),
-    "gap_s": Quantity(lambda window: np.diff(_sent(window)), "series: time from scan to scan; its max is the recovery"),
-    "first_scan_s": Quantity(
-        lambda window: float(sent[0]) if len(sent := _sent(window)) else float("nan"), "when the first scan left"
-    ),
-    "points": Quantity(_of_measured(_points), "series: beams with an echo"),
-    "points_on": Quantity(_of_measured(_points_on), "series: beams whose first echo is that actor's", "actor"),
-    "nearest_m": Quantity(_of_measured(_nearest), "series: shortest range"),
-    "nearest_on": Quantity(_of_measured(_nearest_on), "series: shortest range to that actor [m]", "actor"),
-    "clock_error_s": Quantity(
-        _clock(lambda one: (one.device_ns - one.true_ns) * 1e-9),
-        "series: time that the device's telegrams tell, not wrapped, minus the run's",
-    ),
-    "clock_ticks": Quantity(_clock(lambda one: float(one.ticks)), "series: the same time in ticks, as on the wire"),
-    "objects": Quantity(_of_measured(lambda item, _: float(len(item.objects))), "series: objects in the list"),
-    "object": Quantity(_of_measured(_object), "series: objects that are that actor", "actor"),
-    "object_range_m": Quantity(
-        _of_object(lambda one: math.hypot(one.position_m[0], one.position_m[1])),
-        "series: distance of the object that is that actor; missing in lists without it",
-        "actor",
-    ),
-    "object_speed_m_s": Quantity(
-        _of_object(lambda one: math.hypot(one.velocity_m_s[0], one.velocity_m_s[1])),
-        "series: its speed against the sensor",
-        "actor",
-    ),
-    "object_existence": Quantity(
-        _of_object(lambda one: one.existence), "series: its probability of existence", "actor"
-    ),
-    "object_coasting_s": Quantity(_of_object(lambda one: one.coasting_s), "series: time since its last echo", "actor"),
-    "object_from_s": Quantity(_when(0, _listed), "instant of the first list that has that actor", "actor"),
-    "object_until_s": Quantity(_when(-1, _listed), "instant of the last list that has that actor", "actor"),
-    "visible_share": Quantity(
-        _of_measured(_share), "series: share of the beams towards that actor that reach it, beside a list", "actor"
-    ),
-    "visible_until_s": Quantity(
-        _when(-1, lambda item, window: _share(item, window) > 0.0),
-        "instant of the last list for which a beam saw that actor",
-        "actor",
-    ),
-    "object_precision": Quantity(_scored(lambda score: score.precision), "share of listed objects that are real"),
-    "object_recall": Quantity(_scored(lambda score: score.recall), "share of the actors to be seen that are listed"),
-    "object_position_error_m": Quantity(
-        _scored(lambda score: score.position_m), "root mean square, of matched objects"
-    ),
-    "object_size_error_m": Quantity(
-        _scored(lambda score: score.size_m), "mean of length and width, of matched objects"
-    ),
-    "object_speed_error_m_s": Quantity(_scored(lambda score: score.speed_m_s), "root mean square, of matched objects"),
-    "range_at": Quantity(_range_at, "series: range that the host read nearest to that azimuth [deg]", "angle"),
-    "range_error_m": Quantity(_range_errors, "series: largest difference of what the host read and what was measured"),
+VALUES: Mapping[str, Callable[[Window], Value]] = {
+    "scans_per_s": _rate,
+    "scans_sent": lambda window: float(len(_sent(window))),
+    "scans_read": lambda window: float(len(window.read)),
+    "scans_measured": lambda window: float(len(window.measured)),
+    "scans_dropped": _total(lambda one: one.stats.scans_dropped.total()),
+    "input_dropped": _total(lambda one: one.stats.input_dropped.total()),
+    "replies_sent": _total(lambda one: one.stats.replies_sent),
+    "restarts": _total(lambda one: one.stats.restarts),
+    "faults": _faults,
+    "bytes_out": lambda window: float(window.series.bytes_out),
+    "bytes_in": lambda window: float(window.series.bytes_in),
+    "lateness_us": lambda window: window.instrument.stats.lateness.latest_ns().astype(np.float64) * 1e-3,
+    "gap_s": lambda window: np.diff(_sent(window)),
+    "first_scan_s": lambda window: float(sent[0]) if len(sent := _sent(window)) else float("nan"),
+    "points": _of_measured(_points),
+    "points_on": _of_measured(_points_on),
+    "nearest_m": _of_measured(_nearest),
+    "nearest_on": _of_measured(_nearest_on),
+    "clock_error_s": _clock(lambda one: (one.device_ns - one.true_ns) * 1e-9),
+    "clock_ticks": _clock(lambda one: float(one.ticks)),
+    "objects": _of_measured(lambda item, _: float(len(item.objects))),
+    "object": _of_measured(_object),
+    "object_range_m": _of_object(lambda one: math.hypot(one.position_m[0], one.position_m[1])),
+    "object_speed_m_s": _of_object(lambda one: math.hypot(one.velocity_m_s[0], one.velocity_m_s[1])),
+    "object_existence": _of_object(lambda one: one.existence),
+    "object_coasting_s": _of_object(lambda one: one.coasting_s),
+    "object_from_s": _when(0, _listed),
+    "object_until_s": _when(-1, _listed),
+    "visible_share": _of_measured(_share),
+    "visible_until_s": _when(-1, lambda item, window: _share(item, window) > 0.0),
+    "object_precision": _scored(lambda score: score.precision),
+    "object_recall": _scored(lambda score: score.recall),
+    "object_position_error_m": _scored(lambda score: score.position_m),
+    "object_size_error_m": _scored(lambda score: score.size_m),
+    "object_speed_error_m_s": _scored(lambda score: score.speed_m_s),
+    "range_at": _range_at,
+    "range_error_m": _range_errors,
 }
-
-
-def check_name(name: Name, sensors: Sequence[str], actors: Sequence[str]) -> None:
-    """`ExpressionError` for a name that means nothing in this scenario."""
-    if name.parts == ("duration_s",) and name.argument is None:
-        return
-    if len(name.parts) != 2:
-        near = _one_of(name.parts[0], sensors)
-        raise ExpressionError(f"{name}; want SENSOR.QUANTITY or duration_s, SENSOR being {near}")
-    sensor, quantity = name.parts
-    if sensor not in sensors:
-        raise ExpressionError(f"sensor {sensor!r}; want {_one_of(sensor, sensors)}")
-    known = QUANTITIES.get(quantity)
-    if known is None:
-        raise ExpressionError(f"{sensor}.{quantity}; want {_one_of(quantity, tuple(QUANTITIES))}")
-    if known.wants == "actor" and name.argument not in actors:
-        raise ExpressionError(f"{name}: actor {name.argument!r}; want {_one_of(str(name.argument), actors)}")
-    if known.wants == "fault":
-        from emulator.faults.catalogue import kinds
-
-        if name.argument not in kinds():
-            raise ExpressionError(
-                f"{name}: fault {name.argument!r}; want {_one_of(str(name.argument), tuple(kinds()))}"
-            )
-    if known.wants == "angle" and not isinstance(name.argument, float):
-        raise ExpressionError(f"{name}: {name.argument!r}; want an azimuth in degrees, as {quantity}(0)")
-    if not known.wants and name.argument is not None:
-        raise ExpressionError(f"{name}: {quantity} takes nothing in parentheses")
-
-
-def _one_of(found: str, known: Sequence[str]) -> str:
-    near = difflib.get_close_matches(found, known, n=1)
-    return (f"{near[0]} or another of " if near else "one of ") + (", ".join(known) or "none: there are none")
+"What each of `quantities.QUANTITIES` is in a window of time."
 
 
 def lookup(
@@ -391,6 +321,6 @@ def lookup(
             return end_ns * 1e-9
         sensor, quantity = name.parts
         window = Window(watcher.sensors[sensor], instruments[sensor], actors, from_ns, to_ns, name.argument)
-        return QUANTITIES[quantity].value(window)
+        return VALUES[quantity](window)
 
     return value

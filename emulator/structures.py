@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.deforming import Frames
 from emulator.fleet import Flags, Fleet, Longs
+from emulator.mesh_frames import Frames
 from emulator.scene import Body
 from emulator.triangles import Floats, Geometry, Ints
 

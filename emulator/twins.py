@@ -6,17 +6,14 @@ Belongs here: finding them in world coordinates. Not: twins inside one mesh (tri
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from itertools import permutations
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
-from emulator.triangles import Floats
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from emulator.scene import Body
+from emulator.motion import Motion
+from emulator.triangles import Floats, Geometry, Ints
 
 MOST_SEARCHED = 2_000_000
 "Triangles of resting bodies beyond which twins are not looked for: so many take some seconds."
@@ -28,8 +25,36 @@ ALONG = np.array([0.5403023058681398, 0.7080734182735712, 0.4546487134128409])
 "Direction of that line: a unit vector along no edge that people build."
 
 
+class Placed(Protocol):
+    """A body as far as its twins are concerned."""
+
+    @property
+    def still(self) -> bool:
+        """Never moves, turns or changes."""
+
+    @property
+    def motion(self) -> Motion:
+        """Where it is."""
+
+    @property
+    def geometry(self) -> Geometry:
+        """Its mesh."""
+
+    @property
+    def vertices(self) -> Floats:
+        """(v, 3) about the body's own origin."""
+
+    @property
+    def faces(self) -> Ints:
+        """(f, 3)"""
+
+    @property
+    def face_material(self) -> Ints:
+        """(f,) index of its material."""
+
+
 @np.errstate(under="ignore")
-def twins(bodies: Sequence[Body]) -> Counter[tuple[int, int]]:
+def twins(bodies: Sequence[Placed]) -> Counter[tuple[int, int]]:
     """How many triangles of two resting bodies are one another's twins, by the bodies' indexes, the lesser first.
 
     Their materials differ. Faces of two closed shells back to back are none: no beam comes between them.

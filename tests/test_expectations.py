@@ -13,7 +13,8 @@ from emulator.expressions import Value
 from emulator.hosts.scans import HostScan
 from emulator.instrument import Instrument
 from emulator.measuring import InPlace
-from emulator.series import SeriesWatcher, lookup
+from emulator.quantities import LIVE, QUANTITIES
+from emulator.series import VALUES, SeriesWatcher, lookup
 from emulator.watching import Payload
 from protocols.scan import Scan, ScanPlan
 from protocols.session import LinkKind
@@ -98,3 +99,8 @@ def test_scans_of_before_a_power_cut_stay_when_the_device_counts_its_sweeps_anew
     assert ask(watcher, "front.nearest_m") == pytest.approx([5.0, 5.0, 7.0])
     assert ask(watcher, "front.scans_measured") == 3
     assert ask(watcher, "front.range_error_m") == pytest.approx([0.0, 0.0, 0.0])
+
+
+def test_every_name_that_is_known_has_a_value_and_the_other_way_round() -> None:
+    assert list(QUANTITIES) == list(VALUES)
+    assert set(LIVE) <= set(QUANTITIES)

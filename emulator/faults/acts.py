@@ -1,10 +1,12 @@
 """What carries out a fault where bytes are sent and received, and all that it can reach.
 
-Belongs here: the contract between a fault and its run. Not: single faults (the layers), when they begin (run).
+Belongs here: the contracts between a fault, its run and the device that it is on. Not: single faults (the layers), when
+they begin (run).
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
@@ -17,7 +19,6 @@ from protocols.session import Address, Emission, LinkKind, Session
 
 if TYPE_CHECKING:
     from emulator.draws import Draws
-    from emulator.instrument import Instrument
     from protocols.framing import Framing
 
 BLOCK = 256
@@ -34,11 +35,68 @@ class Account(Protocol):
         """So much of `what` (`telegrams`, `replies`, `bytes`, `input bytes`, ...) went no further because of it."""
 
 
+class Marks(Protocol):
+    """What faults leave with a device about the telegram looked at last, and about its lines."""
+
+    taker: str | None
+    "Name of the fault that took its scan."
+    counted: bool
+    "It has been counted as sent."
+    own_speeds: dict[int, list[int | None]]
+    "Of lines with a wrong speed: their own, and once more for each fault that holds."
+
+
+class Counts(Protocol):
+    """Counters of a device."""
+
+    input_dropped: Counter[str]
+
+    def note_telegram(self, emission: Emission) -> None:
+        """One more telegram has left, or will."""
+
+
+class Device(Protocol):
+    """The device that a fault is on, on its links. Times are those of the run, in nanoseconds."""
+
+    session: Session
+    connections_seen: int
+    poked: bool
+    suffering: dict[str, dict[int, float]]
+
+    @property
+    def sensor(self) -> str:
+        """Its name in the scenario."""
+
+    @property
+    def links(self) -> tuple[Link, ...]:
+        """All of its links."""
+
+    @property
+    def stats(self) -> Counts:
+        """What it counts."""
+
+    @property
+    def faults(self) -> Marks | None:
+        """What its faults leave with it."""
+
+    def framing(self, kind: LinkKind) -> Framing | None:
+        """How its telegrams are framed on such a link; None where its family does not tell."""
+
+    def power_off(self, now_ns: int) -> int:
+        """Cut the power; how many bytes are gone with it."""
+
+    def power_back(self, now_ns: int) -> None:
+        """Switch it on again."""
+
+    def set_line_speed(self, index: int, now_ns: int, baud: int | None) -> None:
+        """Another speed of a line at once, whatever the device says."""
+
+
 class Gear:
     """What a fault can reach: its sensor, its links, its random draws, its account."""
 
     def __init__(
-        self, instrument: Instrument, links: Sequence[int], seed: int, number: int, name: str, account: Account
+        self, instrument: Device, links: Sequence[int], seed: int, number: int, name: str, account: Account
     ) -> None:
         self.instrument = instrument
         self.indices = tuple(links)

@@ -12,6 +12,7 @@ from emulator.faults.acts import Act, Gear
 from emulator.faults.config import Common
 from emulator.faults.kinds import TO_HOST, Keys, Kind, Target
 from emulator.faults.plug import Holding
+from emulator.names import nearest
 from emulator.transports.can_link import CanLink
 from emulator.transports.can_wire import BUS_OFF, ERROR_PASSIVE, TRANSMIT_ERROR, CanWire, Node
 from protocols.can_frame import EXTENDED, frame_bits, is_identifier
@@ -325,8 +326,6 @@ def _layout(target: Target) -> Any:
 
 def unknown_message(label: str, target: Target) -> str | None:
     """`found; want allowed` for a label that no message of an object list's format has."""
-    from emulator.scenario_checks import nearest
-
     layout = _layout(target) if target.family == "can_objects" else None
     if layout is None or label in layout.messages:
         return None
@@ -334,8 +333,6 @@ def unknown_message(label: str, target: Target) -> str | None:
 
 
 def _known_signal(keys: Any, common: Common, target: Target) -> str | None:
-    from emulator.scenario_checks import nearest
-
     layout = _layout(target)
     if layout is None or (common.label is not None and common.label not in layout.messages):
         return None  # a wrong label is told of every fault

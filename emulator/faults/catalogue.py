@@ -11,7 +11,9 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import Any, get_args
 
+from emulator.faults.config import Common
 from emulator.faults.kinds import Kind
+from emulator.names import nearest
 
 LAYERS: Mapping[str, str] = MappingProxyType(
     {
@@ -55,8 +57,6 @@ def rows(name: str | None = None) -> list[dict[str, object]]:
             for kind in kinds().values()
         ]
     if name not in kinds():
-        from emulator.scenario_checks import nearest
-
         raise KeyError(f"fault {name!r}; want {nearest(name, kinds())}")
     return [{**row} for row in (*keys_of(kinds()[name]), *common_keys(kinds()[name]))]
 
@@ -74,11 +74,22 @@ def keys_of(kind: Kind) -> list[dict[str, str]]:
     return [_row(name, info) for name, info in kind.keys.model_fields.items()]
 
 
+def taken_keys(kind: Kind) -> tuple[str, ...]:
+    """Keys of `config.Common` that a fault of that kind takes."""
+    keys = ["at_s", "at_telegram", "probability", "on_command", "when"]
+    if not kind.measured:
+        keys += ["every", "count"]
+    if kind.lasts != "own":
+        keys += ["for_s", "for_telegrams"]
+    if not kind.measured or kind.act is not None:
+        keys.append("link")
+    if kind.directions:
+        keys += ["direction", "of", "label"]
+    return tuple(name for name in Common.model_fields if name in keys)
+
+
 def common_keys(kind: Kind) -> list[dict[str, str]]:
     """The keys of all faults that this kind takes."""
-    from emulator.faults.config import Common
-    from emulator.faults.reading import taken_keys
-
     return [_row(name, Common.model_fields[name]) for name in taken_keys(kind)]
 
 

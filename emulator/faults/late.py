@@ -9,10 +9,8 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, replace
 
+from emulator.fault_hooks import Piece as Piece
 from protocols.session import Emission
-
-Piece = tuple[Emission, int | None]
-"A telegram, and the only link that it is for; None: as its address says."
 
 
 @dataclass(eq=False)

@@ -14,6 +14,7 @@ from emulator.faults.config import Common
 from emulator.faults.kinds import Keys, Kind, Target
 from emulator.faults.photon import AS_BEFORE
 from emulator.faults.sector import Factor, Metres, Sector
+from emulator.names import nearest
 
 Seconds = Annotated[float, Field(gt=0.0, le=1e9)]
 Speed = Annotated[float, Field(ge=-1e3, le=1e3)]
@@ -120,8 +121,6 @@ def _drifts(keys: Any, common: Common, target: Target) -> str | None:
 
 
 def _there(keys: Any, common: Common, target: Target) -> str | None:
-    from emulator.scenario_checks import nearest
-
     if keys.actor is None or target.actors is None or keys.actor in target.actors:
         return None
     return f"actor {keys.actor!r}; want {nearest(keys.actor, target.actors)}"

@@ -13,9 +13,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from emulator.errors import EmulatorError
-from emulator.faults.catalogue import kinds
+from emulator.faults.catalogue import kinds, taken_keys
 from emulator.faults.config import MOMENTS, OF_TELEGRAMS, TRIGGERS, Common
 from emulator.faults.kinds import Keys, Kind, Target
+from emulator.names import nearest
 from protocols.session import LinkKind
 
 Problem = tuple[tuple[str | int, ...], str, str]
@@ -55,20 +56,6 @@ def frozen(data: Any) -> Any:
     return tuple(frozen(value) for value in data) if isinstance(data, list | tuple) else data
 
 
-def taken_keys(kind: Kind) -> tuple[str, ...]:
-    """Keys of `config.Common` that a fault of that kind takes."""
-    keys = ["at_s", "at_telegram", "probability", "on_command", "when"]
-    if not kind.measured:
-        keys += ["every", "count"]
-    if kind.lasts != "own":
-        keys += ["for_s", "for_telegrams"]
-    if not kind.measured or kind.act is not None:
-        keys.append("link")
-    if kind.directions:
-        keys += ["direction", "of", "label"]
-    return tuple(name for name in Common.model_fields if name in keys)
-
-
 def link_kind(url: str, tcp_is_line: bool) -> LinkKind:
     """The kind of link that a text will open."""
     scheme = url.partition(":")[0]
@@ -106,7 +93,6 @@ def problems(
     `target` is None where the sensor is not known: then only what does not depend on it is judged.
     """
     from emulator.faults.can import unknown_message
-    from emulator.scenario_checks import nearest
 
     name = entry.get("do")
     if not isinstance(name, str):
@@ -204,4 +190,4 @@ def read(entry: Mapping[str, Any], target: Target, known: Callable[[str], None],
     return Fault(kind, common, kind.keys.model_validate(frozen(own)))
 
 
-__all__ = ["OF_TELEGRAMS", "Fault", "FaultError", "Problem", "problems", "read", "taken_keys", "target_of"]
+__all__ = ["OF_TELEGRAMS", "Fault", "FaultError", "Problem", "problems", "read", "target_of"]

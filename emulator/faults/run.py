@@ -196,6 +196,7 @@ class FaultRun:
         self._scenario = scenario
         self._instruments = {one.sensor: one for one in instruments}
         self._actors = ("world", *(actor.id for actor in scenario.actors))
+        self._of: dict[str, SensorFaults] = {}
         self._faults: dict[int, Running] = {}
         self._numbers = 0
         self._measured: dict[int, ActiveFault] = {}
@@ -212,7 +213,7 @@ class FaultRun:
         sensor = entry["on"]
         instrument = self._instruments.get(str(sensor))
         if instrument is None:
-            from emulator.scenario_checks import nearest
+            from emulator.names import nearest
 
             raise FaultError(f"on: {sensor!r}; want {nearest(sensor, self._instruments)}")
         config = next(one for one in self._scenario.sensors if one.id == sensor)
@@ -223,11 +224,11 @@ class FaultRun:
         self._make_room()
         self._numbers += 1
         number = self._numbers
-        if instrument.faults is None:
-            instrument.faults = SensorFaults(self, instrument)
+        if str(sensor) not in self._of:
+            instrument.faults = self._of[str(sensor)] = SensorFaults(self, instrument)
         at_ns = now_ns if fault.common.at_s is None else round(fault.common.at_s * 1e9)
-        self._faults[number] = running = Running(number, fault, instrument.faults, self.seed, at_ns)
-        instrument.faults.add(running)
+        self._faults[number] = running = Running(number, fault, self._of[str(sensor)], self.seed, at_ns)
+        running.of.add(running)
         if running.tree is not None:
             self._watch_scans({name.parts[0] for name in names(running.tree)})
         instrument.poked = True

@@ -6,24 +6,60 @@ Belongs here: triggers, durations, counters. Not: what a fault does (the layers)
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from emulator.conditions import ActiveFault, Setting
 from emulator.expressions import parse
 from emulator.faults.acts import Act, Gear
 from emulator.faults.events import MOST_HITS_TOLD, FaultEvent
+from emulator.faults.late import LateTelegrams
 from emulator.faults.reading import Fault
+from emulator.instrument import Instrument
 from emulator.transports.link import Received
 from protocols.session import CommandHandled, Emission
 
-if TYPE_CHECKING:
-    from emulator.faults.run import SensorFaults
+
+class Run(Protocol):
+    """All faults of a run."""
+
+    seed: int
+
+    def install(self, fault: ActiveFault) -> None:
+        """From now on plans go with it."""
+
+    def close_measured(self, number: int, now_ns: int) -> None:
+        """It holds until now at most."""
+
+
+class Owner(Protocol):
+    """The faults of one sensor."""
+
+    settling: bool
+    scan_labels: set[str]
+    late: LateTelegrams
+
+    @property
+    def run(self) -> Run:
+        """The run that they belong to."""
+
+    @property
+    def instrument(self) -> Instrument:
+        """The sensor."""
+
+    def tell(self, event: FaultEvent) -> None:
+        """Something has happened."""
+
+    def add(self, one: Running) -> None:
+        """One more."""
+
+    def forget(self, one: Running) -> None:
+        """A fault that is over goes out of the list; its counts stay."""
 
 
 class Running:
     """One fault of a run and its account."""
 
-    def __init__(self, number: int, fault: Fault, of: SensorFaults, seed: int, at_ns: int) -> None:
+    def __init__(self, number: int, fault: Fault, of: Owner, seed: int, at_ns: int) -> None:
         instrument = of.instrument
         self.number, self.fault, self.of = number, fault, of
         self.state = "waiting"

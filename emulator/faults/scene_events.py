@@ -1,52 +1,19 @@
 """Expressions over the last scan of each sensor: the trigger `when`.
 
-Belongs here: which names of `series.QUANTITIES` are known while a run goes on. Not: the language (expressions).
+Belongs here: their values while a run goes on. Not: the language (expressions), which names are known then
+(quantities).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
-import numpy as np
-
-from emulator.expressions import ExpressionError, Name, Value, evaluate, names, parse, truth
+from emulator.expressions import Name, Value
 from emulator.instrument import Instrument
-from emulator.series import SeriesWatcher, check_name, lookup
+from emulator.quantities import check_expression as check_expression
+from emulator.series import SeriesWatcher, lookup
 from emulator.watching import FOREVER_NS, Watcher
 from protocols.scan import Scan
-
-LIVE = (
-    "points",
-    "points_on",
-    "nearest_m",
-    "nearest_on",
-    "objects",
-    "object",
-    "object_range_m",
-    "object_speed_m_s",
-    "object_existence",
-    "object_coasting_s",
-    "visible_share",
-    "scans_dropped",
-    "input_dropped",
-    "replies_sent",
-    "restarts",
-    "faults",
-)
-"Quantities with a value for one scan, and counters of the run so far."
-
-
-def check_expression(text: str, sensors: Sequence[str], actors: Sequence[str]) -> None:
-    """`ExpressionError` for a `when` that means nothing in this scenario."""
-    tree = parse(text)
-    found = list(names(tree))
-    for name in found:
-        check_name(name, sensors, actors)
-        if name.parts[-1] not in LIVE:
-            raise ExpressionError(f"{name}: known at the end of a run alone; want one of {', '.join(LIVE)}")
-    if not found:
-        raise ExpressionError("no sensor in it; want something like front.nearest_m < 10")
-    truth(evaluate(tree, lambda name: np.zeros(1)))
 
 
 class LastScans(Watcher):

@@ -22,7 +22,7 @@ import numpy as np
 from emulator.conditions import NORMAL, Conditions
 from emulator.measuring import Measure, measured
 from emulator.object_metrics import ListedScan, TruthObject, visible_share
-from emulator.objects.options import TrackerOptions
+from emulator.objects.options import TrackerOptions, options_of
 from emulator.objects.points import View
 from emulator.objects.sweeps import Sweeps, end_ns, sweeps_of
 from emulator.objects.tracker import ObjectTracker, Snapshot
@@ -199,9 +199,8 @@ def build(
     config = next(one for one in scenario.sensors if one.id == sensor_id)
     by_id = {one.id: one for one in scenario.sensors}
     spec = load_spec(config.model)
-    options = config.objects.for_tracker(
-        dict(zip(scene.actors, scene.classes, strict=True)), str(spec.device.get("format", ""))
-    )
+    classes = dict(zip(scene.actors, scene.classes, strict=True))
+    options = options_of(config.objects.model_dump(exclude_none=True), classes, str(spec.device.get("format", "")))
     sources = [
         Source(sweeps_of(load_spec(by_id[name].model), sessions.get(name)), measures[name], by_id[name].mount)
         for name in config.from_

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 
 @dataclass(frozen=True)
@@ -54,3 +54,18 @@ class TrackerOptions:
     "Range at which a white surface just reaches the threshold: turns intensities into reflectances."
     contour_points: int = 60
     "An outline has at most this many points."
+
+
+OF_FORMAT: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+    # a ranging module tells at once what comes back; it neither confirms nor remembers
+    {"leddar_vu8": MappingProxyType({"confirm_hits": 1, "coast_s": 0.0})}
+)
+"Where a format's own default differs from the tracker's."
+
+
+def options_of(given: Mapping[str, Any], classes: Mapping[str, str], format_name: str = "") -> TrackerOptions:
+    """What a scenario's `objects:` table gives, over the format's own defaults; `classes` of the scene's actors."""
+    chosen = {**OF_FORMAT.get(format_name, {}), **given}
+    if "classification" in chosen:
+        chosen["classify"] = chosen.pop("classification")
+    return TrackerOptions(**chosen, classes=MappingProxyType(dict(classes)))

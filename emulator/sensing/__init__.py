@@ -4,7 +4,8 @@
 the sub-beams go), paths (what they bring back), air (what is between), echoes and receiver (what becomes of it).
 """
 
-from emulator.sensing.measure import Measure, View, build
+from emulator.sensing.measure import Measure, build
 from emulator.sensing.table import table_plan
+from emulator.sensing.view import View
 
 __all__ = ["Measure", "View", "build", "table_plan"]

@@ -29,7 +29,7 @@ from protocols.scan import Scan, ScanPlan
 if TYPE_CHECKING:
     from emulator.faults.light import Light
     from emulator.faults.measured import Held
-    from emulator.sensing.measure import View
+    from emulator.sensing.view import View
 
 MOST_RECEIVERS = 16
 "Worn receivers that are kept: one that drifts is a new one in every sweep."

@@ -6,12 +6,11 @@ Belongs here: the order of the steps. Each step is in its own module.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from emulator.conditions import NORMAL, ActiveFault, Conditions
 from emulator.draws import Draws
@@ -20,7 +19,6 @@ from emulator.motion import Pose
 from emulator.physics import atmosphere
 from emulator.physics.arrays import Floats, indexes
 from emulator.physics.materials import Material, SurfaceTable, material, material_from_mapping
-from emulator.physics.subechoes import Kept, SubEchoes
 from emulator.sensing.adapt import adaptive_rays
 from emulator.sensing.air import Air, AirNow
 from emulator.sensing.contracts import FacedCaster
@@ -34,6 +32,7 @@ from emulator.sensing.receiver import Receiver
 from emulator.sensing.resting import Resting, with_others
 from emulator.sensing.soft import SoftTargets
 from emulator.sensing.sparing import Spared, Sparing, wanted
+from emulator.sensing.view import View
 from emulator.spec import load_spec
 from emulator.weather import WeatherConfig
 from protocols.scan import Scan, ScanPlan
@@ -51,30 +50,6 @@ FEW_MOVERS = 32
 "With more moving bodies out of reach it does not."
 DEEP = 5.0
 "Optical depth beyond which single scattering is an estimate."
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """One sweep before the receiver: for the receiver, and for studies of accuracy."""
-
-    rays: Rays
-    seen: Seen
-    "Surfaces alone."
-    found: SubEchoes
-    "Surfaces, particles and uneven media. See `kept`."
-    air: AirNow
-    surfaces: Surfaces
-    cast: int
-    "First rays cast: those of all bundles, where none was spared."
-    plain: NDArray[np.bool_] | None = None
-    "(n,) beams of which one plane is seen, or nothing, and that had no bundle; None: not asked for."
-    kept: Kept | None = None
-    "Sub-echoes of beams that have what they had before; `found` holds those of the others alone."
-
-    @cached_property
-    def echoes(self) -> SubEchoes:
-        """Those of all beams."""
-        return self.found if self.kept is None else self.kept.whole(self.found)
 
 
 class Measure:

@@ -25,10 +25,10 @@ from emulator.physics.beams import Bundle
 from emulator.physics.subechoes import SubEchoes, cluster
 from emulator.physics.waveform import sample
 from emulator.sensing import Measure
-from emulator.sensing.measure import View
 from emulator.sensing.paths import trace
 from emulator.sensing.rays import Bundles, Rays, cast_rays
 from emulator.sensing.receiver import Receiver
+from emulator.sensing.view import View
 from emulator.studies.accuracy_rules import FIXED, Strips, edges, rms
 from protocols.scan import Scan, ScanPlan
 

@@ -19,7 +19,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from emulator import scenario, scene, triangles
-from emulator.deforming import Frames
+from emulator.mesh_frames import Frames
 from emulator.motion import Steady
 from emulator.raycast import Caster
 from emulator.scene import Body, Scene

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from emulator import scenario, scene, triangles
-from emulator.deforming import MOST_OFF_M, Frames
 from emulator.errors import ScenarioError, SceneError
+from emulator.mesh_frames import MOST_OFF_M, Frames
 from emulator.motion import Motion, Steady
 from emulator.raycast import Caster
 from emulator.scene import Body, Scene

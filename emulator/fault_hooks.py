@@ -1,0 +1,61 @@
+"""What an instrument asks of the faults on it; whoever injects faults keeps this contract.
+
+Belongs here: the contract alone. Not: faults, when they begin (injection), when an instrument asks (instrument).
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from emulator.transports.link import Received
+from protocols.scan import ScanPlan
+from protocols.session import Emission, Event
+
+Piece = tuple[Emission, int | None]
+"A telegram, and the only link that it is for; None: as its address says."
+Made = tuple[Emission, int | None, int]
+"A telegram, its only link or None, and the fault that has made it late or 0."
+
+
+class FaultHooks(Protocol):
+    """The faults of one sensor. Times are those of the run, in nanoseconds."""
+
+    taker: str | None
+    "Name of the fault that took the scan of the telegram looked at last."
+    counted: bool
+    "The telegram looked at last has been counted as sent: a fault holds it back."
+    own_speeds: dict[int, list[int | None]]
+    "Of lines with a wrong speed: their own, and once more for each fault that holds."
+
+    def advance(self, now_ns: int) -> None:
+        """Begin and end what is due."""
+
+    def next_ns(self) -> int | None:
+        """When `advance` or `released` has something to do."""
+
+    def hearing(self, received: Received, index: int, now_ns: int) -> list[Received]:
+        """What the device gets instead of what came in on a link."""
+
+    def asked(self, plan: ScanPlan) -> None:
+        """A sweep is asked for: the faults that will show in it have hit."""
+
+    def sending(self, emission: Emission, now_ns: int) -> list[Made]:
+        """What becomes of a telegram."""
+
+    def leaving(self, made: list[Made], now_ns: int) -> list[Piece]:
+        """What of that leaves now; the rest waits."""
+
+    def released(self, now_ns: int) -> list[tuple[Piece, bool]]:
+        """What was held back and leaves now, and whether it has been counted."""
+
+    def noted(self, event: Event) -> None:
+        """Something that the session told."""
+
+    def cut(self) -> int:
+        """The power is away: bytes that were held back and are gone."""
+
+    def counts(self) -> dict[str, dict[str, int]]:
+        """By name: how often begun, how many hits."""
+
+    def hits_of(self, name: str) -> int:
+        """How often faults of that name have hit."""
