@@ -1,5 +1,5 @@
 """`python -m emulator` is `lidaremu`."""
 
-from emulator.cli import entry
+from emulator.commands.cli import entry
 
 entry()

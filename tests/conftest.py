@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from emulator.instrument import Instrument
-from emulator.ledger import faults_of
+from emulator.instrument.instrument import Instrument
+from emulator.instrument.ledger import faults_of
 
 settings.register_profile("lidaremu", deadline=None, derandomize=True)
 settings.load_profile("lidaremu")

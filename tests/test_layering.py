@@ -1,31 +1,29 @@
-"""Who may import whom. The rules stand in docs/architecture.md; this reads the imports and holds them."""
+"""Who may import whom. The rooms stand in `layering`, the rules in docs/architecture.md; this reads the imports."""
 
 from __future__ import annotations
 
 import ast
+import sys
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
+from tests import layering
+from tests.layering import FLOORS, OUTSIDE, ROOT
+
+KNOWN = layering.modules()
+FLOOR_OF = {room: number for number, floor in enumerate(FLOORS) for room in floor}
 
 ONLY_IN = {
-    "embreex": {"emulator/embree.py", "emulator/deforming.py"},
-    "trimesh": {"emulator/scene.py", "emulator/raycast.py", "emulator/mesh_files.py", "emulator/meshes.py"},
+    "embreex": {"emulator/casting/embree.py", "emulator/casting/deforming.py"},
+    "trimesh": {"emulator/world/"},
     "pydantic": {
-        "emulator/scenario.py",
-        "emulator/scenario_tables.py",
-        "emulator/spec.py",
-        "emulator/tables.py",
-        "emulator/weather.py",
-        "emulator/live_weather.py",
-        "emulator/physics_options.py",
-        "emulator/object_options.py",
-        "emulator/clock_options.py",
-        "emulator/yaml_source.py",
+        "emulator/config/",
+        "emulator/sensors/",
+        "emulator/scenario/",
         "emulator/faults/",
     },
-    "time": {"emulator/clock.py"},
+    "time": {"emulator/process/clock.py"},
     "can": {"emulator/transports/can_bus.py", "emulator/recording/can_logs.py", "emulator/hosts/can_lines.py"},
     "mcap": {"emulator/recording/"},
     "cantools": {"protocols/can_objects/"},
@@ -39,34 +37,46 @@ ONLY_IN = {
 STANDARD_OR = {
     "protocols/": {"numpy", "protocols", "cantools", "e2e"},
     "emulator/physics/": {"numpy", "scipy", "emulator", "ruamel"},
+    "emulator/compiled/": {"numpy", "numba", "llvmlite", "emulator", "embreex"},
 }
 "Folder -> what it imports beside the standard library."
 
 
-def modules() -> list[Path]:
-    return sorted(path for folder in ("emulator", "protocols") for path in (ROOT / folder).rglob("*.py"))
+NO_ROOMS = {"benchmarks", "docs", "extreme", "hostile", "protocols", "scoreboard", "system"}
+"Folders of tests that belong to no single room of emulator/."
+BESIDE = {"conftest.py", "layering.py", "test_layering.py", "test_warnings.py"}
 
 
-def imported(path: Path) -> set[str]:
+def place_of(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def tops(path: Path) -> set[str]:
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
             names.add(node.module)
-    return names
+    return {name.partition(".")[0] for name in names}
 
 
-def tops(path: Path) -> set[str]:
-    return {name.partition(".")[0] for name in imported(path)}
+@pytest.mark.parametrize("name", KNOWN)
+def test_a_module_imports_from_its_own_room_and_from_lower_floors_alone(name: str) -> None:
+    room = layering.room_of(name, KNOWN)
+    if name == "emulator":
+        assert not list(layering.imported(KNOWN[name], KNOWN))
+        return
+    for other, line, _ in layering.imported(KNOWN[name], KNOWN):
+        theirs = layering.room_of(other, KNOWN)
+        fits = other == "emulator" or theirs == room or FLOOR_OF[theirs] < FLOOR_OF[room]
+        where = f"{place_of(KNOWN[name])}:{line}"
+        assert fits, f"{where}: imports {other}; want a room on a floor below that of {room}, see tests/layering.py"
 
 
-@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(ROOT)))
-def test_a_module_imports_only_what_its_place_allows(path: Path) -> None:
-    import sys
-
-    place = path.relative_to(ROOT).as_posix()
-    found = tops(path)
+@pytest.mark.parametrize("path", KNOWN.values(), ids=place_of)
+def test_a_module_imports_only_the_libraries_that_its_place_allows(path: Path) -> None:
+    place, found = place_of(path), tops(path)
     for library, homes in ONLY_IN.items():
         if not any(place == home or (home.endswith("/") and place.startswith(home)) for home in homes):
             assert library not in found, f"{place} imports {library}; allowed in {sorted(homes)}"
@@ -74,16 +84,59 @@ def test_a_module_imports_only_what_its_place_allows(path: Path) -> None:
         if place.startswith(folder):
             strange = found - allowed - sys.stdlib_module_names
             assert not strange, f"{place} imports {sorted(strange)}"
-    if place.startswith("protocols/"):
-        assert "emulator" not in found
-    if place.startswith("emulator/compiled/"):
-        assert all(name.startswith("emulator.compiled") for name in imported(path) if name.startswith("emulator"))
-    if place.startswith("emulator/physics/"):
-        outside = {name for name in imported(path) if name.startswith("emulator") and ".physics" not in name}
-        assert outside <= {"emulator.errors", "emulator.compiled"}, outside
 
 
-def test_the_reader_of_imports_sees_them() -> None:
-    assert "ast" in tops(Path(__file__))
-    assert "embreex" not in tops(ROOT / "emulator" / "clock.py")
-    assert "time" in tops(ROOT / "emulator" / "clock.py")
+def test_no_file_imports_itself_by_way_of_others() -> None:
+    assert layering.circles(layering.graph()) == []
+
+
+def test_every_module_lies_in_a_room_and_every_room_is_there() -> None:
+    found = {layering.room_of(name, KNOWN) for name in KNOWN} - {"emulator/__init__.py"}
+    assert found == set(FLOOR_OF)
+    assert len(FLOOR_OF) == sum(map(len, FLOORS))
+    beside = {path.name for path in (ROOT / "emulator").iterdir() if path.is_file()}
+    assert beside <= set(OUTSIDE), "a module lies in a room, see the table in docs/architecture.md"
+
+
+def test_tests_lie_in_folders_named_as_rooms() -> None:
+    folders = {path.name for path in (ROOT / "tests").iterdir() if path.is_dir() and list(path.glob("**/*.py"))}
+    assert folders - NO_ROOMS <= {room.removeprefix("emulator/") for room in FLOOR_OF}
+    assert {path.name for path in (ROOT / "tests").glob("*.py")} == BESIDE
+
+
+@pytest.mark.parametrize("room", [room for room in FLOOR_OF if not room.endswith(".py") and room != "protocols"])
+def test_a_room_opens_with_what_belongs_in_it_and_what_it_may_import_and_loads_nothing(room: str) -> None:
+    tree = ast.parse((ROOT / room / "__init__.py").read_text(encoding="utf-8"))
+    text = ast.get_docstring(tree) or ""
+    assert "May import" in text
+    assert len(tree.body) == 1, "a docstring and nothing else"
+
+
+def test_the_reader_of_imports_sees_those_in_functions_and_for_types(tmp_path: Path) -> None:
+    text = """
+from typing import TYPE_CHECKING
+import emulator.errors
+if TYPE_CHECKING:
+    from emulator.process import clock
+def late():
+    from emulator.process.waiting import Waiter
+"""
+    (tmp_path / "some.py").write_text(text)
+    found = {name: head for name, _, head in layering.imported(tmp_path / "some.py", KNOWN)}
+    assert found == {"emulator.errors": True, "emulator.process.clock": False, "emulator.process.waiting": False}
+
+
+def test_circles_and_chains_are_found() -> None:
+    edges = {"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}, "e": set()}
+    assert layering.circles(edges) == [["b", "c"]]
+    assert layering.chain(edges) == ["d", "a", "b"]
+
+
+def test_figures_tell_of_a_tidy_house() -> None:
+    found = layering.figures()
+    assert found["loose files"] == 0
+    assert found["files in circles"] == 0
+    assert found["circles of rooms"] == []
+    floors = found["floors (longest chain of rooms)"]
+    assert isinstance(floors, int)
+    assert floors <= len(FLOORS)

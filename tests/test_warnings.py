@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from emulator.cli import main
+from emulator.commands.cli import main
 
 THIN = "front: fog: law naboulsi_advection: visibility 4000 m outside 50 to 1000 m"
 DENSE = "front: fog: visibility 0.5 m: no law is physical below about 1 m"

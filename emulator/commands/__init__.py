@@ -1,1 +1,6 @@
-"""Commands of the command line that have a module of their own; `emulator.cli` registers them."""
+"""The command line, a module a command; what there is to choose from (catalogue); both as pages (pages).
+
+Belongs here: words in, lines and exit codes out. What a command needs it loads when it runs. Not: doing any of it.
+
+May import: every room.
+"""

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from emulator.errors import EmulatorError
-from emulator.telling import put, raw, visible
+from emulator.output.telling import put, raw, visible
 
 if TYPE_CHECKING:
-    from emulator.scenario import Scenario
+    from emulator.scenario.scenario import Scenario
 
 OK, FAILED, CANNOT_RUN, LINK_LOST = 0, 1, 2, 3
 LONGEST_S = 1e9
@@ -31,17 +31,6 @@ class Finite(click.FloatRange):
         if math.isnan(found):
             self.fail(f"{value!r}; want a number", param, ctx)
         return found
-
-
-def say(text: str) -> None:
-    """One line for the user, at once; above a bar that is being drawn."""
-    put(sys.stdout, [text])
-
-
-def note(text: str) -> None:
-    """One line of the log, on standard error; dropped where nobody is left to read it."""
-    with contextlib.suppress(BrokenPipeError, EmulatorError):
-        put(sys.stderr, [f"lidaremu: {text}"])
 
 
 def complain(error: EmulatorError, head: str = "lidaremu: ") -> None:
@@ -110,7 +99,7 @@ def scenario_options(function: Any) -> Any:
 
 def load_scenario(name: str, overrides: Sequence[str], seed: int | None, links: Sequence[str]) -> Scenario:
     """The scenario of that path or built-in name, with the command line's changes."""
-    from emulator import scenario
+    from emulator.scenario import scenario
 
     replaced: dict[str, list[str]] = {}
     for text in links:

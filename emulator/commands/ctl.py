@@ -5,22 +5,23 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from emulator.budgets import TooMuch, loads_json
-from emulator.commands.common import OK, say
+from emulator.commands.common import OK
 from emulator.errors import LinkError
+from emulator.output.lines import say
+from emulator.runtime.order_words import parameters_of
 
 if TYPE_CHECKING:
-    from emulator.clock import Clock
-    from emulator.control import ControlServer
-    from emulator.daemon import Daemon
-    from emulator.instrument import Instrument
+    from emulator.instrument.instrument import Instrument
+    from emulator.process.clock import Clock
     from emulator.recording.writer import Recorder
-    from emulator.scenario import Scenario
-    from emulator.virtual_daemon import VirtualDaemon
+    from emulator.runtime.control import ControlServer
+    from emulator.runtime.daemon import Daemon
+    from emulator.runtime.virtual_daemon import VirtualDaemon
+    from emulator.scenario.scenario import Scenario
 
 
 def control_of(
@@ -32,9 +33,9 @@ def control_of(
     path: Path | None,
 ) -> ControlServer:
     """The control socket of a run, at `path` or at a place of its own."""
-    from emulator.control import ControlServer, new_path
-    from emulator.orders import Orders
-    from emulator.virtual_daemon import VirtualDaemon
+    from emulator.runtime.control import ControlServer, new_path
+    from emulator.runtime.orders import Orders
+    from emulator.runtime.virtual_daemon import VirtualDaemon
 
     orders = Orders(daemon, instruments, clock, scenario)
     if recorder is not None:
@@ -73,7 +74,7 @@ def ctl(order: str, parameters: tuple[str, ...], path: Path | None) -> int:
 
     A VALUE is JSON, or a plain word; a dot in NAME leads into a table.
     """
-    from emulator import control
+    from emulator.runtime import control
 
     order, parameters = fault_order(parameters) if order == "fault" else (order, parameters)
     params = parameters_of(parameters)
@@ -100,27 +101,3 @@ def fault_order(words: Sequence[str]) -> tuple[str, tuple[str, ...]]:
     if len(plain) != 2:
         raise click.BadParameter(f"{' '.join(plain)!r}; want SENSOR NAME, clear [N] or list", param_hint="fault")
     return "fault", (f"on={json.dumps(plain[0])}", f"do={json.dumps(plain[1])}", *rest)
-
-
-def parameters_of(texts: Sequence[str]) -> dict[str, Any]:
-    """`fog.visibility_m=50` and the like as tables; the daemon judges names and values."""
-    params: dict[str, Any] = {}
-    for text in texts:
-        name, separator, value = text.partition("=")
-        parts = name.split(".")
-        if not separator or not all(parts):
-            raise click.BadParameter(f"{text!r}; want NAME=VALUE", param_hint="NAME=VALUE")
-        here = params
-        for part in parts[:-1]:
-            here = here.setdefault(part, {})
-            if not isinstance(here, dict):
-                raise click.BadParameter(f"{text!r} leads into a value given before it", param_hint="NAME=VALUE")
-        if parts[-1] in here:
-            raise click.BadParameter(f"{text!r}; {name} was given before it", param_hint="NAME=VALUE")
-        try:
-            here[parts[-1]] = loads_json(value)
-        except TooMuch as error:
-            raise click.BadParameter(f"{name}: {error}", param_hint="NAME=VALUE") from None
-        except ValueError:
-            here[parts[-1]] = value
-    return params

@@ -8,7 +8,8 @@ from dataclasses import asdict
 
 import click
 
-from emulator.commands.common import OK, say
+from emulator.commands.common import OK
+from emulator.output.lines import say
 
 
 @click.command()
@@ -16,14 +17,14 @@ from emulator.commands.common import OK, say
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
 def doctor(seconds: float, as_json: bool) -> int:
     """What this machine allows: pseudo-terminals and their speeds, multicast, SocketCAN, adapters, timers, loops."""
-    from emulator import compiled
-    from emulator.pacing_trial import measure
+    from emulator.compiled import switch
+    from emulator.process.waiting import realtime_allowed
+    from emulator.runtime.pacing_trial import measure
     from emulator.transports.probes import Probe, probe_links
-    from emulator.waiting import realtime_allowed
 
     cores = len(os.sched_getaffinity(0))
     probes = [Probe("processor cores", cores > 1, f"{cores}: one sends, {max(1, cores - 1)} measure")]
-    probes.append(Probe("compiled loops", *compiled.why()))
+    probes.append(Probe("compiled loops", *switch.why()))
     probes += probe_links(os.environ)
     found = measure(seconds)
     ours, other = found.ours, found.asyncio_sleep

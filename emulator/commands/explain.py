@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from emulator.commands.common import OK, bar, load_scenario, note, part_of, say, scenario_options
+from emulator.commands.common import OK, bar, load_scenario, part_of, scenario_options
+from emulator.output.lines import note, say
 
 if TYPE_CHECKING:
-    from emulator.savings import Cost
+    from emulator.sensing.savings import Cost
 
 
 @click.command()
@@ -34,8 +35,11 @@ def explain(
     Rays and milliseconds are those of one sweep of one core, as the device makes it once a host has asked for scans,
     measured here: with each rule switched alone, and with all of them off.
     """
-    from emulator import needs, plans, raycast, savings, scene
-    from emulator.spec import load_spec
+    from emulator.casting import raycast
+    from emulator.judging import plans
+    from emulator.sensing import needs, savings
+    from emulator.sensors.spec import load_spec
+    from emulator.world import scene
 
     loaded = load_scenario(scenario, overrides, seed, links)
     if full:

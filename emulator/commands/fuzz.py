@@ -7,8 +7,9 @@ from pathlib import Path
 
 import click
 
-from emulator.commands.common import FAILED, OK, bar, say
+from emulator.commands.common import FAILED, OK, bar
 from emulator.commands.soak import prepare
+from emulator.output.lines import say
 
 MOST_SECONDS = 86_400.0
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import click
 
-from emulator.commands.common import LONGEST_S, Finite, note, say
+from emulator.commands.common import LONGEST_S, Finite
 from emulator.errors import EmulatorError
+from emulator.output.lines import note, say
 
 
 @click.command()
@@ -42,9 +43,9 @@ def look(
     slcan:PATH or can:INTERFACE:CHANNEL. On a terminal it draws until q is pressed; elsewhere it prints a line a second.
     With --png alone one scan is taken.
     """
-    from emulator.look import CAN_FAMILY, Wanted, connect, run_look
-    from emulator.look_files import require_matplotlib
-    from emulator.screen import drawable
+    from emulator.looking.look import CAN_FAMILY, Wanted, connect, run_look
+    from emulator.looking.look_files import require_matplotlib
+    from emulator.looking.screen import drawable
 
     if family_name != CAN_FAMILY and (model is not None or extended):
         raise click.UsageError(f"--model and --extended belong to --family {CAN_FAMILY}")
@@ -72,6 +73,6 @@ def demo(scenario: str | None, sensor: str | None, family_name: str | None, dura
 
     Where standard output is no terminal it ends by itself after a few seconds.
     """
-    from emulator.demo import run_demo
+    from emulator.looking.demo import run_demo
 
     return run_demo(scenario, sensor, family_name, duration, baud, say)

@@ -12,16 +12,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from emulator.commands.common import FAILED, LINK_LOST, OK, Finite, bar, note, say
+from emulator.commands.common import FAILED, LINK_LOST, OK, Finite, bar
 from emulator.errors import EmulatorError
+from emulator.output.lines import note, say
 
 if TYPE_CHECKING:
-    from emulator.daemon import Daemon, Lateness
-    from emulator.instrument import Instrument
+    from emulator.instrument.instrument import Instrument
     from emulator.recording.writer import Recorder
-    from emulator.scenario import Scenario
+    from emulator.runtime.daemon import Daemon, Lateness
+    from emulator.runtime.virtual_daemon import VirtualDaemon
+    from emulator.scenario.scenario import Scenario
     from emulator.transports.link import Link
-    from emulator.virtual_daemon import VirtualDaemon
 
 
 DRAWN_NS = 1_000_000_000
@@ -41,7 +42,7 @@ def recorder_for(
         return None
     from emulator.recording.writer import Recorder
     from emulator.recording.writing import LIVE, VIRTUAL
-    from emulator.virtual_daemon import VirtualDaemon
+    from emulator.runtime.virtual_daemon import VirtualDaemon
 
     own = Path(f"{scenario.source.stem}-recording")
     truth = folder is not None or wanted.truth
@@ -73,10 +74,10 @@ def replay(
     """Send a RECORDING again, with its own gaps or scaled: a folder or .mcap of ours, .pcap, .pcapng, .blf, .asc,
     candump .log, or the raw bytes of a serial line.
     """
-    from emulator.daemon import Lateness
-    from emulator.recording.playback import GapErrors, ReplaySession, open_players, step
     from emulator.recording.reader import is_ours, read_run, read_wire
-    from emulator.virtual_daemon import VirtualDaemon
+    from emulator.runtime.daemon import Lateness
+    from emulator.runtime.playback import GapErrors, ReplaySession, open_players, step
+    from emulator.runtime.virtual_daemon import VirtualDaemon
 
     if recording.suffix in (".yaml", ".yml"):  # any other bytes may be those of a line
         raise EmulatorError(f"{recording}: a scenario; want a recording of one, see lidaremu run --record")

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import click
 
-from emulator.commands.common import OK, bar, part_of, say
+from emulator.commands.common import OK, bar, part_of
 from emulator.errors import EmulatorError
+from emulator.output.lines import say
 
 
 @click.command()

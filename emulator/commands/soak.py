@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from emulator.commands.common import FAILED, OK, bar, say
+from emulator.commands.common import FAILED, OK, bar
 from emulator.errors import EmulatorError
+from emulator.output.lines import say
 
 if TYPE_CHECKING:
     from emulator.endurance.soak import Soaked

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import click
 
-from emulator.clock import SystemClock
-from emulator.commands.common import FAILED, OK, Finite, say
-from emulator.telling import raw, visible
+from emulator.commands.common import FAILED, OK, Finite
+from emulator.output.lines import say
+from emulator.output.telling import raw, visible
+from emulator.process.clock import SystemClock
 
 MOST_SPEEDS = 50
 

@@ -24,14 +24,14 @@ from emulator.commands.common import (
     bar,
     load_scenario,
     part_of,
-    say,
     scenario_options,
 )
 from emulator.errors import EmulatorError
-from emulator.telling import visible
+from emulator.output.lines import say
+from emulator.output.telling import visible
 
 if TYPE_CHECKING:
-    from emulator.trial import Verdict
+    from emulator.judging.trial import Verdict
 
 Progress = Callable[[float], None]
 CODES = {"passed": OK, "failed": FAILED, "error": CANNOT_RUN}
@@ -152,7 +152,7 @@ def _folders(names: Sequence[str], record: Path | None) -> list[Path | None]:
 
 
 def _examples(folder: Path) -> list[str]:
-    from emulator.examples import write
+    from emulator.judging.examples import write
 
     try:
         return list(map(str, write(folder)))
@@ -169,8 +169,8 @@ def _outcome(
     workers: int,
     progress: Progress | None = None,
 ) -> Result:
-    from emulator.clock import SystemClock
-    from emulator.trial import run_trial
+    from emulator.judging.trial import run_trial
+    from emulator.process.clock import SystemClock
 
     clock = SystemClock()
     try:
@@ -190,9 +190,8 @@ def _all(
         return
     import multiprocessing
 
-    import emulator.raycast
-    import emulator.sensing
-    import emulator.trial  # noqa: F401  # loaded once here, and there after the fork
+    import emulator.casting.raycast
+    import emulator.judging.trial  # noqa: F401  # loaded once here, and there after the fork
 
     with ProcessPoolExecutor(min(jobs, len(names)), multiprocessing.get_context("fork")) as pool:
         waiting: list[Future[Result]] = [pool.submit(one, *both) for both in zip(names, folders, strict=True)]

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from emulator.commands.common import LINK_LOST, LONGEST_S, OK, Finite, note, say
+from emulator.commands.common import LINK_LOST, LONGEST_S, OK, Finite
 from emulator.errors import EmulatorError
-from emulator.telling import visible
+from emulator.output.lines import note, say
+from emulator.output.telling import visible
 
 if TYPE_CHECKING:
     from emulator.view.frames import Source
@@ -67,7 +68,7 @@ def view(
         from emulator.view.page import Page
     except ModuleNotFoundError as error:
         raise EmulatorError(f"{error}; {NEEDS}") from None
-    from emulator.own_daemon import ending_signals
+    from emulator.runtime.own_daemon import ending_signals
 
     be_free(host, port)
     key = token or secrets.token_urlsafe(18).replace("-", "x").replace("_", "y")
@@ -137,7 +138,7 @@ def opened(what: str | None) -> Iterator[Source]:
 @contextmanager
 def own_source(scenario: str) -> Iterator[LiveSource]:
     """A daemon on a scenario at real time's pace, with hosts of ours on its links."""
-    from emulator.own_daemon import own_daemon
+    from emulator.runtime.own_daemon import own_daemon
     from emulator.view.guests import Guests, free_links
     from emulator.view.live import LiveSource
 

@@ -13,13 +13,14 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 
 NICENESS = 10
 "Of the compiling process: whoever sends and measures comes first."
-BODY = "from emulator.compiled import build; build.body()"
+BODY = "from emulator.compiled import build, switch; build.body(switch.kernels)"
 
 
 def note_path() -> Path:
@@ -97,11 +98,10 @@ class Builder:
         self._process.wait()
 
 
-def body() -> None:
+def body(kernels: Callable[[], object]) -> None:
     """What the process does."""
     with suppress(OSError):
         os.nice(NICENESS)
-    from emulator.compiled import kernels
 
     if kernels() is None:
         sys.exit(1)

@@ -1,1 +1,6 @@
-"""How long it holds: soaks with hosts that come, go and misbehave (`soak`, `real_soak`), and fuzzing (`fuzz`)."""
+"""Long runs: soaks with hosts that misbehave, every scan on account, and fuzzing of files, hosts and sessions.
+
+Belongs here: what takes hours, or finds what nobody thought of. Not: tests of single behaviours (tests/).
+
+May import: `runtime` and below.
+"""

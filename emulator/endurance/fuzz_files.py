@@ -14,16 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from emulator import scenario
+from emulator.config.expressions import ExpressionError, evaluate, parse
+from emulator.config.expressions import names as names_of
+from emulator.config.yaml_lines import parse as parse_yaml
 from emulator.endurance.scene import soak_text
 from emulator.errors import EmulatorError, ScenarioError
-from emulator.expressions import ExpressionError, evaluate, parse
-from emulator.expressions import names as names_of
 from emulator.recording.can_logs import LoggedFrame, candump_line, write_with_library
 from emulator.recording.examples import example_mcaps
 from emulator.recording.pcapng import PcapngWriter
 from emulator.recording.reader import read_wire
-from emulator.yaml_lines import parse as parse_yaml
+from emulator.scenario import scenario
 
 TRIANGLE = ([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
 EXPRESSIONS = (
@@ -98,7 +98,7 @@ def file_reader(suffix: str, read: Callable[[Path], object]) -> Callable[[bytes]
 
 def meshes(suffix: str) -> Callable[[bytes], None]:
     """A mesh file with that ending."""
-    from emulator import mesh_files
+    from emulator.world import mesh_files
 
     return file_reader(suffix, lambda path: mesh_files.load(path, None, 1.0, "fuzz.yaml:1"))
 

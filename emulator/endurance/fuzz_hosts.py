@@ -10,21 +10,21 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 
-from emulator import scenario
-from emulator.assembly import new_sessions
-from emulator.clock import SystemClock
-from emulator.control import ControlServer
 from emulator.endurance.scene import soak_text
 from emulator.hosts.lms2xx import TelegramReader
-from emulator.instrument import Instrument
-from emulator.measuring import InPlace
-from emulator.orders import Orders
-from emulator.transports import check_url, open_link
+from emulator.instrument.instrument import Instrument
+from emulator.measuring.measuring import InPlace
+from emulator.process.clock import SystemClock
+from emulator.runtime.assembly import new_sessions
+from emulator.runtime.control import ControlServer
+from emulator.runtime.orders import Orders
+from emulator.runtime.virtual_daemon import VirtualDaemon
+from emulator.scenario import scenario
 from emulator.transports.can_link import BITRATE, CanPort
 from emulator.transports.can_wire import CanWire
+from emulator.transports.schemes import check_url, open_link
 from emulator.transports.slcan import Adapter
 from emulator.transports.socketcand import Client, SocketcandServer
-from emulator.virtual_daemon import VirtualDaemon
 from protocols.lms2xx.telegrams import read_values, request
 
 SECOND_NS = 1_000_000_000

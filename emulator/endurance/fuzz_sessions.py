@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from emulator.spec import load_spec
+from emulator.sensors.spec import load_spec
 from protocols import family
 from protocols.can_frame import EXTENDED
 from protocols.errors import ScanRefused

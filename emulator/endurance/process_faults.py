@@ -10,10 +10,10 @@ import signal
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-PLAYED = "tests/test_supervision.py"
-FORKED = "tests/test_measuring.py"
+PLAYED = "tests/measuring/test_supervision.py"
+FORKED = "tests/measuring/test_measuring.py"
 SYSTEM = "tests/system/test_process_faults.py"
-RIG_VIRTUAL = "tests/test_process_faults.py"
+RIG_VIRTUAL = "tests/measuring/test_process_faults.py"
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ def table() -> Iterator[str]:
 
 def main() -> int:
     """Print the table."""
-    from emulator.commands.common import say
+    from emulator.output.lines import say
 
     for line in table():
         say(line)

@@ -12,8 +12,8 @@ from collections import Counter
 
 import numpy as np
 
-from emulator.commands.driver import family_of
 from emulator.endurance.process_faults import drawn
+from emulator.process.driver import family_of
 
 SECOND_NS = 1_000_000_000
 LONGEST_PAUSE_S = 60.0

@@ -13,14 +13,16 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from emulator import assembly, scenario
-from emulator.clock import SystemClock
-from emulator.commands.common import note, say
-from emulator.control import ControlServer
-from emulator.daemon import Daemon, summary
-from emulator.ledger import check_accounts
-from emulator.orders import Orders
-from emulator.supervision import Workers
+from emulator.instrument.ledger import check_accounts
+from emulator.instrument.summary import summary
+from emulator.measuring.supervision import Workers
+from emulator.output.lines import note, say
+from emulator.process.clock import SystemClock
+from emulator.runtime import assembly
+from emulator.runtime.control import ControlServer
+from emulator.runtime.daemon import Daemon
+from emulator.runtime.orders import Orders
+from emulator.scenario import scenario
 
 
 def main(argv: Sequence[str]) -> int:

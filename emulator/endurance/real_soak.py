@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from emulator.clock import SystemClock
 from emulator.endurance.growth import Growth, cpu_s, look
 from emulator.endurance.guests import Guestbook, LineGuests, StreamGuests
 from emulator.endurance.process_guests import Saboteur
@@ -27,6 +26,7 @@ from emulator.endurance.real_guests import Endpoint, Intruders, ListReader, Term
 from emulator.endurance.scene import soak_text
 from emulator.endurance.soak import Soaked, judged
 from emulator.errors import EmulatorError
+from emulator.process.clock import SystemClock
 
 TICK_S = 0.02
 "Hosts are stepped this often."

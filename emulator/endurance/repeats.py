@@ -10,8 +10,8 @@ from collections import OrderedDict, deque
 from collections.abc import Mapping
 from dataclasses import replace
 
-from emulator.conditions import NORMAL, Conditions
-from emulator.measuring import Measure
+from emulator.measuring.conditions import NORMAL, Conditions
+from emulator.measuring.measuring import Measure
 from protocols.scan import Scan, ScanPlan
 
 FRESH, CYCLE = 40, 2000

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from emulator import scenario
-from emulator.scenario import Scenario
+from emulator.scenario import scenario
+from emulator.scenario.scenario import Scenario
 
 LMS_RATE_HZ, LD_RATE_HZ, LIST_RATE_HZ = 37.5, 5.0, 1e3 / 75.0
 LMS_BEAMS, LD_BEAMS = 361, 360

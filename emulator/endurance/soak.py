@@ -13,20 +13,20 @@ from typing import Any
 
 import numpy as np
 
-from emulator import assembly
-from emulator.clock import SystemClock
 from emulator.endurance.bus_guests import GuestBus
 from emulator.endurance.growth import Growth, look
 from emulator.endurance.guests import Guestbook, LineGuests, StreamGuests
 from emulator.endurance.repeats import repeating
 from emulator.endurance.scene import soak_scenario
-from emulator.instrument import Instrument
-from emulator.measuring import InPlace
+from emulator.instrument.instrument import Instrument
+from emulator.measuring.measuring import InPlace
+from emulator.process.clock import SystemClock
+from emulator.runtime import assembly
+from emulator.runtime.virtual import VirtualHost, VirtualRun
 from emulator.transports.can_link import BITRATE, CanPorts
 from emulator.transports.can_wire import CanWire
 from emulator.transports.link import Link
 from emulator.transports.loopback import LoopLink, Loops
-from emulator.virtual import VirtualHost, VirtualRun
 
 GROUP_NS = 20_000_000
 "Bytes of a line reach a host in groups of this duration, or at the end of a telegram: ten times those of real links."

@@ -1,4 +1,10 @@
-"""Faults by name: what goes wrong on purpose, when, for how long, and how its end shows.
+"""Faults by name: what can go wrong on purpose, for how long, and how its end shows.
+
+Belongs here: kinds, their keys, what judges an entry of `faults:`, and what acts on bytes and links by the contracts of
+`acts`. Not: when they begin (emulator.injection), what they do to a sweep (emulator.sensing.faulty) or to a list
+(emulator.objects.fault_lists).
+
+May import: `config`, `sensors` (specs), `transports`, `physics` (draws), `protocols`.
 
 How a fault is added:
 
@@ -12,8 +18,8 @@ How a fault is added:
      Whoever measures asks `conditions.of(sensor, plan.start_ns)`. A fault of the clock is judged at the plan's own
      start; one that is begun otherwise (live, by a command, a telegram, an expression) holds from the next sweep asked
      for, at most the look-ahead (0.25 s) later. Draw with `Draws(seed, sensor)`, the fault's number in the term's name.
-     What it does goes into `light` (what reaches the receiver), `aims` (where beams go), `readings` (scans), `lists`
-     (object lists): loaded where sweeps are measured, by `sensing.faulty`, and not by whoever judges a scenario.
+     What it does goes into `sensing.faulty`: `light` (what reaches the receiver), `aims` (where beams go), `readings`
+     (scans), or into `objects.fault_lists`: loaded where sweeps are measured, and not by whoever judges a scenario.
      Under measurement without a plan (sessions): `act` as well or instead, see `gear.session`.
    - what is sent, received, plugged in or powered: `act=SomeAct`, a class that derives from `acts.Act` and overrides
      `begin`, `end`, `send`, `hear`, `release` or `next_ns` as needed. `acts.Gear` is all that it can reach.
@@ -23,5 +29,6 @@ How a fault is added:
    `python -m emulator.faults.page` (a test compares).
 
 Reading order: `config` (keys of all), `kinds` (what a kind is), `catalogue` (all of them), `reading` (an entry judged),
-`acts` (what an act can do), `running` (when one begins and ends, what it hit), `run` (all of them), then the layers.
+`acts` (what an act can do), then the layers; `emulator.injection`: `running` (when one begins and ends, what it hit),
+`run` (all of them).
 """

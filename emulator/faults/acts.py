@@ -18,7 +18,7 @@ from emulator.transports.link import Link, Received
 from protocols.session import Address, Emission, LinkKind, Session
 
 if TYPE_CHECKING:
-    from emulator.draws import Draws
+    from emulator.physics.draws import Draws
     from protocols.framing import Framing
 
 BLOCK = 256
@@ -136,7 +136,7 @@ class Gear:
         return self._draws().uniform(f"fault {self.number} {self.name} {what}", self._drawn, count)[:, 0]
 
     def _draws(self) -> Draws:
-        from emulator.draws import Draws
+        from emulator.physics.draws import Draws
 
         return Draws(self._seed, self.instrument.sensor)
 

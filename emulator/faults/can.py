@@ -8,11 +8,11 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from emulator.config.names import nearest
 from emulator.faults.acts import Act, Gear
 from emulator.faults.config import Common
 from emulator.faults.kinds import TO_HOST, Keys, Kind, Target
 from emulator.faults.plug import Holding
-from emulator.names import nearest
 from emulator.transports.can_link import CanLink
 from emulator.transports.can_wire import BUS_OFF, ERROR_PASSIVE, TRANSMIT_ERROR, CanWire, Node
 from protocols.can_frame import EXTENDED, frame_bits, is_identifier

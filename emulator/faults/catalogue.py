@@ -11,9 +11,9 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import Any, get_args
 
+from emulator.config.names import nearest
 from emulator.faults.config import Common
 from emulator.faults.kinds import Kind
-from emulator.names import nearest
 
 LAYERS: Mapping[str, str] = MappingProxyType(
     {

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field
 
-from emulator.tables import DescribedTable
+from emulator.config.tables import DescribedTable
 
 Seconds = Annotated[float, Field(ge=0.0, le=1e9)]
 Span = Annotated[float, Field(gt=0.0, le=1e9)]

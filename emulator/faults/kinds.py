@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from emulator.tables import DescribedTable
+from emulator.config.tables import DescribedTable
 from protocols.session import LinkKind
 
 if TYPE_CHECKING:

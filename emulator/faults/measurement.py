@@ -10,11 +10,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from emulator.config.names import nearest
 from emulator.faults.config import Common
 from emulator.faults.kinds import Keys, Kind, Target
 from emulator.faults.photon import AS_BEFORE
 from emulator.faults.sector import Factor, Metres, Sector
-from emulator.names import nearest
 
 Seconds = Annotated[float, Field(gt=0.0, le=1e9)]
 Speed = Annotated[float, Field(ge=-1e3, le=1e3)]

@@ -12,11 +12,11 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from emulator.config.names import nearest
 from emulator.errors import EmulatorError
 from emulator.faults.catalogue import kinds, taken_keys
 from emulator.faults.config import MOMENTS, OF_TELEGRAMS, TRIGGERS, Common
 from emulator.faults.kinds import Keys, Kind, Target
-from emulator.names import nearest
 from protocols.session import LinkKind
 
 Problem = tuple[tuple[str | int, ...], str, str]
@@ -72,7 +72,7 @@ def target_of(
     sensor: str, model: str, links: Sequence[str], device: Mapping[str, Any], actors: Sequence[str] | None = None
 ) -> Target:
     """What is known of a sensor before a run; `actors` of its scene."""
-    from emulator.spec import load_spec
+    from emulator.sensors.spec import load_spec
     from protocols import families, family
 
     spec = load_spec(model)
@@ -142,7 +142,7 @@ def problems(
 def _triggers(
     entry: Mapping[str, Any], given: set[str], kind: Kind, live: bool, known: Callable[[str], None]
 ) -> Iterator[Problem]:
-    from emulator.expressions import ExpressionError
+    from emulator.config.expressions import ExpressionError
 
     moments = [name for name in MOMENTS if name in given]
     if not live and not given & set(TRIGGERS):
@@ -170,7 +170,7 @@ def _triggers(
 
 def judged(model: type[Any], values: Mapping[str, Any]) -> tuple[Any | None, list[Problem]]:
     """A model of these values, or what is wrong with them."""
-    from emulator.yaml_source import told
+    from emulator.config.yaml_source import told
 
     try:
         return model.model_validate(frozen(values)), []

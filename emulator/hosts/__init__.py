@@ -1,1 +1,6 @@
-"""Hosts of our own: they connect to a device, ours or a real one, and read its scans. For `look` and `demo`."""
+"""Hosts of our own: for people who want to look, and scripted ones for virtual time.
+
+Belongs here: the other end of the wire, as a stranger would write it. Not: pictures of what they read (looking).
+
+May import: `process`, `transports`, `protocols`.
+"""

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from emulator.clock import SystemClock
 from emulator.errors import EmulatorError, LinkError
 from emulator.hosts.can_lines import CanLine
 from emulator.hosts.object_lists import READERS, ListReader, reader_of, recognised
 from emulator.hosts.scans import HostObjects
+from emulator.process.clock import SystemClock
 
 LISTEN_S = 3.0
 "The longest common cycle is 80 ms; a slow one is set by hand."

@@ -12,10 +12,10 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from emulator.clock import SystemClock
 from emulator.errors import LinkError
 from emulator.hosts.lines import Line, SocketLine
 from emulator.hosts.scans import HostScan
+from emulator.process.clock import SystemClock
 from protocols.ld.packages import Package, PackageJoiner, PackageReader, encode_packages, swapped
 from protocols.ld.profiles import RANGE_LSB_PER_M, Field
 from protocols.ld.sectors import TICKS, MeasureError

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emulator.clock import SystemClock
 from emulator.errors import LinkError
 from emulator.hosts.lines import Line, SocketLine
 from emulator.hosts.scans import HostScan
+from emulator.process.clock import SystemClock
 from protocols.lms2xx.telegrams import MeasuredValues, Telegram, open_frame, read_values, request
 from protocols.lms2xx.values import COUNTS_PER_METRE, MEASURING_MODES, MeasuringMode
 from protocols.receive_buffer import ReceiveBuffer

@@ -19,18 +19,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from emulator.conditions import NORMAL, Conditions
-from emulator.measuring import Measure, measured
-from emulator.object_metrics import ListedScan, TruthObject, visible_share
+from emulator.measuring.conditions import NORMAL, Conditions
+from emulator.measuring.measuring import Measure, measured
+from emulator.objects.metrics import ListedScan, TruthObject, visible_share
 from emulator.objects.options import TrackerOptions, options_of
 from emulator.objects.points import View
 from emulator.objects.sweeps import Sweeps, end_ns, sweeps_of
 from emulator.objects.tracker import ObjectTracker, Snapshot
 from emulator.objects.truth import Witness
-from emulator.scenario import Scenario
-from emulator.scenario_tables import Mount
-from emulator.scene import Scene
-from emulator.spec import load_spec
+from emulator.scenario.scenario import Scenario
+from emulator.scenario.tables import Mount
+from emulator.sensors.spec import load_spec
+from emulator.world.scene import Scene
 from protocols.scan import DetectedObject, Scan, ScanPlan
 from protocols.session import Session
 
@@ -95,8 +95,8 @@ class ObjectMeasure:
         if not faults:
             self._frozen.clear()
             return made
-        from emulator.faults.lists import listed
-        from emulator.faults.measured import held
+        from emulator.objects.fault_lists import listed
+        from emulator.sensing.faulty.held import held
 
         return listed(made, held(faults, plan), self._frozen)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from emulator.errors import ScenarioError
 from emulator.sensing.table import table_plan
-from emulator.spec import SensorSpec
+from emulator.sensors.spec import SensorSpec
 from protocols.lms2xx.telegrams import request
 from protocols.scan import Scan, ScanPlan
 from protocols.session import Address, Dropped, DropReason, LinkKind, Session

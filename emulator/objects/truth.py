@@ -1,7 +1,7 @@
 """What the objects really are: boxes of the scene's actors, as a sensor sees them move.
 
 Belongs here: truth for judging lists, and the true motion of the sensor that lists them. Nothing of it is told to
-a host, but the ego motion that a device on a vehicle knows. Not: figures (`emulator.object_metrics`).
+a host, but the ego motion that a device on a vehicle knows. Not: figures (`emulator.objects.metrics`).
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emulator.object_metrics import TruthObject
+from emulator.objects.metrics import TruthObject
 from emulator.objects.points import Floats, SensorMotion
-from emulator.scenario_tables import Mount
-from emulator.scene import Scene
+from emulator.scenario.tables import Mount
+from emulator.world.scene import Scene
 
 STEP_S = 1e-3
 "Over which turning is measured."

@@ -1,1 +1,6 @@
-"""Pure numpy physics of the beam: no scene, no port, no clock, no randomness of its own."""
+"""Formulas over arrays, each with its source: beams, range equation, surfaces, receiver, weather, detection.
+
+Belongs here: arrays in, arrays out, and random numbers by what they are for (draws). Not: rays, scenes, settings.
+
+May import: `compiled`; numpy, scipy, ruamel.yaml for the table of materials.
+"""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emulator.compiled import kernels
+from emulator.compiled.switch import kernels
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, indexes, ramp
 from emulator.physics.detector import Detector
 from emulator.physics.subechoes import Clusters

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from emulator.compiled import kernels
+from emulator.compiled.switch import kernels
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, cos_sin, indexes
 from emulator.physics.detector import Detector
 from emulator.physics.softprofile import SoftProfile

@@ -18,7 +18,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from emulator.compiled import kernels
+from emulator.compiled.switch import kernels
 from emulator.physics.arrays import Bools, Floats, Ints, Values, clamped, floats, group_starts, indexes, ramp
 from emulator.physics.candidates import Candidates, single_candidates, wave_candidates
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S

@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.compiled import kernels
+from emulator.compiled.switch import kernels
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, floats, group_starts, indexes, ramp
 
 NO_SOURCE = -1

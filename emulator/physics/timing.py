@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from emulator.compiled import kernels
+from emulator.compiled.switch import kernels
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, floats, indexes, ramp
 from emulator.physics.candidates import FAINT, Candidates
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from emulator.compiled import kernels
+from emulator.compiled.switch import kernels
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, cos_sin, floats, indexes, ramp
 from emulator.physics.pulse import Pulse
 from emulator.physics.softprofile import NO_MEDIUM, SoftProfile

@@ -1,4 +1,6 @@
-"""Recordings of runs: one folder with `run.mcap`, what other tools read beside it, and the scenario as run.
+"""Recordings of runs: writing, reading, comparing; captures, CAN logs, digests. Not: replay (runtime.playback).
 
-layout (what stands in the file), writer, reader (also of others' recordings), pcapng, can_logs, compare, playback.
+Belongs here: files on the disk and the watchers that fill them. A reader believes nothing of a file.
+
+May import: `instrument`, `scenario`, `world` (none of it), `transports` and below.
 """

@@ -32,7 +32,7 @@ from mcap.records import (
     Schema,
 )
 
-from emulator.budgets import RECORDING, TooMuch
+from emulator.config.budgets import RECORDING, TooMuch
 
 MOST_BYTES, MOST_RECORDS, MOST_RECORD = RECORDING.bytes, RECORDING.records, RECORDING.record_bytes
 MOST_UNPACKED = RECORDING.unpacked_bytes

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-from emulator.muting import muted
+from emulator.process.quiet_loggers import muted
 from protocols.can_frame import EXTENDED
 
 _LINE = re.compile(

@@ -20,8 +20,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from emulator.budgets import loads_json
-from emulator.object_metrics import ListedScan
+from emulator.config.budgets import loads_json
+from emulator.objects.metrics import ListedScan
 from protocols.scan import DetectedObject, Floats, Ints, Scan
 
 VERSION = 1

@@ -15,7 +15,7 @@ import numpy as np
 from mcap.exceptions import EndOfFile, McapError
 from mcap.records import Attachment, Channel, Message, Metadata
 
-from emulator.budgets import loads_json
+from emulator.config.budgets import loads_json
 from emulator.recording import layout
 from emulator.recording.bounds import ENDS, MOST_BYTES, Altered, Ends, TooLarge, bearable, check_blf, mcap_records
 from emulator.recording.can_logs import LoggedFrame, read_candump, read_with_library

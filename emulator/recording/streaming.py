@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from mcap.records import Attachment, Channel, Message, Metadata
 
-from emulator.budgets import loads_json
+from emulator.config.budgets import loads_json
 from emulator.recording import layout
 from emulator.recording.bounds import Altered, TooLarge, mcap_records, regular
 from emulator.recording.folder import RecordingError

@@ -22,8 +22,9 @@ from mcap.records import Channel, Schema
 
 from emulator import __version__
 from emulator.faults.events import FaultEvent
-from emulator.incidents import Incident, Incidents
-from emulator.instrument import Instrument
+from emulator.instrument.instrument import Instrument
+from emulator.instrument.watching import Payload, Watcher
+from emulator.process.incidents import Incident, Incidents
 from emulator.recording import layout
 from emulator.recording.can_logs import LoggedFrame, candump_line, read_candump, write_logs
 from emulator.recording.chunks import McapFile, OpenChunk
@@ -32,9 +33,8 @@ from emulator.recording.folder import RecordingFile, RecordingFolder, RecordingL
 from emulator.recording.names import CAPTURE_ENDING, LOG_ENDINGS, SCENARIO_NAME, BusName, bus_names, planned
 from emulator.recording.pcapng import LD_PORT, Packets
 from emulator.recording.writing import IN_STEP, Manner, Writing
-from emulator.scenario import Scenario, dump
+from emulator.scenario.scenario import Scenario, dump
 from emulator.transports.urls import parse_url
-from emulator.watching import Payload, Watcher
 from protocols.device_clock import Told
 from protocols.scan import Floats, Scan, ScanPlan
 from protocols.session import Event, LinkKind
@@ -360,7 +360,7 @@ class Recorder(Watcher):
             self._writing.do(partial(self._folder.close, self._sync))
 
     def _finish(self) -> None:
-        from emulator.daemon import summary
+        from emulator.instrument.summary import summary
 
         ends = {name: json.dumps(summary(one)) for name, one in self._instruments.items()}
         self._file.metadata(layout.END_NAME, ends)

@@ -14,7 +14,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from emulator.clock import SystemClock
+from emulator.process.clock import SystemClock
 
 MOST_WAITING = 64 << 20
 "Bytes for a disk that takes less than the run gives."

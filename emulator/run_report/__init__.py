@@ -1,1 +1,6 @@
-"""`lidaremu report`: what a recording tells, added up in one pass and written as one page."""
+"""`lidaremu report`: a recording added up in one pass, against the recorded scene's true ranges.
+
+Belongs here: figures of one recording. Not: reading it (recording), how reports look (studies.report).
+
+May import: `studies` (report, drawing), `recording`, `casting` (truth) and below.
+"""

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from emulator.object_metrics import DISTANCE_BINS_M, Score
+from emulator.objects.metrics import DISTANCE_BINS_M, Score
 from emulator.run_report import figures
 from emulator.run_report.errors import BIN_M, CURVE_M, HALF_BINS, Errors, RangeTally, known
 from emulator.run_report.gather import SensorTally

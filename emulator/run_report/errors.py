@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.object_metrics import DISTANCE_BINS_M
+from emulator.objects.metrics import DISTANCE_BINS_M
 from protocols.scan import Floats, Ints
 
 BIN_M = 0.002

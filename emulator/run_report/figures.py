@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from emulator.object_metrics import DISTANCE_BINS_M
+from emulator.objects.metrics import DISTANCE_BINS_M
 from emulator.run_report.errors import BIN_M, CURVE_BINS, CURVE_M, HALF_BINS, Errors, RangeTally
 from emulator.run_report.gather import Gathered, Happening, ObjectTally, SensorTally
 from emulator.run_report.weather import QUANTITIES, Step

@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from emulator.instrument_stats import SCAN_REASONS
-from emulator.object_metrics import ObjectScore, TruthObject
+from emulator.instrument.stats import SCAN_REASONS
+from emulator.objects.metrics import ObjectScore, TruthObject
 from emulator.recording.layout import RecordedScan
 from emulator.recording.streaming import Beams, Cut, End, Head, Measured, Progress, Told, Wire, items
 from emulator.run_report.truth import SensorTruth, Truth, truth_of
-from emulator.scenario import Scenario
+from emulator.scenario.scenario import Scenario
 from protocols.scan import DetectedObject, Floats
 
 MOST_HAPPENINGS = 5_000

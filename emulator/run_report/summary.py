@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from emulator.object_metrics import DISTANCE_BINS_M
+from emulator.objects.metrics import DISTANCE_BINS_M
 from emulator.run_report.errors import Aimed, Errors, RangeTally, known
 from emulator.run_report.gather import Gathered, SensorTally
 from emulator.run_report.weather import steps

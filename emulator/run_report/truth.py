@@ -11,13 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from emulator import raycast, scene
-from emulator import scenario as scenario_file
+from emulator.casting import raycast
 from emulator.errors import EmulatorError
 from emulator.recording.layout import RecordedScan
 from emulator.run_report.errors import RangeTally
-from emulator.scenario import Scenario
-from emulator.scene import Scene
+from emulator.scenario import scenario as scenario_file
+from emulator.scenario.scenario import Scenario
+from emulator.world import scene
+from emulator.world.scene import Scene
 from protocols.scan import Floats, Ints
 
 BATCH_BEAMS = 30_000

@@ -11,8 +11,8 @@ from typing import Any
 
 from emulator.errors import EmulatorError
 from emulator.run_report.gather import Happening
-from emulator.scenario import Scenario
-from emulator.weather import WeatherConfig
+from emulator.scenario.scenario import Scenario
+from emulator.scenario.weather import WeatherConfig
 
 QUANTITIES: Mapping[str, tuple[str, tuple[str, ...], str]] = {
     "fog": ("fog_visibility_m", ("visibility_m", "mor_m"), "visibility in fog [m]"),
@@ -58,7 +58,7 @@ def steps(scenario: Scenario, orders: Sequence[Happening], end_s: float) -> list
 
 
 def _ordered(weather: WeatherConfig, table: Mapping[str, Any], from_ns: int, actors: Sequence[str]) -> WeatherConfig:
-    from emulator.live_weather import changed
+    from emulator.scenario.live_weather import changed
 
     plain = {key: value for key, value in table.items() if key not in ("t_s", "changes")}
     try:

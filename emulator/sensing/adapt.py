@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.motion import Pose
 from emulator.physics import adaptive, beams
 from emulator.physics.arrays import Floats, Ints, indexes
 from emulator.sensing.contracts import Caster, Hits
 from emulator.sensing.model import SensorModel
 from emulator.sensing.rays import Rays, turned
+from emulator.world.motion import Pose
 from protocols.scan import ScanPlan
 
 START_LEVEL = 3

@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from emulator.motion import Motion
-from emulator.nearby import Nearby
 from emulator.physics import atmosphere
 from emulator.physics.arrays import Floats, Ints
 from emulator.physics.constants import CLEAR_AIR_VISIBILITY_M
+from emulator.scenario.weather import Dust, Fog, Layer, Plume, Rain, Smoke, Snow, Spray, Sun, WeatherConfig
 from emulator.sensing.model import SensorModel
 from emulator.sensing.particles import Particles, rain_particles, snow_particles
 from emulator.sensing.rays import rotated
-from emulator.weather import Dust, Fog, Layer, Plume, Rain, Smoke, Snow, Spray, Sun, WeatherConfig
+from emulator.world.motion import Motion
+from emulator.world.nearby import Nearby
 
 if TYPE_CHECKING:
-    from emulator.scene import Scene
+    from emulator.world.scene import Scene
 
 WHIRLING = frozenset({"car", "truck", "wide"})
 "Classes of actors that whirl up spray unless the scenario names them."

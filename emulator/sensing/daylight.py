@@ -20,7 +20,7 @@ from emulator.sensing.paths import Seen, Surfaces
 from emulator.sensing.rays import Rays
 
 if TYPE_CHECKING:
-    from emulator.weather import Sun
+    from emulator.scenario.weather import Sun
 
 TOP = 1e-3
 "In noise rms: crossings so near to the maximum of an echo are not looked after."

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from emulator.conditions import NORMAL, ActiveFault, Conditions
-from emulator.draws import Draws
 from emulator.errors import ScenarioError
-from emulator.motion import Pose
+from emulator.measuring.conditions import NORMAL, ActiveFault, Conditions
 from emulator.physics import atmosphere
 from emulator.physics.arrays import Floats, indexes
+from emulator.physics.draws import Draws
 from emulator.physics.materials import Material, SurfaceTable, material, material_from_mapping
+from emulator.scenario.weather import WeatherConfig
 from emulator.sensing.adapt import adaptive_rays
 from emulator.sensing.air import Air, AirNow
 from emulator.sensing.contracts import FacedCaster
@@ -33,15 +33,15 @@ from emulator.sensing.resting import Resting, with_others
 from emulator.sensing.soft import SoftTargets
 from emulator.sensing.sparing import Spared, Sparing, wanted
 from emulator.sensing.view import View
-from emulator.spec import load_spec
-from emulator.weather import WeatherConfig
+from emulator.sensors.spec import load_spec
+from emulator.world.motion import Pose
 from protocols.scan import Scan, ScanPlan
 
 if TYPE_CHECKING:
-    from emulator.scenario import Scenario
-    from emulator.scenario_tables import Mount
-    from emulator.scene import Scene
-    from emulator.sensing.faulty import FaultySweeps
+    from emulator.scenario.scenario import Scenario
+    from emulator.scenario.tables import Mount
+    from emulator.sensing.faulty.sweeps import FaultySweeps
+    from emulator.world.scene import Scene
 
 
 MANY_BEYOND = 0.05
@@ -113,7 +113,7 @@ class Measure:
 
     def _under_faults(self, plan: ScanPlan, faults: tuple[ActiveFault, ...]) -> Scan:
         if self._faulty is None:
-            from emulator.sensing.faulty import FaultySweeps
+            from emulator.sensing.faulty.sweeps import FaultySweeps
 
             self._faulty = FaultySweeps(self.model, self.draws, self._soft, self._receiver)
         return self._faulty.measured(plan, faults, self._look)

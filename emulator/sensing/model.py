@@ -16,7 +16,7 @@ from emulator.physics.arrays import Floats
 from emulator.physics.beams import BeamShape
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.pulse import Pulse
-from emulator.physics_options import (
+from emulator.sensors.physics_options import (
     BundleRule,
     DetectionMethod,
     EchoChoice,
@@ -27,7 +27,7 @@ from emulator.physics_options import (
     Sparingly,
     WindscreenOptions,
 )
-from emulator.spec import DetectionSpec, Fact, OpticsSpec, PulseSpec, ReceiverSpec, SensorSpec
+from emulator.sensors.spec import DetectionSpec, Fact, OpticsSpec, PulseSpec, ReceiverSpec, SensorSpec
 
 Value = TypeVar("Value")
 

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emulator.draws import Draws
 from emulator.physics import atmosphere, precipitation
 from emulator.physics.arrays import Floats, Ints
 from emulator.physics.beams import NO_WIDTH
+from emulator.physics.draws import Draws
 from emulator.physics.subechoes import SubEchoes
+from emulator.scenario.weather import Rain, Snow
 from emulator.sensing.model import SensorModel
-from emulator.weather import Rain, Snow
 
 RARE = 1e-3
 "Mean number of particles a sweep below which none is drawn."

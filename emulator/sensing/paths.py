@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.compiled import kernels
+from emulator.compiled.switch import kernels
 from emulator.physics import brdf, radiometry
 from emulator.physics.arrays import Floats, Ints, exp_or_zero, indexes
 from emulator.physics.materials import SurfaceTable

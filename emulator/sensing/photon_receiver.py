@@ -11,15 +11,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.draws import Draws
 from emulator.physics import photons
 from emulator.physics.arrays import Floats, Ints, ramp
 from emulator.physics.constants import PLANCK_J_S, SPEED_OF_LIGHT_M_S
+from emulator.physics.draws import Draws
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import SubEchoes
-from emulator.physics_options import PhotonOptions
 from emulator.sensing.daylight import NIGHT, Daylight
 from emulator.sensing.model import SensorModel
+from emulator.sensors.physics_options import PhotonOptions
 from protocols.scan import Scan, ScanPlan
 
 PEAK_AT_ONCE = 2_000_000

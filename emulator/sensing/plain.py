@@ -15,12 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emulator.fleet import Fleet
-from emulator.motion import Pose
-from emulator.nearby import Nearby
-from emulator.outlines import Outlines
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, indexes, ramp
 from emulator.sensing.model import SensorModel
+from emulator.world.fleet import Fleet
+from emulator.world.motion import Pose
+from emulator.world.nearby import Nearby
+from emulator.world.outlines import Outlines
 
 CLEARLY_BEHIND_M = 1e-3
 "An edge nearer to the plane than this may be the plane's own."

@@ -12,11 +12,11 @@ from functools import cached_property
 
 import numpy as np
 
-from emulator.compiled import kernels
-from emulator.motion import Pose
+from emulator.compiled.switch import kernels
 from emulator.physics import beams
 from emulator.physics.arrays import Floats, Ints
 from emulator.sensing.model import SensorModel
+from emulator.world.motion import Pose
 from protocols.scan import ScanPlan
 
 KEPT_PLANS = 8

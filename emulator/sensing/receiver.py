@@ -12,12 +12,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.draws import Draws
 from emulator.physics import noise
 from emulator.physics.arrays import Bools, Floats, Ints
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.detection import Signals, detect, signals_of
 from emulator.physics.detector import Detector, Echoes
+from emulator.physics.draws import Draws
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import Kept, SubEchoes
 from emulator.sensing.daylight import NIGHT, Daylight

@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from emulator.motion import Pose
-from emulator.outlines import outlines_of
 from emulator.physics import beams
 from emulator.physics.arrays import Bools, Floats, Ints, indexes
 from emulator.physics.subechoes import SubEchoes
@@ -26,10 +24,12 @@ from emulator.sensing.model import SensorModel
 from emulator.sensing.paths import Seen, Surfaces, reach_of, returned
 from emulator.sensing.plain import MOST_PAIRS, Edges, Pieces, sights_of
 from emulator.sensing.rays import Bundles, Rays, cast_rays, turned
+from emulator.world.motion import Pose
+from emulator.world.outlines import outlines_of
 from protocols.scan import ScanPlan
 
 if TYPE_CHECKING:
-    from emulator.scene import Scene
+    from emulator.world.scene import Scene
 
 TYPICAL_M = 20.0
 EDGES_SHARE = 0.5

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from emulator.errors import SpecError
-from emulator.spec import SensorSpec
+from emulator.sensors.spec import SensorSpec
 from protocols.scan import ScanPlan
 
 

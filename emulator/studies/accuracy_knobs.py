@@ -13,8 +13,6 @@ from functools import partial
 
 import numpy as np
 
-from emulator import scenario, scene, sensing
-from emulator.clock import SystemClock
 from emulator.physics import pulse, softtarget
 from emulator.physics.arrays import Floats
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
@@ -22,13 +20,17 @@ from emulator.physics.detection import detect
 from emulator.physics.detector import Detector, Method
 from emulator.physics.pulse import Pulse
 from emulator.physics.subechoes import SubEchoes
-from emulator.scenario import Scenario
-from emulator.sensing import Measure
+from emulator.process.clock import SystemClock
+from emulator.scenario import scenario
+from emulator.scenario.scenario import Scenario
+from emulator.sensing.measure import Measure
+from emulator.sensing.measure import build as build_measure
 from emulator.studies import points
 from emulator.studies.accuracy_path import CountingCaster
 from emulator.studies.points import LMS291
 from emulator.studies.report import Column, Table, Value
 from emulator.studies.stage import Stage, plate
+from emulator.world import scene
 from protocols.scan import Scan, ScanPlan
 
 FWHM_S = 16e-9
@@ -187,7 +189,7 @@ def built(loaded: Scenario, sensor: str, physics: dict[str, object] | None = Non
         loaded = loaded.model_copy(update={"sensors": sensors})
     world = scene.build(loaded)
     caster = CountingCaster(world)
-    return sensing.build(loaded, world, caster, sensor), caster
+    return build_measure(loaded, world, caster, sensor), caster
 
 
 def threads(sweeps: int) -> Table:

@@ -9,14 +9,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from emulator import raycast, scenario, scene
-from emulator.clock import SystemClock
+from emulator.casting import raycast
+from emulator.judging.plans import plans_of
 from emulator.physics.arrays import Floats
-from emulator.plans import plans_of
-from emulator.savings import Bench, rules_alone
-from emulator.scenario import Scenario
+from emulator.process.clock import SystemClock
+from emulator.scenario import scenario
+from emulator.scenario.scenario import Scenario
+from emulator.sensing.savings import Bench, rules_alone
 from emulator.studies.accuracy_knobs import built, sweep_of
 from emulator.studies.report import Column, Table, Value
+from emulator.world import scene
 
 REFERENCE_SUB_BEAMS = 4096
 OFF, ALL = "every rule off", "all as they come"

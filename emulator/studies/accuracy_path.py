@@ -16,20 +16,23 @@ from typing import Any
 
 import numpy as np
 
-from emulator import raycast, scenario, scene, sensing
-from emulator.clock import SystemClock
-from emulator.motion import Pose
+from emulator.casting import raycast
 from emulator.physics import beams, noise
 from emulator.physics.arrays import Floats
 from emulator.physics.beams import Bundle
 from emulator.physics.subechoes import SubEchoes, cluster
 from emulator.physics.waveform import sample
-from emulator.sensing import Measure
+from emulator.process.clock import SystemClock
+from emulator.scenario import scenario
+from emulator.sensing.measure import Measure
+from emulator.sensing.measure import build as build_measure
 from emulator.sensing.paths import trace
 from emulator.sensing.rays import Bundles, Rays, cast_rays
 from emulator.sensing.receiver import Receiver
 from emulator.sensing.view import View
 from emulator.studies.accuracy_rules import FIXED, Strips, edges, rms
+from emulator.world import scene
+from emulator.world.motion import Pose
 from protocols.scan import Scan, ScanPlan
 
 PRODUCT = ("spiral", "laguerre", "grid", "adaptive")
@@ -176,7 +179,7 @@ class Edges:
         loaded = scenario.load(str(self._path))
         world = scene.build(loaded)
         caster = CountingCaster(world)
-        return sensing.build(loaded, world, caster, SENSOR), caster
+        return build_measure(loaded, world, caster, SENSOR), caster
 
     def plan(self, group: int) -> ScanPlan:
         """A sweep over one group of beams."""

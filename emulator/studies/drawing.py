@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from emulator.output.telling import visible
 from emulator.physics.arrays import Floats
-from emulator.telling import visible
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

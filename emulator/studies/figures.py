@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from emulator.physics import atmosphere, radiometry
-from emulator.physics_options import PhysicsOptions
+from emulator.scenario.weather import Rain
 from emulator.sensing.air import rain_medium
 from emulator.sensing.model import SensorModel, sensor_model
-from emulator.spec import load_spec
+from emulator.sensors.physics_options import PhysicsOptions
+from emulator.sensors.spec import load_spec
 from emulator.studies import drawing
 from emulator.studies.effort import Effort
 from emulator.studies.ranges import APART, PATH, RANGE, seed_stage, snr
 from emulator.studies.report import Column, Picture, Section, Table, Value, percent
 from emulator.studies.stage import Stage, plate
 from emulator.studies.targets import CAR, DROP_RADIUS_MM, FIGURE_3, PAPER, RAIN_LAWS, TABLE_3, TABLE_4_MM_H, rain
-from emulator.weather import Rain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,7 +12,7 @@ import numpy as np
 
 from emulator.physics import atmosphere, background, brdf, precipitation
 from emulator.physics.constants import LN_50
-from emulator.spec import load_spec
+from emulator.sensors.spec import load_spec
 from emulator.studies import mie
 from emulator.studies.effort import Effort
 from emulator.studies.points import LD_LRS, LMS291

@@ -13,9 +13,9 @@ from importlib.resources import files
 from pathlib import Path
 
 from emulator import __version__
-from emulator.csv_tables import Writer
 from emulator.errors import EmulatorError
-from emulator.telling import visible
+from emulator.output.csv_tables import Writer
+from emulator.output.telling import visible
 
 Value = str | float | int | bool | None
 

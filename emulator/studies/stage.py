@@ -14,9 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from emulator import raycast, scenario, scene, sensing
+from emulator.casting import raycast
 from emulator.physics.arrays import Bools, Floats
-from emulator.sensing import Measure
+from emulator.scenario import scenario
+from emulator.sensing.measure import Measure
+from emulator.sensing.measure import build as build_measure
+from emulator.world import scene
 from protocols.scan import Scan, ScanPlan
 
 SENSOR, TARGET = "lidar", 1
@@ -93,7 +96,7 @@ class Stage:
         loaded = scenario.loads(json.dumps(text), Path("study.yaml"))  # JSON is YAML
         world = scene.build(loaded)
         self.caster = raycast.Caster(world)
-        self.measure: Measure = sensing.build(loaded, world, self.caster, SENSOR)
+        self.measure: Measure = build_measure(loaded, world, self.caster, SENSOR)
 
     @property
     def extinction_per_m(self) -> float:

@@ -37,7 +37,7 @@ class Befallen:
     """Something that somebody else did to a link's place in the file system."""
 
     kind: str
-    "Of `emulator.incidents.KINDS`."
+    "Of `emulator.process.incidents.KINDS`."
     text: str
 
 

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from emulator.errors import EmulatorError
-from emulator.private_folder import private_folder
+from emulator.process.private_folder import private_folder
 
 SOURCE = Path(__file__).with_name("preload_shim.c")
 COMPILERS = ("cc", "gcc", "clang")

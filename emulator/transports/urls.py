@@ -1,7 +1,7 @@
 """The text of a link: taken apart and checked, nothing opened.
 
 Every fault is a `ValueError` that quotes what was found and says what is allowed; whoever read the text adds the place.
-What each scheme opens stands in `emulator.transports`.
+What each scheme opens stands in `schemes`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from urllib.parse import parse_qsl
 
-from emulator.budgets import MOST_DIGITS
+from emulator.config.budgets import MOST_DIGITS
 
 LOOPBACK = "127.0.0.1"
 

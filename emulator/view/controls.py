@@ -10,9 +10,9 @@ from typing import Any
 
 import viser
 
-from emulator.commands.ctl import parameters_of
 from emulator.errors import EmulatorError
-from emulator.telling import html, visible
+from emulator.output.telling import html, visible
+from emulator.runtime.order_words import parameters_of
 from emulator.view.drawing import inset
 from emulator.view.frames import Frame, Source
 from emulator.view.sky import FOG_MARKS, faults_of, fog_share, fog_visibility_m, told

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emulator.errors import EmulatorError
-from emulator.scenario import Scenario
+from emulator.scenario.scenario import Scenario
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -81,7 +81,7 @@ class ShownSensor:
     scans_sent: int = 0
     rate_hz: float | None = None
     late_median_us: float | None = None
-    "Of the last sends, see emulator.showing."
+    "Of the last sends, see emulator.runtime.showing."
     late_worst_us: float | None = None
     dropped: Mapping[str, int] = field(default_factory=dict)
     "Scans not sent, by reason."

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from emulator import scenario as scenario_file
 from emulator.errors import EmulatorError
-from emulator.spec import load_spec
+from emulator.scenario import scenario as scenario_file
+from emulator.sensors.spec import load_spec
 
 BAUD = 500_000
 
@@ -42,7 +42,7 @@ class Guests:
                 threading.Thread(target=self._host, args=(row, family), daemon=True).start()
 
     def _host(self, row: Mapping[str, Any], family: str) -> None:
-        from emulator.look import CAN_FAMILY, connect
+        from emulator.looking.look import CAN_FAMILY, connect
 
         while not self._over.is_set():
             try:

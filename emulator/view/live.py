@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from emulator import scenario as scenario_file
-from emulator.control import ask
 from emulator.errors import EmulatorError, LinkError
-from emulator.own_daemon import OwnDaemon
-from emulator.scenario import Scenario
-from emulator.showing import LONG, SHORT
+from emulator.runtime.control import ask
+from emulator.runtime.own_daemon import OwnDaemon
+from emulator.runtime.showing import LONG, SHORT
+from emulator.scenario import scenario as scenario_file
+from emulator.scenario.scenario import Scenario
 from emulator.view.frames import Frame, ShownLink, ShownScan, ShownSensor, ShownTelegram, ViewError
 
 KEPT = 64
@@ -184,7 +184,7 @@ def _sensor(row: Mapping[str, Any]) -> ShownSensor:
 
 def find(path: Path | None) -> Path:
     """The socket meant: `path`, or that of the only daemon that runs. Raises `LinkError`."""
-    from emulator.control import running
+    from emulator.runtime.control import running
 
     if path is not None:
         return path

@@ -15,15 +15,15 @@ from typing import Any
 import numpy as np
 import viser
 
-from emulator import scene as scenes
 from emulator.errors import EmulatorError
 from emulator.hosts.describe import Speaker, describe
-from emulator.scenario_tables import Mount
-from emulator.spec import load_spec
-from emulator.telling import html, visible
+from emulator.output.telling import html, visible
+from emulator.scenario.tables import Mount
+from emulator.sensors.spec import load_spec
 from emulator.view import drawing, points, solids
 from emulator.view.controls import Controls
 from emulator.view.frames import Floats, Frame, Ints, ShownScan, ShownTelegram, Source
+from emulator.world import scene as scenes
 
 FRAME_S = 0.125
 "Between two looks at the source."

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.motion import quaternion_of
-from emulator.scenario_tables import Mount
-from emulator.scene import Scene
+from emulator.scenario.tables import Mount
 from emulator.view.frames import Floats, Ints, ShownScan
+from emulator.world.motion import quaternion_of
+from emulator.world.scene import Scene
 
 Colours = NDArray[np.uint8]
 COLOURINGS = ("intensity", "actor", "range")

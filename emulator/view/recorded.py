@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator import scenario as scenario_file
-from emulator.clock import Clock, SystemClock
+from emulator.process.clock import Clock, SystemClock
 from emulator.recording.reader import RecordedRun, WireOf, read_run
-from emulator.scenario import Scenario
+from emulator.scenario import scenario as scenario_file
+from emulator.scenario.scenario import Scenario
 from emulator.view.frames import Frame, ShownLink, ShownScan, ShownSensor, ShownTelegram, ViewError
 
 LAST = 32

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emulator import triangles
 from emulator.errors import EmulatorError
 from emulator.physics.materials import material
-from emulator.scene import Scene
 from emulator.view.frames import Floats, Ints
+from emulator.world import triangles
+from emulator.world.scene import Scene
 
 MOST_TRIANGLES = 400_000
 "Of one body; a larger one is shown as its box."

@@ -11,7 +11,7 @@ import time
 from dataclasses import replace
 from typing import Any
 
-from emulator.transports import open_link
+from emulator.transports.schemes import open_link
 from protocols.can_objects import FORMATS
 from protocols.scan import Scan
 from tests.protocols.can_objects.rig import MS, crowd, start

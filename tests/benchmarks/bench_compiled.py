@@ -18,9 +18,13 @@ from pathlib import Path
 
 import numpy as np
 
-from emulator import plans, raycast, scenario, scene, sensing
-from emulator.compiled import SWITCH
-from emulator.physics_options import LeaveOut
+from emulator.casting import raycast
+from emulator.compiled.switch import SWITCH
+from emulator.judging import plans
+from emulator.scenario import scenario
+from emulator.sensing.measure import build as build_measure
+from emulator.sensors.physics_options import LeaveOut
+from emulator.world import scene
 from protocols.scan import Scan
 from tests.benchmarks import bench_scan
 from tests.compiled.both import both
@@ -29,10 +33,11 @@ from tests.compiled.test_same import random_sweeps
 START = """
 import pathlib, re, time
 begin = time.perf_counter()
-from emulator import raycast, scenario, scene, sensing
+from emulator.casting import raycast; from emulator.scenario import scenario; from emulator.world import scene
+from emulator.sensing.measure import build as build_measure
 loaded = scenario.load("flat_wall")
 world = scene.build(loaded)
-sensing.build(loaded, world, raycast.Caster(world), "front")
+build_measure(loaded, world, raycast.Caster(world), "front")
 kilobytes = re.search(r"VmHWM:\\s+(\\d+)", pathlib.Path("/proc/self/status").read_text()).group(1)
 print(time.perf_counter() - begin, int(kilobytes) / 1024)
 """
@@ -78,7 +83,7 @@ def alike(name: str, pairs: list[tuple[Scan, Scan]]) -> None:
 def street(sweeps: int) -> list[Scan]:
     loaded = scenario.load("street")
     world, plan = scene.build(loaded), plans.plans_of(loaded)["front"]
-    measure = sensing.build(loaded, world, raycast.Caster(world), "front")
+    measure = build_measure(loaded, world, raycast.Caster(world), "front")
     times = (plan.start_ns + k * 26_666_667 for k in range(sweeps))
     return [measure(dataclasses.replace(plan, sweep=k, start_ns=time)) for k, time in enumerate(times)]
 

@@ -8,7 +8,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from emulator import assembly, scenario
+from emulator.runtime import assembly
+from emulator.scenario import scenario
 from protocols.ld import FAMILY
 from protocols.ld.packages import encode_packages
 from protocols.ld.profiles import Revolution, distance_words, echo_words, encode_profile, layout

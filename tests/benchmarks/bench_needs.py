@@ -11,12 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import scenarios
-from emulator import raycast, scenario, scene
-from emulator.physics_options import LeaveOut
-from emulator.plans import plans_of
-from emulator.savings import Bench, Cost, rules_alone
-from emulator.sensing import Measure
-from emulator.spec import load_spec
+from emulator.casting import raycast
+from emulator.judging.plans import plans_of
+from emulator.scenario import scenario
+from emulator.sensing.measure import Measure
+from emulator.sensing.savings import Bench, Cost, rules_alone
+from emulator.sensors.physics_options import LeaveOut
+from emulator.sensors.spec import load_spec
+from emulator.world import scene
 
 HOME = Path(scenarios.__file__).parent / "standard.yaml"
 
@@ -76,7 +78,7 @@ def far_actors(far: int) -> tuple[Bench, Measure]:
             "actors": [near, *actors], "sensors": [sensor]}  # fmt: skip
     loaded = scenario.loads(json.dumps(text), HOME)
     world = scene.build(loaded)
-    from emulator.needs import usual_plan
+    from emulator.sensing.needs import usual_plan
 
     bench = Bench(loaded, world, raycast.Caster(world), "front", usual_plan(load_spec("sick-lms291-s05")))
     return bench, bench.measure()

@@ -11,7 +11,9 @@ import time
 
 import numpy as np
 
-from emulator.objects import ObjectTracker, TrackerOptions, View
+from emulator.objects.options import TrackerOptions
+from emulator.objects.points import View
+from emulator.objects.tracker import ObjectTracker
 from tests.objects.flatland import Box, look
 
 BEAMS = 2880

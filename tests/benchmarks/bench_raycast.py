@@ -18,11 +18,12 @@ import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
-from emulator import scenario, scene, triangles
-from emulator.mesh_frames import Frames
-from emulator.motion import Steady
-from emulator.raycast import Caster
-from emulator.scene import Body, Scene
+from emulator.casting.raycast import Caster
+from emulator.scenario import scenario
+from emulator.world import scene, triangles
+from emulator.world.mesh_frames import Frames
+from emulator.world.motion import Steady
+from emulator.world.scene import Body, Scene
 
 
 def median_us(call: Callable[[], object], repeats: int = 60) -> float:

@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from emulator import scenario
+from emulator.judging.trial import Trial
 from emulator.recording.writer import Recorder
-from emulator.trial import Trial
+from emulator.scenario import scenario
 
 SECONDS = 6.0
 METHODS = ("scan", "payload", "event", "told", "close")

@@ -30,10 +30,14 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from ruamel.yaml import YAML
 
-from emulator import compiled, raycast, scenario, scene, sensing
-from emulator.scene import Scene
+from emulator.casting import raycast
+from emulator.compiled import switch
+from emulator.scenario import scenario
 from emulator.sensing.daylight import daylight
 from emulator.sensing.measure import Measure
+from emulator.sensing.measure import build as build_measure
+from emulator.world import scene
+from emulator.world.scene import Scene
 from protocols.lms2xx.outputs import ALL, Format, Measured, Output, encode
 from protocols.lms2xx.telegrams import reply
 from protocols.lms2xx.values import MEASURING_MODES
@@ -120,7 +124,7 @@ def of(loaded: scenario.Scenario, **changes: Any) -> tuple[Measure, raycast.Cast
     loaded = loaded.model_copy(update={"sensors": (config.model_copy(update={"physics": physics}),)})
     world = scene.build(loaded)
     caster = raycast.Caster(world)
-    return sensing.build(loaded, world, caster, config.id), caster
+    return build_measure(loaded, world, caster, config.id), caster
 
 
 def encoding(scan: Scan) -> Callable[[], object]:
@@ -131,7 +135,7 @@ def encoding(scan: Scan) -> Callable[[], object]:
 
 
 def main(repeats: int) -> None:
-    used, detail = compiled.why()
+    used, detail = switch.why()
     sys.stdout.write(f"by {'compiled loops' if used else 'arrays'} ({detail})\n")
     sys.stdout.write("CPU times in ms, medians, one thread; us/beam of the whole; at rest: what rests is kept\n")
     names = ("raw", "cast", "seen", "receive", "encode", "whole", "least", "/raw", "us/beam")

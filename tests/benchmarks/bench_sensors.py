@@ -48,8 +48,9 @@ SENSOR = (
 
 def scan_ms() -> float:
     """Median processor time of a scan of the first sensor."""
-    from emulator import assembly, scenario
-    from emulator.trial import Trial
+    from emulator.judging.trial import Trial
+    from emulator.runtime import assembly
+    from emulator.scenario import scenario
 
     loaded = scenario.loads(SCENE + SENSOR.format(0, 0.0), Path("many.yaml"), ["duration_s=1"])
     plans = []

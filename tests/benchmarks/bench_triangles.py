@@ -20,7 +20,9 @@ from pathlib import Path
 
 import numpy as np
 
-from emulator import raycast, scenario, scene
+from emulator.casting import raycast
+from emulator.scenario import scenario
+from emulator.world import scene
 from tests.extreme.test_coordinates import uneven_wall, write_ply
 
 SIZES = (98, 10_000, 100_000, 1_000_000, 10_000_000)

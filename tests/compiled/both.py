@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from emulator import compiled
+from emulator.compiled import switch
 from protocols.scan import Scan
 
 Made = TypeVar("Made")
@@ -18,10 +18,10 @@ RANGE_M = 1e-7
 
 def both(make: Callable[[], Made]) -> tuple[Made, Made]:
     """What `make` gives by arrays, and by compiled loops."""
-    with compiled.switched(False):
+    with switch.switched(False):
         arrays = make()
-    with compiled.switched(True):
-        assert compiled.kernels() is not None  # else arrays would be compared with themselves
+    with switch.switched(True):
+        assert switch.kernels() is not None  # else arrays would be compared with themselves
         return arrays, make()
 
 

@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emulator.hits import Hits
+from emulator.casting.hits import Hits
 from emulator.physics.arrays import exp_or_zero
 from emulator.physics.materials import MODELS, SurfaceTable, material_from_mapping
-from emulator.physics_options import PhysicsOptions
 from emulator.sensing.model import SensorModel, sensor_model
 from emulator.sensing.paths import Seen, Surfaces, returned
 from emulator.sensing.rays import Rays
-from emulator.spec import load_spec
+from emulator.sensors.physics_options import PhysicsOptions
+from emulator.sensors.spec import load_spec
 from tests.compiled.both import both
 
 pytest.importorskip("numba")

@@ -8,15 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from emulator import examples, needs, plans, raycast, scenario, scene, sensing
-from emulator.motion import Waypoints
-from emulator.physics_options import LeaveOut
-from emulator.scenario_tables import Mount
+from emulator.casting import raycast
+from emulator.judging import examples, plans
+from emulator.scenario import scenario
+from emulator.scenario.tables import Mount
+from emulator.sensing import needs
 from emulator.sensing.measure import Measure
-from emulator.spec import load_spec
+from emulator.sensing.measure import build as build_measure
+from emulator.sensors.physics_options import LeaveOut
+from emulator.sensors.spec import load_spec
+from emulator.world import scene
+from emulator.world.motion import Waypoints
 from protocols.scan import Scan, ScanPlan
 from tests.compiled.both import both, differing
-from tests.needs import scenes
+from tests.sensing.needs import scenes
 from tests.sensing.rig import build, plate
 
 pytest.importorskip("numba")
@@ -84,7 +89,7 @@ def compare(loaded: scenario.Scenario) -> None:
     world, actual = scene.build(loaded), plans.plans_of(loaded)
 
     def sweeps(sensor: str, plan: ScanPlan) -> list[Scan]:
-        measure = sensing.build(loaded, world, raycast.Caster(world), sensor)
+        measure = build_measure(loaded, world, raycast.Caster(world), sensor)
         times = [plan.start_ns + k * 70_000_000 for k in range(3)]
         return [measure(dataclasses.replace(plan, sweep=k, start_ns=time)) for k, time in enumerate(times)]
 

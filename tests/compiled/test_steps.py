@@ -12,20 +12,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emulator import compiled, embree, raycast, triangles
-from emulator.fleet import Cones, may_meet
-from emulator.hits import Hits
-from emulator.motion import Steady, Waypoints
+from emulator.casting import embree, raycast
+from emulator.casting.hits import Hits
+from emulator.casting.raycast import Caster
+from emulator.casting.structures import Content
+from emulator.compiled import switch
 from emulator.physics.cosines import split_cosines
 from emulator.physics.detection import detect
 from emulator.physics.detector import Detector, Echoes
 from emulator.physics.pulse import Pulse
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import SubEchoes
-from emulator.raycast import Caster
-from emulator.structures import Content
+from emulator.world import triangles
+from emulator.world.fleet import Cones, may_meet
+from emulator.world.motion import Steady, Waypoints
+from tests.casting.test_raycast import WALL, fan, moving_shapes, random_rays, scene_of
 from tests.compiled.both import RANGE_M, both
-from tests.scene.test_raycast import WALL, fan, moving_shapes, random_rays, scene_of
 
 pytest.importorskip("numba")
 
@@ -339,7 +341,7 @@ def test_short_clusters_are_the_same(seed: int) -> None:
         # arrays add up all clusters one after another, and lose digits of faint ones behind bright ones
         np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-6, err_msg=name)
     crossings: list[Callable[[], np.ndarray]] = [lambda c=c: c.crossing(0.3 * c.height) for c in (one, other)]  # type: ignore[misc]
-    with compiled.switched(False):
+    with switch.switched(False):
         arrays = crossings[0]()
     np.testing.assert_allclose(crossings[1](), arrays, atol=RANGE_M)
 

@@ -12,24 +12,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from emulator import compiled, embree, triangles
-from emulator.raycast import Caster
-from emulator.structures import Content
-from tests.scene.test_raycast import WALL, fan, scene_of
+from emulator.casting import embree
+from emulator.casting.raycast import Caster
+from emulator.casting.structures import Content
+from emulator.compiled import switch
+from emulator.world import triangles
+from tests.casting.test_raycast import WALL, fan, scene_of
 
 pytest.importorskip("numba")
 
 
 @pytest.fixture(autouse=True)
 def _looked_anew() -> Iterator[None]:
-    compiled._loops.cache_clear()
+    switch._loops.cache_clear()
     yield
-    compiled._loops.cache_clear()  # what a test pretended is not found by the next one
+    switch._loops.cache_clear()  # what a test pretended is not found by the next one
 
 
 def told(**environment: str) -> str:
     """Whether a process of its own uses them."""
-    code = "from emulator.compiled import kernels; print(kernels() is not None)"
+    code = "from emulator.compiled.switch import kernels; print(kernels() is not None)"
     env = {**os.environ, **environment}
     return subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True).stdout
 
@@ -42,15 +44,15 @@ def test_the_environment_leaves_them_out() -> None:
 def test_without_numba_arrays_do_it(monkeypatch: pytest.MonkeyPatch) -> None:
     real = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "numba" else real(name))
-    with compiled.switched(True):
-        assert compiled.kernels() is None
-        assert "lidaremu[fast]" in compiled.why()[1]
+    with switch.switched(True):
+        assert switch.kernels() is None
+        assert "lidaremu[fast]" in switch.why()[1]
         assert met() == 721
 
 
 def test_without_the_library_of_embree_its_own_rays_are_cast(monkeypatch: pytest.MonkeyPatch) -> None:
-    with compiled.switched(True):
-        loops = compiled.kernels()
+    with switch.switched(True):
+        loops = switch.kernels()
         assert loops is not None
         monkeypatch.setattr(loops, "library", lambda: None)
         shape = triangles.box(1.0, 1.0, 1.0)
@@ -68,9 +70,9 @@ def test_a_numba_that_does_not_go_with_this_numpy_is_told_and_arrays_do_it(
         raise ImportError(wrong)
 
     monkeypatch.setattr(importlib, "import_module", refuse)
-    with compiled.switched(True):
+    with switch.switched(True):
         assert met() == 721
-        assert compiled.why() == (False, wrong)
+        assert switch.why() == (False, wrong)
     assert capsys.readouterr().err == f"lidaremu: loops are not compiled: {wrong}\n"
 
 
@@ -114,24 +116,24 @@ def test_the_compiler_is_told_of_once_when_it_runs_and_never_when_loops_come_fro
         "    jit.compiled(jit.INT)(eval('lambda k: k + 1'))\n"
         "    jit.compiled(jit.FLOAT)(eval('lambda k: k + 2'))\n"
     )
-    with compiled.switched(True):
-        assert compiled.kernels() is not None  # built by now
+    with switch.switched(True):
+        assert switch.kernels() is not None  # built by now
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stdout == "compiled ", done.stderr
 
 
 def test_doctor_is_told_why() -> None:
-    with compiled.switched(True):
-        assert compiled.why()[0]
-        assert "packets of" in compiled.why()[1]
-    with compiled.switched(False):
-        assert compiled.why() == (False, "LIDAREMU_COMPILED=0 leaves them out")
+    with switch.switched(True):
+        assert switch.why()[0]
+        assert "packets of" in switch.why()[1]
+    with switch.switched(False):
+        assert switch.why() == (False, "LIDAREMU_COMPILED=0 leaves them out")
 
 
 def test_what_was_built_with_them_serves_without() -> None:
-    with compiled.switched(True):
+    with switch.switched(True):
         caster = Caster(scene_of((triangles.plane(60.0, 60.0), WALL)))
-    with compiled.switched(False):
+    with switch.switched(False):
         hits = caster.first_hits(np.zeros(3), fan(721, 20.0), 0.0)
     assert np.isfinite(hits.range_m).all()
 

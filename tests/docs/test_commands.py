@@ -8,7 +8,7 @@ from contextlib import suppress
 import click
 import pytest
 
-from emulator.cli import commands
+from emulator.commands.cli import commands
 from tests.docs import reading
 from tests.docs.reading import Command
 

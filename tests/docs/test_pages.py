@@ -14,9 +14,10 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
-from emulator import pages, scenario
-from emulator.assembly import new_sessions
-from emulator.expectations import understand
+from emulator.commands import pages
+from emulator.judging.expectations import understand
+from emulator.runtime.assembly import new_sessions
+from emulator.scenario import scenario
 from tests.docs import reading
 from tests.docs.reading import ROOT, Block
 
@@ -122,7 +123,9 @@ def test_every_function_of_the_physics_page_is_there() -> None:
 
 @pytest.mark.parametrize("name", pages.PAGES)
 def test_pages_made_of_code_are_new(name: str) -> None:
-    assert (ROOT / "docs" / name).read_text(encoding="utf-8") == pages.PAGES[name](), "run python -m emulator.pages"
+    assert (ROOT / "docs" / name).read_text(encoding="utf-8") == pages.PAGES[name](), (
+        "run python -m emulator.commands.pages"
+    )
 
 
 @pytest.mark.parametrize("page", reading.pages(), ids=lambda page: page.name)

@@ -1,7 +1,7 @@
 """Coordinates and the ray caster: every row and rule of section 6.2 of the project's physics specification.
 
 The section's figures were measured with embreex 4.4.0. Scenes are scenario files; hits are judged by triangles met one
-by one in float64 (`tests.scene.builders.brute_force`).
+by one in float64 (`tests.casting.builders.brute_force`).
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from emulator import scenario, scene
+from emulator.casting.raycast import BLOCK, Caster
 from emulator.errors import SceneError
-from emulator.raycast import BLOCK, Caster
-from emulator.scene import Scene
-from tests.scene.builders import brute_force, bumpy_wall, random_rays
+from emulator.scenario import scenario
+from emulator.world import scene
+from emulator.world.scene import Scene
+from tests.casting.builders import brute_force, bumpy_wall, random_rays
 from tests.sensing.rig import QUIET, build, plan, plate
 
 OFFSETS_M = [0.0, 1e2, 1e3, 1e4, 1e5, 5e5, 5e6, 1e7]
@@ -302,9 +303,9 @@ def test_bodies_smaller_than_what_tells_twins_apart_are_none(tmp_path: Path) -> 
 
 def test_twins_are_not_looked_for_among_too_many_triangles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     world = [{**BOX, "at_m": [9.0, 0.0, 0.0], "material": name} for name in ("asphalt", "white_plaster")]
-    monkeypatch.setattr("emulator.twins.MOST_SEARCHED", 23)
+    monkeypatch.setattr("emulator.world.twins.MOST_SEARCHED", 23)
     assert twins_told(tmp_path, *world) == []
-    monkeypatch.setattr("emulator.twins.MOST_SEARCHED", 24)
+    monkeypatch.setattr("emulator.world.twins.MOST_SEARCHED", 24)
     assert len(twins_told(tmp_path, *world)) == 1
 
 

@@ -16,8 +16,12 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from emulator import raycast, scenario, scene, sensing
+from emulator.casting import raycast
 from emulator.errors import EmulatorError
+from emulator.scenario import scenario
+from emulator.sensing.measure import Measure
+from emulator.sensing.measure import build as build_measure
+from emulator.world import scene
 from protocols.scan import DAZZLED, SATURATED, Scan, ScanPlan
 from tests.sensing.rig import grey, plan
 
@@ -138,11 +142,11 @@ PHYSICS = st.fixed_dictionaries(
 MODEL = st.sampled_from(["paper-905nm", "sick-lms291-s05", "sick-ld-lrs1000"])
 
 
-def loaded(text: dict[str, Any], folder: Path) -> sensing.Measure:
+def loaded(text: dict[str, Any], folder: Path) -> Measure:
     """The measuring function of the sensor of this scenario."""
     config = scenario.loads(json.dumps(text), folder / "drawn.yaml")
     world = scene.build(config)
-    return sensing.build(config, world, raycast.Caster(world), "front")
+    return build_measure(config, world, raycast.Caster(world), "front")
 
 
 def keeps_the_contract(scan: Scan, wanted: ScanPlan) -> None:
@@ -276,7 +280,7 @@ def test_any_value_of_a_choice_is_taken_or_refused_by_name(tmp_path: Path, keys:
     try:
         config = scenario.loads(source, tmp_path / "drawn.yaml")
         world = scene.build(config)
-        measure = sensing.build(config, world, raycast.Caster(world), "front")
+        measure = build_measure(config, world, raycast.Caster(world), "front")
     except EmulatorError as error:
         told(error, "drawn.yaml:1: sensors.front.physics")
         return

@@ -15,7 +15,7 @@ from emulator.physics.detection import detect
 from emulator.physics.detector import Detector
 from emulator.physics.pulse import Pulse
 from emulator.physics.subechoes import SubEchoes
-from emulator.sensing import Measure
+from emulator.sensing.measure import Measure
 from protocols.scan import SATURATED, Scan
 from tests.sensing.rig import QUIET, build, grey, plan, plate
 

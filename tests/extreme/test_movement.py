@@ -13,7 +13,7 @@ import pytest
 
 from emulator.physics import counting
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
-from emulator.sensing import Measure
+from emulator.sensing.measure import Measure
 from protocols.lms2xx.telegrams import MeasuredValues, read_values
 from protocols.scan import Scan, ScanPlan
 from tests.protocols.ld.reader import request

@@ -8,21 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from emulator import assembly, scenario
-from emulator.conditions import NORMAL, Conditions
 from emulator.faults.events import FaultEvent
-from emulator.faults.run import FaultRun
 from emulator.hosts.scans import HostScan
 from emulator.hosts.scripted import LdScript, Lms2xxScript
-from emulator.instrument import Instrument
-from emulator.transports import open_link
+from emulator.injection.run import FaultRun
+from emulator.instrument.instrument import Instrument
+from emulator.instrument.watching import Payload, Watcher
+from emulator.judging.trial import SilentBus
+from emulator.measuring.conditions import NORMAL, Conditions
+from emulator.runtime import assembly
+from emulator.runtime.virtual import VirtualHost, VirtualRun
+from emulator.scenario import scenario
 from emulator.transports.can_link import CanPorts
 from emulator.transports.can_wire import CanWire
 from emulator.transports.link import Link
 from emulator.transports.loopback import Loops
-from emulator.trial import SilentBus
-from emulator.virtual import VirtualHost, VirtualRun
-from emulator.watching import Payload, Watcher
+from emulator.transports.schemes import open_link
 from protocols.scan import DetectedObject, Scan, ScanPlan
 from protocols.session import Event
 

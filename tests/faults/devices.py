@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from emulator.clock_options import ClockOptions
-from emulator.device_clock import with_clock
+from emulator.instrument.device_clock import with_clock
+from emulator.scenario.clock_options import ClockOptions
 from protocols import family
 from protocols.scan import DetectedObject, Scan, ScanPlan
 from protocols.session import Address, Emission, Event, LinkKind, Session

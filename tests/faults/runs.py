@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from emulator import scenario
 from emulator.hosts.scans import HostScan
+from emulator.instrument.watching import Payload, Watcher
+from emulator.judging.trial import Trial
 from emulator.physics.arrays import Floats
-from emulator.trial import Trial
-from emulator.watching import Payload, Watcher
+from emulator.scenario import scenario
 from tests.protocols.ld.reader import read_frames, read_profile
 
 BEGIN_S, END_S = 0.5, 0.8

@@ -13,12 +13,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from emulator import assembly, scenario
 from emulator.errors import ScenarioError
+from emulator.judging.trial import Trial, run_trial
 from emulator.objects.sweeps import sweeps_of
 from emulator.recording.reader import read_run
-from emulator.spec import load_spec
-from emulator.trial import Trial, run_trial
+from emulator.runtime import assembly
+from emulator.scenario import scenario
+from emulator.sensors.spec import load_spec
 from protocols import family
 from protocols.can_objects.layout import load as load_layout
 from protocols.device_clock import Change, DeviceClock

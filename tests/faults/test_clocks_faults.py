@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from emulator import scenario
 from emulator.errors import ScenarioError
-from emulator.trial import Trial
+from emulator.judging.trial import Trial
+from emulator.scenario import scenario
 from protocols.lms2xx.telegrams import open_frame, read_values
 from tests.faults.runs import BEGIN_S, END_S, WALL, Run, heals, run, text_of
 from tests.protocols.ld.reader import read_frames, read_profile

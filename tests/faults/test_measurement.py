@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from emulator import scenario
 from emulator.hosts.scans import HostScan
-from emulator.trial import Trial
+from emulator.judging.trial import Trial
+from emulator.scenario import scenario
 from protocols.scan import DetectedObject
 from tests.faults.runs import BEGIN_S, END_S, HEAD, Sent, heals, run, same
 

@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from emulator import scenario
-from emulator.conditions import ActiveFault, Conditions
+from emulator.casting.raycast import Caster
 from emulator.faults.catalogue import kinds
-from emulator.faults.light import seen_share
 from emulator.hosts.scans import HostScan
+from emulator.measuring.conditions import ActiveFault, Conditions
 from emulator.physics import background
-from emulator.physics_options import PhysicsOptions
-from emulator.raycast import Caster
-from emulator.scene import build as build_scene
-from emulator.sensing import build as build_measure
-from emulator.sensing import table_plan
+from emulator.scenario import scenario
+from emulator.sensing.faulty.light import seen_share
+from emulator.sensing.measure import build as build_measure
 from emulator.sensing.model import sensor_model
-from emulator.spec import load_spec
+from emulator.sensing.table import table_plan
+from emulator.sensors.physics_options import PhysicsOptions
+from emulator.sensors.spec import load_spec
+from emulator.world.scene import build as build_scene
 from protocols.lms2xx.telegrams import open_frame, read_values, request
 from protocols.scan import Scan
 from tests.faults.devices import device

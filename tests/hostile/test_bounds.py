@@ -14,10 +14,10 @@ import pytest
 
 from emulator.endurance.fuzz import PARSERS, Parser, attempt, cases
 from emulator.endurance.mutations import LONGEST, minimised, mutated
-from emulator.spec import load_spec
-from emulator.transports import open_link
+from emulator.sensors.spec import load_spec
 from emulator.transports.intake import LINE_BURST, LINE_BYTES_S, STREAM_BURST, STREAM_BYTES_S, Intake
 from emulator.transports.link import Received
+from emulator.transports.schemes import open_link
 from emulator.transports.tcp_hosts import MAX_HOSTS
 from protocols import family
 from protocols.can_frame import EXTENDED, frame_bits

@@ -13,12 +13,14 @@ import lz4.frame
 import pytest
 import zstandard
 
-from emulator import mesh_files, scenario, yaml_lines
-from emulator.cli import main
+from emulator.commands.cli import main
+from emulator.config import yaml_lines
 from emulator.errors import ScenarioError, SceneError
 from emulator.recording import bounds
 from emulator.recording.reader import read_wire
 from emulator.recording.writer import RecordingError
+from emulator.scenario import scenario
+from emulator.world import mesh_files
 
 HEAD = b"\x89MCAP0\r\n"
 

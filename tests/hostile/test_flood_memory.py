@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from emulator.control import MOST_CLIENTS, MOST_UNREAD, MOST_UNREAD_ALL, Budget, ControlServer
-from emulator.transports import open_link
+from emulator.runtime.control import MOST_CLIENTS, MOST_UNREAD, MOST_UNREAD_ALL, Budget, ControlServer
 from emulator.transports.can_link import AT_ONCE_FRAMES, GROUP_NS, CanLink
 from emulator.transports.can_wire import HOST_FRAMES, STALE, CanWire
 from emulator.transports.intake import CAN_BURST
 from emulator.transports.link import Link, Received
+from emulator.transports.schemes import open_link
 from emulator.transports.socketcand import SocketcandServer
 from emulator.transports.tcp_hosts import BACKLOG_LIMIT, BACKLOG_TOTAL, FLOOD_NS, MAX_HOSTS
-from tests.test_control import LIMIT_S, AtOnce
+from tests.runtime.test_control import LIMIT_S, AtOnce
 
 MS = 1_000_000
 SEND = b"< send 123 8 1 2 3 4 5 6 7 8 >"

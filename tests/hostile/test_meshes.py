@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from emulator import mesh_files
-from emulator.budgets import MESH, MESH_LIMITS, MeshBudget, PlainFile, TooMuch, loads_json, mesh_budget
+from emulator.config.budgets import MESH, MESH_LIMITS, MeshBudget, PlainFile, TooMuch, loads_json, mesh_budget
 from emulator.errors import SceneError
-from emulator.obj_file import load_obj
+from emulator.world import mesh_files
+from emulator.world.obj_file import load_obj
 from tests.hostile.test_files import gltf
 
 CORNERS = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
@@ -248,7 +248,7 @@ SQUARE = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 def test_an_obj_is_refused_by_its_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: bytes, told: str, piece: int
 ) -> None:
-    monkeypatch.setattr("emulator.obj_file.PIECE", piece)
+    monkeypatch.setattr("emulator.world.obj_file.PIECE", piece)
     (tmp_path / "a.obj").write_bytes(text)
     assert told in refused(tmp_path / "a.obj", replace(MESH, triangles=1000, vertices=4000, items=100))
 
@@ -256,7 +256,7 @@ def test_an_obj_is_refused_by_its_line(
 @pytest.mark.parametrize("piece", [1, 50, 4_000_000])
 @pytest.mark.parametrize("end", [b"\n", b"\r\n", b"\r"])
 def test_an_obj_is_read_the_same_in_pieces_of_any_size(monkeypatch: pytest.MonkeyPatch, piece: int, end: bytes) -> None:
-    monkeypatch.setattr("emulator.obj_file.PIECE", piece)
+    monkeypatch.setattr("emulator.world.obj_file.PIECE", piece)
     text = (
         b"# f 9 9 9\no door#x\nv 0 0 0 1 0 0\nv\t1 0 0 not looked at\n  v 1 1 0\nvn 0 0 1\nf 1 2//1 3/4/5\nusemtl a b\n"
         b"v 0 1 0\nf -4 \\\n-3 -2 -1 # a square\nusemtl\nf 1 2 3\ng\nfo 1 2 3\nusemtl a b\nf 4/1 3 2\n"

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from emulator.cli import main
-from emulator.clock import ThreadClock
-from emulator.commands.ctl import parameters_of
-from emulator.control import BAD_PARAMS, PARSE, REFUSED, ControlServer
+from emulator.commands.cli import main
+from emulator.config.yaml_lines import parse_value
 from emulator.errors import ScenarioError
+from emulator.process.clock import ThreadClock
 from emulator.recording.can_logs import read_candump
-from emulator.scenario import loads
+from emulator.runtime.control import BAD_PARAMS, PARSE, REFUSED, ControlServer
+from emulator.runtime.order_words import parameters_of
+from emulator.scenario.scenario import loads
 from emulator.transports.urls import option_value, parse_url
-from emulator.yaml_lines import parse_value
 from protocols.ld.settings import _ip
 
 LONG = "9" * 100_000

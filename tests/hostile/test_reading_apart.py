@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from emulator import mesh_files, reading_apart, scenario, scene
-from emulator.budgets import MESH, MESH_LIMITS
+from emulator.config.budgets import MESH, MESH_LIMITS
 from emulator.errors import SceneError
-from emulator.reading_apart import Reader
-from emulator.triangles import Geometry
+from emulator.scenario import scenario
+from emulator.world import mesh_files, reading_apart, scene
+from emulator.world.reading_apart import Reader
+from emulator.world.triangles import Geometry
 from tests.hostile.test_files import gltf
 
 MB = 1_000_000

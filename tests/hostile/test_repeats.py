@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from emulator.conditions import NORMAL, Conditions
-from emulator.control import new_path
 from emulator.endurance.guests import Guestbook, Judge
 from emulator.endurance.repeats import CYCLE, FRESH, KINDS_KEPT, SCANS_KEPT, Repeated
 from emulator.hosts.scans import HostScan
+from emulator.measuring.conditions import NORMAL, Conditions
+from emulator.runtime.control import new_path
 from protocols.scan import Scan, ScanPlan
 
 

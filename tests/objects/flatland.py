@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.objects import SensorMotion, View
+from emulator.objects.points import SensorMotion, View
 from protocols.scan import Scan, ScanPlan
 
 Floats = NDArray[np.float64]

@@ -12,9 +12,9 @@ from typing import Any
 import cantools
 import pytest
 
-from emulator.scenario import load
-from emulator.trial import Trial, Verdict
-from emulator.watching import Payload, Watcher
+from emulator.instrument.watching import Payload, Watcher
+from emulator.judging.trial import Trial, Verdict
+from emulator.scenario.scenario import load
 from protocols.scan import DetectedObject, Scan
 
 ROAD_USERS = ("lorry", "car", "courier", "cyclist")

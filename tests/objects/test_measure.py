@@ -12,17 +12,18 @@ import cantools
 import numpy as np
 import pytest
 
-from emulator import assembly, scenario
 from emulator.errors import ScenarioError
-from emulator.object_metrics import ListedScan, ObjectScore, told
+from emulator.instrument.watching import Payload, Watcher
+from emulator.judging.trial import Trial
 from emulator.objects.measure import ObjectMeasure
+from emulator.objects.metrics import ListedScan, ObjectScore, told
 from emulator.objects.sweeps import SessionSweeps, end_ns, sweeps_of
 from emulator.objects.truth import Witness
-from emulator.scenario_tables import Mount
-from emulator.scene import build as build_scene
-from emulator.spec import load_spec
-from emulator.trial import Trial
-from emulator.watching import Payload, Watcher
+from emulator.runtime import assembly
+from emulator.scenario import scenario
+from emulator.scenario.tables import Mount
+from emulator.sensors.spec import load_spec
+from emulator.world.scene import build as build_scene
 from protocols.scan import DetectedObject, ScanPlan
 from protocols.session import Address
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from emulator.object_metrics import ObjectScore, TruthObject, judge, visible_share
-from emulator.objects import View
+from emulator.objects.metrics import ObjectScore, TruthObject, judge, visible_share
+from emulator.objects.points import View
 from protocols.scan import DetectedObject
 from tests.objects.flatland import Box, look
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emulator.objects import SensorMotion, TrackerOptions, View
-from emulator.objects.points import Points, beam_step_rad, joined, points_of
+from emulator.objects.options import TrackerOptions
+from emulator.objects.points import Points, SensorMotion, View, beam_step_rad, joined, points_of
 from emulator.objects.segments import cluster_labels, fit_yaw, segment
 from protocols.scan import Scan
 from tests.objects.flatland import Box, look, plan_of

@@ -12,9 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emulator.objects import ObjectTracker, SensorMotion, TrackerOptions, View, kalman
+from emulator.objects import kalman
 from emulator.objects.classes import assumed_sizes, by_size
-from emulator.objects.tracker import believed, completed, wrapped
+from emulator.objects.options import TrackerOptions
+from emulator.objects.points import SensorMotion, View
+from emulator.objects.tracker import ObjectTracker, believed, completed, wrapped
 from protocols.scan import DetectedObject, Scan
 from tests.objects.flatland import Box, look, plan_of
 

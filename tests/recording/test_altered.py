@@ -9,14 +9,14 @@ import pytest
 from mcap.reader import make_reader
 from mcap.stream_reader import CRCValidationError, StreamReader
 
-from emulator import scenario
-from emulator.cli import main
+from emulator.commands.cli import main
+from emulator.judging.trial import Trial
 from emulator.recording import writer
 from emulator.recording.compare import differences
 from emulator.recording.reader import RecordedRun, read_run
 from emulator.recording.streaming import Cut, Progress, items
 from emulator.recording.writer import RecordingError
-from emulator.trial import Trial
+from emulator.scenario import scenario
 from tests.recording.older import write_older
 
 CASE = """\

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emulator.cli import main
+from emulator.commands.cli import main
 from emulator.recording.captures import MOST_AHEAD, Segment, read_segments, streams_of
 from emulator.recording.pcapng import TCP, PcapngWriter
 from emulator.recording.reader import read_wire

@@ -13,13 +13,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from emulator import scenario
-from emulator.cli import main
+from emulator.commands.cli import main
+from emulator.judging.trial import Trial
 from emulator.recording.can_logs import LoggedFrame, candump_line, write_with_library
 from emulator.recording.layout import decode_scan
 from emulator.recording.reader import RecordedRun, read_run, read_wire
 from emulator.recording.writer import RecordingError
-from emulator.trial import Trial
+from emulator.scenario import scenario
 
 CASE = """\
 schema: 1

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from emulator import scenario
+from emulator.instrument.watching import Watcher
+from emulator.judging.trial import Trial
 from emulator.recording.reader import read_run
+from emulator.scenario import scenario
 from emulator.transports.loopback import LoopLink
-from emulator.trial import Trial
-from emulator.watching import Watcher
 
 CASE = """\
 schema: 1

@@ -13,14 +13,14 @@ from pathlib import Path
 import can
 import pytest
 
-from emulator import scenario
-from emulator.incidents import Incidents
+from emulator.instrument.watching import Payload
+from emulator.judging.trial import Trial, Verdict, run_trial
+from emulator.process.incidents import Incidents
 from emulator.recording import writer, writing
 from emulator.recording.reader import read_run
 from emulator.recording.writer import Recorder, RecordingError
 from emulator.recording.writing import IN_STEP, Manner, Writing
-from emulator.trial import Trial, Verdict, run_trial
-from emulator.watching import Payload
+from emulator.scenario import scenario
 from protocols.session import Address, CommandHandled, DropReason, dropped_scans
 
 CASE = """\

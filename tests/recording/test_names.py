@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emulator import scenario
+from emulator.judging.rig import free_links
+from emulator.judging.trial import Trial
 from emulator.recording.can_logs import read_candump
 from emulator.recording.names import LONGEST, bus_names, distinct, plain, planned
 from emulator.recording.reader import read_run
 from emulator.recording.writer import RecordingError
-from emulator.rig import free_links
-from emulator.trial import Trial
+from emulator.scenario import scenario
 
 LISTS = """\
 schema: 1

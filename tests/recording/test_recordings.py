@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from emulator import scenario
-from emulator.cli import main
+from emulator.commands.cli import main
+from emulator.instrument.watching import Payload
+from emulator.judging.trial import Trial
 from emulator.recording.can_logs import LoggedFrame, candump_line, read_candump, read_with_library, write_with_library
 from emulator.recording.compare import differences
 from emulator.recording.layout import decode_scan
-from emulator.recording.playback import ReplaySession, open_players
 from emulator.recording.reader import RecordedRun, WireOf, WirePayload, read_run, read_wire
+from emulator.recording.transcript import Transcript
 from emulator.recording.writer import RecordingError
-from emulator.transcript import Transcript
-from emulator.trial import Trial
+from emulator.runtime.playback import ReplaySession, open_players
+from emulator.scenario import scenario
 from emulator.view.recorded import RecordedSource
-from emulator.watching import Payload
 from protocols.session import Address, DropReason, dropped_scans
 
 CASE = """\

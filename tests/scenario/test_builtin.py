@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from emulator import scene
-from emulator.raycast import Caster, Hits
-from emulator.scenario import builtin_names, builtin_summary, load
+from emulator.casting.raycast import Caster, Hits
+from emulator.scenario.scenario import builtin_names, builtin_summary, load
+from emulator.world import scene
 
 
 def look(name: str, t_s: float, beams: int = 361) -> tuple[scene.Scene, Hits, np.ndarray]:

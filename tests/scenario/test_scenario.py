@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emulator import scenario
 from emulator.errors import ScenarioError
-from emulator.scenario import Scenario, load, loads
+from emulator.scenario import scenario
+from emulator.scenario.scenario import Scenario, load, loads
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 HEAD = "schema: 1\n"

@@ -11,7 +11,7 @@ import pytest
 
 from emulator.faults.catalogue import kinds
 from emulator.faults.events import FaultEvent
-from emulator.faults.run import SensorFaults
+from emulator.injection.run import SensorFaults
 
 
 class Ledger:

@@ -10,8 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator import raycast, scenario, scene, sensing
-from emulator.sensing import Measure
+from emulator.casting import raycast
+from emulator.scenario import scenario
+from emulator.sensing.measure import Measure
+from emulator.sensing.measure import build as build_measure
+from emulator.world import scene
 from protocols.scan import ScanPlan
 
 Floats = NDArray[np.float64]
@@ -58,7 +61,7 @@ def build(
     path.write_text(json.dumps(text), encoding="utf-8")  # JSON is YAML
     loaded = scenario.load(str(path))
     world_now = scene.build(loaded)
-    return sensing.build(loaded, world_now, raycast.Caster(world_now), "front")
+    return build_measure(loaded, world_now, raycast.Caster(world_now), "front")
 
 
 def plan(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from emulator.physics import atmosphere
-from emulator.sensing import Measure
+from emulator.sensing.measure import Measure
 from emulator.sensing.particles import RARE
 from tests.sensing.rig import QUIET, Floats, build, plan, plate
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from emulator.physics import radiometry, softtarget, tilted
-from emulator.sensing import Measure
+from emulator.sensing.measure import Measure
 from tests.sensing.rig import QUIET, build, grey, plan, plate
 
 DIVERGENCE_RAD = np.radians(0.07)

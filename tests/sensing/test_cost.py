@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from emulator import hits, raycast
+from emulator.casting import hits, raycast
 from protocols.scan import Scan
 from tests.sensing.rig import QUIET, build, plan, plate
 

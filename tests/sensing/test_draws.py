@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from emulator.draws import Draws
+from emulator.physics.draws import Draws
 
 
 def test_a_draw_does_not_depend_on_what_was_drawn_before() -> None:

@@ -9,8 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from emulator import raycast, scenario, scene, sensing
+from emulator.casting import raycast
 from emulator.errors import EmulatorError, ScenarioError
+from emulator.scenario import scenario
+from emulator.sensing.measure import build as build_measure
+from emulator.world import scene
 from protocols.scan import Scan
 from tests.sensing.rig import QUIET, build, grey, plan, plate
 
@@ -63,7 +66,7 @@ def test_a_sensor_that_lists_objects_has_no_beams_of_its_own(tmp_path: Path) -> 
     loaded = scenario.load(str(path))
     world = scene.build(loaded)
     with pytest.raises(EmulatorError, match="lists objects"):
-        sensing.build(loaded, world, raycast.Caster(world), "objects")
+        build_measure(loaded, world, raycast.Caster(world), "objects")
 
 
 def test_a_laser_at_the_edge_of_its_filter_loses_half_its_light(tmp_path: Path) -> None:

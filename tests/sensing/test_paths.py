@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emulator import compiled
+from emulator.compiled import switch
 from emulator.physics import brdf, radiometry
 from emulator.sensing.order import _order, in_order
 from protocols.scan import SATURATED
@@ -181,6 +181,6 @@ def test_few_sub_echoes_are_in_order_too(beams: int, compiled_loops: bool) -> No
     """The farthest of all, in an odd beam, came first where index and beam left the range more bits than it has."""
     beam = np.array([0, beams - 1, beams - 1]) if beams % 2 == 0 else np.array([0, beams - 2, beams - 2])
     range_m, same, actor = np.array([7.5, 78.0498, 60.8912]), np.zeros(3), np.zeros(3, np.int32)
-    with compiled.switched(compiled_loops):
+    with switch.switched(compiled_loops):
         found = in_order(beam, range_m, same, same, actor)
     assert found.range_m.tolist() == [7.5, 60.8912, 78.0498]

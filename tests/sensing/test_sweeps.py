@@ -11,9 +11,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from emulator import compiled, sensing
+from emulator.compiled import switch
 from emulator.physics import counting, radiometry
-from emulator.spec import load_spec
+from emulator.sensing.table import table_plan
+from emulator.sensors.spec import load_spec
 from protocols.scan import Scan
 from tests.sensing.rig import QUIET, build, grey, plan, plate
 
@@ -178,7 +179,7 @@ def test_the_exit_aperture_widens_the_spot_and_leaves_the_range(tmp_path: Path) 
 
 
 def test_the_papers_lidar_fires_its_eleven_beams_from_its_own_table() -> None:
-    table = sensing.table_plan(load_spec("paper-905nm"), 3)
+    table = table_plan(load_spec("paper-905nm"), 3)
     assert np.degrees(table.azimuth_rad) == pytest.approx(np.arange(-5.0, 6.0))
     assert table.start_ns == 120_000_000
     assert table.sweep == 3
@@ -223,7 +224,7 @@ def test_whatever_is_allowed_gives_a_scan_of_numbers(tmp_path: Path, **drawn: An
 
 def test_sub_beams_are_searched_for_by_rows() -> None:
     """Some beams at a time, upper and lower halves apart, each from one side to the other."""
-    from emulator.raycast import BLOCK
+    from emulator.casting.raycast import BLOCK
     from emulator.sensing.rays import TILE, in_bands
 
     rng = np.random.default_rng(3)
@@ -248,7 +249,7 @@ def test_an_order_is_found_for_angles_that_come_again_and_for_packets_alone(tmp_
     if loops:
         pytest.importorskip("numba")
     drive = [{"id": "ego", "motion": {"velocity_m_s": [1.0, 0.0, 0.0]}}]
-    with compiled.switched(loops):
+    with switch.switched(loops):
         physics = {"rule": "spiral", "sub_beams": 16, "leave_out": {"closed_form": "never"}}
         measure = build(tmp_path, [plate(60.0, "white")], actors=drive, mount={"actor": "ego"}, physics=physics)
         first, again = (measure.view(plan(sweep=number)).rays for number in range(2))

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from emulator.cli import main
+from emulator.commands.cli import main
 from emulator.physics import adaptive, radiometry
-from emulator.physics_options import LeaveOut
-from emulator.spec import list_models, load_spec
+from emulator.sensors.physics_options import LeaveOut
+from emulator.sensors.spec import list_models, load_spec
 from emulator.studies import accuracy, accuracy_knobs, accuracy_rules
 from emulator.studies.accuracy_acceptance import DEFAULT, SEED_RAD, WIDE_RAD, plane_errors
 from emulator.studies.accuracy_path import PRODUCT, Edges

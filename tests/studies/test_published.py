@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from emulator.cli import main
+from emulator.commands.cli import main
 from emulator.studies import braking, figures, further, points, ranges, stage
 from emulator.studies.braking import Driving
 from emulator.studies.effort import QUICK, Effort

@@ -10,9 +10,9 @@ import select
 import signal
 import sys
 
-from emulator.clock import SystemClock
-from emulator.transports import open_link
+from emulator.process.clock import SystemClock
 from emulator.transports.link import Link
+from emulator.transports.schemes import open_link
 
 SCAN_NS = 80_000_000 // 3
 

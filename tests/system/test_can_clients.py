@@ -23,11 +23,11 @@ from pathlib import Path
 import can
 import pytest
 
-from emulator.clock import SystemClock
-from emulator.conditions import NORMAL, Conditions
 from emulator.errors import LinkError
-from emulator.instrument import Instrument
-from emulator.transports import open_link
+from emulator.instrument.instrument import Instrument
+from emulator.measuring.conditions import NORMAL, Conditions
+from emulator.process.clock import SystemClock
+from emulator.transports.schemes import open_link
 from protocols.can_objects import FAMILY
 from protocols.scan import DetectedObject, Scan, ScanPlan
 

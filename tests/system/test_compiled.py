@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from emulator.compiled import SWITCH
+from emulator.compiled.switch import SWITCH
 
 pytest.importorskip("numba")
 

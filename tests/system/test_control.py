@@ -14,10 +14,10 @@ from typing import Any
 
 import pytest
 
-from emulator.cli import main
-from emulator.control import LONGEST_LINE, ask
+from emulator.commands.cli import main
 from emulator.errors import EmulatorError, LinkError
 from emulator.recording.reader import read_run
+from emulator.runtime.control import LONGEST_LINE, ask
 from tests.system.conftest import PATIENCE_S
 from tests.system.hosts import LmsHost
 

@@ -40,7 +40,7 @@ CODES = {r"visibility_m=-20": 2, r"^lidaremu test step_out.yaml --set": 1}
 TALKS = re.compile(r"^lidaremu (?:look|ctl) ")
 CHILD = """
 import json, sys
-from emulator.cli import main
+from emulator.commands.cli import main
 for words in json.loads(sys.argv[1]):
     print(json.dumps({"words": words}), flush=True)
     code = main(words)

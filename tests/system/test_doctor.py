@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from emulator.cli import main
+from emulator.commands.cli import main
 
 
 def test_every_question_has_an_answer(capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,9 +16,9 @@ from typing import Any
 import pytest
 import serial
 
-from emulator.control import ask
 from emulator.hosts.lines import SerialLine
 from emulator.hosts.lms2xx import Lms2xxHost
+from emulator.runtime.control import ask
 from tests.system.conftest import PATIENCE_S, RunningDaemon
 from tests.system.hosts import LdHost, LmsHost
 

@@ -18,8 +18,8 @@ from typing import Any
 
 import pytest
 
-from emulator.control import ask
 from emulator.endurance.growth import cpu_s, look
+from emulator.runtime.control import ask
 from tests.system.hosts import LmsHost
 
 SCENARIO = """\

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import pytest
 
-from emulator.instrument import Instrument
-from emulator.measuring import InPlace
-from emulator.transports import open_link
+from emulator.instrument.instrument import Instrument
+from emulator.measuring.measuring import InPlace
+from emulator.transports.schemes import open_link
 from protocols.ld import FAMILY
 from tests.protocols.ld.reader import package, read_frames, read_packages, read_profile, request, words
 from tests.protocols.ld.rig import FACTS, MS, SECOND, ten_metres

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from emulator.control import ask
+from emulator.runtime.control import ask
 from tests.protocols.ld.reader import read_profile
 from tests.system.conftest import PATIENCE_S, RunningDaemon
 from tests.system.hosts import Adapter, EndOfLine, LdHost, LmsHost, crc, xor

@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from emulator.control import ask
+from emulator.runtime.control import ask
 from tests.system.conftest import PATIENCE_S, STANDING, RunningDaemon
 from tests.system.terminals import Terminal
 

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 import serial
 
-from emulator.control import ask
-from emulator.rig import Rig
+from emulator.judging.rig import Rig
+from emulator.runtime.control import ask
 from tests.system.conftest import PATIENCE_S, RunningDaemon
 from tests.system.hosts import Adapter, LmsHost
 

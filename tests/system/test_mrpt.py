@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from emulator.control import ask
-from emulator.waiting import realtime_allowed
+from emulator.process.waiting import realtime_allowed
+from emulator.runtime.control import ask
 from tests.system.conftest import PATIENCE_S, RunningDaemon, daemons, favoured
 from tests.system.hosts import drift_s
 

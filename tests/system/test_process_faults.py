@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from emulator.control import ask
+from emulator.runtime.control import ask
 from tests.system.conftest import PATIENCE_S, RunningDaemon
 from tests.system.hosts import LmsHost
 

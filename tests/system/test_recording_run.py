@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 import serial
 
-from emulator.control import ask
 from emulator.recording.reader import read_run
+from emulator.runtime.control import ask
 from tests.system.conftest import PATIENCE_S, RunningDaemon
 from tests.system.hosts import LmsHost
 

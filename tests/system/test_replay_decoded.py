@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 import serial
 
-from emulator import scenario
 from emulator.hosts.ld import UspFraming, read_profile
 from emulator.hosts.lms2xx import TelegramReader
+from emulator.judging.trial import Trial
 from emulator.recording.reader import RecordedRun, read_run
-from emulator.trial import Trial
+from emulator.scenario import scenario
 from protocols.ld.telegrams import words_of
 from protocols.lms2xx.telegrams import read_values
 from tests.system.conftest import PATIENCE_S

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from emulator.cli import main
+from emulator.commands.cli import main
 from emulator.errors import ScenarioError
 from emulator.recording.can_logs import read_with_library
 from tests.system.conftest import PATIENCE_S

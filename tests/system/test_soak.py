@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from emulator.cli import main
+from emulator.commands.cli import main
 
 
 def test_a_short_soak_in_virtual_time_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from emulator.control import ask
 from emulator.hosts.lines import SerialLine
 from emulator.hosts.lms2xx import Lms2xxHost
+from emulator.runtime.control import ask
 from tests.system.conftest import PATIENCE_S
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

@@ -14,11 +14,12 @@ from pathlib import Path
 
 import pytest
 
-from emulator import assembly, scenario
-from emulator.clock import SystemClock
 from emulator.errors import EmulatorError
-from emulator.instrument import Instrument
-from emulator.virtual import MAX_STEPS_AT_ONCE, VirtualRun
+from emulator.instrument.instrument import Instrument
+from emulator.process.clock import SystemClock
+from emulator.runtime import assembly
+from emulator.runtime.virtual import MAX_STEPS_AT_ONCE, VirtualRun
+from emulator.scenario import scenario
 from tests.system.conftest import PATIENCE_S
 from tests.system.hosts import LmsHost
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from emulator.scenario import builtin_names
+from emulator.scenario.scenario import builtin_names
 
 pytestmark = pytest.mark.timeout(600)  # processes, one after the other, perhaps on a busy machine
 ROOT = Path(__file__).resolve().parents[2]

@@ -11,10 +11,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
 
-from emulator.transports import open_link
 from emulator.transports.link import Link, Received
 from emulator.transports.loopback import LoopHost, LoopLink
 from emulator.transports.pseudo_terminal import PseudoTerminal
+from emulator.transports.schemes import open_link
 
 PATIENCE_S = 5.0
 "Longest wait for something that the kernel has been given already."

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from emulator.errors import LinkError
-from emulator.transports import check_url, open_link
 from emulator.transports.can_link import CanLink, CanPorts
 from emulator.transports.can_wire import BUS_OFF, RECOVERY_BITS, CanWire, Carried, Node
 from emulator.transports.link import Received
+from emulator.transports.schemes import check_url, open_link
 from protocols.can_frame import arbitration_key, frame_bits
 from protocols.session import LinkKind
 

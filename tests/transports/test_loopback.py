@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from emulator.errors import LinkError
-from emulator.transports import open_link
 from emulator.transports.link import Received
 from emulator.transports.loopback import Loops
+from emulator.transports.schemes import open_link
 from emulator.transports.uart import resample
 
 MS = 1_000_000

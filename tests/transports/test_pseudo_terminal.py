@@ -15,9 +15,10 @@ import pytest
 import serial
 
 from emulator.errors import LinkError
-from emulator.transports import open_link, pseudo_terminal
+from emulator.transports import pseudo_terminal
 from emulator.transports.intake import LINE_BURST, LINE_BYTES_S
 from emulator.transports.pseudo_terminal import POLL_NS, PseudoTerminal
+from emulator.transports.schemes import open_link
 from emulator.transports.uart import resample
 
 MS = 1_000_000

@@ -10,7 +10,8 @@ from collections.abc import Iterator
 import pytest
 
 from emulator.errors import LinkError
-from emulator.transports import open_link, serial_port
+from emulator.transports import serial_port
+from emulator.transports.schemes import open_link
 from emulator.transports.serial_port import RETRY_NS, SerialPort
 from emulator.transports.tty_modes import read_modes
 

@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from emulator.errors import EmulatorError
-from emulator.transports import open_link, shim
+from emulator.transports import shim
 from emulator.transports.pseudo_terminal import PseudoTerminal
+from emulator.transports.schemes import open_link
 from emulator.transports.shim import build_shim, cache_folder, find_compiler, shim_environment
 
 HERE = Path(__file__).parent

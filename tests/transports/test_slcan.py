@@ -13,9 +13,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from emulator.transports import open_link
 from emulator.transports.can_link import CanLink
 from emulator.transports.link import Received
+from emulator.transports.schemes import open_link
 from emulator.transports.slcan import BACKLOG_LIMIT
 from protocols.can_frame import EXTENDED
 

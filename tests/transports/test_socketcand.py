@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulator.transports import open_link
 from emulator.transports.can_link import CanLink, CanPorts
 from emulator.transports.link import Received
+from emulator.transports.schemes import open_link
 from emulator.transports.socketcand import SETTLE_NS, frame_text, parse_send
 from protocols.can_frame import EXTENDED
 

@@ -13,9 +13,9 @@ from collections.abc import Iterator
 import pytest
 
 from emulator.errors import LinkError
-from emulator.transports import open_link
 from emulator.transports.intake import STREAM_BURST
 from emulator.transports.link import LATENESS_KEPT, Link, Received
+from emulator.transports.schemes import open_link
 from emulator.transports.tcp_hosts import BACKLOG_LIMIT, LINGER_NS, MAX_HOSTS, NO_DESCRIPTOR_PAUSE_NS
 
 MS = 1_000_000

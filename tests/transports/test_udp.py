@@ -11,8 +11,8 @@ from collections.abc import Iterator
 import pytest
 
 from emulator.errors import LinkError
-from emulator.transports import open_link
 from emulator.transports.link import Link
+from emulator.transports.schemes import open_link
 from protocols.session import LinkKind
 
 MS = 1_000_000

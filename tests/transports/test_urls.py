@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from emulator.errors import LinkError
-from emulator.transports import LINK_SCHEMES, check_url, open_link
+from emulator.transports.schemes import LINK_SCHEMES, check_url, open_link
 from emulator.transports.urls import host_and_port, parse_url
 
 

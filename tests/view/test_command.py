@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("viser", reason="extra `view` is not installed")
-from emulator.cli import main
+from emulator.commands.cli import main
 
 
 @pytest.mark.parametrize(

@@ -9,12 +9,13 @@ from typing import Any
 
 import pytest
 
-from emulator import assembly, scenario
-from emulator.clock import ManualClock
-from emulator.control import Later
-from emulator.orders import Orders
+from emulator.process.clock import ManualClock
+from emulator.runtime import assembly
+from emulator.runtime.control import Later
+from emulator.runtime.orders import Orders
+from emulator.runtime.virtual_daemon import VirtualDaemon
+from emulator.scenario import scenario
 from emulator.view import drawing, live
-from emulator.virtual_daemon import VirtualDaemon
 
 CASE = """\
 schema: 1

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from emulator import scenario, scene
-from emulator.scenario_tables import Mount
+from emulator.scenario import scenario
+from emulator.scenario.tables import Mount
 from emulator.view import drawing, points, sky, solids
 from emulator.view.frames import Frame, ShownLink, ShownScan, ShownSensor, ShownTelegram
+from emulator.world import scene
 
 WORLD = """
 schema: 1

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from emulator import scenario
-from emulator.clock import ManualClock
+from emulator.process.clock import ManualClock
 from emulator.recording.layout import RecordedScan
 from emulator.recording.reader import RecordedRun, WireOf, WirePayload
+from emulator.scenario import scenario
 from emulator.view import recorded
 from emulator.view.frames import ViewError
 

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from emulator import scenario
-from emulator.clock import ManualClock
-from emulator.control import MOST_UNREAD, Later, OrderError
-from emulator.showing import KEEP_S, MOST_PAYLOADS, MOST_POINTS, PIECE, Showing
+from emulator.process.clock import ManualClock
+from emulator.runtime.control import MOST_UNREAD, Later, OrderError
+from emulator.runtime.showing import KEEP_S, MOST_PAYLOADS, MOST_POINTS, PIECE, Showing
+from emulator.scenario import scenario
 from emulator.view.live import scan_of, telegram_of
 from protocols.scan import DetectedObject, Scan, ScanPlan
 from protocols.session import LinkKind
-from tests.test_instrument import Rig
+from tests.instrument.test_instrument import Rig
 
 
 class Shown:

@@ -12,10 +12,7 @@ from hypothesis import strategies as st
 from protocols.ld.head import Rotation
 from protocols.scan import DAZZLED, Scan, ScanPlan
 from protocols.session import LinkKind
-from tests.protocols.ld.reader import (
-    request,
-    words,
-)
+from tests.protocols.ld.reader import request, words
 from tests.protocols.ld.rig import MS, SECOND, TCP, measuring, profiles, scan_of, ten_metres
 
 # the head

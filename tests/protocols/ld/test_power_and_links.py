@@ -4,13 +4,7 @@ from __future__ import annotations
 
 from protocols.ld.telegrams import Motor
 from protocols.session import Address, DropReason, LinkKind
-from tests.protocols.ld.reader import (
-    can_frames,
-    package,
-    read_packages,
-    request,
-    words,
-)
+from tests.protocols.ld.reader import can_frames, package, read_packages, request, words
 from tests.protocols.ld.rig import MS, SECOND, TCP, Rig, measuring, profiles, ten_metres
 
 # datagrams: ours, not in the real device

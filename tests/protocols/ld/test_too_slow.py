@@ -8,13 +8,7 @@ import pytest
 from protocols.errors import ScanRefused
 from protocols.scan import Scan
 from protocols.session import Address, DropReason, LinkKind
-from tests.protocols.ld.reader import (
-    can_frames,
-    package,
-    read_can,
-    read_packages,
-    request,
-)
+from tests.protocols.ld.reader import can_frames, package, read_can, read_packages, request
 from tests.protocols.ld.rig import MS, SECOND, TCP, Rig, measuring, ten_metres
 
 

@@ -1,0 +1,225 @@
+"""Rays on moving bodies: each ray is moved into the frame of every body that it may meet, at its own time.
+
+Belongs here: which bodies come near, rays in their frames, hits there. Not: what rests (raycast), where bodies are
+(fleet), shapes that change (deforming).
+
+A moving body is not moved: its rays are, by its pose at each ray's own time, into the slot of its shape. So nothing is
+ever rebuilt, a call costs the same few casts however many bodies move, and a thousand equal cars are stored once.
+Meshes that change their shape are cast by slices (deforming).
+"""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+import numpy as np
+
+from emulator.casting import embree
+from emulator.casting.deforming import Slices
+from emulator.casting.embree import Singles
+from emulator.casting.hits import MISS, Aim, Counters, Met, Passing, all_met, extent, rows
+from emulator.casting.structures import Layout, Movers
+from emulator.compiled.switch import kernels
+from emulator.physics.arrays import indexes
+from emulator.world.fleet import Flags, Longs, Stretch, may_meet, through_sphere
+from emulator.world.nearby import KEPT, Nearby
+from emulator.world.triangles import Floats, Ints
+
+NONE_BENT = np.zeros(0, np.int64), np.zeros((3, 0)), np.zeros((3, 3, 0))
+"All pairs are of bodies that move straight."
+
+
+class MovingCast:
+    """The moving bodies of a scene."""
+
+    def __init__(self, layout: Layout, counters: Counters) -> None:
+        self.counters = counters
+        self._all, self._table = layout.movers, layout.table
+        self._slots = [embree.structure(content) for content in layout.slots]
+        self._packets = embree.in_packets(self._slots) and not layout.frames
+        self._slices = [Slices(frames, centre) for frames, centre in layout.frames]
+        self._nearby = Nearby(self._all.fleet.motions, self._all.reach + self._all.arm)
+        self._kept: tuple[tuple[Longs, Movers], ...] = ()
+
+    def __len__(self) -> int:
+        return len(self._all.body)
+
+    def sphere(self, begin_s: float, end_s: float) -> tuple[Floats, float]:
+        """Centre (3, 1) and radius of a sphere that holds all of them meanwhile."""
+        _, place, swept, _ = _whereabouts(self._all, begin_s, end_s)
+        low = place.min(axis=1, keepdims=True)
+        centre = low + (place.max(axis=1, keepdims=True) - low) / 2.0
+        away = np.sqrt(((place - centre) ** 2).sum(axis=0))
+        return centre, float((away + self._all.reach + swept).max())
+
+    def met(
+        self,
+        origin: Floats,
+        aim: Aim,
+        times: Floats,
+        far: float,
+        known_m: Floats,
+        box: tuple[Floats, Floats] | None = None,
+    ) -> Met | None:
+        """Each ray on the moving bodies whose spheres it meets before `known_m`, in their own frames."""
+        begin, end = float(times.min()), float(times.max())
+        box = extent(origin) if box is None else box
+        movers = self._near(*box, begin, end, far)
+        if not len(movers.body):
+            return None
+        now, place, swept, curved = _whereabouts(movers, begin, end)
+        which, rays = may_meet(place, movers.reach + swept, box, aim.ray, far, known_m, lambda: aim.cones)
+        if not len(which):
+            return None
+
+        loops = kernels()
+        if loops is not None and self._packets:
+            return self._met_compiled(loops, movers, now, curved, which, rays, origin, aim.ray, times, far, known_m)
+
+        # the ray's origin seen from the body's first: large coordinates cancel there
+        when = times.take(rays)
+        offset = origin.take(rays, axis=1) - now.at.take(which, axis=1)
+        offset -= (when - now.since.take(which)) * now.velocity.take(which, axis=1)
+        turned = now.turned.take(which, axis=2)
+        for mover in curved:
+            pairs = indexes(which == mover)
+            if len(pairs):
+                motion = movers.fleet.motions[mover]
+                offset[:, pairs] = origin[:, rays[pairs]] - motion.position(when[pairs]).T
+                turned[:, :, pairs] = motion.rotation(when[pairs]).transpose(1, 2, 0)
+        along = aim.ray.take(rays, axis=1)
+        centre = movers.centre.take(which, axis=1)
+        sphere = offset - np.einsum("ijk,jk->ik", turned, centre)
+        enter, leave, touch = through_sphere(sphere, along, movers.reach.take(which))
+        kept = indexes(touch & (enter <= far) & (enter < known_m.take(rays)))
+        if not len(kept):
+            return None
+
+        which, rays, enter, leave = which[kept], rays[kept], enter[kept], leave[kept]
+        turned = turned.take(kept, axis=2)
+        local = np.einsum("jik,jk->ik", turned, offset.take(kept, axis=1)) - centre.take(kept, axis=1)
+        along = np.einsum("jik,jk->ik", turned, along.take(kept, axis=1))
+        through = indexes(_may_cross(local, along, movers.half.take(which, axis=1)))
+        if not len(through):
+            return None
+        if len(through) < len(which):
+            which, rays, enter, leave = which[through], rays[through], enter[through], leave[through]
+            turned, local = turned.take(through, axis=2), local.take(through, axis=1)
+            along = along.take(through, axis=1)
+        self.counters.cast += len(which)
+        passing = Passing(which, rays, enter, leave, turned, local, along)
+        if not self._slices:
+            return self._rigid(movers, passing)
+        home = movers.structure[which]
+        parts = [self._rigid(movers, passing.taken(indexes(home >= 0)))]
+        for number in np.unique(home[home < 0]):
+            parts.append(self._frames(movers, passing.taken(indexes(home == number)), times, -1 - number))
+        return all_met([part for part in parts if part is not None])
+
+    def _met_compiled(
+        self, loops: ModuleType, movers: Movers, now: Stretch, curved: Longs, which: Longs, rays: Longs,
+        origin: Floats, ray: Floats, times: Floats, far: float, known_m: Floats,
+    ) -> Met | None:  # fmt: skip
+        """The same in compiled loops, where all bodies are rigid."""
+        bent, offset, turned = NONE_BENT
+        if len(curved):
+            pairs = [indexes(which == mover) for mover in curved]
+            bent = np.full(len(which), -1)
+            bent[np.concatenate(pairs)] = np.arange(sum(map(len, pairs)))
+            where = [(movers.fleet.motions[of], times[rays[at]]) for of, at in zip(curved, pairs, strict=True)]
+            offset = origin[:, rays[np.concatenate(pairs)]]
+            offset -= np.concatenate([motion.position(when) for motion, when in where]).T
+            poses = [np.broadcast_to(motion.rotation(when), (len(when), 3, 3)) for motion, when in where]
+            turned = np.concatenate(poses).transpose(1, 2, 0)
+        parts = []
+        for number in np.unique(movers.structure) if len(self._slots) > 1 else (0,):
+            (met, triangle, body), sizes, cast, wrong = loops.moving(
+                *self._slots[number].how, number, which, rays, origin, ray, times, far, known_m,
+                now.at, now.velocity, now.since, now.turned, movers.centre, movers.reach, movers.half, movers.cell,
+                movers.shift, movers.structure, movers.body, bent, offset, turned, self._table.plane, embree.SUSPICIOUS,
+            )  # fmt: skip
+            self.counters.cast += cast
+            self.counters.suspicious += wrong
+            if len(met):
+                parts.append(Met(met, triangle, body, sizes[0], sizes[2:], sizes[1]))
+        return all_met(parts)
+
+    def _rigid(self, movers: Movers, near: Passing) -> Met | None:
+        which, rays = near.which, near.rays
+        if not len(which):
+            return None
+        start = rows(near.local + near.enter * near.along + movers.cell.take(which, axis=1))
+        until = (near.leave - near.enter).astype(np.float32)
+        number, span = self._run_slots(movers.structure[which], start, rows(near.along), until)
+        hit = indexes(number >= 0)
+        if not len(hit):
+            return None
+        which, rays = which[hit], rays[hit]
+        triangle = number[hit] + movers.shift[which]
+        range_m, normal, facing = embree.refined(
+            self._table, self.counters, triangle, near.local[:, hit], near.along[:, hit], span[hit] + near.enter[hit]
+        )
+        normal = np.einsum("ijk,jk->ik", near.turned[:, :, hit], normal)
+        return Met(rays, triangle, movers.body[which], range_m, normal, facing)
+
+    def _frames(self, movers: Movers, near: Passing, times: Floats, number: int) -> Met | None:
+        """On bodies that change their shape, all of the same one."""
+        face, range_m, normal, facing = self._slices[number].meet(
+            near.local, near.along, near.enter, near.leave, times.take(near.rays)
+        )
+        hit = indexes(face >= 0)
+        if not len(hit):
+            return None
+        which = near.which[hit]
+        normal = np.einsum("ijk,jk->ik", near.turned[:, :, hit], normal[:, hit])
+        triangle = face[hit] + movers.shift[which]
+        return Met(near.rays[hit], triangle, movers.body[which], range_m[hit], normal, facing[hit])
+
+    def _near(self, low: Floats, high: Floats, begin_s: float, end_s: float, far: float) -> Movers:
+        """Those that can come within reach; built anew once a second, or where the sensor comes to another cell."""
+        which = self._nearby.within(low, high, far, begin_s, end_s)
+        if len(which) == len(self._all.body):
+            return self._all
+        for known, movers in self._kept:
+            if known is which:
+                return movers
+        movers = self._all.chosen(which)
+        self._kept = ((which, movers), *self._kept[: KEPT - 1])
+        return movers
+
+    def _run_slots(self, home: Longs, start: Singles, along: Singles, until: Singles) -> tuple[Ints, Singles]:
+        if len(self._slots) == 1:
+            return embree.run(self._slots[0], start, along, until)
+        number: Ints = np.full(len(home), MISS, np.int32)
+        span = np.zeros(len(home), np.float32)
+        for slots in np.unique(home):
+            here = indexes(home == slots)
+            number[here], span[here] = embree.run(self._slots[slots], start[here], along[here], until[here])
+        return number, span
+
+
+def _whereabouts(movers: Movers, begin: float, end: float) -> tuple[Stretch, Floats, Floats, Longs]:
+    """Motions from `begin` to `end`; centres (3, b), how far they may be from there, and which do not move straight."""
+    now, loops = movers.fleet.during(begin, end), kernels()
+    middle = begin + (end - begin) / 2.0
+    if loops is not None:
+        place, swept = loops.whereabouts(now.at, now.velocity, now.since, now.turned, movers.centre, begin, end)
+    else:
+        place = now.at + (middle - now.since) * now.velocity + np.einsum("ijb,jb->ib", now.turned, movers.centre)
+        swept = np.sqrt(np.einsum("ib,ib->b", now.velocity, now.velocity)) * ((end - begin) / 2.0)
+    curved = indexes(~now.straight)
+    if len(curved):  # anywhere around where the body's origin is, as far as it can have come
+        for mover in curved:
+            place[:, mover] = movers.fleet.motions[mover].position(np.array([middle]))[0]
+        swept[curved] = movers.arm[curved] + (movers.speed[curved] * ((end - begin) / 2.0) if end > begin else 0.0)
+    return now, place, swept, curved
+
+
+def _may_cross(origin: Floats, ray: Floats, half: Floats) -> Flags:
+    """Rays (3, k) whose lines may meet boxes of these half sides about (0, 0, 0)."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        each = 1.0 / ray
+        middle, wide = origin * each, np.abs(each) * half
+        # a ray along a side gives NaN there, which excludes nothing
+        outside = np.fmax.reduce(-wide - middle, axis=0) > np.fmin.reduce(wide - middle, axis=0)
+    return np.asarray(~outside)

@@ -1,0 +1,419 @@
+"""The command line: reads arguments, prints, and turns errors into exit codes. The only place that prints.
+
+Exit codes: 0 held, or stopped as asked; 1 an expectation failed; 2 cannot run: bad scenario, spec or arguments;
+3 a link could not be opened or was lost; 4 the run went on but its recording ended early; 5 a sensor fell silent, or
+scans do not add up. Parts are imported by the command that needs them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from emulator import __version__
+from emulator.commands.common import (
+    CANNOT_RUN,
+    FAILED,
+    LINK_LOST,
+    LONGEST_S,
+    OK,
+    Finite,
+    complain,
+    complain_of_use,
+    load_scenario,
+    scenario_options,
+)
+from emulator.commands.ctl import control_of, ctl
+from emulator.commands.doctor import doctor
+from emulator.commands.explain import explain
+from emulator.commands.fuzz import fuzz
+from emulator.commands.look import demo, look
+from emulator.commands.recordings import diff, recorder_for, replay
+from emulator.commands.report import report
+from emulator.commands.soak import soak
+from emulator.commands.study import study
+from emulator.commands.test import test
+from emulator.commands.view import view
+from emulator.errors import EmulatorError, LinkError
+from emulator.output.lines import note, say
+from emulator.output.telling import guard
+from emulator.process.driver import end_driver, start_driver
+from emulator.runtime.own_daemon import leashed
+
+if TYPE_CHECKING:
+    from emulator.faults.events import FaultEvent
+    from emulator.instrument.instrument import Instrument
+    from emulator.process.clock import Clock
+    from emulator.process.incidents import Incident, Incidents
+    from emulator.recording.transcript import Transcript
+    from emulator.recording.writer import Recorder
+    from emulator.runtime.daemon import Daemon
+    from emulator.runtime.virtual_daemon import VirtualDaemon
+    from emulator.scenario.scenario import Scenario
+
+
+def entry() -> None:
+    """Entry point of the installed command."""
+    guard()
+    sys.exit(main(sys.argv[1:]))
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run one command and return its exit code; bad input gives a message, never a traceback."""
+    try:
+        result = commands.main(args=list(argv), prog_name="lidaremu", standalone_mode=False)
+    except click.exceptions.Exit as stop:
+        return stop.exit_code
+    except click.Abort:
+        return CANNOT_RUN
+    except click.ClickException as error:
+        complain_of_use(error)
+        return CANNOT_RUN
+    except EmulatorError as error:
+        complain(error)
+        return error.exit_code
+    except BrokenPipeError:  # the reader of our output has gone, as with `| head`
+        sys.stdout = open(os.devnull, "w")
+        return OK
+    return result if isinstance(result, int) else OK
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(__version__, prog_name="lidaremu")
+def commands() -> None:
+    """Software that behaves on the wire exactly like a real lidar."""
+
+
+# ---------------------------------------------------------------- scenarios
+
+
+@commands.command()
+@click.argument("scenarios", nargs=-1, required=True, metavar="SCENARIO...")
+@scenario_options
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a scenario.")
+def check(
+    scenarios: Sequence[str], overrides: Sequence[str], seed: int | None, links: Sequence[str], as_json: bool
+) -> int:
+    """Validate scenario files, their meshes and their devices' settings."""
+    from emulator.measuring.measuring import Measures, warnings_of
+    from emulator.runtime.assembly import measures_of, new_sessions
+    from emulator.world import scene
+
+    code = OK
+    for name in scenarios:
+        try:
+            loaded = load_scenario(name, overrides, seed, links)
+            new_sessions(loaded)
+            world = scene.build(loaded)
+            warnings = warnings_of(Measures(measures_of(loaded, world), world.warnings))
+        except EmulatorError as error:
+            code = max(code, error.exit_code)
+            if as_json:
+                say(json.dumps({"scenario": name, "ok": False, "faults": list(error.lines)}))
+            else:
+                complain(error, head="")
+            continue
+        triangles = sum(len(body.faces) for body in world.bodies)
+        if as_json:
+            counts = {"actors": len(world.actors), "triangles": triangles}
+            say(json.dumps({"scenario": name, "ok": True, **counts, "warnings": warnings}))
+        else:
+            for text in warnings:
+                note(f"{name}: warning: {text}")
+            say(f"{name}: ok: {len(loaded.sensors)} sensors, {len(world.actors)} actors, {triangles} triangles")
+    return code
+
+
+# ---------------------------------------------------------------- run
+
+
+@commands.command(context_settings={"ignore_unknown_options": False})
+@click.argument("scenario")
+@click.argument("command", nargs=-1, type=click.UNPROCESSED)
+@scenario_options
+@click.option("--duration", type=Finite(0.0, LONGEST_S), metavar="S", help="Stop after this many seconds.")
+@click.option("--workers", type=click.IntRange(min=1), help="Measuring processes (default: cores less one).")
+@click.option("--clock", type=click.Choice(["real", "virtual"]), default="real", help="virtual: as fast as hosts read.")
+@click.option("--speed", type=Finite(0.001, 1e9), metavar="X", help="Virtual clock at X times real time.")
+@click.option("--no-wait", is_flag=True, help="Virtual time moves though no host is connected.")
+@click.option("--realtime", is_flag=True, help="Schedule the sender before all other programs, where that is allowed.")
+@click.option("--control", type=click.Path(path_type=Path), metavar="PATH", help="Control socket.")
+@click.option("--record", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="Record into DIR.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line on standard output.")
+@click.option("--until-eof", is_flag=True, help="End with the standard input: with the program that holds it open.")
+@click.option("--own-folder", type=click.Path(path_type=Path), hidden=True, help="See emulator.runtime.own_daemon.")
+@click.option("--shim", is_flag=True, help="Give COMMAND the preload shim for drivers that set 500 kBd by TIOCSSERIAL.")
+def run(
+    scenario: str,
+    command: Sequence[str],
+    overrides: Sequence[str],
+    seed: int | None,
+    links: Sequence[str],
+    duration: float | None,
+    workers: int | None,
+    clock: str,
+    speed: float | None,
+    no_wait: bool,
+    realtime: bool,
+    control: Path | None,
+    record: Path | None,
+    as_json: bool,
+    until_eof: bool,
+    own_folder: Path | None,
+    shim: bool,
+) -> int:
+    """Open every link of SCENARIO and answer hosts until SIGINT, SIGTERM or --duration.
+
+    After `--` a COMMAND may follow: it is started once every link accepts a host, with the path or address of each
+    sensor's first link in the variable LIDAREMU_<SENSOR>, and the run ends with it. With --json its standard output
+    goes to standard error. What COMMAND prints is passed on as it is.
+    """
+    if shim and not command:
+        raise click.UsageError("--shim wants the driver's command: lidaremu run SCENARIO --shim -- ./driver ARGS")
+    from emulator.process.notify import Notifier
+
+    if until_eof and (command or sys.stdin is None):
+        raise click.UsageError("--until-eof wants a standard input of its own, without a COMMAND that would read it")
+    notifier = Notifier.of_environment(os.environ)  # neither workers nor a driver speak for us
+    leash = click.get_current_context().with_resource(leashed(until_eof, own_folder))
+    environment = dict(os.environ)
+    if shim:
+        from emulator.transports.shim import shim_environment
+
+        environment = shim_environment(environment)
+    loaded = load_scenario(scenario, overrides, seed, links)
+
+    from emulator.instrument.ledger import check_accounts
+    from emulator.process.clock import SystemClock
+    from emulator.process.waiting import be_realtime
+    from emulator.runtime import assembly
+    from emulator.runtime.virtual_daemon import VirtualDaemon
+
+    real = SystemClock()
+    daemon: Daemon | VirtualDaemon
+    if clock == "virtual" or speed is not None:
+        daemon, instruments = assembly.start_virtual(loaded, speed, workers)
+    else:
+        daemon, instruments = assembly.start(loaded, real, workers)
+    daemon.on_failure = note
+    daemon.notifier = notifier
+    daemon.incidents.listeners.append(incident_teller(as_json))
+    if daemon.faults is not None:
+        daemon.faults.listeners.append(fault_teller(as_json))
+    if isinstance(daemon, VirtualDaemon):
+        daemon.waits_for_hosts, daemon.tells_alone = not no_wait, True
+    if realtime and (refused := be_realtime()):
+        note(f"--realtime: {refused}; scheduled as usual")
+    transcript = watched(instruments) if isinstance(daemon, VirtualDaemon) else None
+    server = None
+    recorder: Recorder | None = None
+    driver: subprocess.Popen[bytes] | None = None
+    now_ns = (lambda: daemon.now_ns) if isinstance(daemon, VirtualDaemon) else real.now_ns
+    try:
+        recorder = recorder_for(loaded, instruments, record, daemon, now_ns)
+        with daemon.signals():
+            real.restart()
+            if leash is not None:
+                leash.watch(daemon.stop, daemon.call)
+            server = control_of(daemon, instruments, real, loaded, recorder, control)
+            daemon.power_on()
+            announce_ready(loaded, instruments, as_json, server.url)
+            until = duration if duration is not None else loaded.duration_s
+            until_ns = None if until is None else int(until * 1e9)
+            if command:
+                linked = [item for item in instruments if item.links]
+                environment |= {variable_of(item.sensor): place_of(item.links[0].url) for item in linked}
+                driver = start_driver(command, environment, as_json)
+            daemon.run(until_ns, None if driver is None else lambda: driver.poll() is None)
+            check_accounts(instruments, daemon.incidents, now_of(daemon, real))
+    finally:
+        if server is not None:
+            server.close()
+        daemon.close()
+        if recorder is not None:
+            recorder.close()
+        driver_code = None if driver is None else end_driver(driver)
+    recorded = None if recorder is None else recorder.state()
+    sha256 = None if transcript is None else transcript.sha256()
+    announce_end(instruments, as_json, sha256, daemon.incidents, recorded)
+    for cause, count in daemon.failures.items():
+        note(f"{count} scans could not be measured: {cause}")
+    if driver_code not in (None, 0):
+        note(f"{command[0]} ended with {how_it_ended(driver_code)}")
+    if daemon.lost_links:
+        return LINK_LOST
+    if driver_code not in (None, 0):
+        return FAILED
+    return daemon.incidents.exit_code
+
+
+def now_of(daemon: Daemon | VirtualDaemon, clock: Clock) -> int:
+    """The instant of a run, on the clock that it runs by."""
+    from emulator.runtime.virtual_daemon import VirtualDaemon
+
+    return daemon.now_ns if isinstance(daemon, VirtualDaemon) else clock.now_ns()
+
+
+def how_it_ended(code: int) -> str:
+    """A process's exit code in words."""
+    return f"exit code {code}" if code >= 0 else f"signal {-code}"
+
+
+def variable_of(sensor: str) -> str:
+    """Name of the environment variable that tells a driver where a sensor is."""
+    return "LIDAREMU_" + "".join(letter if letter.isalnum() else "_" for letter in sensor.upper())
+
+
+def place_of(url: str) -> str:
+    """The path or address in a link's URL."""
+    return url.partition(":")[2].partition("?")[0]
+
+
+def fault_teller(as_json: bool) -> Callable[[str, FaultEvent], None]:
+    """Tells of each fault that it begins and ends; single hits are recorded and counted."""
+
+    def tell(sensor: str, event: FaultEvent) -> None:
+        if event.what == "hit":
+            return
+        if as_json:
+            row = {"event": "fault", "what": event.what, "on": sensor, "do": event.name, "number": event.number}
+            say(json.dumps(row | {"at_s": event.at_ns * 1e-9} | ({"detail": event.detail} if event.detail else {})))
+        else:
+            ended = f"ends: {event.detail}" if event.what == "end" else "begins"
+            note(f"{event.at_ns * 1e-9:.3f} s: {sensor}: fault {event.number}, {event.name}, {ended}")
+
+    return tell
+
+
+def announce_ready(scenario: Scenario, instruments: Sequence[Instrument], as_json: bool, control: str) -> None:
+    """Say where hosts can connect; every link accepts one by now."""
+    from emulator.sensors.spec import name_of
+
+    models = {sensor.id: name_of(sensor.model) for sensor in scenario.sensors}
+    if as_json:
+        sensors = [
+            {"id": item.sensor, "model": models[item.sensor], "links": [link.url for link in item.links]}
+            for item in instruments
+        ]
+        say(json.dumps({"event": "ready", "sensors": sensors, "control": control}))
+        return
+    for item in instruments:
+        for link in item.links:
+            say(f"ready: {item.sensor} ({models[item.sensor]}) on {link.url}")
+
+
+def watched(instruments: Sequence[Instrument]) -> Transcript:
+    """The digest of a run's wire bytes with their virtual times, as `test` tells it."""
+    from emulator.recording.transcript import Transcript
+
+    transcript = Transcript([one.sensor for one in instruments])
+    for instrument in instruments:
+        instrument.watch(transcript)
+    return transcript
+
+
+def incident_teller(as_json: bool) -> Callable[[Incident], None]:
+    """Tells of each incident when it happens."""
+
+    def tell(incident: Incident) -> None:
+        if as_json:
+            say(json.dumps({"event": "incident"} | incident.as_json()))
+        else:
+            note(f"{incident.at_ns * 1e-9:.3f} s: {incident.on}: {incident.kind}: {incident.text}")
+
+    return tell
+
+
+def announce_end(
+    instruments: Sequence[Instrument],
+    as_json: bool,
+    sha256: str | None,
+    incidents: Incidents,
+    recording: Mapping[str, object] | None,
+) -> None:
+    """Say what each sensor did: scans sent, dropped, rate, lateness of sends. `sha256`: of a run in virtual time.
+
+    `recording`: how it stands with it, None when the run was not recorded.
+    """
+    from emulator.instrument.summary import summary
+    from emulator.objects.metrics import told
+
+    totals = [summary(item) for item in instruments]
+    if as_json:
+        digest = {} if sha256 is None else {"sha256": sha256}
+        told_of = {"recording": recording, "incidents": incidents.rows(), "incident_totals": incidents.totals()}
+        say(json.dumps({"event": "stopped", "sensors": totals} | told_of | digest))
+        return
+    for total in totals:
+        dropped = ", ".join(f"{count} {reason}" for reason, count in total["scans_dropped"].items()) or "none"
+        rate = "-" if total["scans_per_s"] is None else f"{total['scans_per_s']:.3f}/s"
+        say(f"{total['id']}: {total['scans_sent']} scans sent, {rate}; dropped: {dropped}")
+        account = total["account"]
+        if account["under_way"] or account["unaccounted"]:
+            rest = f"{account['under_way']} under way, {account['unaccounted']} unaccounted"
+            say(f"{total['id']}: {account['asked']} scans asked for, of them {rest}")
+        late = total["lateness_us"]
+        if late["sends"]:
+            say(
+                f"{total['id']}: lateness of {late['sends']} sends: median {late['median']:.0f} us,"
+                f" p99 {late['p99']:.0f} us, worst {late['worst']:.0f} us"
+            )
+        for link in total["links"]:
+            if link["payloads_dropped"]:
+                count = link["payloads_dropped"]
+                say(f"{total['id']}: {count} payloads not sent: a host reads {link['url']} too slowly")
+        ignored = ", ".join(f"{count} {reason}" for reason, count in total["input_dropped"].items())
+        if ignored:
+            say(f"{total['id']}: input not taken: {ignored}")
+        for name, row in total.get("faults", {}).items():
+            say(f"{total['id']}: fault {name}: begun {row['begun']} times, {row['hits']} hits")
+        if "objects" in total:
+            for line in told(total["objects"]):
+                say(f"{total['id']}: {line}")
+    for kind, count in incidents.totals().items():
+        say(f"incidents: {count} {kind}")
+    if recording is not None and recording["state"] == "ended":
+        say(f"recording: ended at {recording['at_s']:.3f} s: {recording['why']}; {recording['folder']}")
+    if sha256 is not None:
+        say(f"sha256 of all wire bytes with their virtual times: {sha256}")
+
+
+# ---------------------------------------------------------------- what there is
+
+
+LISTABLE = ("sensors", "scenarios", "materials", "links", "faults", "commands", "device")
+
+
+@commands.command(name="list")
+@click.argument("what", type=click.Choice(LISTABLE))
+@click.argument("name", required=False, metavar="[FAMILY | MODEL | FAULT]")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
+def list_(what: str, name: str | None, as_json: bool) -> int:
+    """Sensors, scenarios, materials, links, faults or the keys of a FAULT, the commands of a protocol FAMILY, or the
+    `device:` keys of a MODEL.
+    """
+    from emulator.commands import catalogue
+
+    try:
+        rows = catalogue.rows(what, name)
+    except KeyError as error:
+        raise click.UsageError(str(error.args[0])) from None
+    for row in rows:
+        say(json.dumps(row) if as_json else "  ".join(str(value) for value in row.values() if value != ""))
+    return OK
+
+
+for command in (demo, look, report, test, replay, diff, ctl, doctor, study, explain, view):
+    commands.add_command(command)
+
+study.add_command(fuzz)
+study.add_command(soak)
+
+__all__ = ["CANNOT_RUN", "OK", "LinkError", "entry", "main"]

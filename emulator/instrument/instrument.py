@@ -1,0 +1,432 @@
+"""One sensor on its links: one session, the links its hosts use, and whoever measures for it.
+
+Nothing here knows a protocol, a mesh or a clock: `step(now_ns)` moves bytes and scans, and says when to call again.
+What it counts is in `stats`, what it tells to those who look on in `onlookers`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Protocol
+
+from emulator.faults.events import FaultEvent
+from emulator.instrument.hearing import Hearing
+from emulator.instrument.onlookers import Onlookers
+from emulator.instrument.stats import InstrumentStats
+from emulator.instrument.watching import Watcher
+from emulator.measuring.conditions import NORMAL, Conditions
+from emulator.measuring.measuring import NotMeasured
+from emulator.transports.link import Link, Received
+from protocols.errors import ScanRefused
+from protocols.framing import Frames, Framing
+from protocols.scan import Scan, ScanPlan
+from protocols.session import Address, DropReason, Emission, Event, LinkKind, Restarted, Session
+
+if TYPE_CHECKING:
+    from emulator.instrument.fault_hooks import FaultHooks
+    from protocols.session import Family
+
+LOOK_AHEAD_NS = 250_000_000
+"A sweep is measured at most this long before it begins, so that a changed setting wastes little."
+
+EVENTS_KEPT = 1024
+"Events that wait for `take_events`, the oldest forgotten: they are counted in any case, and a run lasts for weeks."
+
+HANDED_KEPT = 256
+"A link whose host does not read gives up more than its buffers hold."
+
+SWITCHED_OFF = "switched off"
+"Why scans and input are dropped that a device without power forgets, or does not hear."
+
+MAX_ROUNDS = 64
+"A step that does not come to rest ends after this many rounds and is called again: one sensor cannot starve others."
+
+
+class Measuring(Protocol):
+    """Whoever turns plans into scans: in place, or in worker processes."""
+
+    def request(self, sensor: str, plan: ScanPlan, conditions: Conditions = NORMAL) -> None: ...
+
+    def collect(self, sensor: str) -> list[Scan]:
+        """Scans of this sensor that have been finished since the last call."""
+
+
+class Instrument:
+    """One sensor: asks its session what is wanted, has it measured, and sends what is due."""
+
+    def __init__(
+        self,
+        sensor: str,
+        session: Session,
+        links: Sequence[Link],
+        measuring: Measuring,
+        look_ahead_ns: int = LOOK_AHEAD_NS,
+    ) -> None:
+        self.sensor = sensor
+        self.session = session
+        self.links = tuple(links)
+        self.hearing = Hearing(self.links)
+        self.stats = InstrumentStats()
+        self.conditions = NORMAL
+        "Go with every sweep asked for from now on; what was asked for before, at most the look-ahead, keeps its own."
+        self.asked_ns = -1
+        "First firing of the newest sweep that has been asked for: it and those before it keep their conditions."
+        self.wanted_ns = -1
+        "When a sweep was asked for last, and when the device took one: for the check whether it has fallen silent."
+        self.lived_ns = -1
+        self._measuring = measuring
+        self._look_ahead_ns = look_ahead_ns
+        self._asked: tuple[int, int] | None = None
+        self.connections_seen = 0
+        "Connections opened and closed so far: a descriptor's number may have a new owner when this has moved."
+        self._events: deque[Event] = deque(maxlen=EVENTS_KEPT)
+        self._handed: deque[Emission] = deque(maxlen=HANDED_KEPT)
+        "Telegrams with scans that links have taken last: one may still give them up whole."
+        for link in self.links:
+            link.on_given_up = self._given_up
+        self.onlookers = Onlookers(sensor, self.links)
+        self.family: Family | None = None
+        "Whose protocol it speaks; for faults that change telegrams."
+        self.faults: FaultHooks | None = None
+        "What goes wrong on purpose; None: nothing, at no cost."
+        self.poked = False
+        "It wants to be stepped now, whatever it said: something outside has changed."
+        self.suffering: dict[str, dict[int, float]] = {}
+        "What befalls the device, and how much by the number of each fault."
+        self._cuts = 0
+        "Power cuts that have not ended."
+        self._lives = 0
+        "Power cuts so far: what was taken from the session before one does not leave any more."
+        self._peers: set[Address] = set()
+        "Hosts of streams that the session knows."
+        self._outstanding = 0
+        "Sweeps asked for that have not come back."
+        self._discarded = 0
+        "Of those, how many belong to a life of the device that has ended."
+        self.ledger = self.stats.ledger
+        "The account of its scans."
+
+    def watch(self, watcher: Watcher) -> None:
+        """Tell `watcher` of every payload, scan and event from now on.
+
+        Instants on a line are exact when it is called before the device is switched on, else from the line's first
+        pause on.
+        """
+        self.onlookers.add(watcher)
+
+    def unwatch(self, watcher: Watcher) -> None:
+        """Tell it no more; also from within what it is told."""
+        self.onlookers.remove(watcher)
+
+    def power_on(self, now_ns: int) -> None:
+        """Tell the session of its fixed links and switch the device on."""
+        for index, link in enumerate(self.links):
+            if link.kind is not LinkKind.STREAM:
+                self.session.connected(now_ns, Address(index, 0), link.kind)
+        self.session.power_on(now_ns)
+
+    def step(self, now_ns: int) -> int | None:
+        """Do all that can be done by `now_ns`; the instant of the next step, None while only a host can wake it."""
+        self.poked = False
+        self.ledger.now_ns = now_ns
+        if self.faults is not None:
+            self.faults.advance(now_ns)
+        self._take_input(now_ns)
+        if not self.powered:
+            return self._rest_without_power(now_ns)
+        self.session.advance(now_ns)
+        events = self.session.take_events()
+        if any(isinstance(event, Restarted) for event in events):
+            self.ledger.restart()  # before sweeps of the device's new life are asked for
+        for _ in range(MAX_ROUNDS):
+            moved = self._take_scans(now_ns)
+            moved = self._ask_for_scan(now_ns) or moved
+            moved = self._send_due(now_ns) or moved
+            if not moved:
+                break
+        else:
+            self.hearing.settle(now_ns)
+            return now_ns
+        if self.faults is not None:
+            self._release(now_ns)
+        self._note_events(events)
+        wakes = [link.flush(now_ns) for link in self.links]
+        self.hearing.settle(now_ns)
+        if self.hearing.rests(now_ns):  # a link whose input waits for us wants to be asked now; it has to wait
+            wakes = [wake for wake in wakes if wake is not None and wake > now_ns]
+        wakes.append(self.session.next_deadline())
+        plan = self.session.next_plan()
+        self.ledger.wants(plan)
+        if plan is not None and self._key(plan) != self._asked:
+            wakes.append(plan.start_ns - self._look_ahead_ns)
+        if self.faults is not None:
+            wakes.append(self.faults.next_ns())
+        wakes.append(self.hearing.wake_ns(now_ns))
+        due = [wake for wake in wakes if wake is not None]
+        return min(due) if due else None
+
+    def _rest_without_power(self, now_ns: int) -> int | None:
+        """A device that is switched off hears, measures and says nothing."""
+        self._take_scans(now_ns)
+        self._note_events()
+        wakes = [link.flush(now_ns) for link in self.links]
+        self.hearing.settle(now_ns)
+        if self.hearing.rests(now_ns):
+            wakes = [wake for wake in wakes if wake is not None and wake > now_ns]
+        if self.faults is not None:
+            wakes.append(self.faults.next_ns())
+        wakes.append(self.hearing.wake_ns(now_ns))
+        return min((wake for wake in wakes if wake is not None), default=None)
+
+    @property
+    def powered(self) -> bool:
+        """Whether the device is switched on."""
+        return not self._cuts
+
+    def power_off(self, now_ns: int) -> int:
+        """Cut the power: what has not left is gone, in the middle of a byte if need be; how many bytes those were."""
+        self._cuts += 1
+        if self._cuts > 1:
+            return 0
+        self._lives += 1
+        self._asked = None
+        self._discarded = self._outstanding
+        self._note_events()  # what it has told already
+        self.ledger.now_ns = now_ns
+        self.ledger.cut(SWITCHED_OFF)
+        lost = sum(link.clear() for link in self.links)
+        if unheard := self.hearing.forget():
+            self.stats.input_dropped[SWITCHED_OFF] += unheard
+        self.onlookers.clear(now_ns)
+        return lost + (0 if self.faults is None else self.faults.cut())
+
+    def power_back(self, now_ns: int) -> None:
+        """Switch the device on again: connections that it had are not its own any more."""
+        self._cuts -= 1
+        if self._cuts:
+            return  # another one holds
+        for address in sorted(self._peers):
+            self.session.disconnected(now_ns, address)
+        self._peers.clear()
+        self.stats.last_scan_due_ns = None
+        self.session.power_on(now_ns)
+
+    def set_line_speed(self, index: int, now_ns: int, baud: int | None) -> None:
+        """Another speed of a line at once, whatever the device says."""
+        self.links[index].set_speed(baud)
+        self.onlookers.set_speed(index, now_ns, baud)
+
+    def framing(self, kind: LinkKind) -> Framing | None:
+        """How its telegrams are framed on such a link; None where its family does not tell."""
+        return self.family.framing(self.session, kind) if isinstance(self.family, Frames) else None
+
+    def tell_fault(self, event: FaultEvent) -> None:
+        """Something a fault did, for whoever looks on."""
+        self.onlookers.event(event)
+
+    @property
+    def measuring(self) -> Measuring:
+        """Who makes scans of its plans."""
+        return self._measuring
+
+    def take_events(self) -> list[Event]:
+        """Events of the session since the last call, already counted in `stats`."""
+        events = list(self._events)
+        self._events.clear()
+        return events
+
+    def close(self) -> None:
+        """Close every link."""
+        for link in self.links:
+            link.close()
+
+    def _take_input(self, now_ns: int) -> None:
+        for index, received in self.hearing.take(now_ns):
+            if received.opened or received.closed:
+                self.connections_seen += 1
+            if self.faults is None:
+                self._take(received, index, now_ns)
+                continue
+            for part in self.faults.hearing(received, index, now_ns):
+                self._take_or_miss(part, index, now_ns)
+
+    def _take(self, received: Received, index: int, now_ns: int) -> None:
+        link = self.links[index]
+        address = Address(index, received.peer)
+        if received.opened:
+            self._peers.add(address)
+            self.session.connected(now_ns, address, link.kind)
+        if received.data:
+            self.onlookers.heard(index, received, now_ns)
+            self.session.receive(received.data, now_ns, address)
+        if received.closed:
+            self._peers.discard(address)
+            self.session.disconnected(now_ns, address)
+
+    def _take_or_miss(self, received: Received, index: int, now_ns: int) -> None:
+        """The same where faults are: a device without power hears nothing."""
+        if not self.powered:
+            if received.data:
+                self.stats.input_dropped[SWITCHED_OFF] += len(received.data)
+            return
+        self._take(received, index, now_ns)
+
+    def _take_scans(self, now_ns: int) -> bool:
+        moved = False
+        for scan in self._measuring.collect(self.sensor):
+            self.stats.scans_measured += not isinstance(scan, NotMeasured)
+            self._outstanding -= 1
+            moved = True
+            if self._discarded:
+                self._discarded -= 1  # on account since the cut
+                continue
+            if self._key(scan.plan) == self._asked:
+                self._asked = None
+            try:
+                if isinstance(scan, NotMeasured):
+                    self.session.missed(scan.plan, now_ns)
+                    self.ledger.missed(scan.plan)
+                    continue
+                self.session.submit(scan)
+            except ScanRefused:
+                self.ledger.refuse(scan.plan)
+            else:
+                self.lived_ns = now_ns
+                self.ledger.take(scan.plan)
+                self.onlookers.scan(scan)
+                self.stats.note_taken(scan)
+        return moved
+
+    def _ask_for_scan(self, now_ns: int) -> bool:
+        plan = self.session.next_plan()
+        if plan is None or self._key(plan) == self._asked or plan.start_ns > now_ns + self._look_ahead_ns:
+            return False
+        self._asked = self._key(plan)
+        self.wanted_ns = now_ns
+        first_ns = plan.start_ns + (math.ceil(1e9 * plan.fire_offset_s[0]) if len(plan) else 0)
+        self.asked_ns = max(self.asked_ns, first_ns)
+        if self.faults is not None:
+            self.faults.asked(plan)
+        self._outstanding += 1
+        self.ledger.ask(plan)
+        self._measuring.request(self.sensor, plan, self.conditions)
+        return True
+
+    def _send_due(self, now_ns: int) -> bool:
+        emissions = self.session.take_emissions(now_ns)
+        life = self._lives
+        for emission in emissions:
+            if self.faults is None:
+                self._note_sent(emission, self._send(emission))
+            else:
+                self._send_through_faults(emission, now_ns, life)
+        return bool(emissions)
+
+    def _send_through_faults(self, emission: Emission, now_ns: int, life: int) -> None:
+        assert self.faults is not None
+        self.faults.taker, self.faults.counted = None, False
+        pieces = self.faults.sending(emission, now_ns) if life == self._lives else []
+        if life != self._lives:  # a telegram has begun a power cut: neither it nor those behind it leave
+            self.faults.cut()
+            if emission.sweep is not None:
+                self.ledger.send(emission, SWITCHED_OFF)
+            return
+        leaving = [(one.sweep, self._send(one, only)) for one, only in self.faults.leaving(pieces, now_ns)]
+        refusals = [why for sweep, why in leaving if sweep is not None]
+        refused = None if None in refusals or not refusals else refusals[0]
+        sent = [one for one, _, _ in pieces if one.payload or not emission.payload]
+        carrying = [one for one in sent if one.sweep == emission.sweep]  # others were held back, and are on account
+        if self.faults.counted:
+            return
+        if carrying:  # a repeated telegram is one scan, or one reply
+            self._note_sent(carrying[0], refused)
+        elif emission.sweep is not None and self.faults.taker is not None:
+            self.ledger.send(emission, f"fault {self.faults.taker}")
+
+    def _release(self, now_ns: int) -> None:
+        """Send what faults have held back."""
+        assert self.faults is not None
+        life = self._lives
+        released = self.faults.released(now_ns)
+        if life != self._lives:  # one of them has begun a power cut
+            self.faults.cut()
+            for (one, _), counted in released:
+                if one.sweep is not None and not counted:
+                    self.ledger.send(one, SWITCHED_OFF)
+            return
+        for (one, only), counted in released:
+            refused = self._send(one, only)
+            if not counted:
+                self._note_sent(one, refused)
+            elif refused is not None:
+                self.stats.note_lost(one, refused)
+
+    def _note_sent(self, emission: Emission, refused: str | None) -> None:
+        """Count a telegram as sent, or as what its links refused it for."""
+        if refused is None or emission.sweep is None:
+            self.stats.note_telegram(emission)
+        else:
+            self.ledger.send(emission, refused)
+
+    def _given_up(self, payload: bytes) -> None:
+        """A link has given up a telegram that it had taken."""
+        for emission in self._handed:
+            if emission.payload is payload:
+                self.stats.note_lost(emission, DropReason.HOST_SLOW.value)
+                return
+
+    def _send(self, emission: Emission, only: int | None = None) -> str | None:
+        """Hand a telegram to its links, or to one of them; why not one of them has taken it, None if one has."""
+        address = emission.address
+        self.onlookers.told(emission)
+        targets = range(len(self.links)) if address is None else range(len(self.links))[address.link : address.link + 1]
+        peer = None if address is None else address.peer
+        if emission.sweep is not None:
+            self._handed.append(emission)
+        why: str | None = None
+        taken = False
+        for index in targets if only is None else (only,):
+            link = self.links[index]
+            refused = link.stats.payloads_dropped
+            self.onlookers.leaving(index, peer, emission)
+            if emission.cuts:
+                link.cut(emission.due_ns)
+            elif emission.pause is not None and link.kind is LinkKind.SERIAL:
+                count, resume_ns = emission.pause
+                begin, rest = emission.payload[:count], emission.payload[count:]
+                self._handed.extend(replace(emission, payload=part) for part in (begin, rest))  # one may be given up
+                link.send(begin, emission.due_ns, peer)
+                link.send(rest, resume_ns, peer, emission.line_speed)
+            else:
+                link.send(emission.payload, emission.due_ns, peer, emission.line_speed)
+            if link.stats.payloads_dropped == refused:
+                self.onlookers.left(index, peer, emission)
+                taken = True
+            else:
+                slow = DropReason.LINE_BUSY if link.kind in (LinkKind.SERIAL, LinkKind.CAN) else DropReason.HOST_SLOW
+                why = slow.value
+        if why is not None and not emission.scans:
+            self._break_off(emission, why)
+        return None if taken else why
+
+    def _break_off(self, rest: Emission, reason: str) -> None:
+        """A frame of a scan has found no room: nobody reads the scan that has begun on that link."""
+        link = None if rest.address is None else rest.address.link
+        begun = (one for one in reversed(self._handed) if one.address is not None and one.address.link == link)
+        if (emission := next(begun, None)) is not None:
+            self.stats.note_lost(emission, reason)
+
+    def _note_events(self, earlier: Sequence[Event] = ()) -> None:
+        for event in (*earlier, *self.session.take_events()):
+            self._events.append(event)
+            if self.faults is not None:
+                self.faults.noted(event)
+            self.onlookers.event(event)
+            self.stats.note_event(event)
+
+    @staticmethod
+    def _key(plan: ScanPlan) -> tuple[int, int]:
+        return plan.epoch, plan.sweep

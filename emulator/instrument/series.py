@@ -1,0 +1,325 @@
+"""What is recorded of a run for its expectations: numbers a scan, with the time of each.
+
+Belongs here: the values. Not: the names and what they want in parentheses (quantities), the language itself
+(expressions), the verdict (expectations).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from emulator.config.expressions import Name, Value
+from emulator.hosts.scans import HostScan
+from emulator.instrument.instrument import Instrument
+from emulator.instrument.watching import Payload, Watcher
+from emulator.objects.metrics import ListedScan, ObjectScore, Score, TruthObject
+from protocols.device_clock import Told
+from protocols.scan import DetectedObject, Floats, Ints, Scan
+
+MATCH_RAD = np.radians(0.02)
+"A host's beam and a measured one are the same when their azimuths differ by less."
+MOST_UNSENT = 4096
+"Sweeps that may be on their way from measurement to telegram."
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What a sweep brought back, as far as expectations ask."""
+
+    at_ns: int
+    azimuth_rad: Floats
+    range_m: Floats
+    "(n,) nearest echo"
+    actor: Ints
+    "(n,)"
+    objects: tuple[DetectedObject, ...]
+    truth: tuple[TruthObject, ...]
+    "Of a sensor that lists objects."
+    sweep: int = 0
+    "Its number, in the device's life that it belongs to."
+
+    def object_of(self, actor: str) -> DetectedObject | None:
+        """The object that is that actor; the one seen last when there are several."""
+        mine = [item for item in self.objects if item.actor == actor]
+        return min(mine, key=lambda item: (item.coasting_s, item.track)) if mine else None
+
+
+@dataclass
+class SensorSeries:
+    """One sensor's run."""
+
+    measured: dict[int, Measured] = field(default_factory=dict)
+    "By the instant at which the sweep began: a device counts its sweeps anew after a power cut."
+    sent_ns: list[int] = field(default_factory=list)
+    "First bit of each scan on the first link that carried it."
+    read: list[tuple[int, int | None, HostScan]] = field(default_factory=list)
+    "By our host: when, the beginning of the sweep it carried, the scan as decoded."
+    told: dict[int, Told] = field(default_factory=dict)
+    "What scans' telegrams told of the device's time, by the instant of the run that they told of."
+    bytes_out: int = 0
+    bytes_in: int = 0
+
+
+class SeriesWatcher(Watcher):
+    """Collects the series of all sensors of a run."""
+
+    def __init__(self, sensors: Sequence[str]) -> None:
+        self.sensors = {sensor: SensorSeries() for sensor in sensors}
+        self._sweeps: dict[str, deque[tuple[int, int]]] = {sensor: deque() for sensor in sensors}
+        "End and beginning of the sweep of scans that the host has not read yet."
+        self._begun: dict[str, dict[int, int]] = {sensor: {} for sensor in sensors}
+        "Sweep -> its beginning, of the device's present life."
+
+    def payload(self, payload: Payload) -> None:
+        mine = self.sensors[payload.sensor]
+        if not payload.sent:
+            mine.bytes_in += len(payload.data)
+            return
+        mine.bytes_out += len(payload.data)
+        if payload.sweep is not None and payload.link == 0:
+            mine.sent_ns.append(payload.start_ns)
+            began_ns = self._begun[payload.sensor].get(payload.sweep)
+            if began_ns is not None:
+                self._sweeps[payload.sensor].append((payload.end_ns, began_ns))
+
+    def scan(self, sensor: str, scan: Scan) -> None:
+        begun = self._begun[sensor]
+        begun[scan.plan.sweep] = scan.plan.start_ns
+        while len(begun) > MOST_UNSENT:
+            begun.pop(next(iter(begun)))
+        self.sensors[sensor].measured[scan.plan.start_ns] = Measured(
+            scan.plan.start_ns,
+            scan.plan.azimuth_rad,
+            scan.range_m[:, 0],
+            scan.actor[:, 0],
+            scan.objects,
+            scan.truth if isinstance(scan, ListedScan) else (),
+            scan.plan.sweep,
+        )
+
+    def told(self, sensor: str, sweep: int, told: Told) -> None:
+        self.sensors[sensor].told[told.true_ns] = told
+
+    def host_read(self, sensor: str, at_ns: int, scan: HostScan) -> None:
+        """Our host has decoded a scan: the newest one that has wholly arrived, whatever was lost before it."""
+        sweeps = self._sweeps[sensor]
+        began_ns = None
+        while sweeps and sweeps[0][0] <= at_ns:
+            began_ns = sweeps.popleft()[1]
+        self.sensors[sensor].read.append((at_ns, began_ns, scan))
+
+
+@dataclass(frozen=True)
+class Window:
+    """What an expectation looks at."""
+
+    series: SensorSeries
+    instrument: Instrument
+    actors: tuple[str, ...]
+    from_ns: int
+    to_ns: int
+    argument: str | float | None
+
+    def holds(self, at_ns: int) -> bool:
+        """Whether an instant lies in it."""
+        return self.from_ns <= at_ns <= self.to_ns
+
+    @property
+    def measured(self) -> list[Measured]:
+        """Sweeps that began in the window."""
+        return [item for item in self.series.measured.values() if self.holds(item.at_ns)]
+
+    @property
+    def read(self) -> list[tuple[int, int | None, HostScan]]:
+        """Scans that our host read in it."""
+        return [item for item in self.series.read if self.holds(item[0])]
+
+
+def _of_measured(number: Callable[[Measured, Window], float]) -> Callable[[Window], Value]:
+    return lambda window: np.array([number(item, window) for item in window.measured], dtype=np.float64)
+
+
+def _points(item: Measured, window: Window) -> float:
+    return float(np.count_nonzero(~np.isnan(item.range_m)))
+
+
+def _points_on(item: Measured, window: Window) -> float:
+    return float(np.count_nonzero(item.actor == window.actors.index(str(window.argument))))
+
+
+def _nearest(item: Measured, window: Window) -> float:
+    known = item.range_m[~np.isnan(item.range_m)]
+    return float(known.min()) if len(known) else float("nan")
+
+
+def _nearest_on(item: Measured, window: Window) -> float:
+    known = item.range_m[item.actor == window.actors.index(str(window.argument))]
+    return float(np.nanmin(known)) if np.any(~np.isnan(known)) else float("nan")
+
+
+def _object(item: Measured, window: Window) -> float:
+    return float(sum(one.actor == window.argument for one in item.objects))
+
+
+def _of_object(number: Callable[[DetectedObject], float]) -> Callable[[Window], Value]:
+    """A number of the object that is the actor in parentheses; missing in lists without it."""
+
+    def value(item: Measured, window: Window) -> float:
+        found = item.object_of(str(window.argument))
+        return float("nan") if found is None else number(found)
+
+    return _of_measured(value)
+
+
+def _share(item: Measured, window: Window) -> float:
+    return next((one.visible_share for one in item.truth if one.actor == window.argument), float("nan"))
+
+
+def _when(end: int, holds: Callable[[Measured, Window], bool]) -> Callable[[Window], Value]:
+    """Instant of the first (0) or last (-1) list for which that holds."""
+
+    def value(window: Window) -> Value:
+        instants = sorted(item.at_ns for item in window.measured if holds(item, window))
+        return instants[end] * 1e-9 if instants else float("nan")
+
+    return value
+
+
+def _listed(item: Measured, window: Window) -> bool:
+    return item.object_of(str(window.argument)) is not None
+
+
+def _scored(figure: Callable[[Score], float]) -> Callable[[Window], Value]:
+    """A figure of the lists against the truth."""
+
+    def value(window: Window) -> Value:
+        score = ObjectScore()
+        for item in window.measured:
+            if item.truth or item.objects:
+                score.add(item.objects, item.truth)
+        return figure(score.total)
+
+    return value
+
+
+def _range_at(window: Window) -> Value:
+    wanted = np.radians(float(window.argument or 0.0))
+
+    def at(scan: HostScan) -> float:
+        if not len(scan.azimuth_rad):
+            return float("nan")
+        away = np.abs(np.angle(np.exp(1j * (scan.azimuth_rad - wanted))))
+        nearest = int(np.argmin(away))
+        return float(scan.range_m[nearest]) if away[nearest] < np.radians(1.0) else float("nan")
+
+    return np.array([at(scan) for _, _, scan in window.read], dtype=np.float64)
+
+
+def _range_errors(window: Window) -> Value:
+    errors = []
+    for _, began_ns, scan in window.read:
+        truth = None if began_ns is None else window.series.measured.get(began_ns)
+        if truth is not None and len(scan.azimuth_rad) and len(truth.azimuth_rad):
+            order = np.argsort(truth.azimuth_rad, kind="stable")
+            azimuths = truth.azimuth_rad[order]
+            right = np.clip(np.searchsorted(azimuths, scan.azimuth_rad), 1, len(azimuths) - 1) if len(order) > 1 else 0
+            left = np.maximum(right - 1, 0)
+            closer = np.abs(azimuths[left] - scan.azimuth_rad) < np.abs(azimuths[right] - scan.azimuth_rad)
+            nearest = np.where(closer, left, right)
+            error = np.abs(scan.range_m - truth.range_m[order][nearest])
+            error = error[(np.abs(azimuths[nearest] - scan.azimuth_rad) < MATCH_RAD) & ~np.isnan(error)]
+            errors.append(float(error.max()) if len(error) else float("nan"))
+    return np.array(errors, dtype=np.float64)
+
+
+def _sent(window: Window) -> Floats:
+    return np.array([at_ns for at_ns in window.series.sent_ns if window.holds(at_ns)], dtype=np.float64) * 1e-9
+
+
+def _rate(window: Window) -> Value:
+    sent = _sent(window)
+    return float((len(sent) - 1) / (sent[-1] - sent[0])) if len(sent) > 1 and sent[-1] > sent[0] else float("nan")
+
+
+def _total(count: Callable[[Instrument], int]) -> Callable[[Window], Value]:
+    return lambda window: float(count(window.instrument))
+
+
+def _clock(number: Callable[[Told], float]) -> Callable[[Window], Value]:
+    def value(window: Window) -> Value:
+        told = [one for one in window.series.told.values() if window.holds(one.true_ns)]
+        return np.array([number(one) for one in told], dtype=np.float64)
+
+    return value
+
+
+def _faults(window: Window) -> Value:
+    running = window.instrument.faults
+    return 0.0 if running is None else float(running.hits_of(str(window.argument)))
+
+
+VALUES: Mapping[str, Callable[[Window], Value]] = {
+    "scans_per_s": _rate,
+    "scans_sent": lambda window: float(len(_sent(window))),
+    "scans_read": lambda window: float(len(window.read)),
+    "scans_measured": lambda window: float(len(window.measured)),
+    "scans_dropped": _total(lambda one: one.stats.scans_dropped.total()),
+    "input_dropped": _total(lambda one: one.stats.input_dropped.total()),
+    "replies_sent": _total(lambda one: one.stats.replies_sent),
+    "restarts": _total(lambda one: one.stats.restarts),
+    "faults": _faults,
+    "bytes_out": lambda window: float(window.series.bytes_out),
+    "bytes_in": lambda window: float(window.series.bytes_in),
+    "lateness_us": lambda window: window.instrument.stats.lateness.latest_ns().astype(np.float64) * 1e-3,
+    "gap_s": lambda window: np.diff(_sent(window)),
+    "first_scan_s": lambda window: float(sent[0]) if len(sent := _sent(window)) else float("nan"),
+    "points": _of_measured(_points),
+    "points_on": _of_measured(_points_on),
+    "nearest_m": _of_measured(_nearest),
+    "nearest_on": _of_measured(_nearest_on),
+    "clock_error_s": _clock(lambda one: (one.device_ns - one.true_ns) * 1e-9),
+    "clock_ticks": _clock(lambda one: float(one.ticks)),
+    "objects": _of_measured(lambda item, _: float(len(item.objects))),
+    "object": _of_measured(_object),
+    "object_range_m": _of_object(lambda one: math.hypot(one.position_m[0], one.position_m[1])),
+    "object_speed_m_s": _of_object(lambda one: math.hypot(one.velocity_m_s[0], one.velocity_m_s[1])),
+    "object_existence": _of_object(lambda one: one.existence),
+    "object_coasting_s": _of_object(lambda one: one.coasting_s),
+    "object_from_s": _when(0, _listed),
+    "object_until_s": _when(-1, _listed),
+    "visible_share": _of_measured(_share),
+    "visible_until_s": _when(-1, lambda item, window: _share(item, window) > 0.0),
+    "object_precision": _scored(lambda score: score.precision),
+    "object_recall": _scored(lambda score: score.recall),
+    "object_position_error_m": _scored(lambda score: score.position_m),
+    "object_size_error_m": _scored(lambda score: score.size_m),
+    "object_speed_error_m_s": _scored(lambda score: score.speed_m_s),
+    "range_at": _range_at,
+    "range_error_m": _range_errors,
+}
+"What each of `quantities.QUANTITIES` is in a window of time."
+
+
+def lookup(
+    watcher: SeriesWatcher,
+    instruments: Mapping[str, Instrument],
+    actors: tuple[str, ...],
+    from_ns: int,
+    to_ns: int,
+    end_ns: int,
+) -> Callable[[Name], Value]:
+    """Gives names their values within a window of time; names are checked before."""
+
+    def value(name: Name) -> Value:
+        if name.parts == ("duration_s",):
+            return end_ns * 1e-9
+        sensor, quantity = name.parts
+        window = Window(watcher.sensors[sensor], instruments[sensor], actors, from_ns, to_ns, name.argument)
+        return VALUES[quantity](window)
+
+    return value

@@ -1,0 +1,7 @@
+"""Who turns plans into scans: in place, or processes of their own; the conditions that go with a plan.
+
+Belongs here: plans in, scans out, over pipes. Light: the sending process has it. Not: what a scan is made of
+(sensing).
+
+May import: `scenario` (weather), `process`, `protocols`.
+"""

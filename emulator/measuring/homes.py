@@ -1,0 +1,94 @@
+"""What one worker owes, and the state of the process that it is at present.
+
+Belongs here: the data. Not: when any of it changes (supervision).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+
+from emulator.measuring.conditions import Conditions
+from emulator.measuring.worker import Handle, Pipe
+from emulator.process.patience import Pace, Stillness
+from emulator.scenario.weather import WeatherConfig
+from protocols.scan import ScanPlan
+
+
+@dataclass(eq=False)
+class Sweep:
+    """One sweep that a worker owes."""
+
+    sensor: str
+    plan: ScanPlan
+    conditions: Conditions
+    tries: int = 0
+    "Workers that have ended while they measured it."
+    given_up: bool = False
+    "Its device has been told that it will not come; whatever comes of it is thrown away."
+
+    @property
+    def end_ns(self) -> int:
+        """When its device could have sent it."""
+        return self.plan.start_ns + round(self.plan.duration_s * 1e9)
+
+    def as_sent(self) -> tuple[object, ...]:
+        return self.sensor, self.plan, self.conditions
+
+
+@dataclass(eq=False)
+class Question:
+    """Whether some sensors can compute such weather; stands among the sweeps that a worker owes."""
+
+    sensors: tuple[str, ...]
+    weather: WeatherConfig
+    answer: Future[dict[str, str]] = field(default_factory=Future)
+
+    def as_sent(self) -> tuple[object, ...]:
+        return self.sensors, None, self.weather
+
+
+@dataclass
+class Blame:
+    """A sensor whose sweeps end workers, one after the other: it pauses, the others of its worker go on."""
+
+    deaths: int = 0
+    until_ns: int = 0
+
+
+class Home:
+    """One worker and its successors."""
+
+    def __init__(self, number: int, sensors: Sequence[str]) -> None:
+        self.number = number
+        self.sensors = tuple(sensors)
+        self.state = "dead"
+        "starting | ready | ending | dead"
+        self.handle: Handle | None = None
+        self.pipe: Pipe | None = None
+        self.fileno = -1
+        self.owed: deque[Sweep | Question] = deque()
+        self.in_hand: Sweep | Question | None = None
+        "The first of those owed that has been handed over; one at a time, so that a slow sweep is known by its sensor."
+        self.since_ns = 0
+        "Running time at which its state, or the work in hand, began."
+        self.ready_ns = 0
+        "Running time at which the present process was ready, if it was."
+        self.was_ready = False
+        self.retry_ns = 0
+        self.failures = 0
+        "Processes that have ended in a row and were not sound."
+        self.starts = 0
+        self.lost = False
+        "It has been told that none can be started."
+        self.why = ""
+        "Why the last one has ended."
+        self.stillness = Stillness(0)
+        self.pace = {sensor: Pace() for sensor in sensors}
+
+    @property
+    def name(self) -> str:
+        """As told in incidents."""
+        return f"worker {self.number}"

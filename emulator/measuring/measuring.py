@@ -1,0 +1,93 @@
+"""Who turns plans into scans: what all of them have in common, and measuring in place (virtual time, tests).
+
+Not: worker processes (`worker`), how they are started, judged and replaced (`supervision`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from typing import Protocol, runtime_checkable
+
+from emulator.measuring.conditions import NORMAL, Conditions
+from emulator.scenario.weather import WeatherConfig
+from protocols.scan import Scan, ScanPlan
+
+Measure = Callable[..., Scan]
+"Of a plan, and of the conditions where they are not `NORMAL`."
+BuildMeasures = Callable[[], Mapping[str, Measure]]
+"Builds the measuring function of every sensor; must be picklable or inherited by fork."
+
+
+class Measures(dict[str, Measure]):
+    """Measuring functions by sensor, and what their scene warns of."""
+
+    def __init__(self, functions: Mapping[str, Measure], warnings: Sequence[str] = ()) -> None:
+        super().__init__(functions)
+        self.warnings = tuple(warnings)
+
+
+def warnings_of(measures: Mapping[str, Measure]) -> tuple[str, ...]:
+    """What is computed all the same but outside the range where it is known to hold, one line each, by sensor."""
+    found = dict.fromkeys(getattr(measures, "warnings", ()))
+    for sensor, measure in measures.items():
+        found |= dict.fromkeys(f"{sensor}: {text}" for text in getattr(measure, "warnings", ()))
+    return tuple(found)
+
+
+class Told:
+    """Passes on every warning once."""
+
+    def __init__(self) -> None:
+        self._known: set[str] = set()
+
+    def new(self, texts: Sequence[str]) -> list[str]:
+        fresh = [text for text in texts if text not in self._known]
+        self._known.update(fresh)
+        return fresh
+
+
+def measured(measure: Measure, plan: ScanPlan, conditions: Conditions) -> Scan:
+    """One sweep under its conditions."""
+    return measure(plan) if conditions is NORMAL or conditions == NORMAL else measure(plan, conditions)
+
+
+def refusals(measures: Mapping[str, Measure], sensors: Sequence[str], weather: WeatherConfig) -> dict[str, str]:
+    """Which of these sensors cannot compute such weather, and why; one that lists objects is as its sources."""
+    found = {name: getattr(measures[name], "refuses", lambda _: "")(weather) for name in sensors}
+    return {name: why for name, why in found.items() if why}
+
+
+class NotMeasured(Scan):
+    """Stands for a sweep that was asked for and will not come: its device is told to choose another one."""
+
+
+@runtime_checkable
+class Judges(Protocol):
+    """Who measures and can say what it cannot."""
+
+    def judge(self, weather: WeatherConfig) -> Sequence[Future[dict[str, str]]]:
+        """`refusals` of all sensors, in parts that come when whoever measures gets round to it."""
+
+
+class InPlace:
+    """Measures when asked, in the caller's own time."""
+
+    def __init__(self, measures: Mapping[str, Measure]) -> None:
+        self._measures = measures
+        self._done: dict[str, list[Scan]] = {}
+        self._told = Told()
+        self.warnings: list[str] = self._told.new(warnings_of(measures))
+        "What is not yet passed on; whoever does empties it."
+
+    def request(self, sensor: str, plan: ScanPlan, conditions: Conditions = NORMAL) -> None:
+        self._done.setdefault(sensor, []).append(measured(self._measures[sensor], plan, conditions))
+        self.warnings += self._told.new(warnings_of({sensor: self._measures[sensor]}))
+
+    def collect(self, sensor: str) -> list[Scan]:
+        return self._done.pop(sensor, [])
+
+    def judge(self, weather: WeatherConfig) -> list[Future[dict[str, str]]]:
+        found: Future[dict[str, str]] = Future()
+        found.set_result(refusals(self._measures, list(self._measures), weather))
+        return [found]

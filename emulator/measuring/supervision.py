@@ -1,0 +1,447 @@
+"""Worker processes, each serving a fixed share of the sensors; one that ends or stands still is replaced.
+
+Belongs here: what each owes, when it is started, given up and started again. Not: what runs in it (worker), how long is
+waited (patience), what is told of it (daemon, virtual_daemon).
+
+Nothing here waits for a process: starting, building a scene and dying go on while hosts are served. The descriptors of
+pipes are known to one epoll set of our own, which lets go of each before it is closed; whoever waits for workers waits
+for that set, whose number stays the same however often a process is replaced.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from functools import partial
+from typing import Any
+
+from emulator.errors import EmulatorError, SceneError
+from emulator.measuring.conditions import NORMAL, Conditions
+from emulator.measuring.homes import Blame, Home, Question, Sweep
+from emulator.measuring.measuring import BuildMeasures, NotMeasured, Told
+from emulator.measuring.worker import Forked, Handle, Pipe
+from emulator.process import patience
+from emulator.process.clock import Clock, SystemClock
+from emulator.process.patience import RunningTime, Stillness
+from emulator.scenario.weather import WeatherConfig
+from protocols.scan import Scan, ScanPlan
+
+READ, BOTH = select.EPOLLIN, select.EPOLLIN | select.EPOLLOUT
+ENDING_NS = 2_000_000
+"Until the exit code of a process whose pipe has closed is looked for again."
+MOST_TRIES = 2
+"A sweep that has ended its worker so often comes back without echoes."
+VIRTUAL_FAILURES = 5
+"Virtual time stands while a worker is missing: not for ever."
+LOST_AFTER = 3
+"Processes in a row that did not come to be ready; from then on it is told that none can be started."
+KILLED, OUT_OF_MEMORY = "SIGKILL", " (out of memory?)"
+GRACE_S = 0.5
+"For workers that have been asked to end; then they are made to."
+
+
+class Workers:
+    """All worker processes of a run. Must be made before any link is opened.
+
+    A worker that ends, or stands still for longer than `patience` allows, is replaced by one that gets what it owed. A
+    sweep that cannot be measured, or that ends its worker twice, is reported in `failures` and comes back without
+    echoes: one sensor's fault stops no other. With a `run_clock` sweeps become late while no worker is there: they come
+    back as `NotMeasured`, and their devices choose later ones.
+    """
+
+    def __init__(
+        self,
+        build: BuildMeasures,
+        sensors: Sequence[str],
+        count: int,
+        run_clock: Clock | None = None,
+        clock: Clock | None = None,
+        launch: Callable[[], Handle] | None = None,
+    ) -> None:
+        """Waits until each has built its scene; `EmulatorError` says why one could not.
+
+        `run_clock` tells the time of plans; None: it is virtual and stands while sweeps are owed. `clock`: by which
+        processes are judged. `launch` starts one.
+        """
+        self._launch: Callable[[], Handle] = partial(Forked, build) if launch is None else launch
+        self._clock = SystemClock() if clock is None else clock
+        self._run_clock = run_clock
+        self._ran = RunningTime()
+        self._ran.pass_to(self._clock.now_ns())
+        self._epoll = select.epoll()
+        shares = [list(sensors)[number :: max(1, count)] for number in range(max(1, min(count, len(sensors))))]
+        self._homes = [Home(number, share) for number, share in enumerate(shares)]
+        self._home = {sensor: home for home in self._homes for sensor in home.sensors}
+        self._dying: list[Handle] = []
+        self._blame: dict[str, Blame] = {}
+        self._done: dict[str, list[Scan]] = {}
+        self._fresh: set[str] = set()
+        self.failures: list[str] = []
+        "What could not be measured, not yet told; whoever does empties it."
+        self.incidents: list[tuple[str, str, str]] = []
+        "What befell the processes: kind, worker, text; likewise."
+        self._told = Told()
+        self.warnings: list[str] = []
+        "What is not yet passed on; whoever does empties it."
+        self._first = True
+        try:
+            for home in self._homes:
+                self._start(home)
+            while any(home.state != "ready" for home in self._homes):
+                self._epoll.poll(patience.TICK_NS * 1e-9)
+                self.poll()
+                self.check()
+        except BaseException:
+            self.close()
+            raise
+        self._first = False
+
+    # what others ask
+
+    def filenos(self) -> tuple[int, ...]:
+        """The descriptor that becomes readable when `poll` has something to do: the same for the whole run."""
+        return (self._epoll.fileno(),)
+
+    def request(self, sensor: str, plan: ScanPlan, conditions: Conditions = NORMAL) -> None:
+        home = self._home[sensor]
+        home.owed.append(Sweep(sensor, plan, conditions))
+        self._hand_over(home)
+
+    def judge(self, weather: WeatherConfig) -> list[Future[dict[str, str]]]:
+        questions = []
+        for home in self._homes:
+            questions.append(Question(home.sensors, weather))
+            home.owed.append(questions[-1])
+            self._hand_over(home)
+        return [one.answer for one in questions]
+
+    def collect(self, sensor: str) -> list[Scan]:
+        return self._done.pop(sensor, [])
+
+    @property
+    def run_clock(self) -> Clock | None:
+        """Tells the time of plans."""
+        return self._run_clock
+
+    def takes_ns(self, sensor: str) -> int | None:
+        """The longest of the last sweeps of that sensor; None while the first one in its process is still to come."""
+        home = self._home[sensor]
+        pace = home.pace[sensor]
+        return None if pace.fresh and home.state == "ready" else pace.longest_ns
+
+    def rows(self) -> list[dict[str, object]]:
+        """The processes, for whoever asks."""
+        return [
+            {
+                "worker": home.number,
+                "pid": None if home.handle is None else home.handle.pid,
+                "state": home.state,
+                "started": home.starts,
+                "sensors": list(home.sensors),
+            }
+            for home in self._homes
+        ]
+
+    def poll(self) -> set[str]:
+        """Take in what workers have sent; the sensors that have fresh scans, or have to choose other ones."""
+        self._ran.pass_to(self._clock.now_ns())
+        for number, _ in self._epoll.poll(0):
+            home = next((one for one in self._homes if one.fileno == number), None)
+            if home is not None:
+                self._attend(home)
+        fresh, self._fresh = self._fresh, set()
+        return fresh
+
+    def check(self) -> set[str]:
+        """Judge the processes: called about every `patience.TICK_NS`, and at `soon` sooner. Sensors as `poll`."""
+        now_ns = self._ran.pass_to(self._clock.now_ns())
+        self._dying = [one for one in self._dying if one.exit_code() is None]
+        for home in self._homes:
+            self._check(home, now_ns)
+            if self._run_clock is not None:
+                self._give_up_late(home, now_ns, self._run_clock.now_ns())
+            self._hand_over(home)
+        fresh, self._fresh = self._fresh, set()
+        return fresh
+
+    @property
+    def check_ns(self) -> int:
+        """How long `check` can wait."""
+        return ENDING_NS if any(home.state == "ending" for home in self._homes) else patience.TICK_NS
+
+    def settle(self, go_on: Callable[[], bool] = lambda: True) -> set[str]:
+        """Wait until nothing is owed, as long as `go_on`; the sensors that have fresh scans. Virtual time stands
+        meanwhile. `EmulatorError` when no worker can be started any more."""
+        fresh: set[str] = set()
+        next_ns = self._clock.now_ns() + self.check_ns
+        while any(home.owed for home in self._homes):
+            self._epoll.poll(self.check_ns * 1e-9)
+            fresh |= self.poll()
+            if self._clock.now_ns() >= next_ns:
+                fresh |= self.check()
+                next_ns = self._clock.now_ns() + self.check_ns
+                if not go_on():
+                    break
+            for home in self._homes:
+                if home.failures >= VIRTUAL_FAILURES and home.state == "dead":
+                    raise SceneError(f"{home.name}: {home.failures} processes in a row: the last {home.why}")
+        return fresh
+
+    def close(self) -> None:
+        """End the workers; one that stands still is made to."""
+        handles = [home.handle for home in self._homes if home.handle is not None]
+        for home in self._homes:
+            self._let_go(home)
+            home.state = "dead"
+        for handle in handles:
+            handle.ask_to_end()
+        clock = SystemClock()
+        while any(one.exit_code() is None for one in handles) and clock.now_ns() < GRACE_S * 1e9:
+            select.select([], [], [], 0.005)
+        for handle in [one for one in (*handles, *self._dying) if one.exit_code() is None]:
+            handle.kill()
+        clock = SystemClock()
+        while any(one.exit_code() is None for one in (*handles, *self._dying)) and clock.now_ns() < GRACE_S * 1e9:
+            select.select([], [], [], 0.005)
+        self._dying.clear()
+        self._epoll.close()
+
+    # a worker's life
+
+    def _start(self, home: Home) -> None:
+        home.starts += 1
+        for pace in home.pace.values():
+            pace.fresh = True
+        try:
+            home.handle = self._launch()
+        except OSError as error:
+            text = f"cannot be started: {error.strerror or error}"
+            if self._first:
+                raise EmulatorError(f"the measuring process {text}") from None
+            self._ended(home, text)
+            return
+        home.pipe = Pipe(home.handle.pipe)
+        home.fileno = home.handle.pipe.fileno()
+        home.state, home.since_ns = "starting", self._ran.ns
+        home.stillness = Stillness(self._ran.ns)
+        self._epoll.register(home.fileno, READ)
+
+    def _attend(self, home: Home) -> None:
+        """Its pipe has something to read, or room."""
+        assert home.pipe is not None
+        home.pipe.flush()
+        try:
+            for message in home.pipe.take():
+                self._take(home, *message)
+                if home.pipe is None:  # refused
+                    return
+        except EOFError:
+            self._epoll.unregister(home.fileno)
+            home.fileno = -1
+            home.state, home.since_ns = "ending", self._ran.ns
+            self._conclude(home)
+            return
+        self._mind_room(home)
+
+    def _mind_room(self, home: Home) -> None:
+        """Wait for room in its pipe only while something is to be written."""
+        if home.pipe is not None and home.fileno >= 0:
+            self._epoll.modify(home.fileno, BOTH if home.pipe.is_full else READ)
+
+    def _take(self, home: Home, word: str, what: Any, result: Any) -> None:
+        if word == "ready":
+            self._ready(home, result)
+        elif word == "refused":
+            if self._first:
+                raise what.of(result)
+            self._ended(home, f"refused: {'; '.join(result)}")
+        elif word == "warning":
+            self.warnings += self._told.new([result])
+        elif home.in_hand is not None:
+            self._finished(home, home.in_hand, word, result)
+
+    def _ready(self, home: Home, warnings: Sequence[str]) -> None:
+        took_s = (self._ran.ns - home.since_ns) * 1e-9
+        home.state, home.since_ns, home.ready_ns, home.was_ready = "ready", self._ran.ns, self._ran.ns, True
+        self.warnings += self._told.new(warnings)
+        if home.lost:
+            home.lost = False
+            self.incidents.append(("worker back", home.name, f"started again: the scene was built in {took_s:.1f} s"))
+        self._hand_over(home)
+
+    def _finished(self, home: Home, work: Sweep | Question, word: str, result: Any) -> None:
+        home.owed.remove(work)
+        home.in_hand = None
+        if isinstance(work, Question):
+            work.answer.set_result(result)
+        else:
+            home.pace[work.sensor].add(self._ran.ns - home.since_ns)
+            self._blame.pop(work.sensor, None)
+            if self._run_clock is None:
+                home.failures = 0
+            if word == "failed":
+                self.failures.append(f"{work.sensor}: sweep {work.plan.sweep}: {result}")
+                result = Scan.empty(work.plan)
+            if not work.given_up:
+                self._deliver(work, result)
+        self._hand_over(home)
+
+    def _deliver(self, work: Sweep, scan: Scan) -> None:
+        self._done.setdefault(work.sensor, []).append(scan)
+        self._fresh.add(work.sensor)
+
+    def _hand_over(self, home: Home) -> None:
+        if home.state != "ready" or home.in_hand is not None or not home.owed or home.pipe is None:
+            return
+        for work in home.owed:
+            if isinstance(work, Sweep) and self._pauses(work.sensor):
+                continue
+            home.in_hand = work
+            home.since_ns = self._ran.pass_to(self._clock.now_ns())
+            home.stillness = Stillness(home.since_ns)
+            home.pipe.put(work.as_sent())
+            if home.pipe.is_full:
+                self._mind_room(home)
+            return
+
+    def _pauses(self, sensor: str) -> bool:
+        return bool(self._blame) and sensor in self._blame and self._blame[sensor].until_ns > self._ran.ns
+
+    # judging
+
+    def _check(self, home: Home, now_ns: int) -> None:
+        if home.state == "ending":
+            self._conclude(home)
+        elif home.state == "dead":
+            if now_ns >= home.retry_ns:
+                self._start(home)
+        elif home.state == "starting":
+            self._look(home, "building the scene", patience.BUILD_NS, patience.IDLE_BUILD_NS, now_ns)
+        elif isinstance(home.in_hand, Question):
+            self._look(home, "judging weather", patience.QUESTION_NS, None, now_ns)
+        elif home.state == "ready" and home.in_hand is not None:
+            pace = home.pace[home.in_hand.sensor]
+            what = f"measuring {home.in_hand.sensor}, sweep {home.in_hand.plan.sweep}"
+            self._look(home, what, pace.deadline_ns, patience.IDLE_NS if pace.fresh else None, now_ns)
+
+    def _look(self, home: Home, what: str, deadline_ns: int, idle_ns: int | None, now_ns: int) -> None:
+        """Give a process up that has been at it for too long, or without using the processor."""
+        assert home.handle is not None
+        took_ns = now_ns - home.since_ns
+        if took_ns > deadline_ns:
+            self._ended(home, f"stood still: {took_ns * 1e-9:.1f} s {what}; may take {deadline_ns * 1e-9:.1f} s")
+        elif idle_ns is not None and took_ns > patience.TICK_NS:
+            still_ns = home.stillness.look(now_ns, home.handle.cpu_ns())
+            if still_ns > idle_ns:
+                allowed = f"may rest {idle_ns * 1e-9:.0f} s"
+                self._ended(home, f"stood still: {still_ns * 1e-9:.1f} s without processor time {what}; {allowed}")
+
+    def _conclude(self, home: Home) -> None:
+        """Its pipe has closed: say how it ended, as soon as that is known."""
+        assert home.handle is not None
+        code = home.handle.exit_code()
+        if code is not None or self._ran.ns - home.since_ns >= patience.TICK_NS:
+            self._ended(home, _how_it_ended(code))
+
+    def _ended(self, home: Home, why: str) -> None:
+        """It is gone, or has to go: another one is started, at once or after a pause."""
+        was_ready, work = home.was_ready, home.in_hand
+        self._let_go(home)
+        if home.handle is not None:
+            home.handle.kill()
+            self._dying.append(home.handle)
+        home.state, home.handle, home.in_hand, home.was_ready = "dead", None, None, False
+        if not was_ready and not why.startswith(("refused", "cannot")):
+            why += " while it built the scene"
+        if self._first:
+            raise SceneError(f"the measuring process {why}{OUT_OF_MEMORY if KILLED in why else ''}")
+        if isinstance(work, Sweep) and not why.startswith("stood still"):
+            why += f" while it measured {work.sensor}, sweep {work.plan.sweep}"
+        elif was_ready and work is None:
+            why += " between two sweeps"
+        self._take_back(home, work)
+        # a sensor that ends one worker after the other pauses itself: its worker need not
+        blamed = isinstance(work, Sweep) and work.sensor in self._blame and self._blame[work.sensor].deaths > 1
+        lived = was_ready and (blamed or self._ran.ns - home.ready_ns > patience.LIVED_NS)
+        home.failures = 1 if lived else home.failures + 1
+        pause_ns = patience.pause_ns(home.failures)
+        home.why, home.retry_ns = why, self._ran.ns + pause_ns
+        then = "at once" if not pause_ns else f"in {pause_ns * 1e-9:g} s"
+        if home.failures < LOST_AFTER or was_ready:
+            self.incidents.append(("worker replaced", home.name, f"{why}; another one is started {then}"))
+        elif not home.lost:
+            home.lost = True
+            tried = f"tried again {then}, then at least every {patience.LONGEST_PAUSE_NS * 1e-9:.0f} s"
+            self.incidents.append(("worker lost", home.name, f"{why}: {home.failures} times in a row; {tried}"))
+        if not pause_ns:
+            self._start(home)
+
+    def _take_back(self, home: Home, work: Sweep | Question | None) -> None:
+        """What was in the hands of a process that is gone."""
+        if isinstance(work, Question):
+            home.owed.remove(work)
+            work.answer.set_result({})
+        elif work is not None:
+            work.tries += 1
+            if self._run_clock is not None:
+                blame = self._blame.setdefault(work.sensor, Blame())
+                blame.deaths += 1
+                blame.until_ns = self._ran.ns + patience.pause_ns(blame.deaths)
+            if work.given_up:
+                home.owed.remove(work)
+            elif work.tries >= MOST_TRIES:
+                home.owed.remove(work)
+                self.failures.append(f"{work.sensor}: sweep {work.plan.sweep}: ended the measuring process twice")
+                self._deliver(work, Scan.empty(work.plan))
+
+    def _let_go(self, home: Home) -> None:
+        """Its pipe is known to nobody before its number is free for another."""
+        if home.fileno >= 0:
+            self._epoll.unregister(home.fileno)
+            home.fileno = -1
+        if home.pipe is not None:
+            home.pipe.close()
+            home.pipe = None
+
+    def _give_up_late(self, home: Home, ran_ns: int, run_ns: int) -> None:
+        """Sweeps that nobody measures while they become late go back: nothing is measured for the bin, nothing stale
+        is sent, and when a worker is there again the newest come first."""
+        held = home.state != "ready" or self._is_stalled(home, ran_ns)
+        if not held and not self._blame:
+            return
+        for work in list(home.owed):
+            if isinstance(work, Question) or work.given_up or work.end_ns >= run_ns:
+                continue
+            if not held and (work is home.in_hand or not self._pauses(work.sensor)):
+                continue
+            if work is home.in_hand:
+                work.given_up = True  # what comes of it is thrown away
+            else:
+                home.owed.remove(work)
+            self._deliver(work, NotMeasured.empty(work.plan))
+
+    def _is_stalled(self, home: Home, ran_ns: int) -> bool:
+        if home.in_hand is None:
+            return False
+        work = home.in_hand
+        allowed_ns = patience.STALLED_NS if isinstance(work, Question) else home.pace[work.sensor].stalled_ns
+        return ran_ns - home.since_ns > allowed_ns
+
+
+def _how_it_ended(code: int | None) -> str:
+    if code is None:
+        return "closed its pipe"
+    if code >= 0:
+        return f"ended with exit code {code}"
+    with contextlib.suppress(ValueError):
+        return f"ended with signal {-code} ({signal.Signals(-code).name})"
+    return f"ended with signal {-code}"
+
+
+def worker_count(sensors: int) -> int:
+    """One core is left to the sender."""
+    return max(1, min(sensors, len(os.sched_getaffinity(0)) - 1))

@@ -1,0 +1,151 @@
+"""From a scenario to running parts: measuring functions in the workers, instruments in the sender."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING
+
+from emulator.injection.run import FaultRun
+from emulator.instrument.device_clock import with_clock
+from emulator.instrument.instrument import Instrument, Measuring
+from emulator.measuring.measuring import InPlace, Measure, Measures
+from emulator.measuring.supervision import Workers, worker_count
+from emulator.process.clock import Clock
+from emulator.runtime.daemon import Daemon
+from emulator.runtime.virtual_daemon import VirtualDaemon
+from emulator.scenario.scenario import Scenario
+from emulator.sensors.spec import load_spec
+from emulator.transports.can_link import CanPorts
+from emulator.transports.link import Link
+from emulator.transports.loopback import Loops
+from emulator.transports.schemes import open_link
+from protocols import family
+from protocols.errors import DeviceSettingError
+from protocols.session import Family, Session
+
+if TYPE_CHECKING:
+    from emulator.world.scene import Scene
+
+
+def build_measures(scenario: Scenario) -> Mapping[str, Measure]:
+    """Scene and measuring function of every sensor; imports the ray caster, so it runs where scans are measured."""
+    from emulator.world import scene
+
+    world = scene.build(scenario)
+    return Measures(measures_of(scenario, world), world.warnings)
+
+
+def measures_of(scenario: Scenario, world: Scene) -> Mapping[str, Measure]:
+    """The measuring function of every sensor in that scene; a `physics:` table that cannot be is told here."""
+    from emulator.casting import raycast
+    from emulator.sensing.measure import build as build_measure
+
+    caster = raycast.Caster(world)
+    seeing = [sensor.id for sensor in scenario.sensors if load_spec(sensor.model).sees == "beams"]
+    measures: dict[str, Measure] = {name: build_measure(scenario, world, caster, name) for name in seeing}
+    return measures if len(seeing) == len(scenario.sensors) else measures | _object_measures(scenario, world, measures)
+
+
+def _object_measures(scenario: Scenario, world: Scene, measures: Mapping[str, Measure]) -> dict[str, Measure]:
+    """Measuring functions of the sensors that list objects; each drives its sources with sessions of its own."""
+    from emulator.objects import measure
+
+    index_of = {sensor.id: index for index, sensor in enumerate(scenario.sensors)}
+    made: dict[str, Measure] = {}
+    for sensor in scenario.sensors:
+        if sensor.id not in measures:
+            spoken = [name for name in sensor.from_ if load_spec(scenario.sensors[index_of[name]].model).family]
+            sessions = {name: new_session(scenario, index_of[name]) for name in spoken}
+            made[sensor.id] = measure.build(scenario, world, measures, sessions, sensor.id)
+    return made
+
+
+def family_of(scenario: Scenario, index: int) -> Family:
+    """The protocol family of a sensor; `ScenarioError` for a model without a wire protocol."""
+    name = load_spec(scenario.sensors[index].model).family
+    if name is None:
+        raise scenario.fault(
+            f"sensors.{index}.model", scenario.sensors[index].model, "a model with a wire protocol (see `list sensors`)"
+        )
+    return family(name)
+
+
+def new_session(scenario: Scenario, index: int) -> Session:
+    """The conversation of one sensor, switched off; `ScenarioError` when its `device` table does not fit the model."""
+    sensor = scenario.sensors[index]
+    try:
+        session = family_of(scenario, index).new_session(sensor.device, load_spec(sensor.model).device)
+    except DeviceSettingError as error:
+        raise scenario.fault(f"sensors.{index}.device.{error.key}", error.found, error.allowed) from None
+    try:
+        return with_clock(session, sensor.clock)
+    except DeviceSettingError as error:
+        raise scenario.fault(f"sensors.{index}.clock.{error.key}", error.found, error.allowed) from None
+
+
+def new_sessions(scenario: Scenario) -> list[Session]:
+    """The conversations of all sensors, in the scenario's order."""
+    return [new_session(scenario, index) for index in range(len(scenario.sensors))]
+
+
+def open_instruments(
+    scenario: Scenario, sessions: Sequence[Session], measuring: Measuring, loops: Loops | None = None
+) -> list[Instrument]:
+    """Open every link of every sensor; when one cannot be opened, the others are closed again.
+
+    `loops` holds the host's end of every `loop:NAME`.
+    """
+    opened: list[Link] = []
+    can_ports = CanPorts()
+    instruments = []
+    try:
+        for index, (sensor, session) in enumerate(zip(scenario.sensors, sessions, strict=True)):
+            tcp_is_line = family_of(scenario, index).tcp_is_line
+            links = []
+            for url in sensor.links:
+                bitrate = session.can_bitrate
+                links.append(open_link(url, tcp_is_line, loops=loops, can_ports=can_ports, can_bitrate=bitrate))
+                opened.append(links[-1])
+            instruments.append(Instrument(sensor.id, session, links, measuring))
+            instruments[-1].family = family_of(scenario, index)
+    except BaseException:
+        for link in opened:
+            link.close()
+        raise
+    return instruments
+
+
+def start(scenario: Scenario, clock: Clock, workers: int | None = None) -> tuple[Daemon, list[Instrument]]:
+    """Everything of a real-time run, devices still switched off: workers first, links after them."""
+    sessions = new_sessions(scenario)
+    names = [sensor.id for sensor in scenario.sensors]
+    measuring = Workers(partial(build_measures, scenario), names, workers or worker_count(len(names)), clock)
+    try:
+        instruments = open_instruments(scenario, sessions, measuring)
+    except BaseException:
+        measuring.close()
+        raise
+    daemon = Daemon(instruments, clock, measuring)
+    daemon.faults = FaultRun(scenario, instruments)
+    return daemon, instruments
+
+
+def start_virtual(
+    scenario: Scenario, speed: float | None = None, workers: int | None = None
+) -> tuple[VirtualDaemon, list[Instrument]]:
+    """Everything of a run on a virtual clock, devices still switched off; without `workers` it measures in place."""
+    sessions = new_sessions(scenario)
+    names = [sensor.id for sensor in scenario.sensors]
+    build = partial(build_measures, scenario)
+    pool = Workers(build, names, workers) if workers else None
+    try:
+        measuring = InPlace(build()) if pool is None else pool
+        instruments = open_instruments(scenario, sessions, measuring)
+    except BaseException:
+        if pool is not None:
+            pool.close()
+        raise
+    daemon = VirtualDaemon(instruments, pool, speed, warnings=measuring.warnings)
+    daemon.faults = FaultRun(scenario, instruments)
+    return daemon, instruments

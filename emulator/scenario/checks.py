@@ -1,0 +1,316 @@
+"""What a scenario's models cannot see alone: names that refer to something, files that must be there.
+
+Belongs here: checks across tables, on the file's plain data, so that they tell their faults beside those of the models
+even when these failed. A value of the wrong type is left to the models. Not: meshes' contents (scene).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from emulator.config.names import nearest
+from emulator.config.yaml_lines import Loc, Source
+
+MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
+BUILTIN = "builtin:"
+"Before the name of a mesh that comes with the package."
+ONE_HOLDER = ("pty", "slcan", "serial", "tcp", "udp")
+"Links that one sensor alone can hold; CAN buses and loops are shared."
+
+Found = tuple[Loc, str, str]
+"Path, what was found, what is wanted."
+
+
+def faults(source: Source) -> list[str]:
+    """One line a fault, in no particular order."""
+    if not isinstance(source.data, dict):
+        return []
+    data = source.data
+    checks: tuple[Callable[[dict[str, Any], Path], Iterable[Found]], ...] = (
+        _numbers,
+        _unique_ids,
+        _shapes,
+        _material_names,
+        _own_materials,
+        _motions,
+        _mounts,
+        _models,
+        _links,
+        _names_of_actors_and_sensors,
+        _faults,
+    )
+    return [source.fault(*found) for check in checks for found in check(data, source.path.parent)]
+
+
+def mesh_path(name: str, folder: Path) -> Path:
+    """Where a mesh lies: `builtin:car.glb` in the package, everything else relative to `folder`."""
+    if name.startswith(BUILTIN):
+        return Path(str(files("scenarios") / "meshes")) / name[len(BUILTIN) :]
+    return folder / name
+
+
+def builtin_meshes() -> tuple[str, ...]:
+    """Names of the meshes that come with the package."""
+    folder = files("scenarios") / "meshes"
+    return tuple(sorted(entry.name for entry in folder.iterdir() if entry.name.endswith(MESH_SUFFIXES)))
+
+
+def _tables(data: Mapping[str, Any], key: str) -> Iterator[tuple[Loc, dict[str, Any]]]:
+    entries = data.get(key)
+    for number, entry in enumerate(entries if isinstance(entries, list) else ()):
+        if isinstance(entry, dict):
+            yield (key, number), entry
+
+
+def _table(entry: Mapping[str, Any], key: str) -> dict[str, Any]:
+    value = entry.get(key)
+    return value if isinstance(value, dict) else {}
+
+
+def _ids(data: Mapping[str, Any], key: str) -> list[str]:
+    return [entry["id"] for _, entry in _tables(data, key) if isinstance(entry.get("id"), str)]
+
+
+# ---------------------------------------------------------------- the checks
+
+
+def _numbers(data: dict[str, Any], folder: Path) -> Iterator[Found]:
+    """Numbers that are not finite, wherever they are: in tables without a model too."""
+    waiting: list[tuple[Loc, Any]] = [((), data)]
+    while waiting:
+        loc, value = waiting.pop()
+        if isinstance(value, dict):
+            waiting += [((*loc, key), below) for key, below in value.items()]
+        elif isinstance(value, list):
+            waiting += [((*loc, number), below) for number, below in enumerate(value)]
+        elif isinstance(value, float) and not math.isfinite(value):
+            yield loc, str(value), "a finite number"
+
+
+def _unique_ids(data: dict[str, Any], folder: Path) -> Iterator[Found]:
+    for key in ("actors", "sensors"):
+        seen: dict[str, Loc] = {}
+        for loc, entry in _tables(data, key):
+            name = entry.get("id")
+            if not isinstance(name, str):
+                continue
+            if key == "actors" and name == "world":
+                yield (*loc, "id"), "'world' is the name of what does not move", "another id"
+            if name in seen:
+                yield (*loc, "id"), f"{name!r} is also the id of number {seen[name][1]}", "ids of their own"
+            seen.setdefault(name, loc)
+
+
+def _shapes(data: dict[str, Any], folder: Path) -> Iterator[Found]:
+    places = [(loc, entry) for loc, entry in _tables(data, "world")]
+    places += [((*loc, "shape"), _table(entry, "shape")) for loc, entry in _tables(data, "actors")]
+    named: list[tuple[Loc, object]] = []
+    for loc, shape in places:
+        named.append(((*loc, "mesh"), shape.get("mesh")))
+        frames = _table(shape, "frames").get("meshes")
+        for number, mesh in enumerate(frames if isinstance(frames, list) else []):
+            named.append(((*loc, "frames", "meshes", number), mesh))
+    for loc, mesh in named:
+        if not isinstance(mesh, str):
+            continue
+        if not mesh.lower().endswith(MESH_SUFFIXES):
+            yield loc, repr(mesh), f"a mesh file ending in {', '.join(MESH_SUFFIXES)}"
+        elif mesh.startswith(BUILTIN):
+            if mesh[len(BUILTIN) :] not in builtin_meshes():
+                yield loc, repr(mesh), nearest(mesh, [BUILTIN + name for name in builtin_meshes()])
+        elif not _is_file(folder / mesh):
+            found = "not a regular file" if os.path.lexists(folder / mesh.partition("\0")[0]) else "no such file"
+            yield loc, f"{mesh!r}: {found} in {folder}", "a mesh file"
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def _material_names(data: dict[str, Any], folder: Path) -> Iterator[Found]:
+    from emulator.physics.materials import known_materials
+
+    known = [*_table(data, "materials"), *known_materials()]
+    for key in ("world", "actors"):
+        for loc, entry in _tables(data, key):
+            named = [((*loc, "material"), entry.get("material"))]
+            named += [((*loc, "materials", part), name) for part, name in _table(entry, "materials").items()]
+            for place, name in named:
+                if isinstance(name, str) and name not in known:
+                    yield place, repr(name), f"a material: {nearest(name, known)}"
+                elif name is not None and key == "actors" and entry.get("shape") is None:
+                    yield place, "the actor has no shape that it could cover", "a shape, or no material"
+
+
+def _own_materials(data: dict[str, Any], folder: Path) -> Iterator[Found]:
+    from emulator.physics.materials import MaterialError, material_from_mapping
+
+    for name, entry in _table(data, "materials").items():
+        try:
+            material_from_mapping(name, entry)
+        except MaterialError as error:
+            yield tuple(error.key.split(".")), str(error.found), error.allowed
+
+
+def _motions(data: dict[str, Any], folder: Path) -> Iterator[Found]:
+    for loc, actor in _tables(data, "actors"):
+        motion = _table(actor, "motion")
+        points = motion.get("waypoints")
+        if points is None:
+            if motion.get("loop") is not None:
+                yield (*loc, "motion", "loop"), "without waypoints", "waypoints to loop over"
+            continue
+        for key in sorted(set(motion) - {"waypoints", "loop"}):
+            yield (*loc, "motion", key), "beside waypoints", "either waypoints, or a start with a velocity"
+        if not isinstance(points, list):
+            continue
+        if not points or (motion.get("loop") is True and len(points) < 2):
+            yield (*loc, "motion", "waypoints"), f"{len(points)} of them", "at least one, two for a loop"
+        before = None
+        for number, point in enumerate(points):
+            time = point.get("t_s") if isinstance(point, dict) else None
+            if isinstance(time, bool) or not isinstance(time, int | float):
+                continue
+            if before is not None and time <= before:
+                yield (*loc, "motion", "waypoints", number, "t_s"), f"{time} after {before}", "rising times"
+            before = time
+
+
+def _mounts(data: dict[str, Any], folder: Path) -> Iterator[Found]:
+    actors = _ids(data, "actors")
+    for loc, sensor in _tables(data, "sensors"):
+        actor = _table(sensor, "mount").get("actor")
+        if isinstance(actor, str) and actor not in actors:
+            yield (*loc, "mount", "actor"), repr(actor), f"{nearest(actor, actors)}; leave it out for the world"
+
+
+def _models(data: dict[str, Any], folder: Path) -> Iterator[Found]:
+    from emulator.errors import SpecError
+    from emulator.sensors.spec import is_file, list_models, load_spec
+    from protocols import families
+
+    names = _ids(data, "sensors")
+    models = list_models()
+    sees = {}
+    for loc, sensor in _tables(data, "sensors"):
+        model = sensor.get("model")
+        if not isinstance(model, str):
+            continue
+        if is_file(model):
+            if not _is_file(Path(model)):
+                yield (*loc, "model"), f"{model!r}: no such file", "a spec file, or the name of a shipped model"
+                continue
+        elif model not in models:
+            yield (*loc, "model"), repr(model), nearest(model, models)
+            continue
+        try:
+            spec = load_spec(model)
+        except SpecError as error:
+            yield (*loc, "model"), "; ".join(error.lines), "a spec file without faults"
+            continue
+        sees[str(sensor.get("id"))] = spec.sees
+        if spec.family is None and sensor.get("links"):
+            yield (*loc, "links"), f"{model} has no wire protocol", "no links"
+        if spec.family is not None and spec.family not in families():
+            yield (*loc, "model"), f"{model} speaks {spec.family}, which is not installed", nearest("", families())
+        sources = sensor.get("from")
+        if spec.sees == "beams" and sensor.get("objects"):
+            yield (*loc, "objects"), f"{model} lists no objects", "this key left out"
+        if spec.sees == "beams" and sources:
+            yield (*loc, "from"), f"{model} measures itself", "this key left out"
+        elif spec.sees == "objects" and not sources:
+            yield (*loc, "from"), "missing", f"the sensors that {model} makes its objects from: {', '.join(names)}"
+    for loc, sensor in _tables(data, "sensors"):
+        sources, own = sensor.get("from"), sensor.get("id")
+        others = [name for name in names if name != own]
+        if not isinstance(sources, list) or (isinstance(own, str) and sees.get(own) == "beams"):
+            continue
+        for number, name in enumerate(sources):
+            if isinstance(name, str) and name not in others:
+                yield (*loc, "from", number), repr(name), nearest(name, others)
+            elif isinstance(name, str) and sees.get(name) == "objects":
+                yield (*loc, "from", number), f"{name!r} lists objects itself", "a sensor that measures"
+
+
+def _links(data: dict[str, Any], folder: Path) -> Iterator[Found]:
+    from emulator.transports.schemes import check_url
+
+    taken: dict[str, str] = {}
+    for loc, sensor in _tables(data, "sensors"):
+        links = sensor.get("links")
+        for number, url in enumerate(links if isinstance(links, list) else ()):
+            if not isinstance(url, str):
+                continue
+            try:
+                check_url(url)
+            except ValueError as error:
+                found, _, want = str(error).partition("; want ")
+                yield (*loc, "links", number), found, want or "a link, see lidaremu list links"
+                continue
+            except ModuleNotFoundError:
+                yield (*loc, "links", number), f"{url!r}: links of this kind are not built yet", "another kind"
+                continue
+            scheme, _, target = url.partition("?")[0].partition(":")
+            if scheme in ONE_HOLDER and not (scheme == "tcp" and target.endswith(":0")):
+                if url.partition("?")[0] in taken:
+                    holder = taken[url.partition("?")[0]]
+                    yield (*loc, "links", number), f"{url!r} is also a link of {holder}", "a link of its own"
+                taken.setdefault(url.partition("?")[0], str(sensor.get("id")))
+
+
+def _names_of_actors_and_sensors(data: dict[str, Any], folder: Path) -> Iterator[Found]:
+    sensors, actors = _ids(data, "sensors"), _ids(data, "actors")
+    for loc, fault in _tables(data, "faults"):
+        name = fault.get("on")
+        if isinstance(name, str) and name not in sensors:
+            yield (*loc, "on"), repr(name), nearest(name, sensors)
+    weather = _table(data, "weather")
+    yield from names_in_weather(weather, ("weather",), actors)
+    for loc, entry in _tables(weather, "changes"):
+        yield from names_in_weather(entry, ("weather", *loc), actors)
+
+
+def names_in_weather(state: Mapping[str, Any], place: Loc, actors: Sequence[str]) -> Iterator[Found]:
+    """Actors that a weather's table names and that are not there."""
+    behind = _table(state, "spray").get("behind")
+    for number, name in enumerate(behind if isinstance(behind, list) else ()):
+        if isinstance(name, str) and name not in actors:
+            yield (*place, "spray", "behind", number), repr(name), nearest(name, actors)
+
+
+def _can_load(model: object) -> bool:
+    from emulator.errors import SpecError
+    from emulator.sensors.spec import load_spec
+
+    try:
+        return isinstance(model, str) and bool(load_spec(model))
+    except SpecError:
+        return False
+
+
+def _faults(data: dict[str, Any], folder: Path) -> Iterator[Found]:
+    if not data.get("faults"):
+        return
+    from emulator.faults.reading import problems, target_of
+    from emulator.scenario.quantities import check_expression
+
+    sensors, actors = _ids(data, "sensors"), ["world", *_ids(data, "actors")]
+    targets = {}
+    for _, sensor in _tables(data, "sensors"):
+        if _can_load(sensor.get("model")):
+            links = sensor.get("links")
+            urls = [url for url in links if isinstance(url, str)] if isinstance(links, list) else []
+            name = str(sensor.get("id"))
+            targets[name] = target_of(name, sensor["model"], urls, _table(sensor, "device"), actors[1:])
+    for loc, entry in _tables(data, "faults"):
+        told = problems(entry, targets.get(str(entry.get("on"))), lambda text: check_expression(text, sensors, actors))
+        for key, found, want in told:
+            yield (*loc, *key), found, want

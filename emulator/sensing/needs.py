@@ -1,0 +1,375 @@
+"""What a scene does not need: every term that may be left out, its bound, how far it is from it, and what that spares.
+
+Belongs here: the table, and asking one sensor's measuring function for its numbers. Not: the bounds themselves, which
+stand where the term is computed, and what rules save here and now (savings). All of them end with `physics.full`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from emulator.physics.arrays import Floats
+from emulator.physics.cosines import SHORT, split_cosines
+from emulator.physics.softprofile import SoftProfile
+from emulator.physics.subechoes import SubEchoes
+from emulator.sensing.closed import LEAN_LSB, SHIFT_LSB
+from emulator.sensing.daylight import largest_diffuse_w, surfaces_show, unseen_w
+from emulator.sensing.faint import looked_at, most_dropped
+from emulator.sensing.measure import Measure
+from emulator.sensing.model import SensorModel
+from emulator.sensing.particles import RARE as RAREST_PARTICLES
+from emulator.sensing.particles import mean_seen
+from emulator.sensing.paths import UNSEEN as BEHIND
+from emulator.sensing.paths import best_behind, reach_of
+from emulator.sensing.rays import cast_rays
+from emulator.sensing.receiver import RARE, Receiver
+from emulator.sensing.soft import UNSEEN, SoftTargets
+from emulator.sensors.spec import SensorSpec
+from protocols.scan import ScanPlan
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One rule for one sensor in one scene."""
+
+    left_out: bool
+    value: float | None
+    "What is compared with the bound; None: nothing is."
+    bound: float | None
+    saves: str
+    idle: bool = False
+    "There is nothing here that the rule could leave out or keep."
+    unit: str = ""
+    "Of value and bound."
+
+    @property
+    def exact(self) -> bool:
+        """Nothing is compared: all is computed, or what is left out adds nothing at all."""
+        return self.value is None
+
+    @property
+    def margin(self) -> float | None:
+        """Bound over value: above 1 the term cannot be seen."""
+        if self.value is None or self.bound is None:
+            return None
+        return self.bound / self.value if self.value > 0.0 else math.inf
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One row of the table."""
+
+    name: str
+    key: str | None
+    "Key below `physics.leave_out`; None: nothing to switch, `why` says why."
+    when: str
+    "How often it is decided."
+    why: str
+    find: Callable[[Measure, ScanPlan], Finding]
+
+    @property
+    def switch(self) -> str:
+        """Key below `physics`; - : none."""
+        return "-" if self.key is None else f"leave_out.{self.key}"
+
+
+def _clear_air(measure: Measure, plan: ScanPlan) -> Finding:
+    view = measure.view(plan)
+    found = view.seen.echoes
+    if view.air.uneven or not len(found):
+        return Finding(False, None, None, "an exponential an echo", idle=not len(found))
+    depth = 2.0 * view.air.everywhere.extinction_per_m * float(found.range_m.max())
+    bound = measure.model.clear_depth
+    out = measure.model.leave_out.clear_air and depth < bound
+    return Finding(out, depth, bound, "an exponential an echo", unit="of depth")
+
+
+def _closed_form(measure: Measure, plan: ScanPlan) -> Finding:
+    view, model = measure.view(plan), measure.model
+    whole = len(plan) * len(measure._bundles.of(plan).share)
+    outside = math.exp(-2.0 * model.plain_radii**2) if model.beam.profile == "gauss" else 0.0
+    if view.plain is None:
+        saved = "0 rays: a test of edges would cost more than it saves"
+        return Finding(False, outside, 1e-3, saved, unit="of the power")
+    plain = int(np.count_nonzero(view.plain))
+    saved = f"{whole - view.cast} of {whole} rays, {plain} of {len(plan)} beams plain"
+    return Finding(plain > 0, outside, 1e-3, saved, unit="of the power")
+
+
+def _plane_moments(measure: Measure, plan: ScanPlan) -> Finding:
+    view, step_m = measure.view(plan), measure.model.lsb_m
+    t_s = 1e-9 * plan.start_ns + plan.fire_offset_s
+    with np.errstate(under="ignore"):
+        spared = measure._spared(plan, measure._pose(t_s), t_s, view.surfaces, view.air)
+    if spared is None or not bool(spared.plain.any()):
+        return Finding(False, None, None, "0 beams", idle=True)
+    shifts, plain = spared.shifts, int(spared.plain.sum())
+    short = int(np.count_nonzero(np.isfinite(shifts.crossing_m)))
+    saves = f"the bundle's ranges in {short} of {plain} plain beams"
+    if not short:
+        return Finding(False, None, None, saves)
+    of_lean = float(np.nanmax(shifts.lean_m)), LEAN_LSB * step_m
+    of_crossing = float(np.nanmax(shifts.crossing_m)), SHIFT_LSB * step_m
+    value, bound = max(of_lean, of_crossing, key=lambda pair: pair[0] / pair[1])
+    return Finding(True, value, bound, saves, unit="m")
+
+
+def _resting(measure: Measure, plan: ScanPlan) -> Finding:
+    idle, on = measure._still_pose is None, measure.model.leave_out.resting
+    return Finding(on and not idle, None, None, "the casts on resting bodies of a sensor at rest", idle=idle)
+
+
+def _far_objects(measure: Measure, plan: ScanPlan) -> Finding:
+    air, model = measure.air.at(1e-9 * plan.start_ns), measure.model
+    reach_m = reach_of(model, plan.max_range_m)
+    met_m = measure.view(plan).seen.nearest_m
+    saves = f"all surfaces beyond {reach_m:.0f} m"
+    if bool(np.isfinite(met_m).any()):
+        saves += f" (the farthest that a beam meets first: {float(np.max(met_m[np.isfinite(met_m)])):.1f} m)"
+    out = model.leave_out.far_objects
+    if surfaces_show(air.sun, model):
+        saves += ", but for one ray of each beam that met nothing: background"
+        if out and measure._looks_far:
+            out, saves = False, "0 rays: in daylight one more for each beam that met nothing would cost more"
+    # what begins within the gate is an echo; a pulse that comes two half supports later does not reach into it
+    last_m = min(model.gate_m, plan.max_range_m) + 2.0 * model.pulse.half_support_m
+    return Finding(out, last_m, reach_m, saves, unit="m")
+
+
+def _soft(measure: Measure, plan: ScanPlan) -> Finding:
+    model, air, soft = measure.model, measure.air.at(1e-9 * plan.start_ns), measure._soft
+    least, saves = UNSEEN * model.threshold, "the medium's waveform in every beam"
+    if not model.weather_echoes:
+        return Finding(True, 0.0, least, saves, idle=True, unit="rms noise")
+    start_m = max(model.overlap_start_m, model.near_gate_m)
+    if soft.uneven(air):
+        value = max(soft._bound(one.medium.backscatter_per_m_sr, 0.0, start_m) for one in air.volumes)
+        return Finding(False, value, least, saves, unit="rms noise")
+    value = soft._bound(air.everywhere.backscatter_per_m_sr, air.everywhere.extinction_per_m, start_m) * plan.gain
+    made = soft.everywhere(air, plan.gain)
+    if made is None and value < min(least, model.unseen_amplitude):
+        return Finding(True, value, min(least, model.unseen_amplitude), saves, unit="rms noise")
+    # decided by the medium's own wave, at each range
+    whole = SoftTargets(_keeping_media(model), measure._receiver.bin_m).everywhere(air, plan.gain)
+    if whole is None:  # no light of it comes within the gate
+        return Finding(made is None, value, least, saves, unit="rms noise")
+    if model.photons is not None or (made is not None and made.shows):
+        value, bound = _nearest_to_showing(whole, model)
+        return Finding(made is None, value, bound, saves, unit="rms noise")
+    followed = made is not None and made.until_m == math.inf
+    until_m = -math.inf if made is None or followed else made.until_m
+    if until_m > -math.inf:
+        saves = f"the medium's waveform beyond {until_m:.1f} m; before, it shifts echoes of surfaces"
+    value, bound = _nearest_to_shifting(whole, until_m, model)
+    return Finding(not followed, value, bound, saves, unit="rms noise")
+
+
+def _keeping_media(model: SensorModel) -> SensorModel:
+    return replace(model, leave_out=model.leave_out.model_copy(update={"backscatter": False}))
+
+
+def _nearest_to_showing(whole: SoftProfile, model: SensorModel) -> tuple[float, float]:
+    """Return of a medium and what it is compared with, where it comes nearest to an echo of its own."""
+    x_m = np.append(_ranges_of(whole), whole.peak_m)
+    return _worst(whole.wave(x_m), UNSEEN * np.maximum(model.threshold, model.floor_m2 / np.maximum(x_m, 1e-3) ** 2))
+
+
+def _nearest_to_shifting(whole: SoftProfile, beyond_m: float, model: SensorModel) -> tuple[float, float]:
+    """The same where it comes nearest to shifting another echo by half a step, behind a range and the near gate."""
+    x_m = _ranges_of(whole)
+    x_m = x_m[(x_m > beyond_m) & (x_m > model.near_gate_m - whole.pulse.half_support_m)]
+    if not len(x_m):
+        return 0.0, model.unseen_amplitude
+    return _worst(whole.wave(x_m), model.unseen_under(model.least_amplitude(x_m)))
+
+
+def _ranges_of(whole: SoftProfile) -> Floats:
+    return whole.bin_m * np.arange(whole.first, whole.first + len(whole.upper), dtype=np.float64)
+
+
+def _worst(value: Floats, bound: Floats) -> tuple[float, float]:
+    at = int(np.argmax(value / bound))
+    return float(value[at]), float(bound[at])
+
+
+def _soft_table(measure: Measure, plan: ScanPlan) -> Finding:
+    air = measure.air.at(1e-9 * plan.start_ns)
+    used = measure._soft.everywhere(air, plan.gain) is not None
+    return Finding(used and measure.model.leave_out.soft_table, None, None, "a table a sweep", idle=not used)
+
+
+def _sun(measure: Measure, plan: ScanPlan) -> Finding:
+    sun, model, unit = measure.air.at(1e-9 * plan.start_ns).sun, measure.model, "W"
+    if sun is None:
+        saves = "noise of every beam, one ray to the sun"
+        return Finding(True, 0.0, unseen_w(model), saves, idle=True, unit=unit)
+    value = largest_diffuse_w(sun, model)
+    out = value <= unseen_w(model) and model.leave_out.background_light
+    return Finding(out, value, unseen_w(model), "noise of every beam", unit=unit)
+
+
+def _false_alarms(measure: Measure, plan: ScanPlan) -> Finding:
+    receiver, unit = measure._receiver, "a sweep"
+    if not isinstance(receiver, Receiver) or not measure.model.false_alarms:
+        return Finding(True, 0.0, RARE, "draws of a sweep", idle=True, unit=unit)
+    value = receiver.noise_echoes_of(len(plan))
+    return Finding(value < RARE and measure.model.leave_out.noise_echoes, value, RARE, "draws of a sweep", unit=unit)
+
+
+def _particles(measure: Measure, plan: ScanPlan) -> Finding:
+    view, model, saves = measure.view(plan), measure.model, "drops or flakes of every beam"
+    if not view.air.particles:
+        return Finding(True, 0.0, RAREST_PARTICLES, saves, idle=True, unit="a sweep")
+    # of rain and of snow each is decided by itself
+    value = max(float(mean_seen(one, view.seen.nearest_m, model, plan.gain).sum()) for one in view.air.particles)
+    out = value < RAREST_PARTICLES and model.leave_out.particles
+    return Finding(out, value, RAREST_PARTICLES, saves, unit="a sweep")
+
+
+def _waveform(measure: Measure, plan: ScanPlan) -> Finding:
+    model, receiver, unit = measure.model, measure._receiver, "m"
+    bound = SHORT * model.pulse.half_support_m
+    if not isinstance(receiver, Receiver) or not receiver.detector.closed_form:
+        return Finding(
+            False, None, None, "nothing: only sin2 pulses under a leading edge have a closed form", idle=True
+        )
+    detector, soft, parts = receiver.detector, _medium(measure, plan), _looked_at(measure, plan)
+    every, closed, longest = 0, 0, 0.0
+    for found in parts:
+        short, _ = split_cosines(found, detector, soft)
+        every, closed = every + len(found), closed + int(short.size.sum())
+        if len(short):
+            longest = max(longest, float(np.max(found.range_m[short.start + short.size - 1] - short.first_m)))
+    out = model.leave_out.waveform and (soft is None or soft.peak < detector.full_scale)
+    saves = f"samples of the clusters of {closed} of {every} reflections, and of a medium where it is alone"
+    return Finding(out, longest, bound, saves, unit=unit)
+
+
+def _bounces(measure: Measure, plan: ScanPlan) -> Finding:
+    model, view = measure.model, measure.view(plan)
+    bound, unit = BEHIND * model.threshold, "rms noise"
+    if not (view.surfaces.sends_on and model.bounces > 0):
+        return Finding(True, 0.0, bound, "second rays and their air", idle=True, unit=unit)
+    t_s = 1e-9 * plan.start_ns + plan.fire_offset_s
+    with np.errstate(under="ignore"):
+        # of the axes alone nothing goes on: beams that are plain see no mirror and no pane
+        rays = view.rays if view.plain is None else cast_rays(measure._bundles.of(plan), measure._pose(t_s), t_s)
+        hits = measure._caster.first_hits(rays.origin_m, rays.direction, rays.t_s)
+        best = best_behind(hits, rays, view.surfaces, view.air, model, plan.gain, plan.max_range_m)
+    gone = int(np.count_nonzero(best <= bound)) if model.leave_out.second_rays else 0
+    value = float(best.max(initial=0.0))
+    saves = f"{gone} of {len(best)} second rays and their air"
+    return Finding(gone == len(best), value, bound, saves, idle=not len(best), unit=unit)
+
+
+def _faint(measure: Measure, plan: ScanPlan) -> Finding:
+    model, bound, unit = measure.model, most_dropped(measure.model), "rms noise"
+    if not isinstance(measure._receiver, Receiver):
+        return Finding(False, None, None, "nothing: a receiver of photons counts them all", idle=True)
+    soft, every, gone, value = _medium(measure, plan), 0, 0, 0.0
+    for given in _given(measure, plan):
+        kept = looked_at(given, soft, model)
+        every, gone = every + len(given), gone + len(given) - len(kept)
+        lost = np.bincount(given.beam, given.amplitude, len(plan)) - np.bincount(kept.beam, kept.amplitude, len(plan))
+        value = max(value, float(lost.max(initial=0.0))) if len(kept) < len(given) else value
+    saves = f"{gone} of {every} reflections"
+    if not gone and soft is not None and soft.until_m == math.inf:
+        saves += ": a medium is followed everywhere, and they stop its light"
+    elif not gone and model.leave_out.faint:
+        behind = "" if soft is None or soft.until_m == -math.inf else f" behind {soft.until_m:.1f} m of a medium"
+        saves += f": too few are faint{behind} to be worth it"
+    return Finding(gone > 0, value, bound, saves, unit=unit)
+
+
+def _medium(measure: Measure, plan: ScanPlan) -> SoftProfile | None:
+    """The medium that the receiver is given."""
+    return measure._soft.everywhere(measure.view(plan).air, plan.gain)
+
+
+def _given(measure: Measure, plan: ScanPlan) -> list[SubEchoes]:
+    """Reflections that the receiver is given: of beams that see what they saw before, and of all others."""
+    view = measure.view(plan)
+    if view.kept is None:
+        return [view.found]
+    return [view.kept.found, *([view.found] if bool(view.kept.changed.any()) else [])]
+
+
+def _looked_at(measure: Measure, plan: ScanPlan) -> list[SubEchoes]:
+    """The same without the faint ones."""
+    return [looked_at(found, _medium(measure, plan), measure.model) for found in _given(measure, plan)]
+
+
+def _exact(saves: str) -> Callable[[Measure, ScanPlan], Finding]:
+    return lambda measure, plan: Finding(True, None, None, saves)
+
+
+def _kept(reason: str) -> Callable[[Measure, ScanPlan], Finding]:
+    return lambda measure, plan: Finding(False, None, None, reason)
+
+
+RULES: tuple[Rule, ...] = (
+    Rule("clear-air extinction", "clear_air", "per sweep", "depth there and back shifts no range by half a step",
+         _clear_air),
+    Rule("bundles of plain beams", "closed_form", "per sweep; once for what rests",
+         "no edge within plain_radii: exp(-2 k^2) of the power lies outside", _closed_form),
+    Rule("bundle ranges on planes", "plane_moments", "per beam",
+         "mean, energy and spread of a tilted plane shift no range by a quarter of a step, no crossing by an eighth",
+         _plane_moments),
+    Rule("rebuilding of structures", None, "never needed", "rays are moved, in float64", _exact("every build")),
+    Rule("casts on what rests", "resting", "once for a sensor at rest", "the same rays meet the same, bit by bit",
+         _resting),
+    Rule("surfaces out of reach", "far_objects", "per sweep",
+         "farther than the gate and a pulse, where nothing is an echo; in daylight it is background", _far_objects),
+    Rule("background light", "background_light", "per sweep",
+         "its shot noise adds less than 2e-3 to the square of the noise, and shifts no crossing by half a step", _sun),
+    Rule("noise echoes", "noise_echoes", "per sweep", "mean count of a sweep below 1e-6", _false_alarms),
+    Rule("backscatter of the air", "backscatter", "once per state of the weather",
+         "its return is below a tenth of the threshold, and followed where it shifts a crossing by half a step", _soft),
+    Rule("tables of the medium", "soft_table", "once per state of the weather", "exact in air that is even everywhere",
+         _soft_table),
+    Rule("falling particles", "particles", "per state of the weather, draws per sweep",
+         "none falls, or fewer than 1e-3 a sweep reach the threshold", _particles),
+    Rule("sampled waveforms", "waveform", "per cluster of reflections",
+         "these are sums of cosines, the longest of them shorter than half a pulse; others are sampled", _waveform),
+    Rule("second rays", "second_rays", "once per scene, then per ray",
+         "no surface mirrors or transmits 1 %, or the best one behind returns below 5 % of the threshold", _bounces),
+    Rule("poses within a sweep", None, "never", "one pose for all would spare nothing: rays are moved all the same",
+         _kept("nothing")),
+    Rule("faint reflections", "faint", "per sweep",
+         "each below 1e-3 of the threshold, those of a beam together below 1e-2 and half a step", _faint),
+    Rule("what nobody asked for", None, "never computed",
+         "waveforms are sampled where timed, echoes listed up to the plan's number; recordings hold the rest",
+         _exact("lists of echoes, waveforms")),
+)  # fmt: skip
+"In the order of section 8 of the physics."
+
+
+def explained(measure: Measure, plan: ScanPlan) -> list[dict[str, Any]]:
+    """Every rule for this sensor: name, switch, left out or kept, value, bound, margin, what it saves."""
+    found = []
+    for rule in RULES:
+        finding = rule.find(measure, plan)
+        row = {"term": rule.name, "switch": rule.switch, "when": rule.when, "why": rule.why, **asdict(finding)}
+        margin = finding.margin
+        margin = margin if margin is None or math.isfinite(margin) else None
+        found.append({**row, "exact": finding.exact, "margin": margin})
+    return found
+
+
+def usual_plan(spec: SensorSpec) -> ScanPlan:
+    """A sweep such as this model makes: its own table, or half a degree over 180 degrees, an eighth over 360."""
+    from emulator.sensing.table import table_plan
+
+    if spec.beams is not None:
+        return table_plan(spec, 0)
+    step, field, period = (0.125, 360.0, 0.1) if spec.family == "ld" else (0.5, 180.0, 2.0 / 75.0)
+    n = round(field / step) + (field < 360.0)
+    index = np.arange(n)
+    azimuth = np.radians(index * step - 0.5 * field)
+    far = math.inf if spec.receiver is None else spec.receiver.gate_m.value
+    return ScanPlan(0, 0, 0, azimuth, np.zeros(n), index * period / n, period, max_range_m=far, wants_intensity=True)

@@ -1,0 +1,147 @@
+"""The `physics:` table of a sensor in a scenario: how its beams are computed in this run.
+
+Everything left out is taken from the model's spec. Facts of the model stay in the spec; weather in `weather`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from emulator.config.tables import NotNegative, Positive, Table
+
+BundleRule = Literal["axis", "laguerre", "spiral", "grid", "adaptive"]
+Profile = Literal["gauss", "tophat"]
+PulseShape = Literal["sin2", "gauss"]
+DetectionMethod = Literal["leading_edge", "constant_fraction", "peak", "centroid"]
+Sparingly = Literal["auto", "always", "never"]
+EchoChoice = Literal["first", "strongest", "last", "all"]
+
+Amplitude = Annotated[float, Field(ge=1e-3, le=1e12)]
+"In rms noise. Beyond these ends no receiver is, and their squares keep their digits."
+Gate = Annotated[float, Field(ge=1e-3, le=1e6)]
+"Farther, noise alone makes so many echoes a beam that they are no scan any more."
+Divergence = Annotated[float, Field(ge=0.0, le=20.0)]
+
+
+class WindscreenOptions(Table):
+    """A laminated pane in front of the sensor, every beam through it both ways."""
+
+    rake_deg: Annotated[float, Field(ge=0.0, lt=90.0)] = 60.0
+    "Between a beam along the sensor's x axis and the pane's normal, which leans back."
+    internal_transmission: Annotated[float, Field(gt=0.0, le=1.0)] = 0.8
+    "One way: 0.8 clear to 0.3 heat-absorbing at 905 nm."
+    index: Annotated[float, Field(ge=1.0, le=4.0)] = 1.5
+
+
+class PhotonOptions(Table):
+    """A receiver that counts photons: a histogram of first photons over many shots, or of photon pairs."""
+
+    shots: Annotated[int, Field(ge=1, le=10_000_000)] = 1000
+    "Pulses a beam."
+    quantum_efficiency: Annotated[float, Field(gt=0.0, le=1.0)] = 0.3
+    dark_count_hz: Annotated[float, Field(ge=0.0, le=1e11)] = 1000.0
+    bin_ns: Annotated[float, Field(ge=1e-3, le=1000.0)] = 1.0
+    pair_rate_hz: Annotated[float, Field(gt=0.0, le=1e11)] | None = None
+    "Photon pairs instead of pulses: so many a second, each idler kept at home as the clock of its twin."
+    idler_efficiency: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
+    integration_ms: Annotated[float, Field(gt=0.0, le=1e5)] = 10.0
+    "Pairs: time for which coincidences of a beam are collected."
+
+
+class LeaveOut(Table):
+    """Switches of single rules of leaving out; `needs` lists them with their bounds. `full` switches all off."""
+
+    clear_air: bool = True
+    "No extinction where all that is met is too near for it to be seen."
+    closed_form: Sparingly = "auto"
+    "One ray for beams that see one plane; `auto`: where that saves time."
+    plane_moments: bool = True
+    "Such a beam's echo from the moments of a tilted plane, where they hold; else by its bundle's ranges to the plane."
+    resting: bool = True
+    "What a sensor at rest meets of resting bodies is found once."
+    far_objects: bool = True
+    "Nothing is cast on what lies out of reach."
+    background_light: bool = True
+    "No background whose shot noise cannot be seen."
+    noise_echoes: bool = True
+    "No draws of noise echoes that are rarer than one in a million sweeps."
+    backscatter: bool = True
+    "No return of a medium too faint to be an echo, but where it would shift another echo."
+    soft_table: bool = True
+    "The return of a medium is tabulated once for a state of the weather, not in every sweep."
+    particles: bool = True
+    "No draws of drops or flakes of which less than one in a thousand sweeps shows one."
+    waveform: bool = True
+    "Clusters of reflections shorter than half a pulse are timed in closed form, without a sampled waveform."
+    second_rays: bool = True
+    "Rays are not continued behind mirrors and glass where nothing could come back."
+    faint: bool = True
+    "Reflections below a thousandth of the threshold are dropped, up to a hundredth of it in a beam."
+
+    @classmethod
+    def nothing(cls) -> LeaveOut:
+        """Every rule off."""
+        return cls.model_validate({name: "never" if name == "closed_form" else False for name in cls.model_fields})
+
+
+class PhysicsOptions(Table):
+    """Choices of a run; None: as the model's spec has it."""
+
+    rule: BundleRule | None = None
+    sub_beams: Annotated[int, Field(ge=1, le=65536)] | None = None
+    depth: Annotated[int, Field(ge=0, le=8)] = 4
+    "Levels of splitting of rule `adaptive`."
+    profile: Profile | None = None
+    divergence_deg: Divergence | tuple[Divergence, Divergence] | None = None
+    "Full angle, or in and across the scan plane."
+    roll_deg: float | None = None
+    exit_diameter_mm: Annotated[float, Field(ge=0.0, le=1e4)] | None = None
+    pulse: PulseShape | None = None
+    pulse_fwhm_ns: Annotated[float, Field(ge=0.01, le=1e5)] | None = None
+    wavelength_nm: Annotated[float, Field(ge=300.0, le=3000.0)] | None = None
+    filter_offset_nm: Annotated[float, Field(ge=-3000.0, le=3000.0)] | None = None
+    "Laser line off the centre of the receiver's filter, by temperature for instance: 0.3 nm/K."
+    system_constant_m2: Annotated[float, Field(ge=1e-30, le=1e30)] | None = None
+    threshold_to_noise: Amplitude | None = None
+    false_alarms_per_gate: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
+    "Sets the threshold from the mean count of noise echoes a beam."
+    detection: DetectionMethod | None = None
+    walk_table: bool | None = None
+    echoes: EchoChoice | None = None
+    max_echoes: Annotated[int, Field(ge=1, le=64)] | None = None
+    bin_ns: Positive | None = None
+    "Step of a sampled waveform; None: 1 ns, finer for pulses under 4 ns."
+    range_noise_mm: Annotated[float, Field(ge=0.0, le=1e6)] | None = None
+    systematic_mm: Annotated[float, Field(ge=-1e6, le=1e6)] | None = None
+    near_gate_m: Annotated[float, Field(ge=0.0, le=1e6)] | None = None
+    gate_m: Gate | None = None
+    floor_reflectance: Annotated[float, Field(gt=0.0, le=1e4)] | Literal["off"] | None = None
+    "Near by, what is darker than a plate of it is overlooked; a retroreflector is as bright as one of some thousand."
+    recovery_ns: NotNegative | None = None
+    full_scale_snr: Amplitude | Literal["off"] | None = None
+    noise: bool = True
+    "Draw noise of amplitude and range (mode operational)."
+    false_alarms: bool = True
+    background: bool = True
+    weather_echoes: bool = True
+    "Backscatter of fog, rain, snow, dust, spray."
+    bounces: Annotated[int, Field(ge=0, le=2)] = 2
+    "Rays continued at mirrors and through glass."
+    windscreen: WindscreenOptions | None = None
+    photons: PhotonOptions | None = None
+    "Count photons instead of timing an analogue signal."
+    leave_out: LeaveOut = LeaveOut()
+    plain_radii: Annotated[float, Field(ge=0.5, le=5.0)] = 2.63
+    "Beam radii within which a beam must see one plane to be cast as one ray; 1e-6 of the power lies outside of 2.63."
+    full: bool = False
+    "Compute every term, also those that a bound shows to be invisible."
+
+    @model_validator(mode="after")
+    def _one_threshold(self) -> PhysicsOptions:
+        if self.threshold_to_noise is not None and self.false_alarms_per_gate is not None:
+            raise ValueError("threshold_to_noise and false_alarms_per_gate; want one of them")
+        if self.gate_m is not None and self.near_gate_m is not None and self.near_gate_m >= self.gate_m:
+            raise ValueError(f"near_gate_m {self.near_gate_m} not before gate_m {self.gate_m}; want it smaller")
+        return self

@@ -1,0 +1,300 @@
+"""The world of a run: rigid bodies with mesh, materials and motion; their poses and the sensors' at given times.
+
+Belongs here: scenario -> bodies, poses. Not: reading mesh files (mesh_files), casting rays (raycast), what a material
+reflects (physics).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from emulator.config.budgets import MESH
+from emulator.errors import SceneError
+from emulator.scenario.checks import BUILTIN
+from emulator.scenario.scenario import Scenario
+from emulator.scenario.tables import Actor, FramesConfig, MotionConfig, Mount, Shape, WorldItem
+from emulator.world import mesh_files, triangles
+from emulator.world.mesh_frames import Frames
+from emulator.world.motion import Floats, Motion, Pose, Steady, Vector, Waypoints
+from emulator.world.reading_apart import Reader
+from emulator.world.triangles import Geometry, Ints
+from emulator.world.twins import twins
+
+MOST_TRIANGLES = 20_000_000
+"Of all different shapes together, unless one file may have more; 1e7 build in about a minute and 2 GB."
+MOST_TWINS_TOLD = 5
+"Pairs of bodies that lie on each other; of more only their number."
+WORLD = 0
+"Index of the actor that everything of the scenario's `world` belongs to."
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """One rigid mesh with its materials and its motion."""
+
+    actor: int
+    geometry: Geometry
+    part_material: Ints
+    "(p,) index into `Scene.materials` of each part."
+    motion: Motion
+    frames: Frames | None = None
+    "How its shape changes; `geometry` is then its first frame, in the sphere of all."
+
+    @property
+    def still(self) -> bool:
+        """Never moves, turns or changes."""
+        return self.motion.still and self.frames is None
+
+    @property
+    def vertices(self) -> Floats:
+        """(v, 3) about the body's own origin; those of the first frame of a shape that changes."""
+        return self.geometry.vertices
+
+    @property
+    def faces(self) -> Ints:
+        """(f, 3)"""
+        return self.geometry.faces
+
+    @property
+    def face_material(self) -> Ints:
+        """(f,) index into `Scene.materials`."""
+        return self.part_material[self.geometry.face_part]
+
+    @property
+    def centre_m(self) -> Floats:
+        """Centre of the bounding sphere about the body's origin."""
+        return self.geometry.centre
+
+    @property
+    def radius_m(self) -> float:
+        """Radius of the bounding sphere."""
+        return self.geometry.radius
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Everything that beams can meet, and where it is at any time."""
+
+    actors: tuple[str, ...]
+    "Names; index 0 is `world`, then the scenario's actors in its order."
+    classes: tuple[str, ...]
+    "Category of each actor, for object lists; `unknown` where the scenario gives none."
+    motions: tuple[Motion, ...]
+    materials: tuple[str, ...]
+    bodies: tuple[Body, ...]
+    warnings: tuple[str, ...] = ()
+    "What was odd about the meshes, one line each."
+
+    @cached_property
+    def index(self) -> dict[str, int]:
+        """Name of an actor -> its index."""
+        return {name: number for number, name in enumerate(self.actors)}
+
+    def pose(self, actor: int, t_s: Floats) -> Pose:
+        """Pose of an actor at times (n,)."""
+        return self.motions[actor].pose(t_s)
+
+    def velocity(self, actor: int, t_s: Floats) -> Floats:
+        """Velocity of an actor's origin in the world at times (n,): (n, 3). [m/s]"""
+        return self.motions[actor].velocity(np.atleast_1d(np.asarray(t_s, dtype=np.float64)))
+
+    def sensor_pose(self, mount: Mount, t_s: Floats) -> Pose:
+        """Optical centre and axes of a sensor at times (n,)."""
+        times = np.atleast_1d(np.asarray(t_s, dtype=np.float64))
+        place = _mounted(mount.at_m, mount.yaw_deg, mount.pitch_deg, mount.roll_deg)
+        if mount.actor is None:
+            return place.pose(times)
+        carrier = self.motions[self.index[mount.actor]]
+        if carrier.turns:
+            return place.pose(times).after(carrier.pose(times))
+        offset_m, rotation = _carried(place, carrier)
+        return Pose(carrier.position(times) + offset_m, np.broadcast_to(rotation, (len(times), 3, 3)))
+
+
+@lru_cache(maxsize=64)
+def _mounted(at_m: Vector, yaw_deg: float, pitch_deg: float, roll_deg: float) -> Steady:
+    """A sensor's place on what carries it."""
+    return Steady(at_m, yaw_deg, pitch_deg, roll_deg)
+
+
+@lru_cache(maxsize=64)
+def _carried(place: Steady, carrier: Motion) -> tuple[Floats, Floats]:
+    """Offset (3,) in the world and orientation (3, 3) of what sits there on something that does not turn."""
+    pose = place.pose(np.zeros(1)).after(Pose(np.zeros((1, 3)), carrier.pose(np.zeros(1)).rotation))
+    return pose.position_m[0].copy(), pose.rotation[0].copy()
+
+
+def build(scenario: Scenario) -> Scene:
+    """Load the meshes of a scenario and place its bodies; `SceneError` with one line a fault."""
+    motions: list[Motion] = [Steady()]
+    with Reader() as reader:
+        builder = _Builder(scenario, reader)
+        for number, item in enumerate(scenario.world):
+            placed = Steady(item.at_m, item.yaw_deg, item.pitch_deg, item.roll_deg)
+            builder.add(WORLD, item, item, placed, f"world.{number}")
+        for number, actor in enumerate(scenario.actors):
+            motions.append(motion_of(actor.motion))
+            if actor.shape is not None:
+                builder.add(number + 1, actor.shape, actor, motions[-1], f"actors.{number}")
+    if builder.total > builder.most:
+        builder.faults.append(f"{scenario.source}: {builder.total} triangles in all; want at most {builder.most}")
+    if builder.faults:
+        raise SceneError.of(builder.faults)
+    builder.tell_twins()
+    return Scene(
+        ("world", *(actor.id for actor in scenario.actors)),
+        ("unknown", *(actor.class_ for actor in scenario.actors)),
+        tuple(motions),
+        tuple(builder.materials),
+        tuple(builder.bodies),
+        tuple(builder.warnings),
+    )
+
+
+def motion_of(config: MotionConfig) -> Motion:
+    """The motion that a scenario describes."""
+    if config.waypoints:
+        return Waypoints.through(
+            [point.t_s for point in config.waypoints],
+            [point.at_m for point in config.waypoints],
+            [(point.yaw_deg, point.pitch_deg, point.roll_deg) for point in config.waypoints],
+            config.loop,
+        )
+    return Steady(
+        config.at_m, config.yaw_deg, config.pitch_deg, config.roll_deg, config.velocity_m_s, config.yaw_rate_deg_s
+    )
+
+
+class _Builder:
+    """Collects bodies; meshes of the same file and primitives of the same size are made once."""
+
+    def __init__(self, scenario: Scenario, reader: Reader) -> None:
+        self._scenario, self._reader = scenario, reader
+        one = reader.budget.triangles
+        self.most = max(MOST_TRIANGLES, one) if one > MESH.triangles else MOST_TRIANGLES
+        "Triangles in all; once there are more nothing else is made."
+        self.total = 0
+        self.made: dict[str, Geometry] = {}
+        self.frames: dict[int, Frames] = {}
+        self.materials: dict[str, int] = {}
+        self.bodies: list[Body] = []
+        self.places: list[str] = []
+        "Of each body, in the scenario."
+        self.faults: list[str] = []
+        self.warnings: list[str] = []
+
+    def add(self, actor: int, shape: Shape, owner: Actor | WorldItem, motion: Motion, dotted: str) -> None:
+        if self.total > self.most:
+            return
+        below = f"{dotted}.shape" if isinstance(owner, Actor) else dotted
+        try:
+            geometry = self._geometry(shape, self._scenario.label(f"{below}.{shape.kind}"))
+            names = self._part_materials(geometry, owner, dotted)
+        except SceneError as error:
+            self.faults.extend(error.lines)
+            return
+        numbers = [self.materials.setdefault(name, len(self.materials)) for name in names]
+        frames = self.frames.get(id(geometry))
+        self.bodies.append(Body(actor, geometry, np.array(numbers, np.int32), motion, frames))
+        self.places.append(dotted)
+
+    def tell_twins(self) -> None:
+        """Warn of resting bodies that lie on each other with other materials."""
+        found = sorted(twins(self.bodies).items())
+        for (one, two), count in found[:MOST_TWINS_TOLD]:
+            where, other = (self._scenario.label(self.places[body]) for body in (two, one))
+            self.warnings.append(
+                f"{where}: {count} triangles lie on those of {other.rpartition(': ')[2]}, of another material; which"
+                " is seen is arbitrary"
+            )
+        if len(found) > MOST_TWINS_TOLD:
+            rest = len(found) - MOST_TWINS_TOLD
+            self.warnings.append(f"{self._scenario.source}: {rest} more pairs of bodies lie on each other")
+
+    def _geometry(self, shape: Shape, where: str) -> Geometry:
+        key = shape.model_dump_json(include={"mesh", "plane", "box", "cylinder", "sphere", "frames", "up", "scale"})
+        if key not in self.made:
+            self.made[key] = geometry = self._make(shape, where)
+            frames = self.frames.get(id(geometry))
+            self.total += len(geometry.faces) * (1 if frames is None else len(frames.vertices))
+            if geometry.dropped:
+                self.warnings.append(f"{where}: {geometry.dropped} triangles of no area left out")
+            if geometry.twins:
+                self.warnings.append(
+                    f"{where}: {geometry.twins} triangles lie on one of another part; which is seen is arbitrary"
+                )
+        return self.made[key]
+
+    def _make(self, shape: Shape, where: str) -> Geometry:
+        if shape.mesh is not None:
+            return self._load(shape.mesh, shape, where)
+        if shape.frames is not None:
+            return self._make_frames(shape, shape.frames, where)
+        if shape.plane is not None:
+            return triangles.plane(*shape.plane.size_m)
+        if shape.box is not None:
+            return triangles.box(*shape.box.size_m)
+        if shape.cylinder is not None:
+            return triangles.cylinder(shape.cylinder.radius_m, shape.cylinder.height_m, shape.cylinder.segments)
+        assert shape.sphere is not None
+        return triangles.sphere(shape.sphere.radius_m, shape.sphere.segments)
+
+    def _load(self, name: str, shape: Shape, where: str) -> Geometry:
+        """A mesh of the package is read here, any other file in a process of its own."""
+        path = self._scenario.resolve(name)
+        load = mesh_files.load if name.startswith(BUILTIN) else self._reader.read
+        return load(path, shape.up, shape.scale, where)
+
+    def _make_frames(self, shape: Shape, config: FramesConfig, where: str) -> Geometry:
+        """The first frame with the sphere of all; every other one must be the same mesh with its vertices moved."""
+        made: list[Geometry] = []
+        loaded: dict[str, Geometry] = {}
+        for number, name in enumerate(config.meshes):
+            if name not in loaded:
+                loaded[name] = self._load(name, shape, f"{where}.meshes.{number}")
+            one = loaded[name]
+            many = self.total + (number + 1) * len(one.faces)
+            if many > self.most:
+                raise SceneError(f"{where}.meshes.{number}: {many} triangles in all; want at most {self.most}")
+            first = made[0] if made else one
+            told = f"{where}.meshes.{number}: {name}"
+            if len(one.vertices) != len(first.vertices) or len(one.faces) != len(first.faces):
+                found = f"{len(one.faces)} triangles on {len(one.vertices)} vertices"
+                want = f"{len(first.faces)} on {len(first.vertices)} as in the first frame"
+                raise SceneError(f"{told}: {found}; want {want}")
+            if not np.array_equal(one.faces, first.faces) or not np.array_equal(one.face_part, first.face_part):
+                raise SceneError(f"{told}: other triangles; want those of the first frame, their vertices moved alone")
+            if one.parts != first.parts and len(first.parts) > 1:  # a mesh of one part may bear its file's name
+                raise SceneError(f"{told}: parts {', '.join(one.parts)}; want {', '.join(first.parts)}")
+            made.append(one)
+        first = made[0]
+        frames = Frames(
+            np.stack([one.vertices for one in made]), first.faces, config.period_s, config.at_s, config.loop
+        )
+        low, high = frames.box
+        centre = low + (high - low) / 2.0
+        away = frames.vertices[:, np.unique(first.faces)] - centre
+        radius = float(np.sqrt((away * away).sum(axis=2).max()))
+        geometry = replace(first, centre=centre, radius=radius)
+        self.frames[id(geometry)] = frames
+        return geometry
+
+    def _part_materials(self, geometry: Geometry, owner: Actor | WorldItem, dotted: str) -> list[str]:
+        """Material of each part: its own entry, else `material`, else a part that bears a material's name."""
+        allowed = ", ".join(geometry.parts)
+        for part in owner.materials:
+            if part not in geometry.parts:
+                where = self._scenario.label(f"{dotted}.materials.{part}")
+                raise SceneError(f"{where}: no such part; want one of {allowed}")
+        known = self._scenario.known_materials
+        names = [
+            owner.materials.get(part, owner.material or (part if part in known else None)) for part in geometry.parts
+        ]
+        missing = [part for part, name in zip(geometry.parts, names, strict=True) if name is None]
+        if missing:
+            where = self._scenario.label(dotted)
+            raise SceneError(f"{where}: no material for {', '.join(missing)}; want `material` or `materials` for them")
+        return [name for name in names if name is not None]

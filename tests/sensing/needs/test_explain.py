@@ -1,0 +1,272 @@
+"""`lidaremu explain`: every rule is told, with its switch, and what is told is what is done."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from emulator.casting import raycast
+from emulator.commands.cli import main
+from emulator.physics.subechoes import SubEchoes
+from emulator.scenario import scenario
+from emulator.scenario.weather import WeatherConfig
+from emulator.sensing import closed, needs, particles, receiver
+from emulator.sensing.faint import looked_at
+from emulator.sensing.measure import build as build_measure
+from emulator.sensors.physics_options import PhysicsOptions
+from emulator.sensors.spec import load_spec
+from emulator.world import scene, triangles
+from emulator.world.motion import Steady
+from emulator.world.scene import Scene
+from tests.sensing.needs.scenes import body, measure_of, plan
+
+HAZE = WeatherConfig.model_validate({"visibility_m": 2000.0})
+
+
+def wall(x_m: float = 20.0, material: str = "asphalt", yaw_deg: float = 0.0) -> Scene:
+    made = body(0, triangles.box(1.0, 100.0, 100.0), 0, Steady(at_m=(x_m, 0.0, -50.0), yaw_deg=yaw_deg))
+    return Scene(("world",), ("unknown",), (Steady(),), (material,), (made,))
+
+
+def told(
+    world: Scene, model: str = "sick-ld-lrs1000", weather: WeatherConfig | None = None, **options: object
+) -> dict[str, dict[str, object]]:
+    return {row["term"]: row for row in needs.explained(measure_of(world, model, weather, **options), plan())}
+
+
+def numbers(row: dict[str, object]) -> tuple[float, float]:
+    value, bound = row["value"], row["bound"]
+    assert isinstance(value, float)
+    assert isinstance(bound, float)
+    return value, bound
+
+
+def test_every_rule_is_told_for_every_sensor_with_and_without_full(capsys: pytest.CaptureFixture[str]) -> None:
+    for more in ((), ("--full",), ("--quick",)):
+        assert main(["explain", "flat_wall", "--json", *more]) == 0
+        lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        assert all([row["term"] for row in line["terms"]] == [rule.name for rule in needs.RULES] for line in lines)
+        assert all(line["rays_per_beam"] >= 0.0 and line["sweep_ms"] > 0.0 for line in lines)
+
+
+def test_explain_in_words_measures_what_rules_save(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explain", "flat_wall"]) == 0
+    text = capsys.readouterr().out
+    assert "bundles of plain beams" in text
+    assert "every rule off: 61.00 rays a beam" in text
+    assert "saves 61.00 rays a beam" in text
+
+
+def test_the_plan_is_that_of_the_device_in_the_scenario(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explain", "standard", "--quick", "--json"]) == 0
+    found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [(line["beams"], line["plan"]) for line in found] == [(1440, "actual"), (361, "actual")]
+    assert found[0]["rays_per_beam"] < 6.1
+
+
+def test_every_switch_is_a_key_of_physics() -> None:
+    for rule in needs.RULES:
+        if rule.switch != "-":
+            node: object = PhysicsOptions()
+            for key in rule.switch.split("."):
+                assert hasattr(node, key)
+                node = getattr(node, key)
+
+
+def test_plain_beams_are_told_with_their_share_and_kept_with_full() -> None:
+    assert told(wall())["bundles of plain beams"]["left_out"]
+    assert not told(wall(), full=True)["bundles of plain beams"]["left_out"]
+
+
+def test_surfaces_out_of_reach_are_left_out_and_are_not_seen_either_way() -> None:
+    assert told(wall())["surfaces out of reach"]["left_out"]
+    far = wall(400.0)
+    assert not measure_of(far, "sick-ld-lrs1000")(plan()).actor.max() >= 0
+    assert not measure_of(far, "sick-ld-lrs1000", full=True)(plan()).actor.max() >= 0
+    assert not told(far, full=True)["surfaces out of reach"]["left_out"]
+
+
+def test_background_light_and_noise_echoes_are_told_with_bound_and_margin() -> None:
+    found = told(wall(), threshold_to_noise=12.0)
+    assert found["background light"]["left_out"]
+    assert found["noise echoes"]["left_out"]
+    assert not told(wall(), threshold_to_noise=4.0)["noise echoes"]["left_out"]
+
+
+def test_backscatter_of_clear_air_is_out_behind_a_gate_and_in_where_it_could_be_seen() -> None:
+    assert told(wall(), near_gate_m=20.0)["backscatter of the air"]["left_out"]
+    assert not told(wall(), full=True)["backscatter of the air"]["left_out"]
+
+
+def test_second_rays_are_kept_where_there_is_glass() -> None:
+    assert told(wall())["second rays"]["left_out"]
+    assert not told(wall(material="window_glass"))["second rays"]["left_out"]
+
+
+# ------------------------------------------------------------------------------- what is told is what is done
+@pytest.mark.parametrize("visibility_m", [2000.0, 1e6])
+def test_as_many_faint_reflections_are_told_as_the_receiver_drops(
+    visibility_m: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A black wall within what fog is followed to stops the fog's light, so its reflections stay; in clear air not."""
+    text = f"""{{"schema": 1, "materials": {{"black": {{"rho": 1.0e-7, "model": "lambert"}}}},
+        "weather": {{"visibility_m": {visibility_m}}},
+        "world": [{{"box": {{"size_m": [0.2, 60, 30]}}, "at_m": [30, 0, -15], "material": "black"}},
+                  {{"box": {{"size_m": [0.2, 600, 30]}}, "at_m": [-20, 0, -15], "material": "concrete"}}],
+        "sensors": [{{"id": "s", "model": "sick-ld-lrs1000"}}]}}"""
+    loaded = scenario.loads(text, Path("faint.yaml"))
+    world = scene.build(loaded)
+    measure = build_measure(loaded, world, raycast.Caster(world), "s")
+    beams = needs.usual_plan(load_spec("sick-ld-lrs1000"))
+    dropped = []
+
+    def seen(found: SubEchoes, *more: object) -> SubEchoes:
+        kept = looked_at(found, *more)  # type: ignore[arg-type]
+        dropped.append((len(found) - len(kept), len(found)))
+        return kept
+
+    monkeypatch.setattr(receiver, "looked_at", seen)
+    measure(beams)
+    row = {row["term"]: row for row in needs.explained(measure, beams)}["faint reflections"]
+    gone = sum(pair[0] for pair in dropped)
+    assert str(row["saves"]).startswith(f"{gone} of {sum(pair[1] for pair in dropped)} reflections")
+    assert row["left_out"] == (gone > 0) == (visibility_m > 1e4)
+
+
+@pytest.mark.parametrize("rain", [{}, {"drop_radius_mm": 1.0}])
+def test_rain_that_is_seen_less_than_once_in_a_thousand_sweeps_is_told_as_left_out(rain: dict[str, float]) -> None:
+    for rate_mm_h, left_out in ((1e-7, True), (20.0, False)):
+        weather = WeatherConfig.model_validate({"rain": {"rate_mm_h": rate_mm_h, "echoes": "drops", **rain}})
+        row = told(wall(), "sick-lms291-s05", weather, floor_reflectance="off")["falling particles"]
+        value, bound = numbers(row)
+        assert row["left_out"] is left_out
+        assert not row["idle"]
+        assert (0.0 < value < bound) is left_out
+        assert bound == particles.RARE
+    assert told(wall())["falling particles"]["idle"]
+
+
+def test_the_mean_number_of_drops_that_is_told_is_that_of_those_drawn() -> None:
+    weather = WeatherConfig.model_validate({"rain": {"rate_mm_h": 100.0, "echoes": "drops"}})
+    measure = measure_of(wall(), "sick-lms291-s05", weather, floor_reflectance="off")
+    row = {row["term"]: row for row in needs.explained(measure, plan())}["falling particles"]
+    drawn = [len(measure.view(plan(sweep=k)).echoes) - len(measure.view(plan(sweep=k)).seen.echoes) for k in range(300)]
+    mean, _ = numbers(row)
+    assert abs(sum(drawn) / 300 - mean) < 4.0 * (mean / 300) ** 0.5
+    assert mean > 0.1
+
+
+EXACT = {"rebuilding of structures", "casts on what rests", "tables of the medium", "what nobody asked for"}
+"Left out without anything to compare."
+
+
+@pytest.mark.parametrize("weather", [{}, {"visibility_m": 500.0}, {"rain": {"rate_mm_h": 5.0}}])
+@pytest.mark.parametrize("options", [{}, {"full": True}, {"pulse": "gauss"}, {"detection": "peak"}])
+def test_whatever_is_left_out_has_a_value_and_a_bound_or_is_exact(
+    weather: dict[str, object], options: dict[str, object]
+) -> None:
+    for material in ("asphalt", "window_glass"):
+        chosen = WeatherConfig.model_validate(weather)
+        for name, row in told(wall(30.0, material), "sick-ld-lrs1000", chosen, **options).items():
+            assert row["exact"] == (row["value"] is None) == (row["bound"] is None)
+            if row["left_out"] and not row["idle"]:
+                assert row["exact"] == (name in EXACT)
+                assert row["exact"] or row["unit"]
+
+
+def test_plane_moments_are_told_by_the_largest_shift_of_beams_that_have_their_echo_from_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    spare, step_m = {"closed_form": "always"}, measure_of(wall(), "sick-ld-lrs1000").model.lsb_m
+    row = told(wall(), leave_out=spare)["bundle ranges on planes"]
+    value, bound = numbers(row)
+    assert row["left_out"]
+    assert 0.0 < value <= bound == pytest.approx(closed.SHIFT_LSB * step_m)
+    monkeypatch.setattr(closed, "SHIFT_LSB", 0.5 * value / step_m)
+    fewer, _ = numbers(told(wall(), leave_out=spare)["bundle ranges on planes"])
+    assert 0.0 < fewer <= 0.5 * value
+
+
+def test_clusters_are_told_by_the_longest_that_is_not_sampled() -> None:
+    straight, steep = (told(wall(yaw_deg=yaw))["sampled waveforms"] for yaw in (0.0, 60.0))
+    (short, bound), (long, _) = numbers(straight), numbers(steep)
+    assert 0.0 < short < bound
+    assert 0.0 < long <= bound
+    assert bound == pytest.approx(measure_of(wall(), "sick-ld-lrs1000").model.pulse.half_support_m)
+
+
+def test_backscatter_that_is_followed_is_told_by_what_is_left_out_of_it() -> None:
+    """The largest share of its bound lies where it is left out first, so it is just below."""
+    row = told(wall(), weather=HAZE)["backscatter of the air"]
+    value, bound = numbers(row)
+    assert row["left_out"]
+    assert "before, it shifts echoes of surfaces" in str(row["saves"])
+    assert 0.9 * bound < value <= bound
+    whole = told(wall(), weather=HAZE, pulse="gauss")["backscatter of the air"]
+    value, bound = numbers(whole)
+    assert not whole["left_out"]
+    assert value > bound
+    shown = told(wall(), "sick-lms291-s05", WeatherConfig.model_validate({"visibility_m": 10.0}),
+                 floor_reflectance="off")["backscatter of the air"]  # fmt: skip
+    value, bound = numbers(shown)
+    assert not shown["left_out"]
+    assert value > bound
+
+
+def test_second_rays_are_told_by_the_best_surface_behind() -> None:
+    near = told(wall(material="window_glass"))["second rays"]
+    value, bound = numbers(near)
+    assert not near["left_out"]
+    assert value > bound
+    some = str(near["saves"]).split()
+    assert int(some[0]) < int(some[2])
+    weak = told(wall(material="window_glass"), system_constant_m2=1.0)["second rays"]
+    value, bound = numbers(weak)
+    assert weak["left_out"]
+    assert not weak["idle"]
+    assert 0.0 < value < bound
+    count = str(weak["saves"]).split()
+    assert count[0] == count[2] != "0"
+
+
+def test_surfaces_out_of_reach_are_told_with_the_last_range_of_an_echo() -> None:
+    value, bound = numbers(told(wall())["surfaces out of reach"])
+    assert plan().max_range_m < value < bound
+
+
+def test_surfaces_out_of_reach_are_told_as_kept_where_one_more_ray_for_their_light_costs_more() -> None:
+    sun = WeatherConfig.model_validate({"sun": {"azimuth_deg": 180.0, "elevation_deg": 30.0}})
+    for x_m, left_out in ((20.0, True), (400.0, False)):
+        row = told(wall(x_m), "sick-lms291-s05", sun)["surfaces out of reach"]
+        assert row["left_out"] is left_out
+        assert str(row["saves"]).startswith("0 rays") is not left_out
+
+
+def test_plain_beams_are_counted_not_rounded_up_to_all() -> None:
+    """Of 720 beams two see the edges of a wall."""
+    made = body(0, triangles.box(1.0, 100.0, 100.0), 0, Steady(at_m=(20.0, 0.0, -50.0)))
+    world = Scene(("world",), ("unknown",), (Steady(),), ("asphalt",), (made,))
+    measure = measure_of(world, "sick-ld-lrs1000", leave_out={"closed_form": "always"})
+    beams = plan(720, 179.75)
+    row = {row["term"]: row for row in needs.explained(measure, beams)}["bundles of plain beams"]
+    plain = measure.view(beams).plain
+    assert plain is not None
+    assert 716 <= plain.sum() < 720
+    assert str(row["saves"]).endswith(f", {plain.sum()} of 720 beams plain")
+
+
+def test_every_line_in_words_has_numbers_or_the_word_exact(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explain", "flat_wall", "--quick"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    for rule in needs.RULES:
+        (line,) = [line for line in lines if line.startswith(f"  {rule.name} ")]
+        assert line.endswith("  exact") or (" of " in line and ", margin " in line)
+
+
+def test_a_scenario_without_a_sensor_that_sees_beams_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explain", "flat_wall", "--set", "sensors=[]"]) == 0
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert "no sensor here sees beams" in told.err

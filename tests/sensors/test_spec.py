@@ -1,0 +1,161 @@
+"""Sensor specs: the shipped files, and what happens to a wrong one."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import BaseModel
+
+from emulator.errors import SpecError
+from emulator.sensing.model import sensor_model
+from emulator.sensors.physics_options import PhysicsOptions
+from emulator.sensors.spec import Fact, SensorSpec, list_models, load_spec, load_spec_file
+
+SHIPPED = {
+    "sick-lms200-30106", "sick-lms211-30106", "sick-lms211-30206", "sick-lms211-s07", "sick-lms211-s14",
+    "sick-lms211-s15", "sick-lms211-s19", "sick-lms211-s20", "sick-lms220-30106", "sick-lms221-30106",
+    "sick-lms221-30206", "sick-lms221-s07", "sick-lms221-s14", "sick-lms221-s15", "sick-lms221-s16",
+    "sick-lms221-s19", "sick-lms221-s20", "sick-lms291-s05", "sick-lms291-s14", "sick-lms291-s15",
+    "sick-ld-lrs1000", "sick-ld-lrs2100", "sick-ld-lrs3100", "sick-ld-oem1000", "paper-905nm",
+    "can-ars408", "can-ldmrs", "can-leddar-vu8", "can-esr",
+}  # fmt: skip
+
+
+def facts(table: BaseModel) -> list[Fact[Any]]:
+    found: list[Fact[Any]] = []
+    for name in type(table).model_fields:
+        value = getattr(table, name)
+        if isinstance(value, Fact):
+            found.append(value)
+        elif isinstance(value, BaseModel):
+            found += facts(value)
+    return found
+
+
+def test_all_models_are_shipped() -> None:
+    assert set(list_models()) == SHIPPED
+
+
+@pytest.mark.parametrize("model", sorted(SHIPPED))
+def test_every_number_of_a_model_has_its_source(model: str) -> None:
+    spec = load_spec(model)
+    assert spec.model == model
+    if spec.sees == "beams":
+        assert len(facts(spec)) >= 30
+        assert all(len(fact.source) > 3 for fact in facts(spec))
+
+
+@pytest.mark.parametrize("model", sorted(m for m in SHIPPED if not m.startswith("can")))
+def test_sick_numbers_and_the_reference_receiver_follow_the_physics_specification(model: str) -> None:
+    made = sensor_model(load_spec(model), PhysicsOptions(), "operational")
+    constants = {"sick-ld-lrs": (64000.0, 8e-9), "sick-ld-oem": (16000.0, 8e-9), "paper": (75000.0 / 5.02, 16e-9),
+                 "sick-lms200": (1000.0, 4e-9), "sick-lms220": (1000.0, 4e-9)}  # fmt: skip
+    k_m2, fwhm_s = next((value for name, value in constants.items() if model.startswith(name)), (9000.0, 4e-9))
+    assert made.k_m2 / made.threshold == pytest.approx(k_m2, rel=2e-4)
+    assert made.pulse.fwhm_s == pytest.approx(fwhm_s)
+    assert 1.0 < made.peak_w < 200.0, "peak power of a class 1 laser"
+
+
+def test_the_papers_lidar_has_eleven_beams_in_ten_degrees_and_a_hundred_watts() -> None:
+    spec = load_spec("paper-905nm")
+    assert spec.beams is not None
+    assert spec.beams.azimuth_deg.value == [-5, -4, -3, -2, -1, 0, 1, 2, 3, 4, 5]
+    made = sensor_model(spec, PhysicsOptions(), "seed")
+    assert made.peak_w == pytest.approx(100.0, rel=1e-12)
+    assert made.threshold == 1.0
+    assert not made.noise
+    assert not made.weather_echoes
+
+
+def test_an_extending_file_takes_what_it_does_not_say() -> None:
+    parent, child = load_spec("sick-lms291-s05"), load_spec("sick-lms291-s14")
+    assert child.optics == parent.optics
+    assert child.geometry is not None
+    assert child.geometry.field_deg.value == 90
+    assert load_spec("sick-lms200-30106").receiver is not None
+    assert load_spec("sick-lms200-30106").receiver.floor_reflectance is None  # type: ignore[union-attr]
+
+
+def test_an_unknown_model_names_the_nearest_one() -> None:
+    with pytest.raises(SpecError, match=r"did you mean sick-lms291-s05\?"):
+        load_spec("sick-lsm291-s05")
+
+
+def spec_file(folder: Path, name: str, text: str) -> Path:
+    base = files("emulator.sensors").joinpath("sick-lms291-s05.yaml").read_text(encoding="utf-8")
+    (folder / "sick-lms291-s05.yaml").write_text(base, encoding="utf-8")
+    path = folder / f"{name}.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+HEAD = "schema: 1\nextends: sick-lms291-s05\nmodel: mine\ntitle: Mine\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("pulse:\n  fwhm_ns: {value: -4, source: me, evidence: choice}\n",
+         "mine.yaml:6: pulse.fwhm_ns.value: -4; want a number >= 0.01"),
+        ("optics:\n  divergence_x_mrad: {value: 400, source: me, evidence: choice}\n",
+         "mine.yaml:6: optics.divergence_x_mrad.value: 400; want a number <= 349.0"),
+        ("pulse:\n  fwhm_ns: {value: .nan, source: me, evidence: choice}\n",
+         "mine.yaml:6: pulse.fwhm_ns.value: nan; want a finite number"),
+        ("puls:\n  fwhm_ns: 4\n", "mine.yaml:5: puls: unknown key; did you mean pulse?"),
+        ("pulse:\n  fwhm_ns: {value: 4, source: me, evidence: rumour}\n",
+         "mine.yaml:6: pulse.fwhm_ns.evidence: 'rumour'; want 'seed', 'read'"),
+        ("pulse:\n  energy_uj: {value: 4, source: me, evidence: choice}\n", "receiver.system_constant_m2 or"),
+        ("extends: nothing\n", "mine.yaml:5: extends: given twice"),
+        ("pulse: [1, 2\n", "not YAML"),
+        ("pulse: !!python/object:os.system x\n", "mine.yaml:5: pulse: tag"),
+    ],
+)  # fmt: skip
+def test_a_wrong_file_is_refused_by_file_line_and_key(tmp_path: Path, text: str, told: str) -> None:
+    with pytest.raises(SpecError) as caught:
+        load_spec_file(spec_file(tmp_path, "mine", HEAD + text))
+    assert told in str(caught.value)
+
+
+def test_all_faults_of_a_file_are_told_at_once_in_its_order(tmp_path: Path) -> None:
+    text = HEAD + (
+        "detection:\n  range_noise_mm: {value: x, source: me, evidence: choice}\n"
+        "pulse:\n  fwhm_ns: {value: 0, source: me}\n"
+    )
+    with pytest.raises(SpecError) as caught:
+        load_spec_file(spec_file(tmp_path, "mine", text))
+    lines = str(caught.value).splitlines()
+    assert [line.split("mine.yaml:")[1].partition(" ")[0] for line in lines] == ["6:", "8:", "8:"]
+
+
+def test_a_fault_in_what_a_file_inherits_is_told_in_the_parents_file(tmp_path: Path) -> None:
+    path = spec_file(tmp_path, "mine", HEAD)
+    parent = tmp_path / "sick-lms291-s05.yaml"
+    parent.write_text(parent.read_text(encoding="utf-8").replace("value: 905,", "value: 90,"), encoding="utf-8")
+    with pytest.raises(SpecError, match=r"s05\.yaml:11: optics\.wavelength_nm\.value: 90; want a number >= 300"):
+        load_spec_file(path)
+
+
+@pytest.mark.parametrize("parent", ["mine", "missing", "3"])
+def test_a_file_that_extends_itself_or_nothing_is_refused(tmp_path: Path, parent: str) -> None:
+    text = HEAD.replace("extends: sick-lms291-s05", f"extends: {parent}")
+    with pytest.raises(SpecError, match=r"mine\.yaml:2: extends"):
+        load_spec_file(spec_file(tmp_path, "mine", text))
+
+
+def test_a_file_must_bear_its_models_name(tmp_path: Path) -> None:
+    with pytest.raises(SpecError, match="want the file's name"):
+        load_spec_file(spec_file(tmp_path, "other", HEAD))
+
+
+def test_a_missing_file_is_a_spec_error(tmp_path: Path) -> None:
+    with pytest.raises(SpecError, match="no such file"):
+        load_spec_file(tmp_path / "none.yaml")
+
+
+def test_specs_are_frozen() -> None:
+    spec: SensorSpec = load_spec("sick-lms291-s05")
+    with pytest.raises(ValueError, match="frozen"):
+        spec.model = "other"  # type: ignore[misc]
