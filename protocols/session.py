@@ -222,7 +222,7 @@ class Session(ABC):
     def take_emissions(self, now_ns: int) -> list[Emission]:
         """What is due by `now_ns`, in the order it leaves. What is not yet due can still be withdrawn."""
 
-    def suffer(self, now_ns: int, what: str, degree: float) -> bool:
+    def impair(self, now_ns: int, what: str, degree: float) -> bool:
         """Something has befallen the device; whether it has that part, or words for it.
 
         `window`: its front window passes that share of light. `motor speed`: times the nominal one. `motor told`: its

@@ -116,8 +116,8 @@ class Timebase(Session):
             told = replace(told, true_ns=self.quartz.true_ns(told.true_ns))
         return replace(own, due_ns=self.quartz.true_ns(own.due_ns), told=told)
 
-    def suffer(self, now_ns: int, what: str, degree: float) -> bool:
-        return self.inner.suffer(self.quartz.own_ns(now_ns), what, degree)
+    def impair(self, now_ns: int, what: str, degree: float) -> bool:
+        return self.inner.impair(self.quartz.own_ns(now_ns), what, degree)
 
     def take_events(self) -> list[Event]:
         return [replace(event, at_ns=self.quartz.true_ns(event.at_ns)) for event in self.inner.take_events()]

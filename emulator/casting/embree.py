@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from emulator.casting.hits import Counters
 from emulator.casting.structures import Content, Table
 from emulator.compiled.switch import kernels
-from emulator.world.fleet import Flags, Longs
+from emulator.world.batched_poses import Flags, Longs
 from emulator.world.triangles import Floats, Ints
 
 Singles = NDArray[np.float32]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from emulator.compiled.switch import kernels
 from emulator.physics.arrays import indexes
-from emulator.world.fleet import Cones, Flags, Longs
+from emulator.world.batched_poses import Cones, Flags, Longs
 from emulator.world.triangles import Floats, Ints
 
 MISS = np.int32(-1)

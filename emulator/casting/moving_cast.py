@@ -1,7 +1,7 @@
 """Rays on moving bodies: each ray is moved into the frame of every body that it may meet, at its own time.
 
 Belongs here: which bodies come near, rays in their frames, hits there. Not: what rests (raycast), where bodies are
-(fleet), shapes that change (deforming).
+(batched_poses), shapes that change (deforming).
 
 A moving body is not moved: its rays are, by its pose at each ray's own time, into the slot of its shape. So nothing is
 ever rebuilt, a call costs the same few casts however many bodies move, and a thousand equal cars are stored once.
@@ -21,8 +21,8 @@ from emulator.casting.hits import MISS, Aim, Counters, Met, Passing, all_met, ex
 from emulator.casting.structures import Layout, Movers
 from emulator.compiled.switch import kernels
 from emulator.physics.arrays import indexes
-from emulator.world.fleet import Flags, Longs, Stretch, may_meet, through_sphere
-from emulator.world.nearby import KEPT, Nearby
+from emulator.world.batched_poses import Flags, Longs, Stretch, may_meet, through_sphere
+from emulator.world.broad_phase import KEPT, BroadPhase
 from emulator.world.triangles import Floats, Ints
 
 NONE_BENT = np.zeros(0, np.int64), np.zeros((3, 0)), np.zeros((3, 3, 0))
@@ -38,7 +38,7 @@ class MovingCast:
         self._slots = [embree.structure(content) for content in layout.slots]
         self._packets = embree.in_packets(self._slots) and not layout.frames
         self._slices = [Slices(frames, centre) for frames, centre in layout.frames]
-        self._nearby = Nearby(self._all.fleet.motions, self._all.reach + self._all.arm)
+        self._broad_phase = BroadPhase(self._all.batched.motions, self._all.reach + self._all.arm)
         self._kept: tuple[tuple[Longs, Movers], ...] = ()
 
     def __len__(self) -> int:
@@ -84,7 +84,7 @@ class MovingCast:
         for mover in curved:
             pairs = indexes(which == mover)
             if len(pairs):
-                motion = movers.fleet.motions[mover]
+                motion = movers.batched.motions[mover]
                 offset[:, pairs] = origin[:, rays[pairs]] - motion.position(when[pairs]).T
                 turned[:, :, pairs] = motion.rotation(when[pairs]).transpose(1, 2, 0)
         along = aim.ray.take(rays, axis=1)
@@ -126,7 +126,7 @@ class MovingCast:
             pairs = [indexes(which == mover) for mover in curved]
             bent = np.full(len(which), -1)
             bent[np.concatenate(pairs)] = np.arange(sum(map(len, pairs)))
-            where = [(movers.fleet.motions[of], times[rays[at]]) for of, at in zip(curved, pairs, strict=True)]
+            where = [(movers.batched.motions[of], times[rays[at]]) for of, at in zip(curved, pairs, strict=True)]
             offset = origin[:, rays[np.concatenate(pairs)]]
             offset -= np.concatenate([motion.position(when) for motion, when in where]).T
             poses = [np.broadcast_to(motion.rotation(when), (len(when), 3, 3)) for motion, when in where]
@@ -177,7 +177,7 @@ class MovingCast:
 
     def _near(self, low: Floats, high: Floats, begin_s: float, end_s: float, far: float) -> Movers:
         """Those that can come within reach; built anew once a second, or where the sensor comes to another cell."""
-        which = self._nearby.within(low, high, far, begin_s, end_s)
+        which = self._broad_phase.within(low, high, far, begin_s, end_s)
         if len(which) == len(self._all.body):
             return self._all
         for known, movers in self._kept:
@@ -200,7 +200,7 @@ class MovingCast:
 
 def _whereabouts(movers: Movers, begin: float, end: float) -> tuple[Stretch, Floats, Floats, Longs]:
     """Motions from `begin` to `end`; centres (3, b), how far they may be from there, and which do not move straight."""
-    now, loops = movers.fleet.during(begin, end), kernels()
+    now, loops = movers.batched.during(begin, end), kernels()
     middle = begin + (end - begin) / 2.0
     if loops is not None:
         place, swept = loops.whereabouts(now.at, now.velocity, now.since, now.turned, movers.centre, begin, end)
@@ -210,7 +210,7 @@ def _whereabouts(movers: Movers, begin: float, end: float) -> tuple[Stretch, Flo
     curved = indexes(~now.straight)
     if len(curved):  # anywhere around where the body's origin is, as far as it can have come
         for mover in curved:
-            place[:, mover] = movers.fleet.motions[mover].position(np.array([middle]))[0]
+            place[:, mover] = movers.batched.motions[mover].position(np.array([middle]))[0]
         swept[curved] = movers.arm[curved] + (movers.speed[curved] * ((end - begin) / 2.0) if end > begin else 0.0)
     return now, place, swept, curved
 

@@ -36,7 +36,7 @@ from emulator.casting.moving_cast import MovingCast
 from emulator.casting.structures import Group, lay_out
 from emulator.compiled.switch import kernels
 from emulator.physics.arrays import indexes
-from emulator.world.fleet import Flags, Longs, through_sphere
+from emulator.world.batched_poses import Flags, Longs, through_sphere
 from emulator.world.scene import Scene
 from emulator.world.triangles import Floats, Ints
 

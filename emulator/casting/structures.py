@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.world.fleet import Flags, Fleet, Longs
+from emulator.world.batched_poses import BatchedPoses, Flags, Longs
 from emulator.world.mesh_frames import Frames
 from emulator.world.scene import Body
 from emulator.world.triangles import Floats, Geometry, Ints
@@ -92,12 +92,12 @@ class Movers:
     "(b,) distance of its centre from the body's origin."
     speed: Floats
     "(b,) bound of the origin's speed; infinite where it jumps."
-    fleet: Fleet
+    batched: BatchedPoses
 
     def chosen(self, which: Longs) -> Movers:
         """Some of them."""
-        columns = {name: column.take(which, axis=-1) for name, column in vars(self).items() if name != "fleet"}
-        return Movers(**columns, fleet=Fleet([self.fleet.motions[mover] for mover in which]))
+        columns = {name: column.take(which, axis=-1) for name, column in vars(self).items() if name != "batched"}
+        return Movers(**columns, batched=BatchedPoses([self.batched.motions[mover] for mover in which]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +217,7 @@ def _placed(
         half + SPHERE_MARGIN * (1.0 + reach),
         np.linalg.norm(centre, axis=0),
         np.array([bodies[index].motion.speed_bound_m_s for index in single], np.float64),
-        Fleet([bodies[index].motion for index in single]),
+        BatchedPoses([bodies[index].motion for index in single]),
     )
     return contents, movers, frames
 

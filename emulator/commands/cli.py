@@ -43,7 +43,7 @@ from emulator.commands.test import test
 from emulator.commands.view import view
 from emulator.errors import EmulatorError, LinkError
 from emulator.output.lines import note, say
-from emulator.output.telling import guard
+from emulator.output.sanitizing import guard
 from emulator.process.driver import end_driver, start_driver
 from emulator.runtime.own_daemon import leashed
 
@@ -177,7 +177,7 @@ def run(
     """
     if shim and not command:
         raise click.UsageError("--shim wants the driver's command: lidaremu run SCENARIO --shim -- ./driver ARGS")
-    from emulator.process.notify import Notifier
+    from emulator.process.sd_notify import Notifier
 
     if until_eof and (command or sys.stdin is None):
         raise click.UsageError("--until-eof wants a standard input of its own, without a COMMAND that would read it")

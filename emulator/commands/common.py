@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from emulator.errors import EmulatorError
-from emulator.output.telling import put, raw, visible
+from emulator.output.sanitizing import put, raw, visible
 
 if TYPE_CHECKING:
     from emulator.scenario.scenario import Scenario

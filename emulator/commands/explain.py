@@ -12,7 +12,7 @@ from emulator.commands.common import OK, bar, load_scenario, part_of, scenario_o
 from emulator.output.lines import note, say
 
 if TYPE_CHECKING:
-    from emulator.sensing.savings import Cost
+    from emulator.sensing.cost import Cost
 
 
 @click.command()
@@ -37,7 +37,7 @@ def explain(
     """
     from emulator.casting import raycast
     from emulator.judging import plans
-    from emulator.sensing import needs, savings
+    from emulator.sensing import cost, error_budget
     from emulator.sensors.spec import load_spec
     from emulator.world import scene
 
@@ -58,16 +58,16 @@ def explain(
             spec = load_spec(sensor.model)
             plan = actual.get(sensor.id)
             told = "" if plan is not None else " (a usual one: no host has asked for scans)"
-            plan = needs.usual_plan(spec) if plan is None else plan
-            bench = savings.Bench(loaded, world, raycast.Caster(world), sensor.id, plan)
+            plan = error_budget.usual_plan(spec) if plan is None else plan
+            bench = cost.Bench(loaded, world, raycast.Caster(world), sensor.id, plan)
             measure = bench.measure()
-            rows = needs.explained(measure, plan)
+            rows = error_budget.explained(measure, plan)
             each: dict[str, Cost] = {}
             whole: Cost | None = None
             if quick or full:
                 (mine,) = bench.costs(measure)
             else:
-                mine, whole, single = savings.saved(bench, measure, rows, part_of(progress, number, len(seeing)))
+                mine, whole, single = cost.saved(bench, measure, rows, part_of(progress, number, len(seeing)))
                 each = dict(single)
             for row in rows:
                 cost = each.get(row["term"])

@@ -11,7 +11,7 @@ import click
 
 from emulator.commands.common import FAILED, OK, Finite
 from emulator.output.lines import say
-from emulator.output.telling import raw, visible
+from emulator.output.sanitizing import raw, visible
 from emulator.process.clock import SystemClock
 
 MOST_SPEEDS = 50

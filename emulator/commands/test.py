@@ -28,7 +28,7 @@ from emulator.commands.common import (
 )
 from emulator.errors import EmulatorError
 from emulator.output.lines import say
-from emulator.output.telling import visible
+from emulator.output.sanitizing import visible
 
 if TYPE_CHECKING:
     from emulator.judging.trial import Verdict

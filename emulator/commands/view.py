@@ -16,7 +16,7 @@ import click
 from emulator.commands.common import LINK_LOST, LONGEST_S, OK, Finite
 from emulator.errors import EmulatorError
 from emulator.output.lines import note, say
-from emulator.output.telling import visible
+from emulator.output.sanitizing import visible
 
 if TYPE_CHECKING:
     from emulator.view.frames import Source
@@ -63,8 +63,8 @@ def view(
     if token is not None and (len(token) < 8 or not token.isascii() or not token.isalnum()):
         raise click.BadParameter(f"{token!r}; want 8 or more letters and digits", param_hint="--token")
     try:
-        from emulator.view.door import be_free, open_server
-        from emulator.view.lock import LOCAL
+        from emulator.view.access import LOCAL
+        from emulator.view.local_server import be_free, open_server
         from emulator.view.page import Page
     except ModuleNotFoundError as error:
         raise EmulatorError(f"{error}; {NEEDS}") from None

@@ -1,6 +1,7 @@
 """Rays on bodies that move: which may meet, into the frame of each body, through its box, and what they meet there.
 
-Belongs here: what `fleet.may_meet`, `MovingCast.met` and `hits.keep_nearer` do with arrays. Not: the search (packets).
+Belongs here: what `batched_poses.may_meet`, `MovingCast.met` and `hits.keep_nearer` do with arrays.
+Not: the search (packets).
 """
 
 # mypy: disable-error-code="no-untyped-def"

@@ -17,7 +17,8 @@ How a fault is added:
      settings, ...)` into `Instrument.conditions`; `settings` are the fault's keys that are not None, as (name, value).
      Whoever measures asks `conditions.of(sensor, plan.start_ns)`. A fault of the clock is judged at the plan's own
      start; one that is begun otherwise (live, by a command, a telegram, an expression) holds from the next sweep asked
-     for, at most the look-ahead (0.25 s) later. Draw with `Draws(seed, sensor)`, the fault's number in the term's name.
+     for, at most the look-ahead (0.25 s) later. Draw with `RandomStreams(seed, sensor)`, the fault's number in the
+     term's name.
      What it does goes into `sensing.faulty`: `light` (what reaches the receiver), `aims` (where beams go), `readings`
      (scans), or into `objects.fault_lists`: loaded where sweeps are measured, and not by whoever judges a scenario.
      Under measurement without a plan (sessions): `act` as well or instead, see `gear.session`.

@@ -18,7 +18,7 @@ from emulator.transports.link import Link, Received
 from protocols.session import Address, Emission, LinkKind, Session
 
 if TYPE_CHECKING:
-    from emulator.physics.draws import Draws
+    from emulator.physics.random_streams import RandomStreams
     from protocols.framing import Framing
 
 BLOCK = 256
@@ -61,7 +61,7 @@ class Device(Protocol):
     session: Session
     connections_seen: int
     poked: bool
-    suffering: dict[str, dict[int, float]]
+    impairments: dict[str, dict[int, float]]
 
     @property
     def sensor(self) -> str:
@@ -135,10 +135,10 @@ class Gear:
         self._drawn += 1
         return self._draws().uniform(f"fault {self.number} {self.name} {what}", self._drawn, count)[:, 0]
 
-    def _draws(self) -> Draws:
-        from emulator.physics.draws import Draws
+    def _draws(self) -> RandomStreams:
+        from emulator.physics.random_streams import RandomStreams
 
-        return Draws(self._seed, self.instrument.sensor)
+        return RandomStreams(self._seed, self.instrument.sensor)
 
     def integer(self, below: int, what: str = "") -> int:
         """A whole number from 0 to `below` - 1."""

@@ -13,10 +13,10 @@ from pydantic import Field
 
 from emulator.faults.acts import Act, Gear
 from emulator.faults.config import Common
+from emulator.faults.impairments import impair
 from emulator.faults.kinds import Keys, Kind, Target
 from emulator.faults.photon import AS_BEFORE
 from emulator.faults.sector import Degrees
-from emulator.faults.suffering import suffer
 
 Hertz = Annotated[float, Field(gt=0.0, le=1e4)]
 Tilt = Annotated[float, Field(ge=-180.0, le=180.0)]
@@ -106,13 +106,13 @@ class Motor(Act):
         self._told = 0.0 if not told else math.copysign(1.0, keys.percent)
 
     def begin(self, now_ns: int) -> None:
-        suffer(self.gear, now_ns, "motor told", self._told)
-        suffer(self.gear, now_ns, "motor speed", self._factor)
+        impair(self.gear, now_ns, "motor told", self._told)
+        impair(self.gear, now_ns, "motor speed", self._factor)
         self.gear.hit(now_ns)
 
     def end(self, now_ns: int) -> None:
-        suffer(self.gear, now_ns, "motor told", None)
-        suffer(self.gear, now_ns, "motor speed", None)
+        impair(self.gear, now_ns, "motor told", None)
+        impair(self.gear, now_ns, "motor speed", None)
 
 
 class Stuck(Act):
@@ -124,13 +124,13 @@ class Stuck(Act):
 
     def begin(self, now_ns: int) -> None:
         if self._told:
-            suffer(self.gear, now_ns, "motor stopped", 1.0)
+            impair(self.gear, now_ns, "motor stopped", 1.0)
             if self.gear.session.next_plan() is None:  # a device that stops measures nothing that could be hit
                 self.gear.hit(now_ns)
 
     def end(self, now_ns: int) -> None:
         if self._told:
-            suffer(self.gear, now_ns, "motor stopped", None)
+            impair(self.gear, now_ns, "motor stopped", None)
 
 
 def _some(keys: Any, common: Common, target: Target) -> str | None:

@@ -11,9 +11,9 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from emulator.faults.acts import Act, Gear
+from emulator.faults.impairments import impair
 from emulator.faults.kinds import Keys, Kind
 from emulator.faults.sector import Degrees, Factor, Sector, Share
-from emulator.faults.suffering import suffer
 
 
 class DirtyWindow(Sector):
@@ -117,10 +117,10 @@ class WindowTold(Act):
         self._transmission = keys.transmission if keys.told else 1.0
 
     def begin(self, now_ns: int) -> None:
-        suffer(self.gear, now_ns, "window", self._transmission)
+        impair(self.gear, now_ns, "window", self._transmission)
 
     def end(self, now_ns: int) -> None:
-        suffer(self.gear, now_ns, "window", None)
+        impair(self.gear, now_ns, "window", None)
 
 
 def _kind(name: str, keys: type[Keys], summary: str, ends: str, act: Callable[[Any, Gear], Act] | None = None) -> Kind:

@@ -151,7 +151,7 @@ class SensorFaults:
             pieces = out
         return pieces
 
-    def hearing(self, received: Received, index: int, now_ns: int) -> list[Received]:
+    def incoming(self, received: Received, index: int, now_ns: int) -> list[Received]:
         """What the device gets instead of what came in."""
         found = [received]
         for one in self.live:

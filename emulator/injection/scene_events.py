@@ -10,12 +10,12 @@ from collections.abc import Callable, Mapping
 
 from emulator.config.expressions import Name, Value
 from emulator.instrument.instrument import Instrument
+from emulator.instrument.observer import FOREVER_NS, Observer
 from emulator.instrument.series import SeriesWatcher, lookup
-from emulator.instrument.watching import FOREVER_NS, Watcher
 from protocols.scan import Scan
 
 
-class LastScans(Watcher):
+class LastScans(Observer):
     """The last scan of each sensor that an expression names."""
 
     def __init__(

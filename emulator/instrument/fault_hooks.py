@@ -33,7 +33,7 @@ class FaultHooks(Protocol):
     def next_ns(self) -> int | None:
         """When `advance` or `released` has something to do."""
 
-    def hearing(self, received: Received, index: int, now_ns: int) -> list[Received]:
+    def incoming(self, received: Received, index: int, now_ns: int) -> list[Received]:
         """What the device gets instead of what came in on a link."""
 
     def asked(self, plan: ScanPlan) -> None:

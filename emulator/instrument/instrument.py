@@ -1,7 +1,7 @@
 """One sensor on its links: one session, the links its hosts use, and whoever measures for it.
 
 Nothing here knows a protocol, a mesh or a clock: `step(now_ns)` moves bytes and scans, and says when to call again.
-What it counts is in `stats`, what it tells to those who look on in `onlookers`.
+What it counts is in `stats`, what it tells to those who look on in `observers`.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 from emulator.faults.events import FaultEvent
-from emulator.instrument.hearing import Hearing
-from emulator.instrument.onlookers import Onlookers
+from emulator.instrument.input_budget import InputBudget
+from emulator.instrument.observer import Observer
+from emulator.instrument.observers import Observers
 from emulator.instrument.stats import InstrumentStats
-from emulator.instrument.watching import Watcher
 from emulator.measuring.conditions import NORMAL, Conditions
 from emulator.measuring.measuring import NotMeasured
 from emulator.transports.link import Link, Received
@@ -68,7 +68,7 @@ class Instrument:
         self.sensor = sensor
         self.session = session
         self.links = tuple(links)
-        self.hearing = Hearing(self.links)
+        self.input_budget = InputBudget(self.links)
         self.stats = InstrumentStats()
         self.conditions = NORMAL
         "Go with every sweep asked for from now on; what was asked for before, at most the look-ahead, keeps its own."
@@ -87,14 +87,14 @@ class Instrument:
         "Telegrams with scans that links have taken last: one may still give them up whole."
         for link in self.links:
             link.on_given_up = self._given_up
-        self.onlookers = Onlookers(sensor, self.links)
+        self.observers = Observers(sensor, self.links)
         self.family: Family | None = None
         "Whose protocol it speaks; for faults that change telegrams."
         self.faults: FaultHooks | None = None
         "What goes wrong on purpose; None: nothing, at no cost."
         self.poked = False
         "It wants to be stepped now, whatever it said: something outside has changed."
-        self.suffering: dict[str, dict[int, float]] = {}
+        self.impairments: dict[str, dict[int, float]] = {}
         "What befalls the device, and how much by the number of each fault."
         self._cuts = 0
         "Power cuts that have not ended."
@@ -109,17 +109,17 @@ class Instrument:
         self.ledger = self.stats.ledger
         "The account of its scans."
 
-    def watch(self, watcher: Watcher) -> None:
+    def watch(self, watcher: Observer) -> None:
         """Tell `watcher` of every payload, scan and event from now on.
 
         Instants on a line are exact when it is called before the device is switched on, else from the line's first
         pause on.
         """
-        self.onlookers.add(watcher)
+        self.observers.add(watcher)
 
-    def unwatch(self, watcher: Watcher) -> None:
+    def unwatch(self, watcher: Observer) -> None:
         """Tell it no more; also from within what it is told."""
-        self.onlookers.remove(watcher)
+        self.observers.remove(watcher)
 
     def power_on(self, now_ns: int) -> None:
         """Tell the session of its fixed links and switch the device on."""
@@ -148,14 +148,14 @@ class Instrument:
             if not moved:
                 break
         else:
-            self.hearing.settle(now_ns)
+            self.input_budget.settle(now_ns)
             return now_ns
         if self.faults is not None:
             self._release(now_ns)
         self._note_events(events)
         wakes = [link.flush(now_ns) for link in self.links]
-        self.hearing.settle(now_ns)
-        if self.hearing.rests(now_ns):  # a link whose input waits for us wants to be asked now; it has to wait
+        self.input_budget.settle(now_ns)
+        if self.input_budget.rests(now_ns):  # a link whose input waits for us wants to be asked now; it has to wait
             wakes = [wake for wake in wakes if wake is not None and wake > now_ns]
         wakes.append(self.session.next_deadline())
         plan = self.session.next_plan()
@@ -164,7 +164,7 @@ class Instrument:
             wakes.append(plan.start_ns - self._look_ahead_ns)
         if self.faults is not None:
             wakes.append(self.faults.next_ns())
-        wakes.append(self.hearing.wake_ns(now_ns))
+        wakes.append(self.input_budget.wake_ns(now_ns))
         due = [wake for wake in wakes if wake is not None]
         return min(due) if due else None
 
@@ -173,12 +173,12 @@ class Instrument:
         self._take_scans(now_ns)
         self._note_events()
         wakes = [link.flush(now_ns) for link in self.links]
-        self.hearing.settle(now_ns)
-        if self.hearing.rests(now_ns):
+        self.input_budget.settle(now_ns)
+        if self.input_budget.rests(now_ns):
             wakes = [wake for wake in wakes if wake is not None and wake > now_ns]
         if self.faults is not None:
             wakes.append(self.faults.next_ns())
-        wakes.append(self.hearing.wake_ns(now_ns))
+        wakes.append(self.input_budget.wake_ns(now_ns))
         return min((wake for wake in wakes if wake is not None), default=None)
 
     @property
@@ -198,9 +198,9 @@ class Instrument:
         self.ledger.now_ns = now_ns
         self.ledger.cut(SWITCHED_OFF)
         lost = sum(link.clear() for link in self.links)
-        if unheard := self.hearing.forget():
+        if unheard := self.input_budget.forget():
             self.stats.input_dropped[SWITCHED_OFF] += unheard
-        self.onlookers.clear(now_ns)
+        self.observers.clear(now_ns)
         return lost + (0 if self.faults is None else self.faults.cut())
 
     def power_back(self, now_ns: int) -> None:
@@ -217,7 +217,7 @@ class Instrument:
     def set_line_speed(self, index: int, now_ns: int, baud: int | None) -> None:
         """Another speed of a line at once, whatever the device says."""
         self.links[index].set_speed(baud)
-        self.onlookers.set_speed(index, now_ns, baud)
+        self.observers.set_speed(index, now_ns, baud)
 
     def framing(self, kind: LinkKind) -> Framing | None:
         """How its telegrams are framed on such a link; None where its family does not tell."""
@@ -225,7 +225,7 @@ class Instrument:
 
     def tell_fault(self, event: FaultEvent) -> None:
         """Something a fault did, for whoever looks on."""
-        self.onlookers.event(event)
+        self.observers.event(event)
 
     @property
     def measuring(self) -> Measuring:
@@ -244,13 +244,13 @@ class Instrument:
             link.close()
 
     def _take_input(self, now_ns: int) -> None:
-        for index, received in self.hearing.take(now_ns):
+        for index, received in self.input_budget.take(now_ns):
             if received.opened or received.closed:
                 self.connections_seen += 1
             if self.faults is None:
                 self._take(received, index, now_ns)
                 continue
-            for part in self.faults.hearing(received, index, now_ns):
+            for part in self.faults.incoming(received, index, now_ns):
                 self._take_or_miss(part, index, now_ns)
 
     def _take(self, received: Received, index: int, now_ns: int) -> None:
@@ -260,7 +260,7 @@ class Instrument:
             self._peers.add(address)
             self.session.connected(now_ns, address, link.kind)
         if received.data:
-            self.onlookers.heard(index, received, now_ns)
+            self.observers.heard(index, received, now_ns)
             self.session.receive(received.data, now_ns, address)
         if received.closed:
             self._peers.discard(address)
@@ -296,7 +296,7 @@ class Instrument:
             else:
                 self.lived_ns = now_ns
                 self.ledger.take(scan.plan)
-                self.onlookers.scan(scan)
+                self.observers.scan(scan)
                 self.stats.note_taken(scan)
         return moved
 
@@ -381,7 +381,7 @@ class Instrument:
     def _send(self, emission: Emission, only: int | None = None) -> str | None:
         """Hand a telegram to its links, or to one of them; why not one of them has taken it, None if one has."""
         address = emission.address
-        self.onlookers.told(emission)
+        self.observers.told(emission)
         targets = range(len(self.links)) if address is None else range(len(self.links))[address.link : address.link + 1]
         peer = None if address is None else address.peer
         if emission.sweep is not None:
@@ -391,7 +391,7 @@ class Instrument:
         for index in targets if only is None else (only,):
             link = self.links[index]
             refused = link.stats.payloads_dropped
-            self.onlookers.leaving(index, peer, emission)
+            self.observers.leaving(index, peer, emission)
             if emission.cuts:
                 link.cut(emission.due_ns)
             elif emission.pause is not None and link.kind is LinkKind.SERIAL:
@@ -403,7 +403,7 @@ class Instrument:
             else:
                 link.send(emission.payload, emission.due_ns, peer, emission.line_speed)
             if link.stats.payloads_dropped == refused:
-                self.onlookers.left(index, peer, emission)
+                self.observers.left(index, peer, emission)
                 taken = True
             else:
                 slow = DropReason.LINE_BUSY if link.kind in (LinkKind.SERIAL, LinkKind.CAN) else DropReason.HOST_SLOW
@@ -424,7 +424,7 @@ class Instrument:
             self._events.append(event)
             if self.faults is not None:
                 self.faults.noted(event)
-            self.onlookers.event(event)
+            self.observers.event(event)
             self.stats.note_event(event)
 
     @staticmethod

@@ -16,7 +16,7 @@ import numpy as np
 from emulator.config.expressions import Name, Value
 from emulator.hosts.scans import HostScan
 from emulator.instrument.instrument import Instrument
-from emulator.instrument.watching import Payload, Watcher
+from emulator.instrument.observer import Observer, Payload
 from emulator.objects.metrics import ListedScan, ObjectScore, Score, TruthObject
 from protocols.device_clock import Told
 from protocols.scan import DetectedObject, Floats, Ints, Scan
@@ -65,7 +65,7 @@ class SensorSeries:
     bytes_in: int = 0
 
 
-class SeriesWatcher(Watcher):
+class SeriesWatcher(Observer):
     """Collects the series of all sensors of a run."""
 
     def __init__(self, sensors: Sequence[str]) -> None:

@@ -16,9 +16,9 @@ from emulator.hosts.scripted import HasScript, LdScript, Lms2xxScript
 from emulator.injection.run import FaultRun
 from emulator.instrument.instrument import Instrument, Measuring
 from emulator.instrument.ledger import check_accounts
+from emulator.instrument.observer import Observer
 from emulator.instrument.series import SeriesWatcher, lookup
 from emulator.instrument.summary import summary
-from emulator.instrument.watching import Watcher
 from emulator.judging.expectations import Judgement, understand, verdicts
 from emulator.measuring.measuring import InPlace
 from emulator.measuring.supervision import Workers
@@ -92,7 +92,7 @@ class Trial:
         self,
         scenario: Scenario,
         workers: int = 0,
-        watchers: Sequence[Watcher] = (),
+        watchers: Sequence[Observer] = (),
         record: Path | None = None,
         measuring: Measuring | None = None,
     ) -> None:

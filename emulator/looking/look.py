@@ -224,7 +224,7 @@ def _lines(view: View, say: Say) -> Callable[[int], bool]:
 
 @contextmanager
 def _live(view: View) -> Iterator[Callable[[int], bool]]:
-    """Draws on the terminal and obeys keys; false when the user has had enough."""
+    """RandomStreams on the terminal and obeys keys; false when the user has had enough."""
     from emulator.looking.screen import Screen, single_keys
 
     with single_keys() as keys, Screen() as screen:

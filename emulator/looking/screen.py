@@ -19,7 +19,7 @@ from rich.live import Live
 from rich.text import Text
 
 from emulator.looking.plot import FRAME, LABEL, LEVELS, NOTHING, Drawing
-from emulator.output.telling import raw, visible
+from emulator.output.sanitizing import raw, visible
 
 PALETTE = (27, 33, 38, 43, 48, 82, 154, 220, 208, 196)
 "Colours of levels 0 to LEVELS - 1, numbers of the 256: blue, green, yellow, red. Rich takes the nearest on less."

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from emulator.measuring.conditions import Conditions
 from emulator.measuring.worker import Handle, Pipe
-from emulator.process.patience import Pace, Stillness
+from emulator.process.time_limits import Pace, Stillness
 from emulator.scenario.weather import WeatherConfig
 from protocols.scan import ScanPlan
 

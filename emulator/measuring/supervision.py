@@ -24,9 +24,9 @@ from emulator.measuring.conditions import NORMAL, Conditions
 from emulator.measuring.homes import Blame, Home, Question, Sweep
 from emulator.measuring.measuring import BuildMeasures, NotMeasured, Told
 from emulator.measuring.worker import Forked, Handle, Pipe
-from emulator.process import patience
+from emulator.process import time_limits
 from emulator.process.clock import Clock, SystemClock
-from emulator.process.patience import RunningTime, Stillness
+from emulator.process.time_limits import RunningTime, Stillness
 from emulator.scenario.weather import WeatherConfig
 from protocols.scan import Scan, ScanPlan
 
@@ -92,7 +92,7 @@ class Workers:
             for home in self._homes:
                 self._start(home)
             while any(home.state != "ready" for home in self._homes):
-                self._epoll.poll(patience.TICK_NS * 1e-9)
+                self._epoll.poll(time_limits.TICK_NS * 1e-9)
                 self.poll()
                 self.check()
         except BaseException:
@@ -157,7 +157,7 @@ class Workers:
         return fresh
 
     def check(self) -> set[str]:
-        """Judge the processes: called about every `patience.TICK_NS`, and at `soon` sooner. Sensors as `poll`."""
+        """Judge the processes: called about every `time_limits.TICK_NS`, and at `soon` sooner. Sensors as `poll`."""
         now_ns = self._ran.pass_to(self._clock.now_ns())
         self._dying = [one for one in self._dying if one.exit_code() is None]
         for home in self._homes:
@@ -171,7 +171,7 @@ class Workers:
     @property
     def check_ns(self) -> int:
         """How long `check` can wait."""
-        return ENDING_NS if any(home.state == "ending" for home in self._homes) else patience.TICK_NS
+        return ENDING_NS if any(home.state == "ending" for home in self._homes) else time_limits.TICK_NS
 
     def settle(self, go_on: Callable[[], bool] = lambda: True) -> set[str]:
         """Wait until nothing is owed, as long as `go_on`; the sensors that have fresh scans. Virtual time stands
@@ -320,13 +320,13 @@ class Workers:
             if now_ns >= home.retry_ns:
                 self._start(home)
         elif home.state == "starting":
-            self._look(home, "building the scene", patience.BUILD_NS, patience.IDLE_BUILD_NS, now_ns)
+            self._look(home, "building the scene", time_limits.BUILD_NS, time_limits.IDLE_BUILD_NS, now_ns)
         elif isinstance(home.in_hand, Question):
-            self._look(home, "judging weather", patience.QUESTION_NS, None, now_ns)
+            self._look(home, "judging weather", time_limits.QUESTION_NS, None, now_ns)
         elif home.state == "ready" and home.in_hand is not None:
             pace = home.pace[home.in_hand.sensor]
             what = f"measuring {home.in_hand.sensor}, sweep {home.in_hand.plan.sweep}"
-            self._look(home, what, pace.deadline_ns, patience.IDLE_NS if pace.fresh else None, now_ns)
+            self._look(home, what, pace.deadline_ns, time_limits.IDLE_NS if pace.fresh else None, now_ns)
 
     def _look(self, home: Home, what: str, deadline_ns: int, idle_ns: int | None, now_ns: int) -> None:
         """Give a process up that has been at it for too long, or without using the processor."""
@@ -334,7 +334,7 @@ class Workers:
         took_ns = now_ns - home.since_ns
         if took_ns > deadline_ns:
             self._ended(home, f"stood still: {took_ns * 1e-9:.1f} s {what}; may take {deadline_ns * 1e-9:.1f} s")
-        elif idle_ns is not None and took_ns > patience.TICK_NS:
+        elif idle_ns is not None and took_ns > time_limits.TICK_NS:
             still_ns = home.stillness.look(now_ns, home.handle.cpu_ns())
             if still_ns > idle_ns:
                 allowed = f"may rest {idle_ns * 1e-9:.0f} s"
@@ -344,7 +344,7 @@ class Workers:
         """Its pipe has closed: say how it ended, as soon as that is known."""
         assert home.handle is not None
         code = home.handle.exit_code()
-        if code is not None or self._ran.ns - home.since_ns >= patience.TICK_NS:
+        if code is not None or self._ran.ns - home.since_ns >= time_limits.TICK_NS:
             self._ended(home, _how_it_ended(code))
 
     def _ended(self, home: Home, why: str) -> None:
@@ -366,16 +366,16 @@ class Workers:
         self._take_back(home, work)
         # a sensor that ends one worker after the other pauses itself: its worker need not
         blamed = isinstance(work, Sweep) and work.sensor in self._blame and self._blame[work.sensor].deaths > 1
-        lived = was_ready and (blamed or self._ran.ns - home.ready_ns > patience.LIVED_NS)
+        lived = was_ready and (blamed or self._ran.ns - home.ready_ns > time_limits.LIVED_NS)
         home.failures = 1 if lived else home.failures + 1
-        pause_ns = patience.pause_ns(home.failures)
+        pause_ns = time_limits.pause_ns(home.failures)
         home.why, home.retry_ns = why, self._ran.ns + pause_ns
         then = "at once" if not pause_ns else f"in {pause_ns * 1e-9:g} s"
         if home.failures < LOST_AFTER or was_ready:
             self.incidents.append(("worker replaced", home.name, f"{why}; another one is started {then}"))
         elif not home.lost:
             home.lost = True
-            tried = f"tried again {then}, then at least every {patience.LONGEST_PAUSE_NS * 1e-9:.0f} s"
+            tried = f"tried again {then}, then at least every {time_limits.LONGEST_PAUSE_NS * 1e-9:.0f} s"
             self.incidents.append(("worker lost", home.name, f"{why}: {home.failures} times in a row; {tried}"))
         if not pause_ns:
             self._start(home)
@@ -390,7 +390,7 @@ class Workers:
             if self._run_clock is not None:
                 blame = self._blame.setdefault(work.sensor, Blame())
                 blame.deaths += 1
-                blame.until_ns = self._ran.ns + patience.pause_ns(blame.deaths)
+                blame.until_ns = self._ran.ns + time_limits.pause_ns(blame.deaths)
             if work.given_up:
                 home.owed.remove(work)
             elif work.tries >= MOST_TRIES:
@@ -428,7 +428,7 @@ class Workers:
         if home.in_hand is None:
             return False
         work = home.in_hand
-        allowed_ns = patience.STALLED_NS if isinstance(work, Question) else home.pace[work.sensor].stalled_ns
+        allowed_ns = time_limits.STALLED_NS if isinstance(work, Question) else home.pace[work.sensor].stalled_ns
         return ran_ns - home.since_ns > allowed_ns
 
 

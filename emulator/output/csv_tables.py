@@ -3,7 +3,7 @@
 A cell that is a text and would begin a formula (`=`, `+`, `-`, `@`, also after blanks, after a semicolon, which parts
 cells where a comma is the decimal sign, and in full width) has an apostrophe before that sign: spreadsheets and people
 take the rest as text. Numbers stay numbers, negative ones too. Characters that are not printable are escapes
-(`telling.visible`), so that a row is a line. Who reads with a program takes the apostrophe off: `text_of`.
+(`sanitizing.visible`), so that a row is a line. Who reads with a program takes the apostrophe off: `text_of`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping
 from numbers import Integral
 from typing import IO
 
-from emulator.output.telling import visible
+from emulator.output.sanitizing import visible
 
 Cell = str | float | int | bool | None
 

@@ -1,6 +1,6 @@
 """One line for the user, one line of the log: what every part of ours that is a process of its own says.
 
-Belongs here: single lines. Not: how foreign characters are shown (telling), bars (commands.common).
+Belongs here: single lines. Not: how foreign characters are shown (sanitizing), bars (commands.common).
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import contextlib
 import sys
 
 from emulator.errors import EmulatorError
-from emulator.output.telling import put
+from emulator.output.sanitizing import put
 
 
 def say(text: str) -> None:

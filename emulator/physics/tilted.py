@@ -1,7 +1,7 @@
 """One plane over the whole footprint: echo energy, mean range and spread without any bundle.
 
 Here: the exact integrals over a Gaussian beam and their second-order expansion. Not here: how the spread changes the
-pulse (pulse) and how a scene is found to be one plane (needs).
+pulse (pulse) and how a scene is found to be one plane (error_budget).
 """
 
 from __future__ import annotations

@@ -9,10 +9,10 @@ import hashlib
 import struct
 from collections.abc import Sequence
 
-from emulator.instrument.watching import Payload, Watcher
+from emulator.instrument.observer import Observer, Payload
 
 
-class Transcript(Watcher):
+class Transcript(Observer):
     """Digest of what went over the links."""
 
     def __init__(self, sensors: Sequence[str]) -> None:

@@ -23,7 +23,7 @@ from mcap.records import Channel, Schema
 from emulator import __version__
 from emulator.faults.events import FaultEvent
 from emulator.instrument.instrument import Instrument
-from emulator.instrument.watching import Payload, Watcher
+from emulator.instrument.observer import Observer, Payload
 from emulator.process.incidents import Incident, Incidents
 from emulator.recording import layout
 from emulator.recording.can_logs import LoggedFrame, candump_line, read_candump, write_logs
@@ -66,7 +66,7 @@ class _Pieces:
         self.size += len(data)
 
 
-class Recorder(Watcher):
+class Recorder(Observer):
     """Everything of a run into one folder."""
 
     def __init__(

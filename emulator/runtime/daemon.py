@@ -25,12 +25,12 @@ from emulator.instrument.instrument import Instrument
 from emulator.measuring.supervision import Workers
 from emulator.process.clock import Clock, ThreadClock
 from emulator.process.incidents import Incidents
-from emulator.process.notify import Notifier
-from emulator.process.patience import TICK_NS, RunningTime
+from emulator.process.sd_notify import Notifier
+from emulator.process.time_limits import TICK_NS, RunningTime
 from emulator.process.waiting import Waiter, sharpen_timers, shorten_slices
 from emulator.runtime.liveness import Liveness
 from emulator.runtime.own_daemon import ending_signals
-from emulator.runtime.places import Places
+from emulator.runtime.path_guard import PathGuard
 from emulator.transports.turns import Turn
 
 SWITCH_S = 0.0005
@@ -84,9 +84,9 @@ class Daemon:
         self.liveness = Liveness(self._instruments, self.incidents, **takes_ns)
         for number in () if workers is None else workers.filenos():
             self._selector.register(number, selectors.EVENT_READ, "workers")
-        self._places = Places(self._instruments, self.incidents)
-        if self._places.fileno() >= 0:
-            self._selector.register(self._places.fileno(), selectors.EVENT_READ, "places")
+        self._path_guard = PathGuard(self._instruments, self.incidents)
+        if self._path_guard.fileno() >= 0:
+            self._selector.register(self._path_guard.fileno(), selectors.EVENT_READ, "places")
 
     def stop(self) -> None:
         """End the run after the present step; safe in a signal handler."""
@@ -158,7 +158,7 @@ class Daemon:
             if while_true is not None and not while_true():
                 return
             self._step_due(now_ns)
-            self._places.look(now_ns)
+            self._path_guard.look(now_ns)
             if any(one.poked for index, one in enumerate(self._instruments) if index not in self._lost):
                 continue  # one sensor's scan has begun a fault of another
             self._wait(until_ns, 100_000_000 if while_true is not None else None)
@@ -229,7 +229,7 @@ class Daemon:
                 link.stats.lateness_ns.clear()
 
     def _watch(self, index: int, instrument: Instrument) -> None:
-        resting = instrument.hearing.rests(self._clock.now_ns())
+        resting = instrument.input_budget.rests(self._clock.now_ns())
         wanted = () if resting else tuple(number for link in instrument.links for number in link.filenos())
         state = (instrument.connections_seen, wanted)
         if state == self._watch_state.get(index):
@@ -250,7 +250,7 @@ class Daemon:
         wakes = [wake for index, wake in self._wake.items() if wake is not None and index not in self._lost]
         if until_ns is not None:
             wakes.append(until_ns)
-        if (look_ns := self._places.next_ns()) is not None:
+        if (look_ns := self._path_guard.next_ns()) is not None:
             wakes.append(look_ns)
         if at_most_ns is not None:
             wakes.append(self._clock.now_ns() + at_most_ns)
@@ -267,7 +267,7 @@ class Daemon:
             elif key.data == "orders":
                 self._take_orders()
             elif key.data == "places":
-                self._places.changed(self._clock.now_ns())
+                self._path_guard.changed(self._clock.now_ns())
             elif isinstance(key.data, int):
                 self._wake[key.data] = self._clock.now_ns()
 
@@ -319,7 +319,7 @@ class Daemon:
     def close(self) -> None:
         """Close every link and end the workers."""
         self.notifier.stopping()
-        self._places.close()
+        self._path_guard.close()
         for instrument in self._instruments:
             instrument.close()
         if self._workers is not None:
@@ -332,7 +332,7 @@ class Daemon:
 
 def turns_of(instruments: Sequence[Instrument]) -> list[Turn]:
     """Of all sensors and of the links that have their own; sensors on one bus have one together."""
-    found = [one.hearing.turn for one in instruments]
+    found = [one.input_budget.turn for one in instruments]
     found += [link.turn for one in instruments for link in one.links if link.turn is not None]
     return list({id(turn): turn for turn in found}.values())
 

@@ -17,7 +17,7 @@ from emulator.process.clock import Clock
 from emulator.runtime.control import BAD_PARAMS, REFUSED, Later, Method, OrderError
 from emulator.runtime.daemon import Daemon
 from emulator.runtime.metrics import prometheus
-from emulator.runtime.showing import Showing
+from emulator.runtime.snapshots import Snapshots
 from emulator.runtime.virtual import ByteSteps
 from emulator.runtime.virtual_daemon import VirtualDaemon
 
@@ -68,7 +68,7 @@ class Orders:
         self._note = note
         self._scenario = scenario
         self._weather = scenario.weather
-        self._showing = Showing(daemon, instruments, clock, scenario)
+        self._snapshots = Snapshots(daemon, instruments, clock, scenario)
         self._byte_steps: dict[tuple[str, int], ByteSteps] = {}
         if isinstance(daemon, VirtualDaemon):
             for one in instruments:
@@ -94,7 +94,7 @@ class Orders:
             "fault": self.fault,
             "fault_clear": self.fault_clear,
             "faults": self.faults,
-        } | self._showing.methods()
+        } | self._snapshots.methods()
 
     def _now_ns(self) -> int:
         return self._daemon.now_ns if isinstance(self._daemon, VirtualDaemon) else self._clock.now_ns()

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from emulator.instrument.instrument import Instrument
-from emulator.instrument.watching import Payload, Watcher
+from emulator.instrument.observer import Observer, Payload
 from emulator.measuring.measuring import InPlace
 from emulator.recording.reader import WireOf, WirePayload
 from emulator.runtime.virtual_daemon import VirtualDaemon
@@ -131,7 +131,7 @@ class ReplaySession(Session):
         return events
 
 
-class GapErrors(Watcher):
+class GapErrors(Observer):
     """How late each payload was begun, in real time."""
 
     def __init__(self, daemon: VirtualDaemon) -> None:

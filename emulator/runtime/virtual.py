@@ -13,7 +13,7 @@ from typing import Protocol
 
 from emulator.errors import EmulatorError, LinkError
 from emulator.instrument.instrument import Instrument
-from emulator.instrument.watching import Payload, Watcher
+from emulator.instrument.observer import Observer, Payload
 from emulator.process.clock import ManualClock
 from protocols.session import LinkKind
 
@@ -169,7 +169,7 @@ class VirtualRun:
         return sent
 
 
-class LastBits(Watcher):
+class LastBits(Observer):
     """When the newest payload of each sensor leaves to its last bit."""
 
     def __init__(self) -> None:
@@ -191,7 +191,7 @@ class LastBits(Watcher):
         return max((self._all.get(one.sensor, 0) for one in instruments), default=0)
 
 
-class ByteSteps(Watcher):
+class ByteSteps(Observer):
     """When each byte of one link leaves, to step a run by bytes; must watch from before power-on.
 
     What is not paced, and a CAN frame, leaves in one piece and counts whole.

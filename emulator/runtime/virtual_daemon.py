@@ -24,13 +24,13 @@ from emulator.instrument.instrument import Instrument
 from emulator.measuring.supervision import Workers
 from emulator.process.clock import SystemClock
 from emulator.process.incidents import Incidents
-from emulator.process.notify import Notifier
-from emulator.process.patience import TICK_NS
+from emulator.process.sd_notify import Notifier
+from emulator.process.time_limits import TICK_NS
 from emulator.process.waiting import Poller
 from emulator.runtime.daemon import status_text
 from emulator.runtime.liveness import Liveness
 from emulator.runtime.own_daemon import ending_signals
-from emulator.runtime.places import Places
+from emulator.runtime.path_guard import PathGuard
 from emulator.runtime.virtual import VirtualRun
 from emulator.transports.link import Link
 
@@ -119,7 +119,7 @@ class VirtualDaemon:
         "When it is told next that we live, in real time."
         self.liveness = Liveness(self.instruments, self.incidents)
         self.run_of.on_look = lambda now_ns: self.liveness.look(now_ns, now_ns, self.run_of.lost)
-        self._places = Places(instruments, self.incidents)
+        self._path_guard = PathGuard(instruments, self.incidents)
 
     @property
     def now_ns(self) -> int:
@@ -258,7 +258,7 @@ class VirtualDaemon:
                 return
             if while_true is not None and not while_true():
                 return
-            self._places.look(self._real.now_ns(), self.now_ns)
+            self._path_guard.look(self._real.now_ns(), self.now_ns)
             self._wait(self._once(until_ns))
 
     def drain(self) -> None:
@@ -386,7 +386,7 @@ class VirtualDaemon:
     def close(self) -> None:
         """Close every link and end the workers."""
         self.notifier.stopping()
-        self._places.close()
+        self._path_guard.close()
         for instrument in self.instruments:
             instrument.close()
         if self._workers is not None:

@@ -242,7 +242,7 @@ def _frozen(data: Any) -> Any:
     return tuple(_frozen(value) for value in data) if isinstance(data, list) else data
 
 
-# ---------------------------------------------------------------- telling
+# ---------------------------------------------------------------- messages
 
 
 def dump(scenario: Scenario) -> str:

@@ -2,7 +2,7 @@
 
 `measure.build` makes the measuring function of a sensor. Its steps, a module each: model (facts and choices in SI),
 rays (where the sub-beams go), paths (what they bring back), air (what is between), echoes and receiver (what becomes
-of it); `faulty/`: the same under faults; needs and savings: what a scene does not need, and what leaving it out
+of it); `faulty/`: the same under faults; error_budget and cost: what a scene does not need, and what leaving it out
 saves.
 
 May import: `casting`, `world`, `measuring`, `scenario`, `faults`, `physics`, `compiled` and below.

@@ -20,8 +20,8 @@ from emulator.scenario.weather import Dust, Fog, Layer, Plume, Rain, Smoke, Snow
 from emulator.sensing.model import SensorModel
 from emulator.sensing.particles import Particles, rain_particles, snow_particles
 from emulator.sensing.rays import rotated
+from emulator.world.broad_phase import BroadPhase
 from emulator.world.motion import Motion
-from emulator.world.nearby import Nearby
 
 if TYPE_CHECKING:
     from emulator.world.scene import Scene
@@ -96,7 +96,7 @@ class _NearWakes:
     """One state, and it with the wakes alone that were in reach last."""
 
     some: AirNow
-    nearby: Nearby
+    broad_phase: BroadPhase
     which: Ints | None = None
 
 
@@ -119,9 +119,9 @@ class Air:
             return air
         known = self._near.get(id(air))
         if known is None:
-            known = _NearWakes(air, Nearby([w.motion for w in wakes], np.array([w.radius_m for w in wakes])))
+            known = _NearWakes(air, BroadPhase([w.motion for w in wakes], np.array([w.radius_m for w in wakes])))
             self._near[id(air)] = known
-        which = known.nearby.within(low_m, high_m, reach_m, begin_s, end_s)
+        which = known.broad_phase.within(low_m, high_m, reach_m, begin_s, end_s)
         if len(which) == len(wakes):
             return air
         if known.which is not which:

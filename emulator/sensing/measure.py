@@ -16,8 +16,8 @@ from emulator.errors import ScenarioError
 from emulator.measuring.conditions import NORMAL, ActiveFault, Conditions
 from emulator.physics import atmosphere
 from emulator.physics.arrays import Floats, indexes
-from emulator.physics.draws import Draws
 from emulator.physics.materials import Material, SurfaceTable, material, material_from_mapping
+from emulator.physics.random_streams import RandomStreams
 from emulator.scenario.weather import WeatherConfig
 from emulator.sensing.adapt import adaptive_rays
 from emulator.sensing.air import Air, AirNow
@@ -27,11 +27,11 @@ from emulator.sensing.model import SensorModel, sensor_model
 from emulator.sensing.particles import seen_particles
 from emulator.sensing.paths import Seen, Surfaces, reach_of, returned
 from emulator.sensing.photon_receiver import PhotonReceiver
+from emulator.sensing.pruning import Pruned, Pruning, wanted
 from emulator.sensing.rays import RAYS_KEPT, BundleCache, Rays, cast_rays, rays_of
 from emulator.sensing.receiver import Receiver
 from emulator.sensing.resting import Resting, with_others
 from emulator.sensing.soft import SoftTargets
-from emulator.sensing.sparing import Spared, Sparing, wanted
 from emulator.sensing.view import View
 from emulator.sensors.spec import load_spec
 from emulator.world.motion import Pose
@@ -93,7 +93,7 @@ class Measure:
         self._still_pose = scene.sensor_pose(mount, np.zeros(1)) if still else None
         # made here, so that the first sweep of a run is not late
         with np.errstate(under="ignore"):  # edges shorter than any that light can tell from none
-            self._sparing = Sparing(scene, model, caster, still) if wanted(model, scene) else None
+            self._pruning = Pruning(scene, model, caster, still) if wanted(model, scene) else None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -217,14 +217,14 @@ class Measure:
             return View(rays, seen, found, air, surfaces, spared.cast, spared.plain, kept)
         return View(rays, seen, found, air, surfaces, len(rays.beam), None, kept)
 
-    def _spared(self, plan: ScanPlan, pose: Pose, t_s: Floats, surfaces: Surfaces, air: AirNow) -> Spared | None:
+    def _spared(self, plan: ScanPlan, pose: Pose, t_s: Floats, surfaces: Surfaces, air: AirNow) -> Pruned | None:
         """The sweep with bundles only where they are needed; None where finding out costs more than it saves."""
-        if self._sparing is None:
+        if self._pruning is None:
             return None
         bundles = self._bundles.of(plan)
-        if not self._sparing.pays(len(plan), bundles.sub_beams):
+        if not self._pruning.pays(len(plan), bundles.sub_beams):
             return None
-        return self._sparing.sweep(plan, bundles, pose, t_s, surfaces, air)
+        return self._pruning.sweep(plan, bundles, pose, t_s, surfaces, air)
 
     def _rays(self, plan: ScanPlan, pose: Pose, t_s: Floats) -> tuple[Rays, Resting | None]:
         """Rays of fixed bundles; a sensor at rest casts the same ones as long as the plan's angles stay."""
@@ -284,7 +284,7 @@ def build(scenario: Scenario, scene: Scene, caster: FacedCaster, sensor_id: str)
     try:
         model = sensor_model(load_spec(config.model), config.physics, config.mode)
         surfaces = surface_table(scene.materials, extra, model), surface_table(scene.materials, extra, model, wet=True)
-        draws = Draws(scenario.seed, sensor_id)
+        draws = RandomStreams(scenario.seed, sensor_id)
         receiver = PhotonReceiver(model, model.photons, draws) if model.photons is not None else Receiver(model, draws)
         air = Air(scenario.weather, model, scene)
     except ValueError as error:  # numbers that are right alone but not together

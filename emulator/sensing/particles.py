@@ -14,7 +14,7 @@ import numpy as np
 from emulator.physics import atmosphere, precipitation
 from emulator.physics.arrays import Floats, Ints
 from emulator.physics.beams import NO_WIDTH
-from emulator.physics.draws import Draws
+from emulator.physics.random_streams import RandomStreams
 from emulator.physics.subechoes import SubEchoes
 from emulator.scenario.weather import Rain, Snow
 from emulator.sensing.model import SensorModel
@@ -128,7 +128,7 @@ def seen_particles(
     extinction_per_m: float,
     sweep: int,
     model: SensorModel,
-    draws: Draws,
+    draws: RandomStreams,
     gain: float = 1.0,
 ) -> SubEchoes | None:
     """Sub-echoes of the particles that alone reach the threshold, up to each beam's first surface, `far_m` (n,)."""
@@ -178,7 +178,7 @@ def _last_of_one_size(particles: Particles, scale: float, near_m: float, far: Fl
 
 
 def _one_size(
-    particles: Particles, near_m: float, end: Floats, sweep: int, draws: Draws, count: Ints
+    particles: Particles, near_m: float, end: Floats, sweep: int, draws: RandomStreams, count: Ints
 ) -> tuple[Ints, Floats, Floats]:
     if not bool(count.any()):
         return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
@@ -188,7 +188,7 @@ def _one_size(
     return beam, range_m, np.full(len(beam), particles.diameter_mm)
 
 
-def _numbers(draws: Draws, term: str, sweep: int, count: Ints) -> Floats:
+def _numbers(draws: RandomStreams, term: str, sweep: int, count: Ints) -> Floats:
     """Two uniform numbers for each particle; those of a beam do not depend on how many the others have."""
     most = int(count.max(initial=0))
     table = np.stack([draws.uniform(f"{term} {k}", sweep, len(count), 2) for k in range(most)] or [np.zeros((0, 2))])

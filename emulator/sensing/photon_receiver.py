@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from emulator.physics import photons
 from emulator.physics.arrays import Floats, Ints, ramp
 from emulator.physics.constants import PLANCK_J_S, SPEED_OF_LIGHT_M_S
-from emulator.physics.draws import Draws
+from emulator.physics.random_streams import RandomStreams
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import SubEchoes
 from emulator.sensing.daylight import NIGHT, Daylight
@@ -35,7 +35,7 @@ LONG_PULSE = 257
 class PhotonReceiver:
     """Turns what the light brings back into scans, photon by photon. One echo a beam: the highest correlation."""
 
-    def __init__(self, model: SensorModel, options: PhotonOptions, draws: Draws) -> None:
+    def __init__(self, model: SensorModel, options: PhotonOptions, draws: RandomStreams) -> None:
         self.draws = draws
         self._model, self._options = model, options
         self.bin_m = 0.5e-9 * SPEED_OF_LIGHT_M_S * options.bin_ns

@@ -17,9 +17,9 @@ import numpy as np
 
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, indexes, ramp
 from emulator.sensing.model import SensorModel
-from emulator.world.fleet import Fleet
+from emulator.world.batched_poses import BatchedPoses
+from emulator.world.broad_phase import BroadPhase
 from emulator.world.motion import Pose
-from emulator.world.nearby import Nearby
 from emulator.world.outlines import Outlines
 
 CLEARLY_BEHIND_M = 1e-3
@@ -96,7 +96,7 @@ class _Near:
 
     movers: Ints
     "(b,) indexes into all that move."
-    fleet: Fleet
+    batched: BatchedPoses
     rows: Ints
     "(e,) their edges."
     owner: Ints
@@ -122,7 +122,7 @@ class Edges:
         number = np.full(len(bodies) + 1, -1, np.int64)
         number[self._movers] = np.arange(len(self._movers))
         self._owner = number[outlines.body[own]]
-        self._nearby = Nearby([bodies[k].motion for k in self._movers], self._arm)
+        self._broad_phase = BroadPhase([bodies[k].motion for k in self._movers], self._arm)
         self._near: _Near | None = None
         start, end = outlines.start_m[~own].copy(), outlines.end_m[~own].copy()
         still = outlines.body[~own]
@@ -166,13 +166,13 @@ class Edges:
         begin, end = float(sights.t_s.min()), float(sights.t_s.max())
         middle = 0.5 * (begin + end)
         known = self._near_movers(sights, reach_m, begin, end)
-        movers, fleet = known.movers, known.fleet
-        now = fleet.during(begin, end)
+        movers, batched = known.movers, known.batched
+        now = batched.during(begin, end)
         at = (now.at + (middle - now.since) * now.velocity).T
         velocity, turned = now.velocity.T.copy(), now.turned.transpose(2, 0, 1).copy()
         slack = np.zeros(len(at))
         for k in indexes(~now.straight):
-            pose = fleet.motions[k].pose(np.append(sights.t_s, middle))
+            pose = batched.motions[k].pose(np.append(sights.t_s, middle))
             at[k], velocity[k], turned[k] = pose.position_m[-1], 0.0, pose.rotation[-1]
             moved = float(np.linalg.norm(pose.position_m - at[k], axis=1).max())
             bent = float(np.linalg.norm(pose.rotation - turned[k], axis=(1, 2)).max())
@@ -189,13 +189,13 @@ class Edges:
 
     def _near_movers(self, sights: Sights, reach_m: float, begin_s: float, end_s: float) -> _Near:
         low, high = sights.centre_m.min(axis=0), sights.centre_m.max(axis=0)
-        which = self._nearby.within(low, high, reach_m, begin_s, end_s)
+        which = self._broad_phase.within(low, high, reach_m, begin_s, end_s)
         if self._near is None or self._near.movers is not which:
             number = np.full(len(self._movers), -1, np.int64)
             number[which] = np.arange(len(which))
             rows = indexes(number[self._owner] >= 0)
-            fleet = Fleet([self.outlines.bodies[self._movers[k]].motion for k in which])
-            self._near = _Near(which, fleet, rows, number[self._owner[rows]])
+            batched = BatchedPoses([self.outlines.bodies[self._movers[k]].motion for k in which])
+            self._near = _Near(which, batched, rows, number[self._owner[rows]])
         return self._near
 
     def _cross(
@@ -324,7 +324,7 @@ class Pieces:
         self._first = outlines.piece_body[self._pieces].searchsorted(np.append(self._moving, len(outlines.bodies)))
         bodies = [outlines.bodies[k] for k in self._moving]
         arm = np.array([float(np.linalg.norm(body.centre_m)) + body.radius_m for body in bodies], np.float64)
-        self._nearby = Nearby([body.motion for body in bodies], arm)
+        self._broad_phase = BroadPhase([body.motion for body in bodies], arm)
         self._place(indexes(self._still), np.zeros(1))
 
     def _place(self, pieces: Ints, t_s: Floats) -> None:
@@ -365,7 +365,7 @@ class Pieces:
 
     def _near_movers(self, low: Floats, high: Floats, t_s: Floats) -> Ints:
         kept = []
-        for k in self._nearby.within(low, high, 0.0, float(t_s.min()), float(t_s.max())):
+        for k in self._broad_phase.within(low, high, 0.0, float(t_s.min()), float(t_s.max())):
             body = self._outlines.bodies[self._moving[k]]
             pose = body.motion.pose(t_s[:1])
             place = pose.to_world(body.centre_m)[0]

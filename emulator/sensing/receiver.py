@@ -17,7 +17,7 @@ from emulator.physics.arrays import Bools, Floats, Ints
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.detection import Signals, detect, signals_of
 from emulator.physics.detector import Detector, Echoes
-from emulator.physics.draws import Draws
+from emulator.physics.random_streams import RandomStreams
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import Kept, SubEchoes
 from emulator.sensing.daylight import NIGHT, Daylight
@@ -57,7 +57,7 @@ def _with_echoes(detector: Detector, most: int) -> Detector:
 class Receiver:
     """Turns what the light brings back into scans."""
 
-    def __init__(self, model: SensorModel, draws: Draws) -> None:
+    def __init__(self, model: SensorModel, draws: RandomStreams) -> None:
         self.draws = draws
         self._model, self._draws = model, draws
         self._detector = Detector(

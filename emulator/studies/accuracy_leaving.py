@@ -1,6 +1,6 @@
 """What leaving out saves and what it changes: whole scenarios with every term and without, and each rule alone.
 
-Belongs here: these two tables. Not: the rules (needs), timing of a sensor with other rules (savings).
+Belongs here: these two tables. Not: the rules (error_budget), timing of a sensor with other rules (cost).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from emulator.physics.arrays import Floats
 from emulator.process.clock import SystemClock
 from emulator.scenario import scenario
 from emulator.scenario.scenario import Scenario
-from emulator.sensing.savings import Bench, rules_alone
+from emulator.sensing.cost import Bench, rules_alone
 from emulator.studies.accuracy_knobs import built, sweep_of
 from emulator.studies.report import Column, Table, Value
 from emulator.world import scene

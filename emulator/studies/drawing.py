@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emulator.output.telling import visible
+from emulator.output.sanitizing import visible
 from emulator.physics.arrays import Floats
 
 if TYPE_CHECKING:

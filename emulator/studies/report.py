@@ -15,7 +15,7 @@ from pathlib import Path
 from emulator import __version__
 from emulator.errors import EmulatorError
 from emulator.output.csv_tables import Writer
-from emulator.output.telling import visible
+from emulator.output.sanitizing import visible
 
 Value = str | float | int | bool | None
 

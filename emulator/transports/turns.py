@@ -1,7 +1,7 @@
 """How much processor time a run's only sender spends on what strangers want of one link or sensor.
 
-Belongs here: the bucket of time, and the rest when it is empty. Not: what is left undone meanwhile (hearing, can_link).
-In virtual time nothing rests: there is no clock, and the same run gives the same bytes.
+Belongs here: the bucket of time, and the rest when it is empty. Not: what is left undone meanwhile (`InputBudget`,
+`can_link`). In virtual time nothing rests: there is no clock, and the same run gives the same bytes.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from typing import Any
 import viser
 
 from emulator.errors import EmulatorError
-from emulator.output.telling import html, visible
+from emulator.output.sanitizing import html, visible
 from emulator.runtime.order_words import parameters_of
 from emulator.view.drawing import inset
 from emulator.view.frames import Frame, Source

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from emulator.hosts.describe import Described
-from emulator.output.telling import html
+from emulator.output.sanitizing import html
 from emulator.view.frames import Frame, ShownScan, ShownSensor, ShownTelegram
 from emulator.view.points import colours_of
 

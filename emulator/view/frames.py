@@ -81,7 +81,7 @@ class ShownSensor:
     scans_sent: int = 0
     rate_hz: float | None = None
     late_median_us: float | None = None
-    "Of the last sends, see emulator.runtime.showing."
+    "Of the last sends, see emulator.runtime.snapshots."
     late_worst_us: float | None = None
     dropped: Mapping[str, int] = field(default_factory=dict)
     "Scans not sent, by reason."

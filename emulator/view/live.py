@@ -14,7 +14,7 @@ import numpy as np
 from emulator.errors import EmulatorError, LinkError
 from emulator.runtime.control import ask
 from emulator.runtime.own_daemon import OwnDaemon
-from emulator.runtime.showing import LONG, SHORT
+from emulator.runtime.snapshots import LONG, SHORT
 from emulator.scenario import scenario as scenario_file
 from emulator.scenario.scenario import Scenario
 from emulator.view.frames import Frame, ShownLink, ShownScan, ShownSensor, ShownTelegram, ViewError

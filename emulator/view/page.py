@@ -17,7 +17,7 @@ import viser
 
 from emulator.errors import EmulatorError
 from emulator.hosts.describe import Speaker, describe
-from emulator.output.telling import html, visible
+from emulator.output.sanitizing import html, visible
 from emulator.scenario.tables import Mount
 from emulator.sensors.spec import load_spec
 from emulator.view import drawing, points, solids

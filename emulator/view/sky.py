@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from emulator.output.telling import html
+from emulator.output.sanitizing import html
 
 CLEAR_M, THICK_M = 10_000.0, 10.0
 FOG_MARKS = ((0, "clear"), (33, "1 km"), (67, "100 m"), (100, "10 m"))

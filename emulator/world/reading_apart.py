@@ -163,8 +163,8 @@ class Reader:
         for name, most in (("faces", vertices), ("face_part", len(parts))):
             if found[name].min() < 0 or found[name].max() >= most:
                 raise ValueError(name)
-        counts = int(head["dropped"]), int(head["twins"])
-        return Geometry(parts=parts, centre=centre, radius=float(head["radius"]), dropped=counts[0], twins=counts[1],
+        counts = int(head["dropped"]), int(head["coplanar"])
+        return Geometry(parts=parts, centre=centre, radius=float(head["radius"]), dropped=counts[0], coplanar=counts[1],
                         **found)  # fmt: skip
 
     def _take(self, size: int) -> NDArray[np.uint8]:
@@ -262,7 +262,7 @@ def _answer(line: socket.socket, asked: dict[str, Any], budget: MeshBudget) -> N
         _send(line, {"ok": None if short else False, "told": str(error)})
         return
     head = {"vertices": len(found.vertices), "faces": len(found.faces), "parts": found.parts, "radius": found.radius}
-    head |= {"centre": found.centre.tolist(), "dropped": found.dropped, "twins": found.twins}
+    head |= {"centre": found.centre.tolist(), "dropped": found.dropped, "coplanar": found.coplanar}
     _send(line, {"ok": True} | head)
     for name, kind, _ in SHAPES:
         array: NDArray[Any] = np.ascontiguousarray(getattr(found, name), kind)

@@ -17,11 +17,11 @@ from emulator.scenario.checks import BUILTIN
 from emulator.scenario.scenario import Scenario
 from emulator.scenario.tables import Actor, FramesConfig, MotionConfig, Mount, Shape, WorldItem
 from emulator.world import mesh_files, triangles
+from emulator.world.coplanar import coplanar_triangles
 from emulator.world.mesh_frames import Frames
 from emulator.world.motion import Floats, Motion, Pose, Steady, Vector, Waypoints
 from emulator.world.reading_apart import Reader
 from emulator.world.triangles import Geometry, Ints
-from emulator.world.twins import twins
 
 MOST_TRIANGLES = 20_000_000
 "Of all different shapes together, unless one file may have more; 1e7 build in about a minute and 2 GB."
@@ -203,7 +203,7 @@ class _Builder:
 
     def tell_twins(self) -> None:
         """Warn of resting bodies that lie on each other with other materials."""
-        found = sorted(twins(self.bodies).items())
+        found = sorted(coplanar_triangles(self.bodies).items())
         for (one, two), count in found[:MOST_TWINS_TOLD]:
             where, other = (self._scenario.label(self.places[body]) for body in (two, one))
             self.warnings.append(
@@ -222,9 +222,9 @@ class _Builder:
             self.total += len(geometry.faces) * (1 if frames is None else len(frames.vertices))
             if geometry.dropped:
                 self.warnings.append(f"{where}: {geometry.dropped} triangles of no area left out")
-            if geometry.twins:
+            if geometry.coplanar:
                 self.warnings.append(
-                    f"{where}: {geometry.twins} triangles lie on one of another part; which is seen is arbitrary"
+                    f"{where}: {geometry.coplanar} triangles lie on one of another part; which is seen is arbitrary"
                 )
         return self.made[key]
 

@@ -48,7 +48,7 @@ class Geometry:
     radius: float
     dropped: int = 0
     "Triangles of no area that were left out."
-    twins: int = 0
+    coplanar: int = 0
     "Triangles that lie on another one of a different part: which of them a beam meets is arbitrary."
 
 
@@ -83,12 +83,12 @@ def checked(
         if len(indices) == 0:
             raise SceneError(f"{where}: all {dropped} triangles have no area; want a surface")
     normals = np.divide(cross, double_area[:, None], out=cross)
-    closed, flip, twins = _shells(local, indices, part)
+    closed, flip, coplanar = _shells(local, indices, part)
     if flip.any():
         indices[flip] = indices[flip][:, ::-1]
         normals[flip] = -normals[flip]
     radius = float(np.sqrt((local[used] ** 2).sum(axis=1).max()))
-    return Geometry(vertices, indices.astype(np.int32), part, parts, normals, closed, centre, radius, dropped, twins)
+    return Geometry(vertices, indices.astype(np.int32), part, parts, normals, closed, centre, radius, dropped, coplanar)
 
 
 def _with_sound_corners(vertices: Floats, indices: NDArray[np.int64], where: str) -> Floats:
@@ -131,7 +131,7 @@ def _slices(count: int) -> Iterator[slice]:
 
 
 def _shells(local: Floats, faces: NDArray[np.int64], part: Ints) -> tuple[NDArray[np.bool_], NDArray[np.bool_], int]:
-    """Which faces belong to closed shells, which of them to turn so that they face outwards, and coplanar twins."""
+    """Which faces belong to closed shells, which to turn so that they face outwards, and how many lie on others."""
     order = np.lexsort(local.T)
     step = np.ones(len(local), dtype=np.int64)
     for some in _slices(len(local) - 1):
@@ -141,7 +141,7 @@ def _shells(local: Floats, faces: NDArray[np.int64], part: Ints) -> tuple[NDArra
     welded[order] = np.cumsum(step) - 1
     corners = welded[faces]
     count = int(welded.max()) + 1
-    twins = _twins(corners, part)
+    coplanar = _count_coplanar(corners, part)
 
     start, end = corners.ravel(), corners[:, [1, 2, 0]].ravel()
     key = np.minimum(start, end) * count + np.maximum(start, end)
@@ -179,10 +179,10 @@ def _shells(local: Floats, faces: NDArray[np.int64], part: Ints) -> tuple[NDArra
         for k in np.flatnonzero(inwards):
             holds = (low[outer] < low[k]).all(axis=1) & (high[outer] > high[k]).all(axis=1)
             inwards[k] = not holds.any()  # a cavity faces its own inside
-    return whole[shell], inwards[shell], twins
+    return whole[shell], inwards[shell], coplanar
 
 
-def _twins(corners: NDArray[np.int64], part: Ints) -> int:
+def _count_coplanar(corners: NDArray[np.int64], part: Ints) -> int:
     """Pairs of triangles on the same three corners with different parts."""
     sets = np.sort(corners, axis=1)
     mixed = sets.astype(np.uint64) * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)

@@ -526,7 +526,7 @@ class LdSession(Session):
         self.device.fail_motor(now_ns, motor)
         self._settle(now_ns)
 
-    def suffer(self, now_ns: int, what: str, degree: float) -> bool:
+    def impair(self, now_ns: int, what: str, degree: float) -> bool:
         """The motor of the head."""
         self._run(now_ns)
         if what == "motor speed":

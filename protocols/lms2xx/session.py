@@ -140,7 +140,7 @@ class Lms2xxSession(Session):
     def _mirror_from(self, at_ns: int) -> Mirror:
         return Mirror(self._motor.own_ns(at_ns), self._motor)
 
-    def suffer(self, now_ns: int, what: str, degree: float) -> bool:
+    def impair(self, now_ns: int, what: str, degree: float) -> bool:
         """The window, and the motor of the mirror."""
         self.advance(now_ns)
         if what == "window":

@@ -12,7 +12,7 @@ from emulator.casting import raycast
 from emulator.judging import examples, plans
 from emulator.scenario import scenario
 from emulator.scenario.tables import Mount
-from emulator.sensing import needs
+from emulator.sensing import error_budget
 from emulator.sensing.measure import Measure
 from emulator.sensing.measure import build as build_measure
 from emulator.sensors.physics_options import LeaveOut
@@ -21,7 +21,7 @@ from emulator.world import scene
 from emulator.world.motion import Waypoints
 from protocols.scan import Scan, ScanPlan
 from tests.compiled.both import both, differing
-from tests.sensing.needs import scenes
+from tests.sensing.error_budget import scenes
 from tests.sensing.rig import build, plate
 
 pytest.importorskip("numba")
@@ -97,6 +97,6 @@ def compare(loaded: scenario.Scenario) -> None:
         spec = load_spec(config.model)
         if spec.sees != "beams":
             continue
-        plan = actual.get(config.id) or needs.usual_plan(spec)
+        plan = actual.get(config.id) or error_budget.usual_plan(spec)
         for one, other in zip(*both(lambda: sweeps(config.id, plan)), strict=True):  # noqa: B023
             assert not len(differing(one, other)), config.id

@@ -24,7 +24,7 @@ from emulator.physics.pulse import Pulse
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import SubEchoes
 from emulator.world import triangles
-from emulator.world.fleet import Cones, may_meet
+from emulator.world.batched_poses import Cones, may_meet
 from emulator.world.motion import Steady, Waypoints
 from tests.casting.test_raycast import WALL, fan, moving_shapes, random_rays, scene_of
 from tests.compiled.both import RANGE_M, both

@@ -235,14 +235,14 @@ def test_slivers_at_100_m_are_met_by_the_share_of_beams_that_they_fill(tmp_path:
 
 def test_coplanar_twins_are_seen_once_and_told_where_their_materials_differ(tmp_path: Path) -> None:
     corner = ["v 10 -5 -5", "v 10 5 -5", "v 10 0 5"]
-    (tmp_path / "twins.obj").write_text(
+    (tmp_path / "coplanar.obj").write_text(
         "\n".join([*corner, "o one", "f 1 2 3", "o two", "f 1 2 3"]) + "\n", encoding="utf-8"
     )
-    item = {"mesh": "twins.obj", "materials": {"one": "asphalt", "two": "white_plaster"}}
+    item = {"mesh": "coplanar.obj", "materials": {"one": "asphalt", "two": "white_plaster"}}
     world = scene_from(tmp_path, world=[item])
     assert any("1 triangles lie on one of another part" in line for line in world.warnings)
     measure = build(
-        tmp_path, [{"mesh": "twins.obj", "material": "half"}], weather=CLEAR,
+        tmp_path, [{"mesh": "coplanar.obj", "material": "half"}], weather=CLEAR,
         physics={**QUIET, "rule": "spiral", "sub_beams": 64},
     )  # fmt: skip
     found = measure.view(plan([0.0])).echoes
@@ -303,9 +303,9 @@ def test_bodies_smaller_than_what_tells_twins_apart_are_none(tmp_path: Path) -> 
 
 def test_twins_are_not_looked_for_among_too_many_triangles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     world = [{**BOX, "at_m": [9.0, 0.0, 0.0], "material": name} for name in ("asphalt", "white_plaster")]
-    monkeypatch.setattr("emulator.world.twins.MOST_SEARCHED", 23)
+    monkeypatch.setattr("emulator.world.coplanar.MOST_SEARCHED", 23)
     assert twins_told(tmp_path, *world) == []
-    monkeypatch.setattr("emulator.world.twins.MOST_SEARCHED", 24)
+    monkeypatch.setattr("emulator.world.coplanar.MOST_SEARCHED", 24)
     assert len(twins_told(tmp_path, *world)) == 1
 
 

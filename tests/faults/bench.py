@@ -13,7 +13,7 @@ from emulator.hosts.scans import HostScan
 from emulator.hosts.scripted import LdScript, Lms2xxScript
 from emulator.injection.run import FaultRun
 from emulator.instrument.instrument import Instrument
-from emulator.instrument.watching import Payload, Watcher
+from emulator.instrument.observer import Observer, Payload
 from emulator.judging.trial import SilentBus
 from emulator.measuring.conditions import NORMAL, Conditions
 from emulator.runtime import assembly
@@ -66,7 +66,7 @@ class FlatMeasuring:
 
 
 @dataclass
-class Heard(Watcher):
+class Heard(Observer):
     """Everything that an instrument tells."""
 
     sent: list[Payload] = field(default_factory=list)

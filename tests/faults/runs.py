@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from emulator.hosts.scans import HostScan
-from emulator.instrument.watching import Payload, Watcher
+from emulator.instrument.observer import Observer, Payload
 from emulator.judging.trial import Trial
 from emulator.physics.arrays import Floats
 from emulator.scenario import scenario
@@ -35,7 +35,7 @@ TOP = (
 SENSORS = {"front": FRONT, "top": TOP}
 
 
-class Sent(Watcher):
+class Sent(Observer):
     """Every payload of a run that carried a scan."""
 
     def __init__(self) -> None:

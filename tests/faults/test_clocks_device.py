@@ -374,9 +374,9 @@ def test_frames_of_a_device_on_a_quartz_of_its_own_can_be_changed() -> None:
 def test_an_ld_with_a_stuck_mirror_cannot_measure_after_a_restart_either() -> None:
     made = device("ld", LD)
     made.run(0.5)
-    made.session.suffer(SECOND // 2, "motor stopped", 1.0)
+    made.session.impair(SECOND // 2, "motor stopped", 1.0)
     made.session.power_on(SECOND)
     assert not profiles(made.run(3.0))
-    made.session.suffer(3 * SECOND, "motor stopped", 0.0)
+    made.session.impair(3 * SECOND, "motor stopped", 0.0)
     made.session.power_on(3 * SECOND)
     assert profiles(made.run(5.0))

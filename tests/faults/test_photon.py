@@ -272,9 +272,9 @@ def test_two_dirty_windows_are_dirtier_and_one_that_is_cleaned_leaves_the_other(
 
 def test_the_lms_tells_what_is_wrong_when_it_is_asked() -> None:
     made = device("lms2xx")
-    made.session.suffer(0, "window", 0.5)
-    made.session.suffer(0, "motor speed", 0.9)
-    made.session.suffer(0, "motor told", -1.0)
+    made.session.impair(0, "window", 0.5)
+    made.session.impair(0, "motor speed", 0.9)
+    made.session.impair(0, "motor told", -1.0)
 
     def ask(payload: bytes) -> bytes:
         made.put(request(payload))
@@ -286,8 +286,8 @@ def test_the_lms_tells_what_is_wrong_when_it_is_asked() -> None:
     assert ask(b"\x32")[:-1] == bytes([2, 18, 3, 29])  # dirt on a channel (a warning), motor revolutions (an error)
     status = ask(b"\x31")
     assert [int.from_bytes(status[at : at + 2], "little") for at in (18, 32, 34, 66)] == [250, 250, 600, 164]
-    made.session.suffer(made.now_ns, "window", 1.0)
-    made.session.suffer(made.now_ns, "motor told", 0.0)
+    made.session.impair(made.now_ns, "window", 1.0)
+    made.session.impair(made.now_ns, "motor told", 0.0)
     assert ask(b"\x32")[:-1] == b""
 
 

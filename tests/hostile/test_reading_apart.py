@@ -70,7 +70,7 @@ def test_what_is_read_apart_is_what_is_read_here(tmp_path: Path, reader: Reader,
             here, there = getattr(ours, name), getattr(theirs, name)
             assert here.dtype == there.dtype
             np.testing.assert_array_equal(here, there)
-        for name in ("parts", "radius", "dropped", "twins"):
+        for name in ("parts", "radius", "dropped", "coplanar"):
             assert getattr(ours, name) == getattr(theirs, name)
 
 
@@ -174,7 +174,7 @@ HEAD = {
     "radius": 1.0,
     "centre": [0, 0, 0],
     "dropped": 0,
-    "twins": 0,
+    "coplanar": 0,
 }
 ARRAYS = (np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32), np.zeros(1, np.int32), np.zeros((1, 3)), np.ones(1, bool))
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from emulator.faults.reading import FaultError
-from emulator.physics.draws import Draws
+from emulator.physics.random_streams import RandomStreams
 from tests.faults.bench import Bench
 
 SECOND = 1_000_000_000
@@ -196,13 +196,13 @@ def test_a_fault_that_is_not_there_cannot_be_cleared() -> None:
 
 def test_a_trigger_by_chance_draws_its_numbers_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = []
-    uniform = Draws.uniform
+    uniform = RandomStreams.uniform
 
-    def counted(self: Draws, term: str, sweep: int, beams: int, columns: int = 1) -> Any:
+    def counted(self: RandomStreams, term: str, sweep: int, beams: int, columns: int = 1) -> Any:
         drawn.append(term)
         return uniform(self, term, sweep, beams, columns)
 
-    monkeypatch.setattr(Draws, "uniform", counted)
+    monkeypatch.setattr(RandomStreams, "uniform", counted)
     bench = Bench("line", {"do": "drop_telegram", "probability": 1e-9}).until(20.0)
     assert len(bench.sent()) > 600
     assert len(drawn) <= 4

@@ -242,7 +242,7 @@ def test_a_sensor_that_never_rests_is_stopped_rather_than_hang_the_run() -> None
 def test_a_sensor_that_rests_is_not_woken_by_input_that_waits_for_it() -> None:
     rig = Rig(LinkKind.STREAM)
     link, clock = rig.links[0], [0]
-    turn = rig.instrument.hearing.turn
+    turn = rig.instrument.input_budget.turn
     turn.clock_ns = lambda: clock[0]
     link.flush = lambda now_ns: 5  # type: ignore[method-assign,assignment]
     "What a link says whose intake was to open again at 5 ns, and was not asked since."

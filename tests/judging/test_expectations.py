@@ -10,8 +10,8 @@ import pytest
 from emulator.config.expressions import Value
 from emulator.hosts.scans import HostScan
 from emulator.instrument.instrument import Instrument
+from emulator.instrument.observer import Payload
 from emulator.instrument.series import VALUES, SeriesWatcher, lookup
-from emulator.instrument.watching import Payload
 from emulator.judging.expectations import judge, understand
 from emulator.measuring.measuring import InPlace
 from emulator.scenario import scenario

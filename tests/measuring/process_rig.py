@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from emulator.hosts.scripted import LdScript, Lms2xxScript
-from emulator.instrument.watching import Payload, Watcher
+from emulator.instrument.observer import Observer, Payload
 from emulator.measuring.measuring import Measures
 from emulator.measuring.supervision import Workers
 from emulator.measuring.worker import Pipe
@@ -124,7 +124,7 @@ class Played:
             self._done_ns = now_ns + self._rig.takes_ns
 
 
-class Sent(Watcher):
+class Sent(Observer):
     """When scans left, by sensor."""
 
     def __init__(self) -> None:

@@ -14,7 +14,7 @@ import pytest
 from emulator.errors import SceneError
 from emulator.measuring.measuring import InPlace, Measures
 from emulator.measuring.supervision import Workers
-from emulator.process import patience
+from emulator.process import time_limits
 from protocols.scan import Scan, ScanPlan
 
 
@@ -160,7 +160,7 @@ def test_warnings_of_measuring_in_place_come_out_once() -> None:
 
 
 def test_a_process_that_was_made_to_end_leaves_no_descriptor_behind(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(patience, "SWEEP_NS", patience.SECOND_NS // 5)
+    monkeypatch.setattr(time_limits, "SWEEP_NS", time_limits.SECOND_NS // 5)
     with workers() as made:
         made.request("a", plan(0))
         gather(made, "a", 1)

@@ -15,7 +15,7 @@ from emulator.endurance.process_faults import PROCESS_FAULTS, drawn, table
 from emulator.errors import SceneError
 from emulator.judging.trial import Trial
 from emulator.measuring.measuring import Measure, Measures
-from emulator.process import patience
+from emulator.process import time_limits
 from emulator.process.incidents import KINDS
 from emulator.recording.folder import RecordingFile
 from emulator.runtime import assembly
@@ -56,7 +56,7 @@ def test_a_worker_that_is_killed_or_stopped_changes_no_byte_of_virtual_time(
     expected, kinds, _ = digest(case)
     assert kinds == []
     build = assembly.build_measures
-    monkeypatch.setattr(patience, "SWEEP_NS", patience.SECOND_NS // 2)
+    monkeypatch.setattr(time_limits, "SWEEP_NS", time_limits.SECOND_NS // 2)
 
     def breaking(wanted: Scenario) -> Mapping[str, Measure]:
         measure = build(wanted)["front"]
@@ -80,7 +80,7 @@ def test_a_worker_that_is_killed_or_stopped_changes_no_byte_of_virtual_time(
 
 
 def test_virtual_time_does_not_stand_for_ever_for_a_worker(case: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(patience, "FIRST_PAUSE_NS", 1)
+    monkeypatch.setattr(time_limits, "FIRST_PAUSE_NS", 1)
     trial = Trial(case, 1)
     try:
         trial.run.advance(200_000_000)
@@ -99,7 +99,7 @@ def test_virtual_time_does_not_stand_for_ever_for_a_worker(case: Scenario, monke
 def test_a_run_on_a_virtual_clock_ends_when_no_worker_can_be_started(
     case: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(patience, "FIRST_PAUSE_NS", 1)
+    monkeypatch.setattr(time_limits, "FIRST_PAUSE_NS", 1)
     looped = scenario.loads(CASE.replace("physics:", 'links: ["loop:front"], physics:'), Path("case.yaml"))
     daemon, instruments = assembly.start_virtual(looped, None, 1)
     told: list[str] = []
@@ -170,8 +170,9 @@ def test_the_page_states_the_times() -> None:
     from emulator.runtime import liveness
 
     for seconds in (
-        patience.SWEEP_NS, patience.IDLE_NS, patience.IDLE_BUILD_NS, patience.FIRST_SWEEP_NS, patience.LONGEST_PAUSE_NS,
-        patience.STALLED_NS, liveness.SILENT_NS,
+        time_limits.SWEEP_NS, time_limits.IDLE_NS, time_limits.IDLE_BUILD_NS,
+        time_limits.FIRST_SWEEP_NS, time_limits.LONGEST_PAUSE_NS,
+        time_limits.STALLED_NS, liveness.SILENT_NS,
     ):  # fmt: skip
         assert f"{seconds / 1e9:g} s" in page
     assert f"{liveness.SILENT_SCANS} scan times" in page

@@ -11,8 +11,8 @@ import pytest
 from emulator.errors import EmulatorError, SceneError
 from emulator.measuring.conditions import NORMAL
 from emulator.measuring.supervision import Workers
-from emulator.process import patience
-from emulator.process.patience import Pace, RunningTime, Stillness, pause_ns
+from emulator.process import time_limits
+from emulator.process.time_limits import Pace, RunningTime, Stillness, pause_ns
 from protocols.scan import ScanPlan
 from tests.measuring.process_rig import LD, LISTS, MS, SECOND, Played, Rig
 
@@ -83,7 +83,7 @@ def test_a_worker_that_stands_still_is_replaced_after_the_stated_time(rig: Make)
     run.process.stopped = True
     assert run.advance(20.0, lambda: "worker replaced" in run.kinds())
     took_s = (run.clock.now_ns() - began_ns) * 1e-9
-    stated_s = (patience.SWEEP_NS + patience.SWEEP_TIMES * run.takes_ns) * 1e-9
+    stated_s = (time_limits.SWEEP_NS + time_limits.SWEEP_TIMES * run.takes_ns) * 1e-9
     assert stated_s < took_s < stated_s + 0.5
     assert run.processes[0].code == -9
     text = next(text for text in run.texts() if "stood still" in text)
@@ -321,7 +321,7 @@ def started(play: Callable[[Played], None], clock_rig: Rig) -> Workers:
 
     class Moving:
         def now_ns(self) -> int:
-            clock_rig.clock.set(clock_rig.clock.now_ns() + patience.TICK_NS)
+            clock_rig.clock.set(clock_rig.clock.now_ns() + time_limits.TICK_NS)
             clock_rig.processes[-1].step(clock_rig.clock.now_ns()) if clock_rig.processes else None
             return clock_rig.clock.now_ns()
 
@@ -339,7 +339,7 @@ def started(play: Callable[[Played], None], clock_rig: Rig) -> Workers:
 def test_a_first_start_that_fails_says_why(
     rig: Make, play: Callable[[Played], None], told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("emulator.process.patience.IDLE_BUILD_NS", 2 * SECOND)
+    monkeypatch.setattr("emulator.process.time_limits.IDLE_BUILD_NS", 2 * SECOND)
     run = rig("front")
     run.processes.clear()
     with pytest.raises(SceneError, match=told):
@@ -369,22 +369,22 @@ def test_running_time_leaves_out_what_was_not_ours() -> None:
     ran = RunningTime()
     assert ran.pass_to(5 * SECOND) == 0
     assert ran.pass_to(5 * SECOND + 50 * MS) == 50 * MS
-    assert ran.pass_to(15 * SECOND) == 50 * MS + patience.MOST_AT_ONCE_NS
-    assert ran.pass_to(1 * SECOND) == 50 * MS + patience.MOST_AT_ONCE_NS, "a clock that begins again"
+    assert ran.pass_to(15 * SECOND) == 50 * MS + time_limits.MOST_AT_ONCE_NS
+    assert ran.pass_to(1 * SECOND) == 50 * MS + time_limits.MOST_AT_ONCE_NS, "a clock that begins again"
 
 
 def test_a_deadline_follows_what_sweeps_take() -> None:
     pace = Pace()
-    assert pace.deadline_ns == patience.FIRST_SWEEP_NS
+    assert pace.deadline_ns == time_limits.FIRST_SWEEP_NS
     pace.add(100 * SECOND)  # it compiled
-    assert pace.deadline_ns == patience.SWEEP_NS
+    assert pace.deadline_ns == time_limits.SWEEP_NS
     pace.add(2 * SECOND)
     assert pace.deadline_ns == 45 * SECOND
     assert pace.stalled_ns == 20 * SECOND
-    for _ in range(patience.LATEST_KEPT):
+    for _ in range(time_limits.LATEST_KEPT):
         pace.add(MS)
-    assert pace.deadline_ns == patience.SWEEP_NS + 20 * MS
-    assert pace.stalled_ns == patience.STALLED_NS
+    assert pace.deadline_ns == time_limits.SWEEP_NS + 20 * MS
+    assert pace.stalled_ns == time_limits.STALLED_NS
 
 
 def test_pauses_double_up_to_half_a_minute() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import cantools
 import pytest
 
-from emulator.instrument.watching import Payload, Watcher
+from emulator.instrument.observer import Observer, Payload
 from emulator.judging.trial import Trial, Verdict
 from emulator.scenario.scenario import load
 from protocols.scan import DetectedObject, Scan
@@ -20,7 +20,7 @@ from protocols.scan import DetectedObject, Scan
 ROAD_USERS = ("lorry", "car", "courier", "cyclist")
 
 
-class Keeper(Watcher):
+class Keeper(Observer):
     """Keeps the frames and lists of one sensor."""
 
     def __init__(self) -> None:

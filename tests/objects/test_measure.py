@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from emulator.errors import ScenarioError
-from emulator.instrument.watching import Payload, Watcher
+from emulator.instrument.observer import Observer, Payload
 from emulator.judging.trial import Trial
 from emulator.objects.measure import ObjectMeasure
 from emulator.objects.metrics import ListedScan, ObjectScore, told
@@ -51,7 +51,7 @@ sensors:
 LIST = "  - {id: lister, model: can-ars408, from: [scanner], mount: {actor: ego, at_m: [0, 0, 1]}}\n"
 
 
-class Frames(Watcher):
+class Frames(Observer):
     """Keeps the frames of the sensor that lists."""
 
     def __init__(self) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from emulator.instrument.watching import Watcher
+from emulator.instrument.observer import Observer
 from emulator.judging.trial import Trial
 from emulator.recording.reader import read_run
 from emulator.scenario import scenario
@@ -33,7 +33,7 @@ def test_a_host_reads_and_a_recording_tells_what_left_of_a_cut_telegram(
     link = trial.instruments[0].links[0]
     assert isinstance(link, LoopLink)
     cuts: list[int] = []
-    watcher = Watcher()
+    watcher = Observer()
     watcher.cut = lambda sensor, index, end_ns: cuts.append(end_ns)  # type: ignore[method-assign]
     trial.instruments[0].watch(watcher)
     host = link.connect(0, 9600)

@@ -13,7 +13,7 @@ from pathlib import Path
 import can
 import pytest
 
-from emulator.instrument.watching import Payload
+from emulator.instrument.observer import Payload
 from emulator.judging.trial import Trial, Verdict, run_trial
 from emulator.process.incidents import Incidents
 from emulator.recording import writer, writing

@@ -13,7 +13,7 @@ import pytest
 from mcap.reader import make_reader
 
 from emulator.commands.cli import main
-from emulator.instrument.watching import Payload
+from emulator.instrument.observer import Payload
 from emulator.judging.trial import Trial
 from emulator.recording.can_logs import LoggedFrame, candump_line, read_candump, read_with_library, write_with_library
 from emulator.recording.compare import differences
@@ -81,7 +81,7 @@ def test_scans_carry_their_truth_and_events_their_reason(folder: Path) -> None:
 def test_scans_that_hosts_do_not_get_are_recorded_with_their_numbers(tmp_path: Path) -> None:
     trial = Trial(scenario.loads(CASE, Path("case.yaml")), record=tmp_path / "run")
     (dropped,) = dropped_scans(5, DropReason.LINE_BUSY, range(4, 10, 2), "B0", 3, Address(0, 7))
-    trial.instruments[0].onlookers.event(dropped)
+    trial.instruments[0].observers.event(dropped)
     trial.close()
     rows = [row for _, _, row in read_run(tmp_path / "run").events if row["event"] == "Dropped"]
     assert rows == [

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from emulator.errors import LinkError, ScenarioError
-from emulator.instrument.watching import Payload, Watcher
+from emulator.instrument.observer import Observer, Payload
 from emulator.judging.trial import Trial, run_trial
 from emulator.runtime import assembly
 from emulator.runtime.virtual import ByteSteps
@@ -62,7 +62,7 @@ def test_a_step_by_scans_ends_with_the_last_byte_of_the_last_one() -> None:
     trial = Trial(load())
     link = trial.instruments[0].links[0]
     seen: list[Payload] = []
-    watcher = Watcher()
+    watcher = Observer()
     watcher.payload = seen.append  # type: ignore[method-assign]
     trial.instruments[0].watch(watcher)
     for count in (1, 1, 3):
@@ -77,7 +77,7 @@ def test_a_step_by_scans_ends_with_the_last_byte_of_the_last_one() -> None:
 def test_a_step_by_lists_on_a_bus_ends_with_the_last_frame_of_the_list() -> None:
     trial = Trial(scenario.load("fog_objects"))
     seen: list[Payload] = []
-    watcher = Watcher()
+    watcher = Observer()
     watcher.payload = seen.append  # type: ignore[method-assign]
     radar = next(one for one in trial.instruments if isinstance(one.links[0], CanLink))
     radar.watch(watcher)
@@ -107,7 +107,7 @@ class Pulled:
 
 def sent_by(trial: Trial, sensor: int) -> list[Payload]:
     seen: list[Payload] = []
-    watcher = Watcher()
+    watcher = Observer()
     watcher.payload = seen.append  # type: ignore[method-assign]
     trial.instruments[sensor].watch(watcher)
     return seen

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from emulator.errors import ScenarioError
-from emulator.instrument.watching import Watcher
+from emulator.instrument.observer import Observer
 from emulator.judging.trial import Trial
 from emulator.measuring.conditions import NORMAL, Conditions
 from emulator.runtime.control import Later
@@ -54,7 +54,7 @@ def weather(**tables: Any) -> WeatherConfig:
     return WeatherConfig.model_validate_json(json.dumps(tables))
 
 
-class Plans(Watcher):
+class Plans(Observer):
     """Keeps the plans of scans."""
 
     def __init__(self, plans: list[ScanPlan]) -> None:

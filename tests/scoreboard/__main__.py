@@ -32,7 +32,7 @@ def coverage(_: argparse.Namespace) -> dict[str, Any]:
     """Lines and branches of the conversations and the physics that tests reach."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "coverage.json"
-        folders = ["tests/protocols", "tests/physics", "tests/faults", "tests/sensing", "tests/sensing/needs"]
+        folders = ["tests/protocols", "tests/physics", "tests/faults", "tests/sensing", "tests/sensing/error_budget"]
         what = ["--cov=protocols", "--cov=emulator/physics", "--cov-branch", f"--cov-report=json:{out}"]
         run(["-m", "pytest", "-q", *folders, *what])
         files = json.loads(out.read_text(encoding="utf-8"))["files"]

@@ -50,7 +50,7 @@ def test_the_folder_holds_nothing_else_and_is_small() -> None:
 def test_every_mesh_is_closed_and_clean(name: str) -> None:
     mesh = shipped(name)
     assert mesh.closed.all()
-    assert (mesh.dropped, mesh.twins) == (0, 0)
+    assert (mesh.dropped, mesh.coplanar) == (0, 0)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emulator.world.fleet import Fleet
+from emulator.world.batched_poses import BatchedPoses
 from emulator.world.motion import Motion, Pose, Steady, Waypoints, matrix_of, quaternion_of, rotation_matrix
 
 angle = st.floats(-400.0, 400.0)
@@ -133,9 +133,9 @@ def motions() -> list[Motion]:
 @given(begin=st.floats(-10.0, 40.0), span=st.sampled_from([0.0, 1e-6, 0.0133, 0.7]), asked=st.floats(0.0, 1.0))
 @settings(max_examples=80)
 def test_straight_stretches_tell_the_same_places_as_the_motions(begin: float, span: float, asked: float) -> None:
-    fleet = Fleet(motions())
-    fleet.during(begin - 0.001, begin)  # what it remembers must not matter
-    found = fleet.during(begin, begin + span)
+    batched = BatchedPoses(motions())
+    batched.during(begin - 0.001, begin)  # what it remembers must not matter
+    found = batched.during(begin, begin + span)
     t = begin + asked * span
     for number, motion in enumerate(motions()):
         if found.straight[number]:
@@ -144,13 +144,13 @@ def test_straight_stretches_tell_the_same_places_as_the_motions(begin: float, sp
             np.testing.assert_allclose(found.turned[:, :, number], motion.pose(np.array([t])).rotation[0], atol=1e-12)
     assert found.straight[0]
     assert not found.straight[3]
-    fresh = Fleet(motions()).during(begin, begin + span)
+    fresh = BatchedPoses(motions()).during(begin, begin + span)
     np.testing.assert_array_equal(found.since, fresh.since)
     np.testing.assert_array_equal(found.straight, fresh.straight)
 
 
 def test_a_time_over_a_waypoint_is_not_straight() -> None:
-    assert not Fleet(motions()).during(1.99, 2.01).straight[1]
-    assert Fleet([path(loop=True), path()]).during(4.5, 4.6).straight.tolist() == [False, True]
-    assert not Fleet([motions()[4]]).during(2.99, 3.01).straight[0]
-    assert Fleet([motions()[4]]).during(2.9, 2.95).straight[0]
+    assert not BatchedPoses(motions()).during(1.99, 2.01).straight[1]
+    assert BatchedPoses([path(loop=True), path()]).during(4.5, 4.6).straight.tolist() == [False, True]
+    assert not BatchedPoses([motions()[4]]).during(2.99, 3.01).straight[0]
+    assert BatchedPoses([motions()[4]]).during(2.9, 2.95).straight[0]

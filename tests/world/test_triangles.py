@@ -131,8 +131,8 @@ def test_vertices_repeated_for_every_triangle_are_recognised_as_one() -> None:
 def test_coplanar_twins_of_different_parts_are_counted() -> None:
     vertices, faces, part = raw(triangles.box(1, 1, 1))
     twice = np.vstack([faces, faces[:2][:, [1, 2, 0]]])
-    assert checked(vertices, twice, np.concatenate([part, [1, 1]]), ("a", "b"), "x").twins == 2
-    assert checked(vertices, twice, np.concatenate([part, [0, 0]]), ("a", "b"), "x").twins == 0
+    assert checked(vertices, twice, np.concatenate([part, [1, 1]]), ("a", "b"), "x").coplanar == 2
+    assert checked(vertices, twice, np.concatenate([part, [0, 0]]), ("a", "b"), "x").coplanar == 0
 
 
 def test_utm_coordinates_leave_the_shape_as_it_is() -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from emulator.physics.arrays import Floats
 from emulator.physics.beams import axis_directions
-from emulator.physics.draws import Draws
+from emulator.physics.random_streams import RandomStreams
 from emulator.sensing.faulty.held import Held
 from protocols.scan import ScanPlan
 
@@ -26,12 +26,12 @@ def _times_s(one: Held, plan: ScanPlan) -> Floats:
     return np.asarray(one.since_s + plan.fire_offset_s)
 
 
-def _wobble(one: Held, plan: ScanPlan, draws: Draws, aim: Aim) -> Aim:
+def _wobble(one: Held, plan: ScanPlan, draws: RandomStreams, aim: Aim) -> Aim:
     wave = np.sin(2.0 * np.pi * one.keys.hz * _times_s(one, plan))
     return aim[0] + math.radians(one.keys.azimuth_deg) * wave, aim[1] + math.radians(one.keys.elevation_deg) * wave
 
 
-def _stuck(one: Held, plan: ScanPlan, draws: Draws, aim: Aim) -> Aim:
+def _stuck(one: Held, plan: ScanPlan, draws: RandomStreams, aim: Aim) -> Aim:
     at_rad = math.radians(one.keys.at_deg) if one.keys.at_deg is not None else None
     if at_rad is None:
         chosen = int(one.uniform(draws, "stands", 0, 1)[0, 0] * len(plan))
@@ -39,14 +39,14 @@ def _stuck(one: Held, plan: ScanPlan, draws: Draws, aim: Aim) -> Aim:
     return np.full(len(plan), at_rad), aim[1]
 
 
-def _offset(one: Held, plan: ScanPlan, draws: Draws, aim: Aim) -> Aim:
+def _offset(one: Held, plan: ScanPlan, draws: RandomStreams, aim: Aim) -> Aim:
     return aim[0] + math.radians(one.keys.azimuth_deg), aim[1]
 
 
 MOST_SLIPS = 4096
 
 
-def _slip(one: Held, plan: ScanPlan, draws: Draws, aim: Aim) -> Aim:
+def _slip(one: Held, plan: ScanPlan, draws: RandomStreams, aim: Aim) -> Aim:
     pauses = -np.log(one.uniform(draws, "pauses", 0, MOST_SLIPS)[:, 0]) * one.keys.every_s
     slips = np.searchsorted(np.cumsum(pauses), _times_s(one, plan), side="right")
     return aim[0] + math.radians(one.keys.jump_deg) * slips, aim[1]
@@ -61,7 +61,7 @@ def _turned(aim: Aim, yaw: Floats, pitch: Floats, roll: Floats) -> Aim:
     return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
 
 
-def _tilt(one: Held, plan: ScanPlan, draws: Draws, aim: Aim) -> Aim:
+def _tilt(one: Held, plan: ScanPlan, draws: RandomStreams, aim: Aim) -> Aim:
     keys, t = one.keys, _times_s(one, plan)
     swing = np.ones(len(plan))
     if keys.settles_s is not None:
@@ -70,14 +70,14 @@ def _tilt(one: Held, plan: ScanPlan, draws: Draws, aim: Aim) -> Aim:
     return _turned(aim, *angles)
 
 
-def _vibration(one: Held, plan: ScanPlan, draws: Draws, aim: Aim) -> Aim:
+def _vibration(one: Held, plan: ScanPlan, draws: RandomStreams, aim: Aim) -> Aim:
     phase = 2.0 * np.pi * one.uniform(draws, "phases", 0, 3)[:, 0]
     wave = 2.0 * np.pi * one.keys.hz * _times_s(one, plan)
     amplitudes = (one.keys.yaw_deg, one.keys.pitch_deg, one.keys.roll_deg)
     return _turned(aim, *(math.radians(a) * np.sin(wave + p) for a, p in zip(amplitudes, phase, strict=True)))
 
 
-AIMS: Mapping[str, Callable[[Held, ScanPlan, Draws, Aim], Aim]] = {
+AIMS: Mapping[str, Callable[[Held, ScanPlan, RandomStreams, Aim], Aim]] = {
     "mirror_wobble": _wobble,
     "mirror_stuck": _stuck,
     "encoder_offset": _offset,
@@ -88,7 +88,7 @@ AIMS: Mapping[str, Callable[[Held, ScanPlan, Draws, Aim], Aim]] = {
 "Name -> where the beams go instead. Mirror and encoder first, then the mount that carries them."
 
 
-def aimed(plan: ScanPlan, faults: tuple[Held, ...], draws: Draws) -> ScanPlan:
+def aimed(plan: ScanPlan, faults: tuple[Held, ...], draws: RandomStreams) -> ScanPlan:
     """The sweep as the beams really go."""
     aim = plan.azimuth_rad, plan.elevation_rad
     for name, effect in AIMS.items():

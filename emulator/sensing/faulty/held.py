@@ -12,7 +12,7 @@ from typing import Any
 
 from emulator.measuring.conditions import ActiveFault, Setting
 from emulator.physics.arrays import Floats
-from emulator.physics.draws import Draws
+from emulator.physics.random_streams import RandomStreams
 from protocols.scan import ScanPlan
 
 
@@ -36,7 +36,7 @@ class Held:
         """Key of its draws."""
         return f"fault {self.number} {self.name} {what}"
 
-    def uniform(self, draws: Draws, what: str, sweep: int, beams: int, columns: int = 1) -> Floats:
+    def uniform(self, draws: RandomStreams, what: str, sweep: int, beams: int, columns: int = 1) -> Floats:
         """(beams, columns) numbers in (0, 1): by seed, sensor, fault and sweep alone."""
         return draws.uniform(self.term(what), sweep, beams, columns)
 

@@ -15,8 +15,8 @@ import numpy as np
 from emulator.physics import background, noise, radiometry
 from emulator.physics.arrays import Floats
 from emulator.physics.beams import axis_directions
-from emulator.physics.draws import Draws
 from emulator.physics.geometry import angle_between
+from emulator.physics.random_streams import RandomStreams
 from emulator.physics.subechoes import SubEchoes
 from emulator.sensing.faulty.held import Held
 from emulator.sensing.model import SensorModel
@@ -29,7 +29,7 @@ class Light:
 
     plan: ScanPlan
     model: SensorModel
-    draws: Draws
+    draws: RandomStreams
     passed: Floats = field(init=False)
     "(n,) factor on our own light, there and back."
     dimmed: Floats = field(init=False)

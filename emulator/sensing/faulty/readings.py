@@ -12,14 +12,14 @@ from dataclasses import replace
 import numpy as np
 
 from emulator.physics.arrays import Bools
-from emulator.physics.draws import Draws
+from emulator.physics.random_streams import RandomStreams
 from emulator.sensing.faulty.held import Held
 from protocols.scan import Scan, ScanPlan
 
 FROZEN_SWEEP = -(2**40)
 "The sweep whose draws a frozen picture has, minus the fault's number."
 
-Reading = Callable[[Held, Scan, Draws], Scan]
+Reading = Callable[[Held, Scan, RandomStreams], Scan]
 
 
 def _inside(one: Held, scan: Scan) -> Bools:
@@ -27,7 +27,7 @@ def _inside(one: Held, scan: Scan) -> Bools:
     return np.asarray(one.keys.holds(scan.plan.azimuth_rad)[:, None], bool)
 
 
-def _stuck_beams(one: Held, scan: Scan, draws: Draws) -> Scan:
+def _stuck_beams(one: Held, scan: Scan, draws: RandomStreams) -> Scan:
     inside = _inside(one, scan)
     first = np.arange(scan.range_m.shape[1]) == 0
     range_m = np.where(inside, np.where(first, one.keys.range_m, np.nan), scan.range_m)
@@ -38,7 +38,7 @@ def _stuck_beams(one: Held, scan: Scan, draws: Draws) -> Scan:
     return replace(scan, range_m=range_m, intensity=intensity, flags=flags, actor=actor)
 
 
-def _dead_beams(one: Held, scan: Scan, draws: Draws) -> Scan:
+def _dead_beams(one: Held, scan: Scan, draws: RandomStreams) -> Scan:
     n = len(scan.plan)
     dead = _inside(one, scan) & (one.uniform(draws, "beams", 0, n) < one.keys.share)
     return replace(
@@ -50,16 +50,16 @@ def _dead_beams(one: Held, scan: Scan, draws: Draws) -> Scan:
     )
 
 
-def _range_offset(one: Held, scan: Scan, draws: Draws) -> Scan:
+def _range_offset(one: Held, scan: Scan, draws: RandomStreams) -> Scan:
     shifted = np.maximum(scan.range_m + one.keys.offset_m, 0.0)
     return replace(scan, range_m=np.where(_inside(one, scan), shifted, scan.range_m))
 
 
-def _range_scale(one: Held, scan: Scan, draws: Draws) -> Scan:
+def _range_scale(one: Held, scan: Scan, draws: RandomStreams) -> Scan:
     return replace(scan, range_m=np.where(_inside(one, scan), scan.range_m * one.keys.factor, scan.range_m))
 
 
-def _noise_burst(one: Held, scan: Scan, draws: Draws) -> Scan:
+def _noise_burst(one: Held, scan: Scan, draws: RandomStreams) -> Scan:
     n, k = scan.range_m.shape
     sweep = scan.plan.sweep
     hit = _inside(one, scan) & (one.uniform(draws, "beams", sweep, n) < one.keys.share)
@@ -67,7 +67,7 @@ def _noise_burst(one: Held, scan: Scan, draws: Draws) -> Scan:
     return replace(scan, range_m=np.where(hit, np.maximum(scan.range_m + noise, 0.0), scan.range_m))
 
 
-def _stuck_bits(one: Held, scan: Scan, draws: Draws) -> Scan:
+def _stuck_bits(one: Held, scan: Scan, draws: RandomStreams) -> Scan:
     step = one.keys.step_m
     known = np.nan_to_num(scan.range_m, nan=0.0, posinf=0.0)
     word = np.minimum(np.rint(known / step), 2.0**40).astype(np.int64)
@@ -76,18 +76,18 @@ def _stuck_bits(one: Held, scan: Scan, draws: Draws) -> Scan:
     return replace(scan, range_m=np.where(_inside(one, scan) & ~np.isnan(scan.range_m), word * step, scan.range_m))
 
 
-def _quantised(one: Held, scan: Scan, draws: Draws) -> Scan:
+def _quantised(one: Held, scan: Scan, draws: RandomStreams) -> Scan:
     coarse = np.rint(scan.range_m / one.keys.step_m) * one.keys.step_m
     return replace(scan, range_m=np.where(_inside(one, scan), coarse, scan.range_m))
 
 
-def _range_drift(one: Held, scan: Scan, draws: Draws) -> Scan:
+def _range_drift(one: Held, scan: Scan, draws: RandomStreams) -> Scan:
     keys = one.keys
     warm_k = keys.warms_k * -math.expm1(-one.since_s / keys.time_constant_s)
     return replace(scan, range_m=np.maximum(scan.range_m + keys.m_per_k * warm_k, 0.0))
 
 
-def _wrong_intensity(one: Held, scan: Scan, draws: Draws) -> Scan:
+def _wrong_intensity(one: Held, scan: Scan, draws: RandomStreams) -> Scan:
     wrong = np.maximum(scan.intensity * one.keys.factor, 1.0)  # an echo is above the threshold
     return replace(scan, intensity=np.where(_inside(one, scan), wrong, scan.intensity))
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from emulator.measuring.conditions import ActiveFault
 from emulator.physics.arrays import Floats
-from emulator.physics.draws import Draws
+from emulator.physics.random_streams import RandomStreams
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import SubEchoes
 from emulator.sensing.daylight import Daylight, of_power
@@ -43,7 +43,9 @@ Look = Callable[[ScanPlan, "Floats | None"], "tuple[View, Daylight]"]
 class FaultySweeps:
     """Measures one sensor's sweeps under faults."""
 
-    def __init__(self, model: SensorModel, draws: Draws, soft: SoftTargets, healthy: Receiver | PhotonReceiver) -> None:
+    def __init__(
+        self, model: SensorModel, draws: RandomStreams, soft: SoftTargets, healthy: Receiver | PhotonReceiver
+    ) -> None:
         self._model, self._draws, self._soft, self._healthy = model, draws, soft, healthy
         self._worn: OrderedDict[SensorModel, Receiver | PhotonReceiver] = OrderedDict()
 

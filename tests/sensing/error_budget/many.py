@@ -1,10 +1,10 @@
-"""Full against pruned over random scenes: python -m tests.sensing.needs.many [SCENES]. Prints; never fails."""
+"""Full against pruned over random scenes: python -m tests.sensing.error_budget.many [SCENES]. Prints; never fails."""
 
 from __future__ import annotations
 
 import sys
 
-from tests.sensing.needs.scenes import MODELS, Tally, full_against_pruned
+from tests.sensing.error_budget.scenes import MODELS, Tally, full_against_pruned
 
 
 def main() -> None:

@@ -45,7 +45,7 @@ class Payload:
         return self.end_ns if self.pace is None else leave_ns(self.pace[0], self.pace[1] + index + 1, self.pace[2])
 
 
-class Watcher:
+class Observer:
     """Looks on; every method may be left as it is."""
 
     def payload(self, payload: Payload) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from functools import partial
 
 from emulator.faults.events import FaultEvent
-from emulator.instrument.watching import LineTimes, Payload, Watcher
+from emulator.instrument.observer import LineTimes, Observer, Payload
 from emulator.transports.can_link import CanLink
 from emulator.transports.can_wire import Carried
 from emulator.transports.link import Link, Received
@@ -22,23 +22,23 @@ FRAMES_KEPT = 1024
 "Frames of a bus that begin a scan and have not been carried yet, the oldest forgotten."
 
 
-class Onlookers:
+class Observers:
     """Those who look on while one sensor works; all calls are cheap while nobody does."""
 
     def __init__(self, sensor: str, links: Sequence[Link]) -> None:
         self._sensor = sensor
         self._links = links
-        self._watchers: list[Watcher] = []
+        self._watchers: list[Observer] = []
         self._times: dict[int, LineTimes] = {}
         self._speeds: dict[int, int] = {}
         "Of serial links, as last told; for watchers that come later."
         self._on_bus: dict[int, deque[tuple[int, bytes, int]]] = {}
         "CAN link -> identifier, bytes and sweep of frames that begin a scan and have not been carried yet."
 
-    def __contains__(self, watcher: Watcher) -> bool:
+    def __contains__(self, watcher: Observer) -> bool:
         return watcher in self._watchers
 
-    def add(self, watcher: Watcher) -> None:
+    def add(self, watcher: Observer) -> None:
         """Tell it of everything from now on."""
         self._watchers = [*self._watchers, watcher]
         for index, link in enumerate(self._links):
@@ -48,7 +48,7 @@ class Onlookers:
                 self._on_bus.setdefault(index, deque(maxlen=FRAMES_KEPT))
                 link.on_carried = partial(self._carried, index)
 
-    def remove(self, watcher: Watcher) -> None:
+    def remove(self, watcher: Observer) -> None:
         """Tell it no more; also from within what it is told."""
         self._watchers = [one for one in self._watchers if one is not watcher]
         if self._watchers:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from emulator.sensing.measure import Measure
-from tests.sensing.needs.scenes import LD, LMS, PAPER, plan, same, tally
+from tests.sensing.error_budget.scenes import LD, LMS, PAPER, plan, same, tally
 from tests.sensing.rig import build, plate
 
 SPREAD: dict[str, Any] = {"leave_out": {"closed_form": "always"}}

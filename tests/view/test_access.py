@@ -12,7 +12,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from emulator.errors import EmulatorError
-from emulator.view.lock import Lock
+from emulator.view.access import Lock
 
 TOKEN = "correcthorse"
 PORT = 8123

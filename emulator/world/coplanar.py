@@ -1,6 +1,6 @@
 """Triangles of two resting bodies that lie on each other: which of them a beam meets is arbitrary.
 
-Belongs here: finding them in world coordinates. Not: twins inside one mesh (triangles), the warning's words (scene).
+Belongs here: finding them in world coordinates. Not: those inside one mesh (triangles), the warning's words (scene).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from emulator.world.motion import Motion
 from emulator.world.triangles import Floats, Geometry, Ints
 
 MOST_SEARCHED = 2_000_000
-"Triangles of resting bodies beyond which twins are not looked for: so many take some seconds."
+"Triangles of resting bodies beyond which coplanar ones are not looked for: so many take some seconds."
 ALIKE_M = 1e-6
 "Of corners: rounding of float64 at 1e9 m. Smaller triangles: a thousandth of their longest side."
 NEIGHBOURS = 8
@@ -26,7 +26,7 @@ ALONG = np.array([0.5403023058681398, 0.7080734182735712, 0.4546487134128409])
 
 
 class Placed(Protocol):
-    """A body as far as its twins are concerned."""
+    """A body as far as coplanar surfaces are concerned."""
 
     @property
     def still(self) -> bool:
@@ -54,8 +54,8 @@ class Placed(Protocol):
 
 
 @np.errstate(under="ignore")
-def twins(bodies: Sequence[Placed]) -> Counter[tuple[int, int]]:
-    """How many triangles of two resting bodies are one another's twins, by the bodies' indexes, the lesser first.
+def coplanar_triangles(bodies: Sequence[Placed]) -> Counter[tuple[int, int]]:
+    """How many triangles of two resting bodies lie on one another, by the bodies' indexes, the lesser first.
 
     Their materials differ. Faces of two closed shells back to back are none: no beam comes between them.
     """

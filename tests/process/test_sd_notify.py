@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from emulator.process.notify import Notifier
+from emulator.process.sd_notify import Notifier
 
 
 @pytest.fixture

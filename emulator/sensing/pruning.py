@@ -58,7 +58,7 @@ class Looked:
 
 
 @dataclass(frozen=True, eq=False)
-class Spared:
+class Pruned:
     """What came of a sweep."""
 
     rays: Rays
@@ -89,7 +89,7 @@ def thin(model: SensorModel) -> bool:
     return 0.5 * width <= closed.SPREAD_LSB * model.lsb_m
 
 
-class Sparing:
+class Pruning:
     """Finds out where one sensor's bundles are needed."""
 
     def __init__(self, scene: Scene, model: SensorModel, caster: FacedCaster, at_rest: bool) -> None:
@@ -105,7 +105,7 @@ class Sparing:
         self._kept: tuple[bytes, float, Looked] | None = None
         self._group: tuple[Bundles, bytes, Rays] | None = None
         self._axes: tuple[Bundles, Rays] | None = None
-        self._all: tuple[tuple[object, ...], tuple[object, ...], Spared] | None = None
+        self._all: tuple[tuple[object, ...], tuple[object, ...], Pruned] | None = None
         "Where nothing moves: the last sweep, what it depends on, and what that is the identity of."
 
     def pays(self, beams_: int, sub_beams: int) -> bool:
@@ -120,7 +120,7 @@ class Sparing:
 
     def sweep(
         self, plan: ScanPlan, bundles: Bundles, pose: Pose, t_s: Floats, surfaces: Surfaces, air: AirNow
-    ) -> Spared:
+    ) -> Pruned:
         """Everything that comes back from surfaces in a sweep; where nothing moves, that of the last one."""
         if not self._all_still or air.uneven:
             return self._swept(plan, bundles, pose, t_s, surfaces, air)
@@ -134,7 +134,7 @@ class Sparing:
 
     def _swept(
         self, plan: ScanPlan, bundles: Bundles, pose: Pose, t_s: Floats, surfaces: Surfaces, air: AirNow
-    ) -> Spared:
+    ) -> Pruned:
         model, gain = self._model, plan.gain
         reach = reach_of(model, plan.max_range_m)
         looked = self._looked(plan, bundles, pose, t_s, reach, far=surfaces_show(air.sun, model) or not model.spare_far)
@@ -163,7 +163,7 @@ class Sparing:
         if air.particles and bool(short.any()):
             self._exact_nearest(nearest, indexes(short), bundles, pose, t_s, looked)
         shifts = closed.Shifts(np.where(np.isnan(crossings), np.nan, leans), crossings)
-        return Spared(rays, Seen(found, nearest, material, normal), plain, cast, shifts)
+        return Pruned(rays, Seen(found, nearest, material, normal), plain, cast, shifts)
 
     def _bundle_part(
         self, bundles: Bundles, pose: Pose, t_s: Floats, group: Ints, plain: Bools, looked: Looked,

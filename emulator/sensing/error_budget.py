@@ -1,7 +1,7 @@
 """What a scene does not need: every term that may be left out, its bound, how far it is from it, and what that spares.
 
 Belongs here: the table, and asking one sensor's measuring function for its numbers. Not: the bounds themselves, which
-stand where the term is computed, and what rules save here and now (savings). All of them end with `physics.full`.
+stand where the term is computed, and what rules save here and now (cost). All of them end with `physics.full`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What leaving out saves in the standard scene: each rule alone and all together, at rest and driving; far actors.
 
-python -m tests.benchmarks.bench_needs. Prints; never fails. Times are CPU time of one core.
+python -m tests.benchmarks.bench_error_budget. Prints; never fails. Times are CPU time of one core.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import scenarios
 from emulator.casting import raycast
 from emulator.judging.plans import plans_of
 from emulator.scenario import scenario
+from emulator.sensing.cost import Bench, Cost, rules_alone
 from emulator.sensing.measure import Measure
-from emulator.sensing.savings import Bench, Cost, rules_alone
 from emulator.sensors.physics_options import LeaveOut
 from emulator.sensors.spec import load_spec
 from emulator.world import scene
@@ -78,7 +78,7 @@ def far_actors(far: int) -> tuple[Bench, Measure]:
             "actors": [near, *actors], "sensors": [sensor]}  # fmt: skip
     loaded = scenario.loads(json.dumps(text), HOME)
     world = scene.build(loaded)
-    from emulator.sensing.needs import usual_plan
+    from emulator.sensing.error_budget import usual_plan
 
     bench = Bench(loaded, world, raycast.Caster(world), "front", usual_plan(load_spec("sick-lms291-s05")))
     return bench, bench.measure()

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from emulator.instrument.instrument import Instrument
-from emulator.instrument.watching import Payload, Watcher
+from emulator.instrument.observer import Observer, Payload
 from emulator.objects.metrics import ListedScan
 from emulator.process.clock import Clock
 from emulator.runtime.control import BAD_PARAMS, Later, Method, OrderError
@@ -59,7 +59,7 @@ class _Seen:
     events: deque[tuple[int, str]] = field(default_factory=lambda: deque(maxlen=MOST_EVENTS))
 
 
-class _Keeper(Watcher):
+class _Keeper(Observer):
     """Keeps the newest of everything while somebody looks, and leaves by itself."""
 
     def __init__(self, forgotten: Callable[[], bool]) -> None:
@@ -83,7 +83,7 @@ class _Keeper(Watcher):
         self.of.setdefault(sensor, _Seen()).events.append(row)
 
 
-class Showing:
+class Snapshots:
     """The methods that show one run."""
 
     def __init__(

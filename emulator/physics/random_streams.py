@@ -39,7 +39,7 @@ class Normals:
 
 
 @dataclass(frozen=True)
-class Draws:
+class RandomStreams:
     """All random numbers of one sensor in one scenario."""
 
     seed: int

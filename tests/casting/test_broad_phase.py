@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from emulator.casting import moving_cast
 from emulator.casting.raycast import Caster
-from emulator.world import nearby, triangles
+from emulator.world import broad_phase, triangles
+from emulator.world.broad_phase import BroadPhase
 from emulator.world.motion import Motion, Steady, Waypoints
-from emulator.world.nearby import Nearby
 from tests.casting.builders import fan, random_rays, scene_of
 
 FASTEST = 1e5
@@ -41,7 +41,7 @@ def test_whatever_comes_into_reach_is_among_the_chosen(seed: int) -> None:
     rng = np.random.default_rng(seed)
     motions = [random_motion(rng) for _ in range(60)]
     radius = rng.uniform(0.0, 20.0, 60)
-    found = Nearby(motions, radius)
+    found = BroadPhase(motions, radius)
     for _ in range(4):
         low = rng.normal(size=3) * 50.0
         high = low + rng.uniform(0.0, 40.0, 3)
@@ -70,9 +70,9 @@ def test_a_scan_meets_what_it_meets_without_the_choice(seed: int) -> None:
         for t_s in (-0.5, 0.3, 0.999, 2.0):
             times = t_s + np.linspace(0.0, 0.1, 800)
             eye = origin + rng.normal(size=3) * 30.0  # the sensor moves, too
-            patch.setattr(nearby, "FEW", 4)
+            patch.setattr(broad_phase, "FEW", 4)
             got = caster.first_hits(eye, direction, times, max_range_m=90.0)
-            patch.setattr(nearby, "FEW", 10**9)
+            patch.setattr(broad_phase, "FEW", 10**9)
             want = whole.first_hits(eye, direction, times, max_range_m=90.0)
             np.testing.assert_array_equal(got.range_m, want.range_m)
             np.testing.assert_array_equal(got.body, want.body)
@@ -98,8 +98,8 @@ def test_far_bodies_are_looked_at_once_a_second(monkeypatch: pytest.MonkeyPatch)
     far = [(box, Steady((3000.0, 5.0 * k, 0.0), velocity_m_s=(0.0, 5.0, 0.0))) for k in range(2000)]
     caster = Caster(scene_of((triangles.plane(60.0, 60.0), Steady((9.0, 0.0, 0.0), pitch_deg=-90.0)), *far))
     choices, asked = [], []
-    real = Nearby._chosen
-    monkeypatch.setattr(Nearby, "_chosen", lambda self, *rest: choices.append(1) or real(self, *rest))
+    real = BroadPhase._chosen
+    monkeypatch.setattr(BroadPhase, "_chosen", lambda self, *rest: choices.append(1) or real(self, *rest))
     monkeypatch.setattr(moving_cast, "may_meet", lambda *rest: asked.append(1) or (np.zeros(0, int),) * 2)
     for k in range(75):
         caster.first_hits(np.zeros(3), fan(361), 5.0 + k / 75.0 + np.linspace(0.0, 0.006, 361), max_range_m=90.0)
@@ -109,7 +109,7 @@ def test_far_bodies_are_looked_at_once_a_second(monkeypatch: pytest.MonkeyPatch)
 
 def test_equal_choices_are_the_same_array() -> None:
     motions = [Steady((100.0 * k, 0.0, 0.0), velocity_m_s=(1.0, 0.0, 0.0)) for k in range(50)]
-    found = Nearby(motions, np.ones(50))
+    found = BroadPhase(motions, np.ones(50))
     eye = np.zeros(3)
     first = found.within(eye, eye, 250.0, 0.1, 0.2)
     assert found.within(eye + 3.0, eye + 3.0, 250.0, 0.5, 0.6) is first

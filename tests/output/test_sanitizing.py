@@ -17,23 +17,23 @@ import pytest
 from emulator.commands import common
 from emulator.commands.cli import main
 from emulator.errors import EmulatorError, ScenarioError
-from emulator.output import telling
-from emulator.output.telling import Guarded, html, put, visible
+from emulator.output import sanitizing
+from emulator.output.sanitizing import Guarded, html, put, visible
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 EVIL = "a\x1b[2J\x07\r\x7f\x9b31m\u202e\u2066\u200b\ufeff\udcff\n\U000e0041z"
 SHOWN = r"a\x1b[2J\x07\x0d\u007f\u009b31m\u202e\u2066\u200b\ufeff\udcff\x0a\U000e0041z"
 
 PRINTS = {
-    "emulator/commands/common.py": "complain through telling.put; a bar of Rich on raw(stderr)",
-    "emulator/output/lines.py": "say, note through telling.put",
+    "emulator/commands/common.py": "complain through sanitizing.put; a bar of Rich on raw(stderr)",
+    "emulator/output/lines.py": "say, note through sanitizing.put",
     "emulator/commands/study.py": "a bar of Rich on raw(stderr)",
     "emulator/looking/screen.py": "pages of Rich on raw(stdout)",
     "emulator/commands/cli.py": "gives up standard output when its reader has gone",
     "emulator/compiled/switch.py": "imports nothing of the project: a fixed line and a library's, guarded",
     "emulator/process/driver.py": "a driver's standard output goes to standard error",
     "emulator/commands/look.py": "asks whether it is a terminal",
-    "emulator/view/door.py": "swallows what viser prints",
+    "emulator/view/local_server.py": "swallows what viser prints",
 }
 "Files that name the standard output or error, print, or draw with Rich; and why."
 
@@ -154,11 +154,11 @@ def test_an_output_that_is_closed_is_none(monkeypatch: pytest.MonkeyPatch) -> No
 def test_the_guard_tames_whoever_writes_without_asking(monkeypatch: pytest.MonkeyPatch) -> None:
     behind = io.StringIO()
     streams: Any = SimpleNamespace(stdout=behind, stderr=None)
-    monkeypatch.setattr(telling, "sys", streams)
-    telling.guard()
-    telling.guard()
+    monkeypatch.setattr(sanitizing, "sys", streams)
+    sanitizing.guard()
+    sanitizing.guard()
     assert isinstance(streams.stdout, Guarded)
-    assert telling.raw(streams.stdout) is behind
+    assert sanitizing.raw(streams.stdout) is behind
     assert streams.stderr is None
     print("a\tb\n" + EVIL, file=streams.stdout)
     streams.stdout.writelines(["\x1b[1m"])

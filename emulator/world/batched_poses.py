@@ -50,7 +50,7 @@ class Stretch:
     "(b,) position holds through the whole time, whether they turn or not."
 
 
-class Fleet:
+class BatchedPoses:
     """The motions of b bodies."""
 
     def __init__(self, motions: Sequence[Motion]) -> None:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emulator.casting.raycast import Caster
-from emulator.physics.draws import Draws
 from emulator.physics.materials import Material, SurfaceTable, material
+from emulator.physics.random_streams import RandomStreams
 from emulator.scenario.tables import Mount
 from emulator.scenario.weather import WeatherConfig
 from emulator.sensing.air import Air
@@ -90,7 +90,7 @@ def measure_of(scene: Scene, model: str, weather: WeatherConfig | None = None, *
     dry, wet = (Surfaces.of(SurfaceTable.of(found, 1e9 * made.wavelength_m, one)) for one in (False, True))
     return Measure(
         made, scene, Mount(), Caster(scene), (dry, wet), Air(weather, made, scene),
-        Receiver(made, Draws(1, "front")),
+        Receiver(made, RandomStreams(1, "front")),
     )  # fmt: skip
 
 

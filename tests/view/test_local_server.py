@@ -9,8 +9,8 @@ import pytest
 
 pytest.importorskip("viser", reason="extra `view` is not installed")
 
-from emulator.view import door
-from emulator.view.door import LONGEST_END_S, LocalServer, open_server
+from emulator.view import local_server
+from emulator.view.local_server import LONGEST_END_S, LocalServer, open_server
 
 TOKEN = "correcthorse"
 KEY = "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ=="
@@ -91,10 +91,10 @@ def test_garbage_is_hung_up_and_the_page_stays(
 
 
 def test_of_those_who_wait_and_ask_for_nothing_the_first_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(door, "OPEN_S", 1000.0)
+    monkeypatch.setattr(local_server, "OPEN_S", 1000.0)
     server = open_server("127.0.0.1", free_port(), TOKEN, "test")
     port = server.get_port()
-    silent = [socket.create_connection(("127.0.0.1", port), timeout=20.0) for _ in range(door.MOST_WAITING + 3)]
+    silent = [socket.create_connection(("127.0.0.1", port), timeout=20.0) for _ in range(local_server.MOST_WAITING + 3)]
     assert b"200" in asked(port, request(f"/{TOKEN}/", f"Host: 127.0.0.1:{port}"))
     assert _hung_up(silent[0])
     assert _hung_up(silent[1])
@@ -111,7 +111,7 @@ def _hung_up(connection: socket.socket) -> bool:
 
 
 def test_who_asks_for_nothing_is_hung_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(door, "OPEN_S", 0.05)
+    monkeypatch.setattr(local_server, "OPEN_S", 0.05)
     server = open_server("127.0.0.1", free_port(), TOKEN, "test")
     with socket.create_connection(("127.0.0.1", server.get_port()), timeout=5.0) as slow:
         slow.sendall(b"GET / HT")

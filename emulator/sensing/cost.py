@@ -1,7 +1,7 @@
 """What each rule of leaving out saves here and now: rays and milliseconds, measured with the rule on and off.
 
 Belongs here: switching rules of one sensor and timing its sweeps, alternately with the scenario's own setting, so that
-both see the same machine. Not: the rules (needs).
+both see the same machine. Not: the rules (error_budget).
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import Any
 from emulator.casting.raycast import Caster
 from emulator.process.clock import CpuClock
 from emulator.scenario.scenario import Scenario
+from emulator.sensing.error_budget import RULES
 from emulator.sensing.measure import Measure
 from emulator.sensing.measure import build as build_measure
-from emulator.sensing.needs import RULES
 from emulator.sensors.physics_options import LeaveOut
 from emulator.world.scene import Scene
 from protocols.scan import ScanPlan

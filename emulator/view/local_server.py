@@ -22,7 +22,7 @@ import websockets.asyncio.server as websocket_server
 from websockets.http11 import Request
 
 from emulator.errors import LinkError
-from emulator.view.lock import Lock
+from emulator.view.access import Lock
 
 OPEN_S = 5.0
 "Until a connection has asked for something."

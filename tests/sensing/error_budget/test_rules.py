@@ -18,7 +18,7 @@ from emulator.physics.softtarget import fog_shape
 from emulator.physics.subechoes import SubEchoes
 from emulator.scenario import scenario
 from emulator.scenario.weather import WeatherConfig
-from emulator.sensing import closed, daylight, faint, measure, particles, paths, receiver, soft, sparing
+from emulator.sensing import closed, daylight, faint, measure, particles, paths, pruning, receiver, soft
 from emulator.sensing.measure import Measure
 from emulator.sensing.measure import build as build_measure
 from emulator.sensing.model import SensorModel
@@ -27,7 +27,7 @@ from emulator.world import scene, triangles
 from emulator.world.motion import Steady
 from emulator.world.scene import Body, Scene
 from protocols.scan import ScanPlan
-from tests.sensing.needs.scenes import (
+from tests.sensing.error_budget.scenes import (
     LD,
     LMS,
     PAPER,
@@ -97,7 +97,7 @@ CASES: dict[str, tuple[Scene, str, WeatherConfig | None, dict[str, object], Wron
     "plane_moments": (STEEP, LMS, None, {}, wrongly((closed, "SPREAD_LSB", 1e9), (closed, "SHIFT_LSB", 1e9))),
     "resting": (PASSING, LD, None, {}, wrongly((raycast.Caster, "_changed", lambda *_: None))),
     "far_objects": (MIXED, LD, None, {}, wrongly(
-        (measure, "reach_of", lambda *_: 8.0), (sparing, "reach_of", lambda *_: 8.0))),
+        (measure, "reach_of", lambda *_: 8.0), (pruning, "reach_of", lambda *_: 8.0))),
     "background_light": (POLE, LMS, LOW_SUN, {}, wrongly((daylight, "_unseen_share", lambda model: 1e9))),
     "noise_echoes": (MIXED, LD, None, {"threshold_to_noise": 4.0}, wrongly((receiver, "RARE", 1e9))),
     "backscatter": (MIXED, PAPER, FOG, {}, wrongly(

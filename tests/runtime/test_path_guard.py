@@ -14,9 +14,9 @@ import pytest
 from emulator.instrument.instrument import Instrument
 from emulator.process.clock import ManualClock
 from emulator.process.incidents import KINDS, Incidents
-from emulator.runtime import places
+from emulator.runtime import path_guard
 from emulator.runtime.daemon import Daemon
-from emulator.runtime.places import AGAIN_NS, LOOK_NS, Places
+from emulator.runtime.path_guard import AGAIN_NS, LOOK_NS, PathGuard
 from emulator.transports.link import Link
 from emulator.transports.schemes import open_link
 from emulator.transports.stable_path import GONE, RESTORED, TAKEN
@@ -40,7 +40,7 @@ def told(incidents: Incidents) -> list[tuple[str, object, str]]:
     return [(str(row["kind"]), row["at_s"], str(row["text"]).rpartition("/")[2]) for row in incidents.rows()]
 
 
-def readable(found: Places) -> bool:
+def readable(found: PathGuard) -> bool:
     return bool(select.select([found.fileno()], [], [], 0)[0])
 
 
@@ -54,9 +54,9 @@ def test_every_path_is_looked_at_once_a_second_where_nothing_is_told(
     def none_left() -> Any:
         raise OSError(24, "no instance left")
 
-    monkeypatch.setattr(places, "FolderWatch", none_left)
+    monkeypatch.setattr(path_guard, "FolderWatch", none_left)
     incidents = Incidents()
-    found = Places([sensor], incidents)
+    found = PathGuard([sensor], incidents)
     assert found.fileno() == -1
     found.look(0)
     for name in ("front", "can"):
@@ -74,7 +74,7 @@ def test_a_change_is_seen_at_once_and_a_busy_folder_wakes_nobody_until_the_next_
     sensor: Instrument, tmp_path: Path
 ) -> None:
     incidents = Incidents()
-    found = Places([sensor], incidents)
+    found = PathGuard([sensor], incidents)
     found.look(0)
     assert not readable(found)
     (tmp_path / "front").unlink()
@@ -100,7 +100,7 @@ def test_a_folder_that_comes_back_is_watched_again(tmp_path: Path) -> None:
     folder.mkdir()
     link = open_link(f"pty:{folder / 'front'}")
     incidents = Incidents()
-    found = Places([cast(Instrument, SimpleNamespace(sensor="front", links=(link,)))], incidents)
+    found = PathGuard([cast(Instrument, SimpleNamespace(sensor="front", links=(link,)))], incidents)
     found.look(0)
     folder.rename(tmp_path / "away")
     assert readable(found)
@@ -118,7 +118,7 @@ def test_a_folder_that_comes_back_is_watched_again(tmp_path: Path) -> None:
 def test_a_run_without_paths_takes_no_descriptor_and_is_never_woken() -> None:
     link = open_link("loop:none")
     before = os.listdir("/proc/self/fd")
-    found = Places([cast(Instrument, SimpleNamespace(sensor="front", links=(link,)))], Incidents())
+    found = PathGuard([cast(Instrument, SimpleNamespace(sensor="front", links=(link,)))], Incidents())
     assert (found.fileno(), found.next_ns()) == (-1, None)
     assert os.listdir("/proc/self/fd") == before
 
@@ -131,7 +131,7 @@ def test_the_daemon_puts_back_what_is_removed_while_nothing_else_is_due(links: l
 
         def __init__(self) -> None:
             self.links = tuple(links)
-            self.hearing = SimpleNamespace(turn=Turn(), rests=lambda now_ns: False)
+            self.input_budget = SimpleNamespace(turn=Turn(), rests=lambda now_ns: False)
 
         def close(self) -> None:
             pass

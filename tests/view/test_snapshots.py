@@ -11,7 +11,7 @@ import pytest
 
 from emulator.process.clock import ManualClock
 from emulator.runtime.control import MOST_UNREAD, Later, OrderError
-from emulator.runtime.showing import KEEP_S, MOST_PAYLOADS, MOST_POINTS, PIECE, Showing
+from emulator.runtime.snapshots import KEEP_S, MOST_PAYLOADS, MOST_POINTS, PIECE, Snapshots
 from emulator.scenario import scenario
 from emulator.view.live import scan_of, telegram_of
 from protocols.scan import DetectedObject, Scan, ScanPlan
@@ -27,8 +27,8 @@ class Shown:
         self.clock = ManualClock()
         self.scenario = scenario.load("crossing_car")
         daemon: Any = SimpleNamespace()
-        self.showing = Showing(daemon, [self.rig.instrument], self.clock, self.scenario)
-        self.methods = self.showing.methods()
+        self.snapshots = Snapshots(daemon, [self.rig.instrument], self.clock, self.scenario)
+        self.methods = self.snapshots.methods()
 
     def __call__(self, method: str, **params: object) -> Any:
         found = self.methods[method](params)
@@ -36,7 +36,7 @@ class Shown:
 
     @property
     def watched(self) -> bool:
-        return self.showing._keeper in self.rig.instrument.onlookers  # a virtual run has a watcher of its own
+        return self.snapshots._keeper in self.rig.instrument.observers  # a virtual run has a watcher of its own
 
     def run(self, until_ns: int) -> None:
         self.rig.run.advance(until_ns)
@@ -107,7 +107,7 @@ def long_scan(n: int, k: int) -> Scan:
 def test_a_scan_arrives_whole_or_says_how_it_was_thinned_out(n: int, k: int, every: int) -> None:
     shown, made = Shown(), long_scan(n, k)
     shown("scans")
-    shown.showing._keeper.scan("front", made)  # type: ignore[union-attr]
+    shown.snapshots._keeper.scan("front", made)  # type: ignore[union-attr]
     answer = shown("scans")
     assert len(json.dumps({"jsonrpc": "2.0", "id": 1, "result": answer})) < MOST_UNREAD
     found = scan_of(answer["scans"]["front"])
@@ -122,7 +122,7 @@ def test_a_scan_arrives_whole_or_says_how_it_was_thinned_out(n: int, k: int, eve
 def test_the_scenario_comes_in_pieces_that_are_the_whole() -> None:
     shown = Shown()
     whole = scenario.dump(shown.scenario)
-    shown.showing._text = whole + "#" * (2 * PIECE)
+    shown.snapshots._text = whole + "#" * (2 * PIECE)
     parts, at = [], 0
     while at is not None:
         piece = shown("scene", at=at)

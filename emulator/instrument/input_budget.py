@@ -3,7 +3,7 @@
 Belongs here: what waits, and for how long. Not: how many bytes a link takes, and how long who has worked rests
 (transports).
 
-In virtual time hearing takes no time and has no limit: the same run gives the same bytes.
+In virtual time input_budget takes no time and has no limit: the same run gives the same bytes.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ PIECE = 256
 "Bytes of a line or a stream that are heard before it is looked how long that took: the worst we know take 0.7 ms."
 
 
-class Hearing:
+class InputBudget:
     """What comes in on the links of one sensor, a little at a time."""
 
     def __init__(self, links: Sequence[Link]) -> None:

@@ -1,6 +1,6 @@
 """What befalls the device itself, told to its session: faults of one kind that overlap act together.
 
-Belongs here: how they add up. Not: what the device makes of it (`Session.suffer` of its family).
+Belongs here: how they add up. Not: what the device makes of it (`Session.impair` of its family).
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ FACTORS = ("window", "motor speed")
 "What multiplies; of everything else the strongest counts."
 
 
-def suffer(gear: Gear, now_ns: int, what: str, degree: float | None) -> None:
-    """This fault makes the device suffer so much, or (None) no more."""
-    mine = gear.instrument.suffering.setdefault(what, {})
+def impair(gear: Gear, now_ns: int, what: str, degree: float | None) -> None:
+    """This fault makes the device impair so much, or (None) no more."""
+    mine = gear.instrument.impairments.setdefault(what, {})
     if degree is None:
         mine.pop(gear.number, None)
     else:
@@ -24,4 +24,4 @@ def suffer(gear: Gear, now_ns: int, what: str, degree: float | None) -> None:
         told = math.prod(mine.values())
     else:
         told = max(mine.values(), key=abs, default=0.0)
-    gear.session.suffer(now_ns, what, told)
+    gear.session.impair(now_ns, what, told)

@@ -19,7 +19,7 @@ AGAIN_NS = 100_000_000
 "After a change the next look comes so soon; until then a folder in which much happens wakes nobody."
 
 
-class Places:
+class PathGuard:
     """Links that hosts find by a path; nothing is done, and no descriptor taken, where there are none."""
 
     def __init__(self, instruments: Sequence[Instrument], incidents: Incidents) -> None:

@@ -1,7 +1,7 @@
 """Which of many moving bodies can come near a place during a short time, without looking at the others again.
 
 Belongs here: bounds of whole motions over windows of time, and the choice of those in reach. Not: where bodies are at
-an instant (fleet), what a ray meets (raycast).
+an instant (batched_poses), what a ray meets (raycast).
 
 Time is cut into windows of a second and space into cells. Of each window and cell it is found once which bodies can
 be within reach at any time; sweeps of the same second from the same place take that choice. It never leaves out a
@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from emulator.world.fleet import Fleet, Longs
+from emulator.world.batched_poses import BatchedPoses, Longs
 from emulator.world.motion import Floats, Motion, Waypoints
 
 WINDOW_S = 1.0
@@ -29,12 +29,12 @@ FEW = 4
 "So few bodies are not worth a choice."
 
 
-class Nearby:
+class BroadPhase:
     """The motions of b bodies, each with a sphere around its origin that holds it."""
 
     @np.errstate(under="ignore")
     def __init__(self, motions: Sequence[Motion], radius_m: Floats) -> None:
-        self._fleet = Fleet(motions)
+        self._batched = BatchedPoses(motions)
         self._radius = np.asarray(radius_m, dtype=np.float64)
         self._speed = np.array([motion.speed_bound_m_s for motion in motions], np.float64)
         self._home, self._roam = _homes(motions)
@@ -62,7 +62,7 @@ class Nearby:
     def _chosen(self, low: Floats, high: Floats, reach_m: float, begin_s: float, end_s: float) -> Longs:
         spare = MARGIN * (1.0 + max(abs(begin_s), abs(end_s)))
         begin, end = begin_s - spare, end_s + spare
-        now = self._fleet.during(begin, end)
+        now = self._batched.during(begin, end)
         start = now.at + (begin - now.since) * now.velocity
         half = now.velocity * ((end - begin) / 2.0)
         along = np.sqrt(np.einsum("ib,ib->b", half, half))

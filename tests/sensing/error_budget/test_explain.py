@@ -12,7 +12,7 @@ from emulator.commands.cli import main
 from emulator.physics.subechoes import SubEchoes
 from emulator.scenario import scenario
 from emulator.scenario.weather import WeatherConfig
-from emulator.sensing import closed, needs, particles, receiver
+from emulator.sensing import closed, error_budget, particles, receiver
 from emulator.sensing.faint import looked_at
 from emulator.sensing.measure import build as build_measure
 from emulator.sensors.physics_options import PhysicsOptions
@@ -20,7 +20,7 @@ from emulator.sensors.spec import load_spec
 from emulator.world import scene, triangles
 from emulator.world.motion import Steady
 from emulator.world.scene import Scene
-from tests.sensing.needs.scenes import body, measure_of, plan
+from tests.sensing.error_budget.scenes import body, measure_of, plan
 
 HAZE = WeatherConfig.model_validate({"visibility_m": 2000.0})
 
@@ -33,7 +33,7 @@ def wall(x_m: float = 20.0, material: str = "asphalt", yaw_deg: float = 0.0) -> 
 def told(
     world: Scene, model: str = "sick-ld-lrs1000", weather: WeatherConfig | None = None, **options: object
 ) -> dict[str, dict[str, object]]:
-    return {row["term"]: row for row in needs.explained(measure_of(world, model, weather, **options), plan())}
+    return {row["term"]: row for row in error_budget.explained(measure_of(world, model, weather, **options), plan())}
 
 
 def numbers(row: dict[str, object]) -> tuple[float, float]:
@@ -47,7 +47,9 @@ def test_every_rule_is_told_for_every_sensor_with_and_without_full(capsys: pytes
     for more in ((), ("--full",), ("--quick",)):
         assert main(["explain", "flat_wall", "--json", *more]) == 0
         lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-        assert all([row["term"] for row in line["terms"]] == [rule.name for rule in needs.RULES] for line in lines)
+        assert all(
+            [row["term"] for row in line["terms"]] == [rule.name for rule in error_budget.RULES] for line in lines
+        )
         assert all(line["rays_per_beam"] >= 0.0 and line["sweep_ms"] > 0.0 for line in lines)
 
 
@@ -67,7 +69,7 @@ def test_the_plan_is_that_of_the_device_in_the_scenario(capsys: pytest.CaptureFi
 
 
 def test_every_switch_is_a_key_of_physics() -> None:
-    for rule in needs.RULES:
+    for rule in error_budget.RULES:
         if rule.switch != "-":
             node: object = PhysicsOptions()
             for key in rule.switch.split("."):
@@ -119,7 +121,7 @@ def test_as_many_faint_reflections_are_told_as_the_receiver_drops(
     loaded = scenario.loads(text, Path("faint.yaml"))
     world = scene.build(loaded)
     measure = build_measure(loaded, world, raycast.Caster(world), "s")
-    beams = needs.usual_plan(load_spec("sick-ld-lrs1000"))
+    beams = error_budget.usual_plan(load_spec("sick-ld-lrs1000"))
     dropped = []
 
     def seen(found: SubEchoes, *more: object) -> SubEchoes:
@@ -129,7 +131,7 @@ def test_as_many_faint_reflections_are_told_as_the_receiver_drops(
 
     monkeypatch.setattr(receiver, "looked_at", seen)
     measure(beams)
-    row = {row["term"]: row for row in needs.explained(measure, beams)}["faint reflections"]
+    row = {row["term"]: row for row in error_budget.explained(measure, beams)}["faint reflections"]
     gone = sum(pair[0] for pair in dropped)
     assert str(row["saves"]).startswith(f"{gone} of {sum(pair[1] for pair in dropped)} reflections")
     assert row["left_out"] == (gone > 0) == (visibility_m > 1e4)
@@ -151,7 +153,7 @@ def test_rain_that_is_seen_less_than_once_in_a_thousand_sweeps_is_told_as_left_o
 def test_the_mean_number_of_drops_that_is_told_is_that_of_those_drawn() -> None:
     weather = WeatherConfig.model_validate({"rain": {"rate_mm_h": 100.0, "echoes": "drops"}})
     measure = measure_of(wall(), "sick-lms291-s05", weather, floor_reflectance="off")
-    row = {row["term"]: row for row in needs.explained(measure, plan())}["falling particles"]
+    row = {row["term"]: row for row in error_budget.explained(measure, plan())}["falling particles"]
     drawn = [len(measure.view(plan(sweep=k)).echoes) - len(measure.view(plan(sweep=k)).seen.echoes) for k in range(300)]
     mean, _ = numbers(row)
     assert abs(sum(drawn) / 300 - mean) < 4.0 * (mean / 300) ** 0.5
@@ -250,7 +252,7 @@ def test_plain_beams_are_counted_not_rounded_up_to_all() -> None:
     world = Scene(("world",), ("unknown",), (Steady(),), ("asphalt",), (made,))
     measure = measure_of(world, "sick-ld-lrs1000", leave_out={"closed_form": "always"})
     beams = plan(720, 179.75)
-    row = {row["term"]: row for row in needs.explained(measure, beams)}["bundles of plain beams"]
+    row = {row["term"]: row for row in error_budget.explained(measure, beams)}["bundles of plain beams"]
     plain = measure.view(beams).plain
     assert plain is not None
     assert 716 <= plain.sum() < 720
@@ -260,7 +262,7 @@ def test_plain_beams_are_counted_not_rounded_up_to_all() -> None:
 def test_every_line_in_words_has_numbers_or_the_word_exact(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explain", "flat_wall", "--quick"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    for rule in needs.RULES:
+    for rule in error_budget.RULES:
         (line,) = [line for line in lines if line.startswith(f"  {rule.name} ")]
         assert line.endswith("  exact") or (" of " in line and ", margin " in line)
 
