@@ -70,8 +70,8 @@ def explain(
                 mine, whole, single = cost.saved(bench, measure, rows, part_of(progress, number, len(seeing)))
                 each = dict(single)
             for row in rows:
-                cost = each.get(row["term"])
-                row["rays_saved"], row["ms_saved"] = (None, None) if cost is None else (cost.rays, cost.ms)
+                saved = each.get(row["term"])
+                row["rays_saved"], row["ms_saved"] = (None, None) if saved is None else (saved.rays, saved.ms)
             if as_json:
                 say(json.dumps({
                     "sensor": sensor.id, "model": sensor.model, "beams": len(plan),
