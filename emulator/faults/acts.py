@@ -166,6 +166,8 @@ class Gear:
     def held(self, emission: Emission) -> None:
         """A telegram that leaves later, in pieces: sent as far as counters go, once for all its links."""
         faults = self.instrument.faults
+        if faults is not None and emission.sweep is None and faults.taker is not None:
+            return  # the scan that it carried is counted under the fault that took it
         if faults is None or not faults.counted:
             self.instrument.stats.note_telegram(emission)
         if faults is not None:

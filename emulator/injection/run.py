@@ -16,7 +16,7 @@ from emulator.faults.reading import FaultError, read, target_of
 from emulator.injection.late import LateTelegrams
 from emulator.injection.running import Running
 from emulator.injection.scene_events import LastScans
-from emulator.instrument.fault_hooks import Piece
+from emulator.instrument.fault_hooks import Made, Passed
 from emulator.instrument.instrument import SWITCHED_OFF, Instrument
 from emulator.measuring.conditions import ActiveFault
 from emulator.scenario.quantities import check_expression
@@ -31,9 +31,6 @@ MOST_FAULTS = 1000
 "That a run remembers: of more, those that are over are forgotten, the oldest first."
 MEASURED_KEPT_NS = 10_000_000_000
 "Faults of what is measured go with plans so long after their end: no plan begins that long ago."
-
-Made = tuple[Emission, int | None, int]
-"A telegram, its only link or None, and the fault that has made it late or 0."
 
 
 class SensorFaults:
@@ -103,29 +100,31 @@ class SensorFaults:
                 found = time_ns
         return found
 
-    def sending(self, emission: Emission, now_ns: int) -> list[Made]:
+    def passed(self, emission: Emission, now_ns: int) -> Passed:
         """What becomes of a telegram."""
         if emission.sweep is not None:
             self.scan_labels.add(emission.label)
-        return self._through([(emission, None, 0)], self.live, now_ns)
+        return self._passed(emission, None, self.live, now_ns)
 
-    def leaving(self, made: list[Made], now_ns: int) -> list[Piece]:
-        """What of that leaves now; the rest waits."""
-        return [piece for emission, only, by in made for piece in self.late.put(emission, only, by, now_ns)]
+    def _passed(
+        self, emission: Emission, only: int | None, faults: Sequence[Running], now_ns: int, counted: bool = False
+    ) -> Passed:
+        self.taker, self.counted = None, counted
+        made = self._through([(emission, only, 0)], faults, now_ns)
+        leaving = [piece for one, index, by in made for piece in self.late.put(one, index, by, now_ns)]
+        return Passed(None if counted else emission, made, leaving, self.taker, self.counted)
 
-    def released(self, now_ns: int) -> list[tuple[Piece, bool]]:
-        """What was held back and leaves now, and whether it has been counted."""
-        found: list[tuple[Piece, bool]] = [(piece, True) for piece in self.late.release(now_ns)]
+    def released(self, now_ns: int) -> list[Passed]:
+        """What was held back and goes on now."""
+        late = self.late.release(now_ns)
+        found = [Passed(None, [], late, None, True)] if late else []
         for place, one in enumerate(self.live):
             if one.act is not None and one.releases:
                 only = one.indices[0] if one.partial and len(one.indices) == 1 else None
-                out: list[Made] = [
-                    (emission, only if emission.address is None else None, 0) for emission in one.act.release(now_ns)
-                ]
-                if out:
-                    self.counted = one.act.counts_itself
-                    pieces = self.leaving(self._through(out, self.live[place + 1 :], now_ns), now_ns)
-                    found += [(piece, self.counted) for piece in pieces]
+                behind = self.live[place + 1 :]
+                for emission in one.act.release(now_ns):
+                    link = only if emission.address is None else None
+                    found.append(self._passed(emission, link, behind, now_ns, one.act.counts_itself))
         return found
 
     def _through(self, pieces: list[Made], faults: Sequence[Running], now_ns: int) -> list[Made]:

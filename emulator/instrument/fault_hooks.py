@@ -5,6 +5,7 @@ Belongs here: the contract alone. Not: faults, when they begin (injection), when
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 from emulator.transports.link import Received
@@ -17,13 +18,29 @@ Made = tuple[Emission, int | None, int]
 "A telegram, its only link or None, and the fault that has made it late or 0."
 
 
+@dataclass(frozen=True)
+class Passed:
+    """A telegram behind all faults."""
+
+    emission: Emission | None
+    "As the device sent it; None: it, or what it was a piece of, has been counted."
+    made: list[Made]
+    "What has become of it."
+    leaving: list[Piece]
+    "What of that leaves now; the rest waits."
+    taker: str | None
+    "Name of the fault that took its scan."
+    counted: bool
+    "It has been counted as sent: a fault holds it back."
+
+
 class FaultHooks(Protocol):
     """The faults of one sensor. Times are those of the run, in nanoseconds."""
 
     taker: str | None
     "Name of the fault that took the scan of the telegram looked at last."
     counted: bool
-    "The telegram looked at last has been counted as sent: a fault holds it back."
+    "The telegram looked at last has been counted as sent."
     own_speeds: dict[int, list[int | None]]
     "Of lines with a wrong speed: their own, and once more for each fault that holds."
 
@@ -39,14 +56,11 @@ class FaultHooks(Protocol):
     def asked(self, plan: ScanPlan) -> None:
         """A sweep is asked for: the faults that will show in it have hit."""
 
-    def sending(self, emission: Emission, now_ns: int) -> list[Made]:
+    def passed(self, emission: Emission, now_ns: int) -> Passed:
         """What becomes of a telegram."""
 
-    def leaving(self, made: list[Made], now_ns: int) -> list[Piece]:
-        """What of that leaves now; the rest waits."""
-
-    def released(self, now_ns: int) -> list[tuple[Piece, bool]]:
-        """What was held back and leaves now, and whether it has been counted."""
+    def released(self, now_ns: int) -> list[Passed]:
+        """What was held back and goes on now."""
 
     def noted(self, event: Event) -> None:
         """Something that the session told."""

@@ -26,7 +26,7 @@ from protocols.scan import Scan, ScanPlan
 from protocols.session import Address, DropReason, Emission, Event, LinkKind, Restarted, Session
 
 if TYPE_CHECKING:
-    from emulator.instrument.fault_hooks import FaultHooks
+    from emulator.instrument.fault_hooks import FaultHooks, Passed
     from protocols.session import Family
 
 LOOK_AHEAD_NS = 250_000_000
@@ -327,24 +327,32 @@ class Instrument:
 
     def _send_through_faults(self, emission: Emission, now_ns: int, life: int) -> None:
         assert self.faults is not None
-        self.faults.taker, self.faults.counted = None, False
-        pieces = self.faults.sending(emission, now_ns) if life == self._lives else []
-        if life != self._lives:  # a telegram has begun a power cut: neither it nor those behind it leave
+        passed = self.faults.passed(emission, now_ns) if life == self._lives else None
+        if passed is None or life != self._lives:  # one has begun a power cut: neither it nor those behind it leave
             self.faults.cut()
             if emission.sweep is not None:
                 self.ledger.send(emission, SWITCHED_OFF)
             return
-        leaving = [(one.sweep, self._send(one, only)) for one, only in self.faults.leaving(pieces, now_ns)]
-        refusals = [why for sweep, why in leaving if sweep is not None]
-        refused = None if None in refusals or not refusals else refusals[0]
-        sent = [one for one, _, _ in pieces if one.payload or not emission.payload]
+        self._leave(passed)
+
+    def _leave(self, passed: Passed) -> None:
+        """What of a telegram leaves now leaves; its scan is counted, once."""
+        emission = passed.emission
+        refused = [(one, self._send(one, only)) for one, only in passed.leaving]
+        if emission is None:
+            for one, why in refused:
+                if why is not None:
+                    self.stats.note_lost(one, why)
+            return
+        reasons = [why for one, why in refused if one.sweep is not None]
+        sent = [one for one, _, _ in passed.made if one.payload or not emission.payload]
         carrying = [one for one in sent if one.sweep == emission.sweep]  # others were held back, and are on account
-        if self.faults.counted:
+        if passed.counted:
             return
         if carrying:  # a repeated telegram is one scan, or one reply
-            self._note_sent(carrying[0], refused)
-        elif emission.sweep is not None and self.faults.taker is not None:
-            self.ledger.send(emission, f"fault {self.faults.taker}")
+            self._note_sent(carrying[0], None if None in reasons or not reasons else reasons[0])
+        elif emission.sweep is not None and passed.taker is not None:
+            self.ledger.send(emission, f"fault {passed.taker}")
 
     def _release(self, now_ns: int) -> None:
         """Send what faults have held back."""
@@ -353,16 +361,12 @@ class Instrument:
         released = self.faults.released(now_ns)
         if life != self._lives:  # one of them has begun a power cut
             self.faults.cut()
-            for (one, _), counted in released:
-                if one.sweep is not None and not counted:
-                    self.ledger.send(one, SWITCHED_OFF)
+            for one in released:
+                if one.emission is not None and one.emission.sweep is not None and not one.counted:
+                    self.ledger.send(one.emission, SWITCHED_OFF)
             return
-        for (one, only), counted in released:
-            refused = self._send(one, only)
-            if not counted:
-                self._note_sent(one, refused)
-            elif refused is not None:
-                self.stats.note_lost(one, refused)
+        for one in released:
+            self._leave(one)
 
     def _note_sent(self, emission: Emission, refused: str | None) -> None:
         """Count a telegram as sent, or as what its links refused it for."""

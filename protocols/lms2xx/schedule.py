@@ -387,9 +387,9 @@ class Schedule:
         until = min(slot.first_turn, self._ended_by(now_ns, turns))
         passed = 0 if self._sent_turn is None else (until - self._sent_turn) // turns
         if passed > (0 if self._late else self._line_scans(slot.size, turns, until)):
-            later = (slot.first_turn - until) // turns
+            later, late = (slot.first_turn - until) // turns, self._late
             self.passed += self._by_cause(until, turns, slot.size, slot.output.scans, later)
-            self._sent_turn = until
+            self._sent_turn, self._late = until, late  # what passes until the slot has the same cause
 
     def _line_scans(self, size: int, turns: int, from_turn: int) -> int:
         """Scans that end while a telegram that begins with a turn is on the line, itself among them."""

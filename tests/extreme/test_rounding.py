@@ -47,7 +47,8 @@ def lms_words(range_m: Any, unit: str, mode: str = "32m-field-a", flags: int = 0
     assert telegram is not None
     values = read_values(telegram)
     assert values is not None
-    return [int(word) for word in values.values[: len(range_m)]]
+    field_a = 0x8000 if mode == "32m-field-a" else 0  # what is nearer than 50 mm lies in the field of the factory
+    return [int(word) & ~field_a for word in values.values[: len(range_m)]]
 
 
 def ld_words(range_m: Any) -> list[int]:

@@ -63,7 +63,7 @@ def instead(monkeypatch: pytest.MonkeyPatch, act: Callable[[], Any]) -> None:
 
 def test_what_is_read_apart_is_what_is_read_here(tmp_path: Path, reader: Reader, square: Path) -> None:
     (tmp_path / "a.gltf").write_text(json.dumps(gltf()), encoding="utf-8")
-    shipped = Path(scenario.__file__).parent.parent / "scenarios" / "meshes" / "car.glb"
+    shipped = Path(scenario.__file__).parents[2] / "scenarios" / "meshes" / "car.glb"
     for path in (square, tmp_path / "a.gltf", shipped):
         ours, theirs = mesh_files.load(path, "y", 0.5, "x"), reader.read(path, "y", 0.5, "x")
         for name in ("vertices", "faces", "face_part", "normals", "closed", "centre"):

@@ -17,7 +17,7 @@ import pytest
 from emulator.commands import common
 from emulator.commands.cli import main
 from emulator.errors import EmulatorError, ScenarioError
-from emulator.output import sanitizing
+from emulator.output import lines, sanitizing
 from emulator.output.sanitizing import Guarded, html, put, visible
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -99,8 +99,8 @@ def test_letters_that_a_stream_has_not_are_shown(encoding: str) -> None:
 
 
 def test_lines_end_where_we_end_them(capsys: pytest.CaptureFixture[str]) -> None:
-    common.say(f"ready: {EVIL}")
-    common.note(EVIL)
+    lines.say(f"ready: {EVIL}")
+    lines.note(EVIL)
     common.complain(ScenarioError.of([f"{EVIL}:1: x", f"{EVIL}:2: y"]))
     common.complain(EmulatorError("a\nready: forged"))
     seen = capsys.readouterr()
@@ -128,7 +128,7 @@ class Broken(io.StringIO):
 @pytest.mark.parametrize("number", [5, 28, 32])
 def test_a_log_that_nobody_can_read_stops_nothing(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stderr", Broken(number))
-    common.note("x")
+    lines.note("x")
     common.complain(EmulatorError("x"))
 
 
