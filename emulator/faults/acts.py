@@ -42,6 +42,8 @@ class Marks(Protocol):
     "Name of the fault that took its scan."
     counted: bool
     "It has been counted as sent."
+    sweep: int | None
+    "The scan that it carried when the device sent it."
     own_speeds: dict[int, list[int | None]]
     "Of lines with a wrong speed: their own, and once more for each fault that holds."
 
@@ -166,8 +168,8 @@ class Gear:
     def held(self, emission: Emission) -> None:
         """A telegram that leaves later, in pieces: sent as far as counters go, once for all its links."""
         faults = self.instrument.faults
-        if faults is not None and emission.sweep is None and faults.taker is not None:
-            return  # the scan that it carried is counted under the fault that took it
+        if faults is not None and emission.sweep != faults.sweep:
+            return  # taken by another fault, which counts it, or held back before and counted then
         if faults is None or not faults.counted:
             self.instrument.stats.note_telegram(emission)
         if faults is not None:

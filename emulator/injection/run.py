@@ -53,6 +53,8 @@ class SensorFaults:
         "Name of the fault that took the scan of the telegram looked at last."
         self.counted = False
         "The telegram looked at last has been counted as sent: a fault holds it back."
+        self.sweep: int | None = None
+        "The scan that it carried when the device sent it."
         self.own_speeds: dict[int, list[int | None]] = {}
         "Of lines with a wrong speed: their own, and once more for each fault that holds."
         self.scan_labels: set[str] = set()
@@ -109,7 +111,7 @@ class SensorFaults:
     def _passed(
         self, emission: Emission, only: int | None, faults: Sequence[Running], now_ns: int, counted: bool = False
     ) -> Passed:
-        self.taker, self.counted = None, counted
+        self.taker, self.counted, self.sweep = None, counted, emission.sweep
         made = self._through([(emission, only, 0)], faults, now_ns)
         leaving = [piece for one, index, by in made for piece in self.late.put(one, index, by, now_ns)]
         return Passed(None if counted else emission, made, leaving, self.taker, self.counted)

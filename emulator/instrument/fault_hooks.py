@@ -41,6 +41,8 @@ class FaultHooks(Protocol):
     "Name of the fault that took the scan of the telegram looked at last."
     counted: bool
     "The telegram looked at last has been counted as sent."
+    sweep: int | None
+    "The scan that it carried when the device sent it."
     own_speeds: dict[int, list[int | None]]
     "Of lines with a wrong speed: their own, and once more for each fault that holds."
 

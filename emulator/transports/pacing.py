@@ -125,6 +125,8 @@ class PacedLine:
         only changes the speed.
         """
         self._check(speed_after)
+        if not payload and speed_after is None:
+            return True
         if self._queued and payload and self._queued + len(payload) > self._limit:
             return False
         self._queue.append(_Waiting(payload, due_ns, speed_after))

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from emulator.instrument.ledger import check_accounts
@@ -420,8 +420,14 @@ class Guests:
             self.hosts.pop(0).close(self.yard.now_ns)
 
 
+SPOILT_AND_HELD = [(0.4, ("fault", FAULTS[9])), (1.0, ("fault", FAULTS[4])), (1.0, ("host", True))]
+HELD_TWICE = [(0.3, ("fault", FAULTS[4])), (0.5, ("fault", FAULTS[3])), (1.5, ("say", 87))]
+
+
 @pytest.mark.parametrize("kind", ["line", "tcp", "can"])
 @settings(max_examples=12)
+@example(events=SPOILT_AND_HELD)
+@example(events=HELD_TWICE)
 @given(events=st.lists(st.tuples(st.floats(0.001, 2.0), ACTIONS), min_size=4, max_size=14))
 def test_the_account_adds_up_whatever_happens(kind: str, events: list[tuple[float, tuple[str, Any]]]) -> None:
     yard = streaming(kind)
