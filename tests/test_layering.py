@@ -61,29 +61,31 @@ def tops(path: Path) -> set[str]:
     return {name.partition(".")[0] for name in names}
 
 
-@pytest.mark.parametrize("name", KNOWN)
-def test_a_module_imports_from_its_own_room_and_from_lower_floors_alone(name: str) -> None:
-    room = layering.room_of(name, KNOWN)
-    if name == "emulator":
-        assert not list(layering.imported(KNOWN[name], KNOWN))
-        return
-    for other, line, _ in layering.imported(KNOWN[name], KNOWN):
-        theirs = layering.room_of(other, KNOWN)
-        fits = other == "emulator" or theirs == room or FLOOR_OF[theirs] < FLOOR_OF[room]
-        where = f"{place_of(KNOWN[name])}:{line}"
-        assert fits, f"{where}: imports {other}; want a room on a floor below that of {room}, see tests/layering.py"
+def test_a_module_imports_from_its_own_room_and_from_lower_floors_alone() -> None:
+    assert not list(layering.imported(KNOWN["emulator"], KNOWN))
+    faults = []
+    for name in KNOWN:
+        room = layering.room_of(name, KNOWN)
+        for other, line, _ in layering.imported(KNOWN[name], KNOWN):
+            theirs = layering.room_of(other, KNOWN)
+            if not (other == "emulator" or theirs == room or FLOOR_OF[theirs] < FLOOR_OF[room]):
+                faults.append(f"{place_of(KNOWN[name])}:{line}: imports {other}; want a room below that of {room}")
+    assert faults == [], "see tests/layering.py"
 
 
-@pytest.mark.parametrize("path", KNOWN.values(), ids=place_of)
-def test_a_module_imports_only_the_libraries_that_its_place_allows(path: Path) -> None:
-    place, found = place_of(path), tops(path)
-    for library, homes in ONLY_IN.items():
-        if not any(place == home or (home.endswith("/") and place.startswith(home)) for home in homes):
-            assert library not in found, f"{place} imports {library}; allowed in {sorted(homes)}"
-    for folder, allowed in STANDARD_OR.items():
-        if place.startswith(folder):
-            strange = found - allowed - sys.stdlib_module_names
-            assert not strange, f"{place} imports {sorted(strange)}"
+def test_a_module_imports_only_the_libraries_that_its_place_allows() -> None:
+    faults = []
+    for path in KNOWN.values():
+        place, found = place_of(path), tops(path)
+        for library, homes in ONLY_IN.items():
+            if library in found and not any(
+                place == home or (home[-1] == "/" and place.startswith(home)) for home in homes
+            ):
+                faults.append(f"{place} imports {library}; allowed in {sorted(homes)}")
+        for folder, allowed in STANDARD_OR.items():
+            if place.startswith(folder) and (strange := found - allowed - sys.stdlib_module_names):
+                faults.append(f"{place} imports {sorted(strange)}; want {sorted(allowed)}")
+    assert faults == []
 
 
 def test_no_file_imports_itself_by_way_of_others() -> None:

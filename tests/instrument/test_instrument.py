@@ -9,6 +9,7 @@ from emulator.errors import EmulatorError
 from emulator.instrument.instrument import LOOK_AHEAD_NS, Instrument
 from emulator.measuring.conditions import NORMAL, Conditions
 from emulator.measuring.measuring import InPlace
+from emulator.runtime import virtual
 from emulator.runtime.virtual import VirtualRun
 from emulator.transports.link import Link, Received
 from protocols.errors import ScanRefused
@@ -232,7 +233,8 @@ def test_drops_are_counted_by_what_was_dropped() -> None:
     assert rig.instrument.stats.restarts == 1
 
 
-def test_a_sensor_that_never_rests_is_stopped_rather_than_hang_the_run() -> None:
+def test_a_sensor_that_never_rests_is_stopped_rather_than_hang_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(virtual, "MAX_STEPS_AT_ONCE", 1000)
     rig = Rig(LinkKind.SERIAL)
     rig.session.take_emissions = lambda now_ns: [Emission(now_ns, b"x")]  # type: ignore[method-assign]
     with pytest.raises(EmulatorError, match="does not come to rest"):

@@ -22,14 +22,18 @@ def signal(x_m: float, range_m: np.ndarray, amplitude: np.ndarray) -> float:  # 
     return float(np.sum(amplitude * PULSE.profile(x_m - range_m)))
 
 
+def signals(x_m: np.ndarray, range_m: np.ndarray, amplitude: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    return np.asarray((amplitude * PULSE.profile(x_m[:, None] - range_m)).sum(axis=1))
+
+
 def first_crossing(level: float, range_m: np.ndarray, amplitude: np.ndarray) -> float:  # type: ignore[type-arg]
     """By a fine grid and bisection."""
     grid = np.linspace(range_m[0] - HALF_M, range_m[-1] + HALF_M, 4001)
-    above = [signal(x, range_m, amplitude) >= level for x in grid]
-    if not any(above):
+    above = signals(grid, range_m, amplitude) >= level
+    if not above.any():
         return float("nan")
-    hi = grid[above.index(True)]
-    lo = grid[above.index(True) - 1]
+    first = int(np.argmax(above))
+    hi, lo = grid[first], grid[first - 1]
     for _ in range(60):
         mid = 0.5 * (lo + hi)
         lo, hi = (mid, hi) if signal(mid, range_m, amplitude) < level else (lo, mid)
@@ -69,7 +73,7 @@ def test_a_sampled_cluster_is_crossed_where_its_pulses_say(
     range_m = 20.0 + HALF_M * np.sort(np.asarray(spread))
     amplitude = np.asarray(weight[: len(spread)])
     grid = np.linspace(range_m[0] - HALF_M, range_m[-1] + HALF_M, 4001)
-    amplitude *= 5.0 / (share * max(signal(x, range_m, amplitude) for x in grid))
+    amplitude *= 5.0 / (share * signals(grid, range_m, amplitude).max())
     wanted = first_crossing(5.0, range_m, amplitude)
     beams = 3  # what other beams have changes nothing
     echoes = SubEchoes.of(np.arange(beams).repeat(len(spread)), np.tile(range_m, beams), np.tile(amplitude, beams))

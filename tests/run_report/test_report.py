@@ -129,7 +129,7 @@ def test_the_page_stands_alone_and_is_valid_and_its_figures_and_numbers_lie_besi
 
 def test_object_lists_are_judged_as_by_the_trial(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record = str(tmp_path / "rec")
-    main(["test", "fog_objects", "--duration", "1", "--record", record, "--json"])
+    main(["test", "fog_objects", "--duration", "0.5", "--record", record, "--json"])
     verdict = json.loads(capsys.readouterr().out)
     found = report(capsys, f"{record}/fog_objects", "--out", str(tmp_path / "fog.html"))
     wanted = next(one["objects"] for one in verdict["sensors"] if one["id"] == "radar")
