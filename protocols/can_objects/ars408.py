@@ -18,9 +18,10 @@ from protocols.can_objects.ars408_filters import NOT_VALID, FilterBank
 from protocols.can_objects.ars408_lists import MAX_CLUSTERS, MotionHistory, cluster_list, object_list
 from protocols.can_objects.identities import Identities
 from protocols.can_objects.session import SECOND_NS, CanObjectSession, Frame, HostMessage
-from protocols.can_objects.settings import CommonSettings, DeviceKeys
+from protocols.can_objects.settings import CommonSettings
 from protocols.can_objects.table import ObjectTable
 from protocols.session import DropReason
+from protocols.skeleton.keys import DeviceKeys
 
 OUTPUTS = ("none", "objects", "clusters")
 SORTS = ("unsorted", "range", "rcs")
