@@ -28,7 +28,7 @@ class SimpleFamily:
         """A device that is switched off. Raises `DeviceSettingError`."""
         keys = DeviceKeys(device, facts)
         session = self.build(keys)
-        keys.finish()
+        keys.finish(device)  # a model may extend one of another family, whose facts it inherits
         return session
 
     def commands(self) -> tuple[CommandRow, ...]:

@@ -5,7 +5,7 @@ Belongs here: how a key is read. Not: which keys a family has.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, TypeVar
 
 from protocols.errors import DeviceSettingError
@@ -61,6 +61,21 @@ class DeviceKeys:
         )
         return float(found)
 
+    def text(self, key: str, meaning: str, default: str, longest: int) -> str:
+        """Printable ASCII, at most so long; a number is taken as it is written."""
+        entry = DeviceKey(key, f"text of at most {longest} printable ASCII characters", default, meaning)
+        found: Any = self._take(
+            entry,
+            default,
+            lambda value: (
+                type(value) in (str, int)
+                and str(value).isascii()
+                and str(value).isprintable()
+                and len(str(value)) <= longest
+            ),
+        )
+        return str(found)
+
     def words(self, key: str, meaning: str, allowed: Sequence[str]) -> tuple[str, ...]:
         """A list of words, empty by default."""
         found: Sequence[str] = self._take(
@@ -89,9 +104,11 @@ class DeviceKeys:
         nothing: Mapping[str, Any] | None = None
         return self._take(entry, nothing, lambda value: value is None or isinstance(value, Mapping))
 
-    def finish(self) -> None:
-        """Refuse the first key that nobody has taken."""
+    def finish(self, of: Collection[str] | None = None) -> None:
+        """Refuse the first key that nobody has taken; `of`: of these alone."""
         for key, value in self._values.items():
+            if of is not None and key not in of:
+                continue
             names = ", ".join(sorted(entry.name for entry in self.known))
             raise DeviceSettingError(self._prefix + str(key), value, f"no such key; known: {names}")
 

@@ -72,7 +72,7 @@ class Splitter(ABC, Generic[Item]):
 
 
 class LineSplitter(Splitter[bytes]):
-    """Lines of text, without what ends them."""
+    """Lines of text, with what ends them."""
 
     def __init__(self, longest: int, end: bytes = b"\n") -> None:
         super().__init__(longest)
@@ -81,7 +81,7 @@ class LineSplitter(Splitter[bytes]):
     def _next(self) -> bytes | None:
         held = self._buffer.peek(len(self._buffer)) or b""
         at = held.find(self._end)
-        return None if at < 0 else self._buffer.take(at + len(self._end))[:at]
+        return None if at < 0 else self._buffer.take(at + len(self._end))
 
 
 class FrameSplitter(Splitter[bytes]):

@@ -111,15 +111,16 @@ def test_scans_leave_at_the_end_of_their_sweeps_until_stopped(acme: ModuleType) 
 def test_sweeps_that_passed_while_one_was_measured_are_counted(acme: ModuleType) -> None:
     session = awake(acme)
     session.receive(b"START\n", SECOND)
+    assert session.next_plan() is not None
     said(session, 2 * SECOND)  # nothing was measured for a second
     measured(session, 8.0)
-    (late,) = [one for one in session.take_events() if isinstance(one, Dropped)]
     following = session.next_plan()
+    (late,) = [one for one in session.take_events() if isinstance(one, Dropped)]
     assert following is not None
     assert (late.reason, late.count) == (DropReason.LATE, 9)
     assert following.start_ns == 2 * SECOND
 
 
 def test_a_key_that_the_device_lacks_is_refused(acme: ModuleType) -> None:
-    with pytest.raises(DeviceSettingError, match="colour: 'red'; want serial_number"):
+    with pytest.raises(DeviceSettingError, match="colour: 'red'; want no such key; known: serial_number"):
         acme.FAMILY.new_session({"colour": "red"}, {})
