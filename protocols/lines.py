@@ -30,7 +30,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "ld": {
         "codec": "telegrams usp packages segments cola framing profiles",
         "commands": "services com_services files answers routing",
-        "session": "session channels revolutions device head outbox sectors",
+        "session": "session channels revolutions device head sectors",
         "settings": "settings config models",
         "other": "__init__",
     },
