@@ -120,8 +120,8 @@ def test_a_flood_of_requests_is_bounded_for_each_host() -> None:
 def test_each_host_gets_the_scans_that_begin_after_it_asked_in_parts_at_their_instants() -> None:
     session = awake()
     session.receive(request(b"S"), BOOT_NS, ONE)
-    assert measured(session).start_ns == BOOT_NS
     session.receive(request(b"S"), BOOT_NS + 5 * MS, TWO)
+    assert measured(session).start_ns == BOOT_NS
     session.take_emissions(BOOT_NS + 5 * MS)
     second = measured(session)
     assert second.start_ns == BOOT_NS + 33_333_333
@@ -154,6 +154,19 @@ def test_a_host_that_goes_takes_only_its_own_scans_and_replies_along() -> None:
     assert session.next_plan() is not None
     session.receive(request(b"E"), BOOT_NS + 99 * MS, TWO)
     assert session.next_plan() is None
+
+
+def test_a_sweep_whose_only_host_has_gone_is_told_though_another_waits_for_the_next() -> None:
+    session = awake()
+    session.receive(request(b"S"), BOOT_NS, ONE)
+    session.receive(request(b"S"), BOOT_NS + MS, TWO)
+    session.receive(request(b"E"), BOOT_NS + 2 * MS, ONE)
+    session.take_events()
+    plan = measured(session)
+    told = [(one.reason, one.sweeps) for one in session.take_events() if isinstance(one, Dropped)]
+    assert told == [(DropReason.STALE, range(plan.sweep, plan.sweep + 1))]
+    measured(session)
+    assert {one.address for one in session.take_emissions(BOOT_NS + 99 * MS) if one.label in ("1", "2")} == {TWO}
 
 
 def test_a_changed_setting_refuses_and_withdraws_what_was_measured_under_the_old_one() -> None:
