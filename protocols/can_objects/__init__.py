@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
 
-from protocols.can_objects.settings import DeviceKeys
 from protocols.errors import DeviceSettingError
 from protocols.framing import Framing
 from protocols.session import CommandRow, DeviceKey, LinkKind, Session
+from protocols.skeleton.keys import DeviceKeys
 from protocols.timebase import inside
 
 FORMATS = {

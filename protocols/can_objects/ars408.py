@@ -17,10 +17,12 @@ from protocols.can_objects.ars408_collision import CollisionDetection
 from protocols.can_objects.ars408_filters import NOT_VALID, FilterBank
 from protocols.can_objects.ars408_lists import MAX_CLUSTERS, MotionHistory, cluster_list, object_list
 from protocols.can_objects.identities import Identities
-from protocols.can_objects.session import SECOND_NS, CanObjectSession, Frame, HostMessage
-from protocols.can_objects.settings import CommonSettings, DeviceKeys
+from protocols.can_objects.session import CanObjectSession, Frame, HostMessage
+from protocols.can_objects.settings import CommonSettings
 from protocols.can_objects.table import ObjectTable
 from protocols.session import DropReason
+from protocols.skeleton.instants import SECOND_NS
+from protocols.skeleton.keys import DeviceKeys
 
 OUTPUTS = ("none", "objects", "clusters")
 SORTS = ("unsorted", "range", "rcs")
@@ -159,7 +161,7 @@ class Ars408Session(CanObjectSession):
     def _start(self, now_ns: int) -> None:
         # consumers wait for 0x201 before they take a list, so it comes first
         self._send_state(now_ns)
-        self._add_timer(now_ns + SECOND_NS, SECOND_NS, self._send_state)
+        self._timers.add(now_ns + SECOND_NS, SECOND_NS, self._send_state)
 
     def _cycle_ns(self) -> int:
         return self._settings.cycle_ns

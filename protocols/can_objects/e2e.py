@@ -19,8 +19,8 @@ from importlib import import_module
 from typing import Any
 
 from protocols.can_objects.layout import Layout
-from protocols.can_objects.settings import DeviceKeys
 from protocols.errors import DeviceSettingError
+from protocols.skeleton.keys import DeviceKeys
 
 HEADER_BYTES = {"p01": 2, "p02": 2, "p05": 3, "p06": 5, "p11": 2}
 """CRC-8 and counter; CRC-8 and counter; CRC-16 and counter; CRC-16, length and counter; CRC-8 and counter. Profiles 4

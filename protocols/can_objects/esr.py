@@ -17,8 +17,9 @@ import numpy as np
 
 from protocols.can_objects.identities import Identities
 from protocols.can_objects.session import CanObjectSession, Frame, HostMessage
-from protocols.can_objects.settings import CommonSettings, DeviceKeys
+from protocols.can_objects.settings import CommonSettings
 from protocols.can_objects.table import ObjectTable
+from protocols.skeleton.keys import DeviceKeys
 
 TRACKS = 64
 TRACKS_PER_GROUP = 7

@@ -19,10 +19,11 @@ from protocols.can_objects import ldmrs_parameters as p
 from protocols.can_objects.ldmrs_choice import ObjectChoice
 from protocols.can_objects.ldmrs_lists import object_frames
 from protocols.can_objects.ldmrs_settings import Settings
-from protocols.can_objects.session import SECOND_NS, CanObjectSession, Frame, HostMessage
+from protocols.can_objects.session import CanObjectSession, Frame, HostMessage
 from protocols.can_objects.table import Floats, ObjectTable
 from protocols.device_clock import DeviceClock
 from protocols.session import DropReason
+from protocols.skeleton.instants import SECOND_NS
 
 FORMAT_VERSION = 1
 EGO_FORMAT_VERSION = 2
@@ -75,7 +76,7 @@ class LdmrsSession(CanObjectSession):
         return self.clock.runs_on and getattr(self, "_knows_time", False)
 
     def _start(self, now_ns: int) -> None:
-        self._add_timer(now_ns + SECOND_NS, SECOND_NS, self._report)
+        self._timers.add(now_ns + SECOND_NS, SECOND_NS, self._report)
         self._mode(now_ns, "measuring" if self._measuring else "idle")
 
     def _cycle_ns(self) -> int:

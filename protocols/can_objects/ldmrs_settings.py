@@ -8,7 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from protocols.can_objects import ldmrs_parameters as p
-from protocols.can_objects.settings import CommonSettings, DeviceKeys
+from protocols.can_objects.settings import CommonSettings
+from protocols.skeleton.keys import DeviceKeys
 
 NO_VIEW_ESTIMATE = 0xFF
 

@@ -14,9 +14,10 @@ from typing import ClassVar
 import numpy as np
 
 from protocols.can_objects.session import CanObjectSession, Frame, HostMessage
-from protocols.can_objects.settings import CommonSettings, DeviceKeys
+from protocols.can_objects.settings import CommonSettings
 from protocols.can_objects.table import Floats, ObjectTable
 from protocols.session import DropReason
+from protocols.skeleton.keys import DeviceKeys
 
 STOP, ONCE, STREAM = 1, 2, 3
 FUNCTIONS = {

@@ -21,24 +21,11 @@ from protocols.can_objects.layout import Layout, load
 from protocols.can_objects.settings import CommonSettings
 from protocols.can_objects.table import ObjectTable
 from protocols.device_clock import Told
-from protocols.errors import ScanRefused
 from protocols.scan import Scan, ScanPlan
-from protocols.session import (
-    MAX_EVENTS,
-    Address,
-    CommandHandled,
-    Dropped,
-    DropReason,
-    Emission,
-    Event,
-    LinkKind,
-    ModeChanged,
-    Restarted,
-    Session,
-    dropped_scans,
-)
-
-SECOND_NS = 1_000_000_000
+from protocols.session import Address, DropReason, Emission, LinkKind
+from protocols.skeleton.instants import SECOND_NS, Timers, earliest
+from protocols.skeleton.session import EventSession
+from protocols.skeleton.wanted import Wanted
 
 MOST_REPLIES = 512
 "Frames of replies that wait for the bus; a host that asks faster than the bus carries gets no more. Ours."
@@ -69,15 +56,6 @@ class HostMessage:
 
 
 @dataclass
-class Timer:
-    """Something that happens again and again."""
-
-    due_ns: int
-    period_ns: int
-    action: Callable[[int], None]
-
-
-@dataclass
 class _Bus:
     """Frames that wait, and when the device's own frames leave the bus free."""
 
@@ -94,37 +72,35 @@ class _Bus:
     "What that list tells of the time."
 
 
-class CanObjectSession(Session):
+class CanObjectSession(EventSession):
     """A device that sends object lists; the formats derive from it."""
 
     LAYOUT_FILE: ClassVar[str]
     HOST_MESSAGES: ClassVar[tuple[HostMessage, ...]]
 
     def __init__(self, common: CommonSettings) -> None:
+        super().__init__()
         self._common = common
         self._layout: Layout = load(self.LAYOUT_FILE)
         self._protection = Protection(common.e2e, self._layout) if common.e2e is not None else None
         self._bit_ns = SECOND_NS / common.bitrate
         self.can_bitrate = common.bitrate
-        self._events: deque[Event] = deque(maxlen=MAX_EVENTS)
         self._links: list[int] = []
         self._foreign: Counter[int] = Counter()
         self._seen_foreign: set[int] = set()
         self._dispatch: dict[int, HostMessage] = {}
         self._ready_ns: int | None = None
         "When the boot ends; None while switched off."
-        self._epoch = 0
         self._bus = _Bus()
         self._pending: deque[tuple[int, Scan]] = deque()
-        self._timers: list[Timer] = []
+        self._timers = Timers()
         self._running = False
-        self._plan: ScanPlan | None = None
+        self._wanted: Wanted[ScanPlan] = Wanted()
         self._sweep = 0
         self._next_start_ns = 0
         self._list_duration_ns = 0
         self._list_end_ns = 0
         "When the list that began last will have left a bus that carries nothing else."
-        self._now_ns = 0
         self._told: Told | None = None
         "What the list made last tells of the time; its format sets it."
         self._addresses: dict[tuple[int, int], Address] = {}
@@ -164,7 +140,7 @@ class CanObjectSession(Session):
         self._rebuild_dispatch()
         if self._protection is not None:
             self._protection.reset()
-        self._events.append(Restarted(now_ns))
+        self._events.restarted(now_ns)
 
     def connected(self, now_ns: int, address: Address, kind: LinkKind) -> None:
         if kind is LinkKind.CAN and address.link not in self._links:
@@ -198,36 +174,27 @@ class CanObjectSession(Session):
             return
         if not self._running:
             self._running = True
-            self._add_timer(self._ready_ns + SECOND_NS, SECOND_NS, self._report_foreign)
+            self._timers.add(self._ready_ns + SECOND_NS, SECOND_NS, self._report_foreign)
             self._restart_raster(self._ready_ns)
             self._start(self._ready_ns)
-        while due := [timer for timer in self._timers if timer.due_ns <= now_ns]:
-            timer = min(due, key=lambda timer: timer.due_ns)
-            if now_ns - timer.due_ns > 10 * timer.period_ns:  # nobody called for long: once is enough
-                timer.due_ns += (now_ns - timer.due_ns) // timer.period_ns * timer.period_ns
-            at_ns = timer.due_ns
-            timer.due_ns += timer.period_ns
-            timer.action(at_ns)
+        self._timers.run(now_ns)
 
     def next_deadline(self) -> int | None:
         if self._ready_ns is None:
             return None
         if not self._running:
             return self._ready_ns
-        times = [timer.due_ns for timer in self._timers]
         candidate = self._next_frame()
-        if candidate is not None:
-            times.append(candidate[0])
-        return min(times) if times else None
+        return earliest((self._timers.next_ns(), None if candidate is None else candidate[0]))
 
     def next_plan(self) -> ScanPlan | None:
         if not self._running or not self._lists_wanted():
             return None
-        if self._plan is None:
+        if self._wanted.plan is None:
             self._pass_over()
-            nothing = np.zeros(0)
-            self._plan = ScanPlan(
-                epoch=self._epoch,
+            nothing, epoch = np.zeros(0), self._wanted.epoch
+            plan = ScanPlan(
+                epoch=epoch,
                 sweep=self._sweep,
                 start_ns=self._next_start_ns,
                 azimuth_rad=nothing,
@@ -235,10 +202,11 @@ class CanObjectSession(Session):
                 fire_offset_s=nothing,
                 duration_s=self._common.evaluation_ns * 1e-9,
                 wants_objects=True,
-                stream=self._epoch,
+                stream=epoch,
                 period_ns=max(self._cycle_ns(), self._list_duration_ns),
             )
-        return self._plan
+            self._wanted.ask(plan, plan)
+        return self._wanted.plan
 
     def _pass_over(self) -> None:
         """Lists that should have begun to leave already are not measured: who cannot keep up skips, it does not lag."""
@@ -250,12 +218,10 @@ class CanObjectSession(Session):
         self._next_start_ns += lists * step_ns
         passed = range(self._sweep, self._sweep + lists)
         self._sweep += lists
-        self._events += dropped_scans(self._now_ns, DropReason.LATE, passed, "not measured in time", self._epoch)
+        self._events.unsent(self._now_ns, DropReason.LATE, passed, "not measured in time", self._wanted.epoch)
 
     def submit(self, scan: Scan) -> None:
-        plan = self._plan
-        if plan is None or (scan.plan.epoch, scan.plan.sweep) != (plan.epoch, plan.sweep):
-            raise ScanRefused(f"sweep {scan.plan.sweep} of epoch {scan.plan.epoch} is not wanted any more")
+        plan = self._wanted.expect(scan.plan)
         self._pending.append((plan.start_ns + self._common.evaluation_ns, scan))
         # a list that takes longer than the cycle lengthens the cycle: no list begins before the last one has left.
         # Other frames do not: a list that was measured late would take those of the meantime for one of its own.
@@ -264,13 +230,12 @@ class CanObjectSession(Session):
             self._list_end_ns - self._common.evaluation_ns,
         )
         self._sweep += 1
-        self._plan = None
+        self._wanted.forget()
 
     def missed(self, plan: ScanPlan, now_ns: int) -> bool:
         self.advance(now_ns)
-        if self._plan is None or (plan.epoch, plan.sweep) != (self._plan.epoch, self._plan.sweep):
-            raise ScanRefused(f"sweep {plan.sweep} of epoch {plan.epoch} is not wanted any more")
-        self._plan = None  # the next one passes over what is late by now, and counts it
+        self._wanted.expect(plan)
+        self._wanted.forget()  # the next one passes over what is late by now, and counts it
         return True
 
     def take_emissions(self, now_ns: int) -> list[Emission]:
@@ -290,11 +255,6 @@ class CanObjectSession(Session):
                 self._begin_list(at_ns)
         return out
 
-    def take_events(self) -> list[Event]:
-        events = list(self._events)
-        self._events.clear()
-        return events
-
     def framing(self) -> CanFraming:
         """How its frames are changed on their way."""
         return CanFraming(self._layout, self._protection)
@@ -313,15 +273,9 @@ class CanObjectSession(Session):
             return
         self._bus.replies.extend(waiting)
 
-    def _add_timer(self, first_ns: int, period_ns: int, action: Callable[[int], None]) -> Timer:
-        timer = Timer(first_ns, period_ns, action)
-        self._timers.append(timer)
-        return timer
-
     def _restart_raster(self, now_ns: int) -> None:
         """The next list is measured at `now_ns`; what was measured for the old raster is withdrawn."""
-        self._epoch += 1
-        self._plan = None
+        self._wanted.renew()
         self._next_start_ns = now_ns
         for _, scan in self._pending:
             self._unsent(now_ns, DropReason.STALE, "list raster changed", scan)
@@ -333,17 +287,17 @@ class CanObjectSession(Session):
         return Frame(message.identifier + self._shift(), message.frame(raw, **physical), name)
 
     def _drop(self, now_ns: int, reason: DropReason, detail: str, count: int = 1) -> None:
-        self._events.append(Dropped(now_ns, reason, detail, count))
+        self._events.drop(now_ns, reason, detail, count)
 
     def _unsent(self, now_ns: int, reason: DropReason, detail: str, scan: Scan) -> None:
         sweep = scan.plan.sweep
-        self._events += dropped_scans(now_ns, reason, range(sweep, sweep + 1), detail, scan.plan.stream)
+        self._events.unsent(now_ns, reason, range(sweep, sweep + 1), detail, scan.plan.stream)
 
     def _handled(self, now_ns: int, command: str, outcome: str = "done") -> None:
-        self._events.append(CommandHandled(now_ns, command, outcome))
+        self._events.handled(now_ns, command, outcome)
 
     def _mode(self, now_ns: int, mode: str) -> None:
-        self._events.append(ModeChanged(now_ns, mode))
+        self._events.mode(now_ns, mode)
 
     def _rebuild_dispatch(self) -> None:
         """Host messages by identifier; call after every change of the shift."""
@@ -359,7 +313,7 @@ class CanObjectSession(Session):
         self._pending.clear()
         self._timers.clear()
         self._running = False
-        self._plan = None
+        self._wanted.forget()
         self._sweep = 0
         self._next_start_ns = now_ns
         self._list_duration_ns = 0

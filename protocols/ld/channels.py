@@ -16,12 +16,12 @@ from protocols.ld.cola import ColaSplitter
 from protocols.ld.cola import encode_frame as encode_cola
 from protocols.ld.device import Device
 from protocols.ld.head import MS
-from protocols.ld.outbox import Outgoing
 from protocols.ld.packages import NAK, Package, PackageJoiner, PackageReader, encode_packages, swapped
 from protocols.ld.segments import SegmentJoiner, encode_segments, worst_case_bits
-from protocols.ld.telegrams import Fault
 from protocols.ld.usp import UspReader, encode_frame
 from protocols.session import Address, DropReason, Emission, LinkKind
+from protocols.skeleton.outbox import Outgoing
+from protocols.skeleton.receiving import Fault
 
 INTER_BYTE_NS = 1000 * MS
 "Pause after which a half request is given up. Ours: no source tells the device's own."

@@ -9,8 +9,8 @@ from __future__ import annotations
 import binascii
 from dataclasses import dataclass
 
-from protocols.ld.telegrams import Fault
 from protocols.session import DropReason
+from protocols.skeleton.receiving import Fault
 
 STX, ETX, NAK = 0x02, 0x03, 0x15
 

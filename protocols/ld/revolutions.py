@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from protocols.ld.head import SECOND_NS, Rotation
 from protocols.ld.profiles import Field, Layout, Revolution, Words, distance_words, echo_words, layout
 from protocols.ld.sectors import TICKS
 from protocols.scan import DAZZLED, Floats, Scan, ScanPlan
+from protocols.skeleton.wanted import Wanted
 
 MAX_AHEAD = 4
 "Revolutions that may be measured before the first of them has ended."
@@ -48,12 +50,10 @@ class Measured:
     echoes: Words | None
 
 
-@dataclass(frozen=True)
-class Outstanding:
-    """The plan given out last."""
+class Outstanding(NamedTuple):
+    """What the plan given out last is for."""
 
     revolution: int
-    plan: ScanPlan
     end_ns: int
 
 
@@ -61,13 +61,12 @@ class Revolutions:
     """Plans and scans while the device is in MEASURE."""
 
     def __init__(self) -> None:
-        self.epoch = 0
+        self._wanted: Wanted[Outstanding] = Wanted()
         self.measured: deque[Measured] = deque()
         self.late = range(0)
         "Revolutions that passed without being measured, since last asked."
         self.stream = 0
         "Number of the stream: from when a host wants profiles until none does, or the settings change."
-        self._outstanding: Outstanding | None = None
         self._next = 0
         self._rested = False
         "No host wanted a profile for a while."
@@ -78,16 +77,14 @@ class Revolutions:
         gone = [item.sweep for item in self.measured]
         self.stream += 1
         self.measured.clear()
-        self._outstanding = None
+        self._wanted.renew()
         self._layouts.clear()
         self._next = 0
-        self.epoch += 1
         return gone
 
     def rethink(self, now_ns: int) -> None:
         """Somebody wants more of a revolution than was planned: plan those anew that have not begun."""
-        self._outstanding = None
-        self.epoch += 1
+        self._wanted.renew()
         while self.measured and self.measured[-1].start_ns >= now_ns:
             self._next = self.measured.pop().revolution
 
@@ -102,31 +99,31 @@ class Revolutions:
 
     def lacks_echoes(self) -> bool:
         """Whether something planned or measured comes without amplitudes."""
-        planned = self._outstanding is not None and not self._outstanding.plan.wants_intensity
+        planned = self._wanted.plan is not None and not self._wanted.plan.wants_intensity
         return planned or any(item.echoes is None for item in self.measured)
 
     def plan(self, device: Device, needs: Sequence[Need], now_ns: int) -> ScanPlan | None:
         """The revolution wanted next, the same until its scan comes."""
         geometry, rotation = device.geometry, device.rotation
         if geometry is None or rotation is None or not needs or len(self.measured) >= MAX_AHEAD:
-            self._outstanding = None
+            self._wanted.forget()
             if not needs:
                 self._rested = True
             return None
-        if self._outstanding is None:
-            self._outstanding = self._choose(geometry, rotation, needs, device.model.max_range_m, now_ns)
-        return self._outstanding.plan if self._outstanding else None
+        if self._wanted.plan is None:
+            self._choose(geometry, rotation, needs, device.model.max_range_m, now_ns)
+        return self._wanted.plan
 
     def _choose(
         self, geometry: Geometry, rotation: Rotation, needs: Sequence[Need], max_range_m: float, now_ns: int
-    ) -> Outstanding | None:
+    ) -> None:
         wanted = [
             rotation.first_from(need.first_ns, geometry.first)
             for need in needs
             if need.left is None or need.left > sum(item.start_ns >= need.first_ns for item in self.measured)
         ]
         if not wanted:
-            return None
+            return
         # one that has ended already is passed over: a device that cannot keep up skips, it does not lag
         running = rotation.first_from(now_ns + 1, geometry.first) - 1
         due = max(self._next, min(wanted))
@@ -138,7 +135,7 @@ class Revolutions:
         start_ns = rotation.passes_ns(revolution, geometry.first)
         slowed, offsets_s = rotation.slowed(start_ns), geometry.fire_offset_s
         plan = ScanPlan(
-            epoch=self.epoch,
+            epoch=self._wanted.epoch,
             sweep=rotation.first_sweep + revolution,
             start_ns=start_ns,
             azimuth_rad=geometry.azimuth_rad,
@@ -151,31 +148,25 @@ class Revolutions:
             stream=self.stream,
             period_ns=round(SECOND_NS * slowed / rotation.hz),
         )
-        return Outstanding(revolution, plan, rotation.passes_ns(revolution + 1, geometry.first))
+        self._wanted.ask(plan, Outstanding(revolution, rotation.passes_ns(revolution + 1, geometry.first)))
 
     def submit(self, scan: Scan, geometry: Geometry | None, max_range_m: float) -> None:
         """Take the scan of the plan given out; `ScanRefused` for any other."""
-        asked = self._outstanding
         plan = scan.plan
-        if asked is None or geometry is None or (plan.epoch, plan.sweep) != (asked.plan.epoch, asked.plan.sweep):
-            raise ScanRefused(f"sweep {plan.sweep} of epoch {plan.epoch} is no longer wanted")
-        if len(scan.range_m) != len(asked.plan):
-            raise ScanRefused(f"{len(scan.range_m)} beams; the plan has {len(asked.plan)}")
+        asked = self._wanted.expect(plan, len(scan.range_m))
+        if geometry is None:
+            raise ScanRefused(f"sweep {plan.sweep}: the device measures no more")
         range_m, intensity = _reported(scan, geometry.near_field_m)
         distances = distance_words(range_m, max_range_m)
         echoes = echo_words(intensity, distances) if plan.wants_intensity else None
         self.measured.append(Measured(plan.sweep, asked.revolution, plan.start_ns, asked.end_ns, distances, echoes))
         self._next = asked.revolution + 1
-        self._outstanding = None
+        self._wanted.forget()
 
     def give_up(self, plan: ScanPlan) -> None:
         """The plan given out will not be measured; `ScanRefused` for any other. What has ended by then is late."""
-        asked = self._outstanding
-        if asked is None or (plan.epoch, plan.sweep) != (asked.plan.epoch, asked.plan.sweep):
-            raise ScanRefused(f"sweep {plan.sweep} of epoch {plan.epoch} is no longer wanted")
-        self._next = asked.revolution
-        self._outstanding = None
-        self.epoch += 1
+        self._next = self._wanted.expect(plan).revolution
+        self._wanted.renew()
 
     def layout(self, form: int, geometry: Geometry) -> Layout:
         """The layout of a format under the present geometry."""

@@ -5,8 +5,8 @@ Source: Fawkes `lase_edl_aqt.cpp` (Lase ELD-L-A), the only one.
 
 from __future__ import annotations
 
-from protocols.ld.telegrams import Fault
 from protocols.session import DropReason
+from protocols.skeleton.receiving import Fault
 
 SINGLE = 0x0000
 MULTIPLE = 0xFFFF

@@ -16,7 +16,6 @@ from protocols.ld.answers import Answer
 from protocols.ld.channels import MAX_INBOX, Channel, Line, Profiles, Request, new_channel
 from protocols.ld.device import CLOCK_TICK_NS, Caller, Device, Geometry
 from protocols.ld.models import Model
-from protocols.ld.outbox import Outbox, Outgoing
 from protocols.ld.profiles import SICKTOOLBOX_BYTES, encode_profile
 from protocols.ld.revolutions import Measured, Need, Revolutions, revolution_of, wants_echoes
 from protocols.ld.routing import Attached
@@ -26,26 +25,16 @@ from protocols.ld.telegrams import (
     GET_PROFILE_REPLY,
     REPLY_BIT,
     SERVICE_FAILURE,
-    Fault,
     Motor,
     payload_of,
     words_of,
 )
 from protocols.scan import Scan, ScanPlan
-from protocols.session import (
-    MAX_EVENTS,
-    Address,
-    CommandHandled,
-    Dropped,
-    DropReason,
-    Emission,
-    Event,
-    LinkKind,
-    ModeChanged,
-    Restarted,
-    Session,
-    dropped_scans,
-)
+from protocols.session import Address, DropReason, Emission, LinkKind
+from protocols.skeleton.instants import earliest
+from protocols.skeleton.outbox import Outgoing
+from protocols.skeleton.receiving import Fault
+from protocols.skeleton.session import TimedSession
 
 MAX_CHANNELS = 256
 "Hosts kept apart at once; TCP links bound theirs themselves, senders of datagrams and CAN frames could be endless."
@@ -53,11 +42,14 @@ MAX_CHANNELS = 256
 INTERFACES = {LinkKind.SERIAL: routing.SERIAL, LinkKind.CAN: routing.CAN}
 "Kinds of links that services 0601 to 0605 can attach."
 
+CAN_BURST = 16
+"Frames handed over together, each with its own instant: about two milliseconds of a bus of 1 Mbit/s."
+
 WORKING_SERVICES = 4
 "High byte of the services that change the mode."
 
 
-class LdSession(Session):
+class LdSession(TimedSession):
     """One LD-LRS or LD-OEM."""
 
     clock_tick_ns = CLOCK_TICK_NS
@@ -65,14 +57,12 @@ class LdSession(Session):
     count_bits = 16
 
     def __init__(self, model: Model, settings: Settings) -> None:
+        super().__init__(CAN_BURST)
         self.device = Device(model, settings)
         self.can_bitrate = self.device.can_bitrate
         self._lines: dict[int, Line] = {}
         self._channels: dict[Address, Channel] = {}
         self._revolutions = Revolutions()
-        self._outbox = Outbox()
-        self._events: deque[Event] = deque(maxlen=MAX_EVENTS)
-        self._now_ns = 0
         self._told_mode = ""
         self._will_start_itself = True
         "It has been switched on, and not yet entered its first mode."
@@ -95,7 +85,7 @@ class LdSession(Session):
     def power_on(self, now_ns: int) -> None:
         self._now_ns = max(self._now_ns, now_ns)
         at_once = self.device.settings.starts_running and self.device.restarts == 0
-        self._outbox = Outbox()
+        self._outbox.clear()
         for line in self._lines.values():
             line.free_ns = now_ns
         self._boot(now_ns, now_ns, 0 if at_once else self.device.delays.boot_ns)
@@ -115,7 +105,7 @@ class LdSession(Session):
         self._revolutions.begin()
         self._geometry = None
         self._will_start_itself, self._will_measure = True, False
-        self._events.append(Restarted(now_ns))
+        self._events.restarted(now_ns)
         self._tell_mode(now_ns)
 
     def _start_itself(self, now_ns: int, already: bool = False) -> None:
@@ -153,7 +143,7 @@ class LdSession(Session):
             self._serve_listeners(now_ns)
 
     def disconnected(self, now_ns: int, address: Address) -> None:
-        self._run(now_ns)
+        self.advance(now_ns)
         self._channels.pop(address, None)
         gone = self._outbox.withdraw(lambda sent: sent.to == address)
         self._tell_withdrawn(now_ns, gone, address)
@@ -234,7 +224,7 @@ class LdSession(Session):
     # requests
 
     def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
-        self._run(now_ns)
+        self.advance(now_ns)
         if self._take_routed(data, now_ns, address or Address(0, 0)):
             return
         channel = self._channel(address or Address(0, 0))
@@ -293,7 +283,7 @@ class LdSession(Session):
         if answer.start is not None:
             profiles = Profiles(answer.start.form, answer.start.number or None, now_ns, request.route)
             what += self._start(channel, profiles, now_ns)
-        self._events.append(CommandHandled(now_ns, what, answer.refused.value if answer.refused else "done"))
+        self._events.handled(now_ns, what, answer.refused.value if answer.refused else "done")
         if answer.failure:
             self._reply(channel, request, (SERVICE_FAILURE, 0, 0, *self.device.status), answer, now_ns)
         elif answer.words is not None:
@@ -306,7 +296,7 @@ class LdSession(Session):
         if not done:
             self._drop(now_ns, DropReason.REFUSED, 1, what)
         outcome = "done" if done else DropReason.REFUSED.value
-        self._events.append(CommandHandled(now_ns, what, outcome))
+        self._events.handled(now_ns, what, outcome)
         due_ns = now_ns + self.device.delays.response_ns
         sent = channel.telegram(reply, 0, due_ns, self.device, label="CoLa", is_cola=True)
         channel.busy_until_ns = channel.last_sent_ns
@@ -345,20 +335,20 @@ class LdSession(Session):
         """End a host's profiles, and those on their way to it that have not begun."""
         channel.profiles = None
         address = channel.address
-        gone = self._outbox.withdraw(lambda sent: sent.to == address and sent.is_profile and not sent.begun)
+        gone = self._outbox.withdraw(lambda sent: sent.to == address and sent.is_scan and not sent.begun)
         for sent in gone:
             channel.withdrawn(sent)
         self._tell_withdrawn(now_ns, gone, address)
 
     def _tell_withdrawn(self, now_ns: int, gone: list[Outgoing], address: Address) -> None:
-        for sweep in sorted(one.emissions[0].sweep or 0 for one in gone if one.is_profile and not one.begun):
+        for sweep in sorted(one.emissions[0].sweep or 0 for one in gone if one.is_scan and not one.begun):
             self._unsent(now_ns, DropReason.STALE, sweep, "on its way", address)
 
     def _unsent(
         self, now_ns: int, reason: DropReason, sweep: int, detail: str = "", address: Address | None = None
     ) -> None:
         """A revolution that a host does not get; of all hosts without `address`."""
-        self._events.extend(dropped_scans(now_ns, reason, range(sweep, sweep + 1), detail, None, address))
+        self._events.unsent(now_ns, reason, range(sweep, sweep + 1), detail, None, address)
 
     def _settle(self, now_ns: int) -> None:
         """After anything that may have changed mode or speed: end what can no longer be, answer who waited for it."""
@@ -436,20 +426,6 @@ class LdSession(Session):
 
     # time
 
-    def advance(self, now_ns: int) -> None:
-        self._run(now_ns)
-
-    def next_deadline(self) -> int | None:
-        due = [instant for instant in (self._next_instant(), self._outbox.next_ns()) if instant is not None]
-        return min(due, default=None)
-
-    def _run(self, now_ns: int) -> None:
-        """Let everything that is due by `now_ns` happen, each at its own instant."""
-        while (instant := self._next_instant()) is not None and instant <= now_ns:
-            self._now_ns = max(self._now_ns, instant)
-            self._happen(self._now_ns)
-        self._now_ns = max(self._now_ns, now_ns)
-
     def _next_instant(self) -> int | None:
         """The next instant at which the device does something by itself, sending apart."""
         device = self.device
@@ -461,7 +437,7 @@ class LdSession(Session):
                 instants.append(channel.busy_until_ns)
             instants.append(channel.half_until_ns())
         instants += [held.due_ns() for held in device.attached.values()]
-        return min((instant for instant in instants if instant is not None), default=None)
+        return earliest(instants)
 
     def _happen(self, now_ns: int) -> None:
         if self._will_start_itself:
@@ -500,11 +476,10 @@ class LdSession(Session):
             if channel.profiles is not None:
                 first = max(late.start, rotation.first_from(channel.profiles.first_ns, geometry.first))
                 sweeps = range(rotation.first_sweep + first, rotation.first_sweep + late.stop)
-                told = dropped_scans(
-                    self._now_ns, DropReason.LATE, sweeps, "not measured in time", self._revolutions.stream,
-                    channel.address,
-                )  # fmt: skip
-                self._events.extend(told)
+                stream = self._revolutions.stream
+                self._events.unsent(
+                    self._now_ns, DropReason.LATE, sweeps, "not measured in time", stream, channel.address
+                )
 
     def submit(self, scan: Scan) -> None:
         if all(channel.profiles is None for channel in self._channels.values()):
@@ -512,23 +487,19 @@ class LdSession(Session):
         self._revolutions.submit(scan, self._geometry, self.device.model.max_range_m)
 
     def missed(self, plan: ScanPlan, now_ns: int) -> bool:
-        self._run(now_ns)
+        self.advance(now_ns)
         self._revolutions.give_up(plan)
         return True
 
-    def take_emissions(self, now_ns: int) -> list[Emission]:
-        self._run(now_ns)
-        return self._outbox.take(now_ns)
-
     def fail_motor(self, now_ns: int, motor: Motor) -> None:
         """Make the motor run wrong (the status tells), stop it (the device is in ERROR), or heal it (OK)."""
-        self._run(now_ns)
+        self.advance(now_ns)
         self.device.fail_motor(now_ns, motor)
         self._settle(now_ns)
 
     def impair(self, now_ns: int, what: str, degree: float) -> bool:
         """The motor of the head."""
-        self._run(now_ns)
+        self.advance(now_ns)
         if what == "motor speed":
             self.device.turn_at(now_ns, degree)
             self._revolutions.rethink(now_ns)
@@ -543,17 +514,12 @@ class LdSession(Session):
 
     # events
 
-    def take_events(self) -> list[Event]:
-        events = list(self._events)
-        self._events.clear()
-        return events
-
     def _drop(self, now_ns: int, reason: DropReason, number: int, detail: str = "") -> None:
-        self._events.append(Dropped(now_ns, reason, detail, number))
+        self._events.drop(now_ns, reason, detail, number)
 
     def _tell_mode(self, now_ns: int) -> None:
         device = self.device
         mode = "booting" if device.is_booting(now_ns) else "spinning up" if device.spin_up else device.mode.name.lower()
         if mode != self._told_mode:
             self._told_mode = mode
-            self._events.append(ModeChanged(now_ns, mode))
+            self._events.mode(now_ns, mode)

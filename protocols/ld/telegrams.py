@@ -7,11 +7,9 @@ A message is a service word and its data words; how it is framed on each interfa
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from enum import IntEnum
 
 from protocols.errors import EncodeError
-from protocols.session import DropReason
 
 REPLY_BIT = 0x8000
 "Set in the service word of every reply."
@@ -42,18 +40,6 @@ class Motor(IntEnum):
     "sicktoolbox; the COMTEST program reads 0xA for it and knows no 4."
     TOO_FAST = 9
     STOPPED = 11
-
-
-@dataclass(frozen=True)
-class Fault:
-    """Input that could not be read as a message."""
-
-    reason: DropReason
-    count: int
-    "Bytes given up."
-    detail: str = ""
-    whole: bool = False
-    "It came to its end but cannot be accepted; the serial line answers such a package with NAK."
 
 
 def status_words(mode: Mode, motor: Motor = Motor.OK) -> tuple[int, int]:

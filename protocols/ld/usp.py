@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from protocols.ld.telegrams import Fault
-from protocols.receive_buffer import ReceiveBuffer
 from protocols.session import DropReason
+from protocols.skeleton.receiving import FrameSplitter, Refusal
 
 HEADER = b"\x02USP"
 OVERHEAD = 9
@@ -41,54 +40,22 @@ def encode_frame(payload: bytes) -> bytes:
     return b"".join((HEADER, len(payload).to_bytes(4, "big"), payload, bytes((xor_of(payload),))))
 
 
-class UspReader:
+class UspReader(FrameSplitter):
     """Finds frames in a stream of bytes that may begin, end and break off anywhere. Holds at most one frame."""
 
+    START = HEADER
+    HEAD_BYTES = 8
+
     def __init__(self, longest: int = MAX_REQUEST_BYTES) -> None:
+        super().__init__(longest + OVERHEAD)
         self._longest = longest
-        self._buffer = ReceiveBuffer(longest + OVERHEAD)
 
-    def __bool__(self) -> bool:
-        """Whether something incomplete is held."""
-        return len(self._buffer) > 0
-
-    def feed(self, data: bytes) -> list[bytes | Fault]:
-        """Payloads and faults in the order of the stream."""
-        found: list[bytes | Fault] = []
-        rest = memoryview(data)
-        while True:
-            rest = rest[self._buffer.add(rest) :]
-            while (item := self._next()) is not None:
-                found.append(item)
-            if not rest:
-                return found
-
-    def expire(self) -> list[bytes | Fault]:
-        """Give up the frame that stopped half-way; what a false header swallowed is read again."""
-        gone = len(self._buffer.take(len(HEADER)))
-        return [Fault(DropReason.TIMEOUT, gone), *self.feed(b"")] if gone else []
-
-    def _next(self) -> bytes | Fault | None:
-        buffer = self._buffer
-        skipped = buffer.skip_to(HEADER)
-        if skipped:
-            return Fault(DropReason.NO_START_BYTE, skipped)
-        head = buffer.peek(8)
-        if head is None:
-            return None
+    def _size(self, head: bytes) -> int | Refusal:
         length = int.from_bytes(head[4:], "big")
         if length > self._longest:
-            return self._resume(DropReason.OVERLONG, f"payload of {length} bytes")
-        frame = buffer.peek(length + OVERHEAD)
-        if frame is None:
-            return None
-        payload = frame[8:-1]
-        if xor_of(payload) != frame[-1]:
-            return self._resume(DropReason.BAD_CHECKSUM)
-        buffer.take(len(frame))
-        return payload
+            return DropReason.OVERLONG, f"payload of {length} bytes"
+        return length + OVERHEAD
 
-    def _resume(self, reason: DropReason, detail: str = "") -> Fault:
-        """Look for the next header behind this one, not behind its frame: its length may be what was damaged."""
-        self._buffer.take(len(HEADER))
-        return Fault(reason, len(HEADER), detail)
+    def _open(self, frame: bytes) -> bytes | Refusal:
+        payload = frame[8:-1]
+        return payload if xor_of(payload) == frame[-1] else (DropReason.BAD_CHECKSUM, "")

@@ -5,8 +5,6 @@ Which telegrams come out depends on the bytes and on the pauses between them, ne
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from protocols.lms2xx.telegrams import (
     HEADER_BYTES,
     MAX_REQUEST_PAYLOAD,
@@ -17,15 +15,7 @@ from protocols.lms2xx.telegrams import (
 )
 from protocols.receive_buffer import ReceiveBuffer
 from protocols.session import DropReason
-
-
-@dataclass(frozen=True)
-class Fault:
-    """Bytes that were no telegram for this device."""
-
-    reason: DropReason
-    count: int
-    detail: str = ""
+from protocols.skeleton.receiving import Fault
 
 
 class Receiver:

@@ -11,13 +11,14 @@ from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from protocols.errors import EncodeError, ScanRefused
+from protocols.errors import EncodeError
 from protocols.lms2xx.device import Device
 from protocols.lms2xx.outputs import LEVELS, Format, Mean, Measured, Output, nearest
 from protocols.lms2xx.timing import BITS_A_BYTE, TURN_DENOMINATOR, TURN_NUMERATOR_NS, Mirror, line_ns
 from protocols.lms2xx.variants import PARTIAL_SETS, Comb, comb
 from protocols.scan import Scan, ScanPlan
 from protocols.session import DropReason
+from protocols.skeleton.wanted import Wanted
 
 TURN_NS = TURN_NUMERATOR_NS // TURN_DENOMINATOR
 AHEAD_SCANS = 2
@@ -167,15 +168,13 @@ class Schedule:
         "Scans that ended unsent before the next slot of the stream, since last asked."
         self._telegrams = 0
         "Of this stream so far, pending ones included: tells which partial scan is next."
-        self._epoch = 0
-        self._plan: ScanPlan | None = None
-        self._planned: Slot | None = None
-        "The slot that the plan's scan is for."
+        self._wanted: Wanted[Slot] = Wanted()
+        "The scan that was asked for, and the slot that it is for."
 
     def restart(self, mirror: Mirror) -> None:
         """The mirror begins to turn anew; nothing is wanted."""
         self._keep([])
-        self._epoch += 1
+        self._wanted.epoch += 1
         self._mirror = self._line.mirror = mirror
         self._stream = None
 
@@ -190,7 +189,7 @@ class Schedule:
                 numbers = range(slot.first_turn, slot.next_turn, slot.comb.turns)
                 unsent.append(Unsent(DropReason.STALE, numbers, slot.stream))
         self._keep([slot for slot in self._slots if slot.reserved])
-        self._epoch += 1
+        self._wanted.epoch += 1
         self._stream = None
         return unsent
 
@@ -206,7 +205,7 @@ class Schedule:
             return self._by_cause(ended, made.turns, size, self._stream.scans)
         passed = self._by_cause(min(ended, slot.first_turn), made.turns, slot.size, slot.output.scans)
         begun = max(self._sent_turn, ended)
-        if slot is self._planned or slot.measured:  # all scans before it are on account
+        if slot is self._wanted.what or slot.measured:  # all scans before it are on account
             passed.append(Unsent(DropReason.STALE, range(begun, slot.first_turn, made.turns), slot.stream))
         return passed
 
@@ -295,20 +294,18 @@ class Schedule:
 
     def next_plan(self, now_ns: int) -> ScanPlan | None:
         """The scan wanted next, from `AHEAD_SCANS` before it begins."""
-        if self._plan is None:
+        if self._wanted.plan is None:
             slot = self._open_slot(now_ns)
             if slot is not None and self._given_out_ns(slot) <= now_ns:
-                self._plan, self._planned = self._make_plan(slot), slot
-        return self._plan
+                self._wanted.ask(self._make_plan(slot), slot)
+        return self._wanted.plan
 
     def submit(self, scan: Scan) -> None:
         """Take the scan of `next_plan`. Raises `ScanRefused` for any other."""
-        plan, slot = self._plan, self._planned
-        if plan is None or slot is None or (plan.epoch, plan.sweep) != (scan.plan.epoch, scan.plan.sweep):
-            raise ScanRefused(f"sweep {scan.plan.sweep} of epoch {scan.plan.epoch} is not wanted any more")
-        if len(scan.range_m) != len(plan):
-            raise EncodeError(f"{len(scan.range_m)} beams; the plan has {len(plan)}")
-        self._plan = self._planned = None
+        slot = self._wanted.expect(scan.plan)
+        if len(scan.range_m) != len(scan.plan):
+            raise EncodeError(f"{len(scan.range_m)} beams; the plan has {len(scan.plan)}")
+        self._wanted.forget()
         slot.take(nearest(scan))
 
     def give_up(self, plan: ScanPlan, now_ns: int) -> list[Unsent]:
@@ -317,11 +314,8 @@ class Schedule:
         The stream goes on in a later slot: the scans that this costs, as `passed_over`. What a host has asked for by
         name is measured later, under a new number.
         """
-        slot = self._planned
-        if self._plan is None or slot is None or (plan.epoch, plan.sweep) != (self._plan.epoch, self._plan.sweep):
-            raise ScanRefused(f"sweep {plan.sweep} of epoch {plan.epoch} is not wanted any more")
-        self._plan = self._planned = None
-        self._epoch += 1
+        slot = self._wanted.expect(plan)
+        self._wanted.renew()
         if not slot.once:
             self._slots.remove(slot)
             self._telegrams -= 1
@@ -351,7 +345,7 @@ class Schedule:
         times = []
         if self._slots and self._slots[0].result is not None:
             times.append(self._slots[0].send_ns)
-        if self._plan is None:
+        if self._wanted.plan is None:
             slot = self._open_slot(now_ns)
             if slot is not None:
                 times.append(self._given_out_ns(slot))
@@ -466,16 +460,15 @@ class Schedule:
     def _keep(self, kept: list[Slot]) -> None:
         """Let go of all other slots, and of the plan made for one of them: its scan may still be on its way."""
         self._slots = deque(kept)
-        if self._planned is not None and self._planned not in kept:
-            self._plan = self._planned = None
-            self._epoch += 1
+        if self._wanted.what is not None and self._wanted.what not in kept:
+            self._wanted.renew()
 
     def _make_plan(self, slot: Slot) -> ScanPlan:
         start_ns = self._mirror.turn_ns(slot.next_turn)
         slowed = self._mirror.slowed(start_ns)
         offsets_s = slot.comb.fire_offset_s
         return ScanPlan(
-            epoch=self._epoch,
+            epoch=self._wanted.epoch,
             sweep=slot.next_turn,
             start_ns=start_ns,
             azimuth_rad=slot.comb.azimuth_rad,

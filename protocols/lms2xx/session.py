@@ -19,32 +19,20 @@ from protocols.lms2xx.device import Device, new_device, restarted
 from protocols.lms2xx.field_commands import taught_by
 from protocols.lms2xx.models import Model
 from protocols.lms2xx.outputs import LEVELS, Measured, encode, levels
-from protocols.lms2xx.receiver import Fault, Receiver
+from protocols.lms2xx.receiver import Receiver
 from protocols.lms2xx.schedule import Line, Schedule, Slot, Unsent
 from protocols.lms2xx.settings import Settings
 from protocols.lms2xx.timing import TURN_DENOMINATOR, TURN_NUMERATOR_NS, Mirror
 from protocols.quartz import TRUE, Quartz
 from protocols.scan import Scan, ScanPlan
-from protocols.session import (
-    MAX_EVENTS,
-    Address,
-    CommandHandled,
-    CutShort,
-    Dropped,
-    DropReason,
-    Emission,
-    Event,
-    LinkKind,
-    ModeChanged,
-    Restarted,
-    Session,
-    dropped_scans,
-)
+from protocols.session import Address, CutShort, DropReason, Emission, LinkKind
+from protocols.skeleton.instants import earliest
+from protocols.skeleton.outbox import Outbox
+from protocols.skeleton.receiving import Connections, Fault
+from protocols.skeleton.session import EventSession
 
 MAX_WAITING = 8
 "Requests that may wait for their reply; more are lost, as in a device whose input buffer is full."
-MAX_RECEIVERS = 64
-"Connections whose half telegrams are remembered."
 
 
 class Phase(Enum):
@@ -63,7 +51,7 @@ UP = (Phase.READY, Phase.RESETTING)
 "Phases in which what was promised is still measured and sent."
 
 
-class Lms2xxSession(Session):
+class Lms2xxSession(EventSession):
     """One device. Give it time and bytes; it owns neither."""
 
     clock_tick_ns = INDEX_TICK_NS
@@ -71,6 +59,7 @@ class Lms2xxSession(Session):
     count_bits = 8
 
     def __init__(self, model: Model, settings: Settings) -> None:
+        super().__init__()
         self._settings = settings
         self._device = new_device(model, settings)
         self._line = Line()
@@ -83,15 +72,12 @@ class Lms2xxSession(Session):
         self._phase = Phase.OFF
         self._phase_end_ns = 0
         self._was_on = False
-        self._now_ns = 0
-        self._replies: deque[Emission] = deque()
+        self._replies = Outbox()
         self._reply_ends_ns: deque[int] = deque()
         self._handed_out_ns = 0
         "When the last emission handed out was due: nothing can be put before it."
         self._telegram_index = 0
-        self._receivers: dict[tuple[int, int], Receiver] = {}
-        self._kinds: dict[int, LinkKind] = {}
-        self._events: deque[Event] = deque(maxlen=MAX_EVENTS)
+        self._receivers = Connections(lambda kind: Receiver(KNOWN, settings.gap_ns, settings.strict_gap))
 
     @property
     def device(self) -> Device:
@@ -115,7 +101,7 @@ class Lms2xxSession(Session):
         cold = self._was_on or not self._settings.starts_running
         self._was_on = True
         # An empty payload sets the links to the start-up rate.
-        self._replies.append(Emission(now_ns, b"", line_speed=self._device.baud, label="power-on"))
+        self._replies.send(Emission(now_ns, b"", line_speed=self._device.baud, label="power-on"))
         self._begin_boot(now_ns)
         if not cold:
             self._come_up(now_ns)
@@ -123,10 +109,9 @@ class Lms2xxSession(Session):
     def _begin_boot(self, at_ns: int) -> None:
         self._line.baud = self._device.baud
         self._schedule.restart(self._mirror_from(at_ns))
-        for receiver in self._receivers.values():
-            receiver.clear()
+        self._receivers.clear()
         self._telegram_index = self.first_count
-        self._events.append(Restarted(at_ns))
+        self._events.restarted(at_ns)
         self._phase = Phase.BOOTING
         self._phase_end_ns = at_ns + _ns(self._settings.delays.boot_s)
 
@@ -135,7 +120,7 @@ class Lms2xxSession(Session):
         self._mirror = self._mirror_from(at_ns)
         self.clock = self.clock.powered_on(at_ns)
         self._schedule.restart(self._mirror)
-        self._events.append(ModeChanged(at_ns, f"{self._device.mode:02X}"))
+        self._events.mode(at_ns, f"{self._device.mode:02X}")
 
     def _mirror_from(self, at_ns: int) -> Mirror:
         return Mirror(self._motor.own_ns(at_ns), self._motor)
@@ -171,25 +156,11 @@ class Lms2xxSession(Session):
 
     def connected(self, now_ns: int, address: Address, kind: LinkKind) -> None:
         """Remember how the link carries bytes; a new connection begins with an empty receiver."""
-        self._kinds[address.link] = kind
-        self._receivers.pop(self._line_of(address), None)
+        self._receivers.connected(address, kind)
 
     def disconnected(self, now_ns: int, address: Address) -> None:
         """A stream's host has gone, with what it had begun to say."""
-        self._receivers.pop(self._line_of(address), None)
-
-    def _line_of(self, address: Address | None) -> tuple[int, int]:
-        if address is None:
-            return -1, 0
-        return address.link, address.peer if self._kinds.get(address.link) is LinkKind.STREAM else 0
-
-    def _receiver(self, address: Address | None) -> Receiver:
-        key = self._line_of(address)
-        if key not in self._receivers:
-            if len(self._receivers) >= MAX_RECEIVERS:
-                self._receivers.pop(next(iter(self._receivers)))
-            self._receivers[key] = Receiver(KNOWN, self._settings.gap_ns, self._settings.strict_gap)
-        return self._receivers[key]
+        self._receivers.disconnected(address)
 
     # --- input ---
 
@@ -201,14 +172,14 @@ class Lms2xxSession(Session):
         if self._phase is not Phase.READY:
             self._drop(DropReason.BOOTING, self._phase.value, len(data))
             return
-        for found in self._receiver(address).feed(data, now_ns, self._settings.address):
+        for found in self._receivers.of(address).feed(data, now_ns, self._settings.address):
             self._take(found)
 
     def advance(self, now_ns: int) -> None:
         """Let boot, time-outs and slots up to `now_ns` take effect."""
         self._now_ns = max(self._now_ns, now_ns)
         self._run_phases(self._now_ns)
-        for receiver in list(self._receivers.values()):
+        for receiver in self._receivers.values():
             for found in receiver.expire(self._now_ns, self._settings.address):
                 self._take(found)
         self._send_due_values()
@@ -270,11 +241,11 @@ class Lms2xxSession(Session):
 
     def _note(self, request: wire.Telegram, reply: Answer) -> None:
         outcome = "done" if reply.refusal is None else reply.refusal.value
-        self._events.append(CommandHandled(self._now_ns, describe(request.command, request.data), outcome))
+        self._events.handled(self._now_ns, describe(request.command, request.data), outcome)
         if reply.refusal is not None:
             self._drop(reply.refusal, reply.detail)
         elif request.command in (0x20, 0x3B) and reply.new_baud is None:
-            self._events.append(ModeChanged(self._now_ns, f"{self._device.mode:02X}"))
+            self._events.mode(self._now_ns, f"{self._device.mode:02X}")
 
     # --- output ---
 
@@ -288,19 +259,19 @@ class Lms2xxSession(Session):
             return  # something waits behind it
         left, self._line.free_ns = self._line.begun(sent.due_ns, size, self._now_ns)
         if left < size:
-            place = next((i + 1 for i, other in enumerate(self._replies) if other is sent), 0)
-            self._replies.insert(place, Emission(self._now_ns, b"", label="cut", cuts=True))
-            self._events.append(CutShort(self._now_ns, sent.label, left, size))
+            # what was put in before it and is due by now has begun before it: nothing waits behind it on the line
+            self._replies.send(Emission(self._now_ns, b"", label="cut", cuts=True))
+            self._events.add(CutShort(self._now_ns, sent.label, left, size))
 
     def _say(self, byte: bytes, label: str) -> None:
         """ACK or NAK, when the line is free and the device has understood."""
         due_ns = max(self._now_ns + _ns(self._settings.delays.ack_s), self._line.free_ns)
-        self._replies.append(Emission(due_ns, byte, label=label))
+        self._replies.send(Emission(due_ns, byte, label=label))
         self._line.promise(due_ns, len(byte))
 
     def _reply(self, due_ns: int, payload: bytes, label: str, speed_after: int | None = None) -> None:
         telegram = wire.reply(payload, self._device.status, self._settings.address)
-        self._replies.append(Emission(due_ns, telegram, line_speed=speed_after, label=label))
+        self._replies.send(Emission(due_ns, telegram, line_speed=speed_after, label=label))
         self._line.promise(due_ns, len(telegram))
         if speed_after is not None:
             self._line.baud = speed_after
@@ -330,9 +301,6 @@ class Lms2xxSession(Session):
             payload += bytes((told.ticks, self._telegram_index & 0xFF))
         self._telegram_index += 1
         telegram = wire.reply(payload, self._device.status, self._settings.address)
-        place = len(self._replies)
-        while place and self._replies[place - 1].due_ns > due_ns:
-            place -= 1
         label = f"{slot.output.command:02X}"
         self._values = Emission(
             due_ns,
@@ -343,7 +311,7 @@ class Lms2xxSession(Session):
             scans=slot.output.scans,
             pause=self._line.pause(due_ns, len(telegram)),
         )
-        self._replies.insert(place, self._values)
+        self._replies.send(self._values)
         self._line.promise(due_ns, len(telegram))
         self._tell_unsent(self._schedule.passed_over(slot), f"{slot.output.command:02X}")
         if late:
@@ -366,14 +334,12 @@ class Lms2xxSession(Session):
 
     def next_deadline(self) -> int | None:
         """When `advance` or `take_emissions` has something to do even without input."""
-        times = [receiver.deadline() for receiver in self._receivers.values()]
+        times = [self._receivers.deadline(), self._replies.next_ns()]
         if self._phase in (Phase.BOOTING, Phase.RESETTING):
             times.append(self._phase_end_ns)
         if self._phase in UP:
             times.append(self._schedule.deadline(self._now_ns))
-        if self._replies:
-            times.append(self._replies[0].due_ns)
-        return min((time for time in times if time is not None), default=None)
+        return earliest(times)
 
     def next_plan(self) -> ScanPlan | None:
         """The scan wanted next, known some scan times before it begins."""
@@ -400,24 +366,17 @@ class Lms2xxSession(Session):
     def take_emissions(self, now_ns: int) -> list[Emission]:
         """What is due by `now_ns`, in the order it leaves."""
         self.advance(now_ns)
-        taken = []
-        while self._replies and self._replies[0].due_ns <= now_ns:
-            taken.append(self._replies.popleft())
+        taken = self._replies.take(now_ns)
+        if taken:
             self._handed_out_ns = taken[-1].due_ns
         return taken
 
-    def take_events(self) -> list[Event]:
-        """What happened since the last call."""
-        events = list(self._events)
-        self._events.clear()
-        return events
-
     def _drop(self, reason: DropReason, detail: str, count: int = 1) -> None:
-        self._events.append(Dropped(self._now_ns, reason, detail, count))
+        self._events.drop(self._now_ns, reason, detail, count)
 
     def _tell_unsent(self, unsent: list[Unsent], detail: str) -> None:
         for reason, turns, stream in unsent:
-            self._events.extend(dropped_scans(self._now_ns, reason, turns, detail, stream))
+            self._events.unsent(self._now_ns, reason, turns, detail, stream)
 
 
 def _turns(span_ns: int) -> int:

@@ -16,11 +16,12 @@ from protocols.framing import Framing
 from protocols.ld.framing import PackageFraming, SegmentFraming, UspFraming
 from protocols.ld.packages import Package, PackageReader, encode_packages
 from protocols.ld.segments import SegmentJoiner, encode_segments
-from protocols.ld.telegrams import Fault, payload_of
+from protocols.ld.telegrams import payload_of
 from protocols.ld.usp import UspReader, encode_frame
 from protocols.lms2xx.framing import Lms2xxFraming
 from protocols.lms2xx.telegrams import open_frame
 from protocols.session import DropReason, Emission
+from protocols.skeleton.receiving import Fault
 
 PROFILE = payload_of(0x8301, 0x0103, 1, 41, 7, *range(200))
 "A profile with both counters: PROFILESENT 41, PROFILECOUNT 7."

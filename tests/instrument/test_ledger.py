@@ -244,6 +244,33 @@ def test_a_family_in_a_package_of_its_own_has_every_scan_on_account(monkeypatch:
     assert account["withdrawn"] >= 3
 
 
+def test_a_one_way_family_has_every_scan_on_account(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[2] / "docs/examples/acme_family")
+    import acme_spin
+
+    sys.modules.pop("acme_spin")
+    yard = Yard("tcp", session=acme_spin.FAMILY.new_session({}, {}))
+    host = yard.connect()
+    account = yard.wait(4.0).account
+    assert account["sent"] == pytest.approx(20, abs=1)
+    assert sum(len(one.data) for one in host.arrivals) // acme_spin.PACKET.itemsize == pytest.approx(15 * 20, abs=20)
+    yard.measuring.stand_still(3 * SECOND)
+    account = yard.wait(3.0).account
+    assert account["dropped"]["measured too late"] == pytest.approx(28, abs=3)
+    assert account["unaccounted"] == 0
+    assert yard.session.impair(yard.now_ns, "motor speed", 1.1)
+    account = yard.wait(2.0).account
+    assert account["unaccounted"] == 0
+    assert account["withdrawn"] >= 1
+    yard.instrument.power_off(yard.now_ns)
+    yard.wait(1.0)
+    yard.instrument.power_back(yard.now_ns)
+    before = account["sent"]
+    account = yard.wait(4.0).account
+    assert account["sent"] - before == pytest.approx(22, abs=3)
+    assert account["unaccounted"] == 0
+
+
 @pytest.mark.unaccounted
 def test_a_family_that_skips_without_a_word_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     yard, _ = acme(monkeypatch)

@@ -39,10 +39,10 @@ def lidaremu(*arguments: str, folder: Path, environment: dict[str, str]) -> subp
 
 
 def test_every_example_holds_what_it_expects(installed: dict[str, str], folder: Path) -> None:
-    names = ["wall.yaml", "one_file.yaml", "step_out.yaml"]
+    names = ["wall.yaml", "court.yaml", "one_file.yaml", "step_out.yaml"]
     done = lidaremu("test", *names, "--jobs", "1", folder=folder, environment=installed)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "3 passed" in done.stdout
+    assert "4 passed" in done.stdout
 
 
 def test_a_family_that_is_not_installed_is_told_with_the_line(folder: Path) -> None:

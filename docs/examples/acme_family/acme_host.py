@@ -1,4 +1,4 @@
-"""Hosts of the ACME X2: one that `lidaremu look` draws with, one in virtual time for `lidaremu test`.
+"""Hosts in virtual time for `lidaremu test`, of the ACME X2 and the S4; one of the X2 that `lidaremu look` draws with.
 
 Belongs here: what a driver does. It shares the codec with the device, and nothing else.
 """
@@ -8,7 +8,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 
+import numpy as np
 from acme_lidar import AZIMUTH_RAD, BAUD, decode_scan
+from acme_spin import COLUMNS, COLUMNS_A_PACKET, ELEVATION_DEG, PACKET, STEP_M
 
 from emulator.errors import LinkError
 from emulator.hosts.lines import Line
@@ -95,3 +97,34 @@ class AcmeScript:
             self._line.write(b"START\n", now_ns)
             self._again_ns = now_ns + AGAIN_NS
         return self._again_ns
+
+
+class SpinScript:
+    """Listens to an ACME S4 in virtual time: whole turns of the layer at the horizon."""
+
+    def __init__(self, line: HostEnd, on_scan: Callable[[int, HostScan], None]) -> None:
+        self._line, self._on_scan = line, on_scan
+        self._held, self._turn, self._count = b"", np.zeros(0, PACKET), 0
+
+    def step(self, now_ns: int) -> int | None:
+        """Read and decode; it asks for nothing."""
+        self._held += self._line.read()
+        whole = len(self._held) // PACKET.itemsize
+        for packet in np.frombuffer(self._held, PACKET, whole):
+            if len(self._turn) and self._turn[0]["turn"] != packet["turn"]:
+                self._turn = self._turn[:0]  # some of it were lost
+            self._turn = np.append(self._turn, packet)
+            if len(self._turn) == COLUMNS // COLUMNS_A_PACKET:
+                self._on_scan(now_ns, self._decoded())
+                self._turn, self._count = self._turn[:0], self._count + 1
+        self._held = self._held[whole * PACKET.itemsize :]
+        return None
+
+    def _decoded(self) -> HostScan:
+        columns = self._turn["columns"].ravel()
+        beams = columns["beams"][:, int(np.argmin(np.abs(ELEVATION_DEG)))]
+        azimuth_rad = -np.radians(columns["azimuth_cdeg"] / 100.0)
+        range_m = np.where(beams["range"] > 0, beams["range"] * STEP_M, np.nan)
+        return HostScan(
+            self._count, (azimuth_rad + np.pi) % (2 * np.pi) - np.pi, range_m, f"turn {self._turn[0]['turn']}"
+        )

@@ -12,8 +12,8 @@ import pytest
 
 from protocols.can_objects.e2e import Protection
 from protocols.can_objects.layout import MessageLayout
-from protocols.can_objects.settings import DeviceKeys
 from protocols.errors import DeviceSettingError
+from protocols.skeleton.keys import DeviceKeys
 from tests.protocols.can_objects.rig import crowd, lists, start
 
 # profile -> (message of the LD-MRS or ARS408, offset, bytes of the protected frame, place of the counter, mask)

@@ -12,9 +12,10 @@ from protocols.can_frame import frame_bits
 from protocols.errors import EncodeError
 from protocols.ld.packages import LATER_WORDS, Package, PackageJoiner, PackageReader, crc_of, encode_packages, swapped
 from protocols.ld.segments import SegmentJoiner, encode_segments, worst_case_bits
-from protocols.ld.telegrams import Fault, payload_of, text_words, words_of
+from protocols.ld.telegrams import payload_of, text_words, words_of
 from protocols.ld.usp import MAX_REQUEST_BYTES, UspReader, encode_frame, xor_of
 from protocols.session import DropReason
+from protocols.skeleton.receiving import Fault
 from tests.protocols.ld import reader
 
 GARBAGE = b"\x00USP\x02\x02U\x03?"

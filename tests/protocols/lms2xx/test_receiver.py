@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from protocols.lms2xx.commands import KNOWN
-from protocols.lms2xx.receiver import Fault, Receiver
+from protocols.lms2xx.receiver import Receiver
 from protocols.lms2xx.telegrams import Telegram, frame, request
 from protocols.session import DropReason
+from protocols.skeleton.receiving import Fault
 from tests.protocols.lms2xx.rig import MS
 
 STATUS = bytes.fromhex("02 00 01 00 31 15 12")

@@ -1,4 +1,7 @@
-"""Telegrams on their way: in the order in which they are due, and withdrawn where the device would."""
+"""Telegrams on their way: in the order in which they are due, and withdrawn where the device would.
+
+Belongs here: what has not left. Not: when a telegram is due, and how busy its line is.
+"""
 
 from __future__ import annotations
 
@@ -10,18 +13,15 @@ from itertools import count
 
 from protocols.session import Address, Emission
 
-CAN_BURST = 16
-"Frames handed over together, each with its own instant: about two milliseconds of a bus of 1 Mbit/s."
-
 
 @dataclass(eq=False)
 class Outgoing:
     """One telegram: its emissions in order, handed over burst by burst."""
 
     to: Address | None
-    "Address of the channel it belongs to; None: no host's."
+    "Address of the host it belongs to; None: no host's own."
     emissions: deque[Emission]
-    is_profile: bool = False
+    is_scan: bool = False
     free_before_ns: int = 0
     "When its line was free without it."
     free_after_ns: int = 0
@@ -29,15 +29,26 @@ class Outgoing:
 
 
 class Outbox:
-    """All telegrams of the device that have not left."""
+    """All telegrams of the device that have not left; those due together leave in the order they were put in."""
 
-    def __init__(self) -> None:
+    def __init__(self, burst: int = 1) -> None:
+        """`burst`: emissions of one telegram that are handed over together, though only the first is due."""
         self._heap: list[tuple[int, int, Outgoing]] = []
         self._number = count()
+        self._burst = burst
+
+    def __len__(self) -> int:
+        return len(self._heap)
 
     def put(self, sent: Outgoing) -> None:
         """Add a telegram, or the rest of one."""
         heapq.heappush(self._heap, (sent.emissions[0].due_ns, next(self._number), sent))
+
+    def send(self, emission: Emission) -> Outgoing:
+        """Add a telegram of one emission."""
+        sent = Outgoing(emission.address, deque([emission]))
+        self.put(sent)
+        return sent
 
     def next_ns(self) -> int | None:
         """When `take` has something."""
@@ -49,7 +60,7 @@ class Outbox:
         while self._heap and self._heap[0][0] <= now_ns:
             _, _, sent = heapq.heappop(self._heap)
             sent.begun = True
-            taken.extend(sent.emissions.popleft() for _ in range(min(CAN_BURST, len(sent.emissions))))
+            taken.extend(sent.emissions.popleft() for _ in range(min(self._burst, len(sent.emissions))))
             if sent.emissions:
                 self.put(sent)
         return taken
@@ -61,3 +72,7 @@ class Outbox:
             self._heap = [entry for entry in self._heap if entry[2] not in gone]
             heapq.heapify(self._heap)
         return gone
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._heap.clear()

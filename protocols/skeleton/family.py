@@ -1,0 +1,42 @@
+"""What a module offers as `FAMILY`, made of a session, its keys and its commands.
+
+Belongs here: the family of a package of its own. Not: families with several sessions, as those of `protocols`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from protocols.session import CommandRow, DeviceKey, Session
+from protocols.skeleton.keys import DeviceKeys
+
+
+@dataclass(frozen=True)
+class SimpleFamily:
+    """A family whose `device:` table is read by one function."""
+
+    name: str
+    tcp_is_line: bool
+    "Whether TCP reaches the device through a serial device server."
+    build: Callable[[DeviceKeys], Session]
+    "Takes its keys, with their defaults, and makes the session of them."
+    rows: tuple[CommandRow, ...] = ()
+
+    def new_session(self, device: Mapping[str, Any], facts: Mapping[str, Any]) -> Session:
+        """A device that is switched off. Raises `DeviceSettingError`."""
+        keys = DeviceKeys(device, facts)
+        session = self.build(keys)
+        keys.finish(device)  # a model may extend one of another family, whose facts it inherits
+        return session
+
+    def commands(self) -> tuple[CommandRow, ...]:
+        """The coverage table."""
+        return self.rows
+
+    def device_keys(self) -> tuple[DeviceKey, ...]:
+        """For `lidaremu list device`, from the code that checks them."""
+        keys = DeviceKeys({}, {})
+        self.build(keys)
+        return tuple(keys.known)

@@ -1,0 +1,95 @@
+"""Instants: numbered ones from a number and never from a running sum, repeated ones, and time that goes on in order.
+
+Belongs here: arithmetic on integer nanoseconds. Not: what happens at an instant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from fractions import Fraction
+
+SECOND_NS = 1_000_000_000
+FAR_BEHIND = 10
+"Periods of a timer after which calls that were missed are not made good."
+
+
+def earliest(instants: Iterable[int | None]) -> int | None:
+    """The first of them; None when there is none."""
+    return min((instant for instant in instants if instant is not None), default=None)
+
+
+def run_until(now_ns: int, from_ns: int, next_instant: Callable[[], int | None], happen: Callable[[int], None]) -> int:
+    """Let everything that is due by `now_ns` happen, each at its own instant; until when time has come.
+
+    `next_instant` is asked again after each `happen`, which must move it on. One that lies before what has happened
+    already, `from_ns` first, happens then.
+    """
+    while (instant := next_instant()) is not None and instant <= now_ns:
+        from_ns = max(from_ns, instant)
+        happen(from_ns)
+    return max(from_ns, now_ns)
+
+
+@dataclass(frozen=True)
+class Raster:
+    """Numbered instants: number `first` at `zero_ns`, then one a period, rounded down to nanoseconds."""
+
+    zero_ns: int
+    period_ns: Fraction
+    "May be a fraction: 40/3 ms is one of 75 a second."
+    first: int = 0
+
+    def at(self, number: int) -> int:
+        """Instant of a number; before `first` too."""
+        return self.zero_ns + (number - self.first) * self.period_ns.numerator // self.period_ns.denominator
+
+    def first_from(self, instant_ns: int) -> int:
+        """The least number whose instant is `instant_ns` or later."""
+        # at(n) >= t is floor((n - first) p) >= t - zero, and that is (n - first) p >= t - zero, as the right is whole
+        behind = (instant_ns - self.zero_ns) * self.period_ns.denominator
+        return self.first - (-behind // self.period_ns.numerator)
+
+    def going_on(self, number: int, period_ns: Fraction) -> Raster:
+        """Another period from the instant of that number on."""
+        return Raster(self.at(number), period_ns, number)
+
+
+@dataclass
+class Timer:
+    """Something that happens again and again."""
+
+    due_ns: int
+    period_ns: int
+    action: Callable[[int], None]
+
+
+class Timers:
+    """The timers of one device."""
+
+    def __init__(self) -> None:
+        self._timers: list[Timer] = []
+
+    def add(self, first_ns: int, period_ns: int, action: Callable[[int], None]) -> Timer:
+        """`action` of the instant, first at `first_ns`."""
+        timer = Timer(first_ns, period_ns, action)
+        self._timers.append(timer)
+        return timer
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._timers.clear()
+
+    def next_ns(self) -> int | None:
+        """When the next one is due."""
+        return min((timer.due_ns for timer in self._timers), default=None)
+
+    def run(self, now_ns: int) -> None:
+        """Let what is due happen in order; a timer that nobody called for `FAR_BEHIND` periods happens once for all."""
+        while due := [timer for timer in self._timers if timer.due_ns <= now_ns]:
+            timer = min(due, key=lambda timer: timer.due_ns)
+            if now_ns - timer.due_ns > FAR_BEHIND * timer.period_ns:
+                timer.due_ns += (now_ns - timer.due_ns) // timer.period_ns * timer.period_ns
+            at_ns = timer.due_ns
+            timer.due_ns += timer.period_ns
+            timer.action(at_ns)

@@ -1,0 +1,266 @@
+"""A device that measures one sweep after the other and sends each to the hosts that want it.
+
+    power_on    deaf and silent for `boot_ns`; then sweeps are numbered from the end of the boot, on a raster
+    _subscribe  a host wants scans: from the next sweep on
+    next_plan   the next sweep, while somebody wants scans; those that have ended unmeasured are passed over, and told
+    submit      one telegram or several, each at its own instant, to everybody who wanted scans when the sweep began
+
+A family tells its directions (`_sweep`) and its bytes (`_telegrams`). Belongs here: the numbers and instants of
+sweeps, the hosts that want them, the account. Not: lines slower than the sweeps, sweeps skipped for them.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import ClassVar, NamedTuple
+
+from protocols.device_clock import Told
+from protocols.scan import Floats, Scan, ScanPlan
+from protocols.session import Address, DropReason, Emission
+from protocols.skeleton.instants import Raster, Timers, earliest
+from protocols.skeleton.outbox import Outgoing
+from protocols.skeleton.session import TimedSession
+from protocols.skeleton.wanted import Wanted
+
+SHARES = 1 << 20
+"A motor's speed is told in parts of the nominal one; finer than any motor."
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """What a device measures in one sweep, at its nominal speed."""
+
+    azimuth_rad: Floats
+    "(n,)"
+    elevation_rad: Floats
+    "(n,)"
+    fire_offset_s: Floats
+    "(n,) after the sweep's beginning."
+    duration_s: float
+    "Until the device can have evaluated it."
+    max_range_m: float = float("inf")
+    max_echoes: int = 1
+    gain: float = 1.0
+    wants_intensity: bool = False
+
+
+class Telegram(NamedTuple):
+    """One of the telegrams that carry a sweep."""
+
+    after_ns: int
+    "When its first byte leaves, after the sweep's beginning."
+    payload: bytes
+    label: str = ""
+    told: Told | None = None
+    link: int | None = None
+    "It goes to this link alone; None: to whoever wanted the scan."
+
+
+class SweepSession(TimedSession):
+    """One device; the family derives from it."""
+
+    LINE_SPEED: ClassVar[int | None] = None
+    "Speed of its serial line at power-on, in baud."
+
+    def __init__(self, boot_ns: int, period_ns: Fraction) -> None:
+        super().__init__()
+        self._boot_ns = boot_ns
+        self._nominal_ns = period_ns
+        self._timers = Timers()
+        self._wanted: Wanted[Sweep] = Wanted()
+        self._hosts: dict[Address | None, int] = {}
+        "Who wants scans, and since when; None: every link."
+        self._ready_ns: int | None = None
+        "When the boot ends; None while it was never switched on."
+        self._running = False
+        self._slowed = Fraction(1)
+        "By how much a turn takes longer than it should."
+        self._raster = Raster(0, period_ns)
+        self._next = 0
+        "Number of the sweep to be measured next."
+        self._stream = 0
+        self._restart_ns: int | None = None
+
+    # what a family fills in
+
+    @abstractmethod
+    def _sweep(self, number: int) -> Sweep:
+        """The sweep of that number, at the present settings."""
+
+    @abstractmethod
+    def _telegrams(self, scan: Scan) -> Iterable[Telegram]:
+        """The bytes of a scan, in the order in which they leave; at least one telegram."""
+
+    def _reset(self, now_ns: int) -> None:
+        """Volatile settings are as after power-on."""
+
+    def _start(self, now_ns: int) -> None:
+        """The boot is over: first hosts, and timers."""
+
+    # power
+
+    def power_on(self, now_ns: int) -> None:
+        """Forget everything volatile; deaf and silent until the boot is over."""
+        self._now_ns = now_ns
+        self._outbox.clear()
+        self._boot(now_ns)
+
+    def _boot(self, now_ns: int) -> None:
+        if self.LINE_SPEED is not None:  # no bytes: the speed alone
+            self._outbox.send(Emission(now_ns, b"", line_speed=self.LINE_SPEED, label="power-on"))
+        self._timers.clear()
+        self._hosts.clear()
+        self._wanted.renew()
+        self._running, self._ready_ns, self._restart_ns = False, now_ns + self._boot_ns, None
+        self._next = 0
+        self._stream += 1
+        self.clock = self.clock.powered_on(now_ns)
+        self._events.restarted(now_ns)
+        self._reset(now_ns)
+
+    def _restart(self, at_ns: int) -> None:
+        """Start anew at an instant to come, as after a reset that a host has asked for."""
+        self._restart_ns = at_ns
+
+    @property
+    def is_up(self) -> bool:
+        """Whether it has booted."""
+        return self._running
+
+    # time
+
+    def _next_instant(self) -> int | None:
+        if not self._running:
+            return self._ready_ns
+        return earliest((self._timers.next_ns(), self._restart_ns))
+
+    def _happen(self, now_ns: int) -> None:
+        if not self._running:
+            self._running = True
+            self._raster = Raster(now_ns, self._nominal_ns * self._slowed)
+            self._start(now_ns)
+        elif self._restart_ns is not None and self._restart_ns <= now_ns:
+            self._withdraw_all(now_ns)
+            self._outbox.withdraw(lambda sent: not sent.begun and sent.emissions[0].due_ns > now_ns)
+            self._boot(now_ns)
+        else:
+            self._timers.run(now_ns)
+
+    # hosts
+
+    def _subscribe(self, now_ns: int, address: Address | None) -> None:
+        """A host wants scans, from the next sweep on; who has them already keeps them. None: every link."""
+        if not self._hosts:
+            self._stream += 1
+            self._next = max(self._next, self._raster.first_from(now_ns))
+        self._hosts.setdefault(address, now_ns)
+
+    def _unsubscribe(self, now_ns: int, address: Address | None) -> None:
+        """A host wants no more: what it waits for, and has not begun to get, is withdrawn."""
+        if self._hosts.pop(address, None) is None:
+            return
+        self._withdraw(now_ns, lambda sent: sent.to == address)
+        if not self._hosts:
+            self._wanted.renew()
+
+    def _withdraw_all(self, now_ns: int) -> None:
+        """Nobody gets scans any more."""
+        for address in list(self._hosts):
+            self._unsubscribe(now_ns, address)
+
+    def _withdraw(self, now_ns: int, whose: Callable[[Outgoing], bool]) -> None:
+        gone = self._outbox.withdraw(lambda sent: sent.is_scan and not sent.begun and whose(sent))
+        for sent in reversed(gone):
+            sweep = sent.emissions[0].sweep
+            assert sweep is not None
+            self._events.unsent(now_ns, DropReason.STALE, range(sweep, sweep + 1), "on its way", None, sent.to)
+
+    def _change(self, now_ns: int, period_ns: Fraction | None = None) -> None:
+        """A setting that scans depend on has changed: those of before are refused and withdrawn, the stream is another.
+
+        `period_ns`: from sweep to sweep, from the next one on.
+        """
+        self._withdraw(now_ns, lambda sent: True)
+        self._wanted.renew()
+        self._stream += 1
+        self._nominal_ns = self._nominal_ns if period_ns is None else period_ns
+        self._next = self._raster.first_from(now_ns)
+        self._raster = self._raster.going_on(self._next, self._nominal_ns * self._slowed)
+
+    def impair(self, now_ns: int, what: str, degree: float) -> bool:
+        """The motor: all that turns is faster by `degree`."""
+        self.advance(now_ns)
+        if what != "motor speed" or degree <= 0.0:
+            return False
+        self._slowed = 1 / Fraction(round(degree * SHARES), SHARES)
+        if self._running:
+            self._change(now_ns)
+        return True
+
+    # sweeps
+
+    def next_plan(self) -> ScanPlan | None:
+        """The sweep wanted next, the same until its scan comes."""
+        if not self._running or not self._hosts:
+            return None
+        plan = self._wanted.plan
+        return self._choose() if plan is None else plan
+
+    def _choose(self) -> ScanPlan:
+        raster, slowed = self._raster, float(self._slowed)
+        ended = raster.first_from(self._now_ns - round(1e9 * slowed * self._sweep(self._next).duration_s))
+        if ended > self._next:  # nobody could measure them in time: never silently
+            late = range(self._next, ended)
+            self._events.unsent(self._now_ns, DropReason.LATE, late, "not measured in time", self._stream)
+            self._next = ended
+        sweep = self._sweep(self._next)
+        plan = ScanPlan(
+            epoch=self._wanted.epoch,
+            sweep=self._next,
+            start_ns=raster.at(self._next),
+            azimuth_rad=sweep.azimuth_rad,
+            elevation_rad=sweep.elevation_rad,
+            fire_offset_s=sweep.fire_offset_s if slowed == 1.0 else sweep.fire_offset_s * slowed,
+            duration_s=sweep.duration_s * slowed,
+            max_echoes=sweep.max_echoes,
+            max_range_m=sweep.max_range_m,
+            gain=sweep.gain,
+            wants_intensity=sweep.wants_intensity,
+            stream=self._stream,
+            period_ns=round(raster.period_ns),
+        )
+        return self._wanted.ask(plan, sweep)
+
+    def submit(self, scan: Scan) -> None:
+        """Take the scan of `next_plan`; `ScanRefused` for any other."""
+        self._wanted.expect(scan.plan, len(scan.range_m))
+        self._wanted.forget()
+        plan = scan.plan
+        self._next = plan.sweep + 1
+        takers = [address for address, since_ns in self._hosts.items() if since_ns <= plan.start_ns]
+        if not takers:
+            numbers = range(plan.sweep, plan.sweep + 1)
+            self._events.unsent(self._now_ns, DropReason.STALE, numbers, "nobody wants it", plan.stream)
+            return
+        telegrams = list(self._telegrams(scan))
+        for address in takers:
+            self._outbox.put(Outgoing(address, deque(self._emissions(plan, telegrams, address)), is_scan=True))
+
+    def _emissions(self, plan: ScanPlan, telegrams: Iterable[Telegram], to: Address | None) -> Iterable[Emission]:
+        """The first one carries the sweep, the others (`scans` 0) are its rest."""
+        sweep: int | None = plan.sweep
+        for after_ns, payload, label, told, link in telegrams:
+            due_ns, where = plan.start_ns + round(after_ns * self._slowed), to if link is None else Address(link, 0)
+            yield Emission(due_ns, payload, where, sweep, None, label, told, int(sweep is not None))
+            sweep = None
+
+    def missed(self, plan: ScanPlan, now_ns: int) -> bool:
+        """What has ended by now is passed over; the sweep itself is asked for again while it lasts."""
+        self.advance(now_ns)
+        self._wanted.expect(plan)
+        self._wanted.renew()
+        return True
