@@ -13,13 +13,16 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from emulator.errors import LinkError
 from emulator.transports.can_wire import CanWire, Carried, Node, Notice
 from emulator.transports.link import Befallen, Link, Received
 from emulator.transports.turns import CROWD_NS, Turn
 from protocols.session import LinkKind
+
+if TYPE_CHECKING:
+    from emulator.transports.can_sockets import CanSockets
 
 BITRATE = 500_000
 "Default bit rate of a bus."
@@ -392,7 +395,13 @@ class Server(Protocol):
 class CanPorts:
     """The buses of a run by the text of their links: sensors that name the same one share it."""
 
-    def __init__(self) -> None:
+    def __init__(self, sockets: CanSockets | None = None, stamp_ns: Callable[[int], int] | None = None) -> None:
+        self.sockets = sockets
+        "Gives drivers under the preload shim an interface for each bus; None: there is no shim."
+        self.stamp_ns = stamp_ns
+        "From the run's time to the time stamps that hosts see, in ns; None: they are the run's own."
+        if sockets is not None and stamp_ns is not None:
+            sockets.set_stamps(stamp_ns)
         self._ports: dict[str, CanPort] = {}
         self.servers: dict[tuple[str, int], Server] = {}
         "Servers that carry several buses, by what their links say of host and port."

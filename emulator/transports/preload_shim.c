@@ -11,6 +11,7 @@
  * a process without the shim that changes their speed. Linux with the common ioctl numbers (x86, ARM, RISC-V).
  */
 #define _GNU_SOURCE
+#include "preload_shim.h"
 #include <dlfcn.h>
 #include <errno.h>
 #include <linux/serial.h>
@@ -70,7 +71,7 @@ typedef int (*ioctl_function)(int, unsigned long, ...);
 typedef int (*set_function)(int, int, const struct termios *);
 typedef int (*get_function)(int, struct termios *);
 
-static void *next_symbol(void **kept, const char *name)
+HIDDEN void *next_symbol(void **kept, const char *name)
 {
     void *found = __atomic_load_n(kept, __ATOMIC_ACQUIRE);
     if (found == NULL) {
@@ -85,7 +86,7 @@ static int kernel_ioctl(int fd, unsigned long request, void *argument)
     return (int)syscall(SYS_ioctl, fd, request, argument);
 }
 
-static int next_ioctl(int fd, unsigned long request, void *argument)
+HIDDEN int next_ioctl(int fd, unsigned long request, void *argument)
 {
     static void *kept;
     ioctl_function function = (ioctl_function)next_symbol(&kept, "ioctl");
@@ -252,6 +253,8 @@ static int get_by_ioctl(int fd, unsigned long request, void *argument)
 
 static int ioctl_here(int fd, unsigned long request, void *argument)
 {
+    int result;
+
     if (argument == NULL)
         return next_ioctl(fd, request, argument);
     if (request == TIOCGSERIAL)
@@ -262,7 +265,7 @@ static int ioctl_here(int fd, unsigned long request, void *argument)
         return set_by_ioctl(fd, request, argument);
     if (request == GET1 || request == GET2)
         return get_by_ioctl(fd, request, argument);
-    return next_ioctl(fd, request, argument);
+    return can_ioctl(fd, request, argument, &result) ? result : next_ioctl(fd, request, argument);
 }
 
 /* From here on: what the driver finds instead of the C library's functions. */
@@ -329,8 +332,9 @@ int tcgetattr(int fd, struct termios *modes)
 
 __attribute__((constructor)) static void announce(void)
 {
+    can_start();
     fprintf(stderr,
             "lidaremu shim: ACTIVE in process %ld (%s): pseudo-terminals accept TIOCSSERIAL, B38400 with a custom divisor "
-            "becomes its real speed\n",
-            (long)getpid(), program_invocation_short_name);
+            "becomes its real speed%s%s\n",
+            (long)getpid(), program_invocation_short_name, *can_names() ? "; CAN:" : "", can_names());
 }

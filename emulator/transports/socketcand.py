@@ -60,7 +60,12 @@ def open_link_socketcand(url: str, *, can_ports: CanPorts | None = None, can_bit
         if not isinstance(server, SocketcandServer) or server.closed:
             server = SocketcandServer(url, host, port)
             ports.servers[key] = server
-        return CanWire(bitrate), server.channel(channel)
+        outlet: Outlet = server.channel(channel)
+        if ports.sockets is not None:
+            from emulator.transports.can_sockets import beside
+
+            outlet = beside(outlet, ports.sockets, channel, url)
+        return CanWire(bitrate), outlet
 
     return ports.link(f"socketcand:{host}:{port}/{channel}", make)
 
