@@ -40,8 +40,8 @@ def check_link_can(url: str) -> None:
 def open_link_can(url: str, *, can_ports: CanPorts | None = None, can_bitrate: int | None = None) -> Link:
     """A sensor on the bus that `can:INTERFACE:CHANNEL[?bitrate=...&gap_us=...&KEY=VALUE]` names; raises LinkError.
 
-    Further options go to python-can. `can_ports`: the buses of the run; sensors that give the same text share one. Under
-    the preload shim a `socketcan` interface that the kernel does not have is ours.
+    Further options go to python-can. `can_ports`: the buses of the run; sensors that give the same text share one.
+    Under the preload shim a `socketcan` interface that the kernel does not have is ours.
     """
     parts, interface, channel = _parts(url)
     bitrate, gap_ns = _numbers(parts, interface, can_bitrate)
