@@ -47,7 +47,7 @@ def error(call, *given):
     try:
         return call(*given)
     except OSError as problem:
-        return errno.errorcode[problem.errno]
+        return errno.errorcode.get(problem.errno, str(problem))
 print("ready", flush=True)
 for line in sys.stdin:
     try:
@@ -401,7 +401,8 @@ def test_loop_back_and_own_frames_are_as_the_socket_wants(rig: Rig, do: Shell) -
     do("a.setsockopt(SOL_CAN_RAW, CAN_RAW_RECV_OWN_MSGS, 1)")
     do("a.send(frame(2))")
     rig.settle()
-    assert do("(lambda r: (plain(r[0]), int(r[2])))(a.recvmsg(16))") == ((2, b""), socket.MSG_DONTROUTE | socket.MSG_CONFIRM)
+    own = socket.MSG_DONTROUTE | socket.MSG_CONFIRM
+    assert do("(lambda r: (plain(r[0]), int(r[2])))(a.recvmsg(16))") == ((2, b""), own)
     do("b.recv(16)")
     do("a.setsockopt(SOL_CAN_RAW, CAN_RAW_LOOPBACK, 0)")
     do("a.send(frame(3))")
@@ -469,14 +470,14 @@ def test_a_number_that_is_somebody_else_s_by_now_is_no_can_socket(rig: Rig, do: 
         ("bound().send(frame(1)[:15])", "EINVAL"),
         ("bound().send(bytes(72))", "EINVAL"),
         ("bound().send(frame(1, b'', 9))", "EINVAL"),
-        ("bound().send(frame(1 | 1 << 30))", "EOPNOTSUPP"),
+        ("bound().send(frame(1 | 1 << 30))", "ENOTSUP"),
         ("bound().sendto(frame(1), ('lo',))", "ENXIO"),
         ("bound('lo')", "ENODEV"),
         ("bound('can7')", "ENODEV"),
         ("bound().setsockopt(SOL_CAN_RAW, 7, 1)", "ENOPROTOOPT"),
         ("bound().setsockopt(SOL_CAN_RAW, CAN_RAW_FILTER, bytes(7))", "EINVAL"),
-        ("bound().connect(('can0',))", "EOPNOTSUPP"),
-        ("bound().getpeername()", "EOPNOTSUPP"),
+        ("bound().connect(('can0',))", "ENOTSUP"),
+        ("bound().getpeername()", "ENOTSUP"),
         ("fcntl.ioctl(bound(), 0x8906, bytes(16))", "ENOENT"),
     ],
 )
@@ -495,7 +496,7 @@ def test_fd_frames_may_be_asked_for_and_find_a_classical_interface(do: Shell) ->
 def test_interfaces_have_names_and_numbers_and_the_kernel_s_own_stay(do: Shell) -> None:
     assert do("[if_nametoindex(name) for name in ('can0', 'can1', 'lo')]") == [FIRST_INDEX, FIRST_INDEX + 1, 1]
     assert do(f"if_indextoname({FIRST_INDEX + 1})") == "can1"
-    assert do("if_nametoindex('can7')") == "OSError('no interface with this name')"
+    assert do("error(if_nametoindex, 'can7')") == "no interface with this name"
 
 
 def test_when_the_emulator_ends_the_interface_is_down(rig: Rig, do: Shell) -> None:
