@@ -8,7 +8,7 @@ group an answer: it compares all it has received with `< ok >`, so frames wait f
 
 After `< open can0 >` a client is in BCM mode. `isotpmode`, `muxfilter`, `sendrtr` and `fdsend` are refused by name.
 Frames of one client are shown to the others, not to itself, as a kernel bus does. A client that reads too slowly loses
-frames, whole ones, counted. The real server says nothing to a command that it cannot read; here an error group names it.
+frames, whole ones, counted. The real server says nothing to a command that it cannot read; here it is named.
 """
 
 from __future__ import annotations
@@ -172,6 +172,8 @@ class SocketcandServer:
         channel = client.channel
         if channel is None:
             return
+        if client.manager.jobs and self.hosts.ends(client.number):
+            client.manager.jobs.clear()
         for job in client.manager.send(now_ns) if client.manager.jobs else ():
             channel.put(client, job.peer, job.data, job.at_ns)
         for heard in client.manager.flush(now_ns) if client.manager.subscriptions else ():

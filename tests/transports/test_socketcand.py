@@ -526,8 +526,8 @@ def test_a_command_of_bcm_mode_that_cannot_be_read_is_named(rig: Rig, said: str,
 def test_subscriptions_and_jobs_of_a_client_are_bounded(rig: Rig) -> None:
     client = rig.bcm_client()
     for k in range(MOST_ENTRIES):
-        client.sendall(f"< subscribe 0 0 {k:03X} >< update {k:03X} 0 >".encode())
-    rig.say(client, "")
+        rig.say(client, f"< subscribe 0 0 {k:03X} >< update {k:03X} 0 >")
+        rig.now_ns += MS
     assert rig.talk(client, "< subscribe 0 0 7FF >", "< error too many subscriptions in subscribe command >")
     assert rig.talk(client, "< add 0 0 7FF 0 >", "< error too many jobs in add command >")
     rig.say(client, "< subscribe 0 0 001 >")
