@@ -13,16 +13,13 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from emulator.errors import LinkError
 from emulator.transports.can_wire import CanWire, Carried, Node, Notice
 from emulator.transports.link import Befallen, Link, Received
 from emulator.transports.turns import CROWD_NS, Turn
 from protocols.session import LinkKind
-
-if TYPE_CHECKING:
-    from emulator.transports.can_sockets import CanSockets
 
 BITRATE = 500_000
 "Default bit rate of a bus."
@@ -392,12 +389,20 @@ class Server(Protocol):
     def close(self) -> None: ...
 
 
+class DriverSockets(Protocol):
+    """Gives drivers under the preload shim an interface for each bus: `can_sockets.CanSockets`."""
+
+    def outlet(self, name: str, url: str) -> Outlet: ...
+
+    def set_stamps(self, stamp_ns: Callable[[int], int]) -> None: ...
+
+
 class CanPorts:
     """The buses of a run by the text of their links: sensors that name the same one share it."""
 
-    def __init__(self, sockets: CanSockets | None = None, stamp_ns: Callable[[int], int] | None = None) -> None:
+    def __init__(self, sockets: DriverSockets | None = None, stamp_ns: Callable[[int], int] | None = None) -> None:
         self.sockets = sockets
-        "Gives drivers under the preload shim an interface for each bus; None: there is no shim."
+        "None: there is no shim."
         self.stamp_ns = stamp_ns
         "From the run's time to the time stamps that hosts see, in ns; None: they are the run's own."
         if sockets is not None and stamp_ns is not None:

@@ -23,7 +23,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from emulator.errors import LinkError
-from emulator.transports.can_link import CanPort, Outlet
+from emulator.transports.can_link import CanPort, DriverSockets, Outlet
 from emulator.transports.can_wire import HOST_FRAMES, CanWire, Carried, Node, Notice
 from protocols.can_frame import EXTENDED, MAX_DATA_BYTES, MAX_EXTENDED_ID, MAX_STANDARD_ID
 
@@ -442,7 +442,7 @@ class SocketOutlet(Outlet):
 class BesideOutlet(Outlet):
     """A bus with another way out and the sockets of drivers."""
 
-    def __init__(self, other: Outlet, sockets: SocketOutlet) -> None:
+    def __init__(self, other: Outlet, sockets: Outlet) -> None:
         super().__init__()
         self._both: tuple[Outlet, Outlet] = (other, sockets)
         other.counters = sockets.counters = self.counters
@@ -491,7 +491,7 @@ class BesideOutlet(Outlet):
             one.close()
 
 
-def beside(outlet: Outlet, sockets: CanSockets | None, name: str, url: str) -> Outlet:
+def beside(outlet: Outlet, sockets: DriverSockets | None, name: str, url: str) -> Outlet:
     """`outlet`, and with `sockets` an interface of that name on the same bus; `LinkError` closes `outlet`."""
     if sockets is None:
         return outlet
@@ -509,7 +509,7 @@ def kernel_has(name: str) -> bool:
     return False
 
 
-def socket_bus(sockets: CanSockets, name: str, url: str, bitrate: int) -> tuple[CanWire, Outlet]:
+def socket_bus(sockets: DriverSockets, name: str, url: str, bitrate: int) -> tuple[CanWire, Outlet]:
     """A bus whose only way out are the sockets of drivers."""
     return CanWire(bitrate), sockets.outlet(name, url)
 

@@ -172,7 +172,9 @@ def test_it_is_built_once_and_stands_before_what_is_preloaded_already(tmp_path: 
 @needs_compiler
 def test_the_source_compiles_without_a_warning(tmp_path: Path) -> None:
     command = [str(COMPILER), *shim.FLAGS, "-Werror", "-Wshadow", "-Wconversion", "-D_FORTIFY_SOURCE=3"]
-    done = subprocess.run([*command, "-o", tmp_path / "s.so", shim.SOURCE], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [*command, "-o", tmp_path / "s.so", *shim.SOURCES], capture_output=True, text=True, check=False
+    )
     assert done.stderr == ""
 
 
