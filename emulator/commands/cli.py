@@ -150,7 +150,7 @@ def check(
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line on standard output.")
 @click.option("--until-eof", is_flag=True, help="End with the standard input: with the program that holds it open.")
 @click.option("--own-folder", type=click.Path(path_type=Path), hidden=True, help="See emulator.runtime.own_daemon.")
-@click.option("--shim", is_flag=True, help="Give COMMAND the preload shim: 500 kBd by TIOCSSERIAL, SocketCAN.")
+@click.option("--shim", is_flag=True, help="Give COMMAND the preload shim: custom divisors, modem lines, SocketCAN.")
 def run(
     scenario: str,
     command: Sequence[str],
@@ -199,6 +199,7 @@ def run(
     from emulator.process.waiting import be_realtime
     from emulator.runtime import assembly
     from emulator.runtime.virtual_daemon import VirtualDaemon
+    from protocols.session import LinkKind
 
     real = SystemClock()
     daemon: Daemon | VirtualDaemon
@@ -229,6 +230,9 @@ def run(
             server = control_of(daemon, instruments, real, loaded, recorder, control)
             daemon.power_on()
             announce_ready(loaded, instruments, as_json, server.url)
+            kinds = {link.kind for one in instruments for link in one.links}
+            if isinstance(daemon, VirtualDaemon) and LinkKind.CAN in kinds:
+                note("time stamps on CAN are those of the virtual clock: seconds since the run began")
             until = duration if duration is not None else loaded.duration_s
             until_ns = None if until is None else int(until * 1e9)
             if command:

@@ -8,9 +8,10 @@ alive between hosts, and the kernel reports exactly (POLLHUP) whether anybody ha
 - the host's speed is read from its terminal settings at each look; at another speed than the device's both ends get
   framing garbage (`uart`).
 
-Named limits: the kernel forces eight data bits and no parity on a pseudo-terminal, so those are not seen; break does not
-exist, modem lines only for drivers under the preload shim, which leaves word of DTR and RTS in the terminal's settings; TCIOFLUSH by the host also takes what we have not read yet; a host that closes and another that
-opens within the same instant cannot be told apart from one that stays.
+Named limits: the kernel forces eight data bits and no parity on a pseudo-terminal, so those are not seen; there is no
+break, and modem lines only for drivers under the preload shim, which leaves word of DTR and RTS in the settings;
+TCIOFLUSH by the host also takes what we have not read yet; a host that closes and another that opens within the same
+instant cannot be told apart from one that stays.
 """
 
 from __future__ import annotations

@@ -178,7 +178,7 @@ def test_the_device_is_told_of_dtr_and_rts(driver: Driver) -> None:
     assert lines_told(driver) == [(True, False)]
     driver.do("telegram")
     driver.do("lines up rts")
-    assert [(one.lines, len(one.data)) for one in driver.link.receive(0)][0] == ((True, True), 0)
+    assert [(one.lines, len(one.data)) for one in driver.link.receive(0)] == [((True, True), 0), (None, 7)]
     driver.process.communicate(timeout=10)
     assert lines_told(driver) == [(False, False)]
     assert read_lines(driver.link._master) is None
