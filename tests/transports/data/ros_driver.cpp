@@ -21,6 +21,7 @@
 #include <sys/ioctl.h>
 #include <sys/socket.h>
 #include <sys/time.h>
+#include <sys/wait.h>
 #include <thread>
 #include <unistd.h>
 #include <vector>
@@ -54,6 +55,14 @@ public:
         check(::bind(socket_, reinterpret_cast<sockaddr *>(&address), sizeof address), "bind");
         check(::fcntl(socket_, F_SETFL, ::fcntl(socket_, F_GETFL) | O_NONBLOCK), "O_NONBLOCK");
         sender_ = check(::dup(socket_), "dup");
+        // a helper is started as libraries do it: the child of vfork shares our memory and closes what it inherits
+        const pid_t child = ::vfork();
+        if (child == 0) {
+            ::close(socket_);
+            ::close(sender_);
+            ::_exit(0);
+        }
+        ::waitpid(child, nullptr, 0);
     }
 
     ~CanInterface()
