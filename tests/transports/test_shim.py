@@ -176,6 +176,7 @@ def test_the_device_is_told_of_dtr_and_rts(driver: Driver) -> None:
     driver.do("lines up dtr")
     driver.do("lines down rts")
     assert lines_told(driver) == [(True, False)]
+    driver.do("blind 9600")  # the device's own speed
     driver.do("telegram")
     driver.do("lines up rts")
     assert [(one.lines, len(one.data)) for one in driver.link.receive(0)] == [((True, True), 0), (None, 7)]
