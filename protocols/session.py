@@ -194,6 +194,9 @@ class Session(ABC):
     def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
         """Bytes of a host, in any chunking. Never raises, whatever they are."""
 
+    def modem_lines(self, dtr: bool, rts: bool, now_ns: int, address: Address) -> None:
+        """A host has set DTR and RTS of a serial line; a device without such inputs, as all here, does not see it."""
+
     @abstractmethod
     def advance(self, now_ns: int) -> None:
         """Let time-outs, warm-up and modes that end by themselves take effect up to `now_ns`."""

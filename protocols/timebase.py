@@ -116,6 +116,9 @@ class Timebase(Session):
             told = replace(told, true_ns=self.quartz.true_ns(told.true_ns))
         return replace(own, due_ns=self.quartz.true_ns(own.due_ns), told=told)
 
+    def modem_lines(self, dtr: bool, rts: bool, now_ns: int, address: Address) -> None:
+        self.inner.modem_lines(dtr, rts, self.quartz.own_ns(now_ns), address)
+
     def impair(self, now_ns: int, what: str, degree: float) -> bool:
         return self.inner.impair(self.quartz.own_ns(now_ns), what, degree)
 

@@ -12,6 +12,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -149,7 +150,7 @@ def check(
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line on standard output.")
 @click.option("--until-eof", is_flag=True, help="End with the standard input: with the program that holds it open.")
 @click.option("--own-folder", type=click.Path(path_type=Path), hidden=True, help="See emulator.runtime.own_daemon.")
-@click.option("--shim", is_flag=True, help="Give COMMAND the preload shim for drivers that set 500 kBd by TIOCSSERIAL.")
+@click.option("--shim", is_flag=True, help="Give COMMAND the preload shim: custom divisors, modem lines, SocketCAN.")
 def run(
     scenario: str,
     command: Sequence[str],
@@ -184,10 +185,13 @@ def run(
     notifier = Notifier.of_environment(os.environ)  # neither workers nor a driver speak for us
     leash = click.get_current_context().with_resource(leashed(until_eof, own_folder))
     environment = dict(os.environ)
+    sockets = None
     if shim:
+        from emulator.transports.can_sockets import CanSockets
         from emulator.transports.shim import shim_environment
 
         environment = shim_environment(environment)
+        sockets = click.get_current_context().with_resource(closing(CanSockets()))
     loaded = load_scenario(scenario, overrides, seed, links)
 
     from emulator.instrument.ledger import check_accounts
@@ -195,13 +199,14 @@ def run(
     from emulator.process.waiting import be_realtime
     from emulator.runtime import assembly
     from emulator.runtime.virtual_daemon import VirtualDaemon
+    from protocols.session import LinkKind
 
     real = SystemClock()
     daemon: Daemon | VirtualDaemon
     if clock == "virtual" or speed is not None:
-        daemon, instruments = assembly.start_virtual(loaded, speed, workers)
+        daemon, instruments = assembly.start_virtual(loaded, speed, workers, sockets)
     else:
-        daemon, instruments = assembly.start(loaded, real, workers)
+        daemon, instruments = assembly.start(loaded, real, workers, sockets)
     daemon.on_failure = note
     daemon.notifier = notifier
     daemon.incidents.listeners.append(incident_teller(as_json))
@@ -225,11 +230,15 @@ def run(
             server = control_of(daemon, instruments, real, loaded, recorder, control)
             daemon.power_on()
             announce_ready(loaded, instruments, as_json, server.url)
+            kinds = {link.kind for one in instruments for link in one.links}
+            if isinstance(daemon, VirtualDaemon) and LinkKind.CAN in kinds:
+                note("time stamps on CAN are those of the virtual clock: seconds since the run began")
             until = duration if duration is not None else loaded.duration_s
             until_ns = None if until is None else int(until * 1e9)
             if command:
                 linked = [item for item in instruments if item.links]
                 environment |= {variable_of(item.sensor): place_of(item.links[0].url) for item in linked}
+                environment |= {} if sockets is None else sockets.environment()
                 driver = start_driver(command, environment, as_json)
             daemon.run(until_ns, None if driver is None else lambda: driver.poll() is None)
             check_accounts(instruments, daemon.incidents, now_of(daemon, real))

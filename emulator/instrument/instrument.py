@@ -259,6 +259,8 @@ class Instrument:
         if received.opened:
             self._peers.add(address)
             self.session.connected(now_ns, address, link.kind)
+        if received.lines is not None:
+            self.session.modem_lines(*received.lines, now_ns, address)
         if received.data:
             self.observers.heard(index, received, now_ns)
             self.session.receive(received.data, now_ns, address)

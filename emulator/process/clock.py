@@ -26,6 +26,11 @@ class SystemClock:
         return time.monotonic_ns() - self._start_ns
 
 
+def wall_ns(clock: Clock, at_ns: int) -> int:
+    """An instant of a run in real time, `at_ns` since it began, as nanoseconds since 1970 (UTC)."""
+    return time.time_ns() - clock.now_ns() + at_ns
+
+
 class ManualClock:
     """Time that moves when told to."""
 

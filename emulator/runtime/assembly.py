@@ -11,7 +11,7 @@ from emulator.instrument.device_clock import with_clock
 from emulator.instrument.instrument import Instrument, Measuring
 from emulator.measuring.measuring import InPlace, Measure, Measures
 from emulator.measuring.supervision import Workers, worker_count
-from emulator.process.clock import Clock
+from emulator.process.clock import Clock, wall_ns
 from emulator.runtime.daemon import Daemon
 from emulator.runtime.virtual_daemon import VirtualDaemon
 from emulator.scenario.scenario import Scenario
@@ -25,6 +25,7 @@ from protocols.errors import DeviceSettingError
 from protocols.session import Family, Session
 
 if TYPE_CHECKING:
+    from emulator.transports.can_sockets import CanSockets
     from emulator.world.scene import Scene
 
 
@@ -90,14 +91,18 @@ def new_sessions(scenario: Scenario) -> list[Session]:
 
 
 def open_instruments(
-    scenario: Scenario, sessions: Sequence[Session], measuring: Measuring, loops: Loops | None = None
+    scenario: Scenario,
+    sessions: Sequence[Session],
+    measuring: Measuring,
+    loops: Loops | None = None,
+    can_ports: CanPorts | None = None,
 ) -> list[Instrument]:
     """Open every link of every sensor; when one cannot be opened, the others are closed again.
 
-    `loops` holds the host's end of every `loop:NAME`.
+    `loops` holds the host's end of every `loop:NAME`; `can_ports` the buses.
     """
     opened: list[Link] = []
-    can_ports = CanPorts()
+    can_ports = CanPorts() if can_ports is None else can_ports
     instruments = []
     try:
         for index, (sensor, session) in enumerate(zip(scenario.sensors, sessions, strict=True)):
@@ -116,13 +121,19 @@ def open_instruments(
     return instruments
 
 
-def start(scenario: Scenario, clock: Clock, workers: int | None = None) -> tuple[Daemon, list[Instrument]]:
-    """Everything of a real-time run, devices still switched off: workers first, links after them."""
+def start(
+    scenario: Scenario, clock: Clock, workers: int | None = None, sockets: CanSockets | None = None
+) -> tuple[Daemon, list[Instrument]]:
+    """Everything of a real-time run, devices still switched off: workers first, links after them.
+
+    `sockets`: gives drivers under the preload shim an interface for each CAN bus.
+    """
     sessions = new_sessions(scenario)
     names = [sensor.id for sensor in scenario.sensors]
     measuring = Workers(partial(build_measures, scenario), names, workers or worker_count(len(names)), clock)
+    ports = CanPorts(sockets, partial(wall_ns, clock))
     try:
-        instruments = open_instruments(scenario, sessions, measuring)
+        instruments = open_instruments(scenario, sessions, measuring, can_ports=ports)
     except BaseException:
         measuring.close()
         raise
@@ -132,16 +143,22 @@ def start(scenario: Scenario, clock: Clock, workers: int | None = None) -> tuple
 
 
 def start_virtual(
-    scenario: Scenario, speed: float | None = None, workers: int | None = None
+    scenario: Scenario,
+    speed: float | None = None,
+    workers: int | None = None,
+    sockets: CanSockets | None = None,
 ) -> tuple[VirtualDaemon, list[Instrument]]:
-    """Everything of a run on a virtual clock, devices still switched off; without `workers` it measures in place."""
+    """Everything of a run on a virtual clock, devices still switched off; without `workers` it measures in place.
+
+    `sockets` as of `start`.
+    """
     sessions = new_sessions(scenario)
     names = [sensor.id for sensor in scenario.sensors]
     build = partial(build_measures, scenario)
     pool = Workers(build, names, workers) if workers else None
     try:
         measuring = InPlace(build()) if pool is None else pool
-        instruments = open_instruments(scenario, sessions, measuring)
+        instruments = open_instruments(scenario, sessions, measuring, can_ports=CanPorts(sockets))
     except BaseException:
         if pool is not None:
             pool.close()

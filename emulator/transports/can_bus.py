@@ -41,12 +41,18 @@ def open_link_can(url: str, *, can_ports: CanPorts | None = None, can_bitrate: i
     """A sensor on the bus that `can:INTERFACE:CHANNEL[?bitrate=...&gap_us=...&KEY=VALUE]` names; raises LinkError.
 
     Further options go to python-can. `can_ports`: the buses of the run; sensors that give the same text share one.
+    Under the preload shim a `socketcan` interface that the kernel does not have is ours.
     """
     parts, interface, channel = _parts(url)
     bitrate, gap_ns = _numbers(parts, interface, can_bitrate)
     ports = can_ports if can_ports is not None else CanPorts()
 
     def make() -> tuple[CanWire, Outlet]:
+        if interface == "socketcan" and ports.sockets is not None:
+            from emulator.transports.can_sockets import kernel_has, socket_bus
+
+            if not kernel_has(channel):
+                return socket_bus(ports.sockets, channel, url, bitrate)
         options: dict[str, Any] = {key: option_value(text) for key, text in parts.options.items() if key not in OURS}
         if interface in KNOWS_BITRATE:
             options["bitrate"] = bitrate

@@ -389,10 +389,24 @@ class Server(Protocol):
     def close(self) -> None: ...
 
 
+class DriverSockets(Protocol):
+    """Gives drivers under the preload shim an interface for each bus: `can_sockets.CanSockets`."""
+
+    def outlet(self, name: str, url: str) -> Outlet: ...
+
+    def set_stamps(self, stamp_ns: Callable[[int], int]) -> None: ...
+
+
 class CanPorts:
     """The buses of a run by the text of their links: sensors that name the same one share it."""
 
-    def __init__(self) -> None:
+    def __init__(self, sockets: DriverSockets | None = None, stamp_ns: Callable[[int], int] | None = None) -> None:
+        self.sockets = sockets
+        "None: there is no shim."
+        self.stamp_ns = stamp_ns
+        "From the run's time to the time stamps that hosts see, in ns; None: they are the run's own."
+        if sockets is not None and stamp_ns is not None:
+            sockets.set_stamps(stamp_ns)
         self._ports: dict[str, CanPort] = {}
         self.servers: dict[tuple[str, int], Server] = {}
         "Servers that carry several buses, by what their links say of host and port."

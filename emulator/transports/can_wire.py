@@ -131,6 +131,10 @@ class CanWire:
         """Whether `put` would take one more frame."""
         return len(node.waiting) < node.queue_frames
 
+    def is_busy(self, node: Node) -> bool:
+        """Whether a frame of the node waits, or is on the bus."""
+        return bool(node.waiting) or (self._on_wire is not None and self._on_wire[0] is node)
+
     def put(self, node: Node, peer: int, data: bytes, due_ns: int) -> bool:
         """Queue a frame to start not before `due_ns`; False, and counted, when it is none, or there is no room."""
         if not is_identifier(peer) or len(data) > MAX_DATA_BYTES or not self.has_room(node):

@@ -30,6 +30,8 @@ class Received:
     "A stream's host has connected."
     closed: bool = False
     "A stream's host has gone."
+    lines: tuple[bool, bool] | None = None
+    "DTR and RTS of a serial line have changed to this; the device sees them where it has such inputs."
 
 
 @dataclass(frozen=True)

@@ -1,19 +1,28 @@
 /*
- * Preloaded into a driver under test: makes a pseudo-terminal answer TIOCGSERIAL and TIOCSSERIAL as a USB adapter does.
+ * Preloaded into a driver under test: makes a pseudo-terminal answer as a USB adapter does, to TIOCGSERIAL and TIOCSSERIAL
+ * and to the calls about modem lines. (CAN sockets: preload_can.c.)
  *
  * Drivers of the LMS2xx (sicktoolbox, Player, old CARMEN) reach 500 000 baud by ASYNC_SPD_CUST with custom_divisor 48,
  * the divisor of an FTDI adapter's 24 MHz, and then ask termios for B38400. A pseudo-terminal refuses the first two calls.
  * Here they succeed, per terminal and for the life of the process, and while a special speed is set, B38400 becomes
  * that speed (termios2, BOTHER), in whichever order the driver asks; what the driver reads back is B38400.
  *
+ * Modem lines (TIOCMGET, TIOCMSET, TIOCMBIS, TIOCMBIC, TIOCMIWAIT, TIOCGICOUNT; mono's SerialPort ends without them): DTR
+ * and RTS are up when a port is opened, and the driver's to change; CTS, DSR and CD are those of a device that is there.
+ * The emulator is told through a control character that no terminal uses (the last of the kernel's 19), which it reads
+ * at its own end, and by an opening of the terminal, which wakes it.
+ *
  * Nothing else is touched: other descriptors, other requests and other speeds go straight through.
  * Not covered: statically linked drivers, drivers that call the kernel past the C library, and terminals shared with
  * a process without the shim that changes their speed. Linux with the common ioctl numbers (x86, ARM, RISC-V).
  */
 #define _GNU_SOURCE
+#include "preload_shim.h"
 #include <dlfcn.h>
 #include <errno.h>
+#include <fcntl.h>
 #include <linux/serial.h>
+#include <poll.h>
 #include <pthread.h>
 #include <stdarg.h>
 #include <stdint.h>
@@ -46,7 +55,11 @@ enum {
     ADAPTER_BAUD_BASE = 24000000, /* FTDI: 24 MHz / 48 = 500 000 */
     FIRST_PTS_MAJOR = 136,
     LAST_PTS_MAJOR = 143,
-    MAX_LINES = 256
+    MAX_LINES = 256,
+    LINES_CHARACTER = 18, /* of c_cc: not in use by the kernel, kept by tcgetattr and tcsetattr */
+    LINES_KNOWN = 0x80,   /* emulator/transports/tty_modes.py has the same */
+    LINE_DTR = 1,
+    LINE_RTS = 2
 };
 
 #define GET2 ((unsigned long)_IOR('T', 0x2A, struct kernel_termios2))
@@ -60,6 +73,8 @@ struct line {
     int flags;
     int custom_divisor;
     uint32_t applied; /* the speed that stands in for 38 400 on the terminal, 0: none does */
+    int lowered;      /* TIOCM_DTR, TIOCM_RTS: those that the driver has taken down */
+    int touched;      /* it has set them at all */
 };
 
 static struct line lines[MAX_LINES];
@@ -70,7 +85,7 @@ typedef int (*ioctl_function)(int, unsigned long, ...);
 typedef int (*set_function)(int, int, const struct termios *);
 typedef int (*get_function)(int, struct termios *);
 
-static void *next_symbol(void **kept, const char *name)
+HIDDEN void *next_symbol(void **kept, const char *name)
 {
     void *found = __atomic_load_n(kept, __ATOMIC_ACQUIRE);
     if (found == NULL) {
@@ -85,7 +100,7 @@ static int kernel_ioctl(int fd, unsigned long request, void *argument)
     return (int)syscall(SYS_ioctl, fd, request, argument);
 }
 
-static int next_ioctl(int fd, unsigned long request, void *argument)
+HIDDEN int next_ioctl(int fd, unsigned long request, void *argument)
 {
     static void *kept;
     ioctl_function function = (ioctl_function)next_symbol(&kept, "ioctl");
@@ -222,6 +237,98 @@ static int reads_as_38400(int fd)
     return answer;
 }
 
+/* Leaves word of DTR and RTS where the emulator reads it, and wakes it. Called with the guard held. */
+static void tell_lines(int fd, const struct line *line)
+{
+    struct kernel_termios2 modes;
+    char name[32];
+    uint8_t word = (uint8_t)(LINES_KNOWN | (line->lowered & TIOCM_DTR ? 0 : LINE_DTR) |
+                             (line->lowered & TIOCM_RTS ? 0 : LINE_RTS));
+    int other;
+
+    if (kernel_ioctl(fd, GET2, &modes) != 0 || modes.c_cc[LINES_CHARACTER] == word)
+        return;
+    modes.c_cc[LINES_CHARACTER] = word;
+    if (kernel_ioctl(fd, SET2, &modes) != 0)
+        return;
+    snprintf(name, sizeof name, "/proc/self/fd/%d", fd);
+    other = (int)syscall(SYS_openat, AT_FDCWD, name, O_RDWR | O_NOCTTY | O_NONBLOCK | O_CLOEXEC);
+    if (other >= 0)
+        syscall(SYS_close, other);
+}
+
+/* Settings that the driver made from nothing have wiped the word out. */
+static int retold(int fd, int result)
+{
+    struct line *line;
+    int saved = errno;
+
+    pthread_mutex_lock(&guard);
+    line = find_line(fd, 0);
+    if (line != NULL && line->touched)
+        tell_lines(fd, line);
+    pthread_mutex_unlock(&guard);
+    errno = saved;
+    return result;
+}
+
+/* The calls about modem lines; 0: not a pseudo-terminal. */
+static int lines_ioctl(int fd, unsigned long request, void *argument, int *result)
+{
+    struct line *line;
+    int bits = 0, before, saved = errno;
+
+    pthread_mutex_lock(&guard);
+    line = find_line(fd, 1);
+    if (line == NULL) {
+        pthread_mutex_unlock(&guard);
+        errno = saved;
+        return 0;
+    }
+    *result = 0;
+    if (request == TIOCMGET) {
+        bits = (TIOCM_DTR | TIOCM_RTS) & ~line->lowered;
+        *(int *)argument = bits | TIOCM_CTS | TIOCM_DSR | TIOCM_CAR;
+    } else {
+        before = line->lowered;
+        bits = *(int *)argument & (TIOCM_DTR | TIOCM_RTS);
+        if (request == TIOCMBIS)
+            line->lowered &= ~bits;
+        else if (request == TIOCMBIC)
+            line->lowered |= bits;
+        else
+            line->lowered = (TIOCM_DTR | TIOCM_RTS) & ~bits;
+        if (line->lowered != before || !line->touched) {
+            line->touched = 1;
+            tell_lines(fd, line);
+        }
+    }
+    pthread_mutex_unlock(&guard);
+    errno = saved;
+    return 1;
+}
+
+/* Modem lines of a device that is there do not change: who waits for it waits until a signal, or until it is closed. */
+static int wait_for_change(int fd)
+{
+    struct pollfd one = {fd, 0, 0};
+
+    while (poll(&one, 1, -1) == 0)
+        continue;
+    errno = one.revents != 0 ? EIO : errno;
+    return -1;
+}
+
+static int is_line(int fd)
+{
+    struct line *line;
+
+    pthread_mutex_lock(&guard);
+    line = find_line(fd, 1);
+    pthread_mutex_unlock(&guard);
+    return line != NULL;
+}
+
 static int set_by_ioctl(int fd, unsigned long request, void *argument)
 {
     int second = request >= SET2;
@@ -230,10 +337,11 @@ static int set_by_ioctl(int fd, unsigned long request, void *argument)
 
     memset(&modes, 0, sizeof modes);
     memcpy(&modes, argument, second ? sizeof modes : KERNEL_TERMIOS_SIZE);
-    if ((modes.c_cflag & KERNEL_CBAUD) == KERNEL_B38400 &&
+    if (((modes.c_cflag & KERNEL_CBAUD) == KERNEL_B38400 ||
+         (second && (modes.c_cflag & KERNEL_CBAUD) == KERNEL_BOTHER && modes.c_ospeed == 38400)) &&
         set_instead(fd, (int)(request - (second ? SET2 : FIRST_SET)), &modes, &result))
-        return result;
-    return next_ioctl(fd, request, argument);
+        return retold(fd, result);
+    return retold(fd, next_ioctl(fd, request, argument));
 }
 
 static int get_by_ioctl(int fd, unsigned long request, void *argument)
@@ -252,8 +360,19 @@ static int get_by_ioctl(int fd, unsigned long request, void *argument)
 
 static int ioctl_here(int fd, unsigned long request, void *argument)
 {
+    int result;
+
+    if (request == TIOCMIWAIT && is_line(fd))
+        return wait_for_change(fd);
     if (argument == NULL)
         return next_ioctl(fd, request, argument);
+    if ((request == TIOCMGET || request == TIOCMSET || request == TIOCMBIS || request == TIOCMBIC) &&
+        lines_ioctl(fd, request, argument, &result))
+        return result;
+    if (request == TIOCGICOUNT && is_line(fd)) {
+        memset(argument, 0, sizeof(struct serial_icounter_struct));
+        return 0;
+    }
     if (request == TIOCGSERIAL)
         return get_serial(fd, argument) ? 0 : next_ioctl(fd, request, argument);
     if (request == TIOCSSERIAL)
@@ -262,7 +381,7 @@ static int ioctl_here(int fd, unsigned long request, void *argument)
         return set_by_ioctl(fd, request, argument);
     if (request == GET1 || request == GET2)
         return get_by_ioctl(fd, request, argument);
-    return next_ioctl(fd, request, argument);
+    return can_ioctl(fd, request, argument, &result) ? result : next_ioctl(fd, request, argument);
 }
 
 /* From here on: what the driver finds instead of the C library's functions. */
@@ -299,14 +418,14 @@ int tcsetattr(int fd, int action, const struct termios *wanted)
         modes.c_line = wanted->c_line;
         memcpy(modes.c_cc, wanted->c_cc, sizeof modes.c_cc);
         if (set_instead(fd, action - TCSANOW, &modes, &result))
-            return result;
+            return retold(fd, result);
     }
     function = (set_function)next_symbol(&kept, "tcsetattr");
     if (function == NULL) {
         errno = ENOSYS;
         return -1;
     }
-    return function(fd, action, wanted);
+    return retold(fd, function(fd, action, wanted));
 }
 
 int tcgetattr(int fd, struct termios *modes)
@@ -329,8 +448,9 @@ int tcgetattr(int fd, struct termios *modes)
 
 __attribute__((constructor)) static void announce(void)
 {
+    can_start();
     fprintf(stderr,
             "lidaremu shim: ACTIVE in process %ld (%s): pseudo-terminals accept TIOCSSERIAL, B38400 with a custom divisor "
-            "becomes its real speed\n",
-            (long)getpid(), program_invocation_short_name);
+            "becomes its real speed%s%s\n",
+            (long)getpid(), program_invocation_short_name, *can_names() ? "; CAN:" : "", can_names());
 }

@@ -8,9 +8,10 @@ alive between hosts, and the kernel reports exactly (POLLHUP) whether anybody ha
 - the host's speed is read from its terminal settings at each look; at another speed than the device's both ends get
   framing garbage (`uart`).
 
-Named limits: the kernel forces eight data bits and no parity on a pseudo-terminal, so those are not seen; modem lines
-and break do not exist; TCIOFLUSH by the host also takes what we have not read yet; a host that closes and another that
-opens within the same instant cannot be told apart from one that stays.
+Named limits: the kernel forces eight data bits and no parity on a pseudo-terminal, so those are not seen; there is no
+break, and modem lines only for drivers under the preload shim, which leaves word of DTR and RTS in the settings;
+TCIOFLUSH by the host also takes what we have not read yet; a host that closes and another that opens within the same
+instant cannot be told apart from one that stays.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from emulator.transports.intake import LINE_BURST, LINE_BYTES_S, Intake
 from emulator.transports.link import Befallen, Link, Received
 from emulator.transports.pacing import Left, PacedLine
 from emulator.transports.stable_path import StablePath
-from emulator.transports.tty_modes import TtyModes, read_modes, set_raw
+from emulator.transports.tty_modes import TtyModes, forget_lines, read_lines, read_modes, set_raw
 from emulator.transports.uart import Receiver, resample, same_speed
 from emulator.transports.urls import parse_url
 from protocols.session import LinkKind
@@ -77,6 +78,8 @@ class PseudoTerminal(Link):
         "How often the plug was pulled and not put in again."
         self._make()
         self._open = False
+        self._lines: tuple[bool, bool] | None = None
+        self._lines_told: list[Received] = []
         self._input_waits = False
         self._intake = Intake(*self.INTAKE)
         self._kept = b""
@@ -162,9 +165,10 @@ class PseudoTerminal(Link):
             return []
         self._look()
         self.flush(now_ns)
+        told, self._lines_told = self._lines_told, []
         data = self._read(self._intake.room(now_ns)) if self._input_waits else b""
         if not data:
-            return []
+            return told
         self._intake.take(len(data))
         self.stats.bytes_in += len(data)
         modes = self.host_modes()
@@ -172,7 +176,7 @@ class PseudoTerminal(Link):
         if device is not None and not self._hear_each_other(modes.sends_baud, device):
             self.stats.bytes_garbled += len(data)
             data = resample(data, modes.sends_baud, device).values.tobytes() if modes.sends_baud else b""
-        return [Received(0, data)] if data else []
+        return [*told, Received(0, data)] if data else told
 
     def _read(self, most: int) -> bytes:
         chunks, size = [], 0
@@ -234,12 +238,23 @@ class PseudoTerminal(Link):
         if self._watch is not None and self._watch.fileno() in events:
             self._watch.drain()
             events = dict(self._poll.poll(0))  # an open that was drained just now must not be missed
+            self._look_at_lines()
         state = events.get(self._master, 0)
         was_open, self._open = self._open, not state & select.POLLHUP
         self._input_waits = bool(state & select.POLLIN)
         if was_open and not self._open:
             self._kept = b""
             self._forget_unread()
+            if self._lines is not None and self._lines != (False, False):  # a port that is closed lets both fall
+                self._lines_told.append(Received(0, lines=(False, False)))
+            self._lines = None
+
+    def _look_at_lines(self) -> None:
+        """A host under the preload shim may have set DTR or RTS."""
+        lines = read_lines(self._master)
+        if lines is not None and lines != self._lines:
+            self._lines = lines
+            self._lines_told.append(Received(0, lines=lines))
 
     def _forget_unread(self) -> None:
         """Empty what the terminal holds and what is on its way there; only a slave descriptor reaches both."""
@@ -247,6 +262,8 @@ class PseudoTerminal(Link):
             slave = fcntl.ioctl(self._master, TIOCGPTPEER, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
             try:
                 termios.tcflush(slave, termios.TCIFLUSH)
+                if self._lines is not None:
+                    forget_lines(slave)
             finally:
                 os.close(slave)
 

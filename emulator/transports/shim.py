@@ -18,7 +18,8 @@ from pathlib import Path
 from emulator.errors import EmulatorError
 from emulator.process.private_folder import private_folder
 
-SOURCE = Path(__file__).with_name("preload_shim.c")
+SOURCES = tuple(Path(__file__).with_name(name) for name in ("preload_shim.c", "preload_can.c"))
+HEADER = Path(__file__).with_name("preload_shim.h")
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-shared", "-fPIC", "-O2", "-Wall", "-Wextra")
 LIBRARIES = ("-ldl", "-lpthread")
@@ -47,7 +48,8 @@ def build_shim(environment: Mapping[str, str] | None = None) -> Path:
     if compiler is None:
         looked = environment.get("CC") or ", ".join(COMPILERS)
         raise EmulatorError(f"the shim needs a C compiler, none found (looked for {looked}): install gcc or set CC")
-    key = hashlib.sha256(b"\0".join([SOURCE.read_bytes(), compiler.encode(), platform.machine().encode()])).hexdigest()
+    texts = [source.read_bytes() for source in (*SOURCES, HEADER)]
+    key = hashlib.sha256(b"\0".join([*texts, compiler.encode(), platform.machine().encode()])).hexdigest()
     library = cache_folder(environment) / f"preload_shim-{key[:16]}.so"
     if any(letter in str(library) for letter in " :\t\n"):
         raise EmulatorError(f"{library.parent}: LD_PRELOAD takes no path with spaces or colons; set XDG_CACHE_HOME")
@@ -64,7 +66,7 @@ def _compile(compiler: str, library: Path) -> None:
     """Compile beside the place and move there, so that two builds at once do not meet."""
     number, name = tempfile.mkstemp(suffix=".so", dir=library.parent)
     os.close(number)
-    command = [compiler, *FLAGS, "-o", name, str(SOURCE), *LIBRARIES]
+    command = [compiler, *FLAGS, "-o", name, *map(str, SOURCES), *LIBRARIES]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=BUILD_LIMIT_S, check=False)
         if done.returncode != 0:

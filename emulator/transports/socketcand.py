@@ -1,27 +1,37 @@
 """A socketcand server: any number of stock CAN clients over TCP, no kernel module.
 
-Belongs here: the text protocol (`< open can0 >`, `< rawmode >`, `< frame 60A 1.500000 03FBF710 >`, `< send ... >`) and
-who hears what. Not: the bus itself (`can_wire`) and connections (`tcp_hosts`).
-Source: the protocol page of linux-can/socketcand and python-can's client, which wants exactly one group an answer: it
-compares all it has received with `< ok >`, so frames wait for `SETTLE_NS` behind the answer to `< rawmode >`.
+Belongs here: the modes of a client (none, BCM, raw, control), its commands, and who hears what. Not: what BCM mode does
+with subscriptions and jobs (`socketcand_bcm`), the bus itself (`can_wire`) and connections (`tcp_hosts`).
+Source: linux-can/socketcand (doc/protocol.md, the state_*.c files) and python-can's client, which wants exactly one
+group an answer: it compares all it has received with `< ok >`, so frames wait for `SETTLE_NS` behind the one to
+`< rawmode >`.
 
-Of socketcand's modes only raw mode is there; others are refused with an error group. Frames of one client are shown to
-the others, not to itself, as a kernel bus does. A client that reads too slowly loses frames, whole ones, counted.
+After `< open can0 >` a client is in BCM mode. `isotpmode`, `muxfilter`, `sendrtr` and `fdsend` are refused by name.
+Frames of one client are shown to the others, not to itself, as a kernel bus does. A client that reads too slowly loses
+frames, whole ones, counted. The real server says nothing to a command that it cannot read; here it is named.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from emulator.transports.can_link import BITRATE, HIGHEST_BITRATE, LOWEST_BITRATE, CanPort, CanPorts, Outlet
 from emulator.transports.can_wire import HOST_FRAMES, CanWire, Carried, Node, Notice
 from emulator.transports.intake import CAN_BURST, STREAM_BYTES_S, Intake
 from emulator.transports.link import Link, LinkStats
+from emulator.transports.socketcand_bcm import (
+    BroadcastManager,
+    Heard,
+    bcm_text,
+    parse_frame,
+    parse_identifier,
+    parse_time,
+)
 from emulator.transports.tcp_hosts import Host, Hosts
 from emulator.transports.urls import host_and_port, join_host_port, parse_url
-from protocols.can_frame import EXTENDED, MAX_DATA_BYTES, MAX_EXTENDED_ID, MAX_STANDARD_ID, split_identifier
+from protocols.can_frame import split_identifier
 
 SETTLE_NS = 20_000_000
 LONGEST_GROUP = 512
@@ -37,6 +47,10 @@ CONTROLLER_ERROR = 0x20000004
 "CAN_ERR_FLAG | CAN_ERR_CRTL: error passive."
 RESTARTED = 0x20000100
 "CAN_ERR_FLAG | CAN_ERR_RESTARTED."
+NOT_CARRIED = (b"isotpmode", b"muxfilter", b"sendrtr", b"fdsend")
+"Commands of the real server that are refused by name."
+LEAST_STATISTICS_NS = 10_000_000
+"As often as the real server looks."
 ERROR_IDS = {"bus off": BUS_OFF_ERROR, "error passive": CONTROLLER_ERROR, "recovered": RESTARTED}
 
 
@@ -58,9 +72,14 @@ def open_link_socketcand(url: str, *, can_ports: CanPorts | None = None, can_bit
         key = (host, port)
         server = ports.servers.get(key)
         if not isinstance(server, SocketcandServer) or server.closed:
-            server = SocketcandServer(url, host, port)
+            server = SocketcandServer(url, host, port, ports.stamp_ns)
             ports.servers[key] = server
-        return CanWire(bitrate), server.channel(channel)
+        outlet: Outlet = server.channel(channel)
+        if ports.sockets is not None:
+            from emulator.transports.can_sockets import beside
+
+            outlet = beside(outlet, ports.sockets, channel, url)
+        return CanWire(bitrate), outlet
 
     return ports.link(f"socketcand:{host}:{port}/{channel}", make)
 
@@ -84,6 +103,14 @@ class Client:
     "What has come and was not understood yet."
     channel: Channel | None = None
     node: Node | None = None
+    mode: str = "none"
+    "none | bcm | raw | control"
+    manager: BroadcastManager = field(default_factory=BroadcastManager)
+    "Of BCM mode; leaving that takes all of it away."
+    statistics_ns: int = 0
+    "Between two lines of statistics in control mode; 0: none."
+    counted_ns: int | None = None
+    "When it was told statistics last, or entered control mode."
     listens_from_ns: int | None = None
     "In raw mode: when the first frame may go to it."
     held: list[bytes] = field(default_factory=list)
@@ -95,7 +122,9 @@ class Client:
 class SocketcandServer:
     """The TCP side; carries one or more channels."""
 
-    def __init__(self, url: str, host: str, port: int) -> None:
+    def __init__(self, url: str, host: str, port: int, stamp_ns: Callable[[int], int] | None = None) -> None:
+        self.stamp_ns: Callable[[int], int] = stamp_ns if stamp_ns is not None else lambda at_ns: at_ns
+        "From the run's time to what clients see."
         self.stats = LinkStats()
         self.hosts = Hosts(url, host, port, self.stats, Intake(STREAM_BYTES_S, CAN_BURST))
         self.channels: dict[str, Channel] = {}
@@ -134,6 +163,27 @@ class SocketcandServer:
         """Clients in raw mode on a channel."""
         return [c for c in self._clients.values() if c.channel is channel and c.listens_from_ns is not None]
 
+    def present(self, channel: Channel) -> list[Client]:
+        """Clients that have opened a channel."""
+        return [c for c in self._clients.values() if c.channel is channel]
+
+    def tend(self, client: Client, now_ns: int) -> None:
+        """What is due for a client of itself: jobs and held frames of BCM mode, statistics of control mode."""
+        channel = client.channel
+        if channel is None:
+            return
+        if client.manager.jobs and self.hosts.ends(client.number):
+            client.manager.jobs.clear()
+        for job in client.manager.send(now_ns) if client.manager.jobs else ():
+            channel.put(client, job.peer, job.data, job.at_ns)
+        for heard in client.manager.flush(now_ns) if client.manager.subscriptions else ():
+            channel.give_heard(client, [heard], now_ns)
+        due_ns = statistics_due_ns(client)
+        if due_ns is not None and due_ns <= now_ns:
+            client.counted_ns = now_ns
+            counts = " ".join(str(number & 0xFFFF_FFFF) for number in channel.counts)
+            self.say(client.number, f"< stat {counts} >".encode(), now_ns)
+
     def say(self, number: int, text: bytes, now_ns: int) -> bool:
         """Send to one client; False when it reads too slowly."""
         host: Host | None = self.hosts.find(number)
@@ -145,6 +195,9 @@ class SocketcandServer:
     def next_ns(self) -> int | None:
         """When a client's held frames are due, a blocked one may go on, or a connection is looked at."""
         times = [c.listens_from_ns for c in self._clients.values() if c.held and c.listens_from_ns is not None]
+        for client in self._clients.values():
+            own = (client.manager.next_ns(), statistics_due_ns(client))
+            times += [time for time in own if time is not None]
         lingering = self.hosts.next_ns()
         if lingering is not None:
             times.append(lingering)
@@ -154,7 +207,7 @@ class SocketcandServer:
         """A channel goes; the last one closes the server."""
         for client in [c for c in self._clients.values() if c.channel is channel]:
             client.channel = client.node = None
-            client.listens_from_ns = None
+            self._enter(client, "none", 0)
         self.channels = {name: kept for name, kept in self.channels.items() if kept is not channel}
         if not self.channels:
             self.close()
@@ -196,20 +249,46 @@ class SocketcandServer:
         command, arguments = (words[0], words[1:]) if words else (b"", [])
         if command == b"open" and client.channel is None and len(arguments) == 1:
             self._open(client, arguments[0], now_ns)
-        elif command == b"rawmode" and client.channel is not None:
-            self.say(client.number, b"< ok >", now_ns)
-            if client.listens_from_ns is None:
-                client.listens_from_ns = now_ns + SETTLE_NS
-        elif command == b"send" and client.channel is not None:
-            frame = parse_send(arguments)
-            if frame is None:
-                self._malformed(client, b"syntax error in send command", now_ns)
-            else:
-                client.channel.put(client, *frame, now_ns)
-        elif command == b"echo":
+        elif command == b"echo" and not arguments:
             self.say(client.number, b"< echo >", now_ns)
+        elif command in NOT_CARRIED:
+            self._malformed(client, command + b" is not supported", now_ns)
+        elif client.channel is None:
+            self._malformed(client, b"unknown command" if command else b"syntax error", now_ns)
+        elif command in (b"rawmode", b"bcmmode", b"controlmode") and not arguments:
+            self.say(client.number, b"< ok >", now_ns)
+            self._enter(client, command[:-4].decode(), now_ns)
+        elif command == b"send" and client.mode != "control":
+            self._send(client, client.channel, arguments, now_ns)
+        elif command == b"statistics" and client.mode == "control":
+            if len(arguments) != 1 or not arguments[0].isdigit() or len(arguments[0]) > 10:
+                self._malformed(client, b"syntax error in statistics command", now_ns)
+                return
+            interval_ns = int(arguments[0]) * 1_000_000
+            client.statistics_ns = max(interval_ns, LEAST_STATISTICS_NS) if interval_ns else 0
+        elif command in BCM_COMMANDS and client.mode == "bcm":
+            refusal = BCM_COMMANDS[command](client.manager, arguments, now_ns)
+            if refusal:
+                self._malformed(client, refusal + b" in " + command + b" command", now_ns)
+            self.tend(client, now_ns)
         else:
             self._malformed(client, b"unknown command" if command else b"syntax error", now_ns)
+
+    def _enter(self, client: Client, mode: str, now_ns: int) -> None:
+        """Change the mode; what belonged to the old one is gone. The same mode again changes nothing."""
+        if mode == client.mode:
+            return
+        client.mode, client.manager = mode, BroadcastManager()
+        client.held.clear()
+        client.listens_from_ns = now_ns + SETTLE_NS if mode == "raw" else None
+        client.counted_ns = now_ns if mode == "control" else None
+
+    def _send(self, client: Client, channel: Channel, arguments: list[bytes], now_ns: int) -> None:
+        frame = parse_send(arguments)
+        if frame is None:
+            self._malformed(client, b"syntax error in send command", now_ns)
+        else:
+            channel.put(client, *frame, now_ns)
 
     def _open(self, client: Client, name: bytes, now_ns: int) -> None:
         channel = self.channels.get(name.decode("ascii", "replace"))
@@ -218,6 +297,7 @@ class SocketcandServer:
             return
         client.channel = channel
         client.node = channel.join(client.number)
+        self._enter(client, "bcm", now_ns)
         self.say(client.number, b"< ok >", now_ns)
 
     def _malformed(self, client: Client, text: bytes, now_ns: int) -> None:
@@ -235,6 +315,8 @@ class Channel(Outlet):
         self._server = server
         self.name = name
         self._port: CanPort | None = None
+        self.counts = [0, 0, 0, 0]
+        "Bytes and frames that hosts received, then those that hosts sent."
 
     def attached(self, port: CanPort) -> None:
         self._port = port
@@ -254,7 +336,8 @@ class Channel(Outlet):
 
     def poll(self, now_ns: int) -> None:
         self._server.poll(now_ns)
-        for client in self._server.clients(self):
+        for client in self._server.present(self):
+            self._server.tend(client, now_ns)
             if client.held and client.listens_from_ns is not None and client.listens_from_ns <= now_ns:
                 texts, client.held = client.held, []
                 self._give(client, b"".join(texts), len(texts), now_ns)
@@ -263,31 +346,55 @@ class Channel(Outlet):
         return self._server.next_ns()
 
     def deliver(self, carried: Sequence[Carried], now_ns: int) -> bool:
-        texts = [(frame.node, frame_text(frame.peer, frame.data, frame.end_ns)) for frame in carried]
-        clients = self._server.clients(self)
-        for client in clients:
+        self._count(carried)
+        present = self._server.present(self)
+        raw = [client for client in present if client.listens_from_ns is not None]
+        heard = carried if raw else ()
+        texts = [(frame.node, frame_text(frame.peer, frame.data, self._stamp(frame.end_ns))) for frame in heard]
+        for client in raw:
             wanted = [text for node, text in texts if node is not client.node]
             if client.listens_from_ns is not None and client.listens_from_ns > now_ns:
                 client.held += wanted
             elif wanted:
                 self._give(client, b"".join(wanted), len(wanted), now_ns)
-        return bool(clients)
+        subscribed = [client for client in present if client.manager.subscriptions]
+        for client in subscribed:
+            others = [Heard(one.peer, one.data, one.end_ns) for one in carried if one.node is not client.node]
+            self.give_heard(client, [told for one in others for told in client.manager.hear(one)], now_ns)
+        return bool(raw or subscribed)
+
+    def give_heard(self, client: Client, heard: Sequence[Heard], now_ns: int) -> None:
+        """Frames for a client in BCM mode."""
+        if heard:
+            texts = [bcm_text(one.peer, one.data, self._stamp(one.at_ns)) for one in heard]
+            self._give(client, b"".join(texts), len(texts), now_ns)
+
+    def _stamp(self, at_ns: int) -> int:
+        return self._server.stamp_ns(at_ns)
+
+    def _count(self, carried: Sequence[Carried]) -> None:
+        sensors = [] if self._port is None else [link.node for link in self._port.links]
+        for frame in carried:
+            place = 0 if frame.node in sensors else 2
+            self.counts[place] += len(frame.data)
+            self.counts[place + 1] += 1
 
     def held(self) -> int:
-        found = [self._server.hosts.find(client.number) for client in self._server.clients(self)]
+        found = [self._server.hosts.find(client.number) for client in self._server.present(self)]
         return sum(host.backlog for host in found if host is not None)
 
     def has_host(self) -> bool:
-        return bool(self._server.clients(self))
+        return self.listeners() > 0
 
     def listeners(self) -> int:
-        return len(self._server.clients(self))
+        present = self._server.present(self)
+        return sum(client.listens_from_ns is not None or bool(client.manager.subscriptions) for client in present)
 
     def notify(self, notices: Sequence[Notice]) -> None:
         for notice in notices:
             if notice.state not in ERROR_IDS:
                 continue
-            seconds, rest_ns = divmod(notice.at_ns, 1_000_000_000)
+            seconds, rest_ns = divmod(self._stamp(notice.at_ns), 1_000_000_000)
             text = f"< error {ERROR_IDS[notice.state]:08X} {seconds}.{rest_ns // 1000:06d} >".encode()
             for client in self._server.clients(self):
                 self._server.say(client.number, text, notice.at_ns)
@@ -339,16 +446,65 @@ def parse_send(arguments: Sequence[bytes]) -> tuple[int, bytes] | None:
 
     Eight digits are an extended identifier, up to three a standard one, as the stock client writes them.
     """
-    try:
-        if len(arguments) < 2 or any(not word.isalnum() for word in arguments):
-            return None
-        digits = len(arguments[0])
-        identifier, length = int(arguments[0], 16), int(arguments[1], 16)
-        data = bytes(int(word, 16) for word in arguments[2:])
-    except ValueError:
-        return None
-    if length > MAX_DATA_BYTES or len(data) != length:
-        return None
-    if digits == 8:
-        return (identifier | EXTENDED, data) if identifier <= MAX_EXTENDED_ID else None
-    return (identifier, data) if digits <= 3 and identifier <= MAX_STANDARD_ID else None
+    return parse_frame(arguments)
+
+
+def statistics_due_ns(client: Client) -> int | None:
+    """When a client is told statistics next."""
+    return client.counted_ns + client.statistics_ns if client.counted_ns is not None and client.statistics_ns else None
+
+
+def _subscribe(manager: BroadcastManager, arguments: Sequence[bytes], now_ns: int) -> bytes:
+    interval_ns = parse_time(arguments)
+    peer = parse_identifier(arguments[2]) if len(arguments) == 3 else None
+    if interval_ns is None or peer is None:
+        return b"syntax error"
+    return b"" if manager.subscribe(peer, interval_ns) else b"too many subscriptions"
+
+
+def _filter(manager: BroadcastManager, arguments: Sequence[bytes], now_ns: int) -> bytes:
+    interval_ns, frame = parse_time(arguments), parse_frame(arguments[2:])
+    if interval_ns is None or frame is None:
+        return b"syntax error"
+    return b"" if manager.subscribe(frame[0], interval_ns, frame[1]) else b"too many subscriptions"
+
+
+def _unsubscribe(manager: BroadcastManager, arguments: Sequence[bytes], now_ns: int) -> bytes:
+    peer = parse_identifier(arguments[0]) if len(arguments) == 1 else None
+    if peer is None:
+        return b"syntax error"
+    manager.subscriptions.pop(peer, None)
+    return b""
+
+
+def _add(manager: BroadcastManager, arguments: Sequence[bytes], now_ns: int) -> bytes:
+    interval_ns, frame = parse_time(arguments), parse_frame(arguments[2:])
+    if interval_ns is None or frame is None:
+        return b"syntax error"
+    return b"" if manager.add(frame[0], interval_ns, frame[1], now_ns) else b"too many jobs"
+
+
+def _update(manager: BroadcastManager, arguments: Sequence[bytes], now_ns: int) -> bytes:
+    frame = parse_frame(arguments)
+    if frame is None:
+        return b"syntax error"
+    return b"" if manager.update(*frame) else b"too many jobs"
+
+
+def _delete(manager: BroadcastManager, arguments: Sequence[bytes], now_ns: int) -> bytes:
+    peer = parse_identifier(arguments[0]) if len(arguments) == 1 else None
+    if peer is None:
+        return b"syntax error"
+    manager.jobs.pop(peer, None)
+    return b""
+
+
+BCM_COMMANDS: dict[bytes, Callable[[BroadcastManager, Sequence[bytes], int], bytes]] = {
+    b"subscribe": _subscribe,
+    b"unsubscribe": _unsubscribe,
+    b"filter": _filter,
+    b"add": _add,
+    b"update": _update,
+    b"delete": _delete,
+}
+"What BCM mode does beside `send` and `echo`; an answer says why it could not."

@@ -115,6 +115,11 @@ class Hosts:
         host = self._hosts.get(number)
         return None if host is None or host.broken else host
 
+    def ends(self, number: int) -> bool:
+        """Whether a connection has gone, or has closed its sending half and is only sent to."""
+        host = self.find(number)
+        return host is None or host.half_closed_ns is not None
+
     def poll(self, now_ns: int) -> list[Received]:
         """Let hosts come and go, read what they sent, send what waited for them."""
         if self._epoll.closed:

@@ -18,6 +18,11 @@ TERMIOS2 = struct.Struct("=4I20s2I")
 "c_iflag, c_oflag, c_cflag, c_lflag; c_line and c_cc; c_ispeed, c_ospeed."
 
 
+LINES_CHARACTER = 18
+"Of the 19 control characters the one that nothing uses: the preload shim leaves word of the modem lines there."
+LINES_KNOWN, LINE_DTR, LINE_RTS = 0x80, 1, 2
+
+
 @dataclass(frozen=True)
 class TtyModes:
     """The settings of a terminal that a line's other end would notice."""
@@ -44,6 +49,22 @@ def read_modes(fd: int) -> TtyModes:
         ignore_errors=bool(iflag & termios.IGNPAR),
         zero_errors=bool(iflag & termios.INPCK),
     )
+
+
+def read_lines(fd: int) -> tuple[bool, bool] | None:
+    """DTR and RTS as the preload shim has left word of them at the terminal `fd`; None: it has not."""
+    try:
+        word = TERMIOS2.unpack(fcntl.ioctl(fd, TCGETS2, bytes(TERMIOS2.size)))[4][1 + LINES_CHARACTER]
+    except OSError:  # an architecture with another layout, for which there is no shim
+        return None
+    return (bool(word & LINE_DTR), bool(word & LINE_RTS)) if word & LINES_KNOWN else None
+
+
+def forget_lines(fd: int) -> None:
+    """Take that word away from the terminal `fd`."""
+    modes = termios.tcgetattr(fd)
+    modes[6][LINES_CHARACTER] = b"\0"
+    termios.tcsetattr(fd, termios.TCSANOW, modes)
 
 
 def _baud_of(code: int) -> int:

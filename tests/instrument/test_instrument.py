@@ -33,6 +33,10 @@ class ScriptedSession(Session):
         self.links: list[tuple[Address, LinkKind | None]] = []
         self.queue: list[Emission] = []
         self.events: list[Event] = []
+        self.lines: list[tuple[bool, bool, int, Address]] = []
+
+    def modem_lines(self, dtr: bool, rts: bool, now_ns: int, address: Address) -> None:
+        self.lines.append((dtr, rts, now_ns, address))
 
     def power_on(self, now_ns: int) -> None:
         self.events.append(Restarted(now_ns))
@@ -157,6 +161,15 @@ def test_nothing_is_measured_earlier_than_the_look_ahead() -> None:
     rig.hear(b"G")
     rig.run.advance(0)
     assert max(rig.plans) == LOOK_AHEAD_NS // PERIOD_NS
+
+
+def test_modem_lines_that_a_host_sets_are_told_to_the_session() -> None:
+    rig = Rig(LinkKind.SERIAL)
+    rig.run.advance(1_000)
+    rig.links[0].incoming.append(Received(0, lines=(False, True)))
+    rig.run.advance(2_000_000)
+    assert [(dtr, rts, address) for dtr, rts, _, address in rig.session.lines] == [(False, True, Address(0, 0))]
+    assert rig.session.heard == []
 
 
 def test_nothing_is_measured_that_nobody_asked_for() -> None:

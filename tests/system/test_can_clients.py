@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import select
+import shutil
 import signal
 import subprocess
 import sys
@@ -28,6 +29,7 @@ from emulator.instrument.instrument import Instrument
 from emulator.measuring.conditions import NORMAL, Conditions
 from emulator.process.clock import SystemClock
 from emulator.transports.schemes import open_link
+from emulator.transports.shim import find_compiler
 from protocols.can_objects import FAMILY
 from protocols.scan import DetectedObject, Scan, ScanPlan
 
@@ -249,6 +251,21 @@ def test_cantools_on_the_command_line_decodes_the_log_of_a_run(tmp_path: Path) -
     )
     assert result.stdout.count("ObjGeneral(ObjId: 7, DistLong: 12.39999") == 3
     assert result.stdout.count("DynProp: moving, Rcs: 12.5 dBm2)") == 3
+
+
+@pytest.mark.skipif(shutil.which("candump") is None, reason="can-utils is not installed")
+@pytest.mark.skipif(find_compiler(os.environ) is None, reason="no C compiler here")
+def test_candump_reads_a_run_without_a_kernel_module_and_the_wall_clock(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "emulator", "run", "fog_objects", "--link", "radar=socketcand:127.0.0.1:0/can0"]
+    command += ["--link", f"scanner=pty:{tmp_path / 'scanner'}", "--duration", "30", "--json", "--shim"]
+    begun = time.time()
+    done = subprocess.run(
+        [*command, "--", "candump", "-L", "-n", "3", "can0"], capture_output=True, text=True, timeout=100
+    )
+    lines = [line.split(" ") for line in done.stderr.splitlines() if line.startswith("(")]
+    assert [line[1] for line in lines] == ["can0"] * 3, done.stderr
+    assert all(begun - 1 < float(line[0].strip("()")) < time.time() + 1 for line in lines)
+    assert done.returncode == 0
 
 
 def test_a_socketcan_interface_is_used_where_the_machine_has_one() -> None:

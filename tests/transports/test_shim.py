@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from emulator.transports import shim
 from emulator.transports.pseudo_terminal import PseudoTerminal
 from emulator.transports.schemes import open_link
 from emulator.transports.shim import build_shim, cache_folder, find_compiler, shim_environment
+from emulator.transports.tty_modes import read_lines
 
 HERE = Path(__file__).parent
 COMPILER = find_compiler(os.environ)
@@ -132,6 +134,67 @@ def test_the_other_special_speeds_of_setserial_work_too(driver: Driver) -> None:
 
 
 @needs_compiler
+@pytest.mark.parametrize("speed", [500_000, 38_400, 123_457])
+def test_a_speed_set_without_asking_for_the_settings_first_is_that_speed(driver: Driver, speed: int) -> None:
+    assert driver.do(f"blind {speed}") == "ok"
+    assert driver.speed() == speed
+
+
+@needs_compiler
+def test_38400_as_a_number_is_special_too_while_the_flag_is_set(driver: Driver) -> None:
+    driver.do("sicktoolbox 500000")
+    assert driver.do("blind 38400") == "ok"
+    assert driver.speed() == 500_000
+
+
+@needs_compiler
+def test_modem_lines_are_up_and_the_driver_s_to_change(driver: Driver) -> None:
+    assert driver.do("get lines") == "DTR RTS device ok"
+    assert driver.do("lines down dtr") == "ok"
+    assert driver.do("get lines") == "RTS device ok"
+    assert driver.do("lines set dtr") == "ok"
+    assert driver.do("get lines") == "DTR device ok"
+    assert driver.do("lines up rts") == "ok"
+    assert driver.do("get lines") == "DTR RTS device ok"
+    assert driver.do("count") == "ok"
+
+
+def lines_told(driver: Driver) -> list[tuple[bool, bool] | None]:
+    return [received.lines for received in driver.link.receive(0)]
+
+
+@needs_compiler
+def test_the_device_is_told_of_dtr_and_rts(driver: Driver) -> None:
+    assert lines_told(driver) == []
+    driver.do("lines down dtr")
+    assert select.select(driver.link.filenos(), [], [], 5)[0]  # it is woken, though no byte has come
+    assert lines_told(driver) == [(False, True)]
+    assert lines_told(driver) == []
+    driver.do("sicktoolbox 9600")  # tcgetattr, tcsetattr
+    driver.do("blind 38400")  # settings made from nothing
+    assert lines_told(driver) == []
+    driver.do("lines up dtr")
+    driver.do("lines down rts")
+    assert lines_told(driver) == [(True, False)]
+    driver.do("blind 9600")  # the device's own speed
+    driver.do("telegram")
+    driver.do("lines up rts")
+    assert [(one.lines, len(one.data)) for one in driver.link.receive(0)] == [((True, True), 0), (None, 7)]
+    driver.process.communicate(timeout=10)
+    assert lines_told(driver) == [(False, False)]
+    assert read_lines(driver.link._master) is None
+
+
+@needs_compiler
+def test_without_the_shim_modem_lines_fail_as_on_any_pseudo_terminal(
+    built: tuple[Path, dict[str, str]], tmp_path: Path
+) -> None:
+    driver = Driver(built[0], dict(os.environ), tmp_path)
+    assert driver.do("get lines") == "failed Inappropriate ioctl for device"
+    driver.close()
+
+
+@needs_compiler
 def test_threads_do_not_trip_over_each_other(driver: Driver) -> None:
     assert driver.do("threads") == "ok"
     assert driver.speed() == 500_000
@@ -172,7 +235,9 @@ def test_it_is_built_once_and_stands_before_what_is_preloaded_already(tmp_path: 
 @needs_compiler
 def test_the_source_compiles_without_a_warning(tmp_path: Path) -> None:
     command = [str(COMPILER), *shim.FLAGS, "-Werror", "-Wshadow", "-Wconversion", "-D_FORTIFY_SOURCE=3"]
-    done = subprocess.run([*command, "-o", tmp_path / "s.so", shim.SOURCE], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [*command, "-o", tmp_path / "s.so", *shim.SOURCES], capture_output=True, text=True, check=False
+    )
     assert done.stderr == ""
 
 

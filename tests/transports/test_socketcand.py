@@ -17,6 +17,7 @@ from emulator.transports.can_link import CanLink, CanPorts
 from emulator.transports.link import Received
 from emulator.transports.schemes import open_link
 from emulator.transports.socketcand import SETTLE_NS, frame_text, parse_send
+from emulator.transports.socketcand_bcm import MOST_ENTRIES, bcm_text
 from protocols.can_frame import EXTENDED
 
 MS = 1_000_000
@@ -27,8 +28,8 @@ PATIENCE_S = 5.0
 class Rig:
     """A link, and raw clients; time is the test's own."""
 
-    def __init__(self) -> None:
-        link = open_link("socketcand:127.0.0.1:0/can0")
+    def __init__(self, ports: CanPorts | None = None) -> None:
+        link = open_link("socketcand:127.0.0.1:0/can0", can_ports=ports)
         assert isinstance(link, CanLink)
         self.link = link
         self.now_ns = SECOND
@@ -49,6 +50,34 @@ class Rig:
         assert self.talk(client, "< rawmode >", "< ok >")
         self.now_ns += SETTLE_NS
         return client
+
+    def bcm_client(self) -> socket.socket:
+        client = self.client()
+        assert self.talk(client, "", "< hi >")
+        assert self.talk(client, "< open can0 >", "< ok >")
+        return client
+
+    def say(self, client: socket.socket, text: str) -> None:
+        """Say something that is not answered, and let it be understood: an echo comes behind it."""
+        assert self.talk(client, text + "< echo >", "< echo >")
+
+    def carry(self, *frames: tuple[int, str]) -> None:
+        """The sensor sends frames, a millisecond apart."""
+        for peer, data in frames:
+            self.link.send(bytes.fromhex(data), self.now_ns, peer)
+            self.now_ns += MS
+            self.step()
+
+    def told(self, client: socket.socket) -> list[list[str]]:
+        """What a client has been told since the last time: identifier and data of each frame."""
+        assert client.sendall(b"< echo >") is None
+        text = ""
+        while "< echo >" not in text:
+            self.step()
+            if select.select([client], [], [], 0.01)[0]:
+                text += client.recv(65536).decode()
+        frames = [one.split() for one in re.findall(r"<([^>]*)>", text)]
+        return [[one[1], "".join(one[3:])] for one in frames if one[0] == "frame"]
 
     def talk(self, client: socket.socket, text: str, answer: str) -> bool:
         """Say something and read exactly the answer."""
@@ -187,7 +216,11 @@ def test_frames_of_one_client_are_shown_to_the_others_and_not_to_itself(rig: Rig
     ("said", "answer"),
     [
         ("< statistics 100 >", "< error unknown command >"),
-        ("< bcmmode >", "< error unknown command >"),
+        ("< subscribe 0 0 123 >", "< error unknown command >"),  # of BCM mode
+        ("< isotpmode >", "< error isotpmode is not supported >"),
+        ("< muxfilter 0 0 123 2 FF >", "< error muxfilter is not supported >"),
+        ("< sendrtr 123 0 >", "< error sendrtr is not supported >"),
+        ("< fdsend 123 0 0 >", "< error fdsend is not supported >"),
         ("< open can0 >", "< error unknown command >"),  # a second time
         ("< >", "< error syntax error >"),
         ("< send 800 0 >", "< error syntax error in send command >"),
@@ -333,6 +366,185 @@ def test_channels_of_one_server_are_separate_buses() -> None:
     finally:
         for link in links:
             link.close()
+
+
+def test_after_open_a_client_hears_what_it_has_subscribed_to(rig: Rig) -> None:
+    client = rig.bcm_client()
+    rig.carry((0x60A, "01"))
+    assert rig.told(client) == []
+    assert not rig.link.has_host()
+    rig.say(client, "< subscribe 0 0 60A >< subscribe 0 0 00012345 >")
+    assert rig.link.has_host()
+    rig.carry((0x60A, "02"), (0x60B, "03"), (0x12345 | EXTENDED, "04"), (0x60A, "02"))
+    assert rig.told(client) == [["60A", "02"], ["00012345", "04"], ["60A", "02"]]
+    rig.say(client, "< unsubscribe 60A >")
+    rig.carry((0x60A, "05"), (0x12345 | EXTENDED, "06"))
+    assert rig.told(client) == [["00012345", "06"]]
+
+
+def test_bcm_mode_writes_frames_as_the_real_server_does() -> None:
+    assert bcm_text(0x123, bytes.fromhex("11223344"), 23_424_242_000) == b"< frame 123 23.424242 11 22 33 44  >"
+
+
+def test_a_filter_tells_changes_of_the_bits_it_names(rig: Rig) -> None:
+    client = rig.bcm_client()
+    rig.say(client, "< filter 0 0 60A 2 FF 0F >")
+    rig.carry(
+        (0x60A, "0110"), (0x60A, "0120"), (0x60A, "0121"), (0x60A, "02210000"), (0x60A, "0221FFFF"), (0x60A, "02")
+    )
+    assert [data for _, data in rig.told(client)] == ["0110", "0121", "02210000", "02"]
+
+
+def test_a_throttle_tells_the_latest_when_its_time_is_over(rig: Rig) -> None:
+    client = rig.bcm_client()
+    rig.say(client, "< subscribe 0 50000 60A >")
+    rig.carry((0x60A, "01"), (0x60A, "02"), (0x60A, "03"))
+    assert [data for _, data in rig.told(client)] == ["01"]
+    wake_ns = rig.link.flush(rig.now_ns)
+    assert wake_ns is not None
+    assert 45 * MS < wake_ns - rig.now_ns < 50 * MS
+    rig.now_ns = wake_ns
+    rig.step()
+    assert [data for _, data in rig.told(client)] == ["03"]
+    rig.carry((0x60A, "04"))
+    assert rig.told(client) == []
+    rig.now_ns += 50 * MS
+    rig.step()
+    assert [data for _, data in rig.told(client)] == ["04"]
+    rig.now_ns += 200 * MS
+    rig.step()
+    rig.carry((0x60A, "05"))
+    assert [data for _, data in rig.told(client)] == ["05"]
+
+
+def test_a_job_sends_at_once_and_again_until_it_is_deleted(rig: Rig) -> None:
+    client, other = rig.bcm_client(), rig.raw_client()
+    rig.say(client, "< add 0 20000 123 2 1 22 >")
+    begun_ns = rig.now_ns
+    heard = rig.hear(3)
+    assert heard == [Received(0x123, b"\1\x22")] * 3
+    assert 40 * MS <= rig.now_ns - begun_ns < 46 * MS
+    assert [group.split()[2] for group in rig.read(other, 3)] == ["123"] * 3
+    assert rig.told(client) == []
+    rig.say(client, "< update 123 1 ff >")
+    assert rig.hear(2) == [Received(0x123, b"\xff")] * 2
+    rig.say(client, "< delete 123 >")
+    rig.now_ns += SECOND
+    assert rig.hear(0) == []
+
+
+def test_an_interval_of_zero_sends_once_and_an_update_alone_not_at_all(rig: Rig) -> None:
+    client = rig.bcm_client()
+    rig.say(client, "< add 0 0 123 0 >< update 124 0 >< send 125 0 >")
+    rig.now_ns += SECOND
+    assert sorted(frame.peer for frame in rig.hear(2)) == [0x123, 0x125]
+    rig.now_ns += SECOND
+    assert rig.hear(0) == []
+
+
+def test_a_job_faster_than_the_bus_fills_it_and_no_more(rig: Rig) -> None:
+    client = rig.bcm_client()
+    rig.say(client, "< add 0 10 123 8 0 0 0 0 0 0 0 0 >")
+    assert len(rig.hear(1000)) >= 1000
+    wake_ns = rig.link.flush(rig.now_ns)
+    assert wake_ns is not None
+
+
+def test_jobs_end_with_their_client_and_with_bcm_mode(rig: Rig) -> None:
+    client = rig.bcm_client()
+    rig.say(client, "< add 0 1000 123 0 >")
+    assert rig.hear(2)
+    assert rig.talk(client, "< rawmode >", "< ok >")
+    rig.now_ns += 10 * MS
+    rig.hear(0)
+    rig.now_ns += SECOND
+    assert rig.hear(0) == []
+    assert rig.talk(client, "< bcmmode >", "< ok >")
+    rig.say(client, "< add 0 1000 123 0 >")
+    assert rig.hear(2)
+    client.close()
+    rig.hear(0)
+    rig.now_ns += SECOND
+    assert rig.hear(0) == []
+
+
+def test_raw_mode_ends_with_another_mode(rig: Rig) -> None:
+    client = rig.raw_client()
+    rig.carry((0x60A, "01"))
+    assert rig.told(client) == [["60A", "01"]]
+    for mode in ("bcmmode", "controlmode"):
+        assert rig.talk(client, f"< {mode} >", "< ok >")
+        rig.carry((0x60A, "02"))
+        assert rig.told(client) == []
+    assert not rig.link.has_host()
+
+
+def test_control_mode_tells_statistics_of_the_bus(rig: Rig) -> None:
+    client = rig.bcm_client()
+    rig.carry((0x60A, "0102"), (0x60A, "030405"))
+    client.sendall(b"< send 123 1 7 >")
+    rig.hear(1)
+    assert rig.talk(client, "< controlmode >", "< ok >")
+    rig.say(client, "< statistics 100 >")
+    wake_ns = rig.link.flush(rig.now_ns)
+    assert wake_ns is not None
+    assert 90 * MS < wake_ns - rig.now_ns <= 100 * MS
+    rig.now_ns = wake_ns
+    assert rig.read(client, 1) == ["< stat 5 2 1 1 >"]
+    rig.carry((0x60A, "01"))
+    rig.now_ns += 100 * MS
+    assert rig.read(client, 1) == ["< stat 6 3 1 1 >"]
+    rig.say(client, "< statistics 0 >")
+    rig.now_ns += SECOND
+    rig.say(client, "")
+    assert rig.talk(client, "< statistics >", "< error syntax error in statistics command >")
+    assert rig.talk(client, "< send 123 0 >", "< error unknown command >")
+
+
+@pytest.mark.parametrize(
+    ("said", "answer"),
+    [
+        ("< subscribe 0 123 >", "syntax error in subscribe command"),
+        ("< subscribe 0 x 123 >", "syntax error in subscribe command"),
+        ("< subscribe 0 0 800 >", "syntax error in subscribe command"),
+        ("< subscribe 9999999999999 0 123 >", "syntax error in subscribe command"),
+        ("< unsubscribe >", "syntax error in unsubscribe command"),
+        ("< filter 0 0 123 2 FF >", "syntax error in filter command"),
+        ("< add 0 123 1 1 >", "syntax error in add command"),
+        ("< add 0 0 123 9 1 1 1 1 1 1 1 1 1 >", "syntax error in add command"),
+        ("< update 123 >", "syntax error in update command"),
+        ("< delete 20000000 >", "syntax error in delete command"),
+        ("< statistics 100 >", "unknown command"),
+    ],
+)
+def test_a_command_of_bcm_mode_that_cannot_be_read_is_named(rig: Rig, said: str, answer: str) -> None:
+    client = rig.bcm_client()
+    assert rig.talk(client, said, f"< error {answer} >")
+    assert rig.link.hosts.malformed == 1
+
+
+def test_subscriptions_and_jobs_of_a_client_are_bounded(rig: Rig) -> None:
+    client = rig.bcm_client()
+    for k in range(MOST_ENTRIES):
+        rig.say(client, f"< subscribe 0 0 {k:03X} >< update {k:03X} 0 >")
+        rig.now_ns += MS
+    assert rig.talk(client, "< subscribe 0 0 7FF >", "< error too many subscriptions in subscribe command >")
+    assert rig.talk(client, "< add 0 0 7FF 0 >", "< error too many jobs in add command >")
+    rig.say(client, "< subscribe 0 0 001 >")
+
+
+def test_time_stamps_are_those_that_the_run_gives(quiet: None) -> None:
+    epoch_ns = 1_700_000_000 * SECOND
+    rig = Rig(CanPorts(stamp_ns=lambda at_ns: epoch_ns + at_ns))
+    try:
+        raw, bcm = rig.raw_client(), rig.bcm_client()
+        rig.say(bcm, "< subscribe 0 0 60A >")
+        rig.carry((0x60A, "01"))
+        for client in (raw, bcm):
+            stamp = float(rig.read(client, 1)[0].split()[3])
+            assert stamp == pytest.approx((epoch_ns + rig.now_ns) / SECOND, abs=0.01)
+    finally:
+        rig.close()
 
 
 @pytest.fixture

@@ -138,6 +138,40 @@ static int read_back(void)
     return 0;
 }
 
+/* struct termios2 made from nothing, no TCGETS2 before: any speed as a number. */
+static int blind_speed(uint32_t speed)
+{
+    struct {
+        uint32_t iflag, oflag, cflag, lflag;
+        uint8_t line, cc[19];
+        uint32_t ispeed, ospeed;
+    } modes;
+
+    memset(&modes, 0, sizeof modes);
+    modes.cflag = 0x1000 /* BOTHER */ | CS8 | CREAD | CLOCAL;
+    modes.ispeed = modes.ospeed = speed;
+    return ioctl(port, 0x402C542DUL /* TCSETSF2 */, &modes);
+}
+
+static int get_lines(void)
+{
+    int bits = 0;
+
+    if (ioctl(port, TIOCMGET, &bits) < 0)
+        return -1;
+    printf("%s%s%s ", bits & TIOCM_DTR ? "DTR " : "", bits & TIOCM_RTS ? "RTS " : "",
+           (bits & (TIOCM_CTS | TIOCM_DSR | TIOCM_CAR)) == (TIOCM_CTS | TIOCM_DSR | TIOCM_CAR) ? "device" : "");
+    return 0;
+}
+
+/* "set dtr", "up rts", "down dtr": mono's SerialPort sets both so, from what TIOCMGET gave. */
+static int set_lines(const char *text)
+{
+    int bits = strstr(text, "dtr") != NULL ? TIOCM_DTR : strstr(text, "rts") != NULL ? TIOCM_RTS : 0;
+
+    return ioctl(port, strncmp(text, "set", 3) == 0 ? TIOCMSET : strncmp(text, "up", 2) == 0 ? TIOCMBIS : TIOCMBIC, &bits);
+}
+
 static int plain_file(void)
 {
     struct serial_struct serial;
@@ -151,6 +185,7 @@ static int plain_file(void)
 int main(int count, char **arguments)
 {
     char line[64];
+    struct serial_icounter_struct counters;
 
     if (count != 2 || (port = open(arguments[1], O_RDWR | O_NOCTTY | O_NDELAY)) < 0)
         return 2;
@@ -179,6 +214,14 @@ int main(int count, char **arguments)
             result = vhi_flag();
         else if (strcmp(line, "threads") == 0)
             result = threads();
+        else if (strncmp(line, "blind ", 6) == 0)
+            result = blind_speed((uint32_t)atoi(line + 6));
+        else if (strcmp(line, "get lines") == 0)
+            result = get_lines();
+        else if (strncmp(line, "lines ", 6) == 0)
+            result = set_lines(line + 6);
+        else if (strcmp(line, "count") == 0)
+            result = ioctl(port, TIOCGICOUNT, &counters);
         else if (strcmp(line, "read back") == 0)
             result = read_back();
         else if (strcmp(line, "plain file") == 0)
