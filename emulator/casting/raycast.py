@@ -240,7 +240,7 @@ class Caster:
             blocks.append(Block(here, origin, aim, box, found, indexes(inner)))
             if not self.moves and inner.any():
                 self._recast_leaks(found, inner, origin, aim.ray, np.zeros(len(aim)), far)
-            parts.append(self._told(found, inner, far))
+            parts.append(array_form(Caster._told)(self, found, inner, far))
         hits = Hits.joined(parts) if blocks else Hits.misses(count)
         for column in vars(hits).values():
             column.flags.writeable = False
@@ -263,7 +263,7 @@ class Caster:
         inner = self._is_inner(found)
         if inner.any():
             self._recast_leaks(found, inner, origin, ray, times, fan.far)
-        return rays + block.here.start, self._told(found, inner, fan.far)
+        return rays + block.here.start, array_form(Caster._told)(self, found, inner, fan.far)
 
     def _subset(self, bodies: frozenset[int]) -> Caster:
         if bodies not in self._subsets:

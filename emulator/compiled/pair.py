@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
-from types import ModuleType
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, Never, ParamSpec, TypeVar
 
 from emulator.compiled.switch import kernels
 
 Given = ParamSpec("Given")
 Made = TypeVar("Made")
-OTHERWISE: Any = object()
+OTHERWISE: Never = object()  # type: ignore[assignment]
 "What the form by loops gives where it does not do for what it was given: arrays do it."
 
 
@@ -33,9 +32,7 @@ class Pair:
         return f"{self.array.__module__}.{self.array.__qualname__}"
 
 
-def by_loops(
-    loop: Callable[Concatenate[ModuleType, Given], Made], *names: str
-) -> Callable[[Callable[Given, Made]], Callable[Given, Made]]:
+def by_loops(loop: Callable[..., Any], *names: str) -> Callable[[Callable[Given, Made]], Callable[Given, Made]]:
     """Have a step done by `loop`, which gets `compiled.loops` first, where loops are used; `names`: those it takes."""
 
     def of(array: Callable[Given, Made]) -> Callable[Given, Made]:
@@ -46,7 +43,7 @@ def by_loops(
             loops = kernels() if pair.on else None
             if loops is None:
                 return array(*args, **words)
-            made = loop(loops, *args, **words)
+            made: Made = loop(loops, *args, **words)
             return array(*args, **words) if made is OTHERWISE else made
 
         step.pair = pair  # type: ignore[attr-defined]

@@ -230,7 +230,7 @@ class Cosines:
         return cls(i, n, n, i, n, i, i, n, n, n, n, 1.0, 1.0)
 
 
-_Split = tuple[Sequence[Ints], Floats, Bools]
+_Split = tuple[Ints, Floats, Bools]
 _Summed = tuple[Sequence[Floats], Sequence[Ints], Sequence[Floats], Ints]
 
 
@@ -278,12 +278,10 @@ def _split(echoes: SubEchoes, gap_m: float, longest_m: float) -> _Split:
     size = np.diff(np.append(start, len(echoes)))
     first, end = r[start], start + size - 1
     short = (r[end] - first < longest_m) & (_running(echoes.amplitude, start, size)[end] > 0.0)
-    return (beam[start], start, size), first, short
+    return np.stack([beam[start], start, size]), first, short
 
 
-def _summed_by_loops(
-    loops: ModuleType, echoes: SubEchoes, whole: Sequence[Ints], short: Bools, wave_number: float
-) -> _Summed:
+def _summed_by_loops(loops: ModuleType, echoes: SubEchoes, whole: Ints, short: Bools, wave_number: float) -> _Summed:
     running, where, maximum, rest = loops.sums(
         echoes.range_m, echoes.amplitude, echoes.source, whole, short, wave_number
     )
@@ -291,7 +289,7 @@ def _summed_by_loops(
 
 
 @by_loops(_summed_by_loops, "sums")
-def _summed(echoes: SubEchoes, whole: Sequence[Ints], short: Bools, wave_number: float) -> _Summed:
+def _summed(echoes: SubEchoes, whole: Ints, short: Bools, wave_number: float) -> _Summed:
     """Running sums over all sub-echoes: signal where each pulse begins, amplitudes, and the two parts of C.
 
     Of the short clusters: beam, source, first sub-echo, size; place and height of the maximum, begin. The others'
