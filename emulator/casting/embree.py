@@ -7,6 +7,7 @@ Belongs here: building, one search for many rays, distances recomputed from plan
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import ModuleType
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from emulator.casting.hits import Counters
 from emulator.casting.structures import Content, Table
-from emulator.compiled.switch import kernels
+from emulator.compiled.pair import OTHERWISE, by_loops
 from emulator.world.batched_poses import Flags, Longs
 from emulator.world.triangles import Floats, Ints
 
@@ -28,11 +29,13 @@ SUSPICIOUS = 1e-3
 "Refined and float32 distance differ by more than this times (1 + distance): the plane is not to be trusted."
 
 
+def _packets(loops: ModuleType, content: Content) -> Structure:
+    return OTHERWISE if loops.library() is None else loops.Packets(content.vertices, content.faces)
+
+
+@by_loops(_packets, "library", "Packets")
 def structure(content: Content) -> Structure:
     """A search structure over triangles, built."""
-    loops = kernels()
-    if loops is not None and loops.library() is not None:
-        return loops.Packets(content.vertices, content.faces)
     made = EmbreeScene(robust=True)  # without it 8 % of rays aimed at shared edges slip through
     TriangleMesh(made, content.vertices, content.faces)
     run(made, np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), np.ones(1, np.float32))  # builds it

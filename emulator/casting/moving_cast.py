@@ -19,7 +19,7 @@ from emulator.casting.deforming import Slices
 from emulator.casting.embree import Singles
 from emulator.casting.hits import MISS, Aim, Counters, Met, Passing, all_met, extent, rows
 from emulator.casting.structures import Layout, Movers
-from emulator.compiled.switch import kernels
+from emulator.compiled.pair import OTHERWISE, by_loops
 from emulator.physics.arrays import indexes
 from emulator.world.batched_poses import Flags, Longs, Stretch, may_meet, through_sphere
 from emulator.world.broad_phase import KEPT, BroadPhase
@@ -27,6 +27,37 @@ from emulator.world.triangles import Floats, Ints
 
 NONE_BENT = np.zeros(0, np.int64), np.zeros((3, 0)), np.zeros((3, 3, 0))
 "All pairs are of bodies that move straight."
+
+
+def _crossed_by_loops(
+    loops: ModuleType, cast: MovingCast, movers: Movers, now: Stretch, curved: Longs, which: Longs, rays: Longs,
+    origin: Floats, aim: Aim, times: Floats, far: float, known_m: Floats,
+) -> Met | None:  # fmt: skip
+    """Where all bodies are rigid."""
+    if not cast._packets:
+        return OTHERWISE
+    bent, offset, turned = NONE_BENT
+    if len(curved):
+        pairs = [indexes(which == mover) for mover in curved]
+        bent = np.full(len(which), -1)
+        bent[np.concatenate(pairs)] = np.arange(sum(map(len, pairs)))
+        where = [(movers.batched.motions[of], times[rays[at]]) for of, at in zip(curved, pairs, strict=True)]
+        offset = origin[:, rays[np.concatenate(pairs)]]
+        offset -= np.concatenate([motion.position(when) for motion, when in where]).T
+        poses = [np.broadcast_to(motion.rotation(when), (len(when), 3, 3)) for motion, when in where]
+        turned = np.concatenate(poses).transpose(1, 2, 0)
+    parts = []
+    for number in np.unique(movers.structure) if len(cast._slots) > 1 else (0,):
+        (met, triangle, body), sizes, sent, wrong = loops.moving(
+            *cast._slots[number].how, number, which, rays, origin, aim.ray, times, far, known_m,
+            now.at, now.velocity, now.since, now.turned, movers.centre, movers.reach, movers.half, movers.cell,
+            movers.shift, movers.structure, movers.body, bent, offset, turned, cast._table.plane, embree.SUSPICIOUS,
+        )  # fmt: skip
+        cast.counters.cast += sent
+        cast.counters.suspicious += wrong
+        if len(met):
+            parts.append(Met(met, triangle, body, sizes[0], sizes[2:], sizes[1]))
+    return all_met(parts)
 
 
 class MovingCast:
@@ -71,11 +102,14 @@ class MovingCast:
         which, rays = may_meet(place, movers.reach + swept, box, aim.ray, far, known_m, lambda: aim.cones)
         if not len(which):
             return None
+        return self._crossed(movers, now, curved, which, rays, origin, aim, times, far, known_m)
 
-        loops = kernels()
-        if loops is not None and self._packets:
-            return self._met_compiled(loops, movers, now, curved, which, rays, origin, aim.ray, times, far, known_m)
-
+    @by_loops(_crossed_by_loops, "moving")
+    def _crossed(
+        self, movers: Movers, now: Stretch, curved: Longs, which: Longs, rays: Longs,
+        origin: Floats, aim: Aim, times: Floats, far: float, known_m: Floats,
+    ) -> Met | None:  # fmt: skip
+        """Rays on the moving bodies that they may meet."""
         # the ray's origin seen from the body's first: large coordinates cancel there
         when = times.take(rays)
         offset = origin.take(rays, axis=1) - now.at.take(which, axis=1)
@@ -115,34 +149,6 @@ class MovingCast:
         for number in np.unique(home[home < 0]):
             parts.append(self._frames(movers, passing.taken(indexes(home == number)), times, -1 - number))
         return all_met([part for part in parts if part is not None])
-
-    def _met_compiled(
-        self, loops: ModuleType, movers: Movers, now: Stretch, curved: Longs, which: Longs, rays: Longs,
-        origin: Floats, ray: Floats, times: Floats, far: float, known_m: Floats,
-    ) -> Met | None:  # fmt: skip
-        """The same in compiled loops, where all bodies are rigid."""
-        bent, offset, turned = NONE_BENT
-        if len(curved):
-            pairs = [indexes(which == mover) for mover in curved]
-            bent = np.full(len(which), -1)
-            bent[np.concatenate(pairs)] = np.arange(sum(map(len, pairs)))
-            where = [(movers.batched.motions[of], times[rays[at]]) for of, at in zip(curved, pairs, strict=True)]
-            offset = origin[:, rays[np.concatenate(pairs)]]
-            offset -= np.concatenate([motion.position(when) for motion, when in where]).T
-            poses = [np.broadcast_to(motion.rotation(when), (len(when), 3, 3)) for motion, when in where]
-            turned = np.concatenate(poses).transpose(1, 2, 0)
-        parts = []
-        for number in np.unique(movers.structure) if len(self._slots) > 1 else (0,):
-            (met, triangle, body), sizes, cast, wrong = loops.moving(
-                *self._slots[number].how, number, which, rays, origin, ray, times, far, known_m,
-                now.at, now.velocity, now.since, now.turned, movers.centre, movers.reach, movers.half, movers.cell,
-                movers.shift, movers.structure, movers.body, bent, offset, turned, self._table.plane, embree.SUSPICIOUS,
-            )  # fmt: skip
-            self.counters.cast += cast
-            self.counters.suspicious += wrong
-            if len(met):
-                parts.append(Met(met, triangle, body, sizes[0], sizes[2:], sizes[1]))
-        return all_met(parts)
 
     def _rigid(self, movers: Movers, near: Passing) -> Met | None:
         which, rays = near.which, near.rays
@@ -198,15 +204,25 @@ class MovingCast:
         return number, span
 
 
+def _straight_by_loops(
+    loops: ModuleType, now: Stretch, centre: Floats, begin: float, end: float
+) -> tuple[Floats, Floats]:
+    place, swept = loops.whereabouts(now.at, now.velocity, now.since, now.turned, centre, begin, end)
+    return place, swept
+
+
+@by_loops(_straight_by_loops, "whereabouts")
+def _straight(now: Stretch, centre: Floats, begin: float, end: float) -> tuple[Floats, Floats]:
+    """Centres (3, b) in the middle of a stretch, and how far they come from there, of bodies that move straight."""
+    place = now.at + (begin + (end - begin) / 2.0 - now.since) * now.velocity
+    place += np.einsum("ijb,jb->ib", now.turned, centre)
+    return place, np.sqrt(np.einsum("ib,ib->b", now.velocity, now.velocity)) * ((end - begin) / 2.0)
+
+
 def _whereabouts(movers: Movers, begin: float, end: float) -> tuple[Stretch, Floats, Floats, Longs]:
     """Motions from `begin` to `end`; centres (3, b), how far they may be from there, and which do not move straight."""
-    now, loops = movers.batched.during(begin, end), kernels()
-    middle = begin + (end - begin) / 2.0
-    if loops is not None:
-        place, swept = loops.whereabouts(now.at, now.velocity, now.since, now.turned, movers.centre, begin, end)
-    else:
-        place = now.at + (middle - now.since) * now.velocity + np.einsum("ijb,jb->ib", now.turned, movers.centre)
-        swept = np.sqrt(np.einsum("ib,ib->b", now.velocity, now.velocity)) * ((end - begin) / 2.0)
+    now, middle = movers.batched.during(begin, end), begin + (end - begin) / 2.0
+    place, swept = _straight(now, movers.centre, begin, end)
     curved = indexes(~now.straight)
     if len(curved):  # anywhere around where the body's origin is, as far as it can have come
         for mover in curved:

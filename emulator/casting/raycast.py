@@ -34,7 +34,7 @@ from emulator.casting.hits import (
 )
 from emulator.casting.moving_cast import MovingCast
 from emulator.casting.structures import Group, lay_out
-from emulator.compiled.switch import kernels
+from emulator.compiled.pair import OTHERWISE, array_form, by_loops
 from emulator.physics.arrays import indexes
 from emulator.world.batched_poses import Flags, Longs, through_sphere
 from emulator.world.scene import Scene
@@ -53,6 +53,40 @@ KEEP_NUMBERS = 3_900_000
 SUBSETS_KEPT = 16
 FAN_RAYS_KEPT = 400_000
 "Rays of which it is remembered what they meet of resting bodies: about 200 bytes each."
+
+
+def _resting_by_loops(loops: ModuleType, caster: Caster, origin: Floats, aim: Aim, far: float) -> Nearest:
+    if not caster._packets:
+        return OTHERWISE
+    table, groups = caster._table, caster._groups
+    if not groups:
+        return Nearest.nothing(len(aim))
+    range_m, triangle, body, normal, facing = loops.unwritten(len(aim))
+    found = Nearest(range_m, triangle, body, normal, facing, table.plane, caster._merged)
+    for number, (group, structure) in enumerate(zip(groups, caster._built, strict=True)):
+        around = len(groups) == 1 and _norm(origin[:, :1] - group.centre) < group.radius
+        cast, wrong = loops.resting(
+            *structure.how, origin, aim.ray, aim.order, group.centre[:, 0], np.inf if around else group.radius, far,
+            embree.SUSPICIOUS, table.plane, table.body, group.offset, number == 0,
+            found.range_m, found.triangle, found.body, found.facing,
+        )  # fmt: skip
+        caster.counters.cast += cast
+        caster.counters.suspicious += wrong
+    return found
+
+
+def _is_inner_by_loops(loops: ModuleType, caster: Caster, found: Nearest) -> Flags:
+    return np.asarray(loops.inner(found.facing, found.triangle, caster._table.closed))
+
+
+def _told_by_loops(loops: ModuleType, caster: Caster, found: Nearest, inner: Flags, far: float) -> LateHits:
+    """What few ask for is looked up, by arrays, if somebody does."""
+    (actor, material), cosine = loops.told(
+        found.range_m, found.triangle, found.body, found.facing, far, inner, caster._actor_of, caster._material,
+        caster._table.part, caster._parts_of, caster._part_material,
+    )  # fmt: skip
+    later = partial(array_form(Caster._told), caster, found, inner, far)
+    return LateHits(found.range_m, actor, material, inner, cosine, ((found, later),))
 
 
 class Caster:
@@ -206,7 +240,7 @@ class Caster:
             blocks.append(Block(here, origin, aim, box, found, indexes(inner)))
             if not self.moves and inner.any():
                 self._recast_leaks(found, inner, origin, aim.ray, np.zeros(len(aim)), far)
-            parts.append(self._told(found, inner, far))
+            parts.append(array_form(Caster._told)(self, found, inner, far))
         hits = Hits.joined(parts) if blocks else Hits.misses(count)
         for column in vars(hits).values():
             column.flags.writeable = False
@@ -229,7 +263,7 @@ class Caster:
         inner = self._is_inner(found)
         if inner.any():
             self._recast_leaks(found, inner, origin, ray, times, fan.far)
-        return rays + block.here.start, self._told(found, inner, fan.far)
+        return rays + block.here.start, array_form(Caster._told)(self, found, inner, fan.far)
 
     def _subset(self, bodies: frozenset[int]) -> Caster:
         if bodies not in self._subsets:
@@ -247,18 +281,10 @@ class Caster:
             self._recast_leaks(found, inner, origin, aim.ray, times, far)
         if skip is not None:
             found.range_m = found.range_m + skip
-        loops = kernels()
-        if loops is None:
-            return self._told(found, inner, far)
-        (actor, material), cosine = loops.told(
-            found.range_m, found.triangle, found.body, found.facing, far, inner, self._actor_of, self._material,
-            self._table.part, self._parts_of, self._part_material,
-        )  # fmt: skip
-        return LateHits(
-            found.range_m, actor, material, inner, cosine, ((found, partial(self._told, found, inner, far)),)
-        )
+        return self._told(found, inner, far)
 
-    def _told(self, found: Nearest, inner: Flags, far: float) -> Hits:
+    @by_loops(_told_by_loops, "told")
+    def _told(self, found: Nearest, inner: Flags, far: float) -> Hits | LateHits:
         """What was found, as it is told; `found` stays as it is."""
         table, body, triangle = self._table, found.body, found.triangle
         missed = triangle < 0
@@ -290,10 +316,8 @@ class Caster:
     def _material_of(self, body: Longs, triangle: Longs) -> Ints:
         return self._part_material.take(self._parts_of.take(body) + self._table.part.take(triangle))
 
+    @by_loops(_is_inner_by_loops, "inner")
     def _is_inner(self, found: Nearest) -> Flags:
-        loops = kernels()
-        if loops is not None:
-            return np.asarray(loops.inner(found.facing, found.triangle, self._table.closed))
         inner = found.facing > 0.0
         if inner.any():
             inner &= self._table.closed.take(found.triangle)
@@ -335,32 +359,13 @@ class Caster:
                 keep_nearer(found, met.rays, met)
         return found
 
+    @by_loops(_resting_by_loops, "resting", "unwritten")
     def _resting(self, origin: Floats, aim: Aim, far: float) -> Nearest:
-        loops = kernels()
-        if loops is not None and self._packets:
-            return self._resting_compiled(loops, origin, aim, far)
         if len(self._groups) == 1 and _norm(origin[:, :1] - self._groups[0].centre) < self._groups[0].radius:
             return self._cast_around(origin, aim, far)
         found = Nearest.nothing(len(aim))
         for group, structure in zip(self._groups, self._built, strict=True):
             self._cast_afar(group, structure, origin, aim.ray, far, found)
-        return found
-
-    def _resting_compiled(self, loops: ModuleType, origin: Floats, aim: Aim, far: float) -> Nearest:
-        table, groups = self._table, self._groups
-        if not groups:
-            return Nearest.nothing(len(aim))
-        range_m, triangle, body, normal, facing = loops.unwritten(len(aim))
-        found = Nearest(range_m, triangle, body, normal, facing, table.plane, self._merged)
-        for number, (group, structure) in enumerate(zip(groups, self._built, strict=True)):
-            around = len(groups) == 1 and _norm(origin[:, :1] - group.centre) < group.radius
-            cast, wrong = loops.resting(
-                *structure.how, origin, aim.ray, aim.order, group.centre[:, 0], np.inf if around else group.radius, far,
-                embree.SUSPICIOUS, table.plane, table.body, group.offset, number == 0,
-                found.range_m, found.triangle, found.body, found.facing,
-            )  # fmt: skip
-            self.counters.cast += cast
-            self.counters.suspicious += wrong
         return found
 
     def _cast_around(self, origin: Floats, aim: Aim, far: float) -> Nearest:

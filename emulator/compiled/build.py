@@ -13,6 +13,8 @@ import os
 import platform
 import subprocess
 import sys
+import tempfile
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from importlib import metadata
@@ -20,6 +22,8 @@ from pathlib import Path
 
 NICENESS = 10
 "Of the compiling process: whoever sends and measures comes first."
+SAID = 300
+"Characters of its last words."
 BODY = "from emulator.compiled import build, switch; build.body(switch.kernels)"
 
 
@@ -31,7 +35,8 @@ def note_path() -> Path:
 
 def _key() -> str:
     """Of all that compiled loops depend on."""
-    parts = [sys.version, platform.machine(), _processor(), os.environ.get("NUMBA_CPU_NAME", "")]
+    parts = [sys.version, platform.machine(), _processor()]
+    parts += [os.environ.get(name, "") for name in ("NUMBA_CPU_NAME", "NUMBA_CACHE_DIR")]
     for library in ("numba", "llvmlite", "numpy"):
         with suppress(metadata.PackageNotFoundError):
             parts.append(f"{library} {metadata.version(library)}")
@@ -74,34 +79,56 @@ def note_built(folders: set[str]) -> None:
 
 
 class Builder:
-    """A process that compiles all loops; its end is seen by `poll`."""
+    """A process that compiles all loops; its end is seen by `poll`. It ends with us, however we end.
+
+    `OSError` where the machine has no process to give.
+    """
 
     def __init__(self) -> None:
-        environment = {**os.environ, "LIDAREMU_COMPILED": "1"}
+        path = os.pathsep.join(os.path.abspath(one) for one in sys.path)
+        environment = {**os.environ, "LIDAREMU_COMPILED": "1", "PYTHONPATH": path}
+        self._said = tempfile.TemporaryFile()
         self._process = subprocess.Popen(
-            [sys.executable, "-c", BODY],
+            [sys.executable, "-P", "-c", BODY],
             env=environment,
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE,  # its end is ours
             stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
+            stderr=self._said,
         )
 
     def poll(self) -> bool | None:
-        """None while it works; then whether all loops are compiled."""
+        """None while it works; then whether it has come to its end in order."""
         code = self._process.poll()
-        return None if code is None else code == 0 and built()
+        return None if code is None else code == 0
+
+    def why(self) -> str:
+        """How it has ended and the last that it said, in one line."""
+        code = self._process.returncode
+        how = "is still running" if code is None else f"signal {-code}" if code < 0 else f"exit code {code}"
+        self._said.seek(0)
+        last = self._said.read().decode(errors="replace").strip().rpartition("\n")[2]
+        return f"{how}: {last[:SAID]}" if last and code is not None and code > 0 else how
 
     def close(self) -> None:
         """End it; what it has compiled so far is kept."""
         if self._process.poll() is None:
             self._process.kill()
         self._process.wait()
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._said.close()
 
 
 def body(kernels: Callable[[], object]) -> None:
-    """What the process does."""
+    """What the process does; it ends when its standard input does."""
     with suppress(OSError):
         os.nice(NICENESS)
-
+    threading.Thread(target=_end_with_input, daemon=True).start()
     if kernels() is None:
         sys.exit(1)
+
+
+def _end_with_input() -> None:
+    while os.read(0, 1024):
+        pass
+    os._exit(1)

@@ -46,6 +46,22 @@ def why() -> tuple[bool, str]:
     return True, f"numba; rays are cast in packets of {found.width}"
 
 
+def wanted() -> bool:
+    """Whether they are to be used where they can be."""
+    return _wanted
+
+
+def in_use() -> bool:
+    """Whether this process has them and uses them; loads nothing."""
+    return _wanted and _loops.cache_info().currsize > 0 and _loops()[0] is not None
+
+
+def choose(on: bool) -> None:
+    """With or without them from here on, in a process that has built nothing yet."""
+    global _wanted
+    _wanted = on
+
+
 @cache
 def _loops() -> tuple[ModuleType | None, str]:
     """The functions, or why there are none."""

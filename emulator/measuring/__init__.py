@@ -3,5 +3,5 @@
 Belongs here: plans in, scans out, over pipes. Light: the sending process has it. Not: what a scan is made of
 (sensing).
 
-May import: `scenario` (weather), `process`, `protocols`.
+May import: `scenario` (weather), `compiled` (the switch), `process`, `protocols`.
 """

@@ -1,4 +1,4 @@
-"""What one worker owes, and the state of the process that it is at present.
+"""What one worker owes, the state of the process that it is at present, and of the one that will take its place.
 
 Belongs here: the data. Not: when any of it changes (supervision).
 """
@@ -50,6 +50,36 @@ class Question:
         return self.sensors, None, self.weather
 
 
+@dataclass(eq=False)
+class Handover(Question):
+    """What a process remembers, asked for its successor; the first of those owed once that is warm."""
+
+    sensors: tuple[str, ...] = ()
+    weather: WeatherConfig = field(default_factory=WeatherConfig)
+
+    def as_sent(self) -> tuple[object, ...]:
+        return None, None, None
+
+
+@dataclass(eq=False)
+class Successor:
+    """A process with compiled loops that gets ready beside the one that measures, to take its place."""
+
+    handle: Handle
+    pipe: Pipe
+    fileno: int
+    since_ns: int
+    "Running time at which it was started, or has answered last."
+    form: str = ""
+    "Once it is ready."
+    unanswered: int = 0
+    "Sweeps that it measures for nobody: the first in a process takes longer."
+
+    @property
+    def is_warm(self) -> bool:
+        return bool(self.form) and not self.unanswered
+
+
 @dataclass
 class Blame:
     """A sensor whose sweeps end workers, one after the other: it pauses, the others of its worker go on."""
@@ -69,6 +99,11 @@ class Home:
         self.handle: Handle | None = None
         self.pipe: Pipe | None = None
         self.fileno = -1
+        self.form = ""
+        "Arrays or loops, as the process tells."
+        self.successor: Successor | None = None
+        self.latest: dict[str, Sweep] = {}
+        "Sensor -> the sweep that was measured last: a successor is tried with it."
         self.owed: deque[Sweep | Question] = deque()
         self.in_hand: Sweep | Question | None = None
         "The first of those owed that has been handed over; one at a time, so that a slow sweep is known by its sensor."

@@ -58,6 +58,17 @@ def refusals(measures: Mapping[str, Measure], sensors: Sequence[str], weather: W
     return {name: why for name, why in found.items() if why}
 
 
+def states(measures: Mapping[str, Measure]) -> dict[str, object]:
+    """What measuring functions remember from sweep to sweep, by sensor: of those that remember anything."""
+    return {name: measure.state() for name, measure in measures.items() if hasattr(measure, "state")}
+
+
+def restore(measures: Mapping[str, Measure], found: Mapping[str, object]) -> None:
+    """Have them go on from what others of the same scenario remembered."""
+    for name, state in found.items():
+        measures[name].restore(state)  # type: ignore[attr-defined]
+
+
 class NotMeasured(Scan):
     """Stands for a sweep that was asked for and will not come: its device is told to choose another one."""
 

@@ -21,8 +21,9 @@ from typing import Any
 
 from emulator.errors import EmulatorError, SceneError
 from emulator.measuring.conditions import NORMAL, Conditions
-from emulator.measuring.homes import Blame, Home, Question, Sweep
+from emulator.measuring.homes import Blame, Handover, Home, Question, Successor, Sweep
 from emulator.measuring.measuring import BuildMeasures, NotMeasured, Told
+from emulator.measuring.upgrade import Building, Upgrade
 from emulator.measuring.worker import Forked, Handle, Pipe
 from emulator.process import time_limits
 from emulator.process.clock import Clock, SystemClock
@@ -60,14 +61,16 @@ class Workers:
         count: int,
         run_clock: Clock | None = None,
         clock: Clock | None = None,
-        launch: Callable[[], Handle] | None = None,
+        launch: Callable[[bool | None], Handle] | None = None,
+        build_loops: Callable[[], Building] | None = None,
     ) -> None:
         """Waits until each has built its scene; `EmulatorError` says why one could not.
 
         `run_clock` tells the time of plans; None: it is virtual and stands while sweeps are owed. `clock`: by which
-        processes are judged. `launch` starts one.
+        processes are judged. `launch` starts one, with compiled loops or without; None: as this process is switched.
+        `build_loops` begins to build what is not there yet: processes begin with arrays and go over to loops later.
         """
-        self._launch: Callable[[], Handle] = partial(Forked, build) if launch is None else launch
+        self._launch: Callable[[bool | None], Handle] = partial(Forked, build) if launch is None else launch
         self._clock = SystemClock() if clock is None else clock
         self._run_clock = run_clock
         self._ran = RunningTime()
@@ -87,7 +90,11 @@ class Workers:
         self._told = Told()
         self.warnings: list[str] = []
         "What is not yet passed on; whoever does empties it."
+        self.notes: list[str] = []
+        "What is told and is no fault; likewise."
         self._first = True
+        self._upgrade: Upgrade | None = None
+        self._as_switched = build_loops is None
         try:
             for home in self._homes:
                 self._start(home)
@@ -99,6 +106,8 @@ class Workers:
             self.close()
             raise
         self._first = False
+        if build_loops is not None:
+            self._upgrade = Upgrade(build_loops, self._launch, self._epoll, self.notes, self._ran.ns)
 
     # what others ask
 
@@ -140,6 +149,7 @@ class Workers:
                 "worker": home.number,
                 "pid": None if home.handle is None else home.handle.pid,
                 "state": home.state,
+                "form": home.form or None,
                 "started": home.starts,
                 "sensors": list(home.sensors),
             }
@@ -153,6 +163,8 @@ class Workers:
             home = next((one for one in self._homes if one.fileno == number), None)
             if home is not None:
                 self._attend(home)
+            elif self._upgrade is not None and (warm := self._upgrade.attend(number, self._homes, self._ran.ns)):
+                self._hand_over(warm)
         fresh, self._fresh = self._fresh, set()
         return fresh
 
@@ -165,6 +177,8 @@ class Workers:
             if self._run_clock is not None:
                 self._give_up_late(home, now_ns, self._run_clock.now_ns())
             self._hand_over(home)
+        if self._upgrade is not None and not self._upgrade.is_over:
+            self._upgrade.check(self._homes, now_ns)
         fresh, self._fresh = self._fresh, set()
         return fresh
 
@@ -194,6 +208,8 @@ class Workers:
     def close(self) -> None:
         """End the workers; one that stands still is made to."""
         handles = [home.handle for home in self._homes if home.handle is not None]
+        if self._upgrade is not None:
+            self._dying += self._upgrade.close(self._homes)
         for home in self._homes:
             self._let_go(home)
             home.state = "dead"
@@ -213,11 +229,14 @@ class Workers:
     # a worker's life
 
     def _start(self, home: Home) -> None:
+        if self._upgrade is not None and (successor := self._upgrade.taken(home)) is not None:
+            self._install(home, successor)
+            return
         home.starts += 1
         for pace in home.pace.values():
             pace.fresh = True
         try:
-            home.handle = self._launch()
+            home.handle = self._launch(self._with_loops)
         except OSError as error:
             text = f"cannot be started: {error.strerror or error}"
             if self._first:
@@ -229,6 +248,33 @@ class Workers:
         home.state, home.since_ns = "starting", self._ran.ns
         home.stillness = Stillness(self._ran.ns)
         self._epoll.register(home.fileno, READ)
+
+    @property
+    def _with_loops(self) -> bool | None:
+        """How a process is started now."""
+        return None if self._as_switched else self._upgrade is not None and self._upgrade.loops
+
+    def _install(self, home: Home, successor: Successor) -> None:
+        """What served before is gone: this one serves, or will when it is ready."""
+        home.starts += 1
+        home.handle, home.pipe, home.fileno = successor.handle, successor.pipe, successor.fileno
+        home.stillness, home.since_ns, home.form = Stillness(self._ran.ns), successor.since_ns, successor.form
+        home.state, home.was_ready, home.ready_ns = "starting", False, self._ran.ns
+        if successor.form:
+            home.state, home.was_ready = "ready", True
+        self._hand_over(home)
+
+    def _replace(self, home: Home, state: object) -> None:
+        """The successor goes on from what the process remembers, which is let go: nothing is in its hands."""
+        successor = None if self._upgrade is None else self._upgrade.taken(home)
+        if successor is None:
+            return
+        assert home.handle is not None
+        self._let_go(home)
+        home.handle.ask_to_end()
+        self._dying.append(home.handle)
+        successor.pipe.put((None, None, state))
+        self._install(home, successor)
 
     def _attend(self, home: Home) -> None:
         """Its pipe has something to read, or room."""
@@ -254,6 +300,7 @@ class Workers:
 
     def _take(self, home: Home, word: str, what: Any, result: Any) -> None:
         if word == "ready":
+            home.form = what or ""
             self._ready(home, result)
         elif word == "refused":
             if self._first:
@@ -276,9 +323,12 @@ class Workers:
     def _finished(self, home: Home, work: Sweep | Question, word: str, result: Any) -> None:
         home.owed.remove(work)
         home.in_hand = None
-        if isinstance(work, Question):
+        if isinstance(work, Handover):
+            self._replace(home, result)
+        elif isinstance(work, Question):
             work.answer.set_result(result)
         else:
+            home.latest[work.sensor] = work
             home.pace[work.sensor].add(self._ran.ns - home.since_ns)
             self._blame.pop(work.sensor, None)
             if self._run_clock is None:
@@ -322,7 +372,8 @@ class Workers:
         elif home.state == "starting":
             self._look(home, "building the scene", time_limits.BUILD_NS, time_limits.IDLE_BUILD_NS, now_ns)
         elif isinstance(home.in_hand, Question):
-            self._look(home, "judging weather", time_limits.QUESTION_NS, None, now_ns)
+            doing = "handing over" if isinstance(home.in_hand, Handover) else "judging weather"
+            self._look(home, doing, time_limits.QUESTION_NS, None, now_ns)
         elif home.state == "ready" and home.in_hand is not None:
             pace = home.pace[home.in_hand.sensor]
             what = f"measuring {home.in_hand.sensor}, sweep {home.in_hand.plan.sweep}"
@@ -354,7 +405,7 @@ class Workers:
         if home.handle is not None:
             home.handle.kill()
             self._dying.append(home.handle)
-        home.state, home.handle, home.in_hand, home.was_ready = "dead", None, None, False
+        home.state, home.handle, home.in_hand, home.was_ready, home.form = "dead", None, None, False, ""
         if not was_ready and not why.startswith(("refused", "cannot")):
             why += " while it built the scene"
         if self._first:

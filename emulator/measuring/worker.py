@@ -17,13 +17,16 @@ from collections.abc import Mapping
 from multiprocessing.reduction import ForkingPickler  # as multiprocessing's own pipes: between our own processes alone
 from typing import Any, Protocol
 
+from emulator.compiled import switch
 from emulator.errors import EmulatorError
-from emulator.measuring.measuring import BuildMeasures, Measure, Told, measured, refusals, warnings_of
+from emulator.measuring.measuring import BuildMeasures, Measure, Told, measured, refusals, restore, states, warnings_of
 
 PR_SET_PDEATHSIG = 1
 "linux/prctl.h."
 NICENESS = 5
 "Where there is one core: workers yield to the sender."
+ARRAYS, LOOPS = "arrays", "loops"
+"Form of a sweep's steps in a process, as told when it is ready."
 LENGTH_BYTES = 8
 READ_AT_ONCE = 1 << 20
 
@@ -158,7 +161,7 @@ def yield_to_sender() -> None:
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
-def _body(end: socket.socket, build: BuildMeasures, parent: int) -> None:
+def _body(end: socket.socket, build: BuildMeasures, parent: int, loops: bool | None) -> None:
     """Of the process: it is the sender's own from here on."""
     for ending in (signal.SIGINT, signal.SIGHUP):  # of the whole terminal: the daemon ends its workers
         signal.signal(ending, signal.SIG_IGN)
@@ -167,6 +170,10 @@ def _body(end: socket.socket, build: BuildMeasures, parent: int) -> None:
     _die_with(parent)
     _close_inherited(end.fileno())
     yield_to_sender()
+    if loops is not None:
+        switch.choose(loops)
+    if loops:
+        switch.kernels()
     with contextlib.suppress(EOFError, OSError):
         serve(WorkerEnd(end), build)
 
@@ -182,10 +189,14 @@ def serve(pipe: WorkerEnd, build: BuildMeasures) -> None:
         pipe.send("refused", EmulatorError, ("the scene does not fit into memory",))
         return
     told = Told()
-    pipe.send("ready", None, told.new(warnings_of(measures)))
+    pipe.send("ready", LOOPS if switch.in_use() else ARRAYS, told.new(warnings_of(measures)))
     while True:
         sensor, plan, conditions = pipe.receive()
-        if plan is None:
+        if sensor is None and conditions is None:
+            pipe.send("state", None, states(measures))
+        elif sensor is None:
+            restore(measures, conditions)
+        elif plan is None:
             pipe.send("judged", None, refusals(measures, sensor, conditions))
         else:
             _measure(pipe, measures, told, sensor, plan, conditions)
@@ -206,13 +217,14 @@ def _measure(
 class Forked:
     """A worker as a child process. `OSError` where the machine has none to give."""
 
-    def __init__(self, build: BuildMeasures) -> None:
+    def __init__(self, build: BuildMeasures, loops: bool | None = None) -> None:
+        """`loops`: with compiled loops or without; None: as they are switched in this process."""
         self.pipe, theirs = socket.socketpair()
         self._code: int | None = None
         try:
             context = multiprocessing.get_context("fork")
             self._process = context.Process(
-                target=_body, args=(theirs, build, os.getpid()), daemon=True, name="lidaremu-measure"
+                target=_body, args=(theirs, build, os.getpid(), loops), daemon=True, name="lidaremu-measure"
             )
             self._process.start()
         except OSError:

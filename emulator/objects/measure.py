@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -87,6 +88,15 @@ class ObjectMeasure:
     def warnings(self) -> tuple[str, ...]:
         """What its sources computed outside the range where it is known to hold."""
         return tuple(text for source in self._sources for text in getattr(source.measure, "warnings", ()))
+
+    def state(self) -> object:
+        """All that is remembered from list to list, for another process that goes on; see `restore`."""
+        return tuple(self._memories), self._last, self._frozen
+
+    def restore(self, state: Any) -> None:
+        """Go on from the `state` of another one of the same sensor and scenario."""
+        memories, self._last, self._frozen = state
+        self._memories = deque(memories, maxlen=REMEMBERED)
 
     def __call__(self, plan: ScanPlan, conditions: Conditions = NORMAL) -> Scan:
         """The list that a plan asks for; its sources are measured under the same conditions."""

@@ -7,10 +7,11 @@ range that a method reads off them (timing) and whether they are seen (detection
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 
-from emulator.compiled.switch import kernels
+from emulator.compiled.pair import OTHERWISE, by_loops
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, indexes, ramp
 from emulator.physics.detector import Detector
 from emulator.physics.subechoes import Clusters
@@ -52,6 +53,20 @@ def single_candidates(clusters: Clusters, chosen: Bools, least: Floats) -> Candi
     return Candidates(beam, clusters.range_m[sub], clusters.amplitude[sub], sub, minus, minus)
 
 
+def _wave_candidates_by_loops(
+    loops: ModuleType, wave: Waveform, least: Floats, rms: Floats, threshold: Floats, detector: Detector
+) -> Candidates:
+    if wave.pulse.shape != "sin2" or wave.value.size == 0:
+        return OTHERWISE
+    peak, window, centre, height, begin = loops.maxima(
+        *wave.flat, wave.beam, least, rms, threshold, detector.full_scale, FAINT
+    )
+    value = np.minimum(wave.value, detector.full_scale)
+    _clip(wave, value, peak, window, detector.full_scale, centre, height)
+    return Candidates(wave.beam[window], centre, height, peak, window, begin)
+
+
+@by_loops(_wave_candidates_by_loops, "maxima")
 def wave_candidates(wave: Waveform, least: Floats, rms: Floats, threshold: Floats, detector: Detector) -> Candidates:
     """Maxima of the clipped waveform, joined where no valley separates them.
 
@@ -62,13 +77,6 @@ def wave_candidates(wave: Waveform, least: Floats, rms: Floats, threshold: Float
     if n == 0:
         return Candidates(none, np.zeros(0), np.zeros(0), none, none, none)
     value = np.minimum(wave.value, detector.full_scale)
-    loops = kernels()
-    if loops is not None and wave.pulse.shape == "sin2":
-        peak, window, centre, height, begin = loops.maxima(
-            *wave.flat, wave.beam, least, rms, threshold, detector.full_scale, FAINT
-        )
-        _clip(wave, value, peak, window, detector.full_scale, centre, height)
-        return Candidates(wave.beam[window], centre, height, peak, window, begin)
     top = np.zeros(n, np.bool_)
     top[1:-1] = (value[1:-1] > value[:-2]) & (value[1:-1] >= value[2:])
     top[wave.start] = False

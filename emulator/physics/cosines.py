@@ -12,10 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from types import ModuleType
 
 import numpy as np
 
-from emulator.compiled.switch import kernels
+from emulator.compiled.pair import by_loops
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, cos_sin, indexes
 from emulator.physics.detector import Detector
 from emulator.physics.softprofile import SoftProfile
@@ -39,6 +40,10 @@ SHIFT = 0.125
 "Shift of a crossing, in steps of the range, below which it is left out under such a cluster."
 
 
+def _at_by_loops(loops: ModuleType, air: AirUnder, x_m: Floats, last: Ints) -> Floats:
+    return np.asarray(loops.under(*air.soft.flat, x_m, last, air.before, air.begins, air.open, air.sums))
+
+
 @dataclass(frozen=True, eq=False)
 class AirUnder:
     """What a faint medium adds under h clusters while their pulses rise; m sub-echoes in them. See softprofile."""
@@ -59,11 +64,10 @@ class AirUnder:
         """Those of some places, under other numbers of the clusters."""
         return replace(self, cluster=cluster, before=self.before[at], open=self.open[at], begins=self.begins[at])
 
+    @by_loops(_at_by_loops, "under")
     def at(self, x_m: Floats, last: Ints) -> Floats:
         """Its part at apparent ranges (h,), where these sub-echoes are the last ones begun; linear between bins."""
-        soft, loops = self.soft, kernels()
-        if loops is not None:
-            return np.asarray(loops.under(*soft.flat, x_m, last, self.before, self.begins, self.open, self.sums))
+        soft = self.soft
         blocked, a, real, imaginary = self.sums.take(last - self.before, axis=1) - self.sums.take(self.begins, axis=1)
         still = np.maximum(self.open - blocked, 0.0)
         bins = np.floor(x_m / soft.bin_m)
@@ -94,6 +98,26 @@ class AirDoubted:
     def chosen(self, at: Ints, cluster: Ints) -> AirDoubted:
         """Those of some places, under other numbers of the clusters."""
         return replace(self, cluster=cluster, most=self.most[at], number=self.number[at])
+
+
+def _cross_under_by_loops(
+    loops: ModuleType, whole: Cosines, air: AirUnder, level: Floats, crossing: Floats, of: Ints
+) -> None:
+    at, sums = air.cluster, (whole.begun, whole.total, whole.real, whole.imaginary)
+    crossing[at] = loops.crossed_under(
+        *air.soft.flat, level[at], whole.start[at], whole.size[at], whole.first_m[at], *sums, whole.half_m,
+        air.before, air.begins, air.open, air.sums, crossing[at], of, LEAST, EXACT_M, MOST_PASSES,
+    )  # fmt: skip
+
+
+def _crossed_by_loops(
+    loops: ModuleType, whole: Cosines, level: Floats, start: Ints, size: Ints, at: Ints | None = None
+) -> tuple[Floats, Ints]:
+    first_m, sums = whole.first_m if at is None else whole.first_m[at], (whole.real, whole.imaginary)
+    crossing, last = loops.crossed(
+        level, start, size, first_m, whole.begun, whole.total, *sums, whole.half_m, whole.wave_number
+    )
+    return crossing, last
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,25 +160,21 @@ class Cosines:
         for air in (self.air, self._doubtful(level, crossing)):
             if air is None:
                 continue
-            of = last[air.cluster]
-            loops = kernels()
-            if loops is not None:
-                at, sums = air.cluster, (self.begun, self.total, self.real, self.imaginary)
-                crossing[at] = loops.crossed_under(
-                    *air.soft.flat, level[at], self.start[at], self.size[at], self.first_m[at], *sums, self.half_m,
-                    air.before, air.begins, air.open, air.sums, crossing[at], of, LEAST, EXACT_M, MOST_PASSES,
-                )  # fmt: skip
-                continue
-            for _ in range(MOST_PASSES):
-                at = air.cluster
-                before = crossing[at]
-                left = np.maximum(level[at] - air.at(before, of), LEAST * level[at])
-                crossing[at], of = self._crossed(left, self.start[at], self.size[at], at)
-                on = indexes(np.abs(crossing[at] - before) > EXACT_M)
-                if not len(on):
-                    break
-                air, of = air.chosen(on, at[on]), of[on]
+            self._cross_under(air, level, crossing, last[air.cluster])
         return crossing
+
+    @by_loops(_cross_under_by_loops, "crossed_under")
+    def _cross_under(self, air: AirUnder, level: Floats, crossing: Floats, of: Ints) -> None:
+        """Correct the crossings of those clusters that the medium lies under; `of`: the last sub-echo begun by then."""
+        for _ in range(MOST_PASSES):
+            at = air.cluster
+            before = crossing[at]
+            left = np.maximum(level[at] - air.at(before, of), LEAST * level[at])
+            crossing[at], of = self._crossed(left, self.start[at], self.size[at], at)
+            on = indexes(np.abs(crossing[at] - before) > EXACT_M)
+            if not len(on):
+                break
+            air, of = air.chosen(on, at[on]), of[on]
 
     def _doubtful(self, level: Floats, crossing: Floats) -> AirUnder | None:
         """The medium under those clusters whose crossing is elsewhere if all of it is added."""
@@ -167,14 +187,10 @@ class Cosines:
         some = indexes(crossing[at] - first > SHIFT * doubted.step_m)
         return doubted.under(doubted.number[some], at[some]) if len(some) else None
 
+    @by_loops(_crossed_by_loops, "crossed")
     def _crossed(self, level: Floats, start: Ints, size: Ints, at: Ints | None = None) -> tuple[Floats, Ints]:
         """Where the pulses of these clusters first reach a level, and the index of the last one begun by then."""
         first_m = self.first_m if at is None else self.first_m[at]
-        loops = kernels()
-        if loops is not None:
-            sums = self.begun, self.total, self.real, self.imaginary
-            crossing, last = loops.crossed(level, start, size, first_m, *sums, self.half_m, self.wave_number)
-            return crossing, last
         ends = size.cumsum()
         begun = self.begun
         if ends[-1] < len(begun):
@@ -214,6 +230,10 @@ class Cosines:
         return cls(i, n, n, i, n, i, i, n, n, n, n, 1.0, 1.0)
 
 
+_Split = tuple[Ints, Floats, Bools]
+_Summed = tuple[Sequence[Floats], Sequence[Ints], Sequence[Floats], Ints]
+
+
 def split_cosines(echoes: SubEchoes, detector: Detector, soft: SoftProfile | None = None) -> tuple[Cosines, SubEchoes]:
     """Short clusters, and the sub-echoes of all others.
 
@@ -225,32 +245,13 @@ def split_cosines(echoes: SubEchoes, detector: Detector, soft: SoftProfile | Non
         return Cosines.none(), echoes
     half, k = pulse.half_support_m, pulse.wave_number
     beam, r, a = echoes.beam, echoes.range_m, echoes.amplitude
-    loops = kernels()
-    if loops is not None:
-        whole, first, short = loops.split(beam, r, a, 2.0 * half, SHORT * half)
-        group, start, size = whole
-    else:
-        cut = (beam[1:] != beam[:-1]) | (r[1:] - r[:-1] > 2.0 * half)
-        start = np.concatenate(([0], indexes(cut) + 1))
-        size = np.diff(np.append(start, n))
-        group, first, total = beam[start], r[start], _running(a, start, size)
-        end = start + size - 1
-        short = (r[end] - first < SHORT * half) & (total[end] > 0.0)
+    whole, first, short = _split(echoes, 2.0 * half, SHORT * half)
+    group, start, size = whole
     near, most = (None, first) if soft is None else _near(soft, detector.threshold, short, group, first - half)
     if not bool(short.any()):
         return Cosines.none(), echoes
-    if loops is not None:
-        running, (group, source, *where), (centre, height, first), rest = loops.sums(
-            r, a, echoes.source, whole, short, k
-        )
-        begun, total, real, imaginary = running
-    else:
-        real, imaginary, begun = _sums(r, a, total, start, size, k)
-        last, first = end[short], first[short]
-        centre = first + np.arctan2(imaginary[last], real[last]) / k
-        height = 0.5 * (total[last] + np.hypot(real[last], imaginary[last]))
-        source = _strongest(echoes, start, size)[short]
-        group, where, rest = group[short], [start[short], size[short]], indexes((~short).repeat(size))
+    running, (group, source, *where), (centre, height, first), rest = _summed(echoes, whole, short, k)
+    begun, total, real, imaginary = running
     air: tuple[AirUnder | None, AirDoubted | None] = None, None
     if soft is not None and near is not None:
         number = (short.cumsum() - 1)[near]
@@ -261,6 +262,47 @@ def split_cosines(echoes: SubEchoes, detector: Detector, soft: SoftProfile | Non
     if not len(rest):
         return found, SubEchoes.none()
     return found, SubEchoes(beam[rest], r[rest], a[rest], echoes.blocked[rest], echoes.source[rest])
+
+
+def _split_by_loops(loops: ModuleType, echoes: SubEchoes, gap_m: float, longest_m: float) -> _Split:
+    whole, first, short = loops.split(echoes.beam, echoes.range_m, echoes.amplitude, gap_m, longest_m)
+    return whole, first, short
+
+
+@by_loops(_split_by_loops, "split")
+def _split(echoes: SubEchoes, gap_m: float, longest_m: float) -> _Split:
+    """Beam, first sub-echo and size of each cluster; where it begins [m]; whether it is short and not dark."""
+    beam, r = echoes.beam, echoes.range_m
+    cut = (beam[1:] != beam[:-1]) | (r[1:] - r[:-1] > gap_m)
+    start = np.concatenate(([0], indexes(cut) + 1))
+    size = np.diff(np.append(start, len(echoes)))
+    first, end = r[start], start + size - 1
+    short = (r[end] - first < longest_m) & (_running(echoes.amplitude, start, size)[end] > 0.0)
+    return np.stack([beam[start], start, size]), first, short
+
+
+def _summed_by_loops(loops: ModuleType, echoes: SubEchoes, whole: Ints, short: Bools, wave_number: float) -> _Summed:
+    running, where, maximum, rest = loops.sums(
+        echoes.range_m, echoes.amplitude, echoes.source, whole, short, wave_number
+    )
+    return running, where, maximum, rest
+
+
+@by_loops(_summed_by_loops, "sums")
+def _summed(echoes: SubEchoes, whole: Ints, short: Bools, wave_number: float) -> _Summed:
+    """Running sums over all sub-echoes: signal where each pulse begins, amplitudes, and the two parts of C.
+
+    Of the short clusters: beam, source, first sub-echo, size; place and height of the maximum, begin. The others'
+    sub-echoes.
+    """
+    (group, start, size), r, a = whole, echoes.range_m, echoes.amplitude
+    total = _running(a, start, size)
+    real, imaginary, begun = _sums(r, a, total, start, size, wave_number)
+    last, first = (start + size - 1)[short], r[start[short]]
+    centre = first + np.arctan2(imaginary[last], real[last]) / wave_number
+    height = 0.5 * (total[last] + np.hypot(real[last], imaginary[last]))
+    where = group[short], _strongest(echoes, start, size)[short], start[short], size[short]
+    return (begun, total, real, imaginary), where, (centre, height, first), indexes((~short).repeat(size))
 
 
 def _sums(
@@ -334,11 +376,8 @@ def _under(
 
 def _air(echoes: SubEchoes, soft: SoftProfile, first: Ints, count: Ints, cluster: Ints) -> AirUnder:
     """The medium under clusters of `count` sub-echoes from `first` on, under these numbers."""
-    begins, loops = count.cumsum() - count, kernels()
-    if loops is not None:
-        sums = loops.ended_under(*soft.flat, echoes.range_m, echoes.blocked, first, count)
-    else:
-        sums = _ended(echoes, soft, first, count, begins)
+    begins = count.cumsum() - count
+    sums = _ended(echoes, soft, first, count, begins)
     open_ = np.ones(len(first))
     behind = indexes(echoes.beam[first - 1] == echoes.beam[first])  # in beams of which some is blocked before
     if len(behind):
@@ -348,6 +387,13 @@ def _air(echoes: SubEchoes, soft: SoftProfile, first: Ints, count: Ints, cluster
     return AirUnder(soft, cluster, first - begins - 1, open_, begins, sums)
 
 
+def _ended_by_loops(
+    loops: ModuleType, echoes: SubEchoes, soft: SoftProfile, first: Ints, count: Ints, begins: Ints
+) -> Floats:
+    return np.asarray(loops.ended_under(*soft.flat, echoes.range_m, echoes.blocked, first, count))
+
+
+@by_loops(_ended_by_loops, "ended_under")
 def _ended(echoes: SubEchoes, soft: SoftProfile, first: Ints, count: Ints, begins: Ints) -> Floats:
     """`AirUnder.sums` of these clusters."""
     member = (first - begins).repeat(count) + np.arange(count.sum())

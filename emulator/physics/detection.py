@@ -18,7 +18,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from emulator.compiled.switch import kernels
+from emulator.compiled.pair import OTHERWISE, by_loops
 from emulator.physics.arrays import Bools, Floats, Ints, Values, clamped, floats, group_starts, indexes, ramp
 from emulator.physics.candidates import Candidates, single_candidates, wave_candidates
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
@@ -232,15 +232,50 @@ def _soft_marks(echoes: SubEchoes, soft: SoftProfile, marked: Bools) -> SubEchoe
 
 
 # ------------------------------------------------------------------------------- seen, and where
+def _measure_by_loops(loops: ModuleType, signals: Signals, detector: Detector, normals: Numbers | None) -> _Found:
+    """On a leading edge of sin^2 pulses."""
+    if not detector.closed_form:
+        return OTHERWISE
+    rms, cosines, own, single, mixed = signals.rms, signals.cosines, signals.own, signals.single, signals.mixed
+    beam = np.concatenate([cosines.beam, own.beam, single.beam, mixed.beam])
+    if beam.size == 0:
+        return _Found.none()
+    i = cosines.beam.size
+    j = i + own.beam.size
+    k = j + single.beam.size
+    alone = np.ones(own.beam.size)
+    centre = np.concatenate([cosines.centre_m, own.centre_m * alone, single.centre_m, mixed.centre_m])
+    height = np.concatenate([cosines.height, own.height * alone, single.amplitude, mixed.amplitude])
+    shape = detector.full_scale, detector.shot_factor
+    z = np.zeros(beam.size)
+    if normals is not None:
+        z = normals[beam, loops.ranks(beam, centre, height, rms.size, detector.floor_m2, normals.shape[1])]
+    lead_m = detector.pulse.fwhm_m
+    level, seen, crossing = loops.levels(
+        beam, centre, height, z, rms, signals.threshold, *shape, detector.floor_m2, lead_m, j
+    )
+    if i:
+        crossing[:i] = cosines.crossing(level[:i])
+    if j > i:
+        crossing[i:j] = own.crossing(level[i:j])
+    if mixed.beam.size:
+        crossing[k:] = edges(signals.wave, mixed, level[k:], crossing[k:])
+    none = np.full(own.beam.size, NO_SOURCE)
+    source = np.concatenate([cosines.source, none, signals.clusters.source[single.index], sources(signals.wave, mixed)])
+    (of, source), (range_m, amplitude), clipped = loops.readings(
+        beam, height, z, crossing, source, seen, rms, signals.threshold, *shape, lead_m, detector.walk_table,
+        detector.offset_m,
+    )  # fmt: skip
+    return _Found(of, range_m, amplitude, clipped, source)
+
+
+@by_loops(_measure_by_loops, "ranks", "levels", "readings")
 def _measure(signals: Signals, detector: Detector, normals: Numbers | None) -> _Found:
     rms, cosines, own, single, mixed = signals.rms, signals.cosines, signals.own, signals.single, signals.mixed
     wave, clusters = signals.wave, signals.clusters
     beam = np.concatenate([cosines.beam, own.beam, single.beam, mixed.beam])
     if beam.size == 0:
         return _Found.none()
-    loops = kernels() if detector.closed_form else None
-    if loops is not None:
-        return _measure_compiled(loops, signals, detector, normals, beam)
     alone = np.ones(own.beam.size)
     centre = np.concatenate([cosines.centre_m, own.centre_m * alone, single.centre_m, mixed.centre_m])
     height = np.concatenate([cosines.height, own.height * alone, single.amplitude, mixed.amplitude])
@@ -296,53 +331,21 @@ def _measure(signals: Signals, detector: Detector, normals: Numbers | None) -> _
     return _Found(beam[seen], range_m[seen], amplitude[seen], clipped[seen], source[seen])
 
 
-def _measure_compiled(
-    loops: ModuleType, signals: Signals, detector: Detector, normals: Numbers | None, beam: Ints
-) -> _Found:
-    """The same on a leading edge of sin^2 pulses, by compiled loops."""
-    rms, cosines, own, single, mixed = signals.rms, signals.cosines, signals.own, signals.single, signals.mixed
-    i = cosines.beam.size
-    j = i + own.beam.size
-    k = j + single.beam.size
-    alone = np.ones(own.beam.size)
-    centre = np.concatenate([cosines.centre_m, own.centre_m * alone, single.centre_m, mixed.centre_m])
-    height = np.concatenate([cosines.height, own.height * alone, single.amplitude, mixed.amplitude])
-    shape = detector.full_scale, detector.shot_factor
-    z = np.zeros(beam.size)
-    if normals is not None:
-        z = normals[beam, loops.ranks(beam, centre, height, rms.size, detector.floor_m2, normals.shape[1])]
-    lead_m = detector.pulse.fwhm_m
-    level, seen, crossing = loops.levels(
-        beam, centre, height, z, rms, signals.threshold, *shape, detector.floor_m2, lead_m, j
-    )
-    if i:
-        crossing[:i] = cosines.crossing(level[:i])
-    if j > i:
-        crossing[i:j] = own.crossing(level[i:j])
-    if mixed.beam.size:
-        crossing[k:] = edges(signals.wave, mixed, level[k:], crossing[k:])
-    none = np.full(own.beam.size, NO_SOURCE)
-    source = np.concatenate([cosines.source, none, signals.clusters.source[single.index], sources(signals.wave, mixed)])
-    (of, source), (range_m, amplitude), clipped = loops.readings(
-        beam, height, z, crossing, source, seen, rms, signals.threshold, *shape, lead_m, detector.walk_table,
-        detector.offset_m,
-    )  # fmt: skip
-    return _Found(of, range_m, amplitude, clipped, source)
-
-
 # ------------------------------------------------------------------------------- choice
+def _report_by_loops(loops: ModuleType, found: _Found, beams: int, detector: Detector, dazzled: Bools | None) -> Echoes:
+    keep = {"strongest": loops.STRONGEST, "last": loops.LAST}.get(detector.keep, loops.FIRST)
+    (range_m, amplitude), saturated, source = loops.reported(
+        found.beam, found.range_m, found.amplitude, found.saturated, found.source,
+        np.zeros(0, bool) if dazzled is None else dazzled, beams, detector.max_echoes, keep, detector.near_gate_m,
+        detector.far_gate_m, 0.5 * SPEED_OF_LIGHT_M_S * detector.recovery_s,
+    )  # fmt: skip
+    return Echoes(range_m, amplitude, saturated, source)
+
+
+@by_loops(_report_by_loops, "reported", "FIRST", "LAST", "STRONGEST")
 def _report(found: _Found, beams: int, detector: Detector, dazzled: Bools | None) -> Echoes:
     k = detector.max_echoes
     blind_m = 0.5 * SPEED_OF_LIGHT_M_S * detector.recovery_s
-    loops = kernels()
-    if loops is not None:
-        keep = {"strongest": loops.STRONGEST, "last": loops.LAST}.get(detector.keep, loops.FIRST)
-        (range_m, amplitude), saturated, source = loops.reported(
-            found.beam, found.range_m, found.amplitude, found.saturated, found.source,
-            np.zeros(0, bool) if dazzled is None else dazzled, beams, k, keep, detector.near_gate_m,
-            detector.far_gate_m, blind_m,
-        )  # fmt: skip
-        return Echoes(range_m, amplitude, saturated, source)
     kept = (found.range_m >= detector.near_gate_m) & (found.range_m <= detector.far_gate_m) & np.isfinite(found.range_m)
     if dazzled is not None:
         kept &= ~dazzled[found.beam]

@@ -8,12 +8,13 @@ Amplitudes are in units of the receiver's nominal rms noise: signal current at t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import ModuleType
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.compiled.switch import kernels
+from emulator.compiled.pair import OTHERWISE, by_loops
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, floats, group_starts, indexes, ramp
 
 NO_SOURCE = -1
@@ -174,6 +175,16 @@ class Clusters:
         return len(self.first)
 
 
+def _cluster_by_loops(loops: ModuleType, echoes: SubEchoes, support_m: float, resolution_m: float) -> Clusters:
+    if not len(echoes):
+        return OTHERWISE
+    (beam, source, number), (r, amplitude, blocked), (first, count) = loops.joined(
+        echoes.beam, echoes.range_m, echoes.amplitude, echoes.blocked, echoes.source, support_m, 0.25 * resolution_m
+    )
+    return Clusters(beam, r, amplitude, blocked, source, number, first, count)
+
+
+@by_loops(_cluster_by_loops, "joined")
 def cluster(echoes: SubEchoes, support_m: float, resolution_m: float) -> Clusters:
     """Join sub-echoes within a quarter of the range resolution; cut clusters where the gap exceeds the pulse.
 
@@ -184,12 +195,7 @@ def cluster(echoes: SubEchoes, support_m: float, resolution_m: float) -> Cluster
     if n == 0:
         none, nothing = np.zeros(0, np.int64), np.zeros(0)
         return Clusters(none, nothing, nothing, nothing, none, none, none, none)
-    beam, r, loops = echoes.beam, echoes.range_m, kernels()
-    if loops is not None:
-        (beam, source, number), (r, amplitude, blocked), (first, count) = loops.joined(
-            beam, r, echoes.amplitude, echoes.blocked, echoes.source, support_m, 0.25 * resolution_m
-        )
-        return Clusters(beam, r, amplitude, blocked, source, number, first, count)
+    beam, r = echoes.beam, echoes.range_m
     cut = np.ones(n, np.bool_)
     cut[1:] = (beam[1:] != beam[:-1]) | (r[1:] - r[:-1] > support_m)
     number = cut.cumsum() - 1

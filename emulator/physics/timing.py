@@ -7,10 +7,11 @@ clusters, which have closed forms, and noise.
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import ModuleType
 
 import numpy as np
 
-from emulator.compiled.switch import kernels
+from emulator.compiled.pair import OTHERWISE, by_loops
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, floats, indexes, ramp
 from emulator.physics.candidates import FAINT, Candidates
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
@@ -26,16 +27,20 @@ BASE_OF_THRESHOLD, BASE_OF_ECHO = 0.5, 0.1
 "What is below the lesser of these shares of the threshold and of the echo's height weighs little in a centroid."
 
 
+def _edges_by_loops(loops: ModuleType, wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -> Floats:
+    if wave.pulse.shape != "sin2":
+        return OTHERWISE
+    what = found.index, found.window, found.begin, found.centre_m, found.amplitude, level, otherwise
+    return floats(loops.edges(*wave.flat, *what, FAINT, _EXACT_M, _MOST_STEPS))
+
+
+@by_loops(_edges_by_loops, "edges")
 def edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -> Floats:
     """First crossing of each echo's level between its begin and its maximum, exact between the samples.
 
     An echo that rises from a valley above its level never crosses it: it keeps the place that a single echo with this
     maximum would have.
     """
-    loops = kernels()
-    if loops is not None and wave.pulse.shape == "sin2":
-        what = found.index, found.window, found.begin, found.centre_m, found.amplitude, level, otherwise
-        return floats(loops.edges(*wave.flat, *what, FAINT, _EXACT_M, _MOST_STEPS))
     count = found.index - found.begin + 1
     flat = found.begin.repeat(count) + ramp(count)
     owner = np.arange(count.size).repeat(count)
@@ -244,17 +249,18 @@ def fractions(wave: Waveform, found: Candidates, detector: Detector, threshold: 
     return np.where(ok, x - detector.cfd_lead_m, found.centre_m)
 
 
+def _sources_by_loops(loops: ModuleType, wave: Waveform, found: Candidates) -> Ints:
+    if wave.pulse.shape != "sin2" or not found.beam.size:
+        return OTHERWISE
+    what = wave.sub_amplitude, wave.sub_source, found.window, found.centre_m, found.amplitude
+    return np.asarray(loops.sources(*wave.flat, *what))
+
+
+@by_loops(_sources_by_loops, "sources")
 def sources(wave: Waveform, found: Candidates) -> Ints:
     """Source of the sub-echo nearest to the maximum among those that stand under it; -1 where a medium is higher."""
     if found.beam.size == 0:
         return np.zeros(0, np.int64)
-    loops = kernels()
-    if loops is not None and wave.pulse.shape == "sin2":
-        return np.asarray(
-            loops.sources(
-                *wave.flat, wave.sub_amplitude, wave.sub_source, found.window, found.centre_m, found.amplitude
-            )
-        )
     start = wave.sub_first[found.window]
     source = wave.sub_source[start]
     medium = wave.soft_at(found.centre_m, found.window) if wave.soft.size else np.zeros(len(source))

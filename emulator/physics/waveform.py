@@ -13,11 +13,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from emulator.compiled.switch import kernels
+from emulator.compiled.pair import OTHERWISE, by_loops
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, cos_sin, floats, indexes, ramp
 from emulator.physics.pulse import Pulse
 from emulator.physics.softprofile import NO_MEDIUM, SoftProfile
@@ -127,6 +128,31 @@ class Waveform:
         return np.maximum(self.surfaces_at(x_m, window) + self.soft_at(x_m, window), 0.0)
 
 
+def _sample_by_loops(
+    loops: ModuleType,
+    clusters: Clusters,
+    chosen: Bools,
+    pulse: Pulse,
+    bin_m: float,
+    soft: SoftProfile | None,
+    clear_share: Floats,
+) -> Waveform:
+    if pulse.shape != "sin2":
+        return OTHERWISE
+    medium, end_m = (NO_MEDIUM, 0.0) if soft is None else (soft.flat, soft.end_m)
+    whole, (value, part), (r, amplitude), source, sums = loops.sampled(
+        *medium, soft is not None, end_m, pulse.half_support_m, bin_m, pulse.wave_number, chosen, clear_share,
+        clusters.first, clusters.count, clusters.beam, clusters.range_m, clusters.amplitude, clusters.blocked,
+        clusters.source,
+    )  # fmt: skip
+    beam, first_bin, start, count, sub_first, sub_count = whole
+    return Waveform(
+        pulse, bin_m, beam, first_bin, start, count, value, part, sub_first, sub_count, r, amplitude, source,
+        tuple(sums), soft is not None,
+    )  # fmt: skip
+
+
+@by_loops(_sample_by_loops, "sampled")
 def sample(
     clusters: Clusters, chosen: Bools, pulse: Pulse, bin_m: float, soft: SoftProfile | None, clear_share: Floats
 ) -> Waveform:
@@ -139,19 +165,6 @@ def sample(
     soft : the medium, None for none; only with a sin^2 pulse, a Gaussian one takes its `nodes` as sub-echoes
     clear_share : (c,) share of the beam that nothing before the cluster blocks
     """
-    loops = kernels()
-    if loops is not None and pulse.shape == "sin2":
-        medium, end_m = (NO_MEDIUM, 0.0) if soft is None else (soft.flat, soft.end_m)
-        whole, (value, part), (r, amplitude), source, sums = loops.sampled(
-            *medium, soft is not None, end_m, pulse.half_support_m, bin_m, pulse.wave_number, chosen, clear_share,
-            clusters.first, clusters.count, clusters.beam, clusters.range_m, clusters.amplitude, clusters.blocked,
-            clusters.source,
-        )  # fmt: skip
-        beam, first_bin, start, count, sub_first, sub_count = whole
-        return Waveform(
-            pulse, bin_m, beam, first_bin, start, count, value, part, sub_first, sub_count, r, amplitude, source,
-            tuple(sums), soft is not None,
-        )  # fmt: skip
     half = pulse.half_support_m
     kept = chosen[clusters.cluster]
     r, amplitude, blocked = clusters.range_m[kept], clusters.amplitude[kept], clusters.blocked[kept]

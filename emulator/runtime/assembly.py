@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
+from emulator.compiled import build, switch
 from emulator.injection.run import FaultRun
 from emulator.instrument.device_clock import with_clock
 from emulator.instrument.instrument import Instrument, Measuring
@@ -126,11 +127,14 @@ def start(
 ) -> tuple[Daemon, list[Instrument]]:
     """Everything of a real-time run, devices still switched off: workers first, links after them.
 
+    Compiled loops that are wanted and not there yet are built beside it; until then its workers compute by arrays.
     `sockets`: gives drivers under the preload shim an interface for each CAN bus.
     """
     sessions = new_sessions(scenario)
     names = [sensor.id for sensor in scenario.sensors]
-    measuring = Workers(partial(build_measures, scenario), names, workers or worker_count(len(names)), clock)
+    count = workers or worker_count(len(names))
+    build_loops = build.Builder if switch.wanted() and build.wanted() else None
+    measuring = Workers(partial(build_measures, scenario), names, count, clock, build_loops=build_loops)
     ports = CanPorts(sockets, partial(wall_ns, clock))
     try:
         instruments = open_instruments(scenario, sessions, measuring, can_ports=ports)
@@ -154,10 +158,10 @@ def start_virtual(
     """
     sessions = new_sessions(scenario)
     names = [sensor.id for sensor in scenario.sensors]
-    build = partial(build_measures, scenario)
-    pool = Workers(build, names, workers) if workers else None
+    measures = partial(build_measures, scenario)
+    pool = Workers(measures, names, workers) if workers else None
     try:
-        measuring = InPlace(build()) if pool is None else pool
+        measuring = InPlace(measures()) if pool is None else pool
         instruments = open_instruments(scenario, sessions, measuring, can_ports=CanPorts(sockets))
     except BaseException:
         if pool is not None:

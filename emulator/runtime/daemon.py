@@ -279,7 +279,8 @@ class Daemon:
         """Pass on what workers have told; step the sensors that have something new."""
         assert self._workers is not None
         now_ns = self._clock.now_ns()
-        if self._workers.failures or self._workers.incidents or self._workers.warnings:
+        workers = self._workers
+        if workers.failures or workers.incidents or workers.warnings or workers.notes:
             for text in self._workers.failures:
                 self._say_once(text)
             self._workers.failures.clear()
@@ -294,6 +295,8 @@ class Daemon:
     def _tell_warnings(self) -> None:
         while self._workers is not None and self._workers.warnings:
             self.on_failure(f"warning: {self._workers.warnings.pop(0)}")
+        while self._workers is not None and self._workers.notes:
+            self.on_failure(self._workers.notes.pop(0))
 
     def _say_once(self, text: str) -> None:
         """Say what failed the first time, and count: a fault that comes back with every scan would bury the log."""

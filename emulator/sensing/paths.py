@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.compiled.switch import kernels
+from emulator.compiled.pair import OTHERWISE, by_loops
 from emulator.physics import brdf, radiometry
 from emulator.physics.arrays import Floats, Ints, exp_or_zero, indexes
 from emulator.physics.materials import SurfaceTable
@@ -113,17 +113,13 @@ def returned(
 ) -> Seen:
     """The same from the first hits of the rays."""
     reach = reach_of(model, farthest_m)
-    front, loops = _first(rays, model, gain), None if air.uneven else kernels()
-    if loops is not None:
-        echoes, onward, nearest = _first_met(loops, front, hits, rays, scene, air, model, reach)
-        more = _continue(front, onward, caster, scene, air, model, rays, reach) if onward else []
-        if more:
-            echoes = SubEchoes.joined(echoes, in_order(*joined(more)))
+    front = _first(rays, model, gain)
+    first, onward, nearest = _first_met(front, hits, rays, scene, air, model, reach)
+    parts = _continue(front, onward, caster, scene, air, model, rays, reach) if onward else []
+    if isinstance(first, SubEchoes):
+        echoes = SubEchoes.joined(first, in_order(*joined(parts))) if parts else first
     else:
-        parts, onward, nearest = _first_met_by_arrays(front, hits, rays, scene, air, model, reach)
-        if onward:
-            parts += _continue(front, onward, caster, scene, air, model, rays, reach)
-        echoes = in_order(*joined(parts))
+        echoes = in_order(*joined(first + parts))
     at_axis = rays.nearest_axis
     return Seen(echoes, nearest, hits.material[at_axis], hits.normals(at_axis))
 
@@ -223,28 +219,17 @@ class _Lit:
     material: NDArray[np.int32]
 
 
-def _first_met_by_arrays(
-    front: _Front, hits: Hits, rays: Rays, scene: Surfaces, air: Medium, model: SensorModel, reach_m: float
-) -> tuple[list[Part], list[_Onward], Floats]:
-    """What first rays meet: sub-echoes, what goes on, and (n,) the nearest range of each beam."""
-    nearest = np.full(len(rays.axis), np.inf)
-    index = indexes(hits.range_m <= reach_m)
-    if not len(index):
-        return [], [], nearest
-    every = len(index) == len(rays.beam)
-    found, onward = _meet(front, hits, None if every else index, rays, scene, air, model)
-    starts = rays.beam.searchsorted(np.arange(len(rays.axis)))
-    nearest = np.fmin.reduceat(hits.range_m, starts)
-    nearest[np.isnan(nearest)] = np.inf
-    share, actor = (rays.share, hits.actor) if every else (rays.share[index], hits.actor[index])
-    return [(*found, share, actor)], onward, nearest
+_FirstMet = tuple[SubEchoes | list[Part], list[_Onward], Floats]
+"Sub-echoes in order, or parts that are still to be put in order."
 
 
-def _first_met(
+def _first_met_by_loops(
     loops: ModuleType, front: _Front, hits: Hits, rays: Rays, scene: Surfaces, air: Medium, model: SensorModel,
     reach_m: float,
-) -> tuple[SubEchoes, list[_Onward], Floats]:  # fmt: skip
-    """The same in even air, by compiled loops; the sub-echoes in order."""
+) -> _FirstMet:  # fmt: skip
+    """In even air; the sub-echoes in order."""
+    if air.uneven:
+        return OTHERWISE
     onward: list[_Onward] = []
     index, more, alpha = np.zeros(0, np.int64), np.zeros(0), air.extinction_per_m
     if bool(scene.special.any()):
@@ -268,6 +253,24 @@ def _first_met(
         keys, front.beam, hits.range_m, amplitude, rays.share, hits.actor
     )
     return SubEchoes(beam, range_m, amplitude, blocked, source), onward, nearest
+
+
+@by_loops(_first_met_by_loops, "special", "strengths", "in_order")
+def _first_met(
+    front: _Front, hits: Hits, rays: Rays, scene: Surfaces, air: Medium, model: SensorModel, reach_m: float
+) -> _FirstMet:
+    """What first rays meet: sub-echoes, what goes on, and (n,) the nearest range of each beam."""
+    nearest = np.full(len(rays.axis), np.inf)
+    index = indexes(hits.range_m <= reach_m)
+    if not len(index):
+        return [], [], nearest
+    every = len(index) == len(rays.beam)
+    found, onward = _meet(front, hits, None if every else index, rays, scene, air, model)
+    starts = rays.beam.searchsorted(np.arange(len(rays.axis)))
+    nearest = np.fmin.reduceat(hits.range_m, starts)
+    nearest[np.isnan(nearest)] = np.inf
+    share, actor = (rays.share, hits.actor) if every else (rays.share[index], hits.actor[index])
+    return [(*found, share, actor)], onward, nearest
 
 
 def _sent_on(

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.compiled.switch import kernels
+from emulator.compiled.pair import OTHERWISE, by_loops
 from emulator.physics.arrays import clamped, indexes
 from emulator.world.motion import Floats, Motion, Steady, Waypoints, matrix_of, whole_turns
 
@@ -179,6 +180,33 @@ class Cones:
         return np.maximum.reduceat(values, np.arange(0, len(values), self.size))
 
 
+def _may_meet_by_loops(
+    loops: ModuleType,
+    centre: Floats,
+    reach: Floats,
+    box: tuple[Floats, Floats],
+    ray: Floats,
+    far: float,
+    known_m: Floats,
+    cones: Callable[[], Cones],
+) -> tuple[Longs, Longs]:
+    if len(reach) * ray.shape[1] <= DIRECT:
+        return _all_pairs(len(reach), ray.shape[1])
+    spheres = loops.near(centre, reach, *box, far)
+    if not spheres:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    around = cones()
+    if spheres * len(around.half) > 4 * MANY:
+        return OTHERWISE
+    which, rays = loops.pairs(centre, reach, *box, far, around.axis, around.half, around.size, known_m, ROUNDING)
+    return which, rays
+
+
+def _all_pairs(spheres: int, rays: int) -> tuple[Longs, Longs]:
+    return np.arange(spheres).repeat(rays), np.tile(np.arange(rays), spheres)
+
+
+@by_loops(_may_meet_by_loops, "near", "pairs")
 def may_meet(
     centre: Floats,
     reach: Floats,
@@ -196,19 +224,8 @@ def may_meet(
     """
     count = ray.shape[1]
     if len(reach) * count <= DIRECT:
-        return np.arange(len(reach)).repeat(count), np.tile(np.arange(count), len(reach))
+        return _all_pairs(len(reach), count)
     low, high = box
-    loops = kernels()
-    if loops is not None:
-        spheres = loops.near(centre, reach, low, high, far)
-        if not spheres:
-            return np.zeros(0, np.int64), np.zeros(0, np.int64)
-        around = cones()
-        if spheres * len(around.half) <= 4 * MANY:
-            which, rays = loops.pairs(
-                centre, reach, low, high, far, around.axis, around.half, around.size, known_m, ROUNDING
-            )
-            return which, rays
     eye = low + (high - low) / 2.0
     reach = reach + float(np.linalg.norm(high - eye))
     view = centre - eye[:, None]

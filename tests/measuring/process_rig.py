@@ -38,7 +38,13 @@ class Played:
 
     pid = 4711
 
-    def __init__(self, rig: Rig, builds_ns: int) -> None:
+    def __init__(self, rig: Rig, builds_ns: int, loops: bool | None = None) -> None:
+        self.loops = loops
+        self.form = "loops" if loops else "arrays"
+        self.takes_ns: int | None = None
+        "A sweep; None: as all of the rig."
+        self.state: object = {}
+        "What it has been told to go on from."
         self.pipe, theirs = socket.socketpair()
         self.pipe.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
         self._end = Pipe(theirs)
@@ -99,13 +105,16 @@ class Played:
                     self._end.put(("refused", SceneError, (self.refuses,)))
                     return
                 self.is_ready = True
-                self._end.put(("ready", None, []))
+                self._end.put(("ready", self.form, []))
             return
         try:
             for message in self._end.take():
+                if message[0] is None:
+                    self._hand_over(message[2])
+                    continue
                 self.jobs.append(message)
                 if len(self.jobs) == 1:
-                    self._done_ns = now_ns + self._rig.takes_ns
+                    self._done_ns = now_ns + self._takes_ns
         except EOFError:
             self.end(0)
             return
@@ -115,13 +124,43 @@ class Played:
             if self.dies_at(sensor, plan):
                 self.end(-11)
                 return
+            if plan is None:
+                self._end.put(("judged", None, {}))
+                continue
             self.measured.append((sensor, plan.sweep))
             found = self.sends(self._rig.scan_of(plan))
             if isinstance(found, Exception):
                 self._end.put(("failed", sensor, f"{type(found).__name__}: {found}"))
             else:
                 self._end.put(("scan", sensor, found))
-            self._done_ns = now_ns + self._rig.takes_ns
+            self._done_ns = now_ns + self._takes_ns
+
+    @property
+    def _takes_ns(self) -> int:
+        return self._rig.takes_ns if self.takes_ns is None else self.takes_ns
+
+    def _hand_over(self, state: object) -> None:
+        if state is None:
+            self._end.put(("state", None, {"of": self._rig.processes.index(self)}))
+        else:
+            self.state = state
+
+
+class PlayedBuilding:
+    """Loops that are built when the test says so."""
+
+    def __init__(self) -> None:
+        self.done: bool | None = None
+        self.closed = False
+
+    def poll(self) -> bool | None:
+        return self.done
+
+    def why(self) -> str:
+        return "signal 9"
+
+    def close(self) -> None:
+        self.closed = True
 
 
 class Sent(Observer):
@@ -140,7 +179,14 @@ class Sent(Observer):
 class Rig:
     """Sensors on links in memory, with hosts that stream, and one played process or more."""
 
-    def __init__(self, *sensors: str, workers: int = 1, text: str = "", builds_ns: int = 300 * MS) -> None:
+    def __init__(
+        self,
+        *sensors: str,
+        workers: int = 1,
+        text: str = "",
+        builds_ns: int = 300 * MS,
+        build_loops: Callable[[], Any] | None = None,
+    ) -> None:
         """`sensors`: ids of LMS291 at 37.5 scans a second. `text`: rows of other sensors."""
         rows = [LMS.format(name) for name in sensors] + ([text] if text else [])
         loaded = scenario.loads(WORLD + "\n".join(rows) + "\n", Path("rig.yaml"))
@@ -152,9 +198,7 @@ class Rig:
         self.processes: list[Played] = []
         self.told: list[str] = []
         names = [one.id for one in loaded.sensors]
-        self.workers = Workers(
-            Measures, names, workers, run_clock=self.clock, clock=_Stepping(self), launch=self._launch
-        )
+        self.workers = Workers(Measures, names, workers, self.clock, _Stepping(self), self._launch, build_loops)
         self.builds_ns = builds_ns
         loops = Loops()
         self.sessions = assembly.new_sessions(loaded)
@@ -173,10 +217,10 @@ class Rig:
                 self.hosts[one.sensor] = script(end, lambda now_ns, scan: None)
         self.daemon.power_on()
 
-    def _launch(self) -> Played:
+    def _launch(self, loops: bool | None) -> Played:
         if self.launch_error is not None:
             raise self.launch_error
-        made = Played(self, self.builds_ns)
+        made = Played(self, self.builds_ns, loops)
         self.processes.append(made)
         self.on_launch(made)
         return made

@@ -85,7 +85,7 @@ def test_virtual_time_does_not_stand_for_ever_for_a_worker(case: Scenario, monke
     try:
         trial.run.advance(200_000_000)
 
-        def none_left() -> None:
+        def none_left(_loops: bool | None) -> None:
             raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
 
         trial._workers._launch = none_left  # type: ignore[union-attr, assignment]
@@ -107,7 +107,7 @@ def test_a_run_on_a_virtual_clock_ends_when_no_worker_can_be_started(
     try:
         daemon.power_on()
 
-        def none_left() -> None:
+        def none_left(_loops: bool | None) -> None:
             raise OSError(errno.ENOMEM, "Cannot allocate memory")
 
         workers = daemon._workers

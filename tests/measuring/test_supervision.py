@@ -313,7 +313,7 @@ def test_a_single_scan_that_was_asked_for_comes_when_a_worker_is_there_again(rig
 
 
 def started(play: Callable[[Played], None], clock_rig: Rig) -> Workers:
-    def launch() -> Played:
+    def launch(_loops: bool | None) -> Played:
         made = Played(clock_rig, 10 * MS)
         clock_rig.processes.append(made)
         play(made)
@@ -347,7 +347,7 @@ def test_a_first_start_that_fails_says_why(
 
 
 def test_a_machine_without_processes_to_give_says_so() -> None:
-    def launch() -> Played:
+    def launch(_loops: bool | None) -> Played:
         raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
 
     with pytest.raises(EmulatorError, match="measuring process cannot be started: Resource temporarily unavailable"):

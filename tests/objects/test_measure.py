@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from collections.abc import Mapping
 from dataclasses import replace
 from importlib.resources import files
@@ -15,6 +16,7 @@ import pytest
 from emulator.errors import ScenarioError
 from emulator.instrument.observer import Observer, Payload
 from emulator.judging.trial import Trial
+from emulator.measuring.measuring import restore, states
 from emulator.objects.measure import ObjectMeasure
 from emulator.objects.metrics import ListedScan, ObjectScore, told
 from emulator.objects.sweeps import SessionSweeps, end_ns, sweeps_of
@@ -232,6 +234,17 @@ def test_the_same_plans_give_the_same_lists() -> None:
     one, other = run(measure_of(), 0, 10), run(measure_of(), 0, 10)
     assert [item.objects for item in one] == [item.objects for item in other]
     assert [item.truth for item in one] == [item.truth for item in other]
+
+
+def test_another_process_goes_on_from_what_one_remembers() -> None:
+    measure, plain = measure_of(), measure_of()
+    run(measure, 0, 6)
+    before = run(plain, 0, 6)
+    other = measure_of()
+    restore({"lister": other}, pickle.loads(pickle.dumps(states({"lister": measure, "front": lambda plan: plan}))))
+    after, wanted = run(other, 6, 12), run(plain, 6, 12)
+    assert [item.objects for item in after] == [item.objects for item in wanted]
+    assert {item.track for item in after[0].objects} == {item.track for item in before[-1].objects} != set()
 
 
 def test_a_plan_given_twice_gives_the_same_list_and_changes_nothing() -> None:

@@ -1,0 +1,62 @@
+"""Which tests ask for a compiled loop: the second pass runs those alone, the others would say the same once more.
+
+`LIDAREMU_TESTS_BY_LOOPS=FOLDER`: with `LIDAREMU_COMPILED=0` the names of such tests are written into it, by each process
+into a file of its own; with 1 all others are left out. A test that shares a fixture with such a test counts as one.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from emulator.compiled import pair, switch
+
+FOLDER = os.environ.get("LIDAREMU_TESTS_BY_LOOPS", "")
+BY_ARRAYS = os.environ.get(switch.SWITCH) == "0"
+_asked = 0
+
+
+def pytest_configure() -> None:
+    """Count who asks for loops."""
+    if not (FOLDER and BY_ARRAYS):
+        return
+    found = pair.kernels
+
+    def counted() -> ModuleType | None:
+        global _asked
+        _asked += 1
+        return found()
+
+    pair.kernels = counted
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Set-up of shared fixtures included."""
+    before = _asked
+    made = yield
+    if FOLDER and BY_ARRAYS and _asked > before:
+        with (Path(FOLDER) / f"{os.getpid()}.txt").open("a", encoding="utf-8") as file:
+            file.write("\n".join([item.nodeid, *_shared(item)]) + "\n")
+    return made
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Keep those that asked."""
+    if not FOLDER or BY_ARRAYS:
+        return
+    kept = {line for path in Path(FOLDER).glob("*.txt") for line in path.read_text(encoding="utf-8").splitlines()}
+    chosen = [item for item in items if item.nodeid in kept or kept & _shared(item)]
+    config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
+    items[:] = chosen
+
+
+def _shared(item: pytest.Item) -> set[str]:
+    """Names of the fixtures that it shares with others, with where they are."""
+    info = getattr(item, "_fixtureinfo", None)
+    defined = [] if info is None else [one for many in info.name2fixturedefs.values() for one in many]
+    return {f"{one.baseid}::{one.argname}" for one in defined if one.scope != "function" and one.baseid}
