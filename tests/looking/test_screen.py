@@ -28,7 +28,7 @@ def test_keys_come_without_enter_and_the_terminal_is_left_as_it_was(terminal: tu
     before = termios.tcgetattr(ours)
     with single_keys() as keys:
         assert keys.read() == ""
-        os.write(presser, "q\x1b[A".encode() + b"\xff")
+        os.write(presser, b"q\x1b[A\xff")
         assert keys.read() == "q\x1b[A\ufffd"
         assert termios.tcgetattr(ours) != before
     assert termios.tcgetattr(ours) == before

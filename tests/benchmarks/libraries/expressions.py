@@ -19,7 +19,12 @@ Lookup = Callable[[Name], Any]
 Parsed = Callable[[Lookup], Any]
 
 TYPICAL = "max(a.s) - mean(a.s) < 3 and a.x > 1"
-SERIES_CASES = [("a.s > 0 and a.x > 1", False), ("not a.s > 9", True), ("a.s > 9 or a.x > 1", True), ("a.s > a.s", None)]
+SERIES_CASES = [
+    ("a.s > 0 and a.x > 1", False),
+    ("not a.s > 9", True),
+    ("a.s > 9 or a.x > 1", True),
+    ("a.s > a.s", None),
+]
 "What scenarios say of series with `and`, `or`, `not`; a missing value is in it. None: a series."
 HOSTILE = {
     "9**9**9": "'9**9**9'",
@@ -102,7 +107,9 @@ def by_numexpr(text: str) -> Parsed:
     import numexpr
 
     found: list[str] = []
-    flat = re.sub(r'"?[a-z][-\w]*"?\.[a-z]+(\([^)]*\))?', lambda one: f"n{found.append(one[0]) or len(found) - 1}", text)
+    flat = re.sub(
+        r'"?[a-z][-\w]*"?\.[a-z]+(\([^)]*\))?', lambda one: f"n{found.append(one[0]) or len(found) - 1}", text
+    )
     flat = re.sub(r"\band\b", "&", re.sub(r"\bor\b", "|", re.sub(r"\bnot\b", "~", flat)))
 
     def run(lookup: Lookup) -> Any:

@@ -1,4 +1,4 @@
-"""What is measured alike for every library: what it adds to an install, to a process, and what a hostile input does to it.
+"""Measured alike for every library: what it adds to an install and a process, and what a hostile input does to it.
 
 Belongs here: versions, sizes, import, a child with bounds. Not: any one job.
 """
@@ -129,7 +129,7 @@ except Exception as error:
 
 
 def bounded(call: str) -> str:
-    """What a call `module:function(arguments)` does in a process with bounds: `answers ...`, an exception, `ended`, `hangs`."""
+    """What `module:function(arguments)` does in a process with bounds: `answers ...`, an exception, or its end."""
     module, rest = call.split(":", 1)
     text = _BOUNDED.format(memory=MEMORY_BYTES, call=f"__import__({module!r}, fromlist=['x']).{rest}")
     try:

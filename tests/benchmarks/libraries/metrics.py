@@ -26,7 +26,12 @@ def _families(instruments: Sequence[Instrument], incidents: Incidents, liveness:
     """The facts alone: name, type, help, samples. They are ours whoever writes them."""
     if liveness is not None:
         silent = [("", {"sensor": one.sensor}, liveness.silent_s(one.sensor)) for one in instruments]
-        yield "lidaremu_sensor_silent_seconds", "gauge", "How long scans that a host waits for have been missing.", silent
+        yield (
+            "lidaremu_sensor_silent_seconds",
+            "gauge",
+            "How long scans that a host waits for have been missing.",
+            silent,
+        )
     kinds = [("_total", {"kind": kind, "on": on}, n) for (kind, on), n in sorted(dict(incidents.counts).items())]
     yield "lidaremu_incidents", "counter", "What befell processes, files and links of the run, by kind.", kinds
     sent = [("_total", {"sensor": one.sensor}, one.stats.scans_sent) for one in instruments]
@@ -50,8 +55,8 @@ def _families(instruments: Sequence[Instrument], incidents: Incidents, liveness:
     ]  # fmt: skip
     yield "lidaremu_fault_hits", "counter", "What faults have hit, by name.", hits
     octets = [
-        ("_total", {"sensor": one.sensor, "link": str(index), "direction": direction}, getattr(link.stats, f"bytes_{direction}"))
-        for one in instruments for index, link in enumerate(one.links) for direction in ("in", "out", "lost")
+        ("_total", {"sensor": one.sensor, "link": str(index), "direction": way}, getattr(link.stats, f"bytes_{way}"))
+        for one in instruments for index, link in enumerate(one.links) for way in ("in", "out", "lost")
     ]  # fmt: skip
     yield "lidaremu_link_bytes", "counter", "Bytes by direction; lost: nobody read them.", octets
     late: list[tuple[str, dict[str, str], float]] = []
@@ -60,7 +65,10 @@ def _families(instruments: Sequence[Instrument], incidents: Incidents, liveness:
         for edge_us, count in one.stats.lateness.histogram():
             total += count
             late.append(("_bucket", {"sensor": one.sensor, "le": f"{edge_us * 1e-6:g}" if edge_us else "+Inf"}, total))
-        late += [("_sum", {"sensor": one.sensor}, one.stats.lateness.sum_ns * 1e-9), ("_count", {"sensor": one.sensor}, total)]
+        late += [
+            ("_sum", {"sensor": one.sensor}, one.stats.lateness.sum_ns * 1e-9),
+            ("_count", {"sensor": one.sensor}, total),
+        ]
     yield "lidaremu_lateness_seconds", "histogram", "Actual minus scheduled instant of each send.", late
 
 
@@ -131,7 +139,9 @@ def rows(tests: bool = False) -> list[Row]:
     cost = {"install": added("prometheus_client"), "import": import_cost("prometheus_client", SENDS)}
     cost["lines in all"] = str(lines(by_prometheus_client, _families))
     cost["text of 16 sensors"] = f"{1e3 / per_s(lambda: by_prometheus_client(trial.instruments)):.2f} ms"
-    cost["same text once sorted"] = str(_sorted(metrics.prometheus(trial.instruments)) == _sorted(by_prometheus_client(trial.instruments)))
+    cost["same text once sorted"] = str(
+        _sorted(metrics.prometheus(trial.instruments)) == _sorted(by_prometheus_client(trial.instruments))
+    )
     cost["sender held up by its import"] = stall("import prometheus_client")
     if tests:
         cost["our tests that fail with it"] = failing(TESTS, "metrics:prometheus_client")

@@ -109,7 +109,14 @@ def _frame(draw: Draw) -> str:
         return f"cannot ({type(error).__name__}: {error})"
 
 
-OURS = (plot.draw_scan, plot._Canvas.__init__, plot._Canvas.rings, plot._Canvas.dots, plot._Canvas.done, plot._Canvas._write)
+OURS = (
+    plot.draw_scan,
+    plot._Canvas.__init__,
+    plot._Canvas.rings,
+    plot._Canvas.dots,
+    plot._Canvas.done,
+    plot._Canvas._write,
+)
 "What of ours a library would replace; outlines, names and levels stay."
 
 

@@ -29,13 +29,13 @@ CASES: list[tuple[bytes, int | None]] = [
     (b'{"id": 7, "method": "status"}', None),
     (b'{"jsonrpc": "2.0", "id": 7, "method": "status", "params": {}}', None),
 ]
-"The requests that `tests/system/test_control.py` sends, the same with a version, and code of the answer; None: a result."
+"Requests of `tests/system/test_control.py`, the same with a version, and code of the answer; None: a result."
 HOSTILE = {
     "6e4 brackets": "b'[' * 60000",
     "6e4 nested tables": "b'{\"a\":' * 12000",
-    "number of 6e4 digits": "b'{\"jsonrpc\": \"2.0\", \"method\": \"status\", \"id\": ' + b'9' * 60000 + b'}'",
+    "number of 6e4 digits": 'b\'{"jsonrpc": "2.0", "method": "status", "id": \' + b\'9\' * 60000 + b\'}\'',
     "not UTF-8": "b'\\xff\\xfe'",
-    "batch of 1200": "b'[' + b','.join([b'{\"jsonrpc\": \"2.0\", \"id\": 1, \"method\": \"status\"}'] * 1200) + b']'",
+    "batch of 1200": 'b\'[\' + b\',\'.join([b\'{"jsonrpc": "2.0", "id": 1, "method": "status"}\'] * 1200) + b\']\'',
 }
 
 
@@ -132,7 +132,10 @@ def _measured(name: str, make: Callable[[], Answer]) -> dict[str, str]:
         error = (found or {}).get("error")
         good += bool(found) and (error["code"] if error else None) == code
     line = CASES[-1][0]
-    found = {"our requests answered as now": f"{good} of {len(CASES)}", "answers/s": f"{per_s(lambda: answer(line)):.0f}"}
+    found = {
+        "our requests answered as now": f"{good} of {len(CASES)}",
+        "answers/s": f"{per_s(lambda: answer(line)):.0f}",
+    }
     for label, text in HOSTILE.items():
         call = f"tests.benchmarks.libraries.rpc:hostile({name!r}, {text})"
         found[label] = bounded(call).removeprefix("answers ")
