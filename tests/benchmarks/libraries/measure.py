@@ -21,7 +21,7 @@ from types import ModuleType
 from typing import Any
 
 ROOT = Path(__file__).parents[3]
-MEMORY_BYTES, PATIENCE_S = 2 << 30, 10.0
+MEMORY_BYTES, PATIENCE_S = 2 << 30, 20.0
 "What a trial in a process of its own may take."
 
 
@@ -137,7 +137,7 @@ def bounded(call: str) -> str:
             [sys.executable, "-c", text], capture_output=True, text=True, timeout=PATIENCE_S, cwd=ROOT, check=False
         )
     except subprocess.TimeoutExpired:
-        return f"hangs over {PATIENCE_S:g} s"
+        return f"not done in {PATIENCE_S:g} s"
     if done.returncode:
         return f"ended by signal {-done.returncode}" if done.returncode < 0 else "ended"
     return done.stdout.strip()

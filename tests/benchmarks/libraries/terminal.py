@@ -6,6 +6,7 @@ import functools
 import os
 import pty
 import sys
+import time
 import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -93,14 +94,18 @@ def on_a_terminal(name: str, what: str) -> str:
         os.dup2(slave, number)
     sys.stdin = os.fdopen(0, closefd=False)
     tty.setcbreak(slave)
-    found = "nothing read"
+    if what != "start":
+        os.environ["BLESSED_QUERY_TIMEOUT_SECONDS"] = "0.1"  # it asks the terminal what it can, twice
+    found, began = "nothing read", time.perf_counter()
     try:
         with READERS[name]() as read:
+            if what == "start":
+                return f"{time.perf_counter() - began:.1f} s"
             if what == "keys":
                 os.write(master, "q\x1b[Aä".encode() + b"\xff+")
-            elif what == "rate":
+            if what == "rate":
                 return f"{1e6 / per_s(read):.1f} us"
-            else:
+            if what == "gone":
                 os.close(master)
             found = repr("".join(read() for _ in range(20)))
     except Exception as error:
@@ -114,7 +119,12 @@ def _keys(name: str) -> dict[str, str]:
     call = "tests.benchmarks.libraries.terminal:on_a_terminal"
     return {
         label: bounded(f"{call}({name!r}, {what!r})").removeprefix("answers ")
-        for label, what in (("keys q, up, ä, 0xff, +", "keys"), ("a look for keys", "rate"), ("terminal gone", "gone"))
+        for label, what in (
+            ("start, a terminal that is mute", "start"),
+            ("keys q, up, ä, 0xff, +", "keys"),
+            ("a look for keys", "rate"),
+            ("terminal gone", "gone"),
+        )
     }
 
 
