@@ -9,7 +9,7 @@ import os
 import select
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
@@ -104,8 +104,11 @@ class Keys:
         """The keys pressed since the last call."""
         if self._descriptor is None or not select.select([self._descriptor], [], [], 0.0)[0]:
             return ""
-        data = os.read(self._descriptor, 64)
-        if not data:  # the terminal has gone
+        try:
+            data = os.read(self._descriptor, 64)
+        except OSError:  # of a terminal that has gone; select calls it readable for ever
+            data = b""
+        if not data:
             self._descriptor = None
         return data.decode("utf-8", "replace")
 
@@ -129,4 +132,5 @@ def single_keys() -> Iterator[Keys]:
         tty.setcbreak(descriptor)
         yield Keys(descriptor)
     finally:
-        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+        with suppress(termios.error):  # it has gone
+            termios.tcsetattr(descriptor, termios.TCSADRAIN, before)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pcapng import FileScanner
 
 from emulator.commands.cli import main
 from emulator.recording.captures import MOST_AHEAD, Segment, read_segments, streams_of
@@ -183,6 +184,47 @@ def test_a_capture_of_ours_reads_back_without_repeats(tmp_path: Path) -> None:
     assert b"".join(part for _, part in found) == b"hello" + big
     (found,) = streams_of([*read_segments(data), *read_segments(data)], 49152)
     assert b"".join(part for _, part in found) == b"hello" + big
+
+
+@pytest.mark.filterwarnings("ignore:Field type should not be:DeprecationWarning")  # its own
+def test_a_stranger_reads_what_we_wrote(tmp_path: Path) -> None:
+    """python-pcapng: blocks, interface, lengths and instants, and from them bytes and ports of both directions."""
+    path = tmp_path / "x.pcapng"
+    at_ns = 1_790_000_000_123_456_789
+    writer = PcapngWriter(path, "top, über")
+    big = bytes(range(256)) * 600
+    said = [
+        (b"hello", True, False),
+        (b"request", False, False),
+        (big, True, False),
+        (b"odd", True, True),
+        (b"", True, True),
+    ]
+    for number, (data, sent, datagram) in enumerate(said):
+        writer.add(at_ns + number, data, sent, 2112, 5000, datagram)
+    writer.close()
+    with path.open("rb") as file:  # it forbids what the description forbids, unless told otherwise
+        head, interface, *packets = FileScanner(file)
+    assert (head.version_major, head.version_minor, interface.link_type) == (1, 0, 101)
+    assert interface.options["if_name"] == "top, über"
+    assert [packet.packet_len for packet in packets] == [packet.captured_len for packet in packets]
+    per_s = round(1 / interface.timestamp_resolution)
+    assert per_s == 1_000_000_000
+    found: dict[tuple[int, int, int], bytes] = {}
+    for packet in packets:
+        number = (packet.timestamp_high << 32) + packet.timestamp_low - at_ns
+        data = packet.packet_data
+        assert data[0] == 0x45
+        assert int.from_bytes(data[2:4], "big") == len(data)
+        ports = struct.unpack(">HH", data[20:24])
+        found[number, *ports] = found.get((number, *ports), b"") + data[28 if said[number][2] else 40 :]
+    stream = 1024 + 5000
+    assert found == {
+        (0, 2112, stream): b"hello",
+        (1, stream, 2112): b"request",
+        (2, 2112, stream): big,
+        (3, 2112, 5000): b"odd",
+    }
 
 
 def test_datagrams_are_kept_apart_and_a_wrong_port_is_told_with_the_right_ones(tmp_path: Path) -> None:

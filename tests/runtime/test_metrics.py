@@ -1,15 +1,18 @@
-"""Lateness histogram and Prometheus text; the text is read back by a reader written from the format's description."""
+"""Lateness histogram and Prometheus text; Prometheus' own client library reads the text back."""
 
 from __future__ import annotations
 
-import re
+import math
 import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
+from prometheus_client import Metric
+from prometheus_client.parser import text_string_to_metric_families
 
 from emulator.judging.trial import Trial
+from emulator.process.incidents import Incidents
 from emulator.process.lateness import EDGES_US, RECENT, LatenessLog
 from emulator.runtime.metrics import prometheus
 from emulator.scenario import scenario
@@ -22,7 +25,6 @@ world:
 sensors:
   - {id: front, model: sick-lms291-s05, mount: {at_m: [0, 0, 1]}, device: {resolution_deg: 1, field_deg: 100}}
 """
-SAMPLE = re.compile(r'([a-z_]+)(?:\{((?:[a-z]+="(?:[^"\\]|\\.)*",?)*)\})? (\S+)\Z')
 
 
 def test_every_send_is_in_exactly_one_bin() -> None:
@@ -70,19 +72,41 @@ def test_a_log_takes_no_more_memory_in_its_last_hour_than_in_its_first() -> None
     assert grown < 10_000  # a list of them takes 2.4 MB
 
 
+def families(text: str) -> dict[str, Metric]:
+    """By name; each comes once, with what it is and a help."""
+    found = list(text_string_to_metric_families(text))
+    assert len({one.name for one in found}) == len(found)
+    assert all(one.type != "unknown" and one.documentation for one in found)
+    return {one.name: one for one in found}
+
+
 def test_prometheus_text_follows_the_format_and_its_buckets_add_up() -> None:
     trial = Trial(scenario.loads(CASE, Path("case.yaml")))
     trial.finish()
     text = prometheus(trial.instruments)
     assert text.endswith("\n")
-    samples: dict[str, list[tuple[str, float]]] = {}
-    for line in text.splitlines():
-        if not line.startswith("#"):
-            match = SAMPLE.match(line)
-            assert match is not None, line
-            samples.setdefault(match[1], []).append((match[2] or "", float(match[3])))
-    buckets = [value for _, value in samples["lidaremu_lateness_seconds_bucket"]]
-    assert buckets == sorted(buckets)
-    assert samples["lidaremu_lateness_seconds_count"][0][1] == buckets[-1]
-    assert 'le="+Inf"' in samples["lidaremu_lateness_seconds_bucket"][-1][0]
-    assert samples["lidaremu_scans_sent_total"] == [('sensor="front"', float(trial.instruments[0].stats.scans_sent))]
+    found = families(text)
+    late = found["lidaremu_lateness_seconds"]
+    assert late.type == "histogram"
+    buckets = [sample for sample in late.samples if sample.name.endswith("_bucket")]
+    counts = [sample.value for sample in buckets]
+    assert counts == sorted(counts)
+    edges = [float(sample.labels["le"]) for sample in buckets]
+    assert edges == pytest.approx([*(edge * 1e-6 for edge in EDGES_US), math.inf])
+    (count,) = [sample.value for sample in late.samples if sample.name.endswith("_count")]
+    assert count == counts[-1]
+    (sent,) = found["lidaremu_scans_sent"].samples
+    assert (sent.name, sent.labels, sent.value) == (
+        "lidaremu_scans_sent_total",
+        {"sensor": "front"},
+        trial.instruments[0].stats.scans_sent,
+    )
+
+
+@pytest.mark.parametrize("where", ['a "quoted" file', r"back\slash\n", "two\nlines", "trailing\\", '{a="b"} 3'])
+def test_a_foreign_name_is_a_label_and_nothing_else(where: str) -> None:
+    incidents = Incidents()
+    incidents.note("recording ended", 0, where, "disk full")
+    (sample,) = families(prometheus([], incidents))["lidaremu_incidents"].samples
+    assert sample.labels == {"kind": "recording ended", "on": where}
+    assert sample.value == 1.0
