@@ -59,7 +59,7 @@ def control_of(
 @click.argument("parameters", nargs=-1, metavar="[NAME=VALUE]...")
 @click.option(
     "--socket", "--control", "path", type=click.Path(path_type=Path),
-    help="As told in `ready`; default: the only daemon.",
+    help="Control socket, as reported in `ready` (default: the only running daemon).",
 )  # fmt: skip
 def ctl(order: str, parameters: tuple[str, ...], path: Path | None) -> int:
     """Tell a running daemon: status, metrics, stop; weather [fog.visibility_m=50] [rain.rate_mm_h=10] [snow=null],
