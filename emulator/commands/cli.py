@@ -140,16 +140,29 @@ def check(
 @scenario_options
 @click.option("--duration", type=Finite(0.0, LONGEST_S), metavar="S", help="Stop after this many seconds.")
 @click.option("--workers", type=click.IntRange(min=1), help="Number of measuring processes (default: cores minus one).")
-@click.option("--clock", type=click.Choice(["real", "virtual"]), default="real", help="Clock of the run; virtual: as fast as hosts read.")
+@click.option(
+    "--clock",
+    type=click.Choice(["real", "virtual"]),
+    default="real",
+    help="Clock of the run; virtual: as fast as hosts read.",
+)
 @click.option("--speed", type=Finite(0.001, 1e9), metavar="X", help="Run a virtual clock at X times real time.")
 @click.option("--no-wait", is_flag=True, help="Let virtual time advance without a connected host.")
 @click.option("--realtime", is_flag=True, help="Real-time scheduling (SCHED_FIFO) for the sender, where permitted.")
 @click.option("--control", type=click.Path(path_type=Path), metavar="PATH", help="Control socket.")
-@click.option("--record", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="Record the run into DIR.")
+@click.option(
+    "--record", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="Record the run into DIR."
+)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object per line on standard output.")
-@click.option("--until-eof", is_flag=True, help="Stop at the end of standard input, that is when the program that holds it open ends.")
+@click.option(
+    "--until-eof",
+    is_flag=True,
+    help="Stop at the end of standard input, that is when the program that holds it open ends.",
+)
 @click.option("--own-folder", type=click.Path(path_type=Path), hidden=True, help="See emulator.runtime.own_daemon.")
-@click.option("--shim", is_flag=True, help="Preload the shim into COMMAND, for drivers that set 500 kBd with TIOCSSERIAL.")
+@click.option(
+    "--shim", is_flag=True, help="Preload the shim into COMMAND, for drivers that set 500 kBd with TIOCSSERIAL."
+)
 def run(
     scenario: str,
     command: Sequence[str],

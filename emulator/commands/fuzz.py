@@ -16,7 +16,11 @@ MOST_SECONDS = 86_400.0
 
 @click.command()
 @click.option(
-    "--seconds", type=click.FloatRange(0.01, MOST_SECONDS), default=60.0, show_default=True, help="CPU time for all parsers together."
+    "--seconds",
+    type=click.FloatRange(0.01, MOST_SECONDS),
+    default=60.0,
+    show_default=True,
+    help="CPU time for all parsers together.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
 @click.option("--parser", "names", multiple=True, metavar="NAME", help="Fuzz only this parser. Several times.")

@@ -63,10 +63,16 @@ def look(
 
 
 @click.command()
-@click.option("--scenario", metavar="NAME", help="Name of a built-in scenario, or a path (default: one with a sensor of the family).")
+@click.option(
+    "--scenario",
+    metavar="NAME",
+    help="Name of a built-in scenario, or a path (default: one with a sensor of the family).",
+)
 @click.option("--sensor", help="Sensor to show (default: the first of the family).")
 @click.option("--family", "family_name", metavar="F", help="lms2xx (default), ld or can_objects.")
-@click.option("--duration", type=Finite(0.0, LONGEST_S), default=None, metavar="S", help="Stop after this many seconds.")
+@click.option(
+    "--duration", type=Finite(0.0, LONGEST_S), default=None, metavar="S", help="Stop after this many seconds."
+)
 @click.option("--baud", type=int, default=500_000, show_default=True, help="Line speed that the host requests.")
 def demo(scenario: str | None, sensor: str | None, family_name: str | None, duration: float | None, baud: int) -> int:
     """A built-in scenario with a built-in host on the other end, drawn live in the terminal.

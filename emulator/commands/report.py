@@ -18,7 +18,9 @@ from emulator.output.lines import say
 @click.option(
     "--figures", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="Also write PNG and CSV files."
 )
-@click.option("--no-truth", is_flag=True, help="Omit the comparison of ranges with the truth, which takes the most time.")
+@click.option(
+    "--no-truth", is_flag=True, help="Omit the comparison of ranges with the truth, which takes the most time."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as one JSON object on standard output.")
 def report(recording: Path, out: Path | None, figures: Path | None, no_truth: bool, as_json: bool) -> int:
     """One HTML page about the recording RUN, a folder or its run.mcap: rates, drops, ranges against truth, detection,

@@ -27,7 +27,11 @@ MOST_HOURS, MOST_REAL_S = 24.0 * 14, 86_400.0 * 7
     help="Hours of virtual time (default 24, about 45 minutes of CPU time).",
 )
 @click.option(
-    "--real", "real_s", type=click.FloatRange(5.0, MOST_REAL_S), metavar="S", help="Seconds of real time with real links, instead of virtual time."
+    "--real",
+    "real_s",
+    type=click.FloatRange(5.0, MOST_REAL_S),
+    metavar="S",
+    help="Seconds of real time with real links, instead of virtual time.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the hosts' script.")
 @click.option(

@@ -359,7 +359,7 @@ KINDS: tuple[Kind, ...] = (
         BusOff,
         BusOffKeys,
         lasts="state",
-        ends="The controller recovers after `off_s`, at the latest when the fault ends, and sends frames due from then on.",
+        ends="The controller recovers after `off_s`, at the latest when the fault ends; frames due then are sent.",
     ),
     _kind(
         "error_passive",

@@ -128,7 +128,7 @@ def _kind(name: str, keys: type[Keys], summary: str, ends: str, act: Any) -> Kin
 
 
 KINDS: tuple[Kind, ...] = (
-    _kind("clock_step", ClockStep, "Time stamps jump once.", "They continue from there, or jump back with `returns`.", Step),
+    _kind("clock_step", ClockStep, "Time stamps jump once.", "They continue so, or jump back with `returns`.", Step),
     _kind("clock_drift", ClockDrift, "Time stamps and schedule drift away from the host's time.",
           "They keep the offset reached.", Drift),
     _kind("clock_stop", Keys, "Every telegram has the same time stamp.", "The clock continues from where it stopped.",

@@ -131,7 +131,7 @@ def _scan(name: str, keys: type[Keys], summary: str, ends: str = AS_BEFORE, **mo
 
 
 def _list(
-    name: str, keys: type[Keys], summary: str, ends: str = "Later lists equal those of a run without the fault.", **more: Any
+    name: str, keys: type[Keys], summary: str, ends: str = "Later lists are those of a run without it.", **more: Any
 ) -> Kind:
     return Kind(name, "measurement", summary, ends, keys, measured=True, lasts="state", sees=("objects",), **more)
 

@@ -153,7 +153,7 @@ KINDS: tuple[Kind, ...] = (
         lasts="state",
         families=("lms2xx", "ld"),
     ),
-    _kind("mirror_wobble", MirrorWobble, "Walls move along the beam; distant ground appears and disappears.", check=_some),
+    _kind("mirror_wobble", MirrorWobble, "Walls move along the beam; distant ground comes and goes.", check=_some),
     _kind(
         "mirror_stuck",
         MirrorStuck,

@@ -130,7 +130,7 @@ def _kind(name: str, keys: type[Keys], summary: str, ends: str, act: Callable[[A
 AS_BEFORE = "Later scans equal those of a run without the fault."
 
 KINDS: tuple[Kind, ...] = (
-    _kind("dirty_window", DirtyWindow, "Echoes of a sector are weaker; dark and distant targets are lost; the device reports it.",
+    _kind("dirty_window", DirtyWindow, "A sector has weaker echoes and loses dark targets; the device reports it.",
           AS_BEFORE + " The device's status is normal again.", WindowTold),
     _kind("wet_window", WetWindow, "Echoes fade and vanish in moving patches.", AS_BEFORE),
     _kind("dead_laser", Keys, "No echo in any beam except noise false alarms.", AS_BEFORE),
@@ -138,7 +138,7 @@ KINDS: tuple[Kind, ...] = (
     _kind("blinding", Blinding, "Beams towards a light source are dazzled; beams near it are noisy.", AS_BEFORE),
     _kind("interference", Interference, "False echoes at random ranges.", AS_BEFORE),
     _kind("crosstalk", Crosstalk, "Echoes of bright targets appear in neighbouring beams.", AS_BEFORE),
-    _kind("misalignment", Misalignment, "All echoes are weaker: the receiver sees only the edge of the beam.", AS_BEFORE),
-    _kind("detector_gain", DetectorGain, "Echoes and noise are weaker or stronger; the threshold is unchanged.", AS_BEFORE),
+    _kind("misalignment", Misalignment, "All echoes are weaker: the receiver sees the edge of the beam.", AS_BEFORE),
+    _kind("detector_gain", DetectorGain, "Echoes and noise change; the threshold does not.", AS_BEFORE),
     _kind("receiver_noise", ReceiverNoise, "Range noise and false alarms increase.", AS_BEFORE),
 )  # fmt: skip

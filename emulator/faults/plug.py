@@ -298,8 +298,8 @@ def _kind(name: str, summary: str, ends: str, act: Callable[..., Act], keys: typ
 KINDS: tuple[Kind, ...] = (
     _kind(
         "unplug",
-        "The plug is out: a pty's path vanishes and its host is hung up, TCP connections are reset and the port is"
-        " closed, a CAN bus is silent.",
+        "The plug is pulled: the path of a pty vanishes and its host is hung up, TCP connections are reset and the"
+        " port is closed, a CAN bus is silent.",
         AGAIN,
         lambda keys, gear: Unplug(gear),
     ),
@@ -307,8 +307,8 @@ KINDS: tuple[Kind, ...] = (
         "power_cycle",
         "The power is off for `off_s`: output stops within a byte, TCP connections stay open on the host's side"
         " and are silent; then the device's own start-up with its delay and its telegrams.",
-        "The device has started: volatile settings are lost, a host must configure it again; on an old TCP connection the"
-        " first thing that it sends is answered by a reset.",
+        "The device has started: volatile settings are lost, a host must configure it again; on an old TCP connection"
+        " the first data that it sends are answered by a reset.",
         lambda keys, gear: Power(gear),
         PowerKeys,
         lasts="own",
@@ -324,7 +324,7 @@ KINDS: tuple[Kind, ...] = (
     ),
     _kind(
         "hang",
-        "The device neither sends nor receives on any link, like hung firmware; connections are accepted and stay open.",
+        "The device neither sends nor receives on any link, like hung firmware; connections are accepted and stay.",
         "It continues with the same settings and stream; counters have advanced.",
         lambda keys, gear: Hang(gear),
     ),

@@ -59,13 +59,13 @@ class SerialLine(Line):
         try:
             self._port.write(data)
         except (serial.SerialException, OSError) as error:
-            raise LinkError(f"{self._port.name}: the device is gone: {error}") from None
+            raise LinkError(f"{self._port.name}: the device has gone: {error}") from None
 
     def _take(self) -> bytes:
         try:
             return bytes(self._port.read(65536))
         except serial.SerialException as error:
-            raise LinkError(f"{self._port.name}: the device is gone: {error}") from None
+            raise LinkError(f"{self._port.name}: the device has gone: {error}") from None
 
     def set_baud(self, baud: int) -> None:
         self._port.baudrate = baud
@@ -93,13 +93,13 @@ class SocketLine(Line):
         try:
             self._socket.sendall(data)
         except OSError as error:
-            raise LinkError(f"the device is gone: {error}") from None
+            raise LinkError(f"the device has gone: {error}") from None
 
     def _take(self) -> bytes:
         try:
             data = self._socket.recv(65536)
         except OSError as error:
-            raise LinkError(f"the device is gone: {error}") from None
+            raise LinkError(f"the device has gone: {error}") from None
         if not data:
             raise LinkError("the device has closed the connection")
         return data

@@ -35,9 +35,9 @@ KINDS = {
     "worker back": IncidentKind("a measuring process was started again"),
     "sensor silent": IncidentKind("a sensor sent nothing for many scan periods although a host requests scans", SILENT),
     "sensor back": IncidentKind("a silent sensor sends again"),
-    "scans unaccounted": IncidentKind("requested scans are not the sum of sent, dropped, withdrawn and in flight", SILENT),
+    "scans unaccounted": IncidentKind("requested is not sent + dropped + withdrawn + in flight", SILENT),
     "recording ended": IncidentKind("a recording could not be continued", RECORDING_CUT),
-    "recording moved": IncidentKind("the folder or a file of a recording was moved; recording continues in the new place"),
+    "recording moved": IncidentKind("a folder or file of a recording was moved; it continues in the new place"),
     "link restored": IncidentKind("the path of a link was removed or replaced, and has been restored"),
     "link path taken": IncidentKind("another program has taken the path of a link; it is left alone"),
     "link path gone": IncidentKind(

@@ -262,7 +262,7 @@ def _links(data: dict[str, Any], folder: Path) -> Iterator[Found]:
             if scheme in ONE_HOLDER and not (scheme == "tcp" and target.endswith(":0")):
                 if url.partition("?")[0] in taken:
                     holder = taken[url.partition("?")[0]]
-                    yield (*loc, "links", number), f"{url!r} is also a link of {holder}", "a link that no other sensor has"
+                    yield (*loc, "links", number), f"{url!r} is also a link of {holder}", "a link used only once"
                 taken.setdefault(url.partition("?")[0], str(sensor.get("id")))
 
 

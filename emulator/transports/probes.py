@@ -103,7 +103,7 @@ def probe_socketcan() -> Probe:
         with contextlib.suppress(OSError):
             if (folder / "type").read_text().strip() == ARPHRD_CAN:
                 names.append(folder.name)
-    return Probe("SocketCAN", bool(names), ", ".join(sorted(names)) or "available in the kernel, but no interface is up")
+    return Probe("SocketCAN", bool(names), ", ".join(sorted(names)) or "in the kernel, but no interface is up")
 
 
 def probe_adapters() -> Probe:

@@ -143,7 +143,7 @@ class StablePath:
                 self._heir = left_behind
             what, alive = self._what_stands()
             if alive:
-                return self._stay(TAKEN, f"{self.path}: {what} exists there now; left alone, restored when it is removed")
+                return self._stay(TAKEN, f"{self.path}: {what} exists there; left alone, restored when it is gone")
             pause_ns = 0 if self._restored < FREE else min(LONGEST_NS, SECOND_NS << min(self._restored - FREE, 10))
             if now_ns < self._restored_ns + pause_ns:
                 return []

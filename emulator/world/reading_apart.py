@@ -146,7 +146,7 @@ class Reader:
             if isinstance(error, SceneError):
                 raise
             self.close()
-            raise SceneError(f"{place}: the reading process gave an invalid answer; want a file in that format") from None
+            raise SceneError(f"{place}: invalid answer of the reading process; want a file in that format") from None
 
     def _geometry(self, head: dict[str, Any]) -> Geometry:
         """The answer as a shape; `ValueError` for one that is none."""

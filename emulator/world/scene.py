@@ -266,7 +266,7 @@ class _Builder:
                 want = f"{len(first.faces)} on {len(first.vertices)} as in the first frame"
                 raise SceneError(f"{told}: {found}; want {want}")
             if not np.array_equal(one.faces, first.faces) or not np.array_equal(one.face_part, first.face_part):
-                raise SceneError(f"{told}: other triangles; want those of the first frame, with only their vertices moved")
+                raise SceneError(f"{told}: other triangles; want those of the first frame, only vertices moved")
             if one.parts != first.parts and len(first.parts) > 1:  # a mesh of one part may bear its file's name
                 raise SceneError(f"{told}: parts {', '.join(one.parts)}; want {', '.join(first.parts)}")
             made.append(one)

@@ -101,7 +101,7 @@ def test_a_socket_that_was_removed_is_put_back_and_who_is_connected_stays(tmp_pa
 
         path.unlink()
         look()
-        assert told.get(timeout=LIMIT_S) == ("link restored", f"{path}: was removed; listening there again")
+        assert told.get(timeout=LIMIT_S) == ("link restored", f"{path}: was removed; listening again")
         assert ask(path, "echo", {"a": 1}) == {"a": 1}
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
         path.unlink()
