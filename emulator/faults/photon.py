@@ -130,7 +130,7 @@ def _kind(name: str, keys: type[Keys], summary: str, ends: str, act: Callable[[A
 AS_BEFORE = "Later scans equal those of a run without the fault."
 
 KINDS: tuple[Kind, ...] = (
-    _kind("dirty_window", DirtyWindow, "A sector has weaker echoes and loses dark targets; the device reports it.",
+    _kind("dirty_window", DirtyWindow, "Weaker echoes in a sector; dark and far targets lost; the device reports it.",
           AS_BEFORE + " The device's status is normal again.", WindowTold),
     _kind("wet_window", WetWindow, "Echoes fade and vanish in moving patches.", AS_BEFORE),
     _kind("dead_laser", Keys, "No echo in any beam except noise false alarms.", AS_BEFORE),
