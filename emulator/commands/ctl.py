@@ -62,13 +62,13 @@ def control_of(
     help="Control socket, as reported in `ready` (default: the only running daemon).",
 )  # fmt: skip
 def ctl(order: str, parameters: tuple[str, ...], path: Path | None) -> int:
-    """Tell a running daemon: status, metrics, stop; weather [fog.visibility_m=50] [rain.rate_mm_h=10] [snow=null],
-    alone: what holds; and on a virtual clock pause, resume, step [scans=N | bytes=N] [sensor=ID], step seconds=S,
-    step to_s=S, speed x=X (0: as fast as hosts read). For whoever draws: glance, scans, telegrams, scene. The
+    """Send an order to a running daemon: status, metrics, stop; weather [fog.visibility_m=50] [rain.rate_mm_h=10] [snow=null],
+    without values: the weather in effect; and on a virtual clock pause, resume, step [scans=N | bytes=N] [sensor=ID], step seconds=S,
+    step to_s=S, speed x=X (0: as fast as hosts read). For viewers: glance, scans, telegrams, scene. The
     daemon knows its methods; docs/control.md has them.
 
     \b
-    fault SENSOR NAME [KEY=VALUE]...   begins a fault, at once unless a trigger is given; tells its number
+    fault SENSOR NAME [KEY=VALUE]...   begins a fault, at once unless a trigger is given; prints its number
     fault clear [N]                    ends that one, or all
     fault list                         all of this run (also: faults)
 

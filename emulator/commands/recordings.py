@@ -81,7 +81,7 @@ def replay(
     at_once: bool,
     as_json: bool,
 ) -> int:
-    """Send a RECORDING again, with its own gaps or scaled: a folder or .mcap of ours, .pcap, .pcapng, .blf, .asc,
+    """Send a RECORDING again, with its own gaps or scaled: a folder or .mcap of lidaremu, .pcap, .pcapng, .blf, .asc,
     candump .log, or the raw bytes of a serial line.
     """
     from emulator.recording.reader import is_ours, read_run, read_wire
@@ -201,7 +201,7 @@ def _step_by_lines(daemon: VirtualDaemon, one_more: Callable[[], None]) -> None:
 def diff(first: Path, second: Path, port: int, baud: int, as_json: bool) -> int:
     """Compare two recordings: the first byte, instant, beam or object of each link and sensor that differs.
 
-    Two folders or .mcap of ours, or two of .pcap, .pcapng, .blf, .asc, .log, serial dump (instants to the file's own
+    Two recordings of lidaremu (folder or .mcap), or two of .pcap, .pcapng, .blf, .asc, .log, serial dump (instants to the file's own
     microsecond, from its first payload on).
     """
     from emulator.recording.compare import differences

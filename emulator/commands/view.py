@@ -57,7 +57,7 @@ def view(
     """See a run in the browser: scene, echoes, telegrams; weather, faults and time at hand.
 
     CONTROL is a running daemon's control socket (left out: the only daemon that runs), RECORDING a folder or run.mcap
-    of `--record`, SCENARIO a file or built-in name: it is started with hosts of ours on its links, at real time's pace;
+    of `--record`, SCENARIO a file or built-in name: it is started with built-in hosts on its links, at real time's pace;
     where it ends by its `duration_s` time stands, and the page stays.
     """
     if token is not None and (len(token) < 8 or not token.isascii() or not token.isalnum()):
@@ -137,7 +137,7 @@ def opened(what: str | None) -> Iterator[Source]:
 
 @contextmanager
 def own_source(scenario: str) -> Iterator[LiveSource]:
-    """A daemon on a scenario at real time's pace, with hosts of ours on its links."""
+    """A daemon on a scenario at real time's pace, with built-in hosts on its links."""
     from emulator.runtime.own_daemon import own_daemon
     from emulator.view.guests import Guests, free_links
     from emulator.view.live import LiveSource
