@@ -201,8 +201,8 @@ def _step_by_lines(daemon: VirtualDaemon, one_more: Callable[[], None]) -> None:
 def diff(first: Path, second: Path, port: int, baud: int, as_json: bool) -> int:
     """Compare two recordings: the first byte, instant, beam or object of each link and sensor that differs.
 
-    Two recordings of lidaremu (folder or .mcap), or two of .pcap, .pcapng, .blf, .asc, .log, serial dump (instants to the file's own
-    microsecond, from its first payload on).
+    Give two recordings of lidaremu (folder or .mcap), or two files of .pcap, .pcapng, .blf, .asc, .log, serial dump.
+    Times of such files are compared to a microsecond, relative to their first payload.
     """
     from emulator.recording.compare import differences
     from emulator.recording.reader import is_ours, read_run, read_strange

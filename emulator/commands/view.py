@@ -54,11 +54,11 @@ def view(
     duration: float | None,
     as_json: bool,
 ) -> int:
-    """See a run in the browser: scene, echoes, telegrams; weather, faults and time at hand.
+    """Show a run in the browser: scene, echoes, telegrams, with controls for weather, faults and time.
 
-    CONTROL is a running daemon's control socket (left out: the only daemon that runs), RECORDING a folder or run.mcap
-    of `--record`, SCENARIO a file or built-in name: it is started with built-in hosts on its links, at real time's pace;
-    where it ends by its `duration_s` time stands, and the page stays.
+    CONTROL is the control socket of a running daemon (default: the only one). RECORDING is a folder or run.mcap
+    of `--record`. SCENARIO is a file or built-in name: it is started with built-in hosts on its links, in real time.
+    At its `duration_s` time stops, and the page stays.
     """
     if token is not None and (len(token) < 8 or not token.isascii() or not token.isalnum()):
         raise click.BadParameter(f"{token!r}; want 8 or more letters and digits", param_hint="--token")
