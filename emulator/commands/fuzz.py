@@ -1,4 +1,4 @@
-"""`lidaremu study fuzz`: everything that reads what a stranger wrote, with seeded mutations of good examples."""
+"""`lidaremu study fuzz`: every parser of untrusted input, with seeded mutations of valid examples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`lidaremu test`: scenarios judged in virtual time, several at once, told as lines, JSON or JUnit XML."""
+"""`lidaremu test`: scenarios judged in virtual time, several at once, reported as lines, JSON or JUnit XML."""
 
 from __future__ import annotations
 

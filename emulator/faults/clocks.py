@@ -1,4 +1,4 @@
-"""Faults of the time that a device tells: its clock jumps, drifts, stands, begins again.
+"""Faults of the device clock: it jumps, drifts, stops, restarts.
 
 The truth goes into recordings beside what is told, see docs/clocks.md. Not: a scenario's `clock` table (device_clock).
 """

@@ -1,4 +1,4 @@
-"""`lidaremu demo`: the daemon on a built-in scenario, and a host of ours on the other end of its line."""
+"""`lidaremu demo`: the daemon on a built-in scenario, and a built-in host on the other end of its line."""
 
 from __future__ import annotations
 

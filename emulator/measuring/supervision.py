@@ -1,4 +1,4 @@
-"""Worker processes, each serving a fixed share of the sensors; one that ends or stands still is replaced.
+"""Worker processes, each serving a fixed share of the sensors; one that ends or hangs is replaced.
 
 Belongs here: what each owes, when it is started, given up and started again. Not: what runs in it (worker), how long is
 waited (patience), what is told of it (daemon, virtual_daemon).

@@ -1,4 +1,4 @@
-"""What befell our own processes, files and links in a run: told once, counted, shown wherever a run is looked at.
+"""Incidents of processes, files and links in a run: reported once, counted, shown in every report of a run.
 
 Belongs here: what may happen, by name, and what each says about the run's exit code. Not: faults on purpose
 (`faults/`), mistakes of hosts (`DropReason`), and who notices (each part notes its own incident).

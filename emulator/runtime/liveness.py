@@ -1,4 +1,4 @@
-"""Whether every sensor that a host has subscribed to still lives: one that falls silent is told, and when it is back.
+"""Whether every sensor that a host has subscribed to still sends: a silent one is reported, and its return.
 
 Belongs here: what counts as silence. Not: why it is silent (supervision tells of processes, `Instrument` of drops).
 

@@ -1,4 +1,4 @@
-"""What a running daemon can be told to do: the methods of the control socket and of `lidaremu ctl`.
+"""Orders to a running daemon: the methods of the control socket and of `lidaremu ctl`.
 
 docs/control.md has every method with an example; a test holds the page to `Orders.methods`.
 """

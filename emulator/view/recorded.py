@@ -1,4 +1,4 @@
-"""A recording of ours, shown at any of its instants; its own clock is the page's."""
+"""A recording of lidaremu, shown at any of its instants; its clock is the page's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mesh files of strangers, read in a process of its own with limits on its memory and processor time.
+"""Untrusted mesh files, read in a separate process with limits on its memory and processor time.
 
 Belongs here: that process, what it is asked and answers, and what is said when it ends. Not: the reading (mesh_files)
 and the limits (budgets).
