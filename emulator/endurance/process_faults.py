@@ -1,4 +1,4 @@
-"""Failures of the emulator's processes, and what must be seen then: on the wire, in the counters, as incidents, at the end.
+"""Failures of processes, and what must be seen then: on the wire, in the counters, as incidents, at the end.
 
 Belongs here: the table, as data. Tests run its rows (`held_by`), docs/process_faults.md shows them
 (`python -m emulator.endurance.process_faults`), and the real-time soak draws from those that can be drawn.

@@ -1,4 +1,4 @@
-"""Telegrams decoded field by field, for people: the meaning of each byte. `describe` never raises, whatever the bytes are.
+"""Telegrams decoded field by field, for people. `describe` never raises, whatever the bytes are.
 
 Belongs here: names, values and units of what goes over a wire, both ways, from the decoders and tables of the
 protocols. What no table knows is shown as hex with the reason. Not: scans (the hosts), layouts (protocols).

@@ -1,4 +1,4 @@
-"""Libraries that log what is wrong with a file, with whole tracebacks: silenced while we read; we report it ourselves."""
+"""Libraries that log what is wrong with a file, with whole tracebacks: silenced; we report it ourselves."""
 
 from __future__ import annotations
 
