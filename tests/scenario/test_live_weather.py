@@ -184,7 +184,7 @@ def test_a_thousand_orders_do_not_grow_what_goes_with_a_plan() -> None:
         ({"spray": {"behind": ["lorry"]}}, "weather: spray.behind[0]: 'lorry'; want one of van"),
         ({"t_s": 4}, "weather: t_s: 4; want this key left out"),
         ({"changes": []}, "weather: changes: []; want this key left out"),
-        ({"layers": [{"top_m": 1}]}, "nothing in it"),
+        ({"layers": [{"top_m": 1}]}, "empty; want"),
         ({"fog": {"visibility_m": 10, "mor_m": 10}}, "either visibility_m or mor_m"),
     ],
 )
