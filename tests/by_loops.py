@@ -1,7 +1,7 @@
 """Which tests ask for a compiled loop: the second pass runs those alone, the others would say the same once more.
 
-`LIDAREMU_TESTS_BY_LOOPS=FOLDER`: with `LIDAREMU_COMPILED=0` the names of such tests are written into it, by each process
-into a file of its own; with 1 all others are left out. A test that shares a fixture with such a test counts as one.
+`LIDAREMU_TESTS_BY_LOOPS=FOLDER`: with `LIDAREMU_COMPILED=0` the names of such tests are written into it, by each
+process into a file of its own; with 1 all others are left out. A test that shares a fixture with such a test counts.
 """
 
 from __future__ import annotations

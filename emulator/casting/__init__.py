@@ -1,4 +1,4 @@
-"""First hits of rays on bodies that rest, move or change their shape; the only users of embreex.
+"""First hits of rays on static, moving and deforming bodies; the only users of embreex.
 
 Belongs here: rays in, hits out. Not: which rays there are and what comes back (sensing).
 

@@ -1,4 +1,4 @@
-"""The command line, a module a command; what there is to choose from (catalogue); both as pages (pages).
+"""The command line, one module per command; lists of sensors, scenarios, links (catalogue); both as pages (pages).
 
 Belongs here: words in, lines and exit codes out. What a command needs it loads when it runs. Not: doing any of it.
 

@@ -98,7 +98,7 @@ def commands() -> None:
 @commands.command()
 @click.argument("scenarios", nargs=-1, required=True, metavar="SCENARIO...")
 @scenario_options
-@click.option("--json", "as_json", is_flag=True, help="One JSON object a scenario.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object per scenario.")
 def check(
     scenarios: Sequence[str], overrides: Sequence[str], seed: int | None, links: Sequence[str], as_json: bool
 ) -> int:
@@ -140,15 +140,26 @@ def check(
 @click.argument("command", nargs=-1, type=click.UNPROCESSED)
 @scenario_options
 @click.option("--duration", type=Finite(0.0, LONGEST_S), metavar="S", help="Stop after this many seconds.")
-@click.option("--workers", type=click.IntRange(min=1), help="Measuring processes (default: cores less one).")
-@click.option("--clock", type=click.Choice(["real", "virtual"]), default="real", help="virtual: as fast as hosts read.")
-@click.option("--speed", type=Finite(0.001, 1e9), metavar="X", help="Virtual clock at X times real time.")
-@click.option("--no-wait", is_flag=True, help="Virtual time moves though no host is connected.")
-@click.option("--realtime", is_flag=True, help="Schedule the sender before all other programs, where that is allowed.")
+@click.option("--workers", type=click.IntRange(min=1), help="Number of measuring processes (default: cores minus one).")
+@click.option(
+    "--clock",
+    type=click.Choice(["real", "virtual"]),
+    default="real",
+    help="Clock of the run; virtual: as fast as hosts read.",
+)
+@click.option("--speed", type=Finite(0.001, 1e9), metavar="X", help="Run a virtual clock at X times real time.")
+@click.option("--no-wait", is_flag=True, help="Let virtual time advance without a connected host.")
+@click.option("--realtime", is_flag=True, help="Real-time scheduling (SCHED_FIFO) for the sender, where permitted.")
 @click.option("--control", type=click.Path(path_type=Path), metavar="PATH", help="Control socket.")
-@click.option("--record", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="Record into DIR.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object a line on standard output.")
-@click.option("--until-eof", is_flag=True, help="End with the standard input: with the program that holds it open.")
+@click.option(
+    "--record", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="Record the run into DIR."
+)
+@click.option("--json", "as_json", is_flag=True, help="One JSON object per line on standard output.")
+@click.option(
+    "--until-eof",
+    is_flag=True,
+    help="Stop at the end of standard input, that is when the program that holds it open ends.",
+)
 @click.option("--own-folder", type=click.Path(path_type=Path), hidden=True, help="See emulator.runtime.own_daemon.")
 @click.option("--shim", is_flag=True, help="Give COMMAND the preload shim: custom divisors, modem lines, SocketCAN.")
 def run(
@@ -215,7 +226,7 @@ def run(
     if isinstance(daemon, VirtualDaemon):
         daemon.waits_for_hosts, daemon.tells_alone = not no_wait, True
     if realtime and (refused := be_realtime()):
-        note(f"--realtime: {refused}; scheduled as usual")
+        note(f"--realtime: {refused}; normal scheduling is used")
     transcript = watched(instruments) if isinstance(daemon, VirtualDaemon) else None
     server = None
     recorder: Recorder | None = None
@@ -366,8 +377,8 @@ def announce_end(
         say(f"{total['id']}: {total['scans_sent']} scans sent, {rate}; dropped: {dropped}")
         account = total["account"]
         if account["under_way"] or account["unaccounted"]:
-            rest = f"{account['under_way']} under way, {account['unaccounted']} unaccounted"
-            say(f"{total['id']}: {account['asked']} scans asked for, of them {rest}")
+            rest = f"{account['under_way']} in flight, {account['unaccounted']} unaccounted"
+            say(f"{total['id']}: {account['asked']} scans requested: {rest}")
         late = total["lateness_us"]
         if late["sends"]:
             say(
@@ -380,7 +391,7 @@ def announce_end(
                 say(f"{total['id']}: {count} payloads not sent: a host reads {link['url']} too slowly")
         ignored = ", ".join(f"{count} {reason}" for reason, count in total["input_dropped"].items())
         if ignored:
-            say(f"{total['id']}: input not taken: {ignored}")
+            say(f"{total['id']}: input dropped: {ignored}")
         for name, row in total.get("faults", {}).items():
             say(f"{total['id']}: fault {name}: begun {row['begun']} times, {row['hits']} hits")
         if "objects" in total:
@@ -403,7 +414,7 @@ LISTABLE = ("sensors", "scenarios", "materials", "links", "faults", "commands", 
 @commands.command(name="list")
 @click.argument("what", type=click.Choice(LISTABLE))
 @click.argument("name", required=False, metavar="[FAMILY | MODEL | FAULT]")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object per line.")
 def list_(what: str, name: str | None, as_json: bool) -> int:
     """Sensors, scenarios, materials, links, faults or the keys of a FAULT, the commands of a protocol FAMILY, or the
     `device:` keys of a MODEL.

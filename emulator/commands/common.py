@@ -90,8 +90,8 @@ def scenario_options(function: Any) -> Any:
     """Options common to all commands that read a scenario."""
     for option in (
         click.option("--set", "overrides", multiple=True, metavar="a.b=c", help="Set any key of the scenario."),
-        click.option("--seed", type=int, help="Seed of every random draw."),
-        click.option("--link", "links", multiple=True, metavar="SENSOR=URL", help="Replace that sensor's links."),
+        click.option("--seed", type=int, help="Seed of all random numbers."),
+        click.option("--link", "links", multiple=True, metavar="SENSOR=URL", help="Replace the links of that sensor."),
     ):
         function = option(function)
     return function

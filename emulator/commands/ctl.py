@@ -59,20 +59,22 @@ def control_of(
 @click.argument("parameters", nargs=-1, metavar="[NAME=VALUE]...")
 @click.option(
     "--socket", "--control", "path", type=click.Path(path_type=Path),
-    help="As told in `ready`; default: the only daemon.",
+    help="Control socket, as reported in `ready` (default: the only running daemon).",
 )  # fmt: skip
 def ctl(order: str, parameters: tuple[str, ...], path: Path | None) -> int:
-    """Tell a running daemon: status, metrics, stop; weather [fog.visibility_m=50] [rain.rate_mm_h=10] [snow=null],
-    alone: what holds; and on a virtual clock pause, resume, step [scans=N | bytes=N] [sensor=ID], step seconds=S,
-    step to_s=S, speed x=X (0: as fast as hosts read). For whoever draws: glance, scans, telegrams, scene. The
-    daemon knows its methods; docs/control.md has them.
+    """Send an order to a running daemon.
+
+    Always: status, metrics, stop; weather [fog.visibility_m=50] [rain.rate_mm_h=10] [snow=null], without values: the
+    weather in effect. With a virtual clock: pause, resume, step [scans=N | bytes=N] [sensor=ID], step seconds=S,
+    step to_s=S, speed x=X (0: as fast as hosts read). For viewers: glance, scans, telegrams, scene. All methods are
+    in docs/control.md.
 
     \b
-    fault SENSOR NAME [KEY=VALUE]...   begins a fault, at once unless a trigger is given; tells its number
-    fault clear [N]                    ends that one, or all
-    fault list                         all of this run (also: faults)
+    fault SENSOR NAME [KEY=VALUE]...   begins a fault, immediately without a trigger; prints its number
+    fault clear [N]                    ends that fault, or all
+    fault list                         lists all faults of this run (also: faults)
 
-    A VALUE is JSON, or a plain word; a dot in NAME leads into a table.
+    A VALUE is JSON, or a plain word; a dot in NAME enters a table.
     """
     from emulator.runtime import control
 

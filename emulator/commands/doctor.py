@@ -13,8 +13,10 @@ from emulator.output.lines import say
 
 
 @click.command()
-@click.option("--seconds", type=click.FloatRange(0.1, 600.0), default=3.0, show_default=True, help="For the timers.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
+@click.option(
+    "--seconds", type=click.FloatRange(0.1, 600.0), default=3.0, show_default=True, help="Duration of the timer test."
+)
+@click.option("--json", "as_json", is_flag=True, help="One JSON object per line.")
 def doctor(seconds: float, as_json: bool) -> int:
     """What this machine allows: pseudo-terminals and their speeds, multicast, SocketCAN, adapters, timers, loops."""
     from emulator.compiled import switch

@@ -1,4 +1,4 @@
-"""`lidaremu study fuzz`: everything that reads what a stranger wrote, with seeded mutations of good examples."""
+"""`lidaremu study fuzz`: every parser of untrusted input, with seeded mutations of valid examples."""
 
 from __future__ import annotations
 
@@ -16,20 +16,24 @@ MOST_SECONDS = 86_400.0
 
 @click.command()
 @click.option(
-    "--seconds", type=click.FloatRange(0.01, MOST_SECONDS), default=60.0, show_default=True, help="Of CPU, all parsers."
+    "--seconds",
+    type=click.FloatRange(0.01, MOST_SECONDS),
+    default=60.0,
+    show_default=True,
+    help="CPU time for all parsers together.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
-@click.option("--parser", "names", multiple=True, metavar="NAME", help="Only this one; may be given several times.")
+@click.option("--parser", "names", multiple=True, metavar="NAME", help="Fuzz only this parser. Several times.")
 @click.option(
     "--engine",
     type=click.Choice(["mutate", "atheris"]),
     default="mutate",
-    help="atheris: led by coverage; extra `fuzz`.",
+    help="Input generator; atheris: guided by coverage, needs the extra `fuzz`.",
 )
 @click.option(
-    "--out", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="Write fuzz.json and faulty inputs."
+    "--out", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="Write fuzz.json and failing inputs."
 )
-@click.option("--json", "as_json", is_flag=True, help="One JSON object a parser on standard output.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object per parser on standard output.")
 def fuzz(seconds: float, seed: int, names: tuple[str, ...], engine: str, out: Path | None, as_json: bool) -> int:
     """Feed every parser with mutated examples: hosts' telegrams on every link, control orders, scenarios, meshes,
     recordings, expressions. Each in a process of its own, bounded in memory and time.

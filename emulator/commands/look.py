@@ -17,14 +17,14 @@ from emulator.output.lines import note, say
 @click.option(
     "--family", "family_name", default="lms2xx", show_default=True, help="Protocol: lms2xx, ld or can_objects."
 )
-@click.option("--model", metavar="NAME", help="Format of object lists, as can-ars408 (default: recognised).")
-@click.option("--extended", is_flag=True, help="Ask an ARS408 for class, size and existence too (not stored).")
-@click.option("--baud", type=int, default=38_400, show_default=True, help="Line speed to ask for (serial).")
-@click.option("--scans", type=click.IntRange(min=1), help="Stop after so many scans or lists.")
-@click.option("--duration", type=Finite(0.0, LONGEST_S), metavar="S", help="Stop after so many seconds.")
+@click.option("--model", metavar="NAME", help="Format of object lists, for example can-ars408 (default: detected).")
+@click.option("--extended", is_flag=True, help="Also request class, size and existence from an ARS408 (not stored).")
+@click.option("--baud", type=int, default=38_400, show_default=True, help="Line speed to request (serial).")
+@click.option("--scans", type=click.IntRange(min=1), help="Stop after N scans or lists.")
+@click.option("--duration", type=Finite(0.0, LONGEST_S), metavar="S", help="Stop after this many seconds.")
 @click.option("--png", type=click.Path(dir_okay=False, path_type=Path), help="Draw the last scan into FILE.")
-@click.option("--csv", type=click.Path(dir_okay=False, path_type=Path), help="Write every scan's points to FILE.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object a scan on standard output; nothing is drawn.")
+@click.option("--csv", type=click.Path(dir_okay=False, path_type=Path), help="Write the points of every scan to FILE.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object per scan on standard output; nothing is drawn.")
 def look(
     link: str,
     family_name: str,
@@ -48,7 +48,7 @@ def look(
     from emulator.looking.screen import drawable
 
     if family_name != CAN_FAMILY and (model is not None or extended):
-        raise click.UsageError(f"--model and --extended belong to --family {CAN_FAMILY}")
+        raise click.UsageError(f"--model and --extended apply only to --family {CAN_FAMILY}")
     if png is not None:
         require_matplotlib()
         if scans is None and duration is None:
@@ -57,17 +57,23 @@ def look(
             raise EmulatorError(f"{png}: no such folder")
     live = drawable() and png is None and not as_json
     if sys.stderr.isatty():
-        note(f"asking {link} for scans ({family_name})")
+        note(f"requesting scans from {link} ({family_name})")
     host = connect(link, family_name, baud, model, extended)
     return run_look(host, link, Wanted(scans, duration, png, csv, as_json, live, lines=True), say)
 
 
 @click.command()
-@click.option("--scenario", metavar="NAME", help="Built-in name or path (default: one that shows the family).")
-@click.option("--sensor", help="Which of its sensors to look through (default: the first of the family).")
+@click.option(
+    "--scenario",
+    metavar="NAME",
+    help="Name of a built-in scenario, or a path (default: one with a sensor of the family).",
+)
+@click.option("--sensor", help="Sensor to show (default: the first of the family).")
 @click.option("--family", "family_name", metavar="F", help="lms2xx (default), ld or can_objects.")
-@click.option("--duration", type=Finite(0.0, LONGEST_S), default=None, metavar="S", help="Stop after so long.")
-@click.option("--baud", type=int, default=500_000, show_default=True, help="Line speed the host asks for.")
+@click.option(
+    "--duration", type=Finite(0.0, LONGEST_S), default=None, metavar="S", help="Stop after this many seconds."
+)
+@click.option("--baud", type=int, default=500_000, show_default=True, help="Line speed that the host requests.")
 def demo(scenario: str | None, sensor: str | None, family_name: str | None, duration: float | None, baud: int) -> int:
     """A built-in scenario with a built-in host on the other end, drawn live in the terminal.
 

@@ -17,7 +17,7 @@ MADE = "Made by `python -m emulator.commands.pages`; do not edit."
 EXIT_CODES = """\
 Exit codes: 0 held, or stopped as asked; 1 an expectation failed; 2 cannot run: bad scenario, spec or arguments; 3 a
 link could not be opened or was lost; 4 the run went on but its recording ended early; 5 a sensor fell silent, or scans
-do not add up."""
+are unaccounted for."""
 
 
 def cli() -> str:

@@ -52,14 +52,24 @@ def recorder_for(
 
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path))
-@click.option("--link", "links", multiple=True, metavar="SENSOR=URL", help="Where to send, instead of as recorded.")
-@click.option("--speed", type=Finite(0.001, 1e9), default=1.0, metavar="X", help="X times the recorded pace.")
-@click.option("--stepped", is_flag=True, help="One payload a line on standard input.")
-@click.option("--loop", "loops", type=click.IntRange(min=0), default=1, help="So many times; 0: without end.")
-@click.option("--port", type=click.IntRange(1, 65535), default=49152, show_default=True, help="Device in a pcap.")
-@click.option("--baud", type=click.IntRange(min=50), default=38400, show_default=True, help="Of a raw serial dump.")
+@click.option(
+    "--link", "links", multiple=True, metavar="SENSOR=URL", help="Send to this link instead of the recorded one."
+)
+@click.option("--speed", type=Finite(0.001, 1e9), default=1.0, metavar="X", help="Speed factor; 1: as recorded.")
+@click.option("--stepped", is_flag=True, help="Send one payload for each line on standard input.")
+@click.option("--loop", "loops", type=click.IntRange(min=0), default=1, help="Number of repetitions; 0: forever.")
+@click.option(
+    "--port",
+    type=click.IntRange(1, 65535),
+    default=49152,
+    show_default=True,
+    help="TCP or UDP port of the device in a capture.",
+)
+@click.option(
+    "--baud", type=click.IntRange(min=50), default=38400, show_default=True, help="Line speed of a raw serial dump."
+)
 @click.option("--at-once", is_flag=True, help="Do not wait for a host.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object per line.")
 def replay(
     recording: Path,
     links: Sequence[str],
@@ -71,7 +81,7 @@ def replay(
     at_once: bool,
     as_json: bool,
 ) -> int:
-    """Send a RECORDING again, with its own gaps or scaled: a folder or .mcap of ours, .pcap, .pcapng, .blf, .asc,
+    """Send a RECORDING again, with its own gaps or scaled: a folder or .mcap of lidaremu, .pcap, .pcapng, .blf, .asc,
     candump .log, or the raw bytes of a serial line.
     """
     from emulator.recording.reader import is_ours, read_run, read_wire
@@ -80,14 +90,14 @@ def replay(
     from emulator.runtime.virtual_daemon import VirtualDaemon
 
     if recording.suffix in (".yaml", ".yml"):  # any other bytes may be those of a line
-        raise EmulatorError(f"{recording}: a scenario; want a recording of one, see lidaremu run --record")
+        raise EmulatorError(f"{recording}: a scenario; want a recording, see lidaremu run --record")
     wires = read_wire(recording, port, baud)
     if is_ours(recording):
         cut = read_run(recording).cut
         if cut:
-            note(f"{recording}: cut: {cut}; what is before is sent")
+            note(f"{recording}: cut: {cut}; everything before that is sent")
     if not wires:
-        raise EmulatorError(f"{recording}: no sensor has sent anything in it")
+        raise EmulatorError(f"{recording}: contains nothing that a sensor sent")
     replaced = {}
     for text in links:
         sensor, separator, url = text.partition("=")
@@ -155,7 +165,7 @@ def _tell_end(late: Lateness, rounds: int, links: Sequence[Link], stepped: bool,
         told = f"; gap error: median {late.median_us:.0f} us, p99 {late.p99_us:.0f} us" if kept else ""
         say(f"{late.count} payloads sent{told}")
         if lost:
-            say(f"{lost} bytes lost: no host was there, or it did not read")
+            say(f"{lost} bytes lost: no host was connected, or it did not read")
 
 
 def _announce(players: Sequence[Instrument], as_json: bool) -> None:
@@ -177,14 +187,22 @@ def _step_by_lines(daemon: VirtualDaemon, one_more: Callable[[], None]) -> None:
 @click.command()
 @click.argument("first", type=click.Path(path_type=Path))
 @click.argument("second", type=click.Path(path_type=Path))
-@click.option("--port", type=click.IntRange(1, 65535), default=49152, show_default=True, help="Device in a pcap.")
-@click.option("--baud", type=click.IntRange(min=50), default=38400, show_default=True, help="Of a raw serial dump.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object a difference.")
+@click.option(
+    "--port",
+    type=click.IntRange(1, 65535),
+    default=49152,
+    show_default=True,
+    help="TCP or UDP port of the device in a capture.",
+)
+@click.option(
+    "--baud", type=click.IntRange(min=50), default=38400, show_default=True, help="Line speed of a raw serial dump."
+)
+@click.option("--json", "as_json", is_flag=True, help="One JSON object per difference.")
 def diff(first: Path, second: Path, port: int, baud: int, as_json: bool) -> int:
     """Compare two recordings: the first byte, instant, beam or object of each link and sensor that differs.
 
-    Two folders or .mcap of ours, or two of .pcap, .pcapng, .blf, .asc, .log, serial dump (instants to the file's own
-    microsecond, from its first payload on).
+    Give two recordings of lidaremu (folder or .mcap), or two files of .pcap, .pcapng, .blf, .asc, .log, serial dump.
+    Times of such files are compared to a microsecond, relative to their first payload.
     """
     from emulator.recording.compare import differences
     from emulator.recording.reader import is_ours, read_run, read_strange
@@ -193,7 +211,7 @@ def diff(first: Path, second: Path, port: int, baud: int, as_json: bool) -> int:
         if not path.exists():
             raise EmulatorError(f"{path}: no such file or folder; want a recording")
     if is_ours(first) != is_ours(second):
-        raise EmulatorError(f"{first}, {second}: one of lidaremu and one of another tool; want two of a kind")
+        raise EmulatorError(f"{first}, {second}: one of lidaremu and one of another tool; want two of the same kind")
     read = read_run if is_ours(first) else partial(read_strange, port=port, baud=baud)
     runs = [read(first), read(second)]
     for run in runs:
@@ -204,5 +222,5 @@ def diff(first: Path, second: Path, port: int, baud: int, as_json: bool) -> int:
         say(json.dumps({"at_ns": item.at_ns, "where": item.where, "what": item.what}) if as_json else str(item))
     if not found and not as_json:
         payloads = sum(len(wire.payloads) for wire in runs[0].sent.values())
-        say(f"the same: {payloads} payloads sent, {sum(map(len, runs[0].scans.values()))} scans")
+        say(f"identical: {payloads} payloads sent, {sum(map(len, runs[0].scans.values()))} scans")
     return FAILED if found else OK

@@ -14,12 +14,14 @@ from emulator.output.lines import say
 
 @click.command()
 @click.argument("recording", metavar="RUN", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE", help="The page [RUN.html].")
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE", help="Output page [RUN.html].")
 @click.option(
-    "--figures", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="PNG and CSV files too."
+    "--figures", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="Also write PNG and CSV files."
 )
-@click.option("--no-truth", is_flag=True, help="Leave out ranges against truth, which cost the most time.")
-@click.option("--json", "as_json", is_flag=True, help="The numbers as one JSON object on standard output.")
+@click.option(
+    "--no-truth", is_flag=True, help="Omit the comparison of ranges with the truth, which takes the most time."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the figures as one JSON object on standard output.")
 def report(recording: Path, out: Path | None, figures: Path | None, no_truth: bool, as_json: bool) -> int:
     """One HTML page about the recording RUN, a folder or its run.mcap: rates, drops, ranges against truth, detection,
     objects, weather, faults. It needs nothing else: figures are inside.
@@ -30,7 +32,7 @@ def report(recording: Path, out: Path | None, figures: Path | None, no_truth: bo
     whole = recording.resolve()
     page = out or Path(f"{whole.parent.name if whole.name == 'run.mcap' else whole.name}.html")
     if page.is_dir() or not page.absolute().parent.is_dir():
-        raise EmulatorError(f"--out: {page}; want a file in a folder that is there")
+        raise EmulatorError(f"--out: {page}; want a file in an existing folder")
     if figures is not None:
         form.prepare(figures)
     from emulator.run_report.gather import gather

@@ -24,16 +24,20 @@ MOST_HOURS, MOST_REAL_S = 24.0 * 14, 86_400.0 * 7
     "--hours",
     type=click.FloatRange(0.005, MOST_HOURS),
     metavar="H",
-    help="Virtual hours (default 24, about 45 minutes of CPU).",
+    help="Hours of virtual time (default 24, about 45 minutes of CPU time).",
 )
 @click.option(
-    "--real", "real_s", type=click.FloatRange(5.0, MOST_REAL_S), metavar="S", help="Real seconds instead, real links."
+    "--real",
+    "real_s",
+    type=click.FloatRange(5.0, MOST_REAL_S),
+    metavar="S",
+    help="Seconds of real time with real links, instead of virtual time.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the hosts' script.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the hosts' script.")
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="Write soak.json into DIR."
 )
-@click.option("--json", "as_json", is_flag=True, help="One line of JSON on standard output.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on standard output.")
 def soak(hours: float | None, real_s: float | None, seed: int, out: Path | None, as_json: bool) -> int:
     """LMS291, LD-LRS and an object list while hosts come, go and misbehave: no leak, no scan lost unaccounted, clean
     data for every host that behaves. In virtual time, or with --real as a daemon with real links.
@@ -93,7 +97,7 @@ def table(soaked: Soaked) -> Iterator[str]:
             yield f"{name}: lateness: {parts}"
     memory = soaked.memory
     yield (
-        f"memory: {memory['rss_mb_start']} MB at first, {memory['rss_mb_end']} MB at last,"
+        f"memory: {memory['rss_mb_start']} MB at start, {memory['rss_mb_end']} MB at end,"
         f" peak {memory['rss_mb_peak']} MB; second half {memory['rss_mb_rise_second_half']:+} MB"
     )
     rest = [

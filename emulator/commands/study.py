@@ -27,10 +27,10 @@ out_option = click.option(
     required=True,
     type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
-    help="Folder of the report; made where it is not there.",
+    help="Folder of the report; created if missing.",
 )
 quick_option = click.option("--quick", is_flag=True, help="Fewer points and ranges; seconds instead of a minute.")
-json_option = click.option("--json", "as_json", is_flag=True, help="One line of JSON on standard output.")
+json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object on standard output.")
 
 
 def progress(names: list[str]) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""`lidaremu test`: scenarios judged in virtual time, several at once, told as lines, JSON or JUnit XML."""
+"""`lidaremu test`: scenarios judged in virtual time, several at once, reported as lines, JSON or JUnit XML."""
 
 from __future__ import annotations
 
@@ -79,12 +79,28 @@ class Result:
     metavar="DIR",
     help="Write fifty small scenarios with known answers into DIR, and run them.",
 )
-@click.option("--jobs", type=click.IntRange(min=1), help="Scenarios at once (default: cores).")
-@click.option("--workers", type=click.IntRange(min=0), default=0, help="Measuring processes a scenario (0: in place).")
-@click.option("--duration", type=Finite(0.0, LONGEST_S, min_open=True), metavar="S", help="Instead of the files'.")
-@click.option("--record", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="A recording each.")
-@click.option("--junitxml", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE", help="JUnit XML report.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object a scenario.")
+@click.option(
+    "--jobs", type=click.IntRange(min=1), help="Number of scenarios that run at the same time (default: cores)."
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(min=0),
+    default=0,
+    help="Measuring processes per scenario (0: in the same process).",
+)
+@click.option(
+    "--duration", type=Finite(0.0, LONGEST_S, min_open=True), metavar="S", help="Replace `duration_s` of the scenarios."
+)
+@click.option(
+    "--record",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="DIR",
+    help="Record each scenario in a folder below DIR.",
+)
+@click.option(
+    "--junitxml", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE", help="Write a JUnit XML report."
+)
+@click.option("--json", "as_json", is_flag=True, help="One JSON object per scenario.")
 def test(
     scenarios: Sequence[str],
     overrides: Sequence[str],
@@ -199,7 +215,7 @@ def _all(
             try:
                 yield future.result()
             except BrokenProcessPool:
-                yield Result(name, "error", 0.0, fault=f"{name}: the process that ran it, or one beside it, was ended")
+                yield Result(name, "error", 0.0, fault=f"{name}: its process, or another of the pool, was terminated")
 
 
 def _tell(result: Result) -> None:

@@ -37,13 +37,13 @@ LONG_S = 1e8
     "allowed",
     multiple=True,
     metavar="NAME[:PORT]",
-    help="A further name by which a browser may reach the page: through a tunnel or a proxy (https://NAME).",
+    help="Accept a further host name, for a tunnel or a proxy (https://NAME).",
 )
-@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port; 0: any that is free (default).")
-@click.option("--token", help="Without it nobody comes in (default: a new one).")
-@click.option("--no-browser", is_flag=True, help="Only say where the page is.")
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port; 0 (default): any free port.")
+@click.option("--token", help="Access token, part of the address (default: a new random one).")
+@click.option("--no-browser", is_flag=True, help="Only print the address.")
 @click.option("--duration", type=Finite(0.0, LONGEST_S), metavar="S", help="Stop after this many seconds.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object a line on standard output.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object per line on standard output.")
 def view(
     what: str | None,
     host: str,
@@ -54,11 +54,11 @@ def view(
     duration: float | None,
     as_json: bool,
 ) -> int:
-    """See a run in the browser: scene, echoes, telegrams; weather, faults and time at hand.
+    """Show a run in the browser: scene, echoes, telegrams, with controls for weather, faults and time.
 
-    CONTROL is a running daemon's control socket (left out: the only daemon that runs), RECORDING a folder or run.mcap
-    of `--record`, SCENARIO a file or built-in name: it is started with hosts of ours on its links, at real time's pace;
-    where it ends by its `duration_s` time stands, and the page stays.
+    CONTROL is the control socket of a running daemon (default: the only one). RECORDING is a folder or run.mcap
+    of `--record`. SCENARIO is a file or built-in name: it is started with built-in hosts on its links, in real time.
+    At its `duration_s` time stops, and the page stays.
     """
     if token is not None and (len(token) < 8 or not token.isascii() or not token.isalnum()):
         raise click.BadParameter(f"{token!r}; want 8 or more letters and digits", param_hint="--token")
@@ -86,7 +86,7 @@ def view(
             url = f"{place}/{key}/"
             say(json.dumps({"event": "ready", "url": url}) if as_json else f"see {url}")
             if host not in LOCAL:
-                note(f"{host}: the page is open to the network, to who has the token; it is not encrypted")
+                note(f"{host}: the page can be reached from the network by anyone with the token; it is not encrypted")
             if not no_browser:
                 import webbrowser
 
@@ -110,7 +110,7 @@ def _refused() -> Callable[[str], None]:
     def tell(host: str) -> None:
         if host not in told and len(told) < MOST_TOLD:
             told.add(host)
-            note(f"refused: a browser asks for {host[:100]!r}, which was not opened; --allow-host lets it in")
+            note(f"refused: a browser asks for {host[:100]!r}, which is not an allowed host; see --allow-host")
 
     return tell
 
@@ -126,7 +126,7 @@ def opened(what: str | None) -> Iterator[Source]:
 
         recorded = RecordedSource(path)
         if recorded.cut:
-            note(f"{path}: cut: {recorded.cut}; what is before is shown")
+            note(f"{path}: cut: {recorded.cut}; everything before that is shown")
         yield recorded
     elif path is None or path.is_socket() or str(what).startswith("unix:") or path.suffix == ".sock":
         yield LiveSource(find(path))
@@ -137,7 +137,7 @@ def opened(what: str | None) -> Iterator[Source]:
 
 @contextmanager
 def own_source(scenario: str) -> Iterator[LiveSource]:
-    """A daemon on a scenario at real time's pace, with hosts of ours on its links."""
+    """A daemon on a scenario at real time's pace, with built-in hosts on its links."""
     from emulator.runtime.own_daemon import own_daemon
     from emulator.view.guests import Guests, free_links
     from emulator.view.live import LiveSource

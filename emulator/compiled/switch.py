@@ -2,7 +2,7 @@
 
 Belongs here: whether compiled functions are used. The functions themselves are loops over rays, one file for each step
 of a sweep; each does what arrays do where numba is not there, to the rounding of float64, and a test compares the two.
-`LIDAREMU_COMPILED=0` leaves them out.
+`LIDAREMU_COMPILED=0` switches them off.
 
 Functions are compiled once for a machine, before the first sweep, and kept beside their files, or in the user's cache
 where that is not allowed.
@@ -36,13 +36,13 @@ def kernels() -> ModuleType | None:
 def why() -> tuple[bool, str]:
     """Whether they are used, and what that means or what is missing."""
     if not _wanted:
-        return False, f"{SWITCH}=0 leaves them out"
+        return False, f"{SWITCH}=0 switches them off"
     loops, wrong = _loops()
     if loops is None:
         return False, wrong
     found = loops.library()
     if found is None:
-        return True, "numba; embreex as it is found here has no library to cast packets of rays with"
+        return True, "numba; the installed embreex has no library for ray packets"
     return True, f"numba; rays are cast in packets of {found.width}"
 
 

@@ -1,4 +1,4 @@
-"""What a file of a stranger may cost: bytes, triangles, nodes, memory, seconds. The only place with such numbers.
+"""Limits for untrusted files: bytes, triangles, nodes, memory, seconds. The only place with such numbers.
 
 Belongs here: the limits, how a user raises those of meshes, and opening a file that is a plain file. Not: the reading
 (mesh_files, recording), and the process that holds memory and time (reading_apart).

@@ -107,7 +107,7 @@ FUNCTIONS: Mapping[str, tuple[int, Callable[..., Value], str]] = {
     "median": (1, _reduce(np.median), "median"),
     "std": (1, _reduce(np.std), "standard deviation"),
     "sum": (1, lambda value: float(np.nansum(_series(value))), "sum"),
-    "count": (1, _count, "how many values there are, or how many are true"),
+    "count": (1, _count, "number of values, or of true values"),
     "first": (1, _reduce(lambda known: known[0]), "first value"),
     "last": (1, _reduce(lambda known: known[-1]), "last value"),
     "p": (2, _percentile, "p(series, 99): percentile"),

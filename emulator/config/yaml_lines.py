@@ -223,7 +223,7 @@ class _Tree:
             if isinstance(event, DocumentStartEvent):
                 documents += 1
                 if documents > 1:
-                    raise self._fail(line, "a second document", "one document a file")
+                    raise self._fail(line, "a second document", "one document per file")
                 continue
             if isinstance(event, MappingEndEvent | SequenceEndEvent):
                 keys.pop()
@@ -236,7 +236,7 @@ class _Tree:
                 if found is None:
                     raise self._fail(line, f"alias *{event.anchor} without its anchor", "an anchor before it")
                 if found.open:
-                    raise self._fail(line, f"alias *{event.anchor} inside its own anchor", "data without a circle")
+                    raise self._fail(line, f"alias *{event.anchor} inside its own anchor", "data without a cycle")
                 node = found
             elif isinstance(event, MappingStartEvent | SequenceStartEvent):
                 node = _Node(line, open=True)
@@ -334,7 +334,7 @@ class _Plain:
             if name in out:
                 first = self.places[(*loc, name)][1]
                 self.places[(*loc, name)] = (self._path, key.line)
-                self.faults.append(((*loc, name), f"given twice, first in line {first}", "each key once"))
+                self.faults.append(((*loc, name), f"given twice, first in line {first}", "each key only once"))
                 continue
             out[name] = None  # keeps its place in the order
             out[name] = self.convert(value, (*loc, name), key.line)

@@ -1,4 +1,4 @@
-"""Faults of models told as `file:line: dotted.key: found; want allowed`.
+"""Errors of models reported as `file:line: dotted.key: found; want allowed`.
 
 Belongs here: turning pydantic errors into such lines. Not: reading files (yaml_lines), what keys mean (the models).
 """

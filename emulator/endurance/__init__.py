@@ -1,4 +1,4 @@
-"""Long runs: soaks with hosts that misbehave, every scan on account, and fuzzing of files, hosts and sessions.
+"""Long runs: soak tests with misbehaving hosts, accounts of every scan, and fuzzing of files, hosts and sessions.
 
 Belongs here: what takes hours, or finds what nobody thought of. Not: tests of single behaviours (tests/).
 

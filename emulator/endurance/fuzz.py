@@ -1,4 +1,4 @@
-"""Fuzzing of everything that reads what a stranger wrote: each parser in a process of its own, seeded, within bounds.
+"""Fuzzing of every parser of untrusted input: each parser in a process of its own, seeded, within bounds.
 
 Belongs here: the table of parsers, the loop, what counts as a fault, and saving it. Not: what the parsers are fed with
 (mutations, fuzz_*), coverage-guided search (fuzz_guided).

@@ -1,4 +1,4 @@
-"""What befalls our own processes, and what must be seen then: on the wire, in the counters, as incidents, at the end.
+"""Failures of processes, and what must be seen then: on the wire, in the counters, as incidents, at the end.
 
 Belongs here: the table, as data. Tests run its rows (`held_by`), docs/process_faults.md shows them
 (`python -m emulator.endurance.process_faults`), and the real-time soak draws from those that can be drawn.
@@ -103,7 +103,7 @@ PROCESS_FAULTS = (
                  LATE, "5", f"{PLAYED}::test_a_first_sweep_may_take_long_while_it_uses_the_processor",
                  ("sensor silent", "(sensor back)")),
     ProcessFault("worker", "out of memory", "MemoryError in a sweep", "both", "a scan without echoes",
-                 "`failures` by cause; told once", "0",
+                 "`failures` by cause; reported once", "0",
                  f"{PLAYED}::test_a_sweep_out_of_memory_comes_back_without_echoes"),
     ProcessFault("worker", "out of memory", "killed by the kernel", "real", PAUSE, LATE, ZERO,
                  f"{PLAYED}::test_a_killed_worker_costs_some_scans", REPLACED),
@@ -128,7 +128,7 @@ PROCESS_FAULTS = (
     ProcessFault("view", "kill", "while it shows a run", "real", "nothing", "nothing", "0",
                  f"{SYSTEM}::test_a_stopped_sender_and_stopped_onlookers"),
     ProcessFault("recorder", "full disk", "any", "both", "nothing: the run goes on",
-                 "told once; the recording ends before the run", "4",
+                 "reported once; the recording ends before the run", "4",
                  f"{RIG_VIRTUAL}::test_a_full_disk_ends_the_recording_and_not_the_run", ("recording ended",)),
     ProcessFault("host", "stop", "while it reads", "real",
                  "what it does not read is lost, as on the line; others go on",

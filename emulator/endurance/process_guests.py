@@ -1,4 +1,4 @@
-"""Whoever kills and stops the measuring processes of a soak, by the table of process faults and a seeded script.
+"""Kills and stops the measuring processes of a soak test, by the table of process faults and a seeded script.
 
 Belongs here: when and whom. Not: what must be seen then (process_faults), hosts of the links (real_guests).
 """

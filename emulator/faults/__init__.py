@@ -1,4 +1,4 @@
-"""Faults by name: what can go wrong on purpose, for how long, and how its end shows.
+"""Faults by name: kinds of injected faults, their keys, their duration and recovery.
 
 Belongs here: kinds, their keys, what judges an entry of `faults:`, and what acts on bytes and links by the contracts of
 `acts`. Not: when they begin (emulator.injection), what they do to a sweep (emulator.sensing.faulty) or to a list

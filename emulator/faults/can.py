@@ -19,7 +19,7 @@ from protocols.can_frame import EXTENDED, frame_bits, is_identifier
 from protocols.session import Address, Emission, LinkKind
 
 CAN = (LinkKind.CAN,)
-NEXT = "The next frame is right again."
+NEXT = "The next frame is correct again."
 
 
 class BusOffKeys(Keys):
@@ -306,7 +306,7 @@ def _protected(keys: Keys, common: Common, target: Target) -> str | None:
     table = {**(target.facts or {}), **(target.device or {})}
     e2e = table.get("e2e")
     if not isinstance(e2e, dict):
-        return f"{target.sensor} sends no end-to-end protection; want `e2e` in its device table"
+        return f"{target.sensor} has no end-to-end protection; want `e2e` in its device table"
     messages = e2e.get("messages")
     if common.label is not None and isinstance(messages, dict) and common.label not in messages:
         return f"{common.label} is not protected; want one of {', '.join(messages)}"
@@ -355,27 +355,27 @@ OBJECTS = ("can_objects",)
 KINDS: tuple[Kind, ...] = (
     _kind(
         "bus_off",
-        "The device's frames are destroyed until its controller leaves the bus; what it would send is lost.",
+        "The device's frames are destroyed until its controller leaves the bus; frames to send are lost.",
         BusOff,
         BusOffKeys,
         lasts="state",
-        ends="The controller comes back after `off_s`, at the latest now, and sends what is due from then on.",
+        ends="The controller recovers after `off_s`, at the latest when the fault ends; frames due then are sent.",
     ),
     _kind(
         "error_passive",
         "The device's frames are destroyed and sent again until its controller is error passive.",
         ErrorPassive,
         lasts="state",
-        ends="Good frames count the errors down; the controller is error active again.",
+        ends="Good frames decrease the error counters; the controller is error active again.",
     ),
     _kind(
         "e2e_counter",
-        "The counter of the end-to-end protection jumps or stands still; its checksum is right.",
+        "The counter of the end-to-end protection jumps or stops; its checksum is correct.",
         E2eCounter,
         E2eCounterKeys,
         families=OBJECTS,
         check=_protected,
-        ends="The counter is where it would have been.",
+        ends="The counter has the value that it would have without the fault.",
     ),
     _kind(
         "e2e_checksum",
@@ -392,19 +392,19 @@ KINDS: tuple[Kind, ...] = (
         lasts="state",
         families=OBJECTS,
         check=_missing,
-        ends="The message comes again in its place.",
+        ends="The message is sent again in its position.",
     ),
-    _kind("shifted_identifier", "Frames come under another identifier.", Shifted, ShiftKeys),
+    _kind("shifted_identifier", "Frames have another identifier.", Shifted, ShiftKeys),
     _kind(
         "frame_burst",
-        "A frame comes many times, back to back.",
+        "A frame is sent many times, back to back.",
         Burst,
         BurstKeys,
-        ends="Each frame comes once; what waited behind the burst follows.",
+        ends="Each frame is sent once; frames queued behind the burst follow.",
     ),
     _kind(
         "invalid_signal",
-        "A signal has a value outside its range, or the one that says `not available`.",
+        "A signal has a value outside its range, or the value for `not available`.",
         Signal,
         SignalKeys,
         families=OBJECTS,
@@ -412,11 +412,11 @@ KINDS: tuple[Kind, ...] = (
     ),
     _kind(
         "slow_rate",
-        "Lists come at half their rate, or less; those left out are missing whole.",
+        "Lists are sent at half their rate, or less; omitted lists are missing completely.",
         SlowRate,
         RateKeys,
         lasts="state",
-        ends="Every list comes again.",
+        ends="Every list is sent again.",
     ),
     _kind(
         "babbling_node",
@@ -426,6 +426,6 @@ KINDS: tuple[Kind, ...] = (
         lasts="state",
         directions=(),
         check=None,
-        ends="The bus is free; frames that have found no room meanwhile are lost and counted.",
+        ends="The bus is free; frames that could not be queued are lost and counted.",
     ),
 )

@@ -1,4 +1,4 @@
-"""Faults of the time that a device tells: its clock jumps, drifts, stands, begins again.
+"""Faults of the device clock: it jumps, drifts, stops, restarts.
 
 The truth goes into recordings beside what is told, see docs/clocks.md. Not: a scenario's `clock` table (device_clock).
 """
@@ -112,14 +112,14 @@ class Reset(Act):
         self.gear.hit(now_ns)
 
 
-TELLING = "a device that tells a time: an LMS2xx, LD, LD-MRS, ESR or Vu8"
+TELLING = "a device that reports a time: an LMS2xx, LD, LD-MRS, ESR or Vu8"
 
 
 def _tells_time(keys: Any, common: Common, target: Target) -> str | None:
     """A radar without stamps can only have its schedule drift."""
     named = {**(target.facts or {}), **(target.device or {})}
     if named.get("format") == "ars408" and getattr(keys, "drives", "stamps") == "stamps":
-        return f"{target.model} tells no time; want {TELLING}"
+        return f"{target.model} reports no time; want {TELLING}"
     return None
 
 
@@ -128,11 +128,11 @@ def _kind(name: str, keys: type[Keys], summary: str, ends: str, act: Any) -> Kin
 
 
 KINDS: tuple[Kind, ...] = (
-    _kind("clock_step", ClockStep, "Stamps jump, once.", "They go on from there, or jump back with `returns`.", Step),
-    _kind("clock_drift", ClockDrift, "Stamps and schedule run away from the host's time.",
-          "They keep the distance reached.", Drift),
-    _kind("clock_stop", Keys, "Every telegram tells the same time.", "It goes on from where it stood.",
+    _kind("clock_step", ClockStep, "Time stamps jump once.", "They continue so, or jump back with `returns`.", Step),
+    _kind("clock_drift", ClockDrift, "Time stamps and schedule drift away from the host's time.",
+          "They keep the offset reached.", Drift),
+    _kind("clock_stop", Keys, "Every telegram has the same time stamp.", "The clock continues from where it stopped.",
           lambda keys, gear: Stop(gear)),
-    _kind("clock_reset", ClockReset, "Stamps begin again although the device has not restarted.",
-          "They go on from there.", Reset),
+    _kind("clock_reset", ClockReset, "Time stamps restart although the device has not restarted.",
+          "They continue from there.", Reset),
 )  # fmt: skip

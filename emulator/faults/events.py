@@ -1,4 +1,4 @@
-"""What a fault tells of itself: that it began, what it hit, that it ended."""
+"""Events of a fault: beginning, hits, end."""
 
 from __future__ import annotations
 

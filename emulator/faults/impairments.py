@@ -1,4 +1,4 @@
-"""What befalls the device itself, told to its session: faults of one kind that overlap act together.
+"""Impairments of the device, passed to its session: faults of one kind that overlap act together.
 
 Belongs here: how they add up. Not: what the device makes of it (`Session.impair` of its family).
 """

@@ -110,7 +110,7 @@ class LostObject(Keys):
 
 
 class SwappedIds(Keys):
-    """The two nearest objects have each other's number."""
+    """The identifiers of the two nearest objects are swapped."""
 
     each_s: Seconds | None = None
     "They swap again and again, after so many seconds each; none: once, until the end."
@@ -131,24 +131,24 @@ def _scan(name: str, keys: type[Keys], summary: str, ends: str = AS_BEFORE, **mo
 
 
 def _list(
-    name: str, keys: type[Keys], summary: str, ends: str = "Lists after it are those of a run without it.", **more: Any
+    name: str, keys: type[Keys], summary: str, ends: str = "Later lists are those of a run without it.", **more: Any
 ) -> Kind:
     return Kind(name, "measurement", summary, ends, keys, measured=True, lasts="state", sees=("objects",), **more)
 
 
 KINDS: tuple[Kind, ...] = (
-    _scan("stuck_beams", StuckBeams, "Some beams tell one range whatever is there."),
-    _scan("dead_beams", DeadBeams, "Some beams never tell an echo."),
-    _scan("range_offset", RangeOffset, "Ranges are off by a constant."),
-    _scan("range_scale", RangeScale, "Ranges are off by a factor."),
+    _scan("stuck_beams", StuckBeams, "Some beams report one constant range."),
+    _scan("dead_beams", DeadBeams, "Some beams never report an echo."),
+    _scan("range_offset", RangeOffset, "Ranges have a constant offset."),
+    _scan("range_scale", RangeScale, "Ranges have a scale error."),
     _scan("noise_burst", NoiseBurst, "Ranges scatter."),
-    _scan("frozen_scan", Keys, "The same picture again and again: that of the instant before."),
-    _scan("stuck_bits", StuckBits, "Ranges come in two kinds only: a bit of them never changes."),
-    _scan("quantised", Quantised, "Ranges come in coarse steps."),
-    _scan("range_drift", RangeDrift, "Ranges creep away as the device warms up.", check=_drifts),
-    _scan("wrong_intensity", WrongIntensity, "Intensities are off by a factor, ranges are right."),
-    _list("ghost_object", GhostObject, "The list has an object that is not there."),
-    _list("lost_object", LostObject, "The list lacks an object that is there.", check=_there),
-    _list("swapped_ids", SwappedIds, "The two nearest objects have each other's number."),
-    _list("frozen_list", Keys, "The same list again and again, with counters and stamps that go on."),
+    _scan("frozen_scan", Keys, "The same scan is repeated: the last one before the fault."),
+    _scan("stuck_bits", StuckBits, "One bit of the range words never changes."),
+    _scan("quantised", Quantised, "Ranges have coarse quantization steps."),
+    _scan("range_drift", RangeDrift, "Ranges drift while the device warms up.", check=_drifts),
+    _scan("wrong_intensity", WrongIntensity, "Intensities have a scale error; ranges are correct."),
+    _list("ghost_object", GhostObject, "The list has an object that does not exist."),
+    _list("lost_object", LostObject, "The list lacks an object that exists.", check=_there),
+    _list("swapped_ids", SwappedIds, "The identifiers of the two nearest objects are swapped."),
+    _list("frozen_list", Keys, "The same list is repeated, with counters and time stamps that advance."),
 )

@@ -20,7 +20,7 @@ from protocols.session import Emission, LinkKind
 
 WIRES = (LinkKind.SERIAL, LinkKind.STREAM, LinkKind.DATAGRAM)
 LINES = (LinkKind.SERIAL, LinkKind.STREAM)
-CLEAN = "The next telegram is whole; a host that resynchronises loses no more than one."
+CLEAN = "The next telegram is intact; a host that resynchronises loses no more than one."
 
 Place = Annotated[int, Field(ge=0, le=10**9)] | None
 Number = Annotated[int, Field(ge=1, le=65_536)]
@@ -246,36 +246,36 @@ def _kind(name: str, summary: str, act: Callable[..., Act], keys: type[Keys], **
 
 
 KINDS: tuple[Kind, ...] = (
-    _kind("flip_bits", "Bits of a telegram are turned over.", Flip, FlipKeys, links=()),
-    _kind("insert_bytes", "Foreign bytes stand inside a telegram.", Insert, ValueKeys),
+    _kind("flip_bits", "Bits of a telegram are inverted.", Flip, FlipKeys, links=()),
+    _kind("insert_bytes", "Extra bytes are inserted into a telegram.", Insert, ValueKeys),
     _kind("delete_bytes", "Bytes of a telegram are missing, as after an overrun.", Delete, SomeBytesKeys),
-    _kind("replace_bytes", "Bytes of a telegram are others.", Replace, ValueKeys, links=()),
+    _kind("replace_bytes", "Bytes of a telegram are replaced.", Replace, ValueKeys, links=()),
     _kind(
         "gap",
-        "A telegram stops in the middle and goes on after a pause.",
+        "A telegram is interrupted and continues after a pause.",
         Gap,
         GapKeys,
         directions=TO_HOST,
         links=LINES,
-        ends="Telegrams come in one piece; what waited behind the pause follows at the line's own pace.",
+        ends="Telegrams are contiguous again; data queued behind the pause follows at line speed.",
     ),
-    _kind("garbage", "Foreign bytes come between two telegrams.", Garbage, GarbageKeys, directions=TO_HOST),
+    _kind("garbage", "Extra bytes are sent between two telegrams.", Garbage, GarbageKeys, directions=TO_HOST),
     _kind(
         "stuck_line",
-        "The line stands still: a break, zeros, ones, or nothing at all.",
+        "The line is stuck: a break, zeros, ones, or silence.",
         Stuck,
         StuckKeys,
         lasts="state",
         links=(LinkKind.SERIAL,),
-        ends="The device goes on in the middle of what it says; nothing of what was lost is sent again.",
+        ends="The device continues in the middle of its output; lost data is not sent again.",
     ),
     _kind(
         "line_noise",
-        "Each bit is turned over by chance.",
+        "Each bit is inverted with a given probability.",
         Noise,
         NoiseKeys,
         lasts="state",
-        ends="No bit is wrong any more.",
+        ends="No further bit errors.",
         links=(LinkKind.SERIAL, LinkKind.STREAM, LinkKind.DATAGRAM),
     ),
 )

@@ -12,14 +12,14 @@ from emulator.faults.kinds import Kind
 
 BEGIN, END = "<!-- made by python -m emulator.faults.page -->", "<!-- end of what is made -->"
 WHAT = {
-    "photon": "what happens to the light",
-    "mechanics": "mirror, motor, mount",
-    "measurement": "what the device makes of its echoes",
-    "clock": "the time that the device tells",
-    "telegram": "whole telegrams, their fields and replies",
-    "byte": "bytes and bits, whatever they mean",
-    "link": "plugs, power, connections",
-    "can": "frames, protection and the bus",
+    "photon": "optics, laser and detector",
+    "mechanics": "mirror, motor and mount",
+    "measurement": "evaluation of echoes",
+    "clock": "the clock of the device",
+    "telegram": "telegrams, their fields and replies",
+    "byte": "bytes and bits on the wire",
+    "link": "plugs, power and connections",
+    "can": "frames, end-to-end protection and the bus",
 }
 
 
@@ -27,14 +27,14 @@ def tables() -> str:
     """All kinds by layer."""
     parts = [f"{len(kinds())} faults in {len(LAYERS)} layers.", ""]
     for layer in LAYERS:
-        parts += [f"### {layer}: {WHAT[layer]}", "", "| fault | its keys | for | what the host sees | its end |"]
+        parts += [f"### {layer}: {WHAT[layer]}", "", "| fault | keys | for | what the host sees | after the fault |"]
         parts += ["|---|---|---|---|---|", *(_row(kind) for kind in kinds().values() if kind.layer == layer), ""]
     return "\n".join(parts)
 
 
 def _row(kind: Kind) -> str:
     keys = ", ".join(_key(row) for row in keys_of(kind)) or "-"
-    lasting = {"telegrams": "", "state": " Holds until its end.", "own": ""}[kind.lasts]
+    lasting = {"telegrams": "", "state": " Lasts until the fault ends.", "own": ""}[kind.lasts]
     return f"| `{kind.name}` | {keys} | {fits(kind)} | {kind.summary}{lasting} | {kind.ends} |".replace("||", "|")
 
 

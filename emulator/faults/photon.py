@@ -127,18 +127,18 @@ def _kind(name: str, keys: type[Keys], summary: str, ends: str, act: Callable[[A
     return Kind(name, "photon", summary, ends, keys, act=act, measured=True, lasts="state", sees=("beams",))
 
 
-AS_BEFORE = "The scans after it are those of a run without it."
+AS_BEFORE = "Later scans equal those of a run without the fault."
 
 KINDS: tuple[Kind, ...] = (
-    _kind("dirty_window", DirtyWindow, "Echoes of a sector are weaker, dark and far ones lost; the device tells of it.",
-          AS_BEFORE + " The device's status is clean.", WindowTold),
-    _kind("wet_window", WetWindow, "Echoes fade and vanish in patches that wander.", AS_BEFORE),
-    _kind("dead_laser", Keys, "No echo in any beam but false alarms of the noise.", AS_BEFORE),
-    _kind("weak_laser", WeakLaser, "Range falls: dark and far targets are lost.", AS_BEFORE),
-    _kind("blinding", Blinding, "Beams towards a light are dazzled; those near it are noisy.", AS_BEFORE),
+    _kind("dirty_window", DirtyWindow, "Weaker echoes in a sector; dark and far targets lost; the device reports it.",
+          AS_BEFORE + " The device's status is normal again.", WindowTold),
+    _kind("wet_window", WetWindow, "Echoes fade and vanish in moving patches.", AS_BEFORE),
+    _kind("dead_laser", Keys, "No echo in any beam except noise false alarms.", AS_BEFORE),
+    _kind("weak_laser", WeakLaser, "The maximum range falls: dark and distant targets are lost.", AS_BEFORE),
+    _kind("blinding", Blinding, "Beams towards a light source are dazzled; beams near it are noisy.", AS_BEFORE),
     _kind("interference", Interference, "False echoes at random ranges.", AS_BEFORE),
-    _kind("crosstalk", Crosstalk, "Bright targets spill into neighbouring beams.", AS_BEFORE),
-    _kind("misalignment", Misalignment, "All echoes are weaker: the receiver sees the beam's edge.", AS_BEFORE),
-    _kind("detector_gain", DetectorGain, "Echoes and noise weaker or stronger, the threshold as it was.", AS_BEFORE),
-    _kind("receiver_noise", ReceiverNoise, "Ranges scatter and false alarms multiply.", AS_BEFORE),
+    _kind("crosstalk", Crosstalk, "Echoes of bright targets appear in neighbouring beams.", AS_BEFORE),
+    _kind("misalignment", Misalignment, "All echoes are weaker: the receiver sees the edge of the beam.", AS_BEFORE),
+    _kind("detector_gain", DetectorGain, "Echoes and noise change; the threshold does not.", AS_BEFORE),
+    _kind("receiver_noise", ReceiverNoise, "Range noise and false alarms increase.", AS_BEFORE),
 )  # fmt: skip

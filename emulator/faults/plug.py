@@ -19,7 +19,7 @@ from emulator.transports.link import Received
 from protocols.session import Emission, LinkKind
 
 STREAMS = (LinkKind.STREAM, LinkKind.SERIAL)
-AGAIN = "Hosts find the link where it was and connect again; the device has gone on meanwhile."
+AGAIN = "Hosts find the link at the same place and reconnect; the device kept running."
 
 
 class Holding(Act):
@@ -218,7 +218,7 @@ class ResetHosts(Act):
 
 
 class RefuseHosts(Holding):
-    """Nobody can connect; who is connected stays."""
+    """New connections are refused; existing ones stay."""
 
     def begin(self, now_ns: int) -> None:
         super().begin(now_ns)
@@ -298,17 +298,17 @@ def _kind(name: str, summary: str, ends: str, act: Callable[..., Act], keys: typ
 KINDS: tuple[Kind, ...] = (
     _kind(
         "unplug",
-        "The plug is out: a pty's path vanishes and its host is hung up, TCP connections are reset and the port is"
-        " closed, a CAN bus is silent.",
+        "The plug is pulled: the path of a pty vanishes and its host is hung up, TCP connections are reset and the"
+        " port is closed, a CAN bus is silent.",
         AGAIN,
         lambda keys, gear: Unplug(gear),
     ),
     _kind(
         "power_cycle",
-        "The power is away for `off_s`: silence in the middle of a byte, TCP connections stay open on the host's side"
-        " and say nothing; then the device's own start-up with its time and its text.",
-        "The device has started: volatile settings are lost, a host must set it up anew; on an old TCP connection the"
-        " first thing that it sends is answered by a reset.",
+        "The power is off for `off_s`: output stops within a byte, TCP connections stay open on the host's side"
+        " and are silent; then the device's own start-up with its delay and its telegrams.",
+        "The device has started: volatile settings are lost, a host must configure it again; on an old TCP connection"
+        " the first data that it sends are answered by a reset.",
         lambda keys, gear: Power(gear),
         PowerKeys,
         lasts="own",
@@ -316,7 +316,7 @@ KINDS: tuple[Kind, ...] = (
     ),
     _kind(
         "reboot",
-        "The device resets itself: what it was sending breaks off, its start-up with its time and its text follows.",
+        "The device resets itself: its output breaks off, its start-up with its delay and its telegrams follows.",
         "As after a power cut.",
         lambda keys, gear: Reboot(gear),
         lasts="own",
@@ -324,28 +324,28 @@ KINDS: tuple[Kind, ...] = (
     ),
     _kind(
         "hang",
-        "The device says and hears nothing on any link, as firmware that hangs; connections are accepted and stay.",
-        "It goes on as if nothing had been: same settings, same stream, counters further on.",
+        "The device neither sends nor receives on any link, like hung firmware; connections are accepted and stay.",
+        "It continues with the same settings and stream; counters have advanced.",
         lambda keys, gear: Hang(gear),
     ),
     _kind(
         "half_open",
-        "TCP connections are accepted and held, but nothing is answered and nothing is taken.",
+        "TCP connections are accepted and held, but nothing is answered or read.",
         "The same connections are served again.",
         lambda keys, gear: Hang(gear),
         links=(LinkKind.STREAM,),
     ),
     _kind(
         "slow_link",
-        "Bytes trickle: no more than `bytes_per_s`, telegrams that find no room are lost.",
-        "What waits leaves, then telegrams are in time.",
+        "The rate is limited to `bytes_per_s`; telegrams that exceed the buffer are lost.",
+        "Queued data is sent, then telegrams are on time.",
         Slow,
         SlowKeys,
     ),
     _kind(
         "reset_connections",
         "All TCP connections are reset at once.",
-        "Hosts connect again at once.",
+        "Hosts can reconnect immediately.",
         lambda keys, gear: ResetHosts(gear),
         lasts="own",
         own_s=lambda keys: 0.0,
@@ -354,23 +354,23 @@ KINDS: tuple[Kind, ...] = (
     ),
     _kind(
         "refuse_connections",
-        "Nobody can connect; who is connected stays.",
-        "The port listens again.",
+        "New connections are refused; existing ones stay.",
+        "The port accepts connections again.",
         lambda keys, gear: RefuseHosts(gear),
         links=STREAMS,
         check=_on_tcp,
     ),
     _kind(
         "wrong_baud",
-        "The device's line has another speed than it says: both sides get framing garbage.",
-        "The line has the speed that was agreed on, changes meanwhile included.",
+        "The line speed differs from the one agreed on: both sides receive bytes with framing errors.",
+        "The line has the agreed speed, including changes made meanwhile.",
         WrongBaud,
         BaudKeys,
         links=(LinkKind.SERIAL,),
     ),
     _kind(
         "lose_input",
-        "What a host has sent never reaches the device.",
+        "Data of a host does not reach the device.",
         "The next request is answered.",
         lambda keys, gear: LoseInput(gear),
         lasts="telegrams",

@@ -106,7 +106,7 @@ def problems(
     allowed = [*taken, *kind.keys.model_fields]
     for key in entry:
         if key not in ("on", "do", *allowed):
-            why = f"{name} does not take it" if key in Common.model_fields else "unknown key"
+            why = f"{name} does not have it" if key in Common.model_fields else "unknown key"
             yield (key,), why, nearest(key, allowed)
     own = {key: value for key, value in entry.items() if key in kind.keys.model_fields}
     keys, wrong = judged(kind.keys, own)
@@ -158,7 +158,7 @@ def _triggers(
     if direction == "from_host" or kind.directions == ("from_host",):
         for key in ("of", "label"):
             if key in given:
-                yield (key,), "beside direction from_host", "this key left out: what hosts send has no such names"
+                yield (key,), "beside direction from_host", "this key omitted: data of hosts has no such names"
     text = entry.get("when")
     if isinstance(text, str):
         try:

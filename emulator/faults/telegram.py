@@ -19,7 +19,7 @@ from emulator.transports.link import Received
 from protocols.framing import Framing
 from protocols.session import Emission, LinkKind
 
-NEXT_ONE = "The next telegram is right again."
+NEXT_ONE = "The next telegram is correct again."
 
 
 class Drop(Act):
@@ -311,47 +311,47 @@ def _kind(name: str, summary: str, ends: str = NEXT_ONE, **more: object) -> Kind
 KINDS: tuple[Kind, ...] = (
     _kind(
         "drop_telegram",
-        "A telegram is missing as if it had never been sent.",
-        "The next telegram comes in its own time; counters on the wire show the gap.",
+        "A telegram is not sent.",
+        "The next telegram is on time; counters on the wire show the gap.",
         act=lambda keys, gear: Drop(gear),
     ),
     _kind(
         "repeat_telegram",
-        "A telegram comes again, the same bytes, at once.",
-        "Each telegram comes once.",
+        "A telegram is repeated immediately with the same bytes.",
+        "Each telegram is sent once.",
         keys=TimesKeys,
         act=Repeat,
     ),
     _kind(
         "reorder_telegrams",
-        "A telegram comes behind those that follow it.",
-        "Telegrams come in their order; one held back for nothing leaves after a second.",
+        "A telegram is sent after telegrams that should follow it.",
+        "Telegrams are in order; one that no telegram followed is sent after a second.",
         keys=BehindKeys,
         act=Reorder,
     ),
     _kind(
         "delay_telegram",
-        "A telegram comes late, and on a line or connection all behind it.",
-        "What has piled up leaves at the line's own pace, then telegrams are in time.",
+        "A telegram is late, and on a line or connection also those queued behind it.",
+        "Queued telegrams are sent at line speed, then telegrams are on time.",
         keys=DelayKeys,
         act=Delay,
     ),
     _kind(
         "truncate_telegram",
-        "A telegram breaks off; the next one follows in its own time.",
+        "A telegram is cut; the next one is on time.",
         keys=TruncateKeys,
         act=Truncate,
     ),
     _kind(
         "bad_checksum",
-        "A telegram has a wrong check and nothing else wrong.",
+        "A telegram has a wrong checksum and no other error.",
         act=lambda keys, gear: Changed(gear, lambda framing, one: framing.bad_check(one), True),
         families=("lms2xx", "ld"),
         check=_has("bad_check"),
     ),
     _kind(
         "wrong_length",
-        "A telegram says another length than it has; its check is right.",
+        "The length field of a telegram is wrong; its checksum is correct.",
         keys=LengthKeys,
         act=lambda keys, gear: Changed(gear, lambda framing, one: framing.with_length(one, keys.change), True),
         families=("lms2xx", "ld"),
@@ -359,15 +359,15 @@ KINDS: tuple[Kind, ...] = (
     ),
     _kind(
         "wrong_counter",
-        "The counter of a telegram, profile or list jumps; the check is right.",
-        "The counter goes on as if nothing had been.",
+        "The counter of a telegram, profile or list jumps; the checksum is correct.",
+        "The counter continues as without the fault.",
         keys=CounterKeys,
         act=lambda keys, gear: Changed(gear, lambda framing, one: framing.with_counter(one, keys.change), False),
         check=_all(_changes_check, _has("with_counter")),
     ),
     _kind(
         "wrong_type",
-        "A telegram has another response code; its check is right.",
+        "A telegram has another response code; its checksum is correct.",
         keys=TypeKeys,
         act=lambda keys, gear: Changed(gear, lambda framing, one: framing.with_type(one, keys.code), True),
         families=("lms2xx", "ld"),
@@ -375,7 +375,7 @@ KINDS: tuple[Kind, ...] = (
     ),
     _kind(
         "wrong_address",
-        "A telegram comes from another device's address; its check is right.",
+        "A telegram has the address of another device; its checksum is correct.",
         keys=AddressKeys,
         act=lambda keys, gear: Changed(gear, lambda framing, one: framing.with_address(one, keys.address), True),
         families=("lms2xx", "ld"),
@@ -383,8 +383,8 @@ KINDS: tuple[Kind, ...] = (
     ),
     _kind(
         "stale_scan",
-        "An old scan comes again under fresh counters: the world stands still, nothing on the wire tells.",
-        "Values are those of the present again.",
+        "An old scan is repeated with new counters: the scene is frozen, and nothing on the wire shows it.",
+        "Values are current again.",
         keys=StaleKeys,
         act=Stale,
         of="scans",
@@ -400,8 +400,8 @@ KINDS: tuple[Kind, ...] = (
     ),
     _kind(
         "slow_reply",
-        "A reply comes late, as from a device that is busy.",
-        "Replies come in time.",
+        "A reply is late, as from a busy device.",
+        "Replies are on time.",
         keys=DelayKeys,
         act=Delay,
         of="replies",

@@ -1,4 +1,4 @@
-"""Hosts of our own: for people who want to look, and scripted ones for virtual time.
+"""Built-in hosts: interactive ones, and scripted ones for virtual time.
 
 Belongs here: the other end of the wire, as a stranger would write it. Not: pictures of what they read (looking).
 

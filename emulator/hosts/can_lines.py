@@ -66,7 +66,7 @@ class CanLine:
 def open_can(url: str) -> CanLine:
     """Join the bus of `socketcand:HOST:PORT/CHANNEL`, `slcan:PATH` or `can:INTERFACE:CHANNEL?KEY=VALUE`.
 
-    Raises `LinkError` when it cannot be joined, `EmulatorError` when the text is none of these.
+    Raises `LinkError` when it cannot be opened, `EmulatorError` when the text is none of these.
     """
     import can
     from can.interfaces import VALID_INTERFACES
@@ -99,7 +99,7 @@ def open_can(url: str) -> CanLine:
     try:
         return CanLine(can.Bus(**options), url)
     except (can.CanError, OSError, ImportError, NotImplementedError, TypeError, ValueError) as error:
-        raise LinkError(f"{url}: cannot be joined: {error}") from None
+        raise LinkError(f"{url}: cannot be opened: {error}") from None
 
 
 def _greeted(url: str, host: str, port: int) -> None:
@@ -108,7 +108,7 @@ def _greeted(url: str, host: str, port: int) -> None:
         with socket.create_connection((host, port), timeout=GREETING_S) as line:
             heard = line.recv(64)
     except TimeoutError:
-        raise LinkError(f"{url}: nobody greets there within {GREETING_S:g} s; is it a socketcand server?") from None
+        raise LinkError(f"{url}: no greeting within {GREETING_S:g} s; is it a socketcand server?") from None
     except (OSError, UnicodeError) as error:
         raise LinkError(f"{url}: cannot connect: {getattr(error, 'strerror', None) or error}") from None
     if not heard.lstrip().startswith(b"<"):

@@ -1,4 +1,4 @@
-"""Telegrams told field by field, for people: which bytes say what. `describe` never raises, whatever the bytes are.
+"""Telegrams decoded field by field, for people. `describe` never raises, whatever the bytes are.
 
 Belongs here: names, values and units of what goes over a wire, both ways, from the decoders and tables of the
 protocols. What no table knows is shown as hex with the reason. Not: scans (the hosts), layouts (protocols).
@@ -71,7 +71,7 @@ def describe(speaker: Speaker, data: bytes, kind: str = "serial", peer: int = 0,
         "can_objects": lambda: _can(speaker, data, peer),
     }
     try:
-        found = known[speaker.family]() if speaker.family in known else [unknown(data, "no protocol that is known")]
+        found = known[speaker.family]() if speaker.family in known else [unknown(data, "unknown protocol")]
     except (ValueError, IndexError, KeyError, OverflowError, OSError) as error:
         found = [unknown(data, f"cannot be read: {error}")]
     return found[:MOST_FIELDS]
@@ -117,7 +117,7 @@ def _lms2xx(data: bytes, sent: bool) -> list[Described]:
     found: list[Described] = []
     while data:
         if data[0] != 2 or len(data) < 7:
-            found.append(unknown(data, "no telegram begins here"))
+            found.append(unknown(data, "no start of a telegram"))
             break
         size = 6 + int.from_bytes(data[2:4], "little")
         if len(data) < size:
@@ -138,7 +138,7 @@ def _lms_telegram(whole: bytes, sent: bool) -> list[Described]:
     crc = int.from_bytes(whole[-2:], "little")
     telegram = open_frame(whole)
     if telegram is None:
-        return [*found, unknown(whole[4:-2], "the check is wrong"), Described("CRC", f"{crc:04X}", "wrong")]
+        return [*found, unknown(whole[4:-2], "wrong checksum"), Described("CRC", f"{crc:04X}", "wrong")]
     found += _lms_reply(telegram) if sent else _lms_request(telegram)
     return [*found, Described("CRC", f"{crc:04X}", "right")]
 
@@ -149,16 +149,16 @@ def _lms_request(telegram: Telegram) -> list[Described]:
     if code == 0x20 and data:
         mode = lms.SWITCHES.get(data[0])
         return [
-            Described("command", f"20 {data[0]:02X}", mode.name if mode else "mode that no table knows"),
+            Described("command", f"20 {data[0]:02X}", mode.name if mode else "unknown mode"),
             *([Described("data", data[1:].hex(" "))] if data[1:] else []),
         ]
-    found = [Described("command", f"{code:02X}", row.name if row else "no table knows it")]
+    found = [Described("command", f"{code:02X}", row.name if row else "unknown")]
     return [*found, *([Described("data", data[:MOST_BYTES].hex(" "))] if data else [])]
 
 
 def _lms_reply(telegram: Telegram) -> list[Described]:
     code, data = telegram.command, telegram.data
-    found = [Described("response", f"{code:02X}", LMS_REPLIES.get(code, "no table knows it"))]
+    found = [Described("response", f"{code:02X}", LMS_REPLIES.get(code, "unknown"))]
     values = read_values(telegram)
     if values is not None:
         unit = LMS_UNITS.get(values.header.unit, "units")
@@ -198,7 +198,7 @@ def _lms_reply(telegram: Telegram) -> list[Described]:
             Described("step", f"{step / 100:g}", "deg"),
         ]
     elif body:
-        found.append(unknown(body, "no field of it is known here"))
+        found.append(unknown(body, "no known field"))
     return [*found, _lms_status(status)] if data else found
 
 
@@ -207,12 +207,12 @@ def _lms_block(body: bytes) -> list[Described]:
     return [
         Described("firmware", body[:7].decode("ascii", "replace").strip()),
         Described("operating mode", f"{body[7]:02X}"),
-        Described("measuring mode", f"{body[101]:02X}", mode.name if mode else "no table knows it"),
+        Described("measuring mode", f"{body[101]:02X}", mode.name if mode else "unknown"),
         Described("field", str(int.from_bytes(body[106:108], "little")), "deg"),
         Described("step", f"{int.from_bytes(body[108:110], 'little') / 100:g}", "deg"),
         Described("address", f"{body[119]:02X}"),
         Described("unit", str(body[121]), LMS_UNITS.get(body[121], "")),
-        unknown(body[8:101], "not told apart here"),
+        unknown(body[8:101], "not decoded"),
     ]
 
 
@@ -256,7 +256,7 @@ def _ld_message(words: Sequence[int]) -> list[Described]:
     if code == SERVICE_FAILURE:
         return [Described("service", f"{code:04X}", "SERVICE_FAILURE"), *_ld_status(words[1:3])]
     row = LD_COMMANDS.get(code & ~REPLY_BIT)
-    told = (row.name if row else "no table knows it") + (", reply" if code & REPLY_BIT else "")
+    told = (row.name if row else "unknown") + (", reply" if code & REPLY_BIT else "")
     found = [Described("service", f"{code:04X}", told)]
     if code == 0x0301 | REPLY_BIT and len(words) > 2:
         return found + _ld_profile(words)
@@ -309,7 +309,7 @@ def _ld_profile(words: Sequence[int]) -> list[Described]:
         take(Field.STARTDIR, "first direction", "deg", DEGREES_PER_TICK)
         block = np.array(words[at : at + points * len(kinds)], np.float64)
         if len(block) < points * len(kinds):
-            return [*found, Described("cut", f"{len(words)} words", "the format says more")]
+            return [*found, Described("cut", f"{len(words)} words", "the format has more")]
         at += len(block)
         if points and kinds:
             columns = block.reshape(points, len(kinds))

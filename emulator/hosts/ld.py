@@ -96,7 +96,7 @@ class PackageFraming:
 
 
 class LdHost:
-    """Connects in the constructor; raises `LinkError` when nothing answers, or the device will not measure."""
+    """Connects in the constructor; raises `LinkError` when nothing answers, or the device refuses to measure."""
 
     def __init__(self, line: Line, baud: int) -> None:
         self._line = line
@@ -113,7 +113,7 @@ class LdHost:
             verdict = self._ask(0x0404, seconds=SPIN_UP_S)[3]
             if verdict:
                 told = name_of(MeasureError, verdict)
-                raise LinkError(f"the device will not measure: error {verdict} ({told})")
+                raise LinkError(f"the device refuses to measure: error {verdict} ({told})")
         self._send(0x0301, 0, self._form)
 
     @property

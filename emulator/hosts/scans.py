@@ -1,4 +1,4 @@
-"""What a host of ours gives its viewer, whatever protocol it came by."""
+"""What a built-in host passes to its viewer, independent of the protocol."""
 
 from __future__ import annotations
 

@@ -242,7 +242,7 @@ class FaultRun:
             return
         oldest = next((number for number, one in self._faults.items() if one.state == "over"), None)
         if oldest is None:
-            raise FaultError(f"{MOST_FAULTS} faults wait or hold already; want some of them cleared")
+            raise FaultError(f"{MOST_FAULTS} faults are waiting or active; want some of them cleared")
         gone = self._faults.pop(oldest)
         gone.of.forget(gone)
 
@@ -250,7 +250,7 @@ class FaultRun:
         """End a fault for good; what it did."""
         running = self._faults.get(number)
         if running is None:
-            told = ", ".join(map(str, self._faults)) or "none: there are none"
+            told = ", ".join(map(str, self._faults)) or "none: the list is empty"
             raise FaultError(f"number: {number}; want {told}")
         running.end(now_ns, for_good=True)
         running.of.late.let_go(number, now_ns)

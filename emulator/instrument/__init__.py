@@ -1,4 +1,4 @@
-"""One sensor on its links: its session, what comes in, what it counts, who looks on, the series of its run.
+"""One sensor on its links: session, input, counters, observers, the series of its run.
 
 Belongs here: what holds for one sensor whatever the clock. Not: all sensors of a run (runtime), faults (injection
 keeps the contract of `fault_hooks`), files (recording).

@@ -39,15 +39,15 @@ def _judge(session: Session, options: ClockOptions) -> None:
     if session.clock_tick_ns is None:
         for key in ("offset_s", "start_ticks", "steps"):
             if getattr(options, key):
-                raise DeviceSettingError(key, getattr(options, key), "no such key: this device tells no time")
+                raise DeviceSettingError(key, getattr(options, key), "no such key: this device reports no time")
         if options.drift_ppm and options.drives == "stamps":
-            raise DeviceSettingError("drives", "stamps", "schedule: this device tells no time")
+            raise DeviceSettingError("drives", "stamps", "schedule: this device reports no time")
     elif options.start_ticks is not None and options.start_ticks >> session.clock_bits:
         raise DeviceSettingError(
             "start_ticks", options.start_ticks, f"0..{(1 << session.clock_bits) - 1}, {session.clock_bits} bits"
         )
     if options.start_count is not None and options.start_count >> session.count_bits:
         allowed = (
-            f"0..{(1 << session.count_bits) - 1}" if session.count_bits else "no such key: this device counts nothing"
+            f"0..{(1 << session.count_bits) - 1}" if session.count_bits else "no such key: this device has no counter"
         )
         raise DeviceSettingError("start_count", options.start_count, allowed)

@@ -1,4 +1,4 @@
-"""What an instrument asks of the faults on it; whoever injects faults keeps this contract.
+"""What an instrument asks of the faults on it; the fault injection implements this contract.
 
 Belongs here: the contract alone. Not: faults, when they begin (injection), when an instrument asks (instrument).
 """

@@ -1,4 +1,4 @@
-"""One sensor on its links: one session, the links its hosts use, and whoever measures for it.
+"""One sensor on its links: one session, the links its hosts use, and its measuring process.
 
 Nothing here knows a protocol, a mesh or a clock: `step(now_ns)` moves bytes and scans, and says when to call again.
 What it counts is in `stats`, what it tells to those who look on in `observers`.

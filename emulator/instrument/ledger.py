@@ -506,4 +506,4 @@ def faults_of(account: dict[str, Any]) -> str:
         return ""
     dropped = sum(account["dropped"].values())
     ended = f"{account['sent']} sent, {dropped} dropped, {account['withdrawn']} withdrawn"
-    return f"{missing} of {account['asked']} scans asked for are nowhere: {ended}, {account['under_way']} under way"
+    return f"{missing} of {account['asked']} scans are unaccounted for: {ended}, {account['under_way']} in flight"

@@ -1,4 +1,4 @@
-"""Who looks on while an instrument works: every payload with the instants of its first and last bit, scans, events.
+"""Observer of an instrument: every payload with the instants of its first and last bit, scans, events.
 
 Belongs here: the contract, and when bytes leave a line whatever the clock of the run. Not: what is done with it
 (transcript, series, recording).

@@ -1,4 +1,4 @@
-"""The watchers of one sensor: what its links carry is told to each of them, with the instants of first and last bit.
+"""The observers of one sensor: each gets what its links carry, with the instants of first and last bit.
 
 Belongs here: who looks on, and what must be kept of lines and buses to say when bytes leave and whose scan they are.
 Not: the contract of a watcher (`watching`), what is sent (`instrument`).

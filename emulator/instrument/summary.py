@@ -1,4 +1,4 @@
-"""What a sensor did in a run, as the last JSON line, a recording's end and a test's verdict tell it."""
+"""What a sensor did in a run, as reported in the last JSON line, at the end of a recording and in a test's verdict."""
 
 from __future__ import annotations
 

@@ -178,7 +178,7 @@ class Trial:
         failures = [] if self._workers is None else self._workers.failures
         check_accounts(self.instruments, self.incidents, end_ns)
         lost = [row for row in self.incidents.rows() if row["kind"] == "scans unaccounted"]
-        judged += [Judgement(f"every scan of {row['on']} is on account", False, str(row["text"]), "0") for row in lost]
+        judged += [Judgement(f"scans of {row['on']} unaccounted", False, str(row["text"]), "0") for row in lost]
         judged += [Judgement("every sweep can be measured", False, text, "no failure") for text in failures]
         sensors = tuple(summary(item) for item in self.instruments)
         name, digest = str(self.scenario.source), self.transcript.sha256()

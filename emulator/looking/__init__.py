@@ -1,4 +1,4 @@
-"""Hosts for people: `look`, `demo`, and what they draw on a terminal.
+"""Interactive hosts: `look`, `demo`, and what they draw on a terminal.
 
 Belongs here: pictures made of characters. Not: decoding (hosts), the page in a browser (view).
 

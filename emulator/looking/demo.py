@@ -1,4 +1,4 @@
-"""`lidaremu demo`: the daemon on a built-in scenario, and a host of ours on the other end of its line."""
+"""`lidaremu demo`: the daemon on a built-in scenario, and a built-in host on the other end of its line."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def run_demo(
     if daemon.last:
         _tell(next(item for item in daemon.last["sensors"] if item["id"] == chosen), say)
     if not live:
-        say(f"that was {name} through {chosen}; in a terminal it is drawn live")
+        say(f"this was {name}, sensor {chosen}; on a terminal it is drawn live")
     return 0
 
 

@@ -46,7 +46,7 @@ SHRINK_PAGES = 25
 GROW_PAGES = 3
 "Pages in succession that want a larger picture before it is taken: a lone false alarm is of one scan."
 TABLE_COLUMNS = 42
-KEYS = " q quit   p pause   + nearer   - farther   0 whole picture"
+KEYS = " q quit   p pause   + zoom in   - zoom out   0 fit"
 
 Say = Callable[[str], None]
 
@@ -224,7 +224,7 @@ def _lines(view: View, say: Say) -> Callable[[int], bool]:
 
 @contextmanager
 def _live(view: View) -> Iterator[Callable[[int], bool]]:
-    """RandomStreams on the terminal and obeys keys; false when the user has had enough."""
+    """Draws on the terminal and obeys keys; false when the user has had enough."""
     from emulator.looking.screen import Screen, single_keys
 
     with single_keys() as keys, Screen() as screen:
@@ -247,7 +247,7 @@ def _live(view: View) -> Iterator[Callable[[int], bool]]:
 def tidy(title: str) -> str:
     """A device's name for itself on one line of printable text."""
     text = "; ".join(title.replace(";", " ").split()) if ";" in title else " ".join(title.split())
-    return "".join(letter if letter.isprintable() else "?" for letter in text) or "a device without a name"
+    return "".join(letter if letter.isprintable() else "?" for letter in text) or "unnamed device"
 
 
 def describe(seen: Seen) -> str:

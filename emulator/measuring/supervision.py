@@ -1,4 +1,4 @@
-"""Worker processes, each serving a fixed share of the sensors; one that ends or stands still is replaced.
+"""Worker processes, each serving a fixed share of the sensors; one that ends or hangs is replaced.
 
 Belongs here: what each owes, when it is started, given up and started again. Not: what runs in it (worker), how long is
 waited (patience), what is told of it (daemon, virtual_daemon).
@@ -384,12 +384,12 @@ class Workers:
         assert home.handle is not None
         took_ns = now_ns - home.since_ns
         if took_ns > deadline_ns:
-            self._ended(home, f"stood still: {took_ns * 1e-9:.1f} s {what}; may take {deadline_ns * 1e-9:.1f} s")
+            self._ended(home, f"hung: {took_ns * 1e-9:.1f} s {what}; limit {deadline_ns * 1e-9:.1f} s")
         elif idle_ns is not None and took_ns > time_limits.TICK_NS:
             still_ns = home.stillness.look(now_ns, home.handle.cpu_ns())
             if still_ns > idle_ns:
                 allowed = f"may rest {idle_ns * 1e-9:.0f} s"
-                self._ended(home, f"stood still: {still_ns * 1e-9:.1f} s without processor time {what}; {allowed}")
+                self._ended(home, f"hung: {still_ns * 1e-9:.1f} s without processor time {what}; {allowed}")
 
     def _conclude(self, home: Home) -> None:
         """Its pipe has closed: say how it ended, as soon as that is known."""
@@ -399,7 +399,7 @@ class Workers:
             self._ended(home, _how_it_ended(code))
 
     def _ended(self, home: Home, why: str) -> None:
-        """It is gone, or has to go: another one is started, at once or after a pause."""
+        """It is gone, or has to go: a new one is started, at once or after a pause."""
         was_ready, work = home.was_ready, home.in_hand
         self._let_go(home)
         if home.handle is not None:
@@ -423,7 +423,7 @@ class Workers:
         home.why, home.retry_ns = why, self._ran.ns + pause_ns
         then = "at once" if not pause_ns else f"in {pause_ns * 1e-9:g} s"
         if home.failures < LOST_AFTER or was_ready:
-            self.incidents.append(("worker replaced", home.name, f"{why}; another one is started {then}"))
+            self.incidents.append(("worker replaced", home.name, f"{why}; a new one is started {then}"))
         elif not home.lost:
             home.lost = True
             tried = f"tried again {then}, then at least every {time_limits.LONGEST_PAUSE_NS * 1e-9:.0f} s"
@@ -446,7 +446,7 @@ class Workers:
                 home.owed.remove(work)
             elif work.tries >= MOST_TRIES:
                 home.owed.remove(work)
-                self.failures.append(f"{work.sensor}: sweep {work.plan.sweep}: ended the measuring process twice")
+                self.failures.append(f"{work.sensor}: sweep {work.plan.sweep}: terminated its measuring process twice")
                 self._deliver(work, Scan.empty(work.plan))
 
     def _let_go(self, home: Home) -> None:

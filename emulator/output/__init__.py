@@ -1,4 +1,4 @@
-"""What leaves us as text: the one way to a terminal, and tables as CSV; foreign characters are tamed on both.
+"""Text output: terminal and CSV tables; untrusted characters are escaped on both.
 
 Belongs here: how a text is shown whatever it says. Not: what is said (commands, studies, view).
 

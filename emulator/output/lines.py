@@ -1,4 +1,4 @@
-"""One line for the user, one line of the log: what every part of ours that is a process of its own says.
+"""One line for the user, one line of the log: output of every process of the emulator.
 
 Belongs here: single lines. Not: how foreign characters are shown (sanitizing), bars (commands.common).
 """

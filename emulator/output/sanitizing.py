@@ -1,4 +1,4 @@
-"""What reaches a terminal: the one place through which every text of ours goes, and where foreign characters are tamed.
+"""Output to a terminal: the one place through which every text goes, and where untrusted characters are escaped.
 
 Names of files, bytes of wires, words of devices and keys of strangers' files come into our lines. A character that is
 no letter, digit, sign or blank is shown as a text of its own (`\\x1b`, `\\u202e`): it neither moves the cursor, nor

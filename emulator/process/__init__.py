@@ -1,4 +1,4 @@
-"""Processes: our only clock, waiting to the microsecond, how late we were, what befell us, children of ours.
+"""Processes: the only clock, waiting to the microsecond, lateness, incidents, child processes.
 
 Belongs here: what a process needs whatever it does. Not: what a run does (runtime), a device's own time (instrument).
 

@@ -1,4 +1,4 @@
-"""What befell our own processes, files and links in a run: told once, counted, shown wherever a run is looked at.
+"""Incidents of processes, files and links in a run: reported once, counted, shown in every report of a run.
 
 Belongs here: what may happen, by name, and what each says about the run's exit code. Not: faults on purpose
 (`faults/`), mistakes of hosts (`DropReason`), and who notices (each part notes its own incident).
@@ -30,20 +30,20 @@ class IncidentKind:
 
 
 KINDS = {
-    "worker replaced": IncidentKind("a measuring process ended or stood still; another one goes on with what it owed"),
-    "worker lost": IncidentKind("no measuring process could be started any more", SILENT),
-    "worker back": IncidentKind("a measuring process could be started after all"),
-    "sensor silent": IncidentKind("a sensor that a host has subscribed to sent nothing for many scan times", SILENT),
+    "worker replaced": IncidentKind("a measuring process ended or hung; a new one continues its work"),
+    "worker lost": IncidentKind("no measuring process could be started", SILENT),
+    "worker back": IncidentKind("a measuring process was started again"),
+    "sensor silent": IncidentKind("a sensor sent nothing for many scan periods although a host requests scans", SILENT),
     "sensor back": IncidentKind("a silent sensor sends again"),
-    "scans unaccounted": IncidentKind("asked is not sent + dropped + withdrawn + under way", SILENT),
-    "recording ended": IncidentKind("a recording could not be written on", RECORDING_CUT),
-    "recording moved": IncidentKind("the folder or a file of a recording was moved; it goes on in its new place"),
-    "link restored": IncidentKind("the path of a link was removed or replaced, and put back"),
-    "link path taken": IncidentKind("the path of a link was taken by somebody else and is theirs"),
+    "scans unaccounted": IncidentKind("requested is not sent + dropped + withdrawn + in flight", SILENT),
+    "recording ended": IncidentKind("a recording could not be continued", RECORDING_CUT),
+    "recording moved": IncidentKind("a folder or file of a recording was moved; it continues in the new place"),
+    "link restored": IncidentKind("the path of a link was removed or replaced, and has been restored"),
+    "link path taken": IncidentKind("another program has taken the path of a link; it is left alone"),
     "link path gone": IncidentKind(
-        "the path of a link is gone and cannot be put back: its folder is not there, or is closed"
+        "the path of a link is gone and cannot be restored: its folder is missing or not writable"
     ),
-    "helper ended": IncidentKind("a process beside the run ended: the page, a driver, a recorder"),
+    "helper ended": IncidentKind("an auxiliary process of the run ended: the page, a driver, a recorder"),
 }
 "Name -> what it means; docs/endurance.md has the same table from here."
 

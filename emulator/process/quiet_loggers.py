@@ -1,4 +1,4 @@
-"""Libraries that log what is wrong with a file, with whole tracebacks: quiet while we read; we tell it ourselves."""
+"""Libraries that log what is wrong with a file, with whole tracebacks: silenced; we report it ourselves."""
 
 from __future__ import annotations
 

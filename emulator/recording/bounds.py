@@ -1,4 +1,4 @@
-"""Limits on what a recording may ask of memory, and the reading that keeps them; a stranger may have made the file.
+"""Limits on what a recording may ask of memory, and the reading that keeps them; the file is untrusted.
 
 Belongs here: sizes, and what is packed (chunks of MCAP, containers of BLF). Not: what the records mean (reader).
 """

@@ -213,7 +213,7 @@ class ControlServer:
         self._full = False
         self._selector.register(self._doorway.listener, selectors.EVENT_READ)
         if self.on_incident is not None:
-            self.on_incident("link restored", f"{self.path}: was removed; listening there again")
+            self.on_incident("link restored", f"{self.path}: was removed; listening again")
 
     def _accept(self) -> bool:
         """Let one client in, or turn it away; whether there was one."""
@@ -229,10 +229,10 @@ class ControlServer:
         if len(self._clients) >= MOST_CLIENTS:
             idle = [client for client in self._clients.values() if not _is_busy(client, now_ns)]
             if not idle:
-                _farewell(connection, f"{MOST_CLIENTS} clients are connected already, each within a request")
+                _farewell(connection, f"{MOST_CLIENTS} clients are connected already, all busy")
                 return True
             silent = min(idle, key=lambda client: client.spoke_at_ns)
-            self._hang_up(silent, f"the longest silent of {MOST_CLIENTS} clients when another one came; hung up")
+            self._hang_up(silent, f"longest idle of {MOST_CLIENTS} clients when a new one connected; disconnected")
         connection.setblocking(False)
         self._clients[connection.fileno()] = _Client(connection, spoke_at_ns=now_ns)
         self._selector.register(connection, selectors.EVENT_READ)
@@ -250,7 +250,7 @@ class ControlServer:
                 client.text += data
                 client.spoke_at_ns = self._clock.now_ns()
                 if len(client.text) > LONGEST_LINE and not client.asks:
-                    self._hang_up(client, f"a line longer than {LONGEST_LINE} bytes; hung up")
+                    self._hang_up(client, f"a line longer than {LONGEST_LINE} bytes; disconnected")
                     return
             self._watch(client)
         except BlockingIOError:
@@ -357,7 +357,7 @@ class ControlServer:
         except OrderError:
             raise
         except TookTooLong:
-            raise OrderError(REFUSED, f"not done within {PATIENCE_S:g} s") from None
+            raise OrderError(REFUSED, f"no result within {PATIENCE_S:g} s") from None
         except (EmulatorError, ValueError, TypeError, RuntimeError, ArithmeticError) as error:
             raise OrderError(REFUSED, str(error)) from None
 
@@ -390,7 +390,7 @@ def _request(line: bytes) -> dict[str, Any]:
     except TooMuch as error:
         raise OrderError(PARSE, str(error)) from None
     except ValueError:
-        raise OrderError(PARSE, "not JSON; want one object a line") from None
+        raise OrderError(PARSE, "not JSON; want one object per line") from None
     if not isinstance(request, dict) or not isinstance(request.get("method"), str):
         raise OrderError(INVALID, 'not a request; want {"jsonrpc": "2.0", "id": 1, "method": "status"}')
     return request
@@ -409,7 +409,7 @@ def ask(path: Path, method: str, params: Mapping[str, Any]) -> object:
             while not text.endswith(b"\n"):
                 data = connection.recv(65_536)
                 if not data:
-                    raise LinkError(f"{path}: the daemon hung up")
+                    raise LinkError(f"{path}: the daemon closed the connection")
                 text += data
         except OSError as error:
             raise LinkError(f"{path}: no daemon answers: {error.strerror or error}") from None

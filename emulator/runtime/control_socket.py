@@ -105,7 +105,7 @@ class Doorway:
         with contextlib.suppress(FileNotFoundError):
             if not stat.S_ISSOCK(os.lstat(self.path).st_mode):
                 what = "a link" if self.path.is_symlink() else "a folder" if self.path.is_dir() else "a file"
-                raise LinkError(f"{self.path}: {what} of that name exists; want a free path, or a socket that is dead")
+                raise LinkError(f"{self.path}: {what} of that name exists; want a free path, or a stale socket")
             if not answers(self.path):
                 self.path.unlink()
 

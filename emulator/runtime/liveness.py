@@ -1,4 +1,4 @@
-"""Whether every sensor that a host has subscribed to still lives: one that falls silent is told, and when it is back.
+"""Whether every sensor that a host has subscribed to still sends: a silent one is reported, and its return.
 
 Belongs here: what counts as silence. Not: why it is silent (supervision tells of processes, `Instrument` of drops).
 
@@ -89,7 +89,7 @@ class Liveness:
         if watch.since_ns is None or not is_wanted or watch.is_silent or ran_ns - watch.since_ns <= limit_ns:
             return
         watch.is_silent = True
-        text = f"no scan for {(ran_ns - watch.since_ns) * 1e-9:.1f} s; a host waits for some"
+        text = f"no scan for {(ran_ns - watch.since_ns) * 1e-9:.1f} s; a host is waiting"
         self._incidents.note("sensor silent", now_ns, instrument.sensor, text)
 
     def _limit_ns(self, sensor: str, scan_s: float) -> int:

@@ -18,14 +18,14 @@ def prometheus(
 
 
 def _silence_lines(instruments: Sequence[Instrument], liveness: Liveness) -> Iterator[str]:
-    yield "# HELP lidaremu_sensor_silent_seconds How long scans that a host waits for have been missing."
+    yield "# HELP lidaremu_sensor_silent_seconds Time since the last scan while a host waits for scans."
     yield "# TYPE lidaremu_sensor_silent_seconds gauge"
     for one in instruments:
         yield f'lidaremu_sensor_silent_seconds{{sensor="{_label(one.sensor)}"}} {liveness.silent_s(one.sensor):g}'
 
 
 def _incident_lines(incidents: Incidents) -> Iterator[str]:
-    yield "# HELP lidaremu_incidents_total What befell processes, files and links of the run, by kind."
+    yield "# HELP lidaremu_incidents_total Incidents of processes, files and links, by kind."
     yield "# TYPE lidaremu_incidents_total counter"
     for (kind, where), count in sorted(dict(incidents.counts).items()):
         yield f'lidaremu_incidents_total{{kind="{_label(kind)}",on="{_label(where)}"}} {count}'
@@ -49,20 +49,20 @@ def _lines(instruments: Sequence[Instrument]) -> Iterator[str]:
     yield "# TYPE lidaremu_scans_sent_total counter"
     for one in instruments:
         yield f'lidaremu_scans_sent_total{{sensor="{_label(one.sensor)}"}} {one.stats.scans_sent}'
-    yield "# HELP lidaremu_scans_account Scans that hosts are entitled to, by where they are; unaccounted has to be 0."
+    yield "# HELP lidaremu_scans_account Scans requested by hosts, by state; unaccounted must be 0."
     yield "# TYPE lidaremu_scans_account gauge"
     for one in instruments:
         account = one.ledger.account()
         for state in ("asked", "sent", "withdrawn", "under_way", "unaccounted"):
             yield f'lidaremu_scans_account{{sensor="{_label(one.sensor)}",state="{state}"}} {account[state]}'
-    yield from _by_reason("scans", "Scans given up", [(one.sensor, one.stats.scans_dropped) for one in instruments])
-    yield from _by_reason("input", "Input not taken", [(one.sensor, one.stats.input_dropped) for one in instruments])
-    yield "# HELP lidaremu_fault_hits_total What faults have hit, by name."
+    yield from _by_reason("scans", "Scans dropped", [(one.sensor, one.stats.scans_dropped) for one in instruments])
+    yield from _by_reason("input", "Input dropped", [(one.sensor, one.stats.input_dropped) for one in instruments])
+    yield "# HELP lidaremu_fault_hits_total Hits of faults, by name."
     yield "# TYPE lidaremu_fault_hits_total counter"
     for one in instruments:
         for name, row in () if one.faults is None else one.faults.counts().items():
             yield f'lidaremu_fault_hits_total{{sensor="{_label(one.sensor)}",fault="{_label(name)}"}} {row["hits"]}'
-    yield "# HELP lidaremu_link_bytes_total Bytes by direction; lost: nobody read them."
+    yield "# HELP lidaremu_link_bytes_total Bytes by direction; lost: not read by any host."
     yield "# TYPE lidaremu_link_bytes_total counter"
     for one in instruments:
         for index, link in enumerate(one.links):
@@ -70,7 +70,7 @@ def _lines(instruments: Sequence[Instrument]) -> Iterator[str]:
             for direction, count in counts.items():
                 labels = f'sensor="{_label(one.sensor)}",link="{index}",direction="{direction}"'
                 yield f"lidaremu_link_bytes_total{{{labels}}} {count}"
-    yield "# HELP lidaremu_lateness_seconds Actual minus scheduled instant of each send."
+    yield "# HELP lidaremu_lateness_seconds Actual minus scheduled time of each send."
     yield "# TYPE lidaremu_lateness_seconds histogram"
     for one in instruments:
         label, total = _label(one.sensor), 0

@@ -1,4 +1,4 @@
-"""What a running daemon can be told to do: the methods of the control socket and of `lidaremu ctl`.
+"""Orders to a running daemon: the methods of the control socket and of `lidaremu ctl`.
 
 docs/control.md has every method with an example; a test holds the page to `Orders.methods`.
 """
@@ -101,7 +101,7 @@ class Orders:
 
     def _virtual(self, what: str) -> VirtualDaemon:
         if not isinstance(self._daemon, VirtualDaemon):
-            raise OrderError(REFUSED, f"{what}: real time goes on; want a run with --clock virtual or --speed")
+            raise OrderError(REFUSED, f"{what}: not possible in real time; want a run with --clock virtual or --speed")
         return self._daemon
 
     def _did(self, what: str, **more: object) -> dict[str, object]:

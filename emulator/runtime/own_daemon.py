@@ -1,4 +1,4 @@
-"""A daemon that another command of ours runs for itself (`view`, `demo`): it ends with that command, however that ends.
+"""A daemon that another command starts for itself (`view`, `demo`): it ends with that command in every case.
 
 The command holds the other end of the daemon's standard input. When it goes, killed or not, the kernel closes that end;
 the daemon reads the end of its input, stops, and removes the folder that the command had made for it. Where a daemon

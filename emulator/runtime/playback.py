@@ -81,7 +81,7 @@ class ReplaySession(Session):
         pass
 
     def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
-        self._events.append(Dropped(now_ns, DropReason.REFUSED, "a recording answers nothing", len(data)))
+        self._events.append(Dropped(now_ns, DropReason.REFUSED, "a recording does not answer", len(data)))
 
     def advance(self, now_ns: int) -> None:
         pass

@@ -357,7 +357,7 @@ class VirtualDaemon:
             self._alone_since_ns = now_ns
         if not self._told_alone and now_ns - self._alone_since_ns > ALONE_NS and self.tells_alone:
             self._told_alone = True
-            self.on_failure("no host is connected: virtual time stands until one is; --no-wait lets it go on")
+            self.on_failure("no host is connected: virtual time is stopped; --no-wait lets it advance")
 
     def _idle(self, until_ns: int | None) -> float:
         """Nothing is due: time goes on with the real clock, to the end at most."""

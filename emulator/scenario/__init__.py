@@ -1,4 +1,4 @@
-"""Facts of a run: files to frozen models, every fault told as `file:line: key: found; want allowed`.
+"""Facts of a run: files to frozen models, every error reported as `file:line: key: found; want allowed`.
 
 Belongs here: tables, references between them, the names that expressions may have. Not: meshes' contents (world),
 what is done with any of it.

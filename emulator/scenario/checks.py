@@ -100,9 +100,9 @@ def _unique_ids(data: dict[str, Any], folder: Path) -> Iterator[Found]:
             if not isinstance(name, str):
                 continue
             if key == "actors" and name == "world":
-                yield (*loc, "id"), "'world' is the name of what does not move", "another id"
+                yield (*loc, "id"), "'world' is reserved for everything that does not move", "another id"
             if name in seen:
-                yield (*loc, "id"), f"{name!r} is also the id of number {seen[name][1]}", "ids of their own"
+                yield (*loc, "id"), f"{name!r} is also the id of number {seen[name][1]}", "unique ids"
             seen.setdefault(name, loc)
 
 
@@ -256,13 +256,13 @@ def _links(data: dict[str, Any], folder: Path) -> Iterator[Found]:
                 yield (*loc, "links", number), found, want or "a link, see lidaremu list links"
                 continue
             except ModuleNotFoundError:
-                yield (*loc, "links", number), f"{url!r}: links of this kind are not built yet", "another kind"
+                yield (*loc, "links", number), f"{url!r}: links of this kind are not supported", "another kind"
                 continue
             scheme, _, target = url.partition("?")[0].partition(":")
             if scheme in ONE_HOLDER and not (scheme == "tcp" and target.endswith(":0")):
                 if url.partition("?")[0] in taken:
                     holder = taken[url.partition("?")[0]]
-                    yield (*loc, "links", number), f"{url!r} is also a link of {holder}", "a link of its own"
+                    yield (*loc, "links", number), f"{url!r} is also a link of {holder}", "a link used only once"
                 taken.setdefault(url.partition("?")[0], str(sensor.get("id")))
 
 

@@ -51,7 +51,7 @@ def changed(weather: WeatherConfig, table: Mapping[str, Any], from_ns: int, acto
     t_s = from_ns * 1e-9
     for key in ("t_s", "changes"):
         if key in table:
-            raise ScenarioError(f"{NAME}: {key}: {table[key]!r}; want this key left out: an order holds from now on")
+            raise ScenarioError(f"{NAME}: {key}: {table[key]!r}; want this key omitted: orders take effect at once")
     same = next((change for change in weather.changes if change.t_s == t_s), None)
     fields = {} if same is None else {key: getattr(same, key) for key in same.model_fields_set}
     merged = _merged(weather.at(t_s), table)

@@ -26,27 +26,27 @@ class Quantity:
 
 
 QUANTITIES: Mapping[str, Quantity] = {
-    "scans_per_s": Quantity("scans sent a second, from the first to the last"),
+    "scans_per_s": Quantity("scans sent per second, from the first to the last"),
     "scans_sent": Quantity("scans handed to the first link"),
     "scans_read": Quantity("scans that the built-in host decoded"),
-    "scans_measured": Quantity("sweeps measured and taken"),
-    "scans_dropped": Quantity("scans given up; whole run"),
-    "input_dropped": Quantity("input not taken; whole run"),
+    "scans_measured": Quantity("sweeps measured and accepted by the device"),
+    "scans_dropped": Quantity("scans dropped; whole run"),
+    "input_dropped": Quantity("input dropped; whole run"),
     "replies_sent": Quantity("replies; whole run"),
     "restarts": Quantity("power-ons and resets; whole run"),
     "faults": Quantity("hits of the faults of that name; whole run", "fault"),
     "bytes_out": Quantity("bytes sent; whole run"),
     "bytes_in": Quantity("bytes received; whole run"),
     "lateness_us": Quantity(
-        "series: actual minus scheduled instant of each send; under a virtual clock the grouping of bytes alone"
+        "series: actual minus scheduled time of each send; under a virtual clock only the grouping of bytes"
     ),
-    "gap_s": Quantity("series: time from scan to scan; its max is the recovery"),
+    "gap_s": Quantity("series: time from scan to scan; its maximum is the recovery time"),
     "first_scan_s": Quantity("when the first scan left"),
     "points": Quantity("series: beams with an echo"),
     "points_on": Quantity("series: beams whose first echo is that actor's", "actor"),
     "nearest_m": Quantity("series: shortest range"),
     "nearest_on": Quantity("series: shortest range to that actor [m]", "actor"),
-    "clock_error_s": Quantity("series: time that the device's telegrams tell, not wrapped, minus the run's"),
+    "clock_error_s": Quantity("series: device time in its telegrams, unwrapped, minus run time"),
     "clock_ticks": Quantity("series: the same time in ticks, as on the wire"),
     "objects": Quantity("series: objects in the list"),
     "object": Quantity("series: objects that are that actor", "actor"),
@@ -60,13 +60,13 @@ QUANTITIES: Mapping[str, Quantity] = {
     "object_until_s": Quantity("instant of the last list that has that actor", "actor"),
     "visible_share": Quantity("series: share of the beams towards that actor that reach it, beside a list", "actor"),
     "visible_until_s": Quantity("instant of the last list for which a beam saw that actor", "actor"),
-    "object_precision": Quantity("share of listed objects that are real"),
-    "object_recall": Quantity("share of the actors to be seen that are listed"),
+    "object_precision": Quantity("share of the listed objects that are real"),
+    "object_recall": Quantity("share of the visible actors that are listed"),
     "object_position_error_m": Quantity("root mean square, of matched objects"),
     "object_size_error_m": Quantity("mean of length and width, of matched objects"),
     "object_speed_error_m_s": Quantity("root mean square, of matched objects"),
     "range_at": Quantity("series: range that the host read nearest to that azimuth [deg]", "angle"),
-    "range_error_m": Quantity("series: largest difference of what the host read and what was measured"),
+    "range_error_m": Quantity("series: largest difference between the ranges that the host read and those measured"),
 }
 
 LIVE = (
@@ -118,7 +118,7 @@ def check_name(name: Name, sensors: Sequence[str], actors: Sequence[str]) -> Non
 
 def _one_of(found: str, known: Sequence[str]) -> str:
     near = difflib.get_close_matches(found, known, n=1)
-    return (f"{near[0]} or another of " if near else "one of ") + (", ".join(known) or "none: there are none")
+    return (f"{near[0]} or another of " if near else "one of ") + (", ".join(known) or "none: the list is empty")
 
 
 def check_expression(text: str, sensors: Sequence[str], actors: Sequence[str]) -> None:
@@ -128,7 +128,7 @@ def check_expression(text: str, sensors: Sequence[str], actors: Sequence[str]) -
     for name in found:
         check_name(name, sensors, actors)
         if name.parts[-1] not in LIVE:
-            raise ExpressionError(f"{name}: known at the end of a run alone; want one of {', '.join(LIVE)}")
+            raise ExpressionError(f"{name}: known only at the end of a run; want one of {', '.join(LIVE)}")
     if not found:
-        raise ExpressionError("no sensor in it; want something like front.nearest_m < 10")
+        raise ExpressionError("no sensor named; want something like front.nearest_m < 10")
     truth(evaluate(tree, lambda name: np.zeros(1)))

@@ -1,4 +1,4 @@
-"""Facts of a run: a YAML file -> a frozen `Scenario`, every fault told as `file:line: key: found; want allowed`.
+"""Facts of a run: a YAML file -> a frozen `Scenario`, every error reported as `file:line: key: found; want allowed`.
 
 Belongs here: the model of the whole file; loading, dumping, the published JSON Schema. Not: the tables of its world
 (tables), meshes (scene), facts of a sensor model (spec), a device's own settings (its family checks them), the

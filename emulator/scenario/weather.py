@@ -155,7 +155,7 @@ class Layer(_Media):
         if self.top_m <= self.bottom_m:
             raise ValueError(f"top_m {self.top_m} not above bottom_m {self.bottom_m}; want it larger")
         if not self.filled():
-            raise ValueError("nothing in it; want fog, dust, smoke or extinction_per_m")
+            raise ValueError("empty; want fog, dust, smoke or extinction_per_m")
         return self
 
 
@@ -170,7 +170,7 @@ class Plume(_Media):
     @model_validator(mode="after")
     def _not_empty(self) -> Plume:
         if not self.filled():
-            raise ValueError("nothing in it; want fog, dust, smoke or extinction_per_m")
+            raise ValueError("empty; want fog, dust, smoke or extinction_per_m")
         return self
 
 

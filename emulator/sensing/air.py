@@ -249,7 +249,7 @@ def _filled(part: Layer | Plume, place: Place, base: Medium, model: SensorModel,
     if seen:
         more = _sum([*seen, Medium(-base.extinction_per_m, -base.backscatter_per_m_sr)])
         if more.extinction_per_m < 0.0:
-            warnings["layer or plume: clearer than the air around it; adds nothing"] = None
+            warnings["layer or plume: clearer than the surrounding air; has no effect"] = None
         seen = [Medium(max(more.extinction_per_m, 0.0), max(more.backscatter_per_m_sr, 0.0))]
     if part.extinction_per_m is not None:
         seen.append(Medium(part.extinction_per_m, part.extinction_per_m / part.lidar_ratio_sr))

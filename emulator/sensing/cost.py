@@ -94,9 +94,9 @@ def rules_alone(bench: Bench) -> dict[str, Measure]:
 def saved(
     bench: Bench, own: Measure, rows: list[dict[str, Any]], progress: Callable[[float], None] = lambda share: None
 ) -> tuple[Cost, Cost, Mapping[str, Cost]]:
-    """Cost of a sweep, with every rule off, and what single rules save; `progress` is told the share that is done.
+    """Cost of a sweep, with every rule off, and what single rules save; `progress` gets the share that is done.
 
-    `rows`: of `needs.explained`; those that are idle, or kept with no choice, are not timed. What a rule saves is the
+    `rows`: of `error_budget.explained`; idle rows, and rows without a switch, are not timed. What a rule saves is the
     cost without it less the cost with it: a rule that is kept because it does not pay comes out below zero.
     """
     rules = own.model.leave_out

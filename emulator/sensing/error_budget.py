@@ -1,4 +1,4 @@
-"""What a scene does not need: every term that may be left out, its bound, how far it is from it, and what that spares.
+"""Error budget of a scene: every term that may be left out, its value, its bound, and what leaving it out saves.
 
 Belongs here: the table, and asking one sensor's measuring function for its numbers. Not: the bounds themselves, which
 stand where the term is computed, and what rules save here and now (cost). All of them end with `physics.full`.
@@ -82,11 +82,11 @@ def _clear_air(measure: Measure, plan: ScanPlan) -> Finding:
     view = measure.view(plan)
     found = view.seen.echoes
     if view.air.uneven or not len(found):
-        return Finding(False, None, None, "an exponential an echo", idle=not len(found))
+        return Finding(False, None, None, "one exponential per echo", idle=not len(found))
     depth = 2.0 * view.air.everywhere.extinction_per_m * float(found.range_m.max())
     bound = measure.model.clear_depth
     out = measure.model.leave_out.clear_air and depth < bound
-    return Finding(out, depth, bound, "an exponential an echo", unit="of depth")
+    return Finding(out, depth, bound, "one exponential per echo", unit="optical depth")
 
 
 def _closed_form(measure: Measure, plan: ScanPlan) -> Finding:
@@ -94,11 +94,11 @@ def _closed_form(measure: Measure, plan: ScanPlan) -> Finding:
     whole = len(plan) * len(measure._bundles.of(plan).share)
     outside = math.exp(-2.0 * model.plain_radii**2) if model.beam.profile == "gauss" else 0.0
     if view.plain is None:
-        saved = "0 rays: a test of edges would cost more than it saves"
-        return Finding(False, outside, 1e-3, saved, unit="of the power")
+        saved = "0 rays: the edge test would cost more than it saves"
+        return Finding(False, outside, 1e-3, saved, unit="of power")
     plain = int(np.count_nonzero(view.plain))
-    saved = f"{whole - view.cast} of {whole} rays, {plain} of {len(plan)} beams plain"
-    return Finding(plain > 0, outside, 1e-3, saved, unit="of the power")
+    saved = f"{whole - view.cast} of {whole} rays; {plain} of {len(plan)} beams see a single plane"
+    return Finding(plain > 0, outside, 1e-3, saved, unit="of power")
 
 
 def _plane_moments(measure: Measure, plan: ScanPlan) -> Finding:
@@ -110,7 +110,7 @@ def _plane_moments(measure: Measure, plan: ScanPlan) -> Finding:
         return Finding(False, None, None, "0 beams", idle=True)
     shifts, plain = spared.shifts, int(spared.plain.sum())
     short = int(np.count_nonzero(np.isfinite(shifts.crossing_m)))
-    saves = f"the bundle's ranges in {short} of {plain} plain beams"
+    saves = f"sub-ray ranges in {short} of {plain} single-plane beams"
     if not short:
         return Finding(False, None, None, saves)
     of_lean = float(np.nanmax(shifts.lean_m)), LEAN_LSB * step_m
@@ -121,7 +121,7 @@ def _plane_moments(measure: Measure, plan: ScanPlan) -> Finding:
 
 def _resting(measure: Measure, plan: ScanPlan) -> Finding:
     idle, on = measure._still_pose is None, measure.model.leave_out.resting
-    return Finding(on and not idle, None, None, "the casts on resting bodies of a sensor at rest", idle=idle)
+    return Finding(on and not idle, None, None, "ray casts from a static sensor to static bodies", idle=idle)
 
 
 def _far_objects(measure: Measure, plan: ScanPlan) -> Finding:
@@ -130,12 +130,12 @@ def _far_objects(measure: Measure, plan: ScanPlan) -> Finding:
     met_m = measure.view(plan).seen.nearest_m
     saves = f"all surfaces beyond {reach_m:.0f} m"
     if bool(np.isfinite(met_m).any()):
-        saves += f" (the farthest that a beam meets first: {float(np.max(met_m[np.isfinite(met_m)])):.1f} m)"
+        saves += f" (farthest first hit: {float(np.max(met_m[np.isfinite(met_m)])):.1f} m)"
     out = model.leave_out.far_objects
     if surfaces_show(air.sun, model):
-        saves += ", but for one ray of each beam that met nothing: background"
+        saves += ", except one background ray for each beam without a hit"
         if out and measure._looks_far:
-            out, saves = False, "0 rays: in daylight one more for each beam that met nothing would cost more"
+            out, saves = False, "0 rays: in daylight a background ray for each beam without a hit would cost more"
     # what begins within the gate is an echo; a pulse that comes two half supports later does not reach into it
     last_m = min(model.gate_m, plan.max_range_m) + 2.0 * model.pulse.half_support_m
     return Finding(out, last_m, reach_m, saves, unit="m")
@@ -143,7 +143,7 @@ def _far_objects(measure: Measure, plan: ScanPlan) -> Finding:
 
 def _soft(measure: Measure, plan: ScanPlan) -> Finding:
     model, air, soft = measure.model, measure.air.at(1e-9 * plan.start_ns), measure._soft
-    least, saves = UNSEEN * model.threshold, "the medium's waveform in every beam"
+    least, saves = UNSEEN * model.threshold, "the medium's waveform of every beam"
     if not model.weather_echoes:
         return Finding(True, 0.0, least, saves, idle=True, unit="rms noise")
     start_m = max(model.overlap_start_m, model.near_gate_m)
@@ -164,7 +164,7 @@ def _soft(measure: Measure, plan: ScanPlan) -> Finding:
     followed = made is not None and made.until_m == math.inf
     until_m = -math.inf if made is None or followed else made.until_m
     if until_m > -math.inf:
-        saves = f"the medium's waveform beyond {until_m:.1f} m; before, it shifts echoes of surfaces"
+        saves = f"the medium's waveform beyond {until_m:.1f} m; nearer, it shifts surface echoes"
     value, bound = _nearest_to_shifting(whole, until_m, model)
     return Finding(not followed, value, bound, saves, unit="rms noise")
 
@@ -200,35 +200,37 @@ def _worst(value: Floats, bound: Floats) -> tuple[float, float]:
 def _soft_table(measure: Measure, plan: ScanPlan) -> Finding:
     air = measure.air.at(1e-9 * plan.start_ns)
     used = measure._soft.everywhere(air, plan.gain) is not None
-    return Finding(used and measure.model.leave_out.soft_table, None, None, "a table a sweep", idle=not used)
+    return Finding(used and measure.model.leave_out.soft_table, None, None, "one table per sweep", idle=not used)
 
 
 def _sun(measure: Measure, plan: ScanPlan) -> Finding:
     sun, model, unit = measure.air.at(1e-9 * plan.start_ns).sun, measure.model, "W"
     if sun is None:
-        saves = "noise of every beam, one ray to the sun"
+        saves = "background noise of every beam, one ray to the sun"
         return Finding(True, 0.0, unseen_w(model), saves, idle=True, unit=unit)
     value = largest_diffuse_w(sun, model)
     out = value <= unseen_w(model) and model.leave_out.background_light
-    return Finding(out, value, unseen_w(model), "noise of every beam", unit=unit)
+    return Finding(out, value, unseen_w(model), "background noise of every beam", unit=unit)
 
 
 def _false_alarms(measure: Measure, plan: ScanPlan) -> Finding:
-    receiver, unit = measure._receiver, "a sweep"
+    receiver, unit = measure._receiver, "per sweep"
     if not isinstance(receiver, Receiver) or not measure.model.false_alarms:
-        return Finding(True, 0.0, RARE, "draws of a sweep", idle=True, unit=unit)
+        return Finding(True, 0.0, RARE, "random draws of a sweep", idle=True, unit=unit)
     value = receiver.noise_echoes_of(len(plan))
-    return Finding(value < RARE and measure.model.leave_out.noise_echoes, value, RARE, "draws of a sweep", unit=unit)
+    return Finding(
+        value < RARE and measure.model.leave_out.noise_echoes, value, RARE, "random draws of a sweep", unit=unit
+    )
 
 
 def _particles(measure: Measure, plan: ScanPlan) -> Finding:
     view, model, saves = measure.view(plan), measure.model, "drops or flakes of every beam"
     if not view.air.particles:
-        return Finding(True, 0.0, RAREST_PARTICLES, saves, idle=True, unit="a sweep")
+        return Finding(True, 0.0, RAREST_PARTICLES, saves, idle=True, unit="per sweep")
     # of rain and of snow each is decided by itself
     value = max(float(mean_seen(one, view.seen.nearest_m, model, plan.gain).sum()) for one in view.air.particles)
     out = value < RAREST_PARTICLES and model.leave_out.particles
-    return Finding(out, value, RAREST_PARTICLES, saves, unit="a sweep")
+    return Finding(out, value, RAREST_PARTICLES, saves, unit="per sweep")
 
 
 def _waveform(measure: Measure, plan: ScanPlan) -> Finding:
@@ -236,7 +238,7 @@ def _waveform(measure: Measure, plan: ScanPlan) -> Finding:
     bound = SHORT * model.pulse.half_support_m
     if not isinstance(receiver, Receiver) or not receiver.detector.closed_form:
         return Finding(
-            False, None, None, "nothing: only sin2 pulses under a leading edge have a closed form", idle=True
+            False, None, None, "nothing: only sin2 pulses with leading-edge detection have a closed form", idle=True
         )
     detector, soft, parts = receiver.detector, _medium(measure, plan), _looked_at(measure, plan)
     every, closed, longest = 0, 0, 0.0
@@ -246,7 +248,7 @@ def _waveform(measure: Measure, plan: ScanPlan) -> Finding:
         if len(short):
             longest = max(longest, float(np.max(found.range_m[short.start + short.size - 1] - short.first_m)))
     out = model.leave_out.waveform and (soft is None or soft.peak < detector.full_scale)
-    saves = f"samples of the clusters of {closed} of {every} reflections, and of a medium where it is alone"
+    saves = f"waveform samples for {closed} of {every} reflections, and for a medium without a surface echo"
     return Finding(out, longest, bound, saves, unit=unit)
 
 
@@ -254,7 +256,7 @@ def _bounces(measure: Measure, plan: ScanPlan) -> Finding:
     model, view = measure.model, measure.view(plan)
     bound, unit = BEHIND * model.threshold, "rms noise"
     if not (view.surfaces.sends_on and model.bounces > 0):
-        return Finding(True, 0.0, bound, "second rays and their air", idle=True, unit=unit)
+        return Finding(True, 0.0, bound, "secondary rays and their air path", idle=True, unit=unit)
     t_s = 1e-9 * plan.start_ns + plan.fire_offset_s
     with np.errstate(under="ignore"):
         # of the axes alone nothing goes on: beams that are plain see no mirror and no pane
@@ -263,14 +265,14 @@ def _bounces(measure: Measure, plan: ScanPlan) -> Finding:
         best = best_behind(hits, rays, view.surfaces, view.air, model, plan.gain, plan.max_range_m)
     gone = int(np.count_nonzero(best <= bound)) if model.leave_out.second_rays else 0
     value = float(best.max(initial=0.0))
-    saves = f"{gone} of {len(best)} second rays and their air"
+    saves = f"{gone} of {len(best)} secondary rays and their air path"
     return Finding(gone == len(best), value, bound, saves, idle=not len(best), unit=unit)
 
 
 def _faint(measure: Measure, plan: ScanPlan) -> Finding:
     model, bound, unit = measure.model, most_dropped(measure.model), "rms noise"
     if not isinstance(measure._receiver, Receiver):
-        return Finding(False, None, None, "nothing: a receiver of photons counts them all", idle=True)
+        return Finding(False, None, None, "nothing: a photon-counting receiver counts all of them", idle=True)
     soft, every, gone, value = _medium(measure, plan), 0, 0, 0.0
     for given in _given(measure, plan):
         kept = looked_at(given, soft, model)
@@ -279,10 +281,10 @@ def _faint(measure: Measure, plan: ScanPlan) -> Finding:
         value = max(value, float(lost.max(initial=0.0))) if len(kept) < len(given) else value
     saves = f"{gone} of {every} reflections"
     if not gone and soft is not None and soft.until_m == math.inf:
-        saves += ": a medium is followed everywhere, and they stop its light"
+        saves += ": backscatter is computed everywhere, and these surfaces end it"
     elif not gone and model.leave_out.faint:
         behind = "" if soft is None or soft.until_m == -math.inf else f" behind {soft.until_m:.1f} m of a medium"
-        saves += f": too few are faint{behind} to be worth it"
+        saves += f": too few are below the limit{behind} to repay the test"
     return Finding(gone > 0, value, bound, saves, unit=unit)
 
 
@@ -313,44 +315,49 @@ def _kept(reason: str) -> Callable[[Measure, ScanPlan], Finding]:
 
 
 RULES: tuple[Rule, ...] = (
-    Rule("clear-air extinction", "clear_air", "per sweep", "depth there and back shifts no range by half a step",
-         _clear_air),
-    Rule("bundles of plain beams", "closed_form", "per sweep; once for what rests",
-         "no edge within plain_radii: exp(-2 k^2) of the power lies outside", _closed_form),
-    Rule("bundle ranges on planes", "plane_moments", "per beam",
-         "mean, energy and spread of a tilted plane shift no range by a quarter of a step, no crossing by an eighth",
-         _plane_moments),
-    Rule("rebuilding of structures", None, "never needed", "rays are moved, in float64", _exact("every build")),
-    Rule("casts on what rests", "resting", "once for a sensor at rest", "the same rays meet the same, bit by bit",
-         _resting),
-    Rule("surfaces out of reach", "far_objects", "per sweep",
-         "farther than the gate and a pulse, where nothing is an echo; in daylight it is background", _far_objects),
-    Rule("background light", "background_light", "per sweep",
-         "its shot noise adds less than 2e-3 to the square of the noise, and shifts no crossing by half a step", _sun),
-    Rule("noise echoes", "noise_echoes", "per sweep", "mean count of a sweep below 1e-6", _false_alarms),
-    Rule("backscatter of the air", "backscatter", "once per state of the weather",
-         "its return is below a tenth of the threshold, and followed where it shifts a crossing by half a step", _soft),
-    Rule("tables of the medium", "soft_table", "once per state of the weather", "exact in air that is even everywhere",
-         _soft_table),
-    Rule("falling particles", "particles", "per state of the weather, draws per sweep",
-         "none falls, or fewer than 1e-3 a sweep reach the threshold", _particles),
-    Rule("sampled waveforms", "waveform", "per cluster of reflections",
-         "these are sums of cosines, the longest of them shorter than half a pulse; others are sampled", _waveform),
-    Rule("second rays", "second_rays", "once per scene, then per ray",
-         "no surface mirrors or transmits 1 %, or the best one behind returns below 5 % of the threshold", _bounces),
-    Rule("poses within a sweep", None, "never", "one pose for all would spare nothing: rays are moved all the same",
-         _kept("nothing")),
-    Rule("faint reflections", "faint", "per sweep",
-         "each below 1e-3 of the threshold, those of a beam together below 1e-2 and half a step", _faint),
-    Rule("what nobody asked for", None, "never computed",
-         "waveforms are sampled where timed, echoes listed up to the plan's number; recordings hold the rest",
-         _exact("lists of echoes, waveforms")),
+    Rule("clear-air extinction", "clear_air", "once per sweep",
+         "two-way optical depth changes the reported range by less than half a quantization step", _clear_air),
+    Rule("footprint sub-rays", "closed_form", "once per sweep; once for static beams",
+         "no edge within plain_radii beam radii: exp(-2 k^2) of the power lies outside", _closed_form),
+    Rule("sub-ray ranges on planes", "plane_moments", "once per beam",
+         "mean, energy and variance over a tilted plane change no range by a quarter of a quantization step, and no "
+         "threshold crossing by an eighth", _plane_moments),
+    Rule("acceleration-structure rebuild", None, "never needed", "rays are transformed instead, in float64",
+         _exact("every rebuild")),
+    Rule("ray casts on static bodies", "resting", "once for a static sensor",
+         "the same rays have the same hits, bit for bit", _resting),
+    Rule("surfaces beyond the gate", "far_objects", "once per sweep",
+         "farther than the range gate and one pulse no echo forms; in daylight such a surface is background",
+         _far_objects),
+    Rule("background light", "background_light", "once per sweep",
+         "its shot noise adds less than 2e-3 to the noise variance, and shifts no threshold crossing by half a "
+         "quantization step", _sun),
+    Rule("noise false alarms", "noise_echoes", "once per sweep", "mean count per sweep below 1e-6", _false_alarms),
+    Rule("atmospheric backscatter", "backscatter", "once per state of the weather",
+         "its return is below a tenth of the threshold; it is computed where it shifts a threshold crossing by half a "
+         "quantization step", _soft),
+    Rule("backscatter tables", "soft_table", "once per state of the weather", "exact in homogeneous air", _soft_table),
+    Rule("precipitation particles", "particles", "once per state of the weather, draws per sweep",
+         "no precipitation, or fewer than 1e-3 particles per sweep exceed the threshold", _particles),
+    Rule("waveform sampling", "waveform", "once per cluster of reflections",
+         "a cluster shorter than half a pulse is a closed-form sum of cosines; longer clusters are sampled", _waveform),
+    Rule("secondary rays", "second_rays", "once per scene, then per ray",
+         "no surface reflects specularly or transmits 1 %, or the best surface behind returns less than 5 % of the "
+         "threshold", _bounces),
+    Rule("motion within a sweep", None, "never", "one pose for all rays would save nothing: each ray is transformed "
+         "in either case", _kept("nothing")),
+    Rule("weak reflections", "faint", "once per sweep",
+         "each below 1e-3 of the threshold; those of one beam together below 1e-2 of it and half a quantization step",
+         _faint),
+    Rule("outputs not requested", None, "never computed",
+         "waveforms are sampled only for timing, echoes are listed up to the number in the plan; recordings hold the "
+         "rest", _exact("lists of echoes, waveforms")),
 )  # fmt: skip
 "In the order of section 8 of the physics."
 
 
 def explained(measure: Measure, plan: ScanPlan) -> list[dict[str, Any]]:
-    """Every rule for this sensor: name, switch, left out or kept, value, bound, margin, what it saves."""
+    """Every rule for this sensor: name, switch, left out or kept, value, bound, margin, what leaving it out saves."""
     found = []
     for rule in RULES:
         finding = rule.find(measure, plan)

@@ -266,7 +266,7 @@ def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> Sensor
 
 def _need(part: Value | None) -> Value:
     if part is None:
-        raise ValueError("this model lists objects; it has no beam of its own")
+        raise ValueError("this model lists objects; it has no beams")
     return part
 
 
@@ -276,7 +276,7 @@ def _or(choice: Value | None, fact: Fact[Value] | None, default: Value | None = 
     if fact is not None:
         return fact.value
     if default is None:
-        raise ValueError("neither chosen nor known")
+        raise ValueError("neither set nor known")
     return default
 
 

@@ -51,7 +51,7 @@ class PhotonOptions(Table):
 
 
 class LeaveOut(Table):
-    """Switches of single rules of leaving out; `needs` lists them with their bounds. `full` switches all off."""
+    """Switches of single rules of the error budget; bounds: `error_budget`. `full` switches all off."""
 
     clear_air: bool = True
     "No extinction where all that is met is too near for it to be seen."

@@ -186,13 +186,13 @@ class SensorSpec(Table):
         if self.sees == "beams":
             missing = [name for name in parts if getattr(self, name) is None]
             if missing:
-                raise ValueError(f"a sensor that sees beams needs {', '.join(missing)}")
+                raise ValueError(f"a sensor with beams needs {', '.join(missing)}")
             if self.family is None and self.beams is None:
                 raise ValueError("neither family nor beams; want one of them")
         else:
             given = [name for name in (*parts, "beams") if getattr(self, name) is not None]
             if given:
-                raise ValueError(f"{', '.join(given)}: a sensor that lists objects has none of its own")
+                raise ValueError(f"{', '.join(given)}: a sensor that lists objects has none")
         receiver, pulse = self.receiver, self.pulse
         if receiver is not None and pulse is not None:
             if (receiver.system_constant_m2 is None) == (pulse.energy_uj is None):

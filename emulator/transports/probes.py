@@ -61,7 +61,7 @@ def probe_open_watch() -> Probe:
     try:
         OpenWatch("/").close()
     except OSError as error:
-        return Probe("notice of opens", False, f"no inotify: {error}; pseudo-terminals are looked at every 10 ms")
+        return Probe("notice of opens", False, f"no inotify: {error}; pseudo-terminals are polled every 10 ms")
     return Probe("notice of opens", True, "inotify")
 
 
@@ -85,7 +85,7 @@ def probe_multicast() -> Probe:
         except OSError as error:
             return Probe("multicast on 127.0.0.1", False, str(error.strerror))
         came = bool(select.select([receiver], [], [], 0.5)[0])
-    return Probe("multicast on 127.0.0.1", came, "a datagram came back" if came else "no datagram came back")
+    return Probe("multicast on 127.0.0.1", came, "a datagram was received" if came else "no datagram was received")
 
 
 ARPHRD_CAN = "280"
@@ -103,7 +103,7 @@ def probe_socketcan() -> Probe:
         with contextlib.suppress(OSError):
             if (folder / "type").read_text().strip() == ARPHRD_CAN:
                 names.append(folder.name)
-    return Probe("SocketCAN", bool(names), ", ".join(sorted(names)) or "in the kernel, but no interface is set up")
+    return Probe("SocketCAN", bool(names), ", ".join(sorted(names)) or "in the kernel, but no interface is up")
 
 
 def probe_adapters() -> Probe:

@@ -128,14 +128,14 @@ class StablePath:
             return []
         stands, locked = self._leads_here(), self._is_lock_file(self._lock_fd)
         if stands and locked:
-            return self._back("leads here again") if self._away else []
+            return self._back("points here again") if self._away else []
         if stands:  # the lock is nobody's business but ours: it is taken anew in silence, now or with the next look
             with contextlib.suppress(LinkError):
                 self._lock_anew()
             return []
         folder = os.path.dirname(self.path)
         if not os.path.isdir(folder):
-            return self._stay(GONE, f"{self.path}: folder {folder} is gone; put back when it is there again")
+            return self._stay(GONE, f"{self.path}: folder {folder} is gone; the link is restored when it exists again")
         try:
             if not locked:
                 left_behind = os.path.lexists(self._lock_path)
@@ -143,19 +143,19 @@ class StablePath:
                 self._heir = left_behind
             what, alive = self._what_stands()
             if alive:
-                return self._stay(TAKEN, f"{self.path}: {what} stands there now; left alone, put back when it goes")
+                return self._stay(TAKEN, f"{self.path}: {what} exists there; left alone, restored when it is gone")
             pause_ns = 0 if self._restored < FREE else min(LONGEST_NS, SECOND_NS << min(self._restored - FREE, 10))
             if now_ns < self._restored_ns + pause_ns:
                 return []
             self._link(replace=bool(what))
         except LinkError as error:
             other = "in use by a running emulator" in str(error)
-            return self._stay(TAKEN if other else GONE, f"{error}; put back when that has changed")
+            return self._stay(TAKEN if other else GONE, f"{error}; restored when that changes")
         except OSError as error:
-            return self._stay(GONE, f"{self.path}: cannot be put back: {error.strerror}; tried again")
+            return self._stay(GONE, f"{self.path}: cannot be restored: {error.strerror}; retrying")
         self._restored = 1 if now_ns - self._restored_ns > QUIET_NS else self._restored + 1
         self._restored_ns, self._heir = now_ns, False
-        return self._back(f"{what} stood there; put back" if what else "was removed; put back")
+        return self._back(f"{what} was there; restored" if what else "was removed; restored")
 
     def _back(self, how: str) -> list[Befallen]:
         self._away = ""

@@ -1,4 +1,4 @@
-"""How much processor time a run's only sender spends on what strangers want of one link or sensor.
+"""Limits of the CPU time that the sender spends on the input of one link or sensor.
 
 Belongs here: the bucket of time, and the rest when it is empty. Not: what is left undone meanwhile (`InputBudget`,
 `can_link`). In virtual time nothing rests: there is no clock, and the same run gives the same bytes.

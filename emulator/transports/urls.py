@@ -65,7 +65,7 @@ def parse_url(text: str) -> LinkUrl:
         raise ValueError(f"{text!r}: {query!r} after the question mark; want KEY=VALUE, several joined by &") from None
     for key, value in pairs:
         if key in options:
-            raise ValueError(f"{text!r}: option {key!r} stands twice; want it once")
+            raise ValueError(f"{text!r}: option {key!r} given twice; want it once")
         options[key] = value
     return LinkUrl(text, scheme, target, MappingProxyType(options))
 

@@ -130,7 +130,7 @@ class Controls:
             self._rain = gui.add_slider("Rain, mm/h", 0.0, 100.0, 0.5, 0.0)
             self._snow = gui.add_slider("Snow, mm/h", 0.0, 50.0, 0.5, 0.0)
             self._sun = gui.add_checkbox("Sun", False)
-            self._height = gui.add_slider("Sun's height, deg", 0.0, 90.0, 1.0, 45.0)
+            self._height = gui.add_slider("Sun elevation, deg", 0.0, 90.0, 1.0, 45.0)
             self._sky = gui.add_html("")
 
         def ordered(key: str, table: Callable[[], Mapping[str, Any]], *handles: Any) -> Callable[[Any], None]:
@@ -173,7 +173,7 @@ class Controls:
         with gui.add_folder("Faults"):
             self._on = gui.add_dropdown("On", names)
             self._do = gui.add_dropdown("Fault", self._known(names[0]))
-            self._keys = gui.add_text("Keys", "", hint="KEY=VALUE, blanks between; empty: as they are by themselves")
+            self._keys = gui.add_text("Keys", "", hint="KEY=VALUE, separated by spaces; empty: defaults")
             self._start = gui.add_button("Start this fault", color="red")
             self._end = gui.add_button("End all faults")
             self._active = gui.add_html("")

@@ -110,7 +110,7 @@ def state(
     for name, sensor in frame.sensors.items():
         rows.append(_sensor(name, models.get(name, ""), sensor, points.get(name, 0), frame, recorded, name in lists))
     if frame.telegrams_missed:
-        rows.append(f"<div>{frame.telegrams_missed} telegrams went by unseen: more than the page asks for</div>")
+        rows.append(f"<div>{frame.telegrams_missed} telegrams not shown: more than the page requests</div>")
     rows.append("</div>")
     return "".join(rows)
 
@@ -123,10 +123,10 @@ def _sensor(name: str, model: str, sensor: ShownSensor, points: int, frame: Fram
     if sensor.late_median_us is not None and sensor.late_worst_us is not None:
         parts.append(f"late {_us(sensor.late_median_us)} (worst {_us(sensor.late_worst_us)})")
     elif frame.virtual and not recorded:
-        parts.append("lateness: on a real clock only")
+        parts.append("lateness: only with a real clock")
     if scan is not None and scan.every > 1:
-        parts.append(f"every {scan.every}. beam is shown")
-    for word, counts in (("dropped", sensor.dropped), ("input not taken", sensor.input_dropped)):
+        parts.append(f"one of {scan.every} beams is shown")
+    for word, counts in (("dropped", sensor.dropped), ("input dropped", sensor.input_dropped)):
         if counts:
             parts.append(f"{word}: " + ", ".join(f"{count} {html(reason)}" for reason, count in counts.items()))
     for link in sensor.links:
@@ -176,7 +176,7 @@ def telegram_list(rows: Sequence[ShownTelegram], most: int = 6) -> str:
 def telegram_fields(row: ShownTelegram | None, fields: Sequence[Described]) -> str:
     """One telegram field by field."""
     if row is None:
-        return "<i>nothing on the wire yet</i>"
+        return "<i>nothing sent yet</i>"
     lines = "".join(
         f"<tr><td>{html(one.name)}</td><td>{html(one.value)}</td><td>{html(one.unit)}</td></tr>" for one in fields
     )
@@ -192,5 +192,5 @@ def telegram_fields(row: ShownTelegram | None, fields: Sequence[Described]) -> s
 def notes(rows: Sequence[str]) -> str:
     """What happened last."""
     if not rows:
-        return "<small>nothing happened yet</small>"
+        return "<small>no events yet</small>"
     return f'<div style="{MONO}">' + "<br>".join(html(row) for row in reversed(rows)) + "</div>"

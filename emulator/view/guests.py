@@ -1,4 +1,4 @@
-"""Hosts of ours on a daemon that the page has started itself: devices send when they are asked to."""
+"""Built-in hosts on a daemon that the page has started itself: devices send on request."""
 
 from __future__ import annotations
 

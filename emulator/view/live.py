@@ -65,7 +65,7 @@ class LiveSource:
     def _at_end(self, glance: Mapping[str, Any]) -> str:
         if self._end_s is None or not glance["paused"] or abs(glance["now_s"] - self._end_s) > INSTANT_S:
             return ""
-        return f"The scenario ends here, at {self._end_s:g} s. Resume goes on beyond it."
+        return f"The scenario ends at {self._end_s:g} s. Resume continues beyond its end."
 
     def order(self, method: str, params: Mapping[str, Any]) -> Any:
         """An order to the daemon."""
@@ -80,7 +80,7 @@ class LiveSource:
         except EmulatorError as error:  # gone, or just going
             return replace(self._last, ended=self._how_it_ended() or str(error))
         except (KeyError, TypeError, ValueError) as error:
-            raise ViewError(f"{self._path}: an answer that is none of ours: {error!r}") from None
+            raise ViewError(f"{self._path}: an invalid answer: {error!r}") from None
         self._last = Frame(
             now_s=glance["now_s"],
             virtual=glance["clock"] == "virtual",

@@ -100,7 +100,7 @@ def open_server(
     lock.port = server.get_port()
     if any(_answers(host, lock.port, path) != HTTPStatus.FORBIDDEN for path in ("/", f"/{token}/")):
         server.stop()
-        raise LinkError("this version of viser lets in whoever comes; want viser 1.1, see extra `view`")
+        raise LinkError("this version of viser cannot restrict access; want viser 1.1, see extra `view`")
     lock.refused = refused
     return server
 

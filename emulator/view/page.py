@@ -171,18 +171,18 @@ class Page:
                 "Follow the sensor",
                 self._rides(names[0]),
                 visible=moves,
-                hint="The world moves, the chosen sensor stays",
+                hint="Keep the camera fixed relative to the chosen sensor",
             )
         with gui.add_folder("What happened"):
             self._notes = gui.add_html("")
         side = gui.add_panel()
         with side.add_tab("Sensor"):
-            self._sensor = gui.add_dropdown("Sensor", names, hint="Of the polar plot and the telegrams")
+            self._sensor = gui.add_dropdown("Sensor", names, hint="Sensor of the polar plot and the telegrams")
             self._colouring = gui.add_dropdown("Colour by", points.COLOURINGS)
             self._polar = gui.add_html("")
             self._legend = gui.add_html("")
             self._list = gui.add_html("")
-            self._frozen = gui.add_checkbox("Hold", False, hint="Keep these telegrams while time goes on")
+            self._frozen = gui.add_checkbox("Hold", False, hint="Keep these telegrams while time advances")
             self._which: Any = gui.add_dropdown("Telegram", (NEWEST,))
             self._fields = gui.add_html("")
         side.dock_left()
@@ -209,7 +209,7 @@ class Page:
         frame = self._source.frame()
         if frame.ended and not self._ended:
             self._ended = frame.ended
-            self._tell(f"{frame.ended}; the page shows what was there last")
+            self._tell(f"{frame.ended}; the page shows the last state")
         with self._server.atomic():
             self._move(frame)
             for name, scan in frame.scans.items():

@@ -1,4 +1,4 @@
-"""A recording of ours, shown at any of its instants; its own clock is the page's."""
+"""A recording of lidaremu, shown at any of its instants; its clock is the page's."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class RecordedSource:
         """Raises `RecordingError`, `ScenarioError`; `ViewError` when nothing is in it."""
         self._run: RecordedRun = read_run(path)
         if not self._run.scenario:
-            raise ViewError(f"{self._run.path}: no scenario in it; it was cut within its first bytes")
+            raise ViewError(f"{self._run.path}: no scenario in it; it is truncated within its first bytes")
         self.scenario: Scenario = scenario_file.loads(self._run.scenario, self._run.path.parent / "scenario.yaml")
         self.title = self._run.path.parent.name or self._run.path.stem
         self.cut = self._run.cut

@@ -45,7 +45,7 @@ def told(weather: Mapping[str, Any]) -> str:
     if sun:
         parts.append(f"sun {sun.get('elevation_deg', 45.0):g} deg high")
     parts += [name for name in ("spray", "layers", "plumes") if weather.get(name)]
-    return f'<div style="font-size:12px">{html(", ".join(parts)) or "clear and dark"}</div>'
+    return f'<div style="font-size:12px">{html(", ".join(parts)) or "clear, no sun"}</div>'
 
 
 def faults_of(faults: Sequence[Mapping[str, Any]]) -> str:

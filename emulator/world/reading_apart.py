@@ -1,4 +1,4 @@
-"""Mesh files of strangers, read in a process of its own with limits on its memory and processor time.
+"""Untrusted mesh files, read in a separate process with limits on its memory and processor time.
 
 Belongs here: that process, what it is asked and answers, and what is said when it ends. Not: the reading (mesh_files)
 and the limits (budgets).
@@ -146,7 +146,7 @@ class Reader:
             if isinstance(error, SceneError):
                 raise
             self.close()
-            raise SceneError(f"{place}: whoever read it answered nonsense; want a file in that format") from None
+            raise SceneError(f"{place}: invalid answer of the reading process; want a file in that format") from None
 
     def _geometry(self, head: dict[str, Any]) -> Geometry:
         """The answer as a shape; `ValueError` for one that is none."""
@@ -183,14 +183,14 @@ class Reader:
     def _obituary(self, status: int) -> str:
         budget = self.budget
         if not os.WIFSIGNALED(status):
-            return f"whoever read it ended with code {os.waitstatus_to_exitcode(status)}; want a sound file"
+            return f"the reading process ended with code {os.waitstatus_to_exitcode(status)}; want a sound file"
         number = os.WTERMSIG(status)
         if number == signal.SIGXCPU:
             return f"more than {budget.cpu_s} s of processor time; want at most {budget.cpu_s} s {raised('cpu_s')}"
         name = signal.Signals(number).name if number in signal.valid_signals() else str(number)
         why = " (out of memory?)" if number == signal.SIGKILL else ""
         memory = f"at most {budget.memory_bytes} bytes of memory {raised('memory_bytes')}"
-        return f"whoever read it was ended by {name}{why}; want a sound file that needs {memory}"
+        return f"the reading process was terminated by {name}{why}; want a sound file that needs {memory}"
 
 
 # ---------------------------------------------------------------- the process that reads

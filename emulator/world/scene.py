@@ -212,7 +212,7 @@ class _Builder:
             )
         if len(found) > MOST_TWINS_TOLD:
             rest = len(found) - MOST_TWINS_TOLD
-            self.warnings.append(f"{self._scenario.source}: {rest} more pairs of bodies lie on each other")
+            self.warnings.append(f"{self._scenario.source}: {rest} more pairs of bodies have coplanar triangles")
 
     def _geometry(self, shape: Shape, where: str) -> Geometry:
         key = shape.model_dump_json(include={"mesh", "plane", "box", "cylinder", "sphere", "frames", "up", "scale"})
@@ -221,10 +221,10 @@ class _Builder:
             frames = self.frames.get(id(geometry))
             self.total += len(geometry.faces) * (1 if frames is None else len(frames.vertices))
             if geometry.dropped:
-                self.warnings.append(f"{where}: {geometry.dropped} triangles of no area left out")
+                self.warnings.append(f"{where}: {geometry.dropped} triangles of zero area omitted")
             if geometry.coplanar:
                 self.warnings.append(
-                    f"{where}: {geometry.coplanar} triangles lie on one of another part; which is seen is arbitrary"
+                    f"{where}: {geometry.coplanar} triangles lie on one of another part; which one is hit is arbitrary"
                 )
         return self.made[key]
 
@@ -266,7 +266,7 @@ class _Builder:
                 want = f"{len(first.faces)} on {len(first.vertices)} as in the first frame"
                 raise SceneError(f"{told}: {found}; want {want}")
             if not np.array_equal(one.faces, first.faces) or not np.array_equal(one.face_part, first.face_part):
-                raise SceneError(f"{told}: other triangles; want those of the first frame, their vertices moved alone")
+                raise SceneError(f"{told}: other triangles; want those of the first frame, only vertices moved")
             if one.parts != first.parts and len(first.parts) > 1:  # a mesh of one part may bear its file's name
                 raise SceneError(f"{told}: parts {', '.join(one.parts)}; want {', '.join(first.parts)}")
             made.append(one)

@@ -37,7 +37,7 @@ BUILT = "casting.embree.structure"
 "Left out of what is built, not of a sweep."
 LEAST_SAVED = 3.0
 "[%] What saves less in every scene has one form only."
-HEAD = ("step", "by arrays: module, lines", "by loops: module, lines")
+HEAD = ("step", "numpy arrays: module, lines", "loops: module, lines")
 
 
 def pairs() -> dict[str, Pair]:

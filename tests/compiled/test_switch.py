@@ -127,7 +127,7 @@ def test_doctor_is_told_why() -> None:
         assert switch.why()[0]
         assert "packets of" in switch.why()[1]
     with switch.switched(False):
-        assert switch.why() == (False, "LIDAREMU_COMPILED=0 leaves them out")
+        assert switch.why() == (False, "LIDAREMU_COMPILED=0 switches them off")
 
 
 def test_what_was_built_with_them_serves_without() -> None:

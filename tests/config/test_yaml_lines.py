@@ -72,8 +72,8 @@ def test_items_of_lists_are_named_by_their_id_where_it_is_one() -> None:
         ("a: 1\n b: 2", "file.yaml:2: not YAML: "),
         ("a: b: c", "file.yaml:1: not YAML: "),
         ("a: *x", "file.yaml:1: alias *x without its anchor; want an anchor before it"),
-        ("a: &x [1, *x]", "file.yaml:1: alias *x inside its own anchor; want data without a circle"),
-        ("a: 1\n---\nb: 2", "file.yaml:2: a second document; want one document a file"),
+        ("a: &x [1, *x]", "file.yaml:1: alias *x inside its own anchor; want data without a cycle"),
+        ("a: 1\n---\nb: 2", "file.yaml:2: a second document; want one document per file"),
         ("a: \x00", "file.yaml:1: not YAML: "),
         ("a: \t- b", "file.yaml:1: not YAML: "),
         ("[" * 40, "file.yaml:1: nested more than 32 deep; want a flatter file"),
@@ -87,8 +87,8 @@ def test_what_cannot_be_read_is_told_with_its_line(text: str, told: str) -> None
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("a: 1\nb: 2\na: 3", "file.yaml:3: a: given twice, first in line 1; want each key once"),
-        ("x: {1: a, '1': b}", "file.yaml:1: x.1: given twice, first in line 1; want each key once"),
+        ("a: 1\nb: 2\na: 3", "file.yaml:3: a: given twice, first in line 1; want each key only once"),
+        ("x: {1: a, '1': b}", "file.yaml:1: x.1: given twice, first in line 1; want each key only once"),
         ("a: !!python/object:os.system x", "file.yaml:1: a: tag tag:yaml.org,2002:python/object:os.system; want"),
         ("a: !mine {b: 1}", "file.yaml:1: a: tag !mine; want plain data"),
         ("a: !!str 3", "file.yaml:1: a: tag tag:yaml.org,2002:str; want plain data"),

@@ -203,7 +203,7 @@ def test_triangles_of_no_area_are_left_out_told_and_do_no_harm(tmp_path: Path) -
     points = [[10, -5, -5], [10, 5, -5], [10, 0, 5], [5, 0, 0], [5, 1, 0], [5, 2, 0], [5, 0, 0]]
     write_obj(tmp_path / "wall.obj", points, np.array([[0, 1, 2], [3, 4, 5], [3, 3, 6], [3, 6, 4]]))
     world = scene_from(tmp_path, world=[{"mesh": "wall.obj", "material": "asphalt"}])
-    assert any("3 triangles of no area left out" in line for line in world.warnings)
+    assert any("3 triangles of zero area omitted" in line for line in world.warnings)
     hits = Caster(world).first_hits(np.zeros(3), np.array([[1.0, 0.0, 0.0]]), 0.0)
     assert hits.range_m[0] == 10.0
     assert hits.face[0] == 0
@@ -292,7 +292,7 @@ def test_of_many_bodies_on_each_other_a_few_are_told_and_the_rest_counted(tmp_pa
     told = [{**BOX, "at_m": [10.0, 0.0, 0.0], "material": ["asphalt", "white_plaster"][k % 2]} for k in range(8)]
     lines = scene_from(tmp_path, world=told).warnings
     assert len([line for line in lines if "arbitrary" in line]) == 5
-    assert lines[-1] == f"{tmp_path / 'scene.yaml'}: 11 more pairs of bodies lie on each other"
+    assert lines[-1] == f"{tmp_path / 'scene.yaml'}: 11 more pairs of bodies have coplanar triangles"
 
 
 def test_bodies_smaller_than_what_tells_twins_apart_are_none(tmp_path: Path) -> None:

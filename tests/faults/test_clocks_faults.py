@@ -112,7 +112,7 @@ def test_the_index_of_an_lms_stands_and_jumps_with_its_clock() -> None:
 
 def test_a_radar_without_stamps_has_no_clock_to_go_wrong() -> None:
     text = text_of("top", WALL, True, 0.0, "") + "  - {id: radar, model: can-ars408, from: [top]}\n"
-    with pytest.raises(ScenarioError, match="clock_stop: can-ars408 tells no time; want a device that tells a time"):
+    with pytest.raises(ScenarioError, match="can-ars408 reports no time; want a device that reports a time"):
         scenario.loads(text + "faults:\n  - {on: radar, do: clock_stop, at_s: 0.5}\n", Path("case.yaml"))
 
 

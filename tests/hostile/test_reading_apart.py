@@ -90,13 +90,13 @@ def test_one_process_reads_all_files_and_is_gone_afterwards(reader: Reader, squa
 @pytest.mark.parametrize(
     ("act", "told"),
     [
-        (lambda: os.kill(os.getpid(), signal.SIGSEGV), "whoever read it was ended by SIGSEGV; want a sound file"),
-        (lambda: os.kill(os.getpid(), signal.SIGKILL), "was ended by SIGKILL (out of memory?); want a sound file"),
-        (lambda: os.abort(), "was ended by SIGABRT"),
-        (lambda: os._exit(3), "whoever read it ended with code 3"),
-        (lambda: exit(3), "whoever read it ended with code 1"),
-        (lambda: 1 / 0, "whoever read it ended with code 1"),
-        (lambda: bytearray(20 * MESH.memory_bytes), "whoever read it ended with code 1"),
+        (lambda: os.kill(os.getpid(), signal.SIGSEGV), "process was terminated by SIGSEGV; want a sound file"),
+        (lambda: os.kill(os.getpid(), signal.SIGKILL), "was terminated by SIGKILL (out of memory?); want a sound file"),
+        (lambda: os.abort(), "was terminated by SIGABRT"),
+        (lambda: os._exit(3), "the reading process ended with code 3"),
+        (lambda: exit(3), "the reading process ended with code 1"),
+        (lambda: 1 / 0, "the reading process ended with code 1"),
+        (lambda: bytearray(20 * MESH.memory_bytes), "the reading process ended with code 1"),
     ],
 )
 def test_whatever_ends_the_process_is_told_and_the_next_file_is_read(
@@ -204,7 +204,7 @@ def test_an_answer_that_is_none_is_not_taken(
 
     monkeypatch.setattr(reading_apart, "_answer", answers)
     with Reader(MESH) as reader:
-        assert "answered nonsense" in told_of(reader, square)
+        assert "invalid answer" in told_of(reader, square)
 
 
 def test_a_process_ends_with_its_parent(monkeypatch: pytest.MonkeyPatch, square: Path) -> None:

@@ -190,7 +190,7 @@ def test_a_host_does_not_wait_for_ever_for_a_reply_whose_length_was_garbled() ->
 
 def test_a_fault_that_is_not_there_cannot_be_cleared() -> None:
     bench = Bench("line").until(1.0)
-    with pytest.raises(FaultError, match=r"number: 3; want none: there are none"):
+    with pytest.raises(FaultError, match=r"number: 3; want none: the list is empty"):
         bench.faults.clear(3, SECOND)
 
 

@@ -209,13 +209,13 @@ faults:
         ("{on: front, do: drop_telegram}", "do: drop_telegram without a trigger; want one of at_s, at_telegram"),
         ("{on: front, do: power_cycle, at_s: 1}", "off_s: missing; want this key"),
         ("{on: front, do: power_cycle, at_s: 1, off_s: -3}", "off_s: -3; want a number > 0"),
-        ("{on: front, do: power_cycle, at_s: 1, off_s: 3, for_s: 2}", "for_s: power_cycle does not take it; want"),
+        ("{on: front, do: power_cycle, at_s: 1, off_s: 3, for_s: 2}", "for_s: power_cycle does not have it; want"),
         ("{on: front, do: power_cycle, at_s: 1, of_s: 3, off_s: 3}", "of_s: unknown key; want off_s or one of"),
         ("{on: front, do: bus_off, at_s: 1}", "do: bus_off: front has links of the kind serial; want can"),
         ("{on: ld, do: wrong_baud, baud: 9600, at_s: 1}", "wrong_baud: ld has links of the kind stream; want serial"),
         ("{on: front, do: refuse_connections, at_s: 1}", "do: refuse_connections: front has pty:./a; want a tcp link"),
         ("{on: ld, do: wrong_address, at_s: 1}", "do: wrong_address: telegrams of sick-ld-lrs1000 have no such field"),
-        ("{on: objects, do: e2e_counter, at_s: 1}", "e2e_counter: objects sends no end-to-end protection; want"),
+        ("{on: objects, do: e2e_counter, at_s: 1}", "e2e_counter: objects has no end-to-end protection; want"),
         ("{on: objects, do: missing_message, at_s: 1, label: ObjGenral}", "message 'ObjGenral'; want ObjGeneral, "),
         ("{on: objects, do: drop_telegram, every: 2, label: ObjGenral}", "label: message 'ObjGenral'; want ObjGeneral"),
         ("{on: objects, do: lost_object, at_s: 1, actor: bus}", "do: lost_object: actor 'bus'; want one of car"),
@@ -229,8 +229,8 @@ faults:
         ("{on: front, do: drop_telegram, at_s: 1, link: 1}", "link: 1; want a number below 1"),
         ("{on: front, do: hang, when: front.nearest_m}", "when: 'front.nearest_m': a number where a truth value"),
         ("{on: front, do: hang, when: front.nearest_on(cart) < 3}", "actor 'cart'; want car or another of world, car"),
-        ("{on: front, do: hang, when: front.scans_per_s < 3}", "front.scans_per_s: known at the end of a run alone;"),
-        ("{on: front, do: hang, when: 1 < 2}", "when: '1 < 2': no sensor in it; want something like"),
+        ("{on: front, do: hang, when: front.scans_per_s < 3}", "front.scans_per_s: known only at the end of a run;"),
+        ("{on: front, do: hang, when: 1 < 2}", "when: '1 < 2': no sensor named; want something like"),
     ],
 )  # fmt: skip
 def test_a_wrong_fault_is_told_by_file_line_and_key(entry: str, told: str) -> None:
@@ -405,7 +405,7 @@ def test_a_run_forgets_faults_that_are_over_and_takes_more(monkeypatch: pytest.M
     assert len(bench.instrument.conditions.faults) == 1, "plans do not carry what is long over"
     for _ in range(2):
         bench.faults.add({"on": "front", "do": "drop_telegram", "every": 7}, 0)
-    with pytest.raises(FaultError, match="3 faults wait or hold already; want some of them cleared"):
+    with pytest.raises(FaultError, match="3 faults are waiting or active; want some of them cleared"):
         bench.faults.add({"on": "front", "do": "hang"}, 0)
 
 

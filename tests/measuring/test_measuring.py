@@ -98,12 +98,12 @@ def test_a_worker_that_dies_is_started_again_and_given_what_it_owed() -> None:
         assert float(good.range_m[0, 0]) == 14.0
         assert len(gather(made, "a", 1)) == 1
         assert made.failures == [
-            "deadly: sweep 13: ended the measuring process twice",
+            "deadly: sweep 13: terminated its measuring process twice",
         ]
         why = "ended with exit code 9 while it measured deadly, sweep 13"
         assert made.incidents == [
-            ("worker replaced", "worker 0", f"{why}; another one is started at once"),
-            ("worker replaced", "worker 0", f"{why}; another one is started in 0.25 s"),
+            ("worker replaced", "worker 0", f"{why}; a new one is started at once"),
+            ("worker replaced", "worker 0", f"{why}; a new one is started in 0.25 s"),
         ]
 
 

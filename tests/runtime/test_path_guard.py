@@ -65,7 +65,7 @@ def test_every_path_is_looked_at_once_a_second_where_nothing_is_told(
     assert not told(incidents)
     assert found.next_ns() == LOOK_NS
     found.look(LOOK_NS, at_ns=7 * LOOK_NS)
-    assert told(incidents) == [(RESTORED, 7.0, f"{name}: was removed; put back") for name in ("front", "can")]
+    assert told(incidents) == [(RESTORED, 7.0, f"{name}: was removed; restored") for name in ("front", "can")]
     assert (tmp_path / "front").is_symlink()
     assert (tmp_path / "can").is_symlink()
 
@@ -80,7 +80,7 @@ def test_a_change_is_seen_at_once_and_a_busy_folder_wakes_nobody_until_the_next_
     (tmp_path / "front").unlink()
     assert readable(found)
     found.changed(5)
-    assert told(incidents) == [(RESTORED, 5e-9, "front: was removed; put back")]
+    assert told(incidents) == [(RESTORED, 5e-9, "front: was removed; restored")]
     for number in range(100):
         (tmp_path / f"{number}").touch()
     assert not readable(found)
@@ -153,6 +153,6 @@ def test_the_daemon_puts_back_what_is_removed_while_nothing_else_is_due(links: l
 
     daemon.run(while_true=removed)  # the clock stands: the first change is told by the kernel, the second found in time
     assert [row["text"] for row in daemon.incidents.rows()] == [
-        f"{tmp_path / name}: was removed; put back" for name in ("front", "can")
+        f"{tmp_path / name}: was removed; restored" for name in ("front", "can")
     ]
     daemon.close()

@@ -131,8 +131,8 @@ BAD = [
     ("actors: [{id: 3}]\n", "test.yaml:2: actors[0].id: 3; want a text"),
     ("actors: [{id: 3a}]\n", "test.yaml:2: actors.3a.id: '3a'; want a text of the form"),
     ("actors:\n  - {id: a}\n  - {id: a}\n",
-     "test.yaml:4: actors[1].id: 'a' is also the id of number 0; want ids of their own"),
-    ("actors: [{id: world}]\n", "test.yaml:2: actors.world.id: 'world' is the name of what does not move; want"),
+     "test.yaml:4: actors[1].id: 'a' is also the id of number 0; want unique ids"),
+    ("actors: [{id: world}]\n", "test.yaml:2: actors.world.id: 'world' is reserved for everything that does not move"),
     ("actors: [{id: a, class: lorry}]\n", "test.yaml:2: actors.a.class: 'lorry'; want 'car', 'truck', "),
     ("actors: [{id: a, motion: {at_m: [0, 0, .nan]}}]\n", "test.yaml:2: actors.a.motion.at_m[2]: nan; want a finite"),
     ("actors: [{id: a, motion: {at_m: [0, 0, true]}}]\n", "test.yaml:2: actors.a.motion.at_m[2]: True; want a num"),
@@ -148,7 +148,7 @@ BAD = [
     ("sensors: [{id: s}]\n", "test.yaml:2: sensors.s.model: missing; want this key"),
     ("sensors: [{id: s, model: sick-lms219-s05}]\n", "test.yaml:2: sensors.s.model: 'sick-lms219-s05'; want sick-lms"),
     ("sensors: [{id: s, model: sick-lms291-s05, mount: {actor: ego}}]\n",
-     "test.yaml:2: sensors.s.mount.actor: 'ego'; want none: there are none; leave it out for the world"),
+     "test.yaml:2: sensors.s.mount.actor: 'ego'; want none: the list is empty; leave it out for the world"),
     ("sensors: [{id: s, model: sick-lms291-s05, mount: {yaw: 3}}]\n",
      "test.yaml:2: sensors.s.mount.yaw: unknown key; did you mean yaw_deg? want one of "),
     ("sensors: [{id: s, model: sick-lms291-s05, mode: dream}]\n",
@@ -159,7 +159,7 @@ BAD = [
     ("sensors: [{id: s, model: sick-lms291-s05, links: ['tcp:nowhere']}]\n", "test.yaml:2: sensors.s.links[0]: "),
     ("sensors:\n  - {id: s, model: sick-lms291-s05, links: ['pty:./x']}\n"
      "  - {id: t, model: sick-lms291-s05, links: ['pty:./x']}\n",
-     "test.yaml:4: sensors.t.links[0]: 'pty:./x' is also a link of s; want a link of its own"),
+     "test.yaml:4: sensors.t.links[0]: 'pty:./x' is also a link of s; want a link used only once"),
     ("sensors: [{id: s, model: sick-lms291-s05, device: {a: [1, {b: .nan}]}}]\n",
      "test.yaml:2: sensors.s.device.a[1].b: nan; want a finite number"),
     ("sensors: [{id: s, model: paper-905nm, links: ['pty:./x']}]\n",
@@ -180,11 +180,11 @@ BAD = [
     ("weather: {spray: {length_m: 1e12}}\n",
      "test.yaml:2: weather.spray.length_m: 1000000000000.0; want a number <= 1e+09"),
     ("weather: {fgo: {}}\n", "test.yaml:2: weather.fgo: unknown key; did you mean fog? want one of "),
-    ("weather: {spray: {behind: [x]}}\n", "test.yaml:2: weather.spray.behind[0]: 'x'; want none: there are none"),
+    ("weather: {spray: {behind: [x]}}\n", "test.yaml:2: weather.spray.behind[0]: 'x'; want none: the list is empty"),
     ("materials: {mine: {rho: 2}}\n", "test.yaml:2: materials.mine.rho: 2; want a number from 0 to 1"),
     ("materials: {mine: {ro: 0.2}}\n", "test.yaml:2: materials.mine.ro: unknown key; want rho"),
     ("materials: {mine: 3}\n", "test.yaml:2: materials.mine: 3; want keys with values"),
-    ("schema: 1\n", "test.yaml:2: schema: given twice, first in line 1; want each key once"),
+    ("schema: 1\n", "test.yaml:2: schema: given twice, first in line 1; want each key only once"),
 ]  # fmt: skip
 
 

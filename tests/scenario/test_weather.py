@@ -48,7 +48,7 @@ def weather(text: str) -> WeatherConfig:
         ("snow: {rate_mm_h: 1, kind: grey}", "snow.kind: 'grey'; want 'wet' or 'dry'"),
         ("rains: {rate_mm_h: 1}", "fog.yaml:1: rains: unknown key; did you mean rain?"),
         ("sun: {elevation_deg: 100}", "sun.elevation_deg: 100; want a number <= 90"),
-        ("layers: [{top_m: 3}]", "nothing in it"),
+        ("layers: [{top_m: 3}]", "empty; want"),
         ("layers: [{bottom_m: 4, top_m: 3, extinction_per_m: 0.1}]", "not above bottom_m"),
         ("plumes: [{at_m: [0, 0, 0], size_m: [1, 0, 1], smoke: {visibility_m: 5}}]", "plumes[0].size_m[1]: 0; want"),
         ("changes: [{t_s: 3}, {t_s: 3}]", "want rising t_s"),

@@ -265,4 +265,4 @@ def test_volumes_clearer_than_the_air_never_make_light_and_say_so(tmp_path: Path
     layer = {"bottom_m": -50.0, "top_m": 50.0, "fog": {"visibility_m": 90_000.0}}
     measure = build(tmp_path, WALL, weather={"layers": [layer] * count}, physics=AXIS)
     assert extinction(measure) == pytest.approx(CLEAR, rel=1e-6)
-    assert "layer or plume: clearer than the air around it; adds nothing" in measure.warnings
+    assert "layer or plume: clearer than the surrounding air; has no effect" in measure.warnings

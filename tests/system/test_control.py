@@ -220,7 +220,7 @@ def test_two_hundred_silent_clients_lock_nobody_out(daemon: Callable[..., object
             crowd.enter_context(connect(path))
             if number % 20 == 0:
                 assert main(["ctl", "glance", "--socket", str(path)]) == 0
-        assert "the longest silent of 16 clients when another one came" in line(first)["error"]["message"]
+        assert "longest idle of 16 clients when a new one connected" in line(first)["error"]["message"]
         assert first.recv(1) == b""
         working.sendall(b"}\n")
         assert line(working)["id"] == 1

@@ -131,7 +131,7 @@ def test_sensors_share_a_bus_and_a_filter_of_one_host_holds_from_the_next_list(
                 break
         other.terminate()
     counts = [len(rows) for rows in lists_of(mine)]
-    # the list in which the device answered was under way, at the latest the one after the next obeys
+    # the list in which the device answered was in flight, at the latest the one after the next obeys
     answered = next(index for index, (peer, _) in enumerate(mine) if peer == 0x203)
     before = sum(peer == 0x60A for peer, _ in mine[:answered])
     assert before >= 8

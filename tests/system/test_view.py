@@ -251,7 +251,7 @@ def test_a_scenario_stands_at_its_end_and_the_page_says_so(
         "schema: 1\nduration_s: 2\nsensors:\n  - {id: front, model: sick-lms291-s05, links: ['pty:./front']}\n"
     )
     browser.get(view("short.yaml"))
-    there(browser, "//*[contains(text(), 'The scenario ends here, at 2 s.')]")
+    there(browser, "//*[contains(text(), 'The scenario ends at 2 s.')]")
     assert browser.execute_script(NOW) == 2.0
     press(browser, "Resume")
     until(lambda: browser.execute_script(NOW) > 2.0, why="time does not go on")

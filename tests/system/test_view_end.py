@@ -79,7 +79,7 @@ def test_with_the_page_its_daemon_and_its_folder_go(
 def test_the_end_of_the_daemon_is_told_and_the_page_stays(view: subprocess.Popen[str], tmp_path: Path) -> None:
     os.kill(daemon_of(view), signal.SIGKILL)
     assert view.stderr is not None
-    until(lambda: "the daemon was ended by signal 9; the page shows what was there last" in view.stderr.readline())
+    until(lambda: "the daemon was ended by signal 9; the page shows the last state" in view.stderr.readline())
     assert view.poll() is None
     view.terminate()
     assert view.wait(PATIENCE_S) == 3

@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def test_a_virtual_run_without_a_host_says_why_it_stands(daemon: Callable[..., object], tmp_path: Path) -> None:
     running = daemon("flat_wall", "--clock", "virtual", "--duration", "600")
     assert running.process.stderr.readline() == (
-        "lidaremu: no host is connected: virtual time stands until one is; --no-wait lets it go on\n"
+        "lidaremu: no host is connected: virtual time is stopped; --no-wait lets it advance\n"
     )
     assert running.stop() == 0
     assert running.errors == ""

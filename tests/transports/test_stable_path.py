@@ -157,14 +157,14 @@ def test_a_link_that_stands_is_told_nothing_of(place: StablePath) -> None:
 
 def test_a_link_that_was_removed_is_put_back_and_told_once(place: StablePath, port: Path) -> None:
     port.unlink()
-    assert told(place) == ["link restored: was removed; put back"]
+    assert told(place) == ["link restored: was removed; restored"]
     assert os.readlink(port) == GONE
     assert told(place) == []
 
 
 def test_a_link_that_was_renamed_is_put_back_and_the_other_name_left(place: StablePath, port: Path) -> None:
     port.rename(port.parent / "old")
-    assert told(place) == ["link restored: was removed; put back"]
+    assert told(place) == ["link restored: was removed; restored"]
     assert os.readlink(port) == os.readlink(port.parent / "old") == GONE
 
 
@@ -174,7 +174,7 @@ def test_a_link_to_nowhere_in_its_place_is_replaced_and_said_where_it_led(
 ) -> None:
     port.unlink()
     port.symlink_to(target)
-    assert told(place) == [f"link restored: a link to {target} stood there; put back"]
+    assert told(place) == [f"link restored: a link to {target} was there; restored"]
     assert os.readlink(port) == GONE
 
 
@@ -200,11 +200,11 @@ def test_what_is_somebody_elses_is_left_alone_until_it_goes(
     port.unlink()
     put(port)
     before = sorted(str(path) for path in port.parent.rglob("*"))
-    assert told(place) == [f"link path taken: {what} stands there now; left alone, put back when it goes"]
+    assert told(place) == [f"link path taken: {what} exists there; left alone, restored when it is gone"]
     assert told(place, 5 * SECOND_NS) == []
     assert sorted(str(path) for path in port.parent.rglob("*")) == before
     port.rename(port.parent / "elsewhere")
-    assert told(place, 6 * SECOND_NS) == ["link restored: was removed; put back"]
+    assert told(place, 6 * SECOND_NS) == ["link restored: was removed; restored"]
 
 
 def test_a_living_terminal_in_its_place_is_left_alone_and_what_is_dead_is_not(place: StablePath, port: Path) -> None:
@@ -222,7 +222,7 @@ def test_a_link_that_its_mover_puts_back_is_told(place: StablePath, port: Path) 
     port.write_text("for a while")
     told(place)
     (port.parent / "old").replace(port)
-    assert told(place) == ["link restored: leads here again"]
+    assert told(place) == ["link restored: points here again"]
 
 
 def test_of_two_running_owners_the_one_that_came_later_keeps_the_path_until_it_ends(port: Path) -> None:
@@ -236,7 +236,7 @@ def test_of_two_running_owners_the_one_that_came_later_keeps_the_path_until_it_e
         assert told(second, number * SECOND_NS) == []
         assert os.readlink(port) == "/dev/pts/4000001"
     second.remove()
-    assert told(first, 100 * SECOND_NS) == ["link restored: was removed; put back"]
+    assert told(first, 100 * SECOND_NS) == ["link restored: was removed; restored"]
     with pytest.raises(LinkError, match="in use by a running emulator"):
         StablePath(str(port), "/dev/pts/4000001")
     first.remove()
@@ -262,15 +262,15 @@ def test_a_lock_that_was_removed_is_taken_anew_so_that_no_other_owner_comes(plac
     port.unlink()
     with pytest.raises(LinkError, match="in use by a running emulator"):
         StablePath(str(port), "/dev/pts/4000001")
-    assert told(place) == ["link restored: was removed; put back"]
+    assert told(place) == ["link restored: was removed; restored"]
 
 
 def test_a_folder_that_is_gone_is_told_and_waited_for(place: StablePath, port: Path) -> None:
     shutil.rmtree(port.parent)
-    assert told(place) == [f"link path gone: folder {port.parent} is gone; put back when it is there again"]
+    assert told(place) == [f"link path gone: folder {port.parent} is gone; the link is restored when it exists again"]
     assert told(place, SECOND_NS) == []
     port.parent.mkdir()
-    assert told(place, 2 * SECOND_NS) == ["link restored: was removed; put back"]
+    assert told(place, 2 * SECOND_NS) == ["link restored: was removed; restored"]
     assert sorted(os.listdir(port.parent)) == [".front.lidaremu", "front"]
 
 
@@ -285,9 +285,9 @@ def test_who_is_robbed_again_and_again_waits_longer_each_time(place: StablePath,
     assert gaps[:7] == [1, 2, 4, 8, 16, 32, 60]
     assert set(gaps[7:]) == {60}
     port.unlink(missing_ok=True)
-    assert told(place, 2000 * SECOND_NS) == ["link restored: was removed; put back"]
+    assert told(place, 2000 * SECOND_NS) == ["link restored: was removed; restored"]
     port.unlink()
-    assert told(place, 2000 * SECOND_NS) == ["link restored: was removed; put back"]  # all is forgiven
+    assert told(place, 2000 * SECOND_NS) == ["link restored: was removed; restored"]  # all is forgiven
 
 
 def test_a_lock_in_whose_place_stands_something_else_is_refused(port: Path) -> None:

@@ -73,10 +73,10 @@ def test_an_ack_and_its_answer_in_one_piece_are_both_told() -> None:
 @pytest.mark.parametrize(
     ("data", "reason"),
     [
-        ("02 00 02 00 20 24 34 09", "the check is wrong"),
-        ("02 00 02 00 20", "no telegram begins here"),
+        ("02 00 02 00 20 24 34 09", "wrong checksum"),
+        ("02 00 02 00 20", "no start of a telegram"),
         ("02 00 20 00 20 24 34 08", "8 bytes; the length field says 38"),
-        ("AA BB", "no telegram begins here"),
+        ("AA BB", "no start of a telegram"),
     ],
 )
 def test_what_is_none_is_shown_as_hex_with_the_reason(data: str, reason: str) -> None:

@@ -289,7 +289,7 @@ def test_odd_meshes_are_warned_about(tmp_path: Path) -> None:
         "mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\nf 1 1 2\nusemtl blue\nf 1 2 3\n"
     )
     warnings = built("world: [{mesh: c.obj, material: brick}]\n", tmp_path).warnings
-    assert any("1 triangles of no area left out" in one for one in warnings)
+    assert any("1 triangles of zero area omitted" in one for one in warnings)
     assert any("1 triangles lie on one of another part" in one for one in warnings)
 
 

@@ -1,4 +1,4 @@
-"""`lidaremu explain`: every rule is told, with its switch, and what is told is what is done."""
+"""`lidaremu explain`: every rule is reported, with its switch, and the report is what a sweep does."""
 
 from __future__ import annotations
 
@@ -56,9 +56,11 @@ def test_every_rule_is_told_for_every_sensor_with_and_without_full(capsys: pytes
 def test_explain_in_words_measures_what_rules_save(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explain", "flat_wall"]) == 0
     text = capsys.readouterr().out
-    assert "bundles of plain beams" in text
-    assert "every rule off: 61.00 rays a beam" in text
-    assert "saves 61.00 rays a beam" in text
+    assert "footprint sub-rays" in text
+    assert "; all rules off: 61.00 rays, " in text
+    (line,) = [line for line in text.splitlines() if line.startswith("  ray casts on static bodies ")]
+    assert "left out" in line
+    assert line.split()[-2] == "61.00"
 
 
 def test_the_plan_is_that_of_the_device_in_the_scenario(capsys: pytest.CaptureFixture[str]) -> None:
@@ -78,33 +80,33 @@ def test_every_switch_is_a_key_of_physics() -> None:
 
 
 def test_plain_beams_are_told_with_their_share_and_kept_with_full() -> None:
-    assert told(wall())["bundles of plain beams"]["left_out"]
-    assert not told(wall(), full=True)["bundles of plain beams"]["left_out"]
+    assert told(wall())["footprint sub-rays"]["left_out"]
+    assert not told(wall(), full=True)["footprint sub-rays"]["left_out"]
 
 
 def test_surfaces_out_of_reach_are_left_out_and_are_not_seen_either_way() -> None:
-    assert told(wall())["surfaces out of reach"]["left_out"]
+    assert told(wall())["surfaces beyond the gate"]["left_out"]
     far = wall(400.0)
     assert not measure_of(far, "sick-ld-lrs1000")(plan()).actor.max() >= 0
     assert not measure_of(far, "sick-ld-lrs1000", full=True)(plan()).actor.max() >= 0
-    assert not told(far, full=True)["surfaces out of reach"]["left_out"]
+    assert not told(far, full=True)["surfaces beyond the gate"]["left_out"]
 
 
 def test_background_light_and_noise_echoes_are_told_with_bound_and_margin() -> None:
     found = told(wall(), threshold_to_noise=12.0)
     assert found["background light"]["left_out"]
-    assert found["noise echoes"]["left_out"]
-    assert not told(wall(), threshold_to_noise=4.0)["noise echoes"]["left_out"]
+    assert found["noise false alarms"]["left_out"]
+    assert not told(wall(), threshold_to_noise=4.0)["noise false alarms"]["left_out"]
 
 
 def test_backscatter_of_clear_air_is_out_behind_a_gate_and_in_where_it_could_be_seen() -> None:
-    assert told(wall(), near_gate_m=20.0)["backscatter of the air"]["left_out"]
-    assert not told(wall(), full=True)["backscatter of the air"]["left_out"]
+    assert told(wall(), near_gate_m=20.0)["atmospheric backscatter"]["left_out"]
+    assert not told(wall(), full=True)["atmospheric backscatter"]["left_out"]
 
 
 def test_second_rays_are_kept_where_there_is_glass() -> None:
-    assert told(wall())["second rays"]["left_out"]
-    assert not told(wall(material="window_glass"))["second rays"]["left_out"]
+    assert told(wall())["secondary rays"]["left_out"]
+    assert not told(wall(material="window_glass"))["secondary rays"]["left_out"]
 
 
 # ------------------------------------------------------------------------------- what is told is what is done
@@ -131,7 +133,7 @@ def test_as_many_faint_reflections_are_told_as_the_receiver_drops(
 
     monkeypatch.setattr(receiver, "looked_at", seen)
     measure(beams)
-    row = {row["term"]: row for row in error_budget.explained(measure, beams)}["faint reflections"]
+    row = {row["term"]: row for row in error_budget.explained(measure, beams)}["weak reflections"]
     gone = sum(pair[0] for pair in dropped)
     assert str(row["saves"]).startswith(f"{gone} of {sum(pair[1] for pair in dropped)} reflections")
     assert row["left_out"] == (gone > 0) == (visibility_m > 1e4)
@@ -141,26 +143,26 @@ def test_as_many_faint_reflections_are_told_as_the_receiver_drops(
 def test_rain_that_is_seen_less_than_once_in_a_thousand_sweeps_is_told_as_left_out(rain: dict[str, float]) -> None:
     for rate_mm_h, left_out in ((1e-7, True), (20.0, False)):
         weather = WeatherConfig.model_validate({"rain": {"rate_mm_h": rate_mm_h, "echoes": "drops", **rain}})
-        row = told(wall(), "sick-lms291-s05", weather, floor_reflectance="off")["falling particles"]
+        row = told(wall(), "sick-lms291-s05", weather, floor_reflectance="off")["precipitation particles"]
         value, bound = numbers(row)
         assert row["left_out"] is left_out
         assert not row["idle"]
         assert (0.0 < value < bound) is left_out
         assert bound == particles.RARE
-    assert told(wall())["falling particles"]["idle"]
+    assert told(wall())["precipitation particles"]["idle"]
 
 
 def test_the_mean_number_of_drops_that_is_told_is_that_of_those_drawn() -> None:
     weather = WeatherConfig.model_validate({"rain": {"rate_mm_h": 100.0, "echoes": "drops"}})
     measure = measure_of(wall(), "sick-lms291-s05", weather, floor_reflectance="off")
-    row = {row["term"]: row for row in error_budget.explained(measure, plan())}["falling particles"]
+    row = {row["term"]: row for row in error_budget.explained(measure, plan())}["precipitation particles"]
     drawn = [len(measure.view(plan(sweep=k)).echoes) - len(measure.view(plan(sweep=k)).seen.echoes) for k in range(300)]
     mean, _ = numbers(row)
     assert abs(sum(drawn) / 300 - mean) < 4.0 * (mean / 300) ** 0.5
     assert mean > 0.1
 
 
-EXACT = {"rebuilding of structures", "casts on what rests", "tables of the medium", "what nobody asked for"}
+EXACT = {"acceleration-structure rebuild", "ray casts on static bodies", "backscatter tables", "outputs not requested"}
 "Left out without anything to compare."
 
 
@@ -182,17 +184,17 @@ def test_plane_moments_are_told_by_the_largest_shift_of_beams_that_have_their_ec
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     spare, step_m = {"closed_form": "always"}, measure_of(wall(), "sick-ld-lrs1000").model.lsb_m
-    row = told(wall(), leave_out=spare)["bundle ranges on planes"]
+    row = told(wall(), leave_out=spare)["sub-ray ranges on planes"]
     value, bound = numbers(row)
     assert row["left_out"]
     assert 0.0 < value <= bound == pytest.approx(closed.SHIFT_LSB * step_m)
     monkeypatch.setattr(closed, "SHIFT_LSB", 0.5 * value / step_m)
-    fewer, _ = numbers(told(wall(), leave_out=spare)["bundle ranges on planes"])
+    fewer, _ = numbers(told(wall(), leave_out=spare)["sub-ray ranges on planes"])
     assert 0.0 < fewer <= 0.5 * value
 
 
 def test_clusters_are_told_by_the_longest_that_is_not_sampled() -> None:
-    straight, steep = (told(wall(yaw_deg=yaw))["sampled waveforms"] for yaw in (0.0, 60.0))
+    straight, steep = (told(wall(yaw_deg=yaw))["waveform sampling"] for yaw in (0.0, 60.0))
     (short, bound), (long, _) = numbers(straight), numbers(steep)
     assert 0.0 < short < bound
     assert 0.0 < long <= bound
@@ -201,30 +203,30 @@ def test_clusters_are_told_by_the_longest_that_is_not_sampled() -> None:
 
 def test_backscatter_that_is_followed_is_told_by_what_is_left_out_of_it() -> None:
     """The largest share of its bound lies where it is left out first, so it is just below."""
-    row = told(wall(), weather=HAZE)["backscatter of the air"]
+    row = told(wall(), weather=HAZE)["atmospheric backscatter"]
     value, bound = numbers(row)
     assert row["left_out"]
-    assert "before, it shifts echoes of surfaces" in str(row["saves"])
+    assert "nearer, it shifts surface echoes" in str(row["saves"])
     assert 0.9 * bound < value <= bound
-    whole = told(wall(), weather=HAZE, pulse="gauss")["backscatter of the air"]
+    whole = told(wall(), weather=HAZE, pulse="gauss")["atmospheric backscatter"]
     value, bound = numbers(whole)
     assert not whole["left_out"]
     assert value > bound
     shown = told(wall(), "sick-lms291-s05", WeatherConfig.model_validate({"visibility_m": 10.0}),
-                 floor_reflectance="off")["backscatter of the air"]  # fmt: skip
+                 floor_reflectance="off")["atmospheric backscatter"]  # fmt: skip
     value, bound = numbers(shown)
     assert not shown["left_out"]
     assert value > bound
 
 
 def test_second_rays_are_told_by_the_best_surface_behind() -> None:
-    near = told(wall(material="window_glass"))["second rays"]
+    near = told(wall(material="window_glass"))["secondary rays"]
     value, bound = numbers(near)
     assert not near["left_out"]
     assert value > bound
     some = str(near["saves"]).split()
     assert int(some[0]) < int(some[2])
-    weak = told(wall(material="window_glass"), system_constant_m2=1.0)["second rays"]
+    weak = told(wall(material="window_glass"), system_constant_m2=1.0)["secondary rays"]
     value, bound = numbers(weak)
     assert weak["left_out"]
     assert not weak["idle"]
@@ -234,14 +236,14 @@ def test_second_rays_are_told_by_the_best_surface_behind() -> None:
 
 
 def test_surfaces_out_of_reach_are_told_with_the_last_range_of_an_echo() -> None:
-    value, bound = numbers(told(wall())["surfaces out of reach"])
+    value, bound = numbers(told(wall())["surfaces beyond the gate"])
     assert plan().max_range_m < value < bound
 
 
 def test_surfaces_out_of_reach_are_told_as_kept_where_one_more_ray_for_their_light_costs_more() -> None:
     sun = WeatherConfig.model_validate({"sun": {"azimuth_deg": 180.0, "elevation_deg": 30.0}})
     for x_m, left_out in ((20.0, True), (400.0, False)):
-        row = told(wall(x_m), "sick-lms291-s05", sun)["surfaces out of reach"]
+        row = told(wall(x_m), "sick-lms291-s05", sun)["surfaces beyond the gate"]
         assert row["left_out"] is left_out
         assert str(row["saves"]).startswith("0 rays") is not left_out
 
@@ -252,23 +254,57 @@ def test_plain_beams_are_counted_not_rounded_up_to_all() -> None:
     world = Scene(("world",), ("unknown",), (Steady(),), ("asphalt",), (made,))
     measure = measure_of(world, "sick-ld-lrs1000", leave_out={"closed_form": "always"})
     beams = plan(720, 179.75)
-    row = {row["term"]: row for row in error_budget.explained(measure, beams)}["bundles of plain beams"]
+    row = {row["term"]: row for row in error_budget.explained(measure, beams)}["footprint sub-rays"]
     plain = measure.view(beams).plain
     assert plain is not None
     assert 716 <= plain.sum() < 720
-    assert str(row["saves"]).endswith(f", {plain.sum()} of 720 beams plain")
+    assert str(row["saves"]).endswith(f"; {plain.sum()} of 720 beams see a single plane")
 
 
-def test_every_line_in_words_has_numbers_or_the_word_exact(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["explain", "flat_wall", "--quick"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    for rule in error_budget.RULES:
-        (line,) = [line for line in lines if line.startswith(f"  {rule.name} ")]
-        assert line.endswith("  exact") or (" of " in line and ", margin " in line)
+def table(capsys: pytest.CaptureFixture[str], *more: str) -> tuple[str, list[str]]:
+    assert main(["explain", "flat_wall", *more]) == 0
+    head, *lines = capsys.readouterr().out.splitlines()
+    return head, lines
+
+
+def test_by_default_a_term_is_one_line_in_columns_under_a_header(capsys: pytest.CaptureFixture[str]) -> None:
+    head, (header, *lines) = table(capsys, "--quick")
+    assert head.startswith("front (sick-lms291-s05): 361 beams per sweep; ")
+    assert len(lines) == len(error_budget.RULES)
+    at = {name: header.index(name) for name in ("term", "decision", "unit")}
+    until = {name: header.index(name) + len(name) for name in ("value", "bound", "saved: rays per beam")}
+    for rule, line in zip(error_budget.RULES, lines, strict=True):
+        cells = line.split("  ")
+        assert line[at["term"] : at["decision"]].strip() == rule.name
+        assert line[at["decision"] :].startswith(("kept ", "left out ", "not present "))
+        assert line[: until["value"]].endswith("exact") == line[: until["bound"]].endswith("-")
+        assert line[until["value"] :].startswith("  ")
+        assert line[: until["saved: rays per beam"]].endswith("-")
+        assert all(len(cell) <= 30 for cell in cells)
+
+
+def test_the_reasons_stand_under_why(capsys: pytest.CaptureFixture[str]) -> None:
+    _, short = table(capsys, "--quick")
+    _, (_, *lines) = table(capsys, "--quick", "--why")
+    for number, rule in enumerate(error_budget.RULES):
+        line, why, decided = lines[3 * number : 3 * number + 3]
+        assert line.startswith(f"  {rule.name} ")
+        assert why == f"      why: {rule.why}"
+        assert decided.startswith(f"      decided: {rule.when}; saves: ")
+        assert decided.endswith(f"; switch: {rule.switch}")
+        assert not any(rule.why in one for one in short)
+
+
+def test_what_a_kept_term_would_save_stands_in_brackets(capsys: pytest.CaptureFixture[str]) -> None:
+    _, (_, *lines) = table(capsys)
+    kept = [line for line in lines if " kept " in line]
+    (line,) = [line for line in kept if line.startswith("  footprint sub-rays ")]
+    assert all(cell.startswith("(") and cell.endswith(")") for cell in line.split()[-2:])
+    assert not any("(" in line for line in lines if " left out " in line)
 
 
 def test_a_scenario_without_a_sensor_that_sees_beams_says_so(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explain", "flat_wall", "--set", "sensors=[]"]) == 0
     told = capsys.readouterr()
     assert told.out == ""
-    assert "no sensor here sees beams" in told.err
+    assert "no sensor of this scenario measures with beams" in told.err

@@ -1,0 +1,90 @@
+"""Pages and help texts use the field's words: words of ours that a stranger cannot know do not come back."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import pytest
+
+from emulator.commands.cli import commands
+from emulator.sensing import error_budget
+from tests.docs import reading
+
+OURS = {
+    r"told|tells|untold": "reported, reports",
+    r"spares?|spared|sparing": "saves, pruning",
+    r"befalls?|befell": "incident",
+    r"onlookers?|who looks on|looks? on": "observer",
+    r"strangers?": "untrusted",
+    r"twins?": "coplanar",
+    r"so manieth": "every n-th",
+    r"hung up on": "disconnected",
+    r"at one go|hearing": "input budget, rate limit",
+    r"depth there and back": "two-way optical depth",
+    r"half a step and no": "half a quantization step",
+    r"by arrays": "with numpy arrays",
+    r"reads? aloud|aloud": "print",
+    r"of ours|our own": "built-in, of lidaremu",
+    r"stands? still|stood still": "hangs, stops",
+    r"made to hurt": "malformed",
+    r"one object an?|one json object an?|objects? a (?:line|scan|sensor|scenario)": "per",
+    r"(?:rays|beams|scans|ms|us|times) a (?:second|beam|sweep|scan|sensor)": "per",
+    r"goes wrong on purpose": "fault injection",
+    r"put back": "restored",
+    r"how right": "how accurate",
+    r"suffer(?:s|ed|ing)?": "impair",
+    r"telling": "sanitizing",
+    r"patience": "time limit",
+}
+"""Word of ours, and what to write instead."""
+ELSEWHERE = {"scoreboard.md"}
+"Pages that a run of tests writes."
+
+
+def left(text: str) -> list[str]:
+    """Words of ours in a text; what stands in backquotes is a name and stays."""
+    plain = re.sub(r"`[^`\n]*`", "", text)
+    return [f"{found[0]!r}; want {want}" for ours, want in OURS.items() for found in _found(ours, plain)]
+
+
+def _found(ours: str, text: str) -> Iterator[re.Match[str]]:
+    return re.finditer(rf"\b(?:{ours})\b", text, re.IGNORECASE)
+
+
+def helps(command: click.Command, name: str) -> Iterator[tuple[str, str]]:
+    """Help text of a command, of its options, and of those below it."""
+    yield name, command.help or ""
+    for one in command.params:
+        yield f"{name} {one.name}", getattr(one, "help", None) or ""
+    if isinstance(command, click.Group):
+        for below in command.commands.values():
+            yield from helps(below, f"{name} {below.name}")
+
+
+@pytest.mark.parametrize(
+    "page", [one for one in reading.pages() if one.name not in ELSEWHERE], ids=lambda one: one.name
+)
+def test_pages_use_the_words_of_the_field(page: Path) -> None:
+    lines = page.read_text(encoding="utf-8").splitlines()
+    found = [f"{page.name}:{number}: {word}" for number, line in enumerate(lines, 1) for word in left(line)]
+    assert not found, "\n".join(found)
+
+
+def test_help_texts_use_the_words_of_the_field() -> None:
+    found = [f"{name}: {word}" for name, text in helps(commands, "lidaremu") for word in left(text)]
+    assert not found, "\n".join(found)
+
+
+def test_the_error_budget_uses_the_words_of_the_field() -> None:
+    found = [word for rule in error_budget.RULES for word in left(f"{rule.name}. {rule.when}. {rule.why}")]
+    assert not found, "\n".join(found)
+
+
+def test_a_word_of_ours_is_found_and_a_name_in_backquotes_is_not() -> None:
+    assert left("What befell it is told, 60 rays a beam.") == [
+        "'told'; want reported, reports", "'befell'; want incident", "'rays a beam'; want per",
+    ]  # fmt: skip
+    assert left("key `told`, default true") == []
