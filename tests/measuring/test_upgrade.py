@@ -223,7 +223,7 @@ def test_a_worker_that_stands_still_when_asked_what_it_remembers_is_replaced_by_
     assert run.advance(2.0, lambda: len(run.processes) == 2)
     run.processes[0]._hand_over = lambda state: None  # type: ignore[method-assign]
     run.advance(time_limits.QUESTION_NS / SECOND + 2.0)
-    assert "stood still" in " ".join(run.texts())
+    assert "hung" in " ".join(run.texts())
     assert "handing over" in " ".join(run.texts())
     assert run.forms() == ["loops"]
     assert run.rate_hz("front", 2.0) == pytest.approx(RATE_HZ, abs=1.0)

@@ -173,7 +173,7 @@ def test_a_folder_with_a_recording_is_not_written_over(folder: Path) -> None:
 def test_diff_names_the_first_byte_and_beam(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record(tmp_path / "other", seed=4)
     assert main(["diff", str(folder), str(folder)]) == 0
-    assert "the same" in capsys.readouterr().out
+    assert "identical" in capsys.readouterr().out
     assert main(["diff", str(folder), str(tmp_path / "other"), "--json"]) == 1
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert any("byte" in row["what"] and row["where"].startswith("front, link 0, tx") for row in rows)

@@ -46,7 +46,7 @@ def test_good_texts_are_taken(url: str) -> None:
         ("pty:", "'pty:'", "pty:PATH"),
         ("pty:front?speed=slow", "speed=slow", "strict, custom_divisor, ignore"),
         ("pty:front?sped=strict", "unknown option 'sped'", "speed"),
-        ("pty:front?speed=strict&speed=ignore", "stands twice", "once"),
+        ("pty:front?speed=strict&speed=ignore", "given twice", "once"),
         ("pty:front?speed", "'speed' after the question mark", "KEY=VALUE"),
         ("pty:a\nb", "cannot be printed", "printable"),
         ("pty:a\0b", "cannot be printed", "printable"),

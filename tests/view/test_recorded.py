@@ -83,5 +83,5 @@ def test_what_would_change_it_is_refused(source: recorded.RecordedSource) -> Non
 
 def test_one_cut_before_its_scenario_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorded, "read_run", lambda path: RecordedRun(Path("run.mcap")))
-    with pytest.raises(ViewError, match="cut within its first bytes"):
+    with pytest.raises(ViewError, match="truncated within its first bytes"):
         recorded.RecordedSource(Path("run.mcap"))
