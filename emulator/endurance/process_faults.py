@@ -104,7 +104,7 @@ PROCESS_FAULTS = (
                  ("sensor silent", "(sensor back)")),
     ProcessFault("worker", "out of memory", "MemoryError in a sweep", "both", "a scan without echoes",
                  "`failures` by cause; reported once", "0",
-                 f"{PLAYED}::test_a_sweep_out_of_memory_comes_back_without_echoes"),
+                 f"{PLAYED}::test_a_sweep_out_of_memory_comes_back_without_echoes", ("sweep unmeasured",)),
     ProcessFault("worker", "out of memory", "killed by the kernel", "real", PAUSE, LATE, ZERO,
                  f"{PLAYED}::test_a_killed_worker_costs_some_scans", REPLACED),
     ProcessFault("worker", "full pipe", "stopped, a plan larger than the pipe", "real",

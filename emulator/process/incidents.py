@@ -33,6 +33,7 @@ KINDS = {
     "worker replaced": IncidentKind("a measuring process ended or hung; a new one continues its work"),
     "worker lost": IncidentKind("no measuring process could be started", SILENT),
     "worker back": IncidentKind("a measuring process was started again"),
+    "sweep unmeasured": IncidentKind("a sweep could not be measured and came back without echoes; once per cause"),
     "sensor silent": IncidentKind("a sensor sent nothing for many scan periods although a host requests scans", SILENT),
     "sensor back": IncidentKind("a silent sensor sends again"),
     "scans unaccounted": IncidentKind("requested is not sent + dropped + withdrawn + in flight", SILENT),

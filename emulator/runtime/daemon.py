@@ -282,7 +282,7 @@ class Daemon:
         workers = self._workers
         if workers.failures or workers.incidents or workers.warnings or workers.notes:
             for text in self._workers.failures:
-                self._say_once(text)
+                self._note_failure(text, now_ns)
             self._workers.failures.clear()
             for kind, worker, text in self._workers.incidents:
                 self.incidents.note(kind, now_ns, worker, text)
@@ -298,12 +298,13 @@ class Daemon:
         while self._workers is not None and self._workers.notes:
             self.on_failure(self._workers.notes.pop(0))
 
-    def _say_once(self, text: str) -> None:
-        """Say what failed the first time, and count: a fault that comes back with every scan would bury the log."""
+    def _note_failure(self, text: str, now_ns: int) -> None:
+        """An incident the first time, and counted: a fault that comes back with every scan would bury the log."""
+        sensor, _, what = text.partition(": ")
         cause = text.rpartition(": ")[2]
         self.failures[cause] += 1
         if self.failures[cause] == 1:
-            self.on_failure(text)
+            self.incidents.note("sweep unmeasured", now_ns, sensor, what)
 
     def _look_around(self, now_ns: int) -> None:
         """Some ten times a second: do our processes, our sensors and we ourselves live?"""

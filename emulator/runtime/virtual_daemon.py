@@ -153,7 +153,8 @@ class VirtualDaemon:
             cause = text.rpartition(": ")[2]
             self.failures[cause] += 1
             if self.failures[cause] == 1:
-                self.on_failure(text)
+                sensor, _, what = text.partition(": ")
+                self.incidents.note("sweep unmeasured", self.now_ns, sensor, what)
         self._workers.failures.clear()
         return fresh
 

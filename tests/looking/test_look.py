@@ -231,7 +231,9 @@ def test_a_device_that_falls_silent_is_told_where_nobody_watches(monkeypatch: py
         watch(Played([WALL, None, None, None]), Wanted(), lambda text: None)
 
 
-@pytest.mark.parametrize(("title", "told"), [("LMS;S05", "LMS; S05"), ("LD \x1b[2J", "LD ?[2J"), ("", "unnamed device")])
+@pytest.mark.parametrize(
+    ("title", "told"), [("LMS;S05", "LMS; S05"), ("LD \x1b[2J", "LD ?[2J"), ("", "unnamed device")]
+)
 def test_a_title_is_one_line_of_printable_text(title: str, told: str) -> None:
     assert tidy(title).startswith(told)
 
