@@ -32,6 +32,7 @@ from emulator.commands.common import (
 )
 from emulator.commands.ctl import control_of, ctl
 from emulator.commands.doctor import doctor
+from emulator.commands.endings import Ending
 from emulator.commands.explain import explain
 from emulator.commands.fuzz import fuzz
 from emulator.commands.look import demo, look
@@ -139,6 +140,7 @@ def check(
 @click.argument("command", nargs=-1, type=click.UNPROCESSED)
 @scenario_options
 @click.option("--duration", type=Finite(0.0, LONGEST_S), metavar="S", help="Stop after this many seconds.")
+@click.option("--loop/--no-loop", "loop", default=None, help="Begin the world again every `duration_s`, for ever.")
 @click.option("--workers", type=click.IntRange(min=1), help="Measuring processes (default: cores less one).")
 @click.option("--clock", type=click.Choice(["real", "virtual"]), default="real", help="virtual: as fast as hosts read.")
 @click.option("--speed", type=Finite(0.001, 1e9), metavar="X", help="Virtual clock at X times real time.")
@@ -157,6 +159,7 @@ def run(
     seed: int | None,
     links: Sequence[str],
     duration: float | None,
+    loop: bool | None,
     workers: int | None,
     clock: str,
     speed: float | None,
@@ -188,7 +191,10 @@ def run(
         from emulator.transports.shim import shim_environment
 
         environment = shim_environment(environment)
+    if loop is not None:
+        overrides = (*overrides, f"loop={str(loop).lower()}")
     loaded = load_scenario(scenario, overrides, seed, links)
+    ending = Ending.of(loaded, duration)
 
     from emulator.instrument.ledger import check_accounts
     from emulator.process.clock import SystemClock
@@ -221,18 +227,17 @@ def run(
         with daemon.signals():
             real.restart()
             if leash is not None:
-                leash.watch(daemon.stop, daemon.call)
+                leash.watch(lambda: daemon.stop("the standard input has ended"), daemon.call)
             server = control_of(daemon, instruments, real, loaded, recorder, control)
             daemon.power_on()
-            announce_ready(loaded, instruments, as_json, server.url)
-            until = duration if duration is not None else loaded.duration_s
-            until_ns = None if until is None else int(until * 1e9)
+            announce_ready(loaded, instruments, as_json, server.url, ending)
             if command:
                 linked = [item for item in instruments if item.links]
                 environment |= {variable_of(item.sensor): place_of(item.links[0].url) for item in linked}
                 driver = start_driver(command, environment, as_json)
-            daemon.run(until_ns, None if driver is None else lambda: driver.poll() is None)
-            check_accounts(instruments, daemon.incidents, now_of(daemon, real))
+            daemon.run(ending.until_ns, None if driver is None else lambda: driver.poll() is None)
+            ended_ns = now_of(daemon, real)
+            check_accounts(instruments, daemon.incidents, ended_ns)
     finally:
         if server is not None:
             server.close()
@@ -242,7 +247,7 @@ def run(
         driver_code = None if driver is None else end_driver(driver)
     recorded = None if recorder is None else recorder.state()
     sha256 = None if transcript is None else transcript.sha256()
-    announce_end(instruments, as_json, sha256, daemon.incidents, recorded)
+    announce_end(instruments, as_json, sha256, daemon.incidents, recorded, daemon.why, ended_ns * 1e-9)
     for cause, count in daemon.failures.items():
         note(f"{count} scans could not be measured: {cause}")
     if driver_code not in (None, 0):
@@ -292,8 +297,10 @@ def fault_teller(as_json: bool) -> Callable[[str, FaultEvent], None]:
     return tell
 
 
-def announce_ready(scenario: Scenario, instruments: Sequence[Instrument], as_json: bool, control: str) -> None:
-    """Say where hosts can connect; every link accepts one by now."""
+def announce_ready(
+    scenario: Scenario, instruments: Sequence[Instrument], as_json: bool, control: str, ending: Ending
+) -> None:
+    """Say where hosts can connect, every link accepts one by now, and how long."""
     from emulator.sensors.spec import name_of
 
     models = {sensor.id: name_of(sensor.model) for sensor in scenario.sensors}
@@ -302,11 +309,12 @@ def announce_ready(scenario: Scenario, instruments: Sequence[Instrument], as_jso
             {"id": item.sensor, "model": models[item.sensor], "links": [link.url for link in item.links]}
             for item in instruments
         ]
-        say(json.dumps({"event": "ready", "sensors": sensors, "control": control}))
+        say(json.dumps({"event": "ready", "sensors": sensors, "control": control} | ending.as_json()))
         return
     for item in instruments:
         for link in item.links:
             say(f"ready: {item.sensor} ({models[item.sensor]}) on {link.url}")
+    say(ending.told())
 
 
 def watched(instruments: Sequence[Instrument]) -> Transcript:
@@ -337,8 +345,12 @@ def announce_end(
     sha256: str | None,
     incidents: Incidents,
     recording: Mapping[str, object] | None,
+    why: str,
+    ended_s: float,
 ) -> None:
-    """Say what each sensor did: scans sent, dropped, rate, lateness of sends. `sha256`: of a run in virtual time.
+    """Say why the run ended and what each sensor did: scans sent, dropped, rate, lateness of sends.
+
+    `sha256`: of a run in virtual time.
 
     `recording`: how it stands with it, None when the run was not recorded.
     """
@@ -349,8 +361,10 @@ def announce_end(
     if as_json:
         digest = {} if sha256 is None else {"sha256": sha256}
         told_of = {"recording": recording, "incidents": incidents.rows(), "incident_totals": incidents.totals()}
-        say(json.dumps({"event": "stopped", "sensors": totals} | told_of | digest))
+        ended = {"why": why, "ended_s": ended_s}
+        say(json.dumps({"event": "stopped", **ended, "sensors": totals} | told_of | digest))
         return
+    say(f"ended after {ended_s:.3f} s: {why}")
     for total in totals:
         dropped = ", ".join(f"{count} {reason}" for reason, count in total["scans_dropped"].items()) or "none"
         rate = "-" if total["scans_per_s"] is None else f"{total['scans_per_s']:.3f}/s"

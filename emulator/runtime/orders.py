@@ -24,6 +24,7 @@ from emulator.runtime.virtual_daemon import VirtualDaemon
 if TYPE_CHECKING:
     from emulator.injection.run import FaultRun
     from emulator.scenario.scenario import Scenario
+    from emulator.scenario.weather import WeatherConfig
 
 LONGEST_STEP_S = 3600.0
 LONGEST_S = 1e9
@@ -143,10 +144,10 @@ class Orders:
 
         now_ns = self._now_ns()
         if not params:
-            return {"now_s": now_ns * 1e-9, "weather": state_of(self._weather, now_ns * 1e-9)}
+            return {"now_s": now_ns * 1e-9, "weather": state_of(self._weather_of_round(now_ns), now_ns * 1e-9)}
         # one instant for all sensors, after every sweep that is measured already: the same run can be had from a file
         from_ns = max([now_ns, *(one.asked_ns + 1 for one in self._instruments)])
-        found = changed(self._weather, params, from_ns, [actor.id for actor in self._scenario.actors])
+        found = changed(self._weather_of_round(from_ns), params, from_ns, [actor.id for actor in self._scenario.actors])
         self._weather = found.weather
         for one in self._instruments:
             one.conditions = replace(one.conditions, weather=found.weather)
@@ -154,6 +155,12 @@ class Orders:
         state = state_of(self._weather, from_s)
         # one reading of the clock: `from_s` is never before the `now_s` that stands beside it
         return self._did("weather", change=found.entry) | {"now_s": now_ns * 1e-9, "from_s": from_s, "weather": state}
+
+    def _weather_of_round(self, at_ns: int) -> WeatherConfig:
+        """Of a scenario that begins again: the changes of this round; an order ends them with it."""
+        if self._scenario.round_s is None or self._weather is not self._scenario.weather:
+            return self._weather
+        return self._weather.later(at_ns // round(self._scenario.round_s * 1e9) * self._scenario.round_s)
 
     def weather_judged(self, params: Mapping[str, Any]) -> object:
         """The same; beside it the sensors that cannot compute such weather, and go on with the scenario's own."""
@@ -286,5 +293,5 @@ class Orders:
     def stop(self, params: Mapping[str, Any]) -> object:
         """End the run as SIGTERM does."""
         _taken(params)
-        self._daemon.stop()
+        self._daemon.stop("ordered: ctl stop")
         return self._did("stop")
