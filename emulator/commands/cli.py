@@ -45,7 +45,7 @@ from emulator.commands.view import view
 from emulator.errors import EmulatorError, LinkError
 from emulator.output.lines import note, say
 from emulator.output.sanitizing import guard
-from emulator.process.driver import end_driver, start_driver
+from emulator.process.driver import driver_environment, end_driver, how_it_ended, start_driver
 from emulator.runtime.own_daemon import leashed
 
 if TYPE_CHECKING:
@@ -232,8 +232,8 @@ def run(
             daemon.power_on()
             announce_ready(loaded, instruments, as_json, server.url, ending)
             if command:
-                linked = [item for item in instruments if item.links]
-                environment |= {variable_of(item.sensor): place_of(item.links[0].url) for item in linked}
+                told = [(item.sensor, item.links[0].url) for item in instruments if item.links]
+                environment = driver_environment(environment, told)
                 driver = start_driver(command, environment, as_json)
             daemon.run(ending.until_ns, None if driver is None else lambda: driver.poll() is None)
             ended_ns = now_of(daemon, real)
@@ -264,21 +264,6 @@ def now_of(daemon: Daemon | VirtualDaemon, clock: Clock) -> int:
     from emulator.runtime.virtual_daemon import VirtualDaemon
 
     return daemon.now_ns if isinstance(daemon, VirtualDaemon) else clock.now_ns()
-
-
-def how_it_ended(code: int) -> str:
-    """A process's exit code in words."""
-    return f"exit code {code}" if code >= 0 else f"signal {-code}"
-
-
-def variable_of(sensor: str) -> str:
-    """Name of the environment variable that tells a driver where a sensor is."""
-    return "LIDAREMU_" + "".join(letter if letter.isalnum() else "_" for letter in sensor.upper())
-
-
-def place_of(url: str) -> str:
-    """The path or address in a link's URL."""
-    return url.partition(":")[2].partition("?")[0]
 
 
 def fault_teller(as_json: bool) -> Callable[[str, FaultEvent], None]:
@@ -385,7 +370,11 @@ def announce_end(
                 say(f"{total['id']}: {count} payloads not sent: a host reads {link['url']} too slowly")
         ignored = ", ".join(f"{count} {reason}" for reason, count in total["input_dropped"].items())
         if ignored:
-            say(f"{total['id']}: input not taken: {ignored}")
+            garbled = sum(link["bytes_garbled"] for link in total["links"])
+            probing = (
+                f"; {garbled} bytes at another line speed than the host's, as when it tries speeds" if garbled else ""
+            )
+            say(f"{total['id']}: input not taken: {ignored}{probing}")
         for name, row in total.get("faults", {}).items():
             say(f"{total['id']}: fault {name}: begun {row['begun']} times, {row['hits']} hits")
         if "objects" in total:

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from emulator.commands.cli import CANNOT_RUN, OK, main, place_of, variable_of
+from emulator.commands.cli import CANNOT_RUN, OK, main
 from emulator.commands.common import LINK_LOST
+from emulator.process.driver import place_of, variable_of
 
 SCENARIO = """\
 schema: 1
