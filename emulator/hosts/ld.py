@@ -99,6 +99,10 @@ class PackageFraming:
         return found
 
 
+class Refused(LinkError):
+    """The device has answered that it will not."""
+
+
 class LdHost:
     """Connects in the constructor; raises `LinkError` when nothing answers, or the device will not measure.
 
@@ -116,23 +120,35 @@ class LdHost:
         self.listens = listen
         self._found: int | None = None
         "Mode in which the device was found."
+        self.title = LISTENING
         if listen:
             line.set_baud(baud)
-        else:
-            self._find(baud)
-        if self.listens:
-            self.title = LISTENING
             return
+        try:
+            self._connect(baud)
+        except (LineClosed, Refused):
+            raise
+        except LinkError:
+            if not self._heard:
+                raise
+            self.listens = True  # a recording has replies too, to what was asked then
+
+    def _connect(self, baud: int) -> None:
+        self._find(baud)
+        if self.listens:
+            return
+        self._heard.clear()
         name = b"".join(word.to_bytes(2, "big") for word in self._ask(0x0101, 1)[1:7])
-        self.title = name.partition(b"\0")[0].decode("ascii", "replace").strip() or "LD"
+        title = name.partition(b"\0")[0].decode("ascii", "replace").strip() or "LD"
         self._found = self._ask(0x0102)[2] & 0xF
         if self._found != Mode.MEASURE:
             self._ask(0x0403, 0, seconds=SPIN_UP_S)
             verdict = self._ask(0x0404, seconds=SPIN_UP_S)[3]
             if verdict:
                 told = name_of(MeasureError, verdict)
-                raise LinkError(f"the device will not measure: error {verdict} ({told})")
+                raise Refused(f"the device will not measure: error {verdict} ({told})")
         self._send(0x0301, 0, self._form)
+        self.title = title
 
     @property
     def errors(self) -> int:
@@ -225,7 +241,7 @@ class LdHost:
             if reply is not None and (reply[0] == wanted or (may_fail and reply[0] == SERVICE_FAILURE)):
                 return (*reply, *(0,) * (8 - len(reply)))  # a short one reads as zeros
             if reply is not None and reply[0] == SERVICE_FAILURE:
-                raise LinkError(f"the device refuses service {words[0]:04X}")
+                raise Refused(f"the device refuses service {words[0]:04X}")
         raise LinkError(f"no reply to service {words[0]:04X}")
 
     def _next(self, timeout_s: float) -> tuple[int, ...] | None:

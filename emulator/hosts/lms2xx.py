@@ -29,6 +29,8 @@ FINDING_S = 0.8
 
 
 MOST_HEARD = 500
+ENOUGH = 3
+"Telegrams of values after a stop was acknowledged: one may have been on its way."
 FOLLOW_S = 1.0
 "A listener stays so long at a speed at which nothing is understood: the slowest stream sends a telegram in that time."
 STATUS_BYTES = 110
@@ -139,20 +141,35 @@ class Lms2xxHost:
         self._reader = TelegramReader()
         self._heard: deque[Telegram] = deque(maxlen=MOST_HEARD)
         "Values that came while something else was waited for."
+        self._stopped = False
+        "The device has said that it streams no more; whatever still streams is no device."
         self._view: Lms2xxView | None = None
         self._bauds = list(dict.fromkeys((baud, *RATE_CODES)))
         self.listens = listen
         self._heard_ns = self._clock.now_ns()
+        self.title = LISTENING
         if listen:
             self._line.set_baud(baud)
-        else:
-            self._find(baud)
-        if self.listens:
-            self.title = LISTENING
             return
-        self.title = self._ask(b"\x3a", 0xBA).data[:-1].decode("ascii", "replace").strip()
+        try:
+            self._connect(baud)
+        except LineClosed:
+            raise
+        except LinkError:
+            if not self._heard:
+                raise
+            self.listens = True  # a recording has replies too, to what was asked then
+
+    def _connect(self, baud: int) -> None:
+        self._find(baud)
+        if self.listens:
+            return
+        self._heard.clear()
+        self._stopped = True
+        title = self._ask(b"\x3a", 0xBA).data[:-1].decode("ascii", "replace").strip()
         self._view = Lms2xxView.of(self._ask(b"\x31", 0xB1).data)
         self._ask(b"\x20\x24", 0xA0)
+        self.title = title
 
     @property
     def errors(self) -> int:
@@ -236,6 +253,8 @@ class Lms2xxHost:
                     return telegram
                 if telegram is not None and read_values(telegram) is not None:
                     self._heard.append(telegram)
+                    if self._stopped and len(self._heard) >= ENOUGH:
+                        raise LinkError("values come though the device has stopped: nobody heeds what is asked")
                 if telegram is not None and telegram.command == 0x92:
                     raise LinkError(f"the device refuses request {payload.hex(' ')}")
         raise LinkError(f"no reply {reply:02X} to request {payload.hex(' ')}; tried {tries} times, {seconds:g} s each")

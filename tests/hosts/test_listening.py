@@ -140,3 +140,11 @@ def test_a_line_that_closes_within_probing_says_so_at_once(clock: ManualClock) -
     with pytest.raises(LineClosed, match="the run or the replay has ended"):
         Lms2xxHost(Radio(clock, SCAN, lambda _: 500_000, ends_s=2.0), 38_400)
     assert clock.now_ns() < 2.3e9
+
+
+def test_replies_in_a_recording_are_not_taken_for_a_device(clock: ManualClock) -> None:
+    line = Radio(clock, reply(b"\xa0\x00", 0x10) + SCAN, lambda _: 9_600)  # as if somebody asked it all the time
+    host = Lms2xxHost(line, 9_600)
+    assert host.listens
+    assert clock.now_ns() < 2e9
+    assert next(scan for scan in host.scans(0.5)) is not None
