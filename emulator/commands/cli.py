@@ -228,7 +228,7 @@ def run(
             real.restart()
             if leash is not None:
                 leash.watch(lambda: daemon.stop("the standard input has ended"), daemon.call)
-            server = control_of(daemon, instruments, real, loaded, recorder, control)
+            server = control_of(daemon, instruments, real, loaded, recorder, control, ending.until_ns)
             daemon.power_on()
             announce_ready(loaded, instruments, as_json, server.url, ending)
             if command:

@@ -63,6 +63,8 @@ class Orders:
     ) -> None:
         """`note` is told of every order that changes something. To be made before the devices are switched on."""
         self._recording: Callable[[], dict[str, object] | None] = lambda: None
+        self.until_ns: int | None = None
+        "When the run ends by itself; None: it goes on until it is stopped."
         self._daemon = daemon
         self._instruments = tuple(instruments)
         self._clock = clock
@@ -120,6 +122,8 @@ class Orders:
         self._read_ledgers()
         virtual = isinstance(self._daemon, VirtualDaemon)
         return {
+            "scenario": str(self._scenario.source.stem),
+            "ends_at_s": None if self.until_ns is None else self.until_ns * 1e-9,
             "clock": "virtual" if virtual else "real",
             "now_s": self._now_ns() * 1e-9,
             "paused": self._daemon.paused if isinstance(self._daemon, VirtualDaemon) else False,
@@ -226,7 +230,22 @@ class Orders:
             done = self._byte_steps[sensor or "", link].step(int(count), before_ns + NOTHING_MORE_NS)
         told: dict[str, object] = {what: done} if what in ("scans", "bytes") else {}
         named = {name: params[name] for name in ("sensor", "link") if name in params}
+        if done < count and told:
+            told["why"] = self._why_nothing(what, done, sensor)
         return self._did("step", **(wanted or {"scans": 1.0}), **named) | told
+
+    def _why_nothing(self, what: str, done: int, sensor: str | None) -> str:
+        """Why a step ended before all its scans or bytes had come, in words."""
+        reasons = []
+        for one in self._instruments:
+            if sensor in (None, one.sensor):
+                if not any(link.has_host() for link in one.links):
+                    reasons.append(f"{one.sensor}: no host is connected")
+                elif not one.stats.scans_sent:
+                    reasons.append(f"{one.sensor}: no host has asked for scans yet")
+                else:
+                    reasons.append(f"{one.sensor}: its device has sent all that was asked for")
+        return f"{done} {what} within {NOTHING_MORE_NS * 1e-9:g} virtual s; {'; '.join(reasons)}"
 
     def _place(self, params: Mapping[str, Any], what: str) -> tuple[str | None, int]:
         """Whose scans or bytes are counted: of all sensors or one; bytes of one link, by default the very first."""

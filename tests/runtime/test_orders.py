@@ -88,3 +88,21 @@ def test_a_signal_is_told_by_its_name(daemon: VirtualDaemon) -> None:
 def test_the_end_of_its_command_is_a_reason(daemon: VirtualDaemon) -> None:
     daemon.run(None, lambda: False)
     assert daemon.why == "its command has ended"
+
+
+def test_status_names_the_scenario_and_when_it_ends(orders: Orders) -> None:
+    orders.until_ns = 12_000_000_000
+    status = orders.status({})
+    assert isinstance(status, dict)
+    assert (status["scenario"], status["ends_at_s"]) == ("case", 12.0)
+
+
+@pytest.mark.parametrize("what", ["scans", "bytes"])
+def test_a_step_without_a_host_says_why_nothing_came(orders: Orders, what: str) -> None:
+    told = orders.step({what: 1})
+    assert isinstance(told, dict)
+    if what == "scans":
+        assert told["scans"] == 0
+        assert told["why"] == "0 scans within 10 virtual s; front: no host is connected"
+    else:
+        assert told["bytes"] or "no host is connected" in told["why"]
