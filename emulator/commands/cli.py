@@ -36,6 +36,7 @@ from emulator.commands.endings import Ending
 from emulator.commands.explain import explain
 from emulator.commands.fuzz import fuzz
 from emulator.commands.look import demo, look
+from emulator.commands.probe import probe
 from emulator.commands.recordings import diff, recorder_for, replay
 from emulator.commands.report import report
 from emulator.commands.soak import soak
@@ -413,7 +414,7 @@ def list_(what: str, name: str | None, as_json: bool) -> int:
     return OK
 
 
-for command in (demo, look, report, test, replay, diff, ctl, doctor, study, explain, view):
+for command in (demo, look, probe, report, test, replay, diff, ctl, doctor, study, explain, view):
     commands.add_command(command)
 
 study.add_command(fuzz)

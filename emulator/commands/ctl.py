@@ -80,7 +80,8 @@ def ctl(order: str, parameters: tuple[str, ...], path: Path | None, as_json: boo
     fault clear [N]                    ends that one, or all
     fault list                         all of this run (also: faults)
 
-    On a terminal `status` is a table; into a pipe or a file every answer is one line of JSON. A VALUE is JSON, or a plain word; a dot in NAME leads into a table.
+    A VALUE is JSON, or a plain word; a dot in NAME leads into a table. On a terminal `status` is a table;
+    in a pipe or a file every answer is a line of JSON.
     """
     from emulator.runtime import control
 

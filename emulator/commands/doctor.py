@@ -4,19 +4,34 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 import click
 
 from emulator.commands.common import OK
 from emulator.output.lines import say
 
+if TYPE_CHECKING:
+    from emulator.transports.probes import Probe
+
 
 @click.command()
 @click.option("--seconds", type=click.FloatRange(0.1, 600.0), default=3.0, show_default=True, help="For the timers.")
+@click.option("--serial", "device", metavar="DEVICE", help="Measure this adapter alone; bytes are written to it.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
-def doctor(seconds: float, as_json: bool) -> int:
-    """What this machine allows: pseudo-terminals and their speeds, multicast, SocketCAN, adapters, timers, loops."""
+def doctor(seconds: float, device: str | None, as_json: bool) -> int:
+    """What this machine allows: pseudo-terminals and their speeds, multicast, SocketCAN, adapters, timers, loops.
+
+    With --serial what one adapter does: its latency timer, the speeds it takes, how fast bytes really leave, and,
+    where TXD and RXD are bridged, how long one takes there and back. Take the sensor off first: it would hear all that.
+    """
+    if device is not None:
+        from emulator.process.clock import SystemClock
+        from emulator.transports.adapter_probe import probe_adapter
+
+        return _tell(probe_adapter(device, SystemClock()), as_json)
     from emulator.compiled import switch
     from emulator.process.waiting import realtime_allowed
     from emulator.runtime.pacing_trial import measure
@@ -42,6 +57,11 @@ def doctor(seconds: float, as_json: bool) -> int:
         f"run --realtime: median {first.median_us:.0f} us, p99 {first.p99_us:.0f} us, worst {first.worst_us:.0f} us"
     )
     probes.append(Probe("real-time scheduling", not refused, refused or detail))
+    return _tell(probes, as_json)
+
+
+def _tell(probes: Sequence[Probe], as_json: bool) -> int:
+    """A line each."""
     for probe in probes:
         if as_json:
             say(json.dumps(asdict(probe)))

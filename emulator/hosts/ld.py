@@ -109,7 +109,8 @@ class LdHost:
     Where profiles come and nobody answers, as from a recording that is sent again, it listens.
     """
 
-    def __init__(self, line: Line, baud: int, listen: bool = False) -> None:
+    def __init__(self, line: Line, baud: int | None, listen: bool = False) -> None:
+        """`baud`: line speed to go to; None: the device is asked for its name alone, and left as it is."""
         self._line = line
         self._clock = SystemClock()
         self._framing: Framing = UspFraming() if isinstance(line, SocketLine) else PackageFraming()
@@ -117,12 +118,15 @@ class LdHost:
         self._form = int(FORM_WITH_ECHO) if isinstance(line, SocketLine) else int(FORM_SLOW)
         self._heard: deque[tuple[int, ...]] = deque(maxlen=MOST_HEARD)
         "Profiles that came while something else was waited for."
+        self._leave = baud is None
+        self.found_baud: int | None = None
+        "Line speed that the device had; None: of a line without one."
         self.listens = listen
         self._found: int | None = None
         "Mode in which the device was found."
         self.title = LISTENING
         if listen:
-            line.set_baud(baud)
+            line.set_baud(baud or BAUDS[0])
             return
         try:
             self._connect(baud)
@@ -133,13 +137,16 @@ class LdHost:
                 raise
             self.listens = True  # a recording has replies too, to what was asked then
 
-    def _connect(self, baud: int) -> None:
+    def _connect(self, baud: int | None) -> None:
         self._find(baud)
         if self.listens:
             return
         self._heard.clear()
         name = b"".join(word.to_bytes(2, "big") for word in self._ask(0x0101, 1)[1:7])
         title = name.partition(b"\0")[0].decode("ascii", "replace").strip() or "LD"
+        if self._leave:
+            self.title = title
+            return
         self._found = self._ask(0x0102)[2] & 0xF
         if self._found != Mode.MEASURE:
             self._ask(0x0403, 0, seconds=SPIN_UP_S)
@@ -181,7 +188,7 @@ class LdHost:
     def close(self) -> None:
         """Stop the profiles and leave the device in the mode in which it was found."""
         try:
-            if not self.listens:
+            if not (self.listens or self._leave):
                 self._ask(0x0302)
             if self._found in (Mode.IDLE, Mode.ROTATE):
                 self._ask(0x0403, 0)
@@ -191,7 +198,7 @@ class LdHost:
             pass  # a device that has gone need not be left tidy
         self._line.close()
 
-    def _find(self, baud: int) -> None:
+    def _find(self, baud: int | None) -> None:
         """End profiles of an earlier host; on a serial line, at whatever speed the device has."""
         if isinstance(self._line, SocketLine):
             try:
@@ -203,8 +210,9 @@ class LdHost:
                     raise
                 self.listens = True
             return
-        for tried in dict.fromkeys((BAUDS[0], baud, *BAUDS)):
+        for tried in dict.fromkeys((BAUDS[0], baud or BAUDS[0], *BAUDS)):
             if tried in BAUDS:
+                self.found_baud = tried
                 self._line.set_baud(tried)
                 self._line.flush_input()
                 try:

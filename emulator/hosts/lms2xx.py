@@ -133,8 +133,9 @@ class Lms2xxHost:
     and follows the line's speed by trying.
     """
 
-    def __init__(self, line: Line, baud: int, listen: bool = False) -> None:
-        if baud not in RATE_CODES:
+    def __init__(self, line: Line, baud: int | None, listen: bool = False) -> None:
+        """`baud`: line speed to go to; None: the device is asked for its name alone, and left as it is."""
+        if baud is not None and baud not in RATE_CODES:
             raise LinkError(f"line speed {baud}; an LMS2xx has {', '.join(map(str, sorted(RATE_CODES)))}")
         self._line = line
         self._clock = SystemClock()
@@ -144,12 +145,15 @@ class Lms2xxHost:
         self._stopped = False
         "The device has said that it streams no more; whatever still streams is no device."
         self._view: Lms2xxView | None = None
-        self._bauds = list(dict.fromkeys((baud, *RATE_CODES)))
+        self._bauds = list(dict.fromkeys((baud or 9_600, *RATE_CODES)))
+        self._leave = baud is None
+        self.found_baud: int | None = None
+        "Line speed that the device had; None: of a line without one."
         self.listens = listen
         self._heard_ns = self._clock.now_ns()
         self.title = LISTENING
         if listen:
-            self._line.set_baud(baud)
+            self._line.set_baud(self._bauds[0])
             return
         try:
             self._connect(baud)
@@ -160,16 +164,18 @@ class Lms2xxHost:
                 raise
             self.listens = True  # a recording has replies too, to what was asked then
 
-    def _connect(self, baud: int) -> None:
+    def _connect(self, baud: int | None) -> None:
         self._find(baud)
         if self.listens:
             return
         self._heard.clear()
         self._stopped = True
         title = self._ask(b"\x3a", 0xBA).data[:-1].decode("ascii", "replace").strip()
+        self.title = title
+        if self._leave:
+            return
         self._view = Lms2xxView.of(self._ask(b"\x31", 0xB1).data)
         self._ask(b"\x20\x24", 0xA0)
-        self.title = title
 
     @property
     def errors(self) -> int:
@@ -205,13 +211,13 @@ class Lms2xxHost:
     def close(self) -> None:
         """Back to request mode and 9600 baud, as the device was found after power-on."""
         try:
-            for payload in () if self.listens else (b"\x20\x25", b"\x20\x42"):
+            for payload in () if self.listens or self._leave else (b"\x20\x25", b"\x20\x42"):
                 self._ask(payload, 0xA0)
         except LinkError:
             pass  # a device that has gone need not be left tidy
         self._line.close()
 
-    def _find(self, baud: int) -> None:
+    def _find(self, baud: int | None) -> None:
         """Stop a stream at whatever speed the device has, then change to `baud`."""
         if isinstance(self._line, SocketLine):
             try:
@@ -223,8 +229,10 @@ class Lms2xxHost:
                     raise
                 self.listens = True
             return
-        for tried in dict.fromkeys((9_600, baud, *RATE_CODES)):
+        speeds = tuple(dict.fromkeys((9_600, baud or 9_600, *RATE_CODES)))
+        for tried in speeds:
             self._line.set_baud(tried)
+            self.found_baud = tried
             self._line.flush_input()
             try:
                 self._ask(b"\x20\x25", 0xA0, tries=2, seconds=FINDING_S)
@@ -236,11 +244,11 @@ class Lms2xxHost:
                 self.listens = True  # values at this speed, and `stop` is not answered
                 self._bauds = list(dict.fromkeys((tried, *self._bauds)))
                 return
-            if tried != baud:
+            if baud is not None and tried != baud:
                 self._ask(bytes((0x20, RATE_CODES[baud])), 0xA0)
                 self._line.set_baud(baud)
             return
-        told = ", ".join(map(str, dict.fromkeys((9_600, baud, *RATE_CODES))))
+        told = ", ".join(map(str, speeds))
         raise LinkError(f"no LMS2xx answers to `stop` (20 25); tried {told} baud, twice each")
 
     def _ask(self, payload: bytes, reply: int, tries: int = 3, seconds: float = SECONDS_FOR_A_REPLY) -> Telegram:

@@ -23,7 +23,8 @@ SENSOR = {
 }  # fmt: skip
 STATUS: dict[str, Any] = {
     "scenario": "street", "clock": "real", "now_s": 12.34, "paused": False, "ends_at_s": 30.0, "sensors": [SENSOR],
-    "workers": [{"worker": 0, "pid": 4711, "state": "ready"}], "recording": None, "incident_totals": {"sensor silent": 2},
+    "workers": [{"worker": 0, "pid": 4711, "state": "ready"}], "recording": None,
+    "incident_totals": {"sensor silent": 2},
 }  # fmt: skip
 
 
@@ -46,6 +47,9 @@ def test_a_sensor_without_links_or_rate_has_its_row_too() -> None:
     assert told[3].split() == ["x", "0", "-", "0", "-", "-", "-", "-", "-", "-"]
 
 
+TOLD = [(True, (), True), (True, ("--json",), False), (False, (), False)]
+
+
 @pytest.fixture
 def daemons(monkeypatch: pytest.MonkeyPatch) -> dict[Path, Any]:
     found: dict[Path, Any] = {Path("/run/a.sock"): STATUS}
@@ -60,9 +64,7 @@ def daemons(monkeypatch: pytest.MonkeyPatch) -> dict[Path, Any]:
     return found
 
 
-@pytest.mark.parametrize(
-    ("terminal", "words", "table"), [(True, (), True), (True, ("--json",), False), (False, (), False)]
-)
+@pytest.mark.parametrize(("terminal", "words", "table"), TOLD)
 def test_a_terminal_gets_the_table_and_a_pipe_json(
     daemons: dict[Path, Any],
     capsys: pytest.CaptureFixture[str],
