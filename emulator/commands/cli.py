@@ -70,7 +70,7 @@ def entry() -> None:
 def main(argv: Sequence[str]) -> int:
     """Run one command and return its exit code; bad input gives a message, never a traceback."""
     try:
-        result = commands.main(args=list(argv), prog_name="lidaremu", standalone_mode=False)
+        result = commands.main(args=list(argv), prog_name="lidaremu", standalone_mode=False, obj=tuple(argv))
     except click.exceptions.Exit as stop:
         return stop.exit_code
     except click.Abort:
@@ -151,6 +151,7 @@ def check(
 @click.option("--record", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="Record into DIR.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line on standard output.")
 @click.option("--until-eof", is_flag=True, help="End with the standard input: with the program that holds it open.")
+@click.option("--restart", is_flag=True, help="Start the daemon again, with the same links, whenever it dies.")
 @click.option("--own-folder", type=click.Path(path_type=Path), hidden=True, help="See emulator.runtime.own_daemon.")
 @click.option("--shim", is_flag=True, help="Give COMMAND the preload shim for drivers that set 500 kBd by TIOCSSERIAL.")
 def run(
@@ -170,6 +171,7 @@ def run(
     record: Path | None,
     as_json: bool,
     until_eof: bool,
+    restart: bool,
     own_folder: Path | None,
     shim: bool,
 ) -> int:
@@ -181,6 +183,8 @@ def run(
     """
     if shim and not command:
         raise click.UsageError("--shim wants the driver's command: lidaremu run SCENARIO --shim -- ./driver ARGS")
+    if restart:
+        return keep_running(command, until_eof, record)
     from emulator.process.sd_notify import Notifier
 
     if until_eof and (command or sys.stdin is None):
@@ -258,6 +262,21 @@ def run(
     if driver_code not in (None, 0):
         return FAILED
     return daemon.incidents.exit_code
+
+
+def keep_running(command: Sequence[str], until_eof: bool, record: Path | None) -> int:
+    """A guardian instead of a run: the same words start daemons until one ends in order."""
+    if command or until_eof:
+        raise click.UsageError("--restart wants neither a COMMAND, whose end would be the run's, nor --until-eof")
+    from emulator.process.clock import SystemClock
+    from emulator.runtime import guardian
+
+    keeper = guardian.Keeper(click.get_current_context().find_root().obj, record)
+    try:
+        with keeper.signals():
+            return guardian.guard(keeper.serve, keeper.pause, note, SystemClock())
+    finally:
+        keeper.close()
 
 
 def now_of(daemon: Daemon | VirtualDaemon, clock: Clock) -> int:

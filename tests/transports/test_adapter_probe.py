@@ -1,4 +1,4 @@
-"""`doctor --serial`: what an adapter does. Adapters are pseudo-terminals with or without an echo, and files as sysfs has."""
+"""`doctor --serial`: what an adapter does. Adapters are pseudo-terminals, files as in sysfs."""
 
 from __future__ import annotations
 
