@@ -33,9 +33,11 @@ from emulator.commands.common import (
 )
 from emulator.commands.ctl import control_of, ctl
 from emulator.commands.doctor import doctor
+from emulator.commands.endings import Ending
 from emulator.commands.explain import explain
 from emulator.commands.fuzz import fuzz
 from emulator.commands.look import demo, look
+from emulator.commands.probe import probe
 from emulator.commands.recordings import diff, recorder_for, replay
 from emulator.commands.report import report
 from emulator.commands.soak import soak
@@ -45,7 +47,7 @@ from emulator.commands.view import view
 from emulator.errors import EmulatorError, LinkError
 from emulator.output.lines import note, say
 from emulator.output.sanitizing import guard
-from emulator.process.driver import end_driver, start_driver
+from emulator.process.driver import driver_environment, end_driver, how_it_ended, start_driver
 from emulator.runtime.own_daemon import leashed
 
 if TYPE_CHECKING:
@@ -69,7 +71,7 @@ def entry() -> None:
 def main(argv: Sequence[str]) -> int:
     """Run one command and return its exit code; bad input gives a message, never a traceback."""
     try:
-        result = commands.main(args=list(argv), prog_name="lidaremu", standalone_mode=False)
+        result = commands.main(args=list(argv), prog_name="lidaremu", standalone_mode=False, obj=tuple(argv))
     except click.exceptions.Exit as stop:
         return stop.exit_code
     except click.Abort:
@@ -140,6 +142,7 @@ def check(
 @click.argument("command", nargs=-1, type=click.UNPROCESSED)
 @scenario_options
 @click.option("--duration", type=Finite(0.0, LONGEST_S), metavar="S", help="Stop after this many seconds.")
+@click.option("--loop/--no-loop", "loop", default=None, help="Restart the world every `duration_s`, forever.")
 @click.option("--workers", type=click.IntRange(min=1), help="Number of measuring processes (default: cores minus one).")
 @click.option(
     "--clock",
@@ -160,6 +163,7 @@ def check(
     is_flag=True,
     help="Stop at the end of standard input, that is when the program that holds it open ends.",
 )
+@click.option("--restart", is_flag=True, help="Restart the daemon with the same links whenever it dies.")
 @click.option("--own-folder", type=click.Path(path_type=Path), hidden=True, help="See emulator.runtime.own_daemon.")
 @click.option("--shim", is_flag=True, help="Give COMMAND the preload shim: custom divisors, modem lines, SocketCAN.")
 def run(
@@ -169,6 +173,7 @@ def run(
     seed: int | None,
     links: Sequence[str],
     duration: float | None,
+    loop: bool | None,
     workers: int | None,
     clock: str,
     speed: float | None,
@@ -178,6 +183,7 @@ def run(
     record: Path | None,
     as_json: bool,
     until_eof: bool,
+    restart: bool,
     own_folder: Path | None,
     shim: bool,
 ) -> int:
@@ -189,6 +195,8 @@ def run(
     """
     if shim and not command:
         raise click.UsageError("--shim wants the driver's command: lidaremu run SCENARIO --shim -- ./driver ARGS")
+    if restart:
+        return keep_running(command, until_eof, record)
     from emulator.process.sd_notify import Notifier
 
     if until_eof and (command or sys.stdin is None):
@@ -203,7 +211,10 @@ def run(
 
         environment = shim_environment(environment)
         sockets = click.get_current_context().with_resource(closing(CanSockets()))
+    if loop is not None:
+        overrides = (*overrides, f"loop={str(loop).lower()}")
     loaded = load_scenario(scenario, overrides, seed, links)
+    ending = Ending.of(loaded, duration)
 
     from emulator.instrument.ledger import check_accounts
     from emulator.process.clock import SystemClock
@@ -237,22 +248,21 @@ def run(
         with daemon.signals():
             real.restart()
             if leash is not None:
-                leash.watch(daemon.stop, daemon.call)
-            server = control_of(daemon, instruments, real, loaded, recorder, control)
+                leash.watch(lambda: daemon.stop("the standard input has ended"), daemon.call)
+            server = control_of(daemon, instruments, real, loaded, recorder, control, ending.until_ns)
             daemon.power_on()
-            announce_ready(loaded, instruments, as_json, server.url)
+            announce_ready(loaded, instruments, as_json, server.url, ending)
             kinds = {link.kind for one in instruments for link in one.links}
             if isinstance(daemon, VirtualDaemon) and LinkKind.CAN in kinds:
                 note("time stamps on CAN are those of the virtual clock: seconds since the run began")
-            until = duration if duration is not None else loaded.duration_s
-            until_ns = None if until is None else int(until * 1e9)
             if command:
-                linked = [item for item in instruments if item.links]
-                environment |= {variable_of(item.sensor): place_of(item.links[0].url) for item in linked}
+                linked = [(item.sensor, item.links[0].url) for item in instruments if item.links]
+                environment = driver_environment(environment, linked)
                 environment |= {} if sockets is None else sockets.environment()
                 driver = start_driver(command, environment, as_json)
-            daemon.run(until_ns, None if driver is None else lambda: driver.poll() is None)
-            check_accounts(instruments, daemon.incidents, now_of(daemon, real))
+            daemon.run(ending.until_ns, None if driver is None else lambda: driver.poll() is None)
+            ended_ns = now_of(daemon, real)
+            check_accounts(instruments, daemon.incidents, ended_ns)
     finally:
         if server is not None:
             server.close()
@@ -262,7 +272,7 @@ def run(
         driver_code = None if driver is None else end_driver(driver)
     recorded = None if recorder is None else recorder.state()
     sha256 = None if transcript is None else transcript.sha256()
-    announce_end(instruments, as_json, sha256, daemon.incidents, recorded)
+    announce_end(instruments, as_json, sha256, daemon.incidents, recorded, daemon.why, ended_ns * 1e-9)
     for cause, count in daemon.failures.items():
         note(f"{count} scans could not be measured: {cause}")
     if driver_code not in (None, 0):
@@ -274,26 +284,26 @@ def run(
     return daemon.incidents.exit_code
 
 
+def keep_running(command: Sequence[str], until_eof: bool, record: Path | None) -> int:
+    """A guardian instead of a run: the same words start daemons until one ends in order."""
+    if command or until_eof:
+        raise click.UsageError("--restart wants neither a COMMAND, whose end would be the run's, nor --until-eof")
+    from emulator.process.clock import SystemClock
+    from emulator.runtime import guardian
+
+    keeper = guardian.Keeper(click.get_current_context().find_root().obj, record)
+    try:
+        with keeper.signals():
+            return guardian.guard(keeper.serve, keeper.pause, note, SystemClock())
+    finally:
+        keeper.close()
+
+
 def now_of(daemon: Daemon | VirtualDaemon, clock: Clock) -> int:
     """The instant of a run, on the clock that it runs by."""
     from emulator.runtime.virtual_daemon import VirtualDaemon
 
     return daemon.now_ns if isinstance(daemon, VirtualDaemon) else clock.now_ns()
-
-
-def how_it_ended(code: int) -> str:
-    """A process's exit code in words."""
-    return f"exit code {code}" if code >= 0 else f"signal {-code}"
-
-
-def variable_of(sensor: str) -> str:
-    """Name of the environment variable that tells a driver where a sensor is."""
-    return "LIDAREMU_" + "".join(letter if letter.isalnum() else "_" for letter in sensor.upper())
-
-
-def place_of(url: str) -> str:
-    """The path or address in a link's URL."""
-    return url.partition(":")[2].partition("?")[0]
 
 
 def fault_teller(as_json: bool) -> Callable[[str, FaultEvent], None]:
@@ -312,8 +322,10 @@ def fault_teller(as_json: bool) -> Callable[[str, FaultEvent], None]:
     return tell
 
 
-def announce_ready(scenario: Scenario, instruments: Sequence[Instrument], as_json: bool, control: str) -> None:
-    """Say where hosts can connect; every link accepts one by now."""
+def announce_ready(
+    scenario: Scenario, instruments: Sequence[Instrument], as_json: bool, control: str, ending: Ending
+) -> None:
+    """Say where hosts can connect, every link accepts one by now, and how long."""
     from emulator.sensors.spec import name_of
 
     models = {sensor.id: name_of(sensor.model) for sensor in scenario.sensors}
@@ -322,11 +334,12 @@ def announce_ready(scenario: Scenario, instruments: Sequence[Instrument], as_jso
             {"id": item.sensor, "model": models[item.sensor], "links": [link.url for link in item.links]}
             for item in instruments
         ]
-        say(json.dumps({"event": "ready", "sensors": sensors, "control": control}))
+        say(json.dumps({"event": "ready", "sensors": sensors, "control": control} | ending.as_json()))
         return
     for item in instruments:
         for link in item.links:
             say(f"ready: {item.sensor} ({models[item.sensor]}) on {link.url}")
+    say(ending.told())
 
 
 def watched(instruments: Sequence[Instrument]) -> Transcript:
@@ -357,8 +370,12 @@ def announce_end(
     sha256: str | None,
     incidents: Incidents,
     recording: Mapping[str, object] | None,
+    why: str,
+    ended_s: float,
 ) -> None:
-    """Say what each sensor did: scans sent, dropped, rate, lateness of sends. `sha256`: of a run in virtual time.
+    """Say why the run ended and what each sensor did: scans sent, dropped, rate, lateness of sends.
+
+    `sha256`: of a run in virtual time.
 
     `recording`: how it stands with it, None when the run was not recorded.
     """
@@ -369,8 +386,10 @@ def announce_end(
     if as_json:
         digest = {} if sha256 is None else {"sha256": sha256}
         told_of = {"recording": recording, "incidents": incidents.rows(), "incident_totals": incidents.totals()}
-        say(json.dumps({"event": "stopped", "sensors": totals} | told_of | digest))
+        ended = {"why": why, "ended_s": ended_s}
+        say(json.dumps({"event": "stopped", **ended, "sensors": totals} | told_of | digest))
         return
+    say(f"ended after {ended_s:.3f} s: {why}")
     for total in totals:
         dropped = ", ".join(f"{count} {reason}" for reason, count in total["scans_dropped"].items()) or "none"
         rate = "-" if total["scans_per_s"] is None else f"{total['scans_per_s']:.3f}/s"
@@ -391,7 +410,11 @@ def announce_end(
                 say(f"{total['id']}: {count} payloads not sent: a host reads {link['url']} too slowly")
         ignored = ", ".join(f"{count} {reason}" for reason, count in total["input_dropped"].items())
         if ignored:
-            say(f"{total['id']}: input dropped: {ignored}")
+            garbled = sum(link["bytes_garbled"] for link in total["links"])
+            probing = (
+                f"; {garbled} bytes at another line speed than the host's, as when it tries speeds" if garbled else ""
+            )
+            say(f"{total['id']}: input dropped: {ignored}{probing}")
         for name, row in total.get("faults", {}).items():
             say(f"{total['id']}: fault {name}: begun {row['begun']} times, {row['hits']} hits")
         if "objects" in total:
@@ -430,7 +453,7 @@ def list_(what: str, name: str | None, as_json: bool) -> int:
     return OK
 
 
-for command in (demo, look, report, test, replay, diff, ctl, doctor, study, explain, view):
+for command in (demo, look, probe, report, test, replay, diff, ctl, doctor, study, explain, view):
     commands.add_command(command)
 
 study.add_command(fuzz)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,9 +11,13 @@ from typing import TYPE_CHECKING
 import click
 
 from emulator.commands.common import OK
-from emulator.errors import LinkError
-from emulator.output.lines import say
+from emulator.commands.status_table import lines_of
+from emulator.errors import EmulatorError, LinkError
+from emulator.output.lines import note, say
 from emulator.runtime.order_words import parameters_of
+
+ASKED_S = 3.0
+"For the name of a daemon's scenario."
 
 if TYPE_CHECKING:
     from emulator.instrument.instrument import Instrument
@@ -31,6 +36,7 @@ def control_of(
     scenario: Scenario,
     recorder: Recorder | None,
     path: Path | None,
+    until_ns: int | None = None,
 ) -> ControlServer:
     """The control socket of a run, at `path` or at a place of its own."""
     from emulator.runtime.control import ControlServer, new_path
@@ -38,6 +44,7 @@ def control_of(
     from emulator.runtime.virtual_daemon import VirtualDaemon
 
     orders = Orders(daemon, instruments, clock, scenario)
+    orders.until_ns = until_ns
     if recorder is not None:
         orders.record(recorder.note, recorder.state)
 
@@ -61,7 +68,8 @@ def control_of(
     "--socket", "--control", "path", type=click.Path(path_type=Path),
     help="Control socket, as reported in `ready` (default: the only running daemon).",
 )  # fmt: skip
-def ctl(order: str, parameters: tuple[str, ...], path: Path | None) -> int:
+@click.option("--json", "as_json", is_flag=True, help="Print JSON on a terminal too, as elsewhere.")
+def ctl(order: str, parameters: tuple[str, ...], path: Path | None, as_json: bool) -> int:
     """Send an order to a running daemon.
 
     Always: status, metrics, stop; weather [fog.visibility_m=50] [rain.rate_mm_h=10] [snow=null], without values: the
@@ -74,7 +82,8 @@ def ctl(order: str, parameters: tuple[str, ...], path: Path | None) -> int:
     fault clear [N]                    ends that fault, or all
     fault list                         lists all faults of this run (also: faults)
 
-    A VALUE is JSON, or a plain word; a dot in NAME enters a table.
+    A VALUE is JSON, or a plain word; a dot in NAME enters a table. On a terminal `status` is a table;
+    in a pipe or a file every answer is a line of JSON.
     """
     from emulator.runtime import control
 
@@ -83,13 +92,30 @@ def ctl(order: str, parameters: tuple[str, ...], path: Path | None) -> int:
     if path is None:
         found = control.running()
         if len(found) != 1:
-            told = "; ".join(map(str, found)) or "none runs"
+            told = "; ".join(f"{scenario_of(one)} at {one}" for one in found) or "none runs"
             raise LinkError(f"which daemon? {told}; want --socket PATH")
         path = found[0]
     result = control.ask(Path(str(path).removeprefix("unix:")), order, params)
+    if isinstance(result, dict) and "why" in result:
+        note(str(result["why"]))
+    if order == "status" and isinstance(result, dict) and sys.stdout.isatty() and not as_json:
+        for line in lines_of(result):
+            say(line)
+        return OK
     for line in result.rstrip().split("\n") if isinstance(result, str) else [json.dumps(result)]:
         say(line)
     return OK
+
+
+def scenario_of(path: Path) -> str:
+    """Name of the scenario that a daemon runs, by its control socket; what is known of it where it does not answer."""
+    from emulator.runtime import control
+
+    try:
+        status = control.ask(path, "status", {}, ASKED_S)
+    except EmulatorError:
+        return "a daemon that does not answer"
+    return str(status.get("scenario", "an older daemon")) if isinstance(status, dict) else "an older daemon"
 
 
 def fault_order(words: Sequence[str]) -> tuple[str, tuple[str, ...]]:

@@ -20,6 +20,7 @@ from emulator.output.lines import note, say
 @click.option("--model", metavar="NAME", help="Format of object lists, for example can-ars408 (default: detected).")
 @click.option("--extended", is_flag=True, help="Also request class, size and existence from an ARS408 (not stored).")
 @click.option("--baud", type=int, default=38_400, show_default=True, help="Line speed to request (serial).")
+@click.option("--listen", is_flag=True, help="Send no request: start at --baud and show what arrives.")
 @click.option("--scans", type=click.IntRange(min=1), help="Stop after N scans or lists.")
 @click.option("--duration", type=Finite(0.0, LONGEST_S), metavar="S", help="Stop after this many seconds.")
 @click.option("--png", type=click.Path(dir_okay=False, path_type=Path), help="Draw the last scan into FILE.")
@@ -31,6 +32,7 @@ def look(
     model: str | None,
     extended: bool,
     baud: int,
+    listen: bool,
     scans: int | None,
     duration: float | None,
     png: Path | None,
@@ -41,7 +43,8 @@ def look(
 
     LINK is pty:PATH, serial:DEVICE or tcp:HOST:PORT; with --family can_objects also socketcand:HOST:PORT/CHANNEL,
     slcan:PATH or can:INTERFACE:CHANNEL. On a terminal it draws until q is pressed; elsewhere it prints a line a second.
-    With --png alone one scan is taken.
+    With --png alone one scan is taken. Where scans come and nobody answers, as from lidaremu replay, it listens;
+    when the other end closes the line it says so and ends.
     """
     from emulator.looking.look import CAN_FAMILY, Wanted, connect, run_look
     from emulator.looking.look_files import require_matplotlib
@@ -57,8 +60,8 @@ def look(
             raise EmulatorError(f"{png}: no such folder")
     live = drawable() and png is None and not as_json
     if sys.stderr.isatty():
-        note(f"requesting scans from {link} ({family_name})")
-    host = connect(link, family_name, baud, model, extended)
+        note(f"{'listening to' if listen else 'requesting scans from'} {link} ({family_name})")
+    host = connect(link, family_name, baud, model, extended, listen)
     return run_look(host, link, Wanted(scans, duration, png, csv, as_json, live, lines=True), say)
 
 

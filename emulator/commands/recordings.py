@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 import sys
 import threading
 from collections.abc import Callable, Sequence
@@ -15,6 +17,7 @@ import click
 from emulator.commands.common import FAILED, LINK_LOST, OK, Finite, bar
 from emulator.errors import EmulatorError
 from emulator.output.lines import note, say
+from emulator.process.driver import driver_environment, end_driver, how_it_ended, start_driver
 
 if TYPE_CHECKING:
     from emulator.instrument.instrument import Instrument
@@ -52,6 +55,7 @@ def recorder_for(
 
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path))
+@click.argument("command", nargs=-1, type=click.UNPROCESSED)
 @click.option(
     "--link", "links", multiple=True, metavar="SENSOR=URL", help="Send to this link instead of the recorded one."
 )
@@ -72,6 +76,7 @@ def recorder_for(
 @click.option("--json", "as_json", is_flag=True, help="One JSON object per line.")
 def replay(
     recording: Path,
+    command: Sequence[str],
     links: Sequence[str],
     speed: float,
     stepped: bool,
@@ -83,7 +88,12 @@ def replay(
 ) -> int:
     """Send a RECORDING again, with its own gaps or scaled: a folder or .mcap of lidaremu, .pcap, .pcapng, .blf, .asc,
     candump .log, or the raw bytes of a serial line.
+
+    After `--` a COMMAND may follow, as of lidaremu run: it is started once every link accepts a host, told its links by
+    LIDAREMU_<SENSOR>, and the replay ends with it or at the recording's end.
     """
+    if stepped and command:
+        raise click.UsageError("--stepped reads the standard input, which a COMMAND would share; want one of them")
     from emulator.recording.reader import is_ours, read_run, read_wire
     from emulator.runtime.daemon import Lateness
     from emulator.runtime.playback import GapErrors, ReplaySession, open_players, step
@@ -116,14 +126,21 @@ def replay(
     errors = GapErrors(daemon)
     for player in players:
         player.watch(errors)
+    driver: subprocess.Popen[bytes] | None = None
+    driver_code: int | None = None
     try:
         with daemon.signals(), bar(recording.name) as progress:
             daemon.power_on()
             _announce(players, as_json)
+            if command:
+                told = [(player.sensor, player.links[0].url) for player in players]
+                driver = start_driver(command, driver_environment(os.environ, told), as_json)
             started, drawn_ns = False, 0
 
             def going() -> bool:
                 nonlocal started, drawn_ns
+                if driver is not None and driver.poll() is not None:
+                    return False
                 if started and daemon.now_ns >= drawn_ns + speed * DRAWN_NS:
                     drawn_ns = daemon.now_ns
                     progress(min(session.progress for session in sessions))
@@ -147,8 +164,14 @@ def replay(
             daemon.drain()
     finally:
         daemon.close()
+        driver_code = None if driver is None else end_driver(driver)
     _tell_end(Lateness.of(errors.late_ns), max(session.rounds for session in sessions), daemon.links, stepped, as_json)
-    return LINK_LOST if daemon.lost_links else OK
+    if daemon.lost_links:
+        return LINK_LOST
+    if driver_code not in (None, 0):
+        note(f"{command[0]} ended with {how_it_ended(driver_code or 0)}")
+        return FAILED
+    return OK
 
 
 def _tell_end(late: Lateness, rounds: int, links: Sequence[Link], stepped: bool, as_json: bool) -> None:

@@ -11,6 +11,7 @@ import socket
 from typing import Any, NamedTuple
 
 from emulator.errors import EmulatorError, LinkError
+from emulator.hosts.lines import GONE, LineClosed
 from emulator.transports.can_link import BITRATE
 from emulator.transports.urls import host_and_port, option_value, parse_url
 from protocols.can_frame import EXTENDED, MAX_STANDARD_ID
@@ -41,7 +42,7 @@ class CanLine:
         try:
             message = self._bus.recv(max(0.0, timeout_s))
         except (can.CanError, OSError, ValueError) as error:
-            raise LinkError(f"{self._url}: lost: {error}") from None
+            raise LineClosed(f"{self._url}: {GONE} ({error})") from None
         if message is None or message.is_error_frame or message.is_remote_frame or message.is_fd:
             return None
         return Frame(message.arbitration_id | (EXTENDED if message.is_extended_id else 0), bytes(message.data))

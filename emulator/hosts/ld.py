@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from emulator.errors import LinkError
-from emulator.hosts.lines import Line, SocketLine
+from emulator.hosts.lines import Line, LineClosed, SocketLine
 from emulator.hosts.scans import HostScan
 from emulator.process.clock import SystemClock
 from protocols.ld.packages import Package, PackageJoiner, PackageReader, encode_packages, swapped
@@ -40,6 +40,10 @@ SENSOR_ID = 0x10
 HOST_ID = 0x14
 "As COMTEST calls itself."
 LONGEST_PROFILE = 4 * TICKS * 3 + 1024
+
+
+MOST_HEARD = 500
+LISTENING = "LD that answers nothing (listening)"
 
 
 class Framing(Protocol):
@@ -95,26 +99,63 @@ class PackageFraming:
         return found
 
 
-class LdHost:
-    """Connects in the constructor; raises `LinkError` when nothing answers, or the device refuses to measure."""
+class Refused(LinkError):
+    """The device has answered that it refuses."""
 
-    def __init__(self, line: Line, baud: int) -> None:
+
+class LdHost:
+    """Connects in the constructor; raises `LinkError` when nothing answers, or the device will not measure.
+
+    Where profiles come and nobody answers, as from a recording that is sent again, it listens.
+    """
+
+    def __init__(self, line: Line, baud: int | None, listen: bool = False) -> None:
+        """`baud`: line speed to go to; None: the device is asked for its name alone, and left as it is."""
         self._line = line
         self._clock = SystemClock()
         self._framing: Framing = UspFraming() if isinstance(line, SocketLine) else PackageFraming()
         self._messages: deque[tuple[int, ...]] = deque()
         self._form = int(FORM_WITH_ECHO) if isinstance(line, SocketLine) else int(FORM_SLOW)
+        self._heard: deque[tuple[int, ...]] = deque(maxlen=MOST_HEARD)
+        "Profiles that came while something else was waited for."
+        self._leave = baud is None
+        self.found_baud: int | None = None
+        "Line speed that the device had; None: of a line without one."
+        self.listens = listen
+        self._found: int | None = None
+        "Mode in which the device was found."
+        self.title = LISTENING
+        if listen:
+            line.set_baud(baud or BAUDS[0])
+            return
+        try:
+            self._connect(baud)
+        except (LineClosed, Refused):
+            raise
+        except LinkError:
+            if not self._heard:
+                raise
+            self.listens = True  # a recording has replies too, to what was asked then
+
+    def _connect(self, baud: int | None) -> None:
         self._find(baud)
+        if self.listens:
+            return
+        self._heard.clear()
         name = b"".join(word.to_bytes(2, "big") for word in self._ask(0x0101, 1)[1:7])
-        self.title = name.partition(b"\0")[0].decode("ascii", "replace").strip() or "LD"
+        title = name.partition(b"\0")[0].decode("ascii", "replace").strip() or "LD"
+        if self._leave:
+            self.title = title
+            return
         self._found = self._ask(0x0102)[2] & 0xF
         if self._found != Mode.MEASURE:
             self._ask(0x0403, 0, seconds=SPIN_UP_S)
             verdict = self._ask(0x0404, seconds=SPIN_UP_S)[3]
             if verdict:
                 told = name_of(MeasureError, verdict)
-                raise LinkError(f"the device refuses to measure: error {verdict} ({told})")
+                raise Refused(f"the device refuses to measure: error {verdict} ({told})")
         self._send(0x0301, 0, self._form)
+        self.title = title
 
     @property
     def errors(self) -> int:
@@ -125,9 +166,14 @@ class LdHost:
         """Scans as they arrive; None when none came for `timeout_s`."""
         number = 0
         while True:
-            words = self._next(timeout_s)
+            words = self._heard.popleft() if self.listens and self._heard else self._next(timeout_s)
             if words is None:
                 yield None
+            elif self.listens:
+                profile = read_profile(words) if words[0] == GET_PROFILE_REPLY else None
+                if profile is not None:
+                    yield HostScan(number, profile.azimuth_rad, profile.range_m, status_text(words), profile.amplitude)
+                    number += 1
             elif words[0] == SERVICE_FAILURE:
                 if self._form != FORM_WITH_ECHO:
                     raise LinkError("the device refuses to send profiles")
@@ -142,7 +188,8 @@ class LdHost:
     def close(self) -> None:
         """Stop the profiles and leave the device in the mode in which it was found."""
         try:
-            self._ask(0x0302)
+            if not (self.listens or self._leave):
+                self._ask(0x0302)
             if self._found in (Mode.IDLE, Mode.ROTATE):
                 self._ask(0x0403, 0)
             if self._found == Mode.IDLE:
@@ -151,20 +198,33 @@ class LdHost:
             pass  # a device that has gone need not be left tidy
         self._line.close()
 
-    def _find(self, baud: int) -> None:
+    def _find(self, baud: int | None) -> None:
         """End profiles of an earlier host; on a serial line, at whatever speed the device has."""
         if isinstance(self._line, SocketLine):
-            self._cancel(REPLY_S)
+            try:
+                self._cancel(REPLY_S)
+            except LineClosed:
+                raise
+            except LinkError:
+                if not self._heard:
+                    raise
+                self.listens = True
             return
-        for tried in dict.fromkeys((BAUDS[0], baud, *BAUDS)):
+        for tried in dict.fromkeys((BAUDS[0], baud or BAUDS[0], *BAUDS)):
             if tried in BAUDS:
+                self.found_baud = tried
                 self._line.set_baud(tried)
                 self._line.flush_input()
                 try:
                     self._cancel(1.5)
                     return
+                except LineClosed:
+                    raise
                 except LinkError:
-                    continue
+                    if not self._heard:
+                        continue
+                    self.listens = True
+                    return
         raise LinkError(f"no LD answers at {', '.join(map(str, BAUDS))} baud")
 
     def _send(self, *words: int) -> None:
@@ -184,10 +244,12 @@ class LdHost:
         end_ns = self._clock.now_ns() + int((REPLY_S if seconds is None else seconds) * 1e9)
         while (left_ns := end_ns - self._clock.now_ns()) > 0:
             reply = self._next(left_ns * 1e-9)
+            if reply is not None and reply[0] == GET_PROFILE_REPLY:
+                self._heard.append(reply)
             if reply is not None and (reply[0] == wanted or (may_fail and reply[0] == SERVICE_FAILURE)):
                 return (*reply, *(0,) * (8 - len(reply)))  # a short one reads as zeros
             if reply is not None and reply[0] == SERVICE_FAILURE:
-                raise LinkError(f"the device refuses service {words[0]:04X}")
+                raise Refused(f"the device refuses service {words[0]:04X}")
         raise LinkError(f"no reply to service {words[0]:04X}")
 
     def _next(self, timeout_s: float) -> tuple[int, ...] | None:

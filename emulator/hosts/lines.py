@@ -5,12 +5,19 @@ from __future__ import annotations
 import os
 import select
 import socket
+import termios
 from abc import ABC, abstractmethod
 from pathlib import Path
 
 import serial
 
 from emulator.errors import EmulatorError, LinkError
+
+GONE = "the other end has closed the line: the run or the replay has ended, or the device was unplugged"
+
+
+class LineClosed(LinkError):
+    """The other end has gone: the run, or the replay, has ended, or the device was unplugged."""
 
 
 class Line(ABC):
@@ -46,6 +53,7 @@ class SerialLine(Line):
     """A serial device or a pseudo-terminal."""
 
     def __init__(self, path: str, baud: int) -> None:
+        self._path = path
         try:
             self._port = serial.Serial(os.path.realpath(path), baud, timeout=0, exclusive=False)
         except (serial.SerialException, OSError, ValueError) as error:
@@ -58,17 +66,20 @@ class SerialLine(Line):
     def write(self, data: bytes) -> None:
         try:
             self._port.write(data)
-        except (serial.SerialException, OSError) as error:
-            raise LinkError(f"{self._port.name}: the device has gone: {error}") from None
+        except (serial.SerialException, OSError):
+            raise LineClosed(f"{self._path}: {GONE}") from None
 
     def _take(self) -> bytes:
         try:
             return bytes(self._port.read(65536))
-        except serial.SerialException as error:
-            raise LinkError(f"{self._port.name}: the device has gone: {error}") from None
+        except (serial.SerialException, OSError):  # of pyserial "device disconnected or multiple access on port"
+            raise LineClosed(f"{self._path}: {GONE}") from None
 
     def set_baud(self, baud: int) -> None:
-        self._port.baudrate = baud
+        try:
+            self._port.baudrate = baud
+        except (serial.SerialException, OSError, termios.error):
+            raise LineClosed(f"{self._path}: {GONE}") from None
 
     def close(self) -> None:
         self._port.close()
@@ -92,16 +103,16 @@ class SocketLine(Line):
     def write(self, data: bytes) -> None:
         try:
             self._socket.sendall(data)
-        except OSError as error:
-            raise LinkError(f"the device has gone: {error}") from None
+        except OSError:
+            raise LineClosed(GONE) from None
 
     def _take(self) -> bytes:
         try:
             data = self._socket.recv(65536)
-        except OSError as error:
-            raise LinkError(f"the device has gone: {error}") from None
+        except OSError:
+            raise LineClosed(GONE) from None
         if not data:
-            raise LinkError("the device has closed the connection")
+            raise LineClosed(GONE)
         return data
 
     def close(self) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from emulator.errors import LinkError
-from emulator.hosts.lines import Line, SocketLine
+from emulator.hosts.lines import Line, LineClosed, SocketLine
 from emulator.hosts.scans import HostScan
 from emulator.process.clock import SystemClock
 from protocols.lms2xx.telegrams import MeasuredValues, Telegram, open_frame, read_values, request
@@ -25,6 +26,15 @@ SECONDS_FOR_A_REPLY = 3.5
 "A mode change may take three seconds."
 FINDING_S = 0.8
 "For each of two tries at each speed: a telegram of a stream at 9600 baud, which ends before the reply, lasts 0.76 s."
+
+
+MOST_HEARD = 500
+ENOUGH = 3
+"Telegrams of values after a stop was acknowledged: one may have been on its way."
+FOLLOW_S = 1.0
+"A listener stays so long at a speed at which nothing is understood: the slowest stream sends a telegram in that time."
+STATUS_BYTES = 110
+"Of B1, up to the step."
 
 
 class TelegramReader:
@@ -85,6 +95,12 @@ class Lms2xxView:
             int.from_bytes(status[108:110], "little") / 100.0,
         )
 
+    @classmethod
+    def guessed(cls, values: MeasuredValues) -> Lms2xxView:
+        """Of a device that was never asked: field and step by the number of values, 181 being 180 by 1 degree."""
+        field, step = COMMON.get(len(values.values), (180, 180.0 / max(1, len(values.values) - 1)))
+        return cls(MEASURING_MODES[0], field, step)
+
     def decode(self, number: int, values: MeasuredValues) -> HostScan:
         """Metres and radians of one telegram."""
         raw = values.values & self.mode.mask
@@ -105,17 +121,59 @@ class Lms2xxView:
         return values.extra.astype(np.float64) if whole else None
 
 
-class Lms2xxHost:
-    """Connects in the constructor; raises `LinkError` when nothing answers."""
+COMMON = {361: (180, 0.5), 181: (180, 1.0), 401: (100, 0.25), 201: (100, 0.5), 101: (100, 1.0)}
+"Values of a telegram -> field and step, in degrees."
+LISTENING = "LMS2xx that answers nothing (listening)"
 
-    def __init__(self, line: Line, baud: int) -> None:
-        if baud not in RATE_CODES:
+
+class Lms2xxHost:
+    """Connects in the constructor; raises `LinkError` when nothing answers and no values are heard.
+
+    Where values come and nobody answers, as from a recording that is sent again, it listens: it asks for nothing more
+    and follows the line's speed by trying.
+    """
+
+    def __init__(self, line: Line, baud: int | None, listen: bool = False) -> None:
+        """`baud`: line speed to go to; None: the device is asked for its name alone, and left as it is."""
+        if baud is not None and baud not in RATE_CODES:
             raise LinkError(f"line speed {baud}; an LMS2xx has {', '.join(map(str, sorted(RATE_CODES)))}")
         self._line = line
         self._clock = SystemClock()
         self._reader = TelegramReader()
+        self._heard: deque[Telegram] = deque(maxlen=MOST_HEARD)
+        "Values that came while something else was waited for."
+        self._stopped = False
+        "The device has said that it streams no more; whatever still streams is no device."
+        self._view: Lms2xxView | None = None
+        self._bauds = list(dict.fromkeys((baud or 9_600, *RATE_CODES)))
+        self._leave = baud is None
+        self.found_baud: int | None = None
+        "Line speed that the device had; None: of a line without one."
+        self.listens = listen
+        self._heard_ns = self._clock.now_ns()
+        self.title = LISTENING
+        if listen:
+            self._line.set_baud(self._bauds[0])
+            return
+        try:
+            self._connect(baud)
+        except LineClosed:
+            raise
+        except LinkError:
+            if not self._heard:
+                raise
+            self.listens = True  # a recording has replies too, to what was asked then
+
+    def _connect(self, baud: int | None) -> None:
         self._find(baud)
-        self.title = self._ask(b"\x3a", 0xBA).data[:-1].decode("ascii", "replace").strip()
+        if self.listens:
+            return
+        self._heard.clear()
+        self._stopped = True
+        title = self._ask(b"\x3a", 0xBA).data[:-1].decode("ascii", "replace").strip()
+        self.title = title
+        if self._leave:
+            return
         self._view = Lms2xxView.of(self._ask(b"\x31", 0xB1).data)
         self._ask(b"\x20\x24", 0xA0)
 
@@ -128,40 +186,69 @@ class Lms2xxHost:
         """Scans as they arrive; None when none came for `timeout_s`."""
         number = 0
         while True:
-            telegram = self._next(timeout_s)
+            telegram = self._heard.popleft() if self.listens and self._heard else self._next(timeout_s)
             values = read_values(telegram) if telegram is not None else None
             if telegram is None:
                 yield None
             elif values is not None:
-                yield self._view.decode(number, values)
+                yield (self._view or Lms2xxView.guessed(values)).decode(number, values)
                 number += 1
+            elif self.listens and telegram.command == 0xB1 and len(telegram.data) > STATUS_BYTES:
+                self._view = Lms2xxView.of(telegram.data)  # somebody asked when it was recorded
+            if self.listens and telegram is not None:
+                self._heard_ns = self._clock.now_ns()
+            elif self.listens:
+                self._follow()
+
+    def _follow(self) -> None:
+        """Where nothing has come for a while at this speed, listen at the next."""
+        if isinstance(self._line, SocketLine) or self._clock.now_ns() - self._heard_ns < FOLLOW_S * 1e9:
+            return
+        self._bauds.append(self._bauds.pop(0))
+        self._line.set_baud(self._bauds[0])
+        self._heard_ns = self._clock.now_ns()
 
     def close(self) -> None:
         """Back to request mode and 9600 baud, as the device was found after power-on."""
         try:
-            self._ask(b"\x20\x25", 0xA0)
-            self._ask(b"\x20\x42", 0xA0)
+            for payload in () if self.listens or self._leave else (b"\x20\x25", b"\x20\x42"):
+                self._ask(payload, 0xA0)
         except LinkError:
             pass  # a device that has gone need not be left tidy
         self._line.close()
 
-    def _find(self, baud: int) -> None:
+    def _find(self, baud: int | None) -> None:
         """Stop a stream at whatever speed the device has, then change to `baud`."""
         if isinstance(self._line, SocketLine):
-            self._ask(b"\x20\x25", 0xA0, tries=2, seconds=2.0)
+            try:
+                self._ask(b"\x20\x25", 0xA0, tries=2, seconds=2.0)
+            except LineClosed:
+                raise
+            except LinkError:
+                if not self._heard:
+                    raise
+                self.listens = True
             return
-        for tried in dict.fromkeys((9_600, baud, *RATE_CODES)):
+        speeds = tuple(dict.fromkeys((9_600, baud or 9_600, *RATE_CODES)))
+        for tried in speeds:
             self._line.set_baud(tried)
+            self.found_baud = tried
             self._line.flush_input()
             try:
                 self._ask(b"\x20\x25", 0xA0, tries=2, seconds=FINDING_S)
+            except LineClosed:
+                raise
             except LinkError:
-                continue
-            if tried != baud:
+                if not self._heard:
+                    continue
+                self.listens = True  # values at this speed, and `stop` is not answered
+                self._bauds = list(dict.fromkeys((tried, *self._bauds)))
+                return
+            if baud is not None and tried != baud:
                 self._ask(bytes((0x20, RATE_CODES[baud])), 0xA0)
                 self._line.set_baud(baud)
             return
-        told = ", ".join(map(str, dict.fromkeys((9_600, baud, *RATE_CODES))))
+        told = ", ".join(map(str, speeds))
         raise LinkError(f"no LMS2xx answers to `stop` (20 25); tried {told} baud, twice each")
 
     def _ask(self, payload: bytes, reply: int, tries: int = 3, seconds: float = SECONDS_FOR_A_REPLY) -> Telegram:
@@ -172,6 +259,10 @@ class Lms2xxHost:
                 telegram = self._next((end_ns - self._clock.now_ns()) * 1e-9)
                 if telegram is not None and telegram.command == reply:
                     return telegram
+                if telegram is not None and read_values(telegram) is not None:
+                    self._heard.append(telegram)
+                    if self._stopped and len(self._heard) >= ENOUGH:
+                        raise LinkError("values come though the device has stopped: nobody heeds what is asked")
                 if telegram is not None and telegram.command == 0x92:
                     raise LinkError(f"the device refuses request {payload.hex(' ')}")
         raise LinkError(f"no reply {reply:02X} to request {payload.hex(' ')}; tried {tries} times, {seconds:g} s each")

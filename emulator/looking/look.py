@@ -12,14 +12,16 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
 from emulator.errors import EmulatorError, LinkError
-from emulator.hosts.lines import Line, open_line
+from emulator.hosts.lines import Line, LineClosed, open_line
 from emulator.hosts.scans import Host, HostObject, HostObjects, HostScan, Seen
 from emulator.looking import plot
 from emulator.process.clock import SystemClock
@@ -73,8 +75,10 @@ class Wanted:
     "Without `live`: a line a second, the last scan drawn at the end."
 
 
-def connect(url: str, family_name: str, baud: int, model: str | None = None, more: bool = False) -> Host:
-    """A connected host of that family; every error names the link."""
+def connect(
+    url: str, family_name: str, baud: int, model: str | None = None, more: bool = False, listen: bool = False
+) -> Host:
+    """A connected host of that family; every error names the link. `listen`: it asks the device for nothing."""
     if family_name == CAN_FAMILY:
         from emulator.hosts.can_lines import open_can
         from emulator.hosts.can_objects import CanObjectHost
@@ -85,7 +89,14 @@ def connect(url: str, family_name: str, baud: int, model: str | None = None, mor
     make = _maker(family_name)
     line = open_line(url, baud)
     with _closed_if_refused(line.close, url):
-        return make(line, baud)
+        return _listening(make)(line, baud) if listen else make(line, baud)
+
+
+def _listening(make: Callable[..., Host]) -> Callable[[Line, int], Host]:
+    """The same, asking for nothing; `EmulatorError` of a host that cannot."""
+    if "listen" not in signature(make).parameters:
+        raise EmulatorError("--listen: the host of this family asks for what it wants; want lms2xx, ld or can_objects")
+    return partial(make, listen=True)
 
 
 def _maker(family_name: str) -> Callable[[Line, int], Host]:
@@ -152,7 +163,7 @@ def watch(host: Host, wanted: Wanted, say: Say) -> Seen | None:
             show = open_.enter_context(_live(view))
         elif wanted.lines and not wanted.as_json:
             show = _lines(view, say)
-        begun_ns = clock.now_ns()
+        begun_ns, ended = clock.now_ns(), ""
         try:
             for seen in host.scans(POLL_S):
                 now_ns = clock.now_ns()
@@ -174,6 +185,11 @@ def watch(host: Host, wanted: Wanted, say: Say) -> Seen | None:
                     raise LinkError(f"{view.title}: silent for {quiet_s:.0f} s after {view.count} scans")
         except KeyboardInterrupt:
             pass  # stopped as asked
+        except LineClosed as error:
+            if view.last is None or wanted.scans is not None or wanted.duration_s is not None:
+                count = _several(view.count, "scan")
+                raise LineClosed(f"after {count}: {error}") from None
+            ended = f"after {_several(view.count, 'scan')}: {error}"
     if view.last is not None and not wanted.as_json and wanted.lines:
         from emulator.looking.screen import plain
 
@@ -181,6 +197,8 @@ def watch(host: Host, wanted: Wanted, say: Say) -> Seen | None:
             [view.status(clock.now_ns())] if wanted.live else plain(view.page(80, 24, clock.now_ns()), 80).split("\n")
         ):
             say(line)
+    if ended and not wanted.as_json:
+        say(ended)
     return view.last
 
 

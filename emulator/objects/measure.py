@@ -118,7 +118,7 @@ class ObjectMeasure:
         self._tracker.restore(before.tracker)
         t_s = 1e-9 * plan.start_ns
         views, sweeps = self._look(plan.start_ns, before.sweeps, conditions)
-        objects = self._tracker.update(views, t_s, self._witness.motion(t_s))
+        objects = self._tracker.update(views, t_s, self._witness.motion(self._scene.local_s(t_s)))
         looked_ns = plan.start_ns if views else before.looked_ns
         if looked_ns >= 0:
             # seen in the newest sweep there is: nothing has been missed since
@@ -156,7 +156,7 @@ class ObjectMeasure:
         return views, looked
 
     def _view(self, source: Source, scan: Scan) -> View:
-        t_s = np.array([_middle_s(scan)])
+        t_s = np.array([self._middle_s(scan)])
         here, there = self._scene.sensor_pose(self._mount, t_s), self._scene.sensor_pose(source.mount, t_s)
         back = here.rotation[0].T
         return View(scan, back @ (there.position_m[0] - here.position_m[0]), back @ there.rotation[0])
@@ -165,7 +165,7 @@ class ObjectMeasure:
         """Visible share of every actor that has an echo, in the view that shows most of it."""
         shares: dict[int, float] = {}
         for view in views:
-            t_s = _middle_s(view.scan)
+            t_s = self._middle_s(view.scan)
             own = self._witness.sensor(t_s)
             for actor in np.unique(view.scan.actor).tolist():
                 if self._witness.knows(actor):
@@ -174,18 +174,18 @@ class ObjectMeasure:
         return shares
 
     def _truth(self, t_s: float, shares: Mapping[int, float]) -> tuple[TruthObject, ...]:
-        return tuple(
-            replace(item, visible_share=shares.get(actor, 0.0)) for actor, item in self._witness.objects(t_s).items()
-        )
+        there = self._witness.objects(self._scene.local_s(t_s))
+        return tuple(replace(item, visible_share=shares.get(actor, 0.0)) for actor, item in there.items())
+
+    def _middle_s(self, scan: Scan) -> float:
+        """Of a sweep, in the scene's own time: that of the round in which it began."""
+        plan = scan.plan
+        local_ns = plan.start_ns - self._scene.turned_ns(plan.start_ns)
+        return 1e-9 * local_ns + (float(plan.fire_offset_s.mean()) if len(plan) else 0.0)
 
 
 def _key(plan: ScanPlan) -> tuple[int, int, int]:
     return plan.epoch, plan.sweep, plan.start_ns
-
-
-def _middle_s(scan: Scan) -> float:
-    plan = scan.plan
-    return 1e-9 * plan.start_ns + (float(plan.fire_offset_s.mean()) if len(plan) else 0.0)
 
 
 def _fresher(item: DetectedObject, by_s: float) -> DetectedObject:

@@ -1,6 +1,6 @@
 """The driver under test as a child process of `lidaremu run`: started, and ended with all that it has started.
 
-Belongs here: processes. Not: what a driver is told of the sensors (cli).
+Belongs here: processes, and where a driver is told its sensors are. Not: when one is started (cli, recordings).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,6 +34,26 @@ def start_driver(command: Sequence[str], environment: dict[str, str], as_json: b
         return subprocess.Popen(list(command), env=environment, stdout=sys.stderr.fileno() if as_json else None)
     except OSError as error:
         raise EmulatorError(f"cannot start {command[0]}: {error.strerror}") from None
+
+
+def driver_environment(before: Mapping[str, str], links: Sequence[tuple[str, str]]) -> dict[str, str]:
+    """Variables for a driver: LIDAREMU_<SENSOR> is the path or address of that sensor's link, its id and URL given."""
+    return dict(before) | {variable_of(sensor): place_of(url) for sensor, url in links}
+
+
+def variable_of(sensor: str) -> str:
+    """Name of the environment variable that tells a driver where a sensor is."""
+    return "LIDAREMU_" + "".join(letter if letter.isalnum() else "_" for letter in sensor.upper())
+
+
+def place_of(url: str) -> str:
+    """The path or address in a link's URL."""
+    return url.partition(":")[2].partition("?")[0]
+
+
+def how_it_ended(code: int) -> str:
+    """A process's exit code in words."""
+    return f"exit code {code}" if code >= 0 else f"signal {-code}"
 
 
 def end_driver(driver: subprocess.Popen[bytes]) -> int:

@@ -78,8 +78,10 @@ class SensorTruth:
             self._waiting = [one for one in self._waiting if one[0].range_m.shape[1] != k]
             scans = [scan for scan, _ in batch]
             starts_s = np.array([scan.start_ns for scan in scans], dtype=np.float64) * 1e-9
+            turned_ns = np.array([self._truth.scene.turned_ns(scan.start_ns) for scan in scans])
+            local_s = (np.array([scan.start_ns for scan in scans]) - turned_ns) * 1e-9
             sweep = np.repeat(np.arange(len(scans)), [len(scan.azimuth_rad) for scan in scans])
-            t_s = starts_s[sweep] + np.concatenate([offsets for _, offsets in batch])
+            t_s = local_s[sweep] + np.concatenate([offsets for _, offsets in batch])
             azimuth = np.concatenate([scan.azimuth_rad for scan in scans])
             elevation = np.concatenate(
                 [np.zeros_like(one.azimuth_rad) if one.elevation_rad is None else one.elevation_rad for one in scans]

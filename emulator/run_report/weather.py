@@ -5,6 +5,7 @@ Belongs here: from tables to steps. Not: what weather does (sensing), how steps 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -30,6 +31,10 @@ QUANTITIES: Mapping[str, tuple[str, tuple[str, ...], str]] = {
 "Key of the weather -> head of its column, keys of its table that may hold the number, words. Of volumes their number."
 
 
+MOST_ROUNDS = 1000
+"Of a scenario that begins again: so many are told."
+
+
 @dataclass(frozen=True)
 class Step:
     """What holds from an instant on."""
@@ -44,14 +49,18 @@ class Step:
 def steps(scenario: Scenario, orders: Sequence[Happening], end_s: float) -> list[Step]:
     """Every state of the weather up to the end of the run, in order of time."""
     actors = [actor.id for actor in scenario.actors]
-    found = _states(scenario.weather, 0.0, end_s, False)
-    weather = scenario.weather
+    weather, round_s = scenario.weather, scenario.round_s
+    found = _states(weather, 0.0, min(end_s, round_s or end_s), False)
+    for number in range(1, min(MOST_ROUNDS, math.ceil(end_s / round_s)) if round_s and weather.changes else 1):
+        found += _states(weather.later(number * round_s), number * round_s, min(end_s, (number + 1) * round_s), False)
     for order in orders:
         table = order.row.get("change")
         if not isinstance(table, Mapping):
             continue
         from_ns = round(float(table.get("t_s", order.at_ns * 1e-9)) * 1e9)
         from_s = from_ns * 1e-9  # to the bit as the change has it
+        if round_s and weather is scenario.weather:  # an order ends the rounds of the weather, in the one that it is in
+            weather = weather.later(from_ns // round(round_s * 1e9) * round_s)
         weather = _ordered(weather, table, from_ns, actors)
         found = [step for step in found if step.t_s < from_s] + _states(weather, from_s, end_s, True)
     return found

@@ -396,10 +396,10 @@ def _request(line: bytes) -> dict[str, Any]:
     return request
 
 
-def ask(path: Path, method: str, params: Mapping[str, Any]) -> object:
+def ask(path: Path, method: str, params: Mapping[str, Any], patience_s: float = PATIENCE_S + 5.0) -> object:
     """One order to a daemon; its result. `EmulatorError` has the daemon's own words; `LinkError`: none answers."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-        connection.settimeout(PATIENCE_S + 5.0)
+        connection.settimeout(patience_s)
         try:
             connection.connect(str(path))
             request = {"jsonrpc": "2.0", "id": 1, "method": method, "params": dict(params)}

@@ -35,6 +35,7 @@ from emulator.transports.turns import Turn
 
 SWITCH_S = 0.0005
 "Another thread (control, a browser's page) that computes gives way to the sender after this; Python's own is 5 ms."
+DURATION_OVER, COMMAND_ENDED = "its duration is over", "its command has ended"
 LONG_STEP_NS = 200_000
 "After a step of so long, what others have to send by now leaves before the next one."
 
@@ -57,6 +58,8 @@ class Daemon:
         self._workers = workers
         self.on_failure = on_failure
         self._stop = False
+        self.why = ""
+        "Why the run has ended, in words; empty: it has not."
         self._selector = selectors.EpollSelector()
         self.waiter = Waiter(clock, self._selector.fileno())
         self._watched: dict[int, tuple[int, ...]] = {}
@@ -88,8 +91,9 @@ class Daemon:
         if self._path_guard.fileno() >= 0:
             self._selector.register(self._path_guard.fileno(), selectors.EVENT_READ, "places")
 
-    def stop(self) -> None:
-        """End the run after the present step; safe in a signal handler."""
+    def stop(self, why: str = "stopped") -> None:
+        """End the run after the present step, for that reason; safe in a signal handler."""
+        self.why = self.why or why
         self._stop = True
 
     def call(self, action: Callable[[], object]) -> Future[object]:
@@ -118,8 +122,8 @@ class Daemon:
         writer.setblocking(False)
         old_fd = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
 
-        def handler(_number: int, _frame: FrameType | None) -> None:
-            self.stop()
+        def handler(number: int, _frame: FrameType | None) -> None:
+            self.stop(f"signal {signal.Signals(number).name}")
 
         old = {number: signal.signal(number, handler) for number in ending_signals()}
         self._selector.register(reader, selectors.EVENT_READ)
@@ -154,8 +158,10 @@ class Daemon:
             if now_ns >= self._look_ns:
                 self._look_around(now_ns)
             if until_ns is not None and now_ns >= until_ns:
+                self.why = self.why or DURATION_OVER
                 return
             if while_true is not None and not while_true():
+                self.why = self.why or COMMAND_ENDED
                 return
             self._step_due(now_ns)
             self._path_guard.look(now_ns)

@@ -24,6 +24,7 @@ from emulator.runtime.virtual_daemon import VirtualDaemon
 if TYPE_CHECKING:
     from emulator.injection.run import FaultRun
     from emulator.scenario.scenario import Scenario
+    from emulator.scenario.weather import WeatherConfig
 
 LONGEST_STEP_S = 3600.0
 LONGEST_S = 1e9
@@ -62,6 +63,8 @@ class Orders:
     ) -> None:
         """`note` is told of every order that changes something. To be made before the devices are switched on."""
         self._recording: Callable[[], dict[str, object] | None] = lambda: None
+        self.until_ns: int | None = None
+        "When the run ends by itself; None: it goes on until it is stopped."
         self._daemon = daemon
         self._instruments = tuple(instruments)
         self._clock = clock
@@ -119,6 +122,8 @@ class Orders:
         self._read_ledgers()
         virtual = isinstance(self._daemon, VirtualDaemon)
         return {
+            "scenario": str(self._scenario.source.stem),
+            "ends_at_s": None if self.until_ns is None else self.until_ns * 1e-9,
             "clock": "virtual" if virtual else "real",
             "now_s": self._now_ns() * 1e-9,
             "paused": self._daemon.paused if isinstance(self._daemon, VirtualDaemon) else False,
@@ -143,10 +148,10 @@ class Orders:
 
         now_ns = self._now_ns()
         if not params:
-            return {"now_s": now_ns * 1e-9, "weather": state_of(self._weather, now_ns * 1e-9)}
+            return {"now_s": now_ns * 1e-9, "weather": state_of(self._weather_of_round(now_ns), now_ns * 1e-9)}
         # one instant for all sensors, after every sweep that is measured already: the same run can be had from a file
         from_ns = max([now_ns, *(one.asked_ns + 1 for one in self._instruments)])
-        found = changed(self._weather, params, from_ns, [actor.id for actor in self._scenario.actors])
+        found = changed(self._weather_of_round(from_ns), params, from_ns, [actor.id for actor in self._scenario.actors])
         self._weather = found.weather
         for one in self._instruments:
             one.conditions = replace(one.conditions, weather=found.weather)
@@ -154,6 +159,12 @@ class Orders:
         state = state_of(self._weather, from_s)
         # one reading of the clock: `from_s` is never before the `now_s` that stands beside it
         return self._did("weather", change=found.entry) | {"now_s": now_ns * 1e-9, "from_s": from_s, "weather": state}
+
+    def _weather_of_round(self, at_ns: int) -> WeatherConfig:
+        """Of a scenario that begins again: the changes of this round; an order ends them with it."""
+        if self._scenario.round_s is None or self._weather is not self._scenario.weather:
+            return self._weather
+        return self._weather.later(at_ns // round(self._scenario.round_s * 1e9) * self._scenario.round_s)
 
     def weather_judged(self, params: Mapping[str, Any]) -> object:
         """The same; beside it the sensors that cannot compute such weather, and go on with the scenario's own."""
@@ -219,7 +230,22 @@ class Orders:
             done = self._byte_steps[sensor or "", link].step(int(count), before_ns + NOTHING_MORE_NS)
         told: dict[str, object] = {what: done} if what in ("scans", "bytes") else {}
         named = {name: params[name] for name in ("sensor", "link") if name in params}
+        if done < count and told:
+            told["why"] = self._why_nothing(what, done, sensor)
         return self._did("step", **(wanted or {"scans": 1.0}), **named) | told
+
+    def _why_nothing(self, what: str, done: int, sensor: str | None) -> str:
+        """Why a step ended before all its scans or bytes had come, in words."""
+        reasons = []
+        for one in self._instruments:
+            if sensor in (None, one.sensor):
+                if not any(link.has_host() for link in one.links):
+                    reasons.append(f"{one.sensor}: no host is connected")
+                elif not one.stats.scans_sent:
+                    reasons.append(f"{one.sensor}: no host has asked for scans yet")
+                else:
+                    reasons.append(f"{one.sensor}: its device has sent all that was asked for")
+        return f"{done} {what} within {NOTHING_MORE_NS * 1e-9:g} virtual s; {'; '.join(reasons)}"
 
     def _place(self, params: Mapping[str, Any], what: str) -> tuple[str | None, int]:
         """Whose scans or bytes are counted: of all sensors or one; bytes of one link, by default the very first."""
@@ -286,5 +312,5 @@ class Orders:
     def stop(self, params: Mapping[str, Any]) -> object:
         """End the run as SIGTERM does."""
         _taken(params)
-        self._daemon.stop()
+        self._daemon.stop("ordered: ctl stop")
         return self._did("stop")

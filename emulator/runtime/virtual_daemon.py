@@ -27,7 +27,7 @@ from emulator.process.incidents import Incidents
 from emulator.process.sd_notify import Notifier
 from emulator.process.time_limits import TICK_NS
 from emulator.process.waiting import Poller
-from emulator.runtime.daemon import status_text
+from emulator.runtime.daemon import COMMAND_ENDED, DURATION_OVER, status_text
 from emulator.runtime.liveness import Liveness
 from emulator.runtime.own_daemon import ending_signals
 from emulator.runtime.path_guard import PathGuard
@@ -90,6 +90,8 @@ class VirtualDaemon:
         self._bell, self._ring = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         self._poller = Poller([self._bell])
         self._stop = False
+        self.why = ""
+        "Why the run has ended, in words; empty: it has not."
         self.paused = False
         self.pause_at_ns: int | None = None
         "Virtual instant at which time will stand; None: it goes on."
@@ -144,7 +146,7 @@ class VirtualDaemon:
             fresh = self._workers.settle(self._go_on)
         except EmulatorError as error:  # time would stand for ever
             self.on_failure(str(error))
-            self.stop()
+            self.stop(str(error))
             fresh = set()
         for kind, worker, text in self._workers.incidents:
             self.incidents.note(kind, self.now_ns, worker, text)
@@ -182,14 +184,14 @@ class VirtualDaemon:
             link for one in self.instruments if one.sensor not in self.run_of.lost for link in one.links
         )
         if not self._served:
-            self.stop()
+            self.stop("every sensor has lost a link")
 
     @contextlib.contextmanager
     def signals(self) -> Iterator[None]:
         """SIGINT, SIGTERM and a closed terminal stop the run while this lasts."""
 
-        def handler(_number: int, _frame: FrameType | None) -> None:
-            self.stop()
+        def handler(number: int, _frame: FrameType | None) -> None:
+            self.stop(f"signal {signal.Signals(number).name}")
 
         old = {number: signal.signal(number, handler) for number in ending_signals()}
         try:
@@ -216,8 +218,9 @@ class VirtualDaemon:
             return 0
         return round(self._real.now_ns() - self._anchor[0] - (virtual_ns - self._anchor[1]) / self._speed)
 
-    def stop(self) -> None:
-        """End the run after the present step; safe in a signal handler and from other threads."""
+    def stop(self, why: str = "stopped") -> None:
+        """End the run after the present step, for that reason; safe in a signal handler and from other threads."""
+        self.why = self.why or why
         self._stop = True
         self._wake()
 
@@ -256,8 +259,10 @@ class VirtualDaemon:
         while not self._stop:
             self._look_around()
             if until_ns is not None and self.now_ns >= until_ns:
+                self.why = self.why or DURATION_OVER
                 return
             if while_true is not None and not while_true():
+                self.why = self.why or COMMAND_ENDED
                 return
             self._path_guard.look(self._real.now_ns(), self.now_ns)
             self._wait(self._once(until_ns))

@@ -33,6 +33,7 @@ def faults(source: Source) -> list[str]:
     data = source.data
     checks: tuple[Callable[[dict[str, Any], Path], Iterable[Found]], ...] = (
         _numbers,
+        _loop,
         _unique_ids,
         _shapes,
         _material_names,
@@ -58,6 +59,11 @@ def builtin_meshes() -> tuple[str, ...]:
     """Names of the meshes that come with the package."""
     folder = files("scenarios") / "meshes"
     return tuple(sorted(entry.name for entry in folder.iterdir() if entry.name.endswith(MESH_SUFFIXES)))
+
+
+def _loop(data: Mapping[str, Any], folder: Path) -> Iterator[Found]:
+    if data.get("loop") is True and data.get("duration_s") is None:
+        yield ("loop",), "True", "duration_s beside it: how long a round lasts"
 
 
 def _tables(data: Mapping[str, Any], key: str) -> Iterator[tuple[Loc, dict[str, Any]]]:

@@ -85,6 +85,8 @@ class Scenario(DescribedTable):
     "Of every random draw."
     duration_s: Positive | None = None
     "None: until it is stopped."
+    loop: bool = False
+    "Motion, shapes and weather begin again after every `duration_s`, and `run` goes on until it is stopped."
     world: Annotated[tuple[WorldItem, ...], Field(max_length=MOST_ACTORS)] = ()
     actors: Annotated[tuple[Actor, ...], Field(max_length=MOST_ACTORS)] = ()
     weather: WeatherConfig = Field(default_factory=WeatherConfig)
@@ -114,6 +116,11 @@ class Scenario(DescribedTable):
         from emulator.physics.materials import known_materials
 
         return frozenset((*self.materials, *known_materials()))
+
+    @property
+    def round_s(self) -> float | None:
+        """After so long the world begins again; None: never."""
+        return self.duration_s if self.loop else None
 
     def resolve(self, mesh: str) -> Path:
         """Where a mesh of this scenario lies."""

@@ -212,6 +212,19 @@ class WeatherConfig(_State):
         """Instants at which another state begins."""
         return tuple(change.t_s for change in self.changes)
 
+    def later(self, by_s: float) -> WeatherConfig:
+        """The same with every change so much later: that of a later round of a scenario that begins again."""
+        if not self.changes or not by_s:
+            return self
+        moved = [
+            Change.model_construct(
+                _fields_set=set(change.model_fields_set),
+                **{key: getattr(change, key) for key in change.model_fields_set} | {"t_s": change.t_s + by_s},
+            )
+            for change in self.changes
+        ]
+        return self.model_copy(update={"changes": tuple(moved)})
+
     def at(self, t_s: float) -> WeatherConfig:
         """The state that holds at `t_s`, without further changes."""
         count = bisect.bisect_right([change.t_s for change in self.changes], t_s)

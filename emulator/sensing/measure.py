@@ -104,12 +104,20 @@ class Measure:
         """Measure one sweep."""
         if len(plan) == 0:
             return Scan.empty(plan)
+        turned_ns = self._scene.turned_ns(plan.start_ns)
+        if turned_ns:  # a sweep is of the round in which it begins, to its end
+            local = self._under(replace(plan, start_ns=plan.start_ns - turned_ns), conditions, plan)
+            return replace(local, plan=plan)
+        return self._under(plan, conditions, plan)
+
+    def _under(self, local: ScanPlan, conditions: Conditions, plan: ScanPlan) -> Scan:
+        """One sweep; `local` is the plan in the scene's own time. What was ordered holds by the run's."""
         if conditions.weather is not self._weather:
             first_s = float(1e-9 * plan.start_ns + plan.fire_offset_s[0])
             self._change_air(None if conditions.weather is None else conditions.weather.at(first_s))
         faults = conditions.of(self.draws.sensor, plan.start_ns) if conditions.faults else ()
         with np.errstate(under="ignore"):  # what underflows here is no light, or no length
-            return self._under_faults(plan, faults) if faults else self._measured(plan)
+            return self._under_faults(local, faults) if faults else self._measured(local)
 
     def _under_faults(self, plan: ScanPlan, faults: tuple[ActiveFault, ...]) -> Scan:
         if self._faulty is None:

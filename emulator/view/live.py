@@ -58,7 +58,7 @@ class LiveSource:
 
     def stand_at_end(self) -> None:
         """Have time stand where the scenario ends by its `duration_s`; whoever looks may let it go on."""
-        self._end_s = self.scenario.duration_s
+        self._end_s = None if self.scenario.loop else self.scenario.duration_s
         if self._end_s is not None:
             self._ask("pause", {"at_s": self._end_s})
 

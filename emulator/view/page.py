@@ -226,7 +226,7 @@ class Page:
     def _move(self, frame: Frame) -> None:
         """Bodies and sensors stand where they stood when the newest scan was measured."""
         newest = max((scan.start_s for scan in frame.scans.values()), default=-math.inf)
-        t_s = newest if abs(newest - frame.now_s) < 1.0 else frame.now_s
+        t_s = self._world.local_s(newest if abs(newest - frame.now_s) < 1.0 else frame.now_s)
         times = np.array([t_s])
         for number, body in enumerate(self._world.bodies):
             if self._looks == 0 or not body.motion.still:

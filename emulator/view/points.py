@@ -77,7 +77,7 @@ def cloud(scene: Scene, mount: Mount, scan: ShownScan, colouring: str) -> Cloud:
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
     )
     range_m = scan.range_m[beam, echo]
-    pose = scene.sensor_pose(mount, scan.start_s + scan.fire_s[beam])
+    pose = scene.sensor_pose(mount, scene.local_s(scan.start_s) + scan.fire_s[beam])
     points = pose.to_world(direction * range_m[:, None])
     origins = np.broadcast_to(pose.position_m, points.shape)
     colours = colours_of(colouring, range_m, scan.intensity[beam, echo], scan.actor[beam, echo])
@@ -118,7 +118,7 @@ def boxes(scene: Scene, mount: Mount, scan: ShownScan) -> Floats:
     """(12 edges of each object, 2, 3) of an object list, in the world."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     edges = [(a, b) for a in range(8) for b in range(a + 1, 8) if (a ^ b).bit_count() == 1]
-    pose = scene.sensor_pose(mount, np.array([scan.start_s]))
+    pose = scene.sensor_pose(mount, np.array([scene.local_s(scan.start_s)]))
     found = []
     for item in scan.objects:
         placed = pose.to_world(_corners(item, corners))

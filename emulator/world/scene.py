@@ -87,6 +87,19 @@ class Scene:
     bodies: tuple[Body, ...]
     warnings: tuple[str, ...] = ()
     "What was odd about the meshes, one line each."
+    round_s: float | None = None
+    "After so long it begins again; None: never. Motions know nothing of it: who asks for a pose asks with `local_s`."
+
+    def local_s(self, t_s: float) -> float:
+        """The scene's own time at `t_s` of the run; the first round is the run's time to the last bit."""
+        return t_s - 1e-9 * self.turned_ns(round(t_s * 1e9))
+
+    def turned_ns(self, at_ns: int) -> int:
+        """What the rounds have taken that are finished at that instant."""
+        if self.round_s is None or at_ns < 0:
+            return 0
+        round_ns = round(self.round_s * 1e9)
+        return at_ns // round_ns * round_ns
 
     @cached_property
     def index(self) -> dict[str, int]:
@@ -151,6 +164,7 @@ def build(scenario: Scenario) -> Scene:
         tuple(builder.materials),
         tuple(builder.bodies),
         tuple(builder.warnings),
+        scenario.round_s,
     )
 
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from emulator.commands.cli import CANNOT_RUN, OK, main, place_of, variable_of
+from emulator.commands.cli import CANNOT_RUN, OK, main
 from emulator.commands.common import LINK_LOST
+from emulator.process.driver import place_of, variable_of
 
 SCENARIO = """\
 schema: 1
@@ -157,3 +158,17 @@ def test_a_driver_finds_its_sensor_in_the_environment() -> None:
     assert variable_of("front-left") == "LIDAREMU_FRONT_LEFT"
     assert place_of("pty:/run/x?speed=ignore") == "/run/x"
     assert place_of("tcp:127.0.0.1:4001") == "127.0.0.1:4001"
+
+
+def test_a_run_says_when_it_will_end_and_at_its_end_why_it_did(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write(tmp_path, SCENARIO.replace("pty:./front", "tcp:127.0.0.1:0") + "duration_s: 0.5\n")
+    assert main(["run", path, "--clock", "virtual", "--json", "--no-wait"]) == OK
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert (rows[0]["ends_at_s"], rows[0]["ends_by"], rows[0]["round_s"]) == (0.5, "duration_s of the scenario", None)
+    assert (rows[-1]["why"], rows[-1]["ended_s"]) == ("its duration is over", 0.5)
+    assert main(["run", path, "--clock", "virtual", "--no-wait", "--loop", "--duration", "1.25"]) == OK
+    told = capsys.readouterr().out.splitlines()
+    assert told[1] == "ends after 1.25 s (--duration); the world begins again every 0.5 s"
+    assert told[2] == "ended after 1.250 s: its duration is over"

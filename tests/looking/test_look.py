@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import pytest
 from rich.console import Console
 
 from emulator.errors import LinkError
+from emulator.hosts.lines import GONE, LineClosed, SerialLine
 from emulator.hosts.scans import HostObject, HostObjects, HostScan, Seen
 from emulator.looking import look, plot
 from emulator.looking.look import TABLE_COLUMNS, View, Wanted, describe, run_look, table_of, tidy, watch
@@ -247,3 +249,34 @@ def test_keyboard_interrupt_is_an_end_as_asked() -> None:
     said: list[str] = []
     assert run_look(Interrupted([]), "pty:x", Wanted(), said.append) == 0
     assert "181 beams" in said[-1]
+
+
+class Ending(Played):
+    """A host whose device goes after its scans."""
+
+    def scans(self, timeout_s: float) -> Iterator[Seen | None]:
+        yield from self._seen
+        raise LineClosed(GONE)
+
+
+def test_a_run_that_ends_is_told_as_that_and_is_no_fault_of_who_looks() -> None:
+    said: list[str] = []
+    assert run_look(Ending([WALL, WALL]), "pty:./x", Wanted(), said.append) == 0
+    assert said[-1].startswith("after 2 scans: the other end has closed the line: the run or the replay has ended")
+
+
+@pytest.mark.parametrize("wanted", [Wanted(scans=3), Wanted(duration_s=1e6)])
+def test_whoever_wanted_more_than_came_is_told_with_an_error(wanted: Wanted) -> None:
+    with pytest.raises(LineClosed, match="after 2 scans: the other end has closed the line"):
+        run_look(Ending([WALL, WALL]), "pty:./x", wanted, lambda text: None)
+
+
+def test_a_pty_whose_master_is_closed_says_that_the_run_has_ended_not_pyserial() -> None:
+    master, slave = os.openpty()
+    line = SerialLine(os.ttyname(slave), 9600)
+    os.close(slave)
+    os.close(master)
+    for act in (lambda: line.read(0.0), lambda: line.write(b"x"), lambda: line.set_baud(38_400)):
+        with pytest.raises(LineClosed, match="the run or the replay has ended"):
+            act()
+    line.close()

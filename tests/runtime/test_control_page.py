@@ -64,5 +64,5 @@ def test_every_example_is_answered_like_that(orders: Orders) -> None:
         found = found.make() if isinstance(found, Later) else found
         assert type(found) is type(told), request
         if isinstance(told, dict):
-            assert set(told) == set(found), request
+            assert set(told) == set(found) - {"why"}, request  # no host is here that would read
     assert json.loads(json.dumps(found)) == found

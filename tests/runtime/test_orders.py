@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -70,3 +71,38 @@ def test_a_speed_within_its_limits_holds_until_the_next(orders: Orders, daemon: 
     assert daemon.speed == x
     orders.methods()["speed"]({"x": 0})
     assert daemon.speed is None
+
+
+def test_a_run_knows_why_it_was_ended_the_first_reason_counts(orders: Orders, daemon: VirtualDaemon) -> None:
+    orders.stop({})
+    daemon.stop("signal SIGTERM")
+    assert daemon.why == "ordered: ctl stop"
+
+
+def test_a_signal_is_told_by_its_name(daemon: VirtualDaemon) -> None:
+    with daemon.signals():
+        signal.raise_signal(signal.SIGTERM)
+    assert daemon.why == "signal SIGTERM"
+
+
+def test_the_end_of_its_command_is_a_reason(daemon: VirtualDaemon) -> None:
+    daemon.run(None, lambda: False)
+    assert daemon.why == "its command has ended"
+
+
+def test_status_names_the_scenario_and_when_it_ends(orders: Orders) -> None:
+    orders.until_ns = 12_000_000_000
+    status = orders.status({})
+    assert isinstance(status, dict)
+    assert (status["scenario"], status["ends_at_s"]) == ("case", 12.0)
+
+
+@pytest.mark.parametrize("what", ["scans", "bytes"])
+def test_a_step_without_a_host_says_why_nothing_came(orders: Orders, what: str) -> None:
+    told = orders.step({what: 1})
+    assert isinstance(told, dict)
+    if what == "scans":
+        assert told["scans"] == 0
+        assert told["why"] == "0 scans within 10 virtual s; front: no host is connected"
+    else:
+        assert told["bytes"] or "no host is connected" in told["why"]

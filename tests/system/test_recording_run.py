@@ -77,6 +77,37 @@ def test_a_killed_runs_recording_is_replayed_with_its_gaps_and_its_bytes(recordi
     assert elapsed > 0.5 * (sent[-1].end_ns - sent[0].start_ns) * 1e-9
 
 
+def test_a_replay_starts_a_driver_told_where_sensors_are_and_a_replay_is_looked_at(
+    recording: Path, tmp_path: Path
+) -> None:
+    look = f"{sys.executable} -m emulator look pty:$LIDAREMU_FRONT --baud 38400 --scans 3 --json"
+    command = [
+        sys.executable,
+        "-m",
+        "emulator",
+        "replay",
+        "rec",
+        "--loop",
+        "0",
+        "--link",
+        "front=pty:./again",
+        "--json",
+    ]
+    done = subprocess.run(
+        [*command, "--", "sh", "-c", f"{look} && exit 7"],
+        cwd=tmp_path,
+        env=dict(os.environ) | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 1, done.stderr
+    assert "ended with exit code 7" in done.stderr
+    rows = [json.loads(line) for line in done.stderr.splitlines() if line.startswith("{")]
+    assert len(rows) == 3
+
+
 def test_a_replay_can_be_stepped_and_looped(recording: Path, tmp_path: Path) -> None:
     process = replay(tmp_path, "rec", "--link", "front=pty:./again?speed=ignore", "--stepped", stdin=subprocess.PIPE)
     with serial.Serial(str(tmp_path / "again"), 38_400, timeout=PATIENCE_S) as port:
