@@ -43,6 +43,7 @@ from emulator.commands.report import report
 from emulator.commands.soak import soak
 from emulator.commands.study import study
 from emulator.commands.test import test
+from emulator.commands.transcript import transcript as print_transcript
 from emulator.commands.view import view
 from emulator.errors import EmulatorError, LinkError
 from emulator.output.lines import note, say
@@ -453,7 +454,7 @@ def list_(what: str, name: str | None, as_json: bool) -> int:
     return OK
 
 
-for command in (demo, look, probe, report, test, replay, diff, ctl, doctor, study, explain, view):
+for command in (demo, look, print_transcript, probe, report, test, replay, diff, ctl, doctor, study, explain, view):
     commands.add_command(command)
 
 study.add_command(fuzz)

@@ -66,7 +66,7 @@ def tries(tcp: bool) -> list[Try]:
     for name in families():
         known = family(name) if name not in ("lms2xx", "ld", CAN_FAMILY) else None
         if isinstance(known, HasHost):
-            found.append((name, lambda line, name=name, known=known: _stranger(name, known, line)))  # type: ignore[misc]
+            found.append((name, lambda line, name=name, known=known: _stranger(name, known, line)))
     return found
 
 

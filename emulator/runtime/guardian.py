@@ -1,4 +1,4 @@
-"""`run --restart`: a process that starts the daemon again, with the same links, when it dies of something else than its end.
+"""`run --restart`: a process that starts the daemon again, with the same links, when it dies before its end.
 
 Belongs here: when it is started again, after how long, and that neither outlives the other. Not: what a daemon does.
 
@@ -26,7 +26,7 @@ FIRST_S, LONGEST_S = 0.5, 30.0
 STEADY_NS = 60_000_000_000
 "A daemon that has run so long begins the row anew."
 TRACEBACK = 1
-"Exit code of a Python program that ends by an error which nobody caught; a run without a COMMAND has no other use for it."
+"Exit code of a Python program that ends by an uncaught error; a run without a COMMAND has no other use for it."
 
 
 def died(code: int) -> bool:
