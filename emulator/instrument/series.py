@@ -17,6 +17,7 @@ from emulator.config.expressions import Name, Value
 from emulator.hosts.scans import HostScan
 from emulator.instrument.instrument import Instrument
 from emulator.instrument.observer import Observer, Payload
+from emulator.instrument.owed import GAPS_KEPT, silence_ns, usual_gap
 from emulator.objects.metrics import ListedScan, ObjectScore, Score, TruthObject
 from protocols.device_clock import Told
 from protocols.scan import DetectedObject, Floats, Ints, Scan
@@ -241,8 +242,36 @@ def _sent(window: Window) -> Floats:
     return np.array([at_ns for at_ns in window.series.sent_ns if window.holds(at_ns)], dtype=np.float64) * 1e-9
 
 
+def _silence(window: Window) -> tuple[float, float] | None:
+    """Beginning and end of the silence of a sensor that owes scans at the window's end; None: it is not silent."""
+    span = window.instrument.owed.at(window.to_ns)
+    if span is None:
+        return None
+    before = [at_ns for at_ns in window.series.sent_ns if at_ns <= window.to_ns]
+    usual_ns = usual_gap(np.diff(before[-GAPS_KEPT:]).tolist())
+    quiet_ns = silence_ns(before[-1] if before else None, span.first_ns, usual_ns, window.to_ns)
+    return ((window.to_ns - quiet_ns) * 1e-9, window.to_ns * 1e-9) if quiet_ns else None
+
+
+def gaps(window: Window) -> tuple[Floats, Floats]:
+    """Beginning and length of every gap of a window, a silence at its end the last of them. [s]"""
+    sent, silence = _sent(window), _silence(window)
+    begins, lengths = sent[:-1], np.diff(sent)
+    if silence is None:
+        return begins, lengths
+    return np.append(begins, silence[0]), np.append(lengths, silence[1] - silence[0])
+
+
+def _silent(window: Window) -> Value:
+    silence = _silence(window)
+    return 0.0 if silence is None else silence[1] - silence[0]
+
+
 def _rate(window: Window) -> Value:
-    sent = _sent(window)
+    sent, silence = _sent(window), _silence(window)
+    if silence is not None:  # of a sensor that has been silent all the time, none
+        first_s = sent[0] if len(sent) else max(silence[0], window.from_ns * 1e-9)
+        return max(0, len(sent) - 1) / float(silence[1] - first_s) if silence[1] > first_s else float("nan")
     return float((len(sent) - 1) / (sent[-1] - sent[0])) if len(sent) > 1 and sent[-1] > sent[0] else float("nan")
 
 
@@ -276,7 +305,8 @@ VALUES: Mapping[str, Callable[[Window], Value]] = {
     "bytes_out": lambda window: float(window.series.bytes_out),
     "bytes_in": lambda window: float(window.series.bytes_in),
     "lateness_us": lambda window: window.instrument.stats.lateness.latest_ns().astype(np.float64) * 1e-3,
-    "gap_s": lambda window: np.diff(_sent(window)),
+    "gap_s": lambda window: gaps(window)[1],
+    "silent_s": _silent,
     "first_scan_s": lambda window: float(sent[0]) if len(sent := _sent(window)) else float("nan"),
     "points": _of_measured(_points),
     "points_on": _of_measured(_points_on),

@@ -26,7 +26,7 @@ class Quantity:
 
 
 QUANTITIES: Mapping[str, Quantity] = {
-    "scans_per_s": Quantity("scans sent a second, from the first to the last"),
+    "scans_per_s": Quantity("scans sent a second, from the first to the last; a silence at the end counts"),
     "scans_sent": Quantity("scans handed to the first link"),
     "scans_read": Quantity("scans that the built-in host decoded"),
     "scans_measured": Quantity("sweeps measured and taken"),
@@ -40,7 +40,8 @@ QUANTITIES: Mapping[str, Quantity] = {
     "lateness_us": Quantity(
         "series: actual minus scheduled instant of each send; under a virtual clock the grouping of bytes alone"
     ),
-    "gap_s": Quantity("series: time from scan to scan; its max is the recovery"),
+    "gap_s": Quantity("series: time from scan to scan, and a silence at the end; its max is the recovery"),
+    "silent_s": Quantity("for how long no scan has left although hosts are owed some, at the end; 0: it is not silent"),
     "first_scan_s": Quantity("when the first scan left"),
     "points": Quantity("series: beams with an echo"),
     "points_on": Quantity("series: beams whose first echo is that actor's", "actor"),
