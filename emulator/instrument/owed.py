@@ -4,8 +4,8 @@ Belongs here: who is to blame for a stream's end, and what counts as silence. No
 whether sweeps are still measured (`runtime.liveness`), names and texts of expectations (series, expectations).
 
 Scans are owed from the instant at which a session wants the first sweep until its host ends the stream: by a command,
-by hanging up, or because what it asked for is complete: then it asks for no more. A power cut, a pulled plug, a restart or
-a change of mode that no host has asked for end nothing: what they stop stays owed until scans are wanted again.
+by hanging up, or because what it asked for is complete: then the session wants no more. A power cut, a pulled plug, a
+restart or a change of mode that no host has asked for end nothing: what they stop is owed until scans are wanted again.
 """
 
 from __future__ import annotations
