@@ -52,7 +52,7 @@ def chapter(run: Gathered) -> Section | None:
         "Expectations",
         (text + ".",),
         tuple(_pictures(run, failed)),
-        (Table("expectations", "What was expected", columns, rows_of(table)),),
+        (Table("expected", "What was expected", columns, rows_of(table)),),
     )
 
 
