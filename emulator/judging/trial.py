@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from emulator.errors import ScenarioError
 from emulator.hosts.scripted import HasScript, LdScript, Lms2xxScript
 from emulator.injection.run import FaultRun
 from emulator.instrument.instrument import Instrument, Measuring
@@ -20,6 +21,7 @@ from emulator.instrument.observer import Observer
 from emulator.instrument.series import SeriesWatcher
 from emulator.instrument.summary import summary
 from emulator.judging.expectations import Judgement, Judgements, Run, understand, verdicts
+from emulator.measuring.conditions import NORMAL, Conditions
 from emulator.measuring.measuring import InPlace
 from emulator.measuring.supervision import Workers
 from emulator.process.incidents import Incidents
@@ -35,6 +37,7 @@ from emulator.transports.can_wire import CanWire, Carried
 from emulator.transports.link import Link
 from emulator.transports.loopback import Loops
 from emulator.transports.schemes import open_link
+from protocols.scan import Scan, ScanPlan
 from protocols.session import Family
 
 DEFAULT_S = 5.0
@@ -201,6 +204,30 @@ class Trial:
             instrument.close()
         if self._workers is not None:
             self._workers.close()
+
+
+class _Nothing:
+    """Measures nothing."""
+
+    def request(self, sensor: str, plan: ScanPlan, conditions: Conditions = NORMAL) -> None:
+        """Forget it."""
+
+    def collect(self, sensor: str) -> list[Scan]:
+        """None."""
+        return []
+
+
+def rehearse(scenario: Scenario) -> None:
+    """Set a scenario up without measuring: `ScenarioError` has all that a trial or a run would refuse."""
+    told: list[str] = []
+    without = scenario.model_copy(update={"expect": ()})
+    for refused in (partial(understand, scenario), lambda: Trial(without, measuring=_Nothing()).close()):
+        try:
+            refused()
+        except ScenarioError as error:
+            told += [line for line in error.lines if line not in told]
+    if told:
+        raise ScenarioError.of(told)
 
 
 def note_verdict(recorder: Recorder, judged: Judgements, end_ns: int) -> None:
