@@ -265,8 +265,8 @@ def _write_junit(results: Sequence[Result], path: Path) -> None:
             case = Tree.SubElement(suite, "testcase", told)
             Tree.SubElement(case, "error", message=_clean(f"recording ended: {result.found.recording['why']}"))
         if result.found is not None and result.found.warnings:
-            told = [f"warning: {text}" for text in result.found.warnings]
-            Tree.SubElement(suite, "system-err").text = _clean("\n".join(told))
+            lines = [f"warning: {text}" for text in result.found.warnings]
+            Tree.SubElement(suite, "system-err").text = _clean("\n".join(lines))
         if result.found is None:
             error = Tree.SubElement(cases[0], "error", message=_clean(result.fault.partition("\n")[0]))
             error.text = _clean(result.fault)

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from emulator.run_report.figures import COLOURS, fault_spans
+from emulator.run_report.figures import fault_spans
 from emulator.run_report.gather import Gathered, SensorTally
-from emulator.studies.drawing import figure, png, word
+from emulator.studies.drawing import COLOURS, figure, png, word
 from emulator.studies.report import Column, Picture, Section, Table, Value, rows_of
 
 AROUND_S = 0.5

@@ -334,6 +334,7 @@ def _unspoken(family: str | None, url: str) -> tuple[str, str] | None:
     from emulator.transports.schemes import LINK_SCHEMES
 
     scheme = url.partition(":")[0]
+    spoken: tuple[str, ...]
     if family == "can_objects" and scheme not in (*CAN_SCHEMES, "loop"):
         spoken = CAN_SCHEMES
     elif family in ("lms2xx", "ld") and scheme in CAN_SCHEMES:
