@@ -106,15 +106,16 @@ def check(
     scenarios: Sequence[str], overrides: Sequence[str], seed: int | None, links: Sequence[str], as_json: bool
 ) -> int:
     """Validate scenario files, their meshes and their devices' settings."""
+    from emulator.judging.trial import rehearse
     from emulator.measuring.measuring import Measures, warnings_of
-    from emulator.runtime.assembly import measures_of, new_sessions
+    from emulator.runtime.assembly import measures_of
     from emulator.world import scene
 
     code = OK
     for name in scenarios:
         try:
             loaded = load_scenario(name, overrides, seed, links)
-            new_sessions(loaded)
+            rehearse(loaded)
             world = scene.build(loaded)
             warnings = warnings_of(Measures(measures_of(loaded, world), world.warnings))
         except EmulatorError as error:

@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -62,7 +62,7 @@ class Result:
         return row | {
             "sha256": self.found.sha256,
             "duration_s": self.found.duration_s,
-            "expect": [asdict(item) for item in self.found.judgements],
+            "expect": [item.as_json() for item in self.found.judgements],
             "sensors": list(self.found.sensors),
             "warnings": list(self.found.warnings),
             "recording": self.found.recording,
@@ -225,9 +225,9 @@ def _tell(result: Result) -> None:
             say(f"  {line}")
         return
     found = result.found
-    held = sum(item.held for item in found.judgements)
+    counted = sum(item.held is found.held for item in found.judgements)
     say(
-        f"{result.scenario}: {result.verdict}: {held} of {len(found.judgements)} expectations,"
+        f"{result.scenario}: {result.verdict}: {counted} of {len(found.judgements)} expectations,"
         f" {found.duration_s:g} s in {result.real_s:.2f} s, sha256 {found.sha256[:16]}"
     )
     for text in found.warnings:
@@ -241,7 +241,7 @@ def _tell(result: Result) -> None:
             say(f"  {sensor['id']}: {sensor['objects']['lists']} object lists: {', '.join(figures)}")
     for item in found.judgements:
         if not item.held:
-            say(f"  {item.name}: {item.found}; expected {item.wanted}")
+            say(f"  {item.name}: {item.told}")
 
 
 def _write_junit(results: Sequence[Result], path: Path) -> None:
@@ -264,6 +264,8 @@ def _write_junit(results: Sequence[Result], path: Path) -> None:
         if result.found is not None:
             properties = Tree.SubElement(suite, "properties")
             Tree.SubElement(properties, "property", name="sha256", value=result.found.sha256)
+            for text in result.found.warnings:
+                Tree.SubElement(properties, "property", name="warning", value=_clean(text))
         share_s = result.real_s / max(1, len(judged))
         for name in [item.name for item in judged] or ["runs"]:
             case = Tree.SubElement(suite, "testcase", classname=_clean(result.scenario), name=_clean(name))
@@ -271,13 +273,16 @@ def _write_junit(results: Sequence[Result], path: Path) -> None:
         cases = suite.findall("testcase")
         for case, item in zip(cases, judged, strict=False):
             if not item.held:
-                Tree.SubElement(case, "failure", message=_clean(f"{item.found}; expected {item.wanted}"))
+                Tree.SubElement(case, "failure", message=_clean(item.told))
         if result.recording_ended and result.found is not None and result.found.recording is not None:
             suite.set("tests", str(len(cases) + 1))
             suite.set("errors", "1")
             told = {"classname": _clean(result.scenario), "name": "is recorded to its end", "time": "0.000"}
             case = Tree.SubElement(suite, "testcase", told)
             Tree.SubElement(case, "error", message=_clean(f"recording ended: {result.found.recording['why']}"))
+        if result.found is not None and result.found.warnings:
+            lines = [f"warning: {text}" for text in result.found.warnings]
+            Tree.SubElement(suite, "system-err").text = _clean("\n".join(lines))
         if result.found is None:
             error = Tree.SubElement(cases[0], "error", message=_clean(result.fault.partition("\n")[0]))
             error.text = _clean(result.fault)

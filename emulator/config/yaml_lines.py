@@ -37,6 +37,7 @@ Loc = tuple[str | int, ...]
 
 MAX_BYTES, MAX_VALUES, MAX_SEPARATORS, MAX_DEPTH = TEXT.bytes, TEXT.values, TEXT.separators, TEXT.depth
 
+_TAB = re.compile(r" *\t")
 _NULL = re.compile(r"(?:|~|null|Null|NULL)\Z")
 _BOOL = re.compile(r"(?:true|True|TRUE|false|False|FALSE)\Z")
 _INT = re.compile(r"[-+]?[0-9]+\Z")
@@ -122,7 +123,11 @@ def parse(text: str, path: Path, error: type[EmulatorError]) -> Source:
     except MarkedYAMLError as exc:
         mark = exc.problem_mark or exc.context_mark
         line = mark.line + 1 if mark is not None else 1
-        raise error(f"{path}:{line}: not YAML: {exc.problem or exc.context}; want YAML 1.2") from None
+        found, want = exc.problem or exc.context, "YAML 1.2"
+        lines = text.splitlines()
+        if "'\\t'" in str(found) or (line <= len(lines) and _TAB.match(lines[line - 1])):
+            found, want = "a tab where a line is indented", "spaces: use spaces to indent"
+        raise error(f"{path}:{line}: not YAML: {found}; want {want}") from None
     except (YAMLError, ValueError, LookupError, TypeError, AttributeError, AssertionError, RecursionError) as exc:
         # the parser has no single error for a broken text: `%YAML 1.6` ends it with an assertion
         reason = " ".join(str(exc).split()) or type(exc).__name__

@@ -84,6 +84,9 @@ class Device(Protocol):
     def framing(self, kind: LinkKind) -> Framing | None:
         """How its telegrams are framed on such a link; None where its family does not tell."""
 
+    def torn_off(self, now_ns: int) -> None:
+        """Its hosts are gone, and none of them has ended its stream."""
+
     def power_off(self, now_ns: int) -> int:
         """Cut the power; how many bytes are gone with it."""
 

@@ -40,6 +40,7 @@ class Unplug(Holding):
                 continue
             link.unplug()
             self.gear.instrument.connections_seen += 1
+        self.gear.instrument.torn_off(now_ns)
         self.gear.instrument.poked = True  # a link that was read in this step already tells of its hosts in the next
 
     def end(self, now_ns: int) -> None:
@@ -213,6 +214,7 @@ class ResetHosts(Act):
             count = link.reset_hosts()
             self.gear.took("connections", count)
             self.gear.hit(now_ns, f"{count} connections")
+        self.gear.instrument.torn_off(now_ns)
         self.gear.instrument.connections_seen += 1
         self.gear.instrument.poked = True
 

@@ -108,6 +108,8 @@ class Instrument:
         "Of those, how many belong to a life of the device that has ended."
         self.ledger = self.stats.ledger
         "The account of its scans."
+        self.owed = self.stats.owed
+        "When hosts are owed scans."
 
     def watch(self, watcher: Observer) -> None:
         """Tell `watcher` of every payload, scan and event from now on.
@@ -160,6 +162,10 @@ class Instrument:
         wakes.append(self.session.next_deadline())
         plan = self.session.next_plan()
         self.ledger.wants(plan)
+        if events:
+            self.owed.told(now_ns, events)
+        if plan is not None:
+            self.owed.wait(now_ns)
         if plan is not None and self._key(plan) != self._asked:
             wakes.append(plan.start_ns - self._look_ahead_ns)
         if self.faults is not None:
@@ -193,6 +199,7 @@ class Instrument:
             return 0
         self._lives += 1
         self._asked = None
+        self.owed.stop(now_ns)
         self._discarded = self._outstanding
         self._note_events()  # what it has told already
         self.ledger.now_ns = now_ns
@@ -232,6 +239,10 @@ class Instrument:
         """Who makes scans of its plans."""
         return self._measuring
 
+    def torn_off(self, now_ns: int) -> None:
+        """A fault has taken its hosts away: none of them has ended its stream."""
+        self.owed.tear(now_ns)
+
     def take_events(self) -> list[Event]:
         """Events of the session since the last call, already counted in `stats`."""
         events = list(self._events)
@@ -256,6 +267,8 @@ class Instrument:
     def _take(self, received: Received, index: int, now_ns: int) -> None:
         link = self.links[index]
         address = Address(index, received.peer)
+        if received.opened or received.data:
+            self.owed.heard(now_ns)
         if received.opened:
             self._peers.add(address)
             self.session.connected(now_ns, address, link.kind)
@@ -314,6 +327,7 @@ class Instrument:
             self.faults.asked(plan)
         self._outstanding += 1
         self.ledger.ask(plan)
+        self.owed.ask(now_ns, plan)
         self._measuring.request(self.sensor, plan, self.conditions)
         return True
 
@@ -392,6 +406,7 @@ class Instrument:
         peer = None if address is None else address.peer
         if emission.sweep is not None:
             self._handed.append(emission)
+            self.owed.sent(emission.due_ns, emission.sweep)
         why: str | None = None
         taken = False
         for index in targets if only is None else (only,):

@@ -14,12 +14,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from emulator.config.expressions import Name, Value
+from emulator.faults.events import FaultEvent
 from emulator.hosts.scans import HostScan
 from emulator.instrument.instrument import Instrument
 from emulator.instrument.observer import Observer, Payload
+from emulator.instrument.owed import GAPS_KEPT, silence_ns, usual_gap
 from emulator.objects.metrics import ListedScan, ObjectScore, Score, TruthObject
 from protocols.device_clock import Told
 from protocols.scan import DetectedObject, Floats, Ints, Scan
+from protocols.session import Dropped, Event, Restarted
 
 MATCH_RAD = np.radians(0.02)
 "A host's beam and a measured one are the same when their azimuths differ by less."
@@ -50,6 +53,15 @@ class Measured:
 
 
 @dataclass
+class FaultSpan:
+    """A fault of the run, on one sensor."""
+
+    name: str
+    begun_ns: int
+    ended_ns: int | None = None
+
+
+@dataclass
 class SensorSeries:
     """One sensor's run."""
 
@@ -63,6 +75,12 @@ class SensorSeries:
     "What scans' telegrams told of the device's time, by the instant of the run that they told of."
     bytes_out: int = 0
     bytes_in: int = 0
+    faults: dict[int, FaultSpan] = field(default_factory=dict)
+    "By their numbers; one that begins again is the newest time."
+    hits: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=MOST_UNSENT))
+    "Instants at which a fault has hit, and its number."
+    events: deque[Event] = field(default_factory=lambda: deque(maxlen=MOST_UNSENT))
+    "Drops and restarts."
 
 
 class SeriesWatcher(Observer):
@@ -104,6 +122,18 @@ class SeriesWatcher(Observer):
 
     def told(self, sensor: str, sweep: int, told: Told) -> None:
         self.sensors[sensor].told[told.true_ns] = told
+
+    def event(self, sensor: str, event: Event | FaultEvent) -> None:
+        mine = self.sensors[sensor]
+        if isinstance(event, Dropped | Restarted):
+            mine.events.append(event)
+        elif isinstance(event, FaultEvent):
+            if event.what == "begin":
+                mine.faults[event.number] = FaultSpan(event.name, event.at_ns)
+            elif event.what == "end" and event.number in mine.faults:
+                mine.faults[event.number].ended_ns = event.at_ns
+            else:
+                mine.hits.append((event.at_ns, event.number))
 
     def host_read(self, sensor: str, at_ns: int, scan: HostScan) -> None:
         """Our host has decoded a scan: the newest one that has wholly arrived, whatever was lost before it."""
@@ -224,7 +254,7 @@ def _range_errors(window: Window) -> Value:
     errors = []
     for _, began_ns, scan in window.read:
         truth = None if began_ns is None else window.series.measured.get(began_ns)
-        if truth is not None and len(scan.azimuth_rad) and len(truth.azimuth_rad):
+        if truth is not None and _is_matched((0, began_ns, scan), window):
             order = np.argsort(truth.azimuth_rad, kind="stable")
             azimuths = truth.azimuth_rad[order]
             right = np.clip(np.searchsorted(azimuths, scan.azimuth_rad), 1, len(azimuths) - 1) if len(order) > 1 else 0
@@ -241,8 +271,36 @@ def _sent(window: Window) -> Floats:
     return np.array([at_ns for at_ns in window.series.sent_ns if window.holds(at_ns)], dtype=np.float64) * 1e-9
 
 
+def _silence(window: Window) -> tuple[float, float] | None:
+    """Beginning and end of the silence of a sensor that owes scans at the window's end; None: it is not silent."""
+    span = window.instrument.owed.at(window.to_ns)
+    if span is None:
+        return None
+    before = [at_ns for at_ns in window.series.sent_ns if at_ns <= window.to_ns]
+    usual_ns = usual_gap(np.diff(before[-GAPS_KEPT:]).tolist())
+    quiet_ns = silence_ns(before[-1] if before else None, span.first_ns, usual_ns, window.to_ns)
+    return ((window.to_ns - quiet_ns) * 1e-9, window.to_ns * 1e-9) if quiet_ns else None
+
+
+def gaps(window: Window) -> tuple[Floats, Floats]:
+    """Beginning and length of every gap of a window, a silence at its end the last of them. [s]"""
+    sent, silence = _sent(window), _silence(window)
+    begins, lengths = sent[:-1], np.diff(sent)
+    if silence is None:
+        return begins, lengths
+    return np.append(begins, silence[0]), np.append(lengths, silence[1] - silence[0])
+
+
+def _silent(window: Window) -> Value:
+    silence = _silence(window)
+    return 0.0 if silence is None else silence[1] - silence[0]
+
+
 def _rate(window: Window) -> Value:
-    sent = _sent(window)
+    sent, silence = _sent(window), _silence(window)
+    if silence is not None:  # of a sensor that has been silent all the time, none
+        first_s = sent[0] if len(sent) else max(silence[0], window.from_ns * 1e-9)
+        return max(0, len(sent) - 1) / float(silence[1] - first_s) if silence[1] > first_s else float("nan")
     return float((len(sent) - 1) / (sent[-1] - sent[0])) if len(sent) > 1 and sent[-1] > sent[0] else float("nan")
 
 
@@ -276,7 +334,8 @@ VALUES: Mapping[str, Callable[[Window], Value]] = {
     "bytes_out": lambda window: float(window.series.bytes_out),
     "bytes_in": lambda window: float(window.series.bytes_in),
     "lateness_us": lambda window: window.instrument.stats.lateness.latest_ns().astype(np.float64) * 1e-3,
-    "gap_s": lambda window: np.diff(_sent(window)),
+    "gap_s": lambda window: gaps(window)[1],
+    "silent_s": _silent,
     "first_scan_s": lambda window: float(sent[0]) if len(sent := _sent(window)) else float("nan"),
     "points": _of_measured(_points),
     "points_on": _of_measured(_points_on),
@@ -303,6 +362,79 @@ VALUES: Mapping[str, Callable[[Window], Value]] = {
     "range_error_m": _range_errors,
 }
 "What each of `quantities.QUANTITIES` is in a window of time."
+
+
+def _events(window: Window, wanted: Callable[[Event], bool]) -> tuple[int, int] | None:
+    found = next((event.at_ns for event in window.series.events if wanted(event)), None)
+    return None if found is None else (found, found)
+
+
+def _gap_span(window: Window, place: Callable[[Floats], int]) -> tuple[int, int] | None:
+    begins, lengths = gaps(window)
+    if not len(lengths):
+        return None
+    at = place(lengths)
+    return round(begins[at] * 1e9), round((begins[at] + lengths[at]) * 1e9)
+
+
+def _span(quantity: str, window: Window, index: int | None, lean: int) -> tuple[int, int] | None:
+    """When a value was: between which instants, the same for one; None: that cannot be told."""
+    if index is None:
+        if quantity in ("scans_per_s", "scans_sent", "scans_read", "scans_measured"):
+            return _gap_span(window, lambda lengths: int(np.argmin(lengths) if lean > 0 else np.argmax(lengths)))
+        if quantity == "silent_s" and (silence := _silence(window)) is not None:
+            return round(silence[0] * 1e9), round(silence[1] * 1e9)
+        if quantity == "restarts":
+            found = [event.at_ns for event in window.series.events if isinstance(event, Restarted)]
+            return (found[-1], found[-1]) if found and lean > 0 else None
+        if quantity == "scans_dropped":
+            return _events(window, lambda event: isinstance(event, Dropped) and event.reason.of_scans)
+        if quantity == "input_dropped":
+            return _events(window, lambda event: isinstance(event, Dropped) and not event.reason.of_scans)
+        if quantity == "faults":
+            named = [one.begun_ns for one in window.series.faults.values() if one.name == window.argument]
+            return (named[0], named[0]) if named else None
+        if quantity in ("first_scan_s", "object_from_s", "object_until_s", "visible_until_s"):
+            at_s = float(np.asarray(VALUES[quantity](window)))
+            return None if math.isnan(at_s) else (round(at_s * 1e9), round(at_s * 1e9))
+        return None
+    if quantity == "gap_s":
+        return _gap_span(window, lambda lengths: index)
+    if quantity in ("range_at", "range_error_m"):
+        read = [one for one in window.read if quantity == "range_at" or _is_matched(one, window)]
+        instants = [at_ns for at_ns, _, _ in read]
+    elif quantity in ("clock_error_s", "clock_ticks"):
+        instants = [one.true_ns for one in window.series.told.values() if window.holds(one.true_ns)]
+    elif quantity == "lateness_us":
+        return None
+    else:
+        instants = [one.at_ns for one in window.measured]
+    return (instants[index], instants[index]) if index < len(instants) else None
+
+
+def _is_matched(one: tuple[int, int | None, HostScan], window: Window) -> bool:
+    _, began_ns, scan = one
+    truth = None if began_ns is None else window.series.measured.get(began_ns)
+    return truth is not None and len(scan.azimuth_rad) > 0 and len(truth.azimuth_rad) > 0
+
+
+def spans(
+    watcher: SeriesWatcher,
+    instruments: Mapping[str, Instrument],
+    actors: tuple[str, ...],
+    from_ns: int,
+    to_ns: int,
+) -> Callable[[Name, int | None, int], tuple[int, int] | None]:
+    """Tells when a value of a name was, within a window of time: (name, place in its series or None, lean)."""
+
+    def span(name: Name, index: int | None, lean: int) -> tuple[int, int] | None:
+        if len(name.parts) != 2:
+            return None
+        sensor, quantity = name.parts
+        window = Window(watcher.sensors[sensor], instruments[sensor], actors, from_ns, to_ns, name.argument)
+        return _span(quantity, window, index, lean)
+
+    return span
 
 
 def lookup(

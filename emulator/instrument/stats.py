@@ -11,6 +11,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from emulator.instrument.ledger import Ledger
+from emulator.instrument.owed import Owed
 from emulator.objects.metrics import ListedScan, ObjectScore
 from emulator.process.lateness import LatenessLog
 from protocols.scan import Scan
@@ -34,6 +35,8 @@ class InstrumentStats:
     gaps_ns: int = 0
     ledger: Ledger = field(default_factory=Ledger)
     "Every scan that hosts are entitled to."
+    owed: Owed = field(default_factory=Owed)
+    "When they are entitled to some."
     input_dropped: Counter[str] = field(default_factory=Counter)
     commands: Counter[str] = field(default_factory=Counter)
     restarts: int = 0
@@ -44,8 +47,14 @@ class InstrumentStats:
 
     @property
     def rate_hz(self) -> float:
-        """Scans a second while they were streamed; NaN before the second scan of a stream."""
-        return self.gaps * 1e9 / self.gaps_ns if self.gaps_ns > 0 else math.nan
+        """Scans a second while they were streamed, a silence that lasts included; NaN before a stream's second scan."""
+        silent_ns = self.owed.silent_ns(self.ledger.now_ns)
+        return self.gaps * 1e9 / (self.gaps_ns + silent_ns) if self.gaps_ns > 0 else math.nan
+
+    @property
+    def silent_s(self) -> float:
+        """For how long no scan has left although hosts are owed some; 0 where it is not silent."""
+        return self.owed.silent_ns(self.ledger.now_ns) * 1e-9
 
     @property
     def scans_dropped(self) -> Counter[str]:

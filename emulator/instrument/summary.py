@@ -23,6 +23,7 @@ def summary(instrument: Instrument) -> dict[str, Any]:
         "scans_sent": stats.scans_sent,
         "scans_measured": stats.scans_measured,
         "scans_per_s": number(stats.rate_hz),
+        "silent_s": number(stats.silent_s),
         "scans_dropped": dict(stats.scans_dropped),
         "account": stats.ledger.account(),
         "replies_sent": stats.replies_sent,

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from emulator.config.expressions import ExpressionError, Name, Node, Value, evaluate, names, parse
 from emulator.errors import ScenarioError
+from emulator.instrument.instrument import Instrument
+from emulator.instrument.series import SeriesWatcher, lookup, spans
+from emulator.judging.blame import active, blame
 from emulator.scenario.quantities import check_name
 from emulator.scenario.scenario import Scenario
 
@@ -41,6 +44,55 @@ class Judgement:
     held: bool
     found: str
     wanted: str
+    value: float | None = None
+    "Of one that failed: the value that broke it, and when that was. [s]"
+    at_s: float | None = None
+    until_s: float | None = None
+    "Where it belongs to a time rather than an instant."
+    sensor: str = ""
+    "Whose value it was."
+    active: tuple[str, ...] = ()
+    "Faults, changes of the weather and late sweeps at that time."
+
+    @property
+    def told(self) -> str:
+        """Why it failed, in one line; of one that held, what was found."""
+        text = f"{self.found}; expected {self.wanted}"
+        if self.at_s is not None:
+            until = "" if self.until_s is None else f" to {self.until_s:.3f} s"
+            value = "" if self.value is None else f": {self.value:.6g}"
+            text += f"; at {self.at_s:.3f} s{until}{value}"
+        return text + (f"; active then: {', '.join(self.active)}" if self.active else "")
+
+    def as_json(self) -> dict[str, Any]:
+        """For a report; what is not known is left out."""
+        kept = ("name", "held", "found", "wanted")
+        return {key: value for key, value in asdict(self).items() if key in kept or value not in (None, (), "")}
+
+
+class Judgements(list[Judgement]):
+    """The verdict on all of them: false when one has failed."""
+
+    def __init__(self, found: Iterable[Judgement] = (), warnings: Iterable[str] = ()) -> None:
+        super().__init__(found)
+        self.warnings = tuple(warnings)
+        "What is doubtful, as a sensor that is silent at the end."
+
+    def __bool__(self) -> bool:
+        return all(item.held for item in self)
+
+    def __str__(self) -> str:
+        failed = [item for item in self if not item.held]
+        lines = [f"failed: {len(failed)} of {len(self)} expectations"] if failed else [f"passed: {len(self)}"]
+        lines += [f"  {item.name}: {item.told}" for item in failed]
+        return "\n".join(lines + [f"  warning: {text}" for text in self.warnings])
+
+    __repr__ = __str__
+
+    def check(self) -> None:
+        """`AssertionError` that says what failed, when and why; nothing when all hold."""
+        if not self:
+            raise AssertionError(str(self))
 
 
 def understand(scenario: Scenario) -> list[Expected]:
@@ -135,6 +187,57 @@ def _told(value: np.ndarray) -> str:
     return f"{value.size} values, {span}" + (f", {value.size - known.size} missing" if known.size < value.size else "")
 
 
-def verdicts(expected: Sequence[Expected], lookup_in: Callable[[int, int], Callable[[Name], Value]]) -> list[Judgement]:
-    """All of them; `lookup_in` gives the names' values within a window of time."""
-    return [judge(item, lookup_in(item.from_ns, item.to_ns)) for item in expected]
+@dataclass(frozen=True)
+class Run:
+    """What a run has left for those who judge it."""
+
+    scenario: Scenario
+    watcher: SeriesWatcher
+    instruments: Mapping[str, Instrument]
+    end_ns: int
+
+    @property
+    def actors(self) -> tuple[str, ...]:
+        """Names of what beams meet."""
+        return ("world", *(actor.id for actor in self.scenario.actors))
+
+    def lookup(self, from_ns: int = 0, to_ns: int | None = None) -> Callable[[Name], Value]:
+        """The names' values within a window of time."""
+        end_ns = self.end_ns if to_ns is None else min(to_ns, self.end_ns)
+        return lookup(self.watcher, self.instruments, self.actors, from_ns, end_ns, self.end_ns)
+
+    def judge(self, expected: Expected) -> Judgement:
+        """Whether one expectation held, and why not."""
+        values = self.lookup(expected.from_ns, expected.to_ns)
+        judged = judge(expected, values)
+        if judged.held:
+            return judged
+        to_ns = min(expected.to_ns, self.end_ns)
+        when = spans(self.watcher, self.instruments, self.actors, expected.from_ns, to_ns)
+        found = blame(expected.tree, expected.lowest, expected.highest, values, when)
+        if found is None:
+            return judged
+        name = found.name.parts[0]
+        known = None if np.isnan(found.value) else found.value
+        until_s = None if found.to_ns == found.from_ns else round(found.to_ns * 1e-9, 9)
+        around = active(self.scenario, self.watcher, name, found.from_ns, found.to_ns)
+        return replace(
+            judged, sensor=name, value=known, at_s=round(found.from_ns * 1e-9, 9), until_s=until_s, active=around
+        )
+
+    def silences(self) -> list[str]:
+        """A line for each sensor that is silent at the end although hosts are owed scans."""
+        told = []
+        for sensor in self.watcher.sensors:
+            silent_s = float(np.asarray(self.lookup()(Name((sensor, "silent_s")))))
+            if silent_s > 0.0:
+                end_s = self.end_ns * 1e-9
+                around = active(self.scenario, self.watcher, sensor, round((end_s - silent_s) * 1e9), self.end_ns)
+                why = f"; active: {', '.join(around)}" if around else ""
+                told.append(f"{sensor}: silent at the end, no scan for {silent_s:.3f} s of {end_s:g} s{why}")
+        return told
+
+
+def verdicts(expected: Sequence[Expected], run: Run) -> Judgements:
+    """All of them, and a warning for each sensor that has died."""
+    return Judgements((run.judge(item) for item in expected), run.silences())

@@ -46,6 +46,7 @@ def lidaremu(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     ) -> Rig:
         texts = [f"{key.replace('__', '.')}={json.dumps(value)}" for key, value in overrides.items()]
         made.append(Rig(str(scenario), tmp_path_factory.mktemp("lidaremu"), texts, seed, links, speed))
+        made[-1].on_verdict = lambda text: request.node.add_report_section("call", "lidaremu verdict", text)
         return made[-1]
 
     request.node.stash[RIGS] = made

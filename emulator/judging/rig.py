@@ -21,8 +21,9 @@ from emulator.config.expressions import Value, evaluate, names, parse
 from emulator.injection.run import FaultRun
 from emulator.instrument.instrument import Instrument
 from emulator.instrument.ledger import check_accounts
-from emulator.instrument.series import SeriesWatcher, lookup
-from emulator.judging.expectations import Judgement, understand, verdicts
+from emulator.instrument.series import SeriesWatcher
+from emulator.judging.expectations import Judgements, Run, understand, verdicts
+from emulator.judging.trial import note_verdict
 from emulator.recording.transcript import Transcript
 from emulator.recording.writer import Recorder
 from emulator.recording.writing import VIRTUAL
@@ -124,6 +125,8 @@ class Rig:
         self.folder = folder
         self.recording = folder / "recording"
         "Everything of the run, for `lidaremu replay` and `diff`."
+        self.on_verdict: Callable[[str], None] = lambda text: None
+        "Told of a verdict that is not good, or has warnings."
         self._speed = speed
         self._trouble: BaseException | None = None
         self._thread: threading.Thread | None = None
@@ -255,17 +258,22 @@ class Rig:
         for name in names(tree):
             check_name(name, list(self.sensors), self._actors())
         now_ns = self._daemon.now_ns
-        find = lookup(self._series, self._by_name(), self._actors(), 0, now_ns, now_ns)
-        return self._in_run(lambda: evaluate(tree, find))
+        run = Run(self.scenario, self._series, self._by_name(), now_ns)
+        return self._in_run(lambda: evaluate(tree, run.lookup()))
 
-    def judge(self) -> list[Judgement]:
-        """The scenario's own expectations over the run so far."""
-        end_ns = self._daemon.now_ns
-        return self._in_run(
-            lambda: verdicts(
-                self._expected,
-                lambda from_ns, to_ns: lookup(
-                    self._series, self._by_name(), self._actors(), from_ns, min(to_ns, end_ns), end_ns
-                ),
-            )
-        )
+    def judge(self) -> Judgements:
+        """The scenario's own expectations over the run so far: false when one fails, `str()` of it says why.
+
+        A sensor that is silent although hosts are owed scans is among its `warnings`. The recording has the last one.
+        """
+        run = Run(self.scenario, self._series, self._by_name(), self._daemon.now_ns)
+
+        def found() -> Judgements:
+            judged = verdicts(self._expected, run)
+            note_verdict(self._recorder, judged, run.end_ns)
+            return judged
+
+        judged = self._in_run(found)
+        if not judged or judged.warnings:
+            self.on_verdict(str(judged))
+        return judged

@@ -12,14 +12,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from emulator.errors import ScenarioError
 from emulator.hosts.scripted import HasScript, LdScript, Lms2xxScript
 from emulator.injection.run import FaultRun
 from emulator.instrument.instrument import Instrument, Measuring
 from emulator.instrument.ledger import check_accounts
 from emulator.instrument.observer import Observer
-from emulator.instrument.series import SeriesWatcher, lookup
+from emulator.instrument.series import SeriesWatcher
 from emulator.instrument.summary import summary
-from emulator.judging.expectations import Judgement, understand, verdicts
+from emulator.judging.expectations import Judgement, Judgements, Run, understand, verdicts
+from emulator.measuring.conditions import NORMAL, Conditions
 from emulator.measuring.measuring import InPlace
 from emulator.measuring.supervision import Workers
 from emulator.process.incidents import Incidents
@@ -35,6 +37,7 @@ from emulator.transports.can_wire import CanWire, Carried
 from emulator.transports.link import Link
 from emulator.transports.loopback import Loops
 from emulator.transports.schemes import open_link
+from protocols.scan import Scan, ScanPlan
 from protocols.session import Family
 
 DEFAULT_S = 5.0
@@ -53,7 +56,7 @@ class Verdict:
     duration_s: float
     sensors: tuple[dict[str, Any], ...]
     warnings: tuple[str, ...] = ()
-    "What was computed outside the range where it is known to hold."
+    "What was computed outside the range where it is known to hold, and sensors that are silent at the end."
     incidents: tuple[dict[str, object], ...] = ()
     "What befell our own processes, files and links."
     exit_code: int = 0
@@ -170,11 +173,7 @@ class Trial:
         for instrument in self.instruments:
             for link in instrument.links:
                 instrument.stats.lateness.extend(link.stats.lateness_ns)
-        actors = ("world", *(actor.id for actor in self.scenario.actors))
-        judged = verdicts(
-            self.expected,
-            lambda from_ns, to_ns: lookup(self.series, by_name, actors, from_ns, min(to_ns, end_ns), end_ns),
-        )
+        judged = verdicts(self.expected, Run(self.scenario, self.series, by_name, end_ns))
         failures = [] if self._workers is None else self._workers.failures
         check_accounts(self.instruments, self.incidents, end_ns)
         lost = [row for row in self.incidents.rows() if row["kind"] == "scans unaccounted"]
@@ -183,6 +182,7 @@ class Trial:
         sensors = tuple(summary(item) for item in self.instruments)
         name, digest = str(self.scenario.source), self.transcript.sha256()
         if self.recorder is not None:
+            note_verdict(self.recorder, judged, end_ns)
             self.recorder.close()  # what it meets at its end belongs to the verdict
         return Verdict(
             name,
@@ -190,7 +190,7 @@ class Trial:
             digest,
             duration_s,
             sensors,
-            tuple(self._warnings),
+            (*self._warnings, *judged.warnings),
             tuple(self.incidents.rows()),
             self.incidents.exit_code,
             None if self.recorder is None else self.recorder.state(),
@@ -204,6 +204,38 @@ class Trial:
             instrument.close()
         if self._workers is not None:
             self._workers.close()
+
+
+class _Nothing:
+    """Measures nothing."""
+
+    def request(self, sensor: str, plan: ScanPlan, conditions: Conditions = NORMAL) -> None:
+        """Forget it."""
+
+    def collect(self, sensor: str) -> list[Scan]:
+        """None."""
+        return []
+
+
+def rehearse(scenario: Scenario) -> None:
+    """Set a scenario up without measuring: `ScenarioError` has all that a trial or a run would refuse."""
+    told: list[str] = []
+    without = scenario.model_copy(update={"expect": ()})
+    for refused in (partial(understand, scenario), lambda: Trial(without, measuring=_Nothing()).close()):
+        try:
+            refused()
+        except ScenarioError as error:
+            told += [line for line in error.lines if line not in told]
+    if told:
+        raise ScenarioError.of(told)
+
+
+def note_verdict(recorder: Recorder, judged: Judgements, end_ns: int) -> None:
+    """Write into a recording what was expected and found; the last verdict of a run counts."""
+    if not len(judged) and not judged.warnings:
+        return
+    rows = [item.as_json() for item in judged]
+    recorder.note(end_ns, {"event": "Verdict", "expect": rows, "warnings": list(judged.warnings)})
 
 
 def _link_of(scenario: Scenario, index: int, tcp_is_line: bool, loops: Loops, buses: CanPorts) -> Link:

@@ -267,7 +267,7 @@ def time_line(run: Gathered, happenings: Sequence[Happening]) -> bytes:
         mark = MARKS[KINDS[kind]]
         axes.plot(times, np.full(len(times), height), mark, color=COLOURS[kind], markersize=8, linestyle="none")
         if KINDS[kind] == "fault":
-            for begun, ended in _spans(happenings, sensor, run.duration_s):
+            for begun, ended in fault_spans(happenings, sensor, run.duration_s):
                 axes.plot([begun, ended], [height, height], color=COLOURS[kind], linewidth=5, alpha=0.35)
     axes.set_yticks(range(len(rows)), [word(f"{sensor}: {KINDS[kind]}s") for _, sensor, kind in rows])
     axes.set_ylim(len(rows) - 0.4, -0.6)
@@ -280,7 +280,7 @@ def _times(happenings: Sequence[Happening]) -> Floats:
     return np.array([one.at_ns for one in happenings], dtype=np.float64) * 1e-9
 
 
-def _spans(happenings: Sequence[Happening], sensor: str, end_s: float) -> list[tuple[float, float]]:
+def fault_spans(happenings: Sequence[Happening], sensor: str, end_s: float) -> list[tuple[float, float]]:
     """When faults began and ended; one that did not end lasts to the end."""
     begun: dict[object, float] = {}
     spans = []

@@ -151,15 +151,22 @@ class SensorTally:
 
     @property
     def rate_hz(self) -> float:
-        """Scans sent a second from the first to the last; NaN below two."""
+        """Scans sent a second from the first to the last, a silence at the end included; NaN below two."""
         count = len(self.sent_ns)
-        span_ns = self.sent_ns[-1] - self.sent_ns[0] if count > 1 else 0
+        span_ns = self.sent_ns[-1] - self.sent_ns[0] + self.silent_s * 1e9 if count > 1 else 0
         return (count - 1) * 1e9 / span_ns if span_ns > 0 else math.nan
 
     @property
     def gaps_s(self) -> Floats:
-        """From scan to scan, (n,)."""
-        return np.diff(np.array(self.sent_ns, dtype=np.int64)).astype(np.float64) * 1e-9
+        """From scan to scan, and a silence at the end, (n,)."""
+        found = np.diff(np.array(self.sent_ns, dtype=np.int64)).astype(np.float64) * 1e-9
+        return np.append(found, self.silent_s) if self.silent_s else found
+
+    @property
+    def silent_s(self) -> float:
+        """For how long no scan had left at the end although hosts were owed some; 0: it was not silent."""
+        value = self.end.get("silent_s")
+        return float(value) if isinstance(value, int | float) and math.isfinite(value) and value > 0 else 0.0
 
     def wire(self, item: Wire) -> None:
         """A payload."""
@@ -277,6 +284,14 @@ class Gathered:
     ended: bool = False
     "The counters of the run's end are there."
     last_ns: int = 0
+    verdict: Mapping[str, Any] = field(default_factory=dict)
+    "What was expected and found, as the last one to judge the run has told."
+    judged_ns: int = 0
+
+    @property
+    def end_s(self) -> float:
+        """Up to the last thing recorded, or to when the run was judged."""
+        return max(self.last_ns, self.judged_ns) * 1e-9
 
     @property
     def duration_s(self) -> float:
@@ -310,6 +325,8 @@ def gather(path: Path, with_truth: bool = True, tell: Callable[[Progress], None]
             tally = run.sensor(item.sensor)
             if tally.truth is not None:
                 tally.truth.offsets_s = item.fire_offset_s
+        elif isinstance(item, Told) and item.sensor == "run" and item.row.get("event") == "Verdict":
+            run.verdict, run.judged_ns = item.row, item.at_ns
         elif isinstance(item, Told):
             run.last_ns = max(run.last_ns, item.at_ns)
             _happened(run, item)
@@ -374,6 +391,11 @@ def _remark(run: Gathered) -> None:
             "The recording has no counters of its end: the run was ended by force, or the recording is of an older"
             " version. Lateness is not known, nor how many scans faults took away."
         )
+    told = run.verdict.get("warnings", ())
+    run.remarks += [f"Warning: {text}" for text in told if isinstance(text, str)] if isinstance(told, list) else []
+    for one in run.sensors.values():
+        if one.silent_s and not any(text.startswith(f"Warning: {one.sensor}: silent") for text in run.remarks):
+            run.remarks.append(f"Warning: {one.sensor}: silent at the end, no scan for {one.silent_s:.3f} s.")
     seeing = [one for one in run.sensors.values() if one.measured]
     if not seeing:
         run.remarks.append("No scans are recorded (recorded without truth): nothing is said of ranges and objects.")

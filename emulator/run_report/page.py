@@ -14,6 +14,7 @@ from emulator import __version__
 from emulator.run_report import figures
 from emulator.run_report.against_truth import objects, ranges, stem
 from emulator.run_report.errors import known
+from emulator.run_report.expected import chapter
 from emulator.run_report.gather import Gathered, SensorTally
 from emulator.run_report.weather import QUANTITIES, Step, steps
 from emulator.studies.report import Column, Picture, Report, Section, Table, Value, rows_of
@@ -27,6 +28,7 @@ def report_of(run: Gathered, tell: Callable[[float], None] = lambda share: None)
     sensors = list(run.sensors.values())
     sending = [one for one in sensors if len(one.sent_ns) > 2]
     parts: list[Callable[[], Iterable[Section | None]]] = [
+        lambda: [chapter(run)],
         lambda: [_overview(sensors)],
         lambda: [_rates(run, sending)],
         lambda: [_lateness_and_drops(sensors)],
@@ -81,6 +83,7 @@ def _overview(sensors: Sequence[SensorTally]) -> Section:
         Column("scans_sent", "Scans sent", "d"),
         Column("scans_measured", "Scans recorded", "d"),
         Column("scans_per_s", "Scans a second", ".3f"),
+        Column("silent_s", "Silent at the end [s]", ".3f"),
         Column("scans_dropped", "Scans dropped", "d"),
         Column("input_dropped", "Input not taken", "d"),
         Column("restarts", "Restarts", "d"),
@@ -89,9 +92,9 @@ def _overview(sensors: Sequence[SensorTally]) -> Section:
     )
     rows = [
         (
-            one.sensor, one.model, len(one.sent_ns), one.measured, known(one.rate_hz), sum(one.scans_dropped.values()),
-            sum(one.input_dropped.values()), one.restarts, sum(link.bytes_out for link in one.links.values()),
-            sum(link.bytes_in for link in one.links.values()),
+            one.sensor, one.model, len(one.sent_ns), one.measured, known(one.rate_hz), one.silent_s,
+            sum(one.scans_dropped.values()), sum(one.input_dropped.values()), one.restarts,
+            sum(link.bytes_out for link in one.links.values()), sum(link.bytes_in for link in one.links.values()),
         )
         for one in sensors
     ]  # fmt: skip

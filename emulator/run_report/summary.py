@@ -24,6 +24,7 @@ def summary_of(run: Gathered) -> dict[str, Any]:
         "duration_s": run.duration_s,
         "cut": run.cut,
         "remarks": list(run.remarks),
+        "expect": run.verdict.get("expect", []),
         "sensors": [_sensor(one) for one in run.sensors.values()],
         "weather": [{"t_s": step.t_s, "ordered": step.ordered, **step.values} for step in weather],
         "time_line": [
@@ -41,6 +42,7 @@ def _sensor(one: SensorTally) -> dict[str, Any]:
         "scans_sent": len(one.sent_ns),
         "scans_recorded": one.measured,
         "scans_per_s": known(one.rate_hz),
+        "silent_s": one.silent_s,
         "gap_s": {
             "mean": float(gaps.mean()), "sigma": float(gaps.std()), "median": float(np.median(gaps)),
             "shortest": float(gaps.min()), "longest": float(gaps.max()),

@@ -6,9 +6,12 @@ even when these failed. A value of the wrong type is left to the models. Not: me
 
 from __future__ import annotations
 
+import contextlib
+import difflib
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -19,8 +22,6 @@ from emulator.config.yaml_lines import Loc, Source
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 BUILTIN = "builtin:"
 "Before the name of a mesh that comes with the package."
-ONE_HOLDER = ("pty", "slcan", "serial", "tcp", "udp")
-"Links that one sensor alone can hold; CAN buses and loops are shared."
 
 Found = tuple[Loc, str, str]
 "Path, what was found, what is wanted."
@@ -190,6 +191,21 @@ def _motions(data: dict[str, Any], folder: Path) -> Iterator[Found]:
             before = time
 
 
+def _nearest_models(name: str, models: Sequence[str]) -> str:
+    """The models whose names are most like that one: letters and figures count, or a part of it."""
+
+    def bare(text: str) -> str:
+        return "".join(sign for sign in text.lower() if sign.isalnum())
+
+    wanted = bare(name)
+    within = [one for one in models if wanted and (wanted in bare(one) or bare(one) in wanted)]
+    ranked = sorted(models, key=lambda one: -max(
+        difflib.SequenceMatcher(None, wanted, bare(part)).ratio() for part in (one, one.partition("-")[2] or one)
+    ))  # fmt: skip
+    near = list(dict.fromkeys([*sorted(within, key=ranked.index), *ranked]))[:5]
+    return f"{', '.join(near)} or another of the {len(models)} there are"
+
+
 def _mounts(data: dict[str, Any], folder: Path) -> Iterator[Found]:
     actors = _ids(data, "actors")
     for loc, sensor in _tables(data, "sensors"):
@@ -215,7 +231,7 @@ def _models(data: dict[str, Any], folder: Path) -> Iterator[Found]:
                 yield (*loc, "model"), f"{model!r}: no such file", "a spec file, or the name of a shipped model"
                 continue
         elif model not in models:
-            yield (*loc, "model"), repr(model), nearest(model, models)
+            yield (*loc, "model"), repr(model), f"{_nearest_models(model, models)}; see `lidaremu list sensors`"
             continue
         try:
             spec = load_spec(model)
@@ -249,7 +265,8 @@ def _models(data: dict[str, Any], folder: Path) -> Iterator[Found]:
 def _links(data: dict[str, Any], folder: Path) -> Iterator[Found]:
     from emulator.transports.schemes import check_url
 
-    taken: dict[str, str] = {}
+    taken: list[tuple[_Place, str]] = []
+    families = _families(data)
     for loc, sensor in _tables(data, "sensors"):
         links = sensor.get("links")
         for number, url in enumerate(links if isinstance(links, list) else ()):
@@ -264,12 +281,89 @@ def _links(data: dict[str, Any], folder: Path) -> Iterator[Found]:
             except ModuleNotFoundError:
                 yield (*loc, "links", number), f"{url!r}: links of this kind are not supported", "another kind"
                 continue
-            scheme, _, target = url.partition("?")[0].partition(":")
-            if scheme in ONE_HOLDER and not (scheme == "tcp" and target.endswith(":0")):
-                if url.partition("?")[0] in taken:
-                    holder = taken[url.partition("?")[0]]
-                    yield (*loc, "links", number), f"{url!r} is also a link of {holder}", "a link used only once"
-                taken.setdefault(url.partition("?")[0], str(sensor.get("id")))
+            if (wrong := _unspoken(families.get(str(sensor.get("model"))), url)) is not None:
+                yield (*loc, "links", number), *wrong
+            for place in _places(url):
+                holder = next((who for other, who in taken if other.clashes(place)), None)
+                if holder is not None:
+                    yield (*loc, "links", number), f"{url!r} is also a link of {holder}", "a link of its own"
+                    break
+            taken += [(place, str(sensor.get("id"))) for place in _places(url)]
+
+
+CAN_SCHEMES = ("socketcand", "slcan", "can")
+EVERY_HOST = ("*", "0.0.0.0", "::", "")
+
+
+@dataclass(frozen=True)
+class _Place:
+    """What a link holds of the machine."""
+
+    kind: str
+    "path | tcp | udp | text"
+    name: str
+    "The path; host of a port."
+    port: int = 0
+    bus: str = ""
+    "Sensors on one CAN bus, or on buses of one server, share the place."
+
+    def clashes(self, other: _Place) -> bool:
+        if (self.kind, self.port) != (other.kind, other.port) or (self.bus and self.bus == other.bus):
+            return False
+        same = self.name == other.name
+        return same or (self.kind in ("tcp", "udp") and any(one.name in EVERY_HOST for one in (self, other)))
+
+
+def _places(url: str) -> list[_Place]:
+    from emulator.transports.urls import host_and_port, parse_url
+
+    parts = parse_url(url)
+    if parts.scheme in ("pty", "slcan", "serial"):
+        path = os.path.realpath(os.path.dirname(parts.target) or ".") + "/" + os.path.basename(parts.target)
+        path = os.path.realpath(parts.target) if parts.scheme == "serial" else path
+        return [_Place("path", path, bus=path if parts.scheme == "slcan" else "")]
+    if parts.scheme in ("tcp", "socketcand"):
+        host, port = host_and_port(url, parts.target.partition("/")[0])
+        bus = f"socketcand {host}:{port}" if parts.scheme == "socketcand" else ""
+        return [_Place("tcp", host, port, bus)] if port else []
+    if parts.scheme != "udp":
+        return []
+    listen = parts.options.get("listen")
+    if listen is None:
+        return [_Place("text", url.partition("?")[0])]
+    host, port = host_and_port(url, listen if ":" in listen else f":{listen}")
+    return [_Place("text", url.partition("?")[0]), *([_Place("udp", host, port)] if port else [])]
+
+
+def _unspoken(family: str | None, url: str) -> tuple[str, str] | None:
+    """Why a family does not speak on a link, and what it speaks on; None: it does, or that is not known here."""
+    from emulator.transports.schemes import LINK_SCHEMES
+
+    scheme = url.partition(":")[0]
+    spoken: tuple[str, ...]
+    if family == "can_objects" and scheme not in (*CAN_SCHEMES, "loop"):
+        spoken = CAN_SCHEMES
+    elif family == "lms2xx" and scheme in CAN_SCHEMES:
+        spoken = tuple(one for one in LINK_SCHEMES if one not in (*CAN_SCHEMES, "loop"))
+    else:
+        return None
+    return f"{url!r}: {family} is not spoken on {scheme}", f"a link of {', '.join(spoken)}"
+
+
+def _families(data: dict[str, Any]) -> dict[str, str]:
+    """Model -> family, of the models that can be loaded."""
+    from emulator.errors import SpecError
+    from emulator.sensors.spec import is_file, list_models, load_spec
+
+    found = {}
+    known = list_models()
+    for _, sensor in _tables(data, "sensors"):
+        model = sensor.get("model")
+        if not isinstance(model, str) or not (model in known or (is_file(model) and _is_file(Path(model)))):
+            continue
+        with contextlib.suppress(SpecError):
+            found[model] = load_spec(model).family or ""
+    return found
 
 
 def _names_of_actors_and_sensors(data: dict[str, Any], folder: Path) -> Iterator[Found]:

@@ -26,7 +26,7 @@ class Quantity:
 
 
 QUANTITIES: Mapping[str, Quantity] = {
-    "scans_per_s": Quantity("scans sent per second, from the first to the last"),
+    "scans_per_s": Quantity("scans sent per second, from the first to the last; a silence at the end counts"),
     "scans_sent": Quantity("scans handed to the first link"),
     "scans_read": Quantity("scans that the built-in host decoded"),
     "scans_measured": Quantity("sweeps measured and accepted by the device"),
@@ -40,7 +40,8 @@ QUANTITIES: Mapping[str, Quantity] = {
     "lateness_us": Quantity(
         "series: actual minus scheduled time of each send; under a virtual clock only the grouping of bytes"
     ),
-    "gap_s": Quantity("series: time from scan to scan; its maximum is the recovery time"),
+    "gap_s": Quantity("series: time from scan to scan, and a silence at the end; its maximum is the recovery time"),
+    "silent_s": Quantity("time without a scan at the end although a host waits for scans; 0: not silent"),
     "first_scan_s": Quantity("when the first scan left"),
     "points": Quantity("series: beams with an echo"),
     "points_on": Quantity("series: beams whose first echo is that actor's", "actor"),

@@ -287,11 +287,15 @@ class Ars408Session(CanObjectSession):
             if values[f"Set_{signal}"]:
                 asked[key] = bool(values[signal])
         if values["Set_MaxDistance"]:
-            asked["max_distance_m"] = float(values["MaxDistance"])
+            if values["MaxDistance"]:
+                asked["max_distance_m"] = float(values["MaxDistance"])
+            else:  # no source says what a sensor makes of 0; a list that is empty for ever would be no test of a host
+                refused.append("MaxDistance 0")
         before = self._configuration
         self._configuration = replace(before, **asked)
         if refused:
-            self._drop(now_ns, DropReason.BAD_ARGUMENT, f"SensorConfig: unknown {', '.join(refused)}; left as it was")
+            told = f"SensorConfig: not settled: {', '.join(refused)}; left as it was"
+            self._drop(now_ns, DropReason.BAD_ARGUMENT, told)
         if values["Set_StoreNvm"] and values["StoreNvm"]:
             self._stored = self._configuration
             self._nvm_written = True
@@ -301,7 +305,7 @@ class Ars408Session(CanObjectSession):
             self._restart_raster(now_ns)
             self._ids.clear()
             self._mode(now_ns, f"output {OUTPUTS[self._configuration.output]}")
-        self._handled(now_ns, "SensorConfig", "unknown values left out" if refused else "done")
+        self._handled(now_ns, "SensorConfig", f"left out: {', '.join(refused)}" if refused else "done")
         self._send_reply([self._state_frame(now_ns)], now_ns)
 
     def _set_filter(self, data: bytes, now_ns: int, link: int) -> None:

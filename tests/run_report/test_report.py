@@ -276,7 +276,7 @@ def test_faults_are_spans_on_the_time_line(tmp_path: Path) -> None:
         return Happening(at_ns, "front", "fault", f"fog {what}", {"number": number, "what": what})
 
     happenings = [fault(1_000_000_000, 0, "begin"), fault(2_000_000_000, 1, "begin"), fault(3_000_000_000, 0, "end")]
-    assert figures._spans(happenings, "front", 9.0) == [(1.0, 3.0), (2.0, 9.0)]
+    assert figures.fault_spans(happenings, "front", 9.0) == [(1.0, 3.0), (2.0, 9.0)]
     run = Gathered(tmp_path, last_ns=9_000_000_000)
     assert figures.time_line(run, happenings)[:4] == b"\x89PNG"
 

@@ -158,6 +158,7 @@ def test_the_stored_configuration_survives_power_off_and_the_other_does_not() ->
     [
         ("200 08 00 00 00 18 00 00 00", "OutputType 3"),
         ("200 04 00 00 00 E0 00 00 00", "Power 7"),
+        ("200 01 00 00 00 00 00 00 00", "MaxDistance 0"),
         ("200 40 00 00 00 00 30 00 00", "SortIndex 3"),
         ("200 00 00 00 00 00 00 0F 00", "RcsThreshold 7"),
     ],
