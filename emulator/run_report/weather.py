@@ -51,8 +51,10 @@ def steps(scenario: Scenario, orders: Sequence[Happening], end_s: float) -> list
     actors = [actor.id for actor in scenario.actors]
     weather, round_s = scenario.weather, scenario.round_s
     found = _states(weather, 0.0, min(end_s, round_s or end_s), False)
-    for number in range(1, min(MOST_ROUNDS, math.ceil(end_s / round_s)) if round_s and weather.changes else 1):
-        found += _states(weather.later(number * round_s), number * round_s, min(end_s, (number + 1) * round_s), False)
+    if round_s and weather.changes:
+        for number in range(1, min(MOST_ROUNDS, math.ceil(end_s / round_s))):
+            until_s = min(end_s, (number + 1) * round_s)
+            found += _states(weather.later(number * round_s), number * round_s, until_s, False)
     for order in orders:
         table = order.row.get("change")
         if not isinstance(table, Mapping):

@@ -153,6 +153,12 @@ class Daemon:
         gc.collect()
         gc.freeze()  # what lives as long as the run is not walked again by the collector
         self.notifier.ready()
+        try:
+            self._serve(until_ns, while_true)
+        finally:
+            self._tell_warnings()  # what came with the last step
+
+    def _serve(self, until_ns: int | None, while_true: Callable[[], bool] | None) -> None:
         while not self._stop:
             now_ns = self._clock.now_ns()
             if now_ns >= self._look_ns:

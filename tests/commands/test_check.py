@@ -47,7 +47,6 @@ def test_faults_in_expect_and_elsewhere_are_told_together(tmp_path: Path, capsys
     [
         (FRONT % ", links: ['socketcand:127.0.0.1:0/can0']", "lms2xx is not spoken on socketcand; want a link of pty"),
         (FRONT % ", links: ['can:virtual:x']", "lms2xx is not spoken on can"),
-        (LD % ("a", "slcan:./x"), "ld is not spoken on slcan"),
         (
             FRONT % "" + "  - {id: o, model: can-ars408, from: [front], links: ['pty:./x']}\n",
             "can_objects is not spoken on pty; want a link of socketcand, slcan, can",

@@ -63,7 +63,7 @@ def test_status_and_stop_of_a_real_run(
     assert main(["ctl", "dance", "--socket", str(path)]) == 2
     assert "want one of status" in capsys.readouterr().err
     assert main(["ctl", "pause", "--socket", str(path)]) == 2
-    assert "real time goes on" in capsys.readouterr().err
+    assert "not possible in real time" in capsys.readouterr().err
     assert main(["ctl", "stop", "--socket", str(path)]) == 0
     assert running.process.wait(timeout=PATIENCE_S) == 0
     assert not path.exists()

@@ -134,7 +134,7 @@ def test_an_address_where_nothing_answers_is_told_with_what_was_tried(tmp_path: 
         tried = {
             f"pty:{os.ttyname(slave)}": "tried 9600, 38400, 500000, 19200 baud",
             f"tcp:127.0.0.1:{port}": "no reply A0",
-            f"socketcand:127.0.0.1:{port}/can0": "nobody greets",
+            f"socketcand:127.0.0.1:{port}/can0": "no greeting within",
         }
         processes = {
             url: subprocess.Popen(

@@ -71,7 +71,8 @@ def ld_scans(data: bytes) -> list[tuple[float, ...]]:
 
 @contextlib.contextmanager
 def replaying(folder: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """The command, and the first sensor's link."""
+    """The command, and the link of the sensor that its first `--link` names, else of the first sensor."""
+    named = arguments[arguments.index("--link") + 1].partition("=")[0] if "--link" in arguments else None
     with subprocess.Popen(
         [sys.executable, "-m", "emulator", "replay", *arguments, "--json"],
         stdin=subprocess.PIPE,
@@ -85,7 +86,8 @@ def replaying(folder: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[
         first = process.stdout.readline()
         assert first, process.communicate()[1]
         try:
-            yield process, json.loads(first)["sensors"][0]["links"][0]
+            rows = json.loads(first)["sensors"]  # in the order in which they were heard of
+            yield process, next(row["links"][0] for row in rows if named in (None, row["id"]))
         finally:
             process.kill()
 
