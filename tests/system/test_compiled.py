@@ -117,6 +117,7 @@ def test_the_first_start_begins_with_arrays_and_goes_over_to_loops(first_start: 
     until(lambda: [row["form"] for row in status()["workers"]] == ["loops"])
     until(lambda: gone(int((tmp_path / "building").read_text())))
     assert status()["incident_totals"] == {}
+    time.sleep(1.0)  # it is reported with the next look at the processes
     process.send_signal(signal.SIGTERM)
     _, told = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
