@@ -89,7 +89,7 @@ def replay(
     """Send a RECORDING again, with its own gaps or scaled: a folder or .mcap of lidaremu, .pcap, .pcapng, .blf, .asc,
     candump .log, or the raw bytes of a serial line.
 
-    After `--` a COMMAND may follow, as of lidaremu run: it is started once every link accepts a host, told its links by
+    After `--` a COMMAND may follow, as of lidaremu run: it is started once every link accepts a host, gets its links in
     LIDAREMU_<SENSOR>, and the replay ends with it or at the recording's end.
     """
     if stepped and command:

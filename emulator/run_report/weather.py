@@ -54,7 +54,8 @@ def steps(scenario: Scenario, orders: Sequence[Happening], end_s: float) -> list
     if round_s and weather.changes:
         for number in range(1, min(MOST_ROUNDS, math.ceil(end_s / round_s))):
             until_s = min(end_s, (number + 1) * round_s)
-            found += _states(weather.later(number * round_s), number * round_s, until_s, False)
+            more = _states(weather.later(number * round_s), number * round_s, until_s, False)
+            found += more[1:] if more and found and more[0].values == found[-1].values else more
     for order in orders:
         table = order.row.get("change")
         if not isinstance(table, Mapping):

@@ -286,7 +286,7 @@ def _links(data: dict[str, Any], folder: Path) -> Iterator[Found]:
             for place in _places(url):
                 holder = next((who for other, who in taken if other.clashes(place)), None)
                 if holder is not None:
-                    yield (*loc, "links", number), f"{url!r} is also a link of {holder}", "a link of its own"
+                    yield (*loc, "links", number), f"{url!r} is also a link of {holder}", "a link used only once"
                     break
             taken += [(place, str(sensor.get("id"))) for place in _places(url)]
 

@@ -72,7 +72,7 @@ def test_a_link_that_the_family_does_not_speak(
 )
 def test_two_links_in_one_place(first: str, second: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     err = refused(HEAD + LD % ("a", first) + LD % ("b", second), tmp_path, capsys)
-    assert f"{second!r} is also a link of a; want a link of its own" in err
+    assert f"{second!r} is also a link of a; want a link used only once" in err
     assert "case.yaml:5: " in err
 
 

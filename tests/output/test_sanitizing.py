@@ -33,6 +33,8 @@ PRINTS = {
     "emulator/compiled/switch.py": "imports nothing of the project: a fixed line and a library's, guarded",
     "emulator/process/driver.py": "a driver's standard output goes to standard error",
     "emulator/commands/look.py": "asks whether it is a terminal",
+    "emulator/commands/ctl.py": "asks whether it is a terminal",
+    "emulator/commands/probe.py": "asks whether it is a terminal",
     "emulator/view/local_server.py": "swallows what viser prints",
 }
 "Files that name the standard output or error, print, or draw with Rich; and why."
