@@ -20,7 +20,7 @@ from emulator.output.lines import note, say
 @click.option("--no-scans", is_flag=True, help="Leave out telegrams that carry scans.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object per telegram, with all of its bytes.")
 def transcript(recording: Path, sensor: str | None, from_s: float, to_s: float, no_scans: bool, as_json: bool) -> int:
-    """Print what host and device said to each other in a RECORDING of lidaremu, decoded, with times: the instant at which a
+    """Print what host and device said in a RECORDING of lidaremu, decoded, with times: the instant at which a
     telegram's first bit was due, who sent it, its bytes, what they say. A host's bytes have the instant at which they
     came in.
     """
