@@ -285,7 +285,7 @@ def test_the_lms_tells_what_is_wrong_when_it_is_asked() -> None:
 
     assert ask(b"\x32")[:-1] == bytes([2, 18, 3, 29])  # dirt on a channel (a warning), motor revolutions (an error)
     status = ask(b"\x31")
-    assert [int.from_bytes(status[at : at + 2], "little") for at in (18, 32, 34, 66)] == [250, 250, 600, 164]  # 148 / 0.9
+    assert [int.from_bytes(status[at : at + 2], "little") for at in (18, 32, 34, 66)] == [250, 250, 600, 164]
     made.session.suffer(made.now_ns, "window", 1.0)
     made.session.suffer(made.now_ns, "motor told", 0.0)
     assert ask(b"\x32")[:-1] == b""
