@@ -173,7 +173,7 @@ def test_ten_attackers_on_ten_sensors_leave_the_victim_what_the_machine_leaves(
     assert running.stop() == 0, running.errors
     assert "Traceback" not in running.errors
     front = running.end["front"]
-    assert whole == front["scans_sent"]
+    assert whole <= front["scans_sent"] <= whole + 1  # the request that ends the stream may cut a telegram off
     assert front["scans_dropped"].keys() <= {"measured too late", "withdrawn by a changed setting"}
     assert not front["input_dropped"]
     assert found.mb[1] - found.mb[0] < MOST_MB_MORE

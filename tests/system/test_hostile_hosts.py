@@ -172,7 +172,8 @@ def test_an_attack_on_every_link_costs_the_others_nothing_but_time(
         )
     front = status["front"]
     dropped = sum(front["scans_dropped"].values())
-    assert whole == front["scans_sent"]  # whatever the machine let the daemon send, the host has
+    # whatever the machine let the daemon send, the host has; the request that ends the stream may cut a telegram off
+    assert whole <= front["scans_sent"] <= whole + 1
     assert front["scans_dropped"].keys() <= {"measured too late", "withdrawn by a changed setting"}
     assert got + dropped >= 0.8 * 37.5 * took
     assert not front["input_dropped"]
