@@ -83,7 +83,7 @@ class Threads:
     """What the sender, the control's thread and the worker take, since this was made."""
 
     def __init__(self, pid: int) -> None:
-        (worker,) = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        worker, *_ = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()  # loops may be being built, too
         self._stats = {
             "sender": Path(f"/proc/{pid}/task/{pid}/schedstat"),
             "worker": Path(f"/proc/{worker}/task/{worker}/schedstat"),
