@@ -53,6 +53,19 @@ def recorder_for(
     return Recorder(folder or own, scenario, instruments, truth, daemon.incidents, now_ns, manner)
 
 
+WIRE_PORT = click.option(
+    "--port",
+    type=click.IntRange(1, 65535),
+    default=49152,
+    show_default=True,
+    help="TCP or UDP port of the device in a capture.",
+)
+WIRE_BAUD = click.option(
+    "--baud", type=click.IntRange(min=50), default=38400, show_default=True, help="Line speed of a raw serial dump."
+)
+"Of files that others have recorded."
+
+
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.argument("command", nargs=-1, type=click.UNPROCESSED)
@@ -62,16 +75,8 @@ def recorder_for(
 @click.option("--speed", type=Finite(0.001, 1e9), default=1.0, metavar="X", help="Speed factor; 1: as recorded.")
 @click.option("--stepped", is_flag=True, help="Send one payload for each line on standard input.")
 @click.option("--loop", "loops", type=click.IntRange(min=0), default=1, help="Number of repetitions; 0: forever.")
-@click.option(
-    "--port",
-    type=click.IntRange(1, 65535),
-    default=49152,
-    show_default=True,
-    help="TCP or UDP port of the device in a capture.",
-)
-@click.option(
-    "--baud", type=click.IntRange(min=50), default=38400, show_default=True, help="Line speed of a raw serial dump."
-)
+@WIRE_PORT
+@WIRE_BAUD
 @click.option("--at-once", is_flag=True, help="Do not wait for a host.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object per line.")
 def replay(
@@ -210,16 +215,8 @@ def _step_by_lines(daemon: VirtualDaemon, one_more: Callable[[], None]) -> None:
 @click.command()
 @click.argument("first", type=click.Path(path_type=Path))
 @click.argument("second", type=click.Path(path_type=Path))
-@click.option(
-    "--port",
-    type=click.IntRange(1, 65535),
-    default=49152,
-    show_default=True,
-    help="TCP or UDP port of the device in a capture.",
-)
-@click.option(
-    "--baud", type=click.IntRange(min=50), default=38400, show_default=True, help="Line speed of a raw serial dump."
-)
+@WIRE_PORT
+@WIRE_BAUD
 @click.option("--json", "as_json", is_flag=True, help="One JSON object per difference.")
 def diff(first: Path, second: Path, port: int, baud: int, as_json: bool) -> int:
     """Compare two recordings: the first byte, instant, beam or object of each link and sensor that differs.

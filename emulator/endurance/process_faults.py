@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 PLAYED = "tests/measuring/test_supervision.py"
-FORKED = "tests/measuring/test_measuring.py"
 SYSTEM = "tests/system/test_process_faults.py"
 RIG_VIRTUAL = "tests/measuring/test_process_faults.py"
 

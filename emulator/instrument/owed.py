@@ -124,6 +124,9 @@ class Owed:
             return True
         if not self._scan_ns and not self._asks_ns:
             return False
+        # at least: this is asked at every step of a sensor, the usual gaps are looked at when it does not do
+        if now_ns - self._asked_ns <= (SILENT_GAPS * self._scan_ns if self._asks_ns else FIRST_NS):
+            return True
         usual_ns = max(usual_gap(self._asks_ns) or 0, usual_gap(self._gaps_ns) or 0, self._scan_ns)
         limit_ns = SILENT_GAPS * usual_ns if self._asks_ns else FIRST_NS
         return now_ns - self._asked_ns <= limit_ns

@@ -28,7 +28,7 @@ from emulator.process.incidents import Incidents
 from emulator.process.sd_notify import Notifier
 from emulator.process.time_limits import TICK_NS, RunningTime
 from emulator.process.waiting import Waiter, sharpen_timers, shorten_slices
-from emulator.runtime.liveness import Liveness
+from emulator.runtime.liveness import Liveness, report_workers
 from emulator.runtime.own_daemon import ending_signals
 from emulator.runtime.path_guard import PathGuard
 from emulator.transports.turns import Turn
@@ -293,12 +293,7 @@ class Daemon:
         now_ns = self._clock.now_ns()
         workers = self._workers
         if workers.failures or workers.incidents or workers.warnings or workers.notes:
-            for text in self._workers.failures:
-                self._note_failure(text, now_ns)
-            self._workers.failures.clear()
-            for kind, worker, text in self._workers.incidents:
-                self.incidents.note(kind, now_ns, worker, text)
-            self._workers.incidents.clear()
+            report_workers(workers, self.incidents, self.failures, now_ns)
             self._tell_warnings()
         for index, instrument in enumerate(self._instruments if fresh else ()):
             if instrument.sensor in fresh:
@@ -309,14 +304,6 @@ class Daemon:
             self.on_failure(f"warning: {self._workers.warnings.pop(0)}")
         while self._workers is not None and self._workers.notes:
             self.on_failure(self._workers.notes.pop(0))
-
-    def _note_failure(self, text: str, now_ns: int) -> None:
-        """An incident the first time, and counted: a fault that comes back with every scan would bury the log."""
-        sensor, _, what = text.partition(": ")
-        cause = text.rpartition(": ")[2]
-        self.failures[cause] += 1
-        if self.failures[cause] == 1:
-            self.incidents.note("sweep unmeasured", now_ns, sensor, what)
 
     def _look_around(self, now_ns: int) -> None:
         """Some ten times a second: do our processes, our sensors and we ourselves live?"""

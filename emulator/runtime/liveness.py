@@ -1,6 +1,7 @@
 """Whether every sensor that a host has subscribed to still sends: a silent one is reported, and its return.
 
-Belongs here: what counts as silence. Not: why it is silent (supervision tells of processes, `Instrument` of drops).
+Belongs here: what counts as silence, and passing on what workers report. Not: why it is silent (supervision reports of
+processes, `Instrument` of drops).
 
 A sensor is subscribed to while its session wants sweeps measured: nobody streams, no power, booting, spinning up, a
 motor that stands: it wants none. It lives as long as it takes scans that have been measured; what faults on purpose or
@@ -9,10 +10,12 @@ a slow line do to telegrams after that is asked for, and counted elsewhere.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 from emulator.instrument.instrument import Instrument
+from emulator.measuring.supervision import Workers
 from emulator.process.incidents import Incidents
 
 SILENT_SCANS = 20
@@ -110,3 +113,21 @@ class Liveness:
     def silent(self) -> tuple[str, ...]:
         """Sensors that are silent at present."""
         return tuple(name for name, watch in self._watches.items() if watch.is_silent)
+
+
+def report_workers(workers: Workers, incidents: Incidents, failures: Counter[str], now_ns: int) -> None:
+    """Pass on what happened to measuring processes and sweeps since the last call.
+
+    Sweeps that could not be measured are counted in `failures` by cause; the first of a cause is an incident: one with
+    every sweep would bury the log.
+    """
+    for kind, worker, text in workers.incidents:
+        incidents.note(kind, now_ns, worker, text)
+    workers.incidents.clear()
+    for text in workers.failures:
+        sensor, _, what = text.partition(": ")
+        cause = text.rpartition(": ")[2]
+        failures[cause] += 1
+        if failures[cause] == 1:
+            incidents.note("sweep unmeasured", now_ns, sensor, what)
+    workers.failures.clear()

@@ -28,7 +28,7 @@ from emulator.process.sd_notify import Notifier
 from emulator.process.time_limits import TICK_NS
 from emulator.process.waiting import Poller
 from emulator.runtime.daemon import COMMAND_ENDED, DURATION_OVER, status_text
-from emulator.runtime.liveness import Liveness
+from emulator.runtime.liveness import Liveness, report_workers
 from emulator.runtime.own_daemon import ending_signals
 from emulator.runtime.path_guard import PathGuard
 from emulator.runtime.virtual import VirtualRun
@@ -148,16 +148,7 @@ class VirtualDaemon:
             self.on_failure(str(error))
             self.stop(str(error))
             fresh = set()
-        for kind, worker, text in self._workers.incidents:
-            self.incidents.note(kind, self.now_ns, worker, text)
-        self._workers.incidents.clear()
-        for text in self._workers.failures:
-            cause = text.rpartition(": ")[2]
-            self.failures[cause] += 1
-            if self.failures[cause] == 1:
-                sensor, _, what = text.partition(": ")
-                self.incidents.note("sweep unmeasured", self.now_ns, sensor, what)
-        self._workers.failures.clear()
+        report_workers(self._workers, self.incidents, self.failures, self.now_ns)
         return fresh
 
     def _go_on(self) -> bool:

@@ -76,6 +76,7 @@ class RecordedSource:
     def order(self, method: str, params: Mapping[str, Any]) -> Any:
         """Move the recording's own time: seek {"to_s"}, pause, resume, step {"scans" | "seconds"}, speed {"x"}."""
         now_ns = self._now_ns()
+        self._paused |= now_ns >= self._end_ns  # it stands at its end, and wherever it is moved to from there
         if method == "seek":
             now_ns = round(float(params["to_s"]) * 1e9)
         elif method == "step":

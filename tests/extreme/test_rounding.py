@@ -47,8 +47,12 @@ def lms_words(range_m: Any, unit: str, mode: str = "32m-field-a", flags: int = 0
     assert telegram is not None
     values = read_values(telegram)
     assert values is not None
-    field_a = 0x8000 if mode == "32m-field-a" else 0  # what is nearer than 50 mm lies in the field of the factory
-    return [int(word) & ~field_a for word in values.values[: len(range_m)]]
+    words = [int(word) for word in values.values[: len(range_m)]]
+    if mode != "32m-field-a":
+        return words
+    for word, x in zip(words, range_m, strict=True):
+        assert bool(word & 0x8000) == (x < 0.05) or abs(x - 0.05) < 1e-12, "within the factory's field of 50 mm"
+    return [word & 0x7FFF for word in words]
 
 
 def ld_words(range_m: Any) -> list[int]:

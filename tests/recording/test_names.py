@@ -52,7 +52,7 @@ def stems(*links: str) -> list[str]:
         (["socketcand:127.0.0.1:5000/can0", "socketcand:127.0.0.2:5000/can0"], ["can0", "can0-2"]),
         (["can:virtual:x", "can:socketcan:x"], ["x-virtual", "x-socketcan"]),
         (["slcan:./left/can", "slcan:./right/can"], ["can-left", "can-right"]),
-        (["slcan:./can", "slcan:/tmp/can"], ["can", "can-2"]),
+        (["slcan:./can", "slcan:./other/can"], ["can", "can-2"]),
         (["can:virtual:can0", "socketcand:127.0.0.1:5000/CAN0"], ["can0-virtual", "CAN0-5000"]),
         (["can:virtual:a/b", "can:virtual:..", "can:virtual:käfig"], ["b", "_.", "k_fig"]),
         (["can:virtual:run", "can:virtual:scenario"], ["run", "scenario"]),

@@ -153,6 +153,15 @@ def press(browser: Any, text: str) -> None:
     button.click()
 
 
+def stand(browser: Any) -> None:
+    """A recording that stands: because it is over by the time the page has been drawn, or because it is told to."""
+    moving = there(browser, "//button[normalize-space(.)='Pause' or normalize-space(.)='Resume']")
+    if moving.text.strip() == "Pause":
+        browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", moving)
+        moving.click()
+    there(browser, "//button[normalize-space(.)='Resume']")
+
+
 def slide(browser: Any, label: str, key: str) -> None:
     thumb = there(browser, f"//*[normalize-space(text())='{label}']/following::*[@role='slider'][1]")
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'}); arguments[0].focus()", thumb)
@@ -227,8 +236,7 @@ def test_page_and_daemon_act_on_each_other(
     # the recording
     browser.get(view(str(tmp_path / "run")))
     until(lambda: browser.execute_script(POINTS) > 100, why="no points of the recording")
-    press(browser, "Pause")
-    there(browser, "//button[normalize-space(.)='Resume']")  # it stands, before it is moved
+    stand(browser)
     slide(browser, "At, s", Keys.END)
     slide(browser, "At, s", Keys.HOME)
     until(lambda: browser.execute_script(POINTS) == 0 and browser.execute_script(NOW) < 0.1, why="not at its beginning")

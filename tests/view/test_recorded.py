@@ -56,8 +56,12 @@ def test_it_plays_at_its_own_pace_and_stands_at_its_end(source: recorded.Recorde
     clock.set(50 * SECOND)
     frame = source.frame()
     assert (frame.now_s, frame.paused, dict(frame.scans)) == (10.0, True, {})
+    source.order("seek", {"to_s": 3.0})
+    clock.set(51 * SECOND)
+    assert (source.frame().now_s, source.frame().paused) == (3.0, True)
+    source.order("seek", {"to_s": 10.0})
     source.order("resume", {})
-    assert source.frame().now_s == 0.0
+    assert (source.frame().now_s, source.frame().paused) == (0.0, False)
 
 
 def test_its_time_is_moved_by_orders(source: recorded.RecordedSource, clock: ManualClock) -> None:
