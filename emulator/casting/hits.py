@@ -8,12 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.compiled.pair import by_loops
 from emulator.physics.arrays import indexes
 from emulator.world.batched_poses import Cones, Flags, Longs
 from emulator.world.triangles import Floats, Ints
@@ -319,14 +317,6 @@ def all_met(parts: list[Met]) -> Met | None:
     return Met(*(np.concatenate(column, axis=-1) for column in columns))
 
 
-def _keep_nearer_by_loops(loops: ModuleType, found: Nearest, rays: Longs, met: Met) -> None:
-    loops.keep_nearer(
-        found.range_m, found.triangle, found.body, found.normal, found.facing,
-        rays, met.range_m, met.triangle, met.body, met.normal, met.facing,
-    )  # fmt: skip
-
-
-@by_loops(_keep_nearer_by_loops, "keep_nearer")
 def keep_nearer(found: Nearest, rays: Longs, met: Met) -> None:
     """Put hits of `rays` (which may repeat) where nothing is nearer."""
     best = found.range_m.copy()

@@ -204,14 +204,6 @@ class MovingCast:
         return number, span
 
 
-def _straight_by_loops(
-    loops: ModuleType, now: Stretch, centre: Floats, begin: float, end: float
-) -> tuple[Floats, Floats]:
-    place, swept = loops.whereabouts(now.at, now.velocity, now.since, now.turned, centre, begin, end)
-    return place, swept
-
-
-@by_loops(_straight_by_loops, "whereabouts")
 def _straight(now: Stretch, centre: Floats, begin: float, end: float) -> tuple[Floats, Floats]:
     """Centres (3, b) in the middle of a stretch, and how far they come from there, of bodies that move straight."""
     place = now.at + (begin + (end - begin) / 2.0 - now.since) * now.velocity

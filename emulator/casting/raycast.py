@@ -75,10 +75,6 @@ def _resting_by_loops(loops: ModuleType, caster: Caster, origin: Floats, aim: Ai
     return found
 
 
-def _is_inner_by_loops(loops: ModuleType, caster: Caster, found: Nearest) -> Flags:
-    return np.asarray(loops.inner(found.facing, found.triangle, caster._table.closed))
-
-
 def _told_by_loops(loops: ModuleType, caster: Caster, found: Nearest, inner: Flags, far: float) -> LateHits:
     """What few ask for is looked up, by arrays, if somebody does."""
     (actor, material), cosine = loops.told(
@@ -316,7 +312,6 @@ class Caster:
     def _material_of(self, body: Longs, triangle: Longs) -> Ints:
         return self._part_material.take(self._parts_of.take(body) + self._table.part.take(triangle))
 
-    @by_loops(_is_inner_by_loops, "inner")
     def _is_inner(self, found: Nearest) -> Flags:
         inner = found.facing > 0.0
         if inner.any():

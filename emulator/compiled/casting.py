@@ -12,7 +12,6 @@ import numpy as np
 from emulator.compiled.jit import (
     EMBREE,
     FLAG,
-    FLAGS,
     FLOAT,
     FLOATS,
     INT,
@@ -104,16 +103,6 @@ def resting(
 def unwritten(count):
     """Columns of `Nearest`, for `resting` to write; normals are written and read of hits on moving bodies alone."""
     return np.empty(count), np.empty(count, np.int64), np.empty(count, np.int64), np.empty((3, count)), np.empty(count)
-
-
-@compiled(FLOATS, INTS, FLAGS)
-def inner(facing, triangle, closed):
-    """Hits on the inside of a closed shell."""
-    found = np.zeros(len(facing), np.bool_)
-    for k in range(len(facing)):
-        if facing[k] > 0.0:
-            found[k] = closed[triangle[k]]
-    return found
 
 
 @compiled(OUT_FLOATS, INTS, INTS, FLOATS, FLOAT, OUT_FLAGS, WORDS, WORDS, INTS, INTS, WORDS)

@@ -1,6 +1,6 @@
-"""Echoes on a leading edge of sin^2 pulses: their order by height, levels, readings, and which are reported.
+"""Echoes on a leading edge of sin^2 pulses: their order by height, levels and readings.
 
-Belongs here: what `detection._measure` and `_report` do with arrays. Not: crossings (clusters, maxima, media).
+Belongs here: what `detection._measure` does with arrays. Not: crossings (clusters, maxima, media).
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -10,24 +10,22 @@ import numpy as np
 
 from emulator.compiled.jit import FLAG, FLAGS, FLOAT, FLOATS, INT, INTS, compiled
 
-FIRST, STRONGEST, LAST = 0, 1, 2
 FEW = 64
 "Echoes of a beam that are compared with each other; more are sorted."
 
 
 @compiled()
-def _grouped(beam, chosen, beams):
-    """Indexes of the chosen by beam, as they come, and where each beam's begin, (beams + 1,)."""
+def _grouped(beam, beams):
+    """Indexes by beam, as they come, and where each beam's begin, (beams + 1,)."""
     begin = np.zeros(beams + 1, np.int64)
     for k in range(len(beam)):
-        begin[beam[k] + 1] += chosen[k]
+        begin[beam[k] + 1] += 1
     for b in range(beams):
         begin[b + 1] += begin[b]
     order, free = np.empty(begin[beams], np.int64), begin.copy()
     for k in range(len(beam)):
-        if chosen[k]:
-            order[free[beam[k]]] = k
-            free[beam[k]] += 1
+        order[free[beam[k]]] = k
+        free[beam[k]] += 1
     return order, begin
 
 
@@ -59,7 +57,7 @@ def ranks(beam, centre, height, beams, floor_m2, columns):
     keys, place = np.empty(count), np.empty(count, np.int64)
     for k in range(count):
         keys[k] = -height[k] if _tall(centre[k], height[k], floor_m2) else 0.0
-    order, begin = _grouped(beam, np.ones(count, np.bool_), beams)
+    order, begin = _grouped(beam, beams)
     for b in range(beams):
         _sort(order, begin[b], begin[b + 1], keys)
         for i in range(begin[b], begin[b + 1]):
@@ -118,62 +116,3 @@ def readings(
         sizes[0, at], sizes[1, at] = max(range_m, 0.0), min(max(amplitude, least), max(full_scale, least))
         at += 1
     return whole, sizes, clipped
-
-
-@compiled()
-def _by_strength(amplitude, order):
-    """Places of these echoes of a beam if the strongest came first, equal ones as they come."""
-    count = len(order)
-    place = np.zeros(count, np.int64)
-    if count > FEW:
-        place[np.argsort(-amplitude[order], kind="mergesort")] = np.arange(count)
-        return place
-    for i in range(count):
-        one = amplitude[order[i]]
-        for j in range(count):
-            other = amplitude[order[j]]
-            place[i] += other > one or (other == one and j < i)
-    return place
-
-
-@compiled(INTS, FLOATS, FLOATS, FLAGS, INTS, FLAGS, INT, INT, INT, FLOAT, FLOAT, FLOAT)
-def reported(beam, range_m, amplitude, saturated, source, dazzled, beams, columns, keep, near_m, far_m, blind_m):
-    """Range and amplitude (2, beams, columns), saturation and source (beams, columns) of the echoes that are kept.
-
-    `dazzled` : (beams,), or (0,) for none; `keep` : `FIRST`, `STRONGEST` or `LAST`; `blind_m` : length for which a
-    clipped echo leaves the receiver blind.
-    """
-    count = len(beam)
-    wanted = np.empty(count, np.bool_)
-    for k in range(count):
-        wanted[k] = near_m <= range_m[k] <= far_m and np.isfinite(range_m[k])
-        if len(dazzled):
-            wanted[k] &= not dazzled[beam[k]]
-    order, begin = _grouped(beam, wanted, beams)
-    sizes = np.full((2, beams, columns), np.nan)
-    clipped, origin = np.zeros((beams, columns), np.bool_), np.full((beams, columns), -1, np.int64)
-    none = np.zeros(0, np.int64)
-    for b in range(beams):
-        first, end = begin[b], begin[b + 1]
-        _sort(order, first, end, range_m)
-        if blind_m > 0.0:
-            until, left = -np.inf, first
-            for i in range(first, end):
-                one = order[i]
-                if not until > range_m[one]:
-                    order[left] = one
-                    left += 1
-                if saturated[one]:
-                    until = max(until, range_m[one] + blind_m)
-            end = left
-        column = min(columns - (end - first), 0) if keep == LAST else 0
-        place = _by_strength(amplitude, order[first:end]) if keep == STRONGEST else none
-        for i in range(first, end):
-            one = order[i]
-            if keep == STRONGEST and place[i - first] >= columns:
-                continue
-            if 0 <= column < columns:
-                sizes[0, b, column], sizes[1, b, column] = range_m[one], amplitude[one]
-                clipped[b, column], origin[b, column] = saturated[one], source[one]
-            column += 1
-    return sizes, clipped, origin

@@ -218,25 +218,3 @@ def edges(
         even += constant
         crossing[k] = _rise(wanted, lo, hi, origin, even, x, y, slope, wave_number, exact_m, steps)
     return crossing
-
-
-@compiled(*WAVE, FLOATS, INTS, INTS, FLOATS, FLOATS)
-def sources(
-    bin_m, half_m, wave_number, hazy, first_bin, start, count, value, soft, sub_first, sub_count, sub_range,
-    a, real, imaginary, sub_amplitude, sub_source, window, centre, amplitude,
-):  # fmt: skip
-    """Source of the sub-echo that is strongest under each maximum; -1 where a medium is higher. As `timing.sources`."""
-    found = np.empty(len(window), np.int64)
-    for k in range(len(window)):
-        w, best = window[k], -1.0
-        for j in range(sub_first[w], sub_first[w] + sub_count[w]):
-            apart, pull = abs(centre[k] - sub_range[j]), 0.0
-            if apart < half_m:
-                swing = np.cos(0.5 * wave_number * apart)
-                pull = sub_amplitude[j] * (swing * swing)
-            if pull > best:  # the first of equals
-                best, found[k] = pull, sub_source[j]
-        medium = _medium_at(centre[k], w, bin_m, first_bin, start, count, soft) if len(soft) else 0.0
-        if medium > max(amplitude[k] - medium, best):
-            found[k] = -1
-    return found

@@ -1,6 +1,6 @@
 """What a medium adds under pulses: its integrals at surfaces, its return, and crossings of short clusters in it.
 
-Belongs here: what `SoftProfile` and `AirUnder` do with arrays. Not: how the tables of a medium are made (softprofile).
+Belongs here: what `SoftProfile` and crossings over `AirUnder` do with arrays. Not: how tables are made (softprofile).
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -72,17 +72,6 @@ def _under(x_m, last, before, begins, open_, sums, edged, first, bin_m, wave_num
         value = max(0.5 * (still * upper + ended - open_ * lower), 0.0)
         values = (value, values[1]) if step == 0 else (values[0], value)
     return values[0] + (x_m / bin_m - place) * (values[1] - values[0])
-
-
-@compiled(*MEDIUM, FLOATS, INTS, INTS, INTS, FLOATS, ROWS)
-def under(
-    edged, first, bin_m, wave_number, ends, knots, cubics, cells, cell, x_m, last, before, begins, open_, sums
-):  # fmt: skip
-    """`AirUnder.at` of each cluster."""
-    value = np.zeros(len(x_m))
-    for c in range(len(x_m)):
-        value[c] = _under(x_m[c], last[c], before[c], begins[c], open_[c], sums, edged, first, bin_m, wave_number, ends)
-    return value
 
 
 @compiled(

@@ -1,6 +1,6 @@
 """Rays on bodies that move: which may meet, into the frame of each body, through its box, and what they meet there.
 
-Belongs here: what `batched_poses.may_meet`, `MovingCast.met` and `hits.keep_nearer` do with arrays.
+Belongs here: what `batched_poses.may_meet` and `MovingCast.met` do with arrays.
 Not: the search (packets).
 """
 
@@ -15,29 +15,11 @@ from emulator.compiled.jit import (
     FLOATS,
     INT,
     INTS,
-    OUT_FLOATS,
-    OUT_INTS,
-    OUT_LOOSE,
     ROWS,
     TURNS,
     compiled,
 )
 from emulator.compiled.packets import TFAR, TRIANGLE, put, room, send
-
-
-@compiled(ROWS, ROWS, FLOATS, TURNS, ROWS, FLOAT, FLOAT)
-def whereabouts(at, velocity, since, turned, centre, begin_s, end_s):
-    """Centres of spheres (3, b) in the middle of a time, and how far they may be from there; of straight motions."""
-    middle, half = begin_s + (end_s - begin_s) / 2.0, (end_s - begin_s) / 2.0
-    place, swept = np.empty((3, len(since))), np.empty(len(since))
-    for b in range(len(since)):
-        square = 0.0
-        for i in range(3):
-            turned_m = turned[i, 0, b] * centre[0, b] + turned[i, 1, b] * centre[1, b] + turned[i, 2, b] * centre[2, b]
-            place[i, b] = at[i, b] + (middle - since[b]) * velocity[i, b] + turned_m
-            square += velocity[i, b] * velocity[i, b]
-        swept[b] = np.sqrt(square) * half
-    return place, swept
 
 
 @compiled()
@@ -102,19 +84,6 @@ def pairs(place, reach, low, high, far, axis, half, size, known_m, rounding):
                 found[0, count], found[1, count] = b, k
                 count += 1
     return found[:, :count].copy()
-
-
-@compiled(OUT_FLOATS, OUT_INTS, OUT_INTS, OUT_LOOSE, OUT_FLOATS, INTS, FLOATS, INTS, INTS, ROWS, FLOATS)
-def keep_nearer(
-    range_m, triangle, body, normal, facing, rays, met_range_m, met_triangle, met_body, met_normal, met_facing
-):
-    """Put hits of `rays` (k,), which may repeat, where nothing is nearer; of equals the last stays."""
-    for k in range(len(rays)):
-        at = rays[k]
-        if met_range_m[k] <= range_m[at]:
-            range_m[at], facing[at] = met_range_m[k], met_facing[k]
-            triangle[at], body[at] = met_triangle[k], met_body[k]
-            normal[0, at], normal[1, at], normal[2, at] = met_normal[0, k], met_normal[1, k], met_normal[2, k]
 
 
 @compiled()

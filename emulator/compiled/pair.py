@@ -43,7 +43,7 @@ def by_loops(loop: Callable[..., Any], *names: str) -> Callable[[Callable[Given,
             loops = kernels() if pair.on else None
             if loops is None:
                 return array(*args, **words)
-            made: Made = loop(loops, *args, **words)
+            made: Made = pair.loop(loops, *args, **words)
             return array(*args, **words) if made is OTHERWISE else made
 
         step.pair = pair  # type: ignore[attr-defined]

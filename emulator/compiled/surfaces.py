@@ -161,15 +161,3 @@ def special(range_m, material, of_interest, reach_m):
             found[count] = k
             count += 1
     return found[:count].copy()
-
-
-@compiled(ROWS, FLOATS, INT)
-def repeated(position, t_s, times):
-    """(4, n times) of positions (n, 3) and instants (n,): each as often, a coordinate at a time."""
-    n = len(position)
-    out = np.empty((4, n * times))
-    for i in range(4):
-        row = out[i]
-        for k in range(n):  # slices, which are written several numbers at a time
-            row[k * times : (k + 1) * times] = position[k, i] if i < 3 else t_s[k]
-    return out

@@ -40,10 +40,6 @@ SHIFT = 0.125
 "Shift of a crossing, in steps of the range, below which it is left out under such a cluster."
 
 
-def _at_by_loops(loops: ModuleType, air: AirUnder, x_m: Floats, last: Ints) -> Floats:
-    return np.asarray(loops.under(*air.soft.flat, x_m, last, air.before, air.begins, air.open, air.sums))
-
-
 @dataclass(frozen=True, eq=False)
 class AirUnder:
     """What a faint medium adds under h clusters while their pulses rise; m sub-echoes in them. See softprofile."""
@@ -64,7 +60,6 @@ class AirUnder:
         """Those of some places, under other numbers of the clusters."""
         return replace(self, cluster=cluster, before=self.before[at], open=self.open[at], begins=self.begins[at])
 
-    @by_loops(_at_by_loops, "under")
     def at(self, x_m: Floats, last: Ints) -> Floats:
         """Its part at apparent ranges (h,), where these sub-echoes are the last ones begun; linear between bins."""
         soft = self.soft

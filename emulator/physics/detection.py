@@ -332,17 +332,8 @@ def _measure(signals: Signals, detector: Detector, normals: Numbers | None) -> _
 
 
 # ------------------------------------------------------------------------------- choice
-def _report_by_loops(loops: ModuleType, found: _Found, beams: int, detector: Detector, dazzled: Bools | None) -> Echoes:
-    keep = {"strongest": loops.STRONGEST, "last": loops.LAST}.get(detector.keep, loops.FIRST)
-    (range_m, amplitude), saturated, source = loops.reported(
-        found.beam, found.range_m, found.amplitude, found.saturated, found.source,
-        np.zeros(0, bool) if dazzled is None else dazzled, beams, detector.max_echoes, keep, detector.near_gate_m,
-        detector.far_gate_m, 0.5 * SPEED_OF_LIGHT_M_S * detector.recovery_s,
-    )  # fmt: skip
-    return Echoes(range_m, amplitude, saturated, source)
 
 
-@by_loops(_report_by_loops, "reported", "FIRST", "LAST", "STRONGEST")
 def _report(found: _Found, beams: int, detector: Detector, dazzled: Bools | None) -> Echoes:
     k = detector.max_echoes
     blind_m = 0.5 * SPEED_OF_LIGHT_M_S * detector.recovery_s

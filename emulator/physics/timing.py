@@ -249,14 +249,6 @@ def fractions(wave: Waveform, found: Candidates, detector: Detector, threshold: 
     return np.where(ok, x - detector.cfd_lead_m, found.centre_m)
 
 
-def _sources_by_loops(loops: ModuleType, wave: Waveform, found: Candidates) -> Ints:
-    if wave.pulse.shape != "sin2" or not found.beam.size:
-        return OTHERWISE
-    what = wave.sub_amplitude, wave.sub_source, found.window, found.centre_m, found.amplitude
-    return np.asarray(loops.sources(*wave.flat, *what))
-
-
-@by_loops(_sources_by_loops, "sources")
 def sources(wave: Waveform, found: Candidates) -> Ints:
     """Source of the sub-echo nearest to the maximum among those that stand under it; -1 where a medium is higher."""
     if found.beam.size == 0:

@@ -9,11 +9,9 @@ from __future__ import annotations
 from collections import OrderedDict
 from dataclasses import dataclass, replace
 from functools import cached_property
-from types import ModuleType
 
 import numpy as np
 
-from emulator.compiled.pair import by_loops
 from emulator.compiled.switch import kernels
 from emulator.physics import beams
 from emulator.physics.arrays import Floats, Ints
@@ -170,22 +168,11 @@ def cast_rays(bundles: Bundles, pose: Pose, t_s: Floats) -> Rays:
     return rays_of(Turned.of(bundles, pose.rotation), pose.position_m, t_s)
 
 
-def _repeated_by_loops(loops: ModuleType, position_m: Floats, t_s: Floats, times: int) -> tuple[Floats, Floats]:
-    columns = loops.repeated(position_m, t_s, times)
-    return columns[:3], columns[3]
-
-
-@by_loops(_repeated_by_loops, "repeated")
-def _repeated(position_m: Floats, t_s: Floats, times: int) -> tuple[Floats, Floats]:
-    """Places (3, n * times) and instants of all rays of beams."""
-    return position_m.T.repeat(times, axis=1), t_s.repeat(times)
-
-
 def rays_of(spread: Turned, position_m: Floats, t_s: Floats, steady: bool = False, ordered: bool = False) -> Rays:
     """The same of turned bundles, from the places (n, 3); `ordered`: packets of them are worth their order."""
     bundles = spread.bundles
     m = bundles.sub_beams
-    origin, times = _repeated(position_m, t_s, m)
+    origin, times = position_m.T.repeat(m, axis=1), t_s.repeat(m)
     if spread.start_m is not None:
         origin += spread.start_m.T
     return Rays(

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import ast
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 import pytest
 
 from emulator.compiled import pair, switch
-from tests.benchmarks import pairs
+from tests.benchmarks import bench_scan, pairs
 
 ROOT = Path(__file__).resolve().parents[2]
 BEGIN, END = "<!-- pairs: python -m tests.benchmarks.pairs -->", "<!-- end of pairs -->"
@@ -35,6 +37,12 @@ def test_the_page_has_the_steps_that_the_code_has_with_their_lines() -> None:
     code = [pairs.row(name, one, at) for name, one in pairs.pairs().items()]
     assert told()[0][:3] == pairs.HEAD
     assert [cells[:3] for cells in told()[2:]] == code, "python -m tests.benchmarks.pairs prints them"
+
+
+def test_what_saves_less_than_3_percent_in_every_scene_has_one_form_only() -> None:
+    for step, _, _, *saved in told()[2:]:
+        assert len(saved) == 4
+        assert max(map(float, saved)) >= pairs.LEAST_SAVED, step
 
 
 def test_every_loop_belongs_to_one_step() -> None:
@@ -66,18 +74,26 @@ def test_a_step_chooses_and_can_be_left_out_alone(monkeypatch: pytest.MonkeyPatc
     assert step(1) == "arrays 1"
 
 
-def test_both_forms_of_every_step_are_taken() -> None:
-    """A sweep of a hazy street by loops takes the loops of the steps that it has."""
+def test_sweeps_of_a_street_take_the_loops_of_every_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("numba")
-    from tests.compiled.both import both
+    taken: Counter[str] = Counter()
 
-    taken = {name: one for name, one in pairs.pairs().items() if name == "sensing.rays._repeated"}
-    assert taken
-    one = taken["sensing.rays._repeated"]
-    from emulator.sensing.rays import _repeated
+    def counted(name: str, loop: Callable[..., Any]) -> Callable[..., Any]:
+        def called(*given: Any, **words: Any) -> Any:
+            made = loop(*given, **words)
+            taken[name] += made is not pair.OTHERWISE
+            return made
 
-    arrays, loops = both(lambda: _repeated(np.arange(6.0).reshape(2, 3), np.arange(2.0), 3))
-    assert np.array_equal(arrays[0], loops[0])
-    assert one.on
-    with switch.switched(False):
-        assert np.array_equal(_repeated(np.ones((1, 3)), np.ones(1), 2)[0], np.ones((3, 2)))
+        return called
+
+    known = pairs.pairs()
+    for name, one in known.items():
+        monkeypatch.setattr(one, "loop", counted(name, one.loop))
+    bench_scan.hills(tmp_path / "hills.obj", 20)
+    plan = bench_scan.sweep(0.5)
+    with switch.switched(True):
+        for weather, resting in ((bench_scan.RAIN_AND_FOG, False), ({}, True)):
+            measure = bench_scan.of(bench_scan.street(tmp_path, weather, resting))[0]
+            for number in range(3):
+                measure(bench_scan.at(plan, number))
+    assert taken.keys() == known.keys()
