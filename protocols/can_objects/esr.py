@@ -1,8 +1,8 @@
 """Delphi ESR: 64 radar tracks, one identifier each, every 50 ms while a host keeps the radar on.
 
 Belongs here: the whole format. Bits from `esr.dbc`; cycle and conditions from public drivers
-(`delphi_esr` of AutonomouStuff and of Apollo). The radar radiates while 0x4F1 says so and 0x4F0 arrives; otherwise its cycle goes on
-with empty tracks.
+(`delphi_esr` of AutonomouStuff and of Apollo). The radar radiates while 0x4F1 says so and 0x4F0 arrives; otherwise its
+cycle goes on with empty tracks.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ SLOW_M_S, FAST_M_S = 1.0, 3.0
 TICK_NS = Fraction(2_000_000)
 "Of DspTimestamp, 7 bits: wraps every 256 ms."
 ANALOGUE = 11
-"Supplies, temperatures and the like as counts of the A/D converter, in the order of 0x5E4 and 0x5E5; no scale is public."
+"Supplies, temperatures and the like as A/D counts, in the order of 0x5E4 and 0x5E5; no scale is public."
 FAULTS = 8
 "Bytes of active and of past faults; no public source says what their bits mean."
 RADIATE_OFF, RADIATE_ON = 1, 2

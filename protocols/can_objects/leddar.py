@@ -90,6 +90,7 @@ class LeddarSettings:
                 "rx_id": keys.integer(
                     "rx_base_id", "identifier of requests, until a host sets another", RX_ID, 0, MAX_STANDARD_ID
                 ),
+                "extended": int(keys.flag("extended_ids", "identifiers have 29 bits", False)),
                 "baud_code": RATES.index(common.bitrate),
             },
         }
