@@ -21,6 +21,7 @@ from protocols.can_objects.leddar_holding import KBIT, RX_ID, TX_ID, Holding
 from protocols.can_objects.session import CanObjectSession, Frame
 from protocols.can_objects.settings import CommonSettings
 from protocols.can_objects.table import Floats, ObjectTable
+from protocols.errors import DeviceSettingError
 from protocols.session import DropReason
 from protocols.skeleton.instants import SECOND_NS
 from protocols.skeleton.keys import DeviceKeys
@@ -64,9 +65,24 @@ class LeddarSettings:
     port: Mapping[str, int]
 
     @classmethod
-    def common_of(cls, keys: DeviceKeys, field_deg: float, range_m: float, name: str) -> dict[str, Any]:
+    def common_of(
+        cls, keys: DeviceKeys, field_deg: float, range_m: float, name: str, part_bytes: int = TEXT_BYTES
+    ) -> dict[str, Any]:
         """Take the common keys; raises `DeviceSettingError`."""
         common = CommonSettings.read(keys, 1_000_000, RATES)
+        port = {
+            "tx_id": keys.integer(
+                "tx_base_id", "first identifier that it sends on, until a host sets another", TX_ID, 0, 0x79E
+            ),
+            "rx_id": keys.integer(
+                "rx_base_id", "identifier of requests, until a host sets another", RX_ID, 0, MAX_STANDARD_ID
+            ),
+            "extended": int(keys.flag("extended_ids", "identifiers have 29 bits", False)),
+            "baud_code": RATES.index(common.bitrate),
+        }
+        if Port.refusal(port) is not None:
+            last = port["tx_id"] + LAST_ID
+            raise DeviceSettingError("rx_base_id", port["rx_id"], f"an identifier outside of {port['tx_id']} to {last}")
         return {
             "common": common,
             "view_rad": np.radians(keys.number("field_deg", "horizontal field of view", field_deg, 1.0, 100.0)),
@@ -80,19 +96,10 @@ class LeddarSettings:
             == "start",
             "serial_number": keys.text("serial_number", "told as input data", "AE00001", TEXT_BYTES),
             "device_name": keys.text("device_name", "told as input data", name, TEXT_BYTES),
-            "hardware_part": keys.text("hardware_part", "told as input data", "75H0004", TEXT_BYTES),
-            "software_part": keys.text("software_part", "told as input data", "60D0001", TEXT_BYTES),
+            "hardware_part": keys.text("hardware_part", "told as input data", "75H0004", part_bytes),
+            "software_part": keys.text("software_part", "told as input data", "60D0001", part_bytes),
             "fpga": keys.integer("fpga", "version told as input data", 1, 0, 0xFFFF),
-            "port": {
-                "tx_id": keys.integer(
-                    "tx_base_id", "first identifier that it sends on, until a host sets another", TX_ID, 0, 0x79E
-                ),
-                "rx_id": keys.integer(
-                    "rx_base_id", "identifier of requests, until a host sets another", RX_ID, 0, MAX_STANDARD_ID
-                ),
-                "extended": int(keys.flag("extended_ids", "identifiers have 29 bits", False)),
-                "baud_code": RATES.index(common.bitrate),
-            },
+            "port": port,
         }
 
 
@@ -202,7 +209,7 @@ class LeddarSession(CanObjectSession):
 
     def _enabled(self) -> NDArray[np.bool_]:
         """Segments that measure."""
-        return (self._holding["segments_off"] >> np.arange(self.SEGMENTS)) & 1 == 0
+        return np.asarray((self._holding["segments_off"] >> np.arange(self.SEGMENTS)) & 1 == 0)
 
     def _told_segments(self) -> NDArray[np.bool_]:
         """Segments whose detections are told."""

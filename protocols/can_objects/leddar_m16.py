@@ -37,6 +37,8 @@ OF_KIND = {"m16": 1, "m16_laser": 1, "is16": 0}
 "Holding data that a kind does not have: the refresh rate, or the acquisition configuration."
 BASE_RATE_HZ = 12_800
 "Measurements a second are this over 2^n (LdSensorM16Can.cpp)."
+PART_BYTES = 16
+"Longest part number (LtComM16Canbus.h)."
 SLOWEST, FASTEST = 13, 7
 "Of n: 1.5625 to 100 measurements a second."
 
@@ -52,7 +54,7 @@ class Settings(LeddarSettings):
     @classmethod
     def read(cls, keys: DeviceKeys) -> Settings:
         """Check a table; raises `DeviceSettingError`."""
-        common = cls.common_of(keys, 45.0, 50.0, "M16")
+        common = cls.common_of(keys, 45.0, 50.0, "M16", PART_BYTES)
         settings = cls(
             **common,
             kind=keys.choice("kind", "which of the modules with sixteen segments", "m16", tuple(KINDS)),
@@ -72,8 +74,8 @@ class Settings(LeddarSettings):
             "FPGA version and run status": self.fpga.to_bytes(2, "little") + RUNNING,
             "serial number": self.serial_number.encode("ascii"),
             "device name": self.device_name.encode("utf-16-le"),
-            "software part number": self.software_part[:16].encode("ascii"),
-            "hardware part number": self.hardware_part[:16].encode("ascii"),
+            "software part number": self.software_part.encode("ascii"),
+            "hardware part number": self.hardware_part.encode("ascii"),
         }
 
 
@@ -85,6 +87,7 @@ class LeddarM16Session(LeddarSession):
     THRESHOLD_SCALE: ClassVar[int] = THRESHOLD_SCALE["m16"]
 
     def __init__(self, settings: Settings) -> None:
+        self._settings = settings
         groups = {code: group for code, group in M16_HOLDING.items() if code != OF_KIND[settings.kind]}
         super().__init__(settings, Holding(groups, settings.port), input_frames(M16_INPUT, settings.contents()))
 
@@ -93,9 +96,8 @@ class LeddarM16Session(LeddarSession):
         self._mode_bits = self._holding["port_options"]
 
     def _rate_exponent(self, values: Mapping[str, int]) -> int:
-        if "refresh_code" in values:
-            return values["refresh_code"]
-        return values["accumulation_exp"] + values["oversampling_exp"]
+        names = ("refresh_code",) if self._settings.kind == "is16" else ("accumulation_exp", "oversampling_exp")
+        return sum(values[name] for name in names)
 
     def _measuring_ns(self) -> int:
         return round(SECOND_NS * 2 ** self._rate_exponent(self._holding.values) / BASE_RATE_HZ)
@@ -109,7 +111,7 @@ class LeddarM16Session(LeddarSession):
     def _enabled(self) -> NDArray[np.bool_]:
         off = self._holding["segments_off"]
         pairs = off | (off & 0xAAAA) >> 1 | (off & 0x5555) << 1
-        return (pairs >> np.arange(M16_SEGMENTS)) & 1 == 0
+        return np.asarray((pairs >> np.arange(M16_SEGMENTS)) & 1 == 0)
 
     def _told_segments(self) -> NDArray[np.bool_]:
         told = (self._holding["segments_told"] >> np.arange(M16_SEGMENTS)) & 1 == 1

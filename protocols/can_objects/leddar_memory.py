@@ -7,7 +7,7 @@ Source: LeddarTech user guide 54A0028, section 5.1.3, and the maker's `registerM
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Protocol
 
 from protocols.can_objects.leddar_holding import VU8_SEGMENTS, Holding
@@ -89,17 +89,16 @@ class Memory:
         self.device_name = self._facts.device_name.encode("ascii").ljust(NAME_BYTES, b"\0")
         self._free = bytes(len(FREE))
 
-    def listed(self, found: object, ticks: int, power: int) -> None:
-        """A list was made."""
-        segments, raw, amplitude = found  # type: ignore[misc]
+    def listed(self, rows: Iterable[tuple[int, int, float]], ticks: int, power: int) -> None:
+        """A list was made: segment, distance in the unit set, amplitude in counts."""
         scale = DISTANCE_SCALE / self._holding["units_per_m"]
-        rows = b"".join(
+        packed = b"".join(
             struct.pack("<IIHH", round(far * scale), min(round(high * 64 * RAW_PER_COUNT_64), 0xFFFFFFFF), segment, 1)
-            for segment, far, high in zip(segments.tolist(), raw.tolist(), amplitude.tolist(), strict=True)
+            for segment, far, high in rows
         )
         options = self._holding["acquisition_options"]
-        head = struct.pack("<IHHI", ticks, len(rows) // 12, power, options)
-        self._detections = (head + rows).ljust(12 + 12 * MOST_ECHOES, b"\0")
+        head = struct.pack("<IHHI", ticks, len(packed) // 12, power, options)
+        self._detections = (head + packed).ljust(12 + 12 * MOST_ECHOES, b"\0")
 
     def read(self, address: int, size: int) -> bytes | str:
         """1, 2 or 4 bytes; a text says why not."""

@@ -116,7 +116,8 @@ class LeddarVu8Session(LeddarSession):
             },
             Amplitude=found.amplitude,
         )
-        self._memory.listed(found, self._told.ticks if self._told is not None else 0, self._light_power())
+        rows = zip(found.segment.tolist(), found.distance_raw.tolist(), found.amplitude.tolist(), strict=True)
+        self._memory.listed(rows, self._told.ticks if self._told is not None else 0, self._light_power())
         step = int(self._multi_id)
         return [Frame(self._identifier(2 + step * k), payload, "Detection") for k, payload in enumerate(payloads)]
 

@@ -64,7 +64,6 @@ class _Bus:
     "(not before, link or all, frame): between any two frames."
     cyclic: deque[tuple[int, Frame]] = field(default_factory=deque)
     "(not before, frame): between lists."
-    hold_ns: int = 0
     gap_ns: int = 0
     "Pause that the device makes between the frames of the list in progress."
     hold_ns: int = 0
