@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from protocols.session import DropReason
+from protocols.session import Dropped, DropReason
 from tests.protocols.can_objects.rig import Rig, line, start, thing
 
 FAILED = b"\xff" * 6
@@ -218,8 +218,9 @@ def test_an_odd_number_of_detections_ends_with_half_a_frame() -> None:
     sdk.value(8, 8, b"\x07\0")  # three segments are told
     assert [segment for _, _, segment in echoes(sdk, b"\x04\0")] == [2, 1, 0]
     assert [e.payload[4:] for e in rig.sent if e.label == "Detections"][1] == bytes(4)
-    sdk.value(8, 14, b"\x01\0")  # a pair is switched off by either of its bits
-    assert [segment for _, _, segment in echoes(sdk, b"\x04\0")] == [2]
+    for either in (b"\x01\0", b"\x02\0", b"\x03\0"):
+        sdk.value(8, 14, either)  # a pair is switched off by either of its bits
+        assert [segment for _, _, segment in echoes(sdk, b"\x04\0")] == [2]
 
 
 def test_a_ros_driver_asks_an_m16_by_the_legacy_requests_in_one_byte() -> None:
@@ -284,6 +285,30 @@ def test_a_value_out_of_range_is_refused_and_nothing_of_its_frame_is_taken(m16: 
     assert rig.dropped() == [DropReason.BAD_ARGUMENT]
     if known:
         assert sdk.value(get, code) == before
+
+
+@pytest.mark.parametrize(
+    ("frame", "told"),
+    [
+        ("740 06 02 65 00 01 00 00 00", "light_power 101; want 0 to 100"),
+        ("740 06 03 02 00 00 00 00 00", "units_per_m 2; want 1, 10, 100, 1000"),
+        ("740 06 01 11 00 00 00 00 00", "smoothing 17; want -16 to 16"),
+        ("740 06 07 00 00 00 00 00 00", "no holding data 7"),
+        ("740 04 1F 00 00 00 00 00 00", "no input data 31"),
+    ],
+)
+def test_a_refusal_is_told_with_what_is_wanted(frame: str, told: str) -> None:
+    rig = start({"format": "leddar_vu8"})
+    rig.run(0.1)
+    rig.hear(frame)
+    (drop,) = [event for event in rig.events if isinstance(event, Dropped)]
+    assert told in drop.detail
+
+
+def test_a_new_rate_holds_at_once_in_a_stream() -> None:
+    rig, _ = streamed({}, "00 0A 05 20")  # 2^9 slower: a list each 20 s
+    rig.hear("740 06 00 05 01 20 00 00 00")
+    assert counts(rig.run(0.5)) >= 12
 
 
 def test_a_set_that_is_cut_is_refused() -> None:
