@@ -100,7 +100,7 @@ class LeddarM16Session(LeddarSession):
         return sum(values[name] for name in names)
 
     def _measuring_ns(self) -> int:
-        return round(SECOND_NS * 2 ** self._rate_exponent(self._holding.values) / BASE_RATE_HZ)
+        return round(SECOND_NS * 2.0 ** self._rate_exponent(self._holding.values) / BASE_RATE_HZ)
 
     def _unfit(self, values: Mapping[str, int]) -> str | None:
         exponent = self._rate_exponent(values)
