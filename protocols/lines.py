@@ -36,8 +36,9 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     },
     "can_objects": {
         "codec": "layout e2e framing ars408_lists ldmrs_lists table",
-        "commands": "coverage ldmrs_parameters",
-        "session": "session ars408 ars408_collision ars408_filters esr ldmrs ldmrs_choice leddar_vu8 identities",
+        "commands": "coverage ldmrs_parameters leddar_holding leddar_memory",
+        "session": "session ars408 ars408_collision ars408_filters esr ldmrs ldmrs_choice identities leddar leddar_m16"
+        " leddar_vu8",
         "settings": "settings ldmrs_settings",
         "other": "__init__",
     },

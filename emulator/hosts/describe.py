@@ -331,6 +331,10 @@ def _ld_profile(words: Sequence[int]) -> list[Described]:
 # ---------------------------------------------------------------- CAN
 
 
+LEDDAR_DETECTIONS = {"leddar_vu8": "Detection", "leddar_m16": "Detections"}
+"Format -> what comes on identifiers that count up: one for each detection of a list."
+
+
 def _can(speaker: Speaker, data: bytes, peer: int) -> list[Described]:
     from protocols.can_objects.layout import load
 
@@ -340,8 +344,9 @@ def _can(speaker: Speaker, data: bytes, peer: int) -> list[Described]:
     name = layout.name_of(number - _shift(wanted, layout.identifier)) or layout.name_of(number)
     if name is None and wanted.get("format") == "ars408":  # its sensor id may have been changed by a host
         name = next((one for k in range(8) if (one := layout.name_of(number - 0x10 * k))), None)
-    if name is None and wanted.get("format") == "leddar_vu8" and layout.identifier("Detection") <= number <= 0x77F:
-        name = "Detection"
+    if name is None and wanted.get("format") in LEDDAR_DETECTIONS:
+        shifted = number - _shift(wanted, layout.identifier)
+        name = LEDDAR_DETECTIONS[wanted["format"]] if 0x752 <= shifted < 0x752 + 96 else None
     head = [Described("identifier", f"{number:03X}", name or "no message of this format")]
     if name is None:
         return [*head, unknown(data, "not in the format's DBC")]
@@ -355,4 +360,6 @@ def _shift(table: Mapping[str, Any], identifier: Callable[[str], int]) -> int:
         return 0x10 * int(table.get("sensor_id", 0))
     if table.get("format") == "ldmrs":
         return int(table.get("base_id", 0x500)) - identifier("ListHeader")
+    if table.get("format") in LEDDAR_DETECTIONS:
+        return int(table.get("tx_base_id", 0x750)) - 0x750
     return 0

@@ -1,4 +1,4 @@
-"""Object lists read from CAN frames as a host reads them: ARS408, LD-MRS, ESR, Leddar Vu8; layouts from the DBC files.
+"""Object lists read from CAN frames as a host reads them: ARS408, LD-MRS, ESR, Leddar; layouts from the DBC files.
 
 Belongs here: frames in, lists out; which format a bus speaks. Not: buses (can_lines), conversations (can_objects).
 A list that is not whole (frames lost, or another list begun) is counted and shown as far as it came.
@@ -26,7 +26,8 @@ EXISTENCE = (None, *PROBABILITIES, 1.0)
 "Upper bound of each ProbExist code; 0 is invalid."
 ESR_TRACKS = 64
 VU8_FIELD_RAD, VU8_SEGMENTS = math.radians(48.0), 8
-"Of the Vu8 with the 48 degree lens; detections tell segments, not angles."
+M16_FIELD_RAD, M16_SEGMENTS = math.radians(45.0), 16
+"Of the modules with lenses of 48 and 45 degrees; detections tell segments, not angles."
 
 
 class ListReader(ABC):
@@ -266,15 +267,61 @@ class Vu8Reader(ListReader):
         return Frame(self._layout.identifier("Request"), self._layout["Request"].frame({"Function": function}))
 
 
-READERS: Mapping[str, type[ListReader]] = {one.model: one for one in (Ars408Reader, LdmrsReader, EsrReader, Vu8Reader)}
+class M16Reader(ListReader):
+    """Detections of 0x750, two in a frame, opened by 0x751, after a request for the stream in that mode."""
+
+    model, file = "can-leddar-m16", "leddar_m16.dbc"
+    STREAM, STOP, ANSWERS = 5, 3, 128
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._head = self._layout.identifier("DetectionCount")
+        self._of_list = {self._layout.identifier("Detections"), *range(self._head + 1, self._head + 97)}
+        self._wanted: int | None = None
+        self._found: list[HostObject] = []
+
+    def feed(self, frame: Frame) -> HostObjects | None:
+        if frame.identifier == self._head:
+            count = int(self._decode("DetectionCount", frame.data)["NumDetections"])
+            if count >= self.ANSWERS:
+                return None
+            self.errors += self._wanted is not None
+            self._wanted, self._found = count, []
+        elif self._wanted is not None and frame.identifier in self._of_list:
+            row = self._decode("Detections", frame.data)
+            for half in "12"[: self._wanted - len(self._found)]:
+                self._found.append(self._object(row[f"Segment{half}"], row[f"Distance{half}"]))
+        if self._wanted is None or len(self._found) < self._wanted:
+            return None
+        self._wanted = None
+        return self._list(self._found)
+
+    def _object(self, segment: float, distance_m: float) -> HostObject:
+        azimuth = M16_FIELD_RAD * (0.5 - (segment + 0.5) / M16_SEGMENTS)
+        return HostObject(len(self._found), distance_m * math.cos(azimuth), distance_m * math.sin(azimuth))
+
+    def hello(self, more: bool) -> list[Frame]:
+        return [self._request(self.STREAM)]
+
+    def goodbye(self) -> list[Frame]:
+        return [self._request(self.STOP)]
+
+    def _request(self, function: int) -> Frame:
+        return Frame(self._layout.identifier("Request"), self._layout["Request"].frame({"Function": function}))
+
+
+READERS: Mapping[str, type[ListReader]] = {
+    one.model: one for one in (Ars408Reader, LdmrsReader, EsrReader, Vu8Reader, M16Reader)
+}
 "Model, as in `list sensors` -> its reader."
 
 
 def recognised(identifiers: Iterable[int]) -> ListReader | None:
     """The reader for a bus on which these identifiers were heard; None while they do not tell.
 
-    An ARS408 by the header of its lists, which tells its sensor id; an ESR by its status; a Vu8 by its counts; an
-    LD-MRS by header, time, and trailer eight further, wherever its base is.
+    An ARS408 by the header of its lists, which tells its sensor id; an ESR by its status; a Vu8 by its counts; an M16
+    by counts with detections on the identifier before; an LD-MRS by header, time, and trailer eight further, wherever
+    its base is.
     """
     heard = set(identifiers)
     for sensor_id in range(8):
@@ -282,10 +329,12 @@ def recognised(identifiers: Iterable[int]) -> ListReader | None:
             return Ars408Reader(sensor_id)
     if 0x4E0 in heard and 0x500 in heard:
         return EsrReader(radiate=0x4F1 not in heard)  # its own vehicle may be talking to it
+    if 0x751 in heard:  # on 0x750 a Vu8 only answers; identifiers that count up look like those of an LD-MRS
+        return M16Reader() if 0x750 in heard and 0x752 not in heard else Vu8Reader()
     for base in sorted(heard):
         if {base + 1, base + 8} <= heard and base <= 0x7F0:
             return LdmrsReader(base)
-    return Vu8Reader() if 0x751 in heard else None
+    return None
 
 
 def reader_of(model: str, **settings: Any) -> ListReader:

@@ -21,6 +21,7 @@ FORMATS = {
     "ldmrs": "protocols.can_objects.ldmrs",
     "esr": "protocols.can_objects.esr",
     "leddar_vu8": "protocols.can_objects.leddar_vu8",
+    "leddar_m16": "protocols.can_objects.leddar_m16",
 }
 "Format name -> module, which has `Settings`, `SESSION` and `SENT`."
 

@@ -1,8 +1,8 @@
 """Delphi ESR: 64 radar tracks, one identifier each, every 50 ms while a host keeps the radar on.
 
-Belongs here: the whole format. Bits from `esr.dbc`; cycle and conditions from the can object notes on the ESR
-(`delphi_esr` of AutonomouStuff). The radar radiates while 0x4F1 says so and 0x4F0 arrives; otherwise its cycle goes on
-with empty tracks.
+Belongs here: the whole format. Bits from `esr.dbc`; cycle and conditions from public drivers
+(`delphi_esr` of AutonomouStuff and of Apollo). The radar radiates while 0x4F1 says so and 0x4F0 arrives; otherwise its
+cycle goes on with empty tracks.
 """
 
 from __future__ import annotations
@@ -35,6 +35,12 @@ SLOW_M_S, FAST_M_S = 1.0, 3.0
 "Speeds over ground from which a track is called movable; ours."
 TICK_NS = Fraction(2_000_000)
 "Of DspTimestamp, 7 bits: wraps every 256 ms."
+ANALOGUE = 11
+"Supplies, temperatures and the like as A/D counts, in the order of 0x5E4 and 0x5E5; no scale is public."
+FAULTS = 8
+"Bytes of active and of past faults; no public source says what their bits mean."
+RADIATE_OFF, RADIATE_ON = 1, 2
+"SystemPowerMode of 0x5E5."
 IN_PATH_M = 1.75
 "Half width of the lane for the path ids of Status4; ours."
 
@@ -50,6 +56,9 @@ class Settings:
     temperature_c: int
     power_db: float
     serial_number: int
+    analogue: tuple[int, ...]
+    active_faults: tuple[int, ...]
+    past_faults: tuple[int, ...]
 
     @classmethod
     def read(cls, keys: DeviceKeys) -> Settings:
@@ -66,7 +75,10 @@ class Settings:
             ),
             temperature_c=keys.integer("temperature_c", "told in Status2", 30, -128, 127),
             power_db=keys.number("power_db", "power of every track in 0x540", 0.0, -10.0, 21.0),
-            serial_number=keys.integer("serial_number", "told in Status3", 1, 0, 0xFFFFFF),
+            serial_number=keys.integer("serial_number", "told in Status3, its third byte in Status9", 1, 0, 0xFFFFFF),
+            analogue=keys.integers("analogue", "A/D counts of Status5 and Status6", (128,) * ANALOGUE, 0, 255),
+            active_faults=keys.integers("active_faults", "bytes of Status7", (0,) * FAULTS, 0, 255),
+            past_faults=keys.integers("past_faults", "bytes of Status8", (0,) * FAULTS, 0, 255),
         )
         keys.finish()
         return settings
@@ -123,9 +135,11 @@ class EsrSession(CanObjectSession):
         ground = np.hypot(ground_x, table.vy_m_s)
         fastest = self._remember(table, ground)
         frames = self._status(now_ns, radiating, vehicle, order)
-        frames += [self._in_path(table, ids, ground), *self._tracks(table, ids, ground_x, vehicle is not None)]
+        moving, standing = self._in_path(table, ground)
+        frames += [self._path_ids(ids, moving, standing), *self._tracks(table, ids, ground_x, vehicle is not None)]
         frames += self._motion_power(ids, ground, fastest)
         frames += [self._frame(name, {"SerialNumber": 1}) for name in ("Validation1", "Validation2")]
+        frames += self._health(radiating, table, ids, moving)
         self._cycle += 1
         return frames
 
@@ -211,16 +225,36 @@ class EsrSession(CanObjectSession):
         third = self._frame("Status3", {"SerialNumber": self._settings.serial_number})
         return [first, second, third]
 
-    def _in_path(self, table: ObjectTable, ids: Any, ground: Any) -> Frame:
-        """0x4E3: the nearest moving and the nearest standing track straight ahead, 0 for none."""
+    def _in_path(self, table: ObjectTable, ground: Any) -> tuple[Any, Any]:
+        """Positions of the moving and of the standing tracks straight ahead, nearest first."""
         ahead = (np.abs(table.y_m) <= IN_PATH_M) & (table.x_m > 0.0)
-        moving = np.flatnonzero(ahead & (ground >= SLOW_M_S))
-        standing = np.flatnonzero(ahead & (ground < SLOW_M_S))
-        move = int(ids[moving[0]]) + 1 if moving.size else 0
-        stat = int(ids[standing[0]]) + 1 if standing.size else 0
+        return np.flatnonzero(ahead & (ground >= SLOW_M_S)), np.flatnonzero(ahead & (ground < SLOW_M_S))
+
+    def _path_ids(self, ids: Any, moving: Any, standing: Any) -> Frame:
+        """0x4E3: the nearest moving and the nearest standing track straight ahead, 0 for none."""
+        move, stat = _number(ids, moving, 0), _number(ids, standing, 0)
         raw = {f"PathId{name}Move": move for name in ("Acc", "Cmbb", "Fcw")}
         raw |= {f"PathId{name}Stat": stat for name in ("Acc", "Cmbb", "Fcw")}
         return self._frame("Status4", raw | {"RollingCount3": self._cycle & 3, "RangeModes": 3})
+
+    def _health(self, radiating: bool, table: ObjectTable, ids: Any, moving: Any) -> list[Frame]:
+        """0x5E4 to 0x5E8: voltages, power, faults, and the second and third track ahead. Hosts publish on 0x5E5."""
+        counts = iter(self._settings.analogue)
+        fifth = self._frame("Status5", {name: next(counts) for name in self._layout["Status5"].signals})
+        raw = {name: next(counts) for name in ("Supply1V8", "SupplyN5V", "WaveDiff")}
+        sixth = self._frame("Status6", raw | {"SystemPowerMode": RADIATE_ON if radiating else RADIATE_OFF})
+        faults = [
+            self._frame(name, dict(zip(self._layout[name].signals, found, strict=True)))
+            for name, found in (("Status7", self._settings.active_faults), ("Status8", self._settings.past_faults))
+        ]
+        raw = {
+            "SerialNumber3": self._settings.serial_number >> 16,
+            "PathIdAcc2": _number(ids, moving, 1),
+            "PathIdAcc3": _number(ids, moving, 2),
+        }
+        # of the nearest moving track ahead; positive to the right as the angles are
+        offset = -float(table.y_m[moving[0]]) if moving.size else 0.0
+        return [fifth, sixth, *faults, self._frame("Status9", raw, FilteredOffsetAccCipv=offset)]
 
     def _remember(self, table: ObjectTable, ground: Any) -> Any:
         """Count the lists of each track and keep its highest speed; the speeds, in the table's order."""
@@ -264,6 +298,11 @@ class EsrSession(CanObjectSession):
     )
 
 
+def _number(ids: Any, positions: Any, place: int) -> int:
+    """Number, from 1 on, of the track in that place of some; 0 when there are fewer."""
+    return int(ids[positions[place]]) + 1 if len(positions) > place else 0
+
+
 SENT = (
     ("Status1", "opendbc ESR.dbc", ""),
     ("Status2", "opendbc ESR.dbc", ""),
@@ -273,6 +312,11 @@ SENT = (
     ("TrackMotionPower", "Apollo delphi_esr", "ten groups"),
     ("Validation1", "opendbc ESR.dbc", "no content"),
     ("Validation2", "opendbc ESR.dbc", "no content"),
+    ("Status5", "Apollo delphi_esr", "A/D counts; no scale is public"),
+    ("Status6", "Apollo delphi_esr", "power mode; A/D counts; no misalignment. Apollo publishes on it"),
+    ("Status7", "Apollo delphi_esr", "active faults as the scenario has them; no public source has their meaning"),
+    ("Status8", "Apollo delphi_esr", "past faults, likewise"),
+    ("Status9", "Apollo delphi_esr", "second and third track ahead, offset of the first; the rest 0"),
 )
 "Messages of the device: name in the DBC, source, note."
 

@@ -1,205 +1,207 @@
-"""LeddarTech Vu8 / M16: distances by segment, asked for or streamed, on identifiers 0x740 to 0x752 and up.
+"""LeddarTech Vu8: distances of eight segments, asked for or streamed, on identifiers 0x740 to 0x752 and up.
 
-Belongs here: the whole format. Bits from `leddar_vu8.dbc`, requests from LeddarTech's user documentation.
-Detections are made of the objects seen: one for every segment that an object's box reaches into.
+Belongs here: its requests, its detections. Bits from `leddar_vu8.dbc`; requests from LeddarTech's user guide 54A0028,
+section 5.5, and from the maker's SDK (`LdProtocolCan.cpp`, `LdSensorVu8Can.cpp`), whose conversation is a test.
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import ClassVar
 
 import numpy as np
 
-from protocols.can_objects.session import CanObjectSession, Frame, HostMessage
-from protocols.can_objects.settings import CommonSettings
-from protocols.can_objects.table import Floats, ObjectTable
-from protocols.session import DropReason
+from protocols.can_objects.leddar import RUNNING, Command, Detections, LeddarSession, LeddarSettings
+from protocols.can_objects.leddar_holding import (
+    THRESHOLD_SCALE,
+    VU8_HOLDING,
+    VU8_INPUT,
+    VU8_SEGMENTS,
+    Holding,
+    input_frames,
+)
+from protocols.can_objects.leddar_memory import Memory
+from protocols.can_objects.session import Frame, HostMessage
 from protocols.skeleton.keys import DeviceKeys
 
-STOP, ONCE, STREAM = 1, 2, 3
-FUNCTIONS = {
-    4: "get input data",
-    5: "get holding data",
-    6: "set holding data",
-    7: "set base ids",
-    8: "read module",
-    9: "write module",
-    10: "opcode",
-}
-"Known requests whose fields no public source of ours gives: answered with the device's refusal."
-
 MULTI_ID = 1
-MAX_DETECTIONS = 96
-AMPLITUDE_AT_10_M = 20.0
-"Counts that a white surface gives at 10 m; ours: it follows reflectance over distance squared."
-LINES_PER_SEGMENT = 8
-"Directions in which each segment is looked along."
-TICK_NS = Fraction(1_000_000)
-"Of the time in 0x751."
-REFUSAL = b"\xff" * 6
+DEVICE_TYPE = 13
+"LeddarVu8 (user guide, table 64)."
+WRITE_DISABLE, READ_STATUS, WRITE_ENABLE, SOFTWARE_RESET, RESET_CONFIGURATION = 0x04, 0x05, 0x06, 0x99, 0xC7
+"Opcodes (user guide, table 15); reading and writing have requests of their own."
+WRITE_ENABLED = 1 << 1
+"Of the status; bit 0 is `busy` (the maker's registerMap.h)."
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(LeddarSettings):
     """The scenario's `device:` table."""
 
-    common: CommonSettings
     cycle_ns: int
-    segments: int
-    view_rad: float
-    max_range_m: float
-    light_power_percent: int
-    streams: bool
     multi_id: bool
+    firmware: tuple[int, ...]
+    bootloader: tuple[int, ...]
 
     @classmethod
     def read(cls, keys: DeviceKeys) -> Settings:
         """Check a table; raises `DeviceSettingError`."""
-        rates = (1_000_000, 500_000, 250_000, 125_000, 100_000, 50_000, 20_000, 10_000)
+        common = cls.common_of(keys, 48.0, 215.0, "LeddarVu8")
         settings = cls(
-            common=CommonSettings.read(keys, 1_000_000, rates),
-            cycle_ns=round(keys.number("cycle_ms", "from frame to frame of a stream", 40.0, 5.0, 10_000.0) * 1e6),
-            segments=round(keys.number_of("segments", "segments of the field", 8, (8, 16))),
-            view_rad=math.radians(keys.number("field_deg", "horizontal field of view", 48.0, 1.0, 100.0)),
-            max_range_m=keys.number("max_range_m", "farther objects give no detection", 215.0, 0.0, 655.35),
-            light_power_percent=keys.integer("light_power_percent", "told in 0x751", 100, 0, 100),
-            streams=keys.choice(
-                "streaming", "whether it streams at power-on or when asked", "request", ("request", "start")
-            )
-            == "start",
+            **common,
+            cycle_ns=round(
+                keys.number("cycle_ms", "from list to list with the accumulations it is made with", 40.0, 5.0, 10_000.0)
+                * 1e6
+            ),
             multi_id=keys.flag("multi_id", "one identifier for each detection at power-on", False),
+            firmware=keys.integers("firmware", "version A, B, C, D told as input data", (3, 0, 0, 1), 0, 0xFFFF),
+            bootloader=keys.integers("bootloader", "version A, B, C, D told as input data", (1, 0, 0, 1), 0, 0xFFFF),
         )
         keys.finish()
         return settings
 
+    def contents(self) -> dict[str, bytes]:
+        """Input data by their names in `VU8_INPUT`."""
+        return {
+            "number of segments": VU8_SEGMENTS.to_bytes(2, "little"),
+            "device identification and options": DEVICE_TYPE.to_bytes(2, "little"),
+            "firmware version": np.array(self.firmware, "<u2").tobytes(),
+            "bootloader version": np.array(self.bootloader, "<u2").tobytes(),
+            "FPGA version and run status": self.fpga.to_bytes(2, "little") + RUNNING,
+            "serial number": self.serial_number.encode("ascii"),
+            "device name": self.device_name.encode("ascii"),
+            "hardware part number": self.hardware_part.encode("ascii"),
+            "software part number": self.software_part.encode("ascii"),
+        }
 
-class LeddarVu8Session(CanObjectSession):
-    """One Vu8 or M16."""
+
+class LeddarVu8Session(LeddarSession):
+    """One Vu8."""
 
     LAYOUT_FILE: ClassVar[str] = "leddar_vu8.dbc"
-    clock_tick_ns = TICK_NS
-    clock_bits = 32
+    SEGMENTS: ClassVar[int] = VU8_SEGMENTS
+    THRESHOLD_SCALE: ClassVar[int] = THRESHOLD_SCALE["vu8"]
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
-        super().__init__(settings.common)
-        self._reset(0)
-
-    def _shift(self) -> int:
-        return 0
+        holding = Holding(VU8_HOLDING, settings.port)
+        self._memory = Memory(holding, settings)
+        self._start_exponent = holding["accumulation_exp"] + holding["oversampling_exp"]
+        super().__init__(settings, holding, input_frames(VU8_INPUT, settings.contents()))
 
     def _reset(self, now_ns: int) -> None:
-        self._streaming = self._settings.streams
+        super()._reset(now_ns)
         self._multi_id = self._settings.multi_id
-        self._once = False
-        self.clock = self.clock.powered_on(now_ns)
+        self._base = 0
+        self._write_enabled = False
+        self._memory.clear()
 
-    def _start(self, now_ns: int) -> None:
-        """Nothing leaves unasked."""
+    def _measuring_ns(self) -> int:
+        # base rate / (segments enabled + 1) / accumulations / oversamplings (user guide, section 4.4)
+        exponent = self._holding["accumulation_exp"] + self._holding["oversampling_exp"] - self._start_exponent
+        measured = int(self._enabled().sum()) + 1
+        return round(self._settings.cycle_ns * 2.0**exponent * measured / (VU8_SEGMENTS + 1))
 
-    def _cycle_ns(self) -> int:
-        return self._settings.cycle_ns
-
-    def _lists_wanted(self) -> bool:
-        return self._streaming or self._once
-
-    def _encode_list(self, table: ObjectTable, now_ns: int, measured_ns: int) -> list[Frame]:
-        if self._once and not self._streaming:
-            self._restart_raster(now_ns)
-        self._once = False
-        seen = table.take(table.coasting_s <= 0.0)
-        distance, reflectance = self._segments(seen)
-        segments = np.flatnonzero(np.isfinite(distance))[::-1][:MAX_DETECTIONS]  # highest first
-        amplitude = AMPLITUDE_AT_10_M * reflectance[segments] * (10.0 / np.maximum(distance[segments], 0.1)) ** 2
+    def _detection_frames(self, found: Detections) -> list[Frame]:
         message = self._layout["Detection"]
         top = message.signals["Amplitude"]
-        saturated = amplitude >= top.raw_max * top.scale
+        saturated = found.amplitude >= top.raw_max * top.scale
         payloads = message.frames(
-            len(segments),
-            {"FlagValid": 1, "FlagSaturated": saturated.astype(np.int64), "Segment": segments},
-            Distance=distance[segments],
-            Amplitude=amplitude,
-        )
-        self._told = self.clock.told(measured_ns, TICK_NS, 32)
-        head = self._frame(
-            "DetectionCount",
+            len(found.segment),
             {
-                "NumDetections": len(segments),
-                "LightPower": self._settings.light_power_percent,
-                "Timestamp": self._told.ticks,
+                "Distance": found.distance_raw,
+                "FlagValid": 1,
+                "FlagSaturated": saturated.astype(np.int64),
+                "Segment": found.segment,
             },
+            Amplitude=found.amplitude,
         )
+        rows = zip(found.segment.tolist(), found.distance_raw.tolist(), found.amplitude.tolist(), strict=True)
+        self._memory.listed(rows, self._told.ticks if self._told is not None else 0, self._light_power())
         step = int(self._multi_id)
-        return [
-            head,
-            *(Frame(message.identifier + step * k, payload, "Detection") for k, payload in enumerate(payloads)),
-        ]
+        return [Frame(self._identifier(2 + step * k), payload, "Detection") for k, payload in enumerate(payloads)]
 
-    def _segments(self, table: ObjectTable) -> tuple[Floats, Floats]:
-        """Distance and reflectance of the nearest box in each segment, NaN where there is none.
+    def _answer(self, request: bytes, rest: bytes) -> Frame:
+        return Frame(self._identifier(0), request[:1] + rest, "Answer")
 
-        Segment 0 is the leftmost one.
-        """
-        count, view = self._settings.segments, self._settings.view_rad
-        lines = count * LINES_PER_SEGMENT
-        azimuth = view * (0.5 - (np.arange(lines) + 0.5) / lines)
-        cosine, sine = np.cos(table.yaw_rad), np.sin(table.yaw_rad)
-        # the sensor and the lines in each box's own frame
-        origin = np.stack([-(table.x_m * cosine + table.y_m * sine), table.x_m * sine - table.y_m * cosine], axis=-1)
-        turned = azimuth[None, :] - table.yaw_rad[:, None]
-        direction = np.stack([np.cos(turned), np.sin(turned)], axis=-1)
-        half = 0.5 * np.stack([table.length_m, table.width_m], axis=-1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            near = (-half[:, None, :] - origin[:, None, :]) / direction
-            far = (half[:, None, :] - origin[:, None, :]) / direction
-        entry = np.fmax.reduce(np.fmin(near, far), axis=-1)
-        leave = np.fmin.reduce(np.fmax(near, far), axis=-1)
-        hit = (entry <= leave) & (entry > 0.0) & (entry <= self._settings.max_range_m)
-        distance = np.where(hit, entry, np.inf)
-        if not len(table):
-            return np.full(count, np.nan), np.zeros(count)
-        by_segment = distance.reshape(len(table), count, LINES_PER_SEGMENT).min(axis=2)
-        nearest = by_segment.argmin(axis=0)
-        best = by_segment[nearest, np.arange(count)]
-        return np.where(np.isfinite(best), best, np.nan), table.reflectance[nearest]
+    # Requests
 
-    def _request(self, data: bytes, now_ns: int, link: int) -> None:
-        padded = data.ljust(8, b"\0")
-        values = self._layout.decode("Request", padded)
-        function = int(values["Function"])
-        if function in (ONCE, STREAM):
-            self._multi_id = int(values["Argument"]) == MULTI_ID
-            if not self._lists_wanted():
-                self._restart_raster(now_ns)
-            self._once, self._streaming = function == ONCE, self._streaming or function == STREAM
-            self._handled(now_ns, "stream" if function == STREAM else "send once")
-        elif function == STOP:
-            self._streaming = self._once = False
-            self._handled(now_ns, "stop stream")
+    def _send_once(self, request: bytes, now_ns: int) -> bytes:
+        self._multi_id = bool(request[1] & MULTI_ID)
+        self._begin(True, now_ns)
+        return request[1:]
+
+    def _stream(self, request: bytes, now_ns: int) -> bytes:
+        self._multi_id = bool(request[1] & MULTI_ID)
+        self._begin(False, now_ns)
+        return request[1:]
+
+    def _get_input(self, request: bytes, now_ns: int) -> bytes | str:
+        name = self._memory.device_name  # a host may have written another
+        self._inputs = input_frames(VU8_INPUT, self._settings.contents() | {"device name": name})
+        return super()._get_input(request, now_ns)
+
+    def _set_base(self, request: bytes, now_ns: int) -> bytes | str:
+        base = int.from_bytes(request[4:8], "little")
+        if base > 0xFFFFFF:
+            return f"base address {base:#x}; want 0 to 0xffffff"
+        self._base = base
+        return request[1:]
+
+    def _read_module(self, request: bytes, now_ns: int) -> bytes | str:
+        size, offset = request[1], request[2:4]
+        found = self._memory.read(self._base + int.from_bytes(offset, "little"), size)
+        return found if isinstance(found, str) else bytes((size,)) + offset + found.ljust(4, b"\0")
+
+    def _write_module(self, request: bytes, now_ns: int) -> bytes | str:
+        size, address = request[1], self._base + int.from_bytes(request[2:4], "little")
+        asked = self._memory.write(address, size, request[4:8], self._write_enabled)
+        if isinstance(asked, dict):
+            asked = self._take(asked, now_ns)
+        return asked if isinstance(asked, str) else request[1:]
+
+    def _opcode(self, request: bytes, now_ns: int) -> bytes | str:
+        opcode, argument = request[2], request[3]
+        if argument:
+            return f"argument {argument}; want 0"
+        value = 0
+        if opcode in (WRITE_ENABLE, WRITE_DISABLE):
+            self._write_enabled = opcode == WRITE_ENABLE
+        elif opcode == READ_STATUS:
+            value = WRITE_ENABLED * self._write_enabled
+        elif opcode == SOFTWARE_RESET:
+            self._restart(now_ns)
+        elif opcode == RESET_CONFIGURATION:
+            if not self._write_enabled:
+                return "reset configuration: writing is not enabled"
+            self._holding.reset()
+            self._memory.reset()
+            self._restart_raster(now_ns)
         else:
-            name = FUNCTIONS.get(function)
-            reason = DropReason.UNKNOWN_COMMAND if name is None else DropReason.REFUSED
-            self._drop(now_ns, reason, name or f"request {function}")
-            if name is not None:
-                self._handled(now_ns, name, "refused")
-            padded = padded[:2] + REFUSAL
-        identifier = self._layout.identifier("Answer")
-        self._send_reply([Frame(identifier, padded, "Answer")], now_ns, link)
+            return f"opcode {opcode:#04x}"
+        return bytes((request[1], opcode, 0, value, 0, 0, 0))
 
     HOST_MESSAGES: ClassVar[tuple[HostMessage, ...]] = (
-        HostMessage(
-            "Request", _request, 1, "LeddarTech Vu8 user guide", note="1 stop, 2 send once, 3 stream; 4 to 10 refused"
-        ),
+        HostMessage("Request", LeddarSession._request, 1, "LeddarTech user guide 54A0028", note="each request below"),
     )
+    COMMANDS: ClassVar[Mapping[int, Command]] = {
+        1: Command("stop stream", LeddarSession._stop),
+        2: Command("send once", _send_once, note="argument 1: one identifier each"),
+        3: Command("stream", _stream, note="argument 1: one identifier each"),
+        4: Command("get input data", _get_input),
+        5: Command("get holding data", LeddarSession._get_holding),
+        6: Command("set holding data", LeddarSession._set_holding, True, "all values of a frame or none; kept"),
+        7: Command("set base address", _set_base, True),
+        8: Command("read module data", _read_module, True, "the banks that are open to the public"),
+        9: Command("write module data", _write_module, True, "configuration banks, while writing is enabled"),
+        10: Command("send module opcode", _opcode, True, "04, 05, 06, 99, C7"),
+    }
 
 
 SENT = (
-    ("Answer", "LeddarTech Vu8 user guide", "the request again; bytes 2 to 7 are 0xFF when it is refused"),
-    ("DetectionCount", "LeddarTech Vu8 user guide", "opens a list"),
-    ("Detection", "LeddarTech Vu8 user guide", "one identifier, or one each with multi-id"),
+    ("Answer", "LeddarTech user guide 54A0028", "the request again, with data; bytes 2 to 7 are 0xFF when refused"),
+    ("DetectionCount", "LeddarTech user guide 54A0028", "opens a list"),
+    ("Detection", "LeddarTech user guide 54A0028", "one identifier, or one each with multi-id"),
 )
 "Messages of the device: name in the DBC, source, note."
 

@@ -64,6 +64,10 @@ class _Bus:
     "(not before, link or all, frame): between any two frames."
     cyclic: deque[tuple[int, Frame]] = field(default_factory=deque)
     "(not before, frame): between lists."
+    gap_ns: int = 0
+    "Pause that the device makes between the frames of the list in progress."
+    hold_ns: int = 0
+    "Before it, with that pause, no frame of the list leaves."
     current: deque[tuple[Frame, int]] = field(default_factory=deque)
     "Rest of the list that is being sent, with the time each frame takes; check headers are in."
     sweep: int | None = None
@@ -130,6 +134,10 @@ class CanObjectSession(EventSession):
     @abstractmethod
     def _encode_list(self, table: ObjectTable, now_ns: int, measured_ns: int) -> list[Frame]:
         """The frames of one list, in order, that begins to leave at `now_ns`."""
+
+    def _gap_ns(self) -> int:
+        """Pause that the device makes between the frames of a list."""
+        return 0
 
     # Session
 
@@ -327,7 +335,7 @@ class CanObjectSession(EventSession):
         if bus.replies:
             found.append((max(bus.free_ns, bus.replies[0][0]), 0))
         if bus.current:
-            found.append((bus.free_ns, 2))
+            found.append((max(bus.free_ns, bus.hold_ns), 2))
         else:
             if bus.cyclic:
                 found.append((max(bus.free_ns, bus.cyclic[0][0]), 1))
@@ -351,23 +359,27 @@ class CanObjectSession(EventSession):
         if self._protection is not None:
             frames = [frame._replace(payload=self._protection.protect(frame.label, frame.payload)) for frame in frames]
         lengths_ns = np.rint(self._list_bits(frames) * self._bit_ns).astype(np.int64).tolist()
-        self._list_duration_ns = sum(lengths_ns)
+        gap_ns = self._gap_ns()
+        self._list_duration_ns = sum(lengths_ns) + gap_ns * (len(lengths_ns) - 1)
         self._list_end_ns = at_ns + self._list_duration_ns
         self._bus.current.extend(zip(frames, lengths_ns, strict=True))
         self._bus.sweep, self._bus.told = scan.plan.sweep, self._told
-        self._bus.free_ns = max(self._bus.free_ns, at_ns)
+        self._bus.free_ns = self._bus.hold_ns = max(self._bus.free_ns, at_ns)
+        self._bus.gap_ns = gap_ns
 
     def _continue_list(self, out: list[Emission], now_ns: int) -> None:
         """Send frames of the list in progress up to `now_ns`, or until a reply comes between."""
         bus = self._bus
-        current, links, free_ns, sweep = bus.current, self._links or [0], bus.free_ns, bus.sweep
+        current, links, sweep, gap_ns = bus.current, self._links or [0], bus.sweep, bus.gap_ns
+        next_ns = max(bus.free_ns, bus.hold_ns)
         end_ns = min(now_ns, bus.replies[0][0] - 1) if bus.replies else now_ns
-        while current and free_ns <= end_ns:
+        while current and next_ns <= end_ns:
             frame, length_ns = current.popleft()
-            self._put(out, frame, free_ns, links, sweep, bus.told, scans=int(sweep is not None))
+            self._put(out, frame, next_ns, links, sweep, bus.told, scans=int(sweep is not None))
             sweep = None
-            free_ns += length_ns
-        bus.free_ns, bus.sweep = free_ns, sweep
+            bus.free_ns = next_ns + length_ns
+            bus.hold_ns = next_ns = bus.free_ns + gap_ns
+        bus.sweep = sweep
 
     def _emit(self, out: list[Emission], frame: Frame, at_ns: int, links: list[int] | None = None) -> None:
         if self._protection is not None:

@@ -56,6 +56,7 @@ def main() -> None:
         "ldmrs": {"scan_frequency_hz": 12.5},
         "esr": {"radiate": "always", "cycle_ms": 110},
         "leddar_vu8": {"streaming": "start", "cycle_ms": 110},
+        "leddar_m16": {"streaming": "start"},
     }
     for name in FORMATS:
         frames, encoded_ms, queued_ms = measure(name, options[name])

@@ -101,7 +101,7 @@ def test_a_telegram_that_another_fault_has_cut_or_flipped_is_borne(framing: Fram
         tried(framing, sent(bytes(flipped)), whole)
 
 
-@pytest.mark.parametrize("name", ["ars408", "ldmrs", "esr", "leddar_vu8"])
+@pytest.mark.parametrize("name", ["ars408", "ldmrs", "esr", "leddar_vu8", "leddar_m16"])
 def test_a_frame_that_another_fault_has_cut_is_borne(name: str) -> None:
     layout = load(f"{name}.dbc")
     e2e = {"profile": "p05", "messages": {"ObjListHeader": {"data_id": 1, "offset_bytes": 4}}}

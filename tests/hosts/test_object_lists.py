@@ -15,7 +15,7 @@ from emulator.errors import EmulatorError, LinkError
 from emulator.hosts import can_objects
 from emulator.hosts.can_lines import Frame, open_can
 from emulator.hosts.can_objects import CanObjectHost
-from emulator.hosts.object_lists import READERS, Ars408Reader, ListReader, Vu8Reader, reader_of, recognised
+from emulator.hosts.object_lists import READERS, Ars408Reader, ListReader, M16Reader, Vu8Reader, reader_of, recognised
 from emulator.hosts.scans import HostObjects
 from tests.protocols.can_objects.rig import crowd, start, thing
 from tests.protocols.can_objects.test_ars408 import WORKED_LIST
@@ -25,6 +25,7 @@ DEVICES: dict[str, dict[str, Any]] = {
     "can-ldmrs": {"format": "ldmrs", "class_in_reserved": True},
     "can-esr": {"format": "esr", "radiate": "always"},
     "can-leddar-vu8": {"format": "leddar_vu8", "streaming": "start"},
+    "can-leddar-m16": {"format": "leddar_m16", "streaming": "start"},
 }
 
 
@@ -52,7 +53,7 @@ def test_the_worked_list_of_the_makers_tables_is_read() -> None:
     assert one.existence == 1.0  # code 7
 
 
-@pytest.mark.parametrize("model", [name for name in READERS if name != "can-leddar-vu8"])
+@pytest.mark.parametrize("model", [name for name in READERS if not name.startswith("can-leddar")])
 def test_every_format_is_recognised_and_read_back(model: str) -> None:
     objects = [
         thing(1, 20.0, 3.0, velocity_m_s=(-5.0, 0.5, 0.0), age_s=1.0),
@@ -83,6 +84,29 @@ def test_detections_of_a_vu8_are_placed_in_the_middle_of_their_segments() -> Non
     azimuths = [math.degrees(math.atan2(one.y_m, one.x_m)) for one in found.objects]
     assert sorted(azimuths) == pytest.approx([-21.0, -15.0, -9.0, -3.0, 3.0, 9.0, 15.0, 21.0])
     assert min(math.hypot(one.x_m, one.y_m) for one in found.objects) == pytest.approx(28.0, abs=0.1)
+
+
+@pytest.mark.parametrize("mode", ["00", "01"])
+def test_detections_of_an_m16_are_read_in_pairs_and_its_answers_are_none(mode: str) -> None:
+    objects = [thing(1, 30.0, 0.0, size_m=(4.0, 60.0, 2.0)), thing(2, 10.0, -3.9, size_m=(0.4, 0.4, 2.0))]
+    rig = start({"format": "leddar_m16"}, objects)
+    rig.run(0.1)
+    for frame in (f"740 05 {mode}", "740 06 01", "740 08 08 FE FF 00 00 00 00"):  # one segment is not told: 15 are odd
+        rig.hear(frame)
+    frames = [Frame(one.address.peer, one.payload) for one in rig.run(0.5) if one.address is not None]
+    reader = recognised(frame.identifier for frame in frames)
+    assert reader is not None
+    assert reader.model == ("can-leddar-m16" if mode == "00" else "can-leddar-vu8")
+    reader = M16Reader()
+    found = read(reader, frames)
+    assert (len(found) >= 4, reader.errors) == (True, 0)
+    azimuths = [math.degrees(math.atan2(one.y_m, one.x_m)) for one in found[-1].objects]
+    assert azimuths == pytest.approx([45.0 * (0.5 - (k + 0.5) / 16) for k in range(15, 0, -1)])
+    assert min(math.hypot(one.x_m, one.y_m) for one in found[-1].objects) == pytest.approx(10.5, abs=0.3)
+    assert [(frame.identifier, frame.data[0]) for frame in reader.hello(True) + reader.goodbye()] == [
+        (0x740, 5),
+        (0x740, 3),
+    ]
 
 
 def test_an_ars408_is_recognised_with_its_sensor_id_and_an_ldmrs_wherever_its_base_is() -> None:

@@ -380,6 +380,7 @@ def test_a_module_that_only_ranges_tells_at_once_what_comes_back() -> None:
         ("can-ldmrs", {"scan_frequency_hz": 50}, "ldmrs.dbc", {0x500, 0x502, 0x508}),
         ("can-esr", {"radiate": "always"}, "esr.dbc", {0x500, 0x4E0}),
         ("can-leddar-vu8", {"streaming": "start"}, "leddar_vu8.dbc", {0x751, 0x752}),
+        ("can-leddar-m16", {"streaming": "start"}, "leddar_m16.dbc", {0x751, 0x750}),
     ],
 )
 def test_every_format_carries_what_the_echoes_show_and_cantools_decodes_it(

@@ -20,7 +20,7 @@ SHIPPED = {
     "sick-lms221-30206", "sick-lms221-s07", "sick-lms221-s14", "sick-lms221-s15", "sick-lms221-s16",
     "sick-lms221-s19", "sick-lms221-s20", "sick-lms291-s05", "sick-lms291-s14", "sick-lms291-s15",
     "sick-ld-lrs1000", "sick-ld-lrs2100", "sick-ld-lrs3100", "sick-ld-oem1000", "paper-905nm",
-    "can-ars408", "can-ldmrs", "can-leddar-vu8", "can-esr",
+    "can-ars408", "can-ldmrs", "can-leddar-vu8", "can-leddar-m16", "can-esr",
 }  # fmt: skip
 
 

@@ -128,3 +128,13 @@ def test_no_bytes_whatever_make_it_fail(speaker: Speaker, kind: str) -> None:
             data = start + draws.bytes(size)
             for sent in (True, False):
                 assert describe(speaker, data, kind, int(draws.integers(0, 0x800)), sent)
+
+
+def test_a_leddars_detections_are_named_wherever_its_identifiers_are() -> None:
+    moved = Speaker("can_objects", {"format": "leddar_vu8"}, {"tx_base_id": 0x660})
+    for peer in (0x662, 0x663, 0x662 + 95):
+        assert describe(moved, bytes(8), "can", peer=peer)[0].unit == "Detection"
+    assert describe(moved, bytes(8), "can", peer=0x661)[0].unit == "DetectionCount"
+    assert (
+        describe(Speaker("can_objects", {"format": "leddar_m16"}), bytes(8), "can", peer=0x753)[0].unit == "Detections"
+    )

@@ -101,7 +101,7 @@ class Rig:
 LIST_MESSAGES = frozenset(
     "ObjListHeader ObjGeneral ObjQuality ObjExtended ObjWarning ClusterListHeader ClusterGeneral ClusterQuality "
     "ListHeader ListTime ObjTrack1 ObjTrack2 ObjClassBox1 ObjBox2 ContourHeader ContourPoints ListTrailer "
-    "DetectionCount Detection".split()
+    "DetectionCount Detection Detections FlaggedDetection".split()
 )
 
 

@@ -12,7 +12,7 @@ from protocols.can_objects import FORMATS
 from protocols.session import Address, CommandHandled, Dropped, DropReason, ModeChanged, Restarted
 from tests.protocols.can_objects.rig import Rig, crowd, decoded, lines, lists, start
 
-LISTENING = {"ars408": 0x200, "ldmrs": 0x50A, "esr": 0x4F1, "leddar_vu8": 0x740}
+LISTENING = {"ars408": 0x200, "ldmrs": 0x50A, "esr": 0x4F1, "leddar_vu8": 0x740, "leddar_m16": 0x740}
 IDENTIFIERS = [0x200, 0x202, 0x300, 0x301, 0x400, 0x401, 0x50A, 0x303, 0x304, 0x306, 0x4F0, 0x4F1, 0x740]
 
 frames = st.tuples(

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from protocols.can_objects.layout import Layout, MessageLayout, load
 from protocols.errors import EncodeError
 
-FILES = ("ars408.dbc", "ldmrs.dbc", "esr.dbc", "leddar_vu8.dbc")
+FILES = ("ars408.dbc", "ldmrs.dbc", "esr.dbc", "leddar_vu8.dbc", "leddar_m16.dbc")
 
 
 def database(name: str) -> Any:

@@ -11,7 +11,7 @@ import pytest
 
 from protocols.can_objects import layout as layouts
 
-FILES = ("ars408.dbc", "ldmrs.dbc", "esr.dbc", "leddar_vu8.dbc")
+FILES = ("ars408.dbc", "ldmrs.dbc", "esr.dbc", "leddar_vu8.dbc", "leddar_m16.dbc")
 
 
 @pytest.fixture(params=FILES, scope="module")
