@@ -64,9 +64,9 @@ class Settings:
             host_timeout_ns=round(
                 keys.number("host_timeout_ms", "host messages older than this are missing", 500.0, 20.0, 60_000.0) * 1e6
             ),
-            temperature_c=keys.integer("temperature_c", "told in Status2", 30, -128, 127),
+            temperature_c=keys.integer("temperature_c", "in Status2", 30, -128, 127),
             power_db=keys.number("power_db", "power of every track in 0x540", 0.0, -10.0, 21.0),
-            serial_number=keys.integer("serial_number", "told in Status3", 1, 0, 0xFFFFFF),
+            serial_number=keys.integer("serial_number", "in Status3", 1, 0, 0xFFFFFF),
         )
         keys.finish()
         return settings

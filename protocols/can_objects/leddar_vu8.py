@@ -29,7 +29,7 @@ FUNCTIONS = {
     9: "write module",
     10: "opcode",
 }
-"Known requests whose fields no public source of ours gives: answered with the device's refusal."
+"Known requests whose fields no public source has: answered with the device's refusal."
 
 MULTI_ID = 1
 MAX_DETECTIONS = 96
@@ -65,7 +65,7 @@ class Settings:
             segments=round(keys.number_of("segments", "segments of the field", 8, (8, 16))),
             view_rad=math.radians(keys.number("field_deg", "horizontal field of view", 48.0, 1.0, 100.0)),
             max_range_m=keys.number("max_range_m", "farther objects give no detection", 215.0, 0.0, 655.35),
-            light_power_percent=keys.integer("light_power_percent", "told in 0x751", 100, 0, 100),
+            light_power_percent=keys.integer("light_power_percent", "in 0x751", 100, 0, 100),
             streams=keys.choice(
                 "streaming", "whether it streams at power-on or when asked", "request", ("request", "start")
             )

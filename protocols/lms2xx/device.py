@@ -1,4 +1,4 @@
-"""The state of one LMS2xx and the blocks that tell of it: type, status. No time, no bytes of the line."""
+"""The state of one LMS2xx and the blocks that report it: type, status. No time, no bytes of the line."""
 
 from __future__ import annotations
 
