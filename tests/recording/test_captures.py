@@ -231,7 +231,7 @@ def test_datagrams_are_kept_apart_and_a_wrong_port_is_told_with_the_right_ones(t
     path = tmp_path / "x.pcap"
     path.write_bytes(pcap(1, [MAC + b"\x08\x00" + ip(udp(data), 17) for data in (b"hi", b"ho")]))
     assert [one.data for one in read_wire(path)[0].payloads] == [b"hi", b"ho"]
-    with pytest.raises(RecordingError, match=r"nothing that port 1 sent; want --port .*: 49152"):
+    with pytest.raises(RecordingError, match=r"no data sent by port 1; want --port .*: 49152"):
         read_wire(path, port=1)
     path.write_bytes(pcap(1, []))
     with pytest.raises(RecordingError, match="none did"):
