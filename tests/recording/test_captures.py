@@ -251,7 +251,7 @@ def test_captures_of_a_device_at_any_port_are_compared(tmp_path: Path, capsys: p
         path.write_bytes(pcap(101, [ip(tcp(1, data, ports=(2112, 40_000)))]))
     names = list(map(str, paths))
     assert main(["diff", *names]) == 2
-    assert "who sent are: 2112" in capsys.readouterr().err
+    assert "one of: 2112" in capsys.readouterr().err
     assert main(["diff", *names, "--port", "2112"]) == 1
     assert "payload 0, byte 12: 69 and 75" in capsys.readouterr().out
     assert main(["diff", names[0], names[0], "--port", "2112"]) == 0
