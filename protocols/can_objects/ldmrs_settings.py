@@ -75,9 +75,7 @@ class Settings:
                 "streaming", "whether it measures at power-on or after the start command", "start", STREAMING
             )
             == "start",
-            temperature_c=keys.integer(
-                "temperature_c", "in every header; a warning beyond -30 and 115", 34, -127, 127
-            ),
+            temperature_c=keys.integer("temperature_c", "in every header; a warning beyond -30 and 115", 34, -127, 127),
             view_percent=keys.integer(
                 "view_percent", "visibility in every header; 255: no estimate", 100, 0, NO_VIEW_ESTIMATE
             ),
