@@ -1,6 +1,6 @@
-"""Conversations of real lidars: bytes and times in, bytes and times out. Imports nothing of `emulator`.
+"""The wire protocols of real lidars: bytes and times in, bytes and times out. Imports nothing from `emulator`.
 
-Families are imported when asked for, so that a run pays only for the ones it uses.
+Families are imported on request, so a run loads only those that it uses.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ GROUP = "lidaremu.families"
 
 @cache
 def families() -> Mapping[str, str]:
-    """Family name -> module: ours, and those of installed packages, which cannot take a name of ours."""
+    """Family name -> module: shipped families, and those of installed packages; shipped names are reserved."""
     return {one.name: one.module for one in entry_points(group=GROUP)} | FAMILIES
 
 

@@ -1,6 +1,6 @@
 """Classic CAN frames as they are on the wire: identifier, data, and how many bits they take, stuff bits included.
 
-Belongs here: what ISO 11898-1 says of any frame. Not: what a frame means, or which of two frames goes first.
+Belongs here: ISO 11898-1 for any frame. Not: the meaning of a frame, and arbitration between senders.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ _IDLE = 5
 
 
 HEADERS_KEPT = 256
-"A list has a few tens of identifiers; those of a stranger's flood must not pile up: 70 kB in all."
+"A list has a few tens of identifiers; those of an untrusted flood must not accumulate: 70 kB in total."
 
 
 @lru_cache(maxsize=HEADERS_KEPT)

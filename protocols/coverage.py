@@ -1,7 +1,7 @@
-"""The coverage page: every command of every family, done, refused or absent, with its source.
+"""The coverage page: every command of every family: implemented, refused or absent, with its source.
 
-Made from the tables that dispatch the commands, so it cannot say anything else than they do. `python -m
-protocols.coverage` writes `COVERAGE.md` anew; a test fails while the file is older than the tables.
+Generated from the tables that dispatch the commands, so the two cannot differ. `python -m
+protocols.coverage` rewrites `COVERAGE.md`; a test fails while the file differs from the tables.
 """
 
 from __future__ import annotations

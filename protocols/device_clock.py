@@ -1,7 +1,7 @@
-"""The time that a device tells: what its own clock shows at an instant of the run, as ticks of the wire's width.
+"""The clock of a device: its time at an instant of the run, as ticks of the width on the wire.
 
-Belongs here: values and their arithmetic, in whole numbers, from knots and never from a running sum. Not: which field
-of which telegram tells it (the families), and that a device's whole schedule may follow its quartz (timebase).
+Belongs here: values and their integer arithmetic, from knots and never from a running sum. Not: the field of the
+telegram that has it (the families), and a schedule that follows the device's quartz (timebase).
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from typing import Literal
 SECOND_NS = 1_000_000_000
 BILLION = 1_000_000_000
 MOST_CHANGES = 512
-"Of one clock that are kept; the oldest half is then taken as done for good."
+"Changes kept per clock; beyond that the oldest half becomes permanent."
 
 Kind = Literal["step", "set", "rate", "stop", "go"]
 
 
 @dataclass(frozen=True)
 class Told:
-    """What one telegram tells of its device's time, and the truth beside it."""
+    """The time stamp of one telegram, and the true time."""
 
     true_ns: int
-    "Instant of the run that is told of."
+    "Instant of the run that the time stamp refers to."
     device_ns: int
     "The same on the device's clock, neither wrapped nor rounded to ticks."
     ticks: int
@@ -41,12 +41,12 @@ class Change:
     at_ns: int
     kind: Kind
     value: int = 0
-    "step: by so many ns; set: to so many ns; rate: parts per billion too fast."
+    "step: by this many ns; set: to this many ns; rate: error in parts per billion, positive: fast."
 
 
 @dataclass(frozen=True)
 class Knot:
-    """From an instant on, the clock goes in a straight line."""
+    """From an instant on, the clock runs at a constant rate."""
 
     at_ns: int
     shows_ns: int
@@ -73,12 +73,12 @@ class Knot:
 
 @dataclass(frozen=True)
 class DeviceClock:
-    """A clock, and all that happens to it; a value: whoever changes it puts another one in its place."""
+    """A clock and its changes; immutable, a change gives a new one."""
 
     begin_ns: int = 0
     "Shown at power-on."
     runs_on: bool = False
-    "Goes on while the device is off, as one with a battery."
+    "Keeps running while the device is off, as one with a battery."
     changes: tuple[Change, ...] = ()
     "In order of time; those to come as well."
     origin: Knot = field(default=Knot(0, 0))
@@ -105,37 +105,37 @@ class DeviceClock:
         return self.shown_ns(at_ns) * tick_ns.denominator // tick_ns.numerator & ((1 << bits) - 1)
 
     def told(self, at_ns: int, tick_ns: Fraction, bits: int) -> Told:
-        """What a telegram tells of an instant."""
+        """The time stamp of a telegram for an instant."""
         return Told(at_ns, self.shown_ns(at_ns), self.ticks(at_ns, tick_ns, bits), float(tick_ns), bits)
 
     def powered_on(self, at_ns: int) -> DeviceClock:
-        """The device is switched on, or starts anew: begins again, unless it has run on meanwhile."""
+        """The device is switched on or restarts: the clock restarts, unless it runs on a battery."""
         if self.begun and self.runs_on:
             return self
         return replace(self.changed(Change(at_ns, "set", self.begin_ns)), begun=True)
 
     def stepped(self, at_ns: int, by_ns: int) -> DeviceClock:
-        """Put forward, or back, at an instant."""
+        """Stepped forward or back at an instant."""
         return self.changed(Change(at_ns, "step", by_ns))
 
     def set_to(self, at_ns: int, shows_ns: int) -> DeviceClock:
-        """Shows that at an instant."""
+        """Set to a value at an instant."""
         return self.changed(Change(at_ns, "set", shows_ns))
 
     def at_rate(self, at_ns: int, ppb: int) -> DeviceClock:
-        """Too fast by so many parts per billion from an instant on."""
+        """With this rate error from an instant on, positive: fast. [ppb]"""
         return self.changed(Change(at_ns, "rate", ppb))
 
     def stopped(self, at_ns: int) -> DeviceClock:
-        """Stands from an instant on."""
+        """Stopped from an instant on."""
         return self.changed(Change(at_ns, "stop"))
 
     def going(self, at_ns: int) -> DeviceClock:
-        """Goes on from where it stood."""
+        """Continues from where it stopped."""
         return self.changed(Change(at_ns, "go"))
 
     def ppb(self, at_ns: int) -> int:
-        """How much too fast it goes at an instant, in parts per billion."""
+        """Rate error at an instant, positive: fast. [ppb]"""
         return next(knot.ppb for knot in reversed(self._knots) if knot.at_ns <= at_ns or knot is self._knots[0])
 
     def changed(self, change: Change) -> DeviceClock:

@@ -1,9 +1,9 @@
-"""Errors of the protocol half. A host's bytes never raise: they are answered, or recorded as `Dropped`.
+"""Errors of the protocol packages. A host's bytes never raise: they are answered, or recorded as `Dropped`.
 
-ProtocolError                 our own misuse
+ProtocolError                 misuse of this package
   EncodeError(ValueError)     a value that the format cannot hold
   ScanRefused(ValueError)     a scan whose settings are no longer those of the device
-  DeviceSettingError(ValueError)   a `device:` key of a scenario that the family does not take
+  DeviceSettingError(ValueError)   a `device:` key of a scenario that the family does not accept
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ class EncodeError(ProtocolError, ValueError):
 
 
 class ScanRefused(ProtocolError, ValueError):
-    """The device's settings changed after the plan of this scan was given out; measure the new plan."""
+    """The device's settings changed after the plan of this scan was made; measure the new plan."""
 
 
 class DeviceSettingError(ProtocolError, ValueError):
-    """A key of a scenario's `device:` table that the family does not take. The scenario loader adds file and line."""
+    """A key of a scenario's `device:` table that the family does not accept. The scenario loader adds file and line."""
 
     def __init__(self, key: str, found: object, allowed: str) -> None:
         super().__init__(f"{key}: {found!r}; want {allowed}")

@@ -1,7 +1,7 @@
-"""Telegrams changed from outside with their checks made right again, or wrong on purpose: the contract of a family.
+"""Modification of telegrams for fault injection, with correct or deliberately wrong checksums: a family's contract.
 
-For faults on the wire. Each method takes one emission and gives the bytes that leave instead; None: the protocol has
-no such thing there. Not: when something is changed, and the codecs themselves.
+Each method takes one emission and returns the bytes to send instead; None: the protocol has no such field there.
+Belongs here: the contract. Not: when something is changed, and the codecs.
 """
 
 from __future__ import annotations
@@ -12,58 +12,58 @@ from protocols.session import Emission, LinkKind, Session
 
 
 class Framing:
-    """How one family's telegrams lie on one kind of link; a family overrides what it has."""
+    """Framing of one family's telegrams on one kind of link; a family overrides what it supports."""
 
     def bad_check(self, one: Emission) -> bytes | None:
-        """With a wrong check and nothing else wrong."""
+        """With a wrong checksum and no other error."""
         return None
 
     def with_length(self, one: Emission, change: int) -> bytes | None:
-        """The length field says `change` more; checks right."""
+        """The length field is `change` higher; the checksum is correct."""
         return None
 
     def with_counter(self, one: Emission, change: int) -> bytes | None:
-        """The counter says `change` more; checks right."""
+        """The counter is `change` higher; the checksum is correct."""
         return None
 
     def with_type(self, one: Emission, code: int) -> bytes | None:
-        """Another response code; checks right."""
+        """Another response code; the checksum is correct."""
         return None
 
     def with_address(self, one: Emission, address: int) -> bytes | None:
-        """From another address; checks right."""
+        """From another address; the checksum is correct."""
         return None
 
     def stale(self, old: Emission, fresh: Emission) -> bytes | None:
-        """The values of `old` with the counters of `fresh`; checks right."""
+        """The values of `old` with the counters of `fresh`; the checksum is correct."""
         return None
 
     def to_be_refused(self, data: bytes) -> bytes | None:
-        """What must arrive instead of a host's bytes so that the device refuses them in its own words."""
+        """What must arrive instead of a host's bytes so that the device refuses them."""
         return None
 
     def is_whole(self, data: bytes) -> bool:
-        """Whether a host's bytes end in a whole request."""
+        """Whether a host's bytes end with a complete request."""
         return True
 
     # end-to-end protection of single frames
 
     def with_e2e_counter(self, one: Emission, change: int) -> bytes | None:
-        """The protection's counter says `change` more; its checksum is right."""
+        """The protection's counter is `change` higher; its checksum is correct."""
         return None
 
     def e2e_counter(self, one: Emission) -> int | None:
-        """What the protection's counter says."""
+        """The protection's counter."""
         return None
 
     def bad_e2e_check(self, one: Emission) -> bytes | None:
-        """The protection's checksum is wrong and nothing else."""
+        """The protection's checksum is wrong; no other error."""
         return None
 
     # signals of frames
 
     def with_signal(self, one: Emission, signal: str, raw: int) -> bytes | None:
-        """A signal has this raw value; protection, where there is one, is right."""
+        """A signal has this raw value; the protection, if any, is correct."""
         return None
 
     def signals(self, label: str) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""How many lines each family needs, by kind: what a new family will cost, and what the shared parts have saved.
+"""Number of lines of each family, by kind: the size of a new family.
 
     python -m protocols.lines [FILE or FOLDER of a family of your own ...]
 
@@ -50,12 +50,12 @@ CODEC_METHODS = {"_telegrams", "_splitter", "_parse", "_reply", "_refusal", "_co
 
 
 def kind_of(family: str, module: str) -> str | None:
-    """What kind a module of a shipped family is; None: nobody has said."""
+    """Kind of a module of a shipped family; None: not listed."""
     return next((kind for kind, names in KINDS.get(family, {}).items() if module in names.split()), None)
 
 
 def package_lines(folder: Path) -> Counter[str]:
-    """Lines of a family that is a package: a module is of one kind, the session's where nobody has said."""
+    """Lines of a family that is a package: a module is of one kind, by default that of the session."""
     found: Counter[str] = Counter()
     for path in sorted(folder.glob("*.py")):
         found[kind_of(folder.name, path.stem) or "session"] += len(path.read_text(encoding="utf-8").splitlines())
@@ -132,7 +132,7 @@ def table(paths: Iterable[Path]) -> str:
 
 
 def written(text: str) -> str:
-    """The page with its table made anew; ValueError without its place."""
+    """The page with its table replaced; ValueError if the page has no place for it."""
     head, begin, rest = text.partition(BEGIN)
     _, end, tail = rest.partition(END)
     if not begin or not end:

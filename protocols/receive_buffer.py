@@ -1,6 +1,6 @@
-"""A growing buffer of what a host has sent: take a frame, search the next start, never grow without end.
+"""A growing buffer of what a host has sent: take a frame, search for the next start, bounded.
 
-It knows bytes only. Which bytes start a frame and how long it is, the family says.
+It handles bytes only. The family defines the start bytes and the length of a frame.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ class ReceiveBuffer:
         return self._limit - len(self._bytes)
 
     def add(self, data: bytes | bytearray | memoryview) -> int:
-        """Append as much of `data` as there is room for; how many bytes that was. The caller brings the rest again."""
+        """Append as much of `data` as there is room for; how many bytes that was. The caller adds the rest later."""
         taken = min(len(data), self.room)
         self._bytes += data[:taken]
         return taken
 
     def skip_to(self, start: bytes) -> int:
-        """Throw away what stands before the first `start`; how many bytes that was.
+        """Discard the bytes before the first `start`; the number of bytes.
 
         Where `start` has several bytes, the beginning of one at the very end is kept.
         """
@@ -56,7 +56,7 @@ class ReceiveBuffer:
         return taken
 
     def clear(self) -> int:
-        """Forget everything; how many bytes that was."""
+        """Discard everything; the number of bytes."""
         count = len(self._bytes)
         self._bytes.clear()
         return count

@@ -1,4 +1,4 @@
-"""What crosses the border between a device's conversation and the world: the sweep it wants, and what came back.
+"""The interface between the protocol of a device and the world: the sweep that it requests, and the result.
 
 Arrays are read-only by convention. Units are SI, angles ISO 8855 in the sensor's own frame: x forward, y left, z up;
 azimuth 0 is the x axis, positive to the left, elevation positive upwards. Codecs turn them into the wire's own.
@@ -46,12 +46,12 @@ class ScanPlan:
     wants_intensity: bool = False
     wants_objects: bool = False
     stream: int | None = None
-    """Which stream of scans it belongs to; None: that of its epoch. Within one, a sweep whose number is passed over is
-    owed to hosts, and the session tells why it is not measured (`Dropped`)."""
+    """Which stream of scans it belongs to; None: that of its epoch. Every number of a stream is owed to hosts: for a
+    skipped one the session reports why it is not measured (`Dropped`)."""
     stride: int = 1
     "By how much the number goes up from scan to scan within the stream: turns of a mirror that one scan takes."
     period_ns: int | None = None
-    "From scan to scan of the stream; 0: no other follows by itself; None: as they turn out to come."
+    "From scan to scan of the stream; 0: no other follows by itself; None: not known in advance."
 
     def __len__(self) -> int:
         return len(self.azimuth_rad)
@@ -81,9 +81,9 @@ class DetectedObject:
     reflectance: float = 0.0
     "Lambert-equivalent, mean of its echoes."
     actor: str | None = None
-    "Truth, for recordings and reports; no encoder reads it."
+    "Ground truth, for recordings and reports; no encoder reads it."
     coasting_s: float = 0.0
-    "Time since the last echo was seen; 0 when it was seen in this scan."
+    "Time since its last echo; 0 if it has one in this scan."
     acceleration_std_m_s2: tuple[float, float] | None = None
     "None: not known."
     yaw_std_rad: float | None = None
@@ -94,7 +94,7 @@ class DetectedObject:
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """What a sweep brought back: k echoes a beam, nearest first, NaN where there is none."""
+    """The result of a sweep: k echoes per beam, nearest first, NaN where there is none."""
 
     plan: ScanPlan
     range_m: Floats
@@ -104,7 +104,7 @@ class Scan:
     flags: NDArray[np.uint8]
     "(n,) DAZZLED | SATURATED"
     actor: Ints
-    "(n, k) truth: index of the actor hit, -1 none or weather. For recordings and object lists; no codec reads it."
+    "(n, k) ground truth: index of the actor hit, -1 none or weather. For recordings and object lists, not for codecs."
     objects: tuple[DetectedObject, ...] = field(default=())
 
     @classmethod

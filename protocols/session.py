@@ -1,7 +1,7 @@
-"""The contract of a device's conversation: bytes and times in, bytes and times out.
+"""The contract of a session, the protocol side of one device: bytes and times in, bytes and times out.
 
-A session owns no clock, no port and no randomness. It is asked, never ticks: feed `receive`, call `advance` at
-`next_deadline`, measure `next_plan`, hand the scan to `submit`, send what `take_emissions` gives when it is due.
+A session has no clock, no port and no random numbers. The caller drives it: feed `receive`, call `advance` at
+`next_deadline`, measure `next_plan`, pass the scan to `submit`, send what `take_emissions` returns.
 Times are integer nanoseconds since the run began.
 """
 
@@ -18,11 +18,11 @@ from protocols.device_clock import DeviceClock, Told
 from protocols.scan import Scan, ScanPlan
 
 MAX_EVENTS = 10_000
-"Events that a session keeps for a caller that never takes them; the oldest go first."
+"Events that a session keeps for a caller that never takes them; the oldest are discarded first."
 
 
 class Address(NamedTuple):
-    """Whom bytes came from or go to."""
+    """The host that bytes come from or go to."""
 
     link: int
     "Index into the sensor's list of links."
@@ -57,17 +57,17 @@ class Emission:
     label: str = ""
     "What it is, for traces: `B0`, `ACK`, `A0`."
     told: Told | None = None
-    "What it tells of the device's time, of the first telegram of a scan; for recordings and reports."
+    "Time stamp in the first telegram of a scan; for recordings and reports."
     scans: int = 1
-    "Scans that it carries, numbered from `sweep` on: of a mean all that it was made of; 0: the rest of one begun."
+    "Scans that it carries, numbered from `sweep` on; of a mean all its scans; 0: a further part of a scan."
     pause: tuple[int, int] | None = None
-    "So many bytes leave first, the others not before that instant; serial lines only."
+    "Number of bytes to send first, and the earliest instant of the others; serial lines only."
     cuts: bool = False
-    "What is leaving on the line ends with the byte that is on its way at `due_ns`; the payload is empty."
+    "The telegram being sent on the line ends with the byte in transmission at `due_ns`; the payload is empty."
 
 
 class DropReason(Enum):
-    """Why something that arrived, or was measured, went no further."""
+    """Why input or a scan was dropped."""
 
     NO_START_BYTE = "no start byte"
     BAD_CHECKSUM = "bad checksum"
@@ -82,35 +82,35 @@ class DropReason(Enum):
     BOOTING = "device is starting"
     BUSY = "device busy with earlier requests"
     KEPT = "measured, nothing of it to be sent"
-    "For the device itself, or without an object where only objects are told."
+    "For the device itself, or without an object where only objects are reported."
     LINE_BUSY = "line slower than the scan rate"
     LATE = "measured too late"
-    "Our own doing: the scan before it was not measured in time, or the program did not run."
+    "Caused by the emulator: the previous scan was not measured in time, or the process did not run."
     STALE = "withdrawn by a changed setting"
     HOST_SLOW = "host reads too slowly"
 
     @property
     def of_scans(self) -> bool:
-        """Whether scans went no further, not input of a host."""
+        """Whether scans were dropped, not input of a host."""
         kinds = (DropReason.LINE_BUSY, DropReason.LATE, DropReason.STALE, DropReason.HOST_SLOW, DropReason.KEPT)
         return self in kinds
 
 
 @dataclass(frozen=True)
 class Dropped:
-    """Bytes or a scan that went no further."""
+    """Input or scans that were dropped."""
 
     at_ns: int
     reason: DropReason
     detail: str = ""
     count: int = 1
-    "Bytes of input, or scans, or frames: whatever was dropped."
+    "Number of bytes of input, scans or frames."
     sweeps: range | None = None
-    "Numbers of the scans, by which an account of them is kept; None: the oldest that are missing."
+    "Numbers of the scans, for the scan accounting; None: the oldest missing ones."
     stream: int | None = None
     "Stream of those numbers (`ScanPlan.stream`); None: the newest that has them."
     address: Address | None = None
-    "For whom they were, where hosts are told apart and others may have got them; None: everybody."
+    "The host that did not get them, if hosts are distinguished; None: no host got them."
 
 
 def dropped_scans(
@@ -121,7 +121,7 @@ def dropped_scans(
     stream: int | None = None,
     address: Address | None = None,
 ) -> list[Dropped]:
-    """What a session tells of scans that hosts do not get, by their numbers; nothing when there are none."""
+    """The event for scans that hosts do not get, by their numbers; empty for an empty range."""
     return [Dropped(at_ns, reason, detail, len(sweeps), sweeps, stream, address)] if sweeps else []
 
 
@@ -132,7 +132,7 @@ class CutShort:
     at_ns: int
     label: str
     left: int
-    "Bytes of it that have left, the last of them still on its way."
+    "Bytes that were sent, including the one in transmission."
     of: int
 
 
@@ -165,14 +165,14 @@ Event = Dropped | CutShort | CommandHandled | ModeChanged | Restarted
 
 
 class Session(ABC):
-    """One device talking to its hosts."""
+    """The protocol side of one device."""
 
     can_bitrate: int | None = None
     "Speed at which the device was set up for its CAN bus, in bit/s; None: it has none."
     clock: DeviceClock = DeviceClock()
-    "The time that the device tells. Begins at power-on; another one may be put in its place at any instant."
+    "The device's clock. Starts at power-on; may be replaced at any instant."
     clock_tick_ns: Fraction | None = None
-    "Step of the time that the wire tells; None: it tells none."
+    "Resolution of time stamps on the wire; None: there are none."
     clock_bits: int = 0
     "Width of that time within the device; on the wire it may be less."
     first_count: int = 0
@@ -185,17 +185,17 @@ class Session(ABC):
         """Switch the device on (again): volatile settings are lost, boot time and boot text follow."""
 
     def connected(self, now_ns: int, address: Address, kind: LinkKind) -> None:
-        """A link is there (serial, CAN, datagram: once, at start) or a stream's host has connected."""
+        """A link is open (serial, CAN, datagram: once, at start) or a TCP client has connected."""
 
     def disconnected(self, now_ns: int, address: Address) -> None:
-        """A stream's host has gone."""
+        """A TCP client has disconnected."""
 
     @abstractmethod
     def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
         """Bytes of a host, in any chunking. Never raises, whatever they are."""
 
     def modem_lines(self, dtr: bool, rts: bool, now_ns: int, address: Address) -> None:
-        """A host has set DTR and RTS of a serial line; a device without such inputs, as all here, does not see it."""
+        """A host has set DTR and RTS of a serial line; ignored by devices without such inputs, as all here."""
 
     @abstractmethod
     def advance(self, now_ns: int) -> None:
@@ -203,21 +203,21 @@ class Session(ABC):
 
     @abstractmethod
     def next_deadline(self) -> int | None:
-        """When `advance` or `take_emissions` has something to do even without input; None: never."""
+        """When `advance` or `take_emissions` must be called even without input; None: never."""
 
     @abstractmethod
     def next_plan(self) -> ScanPlan | None:
-        """The sweep wanted next, the same until submitted or withdrawn; None: nothing to measure now."""
+        """The next sweep to measure, the same until submitted or withdrawn; None: nothing to measure now."""
 
     @abstractmethod
     def submit(self, scan: Scan) -> None:
         """Take the sweep of `next_plan`. Raises `ScanRefused` when the settings have changed since."""
 
     def missed(self, plan: ScanPlan, now_ns: int) -> bool:
-        """The sweep of `next_plan` was asked for and will not be measured: whoever measures could not in time.
+        """The sweep of `next_plan` will not be measured: it is too late for it.
 
-        Whether what is wanted next has been chosen anew by `now_ns`, sweeps passed over told as `DropReason.LATE`;
-        False: the device knows no other, and wants that one still. Raises `ScanRefused` when it wants it no more.
+        True: the session has chosen another sweep and reported the skipped ones as `DropReason.LATE`. False: there is
+        no other, and it still wants this one. Raises `ScanRefused` if it does not want it any more.
         """
         return False
 
@@ -226,10 +226,10 @@ class Session(ABC):
         """What is due by `now_ns`, in the order it leaves. What is not yet due can still be withdrawn."""
 
     def impair(self, now_ns: int, what: str, degree: float) -> bool:
-        """Something has befallen the device; whether it has that part, or words for it.
+        """Impair a part of the device; whether it has that part, or reports it.
 
-        `window`: its front window passes that share of light. `motor speed`: times the nominal one. `motor told`: its
-        supervision finds the motor right (0), too fast (1) or too slow (-1). `motor stopped`: (1), or turns again (0).
+        `window`: transmission of its front window. `motor speed`: factor on the nominal speed. `motor status`: its
+        monitoring reports the motor right (0), too fast (1) or too slow (-1). `motor stopped`: (1), or turns again (0).
         """
         return False
 
@@ -273,8 +273,8 @@ class Family(Protocol):
     def new_session(self, device: Mapping[str, Any], facts: Mapping[str, Any]) -> Session:
         """A session of one device, switched off.
 
-        `device` is the scenario's table of what a real one keeps over power-off, `facts` the spec's `device` table
-        of the model. Raises `DeviceSettingError` for a key or value that this model does not have.
+        `device` is the scenario's table of the settings that a real one retains over power cycles, `facts` the `device`
+        table of the model's spec. Raises `DeviceSettingError` for a key or value that this model does not have.
         """
 
     def commands(self) -> tuple[CommandRow, ...]:

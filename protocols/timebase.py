@@ -1,8 +1,8 @@
-"""A device whose own quartz paces everything it does: a session that lives in the device's time, not in the run's.
+"""A device whose schedule follows its own quartz: a session that runs in device time instead of run time.
 
-Belongs here: the turning of instants into the device's own and back. The session inside knows nothing of it: it is
-called at the device's instants, and its deadlines, plans, emissions and events come out as those of the run. Not: what
-the device tells of its time (device_clock).
+Belongs here: conversion of instants to device time and back. The inner session does not know of it: it is called with
+device time, and its deadlines, plans, emissions and events are converted to run time. Not: time stamps
+(device_clock).
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from protocols.scan import Scan, ScanPlan
 from protocols.session import Address, Emission, Event, LinkKind, Session
 
 MOST_PLANS = 64
-"Plans given out whose scans may still come."
+"Plans whose scans may still be submitted."
 
 
 class Timebase(Session):
-    """A session on a quartz of its own."""
+    """A session with its own quartz."""
 
     def __init__(self, inner: Session, quartz: Quartz) -> None:
         self.inner = inner
@@ -84,7 +84,7 @@ class Timebase(Session):
         return self._shown[2]
 
     def given_out(self, own: ScanPlan) -> ScanPlan:
-        """A sweep that the device counts by its own time, as the run does."""
+        """A plan in device time, converted to run time."""
         start_ns = self.quartz.true_ns(own.start_ns)
         # the rate at the beginning of the sweep: one that changes within it counts from the next one on
         scale = BILLION / (BILLION + self.quartz.ppb(start_ns))
@@ -127,20 +127,20 @@ class Timebase(Session):
 
 
 def inside(session: Session, now_ns: int) -> tuple[Session, int]:
-    """The session of the family itself, and an instant of the run as it counts it."""
+    """The session of the family, and an instant of the run in its time."""
     if isinstance(session, Timebase):
         return inside(session.inner, session.quartz.own_ns(now_ns))
     return session, now_ns
 
 
 def change_clock(session: Session, now_ns: int, change: Callable[[DeviceClock, int], DeviceClock]) -> None:
-    """Put another clock in the place of a device's own: `change` of it and of the instant as the device counts it."""
+    """Replace a device's clock by `change(clock, instant in device time)`."""
     own, own_ns = inside(session, now_ns)
     own.clock = change(own.clock, own_ns)
 
 
 def pace(session: Session, now_ns: int, by_ppb: int) -> Session:
-    """The session with a quartz that is faster by so much from an instant on; the same one if it has a quartz already.
+    """The session with its quartz faster by `by_ppb` from an instant on; the same object if it has a quartz already.
 
     A session gets its quartz when it first drifts: until then the device's instants are the run's.
     """

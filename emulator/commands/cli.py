@@ -196,13 +196,13 @@ def run(
     goes to standard error. What COMMAND prints is passed on as it is.
     """
     if shim and not command:
-        raise click.UsageError("--shim wants the driver's command: lidaremu run SCENARIO --shim -- ./driver ARGS")
+        raise click.UsageError("--shim needs the command of a driver: lidaremu run SCENARIO --shim -- ./driver ARGS")
     if restart:
         return keep_running(command, until_eof, record)
     from emulator.process.sd_notify import Notifier
 
     if until_eof and (command or sys.stdin is None):
-        raise click.UsageError("--until-eof wants a standard input of its own, without a COMMAND that would read it")
+        raise click.UsageError("--until-eof and a COMMAND cannot be combined: both read the standard input")
     notifier = Notifier.of_environment(os.environ)  # neither workers nor a driver speak for us
     leash = click.get_current_context().with_resource(leashed(until_eof, own_folder))
     environment = dict(os.environ)
@@ -256,7 +256,7 @@ def run(
             announce_ready(loaded, instruments, as_json, server.url, ending)
             kinds = {link.kind for one in instruments for link in one.links}
             if isinstance(daemon, VirtualDaemon) and LinkKind.CAN in kinds:
-                note("time stamps on CAN are those of the virtual clock: seconds since the run began")
+                note("CAN time stamps are virtual: seconds since the start of the run")
             if command:
                 linked = [(item.sensor, item.links[0].url) for item in instruments if item.links]
                 environment = driver_environment(environment, linked)
@@ -289,7 +289,7 @@ def run(
 def keep_running(command: Sequence[str], until_eof: bool, record: Path | None) -> int:
     """A guardian instead of a run: the same words start daemons until one ends in order."""
     if command or until_eof:
-        raise click.UsageError("--restart wants neither a COMMAND, whose end would be the run's, nor --until-eof")
+        raise click.UsageError("--restart cannot be combined with a COMMAND or --until-eof")
     from emulator.process.clock import SystemClock
     from emulator.runtime import guardian
 

@@ -40,9 +40,13 @@ def complain(error: EmulatorError, head: str = "lidaremu: ") -> None:
 
 
 def complain_of_use(error: click.ClickException) -> None:
-    """What is wrong with the arguments, as click says it; foreign words in it are on one line."""
+    """What is wrong with the arguments, as reported by click, on one line; of a missing subcommand the help."""
     lines = []
     context = getattr(error, "ctx", None)
+    if context is not None and isinstance(error, getattr(click.exceptions, "NoArgsIsHelpError", ())):  # click 8.2 on
+        with contextlib.suppress(BrokenPipeError, EmulatorError):
+            put(sys.stderr, context.get_help().split("\n"))
+        return
     if context is not None:
         lines = [
             *context.get_usage().split("\n"),
@@ -50,9 +54,10 @@ def complain_of_use(error: click.ClickException) -> None:
             "",
         ]
     text = error.format_message()
-    told = text.split("\n") if isinstance(error, click.MissingParameter) else [text]  # of these, choices are lines
+    if isinstance(error, click.MissingParameter):  # a list of choices has lines and tabs
+        text = " ".join(text.split())
     with contextlib.suppress(BrokenPipeError, EmulatorError):
-        put(sys.stderr, [*lines, f"Error: {told[0]}", *told[1:]])
+        put(sys.stderr, [*lines, f"Error: {text}"])
 
 
 @contextmanager

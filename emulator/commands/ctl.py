@@ -92,7 +92,9 @@ def ctl(order: str, parameters: tuple[str, ...], path: Path | None, as_json: boo
     if path is None:
         found = control.running()
         if len(found) != 1:
-            told = "; ".join(f"{scenario_of(one)} at {one}" for one in found) or "none runs"
+            if not found:
+                raise LinkError("no daemon of this user is running; want lidaremu run SCENARIO first, or --socket PATH")
+            told = "; ".join(f"{scenario_of(one)} at {one}" for one in found)
             raise LinkError(f"which daemon? {told}; want --socket PATH")
         path = found[0]
     result = control.ask(Path(str(path).removeprefix("unix:")), order, params)

@@ -43,7 +43,7 @@ def look(
 
     LINK is pty:PATH, serial:DEVICE or tcp:HOST:PORT; with --family can_objects also socketcand:HOST:PORT/CHANNEL,
     slcan:PATH or can:INTERFACE:CHANNEL. On a terminal it draws until q is pressed; elsewhere it prints a line a second.
-    With --png alone one scan is taken. Where scans come and nobody answers, as from lidaremu replay, it listens;
+    With --png alone one scan is taken. Where scans come without replies, as from lidaremu replay, it listens;
     when the other end closes the line it says so and ends.
     """
     from emulator.looking.look import CAN_FAMILY, Wanted, connect, run_look

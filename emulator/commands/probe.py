@@ -20,7 +20,7 @@ def probe(link: str, as_json: bool) -> int:
 
     LINK is pty:PATH, serial:DEVICE, tcp:HOST:PORT, socketcand:HOST:PORT/CHANNEL, slcan:PATH or can:INTERFACE:CHANNEL.
     Real devices too: line speed, settings and mode are left as they were, but a stream that was on is stopped.
-    Up to 20 s where nobody answers; exit code 3 then.
+    Up to 20 s without a reply; then exit code 3.
     """
     from emulator.looking import probe as probing
 

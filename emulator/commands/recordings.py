@@ -98,7 +98,7 @@ def replay(
     LIDAREMU_<SENSOR>, and the replay ends with it or at the recording's end.
     """
     if stepped and command:
-        raise click.UsageError("--stepped reads the standard input, which a COMMAND would share; want one of them")
+        raise click.UsageError("--stepped and a COMMAND both read the standard input; want one of them")
     from emulator.recording.reader import is_ours, read_run, read_wire
     from emulator.runtime.daemon import Lateness
     from emulator.runtime.playback import GapErrors, ReplaySession, open_players, step
@@ -110,9 +110,9 @@ def replay(
     if is_ours(recording):
         cut = read_run(recording).cut
         if cut:
-            note(f"{recording}: cut: {cut}; everything before that is sent")
+            note(f"{recording}: truncated: {cut}; everything before that is sent")
     if not wires:
-        raise EmulatorError(f"{recording}: contains nothing that a sensor sent")
+        raise EmulatorError(f"{recording}: contains no data sent by a sensor")
     replaced = {}
     for text in links:
         sensor, separator, url = text.partition("=")
@@ -236,7 +236,7 @@ def diff(first: Path, second: Path, port: int, baud: int, as_json: bool) -> int:
     runs = [read(first), read(second)]
     for run in runs:
         if run.cut:
-            note(f"{run.path}: cut: {run.cut}")
+            note(f"{run.path}: truncated: {run.cut}")
     found = differences(*runs)
     for item in found:
         say(json.dumps({"at_ns": item.at_ns, "where": item.where, "what": item.what}) if as_json else str(item))

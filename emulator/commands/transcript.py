@@ -53,5 +53,5 @@ def transcript(recording: Path, sensor: str | None, from_s: float, to_s: float, 
         speaker = speakers.get(said.wire.sensor, Speaker(""))
         say(json.dumps(said.as_json(speaker)) if as_json else said.told(speaker, len(known) > 1 and sensor is None))
     if run.cut:
-        note(f"{recording}: cut: {run.cut}")
+        note(f"{recording}: truncated: {run.cut}")
     return OK

@@ -126,7 +126,7 @@ def opened(what: str | None) -> Iterator[Source]:
 
         recorded = RecordedSource(path)
         if recorded.cut:
-            note(f"{path}: cut: {recorded.cut}; everything before that is shown")
+            note(f"{path}: truncated: {recorded.cut}; everything before that is shown")
         yield recorded
     elif path is None or path.is_socket() or str(what).startswith("unix:") or path.suffix == ".sock":
         yield LiveSource(find(path))

@@ -313,5 +313,5 @@ def truth(value: Value) -> bool:
     """Of a truth value, or of a series of them (all, and not empty); `ExpressionError` for numbers."""
     array = np.asarray(value)
     if array.dtype != bool:
-        raise ExpressionError("a number where a truth value is wanted; compare it with something")
+        raise ExpressionError("a number where true or false is required; want a comparison")
     return bool(array.size) and bool(array.all())

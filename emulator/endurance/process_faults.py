@@ -1,4 +1,4 @@
-"""Failures of processes, and what must be seen then: on the wire, in the counters, as incidents, at the end.
+"""The test matrix of process failures: expected effect on the wire, counters, incidents and exit code.
 
 Belongs here: the table, as data. Tests run its rows (`held_by`), docs/process_faults.md shows them
 (`python -m emulator.endurance.process_faults`), and the real-time soak draws from those that can be drawn.
@@ -51,46 +51,48 @@ class ProcessFault:
 
 
 REPLACED = ("worker replaced", "(sensor silent)", "(sensor back)")
-PAUSE = "its sensors pause while another one builds the scene, then go on at their rate; others are not touched"
+PAUSE = "its sensors pause while a new worker builds the scene, then continue at their rate; others are not affected"
 LATE = "`measured too late`: every scan of the pause"
-ZERO = "0; 5 where the pause took longer than a sensor may be silent"
+ZERO = "0; 5 if the pause is longer than a sensor may be silent"
 
 PROCESS_FAULTS = (
-    ProcessFault("worker", "kill", "at start", "both", "nothing: no link is opened", "the line says signal and moment",
+    ProcessFault("worker", "kill", "at start", "both", "nothing: no link is opened",
+                 "an error message with signal and moment",
                  "2", f"{PLAYED}::test_a_first_start_that_fails_says_why"),
     ProcessFault("worker", "kill", "between sweeps", "real", PAUSE, LATE, ZERO,
                  f"{PLAYED}::test_a_killed_worker_costs_some_scans", REPLACED, Drawn(signal.SIGKILL)),
-    ProcessFault("worker", "kill", "in mid sweep", "real", PAUSE, LATE, ZERO,
+    ProcessFault("worker", "kill", "during a sweep", "real", PAUSE, LATE, ZERO,
                  f"{SYSTEM}::test_killed_and_stopped_workers", REPLACED),
     ProcessFault("worker", "kill", "while it sends a scan", "real", PAUSE, LATE, ZERO,
                  f"{PLAYED}::test_a_killed_worker_costs_some_scans", REPLACED),
-    ProcessFault("worker", "kill", "again and again", "real",
-                 "the sensors whose sweeps end it pause, up to 30 s; others go on", LATE, "5",
+    ProcessFault("worker", "kill", "repeatedly, by a sweep", "real",
+                 "the sensors whose sweeps end it pause, up to 30 s; others continue", LATE, "5",
                  f"{PLAYED}::test_one_sensor_that_ends_its_worker_with_every_sweep_does_not_stop_the_others",
                  ("worker replaced", "sensor silent", "(sensor back)")),
-    ProcessFault("worker", "kill", "again and again, between sweeps", "real",
+    ProcessFault("worker", "kill", "repeatedly, between sweeps", "real",
                  "pauses between attempts double up to 30 s", LATE, "5",
                  f"{PLAYED}::test_a_crash_loop_between_sweeps_is_slowed_down",
                  ("worker replaced", "sensor silent", "(worker lost)", "(worker back)", "(sensor back)")),
-    ProcessFault("worker", "kill", "in mid sweep", "virtual", "the same bytes as without", "nothing is lost", "0",
+    ProcessFault("worker", "kill", "during a sweep", "virtual", "the same bytes as without", "nothing is lost", "0",
                  f"{RIG_VIRTUAL}::test_a_worker_that_is_killed_or_stopped_changes_no_byte_of_virtual_time",
                  ("worker replaced",)),
-    ProcessFault("worker", "stop", "for less than 5 s", "real", "its sensors pause, then go on; nothing stale is sent",
-                 LATE, ZERO, f"{PLAYED}::test_a_worker_that_goes_on_in_time_is_kept_and_what_it_owed_is_not_sent",
+    ProcessFault("worker", "stop", "for less than 5 s", "real",
+                 "its sensors pause, then continue; no outdated scan is sent", LATE, ZERO,
+                 f"{PLAYED}::test_a_worker_that_goes_on_in_time_is_kept_and_what_it_owed_is_not_sent",
                  ("(sensor silent)", "(sensor back)"), Drawn(signal.SIGSTOP, 1.0)),
-    ProcessFault("worker", "stop", "for ever, in mid sweep", "real",
+    ProcessFault("worker", "stop", "permanently, during a sweep", "real",
                  "as killed, once a sweep has taken 5 s and twenty times the longest of the last sixteen", LATE, "5",
                  f"{SYSTEM}::test_killed_and_stopped_workers", ("sensor silent", "worker replaced", "sensor back"),
                  Drawn(signal.SIGSTOP)),
-    ProcessFault("worker", "stop", "for ever, while a successor builds", "real",
-                 "as killed, once it has used no processor time for 60 s", LATE, "5",
+    ProcessFault("worker", "stop", "permanently, while a new worker builds the scene", "real",
+                 "as killed, once it has used no CPU time for 60 s", LATE, "5",
                  f"{PLAYED}::test_a_successor_that_is_stopped_while_it_builds_is_replaced",
                  ("worker replaced", "sensor silent", "worker replaced", "sensor back")),
     ProcessFault("worker", "stop", "at start", "both", "nothing: no link is opened",
-                 "the line says so, after 60 s without processor time", "2",
+                 "an error message, after 60 s without CPU time", "2",
                  f"{PLAYED}::test_a_first_start_that_fails_says_why"),
-    ProcessFault("worker", "stop", "in mid sweep", "virtual",
-                 "the same bytes as without: time stands until it is replaced", "nothing is lost", "0",
+    ProcessFault("worker", "stop", "during a sweep", "virtual",
+                 "the same bytes as without: time stops until it is replaced", "nothing is lost", "0",
                  f"{RIG_VIRTUAL}::test_a_worker_that_is_killed_or_stopped_changes_no_byte_of_virtual_time",
                  ("worker replaced",)),
     ProcessFault("worker", "stop", "at the end of a run", "both", "nothing", "it is killed after half a second", "0",
@@ -98,7 +100,7 @@ PROCESS_FAULTS = (
     ProcessFault("worker", "slow", "each sweep takes three scan times", "real", "a third of the scans, each the newest",
                  "`measured too late`: the others", "0",
                  f"{PLAYED}::test_a_slow_worker_sends_the_newest_and_counts_the_others"),
-    ProcessFault("worker", "slow", "the first sweep takes a minute", "real", "nothing until it is there",
+    ProcessFault("worker", "slow", "the first sweep takes a minute", "real", "nothing until it is measured",
                  LATE, "5", f"{PLAYED}::test_a_first_sweep_may_take_long_while_it_uses_the_processor",
                  ("sensor silent", "(sensor back)")),
     ProcessFault("worker", "out of memory", "MemoryError in a sweep", "both", "a scan without echoes",
@@ -107,33 +109,37 @@ PROCESS_FAULTS = (
     ProcessFault("worker", "out of memory", "killed by the kernel", "real", PAUSE, LATE, ZERO,
                  f"{PLAYED}::test_a_killed_worker_costs_some_scans", REPLACED),
     ProcessFault("worker", "full pipe", "stopped, a plan larger than the pipe", "real",
-                 "other sensors go on", LATE, ZERO,
+                 "other sensors continue", LATE, ZERO,
                  f"{PLAYED}::test_a_full_pipe_does_not_block_the_sender", ("(sensor silent)", "(sensor back)")),
-    ProcessFault("worker", "cannot start", "fork refused", "real", "its sensors are silent, others go on", LATE, "5",
+    ProcessFault("worker", "cannot start", "fork refused", "real", "its sensors are silent, others continue", LATE, "5",
                  f"{PLAYED}::test_a_worker_that_cannot_be_started_is_tried_again_and_the_others_go_on",
                  ("worker replaced", "worker lost", "sensor silent", "(worker back)", "(sensor back)")),
-    ProcessFault("worker", "cannot start", "a mesh has gone", "real", "its sensors are silent, others go on", LATE, "5",
+    ProcessFault("worker", "cannot start", "a mesh file is missing", "real",
+                 "its sensors are silent, others continue", LATE, "5",
                  f"{PLAYED}::test_a_mesh_that_has_gone_is_told_and_tried_again",
                  ("worker replaced", "worker lost", "sensor silent", "(worker back)", "(sensor back)")),
-    ProcessFault("worker", "cannot start", "five times in a row", "virtual", "the run ends", "the line says why",
+    ProcessFault("worker", "cannot start", "five times in a row", "virtual", "the run ends",
+                 "an error message with the reason",
                  "2 of `test`, 5 of `run`", f"{RIG_VIRTUAL}::test_virtual_time_does_not_stand_for_ever_for_a_worker",
                  ("worker replaced", "worker lost")),
-    ProcessFault("sender", "stop", "for 2 s", "real", "all sensors pause, then go on at their rate; no storm",
+    ProcessFault("sender", "stop", "for 2 s", "real", "all sensors pause, then continue at their rate; no burst",
                  LATE, "0", f"{SYSTEM}::test_a_stopped_sender_and_stopped_onlookers"),
-    ProcessFault("sender", "kill", "any", "real", "every link ends; the next start takes them over",
-                 "nobody is left: workers end with it", "-9", f"{SYSTEM}::test_a_killed_sender_leaves_nobody_behind"),
+    ProcessFault("sender", "kill", "any", "real", "every link ends; the next start takes over their paths",
+                 "no process is left: workers end with it", "-9",
+                 f"{SYSTEM}::test_a_killed_sender_leaves_nobody_behind"),
     ProcessFault("view", "stop", "while it shows a run", "real", "nothing", "nothing", "0",
                  f"{SYSTEM}::test_a_stopped_sender_and_stopped_onlookers"),
     ProcessFault("view", "kill", "while it shows a run", "real", "nothing", "nothing", "0",
                  f"{SYSTEM}::test_a_stopped_sender_and_stopped_onlookers"),
-    ProcessFault("recorder", "full disk", "any", "both", "nothing: the run goes on",
+    ProcessFault("recorder", "full disk", "any", "both", "nothing: the run continues",
                  "reported once; the recording ends before the run", "4",
                  f"{RIG_VIRTUAL}::test_a_full_disk_ends_the_recording_and_not_the_run", ("recording ended",)),
     ProcessFault("host", "stop", "while it reads", "real",
-                 "what it does not read is lost, as on the line; others go on",
+                 "data that it does not read is lost, as on a line; others continue",
                  "`bytes_lost` or `payloads_dropped` of its link", "0",
                  f"{SYSTEM}::test_a_stopped_sender_and_stopped_onlookers"),
-    ProcessFault("host", "kill", "while it reads", "real", "the device streams on (a line), or to nobody (a socket)",
+    ProcessFault("host", "kill", "while it reads", "real",
+                 "the device continues to stream (a line), or has no client (a socket)",
                  "`bytes_lost` of its link", "0", f"{SYSTEM}::test_a_stopped_sender_and_stopped_onlookers"),
 )  # fmt: skip
 "Every row; docs/process_faults.md is written from it."
@@ -146,7 +152,7 @@ def drawn() -> tuple[ProcessFault, ...]:
 
 def table() -> Iterator[str]:
     """The rows as lines of a Markdown table."""
-    yield "| whom | what | when | time | on the wire | counted | incidents | exit code |"
+    yield "| process | failure | when | time | on the wire | counters | incidents | exit code |"
     yield "|---|---|---|---|---|---|---|---|"
     for row in PROCESS_FAULTS:
         kinds = ", ".join(row.incidents) or "-"

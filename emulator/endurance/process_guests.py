@@ -72,7 +72,7 @@ class Saboteur:
         """What the daemon should have told and has not, in words."""
         found = []
         if incidents.get("worker replaced", 0) < self.ended:
-            found.append(f"processes: {self.ended} killed, {incidents.get('worker replaced', 0)} told as replaced")
+            found.append(f"processes: {self.ended} killed, {incidents.get('worker replaced', 0)} reported as replaced")
         if "worker lost" in incidents:
             found.append("processes: a worker was lost, though it could be started")
         return found

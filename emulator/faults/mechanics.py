@@ -106,12 +106,12 @@ class Motor(Act):
         self._told = 0.0 if not told else math.copysign(1.0, keys.percent)
 
     def begin(self, now_ns: int) -> None:
-        impair(self.gear, now_ns, "motor told", self._told)
+        impair(self.gear, now_ns, "motor status", self._told)
         impair(self.gear, now_ns, "motor speed", self._factor)
         self.gear.hit(now_ns)
 
     def end(self, now_ns: int) -> None:
-        impair(self.gear, now_ns, "motor told", None)
+        impair(self.gear, now_ns, "motor status", None)
         impair(self.gear, now_ns, "motor speed", None)
 
 

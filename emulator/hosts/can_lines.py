@@ -113,4 +113,4 @@ def _greeted(url: str, host: str, port: int) -> None:
     except (OSError, UnicodeError) as error:
         raise LinkError(f"{url}: cannot connect: {getattr(error, 'strerror', None) or error}") from None
     if not heard.lstrip().startswith(b"<"):
-        raise LinkError(f"{url}: heard {heard[:16]!r}; want the greeting of a socketcand server, < hi >")
+        raise LinkError(f"{url}: received {heard[:16]!r}; want the greeting of a socketcand server, < hi >")

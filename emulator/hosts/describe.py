@@ -350,7 +350,7 @@ def _can(speaker: Speaker, data: bytes, peer: int) -> list[Described]:
     head = [Described("identifier", f"{number:03X}", name or "no message of this format")]
     if name is None:
         return [*head, unknown(data, "not in the format's DBC")]
-    found = [Described(one.name, one.value, one.unit) for one in layout.told(name, data)]
+    found = [Described(one.name, one.value, one.unit) for one in layout.decoded_signals(name, data)]
     short = layout.length(name) - len(data)
     return head + found + ([Described("length", f"{len(data)}", f"{short} bytes short")] if short > 0 else [])
 

@@ -132,4 +132,4 @@ def open_line(url: str, baud: int) -> Line:
         return SocketLine(host.strip("[]") or "127.0.0.1", int(port))
     if Path(url).exists():
         return SerialLine(url, baud)
-    raise EmulatorError(f"{url}: a host connects to pty:PATH, serial:DEVICE or tcp:HOST:PORT")
+    raise EmulatorError(f"{url}; want pty:PATH, serial:DEVICE or tcp:HOST:PORT")

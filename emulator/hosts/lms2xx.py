@@ -262,7 +262,7 @@ class Lms2xxHost:
                 if telegram is not None and read_values(telegram) is not None:
                     self._heard.append(telegram)
                     if self._stopped and len(self._heard) >= ENOUGH:
-                        raise LinkError("values come though the device has stopped: nobody heeds what is asked")
+                        raise LinkError("values arrive although the device was stopped: it does not follow requests")
                 if telegram is not None and telegram.command == 0x92:
                     raise LinkError(f"the device refuses request {payload.hex(' ')}")
         raise LinkError(f"no reply {reply:02X} to request {payload.hex(' ')}; tried {tries} times, {seconds:g} s each")

@@ -33,7 +33,7 @@ def run_demo(
 ) -> int:
     """Start the daemon as a process of its own, look through one sensor, stop it; the exit code."""
     if family is not None and family not in FAMILIES:
-        raise EmulatorError(f"demo does not show {family!r}; want {', '.join(FAMILIES)}")
+        raise EmulatorError(f"demo does not support {family!r}; want {', '.join(FAMILIES)}")
     name = name or SHOWS[family or "lms2xx"]
     loaded = scenario_file.load(name)
     families = {item.id: load_spec(item.model).family or "none" for item in loaded.sensors}

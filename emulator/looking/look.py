@@ -95,7 +95,7 @@ def connect(
 def _listening(make: Callable[..., Host]) -> Callable[[Line, int], Host]:
     """The same, asking for nothing; `EmulatorError` of a host that cannot."""
     if "listen" not in signature(make).parameters:
-        raise EmulatorError("--listen: the host of this family asks for what it wants; want lms2xx, ld or can_objects")
+        raise EmulatorError("--listen: the host of this family always sends requests; want lms2xx, ld or can_objects")
     return partial(make, listen=True)
 
 
@@ -109,7 +109,7 @@ def _maker(family_name: str) -> Callable[[Line, int], Host]:
 
     if family_name in families() and isinstance(found := family(family_name), HasHost):
         return found.host
-    raise EmulatorError(f"look does not speak {family_name!r}; want {', '.join(FAMILIES)}")
+    raise EmulatorError(f"look does not support {family_name!r}; want {', '.join(FAMILIES)}")
 
 
 @contextmanager

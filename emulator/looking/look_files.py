@@ -158,11 +158,11 @@ def _draw_objects(axes: Axes, objects: Sequence[Any]) -> None:
     """From above: x upwards, y to the left, a second of each object's way as an arrow."""
     from matplotlib.patches import Polygon
 
-    names = sorted({one.category or "not told" for one in objects})
+    names = sorted({one.category or "not reported" for one in objects})
     colours = dict(zip(names, ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9") * 3, strict=False))
     labelled: set[str] = set()
     for one in objects:
-        name = one.category or "not told"
+        name = one.category or "not reported"
         style = {"color": colours[name], "label": None if name in labelled else name}
         labelled.add(name)
         if one.length_m and one.width_m:

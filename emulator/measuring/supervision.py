@@ -410,7 +410,7 @@ class Workers:
             why += " while it built the scene"
         if self._first:
             raise SceneError(f"the measuring process {why}{OUT_OF_MEMORY if KILLED in why else ''}")
-        if isinstance(work, Sweep) and not why.startswith("stood still"):
+        if isinstance(work, Sweep) and not why.startswith("hung"):
             why += f" while it measured {work.sensor}, sweep {work.plan.sweep}"
         elif was_ready and work is None:
             why += " between two sweeps"

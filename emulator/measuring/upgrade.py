@@ -165,7 +165,7 @@ class Upgrade:
         idle_ns = time_limits.IDLE_NS if first else time_limits.IDLE_BUILD_NS
         still_ns = self._still.look(now_ns, home.successor.handle.cpu_ns())
         if now_ns - home.successor.since_ns > most_ns or still_ns > idle_ns:
-            self._give_up(homes, f"{home.name} with loops stood still")
+            self._give_up(homes, f"{home.name} with loops hung")
 
     def _give_up(self, homes: Sequence[Home], why: str) -> None:
         self.is_over, self.loops = True, False

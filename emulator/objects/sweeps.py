@@ -181,5 +181,5 @@ def sweeps_of(spec: SensorSpec, session: Session | None) -> Sweeps:
     if spec.family is None or session is None:
         return TableSweeps(spec)
     if spec.family not in KINDS:
-        raise ScenarioError(f"{spec.model}: objects cannot be made from it: its family {spec.family} is not known here")
+        raise ScenarioError(f"{spec.model}: no objects from this model: its family {spec.family} has no known sweep")
     return OwnTimeSweeps(session, spec.family) if isinstance(session, Timebase) else SessionSweeps(session, spec.family)

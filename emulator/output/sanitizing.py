@@ -49,7 +49,7 @@ def put(stream: TextIO | None, lines: Iterable[str]) -> None:
         stream.flush()
     except OSError as error:
         if error.errno in (errno.EPIPE, errno.EIO):  # the reader of the pipe, or the terminal, has gone
-            raise BrokenPipeError("nobody reads") from None  # with a number click would end us itself
+            raise BrokenPipeError("the reader has closed the pipe") from None  # with a number click would end us itself
         raise EmulatorError(f"cannot write to the standard output: {error.strerror}") from None
 
 

@@ -249,7 +249,7 @@ def unpacked(compression: str, data: bytes) -> bytes:
         else:
             raise ValueError(f"compression {compression!r}; want none, zstd or lz4")
     except ImportError:
-        raise ValueError(f"compression {compression} wants its library") from None
+        raise ValueError(f"compression {compression} needs its library") from None
     except (RuntimeError, EOFError) as error:
         raise ValueError(f"broken {compression}: {error}") from None
     except Exception as error:

@@ -231,7 +231,7 @@ def _from_capture(path: Path, data: bytes, port: int) -> list[WireOf]:
     if not found:
         ports = Counter(item.source[1] for item in segments if item.data)
         told = ", ".join(str(number) for number, _ in ports.most_common(8)) or "none did"
-        raise RecordingError(f"{path}: nothing that port {port} sent; want --port of the device, who sent are: {told}")
+        raise RecordingError(f"{path}: no data sent by port {port}; want --port of the device, one of: {told}")
     first = found[0][0][0]
     wires = []
     for number, parts in enumerate(found):

@@ -76,7 +76,7 @@ class Writing:
         if self._put - self._done <= MOST_WAITING or self._failed:
             return
         if not self._manner.waits:
-            self.fail(OSError(0, f"the disk is too slow: {MOST_WAITING >> 20} MB wait for it"))
+            self.fail(OSError(0, f"the disk is too slow: {MOST_WAITING >> 20} MB are queued"))
             return
         with self._room:
             before = -1

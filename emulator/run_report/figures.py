@@ -27,7 +27,7 @@ SLOTS = 240
 
 
 def rates(sensors: Sequence[SensorTally], duration_s: float) -> bytes:
-    """Scans a second over time."""
+    """Scans per second over time."""
     made, (axes,) = figure(size=(9.0, 3.6))
     slot_s = max(1.0, duration_s / SLOTS)
     edges = np.arange(0.0, duration_s + slot_s, slot_s)
@@ -41,7 +41,7 @@ def rates(sensors: Sequence[SensorTally], duration_s: float) -> bytes:
             color=COLOURS[number % len(COLOURS)], label=one.sensor, linewidth=1.5, baseline=None,
         )  # fmt: skip
     axes.set_xlabel("time [s]")
-    axes.set_ylabel(f"scans a second, over {slot_s:g} s")
+    axes.set_ylabel(f"scans per second, over {slot_s:g} s")
     axes.set_ylim(bottom=0.0)
     axes.legend(frameon=False, ncols=4)
     return png(made)

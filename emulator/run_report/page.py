@@ -82,7 +82,7 @@ def _overview(sensors: Sequence[SensorTally]) -> Section:
         Column("model", "Model"),
         Column("scans_sent", "Scans sent", "d"),
         Column("scans_measured", "Scans recorded", "d"),
-        Column("scans_per_s", "Scans a second", ".3f"),
+        Column("scans_per_s", "Scans per second", ".3f"),
         Column("silent_s", "Silent at the end [s]", ".3f"),
         Column("scans_dropped", "Scans dropped", "d"),
         Column("input_dropped", "Input not taken", "d"),
@@ -175,7 +175,7 @@ def _rates(run: Gathered, sensors: Sequence[SensorTally]) -> Section | None:
         "Rates and jitter",
         ("Instants are those at which the first bit of a scan is due on the sensor's first link, to the nanosecond.",),
         (
-            Picture("rates", "Scans a second over time", figures.rates(sensors, run.duration_s), "Rate over time."),
+            Picture("rates", "Scans per second over time", figures.rates(sensors, run.duration_s), "Rate over time."),
             Picture("gaps", "Histogram of gaps", figures.gaps(sensors), "Time from scan to scan; counts logarithmic."),
         ),
         (Table("gaps", "From scan to scan", columns, rows_of(rows)),),

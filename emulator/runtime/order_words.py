@@ -25,9 +25,9 @@ def parameters_of(texts: Sequence[str]) -> dict[str, Any]:
         for part in parts[:-1]:
             here = here.setdefault(part, {})
             if not isinstance(here, dict):
-                raise click.BadParameter(f"{text!r} enters a value that was given before it", param_hint="NAME=VALUE")
+                raise click.BadParameter(f"{text!r} is below a key that already has a value", param_hint="NAME=VALUE")
         if parts[-1] in here:
-            raise click.BadParameter(f"{text!r}; {name} was given before it", param_hint="NAME=VALUE")
+            raise click.BadParameter(f"{text!r}; {name} was already given", param_hint="NAME=VALUE")
         try:
             here[parts[-1]] = loads_json(value)
         except TooMuch as error:

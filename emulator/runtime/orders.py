@@ -306,7 +306,7 @@ class Orders:
 
     def _faults(self) -> FaultRun:
         if self._daemon.faults is None:
-            raise OrderError(REFUSED, "faults: this run takes none; want one of a scenario")
+            raise OrderError(REFUSED, "faults: not possible in this run; want a run of a scenario")
         return self._daemon.faults
 
     def stop(self, params: Mapping[str, Any]) -> object:

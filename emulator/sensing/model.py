@@ -276,7 +276,7 @@ def _or(choice: Value | None, fact: Fact[Value] | None, default: Value | None = 
     if fact is not None:
         return fact.value
     if default is None:
-        raise ValueError("neither set nor known")
+        raise ValueError("not set, and the model has no value")
     return default
 
 

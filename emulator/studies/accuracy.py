@@ -390,7 +390,7 @@ def default_text(curves: Curves, runs: dict[str, list[Run]]) -> str:
     rays, errors = median_curve(curves, "wire", "spiral")
     wire = 100.0 * errors[rays.index(float(DEFAULT))]
     return (
-        f"The default, {DEFAULT} sub-beams on a spiral, costs {us:.0f} us a beam here when all of them are cast, "
+        f"The default, {DEFAULT} sub-beams on a spiral, costs {us:.0f} us per beam here when all of them are cast, "
         f"{1e-3 * 361 * us:.1f} ms for a sweep of 361 beams. At a random edge the echo is then off by {energy:.1f} % "
         f"of the beam's power, the range between two planes 0.7 m apart by {range_mm:.0f} mm, the probability of "
         f"detection by {detection:.3f} and the waveform by {wave:.1f} % of its peak (root mean square). A wire of a "

@@ -193,7 +193,7 @@ def figure_5(effort: Effort) -> Section:
         (
             "A white car body (0.75) in clear air of V = 23 km with rain of the paper's table 4. The paper says "
             "that range and signal fall drastically, without numbers, and names one drop radius of 3 mm but no law; "
-            "so all laws that the product has are shown, and which one the paper took cannot be told.",
+            "so all available laws are shown; the paper does not state which one it used.",
             "With one radius of 3 mm at a real fall speed rain of 70 mm/h shortens the range by a sixth; with the "
             "fall speed of Stokes, which holds below 0.04 mm, there is no effect at all. Laws fitted to "
             "measurements (Carbonneau, Japan, ITU) and the drop sizes of Marshall and Palmer shorten it to 53 to 62 "

@@ -161,7 +161,7 @@ def scanner_facts() -> list[Fact]:
         plan = lms_plan({"resolution_deg": step, "field_deg": field})
         facts.append(
             Fact(f"LMS291, scan of {step:g} deg", "ms", "Player, source code", "read", printed, 1e3 * plan.duration_s,
-                 "follows", "the session's own plan: 75 turns a second, interlaced combs")
+                 "follows", "the session's own plan: 75 turns per second, interlaced combs")
         )  # fmt: skip
     return facts
 

@@ -126,7 +126,7 @@ class SerialPort(Link):
             return b""
         # nothing to read and nothing there look alike (VMIN 0); only a port that has gone is hung up
         if not data and any(events & (select.POLLHUP | select.POLLERR) for _, events in self._poll.poll(0)):
-            self._lose(OSError("the device has gone"))
+            self._lose(OSError("the device was removed"))
         return data
 
     def _lose(self, error: Exception) -> None:

@@ -61,7 +61,7 @@ class StablePath:
             found = os.fstat(fd)
             if not stat.S_ISREG(found.st_mode) or found.st_uid != os.getuid():
                 os.close(fd)
-                raise LinkError(f"{self._lock_path}: not a file of this user; want none, or our own lock")
+                raise LinkError(f"{self._lock_path}: not a file of this user; want no file, or the lock of an emulator")
             try:
                 fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
@@ -120,7 +120,7 @@ class StablePath:
             raise LinkError(f"{self.path}: {kind} of that name exists; move it or choose another path")
         old = os.readlink(self.path)
         if not old.startswith(TERMINALS) or (os.path.exists(old) and not left_behind):
-            raise LinkError(f"{self.path}: a link to {old} that is not ours exists; remove it or choose another path")
+            raise LinkError(f"{self.path}: a link to {old} not made by lidaremu exists; remove it or use another path")
 
     def tend(self, now_ns: int) -> list[Befallen]:
         """Look whether the link still leads here, put it back where that is allowed; what befell it since."""

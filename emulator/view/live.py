@@ -190,6 +190,8 @@ def find(path: Path | None) -> Path:
         return path
     found = running()
     if len(found) != 1:
-        told = "; ".join(map(str, found)) or "none runs"
-        raise LinkError(f"which daemon? {told}; want its control socket, a recording or a scenario")
+        if not found:
+            raise LinkError("no daemon of this user is running; want a control socket, a recording or a scenario")
+        several = "; ".join(map(str, found))
+        raise LinkError(f"which daemon? {several}; want its control socket, a recording or a scenario")
     return found[0]

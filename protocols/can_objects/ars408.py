@@ -42,7 +42,7 @@ EGO_RESERVED_DIRECTION = 3
 
 @dataclass(frozen=True)
 class Configuration:
-    """What 0x200 changes and 0x201 reports; kept over power-off once stored."""
+    """What 0x200 changes and 0x201 reports; retained over power cycles once stored."""
 
     sensor_id: int
     max_distance_m: float
@@ -87,13 +87,13 @@ class Settings:
                 // 2
                 * 2,
                 output=OUTPUTS.index(keys.choice("output", "what lists hold at power-on", "objects", OUTPUTS)),
-                power=POWERS.index(keys.choice("power", "told in 0x201; without effect", "full", POWERS)),
+                power=POWERS.index(keys.choice("power", "reported in 0x201; without effect", "full", POWERS)),
                 quality=keys.flag("quality", "0x60C or 0x702 in every list", True),
                 extended=keys.flag("extended", "0x60D in every list", True),
                 sort=SORTS.index(keys.choice("sort", "order of a list", "range", SORTS)),
                 control_relay=keys.flag("control_relay", "0x008 once a second", False),
                 rcs_threshold=THRESHOLDS.index(
-                    keys.choice("rcs_threshold", "told in 0x201; without effect", "standard", THRESHOLDS)
+                    keys.choice("rcs_threshold", "reported in 0x201; without effect", "standard", THRESHOLDS)
                 ),
             ),
             cycle_ns=round(
@@ -101,15 +101,15 @@ class Settings:
             ),
             max_objects=keys.integer("max_objects", "the nearest are listed", MAX_OBJECTS, 0, MAX_OBJECTS),
             counter_step=keys.integer("counter_step", "by how much MeasCounter grows from list to list", 2, 0, 65_535),
-            interface_version=keys.integer("interface_version", "told in every header", 1, 0, 15),
+            interface_version=keys.integer("interface_version", "in every header", 1, 0, 15),
             version=keys.integers("version", "major, minor, patch of 0x700", (4, 30, 2), 0, 255),
-            country=COUNTRIES.index(keys.choice("country", "told in 0x700", "international", COUNTRIES)),
-            extended_range=keys.flag("extended_range", "told in 0x700", False),
+            country=COUNTRIES.index(keys.choice("country", "in 0x700", "international", COUNTRIES)),
+            extended_range=keys.flag("extended_range", "in 0x700", False),
             rcs_dbm2=keys.number("rcs_dbm2", "cross section of every object", 0.0, -64.0, 63.5),
             ego_timeout_ns=round(
                 keys.number(
                     "ego_timeout_ms",
-                    "without 0x300 or 0x301 for so long MotionInput says what is missing",
+                    "time without 0x300 or 0x301 after which MotionInput reports what is missing",
                     500.0,
                     1.0,
                     60_000.0,

@@ -26,7 +26,7 @@ NOT_VALID = "Valid is 0: nothing changed"
 
 @dataclass(frozen=True)
 class Filter:
-    """One criterion: what is outside of [low, high] is left out of the list."""
+    """One criterion: objects outside of [low, high] are removed from the list."""
 
     low: float
     high: float
@@ -45,7 +45,7 @@ class FilterBank:
         self._active.clear()
 
     def set(self, data: bytes) -> str | None:
-        """Take one 0x202; None when it was obeyed, else why not."""
+        """Take one 0x202; None if accepted, otherwise the reason."""
         values = self._layout.decode("FilterConfig", data)
         if not values["Valid"]:
             return NOT_VALID

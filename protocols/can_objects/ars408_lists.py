@@ -62,7 +62,7 @@ def class_codes(table: ObjectTable) -> Codes:
 
 
 class MotionHistory:
-    """What an object that stands now did before: tells `stopped` from `stationary`."""
+    """Earlier motion of objects: distinguishes `stopped` from `stationary`."""
 
     CANDIDATE_S = 0.3
     "Younger objects that stand are only candidates; ours, the source gives no time."

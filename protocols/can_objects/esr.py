@@ -73,9 +73,9 @@ class Settings:
             host_timeout_ns=round(
                 keys.number("host_timeout_ms", "host messages older than this are missing", 500.0, 20.0, 60_000.0) * 1e6
             ),
-            temperature_c=keys.integer("temperature_c", "told in Status2", 30, -128, 127),
+            temperature_c=keys.integer("temperature_c", "in Status2", 30, -128, 127),
             power_db=keys.number("power_db", "power of every track in 0x540", 0.0, -10.0, 21.0),
-            serial_number=keys.integer("serial_number", "told in Status3, its third byte in Status9", 1, 0, 0xFFFFFF),
+            serial_number=keys.integer("serial_number", "in Status3, its third byte in Status9", 1, 0, 0xFFFFFF),
             analogue=keys.integers("analogue", "A/D counts of Status5 and Status6", (128,) * ANALOGUE, 0, 255),
             active_faults=keys.integers("active_faults", "bytes of Status7", (0,) * FAULTS, 0, 255),
             past_faults=keys.integers("past_faults", "bytes of Status8", (0,) * FAULTS, 0, 255),

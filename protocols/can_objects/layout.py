@@ -115,8 +115,8 @@ class MessageLayout:
         return self.signals[name]
 
 
-class SignalTold(NamedTuple):
-    """One signal of a frame for people."""
+class DecodedSignal(NamedTuple):
+    """One signal of a frame as text."""
 
     name: str
     value: str
@@ -168,8 +168,8 @@ class Layout:
         except KeyError:
             return None
 
-    def told(self, name: str, data: bytes) -> list[SignalTold]:
-        """Every signal of one frame in words, in the order of its bits; shorter data are filled with zeros."""
+    def decoded_signals(self, name: str, data: bytes) -> list[DecodedSignal]:
+        """Every signal of one frame as text, in the order of its bits; shorter data are padded with zeros."""
         message = self._database.get_message_by_name(name)
         values = message.decode(data[: message.length].ljust(message.length, b"\0"), decode_choices=True)
         found = []
@@ -177,7 +177,7 @@ class Layout:
             if signal.name in values:
                 value = values[signal.name]
                 shown = f"{value:.6g}" if isinstance(value, float) else str(value)
-                found.append(SignalTold(signal.name, shown, signal.unit or ""))
+                found.append(DecodedSignal(signal.name, shown, signal.unit or ""))
         return found
 
     def encode(self, name: str, values: Mapping[str, float]) -> bytes:

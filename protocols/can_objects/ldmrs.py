@@ -72,7 +72,7 @@ class LdmrsSession(CanObjectSession):
         self.clock = self.clock.powered_on(now_ns)
 
     def _keeps_time(self) -> bool:
-        """What a host has told it goes on over power-off."""
+        """A time set by a host is kept over a power cycle."""
         return self.clock.runs_on and getattr(self, "_knows_time", False)
 
     def _start(self, now_ns: int) -> None:
@@ -181,7 +181,7 @@ class LdmrsSession(CanObjectSession):
         return first, second
 
     def _report(self, now_ns: int) -> None:
-        """0x50F once a second while there is something to tell; registers clear after sending."""
+        """0x50F once per second while a register is set; registers clear after sending."""
         errors, warnings = self._settings.errors, self._warning_registers(now_ns)
         self._bad_command = False
         if self._parameters[p.OUTPUT_DISABLE] & p.DISABLE_ERRORS or not any(errors + warnings):
@@ -341,7 +341,7 @@ SENT = (
     ("ContourPoints", "SICK 8014493", ""),
     ("ListTrailer", "SICK 8014493", "counts every frame before it; only objects' with `count_messages: objects`"),
     ("Reply", "SICK 8014493", "id + 0x8000 refuses, as on Ethernet"),
-    ("ErrorsWarnings", "SICK 8014493", "once a second while there is something to tell"),
+    ("ErrorsWarnings", "SICK 8014493", "once per second while a register is set"),
 )
 "Messages of the device: name in the DBC, source, note."
 

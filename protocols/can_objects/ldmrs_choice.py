@@ -19,7 +19,7 @@ from protocols.can_objects.table import Floats, ObjectTable
 
 
 class Listed(NamedTuple):
-    """The n objects of a list, the one that matters most first."""
+    """The n objects of a list, in order of priority."""
 
     table: ObjectTable
     "In the vehicle's frame."

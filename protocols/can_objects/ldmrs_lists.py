@@ -23,7 +23,7 @@ POINTS_PER_FRAME = 3
 STEP_M = 0.04
 STEP_LIMITS = (-128, 127)
 LOW_DENSITY_POINTS = 4
-"Points of a contour at density 1; ours, the source says `low`."
+"Points of a contour at density 1; chosen here, the source has only `low`."
 
 CLASS_CODES = {
     "unknown": 0, "point": 1, "wide": 2, "pedestrian": 3, "bicycle": 4, "motorcycle": 4, "car": 5, "truck": 6,

@@ -115,7 +115,7 @@ class ParameterBank:
         return None if parameter is None else parameter.to_wire(self._values[index])
 
     def set(self, index: int, wire_value: int) -> str | None:
-        """Take a value; None when it was taken, else why not."""
+        """Take a value; None if accepted, otherwise the reason."""
         parameter = PARAMETERS.get(index)
         if parameter is None:
             return f"unknown parameter {index:#06x}"
@@ -140,6 +140,6 @@ class ParameterBank:
         self._values = dict(self._saved)
 
     def factory(self) -> None:
-        """Back to what the device was delivered with; the base id and bit rate of this bus stay."""
+        """Factory settings; the base id and bit rate of this bus stay."""
         kept = {index: self._values[index] for index in (BASE_ID, BITRATE_KBIT)}
         self._values = self._factory | kept

@@ -75,13 +75,11 @@ class Settings:
                 "streaming", "whether it measures at power-on or after the start command", "start", STREAMING
             )
             == "start",
-            temperature_c=keys.integer(
-                "temperature_c", "told in every header; beyond -30 and 115 a warning", 34, -127, 127
-            ),
+            temperature_c=keys.integer("temperature_c", "in every header; a warning beyond -30 and 115", 34, -127, 127),
             view_percent=keys.integer(
-                "view_percent", "range of sight told in every header; 255: no estimate", 100, 0, NO_VIEW_ESTIMATE
+                "view_percent", "visibility in every header; 255: no estimate", 100, 0, NO_VIEW_ESTIMATE
             ),
-            blind=keys.integer("blind", "told in every header", 0, 0, 255),
+            blind=keys.integer("blind", "in every header", 0, 0, 255),
             without_ego=keys.choice(
                 "without_ego", "what velocities are while the host sends no motion", "invalid", ("invalid", "relative")
             ),

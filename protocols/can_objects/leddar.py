@@ -88,17 +88,17 @@ class LeddarSettings:
             "view_rad": np.radians(keys.number("field_deg", "horizontal field of view", field_deg, 1.0, 100.0)),
             "max_range_m": keys.number("max_range_m", "farther objects give no detection", range_m, 0.0, 655.35),
             "light_power_percent": keys.integer(
-                "light_power_percent", "told while the power is automatic", 100, 0, 100
+                "light_power_percent", "reported while the power is automatic", 100, 0, 100
             ),
             "streams": keys.choice(
                 "streaming", "whether it streams at power-on or when asked", "request", ("request", "start")
             )
             == "start",
-            "serial_number": keys.text("serial_number", "told as input data", "AE00001", TEXT_BYTES),
-            "device_name": keys.text("device_name", "told as input data", name, TEXT_BYTES),
-            "hardware_part": keys.text("hardware_part", "told as input data", "75H0004", part_bytes),
-            "software_part": keys.text("software_part", "told as input data", "60D0001", part_bytes),
-            "fpga": keys.integer("fpga", "version told as input data", 1, 0, 0xFFFF),
+            "serial_number": keys.text("serial_number", "in input data", "AE00001", TEXT_BYTES),
+            "device_name": keys.text("device_name", "in input data", name, TEXT_BYTES),
+            "hardware_part": keys.text("hardware_part", "in input data", "75H0004", part_bytes),
+            "software_part": keys.text("software_part", "in input data", "60D0001", part_bytes),
+            "fpga": keys.integer("fpga", "version in input data", 1, 0, 0xFFFF),
             "port": port,
         }
 
@@ -138,7 +138,7 @@ class Port(NamedTuple):
 
 
 class Detections(NamedTuple):
-    """What a list tells, highest segment first."""
+    """Detections of a list, highest segment first."""
 
     segment: NDArray[np.int64]
     distance_raw: NDArray[np.int64]
@@ -147,7 +147,7 @@ class Detections(NamedTuple):
 
 
 class LeddarSession(CanObjectSession):
-    """A module that tells a distance for each segment."""
+    """A module that measures a distance for each segment."""
 
     COMMANDS: ClassVar[Mapping[int, Command]]
     SEGMENTS: ClassVar[int]
@@ -211,8 +211,8 @@ class LeddarSession(CanObjectSession):
         """Segments that measure."""
         return np.asarray((self._holding["segments_off"] >> np.arange(self.SEGMENTS)) & 1 == 0)
 
-    def _told_segments(self) -> NDArray[np.bool_]:
-        """Segments whose detections are told."""
+    def _sent_segments(self) -> NDArray[np.bool_]:
+        """Segments whose detections are sent."""
         return self._enabled()
 
     def _encode_list(self, table: ObjectTable, now_ns: int, measured_ns: int) -> list[Frame]:
@@ -235,7 +235,7 @@ class LeddarSession(CanObjectSession):
         amplitude = AMPLITUDE_AT_10_M * reflectance * (10.0 / np.maximum(distance, 0.1)) ** 2
         amplitude *= self._light_power() / 100.0
         threshold = self._holding["threshold"] / self.THRESHOLD_SCALE
-        told = np.isfinite(distance) & self._told_segments() & (amplitude >= threshold)
+        told = np.isfinite(distance) & self._sent_segments() & (amplitude >= threshold)
         segments = np.flatnonzero(told)[::-1][: self._holding["max_detections"]]
         raw = np.rint(distance[segments] * self._holding["units_per_m"]).clip(0, 0xFFFF).astype(np.int64)
         return Detections(segments.astype(np.int64), raw, amplitude[segments])
@@ -334,5 +334,5 @@ class LeddarSession(CanObjectSession):
         return None
 
     def _restart(self, now_ns: int) -> None:
-        """Start anew once the answer has left."""
+        """Restart once the answer has left."""
         self._timers.add(now_ns + RESTART_NS, SECOND_NS, self.power_on)

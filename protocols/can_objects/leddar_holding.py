@@ -166,7 +166,7 @@ M16_HOLDING: dict[int, Group] = {
     5: Group("automatic power delay", (Item("auto_frames", 0, 2, 1, low=1, high=8192),), "kept"),
     6: Group("smoothing", (Item("smoothing", 0, 1, 0, low=-17, high=16, signed=True),), "-17 is off; kept"),
     7: Group("distance units", (Item("units_per_m", 0, 2, 100, choices=UNITS_PER_M),)),
-    8: Group("segments told", (Item("segments_told", 0, 2, 0xFFFF),), "a set bit lets the segment be told"),
+    8: Group("segments enabled", (Item("segments_on", 0, 2, 0xFFFF),), "a set bit enables the segment"),
     **_port(9, True),
     14: Group("segment pairs enabled", (Item("segments_off", 0, 2, 0),), "a set bit switches its pair off"),
 }

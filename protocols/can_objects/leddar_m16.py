@@ -58,8 +58,8 @@ class Settings(LeddarSettings):
         settings = cls(
             **common,
             kind=keys.choice("kind", "which of the modules with sixteen segments", "m16", tuple(KINDS)),
-            temperature_c=keys.number("temperature_c", "told as input data", 30.0, -100.0, 150.0),
-            firmware=keys.integer("firmware", "version told as input data", 1, 0, 0xFFFF),
+            temperature_c=keys.number("temperature_c", "in input data", 30.0, -100.0, 150.0),
+            firmware=keys.integer("firmware", "version in input data", 1, 0, 0xFFFF),
         )
         keys.finish()
         return settings
@@ -113,9 +113,9 @@ class LeddarM16Session(LeddarSession):
         pairs = off | (off & 0xAAAA) >> 1 | (off & 0x5555) << 1
         return np.asarray((pairs >> np.arange(M16_SEGMENTS)) & 1 == 0)
 
-    def _told_segments(self) -> NDArray[np.bool_]:
-        told = (self._holding["segments_told"] >> np.arange(M16_SEGMENTS)) & 1 == 1
-        return np.asarray(self._enabled() & told)
+    def _sent_segments(self) -> NDArray[np.bool_]:
+        on = (self._holding["segments_on"] >> np.arange(M16_SEGMENTS)) & 1 == 1
+        return np.asarray(self._enabled() & on)
 
     def _detection_frames(self, found: Detections) -> list[Frame]:
         count = len(found.segment)

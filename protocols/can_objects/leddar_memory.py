@@ -21,7 +21,7 @@ DISTANCE_SCALE = 1 << 16
 TEMPERATURE_BITS, TEMPERATURE_C = 16, 30
 MOST_ECHOES = 6 * VU8_SEGMENTS
 INVALID_ADDRESS, WRITE_IS_DISABLED, FAILED, BAD_PACKET = 1 << 1, 1 << 3, 1 << 5, 1 << 6
-"Bits of the word that tells how the last transaction went."
+"Bits of the status word of the last transaction."
 
 NUMBERS: tuple[tuple[int, str, str], ...] = (
     (0x20, "B", "accumulation_exp"),
@@ -51,7 +51,7 @@ FREE = range(0x27, 0x43)
 
 
 class Facts(Protocol):
-    """What the scenario says of the module, as far as memory tells it."""
+    """Facts of the module from the scenario that its memory has."""
 
     @property
     def serial_number(self) -> str: ...

@@ -54,8 +54,8 @@ class Settings(LeddarSettings):
                 * 1e6
             ),
             multi_id=keys.flag("multi_id", "one identifier for each detection at power-on", False),
-            firmware=keys.integers("firmware", "version A, B, C, D told as input data", (3, 0, 0, 1), 0, 0xFFFF),
-            bootloader=keys.integers("bootloader", "version A, B, C, D told as input data", (1, 0, 0, 1), 0, 0xFFFF),
+            firmware=keys.integers("firmware", "version A, B, C, D in input data", (3, 0, 0, 1), 0, 0xFFFF),
+            bootloader=keys.integers("bootloader", "version A, B, C, D in input data", (1, 0, 0, 1), 0, 0xFFFF),
         )
         keys.finish()
         return settings

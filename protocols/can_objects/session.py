@@ -73,7 +73,7 @@ class _Bus:
     sweep: int | None = None
     "Sweep of the list whose first frame has not left yet."
     told: Told | None = None
-    "What that list tells of the time."
+    "Time stamp of that list."
 
 
 class CanObjectSession(EventSession):
@@ -106,7 +106,7 @@ class CanObjectSession(EventSession):
         self._list_end_ns = 0
         "When the list that began last will have left a bus that carries nothing else."
         self._told: Told | None = None
-        "What the list made last tells of the time; its format sets it."
+        "Time stamp of the latest list; set by its format."
         self._addresses: dict[tuple[int, int], Address] = {}
 
     # What a format fills in

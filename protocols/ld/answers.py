@@ -30,12 +30,12 @@ class Answer:
     "Answered by SERVICE_FAILURE instead of its own reply."
     detail: str = ""
     when_at_speed: Handler | None = None
-    "Answered by this instead, once the head is at speed or has been told otherwise."
+    "The reply to send instead, once the head is at speed or has a new command."
     start: StartProfiles | None = None
     stops_profiles: bool = False
     "The caller's own profiles end. Those of all hosts end whenever MEASURE is left."
     boots_ns: int | None = None
-    "The device starts anew once the reply has been sent, and takes this long."
+    "The device restarts after the reply, and takes this long."
     line_speed: int | None = None
     routed: tuple[Routed, ...] = ()
     "Bytes that leave on interfaces that the caller has attached."

@@ -24,7 +24,7 @@ from protocols.skeleton.outbox import Outgoing
 from protocols.skeleton.receiving import Fault
 
 INTER_BYTE_NS = 1000 * MS
-"Pause after which a half request is given up. Ours: no source tells the device's own."
+"Inter-byte time-out of an incomplete request. Chosen here: no source has the device's value."
 
 MAX_INBOX = 64
 "Requests of one host that wait for their turn; further ones are dropped."
@@ -101,7 +101,7 @@ class Channel:
         return self.kind in (LinkKind.SERIAL, LinkKind.CAN)
 
     def clear(self) -> None:
-        """Forget all but the connection itself, as a device that starts anew."""
+        """Discard all but the connection itself, as at a restart."""
         self.reader, self.joiner = _readers(self.kind)
         self.cola = ColaSplitter()
         self.inbox.clear()
@@ -248,6 +248,6 @@ def _readers(kind: LinkKind) -> tuple[UspReader | PackageReader | None, PackageJ
 
 
 def new_channel(address: Address, line: Line) -> Channel:
-    """A channel that has heard nothing yet."""
+    """A channel without input so far."""
     reader, joiner = _readers(line.kind)
     return Channel(address, line, reader, joiner)

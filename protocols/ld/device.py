@@ -1,6 +1,6 @@
-"""The device itself, whoever talks to it: modes, motor, clock, signals, configuration and sectors.
+"""State of the device, independent of hosts: modes, motor, clock, signals, configuration and sectors.
 
-It knows no link and no telegram. Times are handed in; what it waits for is told by `next_deadline`.
+It does not know links or telegrams. Times are arguments; `next_deadline` is the time of its next change.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Geometry:
     """What is measured in a revolution; fixed from TRANS_MEASURE until MEASURE is left."""
 
     facts: tuple[tuple[Span, ...], int, float]
-    "Sectors, angle step in ticks, and the range below which echoes are passed over (0 while the filter is off)."
+    "Sectors, angle step in ticks, and the range below which echoes are ignored (0 while the filter is off)."
     azimuth_rad: Floats
     elevation_rad: Floats
     fire_offset_s: Floats
@@ -77,7 +77,7 @@ class SpinUp:
 
 
 class Device:
-    """State of one device. Every method that changes it says when."""
+    """State of one device. Every method that changes it takes the time."""
 
     def __init__(self, model: Model, settings: Settings) -> None:
         self.model = model
@@ -117,7 +117,7 @@ class Device:
         self.clock = self.clock.powered_on(now_ns)
 
     def boot(self, now_ns: int, boot_ns: int) -> None:
-        """Start anew: what is not in flash is lost, and nothing is answered until the device has started."""
+        """Restart: all but the flash is lost, and nothing is answered until the device has started."""
         self._lose_volatile(now_ns)
         if self.motor is Motor.STOPPED:
             self.mode = Mode.ERROR
@@ -148,7 +148,7 @@ class Device:
 
     @property
     def can_bitrate(self) -> int:
-        """Speed of the CAN bus, which stays as it was found: a rate that a host stores is only told again. [bit/s]"""
+        """Bit rate of the CAN bus, fixed at start: a rate that a host stores is only reported back. [bit/s]"""
         return 1000 * cfg.CAN_RATE_CODES[self.settings.config[cfg.CAN][0]]
 
     @property
@@ -192,7 +192,7 @@ class Device:
         self.advance(now_ns)
 
     def skip_spin_up(self, now_ns: int) -> None:
-        """The head has long been at the speed it was told."""
+        """The head has been at the requested speed for long."""
         if self.spin_up is not None:
             self.spin_up = SpinUp(self.spin_up.hz, now_ns)
             self.advance(now_ns)

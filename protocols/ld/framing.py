@@ -38,7 +38,7 @@ def _set(data: bytes, place: int, value: int) -> bytes:
 
 
 class _Messages(Framing):
-    """Fields of the message itself; how it is taken out of its frame and put back is told by the two below."""
+    """Fields of the message itself; the two methods below unpack and pack its frame."""
 
     def _changed(self, payload: bytes, change: Callable[[bytes], bytes | None]) -> bytes | None:
         """The frame with another message in it; `change` gets its first words."""
@@ -158,7 +158,7 @@ class SegmentFraming(Framing):
         return len(payload) >= 6 and int.from_bytes(payload[:2], "big") in (SINGLE, MULTIPLE)
 
     def with_length(self, one: Emission, change: int) -> bytes | None:
-        """The number of frames that the first one tells."""
+        """The number of frames in the first one."""
         first = len(one.payload) == 8 and int.from_bytes(one.payload[:2], "big") == MULTIPLE
         return _added(one.payload, 2, change) if first else None
 

@@ -1,4 +1,4 @@
-"""The models of the family, and what a device of each says of itself when the scenario says nothing else."""
+"""The models of the family, and their default identification."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Model:
     max_range_m: float
     "A farther echo is reported as none. 250 m: sicktoolbox_wrapper's range_max, Miro's no-echo limit."
     near_field_m: float = 2.5
-    """Echoes nearer than this are passed over while near-field suppression is on: the supplement (p. 5, 22) gives 2.5 m
+    """Echoes nearer than this are ignored while near-field suppression is on: the supplement (p. 5, 22) gives 2.5 m
     as shortest range, and 250 m as largest one without it."""
     fastest_hz: int = 20
     "Of the head; 10 in LD-LRS1000, 2100 and 3100 (supplement p. 5, 22)."
@@ -46,7 +46,7 @@ class Model:
     "Knows configuration item 0011 (LD-LRS36x1 only, by the C port of sicktoolbox)."
 
     def identities(self) -> dict[str, str]:
-        """Texts by name; part numbers, serial numbers and versions are placeholders of ours."""
+        """Texts by name; part numbers, serial numbers and versions are placeholders."""
         texts = dict.fromkeys(IDENTITIES.values(), "0000000")
         texts |= {name: "V1.00" for name in texts if name.endswith("version")}
         return texts | {"sensor_name": self.sensor_name, "firmware_name": "LD-FW", "application_name": "LD-APP"}
@@ -66,7 +66,7 @@ MODELS = {
 
 
 def model_of(facts: Mapping[str, Any]) -> Model:
-    """The model that a spec's `device` table names; `DeviceSettingError` when it names none, or says more."""
+    """The model that a spec's `device` table names; `DeviceSettingError` if it names none, or has other keys."""
     for key in facts:
         if key != "model":
             raise DeviceSettingError(key, facts[key], "only `model` in the device table of an ld spec")

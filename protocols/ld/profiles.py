@@ -149,7 +149,7 @@ def layout(form: int, sectors: Sequence[Span], step: int) -> Layout:
 
 @dataclass(frozen=True, eq=False)
 class Revolution:
-    """What the telegram of one revolution tells beside its layout."""
+    """The values of the telegram of one revolution, beside its layout."""
 
     count: int
     "PROFILECOUNT, already cut to 16 bits."

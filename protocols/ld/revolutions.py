@@ -1,7 +1,7 @@
-"""Which revolutions are to be measured, which were, and what their profiles will tell.
+"""Which revolutions are to be measured, which were, and the contents of their profiles.
 
-The device measures a revolution only when somebody wants its profile. Revolutions are counted from the head's origin,
-so that a late scan never shifts the next one.
+The device measures a revolution only if a host has requested its profile. Revolutions are counted from the head's
+origin, so that a late scan never shifts the next one.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Revolutions:
         return gone
 
     def rethink(self, now_ns: int) -> None:
-        """Somebody wants more of a revolution than was planned: plan those anew that have not begun."""
+        """A host requests more of a revolution than was planned: plan those again that have not begun."""
         self._wanted.renew()
         while self.measured and self.measured[-1].start_ns >= now_ns:
             self._next = self.measured.pop().revolution

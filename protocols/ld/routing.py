@@ -21,7 +21,7 @@ MAX_MESSAGES = 128
 SERIAL_BUFFER = 64
 "Characters; a full buffer is sent at once."
 SILENT_CHARACTERS = 10
-"Pause after which fewer are sent, in characters; the listing only says that it depends on the rate. [I]"
+"Pause after which fewer are sent, in characters; according to the listing it depends on the rate. [I]"
 
 Words = tuple[int, ...]
 

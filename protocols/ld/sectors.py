@@ -28,7 +28,7 @@ class Function(IntEnum):
     NO_MEASUREMENT = 1
     NORMAL = 3
     REFERENCE = 4
-    "Reported like a normal sector: no source tells a difference on the wire."
+    "Reported like a normal sector: no source has a difference on the wire."
 
 
 MEASURING = (Function.NORMAL, Function.REFERENCE)
@@ -93,7 +93,7 @@ def is_step(step: int) -> bool:
 
 
 def check(table: Table, hz: int, step: int) -> MeasureError:
-    """What TRANS_MEASURE says to a speed, a step and a table."""
+    """The error of TRANS_MEASURE for a speed, a step and a table."""
     if TICKS * hz > MAX_PULSE_HZ * step:
         return MeasureError.MAX_PULSE
     sectors = initialised(table)

@@ -165,7 +165,7 @@ def _trans_measure(device: Device, words: Words, now_ns: int) -> Answer:
 
 def _measure_now(device: Device, words: Words, now_ns: int) -> Answer:
     if device.rotation is None or device.spin_up is not None:
-        return fails(DropReason.WRONG_MODE, "told otherwise before the head was at speed")
+        return fails(DropReason.WRONG_MODE, "another command before the head was at speed")
     verdict = device.measure()
     if verdict is MeasureError.OK:
         return Answer((*device.status, verdict))
@@ -179,7 +179,7 @@ TURNING, MEASURING = frozenset((Mode.ROTATE, Mode.MEASURE)), frozenset((Mode.MEA
 
 @dataclass(frozen=True)
 class Command:
-    """One row: a service, how many data words it needs, and who carries it out (None: nobody, refused by name)."""
+    """One row: a service, its number of data words, and its handler (None: refused by name)."""
 
     name: str
     words: int
@@ -187,7 +187,7 @@ class Command:
     source: str
     note: str = ""
     states: frozenset[Mode] = ANY
-    "In which it is served. ERROR, of which the listing says nothing, takes them all."
+    "States in which it is executed. ERROR, which the listing does not mention, allows all."
     too_short: Words | None = None
     "Data of its reply to a request with too few words; None: SERVICE_FAILURE."
 
@@ -240,7 +240,7 @@ COMMANDS: dict[int, Command] = {
         4,
         _set_function,
         "UPS p. 23, TBX, DGC, FWK, MIR, HDE",
-        "sector, function and stop are brought into their ranges and told so",
+        "sector, function and stop are limited to their ranges and reported",
         STOPPED,
         too_short=_BAD_3,
     ),

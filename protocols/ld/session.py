@@ -63,7 +63,7 @@ class LdSession(TimedSession):
         self._lines: dict[int, Line] = {}
         self._channels: dict[Address, Channel] = {}
         self._revolutions = Revolutions()
-        self._told_mode = ""
+        self._reported_mode = ""
         self._will_start_itself = True
         "It has been switched on, and not yet entered its first mode."
         self._will_measure = False
@@ -124,7 +124,7 @@ class LdSession(TimedSession):
         self._settle(now_ns)
 
     def _set_line_speed(self, now_ns: int, but: Line | None = None) -> None:
-        """Set the speed of every serial line; the empty payload says nothing else."""
+        """Set the speed of every serial line; the payload is empty."""
         for index, line in self._lines.items():
             if line.kind is LinkKind.SERIAL and line is not but:
                 address = Address(index, 0)
@@ -150,7 +150,7 @@ class LdSession(TimedSession):
         self._release(address, now_ns)
 
     def _channel(self, address: Address) -> Channel | None:
-        """The channel of an address; senders of datagrams and CAN frames get one when they are first heard."""
+        """The channel of an address; senders of datagrams and CAN frames get one with their first message."""
         line = self._lines.setdefault(address.link, Line(LinkKind.STREAM))
         if line.kind is LinkKind.CAN and not self._is_host(address.peer):
             return None
@@ -492,7 +492,7 @@ class LdSession(TimedSession):
         return True
 
     def fail_motor(self, now_ns: int, motor: Motor) -> None:
-        """Make the motor run wrong (the status tells), stop it (the device is in ERROR), or heal it (OK)."""
+        """Impair the motor (reported in the status), stop it (state ERROR), or restore it (OK)."""
         self.advance(now_ns)
         self.device.fail_motor(now_ns, motor)
         self._settle(now_ns)
@@ -503,7 +503,7 @@ class LdSession(TimedSession):
         if what == "motor speed":
             self.device.turn_at(now_ns, degree)
             self._revolutions.rethink(now_ns)
-        elif what == "motor told":
+        elif what == "motor status":
             self.device.find_motor(Motor.TOO_FAST if degree > 0 else Motor.TOO_SLOW if degree < 0 else Motor.OK)
         elif what == "motor stopped":
             self.device.found = Motor.STOPPED if degree else Motor.OK
@@ -520,6 +520,6 @@ class LdSession(TimedSession):
     def _tell_mode(self, now_ns: int) -> None:
         device = self.device
         mode = "booting" if device.is_booting(now_ns) else "spinning up" if device.spin_up else device.mode.name.lower()
-        if mode != self._told_mode:
-            self._told_mode = mode
+        if mode != self._reported_mode:
+            self._reported_mode = mode
             self._events.mode(now_ns, mode)

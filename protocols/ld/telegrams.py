@@ -1,7 +1,7 @@
 """Messages of the LD user protocol: service words, sensor status, and words as big-endian bytes.
 
-A message is a service word and its data words; how it is framed on each interface is told in `usp` (TCP),
-`packages` (RS-232/422) and `segments` (CAN). What a service does is told in `services`.
+A message is a service word and its data words; its framing is in `usp` (TCP), `packages`
+(RS-232/422) and `segments` (CAN). The services are in `services`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""SICK LMS200, LMS211, LMS220, LMS221, LMS291: the device's side of their serial telegrams.
+"""SICK LMS200, LMS211, LMS220, LMS221, LMS291: the device side of their serial protocol.
 
 Reading order: `telegrams` (bytes), `commands` (what each request does), `schedule` (when scans are sent), `session`.
-`settings.KEYS` lists what a scenario's `device:` table may say, `models.MODELS` what sets the models apart.
+`settings.KEYS` lists the keys of a scenario's `device:` table, `models.MODELS` the differences of the models.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a command's handler gives back, and what a row of the command table says. No command, no layout of data."""
+"""The result of a command's handler, and the row of the command table. No commands, no layout of data."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Answer:
     delay: str = "data_s"
     "Which of the `Delays` it takes."
     refusal: DropReason | None = None
-    "Set when the device does not do as asked; the payload says so in its own way."
+    "Set if the device refuses the request; the payload has the device's refusal."
     detail: str = ""
     new_baud: int | None = None
     "The line's speed behind the reply."
@@ -37,7 +37,7 @@ Handler = Callable[[Device, bytes], Result]
 
 @dataclass(frozen=True)
 class Command:
-    """One row: how it is answered, and who says so."""
+    """One row: the handler, and the source."""
 
     name: str
     source: str

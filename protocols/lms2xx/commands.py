@@ -365,7 +365,7 @@ COMMANDS: Mapping[int, Command] = {
         f"{TL}, p. 88",
         field_commands.aim,
         (6, 10, 14),
-        note="E9 tells the first range; no effect on values",
+        note="E9 reports the first range; no effect on values",
     ),
     0x74: Command("read configuration", HOSTS, _read_configuration),
     0x75: Command(

@@ -1,4 +1,4 @@
-"""The state of one LMS2xx and the blocks that tell of it: type, status. No time, no bytes of the line."""
+"""The state of one LMS2xx and the blocks that report it: type, status. No time, no bytes of the line."""
 
 from __future__ import annotations
 
@@ -205,7 +205,7 @@ def variant_words(device: Device) -> bytes:
 POLLUTION, POLLUTION_REFERENCE = 500, 600
 POLLUTION_CALIBRATION, REFERENCE_CALIBRATION = 510, 610
 NINETIETH_US = 148
-"Microseconds of 1/90 turn of the mirror at 75 turns a second (listing, p. 54)."
+"Microseconds of 1/90 turn of the mirror at 75 turns per second (listing, p. 54)."
 LASER_POWER = 100
 "Per cent of the value at calibration."
 "Values of a clean, healthy device; plausible, not measured."

@@ -176,7 +176,7 @@ def make_permanent(device: Device, data: bytes) -> Result:
 
 
 def aim(device: Device, data: bytes) -> Result:
-    """69: shots in up to three ranges of angles; E9 tells the first one. Nothing else is known of its effect."""
+    """69: shots in up to three ranges of angles; E9 reports the first one. No other effect is known."""
     step, count = data[0], data[1]
     angles = words(data[2:])
     pairs = list(zip(angles[0::2], angles[1::2], strict=True))[:count]

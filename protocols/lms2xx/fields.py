@@ -52,7 +52,7 @@ class Field:
 
     @property
     def segments(self) -> int:
-        """Segments whose smallest value is told apart: those of a segmented field, else the whole."""
+        """Segments with a separate smallest value: those of a segmented field, otherwise the whole field."""
         return len(self.sizes) - 1 if self.shape == SEGMENTED else 1
 
     def edges_deg(self) -> tuple[float, ...]:
@@ -79,7 +79,7 @@ def _count_byte(segments: int) -> int:
 
 
 class FieldFault(ValueError):
-    """Data of command 40 that are no field; the message says why."""
+    """Data of command 40 that are not a field; the message has the reason."""
 
 
 class SegmentFault(FieldFault):

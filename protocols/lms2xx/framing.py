@@ -26,7 +26,7 @@ class Lms2xxFraming(Framing):
         return _checked(one.payload[:2] + word(length & 0xFFFF) + one.payload[4:-CRC_BYTES])
 
     def with_counter(self, one: Emission, change: int) -> bytes | None:
-        """The real-time scan index and the telegram index, where the device was told to send them."""
+        """The real-time scan index and the telegram index, if the device is configured to send them."""
         places = _indices(one.payload)
         if places is None:
             return None

@@ -43,7 +43,7 @@ GROUP_BYTES = 6
 
 
 class Find(Enum):
-    """What of a scan is sent, where the command alone does not tell."""
+    """The part of a scan that is sent, as far as the command does not define it."""
 
     VALUES = "values"
     SEGMENTS = "smallest value of each segment of field A"
@@ -66,7 +66,7 @@ class Output:
     direct: bool = False
     "A telegram for each turn of the scan: bit 15 of the first beam's word."
     every: int = 1
-    "Each so manieth value, the first included."
+    "Every n-th value, beginning with the first."
     find: Find = Find.VALUES
     count: int = 0
     "Values of `SEGMENTS` and `VERTICAL`."
@@ -168,7 +168,7 @@ def nearest(scan: Scan) -> Measured:
 
 @dataclass(frozen=True)
 class Format:
-    """How values are written: configuration bytes D and E, and what tells reflectance from signal."""
+    """Format of values: configuration bytes D and E, and the scale from signal to reflectance."""
 
     mode: MeasuringMode
     unit: int
@@ -185,7 +185,7 @@ class Format:
         return max_range_m(self.mode, self.unit)
 
     def wants_intensity(self, output: Output) -> bool:
-        """Whether this telegram says anything about the strength of echoes."""
+        """Whether this telegram has the strength of echoes."""
         return output.wants_intensity or self.mode.reflectivity_bits > 0 or self.mode.only_reflectivity
 
 

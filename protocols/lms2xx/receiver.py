@@ -24,9 +24,9 @@ class Receiver:
     def __init__(self, known_commands: frozenset[int], gap_ns: int, strict: bool) -> None:
         """`gap_ns`: longest pause inside a telegram.
 
-        `strict`: after it everything incomplete is dropped, as the device does after 6 ms. Else the pause only tells
-        that the first STX was none, and whole telegrams behind it still count: a pty or a network may hold bytes back.
-        `known_commands` tell a telegram for another address from noise that happens to begin with 02.
+        `strict`: after it everything incomplete is dropped, as the device does after 6 ms. Otherwise only
+        the first STX is dropped, and complete telegrams after it are accepted: a pty or a network may delay bytes.
+        `known_commands` distinguish a telegram for another address from noise that begins with 02.
         """
         self._known = known_commands
         self._gap_ns = gap_ns

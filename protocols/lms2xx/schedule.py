@@ -157,7 +157,7 @@ class Schedule:
         self._stream_turn = 0
         "End of the last scan of the stream that has a slot."
         self._sent_turn: int | None = None
-        "Beginning of the first scan of the stream that was neither sent nor told of; None: no scan was looked for yet."
+        "Beginning of the first scan of the stream that was neither sent nor reported; None: none was searched for yet."
         self._number = 0
         "Of streams, and of scans that were asked for."
         self._stream_number = 0
@@ -167,12 +167,12 @@ class Schedule:
         self.passed: list[Unsent] = []
         "Scans that ended unsent before the next slot of the stream, since last asked."
         self._telegrams = 0
-        "Of this stream so far, pending ones included: tells which partial scan is next."
+        "Telegrams of this stream so far, including pending ones: determines the next partial scan."
         self._wanted: Wanted[Slot] = Wanted()
         "The scan that was asked for, and the slot that it is for."
 
     def restart(self, mirror: Mirror) -> None:
-        """The mirror begins to turn anew; nothing is wanted."""
+        """The mirror starts to turn; no scan is requested."""
         self._keep([])
         self._wanted.epoch += 1
         self._mirror = self._line.mirror = mirror
@@ -376,7 +376,7 @@ class Schedule:
         return [Unsent(reason, found, self._stream_number) for reason, found in causes if found]
 
     def _pass_ended(self, slot: Slot, now_ns: int) -> None:
-        """Tell at once of scans before a slot that have ended, if one was late or replies have taken the line."""
+        """Report scans before a slot that have ended immediately, if one was late or replies have occupied the line."""
         turns = slot.comb.turns
         until = min(slot.first_turn, self._ended_by(now_ns, turns))
         passed = 0 if self._sent_turn is None else (until - self._sent_turn) // turns
@@ -451,7 +451,7 @@ class Schedule:
         self._stream_turn = max((slot.end_turn for slot in self._slots if not slot.once), default=self._stream_turn)
 
     def _drop_stream_slots(self) -> None:
-        """Take back what of the stream has not been sent; its place is found anew."""
+        """Withdraw the part of the stream that has not been sent; its slot is determined again."""
         kept = [slot for slot in self._slots if slot.once]
         self._telegrams -= len(self._slots) - len(kept)
         self._stream_turn = self._sent_turn or 0

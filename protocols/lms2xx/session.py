@@ -135,7 +135,7 @@ class Lms2xxSession(EventSession):
             self._device = replace(self._device, motor=degree)
             self._mirror = replace(self._mirror, motor=self._motor)
             self._schedule.motor_changed(self._mirror)
-        elif what == "motor told":
+        elif what == "motor status":
             self._device = replace(self._device, motor_wrong=degree != 0.0)
         elif what == "motor stopped":
             self._device = replace(self._device, motor=1.0 - degree, motor_wrong=degree != 0.0)
@@ -159,7 +159,7 @@ class Lms2xxSession(EventSession):
         self._receivers.connected(address, kind)
 
     def disconnected(self, now_ns: int, address: Address) -> None:
-        """A stream's host has gone, with what it had begun to say."""
+        """A TCP client has disconnected: discard its buffer."""
         self._receivers.disconnected(address)
 
     # --- input ---

@@ -1,4 +1,4 @@
-"""The `device:` table of a scenario: what a real LMS2xx keeps over power-off, and how ours is to behave.
+"""The `device:` table of a scenario: settings that a real LMS2xx retains over power cycles, and emulator options.
 
 `KEYS` is the list of it; `read` checks a table and makes `Settings` of it. Nothing here changes during a run.
 """
@@ -101,7 +101,7 @@ KEYS = (
     ),
     DeviceKey("gap_s", "number > 0", "0.2 (strict 0.006)", "longest pause between bytes of a request"),
 )
-"Every key of `device:`. A real LMS returns to 180 deg at 0.5 deg at power-on; ours to what the table says."
+"Every key of `device:`. A real LMS returns to 180 deg at 0.5 deg at power-on; the emulated one to the table."
 
 
 def read(table: Mapping[str, Any], model: Model) -> Settings:
@@ -139,7 +139,7 @@ def read(table: Mapping[str, Any], model: Model) -> Settings:
 
 
 class _Taker:
-    """Values of the table, each checked; a wrong one is told with what `KEYS` allows."""
+    """Values of the table, each checked; an error has what `KEYS` allows."""
 
     def __init__(self, table: Mapping[str, Any], keys: Mapping[str, DeviceKey]) -> None:
         self.table = table

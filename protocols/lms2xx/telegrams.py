@@ -179,7 +179,7 @@ class MeasuredValues:
 
 
 def read_values(telegram: Telegram) -> MeasuredValues | None:
-    """What a B0, B6, B7, BF, C4 or F5 (first group) says; None for any other telegram, or one of a wrong length."""
+    """Contents of a B0, B6, B7, BF, C4 or F5 (first group); None for any other telegram, or a wrong length."""
     data, at, scans, first = telegram.data, 0, 1, 1
     groups = 1
     if telegram.command not in (0xB0, 0xB6, 0xB7, 0xBF, 0xC4, 0xF5) or len(data) < 3:

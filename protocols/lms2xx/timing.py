@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 from protocols.quartz import TRUE, Quartz
 
 TURN_NUMERATOR_NS, TURN_DENOMINATOR = 40_000_000, 3
-"75 turns a second (listing, all drivers): turn k begins k * 40/3 ms after turn 0."
+"75 turns per second (listing, all drivers): turn k begins k * 40/3 ms after turn 0."
 TURN_S = TURN_NUMERATOR_NS / TURN_DENOMINATOR / 1e9
 
 BITS_A_BYTE = 10
@@ -19,12 +19,12 @@ BITS_A_BYTE = 10
 
 @dataclass(frozen=True)
 class Mirror:
-    """The mirror, turning since `zero_ns`."""
+    """The mirror; it has turned since `zero_ns`."""
 
     zero_ns: int
-    "As its motor counts."
+    "In the time of its motor."
     motor: Quartz = TRUE
-    "How fast the motor turns against what it should."
+    "Speed of the motor relative to the nominal one."
 
     def turn_ns(self, turn: int) -> int:
         """When turn number `turn` begins."""
@@ -43,7 +43,7 @@ class Mirror:
         return self.turn_ns(0)
 
     def slowed(self, time_ns: int) -> float:
-        """By how much a turn takes longer than it should."""
+        """Duration of a turn over the nominal one."""
         return 1e9 / (1e9 + self.motor.ppb(time_ns))
 
 
@@ -111,5 +111,5 @@ DELAYS = {
 }
 """fast: every driver read stays within its time-outs (MRPT gives 300 ms, CARMEN 250 ms). real: within the documented
 limits (ACK 60 ms, mode change 3 s, EEPROM write 7 s, power-on 60 s; RACK saw 1-3 s for a mode change), so that a
-driver's own time-outs are tried: sicktoolbox, ARIA, RACK and manorajesh pass it; MRPT, CARMEN and Player, which give
+driver's own time-outs are tested: sicktoolbox, ARIA, RACK and manorajesh pass it; MRPT, CARMEN and Player, which give
 250 to 600 ms where the documents allow seconds, do not."""

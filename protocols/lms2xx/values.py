@@ -66,7 +66,7 @@ MEASURING_MODES = {
     0x3F: MeasuringMode("reflectivity", 16, only_reflectivity=True),
 }
 """By configuration byte D (sicktoolbox, GearBox, listing via Gepruft_Lidar; 0D and 0E: MIT driver, libFAIR). Names
-tell the range in mm unit. 05 has one reflectivity bit (sicktoolbox, ARIA); 0F has 16 bits, of which 15 are used."""
+have the range in mm. 05 has one reflectivity bit (sicktoolbox, ARIA); 0F has 16 bits, of which 15 are used."""
 
 REFLECTOR_THRESHOLDS = {
     3: np.array([2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0]),
@@ -74,7 +74,7 @@ REFLECTOR_THRESHOLDS = {
     1: np.array([2.0]),
 }
 """Reflectance relative to a white Lambert target from which each reflector level begins, by number of bits. No source
-tells SICK's own; ours start at twice white, so that only retro-reflectors get a level (listing: 0, no reflector)."""
+has SICK's values; these start at twice white, so that only retro-reflectors get a level (listing: 0, no reflector)."""
 
 DAZZLED_REFLECTIVITY = 255
 
@@ -139,7 +139,7 @@ def intensity_words(intensity: Floats, rho: Floats, mode: MeasuringMode) -> Word
     """Intensity words of F5, (n,); 0 without an echo.
 
     Raw (mode 0E): 7000 at the detection threshold, 1000 more with each doubling, at most 13000, the span that the MIT
-    driver notes. Normalised: reflectance in thousandths of white. Both scales are ours; no source tells SICK's.
+    driver notes. Normalised: reflectance in thousandths of white. Both scales are chosen here; no source has SICK's.
     """
     if mode.raw_intensity:
         signal = np.maximum(np.nan_to_num(intensity, nan=0.0, posinf=64.0), 0.0)

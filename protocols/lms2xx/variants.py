@@ -1,4 +1,4 @@
-"""Angles: which beams a scan has, in which turn of the mirror each is fired, and when.
+"""Angles: the beams of a scan, in which turn of the mirror each is fired, and when.
 
 The wire counts degrees from the right, 90 straight ahead, counter-clockwise seen from above; plans use azimuth 0 ahead,
 positive to the left.

@@ -1,6 +1,6 @@
-"""What has happened to a device, for counters and recordings: in order, and bounded for a caller that never asks.
+"""Event log of a device, for counters and recordings: in order, and bounded if the caller never takes the events.
 
-Belongs here: the list and the words for what goes into it. Not: what a family makes of it.
+Belongs here: the list and shortcuts for its events. Not: when a family logs one.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from protocols.session import (
 
 
 class EventLog:
-    """Events not yet taken, the oldest first; of more than `most` the oldest go."""
+    """Events not yet taken, the oldest first; beyond `most` the oldest are discarded."""
 
     def __init__(self, most: int = MAX_EVENTS) -> None:
         self._kept: deque[Event] = deque(maxlen=most)
@@ -31,11 +31,11 @@ class EventLog:
         return len(self._kept)
 
     def add(self, event: Event) -> None:
-        """One more."""
+        """Append one event."""
         self._kept.append(event)
 
     def extend(self, events: Iterable[Event]) -> None:
-        """Some more."""
+        """Append several events."""
         self._kept.extend(events)
 
     def take(self) -> list[Event]:
@@ -45,7 +45,7 @@ class EventLog:
         return events
 
     def drop(self, at_ns: int, reason: DropReason, detail: str = "", count: int = 1) -> None:
-        """Input that went no further; `count`: bytes or frames of it."""
+        """Input that was dropped; `count`: number of bytes or frames."""
         self._kept.append(Dropped(at_ns, reason, detail, count))
 
     def unsent(
@@ -57,7 +57,7 @@ class EventLog:
         stream: int | None = None,
         address: Address | None = None,
     ) -> None:
-        """Scans that hosts do not get, by their numbers; of all hosts without `address`. Nothing of an empty range."""
+        """Scans that hosts do not get, by their numbers; without `address`: no host. Nothing for an empty range."""
         self._kept.extend(dropped_scans(at_ns, reason, sweeps, detail, stream, address))
 
     def handled(self, at_ns: int, command: str, outcome: str = "done") -> None:

@@ -1,6 +1,6 @@
-"""What a module offers as `FAMILY`, made of a session, its keys and its commands.
+"""`FAMILY` of a module, made of a session, its keys and its commands.
 
-Belongs here: the family of a package of its own. Not: families with several sessions, as those of `protocols`.
+Belongs here: the family of a separate package. Not: families with several sessions, as those of `protocols`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class SimpleFamily:
     tcp_is_line: bool
     "Whether TCP reaches the device through a serial device server."
     build: Callable[[DeviceKeys], Session]
-    "Takes its keys, with their defaults, and makes the session of them."
+    "Reads the keys, with their defaults, and makes the session."
     rows: tuple[CommandRow, ...] = ()
 
     def new_session(self, device: Mapping[str, Any], facts: Mapping[str, Any]) -> Session:

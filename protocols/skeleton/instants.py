@@ -1,4 +1,4 @@
-"""Instants: numbered ones from a number and never from a running sum, repeated ones, and time that goes on in order.
+"""Instants computed from an index and never from a running sum, timers, and execution in order of time.
 
 Belongs here: arithmetic on integer nanoseconds. Not: what happens at an instant.
 """
@@ -11,7 +11,7 @@ from fractions import Fraction
 
 SECOND_NS = 1_000_000_000
 FAR_BEHIND = 10
-"Periods of a timer after which calls that were missed are not made good."
+"Missed periods of a timer beyond which they are not made up one by one."
 
 
 def earliest(instants: Iterable[int | None]) -> int | None:
@@ -20,10 +20,10 @@ def earliest(instants: Iterable[int | None]) -> int | None:
 
 
 def run_until(now_ns: int, from_ns: int, next_instant: Callable[[], int | None], happen: Callable[[int], None]) -> int:
-    """Let everything that is due by `now_ns` happen, each at its own instant; until when time has come.
+    """Execute everything that is due by `now_ns`, each at its own instant; the time reached.
 
-    `next_instant` is asked again after each `happen`, which must move it on. One that lies before what has happened
-    already, `from_ns` first, happens then.
+    `next_instant` is called again after each `happen`, which must advance it. An instant in the past is executed at the
+    time already reached, at first `from_ns`.
     """
     while (instant := next_instant()) is not None and instant <= now_ns:
         from_ns = max(from_ns, instant)
@@ -33,11 +33,11 @@ def run_until(now_ns: int, from_ns: int, next_instant: Callable[[], int | None],
 
 @dataclass(frozen=True)
 class Raster:
-    """Numbered instants: number `first` at `zero_ns`, then one a period, rounded down to nanoseconds."""
+    """Numbered instants: number `first` at `zero_ns`, then one per period, rounded down to nanoseconds."""
 
     zero_ns: int
     period_ns: Fraction
-    "May be a fraction: 40/3 ms is one of 75 a second."
+    "May be a fraction: 40/3 ms is a rate of 75 per second."
     first: int = 0
 
     def at(self, number: int) -> int:
@@ -51,13 +51,13 @@ class Raster:
         return self.first - (-behind // self.period_ns.numerator)
 
     def going_on(self, number: int, period_ns: Fraction) -> Raster:
-        """Another period from the instant of that number on."""
+        """With another period from the instant of that number on."""
         return Raster(self.at(number), period_ns, number)
 
 
 @dataclass
 class Timer:
-    """Something that happens again and again."""
+    """A periodic action."""
 
     due_ns: int
     period_ns: int
@@ -71,13 +71,13 @@ class Timers:
         self._timers: list[Timer] = []
 
     def add(self, first_ns: int, period_ns: int, action: Callable[[int], None]) -> Timer:
-        """`action` of the instant, first at `first_ns`."""
+        """Call `action(instant)` periodically, first at `first_ns`."""
         timer = Timer(first_ns, period_ns, action)
         self._timers.append(timer)
         return timer
 
     def clear(self) -> None:
-        """Forget all."""
+        """Remove all timers."""
         self._timers.clear()
 
     def next_ns(self) -> int | None:
@@ -85,7 +85,7 @@ class Timers:
         return min((timer.due_ns for timer in self._timers), default=None)
 
     def run(self, now_ns: int) -> None:
-        """Let what is due happen in order; a timer that nobody called for `FAR_BEHIND` periods happens once for all."""
+        """Execute what is due, in order; a timer that is more than `FAR_BEHIND` periods late is executed once."""
         while due := [timer for timer in self._timers if timer.due_ns <= now_ns]:
             timer = min(due, key=lambda timer: timer.due_ns)
             if now_ns - timer.due_ns > FAR_BEHIND * timer.period_ns:

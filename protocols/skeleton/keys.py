@@ -1,4 +1,4 @@
-"""Reading of a scenario's `device:` table: every key checked, unknown ones refused with what is known.
+"""Reading of a scenario's `device:` table: every key is checked, unknown ones are refused with the known ones.
 
 Belongs here: how a key is read. Not: which keys a family has.
 """
@@ -15,13 +15,13 @@ Value = TypeVar("Value")
 
 
 class DeviceKeys:
-    """A scenario's table over the model's own; each value is taken once, `finish` refuses what nobody took."""
+    """A scenario's table over that of the model; each value is read once, `finish` refuses those that were not read."""
 
     def __init__(self, device: Mapping[str, Any], facts: Mapping[str, Any], prefix: str = "") -> None:
         self._values: dict[str, Any] = {**facts, **device}
         self._prefix = prefix
         self.known: list[DeviceKey] = []
-        "Keys asked for so far."
+        "Keys read so far."
 
     def integer(self, key: str, meaning: str, default: int, low: int, high: int) -> int:
         """An integer from `low` to `high`."""
@@ -62,7 +62,7 @@ class DeviceKeys:
         return float(found)
 
     def text(self, key: str, meaning: str, default: str, longest: int) -> str:
-        """Printable ASCII, at most so long; a number is taken as it is written."""
+        """Printable ASCII, at most `longest` characters; a number is accepted as written."""
         entry = DeviceKey(key, f"text of at most {longest} printable ASCII characters", default, meaning)
         found: Any = self._take(
             entry,
@@ -105,7 +105,7 @@ class DeviceKeys:
         return self._take(entry, nothing, lambda value: value is None or isinstance(value, Mapping))
 
     def finish(self, of: Collection[str] | None = None) -> None:
-        """Refuse the first key that nobody has taken; `of`: of these alone."""
+        """Refuse the first key that was not read; `of`: check only these."""
         for key, value in self._values.items():
             if of is not None and key not in of:
                 continue

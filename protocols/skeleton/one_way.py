@@ -1,4 +1,4 @@
-"""A device that sends by itself and hears nothing: datagrams of sweeps, and others by the clock.
+"""A device that only sends and ignores input: datagrams of sweeps, and periodic ones.
 
 Belongs here: what rotating scanners on UDP have in common. Not: the layout of a packet.
 """
@@ -14,20 +14,20 @@ from protocols.skeleton.sweeps import SweepSession
 
 
 class OneWaySession(SweepSession):
-    """Streams to every link from the end of its boot on."""
+    """Streams to every link after the boot."""
 
     def _start(self, now_ns: int) -> None:
         self._subscribe(now_ns, None)
 
     def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
-        """It hears nothing; what came is told."""
+        """Input is ignored and reported as dropped."""
         self.advance(now_ns)
         if data:
             self._events.drop(now_ns, DropReason.UNKNOWN_COMMAND, "it takes no commands", len(data))
 
 
 def packets(fire_offset_s: Floats, beams: int) -> Iterator[tuple[slice, int]]:
-    """Beams of each packet of so many, and when its last beam has fired after the sweep's beginning. [ns]
+    """Slices of `beams` beams for each packet, and the firing time of its last beam after the sweep's beginning. [ns]
 
     fire_offset_s (n,) in the order of the packets. The last packet may have fewer.
     """

@@ -1,6 +1,6 @@
-"""Telegrams on their way: in the order in which they are due, and withdrawn where the device would.
+"""Telegrams to be sent: in the order of their due times; they can be withdrawn as the device would.
 
-Belongs here: what has not left. Not: when a telegram is due, and how busy its line is.
+Belongs here: telegrams not sent yet. Not: when a telegram is due, and how busy its line is.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from protocols.session import Address, Emission
 
 @dataclass(eq=False)
 class Outgoing:
-    """One telegram: its emissions in order, handed over burst by burst."""
+    """One telegram: its emissions in order, passed on in bursts."""
 
     to: Address | None
     "Address of the host it belongs to; None: no host's own."
     emissions: deque[Emission]
     is_scan: bool = False
     free_before_ns: int = 0
-    "When its line was free without it."
+    "When its line would be free without it."
     free_after_ns: int = 0
     begun: bool = False
 
 
 class Outbox:
-    """All telegrams of the device that have not left; those due together leave in the order they were put in."""
+    """All telegrams of the device not sent yet; those due together are sent in the order of insertion."""
 
     def __init__(self, burst: int = 1) -> None:
-        """`burst`: emissions of one telegram that are handed over together, though only the first is due."""
+        """`burst`: number of emissions of one telegram that are passed on together when the first is due."""
         self._heap: list[tuple[int, int, Outgoing]] = []
         self._number = count()
         self._burst = burst
@@ -51,11 +51,11 @@ class Outbox:
         return sent
 
     def next_ns(self) -> int | None:
-        """When `take` has something."""
+        """When the next telegram is due."""
         return self._heap[0][0] if self._heap else None
 
     def take(self, now_ns: int) -> list[Emission]:
-        """What is due."""
+        """The emissions that are due."""
         taken: list[Emission] = []
         while self._heap and self._heap[0][0] <= now_ns:
             _, _, sent = heapq.heappop(self._heap)
@@ -66,7 +66,7 @@ class Outbox:
         return taken
 
     def withdraw(self, wanted: Callable[[Outgoing], bool]) -> list[Outgoing]:
-        """Take back the telegrams of which `wanted` is true, and tell which they were, the last due first."""
+        """Remove the telegrams for which `wanted` is true and return them, the last due first."""
         gone = [sent for _, _, sent in sorted(self._heap, reverse=True) if wanted(sent)]
         if gone:
             self._heap = [entry for entry in self._heap if entry[2] not in gone]
@@ -74,5 +74,5 @@ class Outbox:
         return gone
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Remove everything."""
         self._heap.clear()

@@ -1,6 +1,6 @@
-"""From what hosts send to requests: any chunking, bounded, half requests given up after a pause, hosts kept apart.
+"""From bytes of hosts to requests: any chunking, bounded, inter-byte time-out, one receiver per host.
 
-Belongs here: the search for frames and lines, and who said them. Not: what a request means.
+Belongs here: the search for frames and lines, by host. Not: the meaning of a request.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from protocols.session import Address, DropReason, LinkKind
 from protocols.skeleton.instants import earliest
 
 MAX_CONNECTIONS = 64
-"Connections whose half requests are remembered; of more the oldest is forgotten."
+"Connections whose incomplete requests are kept; beyond that the oldest is discarded."
 
 Item = TypeVar("Item")
 Refusal = tuple[DropReason, str]
-"Why something is no frame, and a detail for the trace."
+"Why bytes are not a frame, and a detail for the trace."
 
 
 @dataclass(frozen=True)
 class Fault:
-    """Input that is no request for this device."""
+    """Input that is not a request to this device."""
 
     reason: DropReason
     count: int
-    "Bytes given up."
+    "Bytes discarded."
     detail: str = ""
     whole: bool = False
-    "It came to its end but cannot be accepted; a device may answer that."
+    "It is complete but not acceptable; a device may answer that."
 
 
 class Splitter(ABC, Generic[Item]):
@@ -46,7 +46,7 @@ class Splitter(ABC, Generic[Item]):
 
     @abstractmethod
     def _next(self) -> Item | Fault | None:
-        """Take the first item or fault out of the buffer; None: more bytes are needed."""
+        """Remove the first item or fault from the buffer; None: more bytes are needed."""
 
     def feed(self, data: bytes) -> list[Item | Fault]:
         """Items and faults in the order of the stream."""
@@ -62,17 +62,17 @@ class Splitter(ABC, Generic[Item]):
                 found.append(Fault(DropReason.OVERLONG, self._buffer.clear()))
 
     def expire(self) -> list[Item | Fault]:
-        """Give up what stopped half-way."""
+        """Discard an incomplete item."""
         gone = self._buffer.clear()
         return [Fault(DropReason.TIMEOUT, gone)] if gone else []
 
     def clear(self) -> int:
-        """Forget what is held; how many bytes that was."""
+        """Discard the buffer; the number of bytes."""
         return self._buffer.clear()
 
 
 class LineSplitter(Splitter[bytes]):
-    """Lines of text, with what ends them."""
+    """Lines of text, including their line end."""
 
     def __init__(self, longest: int, end: bytes = b"\n") -> None:
         super().__init__(longest)
@@ -85,9 +85,9 @@ class LineSplitter(Splitter[bytes]):
 
 
 class FrameSplitter(Splitter[bytes]):
-    """Frames that begin with `START` and whose first `HEAD_BYTES` tell their length.
+    """Frames that begin with `START` and have their length within the first `HEAD_BYTES`.
 
-    Behind a frame that is none the next one is looked for right after its `START`: its length may be what was damaged.
+    After an invalid frame the search continues right after its `START`, because its length field may be damaged.
     """
 
     START: ClassVar[bytes]
@@ -99,10 +99,10 @@ class FrameSplitter(Splitter[bytes]):
 
     @abstractmethod
     def _open(self, frame: bytes) -> bytes | Refusal:
-        """What is in a frame."""
+        """The contents of a frame, or why it is refused."""
 
     def expire(self) -> list[bytes | Fault]:
-        """Give up the frame that stopped half-way; what a false start swallowed is read again."""
+        """Discard the start of an incomplete frame; the bytes after a false start are parsed again."""
         gone = len(self._buffer.take(len(self.START)))
         return [Fault(DropReason.TIMEOUT, gone), *self.feed(b"")] if gone else []
 
@@ -132,7 +132,7 @@ class FrameSplitter(Splitter[bytes]):
 
 
 class Receiver(Generic[Item]):
-    """A splitter, and the longest pause inside a request."""
+    """A splitter with an inter-byte time-out."""
 
     def __init__(self, splitter: Splitter[Item], gap_ns: int) -> None:
         self._splitter = splitter
@@ -140,38 +140,38 @@ class Receiver(Generic[Item]):
         self._last_ns = 0
 
     def deadline(self) -> int | None:
-        """When half a request will have waited too long; None while nothing waits."""
+        """When the inter-byte time-out of an incomplete request ends; None: there is none."""
         return self._last_ns + self._gap_ns if self._splitter else None
 
     def feed(self, data: bytes, now_ns: int) -> list[Item | Fault]:
-        """Take bytes; what they complete, in order."""
+        """Add bytes; the items that they complete, in order."""
         found = self.expire(now_ns)
         found += self._splitter.feed(data)
         self._last_ns = now_ns
         return found
 
     def expire(self, now_ns: int) -> list[Item | Fault]:
-        """What the pause since the last byte decides."""
+        """Apply the inter-byte time-out."""
         found: list[Item | Fault] = []
-        # where a false start is given up, what it swallowed may be half a request too, and as old
+        # after a false start is discarded, the bytes after it may be an incomplete request too, of the same age
         while (deadline := self.deadline()) is not None and deadline <= now_ns:
             found += self._splitter.expire()
         return found
 
     def end(self) -> list[Item | Fault]:
-        """Nothing follows, as behind a datagram: what is not whole is given up."""
+        """End of input, as after a datagram: discard what is incomplete."""
         found: list[Item | Fault] = []
         while self._splitter:
             found += self._splitter.expire()
         return found
 
     def clear(self) -> None:
-        """Forget what has come."""
+        """Discard the input so far."""
         self._splitter.clear()
 
 
 class HasDeadline(Protocol):
-    """What is kept for a connection."""
+    """State of a connection."""
 
     def deadline(self) -> int | None: ...
 
@@ -182,7 +182,7 @@ Kept = TypeVar("Kept", bound=HasDeadline)
 
 
 class Connections(Generic[Kept]):
-    """One receiver for each connection of a stream, one for each other link; made when bytes first come."""
+    """One receiver per TCP connection, and per other link; created with the first bytes."""
 
     def __init__(self, new: Callable[[LinkKind | None], Kept], most: int = MAX_CONNECTIONS) -> None:
         self._new = new
@@ -194,24 +194,24 @@ class Connections(Generic[Kept]):
         return len(self._kept)
 
     def values(self) -> Iterable[Kept]:
-        """All that are kept."""
+        """The states of all connections."""
         return list(self._kept.values())
 
     def kind(self, address: Address | None) -> LinkKind | None:
-        """How the link of an address carries bytes; None: nobody said."""
+        """Kind of the link of an address; None: unknown."""
         return None if address is None else self._kinds.get(address.link)
 
     def connected(self, address: Address, kind: LinkKind) -> None:
-        """A link is there, or a stream's host has connected: it begins with nothing said."""
+        """A link is open, or a TCP client has connected: it starts with an empty buffer."""
         self._kinds[address.link] = kind
         self._kept.pop(self._key(address), None)
 
     def disconnected(self, address: Address) -> None:
-        """A stream's host has gone, with what it had begun to say."""
+        """A TCP client has disconnected: discard its buffer."""
         self._kept.pop(self._key(address), None)
 
     def of(self, address: Address | None) -> Kept:
-        """What is kept for whom bytes came from."""
+        """State of the connection that bytes came from."""
         key = self._key(address)
         if key not in self._kept:
             if len(self._kept) >= self._most:
@@ -220,12 +220,12 @@ class Connections(Generic[Kept]):
         return self._kept[key]
 
     def clear(self) -> None:
-        """Forget what all have begun to say, as a device that starts anew."""
+        """Discard all buffers, as at a restart of the device."""
         for one in self._kept.values():
             one.clear()
 
     def deadline(self) -> int | None:
-        """When the first half request will have waited too long."""
+        """When the first inter-byte time-out ends."""
         return earliest(one.deadline() for one in self._kept.values())
 
     def _key(self, address: Address | None) -> tuple[int, int]:

@@ -1,6 +1,6 @@
-"""A device with a table of commands: requests in, each with its reply in its order, scans to whoever asked for them.
+"""A device with a command table: requests in, replies in the same order, scans to subscribers.
 
-Belongs here: the path from bytes to a row of the table and back. Not: what a row does, and how a reply is framed.
+Belongs here: the path from bytes to a row of the table and back. Not: the action of a row, and the framing of a reply.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from protocols.skeleton.receiving import Connections, Fault, Receiver, Splitter
 from protocols.skeleton.sweeps import SweepSession
 
 MAX_WAITING = 64
-"Replies of one host that wait for their turn; further requests are dropped."
+"Queued replies of one host; further requests are dropped."
 
 
 @dataclass(frozen=True)
 class Request:
-    """One request as a row of the table gets it."""
+    """One request, the argument of a row's method."""
 
     code: bytes
     data: bytes
@@ -33,19 +33,19 @@ class Request:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a row answers, beside its bytes."""
+    """The reply of a row with further effects."""
 
     payload: bytes | None
-    "None: nothing is said."
+    "None: no reply."
     line_speed: int | None = None
-    "Of the line, once the reply has left."
+    "New speed of the line after the reply."
     restarts: bool = False
-    "The device starts anew when the reply begins to leave."
+    "The device restarts when the reply begins."
 
 
 @dataclass(frozen=True)
 class Refused:
-    """A request that the device does not carry out."""
+    """A request that the device refuses."""
 
     reason: DropReason
     detail: str = ""
@@ -53,17 +53,17 @@ class Refused:
 
 @dataclass(frozen=True)
 class Command:
-    """One row: dispatches the command, and is the line of the coverage table."""
+    """One row of the command table and of the coverage table."""
 
     name: str
     act: Callable[[Any, Request], bytes | Answer | Refused] | None
-    "(session, request); None: known, and refused."
+    "(session, request); None: known and refused."
     source: str
     note: str = ""
 
 
 def coverage(commands: Mapping[bytes, Command]) -> tuple[CommandRow, ...]:
-    """The coverage table, from the one that dispatches."""
+    """The coverage table, made from the command table."""
     return tuple(
         CommandRow(
             code.decode() if code.isascii() and code.decode().isprintable() else code.hex(" ").upper(),
@@ -78,31 +78,31 @@ def coverage(commands: Mapping[bytes, Command]) -> tuple[CommandRow, ...]:
 
 @dataclass(eq=False)
 class Host:
-    """One connection: what it has begun to say, and the replies on their way to it."""
+    """One connection: its receiver and its queued replies."""
 
     receiver: Receiver[bytes]
     address: Address | None = None
     due_ns: deque[int] = field(default_factory=deque)
-    "Of its replies that have not left."
+    "Due times of its queued replies."
 
     def deadline(self) -> int | None:
-        """When half a request will have waited too long."""
+        """When the inter-byte time-out ends."""
         return self.receiver.deadline()
 
     def clear(self) -> None:
-        """Forget all but the connection itself."""
+        """Discard the buffer and the replies."""
         self.receiver.clear()
         self.due_ns.clear()
 
 
 class RequestSession(SweepSession):
-    """One device; the family derives from it."""
+    """Base class of a device with a command table."""
 
     COMMANDS: ClassVar[Mapping[bytes, Command]]
     REPLY_NS: ClassVar[int] = 1_000_000
-    "From a request to its reply."
+    "Delay from a request to its reply."
     INTER_BYTE_NS: ClassVar[int] = 1_000_000_000
-    "Longest pause inside a request."
+    "Inter-byte time-out."
 
     def __init__(self, boot_ns: int, period_ns: Fraction) -> None:
         super().__init__(boot_ns, period_ns)
@@ -114,33 +114,33 @@ class RequestSession(SweepSession):
 
     @abstractmethod
     def _splitter(self, kind: LinkKind | None) -> Splitter[bytes]:
-        """What finds requests on such a link; None: nobody said which it is."""
+        """The splitter for a kind of link; None: unknown."""
 
     @abstractmethod
     def _parse(self, request: bytes) -> tuple[bytes, bytes]:
-        """Code of a request, as in the table, and its data; an empty code is passed over without a word."""
+        """Code of a request, as in the table, and its data; an empty code is ignored."""
 
     @abstractmethod
     def _reply(self, request: Request, payload: bytes) -> bytes:
         """The reply's bytes on the wire."""
 
     def _refusal(self, request: Request, refused: Refused) -> bytes | None:
-        """What the device says, framed, to a request that it does not carry out; None: nothing."""
+        """The framed reply to a refused request; None: no reply."""
         return None
 
     def _complaint(self, fault: Fault) -> bytes | None:
-        """What the device says, framed, to bytes that are no request; None: nothing."""
+        """The framed reply to bytes that are not a request; None: no reply."""
         return None
 
     # hosts
 
     def connected(self, now_ns: int, address: Address, kind: LinkKind) -> None:
-        """Remember how the link carries bytes; a new connection has said nothing yet."""
+        """Note the kind of the link; a new connection has an empty buffer."""
         self.advance(now_ns)
         self._connections.connected(address, kind)
 
     def disconnected(self, now_ns: int, address: Address) -> None:
-        """A stream's host has gone: its scans and replies with it."""
+        """A TCP client has disconnected: withdraw its scans and replies."""
         self.advance(now_ns)
         self._connections.disconnected(address)
         self._unsubscribe(now_ns, address)
@@ -216,7 +216,7 @@ class RequestSession(SweepSession):
         self._events.handled(now_ns, label)
 
     def _say(self, data: bytes, label: str, host: Host, now_ns: int, line_speed: int | None = None) -> int:
-        """A reply, behind those before it; when it is due."""
+        """Queue a reply; its due time."""
         due_ns = now_ns + self.REPLY_NS
         host.due_ns.append(due_ns)
         self._outbox.send(Emission(due_ns, data, host.address, line_speed=line_speed, label=label))

@@ -1,6 +1,6 @@
-"""A session made of the parts: what it says of what happened, and time that goes on in order.
+"""Base classes of sessions: event log, outbox, and execution in order of time.
 
-Belongs here: what no device does otherwise. Not: sweeps (sweeps.py) and commands (requests.py).
+Belongs here: what all devices do in the same way. Not: sweeps (sweeps.py) and commands (requests.py).
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from protocols.skeleton.outbox import Outbox
 
 
 class EventSession(Session):
-    """A session that keeps its events; for families with a schedule of their own."""
+    """A session with an event log; for families with their own schedule."""
 
     def __init__(self) -> None:
         self._events = EventLog()
         self._now_ns = 0
-        "Until when time has come."
+        "Time reached."
 
     def take_events(self) -> list[Event]:
         """What happened since the last call."""
@@ -27,7 +27,7 @@ class EventSession(Session):
 
 
 class TimedSession(EventSession):
-    """A session in which whatever is due happens at its own instant, however far a caller jumps."""
+    """A session that executes everything at its own instant, however large the steps of its caller."""
 
     def __init__(self, burst: int = 1) -> None:
         super().__init__()
@@ -35,14 +35,14 @@ class TimedSession(EventSession):
 
     @abstractmethod
     def _next_instant(self) -> int | None:
-        """The next instant at which the device does something by itself, sending apart; None: it waits for a host."""
+        """The next instant at which the device acts by itself, except for sending; None: it waits for a host."""
 
     @abstractmethod
     def _happen(self, now_ns: int) -> None:
-        """Do what is due; `_next_instant` must have moved on then."""
+        """Execute what is due; afterwards `_next_instant` must be later."""
 
     def advance(self, now_ns: int) -> None:
-        """Let everything that is due by `now_ns` happen, each at its own instant."""
+        """Execute everything that is due by `now_ns`, each at its own instant."""
         self._now_ns = run_until(now_ns, self._now_ns, self._next_instant, self._at)
 
     def _at(self, now_ns: int) -> None:
@@ -54,6 +54,6 @@ class TimedSession(EventSession):
         return earliest((self._next_instant(), self._outbox.next_ns()))
 
     def take_emissions(self, now_ns: int) -> list[Emission]:
-        """What is due by `now_ns`, in the order it leaves."""
+        """The emissions due by `now_ns`, in order."""
         self.advance(now_ns)
         return self._outbox.take(now_ns)

@@ -1,12 +1,12 @@
-"""A device that measures one sweep after the other and sends each to the hosts that want it.
+"""A device that measures one sweep after the other and sends each to its subscribers.
 
-    power_on    deaf and silent for `boot_ns`; then sweeps are numbered from the end of the boot, on a raster
-    _subscribe  a host wants scans: from the next sweep on
-    next_plan   the next sweep, while somebody wants scans; those that have ended unmeasured are passed over, and told
-    submit      one telegram or several, each at its own instant, to everybody who wanted scans when the sweep began
+    power_on    no input or output for `boot_ns`; then sweeps are numbered from the end of the boot, at a fixed period
+    _subscribe  a host gets scans from the next sweep on
+    next_plan   the next sweep, while there are subscribers; those that ended unmeasured are skipped and reported
+    submit      one or more telegrams, each at its own instant, to all subscribers at the start of the sweep
 
-A family tells its directions (`_sweep`) and its bytes (`_telegrams`). Belongs here: the numbers and instants of
-sweeps, the hosts that want them, the account. Not: lines slower than the sweeps, sweeps skipped for them.
+A family defines the directions (`_sweep`) and the bytes (`_telegrams`). Belongs here: numbers and instants of sweeps,
+subscribers, scan accounting. Not: lines slower than the sweeps, and sweeps skipped for them.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from protocols.skeleton.session import TimedSession
 from protocols.skeleton.wanted import Wanted
 
 SHARES = 1 << 20
-"A motor's speed is told in parts of the nominal one; finer than any motor."
+"Resolution of a motor's speed, as a fraction of the nominal one; finer than any motor."
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,16 +52,16 @@ class Telegram(NamedTuple):
     """One of the telegrams that carry a sweep."""
 
     after_ns: int
-    "When its first byte leaves, after the sweep's beginning."
+    "When its first byte is sent, after the sweep's beginning."
     payload: bytes
     label: str = ""
     told: Told | None = None
     link: int | None = None
-    "It goes to this link alone; None: to whoever wanted the scan."
+    "Sent to this link only; None: to the subscribers."
 
 
 class SweepSession(TimedSession):
-    """One device; the family derives from it."""
+    """Base class of a device that measures sweeps."""
 
     LINE_SPEED: ClassVar[int | None] = None
     "Speed of its serial line at power-on, in baud."
@@ -73,12 +73,12 @@ class SweepSession(TimedSession):
         self._timers = Timers()
         self._wanted: Wanted[Sweep] = Wanted()
         self._hosts: dict[Address | None, int] = {}
-        "Who wants scans, and since when; None: every link."
+        "Subscribers, and since when; None: every link."
         self._ready_ns: int | None = None
-        "When the boot ends; None while it was never switched on."
+        "When the boot ends; None: never switched on."
         self._running = False
         self._slowed = Fraction(1)
-        "By how much a turn takes longer than it should."
+        "Duration of a turn over the nominal one."
         self._raster = Raster(0, period_ns)
         self._next = 0
         "Number of the sweep to be measured next."
@@ -93,18 +93,18 @@ class SweepSession(TimedSession):
 
     @abstractmethod
     def _telegrams(self, scan: Scan) -> Iterable[Telegram]:
-        """The bytes of a scan, in the order in which they leave; at least one telegram."""
+        """The telegrams of a scan, in the order of sending; at least one."""
 
     def _reset(self, now_ns: int) -> None:
-        """Volatile settings are as after power-on."""
+        """Reset volatile settings to those after power-on."""
 
     def _start(self, now_ns: int) -> None:
-        """The boot is over: first hosts, and timers."""
+        """Called at the end of the boot: first subscribers, and timers."""
 
     # power
 
     def power_on(self, now_ns: int) -> None:
-        """Forget everything volatile; deaf and silent until the boot is over."""
+        """Reset everything volatile; no input or output until the end of the boot."""
         self._now_ns = now_ns
         self._outbox.clear()
         self._boot(now_ns)
@@ -123,12 +123,12 @@ class SweepSession(TimedSession):
         self._reset(now_ns)
 
     def _restart(self, at_ns: int) -> None:
-        """Start anew at an instant to come, as after a reset that a host has asked for."""
+        """Restart at a future instant, as after a reset requested by a host."""
         self._restart_ns = at_ns
 
     @property
     def is_up(self) -> bool:
-        """Whether it has booted."""
+        """Whether the boot is over."""
         return self._running
 
     # time
@@ -153,14 +153,14 @@ class SweepSession(TimedSession):
     # hosts
 
     def _subscribe(self, now_ns: int, address: Address | None) -> None:
-        """A host wants scans, from the next sweep on; who has them already keeps them. None: every link."""
+        """Send scans to a host from the next sweep on; no effect if it is subscribed. None: every link."""
         if not self._hosts:
             self._stream += 1
             self._next = max(self._next, self._raster.first_from(now_ns))
         self._hosts.setdefault(address, now_ns)
 
     def _unsubscribe(self, now_ns: int, address: Address | None) -> None:
-        """A host wants no more: what it waits for, and has not begun to get, is withdrawn."""
+        """End the scans of a host: telegrams that have not begun are withdrawn."""
         if self._hosts.pop(address, None) is None:
             return
         self._withdraw(now_ns, lambda sent: sent.to == address)
@@ -168,7 +168,7 @@ class SweepSession(TimedSession):
             self._wanted.renew()
 
     def _withdraw_all(self, now_ns: int) -> None:
-        """Nobody gets scans any more."""
+        """Remove all subscribers."""
         for address in list(self._hosts):
             self._unsubscribe(now_ns, address)
 
@@ -180,9 +180,9 @@ class SweepSession(TimedSession):
             self._events.unsent(now_ns, DropReason.STALE, range(sweep, sweep + 1), "on its way", None, sent.to)
 
     def _change(self, now_ns: int, period_ns: Fraction | None = None) -> None:
-        """A setting that scans depend on has changed: those of before are refused and withdrawn, the stream is another.
+        """A setting that scans depend on has changed: earlier scans are refused and withdrawn; a new stream begins.
 
-        `period_ns`: from sweep to sweep, from the next one on.
+        `period_ns`: period of sweeps, from the next one on.
         """
         self._withdraw(now_ns, lambda sent: True)
         self._wanted.renew()
@@ -192,7 +192,7 @@ class SweepSession(TimedSession):
         self._raster = self._raster.going_on(self._next, self._nominal_ns * self._slowed)
 
     def impair(self, now_ns: int, what: str, degree: float) -> bool:
-        """The motor: all that turns is faster by `degree`."""
+        """The motor: its speed is `degree` times the nominal one."""
         self.advance(now_ns)
         if what != "motor speed" or degree <= 0.0:
             return False
@@ -204,7 +204,7 @@ class SweepSession(TimedSession):
     # sweeps
 
     def next_plan(self) -> ScanPlan | None:
-        """The sweep wanted next, the same until its scan comes."""
+        """The next sweep, the same until its scan is submitted."""
         if not self._running or not self._hosts:
             return None
         plan = self._wanted.plan
@@ -213,7 +213,7 @@ class SweepSession(TimedSession):
     def _choose(self) -> ScanPlan:
         raster, slowed = self._raster, float(self._slowed)
         ended = raster.first_from(self._now_ns - round(1e9 * slowed * self._sweep(self._next).duration_s))
-        if ended > self._next:  # nobody could measure them in time: never silently
+        if ended > self._next:  # not measured in time: never silently
             late = range(self._next, ended)
             self._events.unsent(self._now_ns, DropReason.LATE, late, "not measured in time", self._stream)
             self._next = ended
@@ -244,14 +244,14 @@ class SweepSession(TimedSession):
         takers = [address for address, since_ns in self._hosts.items() if since_ns <= plan.start_ns]
         if not takers:
             numbers = range(plan.sweep, plan.sweep + 1)
-            self._events.unsent(self._now_ns, DropReason.STALE, numbers, "nobody wants it", plan.stream)
+            self._events.unsent(self._now_ns, DropReason.STALE, numbers, "no subscriber", plan.stream)
             return
         telegrams = list(self._telegrams(scan))
         for address in takers:
             self._outbox.put(Outgoing(address, deque(self._emissions(plan, telegrams, address)), is_scan=True))
 
     def _emissions(self, plan: ScanPlan, telegrams: Iterable[Telegram], to: Address | None) -> Iterable[Emission]:
-        """The first one carries the sweep, the others (`scans` 0) are its rest."""
+        """The first one carries the sweep, the others (`scans` 0) are further parts."""
         sweep: int | None = plan.sweep
         for after_ns, payload, label, told, link in telegrams:
             due_ns, where = plan.start_ns + round(after_ns * self._slowed), to if link is None else Address(link, 0)
@@ -259,7 +259,7 @@ class SweepSession(TimedSession):
             sweep = None
 
     def missed(self, plan: ScanPlan, now_ns: int) -> bool:
-        """What has ended by now is passed over; the sweep itself is asked for again while it lasts."""
+        """Sweeps that have ended are skipped; the present one is requested again."""
         self.advance(now_ns)
         self._wanted.expect(plan)
         self._wanted.renew()

@@ -172,3 +172,28 @@ def test_a_run_says_when_it_will_end_and_at_its_end_why_it_did(
     told = capsys.readouterr().out.splitlines()
     assert told[1] == "ends after 1.25 s (--duration); the world begins again every 0.5 s"
     assert told[2] == "ended after 1.250 s: its duration is over"
+
+
+def test_a_group_without_a_command_shows_its_help_in_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["study"]) == 2
+    text = capsys.readouterr().err
+    assert text.startswith("Usage: lidaremu study")
+    assert "\n  soak " in text
+    assert "\\x0a" not in text
+
+
+def test_a_missing_argument_names_the_choices_on_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list"]) == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("Error: Missing argument")
+    assert last.endswith("Choose from: sensors, scenarios, materials, links, faults, commands, device")
+
+
+def test_ctl_without_a_daemon_says_what_to_start(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from emulator.runtime import control
+
+    monkeypatch.setattr(control, "running", lambda: [])
+    assert main(["ctl", "status"]) == 3
+    assert "no daemon of this user is running; want lidaremu run SCENARIO first" in capsys.readouterr().err

@@ -86,7 +86,7 @@ def test_what_is_no_expression_is_refused_with_what_is_wanted(text: str) -> None
 
 
 def test_a_number_is_no_truth_and_a_missing_value_holds_nothing() -> None:
-    with pytest.raises(ExpressionError, match="truth value"):
+    with pytest.raises(ExpressionError, match="true or false"):
         value("1 and 2 < 3")
     assert truth(value("a.s > 0")) is False
     assert truth(np.zeros(0, dtype=bool)) is False

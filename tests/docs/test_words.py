@@ -1,7 +1,8 @@
-"""Pages and help texts use the field's words: words of ours that a stranger cannot know do not come back."""
+"""Pages, help texts, messages and all texts of `protocols` use the field's words; home-made words do not come back."""
 
 from __future__ import annotations
 
+import ast
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -38,8 +39,16 @@ OURS = {
     r"suffer(?:s|ed|ing)?": "impair",
     r"telling": "sanitizing",
     r"patience": "time limit",
+    r"nobody|whoever": "no host, no process, the caller",
+    r"befallen": "impaired",
+    r"deaf": "without input",
+    r"heeds?|heeded": "follow",
+    r"passe?s? over|passed over": "skip, ignore",
+    r"anew": "again",
+    r"gone with": "disconnected",
+    r"turns? a second|scans? a second|bytes? a second": "per",
 }
-"""Word of ours, and what to write instead."""
+"""Home-made word, and what to write instead."""
 ELSEWHERE = {"scoreboard.md"}
 "Pages that a run of tests writes."
 
@@ -52,6 +61,33 @@ def left(text: str) -> list[str]:
 
 def _found(ours: str, text: str) -> Iterator[re.Match[str]]:
     return re.finditer(rf"\b(?:{ours})\b", text, re.IGNORECASE)
+
+
+def texts_of(path: Path, messages_alone: bool) -> Iterator[tuple[int, str]]:
+    """Line and text of every string of a module; `messages_alone`: neither docstrings nor single words, as keys are."""
+    for node, inside in nodes(ast.parse(path.read_text(encoding="utf-8")), None):
+        if not isinstance(node, ast.Constant) or not isinstance(node.value, str):
+            continue
+        is_note = isinstance(inside, ast.Expr)
+        if not messages_alone or (not is_note and " " in node.value):
+            yield node.lineno, node.value
+
+
+def nodes(node: ast.AST, inside: ast.AST | None) -> Iterator[tuple[ast.AST, ast.AST | None]]:
+    """Every node with the one that it is in."""
+    yield node, inside
+    for below in ast.iter_child_nodes(node):
+        yield from nodes(below, node)
+
+
+def found_in(folder: str, messages_alone: bool) -> list[str]:
+    """Home-made words in the strings of a package, with file and line."""
+    return [
+        f"{path.relative_to(reading.ROOT)}:{line}: {word}"
+        for path in sorted((reading.ROOT / folder).rglob("*.py"))
+        for line, text in texts_of(path, messages_alone)
+        for word in left(text)
+    ]
 
 
 def helps(command: click.Command, name: str) -> Iterator[tuple[str, str]]:
@@ -83,7 +119,24 @@ def test_the_error_budget_uses_the_words_of_the_field() -> None:
     assert not found, "\n".join(found)
 
 
-def test_a_word_of_ours_is_found_and_a_name_in_backquotes_is_not() -> None:
+def test_every_text_of_the_protocols_uses_the_words_of_the_field() -> None:
+    found = found_in("protocols", messages_alone=False)
+    assert not found, "\n".join(found)
+
+
+def test_messages_use_the_words_of_the_field() -> None:
+    found = found_in("emulator", messages_alone=True)
+    assert not found, "\n".join(found)
+
+
+def test_strings_of_a_module_are_read_with_their_lines(tmp_path: Path) -> None:
+    module = tmp_path / "one.py"
+    module.write_text('"""What is told."""\n\nKEY = "told"\nWHY = f"it is told {KEY}"\n', encoding="utf-8")
+    assert [line for line, _ in texts_of(module, messages_alone=False)] == [1, 3, 4]
+    assert [line for line, _ in texts_of(module, messages_alone=True)] == [4]
+
+
+def test_a_home_made_word_is_found_and_a_name_in_backquotes_is_not() -> None:
     assert left("What befell it is told, 60 rays a beam.") == [
         "'told'; want reported, reports", "'befell'; want incident", "'rays a beam'; want per",
     ]  # fmt: skip

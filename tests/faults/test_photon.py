@@ -274,7 +274,7 @@ def test_the_lms_tells_what_is_wrong_when_it_is_asked() -> None:
     made = device("lms2xx")
     made.session.impair(0, "window", 0.5)
     made.session.impair(0, "motor speed", 0.9)
-    made.session.impair(0, "motor told", -1.0)
+    made.session.impair(0, "motor status", -1.0)
 
     def ask(payload: bytes) -> bytes:
         made.put(request(payload))
@@ -287,7 +287,7 @@ def test_the_lms_tells_what_is_wrong_when_it_is_asked() -> None:
     status = ask(b"\x31")
     assert [int.from_bytes(status[at : at + 2], "little") for at in (18, 32, 34, 66)] == [250, 250, 600, 164]
     made.session.impair(made.now_ns, "window", 1.0)
-    made.session.impair(made.now_ns, "motor told", 0.0)
+    made.session.impair(made.now_ns, "motor status", 0.0)
     assert ask(b"\x32")[:-1] == b""
 
 

@@ -171,9 +171,9 @@ def test_an_esr_is_told_to_radiate_unless_its_vehicle_does() -> None:
     assert (recognised({0x4E0, 0x500, 0x4F1}) or Vu8Reader()).keep_alive() == []
 
 
-def test_a_bus_without_a_known_list_is_told_with_what_was_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bus_without_a_known_list_is_reported_with_its_identifiers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(can_objects, "LISTEN_S", 0.01)
-    with pytest.raises(LinkError, match=r"heard: 123"):
+    with pytest.raises(LinkError, match=r"received: 123"):
         CanObjectHost(PlayedBus([Frame(0x123, b"")]))  # type: ignore[arg-type]
     with pytest.raises(LinkError, match=r"silent.*--model"):
         CanObjectHost(PlayedBus([]))  # type: ignore[arg-type]

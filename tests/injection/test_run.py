@@ -227,7 +227,7 @@ faults:
         ("{on: front, do: gap, gap_s: 1, at_s: 1, direction: from_host}", "direction: 'from_host'; want to_host"),
         ("{on: front, do: flip_bits, at_s: 1, direction: from_host, label: B0}", "label: beside direction from_host"),
         ("{on: front, do: drop_telegram, at_s: 1, link: 1}", "link: 1; want a number below 1"),
-        ("{on: front, do: hang, when: front.nearest_m}", "when: 'front.nearest_m': a number where a truth value"),
+        ("{on: front, do: hang, when: front.nearest_m}", "when: 'front.nearest_m': a number where true or false"),
         ("{on: front, do: hang, when: front.nearest_on(cart) < 3}", "actor 'cart'; want car or another of world, car"),
         ("{on: front, do: hang, when: front.scans_per_s < 3}", "front.scans_per_s: known only at the end of a run;"),
         ("{on: front, do: hang, when: 1 < 2}", "when: '1 < 2': no sensor named; want something like"),

@@ -89,7 +89,7 @@ def test_without_the_option_the_input_is_not_touched() -> None:
 
 def test_the_input_is_not_shared_with_a_driver(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "crossing_car", "--until-eof", "--", "true"]) == 2
-    assert "standard input of its own" in capsys.readouterr().err
+    assert "both read the standard input" in capsys.readouterr().err
 
 
 def test_folders_of_the_dead_are_cleared_up_and_no_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -74,4 +74,4 @@ def test_the_same_words_start_each_daemon_and_recordings_are_not_written_over() 
 
 def test_a_command_or_a_leash_beside_it_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "flat_wall", "--restart", "--", "true"]) == 2
-    assert "--restart wants neither" in capsys.readouterr().err
+    assert "--restart cannot be combined" in capsys.readouterr().err

@@ -76,7 +76,7 @@ def test_a_folder_of_that_name_is_never_touched(port: Path) -> None:
 @pytest.mark.parametrize("target", ["/dev/null", "/dev/ttyUSB77", "elsewhere"])
 def test_a_link_of_somebody_else_is_never_touched(port: Path, target: str) -> None:
     port.symlink_to(target)
-    with pytest.raises(LinkError, match=f"a link to {target} that is not ours"):
+    with pytest.raises(LinkError, match=f"a link to {target} not made by lidaremu"):
         StablePath(str(port), "/dev/pts/7")
     assert os.readlink(port) == target
 
@@ -84,7 +84,7 @@ def test_a_link_of_somebody_else_is_never_touched(port: Path, target: str) -> No
 def test_a_live_terminal_of_somebody_else_is_never_touched(port: Path) -> None:
     master, slave = os.openpty()
     port.symlink_to(os.ttyname(slave))
-    with pytest.raises(LinkError, match="not ours"):
+    with pytest.raises(LinkError, match="not made by lidaremu"):
         StablePath(str(port), "/dev/pts/7")
     os.close(master)
     os.close(slave)

@@ -70,10 +70,11 @@ def test_short_frames_are_filled_with_zeros_and_long_ones_cut(pair: tuple[layout
         assert layout.decode(message.name, data) == layout.decode(message.name, data + b"\xff") == expected
         short = message.decode(data[:-1] + b"\0", decode_choices=False)
         assert layout.decode(message.name, data[:-1]) == short
-        assert [one.name for one in layout.told(message.name, data)] == [signal.name for signal in message.signals]
+        names = [one.name for one in layout.decoded_signals(message.name, data)]
+        assert names == [signal.name for signal in message.signals]
 
 
-def test_signals_are_told_in_words_with_their_units(pair: tuple[layouts.Layout, Any]) -> None:
+def test_signals_are_decoded_as_text_with_their_units(pair: tuple[layouts.Layout, Any]) -> None:
     layout, database = pair
     for message in database.messages:
         data = bytes(17 * index & 0x3F for index in range(message.length - 1))
@@ -87,7 +88,7 @@ def test_signals_are_told_in_words_with_their_units(pair: tuple[layouts.Layout, 
             for one in message.signals
             if one.name in values
         ]
-        told = layout.told(message.name, data)
+        told = layout.decoded_signals(message.name, data)
         assert [(one.name, one.value, one.unit or None) for one in told] == expected
         assert all(isinstance(one.unit, str) for one in told)
 

@@ -41,7 +41,7 @@ def test_only_the_plan_asked_for_last_is_taken(steps: list[str]) -> None:
             open_plan = None
         for old in given_out:
             if old is not open_plan:
-                with pytest.raises(ScanRefused, match="not wanted any more"):
+                with pytest.raises(ScanRefused, match="not requested any more"):
                     wanted.expect(old)
         assert wanted.plan is open_plan
 
