@@ -18,7 +18,7 @@ import numpy as np
 from emulator.instrument.stats import SCAN_REASONS
 from emulator.objects.metrics import ObjectScore, TruthObject
 from emulator.recording.layout import RecordedScan
-from emulator.recording.streaming import Beams, Cut, End, Head, Measured, Progress, Told, Wire, items
+from emulator.recording.streaming import Beams, Cut, End, Head, Left, Measured, Progress, Told, Wire, items
 from emulator.run_report.truth import SensorTruth, Truth, truth_of
 from emulator.scenario.scenario import Scenario
 from protocols.scan import DetectedObject, Floats
@@ -53,6 +53,22 @@ class LinkTally:
     bytes_in: int = 0
     replies: int = 0
     peers: set[int] = field(default_factory=set)
+    due_ns: array[int] = field(default_factory=lambda: array("q"))
+    "Last bit of each payload whose departure is recorded: of runs in real time."
+    late_ns: array[int] = field(default_factory=lambda: array("q"))
+    "By how much later it had left."
+
+    def left(self, item: Left) -> None:
+        """Some payloads have left."""
+        self.due_ns.extend(item.due_ns.tolist())
+        self.late_ns.extend(np.maximum(0, item.actual_ns - item.due_ns).tolist())
+
+
+def late_us(link: LinkTally) -> tuple[int, float, float, float]:
+    """How many payloads' departures are recorded; median, 99 % and worst of how late they were. [us]"""
+    values = np.array(link.late_ns, dtype=np.int64) * 1e-3
+    median, p99, worst = np.percentile(values, (50.0, 99.0, 100.0))
+    return len(values), float(median), float(p99), float(worst)
 
 
 @dataclass
@@ -318,6 +334,9 @@ def gather(path: Path, with_truth: bool = True, tell: Callable[[Progress], None]
         if isinstance(item, Wire):
             run.last_ns = max(run.last_ns, item.payload.end_ns)
             run.sensor(item.sensor).wire(item)
+        elif isinstance(item, Left):
+            if (link := run.sensor(item.sensor).links.get(item.link)) is not None:
+                link.left(item)
         elif isinstance(item, Measured):
             run.last_ns = max(run.last_ns, item.scan.start_ns)
             _scan(run, item)

@@ -15,7 +15,7 @@ from emulator.run_report import figures
 from emulator.run_report.against_truth import objects, ranges, stem
 from emulator.run_report.errors import known
 from emulator.run_report.expected import chapter
-from emulator.run_report.gather import Gathered, SensorTally
+from emulator.run_report.gather import Gathered, SensorTally, late_us
 from emulator.run_report.weather import QUANTITIES, Step, steps
 from emulator.studies.report import Column, Picture, Report, Section, Table, Value, rows_of
 
@@ -31,7 +31,7 @@ def report_of(run: Gathered, tell: Callable[[float], None] = lambda share: None)
         lambda: [chapter(run)],
         lambda: [_overview(sensors)],
         lambda: [_rates(run, sending)],
-        lambda: [_lateness_and_drops(sensors)],
+        lambda: [_lateness_and_drops(sensors, run.duration_s)],
         *(partial(_echoes, one) for one in sensors if len(one.points)),
         *(partial(ranges, one) for one in sensors),
         *(partial(objects, one) for one in sensors if one.objects is not None),
@@ -173,7 +173,10 @@ def _rates(run: Gathered, sensors: Sequence[SensorTally]) -> Section | None:
         )
     return Section(
         "Rates and jitter",
-        ("Instants are those at which the first bit of a scan is due on the sensor's first link, to the nanosecond.",),
+        (
+            "Instants are those at which the first bit of a scan is due on the sensor's first link, to the nanosecond;"
+            " how late scans left in a run in real time is told under lateness.",
+        ),
         (
             Picture("rates", "Scans a second over time", figures.rates(sensors, run.duration_s), "Rate over time."),
             Picture("gaps", "Histogram of gaps", figures.gaps(sensors), "Time from scan to scan; counts logarithmic."),
@@ -190,7 +193,7 @@ def _echoes(one: SensorTally) -> Iterator[Section]:
     yield Section(f"{one.sensor}: echoes", (told,), (picture,))
 
 
-def _lateness_and_drops(sensors: Sequence[SensorTally]) -> Section:
+def _lateness_and_drops(sensors: Sequence[SensorTally], duration_s: float) -> Section:
     told = [one for one in sensors if one.end.get("lateness_us", {}).get("sends")]
     columns = (
         Column("sensor", "Sensor"),
@@ -236,7 +239,20 @@ def _lateness_and_drops(sensors: Sequence[SensorTally]) -> Section:
             Column("count", "Count", "d"),
         )
         tables.append(Table("drop_details", "Of these, the most frequent", heads, rows_of(details)))
-    text = [] if rows else ["Lateness is not in this recording."]
+    links = [
+        (f"{one.sensor}, link {number}", one.sensor, number, link)
+        for one in sensors
+        for number, link in sorted(one.links.items())
+        if link.late_ns
+    ]
+    if links:
+        heads = (Column("sensor", "Sensor"), Column("link", "Link", "d"), *columns[1:])
+        told_links = [(sensor, number, *late_us(link)) for _, sensor, number, link in links]
+        words = (
+            "From the recorded instants: when the last bit of a payload was due, and when it had left at the latest."
+        )
+        tables.insert(0, Table("lateness_by_link", "Lateness by link", heads, rows_of(told_links), words))
+    text = [] if rows or links else ["Lateness is not in this recording."]
     text += [] if drops else ["Nothing was dropped."]
     pictures: tuple[Picture, ...] = ()
     if any(one.end["lateness_us"]["worst"] for one in told):
@@ -249,6 +265,10 @@ def _lateness_and_drops(sensors: Sequence[SensorTally]) -> Section:
                 "Share of sends that were later; in virtual time, the grouping of bytes alone.",
             ),
         )
+    if links:
+        picture = figures.lateness_over_time([(name, link) for name, _, _, link in links], duration_s)
+        words = "Median and worst lateness over time; shaded from the least to the worst."
+        pictures = (Picture("lateness_over_time", "Lateness over time", picture, words), *pictures)
     return Section("Lateness and drops", tuple(text), pictures, tuple(tables))
 
 
