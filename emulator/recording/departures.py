@@ -37,6 +37,8 @@ class Departures:
         self._count = 0
         self._waiting: deque[_Handed] = deque()
         self._rows: list[tuple[int, int, int]] = []
+        self._left_ns = 0
+        "When the last one had left: none begins before."
 
     def hand(self, end_ns: int, payload: Payload | None) -> Iterator[tuple[Payload, int]]:
         """The link's next payload, due to have left by `end_ns`; `payload`: given back with its instant as it leaves.
@@ -63,7 +65,8 @@ class Departures:
         one = self._waiting.popleft()
         self._rows.append((one.number, due_ns, actual_ns))
         if one.payload is not None:
-            found.append((one.payload, one.payload.start_ns + actual_ns - due_ns))
+            found.append((one.payload, max(one.payload.start_ns + actual_ns - due_ns, self._left_ns)))
+        self._left_ns = max(self._left_ns, actual_ns)
         return found
 
     def end(self) -> list[tuple[Payload, int]]:
@@ -81,4 +84,4 @@ class Departures:
         for one in list(islice(self._waiting, count)):
             self._waiting.popleft()
             if one.payload is not None:
-                yield one.payload, one.payload.start_ns
+                yield one.payload, max(one.payload.start_ns, self._left_ns)
