@@ -11,13 +11,13 @@ from functools import partial
 import numpy as np
 
 from emulator import __version__
-from emulator.run_report import figures
+from emulator.run_report import figures, sight
 from emulator.run_report.against_truth import objects, ranges, stem
 from emulator.run_report.errors import known
 from emulator.run_report.expected import chapter
 from emulator.run_report.gather import Gathered, SensorTally, late_us
 from emulator.run_report.weather import QUANTITIES, Step, steps
-from emulator.studies.report import Column, Picture, Report, Section, Table, Value, rows_of
+from emulator.studies.report import Column, Fact, Picture, Report, Section, Table, Value, rows_of
 
 MOST_ROWS = 300
 "Rows of the time line on the page."
@@ -45,7 +45,42 @@ def report_of(run: Gathered, tell: Callable[[float], None] = lambda share: None)
         sections += [section for section in part() if section is not None]
     tell(1.0)
     title = f"Run {run.path.resolve().name}"
-    return Report("report", title, tuple(_summary(run)), tuple(sections), closing=_closing(run))
+    return Report(
+        "report", title, tuple(_summary(run)), tuple(sections), _closing(run), tuple(_lead(run)), tuple(_facts(run))
+    )
+
+
+def _lead(run: Gathered) -> Iterator[Picture]:
+    """The scene with the sensors' points; nothing where it cannot be built again, or no beams are recorded."""
+    if run.scene is None or run.scenario is None or not run.sight.shown:
+        return
+    if run.sight.lead in {one.id for one in run.scenario.sensors}:
+        names = ", ".join(f"`{name}`" for name in run.sight.shown)
+        told = (
+            f"The recorded scene at {run.sight.at_s:.3f} s with one sweep of {names}; the triangle is the first sensor."
+        )
+        yield Picture(
+            "scene", "The scene with the sensors' points", sight.draw(run.sight, run.scene, run.scenario), told
+        )
+
+
+def _facts(run: Gathered) -> Iterator[Fact]:
+    """What is asked first."""
+    rows = run.verdict.get("expect")
+    if isinstance(rows, list) and rows:
+        held = sum(isinstance(row, dict) and row.get("passed") is True for row in rows)
+        yield Fact("expectations held", f"{held} of {len(rows)}", "good" if held == len(rows) else "bad")
+    sensors = run.sensors.values()
+    yield Fact("recorded", _seconds(run.duration_s))
+    yield Fact("scans sent", f"{sum(len(one.sent_ns) for one in sensors)}")
+    dropped = sum(sum(one.scans_dropped.values()) for one in sensors)
+    yield Fact("scans dropped", f"{dropped}", "bad" if dropped else "")
+    late = [np.array(link.late_ns, dtype=np.int64) for one in sensors for link in one.links.values() if link.late_ns]
+    if late:
+        yield Fact("lateness, 99 %", f"{float(np.percentile(np.concatenate(late), 99.0)) * 1e-6:.3g} ms")
+    silent = [one.sensor for one in sensors if one.silent_s]
+    if silent:
+        yield Fact("silent at the end", ", ".join(silent), "bad")
 
 
 def _closing(run: Gathered) -> str:
