@@ -18,9 +18,10 @@ import viser
 from emulator.errors import EmulatorError
 from emulator.hosts.describe import Speaker, describe
 from emulator.output.sanitizing import html, visible
+from emulator.scenario.live_weather import state_of
 from emulator.scenario.tables import Mount
 from emulator.sensors.spec import load_spec
-from emulator.view import drawing, points, solids
+from emulator.view import air, drawing, points, solids
 from emulator.view.controls import Controls
 from emulator.view.frames import Floats, Frame, Ints, ShownScan, ShownTelegram, Source
 from emulator.world import scene as scenes
@@ -67,8 +68,8 @@ class Page:
         self._boxes: dict[str, Any] = {}
         self._count: dict[str, int] = {}
         self._choice = threading.Lock()
+        self._build_panels()  # before the scene: what is made first is there first
         self._build_scene()
-        self._build_panels()
 
     # ------------------------------------------------------------ once
 
@@ -104,7 +105,7 @@ class Page:
                 top = float(body.vertices[:, 2].max()) + 0.3
                 actor = self._world.actors[body.actor]
                 scene.add_label(f"/world/scene/{actor}/{number}/name", actor, position=(0.0, 0.0, top))
-        far_m = view_m(low, high)
+        far_m = self._far_m = view_m(low, high)
         empty, black = np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8)
         names_m = name_heights(self._mounts, NAME_SHARE * far_m)
         for name in self._mounts:
@@ -135,6 +136,52 @@ class Page:
                 thickness_units="screen",
             )
         self._look_from_behind(far_m)
+        self._build_air(far_m)
+
+    def _build_air(self, far_m: float) -> None:
+        scene = self._server.scene
+        self._air: tuple[Any, ...] = ()
+        self._sun = scene.add_icosphere(
+            "/world/air/sun", radius=0.03 * air.SUN_M, color=(255, 236, 179), flat_shading=True, visible=False,
+            cast_shadow=False,
+        )  # fmt: skip
+        self._rain = scene.add_line_segments(
+            "/world/air/rain", NO_LINES.astype(np.float32), (150, 176, 200), thickness=1.2, thickness_units="screen",
+            visible=False,
+        )  # fmt: skip
+        self._snow = scene.add_point_cloud(
+            "/world/air/snow", np.zeros((1, 3), np.float32), np.full((1, 3), 235, np.uint8), point_size=0.004 * far_m,
+            point_shape="circle", point_shading="flat", precision="float32", visible=False,
+        )  # fmt: skip
+        mount = next(iter(self._mounts.values()))
+        self._middle_m = self._world.sensor_pose(mount, np.zeros(1)).position_m[0] * (1.0, 1.0, 0.0)
+
+    def _draw_air(self, frame: Frame) -> None:
+        """Sky, haze, rain and snow; only what has changed is sent."""
+        weather = self._weather_at(frame.now_s)
+        haze = air.haze_m(weather, self._far_m)
+        look = (air.sky(weather), haze)
+        if self._air != look:
+            self._air = look
+            self._server.scene.set_background_image(air.backdrop(weather), format="png")
+            near_m, far_m = haze or (1.0, 5000.0)
+            self._server.scene.configure_fog(near_m, far_m, color=look[0][0], enabled=haze is not None)
+        at = air.sun_m(weather)
+        if at is not None and not np.allclose(self._sun.position, at + self._middle_m):
+            self._sun.position = at + self._middle_m
+        if self._sun.visible != (at is not None):
+            self._sun.visible = at is not None
+        rain, snow = (fall(weather, frame.now_s, self._far_m) for fall in (air.drops, air.flakes))
+        _draw_lines(self._rain, rain + self._middle_m if len(rain) else None)
+        if len(snow):
+            self._snow.points = (snow + self._middle_m).astype(np.float32)
+            self._snow.colors = np.full((len(snow), 3), 235, np.uint8)
+        if self._snow.visible != bool(len(snow)):
+            self._snow.visible = bool(len(snow))
+
+    def _weather_at(self, now_s: float) -> Mapping[str, Any]:
+        """A daemon's as it tells it; of a recording the scenario's, without what was ordered in the run."""
+        return state_of(self._scenario.weather, self._world.local_s(now_s)) if self._recorded else self.controls.weather
 
     def _rides(self, name: str) -> bool:
         """Whether a sensor is on something that moves."""
@@ -207,7 +254,9 @@ class Page:
     def look(self) -> None:
         """One look at the source: what has changed is drawn."""
         frame = self._source.frame()
-        if frame.ended and not self._ended:
+        if not frame.ended:
+            self._ended = ""
+        elif not self._ended:
             self._ended = frame.ended
             self._tell(f"{frame.ended}; the page shows the last state")
         with self._server.atomic():
@@ -216,6 +265,7 @@ class Page:
                 self._draw(name, scan)
             for name in set(self._clouds) - set(frame.scans):
                 self._clear(name)
+            self._draw_air(frame)
             self._say("polar", self._polar, drawing.polar(frame.scans.get(self._sensor.value), self._colouring.value))
             if self._looks % SLOW == 0:
                 self._write(frame)
