@@ -33,6 +33,8 @@ SLOW = 4
 "Text is made anew every so many looks."
 NAME_SHARE = 0.07
 "Between the names of sensors one above the other, of the distance from which the page first looks."
+NARROW = 640
+"Of a page on which there is no room beside the scene. [pixels]"
 NEWEST = "newest"
 NO_LINES = np.zeros((1, 2, 3))
 
@@ -99,15 +101,20 @@ class Page:
             if piece.used is not None and self._world.bodies[piece.body].frames is not None:
                 self._changing.append((piece.body, piece.used, handle))
         named: set[int] = set()
+        tops: dict[str, float] = {}
+        self._names: dict[int, tuple[Any, float]] = {}
+        "Body that bears its actor's name -> the name, and its height with nothing beside it."
         for number, body in enumerate(self._world.bodies):
             if body.actor != scenes.WORLD and body.actor not in named:
                 named.add(body.actor)
                 top = float(body.vertices[:, 2].max()) + 0.3
                 actor = self._world.actors[body.actor]
-                scene.add_label(f"/world/scene/{actor}/{number}/name", actor, position=(0.0, 0.0, top))
+                tops.setdefault(actor, top)
+                name = scene.add_label(f"/world/scene/{actor}/{number}/name", actor, position=(0.0, 0.0, top))
+                self._names[number] = name, top
         far_m = self._far_m = view_m(low, high)
         empty, black = np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8)
-        names_m = name_heights(self._mounts, NAME_SHARE * far_m)
+        names_m = name_heights(self._mounts, NAME_SHARE * far_m, tops)
         for name in self._mounts:
             self._sensors[name] = scene.add_frame(f"/world/sensors/{name}", axes_length=0.5, axes_radius=0.02)
             scene.add_label(f"/world/sensors/{name}/name", name, position=(0.0, 0.0, names_m[name]))
@@ -234,6 +241,7 @@ class Page:
             self._fields = gui.add_html("")
         side.dock_left()
         side.set_width(330)
+        self._server.on_client_connect(fold_on_a_phone)
 
         @self._meshes.on_update
         def _(_event: Any) -> None:
@@ -270,6 +278,7 @@ class Page:
             if self._looks % SLOW == 0:
                 self._write(frame)
         if self._looks % SLOW == 0:
+            self._part_names()
             self.controls.follow(frame)
         self._looks += 1
 
@@ -301,6 +310,16 @@ class Page:
                 pose = self._world.sensor_pose(mount, times)
                 self._sensors[name].position = pose.position_m[0]
                 self._sensors[name].wxyz = points.quaternion(pose.rotation[0])
+
+    def _part_names(self) -> None:
+        """Names of actors that have come together stand one above the other."""
+        bodies = list(self._names)
+        at = np.array([self._bodies[number].position for number in bodies]).reshape(-1, 3)
+        at[:, 2] += [top for _, top in self._names.values()]
+        for number, raised in zip(bodies, stacked(at, NAME_SHARE * self._far_m), strict=True):
+            name, top = self._names[number]
+            if abs(name.position[2] - top - raised) > 1e-3:
+                name.position = (0.0, 0.0, top + raised)
 
     def _draw(self, name: str, scan: ShownScan) -> None:
         wanted = (scan, self._colouring.value, self._beams.value, self._objects.value)
@@ -356,15 +375,24 @@ class Page:
         self._say("fields", self._fields, drawing.telegram_fields(row, fields))
 
 
+def fold_on_a_phone(client: Any) -> None:
+    """Where the panels would cover the scene they begin folded; a touch opens them."""
+    if 0 < client.camera.image_width < NARROW:
+        client.gui.main_panel.minimize()
+
+
 def view_m(low: Floats, high: Floats) -> float:
     """How far away the page first looks from, by the ends of a scene. [m]"""
     return 20.0 if not np.isfinite(low).all() else float(np.clip(0.35 * np.linalg.norm(high - low), 6.0, 22.0))
 
 
-def name_heights(mounts: Mapping[str, Mount], apart_m: float) -> dict[str, float]:
-    """Height of each sensor's name above its sensor, so that names of sensors beside each other do not meet. [m]"""
+def name_heights(mounts: Mapping[str, Mount], apart_m: float, tops: Mapping[str, float]) -> dict[str, float]:
+    """Height of each sensor's name above its sensor, so that names of sensors beside each other do not meet. [m]
+
+    `tops`: height of the name of each actor that has one; those of the sensors that ride on it stand above.
+    """
     heights: dict[str, float] = {}
-    placed: list[tuple[str | None, Floats]] = []
+    placed: list[tuple[str | None, Floats]] = [(actor, np.array([0.0, 0.0, top])) for actor, top in tops.items()]
     for name, mount in sorted(mounts.items(), key=lambda item: item[1].at_m[2]):
         at = np.array(mount.at_m, dtype=np.float64)
         top = at[2]
@@ -374,6 +402,19 @@ def name_heights(mounts: Mapping[str, Mount], apart_m: float) -> dict[str, float
         placed.append((mount.actor, np.array([at[0], at[1], top])))
         heights[name] = float(top - at[2])
     return heights
+
+
+def stacked(at_m: Floats, apart_m: float) -> Floats:
+    """(n,) how much higher each of the names at (n, 3) stands, so that those beside each other do not meet. [m]"""
+    raised = np.zeros(len(at_m))
+    placed: list[int] = []
+    for one in np.lexsort((np.arange(len(at_m)), at_m[:, 2])).tolist():
+        beside = [two for two in placed if np.linalg.norm(at_m[one, :2] - at_m[two, :2]) < 4.0 * apart_m]
+        for two in sorted(beside, key=lambda two: float(at_m[two, 2] + raised[two])):
+            if abs(at_m[one, 2] + raised[one] - at_m[two, 2] - raised[two]) < apart_m:
+                raised[one] = at_m[two, 2] + raised[two] + apart_m - at_m[one, 2]
+        placed.append(one)
+    return raised
 
 
 def _draw_lines(handle: Any, lines: Floats | None) -> None:
