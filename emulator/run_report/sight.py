@@ -57,7 +57,7 @@ class Sight:
         self._newest[sensor] = scan, offsets_s
         echoes = np.isfinite(scan.range_m)
         score = int(np.count_nonzero(echoes & (scan.actor > 0))), int(np.count_nonzero(echoes))
-        if sensor == self.lead and score > self._best:
+        if sensor == self.lead and score >= self._best:
             self._best, self.shown = score, dict(self._newest)
 
     @property
@@ -93,8 +93,8 @@ def draw(sight: Sight, truth: Truth, scenario: Scenario) -> bytes:
     far_m = float(np.clip(np.median(reach), NEAR_M, FAR_M))
     ahead = pose.rotation[0][:, 0] * (1.0, 1.0, 0.0)
     ahead = ahead / max(1e-6, float(np.linalg.norm(ahead)))
-    eye = here - 0.5 * far_m * ahead + np.array([0.0, 0.0, 0.55 * far_m])
-    axes = _looking(here + 0.6 * far_m * ahead - eye)
+    eye = here - 0.85 * far_m * ahead + np.array([0.0, 0.0, 0.5 * far_m])
+    axes = _looking(here + 0.55 * far_m * ahead - eye)
     columns, rows = round(WIDE * drawing.DPI), round(HIGH * drawing.DPI)
     made, axis = _canvas(columns, rows)
     axis.imshow(

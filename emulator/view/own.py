@@ -62,7 +62,9 @@ class OwnSource:
 
     def frame(self) -> Frame:
         """What the daemon has now."""
-        return self._source.frame()
+        source = self._source
+        found = source.frame()
+        return found if source is self._source else self._source.frame()  # it has begun again meanwhile
 
     def order(self, method: str, params: Mapping[str, Any]) -> Any:
         """An order to the daemon; `restart` begins the scenario again, on links of its own."""

@@ -24,6 +24,7 @@ from emulator.sensors.spec import load_spec
 from emulator.view import air, drawing, points, solids
 from emulator.view.controls import Controls
 from emulator.view.frames import Floats, Frame, Ints, ShownScan, ShownTelegram, Source
+from emulator.view.local_server import PANEL
 from emulator.world import scene as scenes
 
 FRAME_S = 0.125
@@ -33,8 +34,6 @@ SLOW = 4
 "Text is made anew every so many looks."
 NAME_SHARE = 0.07
 "Between the names of sensors one above the other, of the distance from which the page first looks."
-NARROW = 640
-"Of a page on which there is no room beside the scene. [pixels]"
 NEWEST = "newest"
 NO_LINES = np.zeros((1, 2, 3))
 
@@ -210,7 +209,7 @@ class Page:
     def _build_panels(self) -> None:
         gui = self._server.gui
         gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, brand_color=(38, 166, 154))
-        gui.set_panel_label(f"lidaremu · {visible(self._source.title)}")
+        gui.set_panel_label(PANEL + visible(self._source.title))
         gui.main_panel.dock_right()
         names = list(self._mounts)
         self._state = gui.add_html("")
@@ -241,7 +240,6 @@ class Page:
             self._fields = gui.add_html("")
         side.dock_left()
         side.set_width(330)
-        self._server.on_client_connect(fold_on_a_phone)
 
         @self._meshes.on_update
         def _(_event: Any) -> None:
@@ -373,12 +371,6 @@ class Page:
             describe(self._speakers[sensor], row.data, _kind(frame, sensor, row), row.peer, row.sent) if row else []
         )
         self._say("fields", self._fields, drawing.telegram_fields(row, fields))
-
-
-def fold_on_a_phone(client: Any) -> None:
-    """Where the panels would cover the scene they begin folded; a touch opens them."""
-    if 0 < client.camera.image_width < NARROW:
-        client.gui.main_panel.minimize()
 
 
 def view_m(low: Floats, high: Floats) -> float:

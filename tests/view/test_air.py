@@ -81,25 +81,13 @@ def test_names_that_come_together_are_parted() -> None:
     assert 0.7 + heights["front"] == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize(("width", "folded"), [(390, True), (1280, False), (0, False)])
-def test_on_a_phone_the_panels_begin_folded(width: int, folded: bool) -> None:
-    pytest.importorskip("viser", reason="extra `view` is not installed")
-    from emulator.view.page import fold_on_a_phone
-
-    told: list[bool] = []
-    panel = SimpleNamespace(minimize=lambda: told.append(True))
-    client = SimpleNamespace(camera=SimpleNamespace(image_width=width), gui=SimpleNamespace(main_panel=panel))
-    fold_on_a_phone(client)
-    assert bool(told) is folded
-
-
 @pytest.mark.parametrize("packed", [True, False])
 def test_pictures_of_the_page_leave_time_for_its_controls(packed: bool) -> None:
     pytest.importorskip("viser", reason="extra `view` is not installed")
     from websockets.datastructures import Headers
     from websockets.http11 import Response
 
-    from emulator.view.local_server import PACE, paced
+    from emulator.view.local_server import FOLD, PACE, PANEL, paced
 
     text = b"<!doctype html><html><head><title>x</title></head></html>"
     body = gzip.compress(text) if packed else text
@@ -109,6 +97,8 @@ def test_pictures_of_the_page_leave_time_for_its_controls(packed: bool) -> None:
     shown = gzip.decompress(found.body) if packed else found.body
     assert shown.index(PACE.encode()) < shown.index(b"<title>")
     assert found.headers.get_all("Content-Length") == [str(len(found.body))]
+    assert PANEL in FOLD
+    assert FOLD.encode() in shown
     other = Response(200, "OK", Headers({"Content-Type": "image/png"}), b"<head>")
     assert paced(other).body == b"<head>"
     assert paced(None) is None
