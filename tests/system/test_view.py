@@ -265,7 +265,7 @@ def test_a_scenario_stands_at_its_end_and_the_page_says_so(
     press(browser, "Resume")
     until(lambda: browser.execute_script(NOW) > 2.0, why="time does not go on")
     press(browser, "Restart")
-    until(lambda: 0.0 <= browser.execute_script(NOW) < 2.0, why="it does not begin again")
+    until(lambda: 0.0 <= browser.execute_script(NOW) <= 2.0, why="it does not begin again")
 
     # on a phone its panels lie folded at the bottom; a touch opens them
     phone = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
