@@ -35,17 +35,6 @@ LONGEST_END_S = 30.0
 _FITTING = threading.Lock()
 PANEL = "lidaremu · "
 "What the name of the main panel begins with."
-FOLD = """
-if (innerWidth < 640) {
-  let looks = 0
-  const look = setInterval(() => {
-    const found = document.evaluate("//*[starts-with(text(), 'PANEL')]", document, null, 9, null).singleNodeValue
-    if (found) found.click()
-    if (found || ++looks > 300) clearInterval(look)
-  }, 100)
-}
-""".replace("PANEL", PANEL)
-"On a phone, where panels lie over the scene, they begin folded: a touch on the name, as this, opens and folds them."
 PACE = """
 (() => {
   const draw = window.requestAnimationFrame.bind(window), drop = window.cancelAnimationFrame.bind(window)
@@ -189,12 +178,12 @@ def _fitted(lock: Lock) -> Iterator[None]:
 
 
 def paced(answer: Any) -> Any:
-    """The page with `PACE` and `FOLD` before everything else; other answers as they are."""
+    """The page with `PACE` before everything else; other answers as they are."""
     if not isinstance(answer, Response) or not answer.headers.get("Content-Type", "").startswith("text/html"):
         return answer
     packed = answer.headers.get("Content-Encoding") == "gzip"
     text = gzip.decompress(answer.body) if packed else bytes(answer.body)
-    text = text.replace(b"<head>", b'<head><meta charset="utf-8"><script>' + (PACE + FOLD).encode() + b"</script>", 1)
+    text = text.replace(b"<head>", b'<head><meta charset="utf-8"><script>' + PACE.encode() + b"</script>", 1)
     answer.body = gzip.compress(text, 3) if packed else text
     del answer.headers["Content-Length"]
     answer.headers["Content-Length"] = str(len(answer.body))

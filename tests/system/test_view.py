@@ -266,15 +266,3 @@ def test_a_scenario_stands_at_its_end_and_the_page_says_so(
     until(lambda: browser.execute_script(NOW) > 2.0, why="time does not go on")
     press(browser, "Restart")
     until(lambda: 0.0 <= browser.execute_script(NOW) <= 2.0, why="it does not begin again")
-
-    # on a phone its panels lie folded at the bottom; a touch opens them
-    phone = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
-    try:
-        browser.get(url)
-        name = there(browser, "//*[starts-with(text(), 'lidaremu · ')]")
-        until(lambda: name.rect["y"] > 700, why="the panels cover the scene")
-        browser.execute_script("arguments[0].click()", name)
-        until(lambda: name.rect["y"] < 600, why="the panels stay folded")
-    finally:
-        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
