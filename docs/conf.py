@@ -21,23 +21,41 @@ include_patterns = ["docs/*.md", "README.md", "SECURITY.md", "CHANGELOG.md", "pr
 exclude_patterns = [".*", "reports", "build", "tests", "emulator", "scenarios", "mutants"]
 highlight_language = "none"
 nitpicky = True
-html_theme = "alabaster"
-html_theme_options = {"description": "A lidar in software", "page_width": "1160px"}
+html_theme = "furo"
+html_title = "lidaremu"
+ACCENT = {"light": "#00796b", "dark": "#4db6ac"}
+html_theme_options = {
+    f"{mode}_css_variables": {
+        "color-brand-primary": colour,
+        "color-brand-content": colour,
+        "font-stack": "system-ui, sans-serif",
+        "font-stack--monospace": "ui-monospace, 'Cascadia Code', 'DejaVu Sans Mono', monospace",
+    }
+    for mode, colour in ACCENT.items()
+}
+html_css_files = ["custom.css"]
 html_static_path = ["static"]
 html_copy_source = False
 html_show_sphinx = False
 suppress_warnings = ["misc.highlighting_failure"]
 
 LINK = re.compile(r"\]\(([\w./-]+\.md)\)")
+NAMES = {"../README.md": "Overview <{}>"}
+"Pages whose own title says little in the sidebar."
 
 
 def with_contents(app, docname, source):
-    """The pages that the index links are its contents, in that order."""
+    """The pages that a chapter of the index links are its contents, in that order; the chapters head the sidebar."""
     if docname != root_doc:
         return
-    found = dict.fromkeys(LINK.findall(source[0]))
-    entries = "\n".join(page.removesuffix(".md") for page in found)
-    source[0] += f"\n\n```{{toctree}}\n:hidden:\n\n{entries}\n```\n"
+    known = set()
+    for part in source[0].split("\n## "):
+        title, _, text = part.partition("\n")
+        pages = [page for page in dict.fromkeys(LINK.findall(text)) if page not in known]
+        known.update(pages)
+        caption = "" if title.startswith("# ") else f":caption: {title}\n"
+        entries = "\n".join(NAMES.get(page, "{}").format(page.removesuffix(".md")) for page in pages)
+        source[0] += f"\n\n```{{toctree}}\n:hidden:\n{caption}\n{entries}\n```\n" if pages else ""
 
 
 def formula(self, node):

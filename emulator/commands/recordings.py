@@ -92,7 +92,8 @@ def replay(
     as_json: bool,
 ) -> int:
     """Send a RECORDING again, with its own gaps or scaled: a folder or .mcap of lidaremu, .pcap, .pcapng, .blf, .asc,
-    candump .log, or the raw bytes of a serial line.
+    candump .log, or the raw bytes of a serial line. Gaps of a recording of lidaremu are those between the instants at
+    which payloads were due, not how late a run in real time sent them.
 
     After `--` a COMMAND may follow, as of lidaremu run: it is started once every link accepts a host, gets its links in
     LIDAREMU_<SENSOR>, and the replay ends with it or at the recording's end.
@@ -219,7 +220,8 @@ def _step_by_lines(daemon: VirtualDaemon, one_more: Callable[[], None]) -> None:
 @WIRE_BAUD
 @click.option("--json", "as_json", is_flag=True, help="One JSON object per difference.")
 def diff(first: Path, second: Path, port: int, baud: int, as_json: bool) -> int:
-    """Compare two recordings: the first byte, instant, beam or object of each link and sensor that differs.
+    """Compare two recordings: the first byte, instant, beam or object of each link and sensor that differs. Instants
+    are those at which payloads were due, not how late a run in real time sent them (see lidaremu report).
 
     Give two recordings of lidaremu (folder or .mcap), or two files of .pcap, .pcapng, .blf, .asc, .log, serial dump.
     Times of such files are compared to a microsecond, relative to their first payload.

@@ -22,7 +22,8 @@ from emulator.output.lines import note, say
 def transcript(recording: Path, sensor: str | None, from_s: float, to_s: float, no_scans: bool, as_json: bool) -> int:
     """Print what host and device said in a RECORDING of lidaremu, decoded, with times: the instant at which a
     telegram's first bit was due, who sent it, its bytes, what they say. A host's bytes have the instant at which they
-    came in.
+    came in. Of a run in real time a second column has how many milliseconds later than due the telegram left, and the
+    order is that in which telegrams left.
     """
     from emulator.hosts.describe import Speaker
     from emulator.recording.conversation import conversation
@@ -34,6 +35,7 @@ def transcript(recording: Path, sensor: str | None, from_s: float, to_s: float, 
     known = sorted({name for name, _ in (*run.sent, *run.received)})
     if sensor is not None and sensor not in known:
         raise click.BadParameter(f"{sensor!r}; want one of {', '.join(known) or 'none'}", param_hint="--sensor")
+    several = len(known) > 1 and sensor is None
     speakers: dict[str, Speaker] = {}
     try:
         for one in scenario.loads(run.scenario, recording / "scenario.yaml").sensors:
@@ -49,9 +51,10 @@ def transcript(recording: Path, sensor: str | None, from_s: float, to_s: float, 
             and not (no_scans and said.payload.sweep is not None)
         ),
     )
+    late = any(one.actual_ns is not None for wire in run.sent.values() for one in wire.payloads)
     for said in found:
         speaker = speakers.get(said.wire.sensor, Speaker(""))
-        say(json.dumps(said.as_json(speaker)) if as_json else said.told(speaker, len(known) > 1 and sensor is None))
+        say(json.dumps(said.as_json(speaker)) if as_json else said.told(speaker, several, late))
     if run.cut:
         note(f"{recording}: truncated: {run.cut}")
     return OK

@@ -6,10 +6,10 @@ import json
 import secrets
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -20,13 +20,10 @@ from emulator.output.sanitizing import visible
 
 if TYPE_CHECKING:
     from emulator.view.frames import Source
-    from emulator.view.live import LiveSource
 
 NEEDS = "the page needs more: pip install 'lidaremu[view]'"
 MOST_TOLD = 8
 "Names that are told; a browser that is refused tries again."
-LONG_S = 1e8
-"A daemon of our own goes on until the page is closed: at the scenario's end its time stands."
 
 
 @click.command()
@@ -58,7 +55,7 @@ def view(
 
     CONTROL is the control socket of a running daemon (default: the only one). RECORDING is a folder or run.mcap
     of `--record`. SCENARIO is a file or built-in name: it is started with built-in hosts on its links, in real time.
-    At its `duration_s` time stops, and the page stays.
+    At its `duration_s` time stops, and the page stays; it can be restarted there.
     """
     if token is not None and (len(token) < 8 or not token.isascii() or not token.isalnum()):
         raise click.BadParameter(f"{token!r}; want 8 or more letters and digits", param_hint="--token")
@@ -131,27 +128,10 @@ def opened(what: str | None) -> Iterator[Source]:
     elif path is None or path.is_socket() or str(what).startswith("unix:") or path.suffix == ".sock":
         yield LiveSource(find(path))
     else:
-        with own_source(str(what)) as source:
-            yield source
+        from emulator.view.own import OwnSource
 
-
-@contextmanager
-def own_source(scenario: str) -> Iterator[LiveSource]:
-    """A daemon on a scenario at real time's pace, with built-in hosts on its links."""
-    from emulator.runtime.own_daemon import own_daemon
-    from emulator.view.guests import Guests, free_links
-    from emulator.view.live import LiveSource
-
-    def heard(event: Mapping[str, Any]) -> None:
-        if event.get("event") == "incident":
-            note("{at_s:.3f} s: {on}: {kind}: {text}".format_map(event))
-
-    options = ["--speed", "1", f"--duration={LONG_S}"]
-    with own_daemon(scenario, options, lambda folder: free_links(scenario, folder), heard) as daemon:
-        guests = Guests(daemon.ready["sensors"], note)
+        own = OwnSource(str(what), note)
         try:
-            source = LiveSource(daemon.control, daemon)
-            source.stand_at_end()
-            yield source
+            yield own
         finally:
-            guests.close()
+            own.close()

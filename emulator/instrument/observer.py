@@ -51,6 +51,9 @@ class Observer:
     def payload(self, payload: Payload) -> None:
         """Bytes that will leave, or came in."""
 
+    def departed(self, sensor: str, link: int, due_ns: int, actual_ns: int) -> None:
+        """What should have left by `due_ns`, its last bit, had left by `actual_ns`. In real time alone."""
+
     def cut(self, sensor: str, link: int, end_ns: int) -> None:
         """What was told to leave on a line does so no further than this."""
 

@@ -7,7 +7,7 @@ Not: the contract of a watcher (`watching`), what is sent (`instrument`).
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 
 from emulator.faults.events import FaultEvent
@@ -105,6 +105,12 @@ class Observers:
         if emission.payload:
             data, label, sweep = emission.payload, emission.label, emission.sweep
             self._tell(Payload(self._sensor, index, peer or 0, data, start_ns, end_ns, True, label, sweep, pace))
+
+    def departed(self, index: int, departures: Iterable[tuple[int, int]], took_ns: int) -> None:
+        """Payloads have left a link, scheduled and actual instant of each; handing them over took that long at most."""
+        for due_ns, actual_ns in departures:
+            for watcher in self._watchers:
+                watcher.departed(self._sensor, index, due_ns, actual_ns + took_ns)
 
     def scan(self, scan: Scan) -> None:
         """The device has taken a sweep."""

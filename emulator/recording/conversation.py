@@ -35,6 +35,7 @@ class Said:
         return {
             "at_s": self.payload.start_ns * 1e-9,
             "end_s": self.payload.end_ns * 1e-9,
+            "left_s": None if self.payload.actual_ns is None else self.payload.actual_ns * 1e-9,
             "sensor": self.wire.sensor,
             "link": self.wire.link,
             "from": "device" if self.by_device else "host",
@@ -48,24 +49,33 @@ class Said:
         """What the bytes say."""
         return describe(speaker, self.payload.data, self.wire.kind, self.payload.peer, self.by_device)
 
-    def told(self, speaker: Speaker, several: bool) -> str:
-        """One line: when its first bit began, who, what bytes, what they say. `several`: sensors take part."""
+    @property
+    def began_ns(self) -> int:
+        """When its first bit began indeed, as far as it is recorded: as late as its last."""
+        return self.payload.start_ns + self.payload.late_ns
+
+    def told(self, speaker: Speaker, several: bool, late: bool = False) -> str:
+        """One line: when its first bit was due, who, what bytes, what they say. `several`: sensors take part.
+
+        `late`: with a column of how many milliseconds later than that it left, blank where that is not recorded.
+        """
         data = self.payload.data
         shown = data[:MOST_HEX].hex(" ").upper() + (f" … ({len(data)})" if len(data) > MOST_HEX else "")
         who = ("device" if self.by_device else "host") + (f" {self.wire.sensor}" if several else "")
         where = f"{self.payload.peer:X}#" if self.wire.kind == "can" else ""
         said = "; ".join(f"{one.name} {one.value} {one.unit}".strip() for one in self.fields(speaker))
-        return f"{self.payload.start_ns * 1e-9:12.6f}  {who:<8}  {where}{shown}  {said}".rstrip()
+        after = f"{self.payload.late_ns * 1e-6:+9.3f} ms" if self.payload.actual_ns is not None else " " * 12
+        at = f"{self.payload.start_ns * 1e-9:12.6f}" + (f"  {after}" if late else "")
+        return f"{at}  {who:<8}  {where}{shown}  {said}".rstrip()
 
 
 def conversation(run: RecordedRun, wanted: Callable[[Said], bool] = lambda said: True) -> Iterator[Said]:
     """All that was said, in the order in which it began; of one instant the host's first."""
     wires = [(wire, by) for table, by in ((run.received, False), (run.sent, True)) for wire in table.values()]
     rows: Sequence[list[Said]] = [
-        sorted((Said(wire, one, by) for one in wire.payloads), key=lambda said: said.payload.start_ns)
-        for wire, by in wires
+        sorted((Said(wire, one, by) for one in wire.payloads), key=lambda said: said.began_ns) for wire, by in wires
     ]
-    for said in _joined(heapq.merge(*rows, key=lambda said: (said.payload.start_ns, said.by_device))):
+    for said in _joined(heapq.merge(*rows, key=lambda said: (said.began_ns, said.by_device))):
         if wanted(said):
             yield said
 

@@ -38,6 +38,13 @@ float32 azimuth_rad[n], elevation_rad[n], range_m[n][k], intensity[n][k] (NaN: n
 (index of the actor hit, 0 world, -1 none); uint8 flags[n] (1 dazzled, 2 saturated); rest: JSON list of objects,
 of a sensor that lists objects {"objects": [...], "truth": [...]}."""
 
+LEFT_ENCODING = "x-lidaremu-left"
+LEFT_LAYOUT = """lidaremu departures, version 1, topic /SENSOR/LINK/left, of runs in real time alone; little-endian,
+for each payload: uint64 number (of the messages of /SENSOR/LINK/tx in the order of the file, from 0, whatever their
+channel), int64 due_ns (when its last bit should have left), int64 actual_ns (when it had left, at the latest). Log time
+and publish time of /SENSOR/LINK/tx are when its first and last bit are due."""
+LEFT = np.dtype([("number", "<u8"), ("due_ns", "<i8"), ("actual_ns", "<i8")])
+
 _HEAD = struct.Struct("<qqiII")
 
 

@@ -64,6 +64,13 @@ class WirePayload:
     baud: int = 0
     "0: not paced."
     sweep: int | None = None
+    actual_ns: int | None = None
+    "When its last bit had left indeed, at the latest; None: not recorded, as in virtual time, where it is `end_ns`."
+
+    @property
+    def late_ns(self) -> int:
+        """By how much it left later than it was due."""
+        return 0 if self.actual_ns is None else max(0, self.actual_ns - self.end_ns)
 
 
 @dataclass
@@ -151,6 +158,8 @@ def _take(run: RecordedRun, channel: Channel, message: Message, offsets: dict[st
         sweep = message.sequence - 1 if message.sequence else None
         peer, baud = int(meta["peer"]), int(meta["baud"])
         wire.payloads.append(WirePayload(message.log_time, message.publish_time, message.data, peer, baud, sweep))
+    elif channel.message_encoding == layout.LEFT_ENCODING:
+        _left(run, (meta["sensor"], int(meta["link"])), message.data)
     elif channel.message_encoding == layout.SCAN_ENCODING:
         scan, offset_s = decode_scan(message.data), offsets.get(meta["sensor"])
         run.scans.setdefault(meta["sensor"], []).append(scan)
@@ -166,6 +175,14 @@ def _take(run: RecordedRun, channel: Channel, message: Message, offsets: dict[st
         run.events.append((message.log_time, meta["sensor"], row))
         if row.get("event") == "CutShort":
             _cut_short(run, meta["sensor"], row)
+
+
+def _left(run: RecordedRun, key: tuple[str, int], data: bytes) -> None:
+    """When payloads that were recorded before had left."""
+    payloads = run.sent[key].payloads if key in run.sent else []
+    for number, _, actual_ns in np.frombuffer(data, layout.LEFT).tolist():
+        if number < len(payloads):
+            payloads[number] = replace(payloads[number], actual_ns=actual_ns)
 
 
 def _cut_short(run: RecordedRun, sensor: str, row: dict[str, object]) -> None:

@@ -12,6 +12,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 from mcap.records import Attachment, Channel, Message, Metadata
+from numpy.typing import NDArray
 
 from emulator.config.budgets import loads_json
 from emulator.recording import layout
@@ -40,6 +41,16 @@ class Wire:
     url: str
     sent: bool
     payload: WirePayload
+
+
+@dataclass(frozen=True, eq=False)
+class Left:
+    """When payloads of a link had left, (n,) each. [ns]"""
+
+    sensor: str
+    link: int
+    due_ns: NDArray[np.int64]
+    actual_ns: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +92,7 @@ class Cut:
     reason: str
 
 
-Item = Head | Wire | Beams | Measured | Told | End | Cut
+Item = Head | Wire | Left | Beams | Measured | Told | End | Cut
 
 
 @dataclass
@@ -161,6 +172,10 @@ def _message(channel: Channel, message: Message) -> Item | None:
             message.log_time, message.publish_time, message.data, int(meta["peer"]), int(meta["baud"]), sweep
         )
         return Wire(meta["sensor"], int(meta["link"]), meta["kind"], meta["url"], meta["direction"] == "tx", payload)
+    if encoding == layout.LEFT_ENCODING:
+        rows = np.frombuffer(message.data, layout.LEFT)
+        due_ns, actual_ns = (rows[name].astype(np.int64) for name in ("due_ns", "actual_ns"))
+        return Left(meta["sensor"], int(meta["link"]), due_ns, actual_ns)
     if encoding == layout.SCAN_ENCODING:
         return Measured(meta["sensor"], decode_scan(message.data))
     if encoding == layout.BEAMS_ENCODING:

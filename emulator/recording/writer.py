@@ -11,7 +11,8 @@ import contextlib
 import json
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -28,12 +29,14 @@ from emulator.process.incidents import Incident, Incidents
 from emulator.recording import layout
 from emulator.recording.can_logs import LoggedFrame, candump_line, read_candump, write_logs
 from emulator.recording.chunks import McapFile, OpenChunk
+from emulator.recording.departures import Departures
 from emulator.recording.folder import RecordingError as RecordingError
 from emulator.recording.folder import RecordingFile, RecordingFolder, RecordingLost, reason
 from emulator.recording.names import CAPTURE_ENDING, LOG_ENDINGS, SCENARIO_NAME, BusName, bus_names, planned
 from emulator.recording.pcapng import LD_PORT, Packets
 from emulator.recording.writing import IN_STEP, Manner, Writing
 from emulator.scenario.scenario import Scenario, dump
+from emulator.transports.link import LATENESS_KEPT
 from emulator.transports.urls import parse_url
 from protocols.device_clock import Told
 from protocols.scan import Floats, Scan, ScanPlan
@@ -99,6 +102,8 @@ class Recorder(Observer):
         self._logs: dict[str, _Pieces] = {}
         self._seen: dict[str, dict[int, None]] = {}
         "Of each bus the ends of its last frames: every sensor on it tells of each frame."
+        self._departures: dict[tuple[str, int], Departures] | None = {} if manner.late else None
+        "Of each sensor's links what has been handed to them and not left; None: all leaves when it is due."
         self._offsets: dict[str, Floats] = {}
         self._told: dict[str, tuple[int, int]] = {}
         "Sensor -> the sweep whose time was written last, and its instant: it is told once for each host."
@@ -117,6 +122,9 @@ class Recorder(Observer):
         self._writing = Writing(manner, self.flush, self._fail)
         self._incidents.listeners.append(self._befell)
         for instrument in instruments:
+            if manner.late:
+                for link in instrument.links:
+                    link.stats.departures = deque(maxlen=LATENESS_KEPT)
             instrument.watch(self)
 
     @property
@@ -134,6 +142,8 @@ class Recorder(Observer):
         self._clock = self._schema("lidaremu.Clock", "jsonschema", b'{"type": "object"}')
         self._beams = self._schema("lidaremu.Beams", "text", b"float64 fire_offset_s[n]")
         self._event = self._schema("lidaremu.Event", "jsonschema", b'{"type": "object"}')
+        if self._departures is not None:
+            self._left = self._schema("lidaremu.Left", "text", layout.LEFT_LAYOUT.encode())
 
     def _schema(self, name: str, encoding: str, data: bytes) -> int:
         self._schemas.append(Schema(id=len(self._schemas) + 1, data=data, encoding=encoding, name=name))
@@ -151,6 +161,13 @@ class Recorder(Observer):
 
     def payload(self, payload: Payload) -> None:
         self._guarded(self._payload, payload)
+
+    def departed(self, sensor: str, link: int, due_ns: int, actual_ns: int) -> None:
+        self._guarded(self._departed, sensor, link, due_ns, actual_ns)
+
+    def cut(self, sensor: str, link: int, end_ns: int) -> None:
+        if self._departures is not None and (sensor, link) in self._departures:
+            self._departures[sensor, link].cut(end_ns)
 
     def scan(self, sensor: str, scan: Scan) -> None:
         if self._truth and not self.failure:
@@ -225,10 +242,37 @@ class Recorder(Observer):
             )
         sequence = 0 if payload.sweep is None else (payload.sweep + 1) & 0xFFFFFFFF
         self._message(channel, payload.start_ns, payload.data, payload.end_ns, sequence)
+        captured = link.kind is not LinkKind.SERIAL or link.url.startswith(("tcp:", "udp:"))
         if link.kind is LinkKind.CAN:
             self._log(link.url, payload)
-        elif link.kind is not LinkKind.SERIAL or link.url.startswith(("tcp:", "udp:")):
-            self._capture(link.url, payload, link.kind is LinkKind.DATAGRAM or link.url.startswith("udp:"))
+        elif captured and (self._departures is None or not payload.sent):
+            self._capture(link.url, payload, payload.start_ns)
+        if self._departures is not None and payload.sent:
+            kept = payload if captured and link.kind is not LinkKind.CAN else None
+            self._in_capture(self._departures_of(payload.sensor, payload.link).hand(payload.end_ns, kept))
+
+    def _departures_of(self, sensor: str, link: int) -> Departures:
+        assert self._departures is not None
+        return self._departures.setdefault((sensor, link), Departures())
+
+    def _departed(self, sensor: str, link: int, due_ns: int, actual_ns: int) -> None:
+        if self._departures is not None:
+            self._last_ns = max(self._last_ns, actual_ns)
+            self._in_capture(self._departures_of(sensor, link).leave(due_ns, actual_ns))
+
+    def _in_capture(self, left: Iterable[tuple[Payload, int]]) -> None:
+        """Packets with the instants at which they left, or are due where that is not known."""
+        for payload, at_ns in left:
+            self._capture(self._instruments[payload.sensor].links[payload.link].url, payload, at_ns)
+
+    def _note_departures(self) -> None:
+        """Into the chunk that is about to be full."""
+        for (sensor, link), departures in (self._departures or {}).items():
+            if (rows := departures.take()) is not None:
+                about = {"sensor": sensor, "link": str(link)}
+                channel = self._of(sensor, f"{link}/left", layout.LEFT_ENCODING, self._left, about)
+                at_ns = int(rows["actual_ns"].max())
+                self._message(channel, at_ns, rows.tobytes(), at_ns)
 
     def _message(self, channel: int, log_ns: int, data: bytes, publish_ns: int, sequence: int = 0) -> None:
         self._last_ns = max(self._last_ns, publish_ns)
@@ -257,13 +301,15 @@ class Recorder(Observer):
     def _add(self, sensor: str, what: str, encoding: str, schema: int, at_ns: int, data: bytes) -> None:
         self._guarded(lambda: self._message(self._of(sensor, what, encoding, schema), at_ns, data, at_ns))
 
-    def _of(self, sensor: str, what: str, encoding: str, schema: int) -> int:
+    def _of(self, sensor: str, what: str, encoding: str, schema: int, about: dict[str, str] | None = None) -> int:
         key = (sensor, what)
         if key not in self._channels:
-            self._channels[key] = self._channel(f"/{sensor}/{what}", encoding, schema, {"sensor": sensor})
+            self._channels[key] = self._channel(f"/{sensor}/{what}", encoding, schema, about or {"sensor": sensor})
         return self._channels[key]
 
-    def _capture(self, url: str, payload: Payload, datagram: bool) -> None:
+    def _capture(self, url: str, payload: Payload, at_ns: int) -> None:
+        kind = self._instruments[payload.sensor].links[payload.link].kind
+        datagram = kind is LinkKind.DATAGRAM or url.startswith("udp:")
         found = self._captures.get(payload.sensor)
         if found is None:
             found = Packets(f"{payload.sensor} {url}"), _Pieces(payload.sensor + CAPTURE_ENDING)
@@ -272,7 +318,7 @@ class Recorder(Observer):
         port = parse_url(url).target.rpartition(":")[2]
         number = int(port) if port.isdigit() else LD_PORT
         device, peer = (2112, payload.peer or number) if datagram else (number, payload.peer)
-        found[1].add(found[0].of(payload.start_ns, payload.data, payload.sent, device, peer, datagram))
+        found[1].add(found[0].of(at_ns, payload.data, payload.sent, device, peer, datagram))
         if found[1].size > LOG_BYTES:
             self._turn_pieces(found[1])
 
@@ -286,7 +332,9 @@ class Recorder(Observer):
         bus = self._buses[url]
         if url not in self._logs:
             self._logs[url] = _Pieces(bus.stem + LOG_ENDINGS[0])
-        frame = LoggedFrame(payload.end_ns, payload.peer, payload.data, bus.channel)
+        # a frame is told as the bus carries it, so that in real time this is when it leaves
+        at_ns = payload.end_ns if self._departures is None else max(payload.end_ns, self._now_ns())
+        frame = LoggedFrame(at_ns, payload.peer, payload.data, bus.channel)
         self._logs[url].add(candump_line(frame).encode("ascii"))
         if self._logs[url].size > LOG_BYTES:
             self._turn_pieces(self._logs[url])
@@ -295,6 +343,7 @@ class Recorder(Observer):
 
     def _turn(self) -> None:
         """The chunk is full: a new one, and in the same go what waits for the other files."""
+        self._note_departures()
         chunk, self._chunk = self._chunk, OpenChunk()
         if chunk.parts:
             self._writing.put(partial(self._file.chunk, chunk), chunk.size)
@@ -347,6 +396,8 @@ class Recorder(Observer):
             return
         with self._lock:
             if not self.failure:
+                for departures in (self._departures or {}).values():
+                    self._in_capture(departures.end())
                 self._turn()
         self._closed = True
         moving = self._writing.close()

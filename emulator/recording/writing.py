@@ -33,11 +33,13 @@ class Manner:
     "The run waits for a disk that is too slow; else the recording ends."
     sync: bool = False
     "The end waits until the disk has everything."
+    late: bool = False
+    "Payloads leave later than they are due: both instants are recorded."
 
 
 IN_STEP = Manner(None)
 "Written by who records: the same run makes the same bytes. For runs in virtual time without hosts outside."
-LIVE = Manner(0.5, sync=True)
+LIVE = Manner(0.5, sync=True, late=True)
 VIRTUAL = Manner(0.5, waits=True)
 
 Job = Callable[[], None]

@@ -12,7 +12,7 @@ import numpy as np
 
 from emulator.objects.metrics import DISTANCE_BINS_M
 from emulator.run_report.errors import BIN_M, CURVE_BINS, CURVE_M, HALF_BINS, Errors, RangeTally
-from emulator.run_report.gather import Gathered, Happening, ObjectTally, SensorTally
+from emulator.run_report.gather import Gathered, Happening, LinkTally, ObjectTally, SensorTally
 from emulator.run_report.weather import QUANTITIES, Step
 from emulator.studies.drawing import COLOURS, figure, png, word
 from protocols.scan import Floats
@@ -22,6 +22,8 @@ OFTEN = 10
 "Sweeps that met an actor, below which its share says little."
 LINEAR_MM = 100.0
 "Errors up to it have a linear scale."
+LEAST_LATE_MS = 1e-3
+"Lateness below it is drawn as this: the scale is logarithmic."
 SLOTS = 240
 "Points of a curve over time."
 
@@ -99,6 +101,33 @@ def lateness(sensors: Sequence[SensorTally]) -> bytes:
     axes.set_xlabel("lateness [µs]")
     axes.set_ylabel("sends later than that [%]")
     axes.legend(frameon=False)
+    return png(made)
+
+
+def lateness_over_time(links: Sequence[tuple[str, LinkTally]], duration_s: float) -> bytes:
+    """Median and worst lateness in each piece of the run, a panel a link."""
+    made, panels = figure(1, len(links), size=(9.0, 2.4 * len(links) + 0.4))
+    slot_s = max(0.1, duration_s / SLOTS)
+    edges = np.arange(0.0, duration_s + 2.0 * slot_s, slot_s)
+    for number, (axes, (name, link)) in enumerate(zip(panels, links, strict=True)):
+        due_s = np.array(link.due_ns, dtype=np.int64) * 1e-9
+        late_ms = np.maximum(np.array(link.late_ns, dtype=np.int64) * 1e-6, LEAST_LATE_MS)
+        slots = np.clip(np.searchsorted(edges, due_s, "right") - 1, 0, len(edges) - 2)
+        order = np.lexsort((late_ms, slots))
+        slots, late_ms = slots[order], late_ms[order]
+        firsts = np.flatnonzero(np.diff(slots, prepend=-1))
+        counts = np.diff(np.append(firsts, len(slots)))
+        middle_s = edges[slots[firsts]] + 0.5 * slot_s
+        colour = COLOURS[number % len(COLOURS)]
+        axes.vlines(middle_s, late_ms[firsts], late_ms[firsts + counts - 1], color=colour, alpha=0.3, linewidth=2.0)
+        axes.plot(middle_s, late_ms[firsts + counts // 2], ".", color=colour, markersize=5, label="median")
+        axes.plot(middle_s, late_ms[firsts + counts - 1], "_", color=colour, markersize=6, label="worst")
+        axes.set_yscale("log")
+        axes.set_xlim(0.0, max(duration_s, slot_s))
+        axes.set_title(name, fontsize=10)
+        axes.set_ylabel("lateness [ms]")
+        axes.legend(frameon=False, ncols=2, fontsize=9)
+    panels[-1].set_xlabel(f"time [s], in pieces of {slot_s:g} s")
     return png(made)
 
 

@@ -18,7 +18,8 @@ import numpy as np
 from emulator.instrument.stats import SCAN_REASONS
 from emulator.objects.metrics import ObjectScore, TruthObject
 from emulator.recording.layout import RecordedScan
-from emulator.recording.streaming import Beams, Cut, End, Head, Measured, Progress, Told, Wire, items
+from emulator.recording.streaming import Beams, Cut, End, Head, Left, Measured, Progress, Told, Wire, items
+from emulator.run_report.sight import Sight
 from emulator.run_report.truth import SensorTruth, Truth, truth_of
 from emulator.scenario.scenario import Scenario
 from protocols.scan import DetectedObject, Floats
@@ -53,6 +54,22 @@ class LinkTally:
     bytes_in: int = 0
     replies: int = 0
     peers: set[int] = field(default_factory=set)
+    due_ns: array[int] = field(default_factory=lambda: array("q"))
+    "Last bit of each payload whose departure is recorded: of runs in real time."
+    late_ns: array[int] = field(default_factory=lambda: array("q"))
+    "By how much later it had left."
+
+    def left(self, item: Left) -> None:
+        """Some payloads have left."""
+        self.due_ns.extend(item.due_ns.tolist())
+        self.late_ns.extend(np.maximum(0, item.actual_ns - item.due_ns).tolist())
+
+
+def late_us(link: LinkTally) -> tuple[int, float, float, float]:
+    """How many payloads' departures are recorded; median, 99 % and worst of how late they were. [us]"""
+    values = np.array(link.late_ns, dtype=np.int64) * 1e-3
+    median, p99, worst = np.percentile(values, (50.0, 99.0, 100.0))
+    return len(values), float(median), float(p99), float(worst)
 
 
 @dataclass
@@ -274,6 +291,9 @@ class Gathered:
     scenario_text: str = ""
     scenario: Scenario | None = None
     truth: Truth | None = None
+    scene: Truth | None = None
+    "The same, for pictures, also where ranges are not compared."
+    sight: Sight = field(default_factory=Sight)
     sensors: dict[str, SensorTally] = field(default_factory=dict)
     happenings: list[Happening] = field(default_factory=list)
     happenings_left_out: int = 0
@@ -312,16 +332,22 @@ def gather(path: Path, with_truth: bool = True, tell: Callable[[Progress], None]
     """Read a recording once; `tell` is called now and then. Raises `RecordingError` when it is none."""
     progress = Progress()
     run = Gathered(path)
+    offsets_s: dict[str, Floats] = {}
     for number, item in enumerate(items(path, progress)):
         if number % 256 == 0:
             tell(progress)
         if isinstance(item, Wire):
             run.last_ns = max(run.last_ns, item.payload.end_ns)
             run.sensor(item.sensor).wire(item)
+        elif isinstance(item, Left):
+            if (link := run.sensor(item.sensor).links.get(item.link)) is not None:
+                link.left(item)
         elif isinstance(item, Measured):
             run.last_ns = max(run.last_ns, item.scan.start_ns)
+            run.sight.add(item.sensor, item.scan, offsets_s.get(item.sensor))
             _scan(run, item)
         elif isinstance(item, Beams):
+            offsets_s[item.sensor] = item.fire_offset_s
             tally = run.sensor(item.sensor)
             if tally.truth is not None:
                 tally.truth.offsets_s = item.fire_offset_s
@@ -359,7 +385,7 @@ def _begin(run: Gathered, head: Head, with_truth: bool) -> None:
     run.version, run.scenario_text = head.version, head.scenario
     folder = run.path if run.path.is_dir() else run.path.parent
     run.scenario, truth = truth_of(head.scenario, folder / "scenario.yaml", run.remarks.append)
-    run.truth = truth if with_truth else None
+    run.scene, run.truth = truth, truth if with_truth else None
     for sensor in () if run.scenario is None else run.scenario.sensors:
         run.sensor(sensor.id).model = sensor.model
 

@@ -11,13 +11,13 @@ from functools import partial
 import numpy as np
 
 from emulator import __version__
-from emulator.run_report import figures
+from emulator.run_report import figures, sight
 from emulator.run_report.against_truth import objects, ranges, stem
 from emulator.run_report.errors import known
 from emulator.run_report.expected import chapter
-from emulator.run_report.gather import Gathered, SensorTally
+from emulator.run_report.gather import Gathered, SensorTally, late_us
 from emulator.run_report.weather import QUANTITIES, Step, steps
-from emulator.studies.report import Column, Picture, Report, Section, Table, Value, rows_of
+from emulator.studies.report import Column, Fact, Picture, Report, Section, Table, Value, rows_of
 
 MOST_ROWS = 300
 "Rows of the time line on the page."
@@ -31,7 +31,7 @@ def report_of(run: Gathered, tell: Callable[[float], None] = lambda share: None)
         lambda: [chapter(run)],
         lambda: [_overview(sensors)],
         lambda: [_rates(run, sending)],
-        lambda: [_lateness_and_drops(sensors)],
+        lambda: [_lateness_and_drops(sensors, run.duration_s)],
         *(partial(_echoes, one) for one in sensors if len(one.points)),
         *(partial(ranges, one) for one in sensors),
         *(partial(objects, one) for one in sensors if one.objects is not None),
@@ -45,7 +45,42 @@ def report_of(run: Gathered, tell: Callable[[float], None] = lambda share: None)
         sections += [section for section in part() if section is not None]
     tell(1.0)
     title = f"Run {run.path.resolve().name}"
-    return Report("report", title, tuple(_summary(run)), tuple(sections), closing=_closing(run))
+    return Report(
+        "report", title, tuple(_summary(run)), tuple(sections), _closing(run), tuple(_lead(run)), tuple(_facts(run))
+    )
+
+
+def _lead(run: Gathered) -> Iterator[Picture]:
+    """The scene with the sensors' points; nothing where it cannot be built again, or no beams are recorded."""
+    if run.scene is None or run.scenario is None or not run.sight.shown:
+        return
+    if run.sight.lead in {one.id for one in run.scenario.sensors}:
+        names = ", ".join(f"`{name}`" for name in run.sight.shown)
+        told = (
+            f"The recorded scene at {run.sight.at_s:.3f} s with one sweep of {names}; the triangle is the first sensor."
+        )
+        yield Picture(
+            "scene", "The scene with the sensors' points", sight.draw(run.sight, run.scene, run.scenario), told
+        )
+
+
+def _facts(run: Gathered) -> Iterator[Fact]:
+    """What is asked first."""
+    rows = run.verdict.get("expect")
+    if isinstance(rows, list) and rows:
+        held = sum(isinstance(row, dict) and row.get("passed") is True for row in rows)
+        yield Fact("expectations held", f"{held} of {len(rows)}", "good" if held == len(rows) else "bad")
+    sensors = run.sensors.values()
+    yield Fact("recorded", _seconds(run.duration_s))
+    yield Fact("scans sent", f"{sum(len(one.sent_ns) for one in sensors)}")
+    dropped = sum(sum(one.scans_dropped.values()) for one in sensors)
+    yield Fact("scans dropped", f"{dropped}", "bad" if dropped else "")
+    late = [np.array(link.late_ns, dtype=np.int64) for one in sensors for link in one.links.values() if link.late_ns]
+    if late:
+        yield Fact("lateness, 99 %", f"{float(np.percentile(np.concatenate(late), 99.0)) * 1e-6:.3g} ms")
+    silent = [one.sensor for one in sensors if one.silent_s]
+    if silent:
+        yield Fact("silent at the end", ", ".join(silent), "bad")
 
 
 def _closing(run: Gathered) -> str:
@@ -173,7 +208,10 @@ def _rates(run: Gathered, sensors: Sequence[SensorTally]) -> Section | None:
         )
     return Section(
         "Rates and jitter",
-        ("Instants are those at which the first bit of a scan is due on the sensor's first link, to the nanosecond.",),
+        (
+            "Instants are those at which the first bit of a scan is due on the sensor's first link, to the nanosecond;"
+            " how late scans left in a run in real time is told under lateness.",
+        ),
         (
             Picture("rates", "Scans per second over time", figures.rates(sensors, run.duration_s), "Rate over time."),
             Picture("gaps", "Histogram of gaps", figures.gaps(sensors), "Time from scan to scan; counts logarithmic."),
@@ -190,7 +228,7 @@ def _echoes(one: SensorTally) -> Iterator[Section]:
     yield Section(f"{one.sensor}: echoes", (told,), (picture,))
 
 
-def _lateness_and_drops(sensors: Sequence[SensorTally]) -> Section:
+def _lateness_and_drops(sensors: Sequence[SensorTally], duration_s: float) -> Section:
     told = [one for one in sensors if one.end.get("lateness_us", {}).get("sends")]
     columns = (
         Column("sensor", "Sensor"),
@@ -236,7 +274,20 @@ def _lateness_and_drops(sensors: Sequence[SensorTally]) -> Section:
             Column("count", "Count", "d"),
         )
         tables.append(Table("drop_details", "Of these, the most frequent", heads, rows_of(details)))
-    text = [] if rows else ["Lateness is not in this recording."]
+    links = [
+        (f"{one.sensor}, link {number}", one.sensor, number, link)
+        for one in sensors
+        for number, link in sorted(one.links.items())
+        if link.late_ns
+    ]
+    if links:
+        heads = (Column("sensor", "Sensor"), Column("link", "Link", "d"), *columns[1:])
+        told_links = [(sensor, number, *late_us(link)) for _, sensor, number, link in links]
+        words = (
+            "From the recorded instants: when the last bit of a payload was due, and when it had left at the latest."
+        )
+        tables.insert(0, Table("lateness_by_link", "Lateness by link", heads, rows_of(told_links), words))
+    text = [] if rows or links else ["Lateness is not in this recording."]
     text += [] if drops else ["Nothing was dropped."]
     pictures: tuple[Picture, ...] = ()
     if any(one.end["lateness_us"]["worst"] for one in told):
@@ -249,6 +300,10 @@ def _lateness_and_drops(sensors: Sequence[SensorTally]) -> Section:
                 "Share of sends that were later; in virtual time, the grouping of bytes alone.",
             ),
         )
+    if links:
+        picture = figures.lateness_over_time([(name, link) for name, _, _, link in links], duration_s)
+        words = "Median and worst lateness over time; shaded from the least to the worst."
+        pictures = (Picture("lateness_over_time", "Lateness over time", picture, words), *pictures)
     return Section("Lateness and drops", tuple(text), pictures, tuple(tables))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from emulator.objects.metrics import DISTANCE_BINS_M
 from emulator.run_report.errors import Aimed, Errors, RangeTally, known
-from emulator.run_report.gather import Gathered, SensorTally
+from emulator.run_report.gather import Gathered, LinkTally, SensorTally, late_us
 from emulator.run_report.weather import steps
 
 
@@ -59,12 +59,21 @@ def _sensor(one: SensorTally) -> dict[str, Any]:
             {"number": number, "name": fault.name, "hits": fault.hits} for number, fault in sorted(one.faults.items())
         ],
         "lateness_us": one.end.get("lateness_us"),
+        "links": [_link(number, link) for number, link in sorted(one.links.items())],
     }  # fmt: skip
     if one.truth is not None and one.truth.tally.sweeps:
         row["ranges"] = _ranges(one.truth.tally)
     if one.objects is not None:
         row["objects"] = one.objects.score.as_json()
     return row
+
+
+def _link(number: int, link: LinkTally) -> dict[str, Any]:
+    row: dict[str, Any] = {"link": number, "url": link.url, "payloads_out": link.sent, "payloads_in": link.received}
+    if not link.late_ns:
+        return row | {"lateness_us": None}
+    count, median, p99, worst = late_us(link)
+    return row | {"lateness_us": {"payloads": count, "median": median, "p99": p99, "worst": worst}}
 
 
 def _ranges(tally: RangeTally) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from emulator.casting import raycast
+from emulator.casting.hits import Hits, LateHits
 from emulator.errors import EmulatorError
 from emulator.recording.layout import RecordedScan
 from emulator.run_report.errors import RangeTally
@@ -35,6 +36,11 @@ class Truth:
     def tally_of(self, sensor: str) -> SensorTruth:
         """Adds up one sensor's sweeps."""
         return SensorTruth(self, sensor)
+
+    def first(self, origin_m: Floats, direction: Floats, t_s: float) -> Hits | LateHits:
+        """What rays from one point meet first, all at one instant."""
+        origins = np.ascontiguousarray(np.broadcast_to(origin_m, direction.shape))
+        return self._caster.first_hits(origins, np.ascontiguousarray(direction), np.full(len(direction), t_s))
 
     def ranges(self, sensor: str, t_s: Floats, azimuth_rad: Floats, elevation_rad: Floats) -> tuple[Floats, Ints]:
         """True range, NaN where the axis meets nothing, and index of the actor met, -1; (b,) each."""

@@ -234,11 +234,14 @@ class Daemon:
 
     def _note_lateness(self, instrument: Instrument, step_ns: int) -> None:
         kept = instrument.stats.lateness
-        for link in instrument.links:
+        for index, link in enumerate(instrument.links):
             if link.stats.lateness_ns:
                 # the link knows when it was called; what it took until the bytes were handed over is added at most
                 kept.extend(late + step_ns for late in link.stats.lateness_ns)
                 link.stats.lateness_ns.clear()
+                if link.stats.departures:
+                    instrument.observers.departed(index, link.stats.departures, step_ns)
+                    link.stats.departures.clear()
 
     def _watch(self, index: int, instrument: Instrument) -> None:
         resting = instrument.input_budget.rests(self._clock.now_ns())

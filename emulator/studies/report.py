@@ -95,6 +95,16 @@ class Section:
 
 
 @dataclass(frozen=True)
+class Fact:
+    """A number that is told first, in large letters."""
+
+    label: str
+    value: str
+    tone: str = ""
+    "good | bad; empty: neither."
+
+
+@dataclass(frozen=True)
 class Report:
     """Everything a study found."""
 
@@ -104,6 +114,9 @@ class Report:
     sections: tuple[Section, ...]
     closing: str = ""
     "Last line of the page; empty: where a study's tables and pictures are."
+    lead: tuple[Picture, ...] = ()
+    "Before everything else, in their own colours on a light page and on a dark one."
+    facts: tuple[Fact, ...] = ()
 
     def table(self, name: str) -> Table:
         """One of its tables."""
@@ -151,10 +164,10 @@ def write_parts(report: Report, out: Path) -> list[Path]:
     """Write pictures and tables; the files."""
     written: list[Path] = []
     try:
+        for picture in (*report.lead, *(one for section in report.sections for one in section.pictures)):
+            written.append(out / f"{picture.name}.png")
+            written[-1].write_bytes(picture.png)
         for section in report.sections:
-            for picture in section.pictures:
-                written.append(out / f"{picture.name}.png")
-                written[-1].write_bytes(picture.png)
             for table in (*section.tables, *section.beside):
                 written.append(out / f"{table.name}.csv")
                 _write_csv(table, written[-1])

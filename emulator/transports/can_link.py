@@ -346,7 +346,7 @@ class CanLink(Link):
                 self.on_carried(frame, frame.node is self.node)
             if frame.node is self.node:
                 self.can.frames_sent += 1
-                self.stats.lateness_ns.append(max(0, now_ns - frame.end_ns))
+                self.stats.note_left(frame.end_ns, now_ns)
                 if heard:
                     self.stats.bytes_out += len(frame.data)
                 else:

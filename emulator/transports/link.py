@@ -61,6 +61,14 @@ class LinkStats:
     lateness_ns: deque[int] = field(default_factory=lambda: deque(maxlen=LATENESS_KEPT))
     """Actual minus scheduled instant at which each payload had wholly left (unpaced: was handed over); never negative.
     The daemon drains it. The last byte, because the first ones of a paced payload wait for their group on purpose."""
+    departures: deque[tuple[int, int]] | None = None
+    "Scheduled and actual instant of the same, while somebody records them; the daemon drains it. None: nobody does."
+
+    def note_left(self, due_ns: int, now_ns: int) -> None:
+        """A payload that should have left by `due_ns` has left by `now_ns`."""
+        self.lateness_ns.append(max(0, now_ns - due_ns))
+        if self.departures is not None:
+            self.departures.append((due_ns, max(due_ns, now_ns)))
 
 
 class Link(ABC):

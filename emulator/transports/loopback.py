@@ -278,7 +278,7 @@ class LoopLink(Link):
             if not hearing:
                 self.stats.bytes_lost += len(left.data)
             if left.ends:
-                self.stats.lateness_ns.append(max(0, now_ns - left.last_ns))
+                self.stats.note_left(left.last_ns, now_ns)
         line_ns = self._line.next_ns(now_ns)
         return line_ns if input_ns is None else input_ns if line_ns is None else min(line_ns, input_ns)
 

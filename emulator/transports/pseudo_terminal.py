@@ -216,8 +216,9 @@ class PseudoTerminal(Link):
             self._write(kept)
         if left:
             self._write(b"".join(self._as_heard(left)))
-            late = (now_ns - item.last_ns for item in left if item.ends)
-            self.stats.lateness_ns.extend(max(0, value) for value in late)
+            for item in left:
+                if item.ends:
+                    self.stats.note_left(item.last_ns, now_ns)
         wakes = [self._line.next_ns(now_ns), self._intake.next_ns() if self._input_waits else None]
         if self._watch is None and not self._open:
             wakes.append(now_ns + POLL_NS)

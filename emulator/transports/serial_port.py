@@ -24,7 +24,7 @@ from serial.tools import list_ports
 
 from emulator.errors import LinkError
 from emulator.transports.link import Link, Received
-from emulator.transports.pacing import QUEUE_LIMIT, leave_ns
+from emulator.transports.pacing import QUEUE_LIMIT, PacedLine, leave_ns
 from emulator.transports.tty_modes import waiting_output
 from emulator.transports.urls import parse_url
 from protocols.session import LinkKind
@@ -60,6 +60,8 @@ class _Waiting:
     data: memoryview
     due_ns: int
     speed_after: int | None
+    ends_ns: int | None = None
+    "When its last bit should leave; None: nobody records it."
 
 
 class SerialPort(Link):
@@ -89,6 +91,8 @@ class SerialPort(Link):
         "The line changes to it as soon as it is empty; nothing is handed over before."
         self._lost: str | None = None
         self._told = False
+        self._schedule: PacedLine | None = None
+        "The line as it should be, where departures are recorded: the UART's own pace is not asked."
 
     @property
     def url(self) -> str:
@@ -139,8 +143,17 @@ class SerialPort(Link):
         if self._queued and payload and self._queued + len(payload) > QUEUE_LIMIT:
             self.stats.payloads_dropped += 1
             return
-        self._queue.append(_Waiting(memoryview(payload), due_ns, line_speed))
+        ends_ns = None if self.stats.departures is None else self._scheduled(payload, due_ns, line_speed)
+        self._queue.append(_Waiting(memoryview(payload), due_ns, line_speed, ends_ns))
         self._queued += len(payload)
+
+    def _scheduled(self, payload: bytes, due_ns: int, line_speed: int | None) -> int | None:
+        """When the last bit should leave; None where there is none."""
+        if self._schedule is None:
+            self._schedule = PacedLine(self.baud)
+        self._schedule.put(payload, due_ns, line_speed)
+        left = self._schedule.take(1 << 62)
+        return left[-1].last_ns if left else None
 
     def cut(self, now_ns: int) -> None:
         """What the driver of the port still holds goes too: its own buffer cannot be cut at a byte."""
@@ -190,6 +203,8 @@ class SerialPort(Link):
             head.data = head.data[written:]
         if not head.data:
             self.stats.lateness_ns.append(now_ns - head.due_ns)
+            if self.stats.departures is not None and head.ends_ns is not None:
+                self.stats.departures.append((head.ends_ns, max(head.ends_ns, self._busy_ns)))
         return not head.data
 
     def _empty_at(self, now_ns: int) -> int | None:
@@ -214,6 +229,7 @@ class SerialPort(Link):
         if baud is None or self._gone:
             return
         self._new_speed = None
+        self._schedule = None
         try:
             self._port.baudrate = baud
         except FAULTS as error:

@@ -106,7 +106,7 @@ class TcpStream(_TcpLink):
                 self.on_given_up(payload)
             if not any(hosts):
                 self.stats.bytes_lost += len(payload)
-            self.stats.lateness_ns.append(now_ns - due_ns)
+            self.stats.note_left(due_ns, now_ns)
         return self._earliest(self._queue[0][0] if self._queue else None)
 
     def _give(self, host: Host, payload: bytes, now_ns: int) -> bool:
@@ -174,7 +174,7 @@ class TcpLine(_TcpLink):
             if not hosts:
                 self.stats.bytes_lost += len(left.data)
             if left.ends:
-                self.stats.lateness_ns.append(max(0, now_ns - left.last_ns))
+                self.stats.note_left(left.last_ns, now_ns)
         return self._earliest(self._line.next_ns(now_ns))
 
     @property

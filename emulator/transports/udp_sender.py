@@ -166,18 +166,18 @@ class UdpSender(Link):
             return None
         if self._line is not None:
             for left in self._line.take(now_ns):
-                self._send(left.data, None, now_ns - left.last_ns)
+                self._send(left.data, None, left.last_ns, now_ns)
             return self._earliest(self._line.next_ns(now_ns))
         while self._queue and self._queue[0][0] <= now_ns:
             due_ns, payload, peer = self._queue.popleft()
             self._queued -= len(payload)
-            self._send(payload, peer, now_ns - due_ns)
+            self._send(payload, peer, due_ns, now_ns)
         return self._earliest(self._queue[0][0] if self._queue else None)
 
     def _earliest(self, wake_ns: int | None) -> int | None:
         return min((wake for wake in (wake_ns, self._intake.next_ns()) if wake is not None), default=None)
 
-    def _send(self, payload: bytes, peer: int | None, late_ns: int) -> None:
+    def _send(self, payload: bytes, peer: int | None, due_ns: int, now_ns: int) -> None:
         place = self._there if peer is None else self._senders.get(peer, self._there)
         try:
             self._out.sendto(payload, place)
@@ -186,7 +186,7 @@ class UdpSender(Link):
             self.on_given_up(payload)
         else:
             self.stats.bytes_out += len(payload)
-            self.stats.lateness_ns.append(max(0, late_ns))
+            self.stats.note_left(due_ns, now_ns)
 
     @property
     def speed(self) -> int | None:

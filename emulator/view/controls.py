@@ -15,7 +15,7 @@ from emulator.output.sanitizing import html, visible
 from emulator.runtime.order_words import parameters_of
 from emulator.view.drawing import inset
 from emulator.view.frames import Frame, Source
-from emulator.view.sky import FOG_MARKS, faults_of, fog_share, fog_visibility_m, told
+from emulator.view.sky import CLEAR_M, FOG_CHOICES, THICK_M, faults_of, fog_field_m, fog_table, told
 
 QUIET_LOOKS = 8
 "Looks after the user's last move of a slider until the sliders follow the daemon again."
@@ -99,6 +99,10 @@ class Controls:
         with gui.add_folder("Time"):
             self._moving = gui.add_button("Pause")
             self._step = gui.add_button("Step one scan")
+            self._again: Any = None
+            if self._source.can_restart:
+                self._again = gui.add_button("Restart", hint="Begin again at 0 s")
+                self._again.on_click(lambda _event: self._orders.send("restart", "restart", {}))
             self._speed = gui.add_dropdown(
                 "Speed", ("fastest", "0.1", "0.25", "0.5", "1", "2", "5", "10"), initial_value="1"
             )
@@ -126,7 +130,11 @@ class Controls:
     def _build_weather(self) -> None:
         gui = self._server.gui
         with gui.add_folder("Weather"):
-            self._fog = gui.add_slider("Fog", 0, 100, 1, 0, marks=FOG_MARKS)
+            self._fog = gui.add_number(
+                "Fog visibility, m", CLEAR_M, min=THICK_M, max=CLEAR_M, step=10.0,
+                hint=f"Meteorological optical range; {CLEAR_M:g}: no fog",
+            )  # fmt: skip
+            self._fogs = gui.add_button_group("Fog", tuple(FOG_CHOICES))
             self._rain = gui.add_slider("Rain, mm/h", 0.0, 100.0, 0.5, 0.0)
             self._snow = gui.add_slider("Snow, mm/h", 0.0, 50.0, 0.5, 0.0)
             self._sun = gui.add_checkbox("Sun", False)
@@ -147,16 +155,28 @@ class Controls:
             return {"rate_mm_h": float(value)} if value else None
 
         def fog() -> Mapping[str, Any]:
-            return {"fog": {"visibility_m": fog_visibility_m(self._fog.value)} if self._fog.value else None}
+            return {"fog": fog_table(self._fog.value)}
+
+        def chosen(event: Any) -> None:
+            self._quiet = QUIET_LOOKS
+            self._fog.value = FOG_CHOICES[event.target.value]
+            self._settle(self._fog)
+            self._orders.send("fog", "weather", fog(), self._take_weather)
 
         def sun() -> Mapping[str, Any]:
             return {"sun": {"elevation_deg": float(self._height.value)} if self._sun.value else None}
 
         self._fog.on_update(ordered("fog", fog, self._fog))
+        self._fogs.on_click(chosen)
         self._rain.on_update(ordered("rain", lambda: {"rain": falling(self._rain.value)}, self._rain))
         self._snow.on_update(ordered("snow", lambda: {"snow": falling(self._snow.value)}, self._snow))
         self._sun.on_update(ordered("sun", sun, self._sun, self._height))
         self._height.on_update(ordered("sun", sun, self._sun, self._height))
+
+    @property
+    def weather(self) -> Mapping[str, Any]:
+        """What holds, as last heard."""
+        return self._weather
 
     def _take_weather(self, answer: Any) -> None:
         self._weather = answer["weather"]
@@ -277,9 +297,8 @@ class Controls:
 
     def _show_weather(self) -> None:
         table = self._weather
-        fog, sun = table.get("fog") or {}, table.get("sun") or {}
-        seen = fog.get("visibility_m") or fog.get("mor_m") or table.get("visibility_m")
-        self._set("fog", self._fog, fog_share(seen))
+        sun = table.get("sun") or {}
+        self._set("fog", self._fog, fog_field_m(table))
         self._set("rain", self._rain, min(100.0, (table.get("rain") or {}).get("rate_mm_h", 0.0)))
         self._set("snow", self._snow, min(50.0, (table.get("snow") or {}).get("rate_mm_h", 0.0)))
         self._set("sun", self._sun, bool(sun))

@@ -131,6 +131,10 @@ class Source(Protocol):
     def length_s(self) -> float | None:
         """Of a recording; None: it goes on."""
 
+    @property
+    def can_restart(self) -> bool:
+        """Whether the order `restart` begins again."""
+
     def frame(self) -> Frame:
         """What there is now. A daemon that has gone: `ended` says so."""
 

@@ -30,6 +30,8 @@ class LiveSource:
     """Polls one daemon. `frame` and `order` may be called from different threads."""
 
     length_s: float | None = None
+    can_restart = False
+    "It is somebody else's."
 
     def __init__(self, path: Path, daemon: OwnDaemon | None = None) -> None:
         """Raises `LinkError` when no daemon answers, `ViewError` when it shows nothing. `daemon`: where it is ours."""
@@ -65,7 +67,7 @@ class LiveSource:
     def _at_end(self, glance: Mapping[str, Any]) -> str:
         if self._end_s is None or not glance["paused"] or abs(glance["now_s"] - self._end_s) > INSTANT_S:
             return ""
-        return f"The scenario ends at {self._end_s:g} s. Resume continues beyond its end."
+        return f"The scenario ends at {self._end_s:g} s. Restart begins again, Resume continues beyond its end."
 
     def order(self, method: str, params: Mapping[str, Any]) -> Any:
         """An order to the daemon."""

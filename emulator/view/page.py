@@ -18,11 +18,13 @@ import viser
 from emulator.errors import EmulatorError
 from emulator.hosts.describe import Speaker, describe
 from emulator.output.sanitizing import html, visible
+from emulator.scenario.live_weather import state_of
 from emulator.scenario.tables import Mount
 from emulator.sensors.spec import load_spec
-from emulator.view import drawing, points, solids
+from emulator.view import air, drawing, points, solids
 from emulator.view.controls import Controls
 from emulator.view.frames import Floats, Frame, Ints, ShownScan, ShownTelegram, Source
+from emulator.view.local_server import PANEL
 from emulator.world import scene as scenes
 
 FRAME_S = 0.125
@@ -67,8 +69,8 @@ class Page:
         self._boxes: dict[str, Any] = {}
         self._count: dict[str, int] = {}
         self._choice = threading.Lock()
+        self._build_panels()  # before the scene: what is made first is there first
         self._build_scene()
-        self._build_panels()
 
     # ------------------------------------------------------------ once
 
@@ -98,15 +100,20 @@ class Page:
             if piece.used is not None and self._world.bodies[piece.body].frames is not None:
                 self._changing.append((piece.body, piece.used, handle))
         named: set[int] = set()
+        tops: dict[str, float] = {}
+        self._names: dict[int, tuple[Any, float]] = {}
+        "Body that bears its actor's name -> the name, and its height with nothing beside it."
         for number, body in enumerate(self._world.bodies):
             if body.actor != scenes.WORLD and body.actor not in named:
                 named.add(body.actor)
                 top = float(body.vertices[:, 2].max()) + 0.3
                 actor = self._world.actors[body.actor]
-                scene.add_label(f"/world/scene/{actor}/{number}/name", actor, position=(0.0, 0.0, top))
-        far_m = view_m(low, high)
+                tops.setdefault(actor, top)
+                name = scene.add_label(f"/world/scene/{actor}/{number}/name", actor, position=(0.0, 0.0, top))
+                self._names[number] = name, top
+        far_m = self._far_m = view_m(low, high)
         empty, black = np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8)
-        names_m = name_heights(self._mounts, NAME_SHARE * far_m)
+        names_m = name_heights(self._mounts, NAME_SHARE * far_m, tops)
         for name in self._mounts:
             self._sensors[name] = scene.add_frame(f"/world/sensors/{name}", axes_length=0.5, axes_radius=0.02)
             scene.add_label(f"/world/sensors/{name}/name", name, position=(0.0, 0.0, names_m[name]))
@@ -135,6 +142,52 @@ class Page:
                 thickness_units="screen",
             )
         self._look_from_behind(far_m)
+        self._build_air(far_m)
+
+    def _build_air(self, far_m: float) -> None:
+        scene = self._server.scene
+        self._air: tuple[Any, ...] = ()
+        self._sun = scene.add_icosphere(
+            "/world/air/sun", radius=0.03 * air.SUN_M, color=(255, 236, 179), flat_shading=True, visible=False,
+            cast_shadow=False,
+        )  # fmt: skip
+        self._rain = scene.add_line_segments(
+            "/world/air/rain", NO_LINES.astype(np.float32), (150, 176, 200), thickness=1.2, thickness_units="screen",
+            visible=False,
+        )  # fmt: skip
+        self._snow = scene.add_point_cloud(
+            "/world/air/snow", np.zeros((1, 3), np.float32), np.full((1, 3), 235, np.uint8), point_size=0.004 * far_m,
+            point_shape="circle", point_shading="flat", precision="float32", visible=False,
+        )  # fmt: skip
+        mount = next(iter(self._mounts.values()))
+        self._middle_m = self._world.sensor_pose(mount, np.zeros(1)).position_m[0] * (1.0, 1.0, 0.0)
+
+    def _draw_air(self, frame: Frame) -> None:
+        """Sky, haze, rain and snow; only what has changed is sent."""
+        weather = self._weather_at(frame.now_s)
+        haze = air.haze_m(weather, self._far_m)
+        look = (air.sky(weather), haze)
+        if self._air != look:
+            self._air = look
+            self._server.scene.set_background_image(air.backdrop(weather), format="png")
+            near_m, far_m = haze or (1.0, 5000.0)
+            self._server.scene.configure_fog(near_m, far_m, color=look[0][0], enabled=haze is not None)
+        at = air.sun_m(weather)
+        if at is not None and not np.allclose(self._sun.position, at + self._middle_m):
+            self._sun.position = at + self._middle_m
+        if self._sun.visible != (at is not None):
+            self._sun.visible = at is not None
+        rain, snow = (fall(weather, frame.now_s, self._far_m) for fall in (air.drops, air.flakes))
+        _draw_lines(self._rain, rain + self._middle_m if len(rain) else None)
+        if len(snow):
+            self._snow.points = (snow + self._middle_m).astype(np.float32)
+            self._snow.colors = np.full((len(snow), 3), 235, np.uint8)
+        if self._snow.visible != bool(len(snow)):
+            self._snow.visible = bool(len(snow))
+
+    def _weather_at(self, now_s: float) -> Mapping[str, Any]:
+        """A daemon's as it tells it; of a recording the scenario's, without what was ordered in the run."""
+        return state_of(self._scenario.weather, self._world.local_s(now_s)) if self._recorded else self.controls.weather
 
     def _rides(self, name: str) -> bool:
         """Whether a sensor is on something that moves."""
@@ -156,7 +209,7 @@ class Page:
     def _build_panels(self) -> None:
         gui = self._server.gui
         gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, brand_color=(38, 166, 154))
-        gui.set_panel_label(f"lidaremu · {visible(self._source.title)}")
+        gui.set_panel_label(PANEL + visible(self._source.title))
         gui.main_panel.dock_right()
         names = list(self._mounts)
         self._state = gui.add_html("")
@@ -207,7 +260,9 @@ class Page:
     def look(self) -> None:
         """One look at the source: what has changed is drawn."""
         frame = self._source.frame()
-        if frame.ended and not self._ended:
+        if not frame.ended:
+            self._ended = ""
+        elif not self._ended:
             self._ended = frame.ended
             self._tell(f"{frame.ended}; the page shows the last state")
         with self._server.atomic():
@@ -216,10 +271,12 @@ class Page:
                 self._draw(name, scan)
             for name in set(self._clouds) - set(frame.scans):
                 self._clear(name)
+            self._draw_air(frame)
             self._say("polar", self._polar, drawing.polar(frame.scans.get(self._sensor.value), self._colouring.value))
             if self._looks % SLOW == 0:
                 self._write(frame)
         if self._looks % SLOW == 0:
+            self._part_names()
             self.controls.follow(frame)
         self._looks += 1
 
@@ -251,6 +308,16 @@ class Page:
                 pose = self._world.sensor_pose(mount, times)
                 self._sensors[name].position = pose.position_m[0]
                 self._sensors[name].wxyz = points.quaternion(pose.rotation[0])
+
+    def _part_names(self) -> None:
+        """Names of actors that have come together stand one above the other."""
+        bodies = list(self._names)
+        at = np.array([self._bodies[number].position for number in bodies]).reshape(-1, 3)
+        at[:, 2] += [top for _, top in self._names.values()]
+        for number, raised in zip(bodies, stacked(at, NAME_SHARE * self._far_m), strict=True):
+            name, top = self._names[number]
+            if abs(name.position[2] - top - raised) > 1e-3:
+                name.position = (0.0, 0.0, top + raised)
 
     def _draw(self, name: str, scan: ShownScan) -> None:
         wanted = (scan, self._colouring.value, self._beams.value, self._objects.value)
@@ -311,10 +378,13 @@ def view_m(low: Floats, high: Floats) -> float:
     return 20.0 if not np.isfinite(low).all() else float(np.clip(0.35 * np.linalg.norm(high - low), 6.0, 22.0))
 
 
-def name_heights(mounts: Mapping[str, Mount], apart_m: float) -> dict[str, float]:
-    """Height of each sensor's name above its sensor, so that names of sensors beside each other do not meet. [m]"""
+def name_heights(mounts: Mapping[str, Mount], apart_m: float, tops: Mapping[str, float]) -> dict[str, float]:
+    """Height of each sensor's name above its sensor, so that names of sensors beside each other do not meet. [m]
+
+    `tops`: height of the name of each actor that has one; those of the sensors that ride on it stand above.
+    """
     heights: dict[str, float] = {}
-    placed: list[tuple[str | None, Floats]] = []
+    placed: list[tuple[str | None, Floats]] = [(actor, np.array([0.0, 0.0, top])) for actor, top in tops.items()]
     for name, mount in sorted(mounts.items(), key=lambda item: item[1].at_m[2]):
         at = np.array(mount.at_m, dtype=np.float64)
         top = at[2]
@@ -324,6 +394,19 @@ def name_heights(mounts: Mapping[str, Mount], apart_m: float) -> dict[str, float
         placed.append((mount.actor, np.array([at[0], at[1], top])))
         heights[name] = float(top - at[2])
     return heights
+
+
+def stacked(at_m: Floats, apart_m: float) -> Floats:
+    """(n,) how much higher each of the names at (n, 3) stands, so that those beside each other do not meet. [m]"""
+    raised = np.zeros(len(at_m))
+    placed: list[int] = []
+    for one in np.lexsort((np.arange(len(at_m)), at_m[:, 2])).tolist():
+        beside = [two for two in placed if np.linalg.norm(at_m[one, :2] - at_m[two, :2]) < 4.0 * apart_m]
+        for two in sorted(beside, key=lambda two: float(at_m[two, 2] + raised[two])):
+            if abs(at_m[one, 2] + raised[one] - at_m[two, 2] - raised[two]) < apart_m:
+                raised[one] = at_m[two, 2] + raised[two] + apart_m - at_m[one, 2]
+        placed.append(one)
+    return raised
 
 
 def _draw_lines(handle: Any, lines: Floats | None) -> None:

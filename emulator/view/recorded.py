@@ -47,6 +47,8 @@ class _Wire:
 class RecordedSource:
     """One `run.mcap`, whole in memory. Orders pause, resume, step, speed and `seek` move its time."""
 
+    can_restart = True
+
     def __init__(self, path: Path, clock: Clock | None = None) -> None:
         """Raises `RecordingError`, `ScenarioError`; `ViewError` when nothing is in it."""
         self._run: RecordedRun = read_run(path)
@@ -77,7 +79,9 @@ class RecordedSource:
         """Move the recording's own time: seek {"to_s"}, pause, resume, step {"scans" | "seconds"}, speed {"x"}."""
         now_ns = self._now_ns()
         self._paused |= now_ns >= self._end_ns  # it stands at its end, and wherever it is moved to from there
-        if method == "seek":
+        if method == "restart":
+            now_ns, self._paused = 0, False
+        elif method == "seek":
             now_ns = round(float(params["to_s"]) * 1e9)
         elif method == "step":
             now_ns = self._stepped(now_ns, params)
@@ -89,7 +93,7 @@ class RecordedSource:
             if method == "resume" and now_ns >= self._end_ns:
                 now_ns = 0
         else:
-            raise ViewError(f"{method}: a recording cannot be changed; want seek, pause, resume, step, speed")
+            raise ViewError(f"{method}: a recording cannot be changed; want seek, restart, pause, resume, step, speed")
         self._at_ns = min(max(0, now_ns), self._end_ns)
         self._since_ns = self._clock.now_ns()
         return {"now_s": self._at_ns * 1e-9}

@@ -2,29 +2,39 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 from emulator.output.sanitizing import html
 
-CLEAR_M, THICK_M = 10_000.0, 10.0
-FOG_MARKS = ((0, "clear"), (33, "1 km"), (67, "100 m"), (100, "10 m"))
-"Share of the slider and its visibility, three decades in all."
+CLEAR_M, THICK_M = 10_000.0, 1.0
+"Visibility from which the field says that there is no fog, and the thickest that it takes."
+FOG_CHOICES: Mapping[str, float] = MappingProxyType(
+    {"clear": CLEAR_M, "1 km": 1000.0, "200 m": 200.0, "50 m": 50.0, "10 m": 10.0}
+)
+"Buttons below the field, and the visibility that each sets. [m]"
 
 
-def fog_visibility_m(share: float) -> float:
-    """Visibility of the fog slider, 0 clear to 100 thick; three figures."""
-    visibility = CLEAR_M * (THICK_M / CLEAR_M) ** (share / 100.0)
-    return float(f"{visibility:.3g}")
+def fog_table(visibility_m: float) -> dict[str, float] | None:
+    """The order's `fog` for a number in the field; None: no fog."""
+    if not visibility_m < CLEAR_M:
+        return None
+    return {"visibility_m": max(THICK_M, float(visibility_m))}
 
 
-def fog_share(visibility_m: float | None) -> int:
-    """Place of the slider for a visibility; 0 without fog."""
-    if not visibility_m:
-        return 0
-    share = 100.0 * math.log(visibility_m / CLEAR_M) / math.log(THICK_M / CLEAR_M)
-    return round(min(100.0, max(0.0, share)))
+def visibility_m(weather: Mapping[str, Any]) -> float | None:
+    """The shortest of the air, of fog, dust and smoke; None: nothing is told of it."""
+    fogs = [weather.get(name) or {} for name in ("fog", "dust", "smoke")]
+    found = [weather.get("visibility_m"), *(table.get("visibility_m") or table.get("mor_m") for table in fogs)]
+    return min((float(one) for one in found if one), default=None)
+
+
+def fog_field_m(weather: Mapping[str, Any]) -> float:
+    """What the field shows: the visibility of the fog or of the whole air, at most `CLEAR_M`."""
+    fog = weather.get("fog") or {}
+    seen = fog.get("visibility_m") or fog.get("mor_m") or weather.get("visibility_m")
+    return float(f"{min(CLEAR_M, float(seen)) if seen else CLEAR_M:.6g}")
 
 
 def told(weather: Mapping[str, Any]) -> str:

@@ -22,6 +22,7 @@ from emulator.recording.writer import Recorder
 from emulator.run_report import figures
 from emulator.run_report.gather import Gathered, Happening, gather
 from emulator.run_report.page import report_of
+from emulator.run_report.sight import points_of
 from emulator.run_report.weather import steps
 from emulator.scenario import scenario as scenario_file
 from emulator.studies.report import page
@@ -307,3 +308,21 @@ def test_reading_tells_how_far_it_has_come(wall: Path) -> None:
     count = sum(1 for _ in items(wall, progress))
     assert count > 100
     assert 0.9 * progress.total < progress.done <= progress.total
+
+
+def test_the_page_begins_with_the_scene_and_the_sensors_points_in_light_and_dark(wall: Path, tmp_path: Path) -> None:
+    run = gather(wall, with_truth=False)
+    made = report_of(run)
+    (scene,) = made.lead
+    assert scene.png[:8] == b"\x89PNG\r\n\x1a\n"
+    assert run.scene is not None
+    assert run.scenario is not None
+    points = points_of(run.scene, run.scenario, "front", *run.sight.shown["front"])
+    forward = points[np.abs(points[:, 1]) < 5.0]
+    assert len(forward) > 50
+    assert np.ptp(forward[:, 0]) < 0.3  # the wall
+    text = page(made)
+    assert text.index('class="lead"') < text.index("<section>")
+    assert "prefers-color-scheme: dark" in text
+    assert {"scans sent", "scans dropped"} <= {fact.label for fact in made.facts}
+    assert checked(text)

@@ -60,6 +60,15 @@ def test_a_killed_runs_recording_is_replayed_with_its_gaps_and_its_bytes(recordi
     sent = run.sent["front", 0].payloads
     assert sum(1 for one in sent if one.sweep is not None) >= 6
     assert {path.name for path in recording.iterdir()} == {"run.mcap", "scenario.yaml"}
+    known = [one for one in sent if one.actual_ns is not None]
+    assert len(known) > 0.8 * len(sent)  # of the last ones it is not written yet
+    late = [(one.actual_ns or 0) - one.end_ns for one in known]
+    assert min(late) >= 0
+    assert len(set(late)) > 0.5 * len(late)
+    asked = [one.start_ns for one in run.received["front", 0].payloads]
+    replies = [one for one in known if one.data == b"\x06" and one.start_ns > asked[0]]
+    behind = [(one.actual_ns or 0) - max(at for at in asked if at < one.start_ns) for one in replies]
+    assert len(set(behind)) > 1
     process = replay(tmp_path, "rec", "--link", "front=pty:./again?speed=ignore")
     with serial.Serial(str(tmp_path / "again"), 38_400, timeout=0.2) as port:
         began, got = time.monotonic(), b""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import deque
 
 import pytest
 
@@ -246,3 +247,15 @@ class LinkConformance:
         rig.link.send(b"two", rig.now_ns + 1000)
         rig.link.flush(rig.now_ns + 1500)
         assert list(rig.link.stats.lateness_ns) == [1500, 500]
+
+    def test_departures_are_kept_with_what_was_due_while_they_are_recorded(self, rig: Rig) -> None:
+        rig.host()
+        rig.link.stats.departures = deque()
+        rig.link.send(b"one", rig.now_ns)
+        rig.link.send(b"two", rig.now_ns + 1000)
+        rig.link.flush(rig.now_ns + 1500)
+        one, two = rig.link.stats.departures
+        assert rig.now_ns <= one[0] < two[0]
+        assert all(due_ns <= actual_ns for due_ns, actual_ns in (one, two))
+        if rig.paced or rig.link.speed is None:  # a real UART takes its own time
+            assert (one[1], two) == (rig.now_ns + 1500, (rig.now_ns + 1000, rig.now_ns + 1500))

@@ -62,7 +62,7 @@ def test_time_stands_at_the_scenarios_end_and_goes_on_when_told_to(
     assert daemon.now_ns == 2 * SECOND
     frame = source.frame()
     assert (frame.now_s, frame.paused, frame.ended) == (2.0, True, "")
-    assert frame.stands == "The scenario ends at 2 s. Resume continues beyond its end."
+    assert frame.stands == "The scenario ends at 2 s. Restart begins again, Resume continues beyond its end."
     text = drawing.state(frame, {}, {})
     assert frame.stands in text
     assert "ended" in text

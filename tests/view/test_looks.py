@@ -128,15 +128,6 @@ def test_names_cannot_break_out_of_the_page() -> None:
     assert "<x>" not in drawing.telegram_fields(row, [drawing.Described("<x>", "<x>", "<x>")])
 
 
-def test_the_fog_slider_and_visibility_are_inverse() -> None:
-    assert [sky.fog_visibility_m(share) for share in (1, 100)] == [9330.0, 10.0]
-    for share in range(0, 101):
-        assert sky.fog_share(sky.fog_visibility_m(share)) == share
-    assert sky.fog_share(None) == 0
-    assert sky.fog_share(1.0) == 100
-    assert sky.fog_share(1e6) == 0
-
-
 def test_the_weather_is_told_in_words() -> None:
     text = sky.told({"fog": {"visibility_m": 50.0}, "rain": {"rate_mm_h": 10.0}, "sun": {"elevation_deg": 20.0}})
     assert "fog 50 m, rain 10 mm/h, sun 20 deg high" in text
@@ -149,7 +140,7 @@ def test_names_of_sensors_beside_each_other_stand_apart() -> None:
 
     places = {"top": (0, 0, 1.5), "front": (3, 0, 0.5), "radar": (3, 0.1, 0.6), "far": (500, 0, 0.5)}
     mounts = {name: Mount(at_m=at) for name, at in places.items()}
-    heights = name_heights(mounts, 1.0)
+    heights = name_heights(mounts, 1.0, {})
     assert heights["front"] == heights["far"] == 0.0
     shown = sorted(places[name][2] + heights[name] for name in ("top", "front", "radar"))
     assert np.diff(shown).min() >= 1.0 - 1e-12

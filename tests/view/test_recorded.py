@@ -80,6 +80,18 @@ def test_its_time_is_moved_by_orders(source: recorded.RecordedSource, clock: Man
     assert source.frame().now_s == 4.0
 
 
+def test_it_begins_again_when_told_to(source: recorded.RecordedSource, clock: ManualClock) -> None:
+    assert source.length_s is not None
+    source.order("seek", {"to_s": source.length_s})
+    assert source.frame().paused
+    assert source.can_restart
+    source.order("restart", {})
+    assert not source.frame().paused
+    assert source.frame().now_s == 0.0
+    clock.set(clock.now_ns() + 100_000_000)
+    assert source.frame().now_s == pytest.approx(0.1)
+
+
 def test_what_would_change_it_is_refused(source: recorded.RecordedSource) -> None:
     with pytest.raises(ViewError, match="a recording cannot be changed"):
         source.order("weather", {"fog": None})
