@@ -53,6 +53,8 @@ def random_sweeps(seed: int, drives: bool, **options: object) -> list[Scan]:
 @pytest.mark.parametrize("seed", [*range(40), 110])
 @pytest.mark.parametrize("drives", [False, True])
 def test_random_scenes_are_measured_alike(seed: int, drives: bool) -> None:
+    if drives and all(motion.still for motion in scenes.random_scene(seed).motions):
+        return  # nothing to drive on: the same as from rest
     for options in ({"leave_out": LeaveOut(closed_form="auto")}, {"full": True}):
         for one, other in zip(*both(lambda: random_sweeps(seed, drives, **options)), strict=True):  # noqa: B023
             assert len(differing(one, other)) <= TIED.get(seed, 0)

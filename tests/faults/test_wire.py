@@ -31,13 +31,13 @@ class Case:
     keys: dict[str, Any]
     shows: Callable[[Bench], None]
     end_s: float = 5.0
-    clean_s: float = 7.0
+    clean_s: float = 5.6
     "From then on all is as it would be without it."
     device: dict[str, Any] = field(default_factory=dict)
 
 
 def case(
-    kind: str, do: str, shows: Callable[[Bench], None], end_s: float = 5.0, clean_s: float = 7.0, **keys: Any
+    kind: str, do: str, shows: Callable[[Bench], None], end_s: float = 5.0, clean_s: float = 5.6, **keys: Any
 ) -> Any:
     trigger = {} if {"at_telegram", "on_command"} & keys.keys() else {"at_s": AT_S}
     return pytest.param(Case(kind, {"do": do, **trigger, **keys}, shows, end_s, clean_s), id=f"{kind}-{do}")
@@ -303,7 +303,7 @@ LINKS = [
     *(case(kind, "unplug", silent(3.05, 4.0), clean_s=9.0, **FOR_1_S) for kind in ("line", "tcp", "can")),
     case("line", "power_cycle", restarted(True), off_s=0.5, clean_s=12.5, end_s=6.0),
     case("tcp", "power_cycle", restarted(False), off_s=0.5, clean_s=35.0, end_s=6.0),
-    case("can", "power_cycle", silent(3.01, 3.95, "bytes"), off_s=0.5, end_s=6.0),
+    case("can", "power_cycle", silent(3.01, 3.95, "bytes"), off_s=0.5, end_s=6.0, clean_s=7.0),
     case("line", "reboot", restarted(True), clean_s=12.5, end_s=6.0),
     case("tcp", "reboot", restarted(False), clean_s=35.0, end_s=6.0),
     case("can", "reboot", silent(3.01, 3.45, "bytes")),

@@ -104,7 +104,7 @@ def test_clients_of_a_full_bus_are_left_unread_and_hear_no_more_than_they_hold(
     clients = hosts(link, MAX_HOSTS, b"< open can0 >< rawmode >")
     link.receive(1000 * MS)
     tracemalloc.start()
-    for number in range(300):
+    for number in range(150):
         for one in clients:
             with contextlib.suppress(BlockingIOError):
                 one.send(SEND * 100)

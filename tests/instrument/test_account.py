@@ -425,7 +425,7 @@ HELD_TWICE = [(0.3, ("fault", FAULTS[4])), (0.5, ("fault", FAULTS[3])), (1.5, ("
 
 
 @pytest.mark.parametrize("kind", ["line", "tcp", "can"])
-@settings(max_examples=12)
+@settings(max_examples=6)
 @example(events=SPOILT_AND_HELD)
 @example(events=HELD_TWICE)
 @given(events=st.lists(st.tuples(st.floats(0.001, 2.0), ACTIONS), min_size=4, max_size=14))

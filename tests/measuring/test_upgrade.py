@@ -174,7 +174,7 @@ def test_a_process_that_does_not_get_ready_is_told_once_and_arrays_go_on(
     run = rig("front", "left", workers=2)
     run.stream()
     run.on_launch = wrong
-    run.built(10.0)
+    run.built(4.0)
     assert len(run.processes) == 3
     assert run.forms() == ["arrays"] * 2
     assert run.process.code is not None

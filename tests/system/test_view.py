@@ -41,12 +41,13 @@ FLAGS = (
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
     "--window-size=1000,640",
+    "--force-device-scale-factor=0.5",
 )
 FEWER_PICTURES = """
 const draw = window.requestAnimationFrame
-window.requestAnimationFrame = (picture) => setTimeout(() => draw(picture), 200)
+window.requestAnimationFrame = (picture) => setTimeout(() => draw(picture), 500)
 """
-"Without a graphics card pictures cost a whole core: five a second will do."
+"Without a graphics card pictures cost a whole core: two small ones a second will do."
 POINTS = "return Math.max(0, ...[...document.querySelectorAll('.view-sensor')].map(one => +one.dataset.points))"
 NOW = "const one = document.getElementById('view-time'); return one ? +one.dataset.now : -1"
 
@@ -173,7 +174,9 @@ def colours_of_canvas(browser: Any, picture: Path) -> int:
     import imageio.v3 as imageio
 
     browser.save_screenshot(str(picture))
-    pixels = np.asarray(imageio.imread(picture))[:, 340:660, :3].reshape(-1, 3) // 8
+    pixels = np.asarray(imageio.imread(picture))
+    width = pixels.shape[1]
+    pixels = pixels[:, width * 34 // 100 : width * 66 // 100, :3].reshape(-1, 3) // 8
     return len(np.unique(pixels, axis=0))
 
 
