@@ -210,7 +210,7 @@ def _rates(run: Gathered, sensors: Sequence[SensorTally]) -> Section | None:
         "Rates and jitter",
         (
             "Instants are those at which the first bit of a scan is due on the sensor's first link, to the nanosecond;"
-            " how late scans left in a run in real time is told under lateness.",
+            " how late scans left in a real-time run is shown under lateness.",
         ),
         (
             Picture("rates", "Scans per second over time", figures.rates(sensors, run.duration_s), "Rate over time."),
