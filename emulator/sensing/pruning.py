@@ -78,6 +78,8 @@ def wanted(model: SensorModel, scene: Scene) -> bool:
         return False
     if any(body.frames is not None for body in scene.bodies):
         return False  # edges of what changes its shape are not followed
+    if scene.fed is not None:
+        return False  # nor of what may come, or have another size
     faces = {id(body.geometry): len(body.faces) for body in scene.bodies}
     return sum(faces.values()) <= MOST_FACES and (model.spare_bundles == "always" or thin(model))
 
