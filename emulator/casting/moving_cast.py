@@ -26,10 +26,31 @@ from emulator.physics.arrays import indexes
 from emulator.world.batched_poses import Flags, Longs, Stretch, may_meet, through_sphere
 from emulator.world.broad_phase import KEPT, BroadPhase
 from emulator.world.fed import Fed, FedNow
+from emulator.world.motion import Motion
 from emulator.world.triangles import Floats, Ints
 
 NONE_BENT = np.zeros(0, np.int64), np.zeros((3, 0)), np.zeros((3, 3, 0))
 "All pairs are of bodies that move straight."
+
+
+class Instants:
+    """When rays are cast; poses of fed bodies are computed once for all rays of a beam."""
+
+    def __init__(self, times: Floats) -> None:
+        self._times = times
+        self._beams: tuple[Floats, Longs] | None = None
+
+    def pose(self, motion: Motion, rays: Longs) -> tuple[Floats, Floats]:
+        """Positions (k, 3) and rotations (k, 3, 3) at the instants of some rays."""
+        if not isinstance(motion, Fed):
+            when = self._times[rays]
+            return motion.position(when), np.broadcast_to(motion.rotation(when), (len(when), 3, 3))
+        if self._beams is None:
+            begins = np.concatenate([[True], self._times[1:] != self._times[:-1]])
+            self._beams = self._times[begins], np.cumsum(begins) - 1
+        instants, beam = self._beams
+        pose, at = motion.pose(instants), beam[rays]
+        return pose.position_m[at], pose.rotation[at]
 
 
 def _crossed_by_loops(
@@ -44,11 +65,12 @@ def _crossed_by_loops(
         pairs = [indexes(which == mover) for mover in curved]
         bent = np.full(len(which), -1)
         bent[np.concatenate(pairs)] = np.arange(sum(map(len, pairs)))
-        where = [(movers.batched.motions[of], times[rays[at]]) for of, at in zip(curved, pairs, strict=True)]
+        instants = Instants(times)
+        where = [(movers.batched.motions[of], rays[at]) for of, at in zip(curved, pairs, strict=True)]
+        poses = [instants.pose(motion, some) for motion, some in where]
         offset = origin[:, rays[np.concatenate(pairs)]]
-        offset -= np.concatenate([motion.position(when) for motion, when in where]).T
-        poses = [np.broadcast_to(motion.rotation(when), (len(when), 3, 3)) for motion, when in where]
-        turned = np.concatenate(poses).transpose(1, 2, 0)
+        offset -= np.concatenate([position for position, _ in poses]).T
+        turned = np.concatenate([rotation for _, rotation in poses]).transpose(1, 2, 0)
     parts = []
     for number in np.unique(movers.structure) if len(cast._slots) > 1 else (0,):
         (met, triangle, body), sizes, sent, wrong = loops.moving(
@@ -127,12 +149,13 @@ class MovingCast:
         offset = origin.take(rays, axis=1) - now.at.take(which, axis=1)
         offset -= (when - now.since.take(which)) * now.velocity.take(which, axis=1)
         turned = now.turned.take(which, axis=2)
+        instants = Instants(times)
         for mover in curved:
             pairs = indexes(which == mover)
             if len(pairs):
-                motion = movers.batched.motions[mover]
-                offset[:, pairs] = origin[:, rays[pairs]] - motion.position(when[pairs]).T
-                turned[:, :, pairs] = motion.rotation(when[pairs]).transpose(1, 2, 0)
+                position, rotation = instants.pose(movers.batched.motions[mover], rays[pairs])
+                offset[:, pairs] = origin[:, rays[pairs]] - position.T
+                turned[:, :, pairs] = rotation.transpose(1, 2, 0)
         along = aim.ray.take(rays, axis=1)
         centre = movers.centre.take(which, axis=1)
         sphere = offset - np.einsum("ijk,jk->ik", turned, centre)

@@ -7,8 +7,9 @@ A track goes with the plan of a sweep to whoever measures it, so that a sweep de
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,63 +101,7 @@ class Track:
         return at, quaternion
 
     def _on_track(self, t_s: Floats) -> tuple[Floats, Floats]:
-        last = len(self.t_s) - 1
-        index = np.clip(np.searchsorted(self.t_s, t_s, side="right") - 1, 0, last)
-        after = np.minimum(index + 1, last)
-        inside = (index < last) & (t_s > self.t_s[index])
-        stays = inside & (self.jump[after] | self.returns[after])
-        if self.between != "interpolate":
-            inside = np.zeros(len(t_s), bool)
-            stays = stays & self.jump[after]
-        else:
-            inside = inside & ~stays
-        at, quaternion = self.at_m[index].copy(), self.quaternion[index].copy()
-        at, quaternion = self._extrapolated(t_s, index, ~inside, stays & self.jump[after], at, quaternion)
-        rows = np.flatnonzero(inside)
-        if len(rows):
-            before, beyond = index[rows], after[rows]
-            span = self.t_s[beyond] - self.t_s[before]
-            share = (t_s[rows] - self.t_s[before]) / span
-            at[rows] = hermite(
-                self.at_m[before],
-                self.at_m[beyond],
-                self.velocity_m_s[before],
-                self.velocity_m_s[beyond],
-                span,
-                share,
-            )
-            quaternion[rows] = slerp(self.quaternion[before], self.quaternion[beyond], share)
-        return at, quaternion
-
-    def _extrapolated(
-        self, t_s: Floats, index: NDArray[np.int64], which: NDArray[np.bool_], frozen: NDArray[np.bool_],
-        at: Floats, quaternion: Floats,
-    ) -> tuple[Floats, Floats]:  # fmt: skip
-        if self.between == "hold":
-            return at, quaternion
-        rows = np.flatnonzero(which & ~frozen & (t_s > self.t_s[index]))
-        if not len(rows):
-            return at, quaternion
-        knots, inverse = np.unique(index[rows], return_inverse=True)
-        twist = [self.twist(int(k)) for k in knots]
-        velocity = np.array([one[0] for one in twist])[inverse]
-        spin = np.array([one[1] for one in twist])[inverse]
-        span = np.minimum(t_s[rows] - self.t_s[index[rows]], self.hold_after_s)
-        at[rows] += travelled(velocity, spin, span)
-        quaternion[rows] = product(of_vector(span[:, None] * spin), quaternion[rows])
-        return at, quaternion
-
-    def twist(self, k: int) -> tuple[Floats, Floats]:
-        """Velocity and angular velocity (3,) at sample k: as given, else from it and the one before, else 0."""
-        velocity, spin = self.velocity_m_s[k], self.spin_rad_s[k]
-        known = k > 0 and not self.jump[k] and not self.returns[k]
-        step = self.t_s[k] - self.t_s[k - 1] if known else 1.0
-        if np.isnan(velocity[0]):
-            velocity = (self.at_m[k] - self.at_m[k - 1]) / step if known else np.zeros(3)
-        if np.isnan(spin[0]):
-            turn = product(self.quaternion[k : k + 1], conjugate(self.quaternion[k - 1 : k])) if known else None
-            spin = np.zeros(3) if turn is None else to_vector(turn)[0] / step
-        return velocity, spin
+        return together([self], t_s)
 
     def velocity(self, t_s: Floats) -> Floats:
         """(n, 3) in the world. [m/s]"""
@@ -181,6 +126,60 @@ class Track:
 
 
 COLUMNS = ("t_s", "at_m", "quaternion", "velocity_m_s", "spin_rad_s", "jump", "returns")
+
+
+def together(tracks: Sequence[Track], t_s: Floats) -> tuple[Floats, Floats]:
+    """Poses of several tracks, of one rule `between`, at the same n instants, one after the other: (m n, 3), (m n, 4).
+
+    Without the way back of a feed that returns.
+    """
+    knots = {name: np.concatenate([getattr(track, name) for track in tracks]) for name in COLUMNS}
+    sizes = np.array([len(track.t_s) for track in tracks])
+    firsts = np.cumsum(sizes) - sizes
+    count = len(t_s)
+    index = np.concatenate([np.searchsorted(track.t_s, t_s, side="right") - 1 for track in tracks])
+    index = np.maximum(index, 0) + firsts.repeat(count)
+    last = (firsts + sizes - 1).repeat(count)
+    times, at_m, jump = np.tile(t_s, len(tracks)), knots["at_m"], knots["jump"]
+    when = knots["t_s"]
+    after = np.minimum(index + 1, last)
+    inside = (index < last) & (times > when[index])
+    frozen = inside & jump[after]
+    stays = frozen | (inside & knots["returns"][after])
+    between = tracks[0].between
+    inside = inside & ~stays if between == "interpolate" else np.zeros(len(times), bool)
+    at, quaternion = at_m[index], knots["quaternion"][index]
+    rows = np.flatnonzero(inside)
+    if len(rows):
+        before, beyond = index[rows], after[rows]
+        span = when[beyond] - when[before]
+        share = (times[rows] - when[before]) / span
+        velocity = knots["velocity_m_s"]
+        at[rows] = hermite(at_m[before], at_m[beyond], velocity[before], velocity[beyond], span, share)
+        quaternion[rows] = slerp(quaternion[rows], knots["quaternion"][beyond], share)
+    rows = np.flatnonzero(~inside & ~frozen & (times > when[index])) if between != "hold" else rows[:0]
+    if len(rows):
+        used, inverse = np.unique(index[rows], return_inverse=True)
+        velocity, spin = _twists(knots, used, np.isin(used, firsts))
+        hold_s = np.array([track.hold_after_s for track in tracks]).repeat(count)[rows]
+        span = np.minimum(times[rows] - when[index[rows]], hold_s)
+        at[rows] += travelled(velocity[inverse], spin[inverse], span)
+        quaternion[rows] = product(of_vector(span[:, None] * spin[inverse]), quaternion[rows])
+    return at, quaternion
+
+
+def _twists(
+    knots: Mapping[str, NDArray[Any]], used: NDArray[np.int64], first: NDArray[np.bool_]
+) -> tuple[Floats, Floats]:
+    """Velocities and angular velocities at samples: as given, else from each and the one before, else 0."""
+    before = np.maximum(used - 1, 0)
+    known = ~first & ~knots["jump"][used] & ~knots["returns"][used]
+    step = np.where(known, knots["t_s"][used] - knots["t_s"][before], 1.0)[:, None]
+    moved = np.where(known[:, None], (knots["at_m"][used] - knots["at_m"][before]) / step, 0.0)
+    turn = to_vector(product(knots["quaternion"][used], conjugate(knots["quaternion"][before])))
+    turned = np.where(known[:, None], turn / step, 0.0)
+    velocity, spin = knots["velocity_m_s"][used], knots["spin_rad_s"][used]
+    return np.where(np.isnan(velocity), moved, velocity), np.where(np.isnan(spin), turned, spin)
 
 
 def _smooth(share: float) -> float:

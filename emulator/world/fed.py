@@ -13,12 +13,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from emulator.live.rotations import turned
-from emulator.live.tracks import NOTHING, Track, World
-from emulator.world.motion import Floats, Motion, Vector, matrix_of
+from emulator.live.tracks import NOTHING, Track, World, together
+from emulator.world.motion import Floats, Motion, Pose, Vector, matrix_of
 
 NOWHERE_M = 1e8
 "Where something is that is not there: beyond the reach of any beam."
+MOST_AT_ONCE = 4096
+"Instants that poses of all actors are kept of."
+KEPT = 8
 STEP_S = 1e-4
 "Velocities are differences over twice so long."
 
@@ -29,18 +31,45 @@ class FedNow:
 
     world: World = NOTHING
     _tracks: dict[str, list[Track]] = field(default_factory=dict)
+    _poses: dict[bytes, dict[int, tuple[Floats, Floats]]] = field(default_factory=dict)
+    "Instants -> where each track is at them: one computation for all, as its beams ask at the same instants."
 
     def use(self, world: World) -> None:
         """From now on these."""
         if world is self.world:
             return
-        self.world, self._tracks = world, {}
+        self.world, self._tracks, self._poses = world, {}, {}
         for name, track in world.tracks:
             self._tracks.setdefault(name, []).append(track)
 
     def of(self, name: str) -> list[Track]:
         """Lives of an actor, in their order."""
         return self._tracks.get(name, [])
+
+    def poses(self, track: Track, t_s: Floats) -> tuple[Floats, Floats]:
+        """Positions (n, 3) of its reference point and rotations (n, 3, 3) at instants (n,)."""
+        if len(t_s) > MOST_AT_ONCE:
+            at, quaternion = track.pose(t_s)
+            return at, matrix_of(quaternion)
+        key = t_s.tobytes()
+        known = self._poses.get(key)
+        if known is None:
+            while len(self._poses) >= KEPT:
+                self._poses.pop(next(iter(self._poses)))
+            known = self._poses[key] = self._together(t_s)
+        if id(track) not in known:
+            at, quaternion = track.pose(t_s)
+            known[id(track)] = at, matrix_of(quaternion)
+        return known[id(track)]
+
+    def _together(self, t_s: Floats) -> dict[int, tuple[Floats, Floats]]:
+        plain = [track for _, track in self.world.tracks if not track.returns.any()]
+        if not plain:
+            return {}
+        at, quaternion = together(plain, t_s)
+        rotation, count = matrix_of(quaternion), len(t_s)
+        parts = [slice(number * count, (number + 1) * count) for number in range(len(plain))]
+        return {id(track): (at[part], rotation[part]) for track, part in zip(plain, parts, strict=True)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,11 +191,12 @@ class Fed(Motion):
         return position, rotation
 
     def _on(self, track: Track, times: Floats) -> tuple[Floats, Floats]:
-        at, quaternion = track.pose(times)
+        at, rotation = self.now.poses(track, times)
         offset = self._offset(track)
-        if any(offset):
-            at = at + turned(quaternion, np.broadcast_to(np.array(offset), at.shape))
-        return at, matrix_of(quaternion)
+        return (at + rotation @ np.array(offset) if any(offset) else at), rotation
+
+    def pose(self, t_s: Floats) -> Pose:
+        return Pose(*self._at(np.atleast_1d(np.asarray(t_s, dtype=np.float64))))
 
     def position(self, t_s: Floats) -> Floats:
         return self._at(t_s)[0]

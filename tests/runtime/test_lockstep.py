@@ -1,4 +1,4 @@
-"""Lock-step: the same lines give the same bytes, whoever measures; a recording of them too; every wrong line is told."""
+"""Lock-step: the same lines give the same bytes, whoever measures, and from a recording; wrong lines are told."""
 
 from __future__ import annotations
 
