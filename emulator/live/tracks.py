@@ -209,5 +209,10 @@ class World:
     gone: frozenset[str] = frozenset()
     "Actors that the feeder has taken away."
 
+    def earlier(self, by_s: float) -> World:
+        """The same so much before. [s]"""
+        moved = [(name, replace(one, t_s=one.t_s - by_s, gone_s=one.gone_s - by_s)) for name, one in self.tracks]
+        return World(tuple(moved), self.gone)
+
 
 NOTHING = World()

@@ -40,7 +40,7 @@ def build_measures(scenario: Scenario) -> Mapping[str, Measure]:
     if world.fed is not None:
         from emulator.sensing.placed import Placed
 
-        measures = {name: Placed(measure, world.fed) for name, measure in measures.items()}
+        measures = {name: Placed(measure, world.fed, world.turned_ns) for name, measure in measures.items()}
     return Measures(measures, world.warnings)
 
 

@@ -16,7 +16,7 @@ import socket
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from emulator.errors import EmulatorError, LinkError
 from emulator.live.json_lines import MOST_BYTES, update_of
@@ -38,6 +38,12 @@ APART = ("op", "protocol", "osi")
 Found = TypeVar("Found")
 
 
+class InRun(Protocol):
+    """Has something done in the run's own thread."""
+
+    def __call__(self, action: Callable[[], Found], /) -> Found: ...
+
+
 class WrongRequest(ValueError):
     """What a feeder is told; nothing has changed."""
 
@@ -45,7 +51,7 @@ class WrongRequest(ValueError):
 class Conversation:
     """Requests to answers, in the thread that `call` leaves."""
 
-    def __init__(self, daemon: VirtualDaemon, feeding: Feeding, call: Callable[[Callable[[], Found]], Found]) -> None:
+    def __init__(self, daemon: VirtualDaemon, feeding: Feeding, call: InRun) -> None:
         self._daemon, self._feeding, self._call = daemon, feeding, call
         self.is_over = False
 

@@ -5,6 +5,7 @@ Belongs here: handing them to the scene. Not: what they are (live), what is meas
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from emulator.live.tracks import NOTHING
@@ -17,11 +18,14 @@ from protocols.scan import Scan, ScanPlan
 class Placed:
     """The same function, told first where everything is."""
 
-    def __init__(self, measure: Measure, fed: FedNow) -> None:
-        self._measure, self._fed = measure, fed
+    def __init__(self, measure: Measure, fed: FedNow, turned_ns: Callable[[int], int]) -> None:
+        """`turned_ns`: what finished rounds of the scene have taken at an instant: poses are in the run's time."""
+        self._measure, self._fed, self._turned_ns = measure, fed, turned_ns
 
     def __call__(self, plan: ScanPlan, conditions: Conditions = NORMAL) -> Scan:
-        self._fed.use(NOTHING if conditions.world is None else conditions.world)
+        world = NOTHING if conditions.world is None else conditions.world
+        turned_ns = self._turned_ns(plan.start_ns)
+        self._fed.use(world.earlier(turned_ns * 1e-9) if turned_ns else world)
         return self._measure(plan, conditions)
 
     def __getattr__(self, name: str) -> Any:

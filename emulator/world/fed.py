@@ -42,6 +42,11 @@ class FedNow:
         for name, track in world.tracks:
             self._tracks.setdefault(name, []).append(track)
 
+    @property
+    def has_spawned(self) -> bool:
+        """Some actor is there that is not in the scenario."""
+        return any(track.shape for _, track in self.world.tracks)
+
     def of(self, name: str) -> list[Track]:
         """Lives of an actor, in their order."""
         return self._tracks.get(name, [])
@@ -99,6 +104,8 @@ class Fed(Motion):
         """
         self.now, self._name, self._own, self._box = now, name, own, box
         self._shape, self._mount = shape, mount
+        self._known: tuple[World, list[Track], bytes, tuple[Floats, Floats] | None] | None = None
+        "Of the present sweep: its tracks, and where it was at the instants asked for last."
 
     @property
     def still(self) -> bool:
@@ -107,6 +114,10 @@ class Fed(Motion):
     @property
     def turns(self) -> bool:
         return True
+
+    @property
+    def may_come(self) -> bool:
+        return bool(self._shape)
 
     @property
     def there(self) -> bool:
@@ -143,7 +154,10 @@ class Fed(Motion):
         return max((2.0 * math.hypot(*self._offset(track)) for track in tracks), default=0.0)
 
     def _mine(self) -> list[Track]:
-        return [track for track in self.now.of(self._name) if track.shape == self._shape or not self._shape]
+        if self._known is None or self._known[0] is not self.now.world:
+            mine = [track for track in self.now.of(self._name) if track.shape == self._shape or not self._shape]
+            self._known = self.now.world, mine, b"", None
+        return self._known[1]
 
     def _offset(self, track: Track) -> Vector:
         """From the feeder's reference point to the origin (or the mount), in the body's axes."""
@@ -173,6 +187,16 @@ class Fed(Motion):
         """Positions (n, 3) and rotations (n, 3, 3)."""
         times = np.asarray(t_s, dtype=np.float64)
         tracks = self._mine()
+        assert self._known is not None
+        key = times.tobytes() if 1 < len(times) <= MOST_AT_ONCE else b""
+        if key and self._known[2] == key and self._known[3] is not None:
+            return self._known[3]
+        found = self._found(tracks, times)
+        if key:
+            self._known = *self._known[:2], key, found
+        return found
+
+    def _found(self, tracks: list[Track], times: Floats) -> tuple[Floats, Floats]:
         if len(tracks) == 1 and bool(tracks[0].there(times).all()):
             return self._on(tracks[0], times)
         position = np.full((len(times), 3), NOWHERE_M)
