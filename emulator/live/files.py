@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -126,7 +127,7 @@ def _osi_mcap(path: Path) -> Iterator[Update]:
                     yield ground_truth(message.data) if name == "osi3.GroundTruth" else sensor_view(message.data)
                 except BadSample:
                     continue
-        except McapError as error:
+        except (McapError, struct.error) as error:
             raise ScenarioError(f"{path}: {error}; want an MCAP file with osi3.GroundTruth") from None
         if not found:
             raise ScenarioError(f"{path}: no osi3.GroundTruth; want an MCAP file with one")
@@ -153,5 +154,5 @@ def _recorded(path: Path) -> Iterator[Told]:
             for _, _, message in make_reader(data).iter_messages(topics=[FEED_TOPIC], log_time_order=False):
                 row = json.loads(message.data)
                 yield Told(row["known_ns"], row["run_ns"], json_lines.of_json(row["update"]), row.get("again", False))
-        except (McapError, ValueError, KeyError, TypeError) as error:
+        except (McapError, struct.error, ValueError, KeyError, TypeError) as error:
             raise ScenarioError(f"{file}: {error}; want a recording with a feed") from None

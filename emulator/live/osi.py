@@ -154,7 +154,7 @@ def sensor_view(data: bytes) -> Update:
 def _check_version(data: bytes) -> None:
     for number, kind, value in fields(data):
         if number == 1 and kind == VARINT and value != MAJOR:
-            raise BadSample(f"version: {value}; want OSI {MAJOR}")
+            raise BadSample(f"version: {value!r}; want OSI {MAJOR}")
 
 
 def _stamp(data: bytes) -> int:
@@ -173,7 +173,7 @@ def _moving(data: bytes, place: int) -> ActorSample:
     model = name = None
     for number, kind, value in fields(data):
         if kind == VARINT:
-            kind_of = int(value) if number == 3 else kind_of  # type: ignore[arg-type]
+            kind_of = int(value) if number == 3 else kind_of
             continue
         if kind != BYTES:
             continue

@@ -135,10 +135,9 @@ class Orders:
             ],
             "workers": self._daemon.worker_rows(),
             "recording": self._recording(),
-            "feed": None if self._daemon.feeding is None else self._daemon.feeding.report(),
             "incidents": self._daemon.incidents.rows(),
             "incident_totals": self._daemon.incidents.totals(),
-        }
+        } | ({} if self._daemon.feeding is None else {"feed": self._daemon.feeding.report()})
 
     def metrics(self, params: Mapping[str, Any]) -> object:
         """Counters and the histogram of lateness as Prometheus text."""
