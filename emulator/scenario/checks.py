@@ -136,6 +136,8 @@ def _live(data: dict[str, Any], folder: Path) -> Iterator[Found]:
             yield ("live", "actors", "models", key), repr(value), f"one of classes: {', '.join(classes) or 'none'}"
     feed = live.get("feed")
     kind, _, path = feed.partition(":") if isinstance(feed, str) else ("", "", "")
+    if kind == "recording" and path and not (folder / path / "run.mcap").is_file():
+        yield ("live", "feed"), f"no recording {path!r}", "a folder with run.mcap, relative to this file"
     if kind in ("osi-trace", "osi-mcap", "json-file") and path and not (folder / path).is_file():
         yield ("live", "feed"), f"no file {path!r}", "a file, relative to this one"
 

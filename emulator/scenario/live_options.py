@@ -167,7 +167,7 @@ class LiveOptions(DescribedTable):
         place = self.place
         if not place.is_loopback and not self.beyond_loopback:
             raise ValueError(f"{self.feed!r}; want an address of this machine alone, or beyond_loopback: true")
-        if self.clock.map == "lockstep" and place.kind not in ("lockstep", "control", "json-file"):
+        if self.clock.map == "lockstep" and place.kind not in ("lockstep", "control", "json-file", "recording"):
             raise ValueError(f"clock.map lockstep with {self.feed!r}; want a feed lockstep://HOST:PORT")
         return self
 

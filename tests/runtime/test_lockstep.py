@@ -7,7 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
+from emulator.commands.recordings import replay
 from emulator.errors import LinkError
 from emulator.judging.rig import Rig
 from emulator.judging.trial import Trial
@@ -79,6 +81,8 @@ def test_the_same_feed_gives_the_same_bytes_for_any_workers_and_from_its_recordi
         assert again.finish().sha256 == digest
     finally:
         again.close()
+    told = CliRunner().invoke(replay, [str(tmp_path / "run"), "--world", "--json"], standalone_mode=False)
+    assert json.loads(told.output)["sha256"] == digest
     still = Trial(load(path))
     try:
         assert still.finish().sha256 != digest, "the feed is seen"
