@@ -34,6 +34,8 @@ LOOKED_AT = 512
 "Updates among which the newest one used is looked for: the age of a pose."
 MOST_LIVES = 8
 "Lives of one id that are kept."
+EGO_NAMES = ("ego", "hero")
+"Of the host vehicle where the feeder has not said which one it is."
 JUMP_RAD_S = 2.0 * np.pi
 MOST_EVENTS = 1000
 
@@ -170,6 +172,8 @@ class Book:
                 return self._bind[word]
         if self.host is not None and one.id == self.host and "host" in self._bind:
             return self._bind["host"]
+        if self.host is None and (one.name or "").lower() in EGO_NAMES and "host" in self._bind:
+            return self._bind["host"]  # who joins late never learns the host's id
         for word in (one.id, one.name):
             if word is not None and word in self._names:
                 return word

@@ -147,3 +147,9 @@ def test_rules_come_from_outside() -> None:
     book.take(Update(None, (at(0.0, velocity_m_s=(0.0, 0.0, 0.0)),)), 0)
     book.take(Update(None, (at(90.0, velocity_m_s=(0.0, 0.0, 0.0)),)), MS)
     assert book.counts["jumps"] == 0
+
+
+def test_who_joins_late_finds_its_ego_by_name() -> None:
+    book = Book(names=["me"], bind={"host": "me"})
+    book.take(Update(None, (ActorSample("36", (1, 0, 0), name="Ego"),)), 0)
+    assert book.actors() == ["me"]
