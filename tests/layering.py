@@ -18,7 +18,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("protocols", "emulator/errors.py"),
     ("emulator/process", "emulator/output", "emulator/config", "emulator/compiled"),
     ("emulator/transports", "emulator/physics", "emulator/sensors"),
-    ("emulator/hosts", "emulator/faults"),
+    ("emulator/hosts", "emulator/faults", "emulator/live"),
     ("emulator/scenario",),
     ("emulator/measuring", "emulator/world"),
     ("emulator/casting",),

@@ -25,7 +25,7 @@ ONLY_IN = {
     },
     "time": {"emulator/process/clock.py"},
     "can": {"emulator/transports/can_bus.py", "emulator/recording/can_logs.py", "emulator/hosts/can_lines.py"},
-    "mcap": {"emulator/recording/"},
+    "mcap": {"emulator/recording/", "emulator/live/files.py"},
     "cantools": {"protocols/can_objects/"},
     "viser": {"emulator/view/"},
     "websockets": {"emulator/view/"},

@@ -10,6 +10,8 @@ Meshes that change their shape are cast by slices (deforming).
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from types import ModuleType
 
 import numpy as np
@@ -19,14 +21,36 @@ from emulator.casting.deforming import Slices
 from emulator.casting.embree import Singles
 from emulator.casting.hits import MISS, Aim, Counters, Met, Passing, all_met, extent, rows
 from emulator.casting.structures import Layout, Movers
-from emulator.compiled.pair import OTHERWISE, by_loops
+from emulator.compiled.pair import OTHERWISE, array_form, by_loops
 from emulator.physics.arrays import indexes
 from emulator.world.batched_poses import Flags, Longs, Stretch, may_meet, through_sphere
 from emulator.world.broad_phase import KEPT, BroadPhase
+from emulator.world.fed import Fed, FedNow
+from emulator.world.motion import Motion
 from emulator.world.triangles import Floats, Ints
 
 NONE_BENT = np.zeros(0, np.int64), np.zeros((3, 0)), np.zeros((3, 3, 0))
 "All pairs are of bodies that move straight."
+
+
+class Instants:
+    """When rays are cast; poses of fed bodies are computed once for all rays of a beam."""
+
+    def __init__(self, times: Floats) -> None:
+        self._times = times
+        self._beams: tuple[Floats, Longs] | None = None
+
+    def pose(self, motion: Motion, rays: Longs) -> tuple[Floats, Floats]:
+        """Positions (k, 3) and rotations (k, 3, 3) at the instants of some rays."""
+        if not isinstance(motion, Fed):
+            when = self._times[rays]
+            return motion.position(when), np.broadcast_to(motion.rotation(when), (len(when), 3, 3))
+        if self._beams is None:
+            begins = np.concatenate([[True], self._times[1:] != self._times[:-1]])
+            self._beams = self._times[begins], np.cumsum(begins) - 1
+        instants, beam = self._beams
+        pose, at = motion.pose(instants), beam[rays]
+        return pose.position_m[at], pose.rotation[at]
 
 
 def _crossed_by_loops(
@@ -41,11 +65,12 @@ def _crossed_by_loops(
         pairs = [indexes(which == mover) for mover in curved]
         bent = np.full(len(which), -1)
         bent[np.concatenate(pairs)] = np.arange(sum(map(len, pairs)))
-        where = [(movers.batched.motions[of], times[rays[at]]) for of, at in zip(curved, pairs, strict=True)]
+        instants = Instants(times)
+        where = [(movers.batched.motions[of], rays[at]) for of, at in zip(curved, pairs, strict=True)]
+        poses = [instants.pose(motion, some) for motion, some in where]
         offset = origin[:, rays[np.concatenate(pairs)]]
-        offset -= np.concatenate([motion.position(when) for motion, when in where]).T
-        poses = [np.broadcast_to(motion.rotation(when), (len(when), 3, 3)) for motion, when in where]
-        turned = np.concatenate(poses).transpose(1, 2, 0)
+        offset -= np.concatenate([position for position, _ in poses]).T
+        turned = np.concatenate([rotation for _, rotation in poses]).transpose(1, 2, 0)
     parts = []
     for number in np.unique(movers.structure) if len(cast._slots) > 1 else (0,):
         (met, triangle, body), sizes, sent, wrong = loops.moving(
@@ -71,17 +96,25 @@ class MovingCast:
         self._slices = [Slices(frames, centre) for frames, centre in layout.frames]
         self._broad_phase = BroadPhase(self._all.batched.motions, self._all.reach + self._all.arm)
         self._kept: tuple[tuple[Longs, Movers], ...] = ()
+        motions = self._all.batched.motions
+        self._fed: FedNow | None = next((one.now for one in motions if isinstance(one, Fed)), None)
+        "None: nobody moves any of them from outside."
+        self._now: object = None
+        "The world that what is kept holds for."
 
     def __len__(self) -> int:
         return len(self._all.body)
 
     def sphere(self, begin_s: float, end_s: float) -> tuple[Floats, float]:
         """Centre (3, 1) and radius of a sphere that holds all of them meanwhile."""
-        _, place, swept, _ = _whereabouts(self._all, begin_s, end_s)
+        movers = self._all if self._fed is None else self._there(np.arange(len(self._all.body)))
+        if not len(movers.body):
+            return np.zeros((3, 1)), 0.0
+        _, place, swept, _ = _whereabouts(movers, begin_s, end_s)
         low = place.min(axis=1, keepdims=True)
         centre = low + (place.max(axis=1, keepdims=True) - low) / 2.0
         away = np.sqrt(((place - centre) ** 2).sum(axis=0))
-        return centre, float((away + self._all.reach + swept).max())
+        return centre, float((away + movers.reach + swept).max())
 
     def met(
         self,
@@ -102,7 +135,8 @@ class MovingCast:
         which, rays = may_meet(place, movers.reach + swept, box, aim.ray, far, known_m, lambda: aim.cones)
         if not len(which):
             return None
-        return self._crossed(movers, now, curved, which, rays, origin, aim, times, far, known_m)
+        crossed = self._crossed if movers.scale is None else partial(array_form(MovingCast._crossed), self)
+        return crossed(movers, now, curved, which, rays, origin, aim, times, far, known_m)
 
     @by_loops(_crossed_by_loops, "moving")
     def _crossed(
@@ -115,12 +149,13 @@ class MovingCast:
         offset = origin.take(rays, axis=1) - now.at.take(which, axis=1)
         offset -= (when - now.since.take(which)) * now.velocity.take(which, axis=1)
         turned = now.turned.take(which, axis=2)
+        instants = Instants(times)
         for mover in curved:
             pairs = indexes(which == mover)
             if len(pairs):
-                motion = movers.batched.motions[mover]
-                offset[:, pairs] = origin[:, rays[pairs]] - motion.position(when[pairs]).T
-                turned[:, :, pairs] = motion.rotation(when[pairs]).transpose(1, 2, 0)
+                position, rotation = instants.pose(movers.batched.motions[mover], rays[pairs])
+                offset[:, pairs] = origin[:, rays[pairs]] - position.T
+                turned[:, :, pairs] = rotation.transpose(1, 2, 0)
         along = aim.ray.take(rays, axis=1)
         centre = movers.centre.take(which, axis=1)
         sphere = offset - np.einsum("ijk,jk->ik", turned, centre)
@@ -133,6 +168,9 @@ class MovingCast:
         turned = turned.take(kept, axis=2)
         local = np.einsum("jik,jk->ik", turned, offset.take(kept, axis=1)) - centre.take(kept, axis=1)
         along = np.einsum("jik,jk->ik", turned, along.take(kept, axis=1))
+        if movers.scale is not None:
+            # the shape itself is met: range stays the parameter of the ray, whose direction is not of unit length there
+            local, along, enter, leave = _in_shape(movers, which, local, along)
         through = indexes(_may_cross(local, along, movers.half.take(which, axis=1)))
         if not len(through):
             return None
@@ -165,6 +203,10 @@ class MovingCast:
         range_m, normal, facing = embree.refined(
             self._table, self.counters, triangle, near.local[:, hit], near.along[:, hit], span[hit] + near.enter[hit]
         )
+        if movers.scale is not None:
+            normal = normal / movers.scale.take(which, axis=1)
+            length = np.sqrt(np.einsum("ik,ik->k", normal, normal))
+            normal, facing = normal / length, facing / length
         normal = np.einsum("ijk,jk->ik", near.turned[:, :, hit], normal)
         return Met(rays, triangle, movers.body[which], range_m, normal, facing)
 
@@ -184,12 +226,28 @@ class MovingCast:
     def _near(self, low: Floats, high: Floats, begin_s: float, end_s: float, far: float) -> Movers:
         """Those that can come within reach; built anew once a second, or where the sensor comes to another cell."""
         which = self._broad_phase.within(low, high, far, begin_s, end_s)
+        if self._fed is not None:
+            return self._there(which)
         if len(which) == len(self._all.body):
             return self._all
         for known, movers in self._kept:
             if known is which:
                 return movers
         movers = self._all.chosen(which)
+        self._kept = ((which, movers), *self._kept[: KEPT - 1])
+        return movers
+
+    def _there(self, which: Longs) -> Movers:
+        """Those of them that are there in the present sweep, as large and fast as it says."""
+        assert self._fed is not None
+        if self._now is not self._fed.world:
+            self._now, self._kept = self._fed.world, ()
+        for known, movers in self._kept:
+            if known is which or (len(known) == len(which) and np.array_equal(known, which)):
+                return movers
+        motions = self._all.batched.motions
+        found = [int(one) for one in which if not isinstance(each := motions[one], Fed) or each.there]
+        movers = _as_fed(self._all.chosen(np.array(found, np.int64))) if found else self._all.chosen(which[:0])
         self._kept = ((which, movers), *self._kept[: KEPT - 1])
         return movers
 
@@ -202,6 +260,40 @@ class MovingCast:
             here = indexes(home == slots)
             number[here], span[here] = embree.run(self._slots[slots], start[here], along[here], until[here])
         return number, span
+
+
+def _as_fed(movers: Movers) -> Movers:
+    """Speeds and sizes as the present sweep has them."""
+    fed = [(row, motion) for row, motion in enumerate(movers.batched.motions) if isinstance(motion, Fed)]
+    if not fed:
+        return movers
+    speed, arm, scale = movers.speed.copy(), movers.arm.copy(), np.ones((3, len(movers.body)))
+    for row, motion in fed:
+        speed[row] = motion.speed_bound_m_s
+        scale[:, row] = motion.scale
+    centre = movers.centre * scale
+    scaled = bool((scale != 1.0).any())
+    if scaled:
+        arm = np.sqrt(np.einsum("ib,ib->b", centre, centre))
+    for row, motion in fed:
+        arm[row] += motion.slack_m
+    if not scaled:
+        return replace(movers, speed=speed, arm=arm)
+    return replace(
+        movers, speed=speed, arm=arm, centre=centre, reach=movers.reach * scale.max(axis=0), scale=scale,
+        shape_reach=movers.reach,
+    )  # fmt: skip
+
+
+def _in_shape(movers: Movers, which: Longs, local: Floats, along: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Origins and directions (3, k) in the frames of scaled shapes, and where the rays are in their spheres."""
+    assert movers.scale is not None
+    assert movers.shape_reach is not None
+    scale = movers.scale.take(which, axis=1)
+    local, along = local / scale, along / scale
+    length = np.sqrt(np.einsum("ik,ik->k", along, along))
+    enter, leave, _ = through_sphere(local, along / length, movers.shape_reach.take(which))
+    return local, along, enter / length, leave / length
 
 
 def _straight(now: Stretch, centre: Floats, begin: float, end: float) -> tuple[Floats, Floats]:

@@ -70,6 +70,10 @@ class Group:
     content: Content
 
 
+APART = ("batched", "scale", "shape_reach")
+"Of `Movers`, what is not a column of it in every scene."
+
+
 @dataclass(frozen=True, eq=False)
 class Movers:
     """Bodies that are not merged: one column each."""
@@ -93,10 +97,14 @@ class Movers:
     speed: Floats
     "(b,) bound of the origin's speed; infinite where it jumps."
     batched: BatchedPoses
+    scale: Floats | None = None
+    "(3, b) of the shape along the body's axes, where `centre` and `reach` are of the scaled one; None: none is scaled."
+    shape_reach: Floats | None = None
+    "(b,) `reach` of the shapes themselves."
 
     def chosen(self, which: Longs) -> Movers:
         """Some of them."""
-        columns = {name: column.take(which, axis=-1) for name, column in vars(self).items() if name != "batched"}
+        columns = {name: column.take(which, axis=-1) for name, column in vars(self).items() if name not in APART}
         return Movers(**columns, batched=BatchedPoses([self.batched.motions[mover] for mover in which]))
 
 

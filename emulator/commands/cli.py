@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from emulator.recording.transcript import Transcript
     from emulator.recording.writer import Recorder
     from emulator.runtime.daemon import Daemon
+    from emulator.runtime.lockstep import LockstepServer
     from emulator.runtime.virtual_daemon import VirtualDaemon
     from emulator.scenario.scenario import Scenario
 
@@ -243,9 +244,13 @@ def run(
     transcript = watched(instruments) if isinstance(daemon, VirtualDaemon) else None
     server = None
     recorder: Recorder | None = None
+    lockstep: LockstepServer | None = None
     driver: subprocess.Popen[bytes] | None = None
     now_ns = (lambda: daemon.now_ns) if isinstance(daemon, VirtualDaemon) else real.now_ns
     try:
+        feed_url = None if daemon.feeding is None else daemon.feeding.open()
+        lockstep = lockstep_of(daemon)
+        feed_url = feed_url if lockstep is None else lockstep.url
         recorder = recorder_for(loaded, instruments, record, daemon, now_ns)
         with daemon.signals():
             real.restart()
@@ -253,7 +258,9 @@ def run(
                 leash.watch(lambda: daemon.stop("the standard input has ended"), daemon.call)
             server = control_of(daemon, instruments, real, loaded, recorder, control, ending.until_ns)
             daemon.power_on()
-            announce_ready(loaded, instruments, as_json, server.url, ending)
+            if daemon.feeding is not None and recorder is not None:
+                daemon.feeding.on_update = recorder.feed
+            announce_ready(loaded, instruments, as_json, server.url, ending, feed_url)
             kinds = {link.kind for one in instruments for link in one.links}
             if isinstance(daemon, VirtualDaemon) and LinkKind.CAN in kinds:
                 note("CAN time stamps are virtual: seconds since the start of the run")
@@ -268,11 +275,18 @@ def run(
     finally:
         if server is not None:
             server.close()
+        if lockstep is not None:
+            lockstep.close()
         daemon.close()
         if recorder is not None:
             recorder.close()
         driver_code = None if driver is None else end_driver(driver)
     recorded = None if recorder is None else recorder.state()
+    if daemon.feeding is not None:
+        for line in (
+            daemon.feeding.lines() if not as_json else [json.dumps({"event": "feed"} | daemon.feeding.report())]
+        ):
+            say(line)
     sha256 = None if transcript is None else transcript.sha256()
     announce_end(instruments, as_json, sha256, daemon.incidents, recorded, daemon.why, ended_ns * 1e-9)
     for cause, count in daemon.failures.items():
@@ -284,6 +298,18 @@ def run(
     if driver_code not in (None, 0):
         return FAILED
     return daemon.incidents.exit_code
+
+
+def lockstep_of(daemon: Daemon | VirtualDaemon) -> LockstepServer | None:
+    """Who listens for a feeder that moves time; None: nobody does."""
+    from emulator.runtime.lockstep import LockstepServer
+    from emulator.runtime.virtual_daemon import VirtualDaemon
+
+    if daemon.feeding is None or not daemon.feeding.live.lockstep:
+        return None
+    if not isinstance(daemon, VirtualDaemon):
+        raise LinkError(f"{daemon.feeding.live.feed}: moves time, which is real; want --clock virtual or --speed")
+    return LockstepServer(daemon, daemon.feeding)
 
 
 def keep_running(command: Sequence[str], until_eof: bool, record: Path | None) -> int:
@@ -325,7 +351,12 @@ def fault_teller(as_json: bool) -> Callable[[str, FaultEvent], None]:
 
 
 def announce_ready(
-    scenario: Scenario, instruments: Sequence[Instrument], as_json: bool, control: str, ending: Ending
+    scenario: Scenario,
+    instruments: Sequence[Instrument],
+    as_json: bool,
+    control: str,
+    ending: Ending,
+    feed: str | None = None,
 ) -> None:
     """Say where hosts can connect, every link accepts one by now, and how long."""
     from emulator.sensors.spec import name_of
@@ -336,11 +367,14 @@ def announce_ready(
             {"id": item.sensor, "model": models[item.sensor], "links": [link.url for link in item.links]}
             for item in instruments
         ]
-        say(json.dumps({"event": "ready", "sensors": sensors, "control": control} | ending.as_json()))
+        fed = {} if feed is None else {"feed": feed}
+        say(json.dumps({"event": "ready", "sensors": sensors, "control": control} | fed | ending.as_json()))
         return
     for item in instruments:
         for link in item.links:
             say(f"ready: {item.sensor} ({models[item.sensor]}) on {link.url}")
+    if feed is not None:
+        say(f"ready: poses on {feed}")
     say(ending.told())
 
 

@@ -66,6 +66,34 @@ WIRE_BAUD = click.option(
 "Of files that others have recorded."
 
 
+def replay_world(recording: Path, as_json: bool) -> int:
+    """A fed run again without its feeder, with built-in hosts as `test` has them; prints its digest."""
+    from emulator.judging.trial import run_trial
+    from emulator.live.files import read
+    from emulator.scenario.scenario import load
+
+    if not (recording / "scenario.yaml").is_file():
+        raise EmulatorError(f"{recording}: no scenario.yaml; want a folder of lidaremu run --record")
+    told = list(read("recording", recording.absolute()))
+    if not told:
+        raise EmulatorError(f"{recording}: no feed; want a recording of a scenario with live:")
+    changes = [f"live.feed={json.dumps(f'recording:{recording.absolute()}')}"]
+    loaded = load(str(recording / "scenario.yaml"), changes)
+    if loaded.duration_s is None:
+        last_s = max(max(one.run_ns for one in told) * 1e-9, 1e-3)
+        loaded = load(str(recording / "scenario.yaml"), [*changes, f"duration_s={last_s!r}"])
+    verdict = run_trial(loaded)
+    row = {"updates": len(told), "duration_s": verdict.duration_s, "sha256": verdict.sha256, "held": verdict.held}
+    if as_json:
+        say(json.dumps({"event": "world", **row}))
+    else:
+        say(f"{len(told)} updates, {verdict.duration_s:g} s")
+        for one in verdict.judgements:
+            say(str(one))
+        say(f"sha256 of all wire bytes with their virtual times: {verdict.sha256}")
+    return OK if verdict.held else FAILED
+
+
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.argument("command", nargs=-1, type=click.UNPROCESSED)
@@ -78,6 +106,7 @@ WIRE_BAUD = click.option(
 @WIRE_PORT
 @WIRE_BAUD
 @click.option("--at-once", is_flag=True, help="Do not wait for a host.")
+@click.option("--world", is_flag=True, help="Run the scenario again with the recorded feed, in virtual time.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object per line.")
 def replay(
     recording: Path,
@@ -89,6 +118,7 @@ def replay(
     port: int,
     baud: int,
     at_once: bool,
+    world: bool,
     as_json: bool,
 ) -> int:
     """Send a RECORDING again, with its own gaps or scaled: a folder or .mcap of lidaremu, .pcap, .pcapng, .blf, .asc,
@@ -98,6 +128,10 @@ def replay(
     After `--` a COMMAND may follow, as of lidaremu run: it is started once every link accepts a host, gets its links in
     LIDAREMU_<SENSOR>, and the replay ends with it or at the recording's end.
     """
+    if world:
+        if command or stepped or links:
+            raise click.UsageError("--world runs with built-in hosts; want it without COMMAND, --stepped and --link")
+        return replay_world(recording, as_json)
     if stepped and command:
         raise click.UsageError("--stepped and a COMMAND both read the standard input; want one of them")
     from emulator.recording.reader import is_ours, read_run, read_wire

@@ -27,6 +27,7 @@ from protocols.session import Address, DropReason, Emission, Event, LinkKind, Re
 
 if TYPE_CHECKING:
     from emulator.instrument.fault_hooks import FaultHooks, Passed
+    from emulator.live.tracks import World
     from protocols.session import Family
 
 LOOK_AHEAD_NS = 250_000_000
@@ -52,6 +53,19 @@ class Measuring(Protocol):
 
     def collect(self, sensor: str) -> list[Scan]:
         """Scans of this sensor that have been finished since the last call."""
+
+
+class WorldFeed(Protocol):
+    """Whoever knows where actors are that somebody else moves."""
+
+    def ask_ns(self, sensor: str, plan: ScanPlan, earliest_ns: int) -> int:
+        """When that sweep is to be measured: as late as its device allows, unless all is known before."""
+
+    def world(self, sensor: str, plan: ScanPlan, now_ns: int) -> World:
+        """What its beams need, as it is known now."""
+
+    def came(self, sensor: str, now_ns: int) -> None:
+        """Its scan has come."""
 
 
 class Instrument:
@@ -92,6 +106,8 @@ class Instrument:
         "Whose protocol it speaks; for faults that change telegrams."
         self.faults: FaultHooks | None = None
         "What goes wrong on purpose; None: nothing, at no cost."
+        self.feed: WorldFeed | None = None
+        "Who moves the world; None: its file alone, and sweeps are measured ahead."
         self.poked = False
         "It wants to be stepped now, whatever it said: something outside has changed."
         self.impairments: dict[str, dict[int, float]] = {}
@@ -167,7 +183,7 @@ class Instrument:
         if plan is not None:
             self.owed.wait(now_ns)
         if plan is not None and self._key(plan) != self._asked:
-            wakes.append(plan.start_ns - self._look_ahead_ns)
+            wakes.append(self._ask_ns(plan))
         if self.faults is not None:
             wakes.append(self.faults.next_ns())
         wakes.append(self.input_budget.wake_ns(now_ns))
@@ -294,6 +310,8 @@ class Instrument:
         for scan in self._measuring.collect(self.sensor):
             self.stats.scans_measured += not isinstance(scan, NotMeasured)
             self._outstanding -= 1
+            if self.feed is not None:
+                self.feed.came(self.sensor, now_ns)
             moved = True
             if self._discarded:
                 self._discarded -= 1  # on account since the cut
@@ -317,7 +335,7 @@ class Instrument:
 
     def _ask_for_scan(self, now_ns: int) -> bool:
         plan = self.session.next_plan()
-        if plan is None or self._key(plan) == self._asked or plan.start_ns > now_ns + self._look_ahead_ns:
+        if plan is None or self._key(plan) == self._asked or self._ask_ns(plan) > now_ns:
             return False
         self._asked = self._key(plan)
         self.wanted_ns = now_ns
@@ -328,8 +346,16 @@ class Instrument:
         self._outstanding += 1
         self.ledger.ask(plan)
         self.owed.ask(now_ns, plan)
-        self._measuring.request(self.sensor, plan, self.conditions)
+        conditions = self.conditions
+        if self.feed is not None:
+            conditions = replace(conditions, world=self.feed.world(self.sensor, plan, now_ns))
+        self._measuring.request(self.sensor, plan, conditions)
         return True
+
+    def _ask_ns(self, plan: ScanPlan) -> int:
+        """When that sweep is asked for."""
+        ahead_ns = plan.start_ns - self._look_ahead_ns
+        return ahead_ns if self.feed is None else self.feed.ask_ns(self.sensor, plan, ahead_ns)
 
     def _send_due(self, now_ns: int) -> bool:
         emissions = self.session.take_emissions(now_ns)

@@ -24,10 +24,12 @@ from emulator.instrument.ledger import check_accounts
 from emulator.instrument.series import SeriesWatcher
 from emulator.judging.expectations import Judgements, Run, understand, verdicts
 from emulator.judging.trial import note_verdict
+from emulator.live.json_lines import update_of
 from emulator.recording.transcript import Transcript
 from emulator.recording.writer import Recorder
 from emulator.recording.writing import VIRTUAL
 from emulator.runtime import assembly
+from emulator.runtime.lockstep import LockstepServer
 from emulator.scenario import scenario
 from emulator.scenario.quantities import check_name
 from emulator.sensors.spec import load_spec
@@ -135,6 +137,12 @@ class Rig:
         self._expected = understand(self.scenario)
         self._daemon, self.instruments = assembly.start_virtual(self.scenario, self._speed)
         self._daemon.idles = False
+        feeding = self._daemon.feeding
+        self.feed_url = None if feeding is None else feeding.open()
+        "Where poses are received, or who moves time in lock-step."
+        self._lockstep = None if feeding is None or not feeding.live.lockstep else LockstepServer(self._daemon, feeding)
+        if self._lockstep is not None:
+            self.feed_url = self._lockstep.url
         ids = [sensor.id for sensor in self.scenario.sensors]
         self._transcript, self._series = Transcript(ids), SeriesWatcher(ids)
         for instrument in self.instruments:
@@ -151,6 +159,8 @@ class Rig:
             now_ns=lambda: self._daemon.now_ns,
             manner=VIRTUAL,
         )
+        if self._daemon.feeding is not None:
+            self._daemon.feeding.on_update = self._recorder.feed
         self._daemon.power_on()
         self._thread = threading.Thread(target=self._serve, name="lidaremu-rig", daemon=True)
         self._thread.start()
@@ -179,6 +189,8 @@ class Rig:
     def close(self) -> None:
         """End the run and release its links; may be called twice."""
         if self._thread is not None:
+            if self._lockstep is not None:
+                self._lockstep.close()
             self._daemon.stop()
             self._thread.join(PATIENCE_S)
             self._thread = None
@@ -220,6 +232,27 @@ class Rig:
         """Time moves by itself again while a host waits and something is due."""
         self._daemon.paused = False
         self._in_run(lambda: None)
+
+    def move(self, actor: str, at_m: Sequence[float], reference: str = "origin", **keys: Any) -> None:
+        """Where an actor is now, in a scenario with `live:`; the other keys are those of docs/live_world.md.
+
+        Beams up to now have seen it where it was on its way here; later ones go on from here with `velocity_m_s` and
+        `turn_rate_deg_s`, without them as it moved between the last two calls. `BadSample` names what is wrong.
+        """
+        self.poses([{"id": actor, "at_m": list(at_m), "reference": reference, **keys}])
+
+    def poses(self, actors: Sequence[Mapping[str, Any]], removed: Sequence[str] = (), snapshot: bool = False) -> None:
+        """Where several actors are at this one instant; `removed` are gone, with `snapshot` all others too."""
+        feeding = self._daemon.feeding
+        if feeding is None:
+            raise LookupError("this scenario has no live: table; want one with feed: control")
+        update = update_of({"actors": list(actors), "removed": list(removed), "snapshot": snapshot})
+        self._in_run(lambda: feeding.take(update, self._daemon.now_ns, again=True))
+
+    def feed(self) -> dict[str, object]:
+        """What came of the feed so far: counts, age of poses at the beams, errors of extrapolation."""
+        feeding = self._daemon.feeding
+        return {} if feeding is None else self._in_run(feeding.report)
 
     def fault(self, on: str, do: str, **keys: Any) -> int:
         """Let something go wrong, from now on or by the triggers of docs/faults.md; its number.

@@ -130,8 +130,12 @@ class Trial:
             host = self._host_of(index, family, loops)
             hosts += [] if host is None else [host]
         self.faults = FaultRun(scenario, self.instruments)
+        self.feeding = assembly.feeding_of(scenario, self.instruments, None)
+        "Who moves the world from outside: a file, here; of others nothing comes."
         self.run = VirtualRun(self.instruments, hosts, nothing_owed if self._workers is None else self._settle)
         self.recorder = None if record is None else self._record(record)
+        if self.feeding is not None and self.recorder is not None:
+            self.feeding.on_update = self.recorder.feed
         self.liveness = Liveness(self.instruments, self.incidents)
         self.run.on_look = lambda now_ns: self.liveness.look(now_ns, now_ns)
         self.run.power_on()

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 
+from emulator.live.tracks import World
 from emulator.scenario.weather import WeatherConfig
 
 Setting = float | int | str | bool | tuple[float, ...]
@@ -50,6 +51,8 @@ class Conditions:
     "Instead of the scenario's, its `changes` in the run's time; None: the scenario's."
     faults: tuple[ActiveFault, ...] = ()
     "Of all sensors: one that lists objects measures with its sources'."
+    world: World | None = None
+    "Where actors are that somebody else moves; None: nobody does."
 
     def of(self, sensor: str, at_ns: int) -> tuple[ActiveFault, ...]:
         """Faults that act on that sensor at that instant, in the order of their numbers."""

@@ -11,6 +11,8 @@ from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
+FEED_ENDED = 3
+"As of a link that is lost."
 SILENT = 5
 "Exit code: a sensor fell silent, or scans of a run do not add up."
 RECORDING_CUT = 4
@@ -44,6 +46,7 @@ KINDS = {
     "link path gone": IncidentKind(
         "the path of a link is gone and cannot be restored: its folder is missing or not writable"
     ),
+    "feed silent": IncidentKind("no poses came for longer than live.silent.after_s, which ends this run", FEED_ENDED),
     "helper ended": IncidentKind("an auxiliary process of the run ended: the page, a driver, a recorder"),
 }
 "Name -> what it means; docs/endurance.md has the same table from here."

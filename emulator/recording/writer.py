@@ -186,6 +186,10 @@ class Recorder(Observer):
         """Something about the whole run: a change of the weather, a fault, an order of the user's."""
         self._add("run", "event", layout.EVENT_ENCODING, self._event, now_ns, json.dumps(row).encode())
 
+    def feed(self, now_ns: int, row: dict[str, object]) -> None:
+        """An update of a feed, as it was used."""
+        self._add("world", "feed", layout.EVENT_ENCODING, self._event, now_ns, json.dumps(row).encode())
+
     def _befell(self, incident: Incident) -> None:
         self.note(incident.at_ns, {"event": "Incident"} | incident.as_json())
 

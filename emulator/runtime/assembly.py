@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ from emulator.measuring.measuring import InPlace, Measure, Measures
 from emulator.measuring.supervision import Workers, worker_count
 from emulator.process.clock import Clock, wall_ns
 from emulator.runtime.daemon import Daemon
+from emulator.runtime.feeding import Feeding
 from emulator.runtime.virtual_daemon import VirtualDaemon
 from emulator.scenario.scenario import Scenario
 from emulator.sensors.spec import load_spec
@@ -35,7 +36,12 @@ def build_measures(scenario: Scenario) -> Mapping[str, Measure]:
     from emulator.world import scene
 
     world = scene.build(scenario)
-    return Measures(measures_of(scenario, world), world.warnings)
+    measures = measures_of(scenario, world)
+    if world.fed is not None:
+        from emulator.sensing.placed import Placed
+
+        measures = {name: Placed(measure, world.fed, world.turned_ns) for name, measure in measures.items()}
+    return Measures(measures, world.warnings)
 
 
 def measures_of(scenario: Scenario, world: Scene) -> Mapping[str, Measure]:
@@ -122,6 +128,18 @@ def open_instruments(
     return instruments
 
 
+def feeding_of(
+    scenario: Scenario, instruments: Sequence[Instrument], real_ns: Callable[[], int] | None
+) -> Feeding | None:
+    """Who moves the world of these instruments; None: the scenario alone. `real_ns`: None in virtual time."""
+    if scenario.live is None:
+        return None
+    feeding = Feeding(scenario, scenario.live, instruments, real_ns)
+    for one in instruments:
+        one.feed = feeding
+    return feeding
+
+
 def start(
     scenario: Scenario, clock: Clock, workers: int | None = None, sockets: CanSockets | None = None
 ) -> tuple[Daemon, list[Instrument]]:
@@ -143,6 +161,9 @@ def start(
         raise
     daemon = Daemon(instruments, clock, measuring)
     daemon.faults = FaultRun(scenario, instruments)
+    daemon.feeding = feeding_of(scenario, instruments, clock.now_ns)
+    if daemon.feeding is not None:
+        daemon.feeding.call = daemon.call
     return daemon, instruments
 
 
@@ -169,4 +190,7 @@ def start_virtual(
         raise
     daemon = VirtualDaemon(instruments, pool, speed, warnings=measuring.warnings)
     daemon.faults = FaultRun(scenario, instruments)
+    daemon.feeding = feeding_of(scenario, instruments, None)
+    if daemon.feeding is not None:
+        daemon.feeding.call = daemon.call
     return daemon, instruments

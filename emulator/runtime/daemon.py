@@ -28,6 +28,7 @@ from emulator.process.incidents import Incidents
 from emulator.process.sd_notify import Notifier
 from emulator.process.time_limits import TICK_NS, RunningTime
 from emulator.process.waiting import Waiter, sharpen_timers, shorten_slices
+from emulator.runtime.feeding import Feeding
 from emulator.runtime.liveness import Liveness, report_workers
 from emulator.runtime.own_daemon import ending_signals
 from emulator.runtime.path_guard import PathGuard
@@ -74,6 +75,8 @@ class Daemon:
         self.lost_links: list[str] = []
         self.faults: FaultRun | None = None
         "What goes wrong on purpose in this run."
+        self.feeding: Feeding | None = None
+        "Who moves the world from outside."
         self.failures: Counter[str] = Counter()
         "Scans that could not be measured, by cause."
         self.incidents = Incidents()
@@ -315,6 +318,9 @@ class Daemon:
             self._tell_of(self._workers.check())
             wait_ns = self._workers.check_ns
         self.liveness.look(now_ns, self._ran.pass_to(now_ns), {self._instruments[index].sensor for index in self._lost})
+        if self.feeding is not None and (why := self.feeding.look(now_ns)):
+            self.incidents.note("feed silent", now_ns, "feed", why)
+            self.stop(why)
         self.notifier.alive(now_ns, status_text(self._instruments, self.liveness))
         self._look_ns = now_ns + min(wait_ns, self.notifier.wake_ns or wait_ns)
 
@@ -325,6 +331,8 @@ class Daemon:
     def close(self) -> None:
         """Close every link and end the workers."""
         self.notifier.stopping()
+        if self.feeding is not None:
+            self.feeding.close()
         self._path_guard.close()
         for instrument in self._instruments:
             instrument.close()

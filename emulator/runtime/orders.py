@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from emulator.instrument.instrument import Instrument
 from emulator.instrument.summary import summary
+from emulator.live.json_lines import update_of
+from emulator.live.samples import BadSample
 from emulator.measuring.measuring import Judges
 from emulator.process.clock import Clock
 from emulator.runtime.control import BAD_PARAMS, REFUSED, Later, Method, OrderError
@@ -89,6 +91,7 @@ class Orders:
             "status": self.status,
             "metrics": self.metrics,
             "weather": self.weather_judged,
+            "poses": self.poses,
             "pause": self.pause,
             "resume": self.resume,
             "step": self.step,
@@ -134,7 +137,7 @@ class Orders:
             "recording": self._recording(),
             "incidents": self._daemon.incidents.rows(),
             "incident_totals": self._daemon.incidents.totals(),
-        }
+        } | ({} if self._daemon.feeding is None else {"feed": self._daemon.feeding.report()})
 
     def metrics(self, params: Mapping[str, Any]) -> object:
         """Counters and the histogram of lateness as Prometheus text."""
@@ -159,6 +162,23 @@ class Orders:
         state = state_of(self._weather, from_s)
         # one reading of the clock: `from_s` is never before the `now_s` that stands beside it
         return self._did("weather", change=found.entry) | {"now_s": now_ns * 1e-9, "from_s": from_s, "weather": state}
+
+    def poses(self, params: Mapping[str, Any]) -> object:
+        """Where actors are, by the keys of a line of the JSON feed; without any: what came of the feed."""
+        feeding, now_ns = self._daemon.feeding, self._now_ns()
+        if feeding is None:
+            raise OrderError(REFUSED, "poses: the world of this run moves by its file; want a scenario with live:")
+        if not params:
+            return {"now_s": now_ns * 1e-9, "feed": feeding.report()}
+        try:
+            update = update_of(params)
+        except BadSample as error:
+            raise OrderError(BAD_PARAMS, str(error)) from None
+        before = feeding.book.counts.copy()
+        used = feeding.take(update, now_ns, again=True)
+        wrong = feeding.book.counts - before
+        wrong.pop("received", None)
+        return {"now_s": now_ns * 1e-9, "used": used, "wrong": dict(wrong)}
 
     def _weather_of_round(self, at_ns: int) -> WeatherConfig:
         """Of a scenario that begins again: the changes of this round; an order ends them with it."""

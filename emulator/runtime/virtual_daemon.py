@@ -28,6 +28,7 @@ from emulator.process.sd_notify import Notifier
 from emulator.process.time_limits import TICK_NS
 from emulator.process.waiting import Poller
 from emulator.runtime.daemon import COMMAND_ENDED, DURATION_OVER, status_text
+from emulator.runtime.feeding import Feeding
 from emulator.runtime.liveness import Liveness, report_workers
 from emulator.runtime.own_daemon import ending_signals
 from emulator.runtime.path_guard import PathGuard
@@ -113,6 +114,8 @@ class VirtualDaemon:
         self.lost_links: list[str] = []
         self.faults: FaultRun | None = None
         "What goes wrong on purpose in this run."
+        self.feeding: Feeding | None = None
+        "Who moves the world from outside."
         self.incidents = Incidents()
         "What befell our own processes, files and links."
         self.notifier = Notifier()
@@ -383,6 +386,8 @@ class VirtualDaemon:
     def close(self) -> None:
         """Close every link and end the workers."""
         self.notifier.stopping()
+        if self.feeding is not None:
+            self.feeding.close()
         self._path_guard.close()
         for instrument in self.instruments:
             instrument.close()

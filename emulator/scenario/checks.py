@@ -44,6 +44,7 @@ def faults(source: Source) -> list[str]:
         _models,
         _links,
         _names_of_actors_and_sensors,
+        _live,
         _faults,
     )
     return [source.fault(*found) for check in checks for found in check(data, source.path.parent)]
@@ -111,6 +112,34 @@ def _unique_ids(data: dict[str, Any], folder: Path) -> Iterator[Found]:
             if name in seen:
                 yield (*loc, "id"), f"{name!r} is also the id of number {seen[name][1]}", "unique ids"
             seen.setdefault(name, loc)
+
+
+def _live(data: dict[str, Any], folder: Path) -> Iterator[Found]:
+    """Actors and files that `live:` names."""
+    live, known = _table(data, "live"), _ids(data, "actors")
+    names: list[tuple[Loc, object]] = [(("live", "ego"), live.get("ego"))]
+    names += [(("live", "bind", key), value) for key, value in _table(live, "bind").items()]
+    fed = _table(live, "actors").get("fed")
+    names += [
+        (("live", "actors", "fed", number), one) for number, one in enumerate(fed if isinstance(fed, list) else ())
+    ]
+    for loc, name in names:
+        if isinstance(name, str) and name not in known:
+            yield loc, f"no actor {name!r}", nearest(name, known) if known else "an actor of this scenario"
+    classes = _table(_table(live, "actors"), "classes")
+    for key, entry in classes.items():
+        mesh = entry.get("mesh") if isinstance(entry, dict) else None
+        if isinstance(mesh, str) and not mesh_path(mesh, folder).is_file():
+            yield ("live", "actors", "classes", key, "mesh"), f"no file {mesh!r}", "a mesh file, or builtin:NAME"
+    for key, value in _table(_table(live, "actors"), "models").items():
+        if isinstance(value, str) and value not in classes:
+            yield ("live", "actors", "models", key), repr(value), f"one of classes: {', '.join(classes) or 'none'}"
+    feed = live.get("feed")
+    kind, _, path = feed.partition(":") if isinstance(feed, str) else ("", "", "")
+    if kind == "recording" and path and not (folder / path / "run.mcap").is_file():
+        yield ("live", "feed"), f"no recording {path!r}", "a folder with run.mcap, relative to this file"
+    if kind in ("osi-trace", "osi-mcap", "json-file") and path and not (folder / path).is_file():
+        yield ("live", "feed"), f"no file {path!r}", "a file, relative to this one"
 
 
 def _shapes(data: dict[str, Any], folder: Path) -> Iterator[Found]:

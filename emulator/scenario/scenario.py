@@ -26,6 +26,7 @@ from emulator.errors import ScenarioError
 from emulator.faults.config import Common
 from emulator.scenario import checks
 from emulator.scenario.clock_options import ClockOptions
+from emulator.scenario.live_options import LiveOptions
 from emulator.scenario.object_options import ObjectOptions
 from emulator.scenario.tables import Actor, Id, Mount, Shape, WorldItem, long_as
 from emulator.scenario.weather import WeatherConfig
@@ -96,6 +97,8 @@ class Scenario(DescribedTable):
     faults: Annotated[tuple[Common, ...], Field(max_length=1000)] = ()
     "What goes wrong on purpose, see docs/faults.md."
     expect: tuple[Expectation, ...] = ()
+    live: LiveOptions | None = None
+    "Who moves the world while it runs, see docs/live_world.md; None: this file alone."
     record: Record = Field(default_factory=Record)
 
     _source: yaml_lines.Source = PrivateAttr()
@@ -263,6 +266,13 @@ def dump(scenario: Scenario) -> str:
         motion = entry["motion"]
         kept = {"waypoints", "loop"} if actor.motion.waypoints else set(motion) - {"waypoints", "loop"}
         entry["motion"] = {key: value for key, value in motion.items() if key in kept}
+    if scenario.live is not None:
+        place = scenario.live.place
+        if place.is_file:
+            data["live"]["feed"] = f"{place.kind}:{(scenario.folder / place.path).resolve()}"
+        for entry in data["live"]["actors"]["classes"].values():
+            if entry.get("mesh"):
+                entry["mesh"] = _told_mesh(scenario, entry["mesh"])
     for change, entry in zip(scenario.weather.changes, data["weather"].get("changes", ()), strict=True):
         for key in set(entry) - change.model_fields_set:
             del entry[key]  # what a change does not name goes on

@@ -227,7 +227,7 @@ class Measure:
 
     def _spared(self, plan: ScanPlan, pose: Pose, t_s: Floats, surfaces: Surfaces, air: AirNow) -> Pruned | None:
         """The sweep with bundles only where they are needed; None where finding out costs more than it saves."""
-        if self._pruning is None:
+        if self._pruning is None or (self._scene.fed is not None and self._scene.fed.has_spawned):
             return None
         bundles = self._bundles.of(plan)
         if not self._pruning.pays(len(plan), bundles.sub_beams):

@@ -96,10 +96,11 @@ class Pruning:
         at_rest = at_rest and model.leave_out.resting
         self._model, self._caster, self._at_rest = model, caster, at_rest
         self.radii = model.plain_radii if model.beam.profile == "gauss" else 1.0 + 1e-6
-        outlines = outlines_of(scene)
+        # of what a feed may bring no edges are known: with it in a sweep, none are looked at
+        outlines = outlines_of(replace(scene, bodies=tuple(body for body in scene.bodies if not body.motion.may_come)))
         self.edges, self._pieces = Edges(outlines, model, self.radii), Pieces(outlines)
         self._all_still = at_rest and all(body.motion.still for body in scene.bodies)
-        moving = np.array([not body.motion.still for body in scene.bodies], bool)
+        moving = np.array([not body.motion.still for body in outlines.bodies], bool)
         # edges of resting bodies are looked at once by a sensor at rest
         self._looked_at = int(np.count_nonzero(moving[outlines.body])) if at_rest else len(outlines)
         self._kept: tuple[bytes, float, Looked] | None = None

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from emulator.compiled.pair import OTHERWISE, by_loops
 from emulator.physics.arrays import clamped, indexes
+from emulator.world.fed import Fed
 from emulator.world.motion import Floats, Motion, Steady, Waypoints, matrix_of, whole_turns
 
 Longs = NDArray[np.int64]
@@ -95,7 +96,9 @@ class BatchedPoses:
         at, velocity, turned = (column.take(knot, axis=-1) for column in (self._at, self._velocity, self._turned))
         found = Stretch(at, velocity, since, turned, straight, linear)
         # not to the last instant: what rounds there must not depend on what was asked before
-        until = begin_s + float(left.min()) - REMEMBER_S * (1.0 + abs(begin_s))
+        # a motion that is never straight ends no stretch
+        left = left[left > -np.inf]
+        until = begin_s + float(left.min(initial=np.inf)) - REMEMBER_S * (1.0 + abs(begin_s))
         if end_s < until:
             self._last = (begin_s, until, found)
         return found
@@ -117,6 +120,9 @@ class _Knots:
 
 def _knots(motion: Motion) -> _Knots:
     zero, ever = np.zeros(1), np.full(1, np.inf)
+    if isinstance(motion, Fed):  # never straight: what it is depends on the sweep
+        nowhere, turned = np.zeros((1, 3)), np.eye(3)[None]
+        return _Knots(zero, -ever, nowhere, nowhere, turned, np.zeros(1, bool))
     if isinstance(motion, Steady) or motion.still:
         still = np.array([not motion.turns])
         return _Knots(zero, ever, motion.position(zero), motion.velocity(zero), motion.rotation(zero)[:1], still)

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from emulator.world.batched_poses import BatchedPoses, Longs
+from emulator.world.fed import Fed
 from emulator.world.motion import Floats, Motion, Waypoints
 
 WINDOW_S = 1.0
@@ -36,7 +37,7 @@ class BroadPhase:
     def __init__(self, motions: Sequence[Motion], radius_m: Floats) -> None:
         self._batched = BatchedPoses(motions)
         self._radius = np.asarray(radius_m, dtype=np.float64)
-        self._speed = np.array([motion.speed_bound_m_s for motion in motions], np.float64)
+        self._speed = np.array([_fastest(motion) for motion in motions], np.float64)
         self._home, self._roam = _homes(motions)
         self._all = np.arange(len(motions))
         self._kept: tuple[tuple[tuple[object, ...], Longs], ...] = ()
@@ -73,6 +74,11 @@ class BroadPhase:
         near = np.linalg.norm(middle - eye, axis=0) - swept <= limit
         near &= np.linalg.norm(self._home - eye, axis=0) - self._roam <= limit
         return np.flatnonzero(near)
+
+
+def _fastest(motion: Motion) -> float:
+    """Of the whole run. [m/s]"""
+    return math.inf if isinstance(motion, Fed) else motion.speed_bound_m_s
 
 
 def _homes(motions: Sequence[Motion]) -> tuple[Floats, Floats]:

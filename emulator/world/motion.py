@@ -92,6 +92,11 @@ class Motion(ABC):
         """Its orientation changes at some time."""
 
     @property
+    def may_come(self) -> bool:
+        """It is of an actor that a feed may bring, in whatever size."""
+        return False
+
+    @property
     @abstractmethod
     def speed_bound_m_s(self) -> float:
         """Its origin is never faster; infinite where it jumps."""

@@ -14,10 +14,13 @@ import numpy as np
 from emulator.config.budgets import MESH
 from emulator.errors import SceneError
 from emulator.scenario.checks import BUILTIN
+from emulator.scenario.live_options import SpawnShape
 from emulator.scenario.scenario import Scenario
 from emulator.scenario.tables import Actor, FramesConfig, MotionConfig, Mount, Shape, WorldItem
+from emulator.scenario.tables import Box as BoxShape
 from emulator.world import mesh_files, triangles
 from emulator.world.coplanar import coplanar_triangles
+from emulator.world.fed import Box, Fed, FedNow
 from emulator.world.mesh_frames import Frames
 from emulator.world.motion import Floats, Motion, Pose, Steady, Vector, Waypoints
 from emulator.world.reading_apart import Reader
@@ -27,6 +30,8 @@ MOST_TRIANGLES = 20_000_000
 "Of all different shapes together, unless one file may have more; 1e7 build in about a minute and 2 GB."
 MOST_TWINS_TOLD = 5
 "Pairs of bodies that lie on each other; of more only their number."
+BOX = Shape(box=BoxShape(size_m=(1.0, 1.0, 1.0)))
+"Of an actor that nothing else is known of, scaled to its size."
 WORLD = 0
 "Index of the actor that everything of the scenario's `world` belongs to."
 
@@ -89,6 +94,8 @@ class Scene:
     "What was odd about the meshes, one line each."
     round_s: float | None = None
     "After so long it begins again; None: never. Motions know nothing of it: who asks for a pose asks with `local_s`."
+    fed: FedNow | None = None
+    "What the present sweep knows of actors that somebody else moves; None: nobody does."
 
     def local_s(self, t_s: float) -> float:
         """The scene's own time at `t_s` of the run; the first round is the run's time to the last bit."""
@@ -148,23 +155,28 @@ def build(scenario: Scenario) -> Scene:
         for number, item in enumerate(scenario.world):
             placed = Steady(item.at_m, item.yaw_deg, item.pitch_deg, item.roll_deg)
             builder.add(WORLD, item, item, placed, f"world.{number}")
+        fed = None if scenario.live is None else FedNow()
         for number, actor in enumerate(scenario.actors):
             motions.append(motion_of(actor.motion))
             if actor.shape is not None:
                 builder.add(number + 1, actor.shape, actor, motions[-1], f"actors.{number}")
+        if fed is not None:
+            builder.feed(fed, motions)
     if builder.total > builder.most:
         builder.faults.append(f"{scenario.source}: {builder.total} triangles in all; want at most {builder.most}")
     if builder.faults:
         raise SceneError.of(builder.faults)
     builder.tell_twins()
+    slots = () if scenario.live is None else scenario.live.slots
     return Scene(
-        ("world", *(actor.id for actor in scenario.actors)),
-        ("unknown", *(actor.class_ for actor in scenario.actors)),
+        ("world", *(actor.id for actor in scenario.actors), *slots),
+        ("unknown", *(actor.class_ for actor in scenario.actors), *("unknown" for _ in slots)),
         tuple(motions),
         tuple(builder.materials),
         tuple(builder.bodies),
         tuple(builder.warnings),
         scenario.round_s,
+        fed,
     )
 
 
@@ -200,7 +212,7 @@ class _Builder:
         self.faults: list[str] = []
         self.warnings: list[str] = []
 
-    def add(self, actor: int, shape: Shape, owner: Actor | WorldItem, motion: Motion, dotted: str) -> None:
+    def add(self, actor: int, shape: Shape, owner: Actor | WorldItem | SpawnShape, motion: Motion, dotted: str) -> None:
         if self.total > self.most:
             return
         below = f"{dotted}.shape" if isinstance(owner, Actor) else dotted
@@ -214,6 +226,41 @@ class _Builder:
         frames = self.frames.get(id(geometry))
         self.bodies.append(Body(actor, geometry, np.array(numbers, np.int32), motion, frames))
         self.places.append(dotted)
+
+    def feed(self, now: FedNow, motions: list[Motion]) -> None:
+        """Actors that a feed may move, and those that it may bring."""
+        live = self._scenario.live
+        assert live is not None
+        for number, actor in enumerate(self._scenario.actors):
+            if live.actors.fed is not None and actor.id not in live.actors.fed:
+                continue
+            mine = [place for place, body in enumerate(self.bodies) if body.actor == number + 1]
+            vertices = [self.bodies[place].vertices for place in mine if len(self.bodies[place].vertices)]
+            box = Box.around(np.concatenate(vertices)) if vertices else None
+            own = motions[number + 1]
+            motions[number + 1] = Fed(now, actor.id, own, box, mount=live.mount)
+            for place in mine:
+                self.bodies[place] = replace(self.bodies[place], motion=Fed(now, actor.id, own, box))
+        shapes: dict[str, tuple[Shape, SpawnShape, str]] = {}
+        for name, entry in live.actors.classes.items() if live.slots else ():
+            shape = entry.shape() or BOX
+            owner = (
+                entry if entry.material or entry.mesh else entry.model_copy(update={"material": live.actors.material})
+            )
+            shapes[name] = shape, owner, f"live.actors.classes.{name}"
+        if live.slots and live.actors.unknown == "box":
+            shapes["box"] = BOX, SpawnShape(material=live.actors.material), "live.actors"
+        for number, slot in enumerate(live.slots):
+            motions.append(Fed(now, slot, None, None, mount=live.mount))
+            for name, (shape, owner, dotted) in shapes.items():
+                before = len(self.bodies)
+                self.add(len(self._scenario.actors) + 1 + number, shape, owner, Steady(), dotted)
+                for place in range(before, len(self.bodies)):
+                    body = self.bodies[place]
+                    motion = Fed(now, slot, None, Box.around(body.vertices), shape=name)
+                    self.bodies[place] = replace(body, motion=motion)
+            if self.faults:
+                return  # the others would be told the same
 
     def tell_twins(self) -> None:
         """Warn of resting bodies that lie on each other with other materials."""
@@ -296,7 +343,7 @@ class _Builder:
         self.frames[id(geometry)] = frames
         return geometry
 
-    def _part_materials(self, geometry: Geometry, owner: Actor | WorldItem, dotted: str) -> list[str]:
+    def _part_materials(self, geometry: Geometry, owner: Actor | WorldItem | SpawnShape, dotted: str) -> list[str]:
         """Material of each part: its own entry, else `material`, else a part that bears a material's name."""
         allowed = ", ".join(geometry.parts)
         for part in owner.materials:

@@ -1,0 +1,398 @@
+"""What a feeder has told so far: tracks of all its actors, and the account of what was wrong with its samples.
+
+Belongs here: order, duplicates, jumps, removal, reused ids, limits; the tracks that a sweep needs; how old its poses
+are. Not: formats, sockets, the feeder's clock (playout). Nothing here reads a clock.
+"""
+
+from __future__ import annotations
+
+import heapq
+from bisect import bisect_right
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from emulator.live.ages import Ages
+from emulator.live.rotations import Floats, Quaternion, Vector
+from emulator.live.samples import ActorSample, BadSample, Update, checked
+from emulator.live.tracks import BLEND_S, Between, Track, World
+
+MOST_KEPT = 10_000
+"Samples of one actor; the oldest go, first those that no sweep can want."
+NONE = (np.nan, np.nan, np.nan)
+LONGEST_S = 10.0
+"Nothing is asked for that lies so long before the newest sample."
+KEEP_S = 2.0
+"Samples so long past are not asked for any more."
+JUMP_FACTOR, JUMP_M_S = 3.0, 10.0
+"Faster than so many times the stated speed and this beside it is a jump."
+FASTEST_M_S = 150.0
+"Of an actor whose feeder states no velocities; faster is a jump."
+LOOKED_AT = 512
+"Updates among which the newest one used is looked for: the age of a pose."
+MOST_LIVES = 8
+"Lives of one id that are kept."
+EGO_NAMES = ("ego", "hero")
+"Of the host vehicle where the feeder has not said which one it is."
+JUMP_RAD_S = 2.0 * np.pi
+MOST_EVENTS = 1000
+
+
+@dataclass(frozen=True)
+class Rules:
+    """How samples become poses."""
+
+    between: Between = "interpolate"
+    silent_after_s: float = 0.5
+    silent_then: str = "hold"
+    "hold, stop, remove"
+    jump_m_s: float = JUMP_M_S
+    keep_all: bool = False
+    "Nothing is forgotten: of a file."
+
+
+@dataclass(eq=False)
+class _Known:
+    """One actor as it grows."""
+
+    first: ActorSample
+    t_s: list[float] = field(default_factory=list)
+    rows: list[tuple[Vector, Quaternion, Vector | None, Vector | None, bool, bool]] = field(default_factory=list)
+    gone_s: float = np.inf
+    forgot: bool = False
+    "Its first samples are not kept any more."
+    returned_s: float = -np.inf
+    "When its feed last came back."
+    shape: str = ""
+    "As a pool of shapes calls it; empty: the scenario's own."
+
+
+class Book:
+    """The account of one feed."""
+
+    def __init__(
+        self,
+        rules: Rules | None = None,
+        names: Iterable[str] = (),
+        bind: Mapping[str, str] | None = None,
+        slots: Sequence[str] = (),
+        shape_of: Callable[[ActorSample], str] = lambda one: "box",
+    ) -> None:
+        """`names`: actors of the scenario. `bind`: what the feeder calls some of them -> their names.
+
+        `slots`: names that actors get which are not in the scenario; they come with the shape that `shape_of` says.
+        """
+        self.rules = Rules() if rules is None else rules
+        self._names = frozenset(names)
+        self._bind = dict(bind or {})
+        self._free = list(slots)
+        heapq.heapify(self._free)
+        self._slots = frozenset(slots)
+        self._slot_of: dict[str, str] = {}
+        "What the feeder calls an actor that is not in the scenario -> its slot."
+        self._shape_of = shape_of
+        self._known: dict[str, list[_Known]] = {}
+        "Lives of each actor: one that comes again has another."
+        self.host: str | None = None
+        "As the feeder calls its own vehicle."
+        self.counts: Counter[str] = Counter()
+        self.events: deque[tuple[float, str]] = deque(maxlen=MOST_EVENTS)
+        "Instant and text, once each."
+        self._told: set[str] = set()
+        self.newest_s = -np.inf
+        "Instant of the newest sample."
+        self._times: deque[float] = deque(maxlen=LOOKED_AT)
+        self._seq: int | None = None
+        self.ages = Ages()
+        self._asked_s = -np.inf
+        self._fresh: set[str] = set()
+        "Actors whose next sample is of another time than their last."
+        self.on_event: Callable[[float, str], None] = lambda t_s, text: None
+
+    # ------------------------------------------------------------ what comes
+
+    def take(self, update: Update, run_ns: int, again: bool = False) -> bool:
+        """One update that holds at `run_ns`; whether it is used. Never raises: what is wrong is counted and told.
+
+        `again`: what is told of an actor for the second time at one instant replaces the first.
+        """
+        t_s = run_ns * 1e-9
+        self.counts["received"] += 1
+        try:
+            checked(update)
+        except BadSample as error:
+            self.refuse(str(error), t_s)
+            return False
+        for key in update.unknown:
+            self._tell(t_s, f"key {key!r} is not known and not used")
+        if not self._in_order(update, t_s):
+            return False
+        if update.host is not None:
+            self.host = update.host
+        for one in update.actors:
+            self.host = one.id if one.host else self.host
+        present = set()
+        for one in update.actors:
+            name = self.name_of(one)
+            if name is None:
+                continue
+            present.add(name)
+            self._add(name, one, t_s, again)
+        gone = [self._slot_of.get(one, self._bind.get(one, one)) for one in update.removed]
+        if update.snapshot:
+            gone += [name for name in self._known if name not in present]
+        for name in gone:
+            self._remove(name, t_s)
+        self.newest_s = t_s
+        if not self._times or self._times[-1] < t_s:
+            self._times.append(t_s)
+        return True
+
+    def refuse(self, why: str, t_s: float) -> None:
+        """An update that cannot be used."""
+        self.counts["dropped"] += 1
+        self._tell(t_s, f"an update is not used: {why}", why.partition(":")[0])
+
+    def _in_order(self, update: Update, t_s: float) -> bool:
+        if update.seq is not None:
+            if self._seq is not None and update.seq > self._seq + 1:
+                self.counts["lost"] += update.seq - self._seq - 1
+            self._seq = update.seq if self._seq is None else max(self._seq, update.seq)
+        if t_s < self.newest_s:
+            self.counts["out of order"] += 1
+            return False
+        return True
+
+    def name_of(self, one: ActorSample) -> str | None:
+        """Which actor of ours a sample is of; None: it is not wanted."""
+        for word in (one.id, *(() if one.name is None else (f"entity:{one.name}", one.name))):
+            if word in self._bind:
+                return self._bind[word]
+        if self.host is not None and one.id == self.host and "host" in self._bind:
+            return self._bind["host"]
+        if self.host is None and (one.name or "").lower() in EGO_NAMES and "host" in self._bind:
+            return self._bind["host"]  # who joins late never learns the host's id
+        for word in (one.id, one.name):
+            if word is not None and word in self._names:
+                return word
+        if one.id in self._slot_of:
+            return self._slot_of[one.id]
+        if not self._slots:
+            self.counts["not wanted"] += 1
+            self._tell(0.0, f"actor {one.id!r} is not in the scenario; want live.actors.spawn to let it come", one.id)
+            return None
+        if not self._free:
+            self.counts["too many actors"] += 1
+            self._tell(
+                0.0, f"more than {len(self._slots)} actors beside the scenario's: the others are not there", "many"
+            )
+            return None
+        self._slot_of[one.id] = heapq.heappop(self._free)
+        return self._slot_of[one.id]
+
+    def _add(self, name: str, one: ActorSample, t_s: float, again: bool) -> None:
+        lives = self._known.get(name)
+        known = lives[-1] if lives else None
+        if known is not None and known.gone_s > t_s and _other(known.first, one):
+            slot = self._slot_of.get(one.id)
+            self._remove(name, t_s)
+            if slot is not None:
+                self._slot_of[one.id] = heapq.heappop(self._free)
+                name = self._slot_of[one.id]
+                lives = self._known.get(name)
+                known = lives[-1] if lives else None
+        if known is None or known.gone_s <= t_s:
+            known = _Known(one)
+            if name in self._slots:
+                known.shape = self._shape_of(one)
+            self._known.setdefault(name, []).append(known)
+            self._known[name] = self._known[name][-MOST_LIVES:]
+            self._note(t_s, f"{_called(name, one)} comes")
+        if known.t_s and t_s <= known.t_s[-1]:
+            if not again or t_s < known.t_s[-1]:
+                self.counts["duplicate"] += 1
+                return
+            del known.t_s[-1], known.rows[-1]
+        jump, returns = one.jump, False
+        if known.t_s:
+            step = t_s - known.t_s[-1]
+            returns = not jump and step > self.rules.silent_after_s
+            jump = jump or name in self._fresh or self._is_jump(known, one, step)
+            returns = returns and not jump
+            if not jump:
+                self._judge(known, one, t_s)
+            self.counts["jumps"] += jump
+            if returns:
+                self._tell(t_s, f"{name}: poses come again after {step:.3g} s", f"returns {name} {t_s}")
+        self._fresh.discard(name)
+        known.t_s.append(t_s)
+        known.rows.append((one.at_m, _unit(one.quaternion), one.velocity_m_s, one.spin_rad_s, jump, returns))
+        if returns:
+            known.returned_s = t_s
+        if not self.rules.keep_all and len(known.t_s) > 64:
+            old = bisect_right(known.t_s, max(self._asked_s, t_s - LONGEST_S) - KEEP_S) - 2
+            excess = max(old if old > 32 else 0, len(known.t_s) - MOST_KEPT)
+            if excess > 0:
+                del known.t_s[:excess], known.rows[:excess]
+                known.forgot = True
+
+    def _is_jump(self, known: _Known, one: ActorSample, step: float) -> bool:
+        at, turned, velocity = known.rows[-1][:3]
+        stated = max(_length(velocity), _length(one.velocity_m_s))
+        away = _length((one.at_m[0] - at[0], one.at_m[1] - at[1], one.at_m[2] - at[2]))
+        if velocity is None or one.velocity_m_s is None:
+            limit = self._usual(known)
+        else:
+            limit = JUMP_FACTOR * stated + self.rules.jump_m_s
+        if away > limit * step:
+            return True
+        dot = abs(sum(a * b for a, b in zip(turned, _unit(one.quaternion), strict=True)))
+        angle = 2.0 * float(np.arccos(min(1.0, dot)))
+        return angle > max(JUMP_RAD_S, 2.0 * _length(one.spin_rad_s)) * step
+
+    def _usual(self, known: _Known) -> float:
+        """Speed that is no jump of an actor whose feeder states none: by its last step, jump or not. [m/s]"""
+        if len(known.t_s) < 2:
+            return FASTEST_M_S
+        (one, *_), (other, *_) = known.rows[-2:]
+        speed = _length((other[0] - one[0], other[1] - one[1], other[2] - one[2])) / (known.t_s[-1] - known.t_s[-2])
+        return min(JUMP_FACTOR * speed + self.rules.jump_m_s, FASTEST_M_S)
+
+    def _judge(self, known: _Known, one: ActorSample, t_s: float) -> None:
+        """How wrong beams were that were asked for beyond the newest sample, now that the truth has come."""
+        if known.t_s[-1] >= self._asked_s:
+            return
+        was = self._track(known, known.t_s[-1])
+        if was is None:
+            return
+        when = np.array([t_s])
+        at, turned = was.pose(when)
+        off = float(np.sqrt(((at[0] - np.array(one.at_m)) ** 2).sum()))
+        dot = abs(float(turned[0] @ np.array(_unit(one.quaternion))))
+        self.ages.truth_came(off, 2.0 * float(np.arccos(min(1.0, dot))))
+
+    def _remove(self, name: str, t_s: float) -> None:
+        lives = self._known.get(name)
+        if not lives or lives[-1].gone_s <= t_s:
+            return
+        lives[-1].gone_s = t_s
+        self._note(t_s, f"{_called(name, lives[-1].first)} goes")
+        if lives[-1].first.id in self._slot_of:
+            heapq.heappush(self._free, self._slot_of.pop(lives[-1].first.id))
+
+    def restart(self, now_s: float, why: str) -> None:
+        """The feeder's clock began again, or jumped: what is known holds until the next sample, which is a jump."""
+        self.counts[why] += 1
+        self._tell(now_s, f"the feeder's clock: {why}", f"{why} {now_s}")
+        for name, lives in self._known.items():
+            known = lives[-1]
+            keep = max(1, bisect_right(known.t_s, now_s))
+            del known.t_s[keep:], known.rows[keep:]
+            if name in self._names:
+                self._fresh.add(name)
+            else:
+                self._remove(name, max(now_s, known.t_s[-1]))
+        self.newest_s = min(self.newest_s, now_s)
+        self._times.clear()
+        self._seq = None
+
+    def _tell(self, t_s: float, text: str, key: str | None = None) -> None:
+        """Once."""
+        key = text if key is None else key
+        if key in self._told or len(self._told) >= MOST_EVENTS:
+            return
+        self._told.add(key)
+        self._note(t_s, text)
+
+    def _note(self, t_s: float, text: str) -> None:
+        self.events.append((t_s, text))
+        self.on_event(t_s, text)
+
+    # ------------------------------------------------------------ what is asked
+
+    def _track(self, known: _Known, begin_s: float = -np.inf, end_s: float = np.inf) -> Track | None:
+        """What is needed from `begin_s` to `end_s`; None: it is not there then."""
+        times, rules, one = known.t_s, self.rules, known.first
+        vanish = rules.silent_after_s if rules.silent_then == "remove" else np.inf
+        if begin_s >= min(known.gone_s, times[-1] + vanish) or (end_s < times[0] and not known.forgot):
+            return None
+        first = max(0, bisect_right(times, begin_s) - 2)
+        if known.returned_s > begin_s - BLEND_S:
+            first = max(0, bisect_right(times, begin_s - BLEND_S) - 2)
+        until = min(len(times), bisect_right(times, end_s) + 1)
+        rows = known.rows[first:until]
+        at, turned, velocity, spin, jump, returns = zip(*rows, strict=True)
+        return Track(
+            np.array(times[first:until]),
+            np.array(at, np.float64),
+            np.array(turned, np.float64),
+            np.array([NONE if each is None else each for each in velocity], np.float64),
+            np.array([NONE if each is None else each for each in spin], np.float64),
+            np.array(jump, bool),
+            np.array(returns, bool),
+            not known.forgot and first == 0,
+            known.gone_s,
+            rules.between,
+            rules.silent_after_s,
+            vanish if until == len(times) else np.inf,
+            one.reference,
+            one.rear_m,
+            one.size_m,
+            known.shape,
+        )
+
+    def world(self, begin_s: float, end_s: float) -> World:
+        """Everything that beams from `begin_s` to `end_s` need."""
+        tracks, gone = [], []
+        for name, lives in self._known.items():
+            found = [track for known in lives if (track := self._track(known, begin_s, end_s)) is not None]
+            tracks += [(name, track) for track in found]
+            if not found and lives[0].t_s[0] <= begin_s:
+                gone.append(name)
+        return World(tuple(tracks), frozenset(gone))
+
+    def asked(self, beams_s: Floats, delay_s: float = 0.0) -> None:
+        """A sweep with beams at these instants uses what is known by now."""
+        if not len(beams_s) or not self._times:
+            return
+        self._asked_s = max(self._asked_s, float(beams_s.max()))
+        known = np.asarray(self._times)
+        used = np.minimum(np.searchsorted(known, beams_s, side="left"), len(known) - 1)
+        self.ages.note(beams_s - (known[used] - delay_s), beams_s > known[-1])
+
+    @property
+    def silent_s(self) -> float:
+        """How long the newest sample has held, at the newest beam that was asked for. [s]"""
+        return max(0.0, self._asked_s - self.newest_s)
+
+    def actors(self) -> list[str]:
+        """Names of the actors that are there."""
+        return [name for name, lives in self._known.items() if lives[-1].gone_s == np.inf]
+
+    def first_of(self, name: str) -> ActorSample:
+        """How an actor was described when it came."""
+        return self._known[name][-1].first
+
+
+def _other(one: ActorSample, now: ActorSample) -> bool:
+    """Whether the same id is something else now."""
+    sizes = one.size_m is not None and now.size_m is not None
+    resized = sizes and max(abs(a - b) for a, b in zip(one.size_m or (), now.size_m or (), strict=True)) > 0.01
+    return resized or (now.class_ is not None and one.class_ is not None and now.class_ != one.class_)
+
+
+def _called(name: str, one: ActorSample) -> str:
+    """An actor as the feeder and the scenario call it."""
+    return name if name == one.id else f"{one.id} ({name})"
+
+
+def _length(vector: Vector | None) -> float:
+    return 0.0 if vector is None else float(np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2))
+
+
+def _unit(quaternion: Quaternion) -> Quaternion:
+    norm = float(np.sqrt(sum(value * value for value in quaternion)))
+    w, x, y, z = quaternion
+    return (w / norm, x / norm, y / norm, z / norm) if norm > 0.0 else (1.0, 0.0, 0.0, 0.0)

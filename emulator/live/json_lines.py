@@ -1,0 +1,228 @@
+"""The JSON pose feed: one datagram, or one line, is one update. docs/live_world.md has the schema.
+
+Belongs here: text to updates and back. Not: sockets (receivers), what is done with an update (book).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from emulator.live.rotations import Quaternion, Vector, from_angles
+from emulator.live.samples import REFERENCES, ActorSample, BadSample, Update, checked
+
+MOST_BYTES = 4_000_000
+"Of one line; a datagram has at most 65 507."
+MOST_ACTORS = 10_000
+MOST_UNKNOWN = 20
+KEYS = ("t_s", "t_ns", "seq", "snapshot", "removed", "actors", "weather")
+ACTOR_KEYS = (
+    "id", "at_m", "yaw_deg", "pitch_deg", "roll_deg", "quaternion_xyzw", "velocity_m_s", "turn_rate_deg_s",
+    "angular_velocity_deg_s", "size_m", "class", "model", "host", "reference", "jump", "material", "shape",
+)  # fmt: skip
+UNUSED = ("weather", "material", "shape")
+"Keys of the schema that are read and not used yet; told like those that are not known."
+
+
+def decoded(text: bytes | str) -> Update:
+    """One update; `BadSample` names the key, what was found, and what is allowed."""
+    if len(text) > MOST_BYTES:
+        raise BadSample(f"line: {len(text)} bytes; want at most {MOST_BYTES}")
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise BadSample(f"line: no JSON ({error}); want one object") from None
+    return update_of(data)
+
+
+def update_of(data: object) -> Update:
+    """The same of a table that has been read already."""
+    if not isinstance(data, Mapping):
+        raise BadSample(f"line: {type(data).__name__}; want an object")
+    actors = data.get("actors", ())
+    if not isinstance(actors, list | tuple) or len(actors) > MOST_ACTORS:
+        many = len(actors) if isinstance(actors, list | tuple) else type(actors).__name__
+        raise BadSample(f"actors: {many}; want a list of at most {MOST_ACTORS}")
+    removed = data.get("removed", ())
+    if not isinstance(removed, list | tuple) or len(removed) > MOST_ACTORS:
+        raise BadSample(f"removed: {removed!r:.60}; want a list of ids")
+    unknown = [str(key)[:60] for key in data if key not in KEYS or key in UNUSED]
+    samples = []
+    for number, entry in enumerate(actors):
+        samples.append(_actor(entry, f"actors.{number}"))
+        unknown += [f"actors.{str(key)[:60]}" for key in entry if key not in ACTOR_KEYS or key in UNUSED]
+    return checked(
+        Update(
+            _time(data),
+            tuple(samples),
+            tuple(_id(one, "removed") for one in removed),
+            _flag(data, "snapshot", ""),
+            _whole(data["seq"], "seq") if data.get("seq") is not None else None,
+            unknown=tuple(dict.fromkeys(unknown))[:MOST_UNKNOWN],
+        )
+    )
+
+
+def _time(data: Mapping[str, Any]) -> int | None:
+    if data.get("t_ns") is not None:
+        return _whole(data["t_ns"], "t_ns")
+    if data.get("t_s") is None:
+        return None
+    return round(_number(data["t_s"], "t_s", 4e9) * 1e9)
+
+
+def _number(value: object, where: str, most: float = 1e300) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= most:
+        raise BadSample(f"{where}: {value!r:.60}; want a number")
+    return float(value)
+
+
+def _whole(value: object, where: str) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or abs(value) >= 2**63:
+        raise BadSample(f"{where}: {value!r:.60}; want a whole number of 64 bits")
+    return value
+
+
+def _flag(data: Mapping[str, Any], key: str, where: str) -> bool:
+    value = data.get(key, False)
+    if not isinstance(value, bool):
+        raise BadSample(f"{where}{key}: {value!r:.60}; want true or false")
+    return value
+
+
+def _id(value: object, where: str) -> str:
+    if isinstance(value, str):
+        return value
+    return str(_whole(value, where))
+
+
+def _text(entry: Mapping[str, Any], key: str, where: str) -> str | None:
+    value = entry.get(key)
+    if value is not None and (not isinstance(value, str) or len(value) > 1000):
+        raise BadSample(f"{where}.{key}: {value!r:.60}; want a text")
+    return value
+
+
+def _vector(entry: Mapping[str, Any], key: str, where: str, least: int = 3) -> Vector | None:
+    value = entry.get(key)
+    if value is None:
+        return None
+    if not isinstance(value, list | tuple) or not least <= len(value) <= 3:
+        raise BadSample(f"{where}.{key}: {value!r:.60}; want a list of 3 numbers")
+    x, y, z = [*(_number(one, f"{where}.{key}") for one in value), 0.0][:3]
+    return (x, y, z)
+
+
+def _actor(entry: object, where: str) -> ActorSample:
+    if not isinstance(entry, Mapping):
+        raise BadSample(f"{where}: {type(entry).__name__}; want an object")
+    if "id" not in entry:
+        raise BadSample(f"{where}.id: none; want a text or a whole number")
+    at_m = _vector(entry, "at_m", where, 2)
+    if at_m is None:
+        raise BadSample(f"{where}.at_m: none; want [x, y, z]")
+    spin = _vector(entry, "angular_velocity_deg_s", where)
+    if spin is None and entry.get("turn_rate_deg_s") is not None:
+        spin = (0.0, 0.0, _number(entry["turn_rate_deg_s"], f"{where}.turn_rate_deg_s"))
+    reference = _text(entry, "reference", where) or "box_centre"
+    if reference not in REFERENCES:
+        raise BadSample(f"{where}.reference: {reference!r:.60}; want one of {', '.join(REFERENCES)}")
+    return ActorSample(
+        id=_id(entry["id"], f"{where}.id"),
+        at_m=at_m,
+        quaternion=_orientation(entry, where),
+        velocity_m_s=_vector(entry, "velocity_m_s", where),
+        spin_rad_s=None if spin is None else (math.radians(spin[0]), math.radians(spin[1]), math.radians(spin[2])),
+        size_m=_vector(entry, "size_m", where),
+        class_=_text(entry, "class", where),
+        model=_text(entry, "model", where),
+        reference=reference,
+        host=_flag(entry, "host", f"{where}."),
+        jump=_flag(entry, "jump", f"{where}."),
+    )
+
+
+def _orientation(entry: Mapping[str, Any], where: str) -> Quaternion:
+    value = entry.get("quaternion_xyzw")
+    angles = [entry[key] for key in ("yaw_deg", "pitch_deg", "roll_deg") if entry.get(key) is not None]
+    if value is None:
+        yaw, pitch, roll = (
+            math.radians(_number(entry.get(key) or 0.0, f"{where}.{key}", 1e6))
+            for key in ("yaw_deg", "pitch_deg", "roll_deg")
+        )
+        return from_angles(yaw, pitch, roll)
+    if angles:
+        raise BadSample(f"{where}: quaternion_xyzw and angles; want one of both")
+    if not isinstance(value, list | tuple) or len(value) != 4:
+        raise BadSample(f"{where}.quaternion_xyzw: {value!r:.60}; want a list of 4 numbers")
+    x, y, z, w = (_number(one, f"{where}.quaternion_xyzw") for one in value)
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    if not 1e-6 < norm < 1e6:
+        raise BadSample(f"{where}.quaternion_xyzw: of length {norm:g}; want one of length 1")
+    return (w / norm, x / norm, y / norm, z / norm)
+
+
+def encoded(
+    actors: Sequence[Mapping[str, object]],
+    t_s: float | None = None,
+    seq: int | None = None,
+    removed: Sequence[str] = (),
+    snapshot: bool = False,
+) -> bytes:
+    """One update as a line, without its end."""
+    data: dict[str, object] = {} if t_s is None else {"t_s": t_s}
+    data |= {} if seq is None else {"seq": seq}
+    data |= {"removed": list(removed)} if removed else {}
+    data |= {"snapshot": True} if snapshot else {}
+    return json.dumps(data | {"actors": [dict(one) for one in actors]}, separators=(",", ":"), allow_nan=False).encode()
+
+
+def as_json(update: Update) -> dict[str, object]:
+    """An update as the schema has it, exactly: for recordings."""
+    actors = []
+    for one in update.actors:
+        w, x, y, z = one.quaternion
+        entry: dict[str, object] = {"id": one.id, "at_m": list(one.at_m), "quaternion_wxyz": [w, x, y, z]}
+        more = {
+            "velocity_m_s": one.velocity_m_s,
+            "spin_rad_s": one.spin_rad_s,
+            "size_m": one.size_m,
+            "class": one.class_,
+            "name": one.name,
+            "model": one.model,
+            "rear_m": one.rear_m,
+        }
+        entry |= {key: value for key, value in more.items() if value is not None}
+        entry |= {"reference": one.reference} if one.reference != "box_centre" else {}
+        entry |= {key: True for key in ("host", "jump") if getattr(one, key)}
+        actors.append(entry)
+    told: dict[str, object] = {"t_ns": update.t_ns, "actors": actors}
+    told |= {"removed": list(update.removed)} if update.removed else {}
+    told |= {"snapshot": True} if update.snapshot else {}
+    told |= {"host": update.host} if update.host is not None else {}
+    return told if update.seq is None else told | {"seq": update.seq}
+
+
+def of_json(data: Mapping[str, Any]) -> Update:
+    """The inverse of `as_json`."""
+
+    def vector(entry: Mapping[str, Any], key: str) -> Vector | None:
+        return tuple(entry[key]) if key in entry else None
+
+    actors = tuple(
+        ActorSample(
+            entry["id"], tuple(entry["at_m"]), tuple(entry["quaternion_wxyz"]), vector(entry, "velocity_m_s"),
+            vector(entry, "spin_rad_s"), vector(entry, "size_m"), entry.get("class"), entry.get("name"),
+            entry.get("model"), entry.get("reference", "box_centre"), vector(entry, "rear_m"),
+            entry.get("host", False), entry.get("jump", False),
+        )
+        for entry in data["actors"]
+    )  # fmt: skip
+    return checked(
+        Update(
+            data["t_ns"], actors, tuple(data.get("removed", ())), data.get("snapshot", False), data.get("seq"),
+            data.get("host"),
+        )
+    )  # fmt: skip

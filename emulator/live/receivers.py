@@ -1,0 +1,188 @@
+"""Sockets that a feed comes through, in a thread of their own: datagrams, lines, and how much of them is taken.
+
+Belongs here: bytes to updates, limits of size and rate, what was lost on the way. Not: formats (json_lines, osi), what
+is done with an update (book), lock-step (runtime).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import threading
+from collections import Counter
+from collections.abc import Callable
+from typing import Protocol
+
+from emulator.live import json_lines
+from emulator.live.esmini import Assembly
+from emulator.live.osi import ground_truth
+from emulator.live.samples import BadSample, Update
+
+MOST_RATE = 5000
+"Updates a second; what comes beyond is counted and not read."
+MOST_CONNECTIONS = 8
+MOST_AT_ONCE = 64
+"Datagrams between two looks at the time."
+RECEIVE_BYTES = 8 << 20
+"Asked of the kernel for datagrams; it gives `net.core.rmem_max` at most."
+READ_BYTES = 1 << 16
+WAIT_S = 0.25
+
+Take = Callable[[Update, int], None]
+Refuse = Callable[[str, int], None]
+
+
+class Decoder(Protocol):
+    """Datagrams of one format to updates."""
+
+    def __call__(self, data: bytes, peer: object, now_ns: int) -> Update | None:
+        """None: the message goes on in further datagrams. `BadSample`: it cannot be used."""
+
+
+class JsonDatagrams:
+    """One datagram, one update."""
+
+    def __call__(self, data: bytes, peer: object, now_ns: int) -> Update | None:
+        return json_lines.decoded(data)
+
+
+class OsiDatagrams:
+    """esmini's: one message in several datagrams."""
+
+    def __init__(self, counts: Counter[str]) -> None:
+        self._assembly = Assembly(counts)
+
+    def __call__(self, data: bytes, peer: object, now_ns: int) -> Update | None:
+        whole = self._assembly.take(data, peer, now_ns)
+        return None if whole is None else ground_truth(whole)
+
+
+class Budget:
+    """So many updates a second, in bursts of a tenth."""
+
+    def __init__(self, rate: int = MOST_RATE) -> None:
+        self._rate, self._left, self._at_ns = rate, float(rate) / 10.0, 0
+
+    def has_room(self, now_ns: int) -> bool:
+        """Whether one more may be read."""
+        gained = (now_ns - self._at_ns) * 1e-9 * self._rate
+        self._left, self._at_ns = min(self._rate / 10.0, self._left + max(0.0, gained)), now_ns
+        if self._left < 1.0:
+            return False
+        self._left -= 1.0
+        return True
+
+
+class Receiver:
+    """A socket and its thread; `take` and `refuse` are called in it."""
+
+    def __init__(
+        self, host: str, port: int, tcp: bool, decoder: Decoder, clock_ns: Callable[[], int], take: Take,
+        refuse: Refuse, counts: Counter[str] | None = None,
+    ) -> None:  # fmt: skip
+        """`OSError` where the address cannot be had."""
+        self.counts = Counter() if counts is None else counts
+        self._decoder, self._clock_ns, self._take, self._refuse = decoder, clock_ns, take, refuse
+        self._budget = Budget()
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        self._socket = socket.socket(family, socket.SOCK_STREAM if tcp else socket.SOCK_DGRAM)
+        self._tcp = tcp
+        try:
+            if tcp:
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            else:
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
+            self._socket.bind((host, port))
+            if tcp:
+                self._socket.listen(MOST_CONNECTIONS)
+        except BaseException:
+            self._socket.close()
+            raise
+        self._socket.setblocking(False)
+        self.port: int = self._socket.getsockname()[1]
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._tcp_loop if tcp else self._udp_loop, daemon=True)
+
+    def start(self) -> None:
+        """Begin to read."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Read no more."""
+        self._over.set()
+        if self._thread.is_alive():
+            self._thread.join(2.0)
+        self._socket.close()
+
+    def _one(self, data: bytes, peer: object) -> None:
+        now_ns = self._clock_ns()
+        if not self._budget.has_room(now_ns):
+            self.counts["too many updates"] += 1
+            return
+        try:
+            update = self._decoder(data, peer, now_ns)
+        except BadSample as error:
+            self._refuse(str(error), now_ns)
+            return
+        if update is not None:
+            self._take(update, now_ns)
+
+    def _udp_loop(self) -> None:
+        while not self._over.is_set():
+            if not select.select([self._socket], [], [], WAIT_S)[0]:
+                continue
+            for _ in range(MOST_AT_ONCE):
+                try:
+                    data, peer = self._socket.recvfrom(READ_BYTES)
+                except OSError:
+                    break
+                self.counts["datagrams"] += 1
+                self._one(data, peer)
+
+    def _tcp_loop(self) -> None:
+        held: dict[socket.socket, bytearray] = {}
+        try:
+            while not self._over.is_set():
+                ready, _, _ = select.select([self._socket, *held], [], [], WAIT_S)
+                for one in ready:
+                    if one is self._socket:
+                        self._accept(held)
+                    elif not self._read(one, held[one]):
+                        one.close()
+                        del held[one]
+        finally:
+            for one in held:
+                one.close()
+
+    def _accept(self, held: dict[socket.socket, bytearray]) -> None:
+        with contextlib.suppress(OSError):
+            found, _ = self._socket.accept()
+            if len(held) >= MOST_CONNECTIONS:
+                self.counts["connections refused"] += 1
+                found.close()
+                return
+            found.setblocking(False)
+            held[found] = bytearray()
+
+    def _read(self, one: socket.socket, held: bytearray) -> bool:
+        try:
+            data = one.recv(READ_BYTES)
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+        if not data:
+            return False
+        held += data
+        while (end := held.find(b"\n")) >= 0:
+            line = bytes(held[:end])
+            del held[: end + 1]
+            if line.strip():
+                self._one(line, id(one))
+        if len(held) > json_lines.MOST_BYTES:
+            self._refuse(
+                f"line: over {json_lines.MOST_BYTES} bytes without its end; want shorter ones", self._clock_ns()
+            )
+            return False
+        return True

@@ -1,0 +1,267 @@
+"""A feed in a run: what comes is put on the run's time and kept, and each sweep gets the poses that it needs.
+
+Belongs here: the feed of a scenario, when a sweep is measured, what of the feed is reported. Not: formats and tracks
+(live), lock-step (lockstep), who measures (measuring).
+
+In real time a sweep is asked for when all poses that its beams want are known, or when it must be begun to be sent in
+time, whichever is first. In virtual time it is asked for at its end: all that was told by then is known.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
+from pathlib import Path
+
+import numpy as np
+
+from emulator.errors import LinkError
+from emulator.instrument.instrument import Instrument
+from emulator.live.book import Book, Rules
+from emulator.live.files import Told, read
+from emulator.live.playout import PlayoutClock
+from emulator.live.receivers import Decoder, JsonDatagrams, OsiDatagrams, Receiver
+from emulator.live.samples import ActorSample, Update
+from emulator.live.tracks import World
+from emulator.scenario.live_options import LiveOptions
+from emulator.scenario.scenario import Scenario
+from protocols.scan import ScanPlan
+
+MARGIN_NS = 1_000_000
+"Beside what measuring has taken lately."
+FIRST_NS = 15_000_000
+"What measuring is taken to take before it is known."
+LATELY = 64
+"Sweeps of a sensor whose time counts."
+BEFORE_S, LISTS_S = 0.005, 1.0
+"So long before a sweep poses are handed over; before a list of objects, which looks at sweeps of other sensors."
+MOST_PENDING = 2000
+"Updates that the run has not got round to."
+KINDS = ("osi-trace", "osi-mcap", "json-file", "recording")
+
+
+class Feeding:
+    """The feed of one run."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        live: LiveOptions,
+        instruments: Sequence[Instrument],
+        real_ns: Callable[[], int] | None,
+    ) -> None:
+        """`real_ns`: the run's clock; None: it is virtual. `EmulatorError` where a file cannot be read."""
+        self.live = live
+        self._real_ns = real_ns
+        self._instruments = {one.sensor: one for one in instruments}
+        names = [actor.id for actor in scenario.actors]
+        if live.actors.fed is not None:
+            names = [name for name in names if name in live.actors.fed]
+        bind = dict(live.bind) | ({} if live.ego is None else {"host": live.ego})
+        rules = Rules(live.between, live.silent.after_s, live.silent.then, live.jump_m_s)
+        self.book = Book(rules, names, bind, live.slots, self._shape_of)
+        delay_ns = None if live.clock.delay_s is None else round(live.clock.delay_s * 1e9)
+        self._clock = PlayoutClock(delay_ns, round(live.latency_s * 1e9), round(live.clock.max_offset_s * 1e9))
+        self._maps = live.clock.map
+        self.call: Callable[[Callable[[], object]], Future[object]] | None = None
+        "Has something done between two steps of the run."
+        self._pending = 0
+        self._receiver: Receiver | None = None
+        self._waiting: dict[str, int] = {}
+        "Sensors whose sweep waits for poses -> its last beam."
+        self._asked_ns: dict[str, deque[int]] = {}
+        self._took: dict[str, deque[int]] = {}
+        self.on_update: Callable[[int, dict[str, object]], None] = lambda now_ns, row: None
+        "Told of everything that is used of the feed: for a recording."
+        self._file: Iterator[Told] | None = None
+        self._next: Told | None = None
+        place = live.place
+        if place.is_file:
+            self._file = read(place.kind, Path(scenario.folder / place.path))
+            self._next = next(self._file, None)
+
+    # ------------------------------------------------------------ what comes
+
+    def open(self) -> str | None:
+        """Begin to receive; where, for whoever feeds. `LinkError` where the address cannot be had."""
+        place = self.live.place
+        if place.kind not in ("json-udp", "json-tcp", "osi-udp"):
+            return None
+        counts = self.book.counts
+        decoder: Decoder = OsiDatagrams(counts) if place.kind == "osi-udp" else JsonDatagrams()
+        host = "127.0.0.1" if place.host == "localhost" else place.host
+        now_ns = self._real_ns or (lambda: 0)
+        try:
+            self._receiver = Receiver(
+                host, place.port, place.kind == "json-tcp", decoder, now_ns, self._from_outside, self._refused, counts
+            )
+        except OSError as error:
+            raise LinkError(f"{self.live.feed}: {error.strerror or error}; want a free address") from None
+        self._receiver.start()
+        told = f"[{host}]" if ":" in host else host
+        return f"{place.kind}://{told}:{self._receiver.port}"
+
+    def close(self) -> None:
+        """Receive no more."""
+        if self._receiver is not None:
+            self._receiver.close()
+            self._receiver = None
+
+    def _from_outside(self, update: Update, arrival_ns: int) -> None:
+        """Of the receiver's thread."""
+        if self.call is None or self._pending >= MOST_PENDING:
+            self.book.counts["overrun"] += 1
+            return
+        self._pending += 1
+
+        def take() -> None:
+            self._pending -= 1
+            self.take(update, arrival_ns if self._real_ns is not None else self._virtual_ns())
+
+        self.call(take)
+
+    def _refused(self, why: str, arrival_ns: int) -> None:
+        if self.call is not None:
+            self.call(lambda: self.book.refuse(why, arrival_ns * 1e-9))
+
+    def _virtual_ns(self) -> int:
+        return max((one.ledger.now_ns for one in self._instruments.values()), default=0)
+
+    def take(self, update: Update, now_ns: int, again: bool = False) -> bool:
+        """One update; whether it is used."""
+        run_ns = self.run_ns(update, now_ns)
+        used = self.book.take(update, run_ns, again)
+        if used:
+            self.on_update(now_ns, told_row(now_ns, run_ns, update, again))
+            self._wake(run_ns)
+        return used
+
+    def run_ns(self, update: Update, now_ns: int) -> int:
+        """The run's instant at which an update holds."""
+        if self._real_ns is None or self.live.place.is_file:
+            return now_ns if update.t_ns is None else update.t_ns
+        if update.t_ns is None or self._maps == "arrival":
+            return now_ns + round(self.live.latency_s * 1e9)
+        mapped = self._clock.map(update.t_ns, now_ns)
+        if mapped.event:
+            self.book.restart(now_ns * 1e-9, mapped.event)
+        return mapped.run_ns
+
+    def _wake(self, newest_ns: int) -> None:
+        for sensor, last_ns in list(self._waiting.items()):
+            if last_ns <= newest_ns:
+                del self._waiting[sensor]
+                self._instruments[sensor].poked = True
+
+    def _shape_of(self, one: ActorSample) -> str:
+        """Of an actor that is not in the scenario: by its model, its class, else a box, or nothing."""
+        actors = self.live.actors
+        model = "" if one.model is None else one.model.replace("\\", "/").rpartition("/")[2].rpartition(".")[0]
+        model = model or (one.model or "")
+        if model in actors.models:
+            return actors.models[model]
+        if one.class_ in actors.classes:
+            return str(one.class_)
+        return "box" if actors.unknown == "box" else "none"
+
+    # ------------------------------------------------------------ what is asked
+
+    def ask_ns(self, sensor: str, plan: ScanPlan, earliest_ns: int) -> int:
+        """When that sweep is to be measured."""
+        end_ns = plan.start_ns + round(plan.duration_s * 1e9)
+        if self._real_ns is None:
+            return end_ns
+        if self._file is not None:
+            return earliest_ns
+        last_ns = plan.start_ns + round(1e9 * float(plan.fire_offset_s.max())) if len(plan) else end_ns
+        if self.book.newest_s * 1e9 >= last_ns:
+            self._waiting.pop(sensor, None)
+            return earliest_ns
+        self._waiting[sensor] = last_ns
+        return max(earliest_ns, end_ns - self._takes_ns(sensor))
+
+    def _takes_ns(self, sensor: str) -> int:
+        took = self._took.get(sensor)
+        return MARGIN_NS + (FIRST_NS if not took else sorted(took)[int(0.95 * (len(took) - 1))])
+
+    def came(self, sensor: str, now_ns: int) -> None:
+        """Its scan has come."""
+        asked = self._asked_ns.get(sensor)
+        if asked and self._real_ns is not None:
+            self._took.setdefault(sensor, deque(maxlen=LATELY)).append(now_ns - asked.popleft())
+
+    def world(self, sensor: str, plan: ScanPlan, now_ns: int) -> World:
+        """What its beams need, as it is known now."""
+        begin_s = plan.start_ns * 1e-9
+        end_s = begin_s + plan.duration_s
+        if self._file is not None:
+            self._pull(now_ns if self._real_ns is None else plan.start_ns + round(plan.duration_s * 1e9))
+        if self._real_ns is not None:
+            self._asked_ns.setdefault(sensor, deque(maxlen=LATELY)).append(now_ns)
+        self._waiting.pop(sensor, None)
+        if len(plan):
+            delay_s = 0.0 if self._real_ns is None else self._clock.delay_ns * 1e-9
+            self.book.asked(begin_s + plan.fire_offset_s, delay_s)
+        return self.book.world(begin_s - (BEFORE_S if len(plan) else LISTS_S), end_s + BEFORE_S)
+
+    def _pull(self, until_ns: int) -> None:
+        """Take what a file tells that was known before that instant."""
+        while self._next is not None and self._next.known_ns < until_ns:
+            told = self._next
+            assert self._file is not None
+            self._next = next(self._file, None)
+            self.book.take(told.update, told.run_ns, told.again)
+
+    # ------------------------------------------------------------ what is told
+
+    def look(self, now_ns: int) -> str:
+        """Why the run is to end: its feed is silent; empty: it goes on."""
+        silence = self.live.silent
+        if silence.then != "stop" or not np.isfinite(self.book.newest_s):
+            return ""
+        silent_s = now_ns * 1e-9 - self.book.newest_s
+        return f"no poses for {silent_s:.3g} s" if silent_s > silence.after_s else ""
+
+    def report(self) -> dict[str, object]:
+        """Counts, ages, errors of extrapolation, the feeder's clock."""
+        told: dict[str, object] = {"feed": self.live.feed, **_counts(self.book.counts), **self.book.ages.report()}
+        told["actors"] = len(self.book.actors())
+        if self._real_ns is not None and self._maps == "offset":
+            told |= {
+                "offset_ms": round(self._clock.offset_ns * 1e-6, 3),
+                "delay_ms": round(self._clock.delay_ns * 1e-6, 3),
+                "drift_ppm": round(self._clock.drift_ppm, 1),
+            }
+        told["last_event"] = self.book.events[-1][1] if self.book.events else None
+        return told
+
+    def lines(self) -> list[str]:
+        """The same for people."""
+        report, ages = self.report(), self.book.ages
+        wrong = ", ".join(f"{count} {name}" for name, count in _counts(self.book.counts).items() if name != "received")
+        found = [f"feed: {self.book.counts['received']} updates received; {wrong or 'nothing wrong'}"]
+        if isinstance(age := report["age_ms"], Mapping):
+            share = 100.0 * ages.extrapolated / max(1, ages.beams)
+            found.append(
+                f"feed: age of poses at the beams: median {age['median']:.1f} ms, p99 {age['p99']:.1f} ms, worst"
+                f" {age['worst']:.1f} ms; {share:.1f} % of {ages.beams} beams extrapolated"
+            )
+        if isinstance(off := report["error_mm"], Mapping) and isinstance(turn := report["error_mrad"], Mapping):
+            found.append(
+                f"feed: extrapolation wrong by {off['median']:.2f} mm at the median, {off['worst']:.2f} mm at worst;"
+                f" {turn['worst']:.2f} mrad at worst"
+            )
+        return found
+
+
+def told_row(now_ns: int, run_ns: int, update: Update, again: bool) -> dict[str, object]:
+    """An update as a recording has it."""
+    from emulator.live.json_lines import as_json
+
+    row: dict[str, object] = {"known_ns": now_ns, "run_ns": run_ns, "update": as_json(update)}
+    return row | ({"again": True} if again else {})
+
+
+def _counts(counts: Counter[str]) -> dict[str, int]:
+    return {name: count for name, count in sorted(counts.items()) if count}

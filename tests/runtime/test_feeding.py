@@ -1,0 +1,179 @@
+"""A feed in a run: when sweeps are asked for, what limits hold, what the fixture and the report tell."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from emulator.errors import LinkError, ScenarioError
+from emulator.judging.rig import Rig
+from emulator.live.json_lines import update_of
+from emulator.live.receivers import Budget
+from emulator.live.samples import BadSample
+from emulator.runtime.feeding import MARGIN_NS, Feeding
+from emulator.scenario.scenario import Scenario, dump, loads
+from protocols.scan import ScanPlan
+
+MS = 1_000_000
+CASE = """
+schema: 1
+actors: [{id: ego}, {id: car}]
+sensors: [{id: front, model: sick-lms291-s05, links: ["pty:./front"]}]
+live: LIVE
+"""
+
+
+def case(live: str, folder: Path = Path()) -> Scenario:
+    return loads(CASE.replace("LIVE", live), folder / "case.yaml")
+
+
+def feeding(live: str, real: Callable[[], int] | None = lambda: 0) -> tuple[Feeding, Any]:
+    scenario = case(live)
+    assert scenario.live is not None
+    front = SimpleNamespace(sensor="front", poked=False, ledger=SimpleNamespace(now_ns=0))
+    return Feeding(scenario, scenario.live, [front], real), front  # type: ignore[list-item]
+
+
+def plan(start_ns: int) -> ScanPlan:
+    nothing = np.zeros(11)
+    return ScanPlan(0, 1, start_ns, nothing, nothing, np.linspace(0.0, 0.0133, 11), 0.0267)
+
+
+def fed(found: Feeding, ms: int, stamp_ms: int | None = None) -> None:
+    stamp = {} if stamp_ms is None else {"t_ns": stamp_ms * MS}
+    found.take(update_of({"actors": [{"id": "car", "at_m": [0.01 * ms, 0, 0]}], **stamp}), ms * MS)
+
+
+def test_in_real_time_a_sweep_is_asked_for_as_late_as_it_can_be_sent_in_time() -> None:
+    found, _ = feeding("{feed: control, clock: {map: arrival}}")
+    sweep, earliest = plan(1000 * MS), 750 * MS
+    found.world("front", sweep, 900 * MS)
+    found.came("front", 904 * MS)
+    assert found.ask_ns("front", sweep, earliest) == 1026_700_000 - 4 * MS - MARGIN_NS
+
+
+def test_or_as_soon_as_all_poses_are_known_that_its_beams_want() -> None:
+    found, front = feeding("{feed: control, clock: {map: arrival}}")
+    sweep = plan(1000 * MS)
+    fed(found, 1010)
+    assert found.ask_ns("front", sweep, 750 * MS) > 1000 * MS
+    assert not front.poked
+    fed(found, 1014)
+    assert front.poked
+    assert found.ask_ns("front", sweep, 750 * MS) == 750 * MS
+
+
+def test_in_virtual_time_at_its_end() -> None:
+    found, _ = feeding("{feed: control}", None)
+    assert found.ask_ns("front", plan(1000 * MS), 750 * MS) == 1026_700_000
+
+
+def test_a_feeders_clock_is_mapped_and_its_restart_told() -> None:
+    found, _ = feeding("{feed: control, clock: {delay_s: 0.02}, latency_s: 0.005}")
+    for ms in range(0, 500, 10):
+        fed(found, ms, 70_000 + ms)
+    assert found.book.newest_s == pytest.approx(0.490 + 0.025)
+    fed(found, 500, 3)
+    assert found.book.counts["restart"] == 1
+    assert found.report()["offset_ms"] == pytest.approx(497.0)
+
+
+def test_silence_ends_the_run_only_where_that_is_wanted() -> None:
+    for then, why in (("stop", "no poses for 0.6 s"), ("hold", "")):
+        found, _ = feeding(f"{{feed: control, clock: {{map: arrival}}, silent: {{after_s: 0.5, then: {then}}}}}")
+        assert found.look(10_000 * MS) == "", "it has not begun"
+        fed(found, 1000)
+        assert found.look(1400 * MS) == ""
+        assert found.look(1600 * MS) == why
+
+
+def test_an_address_that_is_taken_is_told() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        found, _ = feeding(f"{{feed: 'json-udp://127.0.0.1:{taken.getsockname()[1]}'}}")
+        with pytest.raises(LinkError, match="want a free address"):
+            found.open()
+
+
+def test_more_updates_a_second_than_may_be_are_not_read() -> None:
+    budget = Budget(1000)
+    assert sum(budget.has_room(1000 * MS) for _ in range(500)) == 100
+    assert sum(budget.has_room(1050 * MS) for _ in range(500)) == 50
+
+
+@pytest.mark.parametrize(
+    ("live", "told"),
+    [
+        ("{feed: 'json-udp://0.0.0.0:47100'}", "beyond_loopback: true"),
+        ("{feed: 'json-udp://192.168.1.4:47100'}", "beyond_loopback: true"),
+        ("{feed: 'json-udp://example.org:1'}", "want an address"),
+        ("{feed: 'json-udp:47100'}", "want json-udp://HOST:PORT"),
+        ("{feed: 'json-udp://127.0.0.1:99999'}", "want 0 to 65535"),
+        ("{feed: 'osi-trace:nothing.osi'}", "no file"),
+        ("{feed: 'recording:nothing'}", "no recording"),
+        ("{feed: control, ego: nobody}", "no actor 'nobody'"),
+        ("{feed: control, bind: {x: nobody}}", "no actor 'nobody'"),
+        ("{feed: control, actors: {models: {a: b}}}", "one of classes"),
+        ("{feed: control, actors: {pool: 501}}", "pool"),
+        ("{feed: control, colour: red}", "unknown key"),
+        ("{feed: 'json-udp://127.0.0.1:1', clock: {map: lockstep}}", "lockstep"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_its_place(live: str, told: str) -> None:
+    with pytest.raises(ScenarioError, match=r"case.yaml:5: live") as found:
+        case(live)
+    assert told in str(found.value)
+
+
+def test_beyond_this_machine_where_it_is_said() -> None:
+    assert case("{feed: 'json-udp://0.0.0.0:47100', beyond_loopback: true}").live is not None
+    assert case("{feed: 'json-tcp://[::1]:0'}").live is not None
+
+
+def test_a_dumped_scenario_is_the_same(tmp_path: Path) -> None:
+    (tmp_path / "a.jsonl").write_text('{"t_s": 0, "actors": []}\n')
+    first = case(
+        "{feed: 'json-file:a.jsonl', actors: {spawn: true, classes: {car: {mesh: 'builtin:car.glb'}}}}", tmp_path
+    )
+    again = loads(dump(first), Path("elsewhere/x.yaml"))
+    assert again.live is not None
+    assert again.live.place.path == str((tmp_path / "a.jsonl").resolve())
+
+
+def test_the_fixture_moves_actors(tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text(CASE.replace("LIVE", "{feed: control}"))
+    with Rig(str(path), tmp_path) as rig:
+        rig.move("car", [1, 2, 0], velocity_m_s=[1, 0, 0])
+        rig.advance(0.1)
+        rig.move("car", [1.1, 2, 0], velocity_m_s=[1, 0, 0])
+        assert rig.feed()["received"] == 2
+        with pytest.raises(BadSample, match="at_m"):
+            rig.move("car", [float("nan"), 0, 0])
+        rig.poses([{"id": "nobody", "at_m": [0, 0, 0]}])
+        assert rig.feed()["not wanted"] == 1
+    path.write_text(CASE.partition("live:")[0])
+    (tmp_path / "other").mkdir()
+    with Rig(str(path), tmp_path / "other") as rig, pytest.raises(LookupError, match="live"):
+        rig.move("car", [0, 0, 0])
+
+
+def test_updates_by_udp_and_tcp_arrive(tmp_path: Path) -> None:
+    from emulator.live.client import Feeder
+
+    for kind in ("json-udp", "json-tcp"):
+        path = tmp_path / f"{kind}.yaml"
+        path.write_text(CASE.replace("LIVE", f"{{feed: '{kind}://127.0.0.1:0'}}"))
+        (tmp_path / kind).mkdir()
+        with Rig(str(path), tmp_path / kind) as rig, Feeder(str(rig.feed_url)) as feeder:
+            while not rig.feed().get("received"):
+                feeder.move("car", [1.0, 0.0, 0.0])
+            feeder._socket.sendall(b"nonsense\n")
+            while not rig.feed().get("dropped"):
+                feeder.move("car", [1.0, 0.0, 0.0])
