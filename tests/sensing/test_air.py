@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from emulator.physics import atmosphere
+from emulator.physics.subechoes import SubEchoes
 from emulator.sensing.measure import Measure
 from emulator.sensing.particles import RARE
 from tests.sensing.rig import QUIET, Floats, build, plan, plate
@@ -170,13 +172,15 @@ def test_clear_air_and_distant_haze_leave_the_soft_target_out(tmp_path: Path) ->
 
 def test_rain_drops_that_are_seen_alone_come_as_often_as_their_closed_form_says(tmp_path: Path) -> None:
     """Oracle `rain_false_echo_mean`: 0.023 a shot at 10 mm/h from 1 to 30 m, reference receiver, TNR 5."""
-    physics = {**AXIS, "threshold_to_noise": 5.0, "near_gate_m": 1.0, "exit_diameter_mm": 0.0}
-    weather = {"visibility_m": 1e9, "rain": {"rate_mm_h": 10.0, "echoes": "drops"}}
+    physics = {
+        **AXIS, "threshold_to_noise": 5.0, "near_gate_m": 1.0, "exit_diameter_mm": 0.0, "profile": "tophat",
+    }  # fmt: skip
+    weather = {"visibility_m": 1e9, "rain": {"rate_mm_h": 10.0, "echoes": "drops", "law": "carbonneau"}}
     measure = build(tmp_path, WALL, weather=weather, physics=physics)
-    beams = np.zeros(20000)
-    found = measure.view(plan(beams)).echoes
-    drops = found.range_m < 29.99
-    mean = 0.0230 * len(beams)
+    parts = [measure.view(plan(np.arange(-60, 60), sweep=k, start_s=20.0 * k)).echoes for k in range(170)]
+    found = SubEchoes.joined(*(replace(one, beam=one.beam + 120 * k) for k, one in enumerate(parts)))
+    drops = (found.range_m < 29.99) & (found.amplitude >= 5.0) & (found.range_m >= 1.0)
+    mean = 0.0230 * 120 * len(parts)
     assert drops.sum() == pytest.approx(mean, abs=4 * np.sqrt(mean) + 0.02 * mean)
     assert (found.range_m[drops] >= 1.0).all()
     assert (found.source[drops] == -1).all()
