@@ -148,6 +148,22 @@ class ParticleLight:
         seen = np.flatnonzero(self.least_mm(r) < self.sizes.largest_mm)
         return float(r[min(seen[-1] + 1, len(r) - 1)]) if len(seen) else start
 
+    def reach(self, largest_mm: float) -> tuple[Floats, Floats]:
+        """Ranges, and how far from the axis a particle of this size is still drawn there; empty: nowhere."""
+        start, length = self.optics.overlap_start_m, self.end_m - self.optics.overlap_start_m
+        if length <= 0.0:
+            return np.zeros(0), np.zeros(0)
+        r = start + np.concatenate([[0.0], np.geomspace(1e-3 * length, length, NODES // 4)])
+        ratio = largest_mm / self.least_mm(r)
+        seen = np.flatnonzero(ratio > 1.0)
+        if not len(seen):
+            return np.zeros(0), np.zeros(0)
+        part = slice(max(seen[0] - 1, 0), seen[-1] + 2)
+        wide = np.maximum(self.optics.tan_x * r, self.optics.tan_y * r) + self.optics.exit_radius_m
+        if self.optics.gaussian:
+            wide = wide * np.sqrt(np.log(np.maximum(ratio, 1.0)))
+        return r[part], wide[part]
+
     @cached_property
     def _table(self) -> tuple[Floats, Floats]:
         """Ranges, and mean numbers drawn up to them."""

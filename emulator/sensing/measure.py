@@ -208,8 +208,10 @@ class Measure:
                 seen = self._background(seen, rays, far)
         drops = []
         for particles in air.particles:
-            drawn = self._falling.seen(particles, seen.nearest_m, air.extinction_per_m, plan.sweep, self.draws, gain)
-            drops += [] if drawn is None else [drawn]
+            falling = self._falling.seen(
+                particles, rays, t_s, pose.rotation, seen.nearest_m, air.extinction_per_m, plan.sweep, self.draws, gain
+            )
+            drops += [] if falling is None else [falling.echoes]
         if self._soft.uneven(air):
             drawn = self._soft.points(air, rays, seen.echoes, t_s, gain)
             drops += [] if drawn is None else [drawn]

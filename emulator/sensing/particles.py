@@ -7,7 +7,7 @@ and thinning (physics.precipitation), extinction by them (air).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -17,9 +17,15 @@ from emulator.physics.arrays import Floats, Ints
 from emulator.physics.particle_light import Optics, ParticleLight, Sizes
 from emulator.physics.random_streams import RandomStreams
 from emulator.physics.subechoes import SubEchoes
+from emulator.physics.world_particles import Lines, WorldParticles, class_middles
 from emulator.scenario.weather import Rain, Snow
 from emulator.sensing.model import SensorModel
+from emulator.sensing.rays import Rays
 
+Wind = tuple[float, float, float]
+CALM: Wind = (0.0, 0.0, 0.0)
+SNOW_FALL_M_S = 1.0
+"Flakes of all sizes: 0.5 to 1.5 m/s (Locatelli and Hobbs 1974)."
 RARE = 1e-3
 "Mean number of particles a sweep below which none is drawn."
 TYPICAL_M = 10.0
@@ -46,6 +52,12 @@ class Particles:
     diameter_mm: float = 0.0
     number_m3: float = 0.0
     kappa_sr: float = 0.0
+    wind_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def fall_m_s(self) -> Floats | float:
+        """Speed at which each class of sizes falls."""
+        return SNOW_FALL_M_S if self.term == "snow" else atmosphere.fall_speed_atlas(class_middles(self.sizes))
 
     @property
     def sizes(self) -> Sizes:
@@ -55,7 +67,7 @@ class Particles:
         return Sizes(self.number_m3, 0.0, self.diameter_mm, self.kappa_sr)
 
 
-def rain_particles(rain: Rain | None, model: SensorModel) -> Particles | None:
+def rain_particles(rain: Rain | None, model: SensorModel, wind: Wind = CALM) -> Particles | None:
     """Rain as particles, or None where there is none or it is a continuum."""
     if rain is None or rain.rate_mm_h == 0.0 or not model.weather_echoes or rain.echoes in ("off", "continuum"):
         return None
@@ -67,15 +79,15 @@ def rain_particles(rain: Rain | None, model: SensorModel) -> Particles | None:
         made = Particles("rain", None, diameter_mm, density, kappa)
     else:
         made = Particles("rain", precipitation.rain_spectrum(rain.rate_mm_h, kappa))
-    return _singly(made, model, rain.echoes)
+    return _singly(replace(made, wind_m_s=wind), model, rain.echoes)
 
 
-def snow_particles(snow: Snow | None, model: SensorModel) -> Particles | None:
+def snow_particles(snow: Snow | None, model: SensorModel, wind: Wind = CALM) -> Particles | None:
     """Snow as particles, or None where there is none or it is a continuum."""
     if snow is None or snow.rate_mm_h == 0.0 or not model.weather_echoes or snow.echoes in ("off", "continuum"):
         return None
     made = Particles("snow", precipitation.snow_spectrum(snow.rate_mm_h, snow.flake_reflectance / 4.0))
-    return _singly(made, model, snow.echoes)
+    return _singly(replace(made, wind_m_s=wind), model, snow.echoes)
 
 
 def _singly(particles: Particles, model: SensorModel, echoes: str) -> Particles | None:
@@ -124,6 +136,20 @@ def _sparse(particles: Particles, model: SensorModel) -> bool:
     return count <= precipitation.CONTINUUM_PER_CELL
 
 
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """Particles of one kind in the beams of a sweep."""
+
+    light: ParticleLight
+    echoes: SubEchoes
+
+    @classmethod
+    def of(cls, light: ParticleLight, beam: Ints, range_m: Floats, size_mm: Floats) -> Drawn:
+        """From their effective sizes."""
+        amplitude = light.unit(range_m) * size_mm**2 * light.lift(range_m)
+        return cls(light, SubEchoes.of(beam, range_m, amplitude))
+
+
 class Falling:
     """What falls, as one sensor sees it."""
 
@@ -141,33 +167,54 @@ class Falling:
 
         self.light = light
 
+        @lru_cache(maxsize=32)
+        def world(particles: Particles, seed: int) -> WorldParticles:
+            return WorldParticles(seed, particles.term, particles.sizes, particles.fall_m_s, particles.wind_m_s)
+
+        self._world = world
+
     def mean_drawn(self, particles: Particles, far_m: Floats, extinction_per_m: float, gain: float = 1.0) -> Floats:
         """(n,) mean numbers of those drawn, up to each beam's first surface, `far_m` (n,)."""
         return self.light(particles, extinction_per_m, gain).mean(far_m)
 
     def seen(
-        self,
-        particles: Particles,
-        far_m: Floats,
-        extinction_per_m: float,
-        sweep: int,
-        draws: RandomStreams,
-        gain: float = 1.0,
-    ) -> SubEchoes | None:
-        """Sub-echoes of the particles that may be seen, alone or together, up to each beam's first surface."""
+        self, particles: Particles, rays: Rays, t_s: Floats, rotation: Floats, far_m: Floats, extinction_per_m: float,
+        sweep: int, draws: RandomStreams, gain: float = 1.0,
+    ) -> Drawn | None:  # fmt: skip
+        """The particles that may be seen, alone or together, up to each beam's first surface, `far_m` (n,)."""
         light = self.light(particles, extinction_per_m, gain)
         mean = light.mean(far_m)
         if not bool(mean.any()) or (float(mean.sum()) < RARE and self._model.leave_out.particles):
             return None
-        count = draws.poisson(particles.term, sweep, mean)
-        if not bool(count.any()):
+        far = np.minimum(far_m, self._model.gate_m)
+        lines = Lines(rays.centre_m, rays.axis, self._across(rays, rotation), t_s, far)
+        found = self._world(particles, draws.seed).in_beams(light, lines)
+        if found is None:
+            found = self._each_alone(particles, light, far_m, mean, sweep, draws)
+        beam, range_m, size_mm = found
+        return Drawn.of(light, beam, range_m, size_mm)
+
+    def _across(self, rays: Rays, rotation: Floats) -> Floats | None:
+        """(n, 3) directions of the beams' x radius in the world; None: the beam is round."""
+        beam = self._model.beam
+        if beam.half_angle_x_rad == beam.half_angle_y_rad:
             return None
+        own = rays.own_axis
+        level = np.maximum(np.hypot(own[:, 0], own[:, 1]), 1e-12)
+        side = np.stack([-own[:, 1] / level, own[:, 0] / level, np.zeros(len(own))], axis=1)
+        up = np.cross(own, side)
+        turned = math.cos(beam.roll_rad) * side + math.sin(beam.roll_rad) * up
+        return np.asarray(np.einsum("nij,nj->ni", rotation, turned))
+
+    def _each_alone(
+        self, particles: Particles, light: ParticleLight, far_m: Floats, mean: Floats, sweep: int, draws: RandomStreams
+    ) -> tuple[Ints, Floats, Floats]:
+        """The same law with particles of its own for each beam, where the world has too many."""
+        count = draws.poisson(particles.term, sweep, mean)
         uniform = _numbers(draws, particles.term, sweep, count)
         beam = np.arange(len(count)).repeat(count)
         range_m = light.ranges(far_m[beam], uniform[:, 0])
-        size_mm = light.drawn_sizes(range_m, uniform[:, 1])
-        amplitude = light.unit(range_m) * size_mm**2 * light.lift(range_m)
-        return SubEchoes.of(beam, range_m, amplitude)
+        return beam, range_m, light.drawn_sizes(range_m, uniform[:, 1])
 
 
 def _numbers(draws: RandomStreams, term: str, sweep: int, count: Ints) -> Floats:
