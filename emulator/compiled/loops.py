@@ -3,6 +3,7 @@
 from emulator.compiled.casting import inner, resting, told, unwritten
 from emulator.compiled.clusters import crossed, joined, split, sums
 from emulator.compiled.echoes import FIRST, LAST, STRONGEST, levels, ranks, readings, reported
+from emulator.compiled.falling import falling
 from emulator.compiled.maxima import edges, maxima, sources
 from emulator.compiled.media import crossed_under, ended_under, under
 from emulator.compiled.moving import keep_nearer, moving, near, pairs, whereabouts
@@ -19,6 +20,7 @@ __all__ = [
     "crossed_under",
     "edges",
     "ended_under",
+    "falling",
     "in_order",
     "inner",
     "joined",

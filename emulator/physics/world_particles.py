@@ -14,11 +14,13 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from emulator.compiled.pair import by_loops
 from emulator.physics.arrays import Floats, Ints, indexes, ramp
 from emulator.physics.particle_light import ParticleLight, Sizes
 
@@ -64,12 +66,21 @@ class _Class:
     velocity_m_s: tuple[float, float, float]
     key: int
 
+    @property
+    def share(self) -> float:
+        """Of those larger than the least size."""
+        return -math.expm1(-self.slope_mm * (self.high_mm - self.low_mm)) if self.high_mm < math.inf else 1.0
+
+    @property
+    def signed_key(self) -> int:
+        """The key as a number of 64 bits with a sign."""
+        return self.key - 2**64 if self.key >= 2**63 else self.key
+
     def sizes(self, uniform: Floats, largest_mm: float) -> Floats:
         """Diameters by uniform numbers."""
         if self.slope_mm == 0.0:
             return np.full(len(uniform), self.high_mm)
-        lost = 1.0 - math.exp(-self.slope_mm * (self.high_mm - self.low_mm)) if self.high_mm < math.inf else 1.0
-        return np.minimum(self.low_mm - np.log1p(-uniform * lost) / self.slope_mm, largest_mm)
+        return np.minimum(self.low_mm - np.log1p(-uniform * self.share) / self.slope_mm, largest_mm)
 
 
 class WorldParticles:
@@ -192,19 +203,15 @@ class _Search:
 
     def found(self) -> list[tuple[Ints, Floats, Floats]]:
         """Beam, range, effective size."""
-        found = []
-        for octave, boxes in self.parts:
-            count = boxes.size.prod(axis=1)
-            total = count.cumsum()
-            begin = 0
-            while begin < len(count):
-                before = total[begin - 1] if begin else 0
-                end = max(int(total.searchsorted(before + AT_ONCE, side="right")), begin + 1)
-                found.append(self._of_boxes(octave, boxes, np.arange(begin, end), count[begin:end]))
-                begin = end
-        return found
+        return [in_boxes(self, *part) for part in self.parts]
 
-    def _of_boxes(self, octave: _Octave, boxes: _Boxes, chosen: Ints, count: Ints) -> tuple[Ints, Floats, Floats]:
+    def drawn(self, beam: Ints, range_m: Floats, size_mm: Floats) -> tuple[Ints, Floats, Floats]:
+        """Those that are bright enough."""
+        kept = indexes(size_mm >= self.light.least_mm(range_m))
+        return beam[kept], range_m[kept], size_mm[kept]
+
+    def of_some(self, octave: _Octave, boxes: _Boxes, chosen: Ints, count: Ints) -> tuple[Ints, Floats, Floats]:
+        """Those in some of the boxes, of `count` cells each."""
         box = chosen.repeat(count)
         at, size = ramp(count), boxes.size[box]
         cell = boxes.low[box]
@@ -274,8 +281,46 @@ class _Search:
             size = size * np.exp(-np.minimum(square, 500.0))
         else:
             size = np.where(square < 1.0, size, 0.0)
-        drawn = size >= self.light.least_mm(r)
-        return beam[drawn], r[drawn], size[drawn]
+        return self.drawn(beam, r, size)
+
+
+def _in_boxes_by_loops(
+    loops: ModuleType, search: _Search, octave: _Octave, boxes: _Boxes
+) -> tuple[Ints, Floats, Floats]:
+    of, light, lines = search.of, search.light, search.lines
+    optics, largest = light.optics, light.sizes.largest_mm
+    least, begin_m, step_m = light.least_table
+    across = np.zeros((0, 3)) if lines.across is None else lines.across
+    room = 1024 + 32 * len(lines.axis)
+    while True:
+        beam, range_m, size = np.zeros(room, np.int64), np.zeros(room), np.zeros(room)
+        number = loops.falling(
+            of.signed_key, _POISSON, of.low_mm, of.slope_mm, of.share, largest, search.cell_m, boxes.bucket,
+            boxes.near_m, boxes.far_m, boxes.reach_m, boxes.low, boxes.size, octave.first, octave.last, octave.along,
+            octave.end_m, search.origin, lines.axis, across, lines.far_m, optics.tan_x, optics.tan_y,
+            optics.exit_radius_m, optics.gaussian, least, begin_m, step_m, beam, range_m, size,
+        )  # fmt: skip
+        if number <= room:
+            return search.drawn(beam[:number], range_m[:number], size[:number])
+        room = number
+
+
+@by_loops(_in_boxes_by_loops, "falling")
+def in_boxes(search: _Search, octave: _Octave, boxes: _Boxes) -> tuple[Ints, Floats, Floats]:
+    """Beam, range and effective size of the particles in these boxes."""
+    found = []
+    count = boxes.size.prod(axis=1)
+    total = count.cumsum()
+    begin = 0
+    while begin < len(count):
+        before = total[begin - 1] if begin else 0
+        end = max(int(total.searchsorted(before + AT_ONCE, side="right")), begin + 1)
+        found.append(search.of_some(octave, boxes, np.arange(begin, end), count[begin:end]))
+        begin = end
+    if not found:
+        return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
+    beam, range_m, size = (np.concatenate(column) for column in zip(*found, strict=True))
+    return beam, range_m, size
 
 
 # ------------------------------------------------------------------------------- numbers of a cell
