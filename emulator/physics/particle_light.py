@@ -30,6 +30,8 @@ NODES = 1024
 "Of the tables over range and over size: integrals and inverses to 1e-5."
 SMALLEST_MM = 1e-4
 "Effective sizes below are not told apart."
+MOST_SHADOW = 0.99
+"Share of a beam that one particle stops at the most."
 MOST_LIFT = 0.9
 "Share of the level that the mean light of the small ones is let take over."
 
@@ -234,3 +236,35 @@ class ParticleLight:
     def lift(self, range_m: Floats) -> Floats:
         """Factor on the light of the drawn ones: the mean light of the others lowers the level that they must reach."""
         return np.asarray(1.0 / (1.0 - np.minimum(self.rest(range_m) / self.optics.level(range_m), MOST_LIFT)))
+
+    def kept_out(self, range_m: Floats, size_mm: Floats) -> Floats:
+        """Share of the beam's light that a particle of this effective size stops on its way out: its shadow."""
+        area = np.maximum(self.optics.area_m2(range_m), 1e-300)
+        return np.minimum(0.25e-6 * self.optics.peak * size_mm * size_mm / area, MOST_SHADOW)
+
+    @cached_property
+    def _shadows(self) -> tuple[Floats, Floats]:
+        """Ranges, and the mean loss there and back by the drawn particles up to them."""
+        start, length = self.optics.overlap_start_m, self.end_m - self.optics.overlap_start_m
+        if length <= 0.0:
+            return np.array([start, start + 1e-9]), np.zeros(2)
+        r = start + np.concatenate([[0.0], np.geomspace(1e-4 * length, length, NODES // 4)])
+        low = np.clip(self.least_mm(r), SMALLEST_MM, self.sizes.largest_mm)[:, None]
+        node, weight = np.polynomial.legendre.leggauss(32)
+        log_s = np.log(low) + 0.5 * (node + 1.0) * (math.log(self.sizes.largest_mm) - np.log(low))
+        s = np.minimum(np.exp(log_s), self.sizes.largest_mm * (1.0 - 1e-12))
+        lost = 1.0 - (1.0 - self.kept_out(r[:, None], s)) ** 2
+        spread = 0.5 * (math.log(self.sizes.largest_mm) - np.log(low[:, 0]))
+        if self.optics.gaussian:
+            mean = spread * ((self.sizes.larger(s) * lost) @ weight)
+        else:  # particles per unit of size, and those that count as the largest
+            mean = spread * ((self.sizes.larger(s) * self.sizes.slope_mm * s * lost) @ weight)
+            top = np.full(len(r), self.sizes.largest_mm)
+            atom = self.sizes.larger(top * (1.0 - 1e-12)) * (1.0 - (1.0 - self.kept_out(r, top)) ** 2)
+            mean = mean + np.where(low[:, 0] < self.sizes.largest_mm, atom, 0.0)
+        rate = math.pi * self.optics.area_m2(r) * mean
+        return r, np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(r))])
+
+    def mean_shadow(self, range_m: Floats) -> Floats:
+        """Mean loss there and back by the drawn particles up to a range: what the extinction has already taken."""
+        return np.interp(range_m, *self._shadows)

@@ -33,6 +33,8 @@ FLAT = 4.0
 "Width of a cell over its height: most scans are level."
 BUCKET = 2.0
 "Neighbouring beams that are looked at together span this many cells."
+OCTAVE = 0.4
+"Ratio of the ranges between which beams keep their neighbours."
 MOST_PAIRS = 3_000_000
 "Cells that may be looked at in a sweep: a second or so. Beyond it particles are drawn for each beam alone."
 AT_ONCE = 200_000
@@ -144,7 +146,7 @@ class _Boxes:
 
 
 class _Octave:
-    """Beams between two ranges, the second at most twice the first, in buckets of neighbours."""
+    """Beams between two ranges, in buckets of neighbours."""
 
     def __init__(self, origin: Floats, axis: Floats, far_m: Floats, near_m: float, end_m: float, span_m: float) -> None:
         gap = np.linalg.norm(np.diff(origin, axis=0), axis=1) + end_m * np.linalg.norm(np.diff(axis, axis=0), axis=1)
@@ -191,8 +193,8 @@ class _Search:
         self.origin = lines.centre_m - lines.t_s[:, None] * np.array(of.velocity_m_s)
         begin, end = float(range_m[0]), min(float(range_m[-1]), float(lines.far_m.max(initial=0.0)))
         while end > begin:
-            near = max(0.5 * end, begin)
-            if near < begin + width:
+            near = max(OCTAVE * end, begin)
+            if near < begin + 2.0 * BUCKET * width:
                 near = begin
             octave = _Octave(self.origin, lines.axis, lines.far_m, near, end, BUCKET * width)
             boxes = octave.boxes(BUCKET * width, (range_m, reach), self.cell_m)

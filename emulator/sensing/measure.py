@@ -211,7 +211,11 @@ class Measure:
             falling = self._falling.seen(
                 particles, rays, t_s, pose.rotation, seen.nearest_m, air.extinction_per_m, plan.sweep, self.draws, gain
             )
-            drops += [] if falling is None else [falling.echoes]
+            if falling is None:
+                continue
+            drops += [falling.echoes]
+            if falling.shades(seen.nearest_m):
+                seen = replace(seen, found=falling.shade(seen.echoes), kept=None)
         if self._soft.uneven(air):
             drawn = self._soft.points(air, rays, seen.echoes, t_s, gain)
             drops += [] if drawn is None else [drawn]

@@ -38,6 +38,8 @@ MOST_A_BEAM = 3000.0
 DRAWN = (0.05, 0.1, 0.2, 0.4, 1.0)
 """Shares of the level from which a particle is drawn: the first that leaves few enough in a beam. A cut of 0.1 is good
 to 1 % of the beams that answer, one of 0.3 to 3 %."""
+FAINTEST_SHADOW = 1e-3
+"Mean loss there and back by the drawn particles from which their shadows are looked at."
 MOST_DRAWN = 60.0
 "Particles drawn in one beam at the most, where the share may still grow."
 
@@ -142,12 +144,37 @@ class Drawn:
 
     light: ParticleLight
     echoes: SubEchoes
+    beam: Ints
+    "(k,) ascending"
+    range_m: Floats
+    "(k,) ascending within a beam"
+    lost: Floats
+    "(k,) logarithm of the share of the beam that passes, one way."
 
     @classmethod
     def of(cls, light: ParticleLight, beam: Ints, range_m: Floats, size_mm: Floats) -> Drawn:
         """From their effective sizes."""
+        order = np.lexsort((range_m, beam))
+        beam, range_m, size_mm = beam[order], range_m[order], size_mm[order]
         amplitude = light.unit(range_m) * size_mm**2 * light.lift(range_m)
-        return cls(light, SubEchoes.of(beam, range_m, amplitude))
+        lost = np.log1p(-light.kept_out(range_m, size_mm))
+        return cls(light, SubEchoes.of(beam, range_m, amplitude), beam, range_m, lost)
+
+    def shades(self, nearest_m: Floats) -> bool:
+        """Surfaces stand where the mean shadow is dark enough to be looked at."""
+        behind = nearest_m[np.isfinite(nearest_m)]
+        return float(self.light.mean_shadow(behind).max(initial=0.0)) >= FAINTEST_SHADOW
+
+    def shade(self, found: SubEchoes) -> SubEchoes:
+        """What stands behind, in the shadows of these particles; on the average it keeps all its light.
+
+        The extinction holds their mean already: where they are few or none, what is behind is a little brighter.
+        """
+        length = float(max(found.range_m.max(initial=0.0), self.range_m.max(initial=0.0))) + 1.0
+        place = (self.beam * length + self.range_m).searchsorted(found.beam * length + found.range_m)
+        lost = np.concatenate([[0.0], self.lost.cumsum()])
+        passed = 2.0 * (lost[place] - lost[self.beam.searchsorted(found.beam)])
+        return replace(found, amplitude=found.amplitude * np.exp(self.light.mean_shadow(found.range_m) + passed))
 
 
 class Falling:

@@ -17,6 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from emulator.physics.random_streams import RandomStreams
+from emulator.physics.subechoes import SubEchoes
 from emulator.sensing.measure import Measure
 from tests.sensing.one_particle_at_a_time import Rig, first_echoes
 from tests.sensing.rig import build, plan
@@ -174,3 +175,138 @@ def test_the_number_of_other_beams_changes_no_particle(tmp_path: Path) -> None:
     few, many = measure(plan(np.arange(10))).range_m, measure(plan(np.arange(100))).range_m
     np.testing.assert_array_equal(few, many[:10])
     assert RandomStreams(1, "front") == measure.draws
+
+
+# ------------------------------------------------------------------------------- places in the world
+def light_at(measure: Measure, near_m: float, far_m: float, azimuth_deg: Floats, sweep: int, start_s: float) -> Floats:
+    """Light of all particles between two ranges, of each beam of a sweep that fires at once."""
+    found = measure.view(plan(azimuth_deg, sweep=sweep, start_s=start_s)).echoes
+    inside = (found.range_m >= near_m) & (found.range_m < far_m)
+    return np.bincount(found.beam[inside], found.amplitude[inside], minlength=len(azimuth_deg))
+
+
+def sharp(folder: Path, case: dict[str, Any], **physics: Any) -> Measure:
+    """The sensor of a case that sees small particles as well: the closed forms are of all of them."""
+    return sensor(folder, case, threshold_to_noise=0.3, floor_reflectance="off", noise=False, **physics)
+
+
+def correlation(pairs: list[tuple[Floats, Floats]]) -> float:
+    one, other = (np.concatenate(column) for column in zip(*pairs, strict=True))
+    return float(np.corrcoef(one, other)[0, 1])
+
+
+@pytest.mark.parametrize(
+    ("name", "step_deg"),
+    [("lms291-s05 gauss floor 0.004 0.25 deg 0 ms", 0.25), ("lms291-s05 gauss floor 0.004 0.5 deg 0 ms", 0.5),
+     ("lms291-s05 gauss floor 0.004 1 deg 0 ms", 1.0), ("lms291-s05 tophat floor 0.004 0.5 deg", 0.5),
+     ("lrs1000 gauss floor 0.004 0.125 deg", 0.125)],
+)  # fmt: skip
+def test_neighbouring_beams_see_the_same_flakes_by_the_overlap_of_their_footprints(
+    tmp_path: Path, name: str, step_deg: float
+) -> None:
+    case = named("pair", name)[0]
+    measure, azimuth = sharp(tmp_path, case), step_deg * np.arange(400.0)
+    pairs = []
+    for sweep in range(40):
+        light = light_at(measure, 4.5, 5.5, azimuth, sweep, 5.0 * sweep)
+        pairs.append((light[:-1], light[1:]))
+    expected = case["expected"]["signal_correlation_at_range"]["5"]
+    assert correlation(pairs) == pytest.approx(expected, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("case", "later"),
+    [(case, later) for case in named("time")[:5] for later in case["expected"]["correlation_after_s"]],
+    ids=lambda given: given if isinstance(given, str) else given["name"],
+)
+def test_the_next_sweep_sees_what_fell_or_was_blown_on(tmp_path: Path, case: dict[str, Any], later: str) -> None:
+    setup = case["setup"]
+    wind = setup["wind_across_m_s"]
+    case = {"setup": {**setup, "weather": {**setup["weather"], "wind_m_s": [0.0, wind, 0.0]}}}
+    measure, azimuth = sharp(tmp_path, case), np.linspace(-10.0, 10.0, 9)
+    pairs = []
+    for sweep in range(400):
+        pair = [light_at(measure, 4.5, 5.5, azimuth, sweep, 7.0 * sweep + late) for late in (0.0, float(later))]
+        pairs.append((pair[0], pair[1]))
+    told = named("time", "")
+    expected = next(one for one in told if one["setup"] == setup)["expected"]["correlation_after_s"][later]
+    assert correlation(pairs) == pytest.approx(expected, abs=0.07)
+
+
+@pytest.mark.parametrize(
+    "case",
+    [*named("pair", "lms291-s05 gauss floor 0.004 0.25 deg 0 ms"), *named("pair", "lrs1000 gauss floor 0, "),
+     *named("pair", "lrs1000 gauss floor 0.004 0.125"), *named("pair", "lms291-s05 gauss floor 0.004 0.5 deg 13")],
+    ids=lambda case: case["name"],
+)  # fmt: skip
+def test_what_one_particle_alone_makes_two_beams_answer_has_its_closed_form(
+    tmp_path: Path, case: dict[str, Any]
+) -> None:
+    """Seen alone: a particle whose light reaches the level, without the mean light of the others."""
+    setup, expected = case["setup"], case["expected"]
+    measure = sensor(tmp_path, case)
+    azimuth = (np.arange(0.0, 360.0, 2.0)[:, None] + np.array([0.0, setup["step_deg"]])).ravel()
+    one, both = [], []
+    rig = Rig.of(setup)
+    for sweep in range(60):
+        late = np.tile([0.0, setup["delay_s"]], 180)
+        found = measure.view(plan(azimuth, sweep=sweep, start_s=5.0 * sweep, fire_s=late)).echoes
+        light = measure._falling.light(measure.air.at(0.0).particles[0], measure.air.at(0.0).extinction_per_m, 1.0)
+        alone = found.amplitude / light.lift(found.range_m) >= rig.level(found.range_m)
+        alone &= found.range_m >= max(rig.r1, rig.near)
+        answers = np.bincount(found.beam[alone], minlength=360).reshape(180, 2) > 0
+        one.append(answers.mean())
+        both.append(answers.all(axis=1).mean())
+    p, n = expected["probability"], 60 * 180
+    assert np.mean(one) == pytest.approx(p, abs=4.0 * math.sqrt(p * (1.0 - p) / n))
+    phi = (np.mean(both) - np.mean(one) ** 2) / (np.mean(one) * (1.0 - np.mean(one)))
+    assert phi == pytest.approx(expected["phi"], abs=0.04)
+
+
+def test_two_sensors_and_one_that_drives_see_the_same_flakes(tmp_path: Path) -> None:
+    case = named("pair", "lms291-s05 gauss floor 0.004 0.25 deg 0 ms")[0]
+    setup = case["setup"]
+    physics = {"noise": False, "floor_reflectance": "off", "rule": "axis"}
+    azimuth = np.arange(0.0, 90.0, 1.0)
+    own, other = (
+        build(tmp_path, weather=setup["weather"], physics=physics, model=model, mount={"at_m": [x, 0.0, 1.0]})
+        for model, x in (("sick-lms291-s05", 0.0), ("sick-lms200-30106", -0.5))
+    )
+    one, two = (m.view(plan(azimuth)).echoes for m in (own, other))
+    # the second stands half a metre behind the first, its first beam looks along the same line
+    mine, others = one.range_m[one.beam == 0], two.range_m[two.beam == 0]
+    bright = mine[(one.amplitude[one.beam == 0] > 5.0) & (mine > 1.0)]
+    assert len(bright) > 3
+    found = [np.abs(others - (r + 0.5)).min() < 2e-3 for r in bright]
+    assert np.mean(found) > 0.7
+
+
+@pytest.mark.parametrize("case", named("transmission_cone", "ld-lrs1000"), ids=lambda case: case["name"])
+def test_shadows_make_what_stands_behind_flicker_about_its_mean(tmp_path: Path, case: dict[str, Any]) -> None:
+    setup, expected = case["setup"], case["expected"]
+    path_m = setup["path_m"]
+    measure = sensor(tmp_path, case, threshold_to_noise=0.3, floor_reflectance="off")
+    still = sensor(tmp_path, {"setup": {**setup, "weather": {}}})
+    light = measure._falling.light(measure.air.at(0.0).particles[0], measure.air.at(0.0).extinction_per_m, 1.0)
+    passed = []
+    for sweep in range(30):
+        seen = measure._falling.seen(
+            measure.air.at(0.0).particles[0], *_rays(measure, sweep), np.full(BEAMS, path_m),
+            measure.air.at(0.0).extinction_per_m, sweep, measure.draws,
+        )  # fmt: skip
+        assert seen is not None
+        plate = SubEchoes.of(np.arange(BEAMS), np.full(BEAMS, path_m), np.ones(BEAMS), np.ones(BEAMS))
+        passed.append(seen.shade(plate).amplitude)
+    two_way = np.concatenate(passed)
+    one_way = np.sqrt(two_way)
+    error = one_way.std() / math.sqrt(len(two_way))
+    assert two_way.mean() == pytest.approx(1.0, abs=8.0 * error)
+    # those too small to be drawn are missing, and the disc is small against the beam
+    assert 0.75 * expected["relative_std"] < one_way.std() < 1.1 * expected["relative_std"]
+    assert light.mean_shadow(np.array(path_m)) > 0.0
+    assert still.air.at(0.0).particles == ()
+
+
+def _rays(measure: Measure, sweep: int) -> tuple[Any, Floats, Floats]:
+    view = measure.view(plan(np.arange(BEAMS), sweep=sweep, start_s=9.0 * sweep))
+    return view.rays, np.full(BEAMS, 9.0 * sweep), np.broadcast_to(np.eye(3), (BEAMS, 3, 3))
