@@ -185,9 +185,12 @@ def light_at(measure: Measure, near_m: float, far_m: float, azimuth_deg: Floats,
     return np.bincount(found.beam[inside], found.amplitude[inside], minlength=len(azimuth_deg))
 
 
-def sharp(folder: Path, case: dict[str, Any], **physics: Any) -> Measure:
+def sharp(folder: Path, case: dict[str, Any]) -> Measure:
     """The sensor of a case that sees small particles as well: the closed forms are of all of them."""
-    return sensor(folder, case, threshold_to_noise=0.3, floor_reflectance="off", noise=False, **physics)
+    faintest = 0.003 if "rain" in case["setup"]["weather"] else 0.3
+    return sensor(
+        folder, case, threshold_to_noise=faintest, floor_reflectance="off", noise=False, false_alarms=False, gate_m=6.0
+    )
 
 
 def correlation(pairs: list[tuple[Floats, Floats]]) -> float:
@@ -207,7 +210,7 @@ def test_neighbouring_beams_see_the_same_flakes_by_the_overlap_of_their_footprin
     case = named("pair", name)[0]
     measure, azimuth = sharp(tmp_path, case), step_deg * np.arange(400.0)
     pairs = []
-    for sweep in range(40):
+    for sweep in range(12):
         light = light_at(measure, 4.5, 5.5, azimuth, sweep, 5.0 * sweep)
         pairs.append((light[:-1], light[1:]))
     expected = case["expected"]["signal_correlation_at_range"]["5"]
@@ -223,9 +226,11 @@ def test_the_next_sweep_sees_what_fell_or_was_blown_on(tmp_path: Path, case: dic
     setup = case["setup"]
     wind = setup["wind_across_m_s"]
     case = {"setup": {**setup, "weather": {**setup["weather"], "wind_m_s": [0.0, wind, 0.0]}}}
-    measure, azimuth = sharp(tmp_path, case), np.linspace(-10.0, 10.0, 9)
-    pairs = []
-    for sweep in range(400):
+    azimuth = (
+        np.arange(0.0, 360.0, 3.0) if wind == 0.0 else np.concatenate([k + np.arange(-9.0, 10, 3) for k in (0, 180)])
+    )
+    measure, pairs = sharp(tmp_path, case), []
+    for sweep in range(12 if wind == 0.0 else 60):
         pair = [light_at(measure, 4.5, 5.5, azimuth, sweep, 7.0 * sweep + late) for late in (0.0, float(later))]
         pairs.append((pair[0], pair[1]))
     told = named("time", "")
@@ -248,7 +253,7 @@ def test_what_one_particle_alone_makes_two_beams_answer_has_its_closed_form(
     azimuth = (np.arange(0.0, 360.0, 2.0)[:, None] + np.array([0.0, setup["step_deg"]])).ravel()
     one, both = [], []
     rig = Rig.of(setup)
-    for sweep in range(60):
+    for sweep in range(16):
         late = np.tile([0.0, setup["delay_s"]], 180)
         found = measure.view(plan(azimuth, sweep=sweep, start_s=5.0 * sweep, fire_s=late)).echoes
         light = measure._falling.light(measure.air.at(0.0).particles[0], measure.air.at(0.0).extinction_per_m, 1.0)
@@ -257,28 +262,30 @@ def test_what_one_particle_alone_makes_two_beams_answer_has_its_closed_form(
         answers = np.bincount(found.beam[alone], minlength=360).reshape(180, 2) > 0
         one.append(answers.mean())
         both.append(answers.all(axis=1).mean())
-    p, n = expected["probability"], 60 * 180
+    p, n = expected["probability"], 16 * 180
     assert np.mean(one) == pytest.approx(p, abs=4.0 * math.sqrt(p * (1.0 - p) / n))
     phi = (np.mean(both) - np.mean(one) ** 2) / (np.mean(one) * (1.0 - np.mean(one)))
-    assert phi == pytest.approx(expected["phi"], abs=0.04)
+    assert phi == pytest.approx(expected["phi"], abs=4.0 / math.sqrt(n) * (1.0 + 0.2 / p) ** 0.5)
 
 
 def test_two_sensors_and_one_that_drives_see_the_same_flakes(tmp_path: Path) -> None:
     case = named("pair", "lms291-s05 gauss floor 0.004 0.25 deg 0 ms")[0]
     setup = case["setup"]
     physics = {"noise": False, "floor_reflectance": "off", "rule": "axis"}
-    azimuth = np.arange(0.0, 90.0, 1.0)
     own, other = (
         build(tmp_path, weather=setup["weather"], physics=physics, model=model, mount={"at_m": [x, 0.0, 1.0]})
         for model, x in (("sick-lms291-s05", 0.0), ("sick-lms200-30106", -0.5))
     )
-    one, two = (m.view(plan(azimuth)).echoes for m in (own, other))
-    # the second stands half a metre behind the first, its first beam looks along the same line
-    mine, others = one.range_m[one.beam == 0], two.range_m[two.beam == 0]
-    bright = mine[(one.amplitude[one.beam == 0] > 5.0) & (mine > 1.0)]
-    assert len(bright) > 3
-    found = [np.abs(others - (r + 0.5)).min() < 2e-3 for r in bright]
-    assert np.mean(found) > 0.7
+    assert own.draws.seed == other.draws.seed
+    found, missed = 0, 0
+    for start_s in np.arange(20.0):
+        one, two = (m.view(plan([0.0], start_s=start_s)).echoes for m in (own, other))
+        # the second stands half a metre behind the first and looks along the same line, with a tenth of the light
+        bright = one.range_m[(one.amplitude > 8.0) & (one.range_m > 1.0)]
+        near = [np.abs(two.range_m - (r + 0.5)).min(initial=9.0) < 2e-3 for r in bright]
+        found, missed = found + sum(near), missed + len(near) - sum(near)
+    assert found > 15
+    assert missed < 0.2 * found
 
 
 @pytest.mark.parametrize("case", named("transmission_cone", "ld-lrs1000"), ids=lambda case: case["name"])
@@ -289,7 +296,7 @@ def test_shadows_make_what_stands_behind_flicker_about_its_mean(tmp_path: Path, 
     still = sensor(tmp_path, {"setup": {**setup, "weather": {}}})
     light = measure._falling.light(measure.air.at(0.0).particles[0], measure.air.at(0.0).extinction_per_m, 1.0)
     passed = []
-    for sweep in range(30):
+    for sweep in range(8):
         seen = measure._falling.seen(
             measure.air.at(0.0).particles[0], *_rays(measure, sweep), np.full(BEAMS, path_m),
             measure.air.at(0.0).extinction_per_m, sweep, measure.draws,
