@@ -230,6 +230,9 @@ def _particles(measure: Measure, plan: ScanPlan) -> Finding:
     where = view.seen.nearest_m, view.air.extinction_per_m, plan.gain
     value = max(float(measure._falling.mean_drawn(one, *where).sum()) for one in view.air.particles)
     out = value < RAREST_PARTICLES and model.leave_out.particles
+    for one in view.air.particles:
+        share, mean = measure._falling.mean_field(one, *where[1:])
+        saves += f"; {one.term} below {share:g} of the level enters as its mean, at most {mean:.2g} of the level"
     return Finding(out, value, RAREST_PARTICLES, saves, unit="per sweep")
 
 

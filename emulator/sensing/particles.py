@@ -204,6 +204,12 @@ class Falling:
         """(n,) mean numbers of those drawn, up to each beam's first surface, `far_m` (n,)."""
         return self.light(particles, extinction_per_m, gain).mean(far_m)
 
+    def mean_field(self, particles: Particles, extinction_per_m: float, gain: float = 1.0) -> tuple[float, float]:
+        """Share of the level from which particles are drawn, and the largest that the mean light of the others has."""
+        light = self.light(particles, extinction_per_m, gain)
+        r = np.geomspace(max(light.optics.overlap_start_m, 1e-3), max(light.end_m, 1.0), 256)
+        return light.share, float(np.max(light.rest(r) / light.optics.level(r)))
+
     def seen(
         self, particles: Particles, rays: Rays, t_s: Floats, rotation: Floats, far_m: Floats, extinction_per_m: float,
         sweep: int, draws: RandomStreams, gain: float = 1.0,

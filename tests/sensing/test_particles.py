@@ -16,8 +16,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from emulator.physics import world_particles
 from emulator.physics.random_streams import RandomStreams
 from emulator.physics.subechoes import SubEchoes
+from emulator.physics.world_particles import in_boxes
 from emulator.sensing.measure import Measure
 from tests.sensing.one_particle_at_a_time import Rig, first_echoes
 from tests.sensing.rig import build, plan
@@ -317,3 +319,46 @@ def test_shadows_make_what_stands_behind_flicker_about_its_mean(tmp_path: Path, 
 def _rays(measure: Measure, sweep: int) -> tuple[Any, Floats, Floats]:
     view = measure.view(plan(np.arange(BEAMS), sweep=sweep, start_s=9.0 * sweep))
     return view.rays, np.full(BEAMS, 9.0 * sweep), np.broadcast_to(np.eye(3), (BEAMS, 3, 3))
+
+
+@pytest.mark.parametrize("parts", [("lms291-s05 w0 5 mm gauss floor 0.004, dry snow 5",), ("tophat", "dry snow 5")])
+def test_arrays_and_loops_find_the_same_particles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, parts: tuple[str, ...]
+) -> None:
+    measure = sensor(tmp_path, named("particles_sum", *parts)[0], divergence_deg=[0.6, 0.3], roll_deg=20.0)
+    sweep = plan(np.arange(40.0), start_s=3.0, fire_s=0.01 * np.arange(40.0))
+    one = measure.view(sweep).echoes
+    monkeypatch.setattr(in_boxes.pair, "on", False)  # type: ignore[attr-defined]
+    other = measure.view(sweep).echoes
+    assert len(one) > 100
+    np.testing.assert_array_equal(one.beam, other.beam)
+    np.testing.assert_allclose(one.range_m, other.range_m, rtol=1e-12)
+    np.testing.assert_allclose(one.amplitude, other.amplitude, rtol=1e-9)
+
+
+def test_where_the_world_has_too_many_each_beam_draws_its_own_by_the_same_law(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = named("particles_sum", "lms291-s05 w0 5 mm gauss floor 0, dry snow 5")[0]
+    monkeypatch.setattr(world_particles, "MOST_PAIRS", 100)
+    measure = sensor(tmp_path, case)
+    found = np.isfinite(firsts(measure, 10))
+    assert found.mean() == pytest.approx(case["expected"]["probability"], abs=0.025)
+
+
+def test_the_mean_of_the_lost_light_is_that_of_the_particles_one_by_one(tmp_path: Path) -> None:
+    case = named("transmission_cone", "lms291-s05 w0 5 mm, dry snow")[0]
+    measure = sensor(tmp_path, case, floor_reflectance="off")
+    now = measure.air.at(0.0)
+    light = measure._falling.light(now.particles[0], now.extinction_per_m, 1.0)
+    lost = []
+    for sweep in range(10):
+        seen = measure._falling.seen(
+            now.particles[0], *_rays(measure, sweep), np.full(BEAMS, 20.0), now.extinction_per_m, sweep, measure.draws
+        )
+        assert seen is not None
+        kept = np.exp(2.0 * np.bincount(seen.beam, seen.lost, minlength=BEAMS))
+        lost.append(kept)
+    together = np.concatenate(lost)
+    error = together.std() / math.sqrt(len(together))
+    assert together.mean() == pytest.approx(math.exp(-float(light.mean_shadow(np.array(20.0)))), abs=5.0 * error)
