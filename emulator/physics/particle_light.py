@@ -22,7 +22,7 @@ import numpy as np
 from scipy import special
 
 from emulator.physics import radiometry
-from emulator.physics.arrays import Floats, exp_or_zero
+from emulator.physics.arrays import Floats, exp_or_zero, floats
 from emulator.physics.precipitation import LARGEST_DROP_MM, Spectrum
 from emulator.physics.pulse import Pulse
 
@@ -160,10 +160,19 @@ class ParticleLight:
 
     def reach(self, largest_mm: float) -> tuple[Floats, Floats]:
         """Ranges, and how far from the axis a particle of this size is still drawn there; empty: nowhere."""
+        if largest_mm not in self._reaches:
+            self._reaches[largest_mm] = self._reach(largest_mm)
+        return self._reaches[largest_mm]
+
+    @cached_property
+    def _reaches(self) -> dict[float, tuple[Floats, Floats]]:
+        return {}
+
+    def _reach(self, largest_mm: float) -> tuple[Floats, Floats]:
         start, length = self.optics.overlap_start_m, self.end_m - self.optics.overlap_start_m
         if length <= 0.0:
             return np.zeros(0), np.zeros(0)
-        r = start + np.concatenate([[0.0], np.geomspace(1e-3 * length, length, NODES // 4)])
+        r = floats(start + np.concatenate([[0.0], np.geomspace(1e-3 * length, length, NODES // 4)]))
         ratio = largest_mm / self.least_mm(r)
         seen = np.flatnonzero(ratio > 1.0)
         if not len(seen):

@@ -37,6 +37,8 @@ OCTAVE = 0.4
 "Ratio of the ranges between which beams keep their neighbours."
 MOST_PAIRS = 3_000_000
 "Cells that may be looked at in a sweep: a second or so. Beyond it particles are drawn for each beam alone."
+MOST_BOXES = 500_000
+"Of a class between two ranges: more hold more cells than may be looked at."
 AT_ONCE = 200_000
 "Cells that are held together."
 _STEP = np.uint64(0x9E3779B97F4A7C15)
@@ -197,6 +199,9 @@ class _Search:
             if near < begin + 2.0 * BUCKET * width:
                 near = begin
             octave = _Octave(self.origin, lines.axis, lines.far_m, near, end, BUCKET * width)
+            if len(octave.first) * (end - near) > MOST_BOXES * BUCKET * width:
+                self.pairs = MOST_PAIRS + 1
+                return
             boxes = octave.boxes(BUCKET * width, (range_m, reach), self.cell_m)
             self.parts.append((octave, boxes))
             with np.errstate(over="ignore"):
