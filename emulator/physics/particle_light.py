@@ -155,7 +155,7 @@ class ParticleLight:
         """A little below `least_mm` in equal steps of range, where they begin, how long they are."""
         start = self.optics.overlap_start_m
         step = max(self.end_m - start, 1e-9) / (4 * NODES)
-        least = self.least_mm(start + step * np.arange(4 * NODES + 1))
+        least = self.least_mm(floats(start + step * np.arange(4 * NODES + 1, dtype=np.float64)))
         return 0.98 * np.minimum(least[1:], least[:-1]), start, step
 
     def reach(self, largest_mm: float) -> tuple[Floats, Floats]:

@@ -65,7 +65,9 @@ def extinction(measure: Measure, t_s: float = 0.0) -> float:
     ],
 )
 def test_extinction_is_that_of_the_law_and_adds_up_once(tmp_path: Path, weather: dict[str, Any], alpha: float) -> None:
-    measure = build(tmp_path, WALL, weather=weather, physics=AXIS)
+    # shadows of single particles would make one beam flicker about the law
+    smooth = {key: {**one, "echoes": "off"} if key in ("rain", "snow") else one for key, one in weather.items()}
+    measure = build(tmp_path, WALL, weather=smooth, physics=AXIS)
     rel = 5e-3 if weather.get("rain", {}).get("law") == "marshall_palmer" else 1e-6
     assert extinction(measure) == pytest.approx(float(alpha), rel=rel)
 
