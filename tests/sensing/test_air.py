@@ -192,12 +192,12 @@ def test_rain_drops_that_are_seen_alone_come_as_often_as_their_closed_form_says(
 def test_single_drops_make_false_echoes_before_the_wall(tmp_path: Path) -> None:
     physics = {"rule": "axis", "noise": False, "range_noise_mm": 0.0, "echoes": "first", "max_echoes": 1}
     weather = {"rain": {"rate_mm_h": 70.0, "echoes": "drops"}}
-    scan = build(tmp_path, WALL, weather=weather, physics=physics)(plan(np.zeros(3000)))
+    scan = build(tmp_path, WALL, weather=weather, physics=physics)(plan(np.zeros(3000), fire_s=0.5 * np.arange(3000)))
     ahead = scan.range_m[:, 0] < 29.0
     assert 50 < ahead.sum() < 600
     assert (scan.actor[ahead] == -1).all()
     calm = {"rain": {"rate_mm_h": 70.0, "echoes": "off"}}
-    still = build(tmp_path, WALL, weather=calm, physics=physics)(plan(np.zeros(3000)))
+    still = build(tmp_path, WALL, weather=calm, physics=physics)(plan(np.zeros(3000), fire_s=0.5 * np.arange(3000)))
     assert still.range_m[:, 0] == pytest.approx(30.0, abs=1e-3)
 
 
@@ -207,7 +207,9 @@ def test_drops_of_one_size_and_flakes_are_seen_too(tmp_path: Path) -> None:
         {"rain": {"rate_mm_h": 300.0, "drop_radius_mm": 1.0, "echoes": "drops"}},
         {"snow": {"rate_mm_h": 3.0, "kind": "wet", "echoes": "drops"}},
     ):
-        scan = build(tmp_path, WALL, weather=weather, physics=physics)(plan(np.zeros(3000)))
+        scan = build(tmp_path, WALL, weather=weather, physics=physics)(
+            plan(np.zeros(3000), fire_s=0.5 * np.arange(3000))
+        )
         assert (scan.range_m[:, 0] < 29.0).sum() > 30
 
 

@@ -56,7 +56,7 @@ def firsts(measure: Measure, sweeps: int) -> Floats:
     """Ranges of the first echoes of beams that have nothing to do with each other."""
     found = []
     for sweep in range(sweeps):
-        scan = measure(plan(np.arange(BEAMS), sweep=sweep, start_s=20.0 * sweep, max_echoes=1))
+        scan = measure(plan(np.arange(float(BEAMS)), sweep=sweep, start_s=20.0 * sweep, max_echoes=1))
         found.append(scan.range_m[:, 0])
     return np.concatenate(found)
 
@@ -164,7 +164,7 @@ def test_the_near_gate_and_the_overlap_hold_for_drops_too(tmp_path: Path) -> Non
 def test_a_sweep_of_particles_is_the_same_whenever_it_is_computed(tmp_path: Path) -> None:
     case = named("particles_sum", "lrs1000 w0 10 mm gauss floor 0.004, dry snow 5")[0]
     one, other = sensor(tmp_path, case), sensor(tmp_path, case)
-    plans = [plan(np.arange(50), sweep=k, start_s=0.1 * k) for k in range(3)]
+    plans = [plan(np.arange(50.0), sweep=k, start_s=0.1 * k) for k in range(3)]
     forwards = [one(each).range_m for each in plans]
     backwards = [other(each).range_m for each in reversed(plans)]
     for mine, others in zip(forwards, reversed(backwards), strict=True):
@@ -174,7 +174,7 @@ def test_a_sweep_of_particles_is_the_same_whenever_it_is_computed(tmp_path: Path
 def test_the_number_of_other_beams_changes_no_particle(tmp_path: Path) -> None:
     case = named("particles_sum", "lms291-s05 w0 5 mm gauss floor 0.004, dry snow 5")[0]
     measure = sensor(tmp_path, case)
-    few, many = measure(plan(np.arange(10))).range_m, measure(plan(np.arange(100))).range_m
+    few, many = measure(plan(np.arange(10.0))).range_m, measure(plan(np.arange(100.0))).range_m
     np.testing.assert_array_equal(few, many[:10])
     assert RandomStreams(1, "front") == measure.draws
 
@@ -184,7 +184,8 @@ def light_at(measure: Measure, near_m: float, far_m: float, azimuth_deg: Floats,
     """Light of all particles between two ranges, of each beam of a sweep that fires at once."""
     found = measure.view(plan(azimuth_deg, sweep=sweep, start_s=start_s)).echoes
     inside = (found.range_m >= near_m) & (found.range_m < far_m)
-    return np.bincount(found.beam[inside], found.amplitude[inside], minlength=len(azimuth_deg))
+    summed = np.bincount(found.beam[inside], found.amplitude[inside], minlength=len(azimuth_deg))
+    return summed.astype(np.float64)
 
 
 def sharp(folder: Path, case: dict[str, Any]) -> Measure:
@@ -317,7 +318,7 @@ def test_shadows_make_what_stands_behind_flicker_about_its_mean(tmp_path: Path, 
 
 
 def _rays(measure: Measure, sweep: int) -> tuple[Any, Floats, Floats]:
-    view = measure.view(plan(np.arange(BEAMS), sweep=sweep, start_s=9.0 * sweep))
+    view = measure.view(plan(np.arange(float(BEAMS)), sweep=sweep, start_s=9.0 * sweep))
     return view.rays, np.full(BEAMS, 9.0 * sweep), np.broadcast_to(np.eye(3), (BEAMS, 3, 3))
 
 
