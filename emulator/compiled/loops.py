@@ -3,6 +3,7 @@
 from emulator.compiled.casting import resting, told, unwritten
 from emulator.compiled.clusters import crossed, joined, split, sums
 from emulator.compiled.echoes import levels, ranks, readings
+from emulator.compiled.falling import falling
 from emulator.compiled.maxima import edges, maxima
 from emulator.compiled.media import crossed_under, ended_under
 from emulator.compiled.moving import moving, near, pairs
@@ -16,6 +17,7 @@ __all__ = [
     "crossed_under",
     "edges",
     "ended_under",
+    "falling",
     "in_order",
     "joined",
     "levels",

@@ -186,6 +186,8 @@ class _State(Table):
     smoke: Smoke | None = None
     spray: Spray | None = None
     sun: Sun | None = None
+    wind_m_s: Velocity = (0.0, 0.0, 0.0)
+    "Of the air in the world's axes: drops and flakes drift with it."
     layers: Annotated[tuple[Layer, ...], Field(max_length=MOST_VOLUMES)] = ()
     plumes: Annotated[tuple[Plume, ...], Field(max_length=MOST_VOLUMES)] = ()
 

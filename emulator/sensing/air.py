@@ -148,10 +148,11 @@ def _air(config: WeatherConfig, model: SensorModel, scene: Scene, warnings: dict
         parts.append(clear)
     base = clear if len(parts) == 1 and parts[0] is clear else Medium(0.0, 0.0)
     falling: list[tuple[Medium, Particles | None, str]] = []
-    if config.rain is not None:
-        falling.append((rain_medium(config.rain, model), rain_particles(config.rain, model), config.rain.echoes))
-    if config.snow is not None:
-        falling.append((snow_medium(config.snow, model), snow_particles(config.snow, model), config.snow.echoes))
+    rain, snow, wind = config.rain, config.snow, config.wind_m_s
+    if rain is not None:
+        falling.append((rain_medium(rain, model), rain_particles(rain, model, wind), rain.echoes))
+    if snow is not None:
+        falling.append((snow_medium(snow, model), snow_particles(snow, model, wind), snow.echoes))
     particles = tuple(single for _, single, _ in falling if single is not None)
     for medium, single, echoes in falling:
         sends = single is None and echoes != "off"

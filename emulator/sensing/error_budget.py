@@ -23,7 +23,6 @@ from emulator.sensing.faint import looked_at, most_dropped
 from emulator.sensing.measure import Measure
 from emulator.sensing.model import SensorModel
 from emulator.sensing.particles import RARE as RAREST_PARTICLES
-from emulator.sensing.particles import mean_seen
 from emulator.sensing.paths import UNSEEN as BEHIND
 from emulator.sensing.paths import best_behind, reach_of
 from emulator.sensing.rays import cast_rays
@@ -228,8 +227,12 @@ def _particles(measure: Measure, plan: ScanPlan) -> Finding:
     if not view.air.particles:
         return Finding(True, 0.0, RAREST_PARTICLES, saves, idle=True, unit="per sweep")
     # of rain and of snow each is decided by itself
-    value = max(float(mean_seen(one, view.seen.nearest_m, model, plan.gain).sum()) for one in view.air.particles)
+    where = view.seen.nearest_m, view.air.extinction_per_m, plan.gain
+    value = max(float(measure._falling.mean_drawn(one, *where).sum()) for one in view.air.particles)
     out = value < RAREST_PARTICLES and model.leave_out.particles
+    for one in view.air.particles:
+        share, mean = measure._falling.mean_field(one, *where[1:])
+        saves += f"; {one.term} below {share:g} of the level enters as its mean, at most {mean:.2g} of the level"
     return Finding(out, value, RAREST_PARTICLES, saves, unit="per sweep")
 
 

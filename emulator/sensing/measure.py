@@ -24,7 +24,7 @@ from emulator.sensing.air import Air, AirNow
 from emulator.sensing.contracts import FacedCaster
 from emulator.sensing.daylight import Daylight, daylight, surfaces_show
 from emulator.sensing.model import SensorModel, sensor_model
-from emulator.sensing.particles import seen_particles
+from emulator.sensing.particles import Falling
 from emulator.sensing.paths import Seen, Surfaces, reach_of, returned
 from emulator.sensing.photon_receiver import PhotonReceiver
 from emulator.sensing.pruning import Pruned, Pruning, wanted
@@ -89,6 +89,7 @@ class Measure:
         self._at_rest: tuple[Resting, ...] = ()
         "Of a sensor that does not move: the latest last."
         self._soft = SoftTargets(model, receiver.bin_m)
+        self._falling = Falling(model)
         still = (mount.actor is None or scene.motions[scene.index[mount.actor]].still) and not beside
         self._still_pose = scene.sensor_pose(mount, np.zeros(1)) if still else None
         # made here, so that the first sweep of a run is not late
@@ -207,16 +208,14 @@ class Measure:
                 seen = self._background(seen, rays, far)
         drops = []
         for particles in air.particles:
-            drawn = seen_particles(
-                particles,
-                seen.nearest_m,
-                air.everywhere.extinction_per_m,
-                plan.sweep,
-                self.model,
-                self.draws,
-                gain,
+            falling = self._falling.seen(
+                particles, rays, t_s, pose.rotation, seen.nearest_m, air.extinction_per_m, plan.sweep, self.draws, gain
             )
-            drops += [] if drawn is None else [drawn]
+            if falling is None:
+                continue
+            drops += [falling.echoes]
+            if falling.shades(seen.nearest_m):
+                seen = replace(seen, found=falling.shade(seen.echoes), kept=None)
         if self._soft.uneven(air):
             drawn = self._soft.points(air, rays, seen.echoes, t_s, gain)
             drops += [] if drawn is None else [drawn]

@@ -7,18 +7,25 @@ and thinning (physics.precipitation), extinction by them (air).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
 from emulator.physics import atmosphere, precipitation
 from emulator.physics.arrays import Floats, Ints
-from emulator.physics.beams import NO_WIDTH
+from emulator.physics.particle_light import Optics, ParticleLight, Sizes
 from emulator.physics.random_streams import RandomStreams
 from emulator.physics.subechoes import SubEchoes
+from emulator.physics.world_particles import Lines, WorldParticles, class_middles
 from emulator.scenario.weather import Rain, Snow
 from emulator.sensing.model import SensorModel
+from emulator.sensing.rays import Rays
 
+Wind = tuple[float, float, float]
+CALM: Wind = (0.0, 0.0, 0.0)
+SNOW_FALL_M_S = 1.0
+"Flakes of all sizes: 0.5 to 1.5 m/s (Locatelli and Hobbs 1974)."
 RARE = 1e-3
 "Mean number of particles a sweep below which none is drawn."
 TYPICAL_M = 10.0
@@ -28,6 +35,13 @@ LEAST_K_M2 = 1e-40
 "System constant below which no particle is seen: the filter keeps all light out, and sizes would overflow."
 MOST_A_BEAM = 3000.0
 "Particles seen alone by one beam from which they are a continuum."
+DRAWN = (0.05, 0.1, 0.2, 0.4, 1.0)
+"""Shares of the level from which a particle is drawn: the first that leaves few enough in a beam. A cut of 0.1 is good
+to 1 % of the beams that answer, one of 0.3 to 3 %."""
+FAINTEST_SHADOW = 1e-3
+"Mean loss there and back by the drawn particles from which their shadows are looked at."
+MOST_DRAWN = 60.0
+"Particles drawn in one beam at the most, where the share may still grow."
 
 
 @dataclass(frozen=True)
@@ -40,9 +54,22 @@ class Particles:
     diameter_mm: float = 0.0
     number_m3: float = 0.0
     kappa_sr: float = 0.0
+    wind_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def fall_m_s(self) -> Floats | float:
+        """Speed at which each class of sizes falls."""
+        return SNOW_FALL_M_S if self.term == "snow" else atmosphere.fall_speed_atlas(class_middles(self.sizes))
+
+    @property
+    def sizes(self) -> Sizes:
+        """How many there are of which size."""
+        if self.spectrum is not None:
+            return Sizes.of_spectrum(self.spectrum)
+        return Sizes(self.number_m3, 0.0, self.diameter_mm, self.kappa_sr)
 
 
-def rain_particles(rain: Rain | None, model: SensorModel) -> Particles | None:
+def rain_particles(rain: Rain | None, model: SensorModel, wind: Wind = CALM) -> Particles | None:
     """Rain as particles, or None where there is none or it is a continuum."""
     if rain is None or rain.rate_mm_h == 0.0 or not model.weather_echoes or rain.echoes in ("off", "continuum"):
         return None
@@ -54,15 +81,15 @@ def rain_particles(rain: Rain | None, model: SensorModel) -> Particles | None:
         made = Particles("rain", None, diameter_mm, density, kappa)
     else:
         made = Particles("rain", precipitation.rain_spectrum(rain.rate_mm_h, kappa))
-    return _singly(made, model, rain.echoes)
+    return _singly(replace(made, wind_m_s=wind), model, rain.echoes)
 
 
-def snow_particles(snow: Snow | None, model: SensorModel) -> Particles | None:
+def snow_particles(snow: Snow | None, model: SensorModel, wind: Wind = CALM) -> Particles | None:
     """Snow as particles, or None where there is none or it is a continuum."""
     if snow is None or snow.rate_mm_h == 0.0 or not model.weather_echoes or snow.echoes in ("off", "continuum"):
         return None
     made = Particles("snow", precipitation.snow_spectrum(snow.rate_mm_h, snow.flake_reflectance / 4.0))
-    return _singly(made, model, snow.echoes)
+    return _singly(replace(made, wind_m_s=wind), model, snow.echoes)
 
 
 def _singly(particles: Particles, model: SensorModel, echoes: str) -> Particles | None:
@@ -70,7 +97,7 @@ def _singly(particles: Particles, model: SensorModel, echoes: str) -> Particles 
     if model.k_m2 < LEAST_K_M2:
         return None
     drawn = echoes == "drops" or _sparse(particles, model)
-    if drawn and (mean := _mean_of_a_beam(particles, model)) > MOST_A_BEAM:
+    if drawn and (mean := float(light_of(particles, model, 0.0, 1.0, 1.0).mean(np.array(np.inf)))) > MOST_A_BEAM:
         if echoes == "drops":
             told = f"weather.{particles.term}.echoes: drops, {mean:.3g} of them seen in a beam"
             raise ValueError(f"{told}; want continuum or auto from {MOST_A_BEAM:g} on")
@@ -78,36 +105,25 @@ def _singly(particles: Particles, model: SensorModel, echoes: str) -> Particles 
     return particles if drawn else None
 
 
-def _mean_of_a_beam(particles: Particles, model: SensorModel) -> float:
-    """Mean number of particles that alone are seen by one beam that nothing stops."""
-    half_angle, near_m = _cone_of(model)
-    if half_angle == 0.0 or near_m >= model.gate_m:
-        return 0.0
-    scale = _scale(particles, half_angle, model)
-    if particles.spectrum is None:
-        end = max(min(model.gate_m, math.sqrt(particles.diameter_mm / scale)), near_m)
-        return particles.number_m3 * math.pi * half_angle**2 * (end**3 - near_m**3) / 3.0
-    return float(precipitation.detectable_mean(particles.spectrum, scale, half_angle, near_m, model.gate_m))
-
-
-def _cone_of(model: SensorModel) -> tuple[float, float]:
-    """Half angle of the beam, and where its particles begin to be seen."""
-    half_angle = math.sqrt(model.beam.half_angle_x_rad * model.beam.half_angle_y_rad)
-    return (half_angle if half_angle >= NO_WIDTH else 0.0), max(model.overlap_start_m, model.near_gate_m)
-
-
-def _scale(particles: Particles, half_angle: float, model: SensorModel, gain: float = 1.0) -> float:
-    kappa = particles.kappa_sr if particles.spectrum is None else particles.spectrum.kappa_sr
-    return float(
-        precipitation.detectable_scale(
-            half_angle,
-            kappa,
-            model.peak_w,
-            math.pi * model.aperture_radius_m**2,
-            model.efficiency,
-            model.threshold / gain * model.nep_w,
-        )
+def light_of(
+    particles: Particles, model: SensorModel, extinction_per_m: float, gain: float, share: float
+) -> ParticleLight:
+    """The law of these particles in one beam, of those drawn that send back this share of the level."""
+    beam = model.beam
+    optics = Optics(
+        beam.profile == "gauss",
+        math.tan(beam.half_angle_x_rad),
+        math.tan(beam.half_angle_y_rad),
+        beam.exit_radius_m,
+        model.k_m2 * gain,
+        model.overlap_start_m,
+        model.overlap_full_m,
+        model.threshold,
+        model.floor_m2,
+        0.0 if beam.is_ray else model.gate_m,
+        model.pulse,
     )
+    return ParticleLight(particles.sizes, optics, extinction_per_m, share)
 
 
 def _sparse(particles: Particles, model: SensorModel) -> bool:
@@ -122,70 +138,116 @@ def _sparse(particles: Particles, model: SensorModel) -> bool:
     return count <= precipitation.CONTINUUM_PER_CELL
 
 
-def seen_particles(
-    particles: Particles,
-    far_m: Floats,
-    extinction_per_m: float,
-    sweep: int,
-    model: SensorModel,
-    draws: RandomStreams,
-    gain: float = 1.0,
-) -> SubEchoes | None:
-    """Sub-echoes of the particles that alone reach the threshold, up to each beam's first surface, `far_m` (n,)."""
-    half_angle, near_m = _cone_of(model)
-    mean = mean_seen(particles, far_m, model, gain)
-    if not bool(mean.any()) or (float(mean.sum()) < RARE and model.leave_out.particles):
-        return None
-    nep_w = model.nep_w
-    area_m2 = math.pi * model.aperture_radius_m**2
-    kappa = particles.kappa_sr if particles.spectrum is None else particles.spectrum.kappa_sr
-    scale = _scale(particles, half_angle, model, gain)
-    far = np.minimum(far_m, model.gate_m)
-    count = draws.poisson(particles.term, sweep, mean)
-    if particles.spectrum is None:
-        end = _last_of_one_size(particles, scale, near_m, far)
-        beam, range_m, diameter_mm = _one_size(particles, near_m, end, sweep, draws, count)
-    else:
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """Particles of one kind in the beams of a sweep."""
+
+    light: ParticleLight
+    echoes: SubEchoes
+    beam: Ints
+    "(k,) ascending"
+    range_m: Floats
+    "(k,) ascending within a beam"
+    lost: Floats
+    "(k,) logarithm of the share of the beam that passes, one way."
+
+    @classmethod
+    def of(cls, light: ParticleLight, beam: Ints, range_m: Floats, size_mm: Floats) -> Drawn:
+        """From their effective sizes."""
+        order = np.lexsort((range_m, beam))
+        beam, range_m, size_mm = beam[order], range_m[order], size_mm[order]
+        amplitude = light.unit(range_m) * size_mm**2 * light.lift(range_m)
+        lost = np.log1p(-light.kept_out(range_m, size_mm))
+        return cls(light, SubEchoes.of(beam, range_m, amplitude), beam, range_m, lost)
+
+    def shades(self, nearest_m: Floats) -> bool:
+        """Surfaces stand where the mean shadow is dark enough to be looked at."""
+        behind = nearest_m[np.isfinite(nearest_m)]
+        return float(self.light.mean_shadow(behind).max(initial=0.0)) >= FAINTEST_SHADOW
+
+    def shade(self, found: SubEchoes) -> SubEchoes:
+        """What stands behind, in the shadows of these particles; on the average it keeps all its light.
+
+        The extinction holds their mean already: where they are few or none, what is behind is a little brighter.
+        """
+        length = float(max(found.range_m.max(initial=0.0), self.range_m.max(initial=0.0))) + 1.0
+        place = (self.beam * length + self.range_m).searchsorted(found.beam * length + found.range_m)
+        lost = np.concatenate([[0.0], self.lost.cumsum()])
+        passed = 2.0 * (lost[place] - lost[self.beam.searchsorted(found.beam)])
+        return replace(found, amplitude=found.amplitude * np.exp(self.light.mean_shadow(found.range_m) + passed))
+
+
+class Falling:
+    """What falls, as one sensor sees it."""
+
+    def __init__(self, model: SensorModel) -> None:
+        self._model = model
+
+        @lru_cache(maxsize=32)
+        def light(particles: Particles, extinction_per_m: float, gain: float) -> ParticleLight:
+            beam = np.array(np.inf)
+            for share in DRAWN:
+                made = light_of(particles, model, extinction_per_m, gain, share)
+                if float(made.mean(beam)) <= MOST_DRAWN:
+                    break
+            return made
+
+        self.light = light
+
+        @lru_cache(maxsize=32)
+        def world(particles: Particles, seed: int) -> WorldParticles:
+            return WorldParticles(seed, particles.term, particles.sizes, particles.fall_m_s, particles.wind_m_s)
+
+        self._world = world
+
+    def mean_drawn(self, particles: Particles, far_m: Floats, extinction_per_m: float, gain: float = 1.0) -> Floats:
+        """(n,) mean numbers of those drawn, up to each beam's first surface, `far_m` (n,)."""
+        return self.light(particles, extinction_per_m, gain).mean(far_m)
+
+    def mean_field(self, particles: Particles, extinction_per_m: float, gain: float = 1.0) -> tuple[float, float]:
+        """Share of the level from which particles are drawn, and the largest that the mean light of the others has."""
+        light = self.light(particles, extinction_per_m, gain)
+        r = np.geomspace(max(light.optics.overlap_start_m, 1e-3), max(light.end_m, 1.0), 256)
+        return light.share, float(np.max(light.rest(r) / light.optics.level(r)))
+
+    def seen(
+        self, particles: Particles, rays: Rays, t_s: Floats, rotation: Floats, far_m: Floats, extinction_per_m: float,
+        sweep: int, draws: RandomStreams, gain: float = 1.0,
+    ) -> Drawn | None:  # fmt: skip
+        """The particles that may be seen, alone or together, up to each beam's first surface, `far_m` (n,)."""
+        light = self.light(particles, extinction_per_m, gain)
+        mean = light.mean(far_m)
+        if not bool(mean.any()) or (float(mean.sum()) < RARE and self._model.leave_out.particles):
+            return None
+        far = np.minimum(far_m, self._model.gate_m)
+        lines = Lines(rays.centre_m, rays.axis, self._across(rays, rotation), t_s, far)
+        found = self._world(particles, draws.seed).in_beams(light, lines)
+        if found is None:
+            found = self._each_alone(particles, light, far_m, mean, sweep, draws)
+        beam, range_m, size_mm = found
+        return Drawn.of(light, beam, range_m, size_mm)
+
+    def _across(self, rays: Rays, rotation: Floats) -> Floats | None:
+        """(n, 3) directions of the beams' x radius in the world; None: the beam is round."""
+        beam = self._model.beam
+        if beam.half_angle_x_rad == beam.half_angle_y_rad:
+            return None
+        own = rays.own_axis
+        level = np.maximum(np.hypot(own[:, 0], own[:, 1]), 1e-12)
+        side = np.stack([-own[:, 1] / level, own[:, 0] / level, np.zeros(len(own))], axis=1)
+        up = np.cross(own, side)
+        turned = math.cos(beam.roll_rad) * side + math.sin(beam.roll_rad) * up
+        return np.asarray(np.einsum("nij,nj->ni", rotation, turned))
+
+    def _each_alone(
+        self, particles: Particles, light: ParticleLight, far_m: Floats, mean: Floats, sweep: int, draws: RandomStreams
+    ) -> tuple[Ints, Floats, Floats]:
+        """The same law with particles of its own for each beam, where the world has too many."""
+        count = draws.poisson(particles.term, sweep, mean)
         uniform = _numbers(draws, particles.term, sweep, count)
-        beam, range_m, diameter_mm = precipitation.detectable_particles(
-            particles.spectrum, np.full(len(far), scale), half_angle, near_m, far, count, uniform
-        )
-    if len(beam) == 0:
-        return None
-    power_w = precipitation.particle_power(
-        diameter_mm, kappa, range_m, half_angle, extinction_per_m * range_m, model.peak_w, area_m2, model.efficiency
-    )
-    # near the window the beam is wider than its cone
-    cone = half_angle * range_m
-    power_w = power_w * (cone / (cone + model.beam.exit_radius_m)) ** 2
-    return SubEchoes.of(beam, range_m, gain * power_w / nep_w)
-
-
-def mean_seen(particles: Particles, far_m: Floats, model: SensorModel, gain: float = 1.0) -> Floats:
-    """(n,) mean numbers of those that alone reach the threshold, up to each beam's first surface, `far_m` (n,)."""
-    half_angle, near_m = _cone_of(model)
-    if half_angle == 0.0 or near_m >= model.gate_m:
-        return np.zeros(len(far_m))
-    scale, far = _scale(particles, half_angle, model, gain), np.minimum(far_m, model.gate_m)
-    if particles.spectrum is None:
-        end = _last_of_one_size(particles, scale, near_m, far)
-        return np.asarray(particles.number_m3 * math.pi * half_angle**2 * (end**3 - near_m**3) / 3.0)
-    return np.asarray(precipitation.detectable_mean(particles.spectrum, scale, half_angle, near_m, far))
-
-
-def _last_of_one_size(particles: Particles, scale: float, near_m: float, far: Floats) -> Floats:
-    return np.maximum(np.minimum(far, math.sqrt(particles.diameter_mm / scale)), near_m)
-
-
-def _one_size(
-    particles: Particles, near_m: float, end: Floats, sweep: int, draws: RandomStreams, count: Ints
-) -> tuple[Ints, Floats, Floats]:
-    if not bool(count.any()):
-        return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
-    uniform = _numbers(draws, particles.term, sweep, count)[:, 0]
-    beam = np.arange(len(end)).repeat(count)
-    range_m = np.cbrt(near_m**3 + uniform * (end[beam] ** 3 - near_m**3))
-    return beam, range_m, np.full(len(beam), particles.diameter_mm)
+        beam = np.arange(len(count)).repeat(count)
+        range_m = light.ranges(far_m[beam], uniform[:, 0])
+        return beam, range_m, light.drawn_sizes(range_m, uniform[:, 1])
 
 
 def _numbers(draws: RandomStreams, term: str, sweep: int, count: Ints) -> Floats:

@@ -202,7 +202,7 @@ def test_an_order_that_cannot_be_is_told_and_changes_nothing(table: dict[str, An
 def test_weather_that_a_sensor_cannot_compute_is_in_the_answer_and_the_run_goes_on(
     workers: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("emulator.sensing.particles.MOST_A_BEAM", 0.0)  # no drop is drawn alone
+    monkeypatch.setattr("emulator.sensing.particles.MOST_A_BEAM", -1.0)  # no drop is drawn alone
     made = trial(workers=workers)
     made.run.advance(300_000_000)
     orders = orders_of(made)

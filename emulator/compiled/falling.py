@@ -1,0 +1,149 @@
+"""Drops and flakes of the world that stand in the beams of a sweep.
+
+Belongs here: the loop over boxes, their cells and particles. Not: which boxes (physics.world_particles).
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from emulator.compiled.jit import FLAG, FLOAT, FLOATS, INT, INT_ROWS, INTS, OUT_FLOATS, OUT_INTS, ROWS, compiled
+
+_STEP = np.uint64(0x9E3779B97F4A7C15)
+_X, _Y, _Z = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F), np.uint64(0x165667B19E3779F9)
+_M1, _M2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+_30, _27, _31, _11, _21, _42 = (np.uint64(k) for k in (30, 27, 31, 11, 21, 42))
+_MASK, _TWO = np.uint64(2**21 - 1), np.uint64(2)
+
+
+@compiled()
+def mixed(word):
+    """`world_particles._mixed`."""
+    word = (word ^ (word >> _30)) * _M1
+    word = (word ^ (word >> _27)) * _M2
+    return word ^ (word >> _31)
+
+
+@compiled()
+def unit(word):
+    """A uniform number of a word."""
+    return (np.float64(word >> _11) + 0.5) * 2.0**-53
+
+
+@compiled()
+def begin_of(along, value, first, last):
+    """First of the numbers from `first` to `last` that is not below a value; one more than the last if all are."""
+    low, high = first, last + 1
+    while low < high:
+        middle = (low + high) // 2
+        if along[middle] < value:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@compiled(
+    INT, FLOATS, FLOAT, FLOAT, FLOAT, FLOAT, FLOATS, INTS, FLOATS, FLOATS, FLOATS, INT_ROWS, INT_ROWS, INTS, INTS,
+    FLOATS, FLOAT, ROWS, ROWS, ROWS, FLOATS, FLOAT, FLOAT, FLOAT, FLAG, FLOATS, FLOAT, FLOAT, OUT_INTS, OUT_FLOATS,
+    OUT_FLOATS,
+)  # fmt: skip
+def falling(
+    key, poisson, low_mm, slope_mm, lost, largest_mm, cell_m, bucket, near_m, far_m, reach_m, low, size, first, last,
+    along, end_m, origin, axis, across, until_m, tan_x, tan_y, exit_m, gaussian, least_mm, least_from, least_step,
+    out_beam, out_range, out_size,
+):  # fmt: skip
+    """Number of particles found, see `world_particles.in_boxes`; written are as many as there is room for."""
+    total, room = 0, len(out_beam)
+    zero = np.uint64(0)
+    key_word = np.uint64(key)
+    cx, cy, cz = cell_m[0], cell_m[1], cell_m[2]
+    for b in range(len(bucket)):
+        f, g = first[bucket[b]], last[bucket[b]]
+        m = (f + g) // 2
+        length = along[g] - along[f]
+        k0 = min(max(int((near_m[b] - least_from) / least_step), 0), len(least_mm) - 1)
+        k1 = min(max(int((far_m[b] - least_from) / least_step), 0), len(least_mm) - 1)
+        least_here = least_mm[k0]
+        for k in range(k0, k1 + 1):
+            least_here = min(least_here, least_mm[k])
+        for iz in range(low[b, 2], low[b, 2] + size[b, 2]):
+            for iy in range(low[b, 1], low[b, 1] + size[b, 1]):
+                for ix in range(low[b, 0], low[b, 0] + size[b, 0]):
+                    word = mixed((np.uint64(ix) * _X) ^ key_word)
+                    word = mixed(word + np.uint64(iy) * _Y)
+                    word = mixed(word + np.uint64(iz) * _Z)
+                    chance = unit(mixed(word + _STEP))
+                    number = 0
+                    while number < len(poisson) and poisson[number] <= chance:
+                        number += 1
+                    turn = zero
+                    for _ in range(number):
+                        turn += _TWO
+                        own = mixed(word + turn * _STEP)
+                        uniform = unit(mixed(own + _STEP))
+                        d = largest_mm
+                        if slope_mm > 0.0:
+                            d = min(low_mm - math.log1p(-uniform * lost) / slope_mm, largest_mm)
+                        if d < least_here:
+                            continue
+                        px = (ix + (np.float64(own & _MASK) + 0.5) * 2.0**-21) * cx
+                        py = (iy + (np.float64((own >> _21) & _MASK) + 0.5) * 2.0**-21) * cy
+                        pz = (iz + (np.float64((own >> _42) & _MASK) + 0.5) * 2.0**-21) * cz
+                        r = (
+                            (px - origin[m, 0]) * axis[m, 0]
+                            + (py - origin[m, 1]) * axis[m, 1]
+                            + (pz - origin[m, 2]) * axis[m, 2]
+                        )
+                        bx, by, bz = (
+                            origin[f, 0] + r * axis[f, 0],
+                            origin[f, 1] + r * axis[f, 1],
+                            origin[f, 2] + r * axis[f, 2],
+                        )
+                        ex, ey, ez = (
+                            origin[g, 0] + r * axis[g, 0] - bx,
+                            origin[g, 1] + r * axis[g, 1] - by,
+                            origin[g, 2] + r * axis[g, 2] - bz,
+                        )
+                        square = ex * ex + ey * ey + ez * ez
+                        part = ((px - bx) * ex + (py - by) * ey + (pz - bz) * ez) / max(square, 1e-300)
+                        part = min(max(part, 0.0), 1.0)
+                        ox, oy, oz = px - bx - part * ex, py - by - part * ey, pz - bz - part * ez
+                        scale = min(max(r / end_m, 1e-3), 1.0)
+                        bent = math.sqrt(max((scale * length) ** 2 - square, 0.0))
+                        slack = reach_m[b] + 0.5 * bent
+                        if ox * ox + oy * oy + oz * oz > slack * slack:
+                            continue
+                        window = (reach_m[b] + bent) / scale
+                        at = along[f] + part * length
+                        i = begin_of(along, at - window, f, g)
+                        while i <= g and along[i] <= at + window:
+                            tx, ty, tz = px - origin[i, 0], py - origin[i, 1], pz - origin[i, 2]
+                            ax, ay, az = axis[i, 0], axis[i, 1], axis[i, 2]
+                            r = tx * ax + ty * ay + tz * az
+                            i += 1
+                            if not (near_m[b] <= r < far_m[b] and r < until_m[i - 1]):
+                                continue
+                            tx, ty, tz = tx - r * ax, ty - r * ay, tz - r * az
+                            wide = tan_x * r + exit_m
+                            if len(across) == 0:
+                                square = (tx * tx + ty * ty + tz * tz) / max(wide * wide, 1e-300)
+                            else:
+                                sx, sy, sz = across[i - 1, 0], across[i - 1, 1], across[i - 1, 2]
+                                u = (tx * sx + ty * sy + tz * sz) / max(wide, 1e-150)
+                                v = (
+                                    tx * (ay * sz - az * sy) + ty * (az * sx - ax * sz) + tz * (ax * sy - ay * sx)
+                                ) / max(tan_y * r + exit_m, 1e-150)
+                                square = u * u + v * v
+                            s = d * math.exp(-min(square, 500.0))
+                            if not gaussian:
+                                s = d if square < 1.0 else 0.0
+                            if s < least_mm[min(max(int((r - least_from) / least_step), 0), len(least_mm) - 1)]:
+                                continue
+                            if total < room:
+                                out_beam[total], out_range[total], out_size[total] = i - 1, r, s
+                            total += 1
+    return total

@@ -1,0 +1,360 @@
+"""Drops and flakes as places in the world: the same for every beam, sensor and sweep that looks there.
+
+Here: which particles stand in a cell of the world, made anew from the cell's numbers whenever they are wanted, and
+which of them stand in which beams. Not here: how bright they are (particle_light).
+
+Particles of a class of sizes share one velocity, so they rest in a frame that moves with it. In this frame cells are
+boxes of one size, with a Poisson number of particles at independent places; all numbers come of a hash of seed, class
+and cell. A beam is a line in this frame wherever the sensor is and whenever it fires: what falls, drifts or comes
+nearer needs nothing of its own.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from emulator.compiled.pair import by_loops
+from emulator.physics.arrays import Floats, Ints, indexes, ramp
+from emulator.physics.particle_light import ParticleLight, Sizes
+
+Words = NDArray[np.uint64]
+EDGES_MM = (0.0, 0.35, 0.7, 1.1, 1.6, 2.2, 3.0, 4.0)
+"Sizes at which classes begin: the velocities within a class differ by a seventh at most where drops are seen."
+A_CELL = 1.0
+"Mean number of particles in a cell: fewer cost cells, more cost particles beside the beams."
+FLAT = 4.0
+"Width of a cell over its height: most scans are level."
+BUCKET = 2.0
+"Neighbouring beams that are looked at together span this many cells."
+OCTAVE = 0.4
+"Ratio of the ranges between which beams keep their neighbours."
+MOST_PAIRS = 3_000_000
+"Cells that may be looked at in a sweep: a second or so. Beyond it particles are drawn for each beam alone."
+MOST_BOXES = 500_000
+"Of a class between two ranges: more hold more cells than may be looked at."
+AT_ONCE = 200_000
+"Cells that are held together."
+_STEP = np.uint64(0x9E3779B97F4A7C15)
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """Beams in the world at their instants."""
+
+    centre_m: Floats
+    "(n, 3)"
+    axis: Floats
+    "(n, 3) unit vectors."
+    across: Floats | None
+    "(n, 3) direction of the beam's x radius; None: round."
+    t_s: Floats
+    far_m: Floats
+    "(n,) first surface."
+
+
+@dataclass(frozen=True)
+class _Class:
+    """Particles of like size and one velocity."""
+
+    low_mm: float
+    high_mm: float
+    number_m3: float
+    slope_mm: float
+    velocity_m_s: tuple[float, float, float]
+    key: int
+
+    @property
+    def share(self) -> float:
+        """Of those larger than the least size."""
+        return -math.expm1(-self.slope_mm * (self.high_mm - self.low_mm)) if self.high_mm < math.inf else 1.0
+
+    @property
+    def signed_key(self) -> int:
+        """The key as a number of 64 bits with a sign."""
+        return self.key - 2**64 if self.key >= 2**63 else self.key
+
+    def sizes(self, uniform: Floats, largest_mm: float) -> Floats:
+        """Diameters by uniform numbers."""
+        if self.slope_mm == 0.0:
+            return np.full(len(uniform), self.high_mm)
+        return np.minimum(self.low_mm - np.log1p(-uniform * self.share) / self.slope_mm, largest_mm)
+
+
+class WorldParticles:
+    """All particles of one kind in the world."""
+
+    def __init__(
+        self, seed: int, term: str, sizes: Sizes, fall_m_s: Floats | float, wind_m_s: tuple[float, float, float]
+    ) -> None:
+        """`fall_m_s` : of `class_middles(sizes)`, or of all."""
+        edges = (*EDGES_MM, math.inf) if sizes.slope_mm > 0.0 else (0.0, sizes.largest_mm)
+        falls = np.broadcast_to(np.asarray(fall_m_s, np.float64), (len(edges) - 1,))
+        self.sizes = sizes
+        self._classes = []
+        for number, (low, high, fall) in enumerate(zip(edges[:-1], edges[1:], falls, strict=True)):
+            digest = hashlib.blake2b(f"{seed}\0world\0{term}\0{number}".encode(), digest_size=8).digest()
+            density = sizes.number_m3 * (math.exp(-sizes.slope_mm * low) - math.exp(-sizes.slope_mm * high))
+            if sizes.slope_mm == 0.0:
+                density = sizes.number_m3
+            velocity = (wind_m_s[0], wind_m_s[1], wind_m_s[2] - float(fall))
+            self._classes.append(_Class(low, high, density, sizes.slope_mm, velocity, int.from_bytes(digest, "little")))
+
+    def in_beams(self, light: ParticleLight, lines: Lines) -> tuple[Ints, Floats, Floats] | None:
+        """Beam, range and effective size in mm of all particles that are to be drawn; None: too many cells."""
+        found, left = [], MOST_PAIRS
+        for one in self._classes:
+            search = _Search(one, light, lines)
+            left -= search.pairs
+            if left < 0:
+                return None
+            found += search.found()
+        if not found:
+            return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
+        beam, range_m, size = (np.concatenate(column) for column in zip(*found, strict=True))
+        return beam, range_m, size
+
+
+def class_middles(sizes: Sizes) -> Floats:
+    """Diameter of each class of sizes by which its light moves: the mean, weighed with D^4. [mm]"""
+    if sizes.slope_mm == 0.0:
+        return np.array([sizes.largest_mm])
+    edges = np.array([*EDGES_MM, np.inf])
+    five, six = (special.gammainc(k, sizes.slope_mm * edges) for k in (5.0, 6.0))
+    weight = np.diff(five)
+    mean = np.where(weight > 1e-12, 5.0 * np.diff(six) / (sizes.slope_mm * np.maximum(weight, 1e-300)), 0.0)
+    return np.clip(mean, edges[:-1], np.minimum(edges[1:], sizes.largest_mm))
+
+
+@dataclass(frozen=True, eq=False)
+class _Boxes:
+    """Parts of buckets of neighbouring beams between two ranges."""
+
+    bucket: Ints
+    near_m: Floats
+    far_m: Floats
+    reach_m: Floats
+    "How far from the axis a particle may be."
+    low: Ints
+    "(b, 3) first cell"
+    size: Ints
+    "(b, 3) cells"
+
+
+class _Octave:
+    """Beams between two ranges, in buckets of neighbours."""
+
+    def __init__(self, origin: Floats, axis: Floats, far_m: Floats, near_m: float, end_m: float, span_m: float) -> None:
+        gap = np.linalg.norm(np.diff(origin, axis=0), axis=1) + end_m * np.linalg.norm(np.diff(axis, axis=0), axis=1)
+        self.along = np.concatenate([[0.0], gap.cumsum()])
+        number = np.floor(self.along / span_m)
+        self.first = np.concatenate([[0], np.flatnonzero(np.diff(number)) + 1])
+        self.last = np.append(self.first[1:], len(origin)) - 1
+        self.end_m = end_m
+        low, high = np.minimum.reduceat, np.maximum.reduceat
+        self.box = low(origin, self.first), high(origin, self.first), low(axis, self.first), high(axis, self.first)
+        self.until = np.minimum(high(far_m, self.first), end_m)
+        self.near_m = near_m
+
+    def boxes(self, step_m: float, reach: tuple[Floats, Floats], cell_m: Floats) -> _Boxes:
+        """`reach` : ranges, and how far from the axis there."""
+        steps = max(1, math.ceil((self.end_m - self.near_m) / step_m))
+        edges = np.linspace(self.near_m, self.end_m, steps + 1)
+        bucket, k = np.nonzero(edges[None, :-1] < self.until[:, None])
+        near, far = edges[k], edges[k + 1]
+        fine = np.linspace(edges[:-1], edges[1:], 5)
+        wide = np.interp(fine, *reach).max(axis=0)[k]
+        low_o, high_o, low_d, high_d = (part[bucket] for part in self.box)
+        a, b = near[:, None], far[:, None]
+        low = low_o + np.minimum(a * low_d, b * low_d) - wide[:, None]
+        high = high_o + np.maximum(a * high_d, b * high_d) + wide[:, None]
+        first = np.floor(low / cell_m).astype(np.int64)
+        size = np.floor(high / cell_m).astype(np.int64) - first + 1
+        return _Boxes(np.asarray(bucket, np.int64), near, far, wide, first, size)
+
+
+class _Search:
+    """Particles of one class in the beams of a sweep."""
+
+    def __init__(self, of: _Class, light: ParticleLight, lines: Lines) -> None:
+        self.of, self.light, self.lines = of, light, lines
+        largest = min(of.high_mm, light.sizes.largest_mm)
+        range_m, reach = light.reach(largest)
+        self.parts: list[tuple[_Octave, _Boxes]] = []
+        self.pairs = 0
+        if len(range_m) < 2 or of.number_m3 <= 0.0:
+            return
+        width = (FLAT * A_CELL / of.number_m3) ** (1.0 / 3.0)
+        self.cell_m = np.array([width, width, width / FLAT])
+        self.origin = lines.centre_m - lines.t_s[:, None] * np.array(of.velocity_m_s)
+        begin, end = float(range_m[0]), min(float(range_m[-1]), float(lines.far_m.max(initial=0.0)))
+        while end > begin:
+            near = max(OCTAVE * end, begin)
+            if near < begin + 2.0 * BUCKET * width:
+                near = begin
+            octave = _Octave(self.origin, lines.axis, lines.far_m, near, end, BUCKET * width)
+            if len(octave.first) * (end - near) > MOST_BOXES * BUCKET * width:
+                self.pairs = MOST_PAIRS + 1
+                return
+            boxes = octave.boxes(BUCKET * width, (range_m, reach), self.cell_m)
+            self.parts.append((octave, boxes))
+            with np.errstate(over="ignore"):
+                self.pairs += int(min(boxes.size.astype(np.float64).prod(axis=1).sum(), 1e15))
+            end = near
+
+    def found(self) -> list[tuple[Ints, Floats, Floats]]:
+        """Beam, range, effective size."""
+        return [in_boxes(self, *part) for part in self.parts]
+
+    def drawn(self, beam: Ints, range_m: Floats, size_mm: Floats) -> tuple[Ints, Floats, Floats]:
+        """Those that are bright enough."""
+        kept = indexes(size_mm >= self.light.least_mm(range_m))
+        return beam[kept], range_m[kept], size_mm[kept]
+
+    def of_some(self, octave: _Octave, boxes: _Boxes, chosen: Ints, count: Ints) -> tuple[Ints, Floats, Floats]:
+        """Those in some of the boxes, of `count` cells each."""
+        box = chosen.repeat(count)
+        at, size = ramp(count), boxes.size[box]
+        cell = boxes.low[box]
+        cell[:, 0] += at % size[:, 0]
+        cell[:, 1] += at // size[:, 0] % size[:, 1]
+        cell[:, 2] += at // (size[:, 0] * size[:, 1])
+        word = _cell_words(np.uint64(self.of.key), cell)
+        number = np.searchsorted(_POISSON, _unit(_mixed(word + _STEP)), side="right")
+        some = indexes(number > 0)
+        number = number[some]
+        owner = some.repeat(number)
+        word = _mixed(word[owner] + (2 * ramp(number) + 2).astype(np.uint64) * _STEP)
+        place = (cell[owner] + _three(word)) * self.cell_m
+        kept, beams = self._near(octave, boxes, box[owner], place)
+        place, word = place[kept], word[kept]
+        first, number = beams
+        beam = first.repeat(number) + ramp(number)
+        row = np.arange(len(kept)).repeat(number)
+        box = box[owner[kept]][row]
+        return self._inside(beam, place[row], word[row], boxes.near_m[box], boxes.far_m[box])
+
+    def _near(self, octave: _Octave, boxes: _Boxes, box: Ints, place: Floats) -> tuple[Ints, tuple[Ints, Ints]]:
+        """Particles near the fan of a bucket's beams, and the beams that they may be in: the first, how many."""
+        bucket = boxes.bucket[box]
+        first, last = octave.first[bucket], octave.last[bucket]
+        axis, origin, reach = self.lines.axis, self.origin, boxes.reach_m[box]
+        middle = (first + last) // 2
+        to = place - origin[middle]
+        r = np.einsum("ij,ij->i", to, axis[middle])
+        begin = origin[first] + r[:, None] * axis[first]
+        chord = origin[last] + r[:, None] * axis[last] - begin
+        square = np.einsum("ij,ij->i", chord, chord)
+        part = np.einsum("ij,ij->i", place - begin, chord) / np.maximum(square, 1e-300)
+        part = np.clip(part, 0.0, 1.0)
+        off = place - begin - part[:, None] * chord
+        length = octave.along[last] - octave.along[first]
+        scale = np.clip(r / octave.end_m, 1e-3, 1.0)
+        bent = np.sqrt(np.maximum((scale * length) ** 2 - square, 0.0))
+        slack = reach + 0.5 * bent
+        kept = indexes(np.einsum("ij,ij->i", off, off) <= slack * slack)
+        first, last, scale = first[kept], last[kept], scale[kept]
+        window = (reach[kept] + bent[kept]) / scale
+        at = octave.along[first] + part[kept] * length[kept]
+        low = np.maximum(octave.along.searchsorted(at - window, side="left"), first)
+        high = np.minimum(octave.along.searchsorted(at + window, side="right"), last + 1)
+        return kept, (low, np.maximum(high - low, 0))
+
+    def _inside(self, beam: Ints, place: Floats, word: Words, near: Floats, far: Floats) -> tuple[Ints, Floats, Floats]:
+        lines, optics = self.lines, self.light.optics
+        axis = lines.axis[beam]
+        to = place - self.origin[beam]
+        r = np.einsum("ij,ij->i", to, axis)
+        kept = indexes((r >= near) & (r < far) & (r < lines.far_m[beam]))
+        beam, r, axis, word = beam[kept], r[kept], axis[kept], word[kept]
+        off = to[kept] - r[:, None] * axis
+        if lines.across is None:
+            width = optics.tan_x * r + optics.exit_radius_m
+            square = np.einsum("ij,ij->i", off, off) / np.maximum(width * width, 1e-300)
+        else:
+            across = lines.across[beam]
+            x = np.einsum("ij,ij->i", off, across)
+            y = np.einsum("ij,ij->i", off, np.cross(axis, across))
+            square = (x / np.maximum(optics.tan_x * r + optics.exit_radius_m, 1e-150)) ** 2
+            square = square + (y / np.maximum(optics.tan_y * r + optics.exit_radius_m, 1e-150)) ** 2
+        size = self.of.sizes(_unit(_mixed(word + _STEP)), self.light.sizes.largest_mm)
+        if optics.gaussian:
+            size = size * np.exp(-np.minimum(square, 500.0))
+        else:
+            size = np.where(square < 1.0, size, 0.0)
+        return self.drawn(beam, r, size)
+
+
+def _in_boxes_by_loops(
+    loops: ModuleType, search: _Search, octave: _Octave, boxes: _Boxes
+) -> tuple[Ints, Floats, Floats]:
+    of, light, lines = search.of, search.light, search.lines
+    optics, largest = light.optics, light.sizes.largest_mm
+    least, begin_m, step_m = light.least_table
+    across = np.zeros((0, 3)) if lines.across is None else lines.across
+    room = 1024 + 32 * len(lines.axis)
+    while True:
+        beam, range_m, size = np.zeros(room, np.int64), np.zeros(room), np.zeros(room)
+        number = loops.falling(
+            of.signed_key, _POISSON, of.low_mm, of.slope_mm, of.share, largest, search.cell_m, boxes.bucket,
+            boxes.near_m, boxes.far_m, boxes.reach_m, boxes.low, boxes.size, octave.first, octave.last, octave.along,
+            octave.end_m, search.origin, lines.axis, across, lines.far_m, optics.tan_x, optics.tan_y,
+            optics.exit_radius_m, optics.gaussian, least, begin_m, step_m, beam, range_m, size,
+        )  # fmt: skip
+        if number <= room:
+            return search.drawn(beam[:number], range_m[:number], size[:number])
+        room = number
+
+
+@by_loops(_in_boxes_by_loops, "falling")
+def in_boxes(search: _Search, octave: _Octave, boxes: _Boxes) -> tuple[Ints, Floats, Floats]:
+    """Beam, range and effective size of the particles in these boxes."""
+    found = []
+    count = boxes.size.prod(axis=1)
+    total = count.cumsum()
+    begin = 0
+    while begin < len(count):
+        before = total[begin - 1] if begin else 0
+        end = max(int(total.searchsorted(before + AT_ONCE, side="right")), begin + 1)
+        found.append(search.of_some(octave, boxes, np.arange(begin, end), count[begin:end]))
+        begin = end
+    if not found:
+        return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
+    beam, range_m, size = (np.concatenate(column) for column in zip(*found, strict=True))
+    return beam, range_m, size
+
+
+# ------------------------------------------------------------------------------- numbers of a cell
+_POISSON = np.asarray(special.pdtr(np.arange(24), A_CELL), np.float64)
+_PRIMES = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
+
+
+def _mixed(word: Words) -> Words:
+    """The last steps of splitmix64: every bit of the result depends on every bit given."""
+    word = (word ^ (word >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    word = (word ^ (word >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return np.asarray(word ^ (word >> np.uint64(31)))
+
+
+def _cell_words(key: np.uint64, cell: Ints) -> Words:
+    words = cell.astype(np.uint64) * _PRIMES
+    word = _mixed(words[:, 0] ^ key)
+    word = _mixed(word + words[:, 1])
+    return _mixed(word + words[:, 2])
+
+
+def _unit(word: Words) -> Floats:
+    return ((word >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53
+
+
+def _three(word: Words) -> Floats:
+    """(k, 3) uniform numbers of 21 bits each: places in a cell to less than a micrometre."""
+    mask = np.uint64(2**21 - 1)
+    parts = [(word >> np.uint64(shift)) & mask for shift in (0, 21, 42)]
+    return np.stack([(part.astype(np.float64) + 0.5) * 2.0**-21 for part in parts], axis=1)
