@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from protocols.cola import fields, filters, login
+from protocols.cola import filters, login
 from protocols.cola.commands import (
     EVENTS,
     METHODS,
@@ -47,6 +47,8 @@ DEAF_NS = SECOND_NS
 "A device that has just been switched on has no network yet; at most half of the time until it measures."
 POLLED_NS = 2 * SECOND_NS
 "So long after a poll the device goes on measuring for the next one."
+STARTED_NS = 20 * SECOND_NS
+"The same after LMCstartmeas: MRPT waits ten seconds before its first poll."
 IMU_NS = 10_000_000
 ANSWERS = {b"sRN": b"sRA", b"sRI": b"sRA", b"sWN": b"sWA", b"sMN": b"sAN", b"sEN": b"sEA"}
 UNKNOWN = {b"sRN": Code.VARIABLE_UNKNOWN, b"sWN": Code.VARIABLE_UNKNOWN, b"sMN": Code.METHOD_UNKNOWN,
@@ -237,7 +239,10 @@ class ColaSession(RequestSession):
     # measuring
 
     def start_measuring(self, now_ns: int) -> None:
-        """The mirror turns; one that turned goes on."""
+        """The mirror turns; one that turned goes on. A driver may poll soon: scans are measured for it."""
+        if not self._still or not self._measuring:
+            self._poll_until_ns = max(self._poll_until_ns, now_ns + STARTED_NS)
+            self._subscribe(now_ns, POLL)
         if not self._measuring:
             self._measuring = True
             self._pause(now_ns)
@@ -382,7 +387,9 @@ class ColaSession(RequestSession):
         self._watching.see(scan, end_ns)
         numbers = range(plan.sweep, plan.sweep + 1)
         found = self._chain.add(_cut(scan, shape.told), self._filters(), plan.sweep % model.layers)
-        takers = [one for one, since_ns in self._hosts.items() if one not in (POLL, WATCH) and since_ns <= plan.start_ns]
+        takers = [
+            one for one, since_ns in self._hosts.items() if one not in (POLL, WATCH) and since_ns <= plan.start_ns
+        ]
         if found is None or self._kept_back(plan.sweep) or not (takers or POLL in self._hosts):
             self._events.unsent(self._now_ns, DropReason.KEPT, numbers, "", plan.stream)
             return
@@ -444,7 +451,7 @@ class ColaSession(RequestSession):
     def _poll(self, request: Request) -> Answer | Refused:
         if self._still or request.now_ns < self._up_ns:
             return refusal(Code.CONDITION_FAILED, DropReason.WRONG_MODE)
-        self._poll_until_ns = request.now_ns + POLLED_NS
+        self._poll_until_ns = max(self._poll_until_ns, request.now_ns + POLLED_NS)
         self._subscribe(request.now_ns, POLL)
         self._asking[request.address] = request.data[:1]
         self._let_go(request.now_ns)

@@ -1,6 +1,6 @@
 """Values in CoLa telegrams: one layout, written in either dialect and read from either.
 
-A layout is a line of types; `[...]` is a repetition behind its 16-bit count, of which an optional part is one of 0 or 1:
+A layout is a line of types; `[...]` is a repetition behind its 16-bit count, 0 or 1 of an optional part:
 
     u8 u16 u32 i8 i16 i32 f32   numbers; p32 an i32 whose text always has eight digits
     str                         length (16 bits) and text
@@ -23,6 +23,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protocols.errors import EncodeError
 
@@ -32,6 +33,7 @@ ASCII, BINARY = b"A", b"B"
 Node = str | tuple[Any, ...]
 INTEGERS = {"u8": 1, "u16": 2, "u32": 4, "i8": 1, "i16": 2, "i32": 4, "p32": 4}
 ARRAYS = {"u8*": ">u1", "u16*": ">u2"}
+BLANK = 0x20
 HEX, DECIMAL = re.compile(rb"[0-9A-Fa-f]{1,40}"), re.compile(rb"[+-][0-9]{1,40}")
 
 
@@ -162,8 +164,7 @@ def _values(nodes: tuple[Node, ...], reader: _Words | _Octets) -> list[Any]:
         elif node == "*":
             values.append(reader.rest())
         elif node in ARRAYS:
-            kind = node.rstrip("*")
-            values.append(np.array([reader.number(kind) for _ in range(reader.number("u16"))], ARRAYS[node]))
+            values.append(reader.array(node, reader.number("u16")))
         else:
             values.append(reader.text(reader.number("u16") if node == "str" else int(node[1:])))
     return values
@@ -191,6 +192,9 @@ class _Octets:
     def text(self, size: int) -> str:
         return self._take(size).decode("latin-1")
 
+    def array(self, node: str, count: int) -> NDArray[Any]:
+        return np.frombuffer(self._take(count * INTEGERS[node[:-1]]), ARRAYS[node])
+
     def rest(self) -> bytes:
         return self._take(len(self._data) - self._at)
 
@@ -199,17 +203,24 @@ class _Words:
     """Arguments in CoLa-A: a text of known length may hold blanks."""
 
     def __init__(self, data: bytes) -> None:
-        self._left = data.strip(b" ")
+        self._data, self._at = data.strip(b" "), 0
 
     @property
     def ended(self) -> bool:
-        return not self._left
+        return self._at >= len(self._data)
+
+    def _go_on(self, at: int) -> None:
+        while at < len(self._data) and self._data[at] == BLANK:
+            at += 1
+        self._at = at
 
     def number(self, node: str) -> int:
-        if not self._left:
+        if self.ended:
             raise Rejected(Code.TOO_LITTLE)
-        word, _, rest = self._left.partition(b" ")
-        self._left = rest.lstrip(b" ")
+        end = self._data.find(b" ", self._at)
+        end = end if end >= 0 else len(self._data)
+        word = self._data[self._at : end]
+        self._go_on(end)
         bits = 8 * INTEGERS[node]
         signed = node[0] != "u"
         if DECIMAL.fullmatch(word):
@@ -226,16 +237,19 @@ class _Words:
         return value
 
     def text(self, size: int) -> str:
-        if size > len(self._left):
+        raw = self._data[self._at : self._at + size]
+        if len(raw) < size:
             raise Rejected(Code.TOO_LITTLE)
-        raw, rest = self._left[:size], self._left[size:]
-        if rest and not rest.startswith(b" "):
+        if self._data[self._at + size : self._at + size + 1] not in (b"", b" "):
             raise Rejected(Code.INVALID_DATA)
-        self._left = rest.lstrip(b" ")
+        self._go_on(self._at + size)
         return raw.decode("latin-1")
 
+    def array(self, node: str, count: int) -> NDArray[Any]:
+        return np.array([self.number(node[:-1]) for _ in range(count)], ARRAYS[node])
+
     def rest(self) -> bytes:
-        raw, self._left = self._left.replace(b" ", b""), b""
+        raw, self._at = self._data[self._at :].replace(b" ", b""), len(self._data)
         if len(raw) % 2 or (raw and not re.fullmatch(rb"[0-9A-Fa-f]+", raw)):
             raise Rejected(Code.INVALID_CHARACTER)
         return bytes.fromhex(raw.decode())

@@ -44,7 +44,9 @@ class Watching:
     def use(self, values: Mapping[str, Any], count: int) -> None:
         """The fields that are configured, of the active set."""
         first = (values["ActiveFieldSet"][0] - 1) * fields.SET if count else 0
-        numbered = [(place, values[f"field{first + place:03d}"]) for place in range(fields.SET) if first + place < count]
+        numbered = [
+            (place, values[f"field{first + place:03d}"]) for place in range(fields.SET) if first + place < count
+        ]
         self._records = [(place, record) for place, record in numbered if fields.is_set(record)]
 
     def see(self, scan: Scan, end_ns: int) -> None:
