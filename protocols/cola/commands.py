@@ -8,6 +8,7 @@ from __future__ import annotations
 import calendar
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from protocols.cola import fields, scandata
@@ -135,7 +136,7 @@ def _field_fits(device: ColaSession, values: Values) -> Code | None:
         return Code.WRITE_DENIED
     points = [angles for (angles,) in values[6]]
     good = values[0] > 0.0 and values[4] < 4 and not values[8] and max(map(len, values[6:10])) < 2
-    rising = all(one[0] < two[0] for part in points for one, two in zip(part, part[1:], strict=False))
+    rising = all(one[0] < two[0] for part in points for one, two in pairwise(part))
     return None if good and rising else Code.INVALID_DATA
 
 

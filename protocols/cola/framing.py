@@ -27,6 +27,8 @@ COUNTER = re.compile(rb"(s(?:SN|RA) LMDscandata (?:[0-9A-F]+ ){5})([0-9A-F]+)( )
 "CoLa-A: what stands before the telegram counter, it, and the scan counter behind it."
 COUNTER_AT = 10
 "CoLa-B: of the telegram counter behind the name; the scan counter follows."
+CONTROL = re.compile(rb"[\x00-\x1f]")
+"The first of these behind STX ends a text, or it is none."
 NAME = re.compile(rb"(s[RWEM]N )(\w+)")
 
 
@@ -70,12 +72,12 @@ class ColaSplitter(Splitter[bytes]):
             return None  # either dialect
         if starts > 1:
             return Fault(DropReason.NO_START_BYTE, len(self._buffer.take(starts - 1)))
-        end = held.find(ETX)
-        again = held.find(STX, 1, end if end >= 0 else len(held))
-        if again > 0:
-            return Fault(DropReason.BAD_LENGTH, len(self._buffer.take(again)), "no ETX")
-        if end < 0:
+        control = CONTROL.search(held, 1)
+        if control is None:
             return None
+        end = control.start()
+        if held[end : end + 1] != ETX:
+            return Fault(DropReason.BAD_LENGTH, len(self._buffer.take(end)), "no ETX")
         self._buffer.take(end + 1)
         return ASCII + held[1:end]
 

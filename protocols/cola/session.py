@@ -73,14 +73,16 @@ class Shape:
 
 @dataclass
 class Held:
-    """A scan that a host may poll."""
+    """A scan that has been measured, for whoever subscribes before it leaves, and the last one for polls."""
 
+    start_ns: int
     due_ns: int
     body: Body
     told: Told
-    sweep: int | None
-    "None: it has been sent."
-    stream: int
+    sweep: int
+    stream: int | None
+    sent: bool
+    "To anybody."
 
 
 class ColaSession(RequestSession):
@@ -118,7 +120,7 @@ class ColaSession(RequestSession):
 
     def _reset_state(self, now_ns: int) -> None:
         self._began_ns, self._up_ns = now_ns, now_ns + round(1e9 * self.settings.ready_s)
-        self._measuring, self._motor_stopped = True, False
+        self._measuring, self._motor_stopped, self._cold = True, False, True
         self._levels: dict[Host, int] = {}
         self._dialects: dict[Host, bytes] = {}
         self._listeners: dict[str, set[Host]] = {name: set() for name in EVENTS}
@@ -186,7 +188,7 @@ class ColaSession(RequestSession):
             phase = 3
         elif now_ns < self._up_ns:
             share = (now_ns - self._began_ns) / max(1, self._up_ns - self._began_ns)
-            phase = (1, 4, 5, 6)[sum(share >= one for one in SPIN_UP_SHARES)]
+            phase = (1 if self._cold else 4, 4, 5, 6)[sum(share >= one for one in SPIN_UP_SHARES)]
         year, month, day, hour, minute, second, _ = self.date(now_ns)
         return [phase, 0, f"{hour:02}:{minute:02}:{second:02}", f"{day:02}.{month:02}.{year % 100:02}", 0, 0, 0]
 
@@ -266,6 +268,7 @@ class ColaSession(RequestSession):
         self._pause(now_ns)
 
     def _pause(self, now_ns: int) -> None:
+        self._cold = self._cold and now_ns < self._up_ns
         self._began_ns, self._up_ns = now_ns, max(self._up_ns, now_ns + round(1e9 * self.settings.change_s))
         self.rearrange(now_ns)
 
@@ -390,24 +393,30 @@ class ColaSession(RequestSession):
         takers = [
             one for one, since_ns in self._hosts.items() if one not in (POLL, WATCH) and since_ns <= plan.start_ns
         ]
-        if found is None or self._kept_back(plan.sweep) or not (takers or POLL in self._hosts):
+        if found is None or self._kept_back(plan.sweep):
             self._events.unsent(self._now_ns, DropReason.KEPT, numbers, "", plan.stream)
             return
         told = self.clock.told(end_ns if model.stamps_end else plan.start_ns, TICK_NS, 32)
         body = self._body(plan.sweep, found, shape, told, sent_ns)
-        emissions: dict[bytes, bytes] = {}
+        held = Held(plan.start_ns, sent_ns, body, told, plan.sweep, plan.stream, False)
+        self._let_go(self._now_ns)
+        self._held.append(held)
+        telegrams: dict[bytes, bytes] = {}
         for address in takers:
-            dialect = self._dialects.get(address, ASCII)
-            if dialect not in emissions:
-                emissions[dialect] = _event(dialect, "LMDscandata", body.encoded(dialect))
-            if self._line_takes(address, len(emissions[dialect]), sent_ns):
-                one = Emission(sent_ns, emissions[dialect], address, plan.sweep, None, "LMDscandata", told)
-                self._outbox.put(Outgoing(address, deque([one]), is_scan=True))
-            else:
-                self._events.unsent(self._now_ns, DropReason.LINE_BUSY, numbers, "", plan.stream, address)
-        if POLL in self._hosts:
-            stream = -1 if plan.stream is None else plan.stream
-            self._held.append(Held(sent_ns, body, told, None if takers else plan.sweep, stream))
+            self._send_scan(held, address, telegrams)
+
+    def _send_scan(self, held: Held, address: Host, telegrams: dict[bytes, bytes]) -> None:
+        """To one host; `telegrams`: those made already, by dialect."""
+        dialect = self._dialects.get(address, ASCII)
+        if dialect not in telegrams:
+            telegrams[dialect] = _event(dialect, "LMDscandata", held.body.encoded(dialect))
+        held.sent = True
+        if self._line_takes(address, len(telegrams[dialect]), held.due_ns):
+            one = Emission(held.due_ns, telegrams[dialect], address, held.sweep, None, "LMDscandata", held.told)
+            self._outbox.put(Outgoing(address, deque([one]), is_scan=True))
+        else:
+            numbers = range(held.sweep, held.sweep + 1)
+            self._events.unsent(self._now_ns, DropReason.LINE_BUSY, numbers, "", held.stream, address)
 
     def _line_takes(self, address: Host, size: int, due_ns: int) -> bool:
         """Whether a serial line has sent what came before."""
@@ -462,23 +471,23 @@ class ColaSession(RequestSession):
     def _let_go(self, now_ns: int) -> None:
         """Of the scans that have ended keep the last."""
         while len(self._held) > 1 and self._held[1].due_ns <= now_ns:
-            self._tell_held(self._held.popleft(), now_ns, DropReason.KEPT)
+            self._tell_held(self._held.popleft(), now_ns)
 
-    def _tell_held(self, held: Held, now_ns: int, reason: DropReason) -> None:
-        if held.sweep is not None:
-            self._events.unsent(now_ns, reason, range(held.sweep, held.sweep + 1), "not polled", held.stream)
+    def _tell_held(self, held: Held, now_ns: int) -> None:
+        if not held.sent:
+            self._events.unsent(now_ns, DropReason.KEPT, range(held.sweep, held.sweep + 1), "", held.stream)
 
     def _give_up_held(self, now_ns: int) -> None:
         while self._held:
-            self._tell_held(self._held.popleft(), now_ns, DropReason.KEPT)
+            self._tell_held(self._held.popleft(), now_ns)
 
     def _serve_polls(self, due_ns: int) -> None:
         held = self._held[0]
         for address, dialect in self._asking.items():
             payload = _named(dialect, b"sRA", b"LMDscandata", held.body.encoded(dialect))
-            emission = Emission(due_ns, frame(dialect, payload), address, held.sweep, None, "LMDscandata", held.told)
-            self._outbox.send(emission if held.sweep is not None else replace(emission, told=None))
-            held.sweep = None
+            sweep, told = (None, None) if held.sent else (held.sweep, held.told)
+            self._outbox.send(Emission(due_ns, frame(dialect, payload), address, sweep, None, "LMDscandata", told))
+            held.sent = True
         self._asking.clear()
 
     # time
@@ -500,7 +509,6 @@ class ColaSession(RequestSession):
         if self._asking and self._held and self._held[0].due_ns <= now_ns:
             self._serve_polls(now_ns)
         if POLL in self._hosts and self._poll_until_ns <= now_ns:
-            self._give_up_held(now_ns)
             self._unsubscribe(now_ns, POLL)
             self._asking.clear()
         if self._watching.due(now_ns):
@@ -546,6 +554,11 @@ class ColaSession(RequestSession):
                 self._outbox.send(Emission(now_ns, _event(BINARY, label, data), address, label=label))
 
     # hosts
+
+    def _unsubscribe(self, now_ns: int, address: Host) -> None:
+        super()._unsubscribe(now_ns, address)
+        if not self._hosts:
+            self._give_up_held(now_ns)
 
     def disconnected(self, now_ns: int, address: Address) -> None:
         """A stream's host has gone: its subscriptions, polls and user level with it."""
@@ -694,8 +707,14 @@ class ColaSession(RequestSession):
         if on > 1:
             return refusal(Code.CONDITION_FAILED)
         (self._listeners[name].add if on else self._listeners[name].discard)(address)
-        if name == "LMDscandata":
-            (self._subscribe if on else self._unsubscribe)(now_ns, address)
+        if name == "LMDscandata" and on:
+            if address not in self._hosts:
+                for held in self._held if self._hosts else ():
+                    if held.start_ns >= now_ns:
+                        self._send_scan(held, address, {})
+            self._subscribe(now_ns, address)
+        elif name == "LMDscandata":
+            self._unsubscribe(now_ns, address)
         elif name == "InertialMeasurementUnit" and on and not self._imu_goes:
             self._imu_goes = True
             self._timers.add(now_ns + IMU_NS, IMU_NS, self._send_imu)

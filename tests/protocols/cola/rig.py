@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -58,6 +58,7 @@ class Rig:
             self.session.connected(0, TWO, kind)
         if up:
             self.run(self.session._up_ns + MS)
+            self.sent.clear()
 
     def step(self) -> int | None:
         """What an instrument does at one instant; when to be called again."""
@@ -114,6 +115,20 @@ class Rig:
         assert dialect == "B"
         return payload
 
+    def a_last(self, text: str, to: Address = ONE) -> str:
+        """The same, passing over events that come first."""
+        self.put(ask_a(text), to)
+        while (found := self.next(to))[1].startswith(b"sSN"):
+            pass
+        return found[1].decode("latin-1")
+
+    def b_last(self, text: str, data: str | bytes = b"", to: Address = ONE) -> bytes:
+        """The same in CoLa-B."""
+        self.put(ask_b(text, data), to)
+        while (found := self.next(to))[1].startswith(b"sSN"):
+            pass
+        return found[1]
+
     def scan(self, to: Address = ONE, within_ns: int = SECOND) -> ScanRead:
         """The next telegram, which is a scan."""
         return read(*self.next(to, within_ns))
@@ -132,7 +147,3 @@ class Rig:
         found = [event.reason for event in self.events if isinstance(event, Dropped)]
         self.events.clear()
         return found
-
-
-def devices(**device: Any) -> Mapping[str, Any]:
-    return device
