@@ -20,6 +20,8 @@ SHIPPED = {
     "sick-lms221-30206", "sick-lms221-s07", "sick-lms221-s14", "sick-lms221-s15", "sick-lms221-s16",
     "sick-lms221-s19", "sick-lms221-s20", "sick-lms291-s05", "sick-lms291-s14", "sick-lms291-s15",
     "sick-ld-lrs1000", "sick-ld-lrs2100", "sick-ld-lrs3100", "sick-ld-oem1000", "paper-905nm",
+    "sick-lms100", "sick-lms111", "sick-lms151", "sick-lms500", "sick-lms511", "sick-tim551", "sick-tim561",
+    "sick-tim571", "sick-tim781", "sick-mrs1104",
     "can-ars408", "can-ldmrs", "can-leddar-vu8", "can-esr",
 }  # fmt: skip
 

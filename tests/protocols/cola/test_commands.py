@@ -162,9 +162,11 @@ def test_published_challenges_of_the_specification() -> None:
         ("sXY LMPscancfg", "C"), ("hello", "C"), ("sRN", "C"), ("sRI 7", "E"),
         ("sMN mLMPsetscancfg 1388", "8"), ("sMN mLMPsetscancfg 1388 1 1388 FFF92230 225510 1", "7"),
         ("sWN LMPoutputRange 1 1388 225510 FFF92230", "4"), ("sWN LMPoutputRange 2 1 0 1 1 0 1", "5"),
-        ("sWN LMDscandatacfg 00 00 1 1 0 00 00 0 0 0 0 +1", "4"), ("sWN LMDscandatacfg 01 00 1 1 0 00 00 0 0 0 0 0", "4"),
+        ("sWN LMDscandatacfg 00 00 1 1 0 00 00 0 0 0 0 +1", "4"), 
+        ("sWN LMDscandatacfg 01 00 1 1 0 00 00 0 0 0 0 0", "4"),
         ("sWN LMDscandatacfg 100 00 1 1 0 00 00 0 0 0 0 1", "10"), ("sWN EIHstCola x", "11"), ("sWN EIHstCola 7", "4"),
-        ("sWN SerialNumber 1 1", "A"), ("sWN LMPscancfg 1388", "A"), ("sWN FREchoFilter 1", "3"), ("sWN field010 0", "A"),
+        ("sWN SerialNumber 1 1", "A"), ("sWN LMPscancfg 1388", "A"), ("sWN FREchoFilter 1", "3"),
+        ("sWN field010 0", "A"),
         ("sWN ActiveFieldSet 99", "E"), ("sMN GetChallenge", "2"), ("sEN LMDscandata 2", "4"), ("sMN MMTechoes", "2"),
     ],
 )  # fmt: skip
