@@ -60,9 +60,8 @@ def tries(tcp: bool) -> list[Try]:
     """Families in the order in which they are tried; over TCP an LD is likelier."""
     from protocols import families, family
 
-    found: list[Try] = [("lms2xx", _lms2xx), ("ld", _ld), ("cola", _cola)]
-    if tcp:
-        found.reverse()
+    found: list[Try] = [("ld", _ld), ("cola", _cola)]
+    found.insert(len(found) if tcp else 0, ("lms2xx", _lms2xx))
     for name in families():
         known = family(name) if name not in ("lms2xx", "ld", "cola", CAN_FAMILY) else None
         if isinstance(known, HasHost):

@@ -9,20 +9,67 @@ import calendar
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from protocols.cola import fields, scandata
 from protocols.cola.login import AUTHORISED, LEVELS, RUN, SERVICE, short_hash
-from protocols.cola.models import Model
+from protocols.cola.models import Model, Pair
 from protocols.cola.settings import Settings
 from protocols.cola.values import Code
 from protocols.session import CommandRow, DropReason
 from protocols.skeleton.requests import Refused, Request
 
-if TYPE_CHECKING:
-    from protocols.cola.session import ColaSession
-
 Values = Sequence[Any]
+
+
+class Device(Protocol):
+    """What the rows need of a session; instants are `now_ns`."""
+
+    settings: Settings
+    values: dict[str, Any]
+    "Of each variable that is stored."
+    passwords: dict[int, int]
+    pair: Pair
+    window: float
+    power_ups: int
+
+    def rearrange(self, now_ns: int) -> None: ...
+
+    def reconfigure(self, pair: Pair, now_ns: int) -> None: ...
+
+    def start_measuring(self, now_ns: int) -> None: ...
+
+    def stop_measuring(self, now_ns: int) -> None: ...
+
+    def set_date(self, micro: int, now_ns: int) -> None: ...
+
+    def store(self) -> None: ...
+
+    def forget(self, now_ns: int) -> None: ...
+
+    def log_in(self, level: int, request: Request) -> bool: ...
+
+    def challenge(self, asked: bytes, request: Request) -> Any: ...
+
+    def answer(self, told: bytes, request: Request) -> Any: ...
+
+    def ident(self) -> Values: ...
+
+    def contamination(self) -> Values: ...
+
+    def state(self, now_ns: int) -> int: ...
+
+    def status(self, now_ns: int) -> Values: ...
+
+    def hours(self, now_ns: int) -> int: ...
+
+    def celsius(self, now_ns: int) -> float: ...
+
+    def inputs(self, now_ns: int) -> Values: ...
+
+    def outputs(self, now_ns: int) -> Values: ...
+
+    def results(self, now_ns: int) -> Values: ...
 
 
 @dataclass(frozen=True)
@@ -58,13 +105,13 @@ class Variable:
     factory: Callable[[Settings], Values] | None
     "As delivered; None: told by `live`."
     source: str
-    live: Callable[[ColaSession, int], Values] | None = None
+    live: Callable[[Device, int], Values] | None = None
     "(device, now_ns)"
     level: int | None = AUTHORISED
     "Needed for writing; None: nobody writes it."
-    check: Callable[[ColaSession, Values], Code | None] | None = None
+    check: Callable[[Device, Values], Code | None] | None = None
     "Why values that fit the layout are refused."
-    changed: Callable[[ColaSession, int], None] | None = None
+    changed: Callable[[Device, int], None] | None = None
     "(device, now_ns), after a write."
     on: Callable[[Model], bool] = anywhere
     note: str = ""
@@ -80,7 +127,7 @@ class Method:
 
     arguments: str
     result: str
-    act: Callable[[ColaSession, Values, Request], Values | Sfa | None]
+    act: Callable[[Device, Values, Request], Values | Sfa | None]
     "None: answered later, by the session."
     source: str
     level: int = RUN
@@ -101,11 +148,11 @@ class Event:
 # ---------------------------------------------------------------- checks and effects of variables
 
 
-def _among(*allowed: int) -> Callable[[ColaSession, Values], Code | None]:
+def _among(*allowed: int) -> Callable[[Device, Values], Code | None]:
     return lambda device, values: None if values[0] in allowed else Code.CONDITION_FAILED
 
 
-def _range_fits(device: ColaSession, values: Values) -> Code | None:
+def _range_fits(device: Device, values: Values) -> Code | None:
     if device.settings.old:
         return Code.WRITE_DENIED
     sectors = values[0]
@@ -117,21 +164,21 @@ def _range_fits(device: ColaSession, values: Values) -> Code | None:
     return None if good else Code.CONDITION_FAILED
 
 
-def _content_fits(device: ColaSession, values: Values) -> Code | None:
+def _content_fits(device: Device, values: Values) -> Code | None:
     return None if scandata.fits(values, device.settings.model.echoes) else Code.CONDITION_FAILED
 
 
-def _mean_fits(device: ColaSession, values: Values) -> Code | None:
+def _mean_fits(device: Device, values: Values) -> Code | None:
     return None if values[0] < 2 and 2 <= values[1] <= 100 else Code.CONDITION_FAILED
 
 
-def _layers_fit(device: ColaSession, values: Values) -> Code | None:
+def _layers_fit(device: Device, values: Values) -> Code | None:
     switches = [one for (one,) in values[0]]
     good = len(switches) == device.settings.model.layers and max(switches) == 1
     return None if good else Code.INVALID_DATA
 
 
-def _field_fits(device: ColaSession, values: Values) -> Code | None:
+def _field_fits(device: Device, values: Values) -> Code | None:
     if len(values) == 1:
         return Code.WRITE_DENIED
     points = [angles for (angles,) in values[6]]
@@ -140,7 +187,7 @@ def _field_fits(device: ColaSession, values: Values) -> Code | None:
     return None if good and rising else Code.INVALID_DATA
 
 
-def _scans_change(device: ColaSession, now_ns: int) -> None:
+def _scans_change(device: Device, now_ns: int) -> None:
     device.rearrange(now_ns)
 
 
@@ -155,7 +202,7 @@ def _output_range(settings: Settings) -> Values:
     return [[[coarse, model.start, model.stop]]]
 
 
-def _scan_config(device: ColaSession, now_ns: int) -> Values:
+def _scan_config(device: Device, now_ns: int) -> Values:
     model, (frequency, step) = device.settings.model, device.pair
     return [frequency, [[step, model.start, model.stop]]]
 
@@ -184,7 +231,7 @@ def _has_field(number: int) -> Callable[[Model], bool]:
     return lambda model: number < model.fields or (model.fields == 10 and number < 30)
 
 
-def _optics(device: ColaSession, now_ns: int) -> Values:
+def _optics(device: Device, now_ns: int) -> Values:
     return [0 if (share := device.window) >= 0.7 else 1 if share >= 0.4 else 2 if share >= 0.2 else 3]
 
 
@@ -265,29 +312,29 @@ VARIABLES: Mapping[str, Variable] = {
 # ---------------------------------------------------------------- methods
 
 
-def _log_in(device: ColaSession, values: Values, request: Request) -> Values:
+def _log_in(device: Device, values: Values, request: Request) -> Values:
     level, word = values
     known = level in device.passwords and device.passwords[level] == word
     return [int(known and device.log_in(level, request))]
 
 
-def _check_password(device: ColaSession, values: Values, request: Request) -> Values:
+def _check_password(device: Device, values: Values, request: Request) -> Values:
     return [int(device.passwords.get(values[0]) == values[1])]
 
 
-def _set_password(device: ColaSession, values: Values, request: Request) -> Values:
+def _set_password(device: Device, values: Values, request: Request) -> Values:
     if values[0] not in device.passwords:
         return [0]
     device.passwords[values[0]] = values[1]
     return [1]
 
 
-def _log_out(device: ColaSession, values: Values, request: Request) -> Values:
+def _log_out(device: Device, values: Values, request: Request) -> Values:
     device.log_in(RUN, request)
     return [1]
 
 
-def _set_scan_config(device: ColaSession, values: Values, request: Request) -> Values:
+def _set_scan_config(device: Device, values: Values, request: Request) -> Values:
     frequency, sectors = values
     if len(sectors) != 1:
         return [5, frequency, sectors]
@@ -300,17 +347,17 @@ def _set_scan_config(device: ColaSession, values: Values, request: Request) -> V
     return [0, *_scan_config(device, request.now_ns)]
 
 
-def _start(device: ColaSession, values: Values, request: Request) -> Values:
+def _start(device: Device, values: Values, request: Request) -> Values:
     device.start_measuring(request.now_ns)
     return [0]
 
 
-def _stop(device: ColaSession, values: Values, request: Request) -> Values:
+def _stop(device: Device, values: Values, request: Request) -> Values:
     device.stop_measuring(request.now_ns)
     return [0]
 
 
-def _set_date(device: ColaSession, values: Values, request: Request) -> Values:
+def _set_date(device: Device, values: Values, request: Request) -> Values:
     year, month, day, hour, minute, second, micro = values
     good = 1970 <= year < 2100 and 1 <= month <= 12 and 1 <= day <= 31 and hour < 24 and minute < 60
     if not good or day > calendar.monthrange(year, month)[1] or second > 59 or micro > 999_999:
@@ -320,17 +367,17 @@ def _set_date(device: ColaSession, values: Values, request: Request) -> Values:
     return [1]
 
 
-def _store(device: ColaSession, values: Values, request: Request) -> Values:
+def _store(device: Device, values: Values, request: Request) -> Values:
     device.store()
     return [1]
 
 
-def _factory(device: ColaSession, values: Values, request: Request) -> Values:
+def _factory(device: Device, values: Values, request: Request) -> Values:
     device.forget(request.now_ns)
     return []
 
 
-def _nothing(device: ColaSession, values: Values, request: Request) -> Values:
+def _nothing(device: Device, values: Values, request: Request) -> Values:
     return []
 
 

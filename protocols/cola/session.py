@@ -5,10 +5,10 @@ Belongs here: the device's state over time, and what goes to whom. Not: what nam
 
 from __future__ import annotations
 
-import time as calendar_time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
 from fractions import Fraction
 from typing import Any, ClassVar
 
@@ -53,6 +53,8 @@ IMU_NS = 10_000_000
 ANSWERS = {b"sRN": b"sRA", b"sRI": b"sRA", b"sWN": b"sWA", b"sMN": b"sAN", b"sEN": b"sEA"}
 UNKNOWN = {b"sRN": Code.VARIABLE_UNKNOWN, b"sWN": Code.VARIABLE_UNKNOWN, b"sMN": Code.METHOD_UNKNOWN,
            b"sEN": Code.EVENT_UNKNOWN}  # fmt: skip
+EPOCH, LATEST_US = datetime(1970, 1, 1), 4_102_444_800_000_000
+"The calendar ends with 2099."
 POLL, WATCH = Address(-1, 0), Address(-1, 1)
 "Not hosts, but reasons to measure: polls, and fields."
 
@@ -214,8 +216,8 @@ class ColaSession(RequestSession):
             micro = round(self.settings.ntp_epoch_s * 1e6) + at_ns // 1000
         else:
             micro = self.clock.shown_ns(at_ns) // 1000 + (self._date_us or 0)
-        seconds, micro = divmod(max(0, micro), 1_000_000)
-        return (*calendar_time.gmtime(seconds)[:6], micro)
+        told = EPOCH + timedelta(microseconds=min(max(0, micro), LATEST_US))
+        return told.year, told.month, told.day, told.hour, told.minute, told.second, told.microsecond
 
     def set_date(self, micro: int, now_ns: int) -> None:
         """The device's calendar says so many microseconds since 1970 now."""
@@ -346,7 +348,7 @@ class ColaSession(RequestSession):
         sweep = Sweep(
             azimuth_rad=np.radians((start + beams * float(coarse)) / 1e4 - 90.0),
             elevation_rad=np.full(len(beams), np.radians(-layer_cdeg / 100.0)),
-            fire_offset_s=beams * (1e-9 * float(model.beam_ns(self.pair))),
+            fire_offset_s=beams.astype(np.float64) * (1e-9 * float(model.beam_ns(self.pair))),
             duration_s=1e-9 * count * float(model.beam_ns(self.pair)),
             max_range_m=65.535 * scale,
             max_echoes=1 if plain else model.echoes,

@@ -162,7 +162,7 @@ def test_published_challenges_of_the_specification() -> None:
         ("sXY LMPscancfg", "C"), ("hello", "C"), ("sRN", "C"), ("sRI 7", "E"),
         ("sMN mLMPsetscancfg 1388", "8"), ("sMN mLMPsetscancfg 1388 1 1388 FFF92230 225510 1", "7"),
         ("sWN LMPoutputRange 1 1388 225510 FFF92230", "4"), ("sWN LMPoutputRange 2 1 0 1 1 0 1", "5"),
-        ("sWN LMDscandatacfg 00 00 1 1 0 00 00 0 0 0 0 +1", "4"), 
+        ("sWN LMDscandatacfg 00 00 1 1 0 00 00 0 0 0 0 +1", "4"),
         ("sWN LMDscandatacfg 01 00 1 1 0 00 00 0 0 0 0 0", "4"),
         ("sWN LMDscandatacfg 100 00 1 1 0 00 00 0 0 0 0 1", "10"), ("sWN EIHstCola x", "11"), ("sWN EIHstCola 7", "4"),
         ("sWN SerialNumber 1 1", "A"), ("sWN LMPscancfg 1388", "A"), ("sWN FREchoFilter 1", "3"),
@@ -181,9 +181,11 @@ def test_a_refusal_has_its_code_and_changes_nothing(asked: str, code: str) -> No
 @pytest.mark.parametrize(
     ("model", "asked", "status"),
     [
-        ("sick-lms111", "+5000 +1 +5000", 0), ("sick-lms111", "+7500 +1 +5000", 1), ("sick-lms111", "+5000 +1 +2500", 2),
+        ("sick-lms111", "+5000 +1 +5000", 0), ("sick-lms111", "+7500 +1 +5000", 1),
+        ("sick-lms111", "+5000 +1 +2500", 2),
         ("sick-lms111", "+1 +1 +1", 3), ("sick-mrs1104", "+5000 +1 +625", 2), ("sick-lms511", "+10000 +1 +1667", 0),
-        ("sick-lms511", "+10000 +1 +6667", 0), ("sick-tim571", "+1500 +1 +3333", 0), ("sick-tim571", "+2500 +1 +3333", 1),
+        ("sick-lms511", "+10000 +1 +6667", 0), ("sick-tim571", "+1500 +1 +3333", 0),
+        ("sick-tim571", "+2500 +1 +3333", 1),
     ],
 )  # fmt: skip
 def test_scan_configurations_are_judged_by_the_pairs_of_the_model(model: str, asked: str, status: int) -> None:

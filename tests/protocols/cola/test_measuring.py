@@ -83,8 +83,10 @@ def test_a_tim_stamps_the_last_beam_and_an_lms_the_first() -> None:
         assert rig.now_ns >= scan.sent_us * 1000
 
 
-@pytest.mark.parametrize(("asked", "starts"), [("+2500 +1 +1250", [-475_000, -476_250]),
-                                               ("+1250 +1 +625", [-474_375, -475_000, -475_625, -476_250])])  # fmt: skip
+@pytest.mark.parametrize(
+    ("asked", "starts"),
+    [("+2500 +1 +1250", [-475_000, -476_250]), ("+1250 +1 +625", [-474_375, -475_000, -475_625, -476_250])],
+)
 def test_an_interlaced_mrs1000_keeps_its_step_and_shifts_its_start(asked: str, starts: list[int]) -> None:
     rig = Rig("sick-mrs1104")
     start(rig, ONE, f"sMN mLMPsetscancfg {asked} -475000 +2275000")
