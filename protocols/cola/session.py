@@ -371,10 +371,14 @@ class ColaSession(RequestSession):
         return on[number % layers] == [0] or number // layers % self.content.interval != 0
 
     def _passed_over(self, number: int) -> int:
-        passed = 0
-        while not self._watching.active and self._kept_back(number + passed):
-            passed += 1
-        return passed
+        if self._watching.active:
+            return 0
+        layers, interval = self.settings.model.layers, self.content.interval
+        behind = -(number // layers) % interval
+        found = number if not behind else (number // layers + behind) * layers
+        while self._kept_back(found):  # layers that are switched off
+            found += 1 if (found + 1) % layers else 1 + (interval - 1) * layers
+        return found - number
 
     def _telegrams(self, scan: Scan) -> list[Any]:
         raise AssertionError("dialects differ from host to host: see submit")
