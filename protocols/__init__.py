@@ -15,6 +15,7 @@ from protocols.session import Family
 FAMILIES = {
     "lms2xx": "protocols.lms2xx",
     "ld": "protocols.ld",
+    "cola": "protocols.cola",
     "can_objects": "protocols.can_objects",
 }
 "Family name -> module that offers `FAMILY`; those of this package."

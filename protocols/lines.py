@@ -34,6 +34,13 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "settings": "settings config models",
         "other": "__init__",
     },
+    "cola": {
+        "codec": "values framing scandata login",
+        "commands": "commands",
+        "session": "session filters fields watching",
+        "settings": "settings models",
+        "other": "__init__",
+    },
     "can_objects": {
         "codec": "layout e2e framing ars408_lists ldmrs_lists table",
         "commands": "coverage ldmrs_parameters leddar_holding leddar_memory",

@@ -11,6 +11,8 @@ from collections.abc import Callable, Sequence
 from emulator.sensors.spec import load_spec
 from protocols import family
 from protocols.can_frame import EXTENDED
+from protocols.cola.framing import frame
+from protocols.cola.values import ASCII, BINARY
 from protocols.errors import ScanRefused
 from protocols.ld.packages import encode_packages
 from protocols.ld.segments import encode_segments
@@ -102,4 +104,23 @@ CAN_OBJECTS = tuple(
     operations([(2, identifier.to_bytes(2, "big") + payload)])
     for identifier in (0x200, 0x202, 0x300, 0x301, 0x400, 0x401, 0x4F0, 0x4F1, 0x5F2, 0x5F3, 0x5F4, 0x740, 0x741, 0x742)
     for payload in (bytes(8), b"\xff" * 8, bytes.fromhex("f8000000 08 00 00 00"), b"\x01\x02")
+)
+COLA_TEXTS = (
+    "sMN SetAccessMode 03 F4724744", "sRN LMPscancfg", "sMN mLMPsetscancfg +2500 +1 +2500 -450000 +2250000",
+    "sWN LMPoutputRange 1 1388 FFF92230 225510", "sWN LMDscandatacfg 1F 00 3 1 0 01 00 1 1 1 1 +1", "sRN LMDscandata",
+    "sEN LMDscandata 1", "sEN LFErec 1", "sMN LMCstopmeas", "sMN LMCstartmeas", "sMN mSCreboot", "sRI 0", "sRN STlms",
+    "sWN LocationName B hello world", "sMN LSPsetdatetime +2026 +11 +21 0 +37 +20 0", "sMN GetChallenge 3",
+    "sWN field000 3F800000 00000000 1388 FFF92230 1 1 0 1 0 5DC 0 1F40 1F40 0 0 1 6 FIELD1 0", "sMN mEEwriteall",
+    "sWN FREchoFilter 1", "sWN LFPmeanfilter 1 +5 0", "sWN LFPmedianfilter 1 3", "sWN LFPparticle 1 +500", "sMN Run",
+)  # fmt: skip
+COLA_BINARY = (
+    b"sMN SetAccessMode \x03\xf4\x72\x47\x44", b"sEN LMDscandata \x01", b"sRI \x00\x00",
+    b"sMN mLMPsetscancfg \x00\x00\x09\xc4\x00\x01\x00\x00\x09\xc4\xff\xf9\x22\x30\x00\x22\x55\x10",
+    b"sWN ScanLayerFilter \x00\x04\x01\x00\x01\x00", b"sEN InertialMeasurementUnit \x01",
+)  # fmt: skip
+COLA = (
+    *(operations([(3, frame(ASCII, text.encode()))]) for text in COLA_TEXTS),
+    *(operations([(3, frame(BINARY, payload))]) for payload in COLA_BINARY),
+    operations([(7, frame(ASCII, text.encode())) for text in (COLA_TEXTS[0], COLA_TEXTS[16], COLA_TEXTS[6])]),
+    operations([(7, frame(ASCII, COLA_TEXTS[k].encode())) for k in (0, 4, 19, 18, 6, 5, 2)]),
 )

@@ -274,6 +274,7 @@ def _has(method: str) -> Callable[[Keys, Common, Target], str | None]:
 
 def _framings(target: Target, link: int | None) -> list[Framing]:
     from protocols.can_objects.framing import CanFraming
+    from protocols.cola.framing import ColaFraming
     from protocols.ld.framing import PackageFraming, SegmentFraming, UspFraming
     from protocols.lms2xx.framing import Lms2xxFraming
 
@@ -283,6 +284,8 @@ def _framings(target: Target, link: int | None) -> list[Framing]:
         return [Lms2xxFraming()]
     if target.family == "ld":
         return [of_ld.get(kind, UspFraming)() for kind in links]
+    if target.family == "cola":
+        return [ColaFraming()]
     if target.family == "can_objects":
         from protocols.can_objects.layout import load
 
@@ -346,7 +349,7 @@ KINDS: tuple[Kind, ...] = (
         "bad_checksum",
         "A telegram has a wrong checksum and no other error.",
         act=lambda keys, gear: Changed(gear, lambda framing, one: framing.bad_check(one), True),
-        families=("lms2xx", "ld"),
+        families=("lms2xx", "ld", "cola"),
         check=_has("bad_check"),
     ),
     _kind(
@@ -354,7 +357,7 @@ KINDS: tuple[Kind, ...] = (
         "The length field of a telegram is wrong; its checksum is correct.",
         keys=LengthKeys,
         act=lambda keys, gear: Changed(gear, lambda framing, one: framing.with_length(one, keys.change), True),
-        families=("lms2xx", "ld"),
+        families=("lms2xx", "ld", "cola"),
         check=_all(_changes_check, _has("with_length")),
     ),
     _kind(
@@ -396,7 +399,7 @@ KINDS: tuple[Kind, ...] = (
         "The next request is answered.",
         act=lambda keys, gear: Drop(gear),
         of="replies",
-        families=("lms2xx", "ld"),
+        families=("lms2xx", "ld", "cola"),
     ),
     _kind(
         "slow_reply",
@@ -412,7 +415,7 @@ KINDS: tuple[Kind, ...] = (
         "The same request is accepted.",
         act=lambda keys, gear: Refuse(gear),
         directions=FROM_HOST,
-        families=("lms2xx", "ld"),
+        families=("lms2xx", "ld", "cola"),
         check=_has("to_be_refused"),
     ),
 )

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from emulator.hosts import describe_cola
 from protocols.ld.packages import Package, PackageReader
 from protocols.ld.profiles import RANGE_LSB_PER_M, Field
 from protocols.ld.sectors import TICKS
@@ -45,7 +46,7 @@ class Speaker:
     """Whose wire it is."""
 
     family: str
-    "lms2xx | ld | can_objects; anything else speaks nothing that is known."
+    "lms2xx | ld | cola | can_objects; anything else speaks nothing that is known."
     facts: Mapping[str, Any] = field(default_factory=dict)
     "The model's `device` table."
     device: Mapping[str, Any] = field(default_factory=dict)
@@ -68,6 +69,7 @@ def describe(speaker: Speaker, data: bytes, kind: str = "serial", peer: int = 0,
     known: dict[str, Callable[[], list[Described]]] = {
         "lms2xx": lambda: _lms2xx(data, sent),
         "ld": lambda: _ld(data, kind, sent),
+        "cola": lambda: [Described(*row) for row in describe_cola.rows(data, row_of, unknown)],
         "can_objects": lambda: _can(speaker, data, peer),
     }
     try:

@@ -29,7 +29,8 @@ from emulator.process.clock import SystemClock
 if TYPE_CHECKING:
     from emulator.looking.screen import Page
 
-HOSTS = {"lms2xx": "emulator.hosts.lms2xx:Lms2xxHost", "ld": "emulator.hosts.ld:LdHost"}
+HOSTS = {"lms2xx": "emulator.hosts.lms2xx:Lms2xxHost", "ld": "emulator.hosts.ld:LdHost",
+         "cola": "emulator.hosts.cola:ColaHost"}  # fmt: skip
 "Families on a line -> `module:class`, imported when one is wanted; made with a line and a line speed."
 CAN_FAMILY = "can_objects"
 FAMILIES = (*HOSTS, CAN_FAMILY)
@@ -95,7 +96,9 @@ def connect(
 def _listening(make: Callable[..., Host]) -> Callable[[Line, int], Host]:
     """The same, asking for nothing; `EmulatorError` of a host that cannot."""
     if "listen" not in signature(make).parameters:
-        raise EmulatorError("--listen: the host of this family always sends requests; want lms2xx, ld or can_objects")
+        raise EmulatorError(
+            "--listen: the host of this family always sends requests; want lms2xx, ld, cola or can_objects"
+        )
     return partial(make, listen=True)
 
 

@@ -60,11 +60,10 @@ def tries(tcp: bool) -> list[Try]:
     """Families in the order in which they are tried; over TCP an LD is likelier."""
     from protocols import families, family
 
-    found: list[Try] = [("lms2xx", _lms2xx), ("ld", _ld)]
-    if tcp:
-        found.reverse()
+    found: list[Try] = [("ld", _ld), ("cola", _cola)]
+    found.insert(len(found) if tcp else 0, ("lms2xx", _lms2xx))
     for name in families():
-        known = family(name) if name not in ("lms2xx", "ld", CAN_FAMILY) else None
+        known = family(name) if name not in ("lms2xx", "ld", "cola", CAN_FAMILY) else None
         if isinstance(known, HasHost):
             found.append((name, lambda line, name=name, known=known: _stranger(name, known, line)))
     return found
@@ -82,6 +81,13 @@ def _ld(line: Line) -> Found:
 
     host = LdHost(line, None)
     return Found("ld", tidy(host.title), host.found_baud, not host.listens)
+
+
+def _cola(line: Line) -> Found:
+    from emulator.hosts.cola import ColaHost
+
+    host = ColaHost(line, None)
+    return Found("cola", tidy(host.title), host.found_baud, not host.listens)
 
 
 def _stranger(name: str, family: HasHost, line: Line) -> Found:

@@ -14,6 +14,8 @@ import numpy as np
 from emulator.errors import ScenarioError
 from emulator.sensing.table import table_plan
 from emulator.sensors.spec import SensorSpec
+from protocols.cola.framing import frame
+from protocols.cola.values import BINARY
 from protocols.lms2xx.telegrams import request
 from protocols.scan import Scan, ScanPlan
 from protocols.session import Address, Dropped, DropReason, LinkKind, Session
@@ -24,9 +26,10 @@ KEPT_NS = 1_000_000_000
 SOON_NS, LATER_NS = 100_000_000, 5_000_000_000
 "Time to the next request while the device starts; after one that it has taken."
 MAX_ROUNDS = 64
-KINDS = {"lms2xx": LinkKind.SERIAL, "ld": LinkKind.DATAGRAM}
+KINDS = {"lms2xx": LinkKind.SERIAL, "ld": LinkKind.DATAGRAM, "cola": LinkKind.STREAM}
 "Link on which a family's device is asked: an LD with a listener measures by itself."
-REQUESTS = {"lms2xx": (request(b"\x20\x48"), request(b"\x20\x24")), "ld": ()}
+REQUESTS = {"lms2xx": (request(b"\x20\x48"), request(b"\x20\x24")), "ld": (),
+            "cola": (frame(BINARY, b"sEN LMDscandata \x01"),)}  # fmt: skip
 "500 kbaud, so that the line holds no sweep up; then all values, continuously."
 
 

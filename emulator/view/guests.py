@@ -21,7 +21,7 @@ def free_links(name: str, folder: Path) -> list[str]:
         family = load_spec(one.model).family
         if family == "can_objects":
             found.append(f"{one.id}=socketcand:127.0.0.1:0/can0")
-        elif family == "ld":
+        elif family in ("ld", "cola"):
             found.append(f"{one.id}=tcp:127.0.0.1:0")
         elif family is not None:
             found.append(f"{one.id}=pty:{folder / one.id}")

@@ -101,6 +101,10 @@ class SweepSession(TimedSession):
     def _start(self, now_ns: int) -> None:
         """Called at the end of the boot: first subscribers, and timers."""
 
+    def _passed_over(self, number: int) -> int:
+        """How many sweeps from that number on the device keeps to itself; they need not be measured."""
+        return 0
+
     # power
 
     def power_on(self, now_ns: int) -> None:
@@ -188,7 +192,7 @@ class SweepSession(TimedSession):
         self._wanted.renew()
         self._stream += 1
         self._nominal_ns = self._nominal_ns if period_ns is None else period_ns
-        self._next = self._raster.first_from(now_ns)
+        self._next = max(self._raster.first, self._raster.first_from(now_ns))
         self._raster = self._raster.going_on(self._next, self._nominal_ns * self._slowed)
 
     def impair(self, now_ns: int, what: str, degree: float) -> bool:
@@ -217,6 +221,10 @@ class SweepSession(TimedSession):
             late = range(self._next, ended)
             self._events.unsent(self._now_ns, DropReason.LATE, late, "not measured in time", self._stream)
             self._next = ended
+        if passed := self._passed_over(self._next):
+            numbers = range(self._next, self._next + passed)
+            self._events.unsent(self._now_ns, DropReason.KEPT, numbers, "", self._stream)
+            self._next += passed
         sweep = self._sweep(self._next)
         plan = ScanPlan(
             epoch=self._wanted.epoch,

@@ -20,6 +20,8 @@ SHIPPED = {
     "sick-lms221-30206", "sick-lms221-s07", "sick-lms221-s14", "sick-lms221-s15", "sick-lms221-s16",
     "sick-lms221-s19", "sick-lms221-s20", "sick-lms291-s05", "sick-lms291-s14", "sick-lms291-s15",
     "sick-ld-lrs1000", "sick-ld-lrs2100", "sick-ld-lrs3100", "sick-ld-oem1000", "paper-905nm",
+    "sick-lms100", "sick-lms111", "sick-lms151", "sick-lms500", "sick-lms511", "sick-tim551", "sick-tim561",
+    "sick-tim571", "sick-tim781", "sick-mrs1104",
     "can-ars408", "can-ldmrs", "can-leddar-vu8", "can-leddar-m16", "can-esr",
 }  # fmt: skip
 
@@ -52,7 +54,9 @@ def test_every_number_of_a_model_has_its_source(model: str) -> None:
 def test_sick_numbers_and_the_reference_receiver_follow_the_physics_specification(model: str) -> None:
     made = sensor_model(load_spec(model), PhysicsOptions(), "operational")
     constants = {"sick-ld-lrs": (64000.0, 8e-9), "sick-ld-oem": (16000.0, 8e-9), "paper": (75000.0 / 5.02, 16e-9),
-                 "sick-lms200": (1000.0, 4e-9), "sick-lms220": (1000.0, 4e-9)}  # fmt: skip
+                 "sick-lms200": (1000.0, 4e-9), "sick-lms220": (1000.0, 4e-9),
+                 "sick-lms1": (3240.0, 4e-9), "sick-lms5": (7200.0, 4e-9), "sick-tim55": (640.0, 4e-9),
+                 "sick-tim56": (640.0, 4e-9), "sick-tim": (695.0, 4e-9), "sick-mrs": (2560.0, 4e-9)}  # fmt: skip
     k_m2, fwhm_s = next((value for name, value in constants.items() if model.startswith(name)), (9000.0, 4e-9))
     assert made.k_m2 / made.threshold == pytest.approx(k_m2, rel=2e-4)
     assert made.pulse.fwhm_s == pytest.approx(fwhm_s)

@@ -1,0 +1,38 @@
+"""SICK CoLa-A and CoLa-B: LMS1xx, LMS5xx, TiM5xx, TiM7xx and MRS1000 on TCP 2111 and 2112, CoLa-A on serial lines.
+
+values      values in either dialect, by layout
+framing     frames of both dialects; telegrams changed by faults
+scandata    LMDscandata
+models, settings   facts of the models, the scenario's `device` table
+login       user levels, hashes, challenges
+commands    variables, methods, events: the table
+filters     echo choice, fog, particle, median and mean filter
+fields, watching   field evaluation
+session     what happens when, and who is told
+"""
+
+from __future__ import annotations
+
+from protocols.cola.commands import rows
+from protocols.cola.framing import ColaFraming
+from protocols.cola.session import ColaSession
+from protocols.cola.settings import settings_of
+from protocols.session import LinkKind, Session
+from protocols.skeleton.family import SimpleFamily
+from protocols.skeleton.keys import DeviceKeys
+
+
+def new_session(keys: DeviceKeys) -> ColaSession:
+    """Of a scenario's `device:` table."""
+    return ColaSession(settings_of(keys))
+
+
+class ColaFamily(SimpleFamily):
+    """With its framing."""
+
+    def framing(self, session: Session, kind: LinkKind) -> ColaFraming:
+        """How its telegrams are changed on their way."""
+        return ColaFraming()
+
+
+FAMILY = ColaFamily("cola", tcp_is_line=False, build=new_session, rows=rows())

@@ -1,0 +1,132 @@
+"""What the device does to echoes before it tells of them: echo choice, fog, particle, median, mean, in that order.
+
+Belongs here: arithmetic over beams, and what a filter remembers of earlier scans. Not: the variables that set them.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from protocols.scan import Floats, Scan
+
+FIRST, ALL, LAST = 0, 1, 2
+"FREchoFilter."
+FOG_M, FOG_PEAK = 4.0, 8.0
+"""The fog filter takes away weak echoes of the near field: what is nearer than `FOG_M` and weaker than `FOG_PEAK`
+times the threshold. The maker describes the effect and no figure; these are ours."""
+
+
+@dataclass(frozen=True)
+class Filters:
+    """How the filters are set."""
+
+    echo: int = FIRST
+    fog: bool = False
+    particle_m: float | None = None
+    "An echo needs another one within this distance beside it or before it; None: off."
+    median: bool = False
+    mean: int = 1
+    "Scans a telegram; its rate falls by as much."
+
+
+@dataclass(frozen=True, eq=False)
+class Filtered:
+    """What is left of one scan, or of several."""
+
+    range_m: Floats
+    intensity: Floats
+    flags: np.ndarray
+
+
+class Chain:
+    """The filters of one device. Settings and directions may change only with `clear`."""
+
+    def __init__(self) -> None:
+        self._before: dict[int, Floats] = {}
+        "Ranges of the scan before, for each layer."
+        self._window: dict[int, deque[Floats]] = {}
+        self._gathered: dict[int, list[Filtered]] = {}
+
+    def clear(self) -> None:
+        """Forget earlier scans."""
+        self._before.clear()
+        self._window.clear()
+        self._gathered.clear()
+
+    def add(self, scan: Scan, filters: Filters, layer: int = 0) -> Filtered | None:
+        """What a scan becomes; None: a mean needs more of them."""
+        ranges, peaks = scan.range_m.copy(), scan.intensity.copy()
+        if filters.fog:
+            ranges, peaks = _pushed(ranges, peaks, (ranges < FOG_M) & (peaks < FOG_PEAK))
+        if filters.echo != ALL:
+            ranges, peaks = _one(ranges, peaks, filters.echo)
+        if filters.particle_m is not None:
+            before = self._before.get(layer)
+            self._before[layer] = ranges.copy()
+            gone = _lonely(ranges, before, filters.particle_m)
+            ranges, peaks = np.where(gone, np.nan, ranges), np.where(gone, np.nan, peaks)
+        if filters.median:
+            window = self._window.setdefault(layer, deque(maxlen=3))
+            window.append(ranges)
+            middle = _median(list(window))
+            ranges = np.where(np.isfinite(ranges), middle, np.nan)
+        found = Filtered(ranges, peaks, scan.flags)
+        if filters.mean < 2:
+            return found
+        parts = self._gathered.setdefault(layer, [])
+        parts.append(found)
+        if len(parts) < filters.mean:
+            return None
+        del self._gathered[layer]
+        return Filtered(
+            _mean([part.range_m for part in parts]),
+            _mean([part.intensity for part in parts]),
+            np.bitwise_and.reduce([part.flags for part in parts]),
+        )
+
+
+def _pushed(ranges: Floats, peaks: Floats, gone: np.ndarray) -> tuple[Floats, Floats]:
+    """Without what is gone; the echoes behind move up."""
+    order = np.argsort(gone | ~np.isfinite(ranges), axis=1, kind="stable")
+    left = np.where(gone, np.nan, ranges), np.where(gone, np.nan, peaks)
+    return np.take_along_axis(left[0], order, 1), np.take_along_axis(left[1], order, 1)
+
+
+def _one(ranges: Floats, peaks: Floats, which: int) -> tuple[Floats, Floats]:
+    """The first, or the last echo of each beam alone."""
+    if which == FIRST:
+        return ranges[:, :1], peaks[:, :1]
+    last = np.maximum(np.isfinite(ranges).sum(axis=1) - 1, 0)[:, None]
+    return np.take_along_axis(ranges, last, 1), np.take_along_axis(peaks, last, 1)
+
+
+def _lonely(ranges: Floats, before: Floats | None, near_m: float) -> np.ndarray:
+    """Echoes without another one near: beside them in this scan, or in their direction in the scan before."""
+    found = np.zeros(ranges.shape, bool)
+    close = np.abs(ranges[1:] - ranges[:-1]) <= near_m
+    found[1:] |= close
+    found[:-1] |= close
+    if before is not None and before.shape == ranges.shape:
+        found |= np.abs(ranges - before) <= near_m
+    return np.isfinite(ranges) & ~found
+
+
+def _median(window: list[Floats]) -> Floats:
+    """Of three scans and three neighbouring directions."""
+    padded = [np.pad(one, ((1, 1), (0, 0)), mode="edge") for one in window]
+    stack = np.stack([one[k : k + len(one) - 2] for one in padded for k in range(3)])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a direction without any echo stays without
+        return np.asarray(np.nanmedian(stack, axis=0))
+
+
+def _mean(parts: list[Floats]) -> Floats:
+    """Of the scans that have an echo there, when at least half of them do."""
+    stack = np.stack(parts)
+    count = np.isfinite(stack).sum(axis=0)
+    total = np.where(np.isfinite(stack), stack, 0.0).sum(axis=0)
+    return np.where(2 * count >= len(parts), total / np.maximum(count, 1), np.nan)

@@ -1,0 +1,39 @@
+"""Access to a CoLa device: user levels, what passwords become on the wire, and the login by challenge.
+
+Belongs here: arithmetic on passwords. Not: which level a command needs (commands).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+
+LEVELS = ("Run", "Operator", "Maintenance", "AuthorizedClient", "Service")
+"By number; the names are those that the login by challenge hashes."
+RUN, OPERATOR, MAINTENANCE, AUTHORISED, SERVICE = range(5)
+
+PASSWORDS: Mapping[int, str] = {MAINTENANCE: "main", AUTHORISED: "client", SERVICE: "servicelevel"}
+"As delivered (drivers' sources, hashes recomputed)."
+
+
+def short_hash(password: str) -> int:
+    """The 32 bits of `SetAccessMode`: the words of the MD5 XORed, bytes in reverse order. `client` is F4724744."""
+    digest = hashlib.md5(password.encode("latin-1"), usedforsecurity=False).digest()
+    words = [int.from_bytes(digest[k : k + 4], "little") for k in range(0, 16, 4)]
+    return words[0] ^ words[1] ^ words[2] ^ words[3]
+
+
+def long_hash(level: int, password: str, salt: bytes = b"") -> bytes:
+    """SHA-256 that a device with the login by challenge keeps; `salt` of version 2, empty in version 1."""
+    told = f"{LEVELS[level]}:SICK Sensor:{password}".encode("latin-1")
+    return hashlib.sha256(told + (b":" + salt if salt else b"")).digest()
+
+
+def response(kept: bytes, challenge: bytes) -> bytes:
+    """What a host must answer a challenge with."""
+    return hashlib.sha256(kept + challenge).digest()
+
+
+def challenge_of(serial: str, number: int, now_ns: int) -> bytes:
+    """Sixteen bytes that come once: devices draw them, this one derives them so that runs are repeatable."""
+    return hashlib.sha256(f"{serial}:{number}:{now_ns}".encode()).digest()[:16]
