@@ -281,12 +281,12 @@ def _lateness_and_drops(sensors: Sequence[SensorTally], duration_s: float) -> Se
         if link.late_ns
     ]
     if links:
-        heads = (Column("sensor", "Sensor"), Column("link", "Link", "d"), *columns[1:])
+        link_heads = (Column("sensor", "Sensor"), Column("link", "Link", "d"), *columns[1:])
         told_links = [(sensor, number, *late_us(link)) for _, sensor, number, link in links]
         words = (
             "From the recorded instants: when the last bit of a payload was due, and when it had left at the latest."
         )
-        tables.insert(0, Table("lateness_by_link", "Lateness by link", heads, rows_of(told_links), words))
+        tables.insert(0, Table("lateness_by_link", "Lateness by link", link_heads, rows_of(told_links), words))
     text = [] if rows or links else ["Lateness is not in this recording."]
     text += [] if drops else ["Nothing was dropped."]
     pictures: tuple[Picture, ...] = ()

@@ -147,7 +147,8 @@ def _cast(truth: Truth, eye: Floats, axes: Floats, t_s: float, columns: int, row
     coloured = _colours(hits.actor) * shade[:, None]
     range_m = np.nan_to_num(hits.range_m, nan=np.inf)
     fade = np.exp(-np.square(range_m / (9.0 * far_m)))[:, None]
-    return np.where(hits.actor[:, None] < 0, sky, sky + (coloured - sky) * fade).reshape(rows, columns, 3)
+    seen = np.where(hits.actor[:, None] < 0, sky, sky + (coloured - sky) * fade)
+    return np.asarray(seen.reshape(rows, columns, 3))
 
 
 def _colours(actor: Ints) -> Floats:

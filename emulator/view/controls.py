@@ -159,7 +159,8 @@ class Controls:
 
         def chosen(event: Any) -> None:
             self._quiet = QUIET_LOOKS
-            self._fog.value = FOG_CHOICES[event.target.value]
+            field: Any = self._fog  # its setter is untyped
+            field.value = FOG_CHOICES[event.target.value]
             self._settle(self._fog)
             self._orders.send("fog", "weather", fog(), self._take_weather)
 

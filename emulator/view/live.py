@@ -44,7 +44,7 @@ class LiveSource:
             at = found["next"]
         self.source = Path(found["source"])
         self.scenario: Scenario = scenario_file.loads("".join(parts), self.source)
-        self.title = self.source.stem
+        self.title: str = self.source.stem
         self._scans: dict[str, ShownScan] = {}
         self._numbers: dict[str, int] = {}
         self._telegrams: dict[str, deque[ShownTelegram]] = {}

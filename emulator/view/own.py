@@ -28,6 +28,8 @@ class OwnSource:
     def __init__(self, scenario: str, tell: Callable[[str], None]) -> None:
         """Raises `DaemonError` when it does not start."""
         self._scenario, self._tell = scenario, tell
+        self._held: ExitStack
+        self._source: LiveSource
         self._held, self._source = self._started()
 
     def _started(self) -> tuple[ExitStack, LiveSource]:

@@ -109,8 +109,8 @@ class Page:
                 top = float(body.vertices[:, 2].max()) + 0.3
                 actor = self._world.actors[body.actor]
                 tops.setdefault(actor, top)
-                name = scene.add_label(f"/world/scene/{actor}/{number}/name", actor, position=(0.0, 0.0, top))
-                self._names[number] = name, top
+                label = scene.add_label(f"/world/scene/{actor}/{number}/name", actor, position=(0.0, 0.0, top))
+                self._names[number] = label, top
         far_m = self._far_m = view_m(low, high)
         empty, black = np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8)
         names_m = name_heights(self._mounts, NAME_SHARE * far_m, tops)
