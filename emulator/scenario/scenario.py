@@ -76,6 +76,10 @@ class Record(DescribedTable):
     "Bytes both ways."
     truth: bool = False
     "What each echo was."
+    foxglove: bool = False
+    "Point clouds, laser scans and boxes beside it, for viewers; see docs/live_world.md."
+    osi: Annotated[tuple[str, ...], Field(max_length=8)] = ()
+    "Where OSI SensorData of every scan goes: osi-udp://HOST:PORT, osi-trace:FILE."
 
 
 class Scenario(DescribedTable):

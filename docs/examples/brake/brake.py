@@ -224,7 +224,6 @@ def main() -> None:
             print(*(one.row() for one in rows), sep="\n", flush=True)
     if not (told.weather or told.speed or told.real):
         told.page.write_text(page(found), encoding="utf-8")
-        told.page.with_suffix(".svg").write_text(picture(found), encoding="utf-8")
 
 
 if __name__ == "__main__":
