@@ -6,6 +6,7 @@ Numbers of fields: osi_sensordata.proto, osi_featuredata.proto, osi_detectedobje
 
 from __future__ import annotations
 
+import contextlib
 import math
 import socket
 import struct
@@ -75,18 +76,43 @@ class _Trace:
         self._file.close()
 
 
+class _Mcap:
+    """By the extra `osi`, which has the descriptors of OSI's messages."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            import betterosi
+        except ImportError:
+            raise LinkError(f"record.osi: {path}: MCAP wants betterosi: pip install 'lidaremu[osi]'") from None
+        if path.suffix != ".mcap":
+            raise LinkError(f"record.osi: {path}; want a name that ends in .mcap")
+        self._message, self._open = betterosi.SensorData, contextlib.ExitStack()
+        self._writer = self._open.enter_context(betterosi.Writer(path, topic="sensor_data"))
+
+    def send(self, message: bytes) -> None:
+        self._writer.add(self._message.from_binary(message))
+
+    def close(self) -> None:
+        self._open.close()
+
+
+KINDS = "osi-udp://HOST:PORT, osi-trace:FILE.osi or osi-mcap:FILE.mcap"
+
+
 def opened(url: str) -> Out:
-    """`osi-udp://HOST:PORT` or `osi-trace:FILE`; `LinkError` where that cannot be had."""
+    """`osi-udp://HOST:PORT`, `osi-trace:FILE`, `osi-mcap:FILE`; `LinkError` where that cannot be had."""
     kind, _, rest = url.partition(":")
     try:
         if kind == "osi-trace" and rest:
             return _Trace(Path(rest))
+        if kind == "osi-mcap" and rest:
+            return _Mcap(Path(rest))
         host, colon, port = rest.removeprefix("//").rpartition(":")
         if kind == "osi-udp" and colon and port.isdecimal() and 0 < int(port) < 65_536:
             return _Datagrams(host.strip("[]"), int(port))
     except OSError as error:
         raise LinkError(f"record.osi: {url}: {error.strerror or error}") from None
-    raise LinkError(f"record.osi: {url}; want osi-udp://HOST:PORT or osi-trace:FILE")
+    raise LinkError(f"record.osi: {url}; want {KINDS}")
 
 
 # ---------------------------------------------------------------- messages

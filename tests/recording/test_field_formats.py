@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import socket
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +17,11 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from emulator.commands.recordings import field_formats
 from emulator.judging.trial import Trial
+from emulator.live.esmini import Assembly
 from emulator.recording import foxglove, osi_out
 from emulator.recording.reader import read_run
 from emulator.scenario.scenario import load
+from emulator.scenario.tables import Mount
 from protocols.scan import DetectedObject, Scan, ScanPlan
 
 SCENE = """
@@ -100,7 +104,8 @@ def test_our_own_readers_pass_over_them(recorded: Path) -> None:
 
 
 def read_osi(path: Path) -> list[Any]:
-    betterosi = pytest.importorskip("betterosi")
+    import betterosi
+
     data, found = path.read_bytes(), []
     while data:
         size = int.from_bytes(data[:4], "little")
@@ -143,13 +148,38 @@ def test_no_echo_is_no_detection_and_a_pedestrian_is_one() -> None:
     assert osi_out.detections(Scan.empty(plan)) == b""
     scan = Scan.empty(plan)
     scan.range_m[299, 0], scan.intensity[299, 0], scan.actor[299, 0] = 5.0, 4.0, 70_000
-    betterosi = pytest.importorskip("betterosi")
+    import betterosi
+
     (one,) = betterosi.LidarDetectionData.from_binary(osi_out.detections(scan)).detection
     assert (one.object_id.value, one.beam_id.value, one.position.distance, one.intensity) == (70_000, 299, 5.0, 75.0)
     listed = DetectedObject(4, (1, 2, 0.5), (0, 1, 0), (0.5, 0.5, 1.8), 0.1, "pedestrian", actor="walker")
     back = betterosi.DetectedMovingObject.from_binary(osi_out.moving_object(listed, {"walker": 3}, 1))
     assert (back.candidate[0].type, back.header.tracking_id.value) == (3, 4)
     assert back.base.dimension.height == 1.8
+
+
+def test_osi_goes_by_udp_as_esmini_sends_and_into_mcap(tmp_path: Path) -> None:
+    plan = ScanPlan(0, 7, 10**9, np.linspace(-1, 1, 300), np.zeros(300), np.zeros(300), 0.013)
+    scan = Scan.empty(plan)
+    scan.range_m[:, 0], scan.intensity[:, 0] = 5.0, 4.0
+    message = osi_out.sensor_data(scan, 1, Mount(), None, {})
+    assert len(message) > 8192, "more than a datagram of esmini's"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.settimeout(5)
+        out = osi_out.opened(f"osi-udp://127.0.0.1:{listener.getsockname()[1]}")
+        out.send(message)
+        assembly, whole = Assembly(Counter()), None
+        while whole is None:
+            whole = assembly.take(*listener.recvfrom(65_536), 0)
+        assert whole == message
+        out.close()
+    file = osi_out.opened(f"osi-mcap:{tmp_path / 'out.mcap'}")
+    file.send(message)
+    file.close()
+    with (tmp_path / "out.mcap").open("rb") as back:
+        ((schema, _, told),) = make_reader(back).iter_messages()
+    assert (schema.name, told.data, told.log_time) == ("osi3.SensorData", message, 1_013_000_000)
 
 
 @pytest.mark.parametrize("url", ["udp://127.0.0.1:1", "osi-udp://127.0.0.1", "osi-trace:", "osi-trace:/no/such/x.osi"])
