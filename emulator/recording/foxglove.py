@@ -108,9 +108,8 @@ class FoxgloveChannels(Observer):
             self._next_ns = at_ns + SCENE_NS
             self._actors(at_ns)
         if len(scan.plan):
-            points = np.zeros(0, POINT)
             at_m, intensity, actor, beam = self._where.points(sensor, scan)
-            points = np.zeros(len(at_m), POINT)
+            points: np.ndarray = np.zeros(len(at_m), POINT)
             points["x"], points["y"], points["z"] = at_m.T
             points["intensity"], points["actor"], points["beam"] = intensity, actor, beam
             self._put(f"/{sensor}/points", "PointCloud", at_ns, point_cloud(at_ns, points))

@@ -123,7 +123,7 @@ def detections(scan: Scan) -> bytes:
     beam, place = np.nonzero(np.isfinite(scan.range_m))
     actor = scan.actor[beam, place]
     moves = actor > 0
-    rows = np.zeros(len(beam), ROW)
+    rows: np.ndarray = np.zeros(len(beam), ROW)
     size = np.where(moves, ROW.itemsize - 2, ROW.itemsize - 2 - 8)
     rows["head"][:, 0], rows["head"][:, 1] = wire.key(2, wire.BYTES)[0], size
     rows["exists_key"], rows["exists"] = wire.key(1, wire.FIXED64)[0], 1.0
