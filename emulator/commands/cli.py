@@ -38,7 +38,7 @@ from emulator.commands.explain import explain
 from emulator.commands.fuzz import fuzz
 from emulator.commands.look import demo, look
 from emulator.commands.probe import probe
-from emulator.commands.recordings import diff, recorder_for, replay
+from emulator.commands.recordings import diff, field_formats, recorder_for, replay
 from emulator.commands.report import report
 from emulator.commands.soak import soak
 from emulator.commands.study import study
@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from emulator.instrument.instrument import Instrument
     from emulator.process.clock import Clock
     from emulator.process.incidents import Incident, Incidents
+    from emulator.recording.osi_out import OsiOut
     from emulator.recording.transcript import Transcript
     from emulator.recording.writer import Recorder
     from emulator.runtime.daemon import Daemon
@@ -245,6 +246,7 @@ def run(
     server = None
     recorder: Recorder | None = None
     lockstep: LockstepServer | None = None
+    osi: OsiOut | None = None
     driver: subprocess.Popen[bytes] | None = None
     now_ns = (lambda: daemon.now_ns) if isinstance(daemon, VirtualDaemon) else real.now_ns
     try:
@@ -252,6 +254,7 @@ def run(
         lockstep = lockstep_of(daemon)
         feed_url = feed_url if lockstep is None else lockstep.url
         recorder = recorder_for(loaded, instruments, record, daemon, now_ns)
+        osi = field_formats(loaded, instruments, recorder, daemon.feeding, note)
         with daemon.signals():
             real.restart()
             if leash is not None:
@@ -280,6 +283,8 @@ def run(
         daemon.close()
         if recorder is not None:
             recorder.close()
+        if osi is not None:
+            osi.close()
         driver_code = None if driver is None else end_driver(driver)
     recorded = None if recorder is None else recorder.state()
     if daemon.feeding is not None:

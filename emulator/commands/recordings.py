@@ -21,8 +21,11 @@ from emulator.process.driver import driver_environment, end_driver, how_it_ended
 
 if TYPE_CHECKING:
     from emulator.instrument.instrument import Instrument
+    from emulator.instrument.observer import Observer
+    from emulator.recording.osi_out import OsiOut
     from emulator.recording.writer import Recorder
     from emulator.runtime.daemon import Daemon, Lateness
+    from emulator.runtime.feeding import Feeding
     from emulator.runtime.virtual_daemon import VirtualDaemon
     from emulator.scenario.scenario import Scenario
     from emulator.transports.link import Link
@@ -51,6 +54,33 @@ def recorder_for(
     truth = folder is not None or wanted.truth
     manner = VIRTUAL if isinstance(daemon, VirtualDaemon) else LIVE
     return Recorder(folder or own, scenario, instruments, truth, daemon.incidents, now_ns, manner)
+
+
+def field_formats(
+    scenario: Scenario,
+    instruments: Sequence[Instrument],
+    recorder: Recorder | None,
+    feeding: Feeding | None,
+    tell: Callable[[str], None],
+) -> OsiOut | None:
+    """`record.foxglove` and `record.osi`: formats that other tools read; what must be closed at the end."""
+    wanted = scenario.record
+    if not (wanted.osi or (wanted.foxglove and recorder is not None)):
+        return None
+    from emulator.recording.foxglove import FoxgloveChannels
+    from emulator.recording.osi_out import OsiOut, opened
+    from emulator.recording.whereabouts import Whereabouts
+
+    where = Whereabouts(scenario, None if feeding is None else feeding.book.world)
+    observers: list[Observer] = []
+    if wanted.foxglove and recorder is not None:
+        observers.append(FoxgloveChannels(recorder, where))
+    osi = OsiOut(where, [opened(url) for url in wanted.osi], tell) if wanted.osi else None
+    observers += [] if osi is None else [osi]
+    for instrument in instruments:
+        for observer in observers:
+            instrument.watch(observer)
+    return osi
 
 
 WIRE_PORT = click.option(

@@ -98,6 +98,8 @@ class Recorder(Observer):
         self._sync = manner.sync
         self._channels: dict[tuple[object, ...], int] = {}
         self._known: list[Channel] = []
+        self._foreign: dict[str, int] = {}
+        "Schemas of others by name."
         self._captures: dict[str, tuple[Packets, _Pieces]] = {}
         self._logs: dict[str, _Pieces] = {}
         self._seen: dict[str, dict[int, None]] = {}
@@ -185,6 +187,20 @@ class Recorder(Observer):
     def note(self, now_ns: int, row: dict[str, object]) -> None:
         """Something about the whole run: a change of the weather, a fault, an order of the user's."""
         self._add("run", "event", layout.EVENT_ENCODING, self._event, now_ns, json.dumps(row).encode())
+
+    def foreign(self, topic: str, schema: str, descriptors: bytes, at_ns: int, data: bytes) -> None:
+        """A message of a published schema in protocol buffers, for other tools."""
+
+        def put() -> None:
+            key = ("foreign", topic)
+            if key not in self._channels:
+                known = self._foreign.get(schema)
+                if known is None:
+                    known = self._foreign[schema] = self._schema(schema, "protobuf", descriptors)
+                self._channels[key] = self._channel(topic, "protobuf", known, {})
+            self._message(self._channels[key], at_ns, data, at_ns)
+
+        self._guarded(put)
 
     def feed(self, now_ns: int, row: dict[str, object]) -> None:
         """An update of a feed, as it was used."""

@@ -69,6 +69,9 @@ class Expectation(Table):
     within: Annotated[tuple[float, float], long_as(2)] | None = None
 
 
+OsiPlace = Annotated[str, Field(pattern=r"^osi-(udp://.+:\d+|trace:.+|mcap:.+\.mcap)$")]
+
+
 class Record(DescribedTable):
     """What a run keeps."""
 
@@ -76,6 +79,10 @@ class Record(DescribedTable):
     "Bytes both ways."
     truth: bool = False
     "What each echo was."
+    foxglove: bool = False
+    "Point clouds, laser scans and boxes beside it, for viewers; see docs/live_world.md."
+    osi: Annotated[tuple[OsiPlace, ...], Field(max_length=8)] = ()
+    "Where OSI SensorData of every scan goes: osi-udp://HOST:PORT, osi-trace:FILE, osi-mcap:FILE."
 
 
 class Scenario(DescribedTable):

@@ -1,0 +1,230 @@
+"""Does it stop? A car brakes on the ranges of an emulated LMS291, read from its pseudo-terminal.
+
+python docs/examples/brake/brake.py                                the sweep, in virtual time: table, brake.html
+python docs/examples/brake/brake.py --real --weather fog_40 --speed 50   one drive in real time
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+from car import FRICTION, Brake, Car
+from lms_host import LmsHost
+
+from emulator.live.client import Feeder, Lockstep
+
+STEP = 0.02
+"Of the vehicle model. [s]"
+STOPPED_X = 122.0 - 2.26 - 3.6
+"Rear bumper of the stopped car, less the front of ours before its rear axle. [m]"
+AHEAD = 3.3
+"Drives begin so far from it in time at their speed, before the brake may act; and 5 m. [s]"
+SPEEDS = (30, 50, 70, 90)
+"[km/h]"
+FOGS = (200, 100, 70, 50, 40, 30, 20, 15, 10)
+"Visibility. [m]"
+WEATHER: dict[str, tuple[str, tuple[str, ...]]] = {
+    "clear": ("dry", ()),
+    **{f"fog_{one}": ("dry", (f"weather.fog.visibility_m={one}",)) for one in FOGS},
+    "rain_35": ("wet", ("weather.rain.rate_mm_h=35",)),
+    "snow_3": ("snow", ("weather.snow.rate_mm_h=3",)),
+}
+"The road in it, and what the scenario is told. Numbers: visibility in m, rate in mm/h."
+PATIENCE = 20.0
+
+
+@dataclass(frozen=True)
+class Drive:
+    """How one ended."""
+
+    weather: str
+    speed: float
+    "At the begin. [km/h]"
+    braked_at: float | None
+    "Distance from which it braked. [m]"
+    impact: float
+    "Speed at impact; 0: it has stopped. [km/h]"
+    left: float
+    "Distance left when it stood. [m]"
+
+    def row(self) -> str:
+        """Of the page's table."""
+        at = "-" if self.braked_at is None else f"{self.braked_at:.1f}"
+        end = f"{self.left:.1f} | 0" if not self.impact else f"- | {self.impact:.0f}"
+        return f"| {self.weather} | {self.speed:g} | {at} | {end} |"
+
+
+HEAD = "| weather | speed (km/h) | braked at (m) | left (m) | speed at impact (km/h) |\n|---|---|---|---|---|"
+
+
+class World:
+    """A run of the scenario, and time in it."""
+
+    def __init__(self, host: LmsHost) -> None:
+        self.host, self.t, self.waiting = host, 0.0, []
+
+    def actor(self, car: Car, jump: bool = False) -> dict[str, object]:
+        """The ego for the feed."""
+        at = {"id": "ego", "at_m": [car.x, 0.0, 0.0], "velocity_m_s": [car.speed, 0.0, 0.0], "reference": "origin"}
+        return at | ({"jump": True} if jump else {})
+
+
+class Virtual(World):
+    """By lock-step; a scan acts two steps after it was measured, when its last byte is there, in every run."""
+
+    def __init__(self, host: LmsHost, feed: str) -> None:
+        super().__init__(host)
+        self.world = Lockstep(feed)
+        self.sent = [0, 0, 0]
+        "Scans up to now, up to the step before, up to the one before that."
+
+    def step(self, car: Car, jump: bool = False) -> list[list[tuple[float, float]]]:
+        """Time goes on; the scans that have come."""
+        self.t = round(self.t + STEP, 6)
+        done = self.world.step(self.t, [self.actor(car, jump)])
+        self.sent = [self.sent[0] + done["sent"]["front"], *self.sent[:2]]
+        until = time.monotonic() + PATIENCE
+        while self.host.count < self.sent[2]:
+            self.waiting += self.host.scans()
+            if time.monotonic() > until:
+                raise SystemExit("no scans")
+        count = len(self.waiting) - (self.host.count - self.sent[2])
+        found, self.waiting = self.waiting[:count], self.waiting[count:]
+        return found
+
+
+class Real(World):
+    """By the clock, poses by UDP."""
+
+    def __init__(self, host: LmsHost, feed: str) -> None:
+        super().__init__(host)
+        self.feeder = Feeder(feed)
+        self.began = time.monotonic()
+
+    def step(self, car: Car, jump: bool = False) -> list[list[tuple[float, float]]]:
+        """The same."""
+        self.t = round(self.t + STEP, 6)
+        time.sleep(max(0.0, self.began + self.t - time.monotonic()))
+        self.feeder.send([self.actor(car, jump)], self.t)
+        return self.host.scans()
+
+
+@contextmanager
+def running(settings: tuple[str, ...], real: bool) -> Iterator[World]:
+    """The daemon, a host on its pseudo-terminal, and the feed."""
+    with tempfile.TemporaryDirectory() as folder:
+        feed = "json-udp://127.0.0.1:0" if real else f"lockstep:unix:{folder}/feed"
+        words = ["--link", f"front=pty:{folder}/lms291", "--set", f"live.feed={feed}", "--json"]
+        words += [] if real else ["--clock", "virtual", "--workers", "1"]
+        for key in settings:
+            words += ["--set", key]
+        command = [sys.executable, "-m", "emulator", "run", "emergency_brake", *words]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as daemon:
+            try:
+                ready = next((one for one in map(json.loads, daemon.stdout) if "ready" in json.dumps(one)), None)
+                if ready is None:
+                    raise SystemExit("the run has ended")
+                host = LmsHost(f"{folder}/lms291", 100, 0.5)
+                yield (Real if real else Virtual)(host, str(ready["feed"]))
+                host.line.close()
+            finally:
+                daemon.terminate()
+                daemon.wait(PATIENCE)
+
+
+def begin(world: World) -> None:
+    """The scanner streams, seen from the start."""
+    world.host.start()
+    time.sleep(0.1)  # in virtual time the request must be there before time moves
+    car = Car(0.0, 1.0)
+    while not world.step(car):
+        if world.t > 5.0:
+            raise SystemExit("the scanner does not stream")
+
+
+def drive(world: World, weather: str, km_h: float) -> Drive:
+    """From far away until it stands or has hit."""
+    car, brake = Car(km_h / 3.6, FRICTION[WEATHER[weather][0]], STOPPED_X - 5.0 - AHEAD * km_h / 3.6), Brake()
+    for _ in range(5):  # scans of the drive before are over
+        world.step(car, jump=True)
+    began = world.t
+    while car.speed > 0 and car.x < STOPPED_X:
+        t = world.t - began
+        for points in world.step(car):
+            if brake.see(points, car.speed):
+                car.demand(t, math.inf)
+        car.move(t, STEP)
+    hit = car.x >= STOPPED_X
+    return Drive(weather, km_h, brake.at, car.speed * 3.6 if hit else 0.0, 0.0 if hit else STOPPED_X - car.x)
+
+
+def drives(weather: str, speeds: Sequence[float] = SPEEDS, real: bool = False) -> list[Drive]:
+    """At these speeds, one after the other in one run."""
+    with running(WEATHER[weather][1], real) as world:
+        begin(world)
+        return [drive(world, weather, one) for one in speeds]
+
+
+def picture(found: Sequence[Drive]) -> str:
+    """Speed at impact over visibility, a line for each speed, as SVG."""
+    from emulator.studies.drawing import COLOURS, figure
+
+    made, (axes,) = figure(size=(8.0, 4.5))
+    places = {"clear": 400} | {f"fog_{one}": one for one in FOGS}
+    for speed, colour in zip(SPEEDS, COLOURS, strict=False):
+        mine = [one for one in found if one.speed == speed and one.weather in places]
+        axes.plot([places[one.weather] for one in mine], [one.impact for one in mine], "o-", color=colour, label=speed)
+    axes.set_xscale("log")
+    axes.set_xticks(list(places.values()), ["clear", *map(str, FOGS)])
+    axes.minorticks_off()
+    axes.set_xlabel("visibility [m]")
+    axes.set_ylabel("speed at impact [km/h]")
+    axes.legend(title="speed [km/h]")
+    out = io.StringIO()
+    made.savefig(out, format="svg", metadata={"Date": None})
+    return out.getvalue()
+
+
+def page(found: Sequence[Drive]) -> str:
+    """Picture and table in one file."""
+    lines = [HEAD.partition("\n")[0], *(one.row() for one in found)]
+    rows = "".join("<tr>" + "".join(f"<td>{one}" for one in line.strip("| ").split(" | ")) for line in lines)
+    drawn = picture(found)
+    return f"<!doctype html><meta charset=utf-8><title>Does it stop?</title>{drawn[drawn.index('<svg') :]}<table>{rows}"
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--real", action="store_true", help="in real time")
+    parser.add_argument("--weather", choices=WEATHER, action="append", help="default: all")
+    parser.add_argument("--speed", type=float, action="append", help=f"km/h; default: {SPEEDS}")
+    parser.add_argument("--page", type=Path, default=Path("brake.html"), help="written by the whole sweep")
+    told = parser.parse_args()
+    print(HEAD)
+    with ThreadPoolExecutor(1 if told.real else os.cpu_count()) as pool:
+        many = pool.map(lambda one: drives(one, told.speed or SPEEDS, told.real), told.weather or WEATHER)
+        found = []
+        for rows in many:
+            found += rows
+            print(*(one.row() for one in rows), sep="\n", flush=True)
+    if not (told.weather or told.speed or told.real):
+        told.page.write_text(page(found), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
