@@ -71,6 +71,7 @@ class Instrument:
         self.sensor = sensor
         self.session = session
         self.links = tuple(links)
+        self._links_tell = all(link.tells_of_input for link in self.links)
         self.input_budget = InputBudget(self.links)
         self.stats = InstrumentStats()
         self.conditions = NORMAL
@@ -145,8 +146,8 @@ class Instrument:
         self.ledger.now_ns = now_ns
         if self.faults is not None and not idle:
             self.faults.advance(now_ns)
-        heard = self._take_input(now_ns)
-        if not self.powered:
+        heard = not (idle and self._nothing_came(now_ns)) and self._take_input(now_ns)
+        if self._cuts:
             return self._rest_without_power(now_ns)
         told = self.session.take_events()
         if idle and not heard and not told:
@@ -205,9 +206,21 @@ class Instrument:
         if self.faults is not None:
             wakes.append(self.faults.next_ns())
         wakes.append(self.input_budget.wake_ns(now_ns))
-        due_ns = min((wake for wake in wakes if wake is not None), default=FOREVER_NS)
-        due_ns = min(due_ns, self._due_ns)
+        due_ns = self._due_ns
+        for wake in wakes:
+            if wake is not None and wake < due_ns:
+                due_ns = wake
         return None if due_ns == FOREVER_NS else due_ns
+
+    def _nothing_came(self, now_ns: int) -> bool:
+        """Whether the links tell, as bytes leave, that there is nothing to hear."""
+        if not self._links_tell:
+            return False
+        for link in self.links:
+            wake_ns = link.flush(now_ns)
+            if wake_ns is not None and wake_ns <= now_ns:
+                return False
+        return True
 
     def _faults_wait(self, now_ns: int) -> bool:
         """Whether no fault has something to do by now."""

@@ -86,8 +86,11 @@ class VirtualRun:
 
     def next_wake(self) -> int | None:
         """When something happens next, without input; None: never."""
-        due = [wake for wake in (*self._wakes, *self._host_wakes) if wake is not None]
-        return max(min(due), self.clock.now_ns()) if due else None
+        first_ns: int | None = None
+        for wake in (*self._wakes, *self._host_wakes):
+            if wake is not None and (first_ns is None or wake < first_ns):
+                first_ns = wake
+        return None if first_ns is None else max(first_ns, self.clock.now_ns())
 
     def advance(self, until_ns: int) -> None:
         """Move to `until_ns`, doing on the way all that is due, in order of time, then of the sensors."""

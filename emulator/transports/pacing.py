@@ -28,7 +28,7 @@ QUEUE_LIMIT = 262_144
 line never comes near, one that does not cannot fill the memory."""
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Left:
     """Bytes of one payload that have left the line."""
 
@@ -62,7 +62,7 @@ def leave_ns(run_ns: int, count: int, speed: int | None) -> int:
     return run_ns if speed is None else run_ns - (-count * BYTE_NS_BAUD) // speed
 
 
-@dataclass
+@dataclass(slots=True)
 class _Waiting:
     data: bytes
     due_ns: int
