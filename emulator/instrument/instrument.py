@@ -146,14 +146,15 @@ class Instrument:
         self.ledger.now_ns = now_ns
         if self.faults is not None and not idle:
             self.faults.advance(now_ns)
-        heard = not (idle and self._nothing_came(now_ns)) and self._take_input(now_ns)
+        wake_ns = self._next_step(now_ns) if idle and self._links_tell else now_ns
+        heard = wake_ns is not None and wake_ns <= now_ns and self._take_input(now_ns)
         if self._cuts:
             return self._rest_without_power(now_ns)
         told = self.session.take_events()
         if idle and not heard and not told:
             if self._wants_plan:
                 self.owed.wait(now_ns)
-            return self._next_step(now_ns)
+            return wake_ns if self._links_tell else self._next_step(now_ns)
         return self._step_session(now_ns, told)
 
     def _step_session(self, now_ns: int, told: list[Event]) -> int | None:
@@ -200,27 +201,18 @@ class Instrument:
     def _next_step(self, now_ns: int) -> int | None:
         """Let bytes leave; when the links, the session or a fault want to go on."""
         wakes = [link.flush(now_ns) for link in self.links]
-        self.input_budget.settle(now_ns)
-        if self.input_budget.rests(now_ns):  # a link whose input waits for us wants to be asked now; it has to wait
-            wakes = [wake for wake in wakes if wake is not None and wake > now_ns]
+        if self.input_budget.limited:
+            self.input_budget.settle(now_ns)
+            if self.input_budget.rests(now_ns):  # a link whose input waits for us wants to be asked now; it has to wait
+                wakes = [wake for wake in wakes if wake is not None and wake > now_ns]
+            wakes.append(self.input_budget.wake_ns(now_ns))
         if self.faults is not None:
             wakes.append(self.faults.next_ns())
-        wakes.append(self.input_budget.wake_ns(now_ns))
         due_ns = self._due_ns
         for wake in wakes:
             if wake is not None and wake < due_ns:
                 due_ns = wake
         return None if due_ns == FOREVER_NS else due_ns
-
-    def _nothing_came(self, now_ns: int) -> bool:
-        """Whether the links tell, as bytes leave, that there is nothing to hear."""
-        if not self._links_tell:
-            return False
-        for link in self.links:
-            wake_ns = link.flush(now_ns)
-            if wake_ns is not None and wake_ns <= now_ns:
-                return False
-        return True
 
     def _faults_wait(self, now_ns: int) -> bool:
         """Whether no fault has something to do by now."""

@@ -96,7 +96,7 @@ class LoopHost:
         """All that has arrived since the last call."""
         if not self.arrivals:
             return b""
-        data = b"".join(arrival.data for arrival in self.arrivals)
+        data = b"".join([arrival.data for arrival in self.arrivals])
         self.arrivals.clear()
         return data
 
