@@ -233,6 +233,7 @@ class Instrument:
             return 0
         self._lives += 1
         self._asked = None
+        self._due_ns = 0
         self.owed.stop(now_ns)
         self._discarded = self._outstanding
         self._note_events()  # what it has told already
@@ -254,6 +255,7 @@ class Instrument:
         self._peers.clear()
         self.stats.last_scan_due_ns = None
         self.session.power_on(now_ns)
+        self._due_ns = 0
 
     def set_line_speed(self, index: int, now_ns: int, baud: int | None) -> None:
         """Another speed of a line at once, whatever the device says."""
