@@ -27,13 +27,17 @@ class Quartz:
 
     def own_ns(self, true_ns: int) -> int:
         """The device's own instant, rounded down."""
-        pace = next((one for one in reversed(self.paces) if one.true_ns <= true_ns), self.paces[0])
+        pace = self.paces[0]
+        if len(self.paces) > 1:
+            pace = next((one for one in reversed(self.paces) if one.true_ns <= true_ns), pace)
         return pace.own_ns + (true_ns - pace.true_ns) * (BILLION + pace.ppb) // BILLION
 
     def true_ns(self, own_ns: int) -> int:
         """The first instant of the run at which the device's own one has been reached."""
         # a pace that begins with that instant has it from the one before, maybe earlier
-        pace = next((one for one in reversed(self.paces) if one.own_ns < own_ns), self.paces[0])
+        pace = self.paces[0]
+        if len(self.paces) > 1:
+            pace = next((one for one in reversed(self.paces) if one.own_ns < own_ns), pace)
         return pace.true_ns - (pace.own_ns - own_ns) * BILLION // (BILLION + pace.ppb)
 
     def ppb(self, true_ns: int) -> int:

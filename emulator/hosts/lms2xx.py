@@ -43,6 +43,8 @@ class TelegramReader:
     def __init__(self) -> None:
         self._buffer = ReceiveBuffer(4 * MAX_PAYLOAD)
         self._more = b""
+        self._enough = 0
+        "Bytes of the telegram that has begun: with fewer there is nothing to find."
         self.errors = 0
         "Telegrams with a wrong CRC so far."
 
@@ -59,6 +61,9 @@ class TelegramReader:
                 return telegram
 
     def _next(self) -> Telegram | None:
+        if len(self._buffer) < self._enough:
+            return None
+        self._enough = 0
         while True:
             self._buffer.skip_to(b"\x02")
             head = self._buffer.peek(HEADER_BYTES)
@@ -70,6 +75,7 @@ class TelegramReader:
                 continue
             whole = self._buffer.peek(length + OTHER_BYTES)
             if whole is None:
+                self._enough = length + OTHER_BYTES
                 return None
             telegram = open_frame(whole)
             self._buffer.take(1 if telegram is None else len(whole))

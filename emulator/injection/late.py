@@ -51,7 +51,11 @@ class LateTelegrams:
 
     def next_ns(self) -> int | None:
         """When something leaves."""
-        return min((queue[0].emission.due_ns for queue in self._queues if queue), default=None)
+        first_ns: int | None = None
+        for queue in self._queues:
+            if queue and (first_ns is None or queue[0].emission.due_ns < first_ns):
+                first_ns = queue[0].emission.due_ns
+        return first_ns
 
     def release(self, now_ns: int) -> list[Piece]:
         """What leaves now."""

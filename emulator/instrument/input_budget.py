@@ -30,6 +30,11 @@ class InputBudget:
         "Of all that the sensor does in a step in which it hears something: reading is the least of it."
         self._began_ns: int | None = None
 
+    @property
+    def limited(self) -> bool:
+        """Whether there is a limit; without one nothing rests, and nothing waits behind a `take`."""
+        return self.turn.clock_ns is not None
+
     def take(self, now_ns: int) -> Iterator[tuple[int, Received]]:
         """Number of the link and what came in there; whoever asks has to hear it before the next, and to `settle`."""
         if self.turn.rests(now_ns):

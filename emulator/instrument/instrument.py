@@ -42,6 +42,9 @@ HANDED_KEPT = 256
 SWITCHED_OFF = "switched off"
 "Why scans and input are dropped that a device without power forgets, or does not hear."
 
+FOREVER_NS = 2**62
+"The session waits for a host alone."
+
 MAX_ROUNDS = 64
 "A step that does not come to rest ends after this many rounds and is called again: one sensor cannot starve others."
 
@@ -82,6 +85,7 @@ class Instrument:
         self.sensor = sensor
         self.session = session
         self.links = tuple(links)
+        self._links_tell = all(link.tells_of_input for link in self.links)
         self.input_budget = InputBudget(self.links)
         self.stats = InstrumentStats()
         self.conditions = NORMAL
@@ -110,6 +114,10 @@ class Instrument:
         "Who moves the world; None: its file alone, and sweeps are measured ahead."
         self.poked = False
         "It wants to be stepped now, whatever it said: something outside has changed."
+        self._due_ns = 0
+        "Until then the session has nothing to do without input: a step before lets only bytes leave. 0: not known."
+        self._wants_plan = False
+        "The session wants a sweep measured."
         self.impairments: dict[str, dict[int, float]] = {}
         "What befalls the device, and how much by the number of each fault."
         self._cuts = 0
@@ -145,18 +153,31 @@ class Instrument:
             if link.kind is not LinkKind.STREAM:
                 self.session.connected(now_ns, Address(index, 0), link.kind)
         self.session.power_on(now_ns)
+        self._due_ns = 0
 
     def step(self, now_ns: int) -> int | None:
         """Do all that can be done by `now_ns`; the instant of the next step, None while only a host can wake it."""
+        idle = now_ns < self._due_ns and not (self._outstanding or self.poked or self.feed) and self._faults_wait(now_ns)
         self.poked = False
         self.ledger.now_ns = now_ns
-        if self.faults is not None:
+        if self.faults is not None and not idle:
             self.faults.advance(now_ns)
-        self._take_input(now_ns)
-        if not self.powered:
+        wake_ns = self._next_step(now_ns) if idle and self._links_tell else now_ns
+        heard = wake_ns is not None and wake_ns <= now_ns and self._take_input(now_ns)
+        if self._cuts:
             return self._rest_without_power(now_ns)
+        told = self.session.take_events()
+        if idle and not heard and not told:
+            if self._wants_plan:
+                self.owed.wait(now_ns)
+            return wake_ns if self._links_tell else self._next_step(now_ns)
+        return self._step_session(now_ns, told)
+
+    def _step_session(self, now_ns: int, told: list[Event]) -> int | None:
+        """The same where the session has something to do; `told`: events that have not been noted."""
+        self._due_ns = 0
         self.session.advance(now_ns)
-        events = self.session.take_events()
+        events = told + self.session.take_events()
         if any(isinstance(event, Restarted) for event in events):
             self.ledger.restart()  # before sweeps of the device's new life are asked for
         for _ in range(MAX_ROUNDS):
@@ -171,37 +192,50 @@ class Instrument:
         if self.faults is not None:
             self._release(now_ns)
         self._note_events(events)
-        wakes = [link.flush(now_ns) for link in self.links]
-        self.input_budget.settle(now_ns)
-        if self.input_budget.rests(now_ns):  # a link whose input waits for us wants to be asked now; it has to wait
-            wakes = [wake for wake in wakes if wake is not None and wake > now_ns]
-        wakes.append(self.session.next_deadline())
+        deadline_ns = self.session.next_deadline()
+        self._due_ns = FOREVER_NS if deadline_ns is None else deadline_ns
         plan = self.session.next_plan()
+        self._wants_plan = plan is not None
         self.ledger.wants(plan)
         if events:
             self.owed.told(now_ns, events)
         if plan is not None:
             self.owed.wait(now_ns)
         if plan is not None and self._key(plan) != self._asked:
-            wakes.append(self._ask_ns(plan))
-        if self.faults is not None:
-            wakes.append(self.faults.next_ns())
-        wakes.append(self.input_budget.wake_ns(now_ns))
-        due = [wake for wake in wakes if wake is not None]
-        return min(due) if due else None
+            self._due_ns = min(self._due_ns, self._ask_ns(plan))
+        return self._next_step(now_ns)
 
     def _rest_without_power(self, now_ns: int) -> int | None:
         """A device that is switched off hears, measures and says nothing."""
+        self._due_ns = FOREVER_NS
         self._take_scans(now_ns)
         self._note_events()
+        wake_ns = self._next_step(now_ns)
+        self._due_ns = 0
+        return wake_ns
+
+    def _next_step(self, now_ns: int) -> int | None:
+        """Let bytes leave; when the links, the session or a fault want to go on."""
         wakes = [link.flush(now_ns) for link in self.links]
-        self.input_budget.settle(now_ns)
-        if self.input_budget.rests(now_ns):
-            wakes = [wake for wake in wakes if wake is not None and wake > now_ns]
+        if self.input_budget.limited:
+            self.input_budget.settle(now_ns)
+            if self.input_budget.rests(now_ns):  # a link whose input waits for us wants to be asked now; it has to wait
+                wakes = [wake for wake in wakes if wake is not None and wake > now_ns]
+            wakes.append(self.input_budget.wake_ns(now_ns))
         if self.faults is not None:
             wakes.append(self.faults.next_ns())
-        wakes.append(self.input_budget.wake_ns(now_ns))
-        return min((wake for wake in wakes if wake is not None), default=None)
+        due_ns = self._due_ns
+        for wake in wakes:
+            if wake is not None and wake < due_ns:
+                due_ns = wake
+        return None if due_ns == FOREVER_NS else due_ns
+
+    def _faults_wait(self, now_ns: int) -> bool:
+        """Whether no fault has something to do by now."""
+        if self.faults is None:
+            return True
+        due_ns = self.faults.next_ns()
+        return due_ns is None or due_ns > now_ns
 
     @property
     def powered(self) -> bool:
@@ -215,6 +249,7 @@ class Instrument:
             return 0
         self._lives += 1
         self._asked = None
+        self._due_ns = 0
         self.owed.stop(now_ns)
         self._discarded = self._outstanding
         self._note_events()  # what it has told already
@@ -236,6 +271,7 @@ class Instrument:
         self._peers.clear()
         self.stats.last_scan_due_ns = None
         self.session.power_on(now_ns)
+        self._due_ns = 0
 
     def set_line_speed(self, index: int, now_ns: int, baud: int | None) -> None:
         """Another speed of a line at once, whatever the device says."""
@@ -270,8 +306,11 @@ class Instrument:
         for link in self.links:
             link.close()
 
-    def _take_input(self, now_ns: int) -> None:
+    def _take_input(self, now_ns: int) -> bool:
+        """Hear what hosts have sent; whether there was anything."""
+        heard = False
         for index, received in self.input_budget.take(now_ns):
+            heard = True
             if received.opened or received.closed:
                 self.connections_seen += 1
             if self.faults is None:
@@ -279,6 +318,7 @@ class Instrument:
                 continue
             for part in self.faults.incoming(received, index, now_ns):
                 self._take_or_miss(part, index, now_ns)
+        return heard
 
     def _take(self, received: Received, index: int, now_ns: int) -> None:
         link = self.links[index]

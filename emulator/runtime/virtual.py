@@ -86,8 +86,11 @@ class VirtualRun:
 
     def next_wake(self) -> int | None:
         """When something happens next, without input; None: never."""
-        due = [wake for wake in (*self._wakes, *self._host_wakes) if wake is not None]
-        return max(min(due), self.clock.now_ns()) if due else None
+        first_ns: int | None = None
+        for wake in (*self._wakes, *self._host_wakes):
+            if wake is not None and (first_ns is None or wake < first_ns):
+                first_ns = wake
+        return None if first_ns is None else max(first_ns, self.clock.now_ns())
 
     def advance(self, until_ns: int) -> None:
         """Move to `until_ns`, doing on the way all that is due, in order of time, then of the sensors."""
@@ -110,7 +113,8 @@ class VirtualRun:
         self._still = self._still + 1 if wake == self.clock.now_ns() else 0
         if self._still > MAX_STEPS_AT_ONCE:
             raise EmulatorError(f"{self._restless(wake)}: does not come to rest at {wake} ns of virtual time")
-        self._maybe_look(wake)
+        if wake >= self._look_ns:
+            self._maybe_look(wake)
         self.clock.set(wake)
         for index, instrument in enumerate(self.instruments):
             mine = self._wakes[index]
@@ -118,9 +122,10 @@ class VirtualRun:
                 self._wakes[index] = self._step_one(instrument, wake)
         fresh = self._settle()
         for index, instrument in enumerate(self.instruments):
-            if (instrument.sensor in fresh or instrument.poked) and instrument.sensor not in self.lost:
+            if (instrument.poked or instrument.sensor in fresh) and instrument.sensor not in self.lost:
                 self._wakes[index] = wake
-        self._step_hosts(wake)
+        if self.hosts:
+            self._step_hosts(wake)
         return True
 
     def _step_one(self, instrument: Instrument, now_ns: int) -> int | None:
@@ -143,7 +148,7 @@ class VirtualRun:
     def _step_hosts(self, now_ns: int) -> None:
         for index, host in enumerate(self.hosts):
             self._host_wakes[index] = host.step(now_ns)
-        for index, instrument in enumerate(self.instruments if self.hosts else ()):
+        for index, instrument in enumerate(self.instruments):
             for link in instrument.links:
                 heard_ns = link.flush(now_ns)  # what hosts wrote wakes the instrument
                 own_ns = self._wakes[index]

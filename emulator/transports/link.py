@@ -80,6 +80,8 @@ class Link(ABC):
     kind: LinkKind
     hold = False
     """Under a virtual clock: what a host has no room for is kept instead of lost. Time waits for `held` to go down."""
+    tells_of_input = False
+    "`flush` wants to be called at once, or when it comes, where `receive` has something: it need not be asked too."
 
     def __init__(self) -> None:
         self.stats = LinkStats()

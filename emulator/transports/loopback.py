@@ -21,14 +21,19 @@ from emulator.transports.urls import parse_url
 from protocols.session import LinkKind
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Arrival:
     """Bytes that reached a host, of one payload."""
 
     data: bytes
-    times_ns: NDArray[np.int64]
-    "When the last bit of each byte was through, (len(data),). Of garbage: when the piece it came from was through."
+    left: Left
+    "As the device sent them."
     garbled: bool = False
+
+    @property
+    def times_ns(self) -> NDArray[np.int64]:
+        """When the last bit of each byte was through, (len(data),). Of garbage: when the piece it came from was."""
+        return np.full(len(self.data), self.left.last_ns, dtype=np.int64) if self.garbled else self.left.times_ns()
 
 
 class Loops:
@@ -91,7 +96,7 @@ class LoopHost:
         """All that has arrived since the last call."""
         if not self.arrivals:
             return b""
-        data = b"".join(arrival.data for arrival in self.arrivals)
+        data = b"".join([arrival.data for arrival in self.arrivals])
         self.arrivals.clear()
         return data
 
@@ -102,15 +107,14 @@ class LoopHost:
     def hear(self, left: Left) -> None:
         """Take what the device sent, as this end's receiver sees it."""
         if left.speed is None or self.baud is None or same_speed(self.baud, left.speed):
-            self.arrivals.append(Arrival(left.data, left.times_ns()))
+            self.arrivals.append(Arrival(left.data, left))
             return
         if self._receiver is None or left.starts or self._receiver.speeds != (left.speed, self.baud):
             self._receiver = Receiver(left.speed, self.baud)
         garbage = self._receiver.feed(left.data, idle_after=left.ends).values.tobytes()
         self._link.stats.bytes_garbled += len(left.data)
         if garbage:
-            times_ns = np.full(len(garbage), left.last_ns, dtype=np.int64)
-            self.arrivals.append(Arrival(garbage, times_ns, garbled=True))
+            self.arrivals.append(Arrival(garbage, left, garbled=True))
 
 
 @dataclass(frozen=True)
@@ -123,6 +127,8 @@ class _Input:
 class LoopLink(Link):
     """The device's end."""
 
+    tells_of_input = True
+
     def __init__(self, name: str, serial_line: bool = True, group_ns: int = GROUP_NS) -> None:
         super().__init__()
         self.name = name
@@ -130,6 +136,10 @@ class LoopLink(Link):
         self.is_open = True
         self._line = PacedLine(group_ns=group_ns)
         self._now_ns = 0
+        self._flushed_ns = -1
+        "When the line was asked last, and has not been changed since."
+        self._line_ns: int | None = None
+        "When it wants to be asked again."
         self._hosts: dict[int, LoopHost] = {}
         self._hosts_seen = 0
         self._input: deque[_Input] = deque()
@@ -252,6 +262,7 @@ class LoopLink(Link):
     def send(self, payload: bytes, due_ns: int, peer: int | None = None, line_speed: int | None = None) -> None:
         if not self.is_open:
             return
+        self._flushed_ns = -1
         stream = self.kind is LinkKind.STREAM
         if self._line.put(payload, due_ns, None if stream else line_speed):
             if payload:
@@ -261,14 +272,23 @@ class LoopLink(Link):
 
     def cut(self, now_ns: int) -> None:
         if self.kind is LinkKind.SERIAL:
+            self._flushed_ns = -1
             for _ in range(self._line.cut(now_ns)):
                 self._addressed.pop()
 
     def flush(self, now_ns: int) -> int | None:
-        self._now_ns = now_ns
         input_ns = self._input[0].at_ns if self._input else None
         if not self._line.waiting:
+            self._now_ns = now_ns
             return input_ns
+        if now_ns != self._flushed_ns:
+            self._let_leave(now_ns)
+        line_ns = self._line_ns
+        return line_ns if input_ns is None else input_ns if line_ns is None else min(line_ns, input_ns)
+
+    def _let_leave(self, now_ns: int) -> None:
+        """Hand to the hosts what has left the line."""
+        self._now_ns = now_ns
         for left in self._line.take(now_ns):
             peer = self._addressed.popleft() if left.ends else self._addressed[0]
             hearing = [host for host in self._hosts.values() if not self._pulled and peer in (None, host.peer)]
@@ -279,8 +299,8 @@ class LoopLink(Link):
                 self.stats.bytes_lost += len(left.data)
             if left.ends:
                 self.stats.note_left(left.last_ns, now_ns)
-        line_ns = self._line.next_ns(now_ns)
-        return line_ns if input_ns is None else input_ns if line_ns is None else min(line_ns, input_ns)
+        self._line_ns = self._line.next_ns(now_ns)
+        self._flushed_ns = now_ns
 
     @property
     def speed(self) -> int | None:
@@ -288,9 +308,11 @@ class LoopLink(Link):
 
     def set_speed(self, baud: int | None) -> None:
         if self.kind is LinkKind.SERIAL:
+            self._flushed_ns = -1
             self._line.set_speed(baud)
 
     def clear(self) -> int:
+        self._flushed_ns = -1
         self._addressed.clear()
         return self._line.clear()
 

@@ -28,7 +28,7 @@ QUEUE_LIMIT = 262_144
 line never comes near, one that does not cannot fill the memory."""
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Left:
     """Bytes of one payload that have left the line."""
 
@@ -62,7 +62,7 @@ def leave_ns(run_ns: int, count: int, speed: int | None) -> int:
     return run_ns if speed is None else run_ns - (-count * BYTE_NS_BAUD) // speed
 
 
-@dataclass
+@dataclass(slots=True)
 class _Waiting:
     data: bytes
     due_ns: int
@@ -138,14 +138,16 @@ class PacedLine:
         taken = []
         while self._queue:
             head = self._queue[0]
-            run_ns, run_count = self._run_of(head)
-            if leave_ns(run_ns, run_count, self._speed) > now_ns:
-                break
-            self._run_ns, self._run_count, head.begun = run_ns, run_count, True
+            if not head.begun:
+                run_ns, run_count = self._run_of(head)
+                if leave_ns(run_ns, run_count, self._speed) > now_ns:
+                    break
+                self._run_ns, self._run_count, head.begun = run_ns, run_count, True
             end = len(head.data)
             if self._speed is not None:
-                gone = (now_ns - run_ns) * self._speed // BYTE_NS_BAUD - run_count
-                end = max(head.sent, min(gone, end))
+                gone = (now_ns - self._run_ns) * self._speed // BYTE_NS_BAUD - self._run_count
+                if gone < end:
+                    end = max(head.sent, gone)
             if end < len(head.data) and self._whole:
                 break
             finished = end == len(head.data)

@@ -40,6 +40,8 @@ class EventLog:
 
     def take(self) -> list[Event]:
         """All since the last call."""
+        if not self._kept:
+            return []
         events = list(self._kept)
         self._kept.clear()
         return events

@@ -16,7 +16,11 @@ FAR_BEHIND = 10
 
 def earliest(instants: Iterable[int | None]) -> int | None:
     """The first of them; None when there is none."""
-    return min((instant for instant in instants if instant is not None), default=None)
+    first: int | None = None
+    for instant in instants:
+        if instant is not None and (first is None or instant < first):
+            first = instant
+    return first
 
 
 def run_until(now_ns: int, from_ns: int, next_instant: Callable[[], int | None], happen: Callable[[int], None]) -> int:
