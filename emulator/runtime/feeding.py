@@ -28,12 +28,15 @@ from emulator.scenario.live_options import LiveOptions
 from emulator.scenario.scenario import Scenario
 from protocols.scan import ScanPlan
 
-MARGIN_NS = 1_000_000
-"Beside what measuring has taken lately."
-FIRST_NS = 15_000_000
+MARGIN_NS = 2_000_000
+"Beside what measuring has taken lately: the way there and back."
+FIRST_NS = 60_000_000
 "What measuring is taken to take before it is known."
-LATELY = 64
-"Sweeps of a sensor whose time counts."
+SPARE = 1.15
+"Share of the longest that measuring has taken lately."
+FORGET = 0.98
+"Of that after each sweep: half of a stall is forgotten after 34."
+MOST_ASKED = 64
 BEFORE_S, LISTS_S = 0.005, 1.0
 "So long before a sweep poses are handed over; before a list of objects, which looks at sweeps of other sensors."
 MOST_PENDING = 2000
@@ -71,7 +74,8 @@ class Feeding:
         self._waiting: dict[str, int] = {}
         "Sensors whose sweep waits for poses -> its last beam."
         self._asked_ns: dict[str, deque[int]] = {}
-        self._took: dict[str, deque[int]] = {}
+        self._took: dict[str, float] = {}
+        "The longest that measuring has taken lately, by sensor. [ns]"
         self.on_update: Callable[[int, dict[str, object]], None] = lambda now_ns, row: None
         "Told of everything that is used of the feed: for a recording."
         self._file: Iterator[Told] | None = None
@@ -182,14 +186,16 @@ class Feeding:
         return max(earliest_ns, end_ns - self._takes_ns(sensor))
 
     def _takes_ns(self, sensor: str) -> int:
+        """So long before it must be sent a sweep is asked for at the latest."""
         took = self._took.get(sensor)
-        return MARGIN_NS + (FIRST_NS if not took else sorted(took)[int(0.95 * (len(took) - 1))])
+        return MARGIN_NS + round(FIRST_NS if took is None else SPARE * took)
 
     def came(self, sensor: str, now_ns: int) -> None:
         """Its scan has come."""
         asked = self._asked_ns.get(sensor)
         if asked and self._real_ns is not None:
-            self._took.setdefault(sensor, deque(maxlen=LATELY)).append(now_ns - asked.popleft())
+            took = float(now_ns - asked.popleft())
+            self._took[sensor] = max(took, FORGET * self._took.get(sensor, 0.0))
 
     def world(self, sensor: str, plan: ScanPlan, now_ns: int) -> World:
         """What its beams need, as it is known now."""
@@ -198,7 +204,7 @@ class Feeding:
         if self._file is not None:
             self._pull(now_ns if self._real_ns is None else plan.start_ns + round(plan.duration_s * 1e9))
         if self._real_ns is not None:
-            self._asked_ns.setdefault(sensor, deque(maxlen=LATELY)).append(now_ns)
+            self._asked_ns.setdefault(sensor, deque(maxlen=MOST_ASKED)).append(now_ns)
         self._waiting.pop(sensor, None)
         if len(plan):
             delay_s = 0.0 if self._real_ns is None else self._clock.delay_ns * 1e-9

@@ -16,7 +16,7 @@ from emulator.judging.rig import Rig
 from emulator.live.json_lines import update_of
 from emulator.live.receivers import Budget
 from emulator.live.samples import BadSample
-from emulator.runtime.feeding import MARGIN_NS, Feeding
+from emulator.runtime.feeding import FIRST_NS, MARGIN_NS, SPARE, Feeding
 from emulator.scenario.scenario import Scenario, dump, loads
 from protocols.scan import ScanPlan
 
@@ -55,14 +55,28 @@ def test_in_real_time_a_sweep_is_asked_for_as_late_as_it_can_be_sent_in_time() -
     sweep, earliest = plan(1000 * MS), 750 * MS
     found.world("front", sweep, 900 * MS)
     found.came("front", 904 * MS)
-    assert found.ask_ns("front", sweep, earliest) == 1026_700_000 - 4 * MS - MARGIN_NS
+    assert found.ask_ns("front", sweep, earliest) == 1026_700_000 - round(SPARE * 4 * MS) - MARGIN_NS
+
+
+def test_one_that_takes_longer_is_asked_for_earlier_from_then_on_and_a_stall_is_forgotten() -> None:
+    found, _ = feeding("{feed: control, clock: {map: arrival}}")
+    sweep = plan(1000 * MS)
+    led = [1026_700_000 - found.ask_ns("front", sweep, 0)]
+    for took in (4, 20, 4, *100 * (4,)):
+        found.world("front", sweep, 900 * MS)
+        found.came("front", (900 + took) * MS)
+        led.append(1026_700_000 - found.ask_ns("front", sweep, 0))
+    assert led[0] == FIRST_NS + MARGIN_NS, "none is late before it is known"
+    assert led[2] > 20 * MS
+    assert led[3] > 20 * MS, "the next one may take as long"
+    assert led[-1] == led[1]
 
 
 def test_or_as_soon_as_all_poses_are_known_that_its_beams_want() -> None:
     found, front = feeding("{feed: control, clock: {map: arrival}}")
     sweep = plan(1000 * MS)
     fed(found, 1010)
-    assert found.ask_ns("front", sweep, 750 * MS) > 1000 * MS
+    assert found.ask_ns("front", sweep, 750 * MS) > 950 * MS
     assert not front.poked
     fed(found, 1014)
     assert front.poked
