@@ -74,6 +74,8 @@ def _time(data: Mapping[str, Any]) -> int | None:
 
 
 def _number(value: object, where: str, most: float = 1e300) -> float:
+    if type(value) is float and -most <= value <= most:
+        return value
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= most:
         raise BadSample(f"{where}: {value!r:.60}; want a number")
     return float(value)
@@ -111,8 +113,14 @@ def _vector(entry: Mapping[str, Any], key: str, where: str, least: int = 3) -> V
         return None
     if not isinstance(value, list | tuple) or not least <= len(value) <= 3:
         raise BadSample(f"{where}.{key}: {value!r:.60}; want a list of 3 numbers")
+    if len(value) == 3 and type(value[0]) is type(value[1]) is type(value[2]) is float and _are_small(value):
+        return (value[0], value[1], value[2])
     x, y, z = [*(_number(one, f"{where}.{key}") for one in value), 0.0][:3]
     return (x, y, z)
+
+
+def _are_small(values: Sequence[float]) -> bool:
+    return -1e300 <= min(values) and max(values) <= 1e300 and sum(values) == sum(values)
 
 
 def _actor(entry: object, where: str) -> ActorSample:
