@@ -208,7 +208,8 @@ class Book:
             if name in self._slots:
                 known.shape = self._shape_of(one)
             self._known.setdefault(name, []).append(known)
-            self._known[name] = self._known[name][-MOST_LIVES:]
+            if not self.rules.keep_all:
+                self._known[name] = self._known[name][-MOST_LIVES:]
             self._note(t_s, f"{_called(name, one)} comes")
         if known.t_s and t_s <= known.t_s[-1]:
             if not again or t_s < known.t_s[-1]:
@@ -341,6 +342,7 @@ class Book:
             one.rear_m,
             one.size_m,
             known.shape,
+            one.class_ or "",
         )
 
     def world(self, begin_s: float, end_s: float) -> World:

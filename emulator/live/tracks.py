@@ -62,6 +62,8 @@ class Track:
     size_m: Vector | None = None
     shape: str = ""
     "Which of a pool's shapes it has, scaled to `size_m`; empty: the scenario's own."
+    class_: str = ""
+    "As the feeder tells it; empty: not at all."
 
     @property
     def last_s(self) -> float:

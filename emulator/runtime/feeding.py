@@ -18,14 +18,14 @@ import numpy as np
 
 from emulator.errors import LinkError
 from emulator.instrument.instrument import Instrument
-from emulator.live.book import Book, Rules
 from emulator.live.files import Told, read
 from emulator.live.playout import PlayoutClock
 from emulator.live.receivers import Decoder, JsonDatagrams, OsiDatagrams, Receiver
-from emulator.live.samples import ActorSample, Update
+from emulator.live.samples import Update
 from emulator.live.tracks import World
 from emulator.scenario.live_options import LiveOptions
 from emulator.scenario.scenario import Scenario
+from emulator.world.told import book_of
 from protocols.scan import ScanPlan
 
 MARGIN_NS = 2_000_000
@@ -58,12 +58,7 @@ class Feeding:
         self.live = live
         self._real_ns = real_ns
         self._instruments = {one.sensor: one for one in instruments}
-        names = [actor.id for actor in scenario.actors]
-        if live.actors.fed is not None:
-            names = [name for name in names if name in live.actors.fed]
-        bind = dict(live.bind) | ({} if live.ego is None else {"host": live.ego})
-        rules = Rules(live.between, live.silent.after_s, live.silent.then, live.jump_m_s)
-        self.book = Book(rules, names, bind, live.slots, self._shape_of)
+        self.book = book_of(scenario)
         delay_ns = None if live.clock.delay_s is None else round(live.clock.delay_s * 1e9)
         self._clock = PlayoutClock(delay_ns, round(live.latency_s * 1e9), round(live.clock.max_offset_s * 1e9))
         self._maps = live.clock.map
@@ -158,17 +153,6 @@ class Feeding:
                 del self._waiting[sensor]
                 self._instruments[sensor].poked = True
 
-    def _shape_of(self, one: ActorSample) -> str:
-        """Of an actor that is not in the scenario: by its model, its class, else a box, or nothing."""
-        actors = self.live.actors
-        model = "" if one.model is None else one.model.replace("\\", "/").rpartition("/")[2].rpartition(".")[0]
-        model = model or (one.model or "")
-        if model in actors.models:
-            return actors.models[model]
-        if one.class_ in actors.classes:
-            return str(one.class_)
-        return "box" if actors.unknown == "box" else "none"
-
     # ------------------------------------------------------------ what is asked
 
     def ask_ns(self, sensor: str, plan: ScanPlan, earliest_ns: int) -> int:
@@ -217,7 +201,8 @@ class Feeding:
             told = self._next
             assert self._file is not None
             self._next = next(self._file, None)
-            self.book.take(told.update, told.run_ns, told.again)
+            if self.book.take(told.update, told.run_ns, told.again):
+                self.on_update(max(0, told.known_ns), told_row(told.known_ns, told.run_ns, told.update, told.again))
 
     # ------------------------------------------------------------ what is told
 

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 
 from emulator.config.tables import DescribedTable
-from emulator.scenario.tables import Id, Shape
+from emulator.scenario.tables import Category, Id, Shape
 
 URL_FEEDS = {"json-udp": 47100, "json-tcp": 47100, "osi-udp": 48198, "lockstep": 47101}
 "Feeds from the network -> the port where none is said."
@@ -23,6 +23,13 @@ WANT_FEED = (
     " osi-trace:FILE, osi-mcap:FILE, json-file:FILE, recording:FOLDER or control"
 )
 MOST_POOL = 500
+CATEGORIES: dict[str, Category] = {
+    "car": "car", "van": "car", "truck": "truck", "bus": "truck", "trailer": "truck", "tram": "truck",
+    "train": "truck", "work_machine": "truck", "motorcycle": "motorcycle", "scooter": "motorcycle",
+    "bicycle": "bicycle", "micromobility": "bicycle", "pedestrian": "pedestrian", "wheelchair": "pedestrian",
+    "wide": "wide", "point": "point",
+}  # fmt: skip
+"The feeder's classes -> those of object lists; every other one is unknown."
 
 
 @dataclass(frozen=True)
@@ -81,6 +88,8 @@ class SpawnShape(DescribedTable):
     scale: Annotated[float, Field(gt=0.0, le=1e6)] = 1.0
     material: str | None = None
     "Of all parts that `materials` does not name."
+    class_: Category | None = Field(default=None, alias="class")
+    "For object lists; None: the feeder's class, as far as lists have it."
     materials: dict[str, str] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -175,6 +184,12 @@ class LiveOptions(DescribedTable):
     def place(self) -> FeedPlace:
         """Where it comes from."""
         return place_of(self.feed)
+
+    @property
+    def categories(self) -> dict[str, Category]:
+        """The feeder's classes, those of the scenario among them -> classes of object lists."""
+        own = {name: one.class_ for name, one in self.actors.classes.items() if one.class_ is not None}
+        return {**CATEGORIES, **own}
 
     @property
     def slots(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ All motions of one scene read one `FedNow`, which is set before each sweep.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -32,6 +32,8 @@ class FedNow:
     """What the present sweep knows of fed actors."""
 
     world: World = NOTHING
+    categories: Mapping[str, str] = field(default_factory=dict)
+    "The feeder's classes -> those of object lists."
     _tracks: dict[str, list[Track]] = field(default_factory=dict)
     _placings: list[Placings] = field(default_factory=list)
     "The one used last first."
@@ -58,6 +60,14 @@ class FedNow:
     def of(self, name: str) -> list[Track]:
         """Lives of an actor, in their order."""
         return self._tracks.get(name, [])
+
+    def category(self, name: str) -> str:
+        """What an actor of a pool is, for object lists."""
+        for track in reversed(self.of(name)):
+            for word in (track.class_, track.shape):
+                if word in self.categories:
+                    return self.categories[word]
+        return "unknown"
 
     def placings(self, times: Floats) -> tuple[Placings, Longs] | None:
         """Where bodies are at `times` (r,), and the number of each of them there; None: they are too many."""

@@ -7,20 +7,31 @@ single poses (fed), tracks (live).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from emulator.live.tracks import Track, World, together
-from emulator.world.motion import Floats, matrix_of
-
-if TYPE_CHECKING:
-    from emulator.world.fed import Fed
+from emulator.world.motion import Floats, Vector, matrix_of
 
 Longs = NDArray[np.int64]
 SPARE_M = 1e-6
 "Against rounding, beside a share as large."
+
+
+class Body(Protocol):
+    """What is asked of a body that is fed."""
+
+    @property
+    def offset(self) -> Vector:
+        """From the feeder's reference point to the origin, in the body's axes."""
+
+    def whole_track(self, times: Floats) -> Track | None:
+        """The only one that it has at all of these instants; None: there is more to it."""
+
+    def found(self, times: Floats) -> tuple[Floats, Floats]:
+        """Positions (n, 3) and rotations (n, 3, 3)."""
 
 
 class Bounds:
@@ -81,18 +92,14 @@ class Placings:
             return None
         return number if len(number) == len(times) else number[np.cumsum(begins) - 1]
 
-    def rows(self, motions: Sequence[Fed]) -> Longs:
+    def rows(self, motions: Sequence[Body]) -> Longs:
         """(k,) where they are in `at` and `turned`."""
         wanted = {id(one): one for one in motions if id(one) not in self._rows}
         if wanted:
             self._add(list(wanted.values()))
         return np.array([self._rows[id(one)] for one in motions], np.int64)
 
-    def has(self, motion: Fed) -> bool:
-        """Its row is there already."""
-        return id(motion) in self._rows
-
-    def _add(self, motions: list[Fed]) -> None:
+    def _add(self, motions: list[Body]) -> None:
         first, count, n = len(self._rows), len(motions), len(self.t_s)
         at, turned = np.zeros((3, count, n)), np.zeros((3, 3, count, n))
         tracks: dict[int, tuple[int, Track]] = {}
@@ -116,7 +123,7 @@ class Placings:
         self.turned = np.concatenate([self.turned, turned], axis=2) if first else turned
         self._rows.update((id(one), first + number) for number, one in enumerate(motions))
 
-    def spheres(self, motions: Sequence[Fed], centre: Floats) -> tuple[Floats, Floats]:
+    def spheres(self, motions: Sequence[Body], centre: Floats) -> tuple[Floats, Floats]:
         """Centres (3, k) and radii (k,) that hold points `centre` (3, k) of bodies at all of these instants."""
         rows = self.rows(motions)
         paths = self.at[:, rows] + np.einsum("ijkn,jk->ikn", self.turned[:, :, rows], centre)
@@ -126,7 +133,7 @@ class Placings:
         away = np.sqrt(np.einsum("ikn,ikn->kn", off, off).max(axis=1))
         return middle, away * (1.0 + SPARE_M) + SPARE_M
 
-    def around(self, motions: Sequence[Fed]) -> tuple[Floats, Floats]:
+    def around(self, motions: Sequence[Body]) -> tuple[Floats, Floats]:
         """Centres (3, k) and radii (k,) that hold origins of bodies meanwhile, without looking where they are."""
         middle, radius = np.zeros((3, len(motions))), np.full(len(motions), np.inf)
         whole = [(number, track) for number, one in enumerate(motions) if (track := one.whole_track(self.t_s))]

@@ -5,6 +5,7 @@ Aim: a virtual LMS291 and a street with 20 fed actors, steps of 10 ms, five time
 `fast`. Times are of the processor, so that a busy machine does not count.
 """
 
+# ruff: noqa: E402
 from __future__ import annotations
 
 import os
@@ -37,7 +38,8 @@ def street(fed: int, spawned: int = 0) -> Scenario:
     actors = SPAWNED % ", ".join(names) + "\n"
     if spawned:
         actors = actors.replace("{pool", "{spawn: true, pool")
-    return loads(text + f"\nlive: {{feed: control, ego: ego, actors: {actors.strip()}}}\n", STREET.with_name("fed.yaml"))
+    live = f"\nlive: {{feed: control, ego: ego, actors: {actors.strip()}}}\n"
+    return loads(text + live, STREET.with_name("fed.yaml"))
 
 
 def lines(scenario: Scenario, fed: int, spawned: int, t_s: float) -> list[dict[str, object]]:
