@@ -49,6 +49,10 @@ class Rules:
     silent_then: str = "hold"
     "hold, stop, remove"
     jump_m_s: float = JUMP_M_S
+    host: str | None = None
+    "Id or entity name of the feeder's own vehicle, where the feeder has not said which one it is."
+    guess_host: bool = False
+    "Of a feed that may never say it: by its entity's name, else the smallest id."
     keep_all: bool = False
     "Nothing is forgotten: of a file."
 
@@ -133,6 +137,8 @@ class Book:
             self.host = update.host
         for one in update.actors:
             self.host = one.id if one.host else self.host
+        if self.host is None and "host" in self._bind and update.actors:
+            self._find_host(update.actors, t_s)
         present = set()
         for one in update.actors:
             name = self.name_of(one)
@@ -165,6 +171,23 @@ class Book:
             return False
         return True
 
+    def _find_host(self, actors: Sequence[ActorSample], t_s: float) -> None:
+        """The feeder's own vehicle where it has not been told: esmini says it in its first message only."""
+        wanted = () if self.rules.host is None else (self.rules.host, self.rules.host.removeprefix("entity:"))
+        found = next((one for one in actors if one.id in wanted or one.name in wanted), None)
+        found = found or next((one for one in actors if (one.name or "").lower() in EGO_NAMES), None)
+        if found is None and self.rules.guess_host:
+            known = {*self._bind, *self._names}
+            free = [one for one in actors if not {one.id, one.name, f"entity:{one.name}"} & known]
+            found = min(free, key=lambda one: (len(one.id), one.id), default=None)
+            if found is not None:
+                ego = self._bind["host"]
+                self._tell(
+                    t_s, f"no host_vehicle_id: {found.id!r}, the smallest id, is {ego!r}; want live.host", "host"
+                )
+        if found is not None:
+            self.host = found.id
+
     def name_of(self, one: ActorSample) -> str | None:
         """Which actor of ours a sample is of; None: it is not wanted."""
         for word in (one.id, *(() if one.name is None else (f"entity:{one.name}", one.name))):
@@ -172,8 +195,6 @@ class Book:
                 return self._bind[word]
         if self.host is not None and one.id == self.host and "host" in self._bind:
             return self._bind["host"]
-        if self.host is None and (one.name or "").lower() in EGO_NAMES and "host" in self._bind:
-            return self._bind["host"]  # who joins late never learns the host's id
         for word in (one.id, one.name):
             if word is not None and word in self._names:
                 return word
@@ -298,6 +319,8 @@ class Book:
         self.newest_s = min(self.newest_s, now_s)
         self._times.clear()
         self._seq = None
+        if why == "restart":
+            self.host = None  # ids are other ones
 
     def _tell(self, t_s: float, text: str, key: str | None = None) -> None:
         """Once."""

@@ -20,7 +20,15 @@ from emulator.errors import LinkError
 from emulator.instrument.instrument import Instrument
 from emulator.live.files import Told, read
 from emulator.live.playout import PlayoutClock
-from emulator.live.receivers import Decoder, JsonDatagrams, OsiDatagrams, Receiver
+from emulator.live.receivers import (
+    Decoder,
+    JsonDatagrams,
+    OsiDatagrams,
+    OsiMessages,
+    Receiver,
+    line_in,
+    message_in,
+)
 from emulator.live.samples import Update
 from emulator.live.tracks import World
 from emulator.scenario.live_options import LiveOptions
@@ -85,16 +93,16 @@ class Feeding:
     def open(self) -> str | None:
         """Begin to receive; where, for whoever feeds. `LinkError` where the address cannot be had."""
         place = self.live.place
-        if place.kind not in ("json-udp", "json-tcp", "osi-udp"):
+        if place.kind not in ("json-udp", "json-tcp", "osi-udp", "osi-tcp"):
             return None
         counts = self.book.counts
-        decoder: Decoder = OsiDatagrams(counts) if place.kind == "osi-udp" else JsonDatagrams()
+        decoders: dict[str, Decoder] = {"osi-udp": OsiDatagrams(counts), "osi-tcp": OsiMessages()}
+        decoder = decoders.get(place.kind, JsonDatagrams())
+        tcp = {"json-tcp": line_in, "osi-tcp": message_in}.get(place.kind)
         host = "127.0.0.1" if place.host == "localhost" else place.host
         now_ns = self._real_ns or (lambda: 0)
         try:
-            self._receiver = Receiver(
-                host, place.port, place.kind == "json-tcp", decoder, now_ns, self._from_outside, self._refused, counts
-            )
+            self._receiver = Receiver(host, place.port, tcp, decoder, now_ns, self._from_outside, self._refused, counts)
         except OSError as error:
             raise LinkError(f"{self.live.feed}: {error.strerror or error}; want a free address") from None
         self._receiver.start()

@@ -15,11 +15,12 @@ from pydantic import Field, field_validator, model_validator
 from emulator.config.tables import DescribedTable
 from emulator.scenario.tables import Category, Id, Shape
 
-URL_FEEDS = {"json-udp": 47100, "json-tcp": 47100, "osi-udp": 48198, "lockstep": 47101}
+URL_FEEDS = {"json-udp": 47100, "json-tcp": 47100, "osi-udp": 48198, "osi-tcp": 48199, "lockstep": 47101}
 "Feeds from the network -> the port where none is said."
 FILE_FEEDS = ("osi-trace", "osi-mcap", "json-file", "recording")
 WANT_FEED = (
-    "json-udp://HOST:PORT, json-tcp://HOST:PORT, osi-udp://HOST:PORT, lockstep://HOST:PORT, lockstep:unix:PATH,"
+    "json-udp://HOST:PORT, json-tcp://HOST:PORT, osi-udp://HOST:PORT, osi-tcp://HOST:PORT,"
+    " lockstep://HOST:PORT, lockstep:unix:PATH,"
     " osi-trace:FILE, osi-mcap:FILE, json-file:FILE, recording:FOLDER or control"
 )
 MOST_POOL = 500
@@ -37,7 +38,7 @@ class FeedPlace:
     """Where a feed comes from."""
 
     kind: str
-    "`json-udp`, `json-tcp`, `osi-udp`, `lockstep`, `osi-trace`, `osi-mcap`, `json-file`, `control`"
+    "`json-udp`, `json-tcp`, `osi-udp`, `osi-tcp`, `lockstep`, `osi-trace`, `osi-mcap`, `json-file`, `control`"
     host: str = ""
     port: int = 0
     path: str = ""
@@ -149,6 +150,8 @@ class LiveOptions(DescribedTable):
     "Where poses come from."
     ego: Id | None = None
     "The actor that is the feeder's host vehicle."
+    host: str | None = None
+    "Id or entity name of the feeder's host vehicle where it is not said: esmini does in its first message alone."
     bind: dict[str, Id] = Field(default_factory=dict)
     "What the feeder calls an actor (its id, `entity:NAME`, `host`) -> its id here; equal ids need nothing."
     actors: LiveActors = Field(default_factory=LiveActors)

@@ -28,7 +28,8 @@ def book_of(scenario: Scenario, keep_all: bool = False) -> Book:
     if live.actors.fed is not None:
         names = [name for name in names if name in live.actors.fed]
     bind = dict(live.bind) | ({} if live.ego is None else {"host": live.ego})
-    rules = Rules(live.between, live.silent.after_s, live.silent.then, live.jump_m_s, keep_all)
+    guess = live.place.kind.startswith("osi-")
+    rules = Rules(live.between, live.silent.after_s, live.silent.then, live.jump_m_s, live.host, guess, keep_all)
     return Book(rules, names, bind, live.slots, shape_of(live.actors))
 
 

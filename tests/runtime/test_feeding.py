@@ -13,12 +13,13 @@ import pytest
 
 from emulator.errors import LinkError, ScenarioError
 from emulator.judging.rig import Rig
-from emulator.live.json_lines import update_of
-from emulator.live.receivers import Budget
+from emulator.live.json_lines import MOST_BYTES, update_of
+from emulator.live.receivers import MOST_OSI, Budget, line_in, message_in
 from emulator.live.samples import BadSample
 from emulator.runtime.feeding import FIRST_NS, MARGIN_NS, SPARE, Feeding
 from emulator.scenario.scenario import Scenario, dump, loads
 from protocols.scan import ScanPlan
+from tests.live.test_osi import WORKED
 
 MS = 1_000_000
 CASE = """
@@ -176,6 +177,37 @@ def test_the_fixture_moves_actors(tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     with Rig(str(path), tmp_path / "other") as rig, pytest.raises(LookupError, match="live"):
         rig.move("car", [0, 0, 0])
+
+
+def test_osi_by_tcp_arrives_each_message_after_its_length(tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text(CASE.replace("LIVE", "{feed: 'osi-tcp://127.0.0.1:0', ego: ego}"))
+    data = len(WORKED).to_bytes(4, "little") + WORKED
+    with Rig(str(path), tmp_path) as rig:
+        kind, _, port = str(rig.feed_url).rpartition(":")
+        assert kind == "osi-tcp://127.0.0.1"
+        with socket.create_connection(("127.0.0.1", int(port))) as feeder:
+            for byte in data:
+                feeder.sendall(bytes((byte,)))
+            while not rig.feed().get("received"):
+                rig.advance(0.001)
+            feeder.sendall((1 << 31).to_bytes(4, "little"))
+            assert feeder.recv(1) == b"", "a length that cannot be ends the connection"
+            while not rig.feed().get("dropped"):
+                rig.advance(0.001)
+
+
+def test_what_is_held_of_a_stream_has_a_limit() -> None:
+    assert message_in(bytearray(b"\x03\0\0")) is None
+    held = bytearray(b"\x03\0\0\0abcd")
+    assert (message_in(held), held) == (b"abc", bytearray(b"d"))
+    for size in (0, MOST_OSI + 1, 2**32 - 1):
+        with pytest.raises(BadSample, match="little-endian"):
+            message_in(bytearray(size.to_bytes(4, "little")))
+    held = bytearray(b"{}\n[")
+    assert (line_in(held), line_in(held)) == (b"{}", None)
+    with pytest.raises(BadSample, match="bytes without its end"):
+        line_in(bytearray(MOST_BYTES + 1))
 
 
 def test_updates_by_udp_and_tcp_arrive(tmp_path: Path) -> None:
