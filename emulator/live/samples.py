@@ -53,6 +53,8 @@ class ActorSample:
     host: bool = False
     jump: bool = False
     "Not to be interpolated from the sample before."
+    static: bool = False
+    "It stands there until another update has such ones, whatever `snapshot` says."
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ WANT_FEED = (
     " osi-trace:FILE, osi-mcap:FILE, json-file:FILE, recording:FOLDER or control"
 )
 MOST_POOL = 500
+MOST_STATICS = 2000
 CATEGORIES: dict[str, Category] = {
     "car": "car", "van": "car", "truck": "truck", "bus": "truck", "trailer": "truck", "tram": "truck",
     "train": "truck", "work_machine": "truck", "motorcycle": "motorcycle", "scooter": "motorcycle",
@@ -111,6 +112,8 @@ class LiveActors(DescribedTable):
     "Let them come."
     pool: Annotated[int, Field(ge=1, le=MOST_POOL)] = 32
     "So many of them at once; the others are counted and not there."
+    statics: Annotated[int, Field(ge=0, le=MOST_STATICS)] = 0
+    "So many stationary ones of the feed stand in the scene, beside the pool; the others are counted and not there."
     classes: dict[str, SpawnShape] = Field(default_factory=dict)
     "The feeder's class -> what it looks like; every other class is a box."
     models: dict[str, str] = Field(default_factory=dict)
@@ -197,7 +200,17 @@ class LiveOptions(DescribedTable):
     @property
     def slots(self) -> tuple[str, ...]:
         """Names of the actors that others become."""
+        return (*self.spawn_slots, *self.static_slots)
+
+    @property
+    def spawn_slots(self) -> tuple[str, ...]:
+        """Of those, for whatever moves."""
         return tuple(f"live_{number:03d}" for number in range(self.actors.pool)) if self.actors.spawn else ()
+
+    @property
+    def static_slots(self) -> tuple[str, ...]:
+        """And for what stands."""
+        return tuple(f"static_{number:04d}" for number in range(self.actors.statics))
 
     @property
     def lockstep(self) -> bool:

@@ -30,7 +30,7 @@ def book_of(scenario: Scenario, keep_all: bool = False) -> Book:
     bind = dict(live.bind) | ({} if live.ego is None else {"host": live.ego})
     guess = live.place.kind.startswith("osi-")
     rules = Rules(live.between, live.silent.after_s, live.silent.then, live.jump_m_s, live.host, guess, keep_all)
-    return Book(rules, names, bind, live.slots, shape_of(live.actors))
+    return Book(rules, names, bind, live.spawn_slots, live.static_slots, shape_of(live.actors))
 
 
 def shape_of(actors: LiveActors) -> Callable[[ActorSample], str]:
