@@ -215,9 +215,8 @@ class Book:
             return None
         if not self._free:
             self.counts["too many actors"] += 1
-            self._tell(
-                0.0, f"more than {len(self._slots - self._static_slots)} actors beside the scenario's: the others are not there", "many"
-            )
+            room = len(self._slots - self._static_slots)
+            self._tell(0.0, f"more than {room} actors beside the scenario's: the others are not there", "many")
             return None
         self._slot_of[one.id] = heapq.heappop(self._free)
         return self._slot_of[one.id]
