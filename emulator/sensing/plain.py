@@ -405,39 +405,6 @@ class Pieces:
             doubt |= inside & ((own != piece) | self._outlines.piece_crosses[piece])
         return doubt
 
-    def _as_fed(
-        self, known: _Near, fed: Ints, sights: Sights, reach_m: float,
-        at: Floats, velocity: Floats, turned: Floats, slack: Floats,
-    ) -> None:  # fmt: skip
-        """Fed bodies as if they moved straight, and how far off that is."""
-        motions = [motion for motion in known.batched.motions if isinstance(motion, Fed)]
-        found = motions[0].now.placings(sights.t_s)
-        if found is None:
-            slack[fed] = np.inf
-            return
-        placings = found[0]
-        place, radius = placings.around(motions)
-        arm = self._arm[known.movers[fed]]
-        eye = sights.centre_m[len(sights.centre_m) // 2]
-        near = np.linalg.norm(place.T - eye, axis=1) - radius - arm <= reach_m
-        at[fed] = place.T
-        slack[fed[~near]] = radius[~near]  # out of reach all the same
-        fed, arm = fed[near], arm[near]
-        if not len(fed):
-            return
-        rows = placings.rows([motion for motion, chosen in zip(motions, near, strict=True) if chosen])
-        path, turn = placings.at[:, rows], placings.turned[:, :, rows]
-        since = placings.t_s - 0.5 * (float(sights.t_s.min()) + float(sights.t_s.max()))
-        span = since[-1] - since[0]
-        drift = (path[:, :, -1] - path[:, :, 0]) / (span if span > 0.0 else 1.0)
-        middle = path[:, :, 0] - drift * since[0]
-        off = path - middle[:, :, None] - drift[:, :, None] * since
-        other = turn - turn[:, :, :, len(since) // 2, None]
-        bent = np.sqrt(np.einsum("ijbn,ijbn->bn", other, other).max(axis=1))
-        at[fed], velocity[fed] = middle.T, drift.T
-        turned[fed] = turn[:, :, :, len(since) // 2].transpose(2, 0, 1)
-        slack[fed] = np.sqrt(np.einsum("ibn,ibn->bn", off, off).max(axis=1)) + bent * arm
-
     def _near_movers(self, low: Floats, high: Floats, t_s: Floats) -> Ints:
         kept = []
         for k in self._broad_phase.within(low, high, 0.0, float(t_s.min()), float(t_s.max())):

@@ -142,7 +142,7 @@ class Placings:
             numbers = [number for number, _ in whole]
             middle[:, numbers] = where.T
             radius[numbers] = far + np.array([np.linalg.norm(motions[number].offset) for number in numbers])
-        for number in np.flatnonzero(np.isinf(radius)):
+        for number in np.flatnonzero(np.isinf(radius)).tolist():
             where, far = self.spheres([motions[number]], np.zeros((3, 1)))
             middle[:, number], radius[number] = where[:, 0], far[0]
         return middle, radius
