@@ -10,7 +10,7 @@ Meshes that change their shape are cast by slices (deforming).
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from types import ModuleType
 
@@ -27,56 +27,106 @@ from emulator.world.batched_poses import Flags, Longs, Stretch, may_meet, throug
 from emulator.world.broad_phase import KEPT, BroadPhase
 from emulator.world.fed import Fed, FedNow
 from emulator.world.motion import Motion
+from emulator.world.placings import Placings
 from emulator.world.triangles import Floats, Ints
 
-NONE_BENT = np.zeros(0, np.int64), np.zeros((3, 0)), np.zeros((3, 3, 0))
+
+@dataclass(eq=False)
+class Near:
+    """Fed ones of some bodies at the instants of some rays."""
+
+    placings: Placings
+    fed: Longs
+    "(f,) which of the bodies."
+    motions: list[Fed]
+    place: Floats
+    "(3, f) centres of spheres that hold those of the bodies meanwhile; (f,) their radii."
+    swept: Floats
+    exact: Flags
+    "(f,) of the body's path; others are wider, and nothing was computed for them."
+    base: Longs
+    "(b,) column of each body's first instant in the table; -1: it has none."
+
+    def fill(self, place: Floats, swept: Floats) -> None:
+        """Put the spheres among those of all bodies."""
+        place[:, self.fed], swept[self.fed] = self.place, self.swept
+
+    def look(self, movers: Movers, met: Longs) -> bool:
+        """Find out where those are that rays may meet; whether any of them was not known."""
+        near = np.zeros(len(self.base), bool)
+        near[met] = True
+        fresh = indexes(near[self.fed] & ~self.exact)
+        if not len(fresh):
+            return False
+        motions, which = [self.motions[number] for number in fresh], self.fed[fresh]
+        self.place[:, fresh], self.swept[fresh] = self.placings.spheres(motions, movers.centre[:, which])
+        self.base[which] = self.placings.rows(motions) * len(self.placings.t_s)
+        self.exact[fresh] = True
+        return True
+
+
+@dataclass(frozen=True, eq=False)
+class Bent:
+    """Poses of bodies that do not move straight, for pairs of a body and a ray."""
+
+    column: Longs
+    "(k,) of each pair; -1: its body moves straight. (0,): all do."
+    at: Floats
+    "(3, c)"
+    turned: Floats
+    "(3, 3, c)"
+
+
+NONE_BENT = Bent(np.zeros(0, np.int64), np.zeros((3, 0)), np.zeros((3, 3, 0)))
 "All pairs are of bodies that move straight."
 
 
-class Instants:
-    """When rays are cast; poses of fed bodies are computed once for all rays of a beam."""
+def _bent(
+    movers: Movers, near: tuple[Near, Longs] | None, curved: Longs, which: Longs, rays: Longs, times: Floats
+) -> Bent:
+    if not len(curved):
+        return NONE_BENT
+    column, at, turned = np.full(len(which), -1), np.zeros((3, 0)), np.zeros((3, 3, 0))
+    if near is not None:
+        table, instant = near
+        base = table.base.take(which)
+        column = np.where(base >= 0, base + instant.take(rays), -1)
+        at, turned = table.placings.at.reshape(3, -1), table.placings.turned.reshape(3, 3, -1)
+        curved = curved[table.base[curved] < 0]
+    parts = [(pairs, movers.batched.motions[mover]) for mover in curved if len(pairs := indexes(which == mover))]
+    if not parts:
+        return Bent(column, at, turned)
+    pairs = np.concatenate([some for some, _ in parts])
+    column[pairs] = at.shape[1] + np.arange(len(pairs))
+    poses = [_poses(motion, times[rays[some]]) for some, motion in parts]
+    at = np.concatenate([at, *(position.T for position, _ in poses)], axis=1)
+    turned = np.concatenate([turned, *(rotation.transpose(1, 2, 0) for _, rotation in poses)], axis=2)
+    return Bent(column, at, turned)
 
-    def __init__(self, times: Floats) -> None:
-        self._times = times
-        self._beams: tuple[Floats, Longs] | None = None
 
-    def pose(self, motion: Motion, rays: Longs) -> tuple[Floats, Floats]:
-        """Positions (k, 3) and rotations (k, 3, 3) at the instants of some rays."""
-        if not isinstance(motion, Fed):
-            when = self._times[rays]
-            return motion.position(when), np.broadcast_to(motion.rotation(when), (len(when), 3, 3))
-        if self._beams is None:
-            begins = np.concatenate([[True], self._times[1:] != self._times[:-1]])
-            self._beams = self._times[begins], np.cumsum(begins) - 1
-        instants, beam = self._beams
-        pose, at = motion.pose(instants), beam[rays]
-        return pose.position_m[at], pose.rotation[at]
+def _poses(motion: Motion, when: Floats) -> tuple[Floats, Floats]:
+    """Positions (k, 3) and rotations (k, 3, 3) at instants."""
+    if not isinstance(motion, Fed):
+        return motion.position(when), np.broadcast_to(motion.rotation(when), (len(when), 3, 3))
+    instants, number = np.unique(when, return_inverse=True)
+    position, rotation = motion.found(instants)
+    return position[number], rotation[number]
 
 
 def _crossed_by_loops(
-    loops: ModuleType, cast: MovingCast, movers: Movers, now: Stretch, curved: Longs, which: Longs, rays: Longs,
+    loops: ModuleType, cast: MovingCast, movers: Movers, now: Stretch, bent: Bent, which: Longs, rays: Longs,
     origin: Floats, aim: Aim, times: Floats, far: float, known_m: Floats,
 ) -> Met | None:  # fmt: skip
     """Where all bodies are rigid."""
     if not cast._packets:
         return OTHERWISE
-    bent, offset, turned = NONE_BENT
-    if len(curved):
-        pairs = [indexes(which == mover) for mover in curved]
-        bent = np.full(len(which), -1)
-        bent[np.concatenate(pairs)] = np.arange(sum(map(len, pairs)))
-        instants = Instants(times)
-        where = [(movers.batched.motions[of], rays[at]) for of, at in zip(curved, pairs, strict=True)]
-        poses = [instants.pose(motion, some) for motion, some in where]
-        offset = origin[:, rays[np.concatenate(pairs)]]
-        offset -= np.concatenate([position for position, _ in poses]).T
-        turned = np.concatenate([rotation for _, rotation in poses]).transpose(1, 2, 0)
     parts = []
     for number in np.unique(movers.structure) if len(cast._slots) > 1 else (0,):
         (met, triangle, body), sizes, sent, wrong = loops.moving(
             *cast._slots[number].how, number, which, rays, origin, aim.ray, times, far, known_m,
             now.at, now.velocity, now.since, now.turned, movers.centre, movers.reach, movers.half, movers.cell,
-            movers.shift, movers.structure, movers.body, bent, offset, turned, cast._table.plane, embree.SUSPICIOUS,
+            movers.shift, movers.structure, movers.body, bent.column, bent.at, bent.turned, cast._table.plane,
+            embree.SUSPICIOUS,
         )  # fmt: skip
         cast.counters.cast += sent
         cast.counters.suspicious += wrong
@@ -101,16 +151,30 @@ class MovingCast:
         "None: nobody moves any of them from outside."
         self._now: object = None
         "The world that what is kept holds for."
+        self._nears: tuple[tuple[Movers, Near], ...] = ()
+        self._slots_of: dict[str, list[int]] = {}
+        "Actors that a feed may bring -> their bodies."
+        for row, motion in enumerate(motions):
+            if isinstance(motion, Fed) and motion.may_come:
+                self._slots_of.setdefault(motion.name, []).append(row)
+        may_come = {row for rows_ in self._slots_of.values() for row in rows_}
+        self._lasting = [row for row in range(len(motions)) if row not in may_come]
 
     def __len__(self) -> int:
         return len(self._all.body)
 
-    def sphere(self, begin_s: float, end_s: float) -> tuple[Floats, float]:
-        """Centre (3, 1) and radius of a sphere that holds all of them meanwhile."""
+    def sphere(self, times: Floats) -> tuple[Floats, float]:
+        """Centre (3, 1) and radius of a sphere that holds all of them at these instants."""
+        begin_s, end_s = float(times.min()), float(times.max())
         movers = self._all if self._fed is None else self._there(np.arange(len(self._all.body)))
         if not len(movers.body):
             return np.zeros((3, 1)), 0.0
-        _, place, swept, _ = _whereabouts(movers, begin_s, end_s)
+        _, place, swept, curved = _whereabouts(movers, begin_s, end_s)
+        if self._fed is not None and len(curved):
+            near = self._looked(movers, times)
+            if near is None:
+                return place[:, :1], np.inf
+            near[0].fill(place, swept)
         low = place.min(axis=1, keepdims=True)
         centre = low + (place.max(axis=1, keepdims=True) - low) / 2.0
         away = np.sqrt(((place - centre) ** 2).sum(axis=0))
@@ -132,15 +196,22 @@ class MovingCast:
         if not len(movers.body):
             return None
         now, place, swept, curved = _whereabouts(movers, begin, end)
+        near = None if self._fed is None or not len(curved) else self._looked(movers, times)
+        if near is not None:
+            near[0].fill(place, swept)
         which, rays = may_meet(place, movers.reach + swept, box, aim.ray, far, known_m, lambda: aim.cones)
+        if near is not None and near[0].look(movers, which):
+            near[0].fill(place, swept)
+            which, rays = may_meet(place, movers.reach + swept, box, aim.ray, far, known_m, lambda: aim.cones)
         if not len(which):
             return None
+        bent = _bent(movers, near, curved, which, rays, times)
         crossed = self._crossed if movers.scale is None else partial(array_form(MovingCast._crossed), self)
-        return crossed(movers, now, curved, which, rays, origin, aim, times, far, known_m)
+        return crossed(movers, now, bent, which, rays, origin, aim, times, far, known_m)
 
     @by_loops(_crossed_by_loops, "moving")
     def _crossed(
-        self, movers: Movers, now: Stretch, curved: Longs, which: Longs, rays: Longs,
+        self, movers: Movers, now: Stretch, bent: Bent, which: Longs, rays: Longs,
         origin: Floats, aim: Aim, times: Floats, far: float, known_m: Floats,
     ) -> Met | None:  # fmt: skip
         """Rays on the moving bodies that they may meet."""
@@ -149,13 +220,11 @@ class MovingCast:
         offset = origin.take(rays, axis=1) - now.at.take(which, axis=1)
         offset -= (when - now.since.take(which)) * now.velocity.take(which, axis=1)
         turned = now.turned.take(which, axis=2)
-        instants = Instants(times)
-        for mover in curved:
-            pairs = indexes(which == mover)
-            if len(pairs):
-                position, rotation = instants.pose(movers.batched.motions[mover], rays[pairs])
-                offset[:, pairs] = origin[:, rays[pairs]] - position.T
-                turned[:, :, pairs] = rotation.transpose(1, 2, 0)
+        pairs = indexes(bent.column >= 0)
+        if len(pairs):
+            column = bent.column[pairs]
+            offset[:, pairs] = origin.take(rays[pairs], axis=1) - bent.at.take(column, axis=1)
+            turned[:, :, pairs] = bent.turned.take(column, axis=2)
         along = aim.ray.take(rays, axis=1)
         centre = movers.centre.take(which, axis=1)
         sphere = offset - np.einsum("ijk,jk->ik", turned, centre)
@@ -241,15 +310,38 @@ class MovingCast:
         """Those of them that are there in the present sweep, as large and fast as it says."""
         assert self._fed is not None
         if self._now is not self._fed.world:
-            self._now, self._kept = self._fed.world, ()
+            self._now, self._kept, self._nears = self._fed.world, (), ()
         for known, movers in self._kept:
             if known is which or (len(known) == len(which) and np.array_equal(known, which)):
                 return movers
         motions = self._all.batched.motions
-        found = [int(one) for one in which if not isinstance(each := motions[one], Fed) or each.there]
+        come = [row for name in self._fed.names for row in self._slots_of.get(name, ())]
+        wanted = np.zeros(len(motions), bool)
+        wanted[which] = True
+        found = [row for row in (*self._lasting, *come) if wanted[row]]
+        found = sorted(row for row in found if not isinstance(each := motions[row], Fed) or each.there)
         movers = _as_fed(self._all.chosen(np.array(found, np.int64))) if found else self._all.chosen(which[:0])
         self._kept = ((which, movers), *self._kept[: KEPT - 1])
         return movers
+
+    def _looked(self, movers: Movers, times: Floats) -> tuple[Near, Longs] | None:
+        """What is known of fed ones at these times, and the number of each time; None: they are too many."""
+        assert self._fed is not None
+        found = self._fed.placings(times)
+        if found is None:
+            return None
+        placings, instant = found
+        for known in self._nears:
+            if known[0] is movers and known[1].placings is placings:
+                return known[1], instant
+        motions = movers.batched.motions
+        fed = np.array([row for row, motion in enumerate(motions) if isinstance(motion, Fed)], np.int64)
+        mine = [motion for motion in motions if isinstance(motion, Fed)]
+        place, radius = placings.around(mine)
+        none = np.zeros(len(fed), bool)
+        near = Near(placings, fed, mine, place, radius + movers.arm[fed], none, np.full(len(motions), -1))
+        self._nears = ((movers, near), *self._nears[: KEPT - 1])
+        return near, instant
 
     def _run_slots(self, home: Longs, start: Singles, along: Singles, until: Singles) -> tuple[Ints, Singles]:
         if len(self._slots) == 1:
@@ -263,26 +355,20 @@ class MovingCast:
 
 
 def _as_fed(movers: Movers) -> Movers:
-    """Speeds and sizes as the present sweep has them."""
+    """Sizes as the present sweep has them."""
     fed = [(row, motion) for row, motion in enumerate(movers.batched.motions) if isinstance(motion, Fed)]
     if not fed:
         return movers
-    speed, arm, scale = movers.speed.copy(), movers.arm.copy(), np.ones((3, len(movers.body)))
+    scale = np.ones((3, len(movers.body)))
     for row, motion in fed:
-        speed[row] = motion.speed_bound_m_s
         scale[:, row] = motion.scale
+    if not bool((scale != 1.0).any()):
+        return movers
     centre = movers.centre * scale
-    scaled = bool((scale != 1.0).any())
-    if scaled:
-        arm = np.sqrt(np.einsum("ib,ib->b", centre, centre))
-    for row, motion in fed:
-        arm[row] += motion.slack_m
-    if not scaled:
-        return replace(movers, speed=speed, arm=arm)
+    arm = np.sqrt(np.einsum("ib,ib->b", centre, centre))
     return replace(
-        movers, speed=speed, arm=arm, centre=centre, reach=movers.reach * scale.max(axis=0), scale=scale,
-        shape_reach=movers.reach,
-    )  # fmt: skip
+        movers, arm=arm, centre=centre, reach=movers.reach * scale.max(axis=0), scale=scale, shape_reach=movers.reach
+    )
 
 
 def _in_shape(movers: Movers, which: Longs, local: Floats, along: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -310,7 +396,9 @@ def _whereabouts(movers: Movers, begin: float, end: float) -> tuple[Stretch, Flo
     curved = indexes(~now.straight)
     if len(curved):  # anywhere around where the body's origin is, as far as it can have come
         for mover in curved:
-            place[:, mover] = movers.batched.motions[mover].position(np.array([middle]))[0]
+            motion = movers.batched.motions[mover]
+            if not isinstance(motion, Fed):  # of those it is known all at once
+                place[:, mover] = motion.position(np.array([middle]))[0]
         swept[curved] = movers.arm[curved] + (movers.speed[curved] * ((end - begin) / 2.0) if end > begin else 0.0)
     return now, place, swept, curved
 

@@ -197,7 +197,7 @@ class Caster:
         found = np.zeros(len(direction), bool)
         spheres = [(group.centre, group.radius) for group in self._groups]
         if self.moves and len(t_s):
-            spheres.append(self._moving.sphere(float(t_s.min()), float(t_s.max())))
+            spheres.append(self._moving.sphere(t_s))
         for centre, radius in spheres:
             _, leave, touch = through_sphere(origin - centre, ray, radius)
             found |= touch & (leave > beyond_m)

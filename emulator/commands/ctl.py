@@ -74,8 +74,8 @@ def ctl(order: str, parameters: tuple[str, ...], path: Path | None, as_json: boo
 
     Always: status, metrics, stop; weather [fog.visibility_m=50] [rain.rate_mm_h=10] [snow=null], without values: the
     weather in effect. With a virtual clock: pause, resume, step [scans=N | bytes=N] [sensor=ID], step seconds=S,
-    step to_s=S, speed x=X (0: as fast as hosts read). For viewers: glance, scans, telegrams, scene. All methods are
-    in docs/control.md.
+    step to_s=S, speed x=X (0: as fast as hosts read). With `live:` in the scenario: poses actors=[...].
+    For viewers: glance, scans, telegrams, scene. All methods are in docs/control.md.
 
     \b
     fault SENSOR NAME [KEY=VALUE]...   begins a fault, immediately without a trigger; prints its number

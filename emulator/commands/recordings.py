@@ -97,9 +97,10 @@ WIRE_BAUD = click.option(
 
 
 def replay_world(recording: Path, as_json: bool) -> int:
-    """A fed run again without its feeder, with built-in hosts as `test` has them; prints its digest."""
+    """A fed run again without its feeder, with what its hosts said, or with built-in ones; prints its digest."""
     from emulator.judging.trial import run_trial
     from emulator.live.files import read
+    from emulator.recording.reader import read_run
     from emulator.scenario.scenario import load
 
     if not (recording / "scenario.yaml").is_file():
@@ -112,7 +113,14 @@ def replay_world(recording: Path, as_json: bool) -> int:
     if loaded.duration_s is None:
         last_s = max(max(one.run_ns for one in told) * 1e-9, 1e-3)
         loaded = load(str(recording / "scenario.yaml"), [*changes, f"duration_s={last_s!r}"])
-    verdict = run_trial(loaded)
+    heard = {
+        sensor: wire.payloads
+        for (sensor, _), wire in read_run(recording).received.items()
+        if wire.kind in ("serial", "stream") and not wire.url.startswith("loop:")
+    }
+    if heard:  # nobody decodes what the recorded hosts got
+        loaded = loaded.model_copy(update={"expect": ()})
+    verdict = run_trial(loaded, heard=heard)
     row = {"updates": len(told), "duration_s": verdict.duration_s, "sha256": verdict.sha256, "held": verdict.held}
     if as_json:
         say(json.dumps({"event": "world", **row}))

@@ -103,12 +103,12 @@ def _crosses(place, along, half):
 )  # fmt: skip
 def moving(
     function, width, scene, arguments, structure, which, rays, origin, ray, times, far, known_m,
-    at, velocity, since, turned, centre, reach, half, cell, shift, home, body, bent, bent_offset, bent_turned,
+    at, velocity, since, turned, centre, reach, half, cell, shift, home, body, bent, bent_at, bent_turned,
     plane, suspicious,
 ):  # fmt: skip
     """What pairs (k,) of a body and a ray meet in one structure of rigid bodies.
 
-    `bent` : (k,) -1, or the column of `bent_offset` (3, .) and `bent_turned` (3, 3, .) where the pair's body does not
+    `bent` : (k,) -1, or the column of `bent_at` (3, .) and `bent_turned` (3, 3, .) where the pair's body does not
     move straight; (0,) where all do. `home` : structure of each body. The rest as in `Movers`, `Stretch` and `Table`.
 
     Returns rays, triangles and bodies (3, .), ranges, normal . ray and normals (5, .) in the world of all hits, how
@@ -156,7 +156,9 @@ def moving(
         dx, dy, dz = ray[0, r], ray[1, r], ray[2, r]
         column = bent[pair] if len(bent) else -1
         if column >= 0:
-            ox, oy, oz = bent_offset[0, column], bent_offset[1, column], bent_offset[2, column]
+            ox = origin[0, r] - bent_at[0, column]
+            oy = origin[1, r] - bent_at[1, column]
+            oz = origin[2, r] - bent_at[2, column]
             xx, xy, xz = bent_turned[0, 0, column], bent_turned[0, 1, column], bent_turned[0, 2, column]
             yx, yy, yz = bent_turned[1, 0, column], bent_turned[1, 1, column], bent_turned[1, 2, column]
             zx, zy, zz = bent_turned[2, 0, column], bent_turned[2, 1, column], bent_turned[2, 2, column]

@@ -6,7 +6,7 @@ For `lidaremu test`. Every sensor gets a loop in place of its links; sensors on 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -26,6 +26,7 @@ from emulator.measuring.conditions import NORMAL, Conditions
 from emulator.measuring.measuring import InPlace
 from emulator.measuring.supervision import Workers
 from emulator.process.incidents import Incidents
+from emulator.recording.reader import WirePayload
 from emulator.recording.transcript import Transcript
 from emulator.recording.writer import Recorder
 from emulator.runtime import assembly
@@ -36,7 +37,7 @@ from emulator.sensors.spec import load_spec
 from emulator.transports.can_link import BITRATE, CanPorts, LoopOutlet
 from emulator.transports.can_wire import CanWire, Carried
 from emulator.transports.link import Link
-from emulator.transports.loopback import Loops
+from emulator.transports.loopback import LoopHost, LoopLink, Loops
 from emulator.transports.schemes import open_link
 from protocols.scan import Scan, ScanPlan
 from protocols.session import Family
@@ -99,11 +100,14 @@ class Trial:
         watchers: Sequence[Observer] = (),
         record: Path | None = None,
         measuring: Measuring | None = None,
+        heard: Mapping[str, Sequence[WirePayload]] | None = None,
     ) -> None:
         """`workers`: measuring processes; 0 measures in place. The result is the same. `record`: a folder for it.
 
-        `measuring`: something else that makes scans of plans.
+        `measuring`: something else that makes scans of plans. `heard`: what a sensor heard of its hosts, in place of a
+        built-in one.
         """
+        self._heard = heard or {}
         self.scenario = scenario
         self.expected = understand(scenario)
         self.incidents = Incidents()
@@ -155,6 +159,8 @@ class Trial:
 
     def _host_of(self, index: int, family: Family, loops: Loops) -> VirtualHost | None:
         sensor = self.scenario.sensors[index]
+        if sensor.id in self._heard and family.name != "can_objects":
+            return _AsRecorded(loops[sensor.id], self._heard[sensor.id])
         on_scan = partial(self.series.host_read, sensor.id)
         if family.name == "lms2xx":
             return Lms2xxScript(loops[sensor.id].connect(), on_scan)
@@ -213,6 +219,23 @@ class Trial:
             self._workers.close()
 
 
+class _AsRecorded:
+    """Hosts that say again what they said, at the same instants, whatever they hear."""
+
+    def __init__(self, link: LoopLink, payloads: Sequence[WirePayload]) -> None:
+        self._hosts: dict[int, LoopHost] = {}
+        for one in payloads:
+            if one.peer not in self._hosts:
+                self._hosts[one.peer] = link.connect(one.start_ns)
+            self._hosts[one.peer].write(one.data, one.start_ns)
+
+    def step(self, now_ns: int) -> int | None:
+        """Read; nothing is wanted."""
+        for host in self._hosts.values():
+            host.read()
+        return None
+
+
 class _Nothing:
     """Measures nothing."""
 
@@ -260,9 +283,10 @@ def run_trial(
     name: str | None = None,
     record: Path | None = None,
     progress: Callable[[float], None] | None = None,
+    heard: Mapping[str, Sequence[WirePayload]] | None = None,
 ) -> Verdict:
     """Run one scenario and judge its expectations; raises `EmulatorError` when it cannot run."""
-    trial = Trial(scenario, workers, record=record)
+    trial = Trial(scenario, workers, record=record, heard=heard)
     try:
         verdict = trial.finish(progress)
     finally:

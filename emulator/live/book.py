@@ -49,6 +49,10 @@ class Rules:
     silent_then: str = "hold"
     "hold, stop, remove"
     jump_m_s: float = JUMP_M_S
+    host: str | None = None
+    "Id or entity name of the feeder's own vehicle, where the feeder has not said which one it is."
+    guess_host: bool = False
+    "Of a feed that may never say it: by its entity's name, else the smallest id."
     keep_all: bool = False
     "Nothing is forgotten: of a file."
 
@@ -78,6 +82,7 @@ class Book:
         names: Iterable[str] = (),
         bind: Mapping[str, str] | None = None,
         slots: Sequence[str] = (),
+        static_slots: Sequence[str] = (),
         shape_of: Callable[[ActorSample], str] = lambda one: "box",
     ) -> None:
         """`names`: actors of the scenario. `bind`: what the feeder calls some of them -> their names.
@@ -89,7 +94,10 @@ class Book:
         self._bind = dict(bind or {})
         self._free = list(slots)
         heapq.heapify(self._free)
-        self._slots = frozenset(slots)
+        self._free_static = list(static_slots)
+        heapq.heapify(self._free_static)
+        self._static_slots = frozenset(static_slots)
+        self._slots = frozenset(slots) | self._static_slots
         self._slot_of: dict[str, str] = {}
         "What the feeder calls an actor that is not in the scenario -> its slot."
         self._shape_of = shape_of
@@ -133,6 +141,8 @@ class Book:
             self.host = update.host
         for one in update.actors:
             self.host = one.id if one.host else self.host
+        if self.host is None and "host" in self._bind and update.actors:
+            self._find_host(update.actors, t_s)
         present = set()
         for one in update.actors:
             name = self.name_of(one)
@@ -142,7 +152,9 @@ class Book:
             self._add(name, one, t_s, again)
         gone = [self._slot_of.get(one, self._bind.get(one, one)) for one in update.removed]
         if update.snapshot:
-            gone += [name for name in self._known if name not in present]
+            gone += [name for name in self._known if name not in present and name not in self._static_slots]
+        if any(one.static for one in update.actors):
+            gone += [name for name in self._known if name not in present and name in self._static_slots]
         for name in gone:
             self._remove(name, t_s)
         self.newest_s = t_s
@@ -165,6 +177,24 @@ class Book:
             return False
         return True
 
+    def _find_host(self, actors: Sequence[ActorSample], t_s: float) -> None:
+        """The feeder's own vehicle where it has not been told: esmini says it in its first message only."""
+        wanted = () if self.rules.host is None else (self.rules.host, self.rules.host.removeprefix("entity:"))
+        actors = [one for one in actors if not one.static]
+        found = next((one for one in actors if one.id in wanted or one.name in wanted), None)
+        found = found or next((one for one in actors if (one.name or "").lower() in EGO_NAMES), None)
+        if found is None and self.rules.guess_host:
+            known = {*self._bind, *self._names}
+            free = [one for one in actors if not {one.id, one.name, f"entity:{one.name}"} & known]
+            found = min(free, key=lambda one: (len(one.id), one.id), default=None)
+            if found is not None:
+                ego = self._bind["host"]
+                self._tell(
+                    t_s, f"no host_vehicle_id: {found.id!r}, the smallest id, is {ego!r}; want live.host", "host"
+                )
+        if found is not None:
+            self.host = found.id
+
     def name_of(self, one: ActorSample) -> str | None:
         """Which actor of ours a sample is of; None: it is not wanted."""
         for word in (one.id, *(() if one.name is None else (f"entity:{one.name}", one.name))):
@@ -172,24 +202,32 @@ class Book:
                 return self._bind[word]
         if self.host is not None and one.id == self.host and "host" in self._bind:
             return self._bind["host"]
-        if self.host is None and (one.name or "").lower() in EGO_NAMES and "host" in self._bind:
-            return self._bind["host"]  # who joins late never learns the host's id
         for word in (one.id, one.name):
             if word is not None and word in self._names:
                 return word
         if one.id in self._slot_of:
             return self._slot_of[one.id]
-        if not self._slots:
+        if one.static:
+            return self._static_slot(one)
+        if not self._slots - self._static_slots:
             self.counts["not wanted"] += 1
             self._tell(0.0, f"actor {one.id!r} is not in the scenario; want live.actors.spawn to let it come", one.id)
             return None
         if not self._free:
             self.counts["too many actors"] += 1
-            self._tell(
-                0.0, f"more than {len(self._slots)} actors beside the scenario's: the others are not there", "many"
-            )
+            room = len(self._slots - self._static_slots)
+            self._tell(0.0, f"more than {room} actors beside the scenario's: the others are not there", "many")
             return None
         self._slot_of[one.id] = heapq.heappop(self._free)
+        return self._slot_of[one.id]
+
+    def _static_slot(self, one: ActorSample) -> str | None:
+        if not self._free_static:
+            self.counts["static ones left out"] += 1
+            some = len(self._static_slots)
+            self._tell(0.0, f"more than {some} static ones; want live.actors.statics so large as all of them", "static")
+            return None
+        self._slot_of[one.id] = heapq.heappop(self._free_static)
         return self._slot_of[one.id]
 
     def _add(self, name: str, one: ActorSample, t_s: float, again: bool) -> None:
@@ -199,7 +237,7 @@ class Book:
             slot = self._slot_of.get(one.id)
             self._remove(name, t_s)
             if slot is not None:
-                self._slot_of[one.id] = heapq.heappop(self._free)
+                self._slot_of[one.id] = heapq.heappop(self._free_static if one.static else self._free)
                 name = self._slot_of[one.id]
                 lives = self._known.get(name)
                 known = lives[-1] if lives else None
@@ -208,8 +246,10 @@ class Book:
             if name in self._slots:
                 known.shape = self._shape_of(one)
             self._known.setdefault(name, []).append(known)
-            self._known[name] = self._known[name][-MOST_LIVES:]
-            self._note(t_s, f"{_called(name, one)} comes")
+            if not self.rules.keep_all:
+                self._known[name] = self._known[name][-MOST_LIVES:]
+            if not one.static:
+                self._note(t_s, f"{_called(name, one)} comes")
         if known.t_s and t_s <= known.t_s[-1]:
             if not again or t_s < known.t_s[-1]:
                 self.counts["duplicate"] += 1
@@ -278,9 +318,11 @@ class Book:
         if not lives or lives[-1].gone_s <= t_s:
             return
         lives[-1].gone_s = t_s
-        self._note(t_s, f"{_called(name, lives[-1].first)} goes")
+        if not lives[-1].first.static:
+            self._note(t_s, f"{_called(name, lives[-1].first)} goes")
         if lives[-1].first.id in self._slot_of:
-            heapq.heappush(self._free, self._slot_of.pop(lives[-1].first.id))
+            free = self._free_static if name in self._static_slots else self._free
+            heapq.heappush(free, self._slot_of.pop(lives[-1].first.id))
 
     def restart(self, now_s: float, why: str) -> None:
         """The feeder's clock began again, or jumped: what is known holds until the next sample, which is a jump."""
@@ -297,6 +339,8 @@ class Book:
         self.newest_s = min(self.newest_s, now_s)
         self._times.clear()
         self._seq = None
+        if why == "restart":
+            self.host = None  # ids are other ones
 
     def _tell(self, t_s: float, text: str, key: str | None = None) -> None:
         """Once."""
@@ -315,7 +359,7 @@ class Book:
     def _track(self, known: _Known, begin_s: float = -np.inf, end_s: float = np.inf) -> Track | None:
         """What is needed from `begin_s` to `end_s`; None: it is not there then."""
         times, rules, one = known.t_s, self.rules, known.first
-        vanish = rules.silent_after_s if rules.silent_then == "remove" else np.inf
+        vanish = rules.silent_after_s if rules.silent_then == "remove" and not one.static else np.inf
         if begin_s >= min(known.gone_s, times[-1] + vanish) or (end_s < times[0] and not known.forgot):
             return None
         first = max(0, bisect_right(times, begin_s) - 2)
@@ -341,6 +385,7 @@ class Book:
             one.rear_m,
             one.size_m,
             known.shape,
+            one.class_ or "",
         )
 
     def world(self, begin_s: float, end_s: float) -> World:

@@ -20,7 +20,7 @@ MOST_UNKNOWN = 20
 KEYS = ("t_s", "t_ns", "seq", "snapshot", "removed", "actors", "weather")
 ACTOR_KEYS = (
     "id", "at_m", "yaw_deg", "pitch_deg", "roll_deg", "quaternion_xyzw", "velocity_m_s", "turn_rate_deg_s",
-    "angular_velocity_deg_s", "size_m", "class", "model", "host", "reference", "jump", "material", "shape",
+    "angular_velocity_deg_s", "size_m", "class", "model", "host", "reference", "jump", "static", "material", "shape",
 )  # fmt: skip
 UNUSED = ("weather", "material", "shape")
 "Keys of the schema that are read and not used yet; told like those that are not known."
@@ -74,6 +74,8 @@ def _time(data: Mapping[str, Any]) -> int | None:
 
 
 def _number(value: object, where: str, most: float = 1e300) -> float:
+    if type(value) is float and -most <= value <= most:
+        return value
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= most:
         raise BadSample(f"{where}: {value!r:.60}; want a number")
     return float(value)
@@ -111,8 +113,14 @@ def _vector(entry: Mapping[str, Any], key: str, where: str, least: int = 3) -> V
         return None
     if not isinstance(value, list | tuple) or not least <= len(value) <= 3:
         raise BadSample(f"{where}.{key}: {value!r:.60}; want a list of 3 numbers")
+    if len(value) == 3 and type(value[0]) is type(value[1]) is type(value[2]) is float and _are_small(value):
+        return (value[0], value[1], value[2])
     x, y, z = [*(_number(one, f"{where}.{key}") for one in value), 0.0][:3]
     return (x, y, z)
+
+
+def _are_small(values: Sequence[float]) -> bool:
+    return -1e300 <= min(values) and max(values) <= 1e300 and sum(values) == sum(values)
 
 
 def _actor(entry: object, where: str) -> ActorSample:
@@ -141,6 +149,7 @@ def _actor(entry: object, where: str) -> ActorSample:
         reference=reference,
         host=_flag(entry, "host", f"{where}."),
         jump=_flag(entry, "jump", f"{where}."),
+        static=_flag(entry, "static", f"{where}."),
     )
 
 
@@ -196,7 +205,7 @@ def as_json(update: Update) -> dict[str, object]:
         }
         entry |= {key: value for key, value in more.items() if value is not None}
         entry |= {"reference": one.reference} if one.reference != "box_centre" else {}
-        entry |= {key: True for key in ("host", "jump") if getattr(one, key)}
+        entry |= {key: True for key in ("host", "jump", "static") if getattr(one, key)}
         actors.append(entry)
     told: dict[str, object] = {"t_ns": update.t_ns, "actors": actors}
     told |= {"removed": list(update.removed)} if update.removed else {}
@@ -216,7 +225,7 @@ def of_json(data: Mapping[str, Any]) -> Update:
             entry["id"], tuple(entry["at_m"]), tuple(entry["quaternion_wxyz"]), vector(entry, "velocity_m_s"),
             vector(entry, "spin_rad_s"), vector(entry, "size_m"), entry.get("class"), entry.get("name"),
             entry.get("model"), entry.get("reference", "box_centre"), vector(entry, "rear_m"),
-            entry.get("host", False), entry.get("jump", False),
+            entry.get("host", False), entry.get("jump", False), entry.get("static", False),
         )
         for entry in data["actors"]
     )  # fmt: skip

@@ -36,6 +36,12 @@ SIZES: dict[str, Vector] = {
     "motorcycle": (2.2, 0.8, 1.6),
 }
 "Of moving objects whose dimensions are 0 or missing."
+STATIONARY = {
+    2: "bridge", 3: "building", 4: "pole", 5: "pylon", 6: "delineator", 7: "tree", 8: "barrier", 9: "vegetation",
+    10: "curb", 11: "wall", 15: "reflective_structure", 16: "construction_element", 17: "speed_bump",
+}  # fmt: skip
+THIN_M = 0.1
+"Sides of stationary objects that are 0 or missing: esmini sends posts so."
 CAR: Vector = (4.5, 1.8, 1.5)
 
 Field = tuple[int, int, "int | bytes"]
@@ -122,10 +128,10 @@ def ground_truth(data: bytes) -> Update:
         elif number == 3:
             found = _id(value)
             host = None if found is None else str(found)
-        elif number == 5:
+        elif number in (4, 5):
             if len(actors) >= MOST_OBJECTS:
                 raise BadSample(f"moving_object: over {MOST_OBJECTS}; want fewer")
-            actors.append(_moving(value, len(actors)))
+            actors.append(_moving(value, len(actors)) if number == 5 else _stationary(value, len(actors)))
     if stamp_ns is None:
         raise BadSample("timestamp: none; want a GroundTruth with its time")
     return checked(Update(stamp_ns, tuple(actors), snapshot=True, host=host))
@@ -207,6 +213,36 @@ def _moving(data: bytes, place: int) -> ActorSample:
     return ActorSample(
         str(found), base[2], from_angles(yaw, pitch, roll), base.get(4), _spin(base), size, class_, name, model,
         "box_centre", rear,
+    )  # fmt: skip
+
+
+def _stationary(data: bytes, place: int) -> ActorSample:
+    found: int | None = None
+    base: dict[int, Vector] = {}
+    class_, model = "unknown", None
+    for number, kind, value in fields(data):
+        if kind != BYTES:
+            continue
+        assert isinstance(value, bytes)
+        if number == 1:
+            found = _id(value)
+        elif number == 2:
+            base = {one: _vector(inner) for one, how, inner in fields(value) if how == BYTES and one in BASE}
+        elif number == 3:
+            what = next((int(inner) for one, how, inner in fields(value) if one == 1 and how == VARINT), 0)
+            class_ = STATIONARY.get(what, "unknown")
+        elif number == 4:
+            model = _text(value)
+    if found is None or 2 not in base:
+        raise BadSample(f"stationary_object.{place}: without id or position; want both")
+    roll, pitch, yaw = base.get(3, (0.0, 0.0, 0.0))
+    if not all(math.isfinite(angle) for angle in (yaw, pitch, roll)):
+        raise BadSample(f"stationary_object.{place}.base.orientation: {(yaw, pitch, roll)}; want numbers")
+    length, width, height = (side or THIN_M for side in base.get(1, (0.0, 0.0, 0.0)))
+    nothing = (0.0, 0.0, 0.0)
+    return ActorSample(
+        str(found), base[2], from_angles(yaw, pitch, roll), nothing, nothing, (length, width, height), class_,
+        model=model, static=True,
     )  # fmt: skip
 
 

@@ -31,6 +31,9 @@ WAIT_S = 0.25
 
 Take = Callable[[Update, int], None]
 Refuse = Callable[[str, int], None]
+Cut = Callable[[bytearray], bytes | None]
+MOST_OSI = 16 << 20
+"Bytes of one message of a stream; so much is held of each connection."
 
 
 class Decoder(Protocol):
@@ -58,6 +61,39 @@ class OsiDatagrams:
         return None if whole is None else ground_truth(whole)
 
 
+class OsiMessages:
+    """One whole message."""
+
+    def __call__(self, data: bytes, peer: object, now_ns: int) -> Update | None:
+        return ground_truth(data)
+
+
+def line_in(held: bytearray) -> bytes | None:
+    """The next line of a stream, taken from it; None: its end has not come. `BadSample`: none can come."""
+    end = held.find(b"\n")
+    if end < 0:
+        if len(held) > json_lines.MOST_BYTES:
+            raise BadSample(f"line: over {json_lines.MOST_BYTES} bytes without its end; want shorter ones")
+        return None
+    line = bytes(held[:end])
+    del held[: end + 1]
+    return line
+
+
+def message_in(held: bytearray) -> bytes | None:
+    """The same of messages, each after its length in four bytes, little-endian, as in an OSI trace."""
+    if len(held) < 4:
+        return None
+    size = int.from_bytes(held[:4], "little")
+    if not 0 < size <= MOST_OSI:
+        raise BadSample(f"message: of {size} bytes; want 1 to {MOST_OSI} after a length of 4 bytes, little-endian")
+    if len(held) < 4 + size:
+        return None
+    message = bytes(held[4 : 4 + size])
+    del held[: 4 + size]
+    return message
+
+
 class Budget:
     """So many updates a second, in bursts of a tenth."""
 
@@ -78,10 +114,10 @@ class Receiver:
     """A socket and its thread; `take` and `refuse` are called in it."""
 
     def __init__(
-        self, host: str, port: int, tcp: bool, decoder: Decoder, clock_ns: Callable[[], int], take: Take,
+        self, host: str, port: int, tcp: Cut | None, decoder: Decoder, clock_ns: Callable[[], int], take: Take,
         refuse: Refuse, counts: Counter[str] | None = None,
     ) -> None:  # fmt: skip
-        """`OSError` where the address cannot be had."""
+        """`tcp`: how a stream is cut into messages; None: datagrams. `OSError` where the address cannot be had."""
         self.counts = Counter() if counts is None else counts
         self._decoder, self._clock_ns, self._take, self._refuse = decoder, clock_ns, take, refuse
         self._budget = Budget()
@@ -175,14 +211,12 @@ class Receiver:
         if not data:
             return False
         held += data
-        while (end := held.find(b"\n")) >= 0:
-            line = bytes(held[:end])
-            del held[: end + 1]
-            if line.strip():
-                self._one(line, id(one))
-        if len(held) > json_lines.MOST_BYTES:
-            self._refuse(
-                f"line: over {json_lines.MOST_BYTES} bytes without its end; want shorter ones", self._clock_ns()
-            )
+        assert self._tcp is not None
+        try:
+            while (message := self._tcp(held)) is not None:
+                if message.strip():
+                    self._one(message, id(one))
+        except BadSample as error:
+            self._refuse(str(error), self._clock_ns())
             return False
         return True

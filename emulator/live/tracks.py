@@ -62,6 +62,8 @@ class Track:
     size_m: Vector | None = None
     shape: str = ""
     "Which of a pool's shapes it has, scaled to `size_m`; empty: the scenario's own."
+    class_: str = ""
+    "As the feeder tells it; empty: not at all."
 
     @property
     def last_s(self) -> float:
@@ -156,7 +158,10 @@ def together(tracks: Sequence[Track], t_s: Floats) -> tuple[Floats, Floats]:
         share = (times[rows] - when[before]) / span
         velocity = knots["velocity_m_s"]
         at[rows] = hermite(at_m[before], at_m[beyond], velocity[before], velocity[beyond], span, share)
-        quaternion[rows] = slerp(quaternion[rows], knots["quaternion"][beyond], share)
+        turns = np.flatnonzero((knots["quaternion"][before] != knots["quaternion"][beyond]).any(axis=1))
+        if len(turns):
+            there = rows[turns]
+            quaternion[there] = slerp(quaternion[there], knots["quaternion"][beyond[turns]], share[turns])
     rows = np.flatnonzero(~inside & ~frozen & (times > when[index])) if between != "hold" else rows[:0]
     if len(rows):
         used, inverse = np.unique(index[rows], return_inverse=True)

@@ -14,7 +14,7 @@ plans in the same order give the same lists. Rules:
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -196,6 +196,24 @@ def _fresher(item: DetectedObject, by_s: float) -> DetectedObject:
     return replace(item, coasting_s=left_s if left_s > ROUNDING_S else 0.0)
 
 
+class ClassesNow(Mapping[str, str]):
+    """Classes of the actors of a scene to which a feed brings some."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+
+    def __getitem__(self, name: str) -> str:
+        if name not in self._scene.index:
+            raise KeyError(name)
+        return self._scene.class_of(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._scene.actors)
+
+    def __len__(self) -> int:
+        return len(self._scene.actors)
+
+
 def build(
     scenario: Scenario, scene: Scene, measures: Mapping[str, Measure], sessions: Mapping[str, Session], sensor_id: str
 ) -> ObjectMeasure:
@@ -209,7 +227,9 @@ def build(
     config = next(one for one in scenario.sensors if one.id == sensor_id)
     by_id = {one.id: one for one in scenario.sensors}
     spec = load_spec(config.model)
-    classes = dict(zip(scene.actors, scene.classes, strict=True))
+    classes: Mapping[str, str] = dict(zip(scene.actors, scene.classes, strict=True))
+    if scene.pool:
+        classes = ClassesNow(scene)
     options = options_of(config.objects.model_dump(exclude_none=True), classes, str(spec.device.get("format", "")))
     sources = [
         Source(sweeps_of(load_spec(by_id[name].model), sessions.get(name)), measures[name], by_id[name].mount)

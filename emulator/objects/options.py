@@ -68,4 +68,4 @@ def options_of(given: Mapping[str, Any], classes: Mapping[str, str], format_name
     chosen = {**OF_FORMAT.get(format_name, {}), **given}
     if "classification" in chosen:
         chosen["classify"] = chosen.pop("classification")
-    return TrackerOptions(**chosen, classes=MappingProxyType(dict(classes)))
+    return TrackerOptions(**chosen, classes=MappingProxyType(classes))

@@ -14,6 +14,7 @@ import numpy as np
 from emulator.objects.metrics import TruthObject
 from emulator.objects.points import Floats, SensorMotion
 from emulator.scenario.tables import Mount
+from emulator.world.fed import Fed
 from emulator.world.scene import Scene
 
 STEP_S = 1e-3
@@ -82,7 +83,21 @@ class Witness:
     def objects(self, t_s: float) -> dict[int, TruthObject]:
         """Every actor that has a shape, but the one that carries the sensor; visible share 0 so far."""
         own = self.sensor(t_s)
-        return {actor: self.object(actor, t_s, own) for actor in self._boxes}
+        return {actor: self.object(actor, t_s, own) for actor in self._boxes if self._is_there(actor)}
+
+    def _is_there(self, actor: int) -> bool:
+        motion = self._scene.motions[actor]
+        return not isinstance(motion, Fed) or motion.there
+
+    def _box(self, actor: int) -> tuple[Floats, Floats]:
+        """Least and largest corner about its origin; of an actor that a feed has brought as large as that says."""
+        fed = self._scene.fed
+        if fed is None or not self._scene.is_of_pool(actor):
+            return self._boxes[actor]
+        size = next((one.size_m for one in reversed(fed.of(self._scene.actors[actor])) if one.size_m is not None), None)
+        if size is None:
+            return self._boxes[actor]
+        return np.array([-0.5 * size[0], -0.5 * size[1], 0.0]), np.array([0.5 * size[0], 0.5 * size[1], size[2]])
 
     def knows(self, actor: int) -> bool:
         """Whether that actor is one to be told of: not the world, nor the sensor's own vehicle, nor without a shape."""
@@ -90,7 +105,7 @@ class Witness:
 
     def object(self, actor: int, t_s: float, own: Carried | None = None) -> TruthObject:
         """One actor, from a sensor whose place and motion at that time are `own`."""
-        own, (low, high) = own or self.sensor(t_s), self._boxes[actor]
+        own, (low, high) = own or self.sensor(t_s), self._box(actor)
         other = carried(self._scene, actor, t_s, 0.5 * (low + high), np.eye(3))
         apart = other.position_m - own.position_m
         swing = own.yaw_rate_rad_s * np.array([-apart[1], apart[0], 0.0])

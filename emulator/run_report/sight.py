@@ -76,7 +76,9 @@ def points_of(truth: Truth, scenario: Scenario, sensor: str, scan: RecordedScan,
     )
     fire_s = offsets_s if offsets_s is not None and len(offsets_s) == len(elevation) else np.zeros(len(elevation))
     mount = next(one.mount for one in scenario.sensors if one.id == sensor)
-    pose = truth.scene.sensor_pose(mount, truth.scene.local_s(scan.start_ns * 1e-9) + fire_s[beam])
+    start_s = truth.scene.local_s(scan.start_ns * 1e-9)
+    truth.place(start_s, start_s + float(fire_s.max(initial=0.0)), scan.start_ns * 1e-9 - start_s)
+    pose = truth.scene.sensor_pose(mount, start_s + fire_s[beam])
     return np.asarray(pose.to_world(direction * scan.range_m[beam, echo][:, None]))
 
 
@@ -86,6 +88,7 @@ def draw(sight: Sight, truth: Truth, scenario: Scenario) -> bytes:
     known = {one.id: one.mount for one in scenario.sensors}
     t_s = float(scene.local_s(sight.at_s))
     clouds = {name: points_of(truth, scenario, name, *found) for name, found in sight.shown.items() if name in known}
+    truth.place(t_s, t_s, sight.at_s - t_s)
     pose = scene.sensor_pose(known[sight.lead], np.array([t_s]))
     here = pose.position_m[0]
     all_points = np.concatenate(list(clouds.values())) if clouds else np.zeros((0, 3))

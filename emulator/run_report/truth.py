@@ -20,6 +20,7 @@ from emulator.scenario import scenario as scenario_file
 from emulator.scenario.scenario import Scenario
 from emulator.world import scene
 from emulator.world.scene import Scene
+from emulator.world.told import Played
 from protocols.scan import Floats, Ints
 
 BATCH_BEAMS = 30_000
@@ -28,10 +29,23 @@ BATCH_BEAMS = 30_000
 class Truth:
     """The recorded scene."""
 
-    def __init__(self, scenario: Scenario, world: Scene) -> None:
+    def __init__(self, scenario: Scenario, world: Scene, played: Played | None = None) -> None:
+        """`played`: the recorded feed, where somebody else moved the world."""
+        self._played = played
         self._caster = raycast.Caster(world)
         self._mounts = {sensor.id: sensor.mount for sensor in scenario.sensors}
         self.scene = world
+
+    @property
+    def is_fed(self) -> bool:
+        """Somebody else moved the world."""
+        return self._played is not None
+
+    def place(self, begin_s: float, end_s: float, turned_s: float = 0.0) -> None:
+        """Everything where it was from `begin_s` to `end_s`; `turned_s`: what finished rounds had taken."""
+        if self._played is not None and self.scene.fed is not None:
+            world = self._played.world(begin_s + turned_s, end_s + turned_s)
+            self.scene.fed.use(world.earlier(turned_s) if turned_s else world)
 
     def tally_of(self, sensor: str) -> SensorTruth:
         """Adds up one sensor's sweeps."""
@@ -81,7 +95,11 @@ class SensorTruth:
         while self._waiting:
             k = self._waiting[0][0].range_m.shape[1]
             batch = [one for one in self._waiting if one[0].range_m.shape[1] == k]
-            self._waiting = [one for one in self._waiting if one[0].range_m.shape[1] != k]
+            if self._truth.is_fed:  # poses are known for a stretch of one round
+                turned = self._truth.scene.turned_ns(batch[0][0].start_ns)
+                batch = [one for one in batch if self._truth.scene.turned_ns(one[0].start_ns) == turned]
+            taken = {id(scan) for scan, _ in batch}
+            self._waiting = [one for one in self._waiting if id(one[0]) not in taken]
             scans = [scan for scan, _ in batch]
             starts_s = np.array([scan.start_ns for scan in scans], dtype=np.float64) * 1e-9
             turned_ns = np.array([self._truth.scene.turned_ns(scan.start_ns) for scan in scans])
@@ -92,6 +110,7 @@ class SensorTruth:
             elevation = np.concatenate(
                 [np.zeros_like(one.azimuth_rad) if one.elevation_rad is None else one.elevation_rad for one in scans]
             )
+            self._truth.place(float(t_s.min()), float(t_s.max()), float(turned_ns[0]) * 1e-9)
             true_m, true_actor = self._truth.ranges(self._sensor, t_s, azimuth, elevation)
             range_m = np.concatenate([scan.range_m for scan in scans])
             actor = np.concatenate([scan.actor for scan in scans])
@@ -107,7 +126,8 @@ def truth_of(text: str, path: Path, tell: Callable[[str], None]) -> tuple[Scenar
         tell(f"The recorded scenario cannot be read by this version: {str(error).splitlines()[0]}")
         return None, None
     try:
-        return loaded, Truth(loaded, scene.build(loaded))
+        played = None if loaded.live is None else Played(loaded, path.parent)
+        return loaded, Truth(loaded, scene.build(loaded), played)
     except (EmulatorError, ValueError) as error:
         tell(f"The recorded scene cannot be built: {str(error).splitlines()[0]}")
         return loaded, None

@@ -18,22 +18,33 @@ import numpy as np
 
 from emulator.errors import LinkError
 from emulator.instrument.instrument import Instrument
-from emulator.live.book import Book, Rules
 from emulator.live.files import Told, read
 from emulator.live.playout import PlayoutClock
-from emulator.live.receivers import Decoder, JsonDatagrams, OsiDatagrams, Receiver
-from emulator.live.samples import ActorSample, Update
+from emulator.live.receivers import (
+    Decoder,
+    JsonDatagrams,
+    OsiDatagrams,
+    OsiMessages,
+    Receiver,
+    line_in,
+    message_in,
+)
+from emulator.live.samples import Update
 from emulator.live.tracks import World
 from emulator.scenario.live_options import LiveOptions
 from emulator.scenario.scenario import Scenario
+from emulator.world.told import book_of
 from protocols.scan import ScanPlan
 
-MARGIN_NS = 1_000_000
-"Beside what measuring has taken lately."
-FIRST_NS = 15_000_000
+MARGIN_NS = 2_000_000
+"Beside what measuring has taken lately: the way there and back."
+FIRST_NS = 60_000_000
 "What measuring is taken to take before it is known."
-LATELY = 64
-"Sweeps of a sensor whose time counts."
+SPARE = 1.15
+"Share of the longest that measuring has taken lately."
+FORGET = 0.98
+"Of that after each sweep: half of a stall is forgotten after 34."
+MOST_ASKED = 64
 BEFORE_S, LISTS_S = 0.005, 1.0
 "So long before a sweep poses are handed over; before a list of objects, which looks at sweeps of other sensors."
 MOST_PENDING = 2000
@@ -55,12 +66,7 @@ class Feeding:
         self.live = live
         self._real_ns = real_ns
         self._instruments = {one.sensor: one for one in instruments}
-        names = [actor.id for actor in scenario.actors]
-        if live.actors.fed is not None:
-            names = [name for name in names if name in live.actors.fed]
-        bind = dict(live.bind) | ({} if live.ego is None else {"host": live.ego})
-        rules = Rules(live.between, live.silent.after_s, live.silent.then, live.jump_m_s)
-        self.book = Book(rules, names, bind, live.slots, self._shape_of)
+        self.book = book_of(scenario)
         delay_ns = None if live.clock.delay_s is None else round(live.clock.delay_s * 1e9)
         self._clock = PlayoutClock(delay_ns, round(live.latency_s * 1e9), round(live.clock.max_offset_s * 1e9))
         self._maps = live.clock.map
@@ -71,7 +77,8 @@ class Feeding:
         self._waiting: dict[str, int] = {}
         "Sensors whose sweep waits for poses -> its last beam."
         self._asked_ns: dict[str, deque[int]] = {}
-        self._took: dict[str, deque[int]] = {}
+        self._took: dict[str, float] = {}
+        "The longest that measuring has taken lately, by sensor. [ns]"
         self.on_update: Callable[[int, dict[str, object]], None] = lambda now_ns, row: None
         "Told of everything that is used of the feed: for a recording."
         self._file: Iterator[Told] | None = None
@@ -86,16 +93,16 @@ class Feeding:
     def open(self) -> str | None:
         """Begin to receive; where, for whoever feeds. `LinkError` where the address cannot be had."""
         place = self.live.place
-        if place.kind not in ("json-udp", "json-tcp", "osi-udp"):
+        if place.kind not in ("json-udp", "json-tcp", "osi-udp", "osi-tcp"):
             return None
         counts = self.book.counts
-        decoder: Decoder = OsiDatagrams(counts) if place.kind == "osi-udp" else JsonDatagrams()
+        decoders: dict[str, Decoder] = {"osi-udp": OsiDatagrams(counts), "osi-tcp": OsiMessages()}
+        decoder = decoders.get(place.kind, JsonDatagrams())
+        tcp = {"json-tcp": line_in, "osi-tcp": message_in}.get(place.kind)
         host = "127.0.0.1" if place.host == "localhost" else place.host
         now_ns = self._real_ns or (lambda: 0)
         try:
-            self._receiver = Receiver(
-                host, place.port, place.kind == "json-tcp", decoder, now_ns, self._from_outside, self._refused, counts
-            )
+            self._receiver = Receiver(host, place.port, tcp, decoder, now_ns, self._from_outside, self._refused, counts)
         except OSError as error:
             raise LinkError(f"{self.live.feed}: {error.strerror or error}; want a free address") from None
         self._receiver.start()
@@ -154,17 +161,6 @@ class Feeding:
                 del self._waiting[sensor]
                 self._instruments[sensor].poked = True
 
-    def _shape_of(self, one: ActorSample) -> str:
-        """Of an actor that is not in the scenario: by its model, its class, else a box, or nothing."""
-        actors = self.live.actors
-        model = "" if one.model is None else one.model.replace("\\", "/").rpartition("/")[2].rpartition(".")[0]
-        model = model or (one.model or "")
-        if model in actors.models:
-            return actors.models[model]
-        if one.class_ in actors.classes:
-            return str(one.class_)
-        return "box" if actors.unknown == "box" else "none"
-
     # ------------------------------------------------------------ what is asked
 
     def ask_ns(self, sensor: str, plan: ScanPlan, earliest_ns: int) -> int:
@@ -182,14 +178,16 @@ class Feeding:
         return max(earliest_ns, end_ns - self._takes_ns(sensor))
 
     def _takes_ns(self, sensor: str) -> int:
+        """So long before it must be sent a sweep is asked for at the latest."""
         took = self._took.get(sensor)
-        return MARGIN_NS + (FIRST_NS if not took else sorted(took)[int(0.95 * (len(took) - 1))])
+        return MARGIN_NS + round(FIRST_NS if took is None else SPARE * took)
 
     def came(self, sensor: str, now_ns: int) -> None:
         """Its scan has come."""
         asked = self._asked_ns.get(sensor)
         if asked and self._real_ns is not None:
-            self._took.setdefault(sensor, deque(maxlen=LATELY)).append(now_ns - asked.popleft())
+            took = float(now_ns - asked.popleft())
+            self._took[sensor] = max(took, FORGET * self._took.get(sensor, 0.0))
 
     def world(self, sensor: str, plan: ScanPlan, now_ns: int) -> World:
         """What its beams need, as it is known now."""
@@ -198,7 +196,7 @@ class Feeding:
         if self._file is not None:
             self._pull(now_ns if self._real_ns is None else plan.start_ns + round(plan.duration_s * 1e9))
         if self._real_ns is not None:
-            self._asked_ns.setdefault(sensor, deque(maxlen=LATELY)).append(now_ns)
+            self._asked_ns.setdefault(sensor, deque(maxlen=MOST_ASKED)).append(now_ns)
         self._waiting.pop(sensor, None)
         if len(plan):
             delay_s = 0.0 if self._real_ns is None else self._clock.delay_ns * 1e-9
@@ -211,7 +209,8 @@ class Feeding:
             told = self._next
             assert self._file is not None
             self._next = next(self._file, None)
-            self.book.take(told.update, told.run_ns, told.again)
+            if self.book.take(told.update, told.run_ns, told.again):
+                self.on_update(max(0, told.known_ns), told_row(told.known_ns, told.run_ns, told.update, told.again))
 
     # ------------------------------------------------------------ what is told
 

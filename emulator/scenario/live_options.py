@@ -13,16 +13,25 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 
 from emulator.config.tables import DescribedTable
-from emulator.scenario.tables import Id, Shape
+from emulator.scenario.tables import Category, Id, Shape
 
-URL_FEEDS = {"json-udp": 47100, "json-tcp": 47100, "osi-udp": 48198, "lockstep": 47101}
+URL_FEEDS = {"json-udp": 47100, "json-tcp": 47100, "osi-udp": 48198, "osi-tcp": 48199, "lockstep": 47101}
 "Feeds from the network -> the port where none is said."
 FILE_FEEDS = ("osi-trace", "osi-mcap", "json-file", "recording")
 WANT_FEED = (
-    "json-udp://HOST:PORT, json-tcp://HOST:PORT, osi-udp://HOST:PORT, lockstep://HOST:PORT, lockstep:unix:PATH,"
+    "json-udp://HOST:PORT, json-tcp://HOST:PORT, osi-udp://HOST:PORT, osi-tcp://HOST:PORT,"
+    " lockstep://HOST:PORT, lockstep:unix:PATH,"
     " osi-trace:FILE, osi-mcap:FILE, json-file:FILE, recording:FOLDER or control"
 )
 MOST_POOL = 500
+MOST_STATICS = 2000
+CATEGORIES: dict[str, Category] = {
+    "car": "car", "van": "car", "truck": "truck", "bus": "truck", "trailer": "truck", "tram": "truck",
+    "train": "truck", "work_machine": "truck", "motorcycle": "motorcycle", "scooter": "motorcycle",
+    "bicycle": "bicycle", "micromobility": "bicycle", "pedestrian": "pedestrian", "wheelchair": "pedestrian",
+    "wide": "wide", "point": "point",
+}  # fmt: skip
+"The feeder's classes -> those of object lists; every other one is unknown."
 
 
 @dataclass(frozen=True)
@@ -30,7 +39,7 @@ class FeedPlace:
     """Where a feed comes from."""
 
     kind: str
-    "`json-udp`, `json-tcp`, `osi-udp`, `lockstep`, `osi-trace`, `osi-mcap`, `json-file`, `control`"
+    "`json-udp`, `json-tcp`, `osi-udp`, `osi-tcp`, `lockstep`, `osi-trace`, `osi-mcap`, `json-file`, `control`"
     host: str = ""
     port: int = 0
     path: str = ""
@@ -81,6 +90,8 @@ class SpawnShape(DescribedTable):
     scale: Annotated[float, Field(gt=0.0, le=1e6)] = 1.0
     material: str | None = None
     "Of all parts that `materials` does not name."
+    class_: Category | None = Field(default=None, alias="class")
+    "For object lists; None: the feeder's class, as far as lists have it."
     materials: dict[str, str] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -101,6 +112,8 @@ class LiveActors(DescribedTable):
     "Let them come."
     pool: Annotated[int, Field(ge=1, le=MOST_POOL)] = 32
     "So many of them at once; the others are counted and not there."
+    statics: Annotated[int, Field(ge=0, le=MOST_STATICS)] = 0
+    "So many stationary ones of the feed stand in the scene, beside the pool; the others are counted and not there."
     classes: dict[str, SpawnShape] = Field(default_factory=dict)
     "The feeder's class -> what it looks like; every other class is a box."
     models: dict[str, str] = Field(default_factory=dict)
@@ -140,6 +153,8 @@ class LiveOptions(DescribedTable):
     "Where poses come from."
     ego: Id | None = None
     "The actor that is the feeder's host vehicle."
+    host: str | None = None
+    "Id or entity name of the feeder's host vehicle where it is not said: esmini does in its first message alone."
     bind: dict[str, Id] = Field(default_factory=dict)
     "What the feeder calls an actor (its id, `entity:NAME`, `host`) -> its id here; equal ids need nothing."
     actors: LiveActors = Field(default_factory=LiveActors)
@@ -177,9 +192,25 @@ class LiveOptions(DescribedTable):
         return place_of(self.feed)
 
     @property
+    def categories(self) -> dict[str, Category]:
+        """The feeder's classes, those of the scenario among them -> classes of object lists."""
+        own = {name: one.class_ for name, one in self.actors.classes.items() if one.class_ is not None}
+        return {**CATEGORIES, **own}
+
+    @property
     def slots(self) -> tuple[str, ...]:
         """Names of the actors that others become."""
+        return (*self.spawn_slots, *self.static_slots)
+
+    @property
+    def spawn_slots(self) -> tuple[str, ...]:
+        """Of those, for whatever moves."""
         return tuple(f"live_{number:03d}" for number in range(self.actors.pool)) if self.actors.spawn else ()
+
+    @property
+    def static_slots(self) -> tuple[str, ...]:
+        """And for what stands."""
+        return tuple(f"static_{number:04d}" for number in range(self.actors.statics))
 
     @property
     def lockstep(self) -> bool:

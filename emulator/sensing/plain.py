@@ -19,6 +19,7 @@ from emulator.physics.arrays import Bools, Floats, Ints, clamped, indexes, ramp
 from emulator.sensing.model import SensorModel
 from emulator.world.batched_poses import BatchedPoses
 from emulator.world.broad_phase import BroadPhase
+from emulator.world.fed import Fed
 from emulator.world.motion import Pose
 from emulator.world.outlines import Outlines
 
@@ -101,6 +102,8 @@ class _Near:
     "(e,) their edges."
     owner: Ints
     "(e,) index of each edge's body in `movers`."
+    fed: Ints
+    "Which of `movers` somebody else moves."
 
 
 class Edges:
@@ -171,7 +174,12 @@ class Edges:
         at = (now.at + (middle - now.since) * now.velocity).T
         velocity, turned = now.velocity.T.copy(), now.turned.transpose(2, 0, 1).copy()
         slack = np.zeros(len(at))
-        for k in indexes(~now.straight):
+        curved = indexes(~now.straight)
+        fed = known.fed if len(curved) else curved
+        if len(fed):
+            self._as_fed(known, fed, sights, reach_m, at, velocity, turned, slack)
+            curved = np.setdiff1d(curved, fed)
+        for k in curved:
             pose = batched.motions[k].pose(np.append(sights.t_s, middle))
             at[k], velocity[k], turned[k] = pose.position_m[-1], 0.0, pose.rotation[-1]
             moved = float(np.linalg.norm(pose.position_m - at[k], axis=1).max())
@@ -187,6 +195,39 @@ class Edges:
         stop = np.einsum("eij,ej->ei", turned[owner], self._own_end[rows]) + at[owner]
         return _Edges(start, stop, velocity[owner], slack[owner])
 
+    def _as_fed(
+        self, known: _Near, fed: Ints, sights: Sights, reach_m: float,
+        at: Floats, velocity: Floats, turned: Floats, slack: Floats,
+    ) -> None:  # fmt: skip
+        """Fed bodies as if they moved straight, and how far off that is."""
+        motions = [motion for motion in known.batched.motions if isinstance(motion, Fed)]
+        found = motions[0].now.placings(sights.t_s)
+        if found is None:
+            slack[fed] = np.inf
+            return
+        placings = found[0]
+        place, radius = placings.around(motions)
+        arm = self._arm[known.movers[fed]]
+        eye = sights.centre_m[len(sights.centre_m) // 2]
+        near = np.linalg.norm(place.T - eye, axis=1) - radius - arm <= reach_m
+        at[fed] = place.T
+        slack[fed[~near]] = radius[~near]  # out of reach all the same
+        fed, arm = fed[near], arm[near]
+        if not len(fed):
+            return
+        rows = placings.rows([motion for motion, chosen in zip(motions, near, strict=True) if chosen])
+        path, turn = placings.at[:, rows], placings.turned[:, :, rows]
+        since = placings.t_s - 0.5 * (float(sights.t_s.min()) + float(sights.t_s.max()))
+        span = since[-1] - since[0]
+        drift = (path[:, :, -1] - path[:, :, 0]) / (span if span > 0.0 else 1.0)
+        middle = path[:, :, 0] - drift * since[0]
+        off = path - middle[:, :, None] - drift[:, :, None] * since
+        other = turn - turn[:, :, :, len(since) // 2, None]
+        bent = np.sqrt(np.einsum("ijbn,ijbn->bn", other, other).max(axis=1))
+        at[fed], velocity[fed] = middle.T, drift.T
+        turned[fed] = turn[:, :, :, len(since) // 2].transpose(2, 0, 1)
+        slack[fed] = np.sqrt(np.einsum("ibn,ibn->bn", off, off).max(axis=1)) + bent * arm
+
     def _near_movers(self, sights: Sights, reach_m: float, begin_s: float, end_s: float) -> _Near:
         low, high = sights.centre_m.min(axis=0), sights.centre_m.max(axis=0)
         which = self._broad_phase.within(low, high, reach_m, begin_s, end_s)
@@ -195,7 +236,8 @@ class Edges:
             number[which] = np.arange(len(which))
             rows = indexes(number[self._owner] >= 0)
             batched = BatchedPoses([self.outlines.bodies[self._movers[k]].motion for k in which])
-            self._near = _Near(which, batched, rows, number[self._owner[rows]])
+            fed = indexes(np.array([isinstance(motion, Fed) for motion in batched.motions], bool))
+            self._near = _Near(which, batched, rows, number[self._owner[rows]], fed)
         return self._near
 
     def _cross(

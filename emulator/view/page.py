@@ -26,6 +26,8 @@ from emulator.view.controls import Controls
 from emulator.view.frames import Floats, Frame, Ints, ShownScan, ShownTelegram, Source
 from emulator.view.local_server import PANEL
 from emulator.world import scene as scenes
+from emulator.world.fed import Fed
+from emulator.world.told import Played
 
 FRAME_S = 0.125
 "Between two looks at the source."
@@ -51,6 +53,8 @@ class Page:
         self._source = source
         self._scenario = source.scenario
         self._world = scenes.build(self._scenario)
+        self._played: Played | None = getattr(source, "played", None)
+        "Who moved the world, of a recording."
         self._mounts = {one.id: one.mount for one in self._scenario.sensors}
         self._models = {one.id: one.model for one in self._scenario.sensors}
         self._speakers = {one.id: speaker_of(one.model, one.device) for one in self._scenario.sensors}
@@ -61,6 +65,8 @@ class Page:
         self._drawn: dict[str, tuple[ShownScan, str, bool, bool]] = {}
         self._said: dict[str, str] = {}
         self._bodies: dict[int, Any] = {}
+        self._pieces: dict[int, list[Any]] = {}
+        "Meshes of each body."
         self._changing: list[tuple[int, Ints, Any]] = []
         "Body, rows of its vertices, mesh: of bodies that change their shape."
         self._sensors: dict[str, Any] = {}
@@ -83,6 +89,8 @@ class Page:
         for number, body in enumerate(self._world.bodies):
             actor = self._world.actors[body.actor]
             self._bodies[number] = scene.add_frame(f"/world/scene/{actor}/{number}", show_axes=False)
+            if body.motion.may_come:
+                continue
             pose = body.motion.pose(np.zeros(1))
             corners = pose.position_m + pose.rotation[0] @ np.zeros(3)
             low, high = np.minimum(low, corners[0] - body.radius_m), np.maximum(high, corners[0] + body.radius_m)
@@ -97,6 +105,7 @@ class Page:
                 flat_shading=True,
                 side="double",
             )
+            self._pieces.setdefault(piece.body, []).append(handle)
             if piece.used is not None and self._world.bodies[piece.body].frames is not None:
                 self._changing.append((piece.body, piece.used, handle))
         named: set[int] = set()
@@ -280,16 +289,26 @@ class Page:
             self.controls.follow(frame)
         self._looks += 1
 
+    def _place(self, begin_s: float, end_s: float) -> None:
+        """Fed actors are where they were then, of the scene's own time."""
+        if self._played is not None and self._world.fed is not None:
+            self._world.fed.use(self._played.world(begin_s, end_s))
+
     def _move(self, frame: Frame) -> None:
         """Bodies and sensors stand where they stood when the newest scan was measured."""
         newest = max((scan.start_s for scan in frame.scans.values()), default=-math.inf)
         t_s = self._world.local_s(newest if abs(newest - frame.now_s) < 1.0 else frame.now_s)
         times = np.array([t_s])
+        self._place(t_s, t_s)
         for number, body in enumerate(self._world.bodies):
             if self._looks == 0 or not body.motion.still:
                 pose = body.motion.pose(times)
                 self._bodies[number].position = pose.position_m[0]
                 self._bodies[number].wxyz = points.quaternion(pose.rotation[0])
+            if isinstance(body.motion, Fed) and body.motion.may_come:
+                self._bodies[number].visible = body.motion.there
+                for piece in self._pieces.get(number, ()):
+                    piece.scale = body.motion.scale
         if t_s != self._shaped_s:
             self._shaped_s = t_s
             for number, used, mesh in self._changing:
@@ -299,7 +318,9 @@ class Page:
         chosen = self._mounts[self._sensor.value]
         moved = np.zeros(3)
         if self._follow.value:
+            self._place(0.0, t_s)
             pose = self._world.sensor_pose(chosen, np.array([0.0, t_s]))
+            self._place(t_s, t_s)
             moved = pose.position_m[0] - pose.position_m[1]
         if not np.allclose(moved, self._root.position):
             self._root.position = moved
@@ -327,6 +348,8 @@ class Page:
         if self._drawn.get(name) == wanted:
             return
         self._drawn[name] = wanted
+        start_s = self._world.local_s(scan.start_s)
+        self._place(start_s, start_s + float(scan.fire_s.max(initial=0.0)))
         found = points.cloud(self._world, self._mounts[name], scan, self._colouring.value)
         self._count[name] = len(found.points_m)
         handle = self._clouds[name]

@@ -16,6 +16,7 @@ from emulator.recording.reader import RecordedRun, WireOf, read_run
 from emulator.scenario import scenario as scenario_file
 from emulator.scenario.scenario import Scenario
 from emulator.view.frames import Frame, ShownLink, ShownScan, ShownSensor, ShownTelegram, ViewError
+from emulator.world.told import Played
 
 LAST = 32
 "Telegrams shown of each sensor."
@@ -55,6 +56,7 @@ class RecordedSource:
         if not self._run.scenario:
             raise ViewError(f"{self._run.path}: no scenario in it; it is truncated within its first bytes")
         self.scenario: Scenario = scenario_file.loads(self._run.scenario, self._run.path.parent / "scenario.yaml")
+        self.played = None if self.scenario.live is None else Played(self.scenario, self._run.path)
         self.title = self._run.path.parent.name or self._run.path.stem
         self.cut = self._run.cut
         self._clock = clock or SystemClock()

@@ -9,12 +9,14 @@ All motions of one scene read one `FedNow`, which is set before each sweep.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from emulator.live.tracks import NOTHING, Track, World, together
+from emulator.live.tracks import NOTHING, Track, World
 from emulator.world.motion import Floats, Motion, Pose, Vector, matrix_of
+from emulator.world.placings import Bounds, Longs, Placings
 
 NOWHERE_M = 1e8
 "Where something is that is not there: beyond the reach of any beam."
@@ -30,15 +32,18 @@ class FedNow:
     """What the present sweep knows of fed actors."""
 
     world: World = NOTHING
+    categories: Mapping[str, str] = field(default_factory=dict)
+    "The feeder's classes -> those of object lists."
     _tracks: dict[str, list[Track]] = field(default_factory=dict)
-    _poses: dict[bytes, dict[int, tuple[Floats, Floats]]] = field(default_factory=dict)
-    "Instants -> where each track is at them: one computation for all, as its beams ask at the same instants."
+    _placings: list[Placings] = field(default_factory=list)
+    "The one used last first."
+    _bounds: Bounds | None = None
 
     def use(self, world: World) -> None:
         """From now on these."""
         if world is self.world:
             return
-        self.world, self._tracks, self._poses = world, {}, {}
+        self.world, self._tracks, self._placings, self._bounds = world, {}, [], None
         for name, track in world.tracks:
             self._tracks.setdefault(name, []).append(track)
 
@@ -47,34 +52,40 @@ class FedNow:
         """Some actor is there that is not in the scenario."""
         return any(track.shape for _, track in self.world.tracks)
 
+    @property
+    def names(self) -> Iterable[str]:
+        """Actors that are fed in the present sweep."""
+        return self._tracks
+
     def of(self, name: str) -> list[Track]:
         """Lives of an actor, in their order."""
         return self._tracks.get(name, [])
 
-    def poses(self, track: Track, t_s: Floats) -> tuple[Floats, Floats]:
-        """Positions (n, 3) of its reference point and rotations (n, 3, 3) at instants (n,)."""
-        if len(t_s) > MOST_AT_ONCE:
-            at, quaternion = track.pose(t_s)
-            return at, matrix_of(quaternion)
-        key = t_s.tobytes()
-        known = self._poses.get(key)
-        if known is None:
-            while len(self._poses) >= KEPT:
-                self._poses.pop(next(iter(self._poses)))
-            known = self._poses[key] = self._together(t_s)
-        if id(track) not in known:
-            at, quaternion = track.pose(t_s)
-            known[id(track)] = at, matrix_of(quaternion)
-        return known[id(track)]
+    def category(self, name: str) -> str:
+        """What an actor of a pool is, for object lists."""
+        for track in reversed(self.of(name)):
+            for word in (track.class_, track.shape):
+                if word in self.categories:
+                    return self.categories[word]
+        return "unknown"
 
-    def _together(self, t_s: Floats) -> dict[int, tuple[Floats, Floats]]:
-        plain = [track for _, track in self.world.tracks if not track.returns.any()]
-        if not plain:
-            return {}
-        at, quaternion = together(plain, t_s)
-        rotation, count = matrix_of(quaternion), len(t_s)
-        parts = [slice(number * count, (number + 1) * count) for number in range(len(plain))]
-        return {id(track): (at[part], rotation[part]) for track, part in zip(plain, parts, strict=True)}
+    def placings(self, times: Floats) -> tuple[Placings, Longs] | None:
+        """Where bodies are at `times` (r,), and the number of each of them there; None: they are too many."""
+        for number, known in enumerate(self._placings):
+            if (index := known.index(times)) is not None:
+                if number:
+                    self._placings.insert(0, self._placings.pop(number))
+                return known, index
+        instants = np.unique(times)
+        if len(instants) > MOST_AT_ONCE:
+            return None
+        if self._bounds is None:
+            self._bounds = Bounds(self.world)
+        found = Placings(self._bounds, instants)
+        self._placings = [found, *self._placings[: KEPT - 1]]
+        index = found.index(times)
+        assert index is not None
+        return found, index
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +113,11 @@ class Fed(Motion):
         `shape`: it is there only while the actor has this one. `mount`: `rear_axle` where what is mounted on the actor
         counts from there, if the feeder says where that is.
         """
-        self.now, self._name, self._own, self._box = now, name, own, box
+        self.now, self.name, self._own, self._box = now, name, own, box
         self._shape, self._mount = shape, mount
-        self._known: tuple[World, list[Track], bytes, tuple[Floats, Floats] | None] | None = None
-        "Of the present sweep: its tracks, and where it was at the instants asked for last."
+        self._known: tuple[World, list[Track]] | None = None
+        "Of the present sweep."
+        self._offsets: tuple[Track | None, Vector] = (None, (0.0, 0.0, 0.0))
 
     @property
     def still(self) -> bool:
@@ -123,7 +135,7 @@ class Fed(Motion):
     def there(self) -> bool:
         """It may be met in the present sweep."""
         tracks = self._mine()
-        return bool(tracks) or (self._own is not None and self._name not in self.now.world.gone)
+        return bool(tracks) or (self._own is not None and self.name not in self.now.world.gone)
 
     @property
     def scale(self) -> Vector:
@@ -140,27 +152,33 @@ class Fed(Motion):
 
     @property
     def speed_bound_m_s(self) -> float:
-        tracks = self._mine()
-        if not tracks:
-            return math.inf if self._own is None else self._own.speed_bound_m_s
-        if len(tracks) > 1 or tracks[0].begins or math.isfinite(tracks[0].lasts_s):
-            return math.inf
-        return tracks[0].speed_bound()
+        return math.inf
 
     @property
-    def slack_m(self) -> float:
-        """How far turning takes the origin from a straight path of the point that the feeder tells of, at most."""
+    def offset(self) -> Vector:
+        """From the feeder's reference point to the origin, in the body's axes, where one track is all it has."""
+        return self._offset(self._mine()[0])
+
+    def whole_track(self, times: Floats) -> Track | None:
+        """The only one that it has at all of these instants, ascending; None: there is more to it."""
         tracks = self._mine()
-        return max((2.0 * math.hypot(*self._offset(track)) for track in tracks), default=0.0)
+        if len(tracks) != 1 or not len(times) or bool(tracks[0].returns.any()):
+            return None
+        return tracks[0] if bool(tracks[0].there(times[[0, -1]]).all()) else None
 
     def _mine(self) -> list[Track]:
         if self._known is None or self._known[0] is not self.now.world:
-            mine = [track for track in self.now.of(self._name) if track.shape == self._shape or not self._shape]
-            self._known = self.now.world, mine, b"", None
+            mine = [track for track in self.now.of(self.name) if track.shape == self._shape or not self._shape]
+            self._known = self.now.world, mine
         return self._known[1]
 
     def _offset(self, track: Track) -> Vector:
         """From the feeder's reference point to the origin (or the mount), in the body's axes."""
+        if self._offsets[0] is not track:
+            self._offsets = track, self._offset_of(track)
+        return self._offsets[1]
+
+    def _offset_of(self, track: Track) -> Vector:
         if self._box is not None:
             scale = self.scale
             middle = tuple(a * s for a, s in zip(self._box.middle_m, scale, strict=True))
@@ -186,17 +204,16 @@ class Fed(Motion):
     def _at(self, t_s: Floats) -> tuple[Floats, Floats]:
         """Positions (n, 3) and rotations (n, 3, 3)."""
         times = np.asarray(t_s, dtype=np.float64)
-        tracks = self._mine()
-        assert self._known is not None
-        key = times.tobytes() if 1 < len(times) <= MOST_AT_ONCE else b""
-        if key and self._known[2] == key and self._known[3] is not None:
-            return self._known[3]
-        found = self._found(tracks, times)
-        if key:
-            self._known = *self._known[:2], key, found
-        return found
+        found = self.now.placings(times) if len(times) > 1 else None
+        if found is None:
+            return self.found(times)
+        placings, index = found
+        row = int(placings.rows([self])[0])
+        return placings.at[:, row, index].T, placings.turned[:, :, row, index].transpose(2, 0, 1)
 
-    def _found(self, tracks: list[Track], times: Floats) -> tuple[Floats, Floats]:
+    def found(self, times: Floats) -> tuple[Floats, Floats]:
+        """The same of it alone, whatever is known."""
+        tracks = self._mine()
         if len(tracks) == 1 and bool(tracks[0].there(times).all()):
             return self._on(tracks[0], times)
         position = np.full((len(times), 3), NOWHERE_M)
@@ -208,16 +225,16 @@ class Fed(Motion):
             if len(rows):
                 position[rows], rotation[rows] = self._on(track, times[rows])
             free &= times < track.t_s[0] if track.begins else False
-        if self._own is not None and self._name not in self.now.world.gone and free.any():
+        if self._own is not None and self.name not in self.now.world.gone and free.any():
             rows = np.flatnonzero(free)
             pose = self._own.pose(times[rows])
             position[rows], rotation[rows] = pose.position_m, pose.rotation
         return position, rotation
 
     def _on(self, track: Track, times: Floats) -> tuple[Floats, Floats]:
-        at, rotation = self.now.poses(track, times)
-        offset = self._offset(track)
-        return (at + rotation @ np.array(offset) if any(offset) else at), rotation
+        at, quaternion = track.pose(times)
+        rotation = matrix_of(quaternion)
+        return at + np.einsum("nij,j->ni", rotation, np.array(self._offset(track))), rotation
 
     def pose(self, t_s: Floats) -> Pose:
         return Pose(*self._at(np.atleast_1d(np.asarray(t_s, dtype=np.float64))))

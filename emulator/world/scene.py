@@ -96,6 +96,20 @@ class Scene:
     "After so long it begins again; None: never. Motions know nothing of it: who asks for a pose asks with `local_s`."
     fed: FedNow | None = None
     "What the present sweep knows of actors that somebody else moves; None: nobody does."
+    pool: int = 0
+    "So many of the last actors are those that a feed may bring."
+
+    def class_of(self, name: str) -> str:
+        """For object lists; of an actor that a feed has brought as the present sweep has it."""
+        number = self.index.get(name)
+        if number is None:
+            return "unknown"
+        found = self.classes[number]
+        return self.fed.category(name) if self.fed is not None and self.is_of_pool(number) else found
+
+    def is_of_pool(self, actor: int) -> bool:
+        """It is none of the scenario's: a place in the pool of a feed."""
+        return actor >= len(self.classes) - self.pool
 
     def local_s(self, t_s: float) -> float:
         """The scene's own time at `t_s` of the run; the first round is the run's time to the last bit."""
@@ -155,7 +169,7 @@ def build(scenario: Scenario) -> Scene:
         for number, item in enumerate(scenario.world):
             placed = Steady(item.at_m, item.yaw_deg, item.pitch_deg, item.roll_deg)
             builder.add(WORLD, item, item, placed, f"world.{number}")
-        fed = None if scenario.live is None else FedNow()
+        fed = None if scenario.live is None else FedNow(categories=scenario.live.categories)
         for number, actor in enumerate(scenario.actors):
             motions.append(motion_of(actor.motion))
             if actor.shape is not None:
@@ -177,6 +191,7 @@ def build(scenario: Scenario) -> Scene:
         tuple(builder.warnings),
         scenario.round_s,
         fed,
+        len(slots),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -153,3 +154,35 @@ def test_who_joins_late_finds_its_ego_by_name() -> None:
     book = Book(names=["me"], bind={"host": "me"})
     book.take(Update(None, (ActorSample("36", (1, 0, 0), name="Ego"),)), 0)
     assert book.actors() == ["me"]
+
+
+@pytest.mark.parametrize(
+    ("host", "guess", "actors", "found"),
+    [
+        (None, True, (("14", "Target"), ("3", "Ego")), "3"),
+        (None, True, (("14", None), ("9", None), ("121", None)), "9"),
+        (None, False, (("14", None), ("9", None)), None),
+        ("14", True, (("14", None), ("9", None)), "14"),
+        ("entity:Target", True, (("14", "Target"), ("9", "Ego")), "14"),
+        ("Target", False, (("14", "Target"), ("9", "Ego")), "14"),
+        (None, True, (("2", "car"), ("9", None)), "9"),
+    ],
+)
+def test_who_never_heard_the_hosts_id_finds_the_ego(
+    host: str | None, guess: bool, actors: tuple[tuple[str, str | None], ...], found: str | None
+) -> None:
+    book = Book(Rules(host=host, guess_host=guess), names=["me", "car"], bind={"host": "me"})
+    told = tuple(replace(at(1.0, one), name=name) for one, name in actors)
+    book.take(Update(None, told), 0)
+    assert book.host == found
+    assert ("me" in book.actors()) == (found is not None)
+    guessed = [text for _, text in book.events if "the smallest id" in text]
+    assert len(guessed) == (found == "9" and host is None)
+
+
+def test_a_host_that_is_told_later_is_the_ego_from_then_on() -> None:
+    book = Book(Rules(guess_host=True), names=["me"], bind={"host": "me"})
+    book.take(Update(None, (at(1.0, "5"), at(2.0, "7"))), 0)
+    assert book.host == "5"
+    book.take(Update(None, (at(1.0, "5"), at(2.0, "7")), host="7"), 10_000_000)
+    assert book.host == "7"

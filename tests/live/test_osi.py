@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from emulator.errors import ScenarioError
+from emulator.live.book import Book
 from emulator.live.esmini import Assembly, datagrams
 from emulator.live.files import read
+from emulator.live.json_lines import as_json, of_json
 from emulator.live.osi import ground_truth, sensor_view
 from emulator.live.rotations import from_angles
 from emulator.live.samples import BadSample
@@ -138,3 +140,39 @@ def test_mcap_with_osi(tmp_path: Path) -> None:
     path.write_bytes(b"nothing")
     with pytest.raises(ScenarioError, match="want"):
         list(read("osi-mcap", path))
+
+
+def _thing(number: int, x: float, size: bytes = b"", kind: int = 3) -> bytes:
+    """A StationaryObject, as field 4 of a GroundTruth."""
+    from struct import pack
+
+    from emulator.live.osi import _bytes, _number
+
+    position = _bytes(2, b"".join(bytes((8 * one + 1,)) + pack("<d", value) for one, value in ((1, x), (2, 0.0))))
+    base = size + position
+    return _bytes(4, _bytes(1, _number(1, number)) + _bytes(2, base) + _bytes(3, _number(1, kind)))
+
+
+def test_stationary_objects_are_read_and_stay_when_later_messages_have_none() -> None:
+    first = ground_truth(WORKED + _thing(100, 30.0) + _thing(101, 40.0, kind=4))
+    posts = [one for one in first.actors if one.static]
+    assert [(one.id, one.class_, one.size_m) for one in posts] == [
+        ("100", "building", (0.1, 0.1, 0.1)),
+        ("101", "pole", (0.1, 0.1, 0.1)),
+    ]
+    book = Book(slots=("live_000", "live_001"), static_slots=("static_0000", "static_0001"))
+    book.take(first, 0)
+    assert book.actors() == ["live_000", "live_001", "static_0000", "static_0001"]
+    book.take(ground_truth(WORKED), 10 * MS)
+    assert "static_0000" in book.actors()
+    book.take(ground_truth(WORKED + _thing(101, 40.0, kind=4)), 20 * MS)
+    assert book.actors() == ["live_000", "live_001", "static_0001"], "another list replaces them"
+    again = of_json(as_json(first))
+    assert again == first, "a recording has them"
+
+
+def test_more_stationary_objects_than_there_is_room_for_take_no_place_of_those_that_move() -> None:
+    book = Book(slots=("live_000", "live_001"))
+    book.take(ground_truth(_thing(100, 30.0) + _thing(101, 40.0) + WORKED), 0)
+    assert book.actors() == ["live_000", "live_001"]
+    assert book.counts["static ones left out"] == 2

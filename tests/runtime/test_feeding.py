@@ -13,12 +13,13 @@ import pytest
 
 from emulator.errors import LinkError, ScenarioError
 from emulator.judging.rig import Rig
-from emulator.live.json_lines import update_of
-from emulator.live.receivers import Budget
+from emulator.live.json_lines import MOST_BYTES, update_of
+from emulator.live.receivers import MOST_OSI, Budget, line_in, message_in
 from emulator.live.samples import BadSample
-from emulator.runtime.feeding import MARGIN_NS, Feeding
+from emulator.runtime.feeding import FIRST_NS, MARGIN_NS, SPARE, Feeding
 from emulator.scenario.scenario import Scenario, dump, loads
 from protocols.scan import ScanPlan
+from tests.live.test_osi import WORKED
 
 MS = 1_000_000
 CASE = """
@@ -55,14 +56,28 @@ def test_in_real_time_a_sweep_is_asked_for_as_late_as_it_can_be_sent_in_time() -
     sweep, earliest = plan(1000 * MS), 750 * MS
     found.world("front", sweep, 900 * MS)
     found.came("front", 904 * MS)
-    assert found.ask_ns("front", sweep, earliest) == 1026_700_000 - 4 * MS - MARGIN_NS
+    assert found.ask_ns("front", sweep, earliest) == 1026_700_000 - round(SPARE * 4 * MS) - MARGIN_NS
+
+
+def test_one_that_takes_longer_is_asked_for_earlier_from_then_on_and_a_stall_is_forgotten() -> None:
+    found, _ = feeding("{feed: control, clock: {map: arrival}}")
+    sweep = plan(1000 * MS)
+    led = [1026_700_000 - found.ask_ns("front", sweep, 0)]
+    for took in (4, 20, 4, *100 * (4,)):
+        found.world("front", sweep, 900 * MS)
+        found.came("front", (900 + took) * MS)
+        led.append(1026_700_000 - found.ask_ns("front", sweep, 0))
+    assert led[0] == FIRST_NS + MARGIN_NS, "none is late before it is known"
+    assert led[2] > 20 * MS
+    assert led[3] > 20 * MS, "the next one may take as long"
+    assert led[-1] == led[1]
 
 
 def test_or_as_soon_as_all_poses_are_known_that_its_beams_want() -> None:
     found, front = feeding("{feed: control, clock: {map: arrival}}")
     sweep = plan(1000 * MS)
     fed(found, 1010)
-    assert found.ask_ns("front", sweep, 750 * MS) > 1000 * MS
+    assert found.ask_ns("front", sweep, 750 * MS) > 950 * MS
     assert not front.poked
     fed(found, 1014)
     assert front.poked
@@ -162,6 +177,37 @@ def test_the_fixture_moves_actors(tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     with Rig(str(path), tmp_path / "other") as rig, pytest.raises(LookupError, match="live"):
         rig.move("car", [0, 0, 0])
+
+
+def test_osi_by_tcp_arrives_each_message_after_its_length(tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text(CASE.replace("LIVE", "{feed: 'osi-tcp://127.0.0.1:0', ego: ego}"))
+    data = len(WORKED).to_bytes(4, "little") + WORKED
+    with Rig(str(path), tmp_path) as rig:
+        kind, _, port = str(rig.feed_url).rpartition(":")
+        assert kind == "osi-tcp://127.0.0.1"
+        with socket.create_connection(("127.0.0.1", int(port))) as feeder:
+            for byte in data:
+                feeder.sendall(bytes((byte,)))
+            while not rig.feed().get("received"):
+                rig.advance(0.001)
+            feeder.sendall((1 << 31).to_bytes(4, "little"))
+            assert feeder.recv(1) == b"", "a length that cannot be ends the connection"
+            while not rig.feed().get("dropped"):
+                rig.advance(0.001)
+
+
+def test_what_is_held_of_a_stream_has_a_limit() -> None:
+    assert message_in(bytearray(b"\x03\0\0")) is None
+    held = bytearray(b"\x03\0\0\0abcd")
+    assert (message_in(held), held) == (b"abc", bytearray(b"d"))
+    for size in (0, MOST_OSI + 1, 2**32 - 1):
+        with pytest.raises(BadSample, match="little-endian"):
+            message_in(bytearray(size.to_bytes(4, "little")))
+    held = bytearray(b"{}\n[")
+    assert (line_in(held), line_in(held)) == (b"{}", None)
+    with pytest.raises(BadSample, match="bytes without its end"):
+        line_in(bytearray(MOST_BYTES + 1))
 
 
 def test_updates_by_udp_and_tcp_arrive(tmp_path: Path) -> None:

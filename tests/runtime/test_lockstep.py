@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
+import select
+import tty
 from collections.abc import Callable
 from pathlib import Path
+from threading import Event, Thread
 
 import pytest
 from click.testing import CliRunner
@@ -16,6 +20,7 @@ from emulator.judging.trial import Trial
 from emulator.live.client import Lockstep
 from emulator.live.json_lines import update_of
 from emulator.scenario.scenario import load
+from protocols.lms2xx.telegrams import request
 
 SCENE = """
 schema: 1
@@ -135,3 +140,37 @@ def test_a_wrong_line_is_told_and_changes_nothing(
 def test_nobody_listens_where_nobody_runs() -> None:
     with pytest.raises(LinkError, match="want"):
         Lockstep("json-udp://127.0.0.1:1")
+
+
+def test_a_run_with_an_outside_host_is_replayed_with_what_that_host_said(
+    scene: Callable[[str], str], tmp_path: Path
+) -> None:
+    over = Event()
+
+    def read(port: int) -> None:
+        while not over.is_set():
+            if select.select([port], [], [], 0.05)[0]:
+                os.read(port, 65536)
+
+    with Rig(scene("lockstep://127.0.0.1:0"), tmp_path) as rig, Lockstep(str(rig.feed_url)) as world:
+        port = os.open(rig["front"].path, os.O_RDWR | os.O_NOCTTY)
+        tty.setraw(port)
+        reader = Thread(target=read, args=(port,))
+        reader.start()
+        try:
+            for k in range(1, 61):
+                if k == 10:  # a continuous stream at 9600 Bd, which no built-in host asks for so
+                    os.write(port, request(b"\x20\x24"))
+                    while not rig.instruments[0].links[0].stats.bytes_in:
+                        world.step(rig.now_s + 0.001)
+                t_s = min(round(rig.now_s + 0.01, 9), 0.6)
+                if t_s > rig.now_s:
+                    world.step(t_s, actors(t_s))
+        finally:
+            over.set()
+            reader.join()
+            os.close(port)
+        digest = rig._transcript.sha256()
+        assert rig.instruments[0].stats.scans_sent > 0
+    told = CliRunner().invoke(replay, [str(rig.recording), "--world", "--json"], standalone_mode=False)
+    assert json.loads(told.output)["sha256"] == digest
