@@ -35,7 +35,7 @@ LEAST_K_M2 = 1e-40
 "System constant below which no particle is seen: the filter keeps all light out, and sizes would overflow."
 MOST_A_BEAM = 3000.0
 "Particles seen alone by one beam from which they are a continuum."
-DRAWN = (0.05, 0.1, 0.2, 0.4, 1.0)
+DRAWN = (0.1, 0.2, 0.4, 1.0)
 """Shares of the level from which a particle is drawn: the first that leaves few enough in a beam. A cut of 0.1 is good
 to 1 % of the beams that answer, one of 0.3 to 3 %."""
 FAINTEST_SHADOW = 1e-3
