@@ -151,11 +151,11 @@ def falling(
                         part = min(max(part, 0.0), 1.0)
                         ox, oy, oz = px - bx - part * ex, py - by - part * ey, pz - bz - part * ez
                         off = ox * ox + oy * oy + oz * oz
-                        if off > beside * beside:
+                        if off > (beside + shift) * (beside + shift):
                             continue
                         scale = min(max(r / end, 1e-3), 1.0)
                         bent = math.sqrt(max((scale * length + shift) ** 2 - square, 0.0))
-                        slack = reach_m[b] + 0.5 * bent
+                        slack = reach_m[b] + 0.5 * bent + shift
                         if off > slack * slack:
                             continue
                         d = largest_mm
@@ -163,7 +163,7 @@ def falling(
                             d = min(low_mm - math.log1p(-uniform * lost) / slope_mm, largest_mm)
                         if d < least_here:
                             continue
-                        window = (reach_m[b] + bent + 2.0 * shift) / scale
+                        window = (reach_m[b] + bent + 3.0 * shift) / scale
                         at = along[start] + part * length
                         i = begin_of(along, at - window, start, stop) - octave
                         while i <= g and along[octave + i] <= at + window:

@@ -33,6 +33,8 @@ FLAT = 4.0
 "Width of a cell over its height: most scans are level."
 BUCKET = 4.0
 "Neighbouring beams that are looked at together span this many cells."
+WIDEST_RAD = 0.5
+"And this angle at the most: what is near their chord is near them."
 OCTAVE = 0.4
 "Ratio of the ranges between which beams keep their neighbours."
 MOST_PAIRS = 3_000_000
@@ -170,7 +172,7 @@ class _Octave:
         self.moved = np.concatenate([[0.0], np.linalg.norm(np.diff(origin, axis=0), axis=1).cumsum()])
         turned = np.concatenate([[0.0], np.linalg.norm(np.diff(axis, axis=0), axis=1).cumsum()])
         self.along = self.moved + end_m * turned
-        number = np.floor(self.along / span_m)
+        number = np.floor(self.along / min(span_m, WIDEST_RAD * end_m))
         self.first = np.concatenate([[0], np.flatnonzero(np.diff(number)) + 1])
         self.last = np.append(self.first[1:], len(origin)) - 1
         low, high = np.minimum.reduceat, np.maximum.reduceat
@@ -343,10 +345,10 @@ class _Search:
         length, moved = fan.along[stop] - fan.along[start], fan.moved[stop] - fan.moved[start]
         scale = np.clip(r / fan.end_m[bucket], 1e-3, 1.0)
         bent = np.sqrt(np.maximum((scale * length + moved) ** 2 - square, 0.0))
-        slack = reach + 0.5 * bent
+        slack = reach + 0.5 * bent + moved
         kept = indexes(np.einsum("ij,ij->i", off, off) <= slack * slack)
         start, stop, scale = start[kept], stop[kept], scale[kept]
-        window = (reach[kept] + bent[kept] + 2.0 * moved[kept]) / scale
+        window = (reach[kept] + bent[kept] + 3.0 * moved[kept]) / scale
         at = fan.along[start] + part[kept] * length[kept]
         low = np.maximum(fan.along.searchsorted(at - window, side="left"), start)
         high = np.minimum(fan.along.searchsorted(at + window, side="right"), stop + 1)
