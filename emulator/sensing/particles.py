@@ -210,6 +210,13 @@ class Falling:
         r = np.geomspace(max(light.optics.overlap_start_m, 1e-3), max(light.end_m, 1.0), 256)
         return light.share, float(np.max(light.rest(r) / light.optics.level(r)))
 
+    def shadow_left_out(self, particles: Particles, far_m: Floats, extinction_per_m: float, gain: float = 1.0) -> float:
+        """Spread, over its mean, of the light of the farthest surface (both ways) by particles that are not drawn."""
+        behind = far_m[np.isfinite(far_m)]
+        if not len(behind):
+            return 0.0
+        return 2.0 * self.light(particles, extinction_per_m, gain).shadow_left_out(float(behind.max()))
+
     def seen(
         self, particles: Particles, rays: Rays, t_s: Floats, rotation: Floats, far_m: Floats, extinction_per_m: float,
         sweep: int, draws: RandomStreams, gain: float = 1.0,
