@@ -35,7 +35,7 @@ def main(kinds: list[str], sweeps: int) -> None:
         if case["kind"] not in kinds:
             continue
         for row in KINDS[case["kind"]](case, sweeps):
-            off = (row.ours - row.oracle) / row.sigma if math.isfinite(row.ours) else math.nan
+            off = (row.ours - row.oracle) / row.sigma if row.sigma > 0.0 else math.nan
             figures = f"{row.oracle:.5g} | {row.ours:.5g} | {row.sigma:.2g} | {off:+.1f}"
             sys.stdout.write(f"| {case['name']} | {row.what} | {figures} |\n")
             sys.stdout.flush()
