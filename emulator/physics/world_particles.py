@@ -117,7 +117,8 @@ class WorldParticles:
         """Beam, range and effective size in mm of all particles that are to be drawn; None: too many cells."""
         if not len(lines.axis):
             return _none()
-        fans, left, searches = self._fans(light, lines), MOST_PAIRS, []
+        fans, searches = self._fans(light, lines), []
+        left: float = MOST_PAIRS
         for one in self._classes:
             search = _Search(one, fans, light, lines)
             left -= search.pairs
@@ -307,7 +308,7 @@ class _Search:
         boxes = self.boxes
         box = chosen.repeat(count)
         at, size = ramp(count), boxes.size[box]
-        cell = boxes.low[box]
+        cell = np.asarray(boxes.low[box], np.int64)
         cell[:, 0] += at % size[:, 0]
         cell[:, 1] += at // size[:, 0] % size[:, 1]
         cell[:, 2] += at // (size[:, 0] * size[:, 1])
