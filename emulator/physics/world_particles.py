@@ -307,7 +307,7 @@ class _Search:
         """Those in some of the boxes, of `count` cells each."""
         boxes = self.boxes
         box = chosen.repeat(count)
-        at, size = ramp(count), boxes.size[box]
+        at, size = ramp(count), np.asarray(boxes.size[box], np.int64)
         cell = np.asarray(boxes.low[box], np.int64)
         cell[:, 0] += at % size[:, 0]
         cell[:, 1] += at // size[:, 0] % size[:, 1]
