@@ -46,33 +46,74 @@ def begin_of(along, value, first, last):
     return low
 
 
+@compiled()
+def row(px, py, low_y, high_y):
+    """Least and largest x of the hull of four points between two y; the least is larger where nothing is there."""
+    low, high = math.inf, -math.inf
+    for i in range(3):
+        for j in range(i + 1, 4):
+            ax, ay, bx, by = px[i], py[i], px[j], py[j]
+            if ay > by:
+                ax, ay, bx, by = bx, by, ax, ay
+            if by < low_y or ay > high_y:
+                continue
+            slope = (bx - ax) / max(by - ay, 1e-300)
+            begin = ax if ay >= low_y else ax + slope * (low_y - ay)
+            end = bx if by <= high_y else ax + slope * (high_y - ay)
+            low, high = min(low, begin, end), max(high, begin, end)
+    return low, high
+
+
 @compiled(
     INT, FLOATS, FLOAT, FLOAT, FLOAT, FLOAT, FLOATS, INTS, FLOATS, FLOATS, FLOATS, INT_ROWS, INT_ROWS, INTS, INTS,
-    FLOATS, FLOAT, ROWS, ROWS, ROWS, FLOATS, FLOAT, FLOAT, FLOAT, FLAG, FLOATS, FLOAT, FLOAT, OUT_INTS, OUT_FLOATS,
-    OUT_FLOATS,
+    FLOATS, FLOATS, FLOATS, ROWS, ROWS, ROWS, FLOATS, FLOAT, FLOAT, FLOAT, FLAG, FLOATS, FLOAT, FLOAT, OUT_INTS,
+    OUT_FLOATS, OUT_FLOATS,
 )  # fmt: skip
 def falling(
     key, poisson, low_mm, slope_mm, lost, largest_mm, cell_m, bucket, near_m, far_m, reach_m, low, size, first, last,
-    along, end_m, origin, axis, across, until_m, tan_x, tan_y, exit_m, gaussian, least_mm, least_from, least_step,
-    out_beam, out_range, out_size,
+    along, moved, end_m, origin, axis, across, until_m, tan_x, tan_y, exit_m, gaussian, least_mm, least_from,
+    least_step, out_beam, out_range, out_size,
 ):  # fmt: skip
     """Number of particles found, see `world_particles.in_boxes`; written are as many as there is room for."""
     total, room = 0, len(out_beam)
+    corner_x, corner_y = np.zeros(4), np.zeros(4)
     zero = np.uint64(0)
     key_word = np.uint64(key)
     cx, cy, cz = cell_m[0], cell_m[1], cell_m[2]
     for b in range(len(bucket)):
-        f, g = first[bucket[b]], last[bucket[b]]
+        start, stop, end = first[bucket[b]], last[bucket[b]], end_m[bucket[b]]
+        octave = start - start % len(axis)
+        f, g = start - octave, stop - octave
         m = (f + g) // 2
-        length = along[g] - along[f]
+        length, shift = along[stop] - along[start], moved[stop] - moved[start]
         k0 = min(max(int((near_m[b] - least_from) / least_step), 0), len(least_mm) - 1)
         k1 = min(max(int((far_m[b] - least_from) / least_step), 0), len(least_mm) - 1)
         least_here = least_mm[k0]
         for k in range(k0, k1 + 1):
             least_here = min(least_here, least_mm[k])
+        too_small = 0.0  # uniform numbers below give smaller ones
+        if slope_mm > 0.0 and least_here > low_mm:
+            too_small = -math.expm1(-slope_mm * (least_here - low_mm)) / lost * (1.0 - 1e-12)
+        bulge = 0.0  # of the fan beside the chord from its first beam to its last, at its widest
+        for k in range(2):
+            r = far_m[b] if k else near_m[b]
+            ex = origin[g, 0] + r * axis[g, 0] - origin[f, 0] - r * axis[f, 0]
+            ey = origin[g, 1] + r * axis[g, 1] - origin[f, 1] - r * axis[f, 1]
+            ez = origin[g, 2] + r * axis[g, 2] - origin[f, 2] - r * axis[f, 2]
+            bulge = max(bulge, (r / end * length + shift) ** 2 - ex * ex - ey * ey - ez * ez)
+            for j in range(2):
+                i = g if j else f
+                corner_x[2 * k + j] = origin[i, 0] + r * axis[i, 0]
+                corner_y[2 * k + j] = origin[i, 1] + r * axis[i, 1]
+        beside = 1.01 * (reach_m[b] + 0.5 * math.sqrt(bulge))
         for iz in range(low[b, 2], low[b, 2] + size[b, 2]):
             for iy in range(low[b, 1], low[b, 1] + size[b, 1]):
-                for ix in range(low[b, 0], low[b, 0] + size[b, 0]):
+                row_low, row_high = row(corner_x, corner_y, iy * cy - beside, (iy + 1) * cy + beside)
+                if row_low > row_high:
+                    continue
+                ix_low = max(low[b, 0], math.floor((row_low - beside) / cx))
+                ix_high = min(low[b, 0] + size[b, 0], math.floor((row_high + beside) / cx) + 1)
+                for ix in range(ix_low, ix_high):
                     word = mixed((np.uint64(ix) * _X) ^ key_word)
                     word = mixed(word + np.uint64(iy) * _Y)
                     word = mixed(word + np.uint64(iz) * _Z)
@@ -85,10 +126,7 @@ def falling(
                         turn += _TWO
                         own = mixed(word + turn * _STEP)
                         uniform = unit(mixed(own + _STEP))
-                        d = largest_mm
-                        if slope_mm > 0.0:
-                            d = min(low_mm - math.log1p(-uniform * lost) / slope_mm, largest_mm)
-                        if d < least_here:
+                        if uniform < too_small:
                             continue
                         px = (ix + (np.float64(own & _MASK) + 0.5) * 2.0**-21) * cx
                         py = (iy + (np.float64((own >> _21) & _MASK) + 0.5) * 2.0**-21) * cy
@@ -112,15 +150,23 @@ def falling(
                         part = ((px - bx) * ex + (py - by) * ey + (pz - bz) * ez) / max(square, 1e-300)
                         part = min(max(part, 0.0), 1.0)
                         ox, oy, oz = px - bx - part * ex, py - by - part * ey, pz - bz - part * ez
-                        scale = min(max(r / end_m, 1e-3), 1.0)
-                        bent = math.sqrt(max((scale * length) ** 2 - square, 0.0))
-                        slack = reach_m[b] + 0.5 * bent
-                        if ox * ox + oy * oy + oz * oz > slack * slack:
+                        off = ox * ox + oy * oy + oz * oz
+                        if off > (beside + shift) * (beside + shift):
                             continue
-                        window = (reach_m[b] + bent) / scale
-                        at = along[f] + part * length
-                        i = begin_of(along, at - window, f, g)
-                        while i <= g and along[i] <= at + window:
+                        scale = min(max(r / end, 1e-3), 1.0)
+                        bent = math.sqrt(max((scale * length + shift) ** 2 - square, 0.0))
+                        slack = reach_m[b] + 0.5 * bent + shift
+                        if off > slack * slack:
+                            continue
+                        d = largest_mm
+                        if slope_mm > 0.0:
+                            d = min(low_mm - math.log1p(-uniform * lost) / slope_mm, largest_mm)
+                        if d < least_here:
+                            continue
+                        window = (reach_m[b] + bent + 3.0 * shift) / scale
+                        at = along[start] + part * length
+                        i = begin_of(along, at - window, start, stop) - octave
+                        while i <= g and along[octave + i] <= at + window:
                             tx, ty, tz = px - origin[i, 0], py - origin[i, 1], pz - origin[i, 2]
                             ax, ay, az = axis[i, 0], axis[i, 1], axis[i, 2]
                             r = tx * ax + ty * ay + tz * az

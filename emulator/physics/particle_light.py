@@ -277,3 +277,18 @@ class ParticleLight:
     def mean_shadow(self, range_m: Floats) -> Floats:
         """Mean loss there and back by the drawn particles up to a range: what the extinction has already taken."""
         return np.interp(range_m, *self._shadows)
+
+    def shadow_left_out(self, range_m: float) -> float:
+        """Spread of the light that passes once, over its mean, that the particles not drawn would add: their discs.
+
+        Small discs, each of one place: the sum of the squares of their shadows.
+        """
+        r = floats(range_m * (np.arange(NODES, dtype=np.float64) + 0.5) / NODES)
+        node, weight = np.polynomial.legendre.leggauss(48)
+        least = np.minimum(self.least_mm(r), self.sizes.largest_mm)[:, None]
+        s = 0.5 * (node + 1.0) * least * (1.0 - 1e-12)
+        per_size = self.sizes.larger(s) / np.maximum(s, 1e-300)
+        if not self.optics.gaussian:
+            per_size = self.sizes.larger(s) * self.sizes.slope_mm
+        squares = 0.5 * least[:, 0] * ((per_size * self.kept_out(r[:, None], s) ** 2) @ weight)
+        return float(np.sqrt(math.pi * np.sum(self.optics.area_m2(r) * squares) * range_m / NODES))

@@ -1,9 +1,9 @@
-"""Single drops and flakes: how many the beam meets, what one sends back, and which alone are seen.
+"""Single drops and flakes: how many the beam meets, what one sends back, how many alone are seen.
 
-Here: size spectra of rain (Marshall-Palmer) and snow (Marshall-Gunn), the backscatter of a drop, and sampling by
-thinning: only particles that alone exceed the threshold are drawn, with exactly the law they have among all. Not
-here: extinction by rate (atmosphere), the continuum (softtarget).
-Diameters in mm where a name says so; everything else SI. Randomness comes in as uniform numbers.
+Here: size spectra of rain (Marshall-Palmer) and snow (Marshall-Gunn), the backscatter of a drop, mean numbers. Not
+here: which are drawn and how bright they are (particle_light), extinction by rate (atmosphere), the continuum
+(softtarget).
+Diameters in mm where a name says so; everything else SI.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from emulator.physics.arrays import Floats, Ints, Values, exp_or_zero, floats, require_positive
+from emulator.physics.arrays import Floats, Values, exp_or_zero, floats, require_positive
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S, WATER_INDEX_905
 
 RAIN_N0 = 8000.0
@@ -124,58 +124,3 @@ def _cone(b: Floats, r: Values) -> Floats:
     y_safe = np.where(small, 1.0, y)
     closed = 0.5 * math.gamma(1.5) * special.gammainc(1.5, y_safe) / (y_safe * np.sqrt(y_safe))
     return r**3 * np.where(small, 1.0 / 3.0 - y / 5.0, closed)
-
-
-def detectable_particles(
-    spectrum: Spectrum,
-    scale_mm_m2: Floats,
-    half_angle_rad: float,
-    near_m: float,
-    far_m: Floats,
-    count: Ints,
-    uniform: Floats,
-) -> tuple[Ints, Floats, Floats]:
-    """Ranges and diameters of the detectable particles of a scan, by thinning.
-
-    Parameters
-    ----------
-    spectrum : size spectrum
-    scale_mm_m2 : (n,) `detectable_scale` of each beam
-    half_angle_rad, near_m : of the beam, and where the overlap starts
-    far_m : (n,) hard surface or end of the gate
-    count : (n,) Poisson numbers with the mean `detectable_mean`
-    uniform : (sum(count), 2) uniform numbers in (0, 1)
-
-    Returns
-    -------
-    beam : (k,) index of the beam of each particle, ascending
-    range_m : (k,) distributed with density r^2 exp(-slope D_min(r))
-    diameter_mm : (k,) D_min(r) plus an exponential of mean 1/slope; the rare one above 6 mm is cut there
-    """
-    beam = np.arange(len(count)).repeat(count)
-    b = spectrum.slope_mm * floats(scale_mm_m2)[beam]
-    lo = np.full(beam.shape, float(near_m))
-    hi = np.maximum(floats(far_m)[beam], near_m)
-    bottom, top = special.gammainc(1.5, b * lo * lo), special.gammainc(1.5, b * hi * hi)
-    r = np.sqrt(special.gammaincinv(1.5, bottom + uniform[:, 0] * (top - bottom)) / b)
-    r = np.minimum(np.maximum(r, lo), hi)
-    least = floats(scale_mm_m2)[beam] * r * r
-    diameter = least - np.log(np.maximum(uniform[:, 1], 1e-300)) / spectrum.slope_mm
-    return beam, r, np.maximum(np.minimum(diameter, LARGEST_DROP_MM), np.minimum(least, LARGEST_DROP_MM))
-
-
-def particle_power(
-    diameter_mm: Values,
-    kappa_sr: Values,
-    range_m: Values,
-    half_angle_rad: Values,
-    optical_depth: Values,
-    peak_w: Values,
-    area_m2: Values,
-    efficiency: Values,
-) -> Floats:
-    """Peak power from one sphere or flake in a top-hat beam: P0/(pi w^2) kappa D^2 A eta T^2/r^2. [W]"""
-    r = floats(range_m)
-    width = np.pi * (floats(half_angle_rad) * r) ** 2
-    section = kappa_sr * (floats(diameter_mm) * 1e-3) ** 2
-    return floats(peak_w) / width * section * area_m2 * efficiency / r**2 * exp_or_zero(-2.0 * floats(optical_depth))

@@ -31,14 +31,20 @@ A_CELL = 1.0
 "Mean number of particles in a cell: fewer cost cells, more cost particles beside the beams."
 FLAT = 4.0
 "Width of a cell over its height: most scans are level."
-BUCKET = 2.0
+BUCKET = 4.0
 "Neighbouring beams that are looked at together span this many cells."
+WIDEST_RAD = 0.5
+"And this angle at the most: what is near their chord is near them."
 OCTAVE = 0.4
 "Ratio of the ranges between which beams keep their neighbours."
 MOST_PAIRS = 3_000_000
 "Cells that may be looked at in a sweep: a second or so. Beyond it particles are drawn for each beam alone."
 MOST_BOXES = 500_000
 "Of a class between two ranges: more hold more cells than may be looked at."
+BOXES_KEPT = 400_000
+"Held from one sweep to the next: 40 MB."
+SLACK_M = 1e-5
+"Beams that are nearer to their places of an earlier sweep, from the first one, are looked for in the same boxes."
 AT_ONCE = 200_000
 "Cells that are held together."
 _STEP = np.uint64(0x9E3779B97F4A7C15)
@@ -97,7 +103,8 @@ class WorldParticles:
         edges = (*EDGES_MM, math.inf) if sizes.slope_mm > 0.0 else (0.0, sizes.largest_mm)
         falls = np.broadcast_to(np.asarray(fall_m_s, np.float64), (len(edges) - 1,))
         self.sizes = sizes
-        self._classes = []
+        self._classes: list[_Class] = []
+        self._kept: list[_Fans] = []
         for number, (low, high, fall) in enumerate(zip(edges[:-1], edges[1:], falls, strict=True)):
             digest = hashlib.blake2b(f"{seed}\0world\0{term}\0{number}".encode(), digest_size=8).digest()
             density = sizes.number_m3 * (math.exp(-sizes.slope_mm * low) - math.exp(-sizes.slope_mm * high))
@@ -108,17 +115,29 @@ class WorldParticles:
 
     def in_beams(self, light: ParticleLight, lines: Lines) -> tuple[Ints, Floats, Floats] | None:
         """Beam, range and effective size in mm of all particles that are to be drawn; None: too many cells."""
-        found, left = [], MOST_PAIRS
+        if not len(lines.axis):
+            return _none()
+        fans, searches = self._fans(light, lines), []
+        left: float = MOST_PAIRS
         for one in self._classes:
-            search = _Search(one, light, lines)
+            search = _Search(one, fans, light, lines)
             left -= search.pairs
             if left < 0:
                 return None
-            found += search.found()
-        if not found:
-            return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
-        beam, range_m, size = (np.concatenate(column) for column in zip(*found, strict=True))
-        return beam, range_m, size
+            searches.append(search)
+        beam, range_m, size = _joined([search.found() for search in searches])
+        kept = indexes(size >= light.least_mm(range_m))
+        return beam[kept], range_m[kept], size[kept]
+
+    def _fans(self, light: ParticleLight, lines: Lines) -> _Fans:
+        """Where to look: as in an earlier sweep whose beams stood to each other in the same way."""
+        known = next((one for one in self._kept if one.fit(light, lines)), None)
+        if known is None:
+            known = _Fans(light, lines)
+            self._kept = [*self._kept, known]
+            while len(self._kept) > 1 and sum(one.boxes for one in self._kept) > BOXES_KEPT:
+                self._kept.pop(0)
+        return known
 
 
 def class_middles(sizes: Sizes) -> Floats:
@@ -141,87 +160,155 @@ class _Boxes:
     far_m: Floats
     reach_m: Floats
     "How far from the axis a particle may be."
-    low: Ints
-    "(b, 3) first cell"
-    size: Ints
-    "(b, 3) cells"
+    low: Floats | Ints
+    "(b, 3) lower corner, from the first beam's origin, or first cell."
+    size: Floats | Ints
+    "(b, 3) upper corner, or number of cells."
 
 
 class _Octave:
     """Beams between two ranges, in buckets of neighbours."""
 
-    def __init__(self, origin: Floats, axis: Floats, far_m: Floats, near_m: float, end_m: float, span_m: float) -> None:
-        gap = np.linalg.norm(np.diff(origin, axis=0), axis=1) + end_m * np.linalg.norm(np.diff(axis, axis=0), axis=1)
-        self.along = np.concatenate([[0.0], gap.cumsum()])
-        number = np.floor(self.along / span_m)
+    def __init__(self, origin: Floats, axis: Floats, near_m: float, end_m: float, span_m: float) -> None:
+        self.moved = np.concatenate([[0.0], np.linalg.norm(np.diff(origin, axis=0), axis=1).cumsum()])
+        turned = np.concatenate([[0.0], np.linalg.norm(np.diff(axis, axis=0), axis=1).cumsum()])
+        self.along = self.moved + end_m * turned
+        number = np.floor(self.along / min(span_m, WIDEST_RAD * end_m))
         self.first = np.concatenate([[0], np.flatnonzero(np.diff(number)) + 1])
         self.last = np.append(self.first[1:], len(origin)) - 1
-        self.end_m = end_m
         low, high = np.minimum.reduceat, np.maximum.reduceat
         self.box = low(origin, self.first), high(origin, self.first), low(axis, self.first), high(axis, self.first)
-        self.until = np.minimum(high(far_m, self.first), end_m)
-        self.near_m = near_m
+        self.near_m, self.end_m = near_m, end_m
 
-    def boxes(self, step_m: float, reach: tuple[Floats, Floats], cell_m: Floats) -> _Boxes:
+    def boxes(self, step_m: float, reach: tuple[Floats, Floats]) -> _Boxes:
         """`reach` : ranges, and how far from the axis there."""
         steps = max(1, math.ceil((self.end_m - self.near_m) / step_m))
         edges = np.linspace(self.near_m, self.end_m, steps + 1)
-        bucket, k = np.nonzero(edges[None, :-1] < self.until[:, None])
+        bucket, k = (part.ravel() for part in np.indices((len(self.first), steps)))
         near, far = edges[k], edges[k + 1]
         fine = np.linspace(edges[:-1], edges[1:], 5)
-        wide = np.interp(fine, *reach).max(axis=0)[k]
+        wide = np.interp(fine, *reach).max(axis=0)[k] + SLACK_M
         low_o, high_o, low_d, high_d = (part[bucket] for part in self.box)
         a, b = near[:, None], far[:, None]
         low = low_o + np.minimum(a * low_d, b * low_d) - wide[:, None]
         high = high_o + np.maximum(a * high_d, b * high_d) + wide[:, None]
-        first = np.floor(low / cell_m).astype(np.int64)
-        size = np.floor(high / cell_m).astype(np.int64) - first + 1
-        return _Boxes(np.asarray(bucket, np.int64), near, far, wide, first, size)
+        return _Boxes(np.asarray(bucket, np.int64), near, far, wide, low, high)
+
+
+class _Fan:
+    """Where particles of one class may be seen: boxes about buckets of beams, from the first beam's origin.
+
+    Places of beams count through all octaves: those of the k-th are k n to k n + n - 1.
+    """
+
+    def __init__(self, of: _Class, light: ParticleLight, origin: Floats, axis: Floats, far_m: float) -> None:
+        self.too_many = self.none = False
+        range_m, reach = light.reach(min(of.high_mm, light.sizes.largest_mm))
+        if len(range_m) < 2 or of.number_m3 <= 0.0:
+            self.none = True
+            return
+        width = (FLAT * A_CELL / of.number_m3) ** (1.0 / 3.0)
+        self.cell_m = np.array([width, width, width / FLAT])
+        begin, end = float(range_m[0]), float(range_m[-1])
+        while OCTAVE * end > max(begin, far_m):
+            end *= OCTAVE
+        octaves: list[_Octave] = []
+        boxes: list[_Boxes] = []
+        while end > begin:
+            near = max(OCTAVE * end, begin)
+            if near < begin + 2.0 * BUCKET * width:
+                near = begin
+            octave = _Octave(origin, axis, near, end, BUCKET * width)
+            if len(octave.first) * (end - near) > MOST_BOXES * BUCKET * width:
+                self.too_many = True
+                return
+            octaves.append(octave)
+            boxes.append(octave.boxes(BUCKET * width, (range_m, reach)))
+            end = near
+        self.beams, n = len(axis), np.arange(len(octaves)) * len(axis)
+        apart = max(float(one.along[-1]) for one in octaves) + 1.0
+        self.along = np.concatenate([one.along + k * apart for k, one in enumerate(octaves)])
+        self.moved = np.concatenate([one.moved for one in octaves])
+        self.first = np.concatenate([one.first + k for one, k in zip(octaves, n, strict=True)])
+        self.last = np.concatenate([one.last + k for one, k in zip(octaves, n, strict=True)])
+        self.end_m = np.concatenate([np.full(len(one.first), one.end_m) for one in octaves])
+        before = np.cumsum([0, *(len(one.first) for one in octaves)])
+        bucket = np.concatenate([one.bucket + k for one, k in zip(boxes, before, strict=False)])
+        near_m, far, wide, low, high = (
+            np.concatenate([getattr(one, name) for one in boxes])
+            for name in ("near_m", "far_m", "reach_m", "low", "size")
+        )
+        self.boxes = _Boxes(bucket, near_m, far, wide, low, high)
+        with np.errstate(over="ignore"):
+            self.cells = np.minimum(((high - low) / self.cell_m + 1.0).prod(axis=1), 1e15)
+
+    def now(self, origin: Floats, far_m: Floats) -> tuple[_Boxes, float]:
+        """Boxes that beams reach, in cells, and about how many these are."""
+        until = np.maximum.reduceat(np.tile(far_m, len(self.along) // self.beams), self.first)
+        some = indexes(self.boxes.near_m < until[self.boxes.bucket])
+        part = self.boxes
+        low = np.floor((part.low[some] + origin) / self.cell_m).astype(np.int64)
+        size = np.floor((part.size[some] + origin) / self.cell_m).astype(np.int64) - low + 1
+        return (
+            _Boxes(part.bucket[some], part.near_m[some], part.far_m[some], part.reach_m[some], low, size),
+            float(self.cells[some].sum()),
+        )
+
+
+class _Fans:
+    """Those of all classes, for beams that stand to each other in one way."""
+
+    def __init__(self, light: ParticleLight, lines: Lines) -> None:
+        self._light, self._axis, self._far_m = light, lines.axis, _covered(lines.far_m)
+        self._late, self._off = lines.t_s - lines.t_s[0], lines.centre_m - lines.centre_m[0]
+        self._of: dict[int, _Fan] = {}
+
+    def fit(self, light: ParticleLight, lines: Lines) -> bool:
+        """Beams stand so: no box that holds a particle of theirs is missing."""
+        if light is not self._light or len(lines.axis) != len(self._axis):
+            return False
+        return (
+            (lines.axis is self._axis or np.array_equal(lines.axis, self._axis))
+            and bool(np.abs(lines.t_s - lines.t_s[0] - self._late).max() < 1e-9)
+            and bool(np.abs(lines.centre_m - lines.centre_m[0] - self._off).max() < 0.1 * SLACK_M)
+            and _covered(lines.far_m) == self._far_m
+        )
+
+    def of(self, one: _Class) -> _Fan:
+        """That of a class."""
+        if one.key not in self._of:
+            origin = self._off - self._late[:, None] * np.array(one.velocity_m_s)
+            self._of[one.key] = _Fan(one, self._light, origin, self._axis, self._far_m)
+        return self._of[one.key]
+
+    @property
+    def boxes(self) -> int:
+        """How many are held."""
+        return sum(len(one.cells) for one in self._of.values() if not (one.none or one.too_many))
 
 
 class _Search:
     """Particles of one class in the beams of a sweep."""
 
-    def __init__(self, of: _Class, light: ParticleLight, lines: Lines) -> None:
+    def __init__(self, of: _Class, fans: _Fans, light: ParticleLight, lines: Lines) -> None:
         self.of, self.light, self.lines = of, light, lines
-        largest = min(of.high_mm, light.sizes.largest_mm)
-        range_m, reach = light.reach(largest)
-        self.parts: list[tuple[_Octave, _Boxes]] = []
-        self.pairs = 0
-        if len(range_m) < 2 or of.number_m3 <= 0.0:
-            return
-        width = (FLAT * A_CELL / of.number_m3) ** (1.0 / 3.0)
-        self.cell_m = np.array([width, width, width / FLAT])
-        self.origin = lines.centre_m - lines.t_s[:, None] * np.array(of.velocity_m_s)
-        begin, end = float(range_m[0]), min(float(range_m[-1]), float(lines.far_m.max(initial=0.0)))
-        while end > begin:
-            near = max(OCTAVE * end, begin)
-            if near < begin + 2.0 * BUCKET * width:
-                near = begin
-            octave = _Octave(self.origin, lines.axis, lines.far_m, near, end, BUCKET * width)
-            if len(octave.first) * (end - near) > MOST_BOXES * BUCKET * width:
-                self.pairs = MOST_PAIRS + 1
-                return
-            boxes = octave.boxes(BUCKET * width, (range_m, reach), self.cell_m)
-            self.parts.append((octave, boxes))
-            with np.errstate(over="ignore"):
-                self.pairs += int(min(boxes.size.astype(np.float64).prod(axis=1).sum(), 1e15))
-            end = near
+        self.fan, self.pairs = fans.of(of), 0.0
+        if self.fan.too_many:
+            self.pairs = math.inf
+        elif not self.fan.none:
+            self.origin = lines.centre_m - lines.t_s[:, None] * np.array(of.velocity_m_s)
+            self.boxes, self.pairs = self.fan.now(self.origin[0], lines.far_m)
 
-    def found(self) -> list[tuple[Ints, Floats, Floats]]:
-        """Beam, range, effective size."""
-        return [in_boxes(self, *part) for part in self.parts]
+    def found(self) -> tuple[Ints, Floats, Floats]:
+        """Beam, range, effective size; a few more than are to be drawn."""
+        return in_boxes(self) if self.pairs else _none()
 
-    def drawn(self, beam: Ints, range_m: Floats, size_mm: Floats) -> tuple[Ints, Floats, Floats]:
-        """Those that are bright enough."""
-        kept = indexes(size_mm >= self.light.least_mm(range_m))
-        return beam[kept], range_m[kept], size_mm[kept]
-
-    def of_some(self, octave: _Octave, boxes: _Boxes, chosen: Ints, count: Ints) -> tuple[Ints, Floats, Floats]:
+    def of_some(self, chosen: Ints, count: Ints) -> tuple[Ints, Floats, Floats]:
         """Those in some of the boxes, of `count` cells each."""
+        boxes = self.boxes
         box = chosen.repeat(count)
-        at, size = ramp(count), boxes.size[box]
-        cell = boxes.low[box]
+        at, size = ramp(count), np.asarray(boxes.size[box], np.int64)
+        cell = np.asarray(boxes.low[box], np.int64)
         cell[:, 0] += at % size[:, 0]
         cell[:, 1] += at // size[:, 0] % size[:, 1]
         cell[:, 2] += at // (size[:, 0] * size[:, 1])
@@ -231,8 +318,8 @@ class _Search:
         number = number[some]
         owner = some.repeat(number)
         word = _mixed(word[owner] + (2 * ramp(number) + 2).astype(np.uint64) * _STEP)
-        place = (cell[owner] + _three(word)) * self.cell_m
-        kept, beams = self._near(octave, boxes, box[owner], place)
+        place = (cell[owner] + _three(word)) * self.fan.cell_m
+        kept, beams = self._near(box[owner], place)
         place, word = place[kept], word[kept]
         first, number = beams
         beam = first.repeat(number) + ramp(number)
@@ -240,11 +327,13 @@ class _Search:
         box = box[owner[kept]][row]
         return self._inside(beam, place[row], word[row], boxes.near_m[box], boxes.far_m[box])
 
-    def _near(self, octave: _Octave, boxes: _Boxes, box: Ints, place: Floats) -> tuple[Ints, tuple[Ints, Ints]]:
+    def _near(self, box: Ints, place: Floats) -> tuple[Ints, tuple[Ints, Ints]]:
         """Particles near the fan of a bucket's beams, and the beams that they may be in: the first, how many."""
-        bucket = boxes.bucket[box]
-        first, last = octave.first[bucket], octave.last[bucket]
-        axis, origin, reach = self.lines.axis, self.origin, boxes.reach_m[box]
+        fan, bucket = self.fan, self.boxes.bucket[box]
+        start, stop = fan.first[bucket], fan.last[bucket]
+        octave = start - start % fan.beams
+        first, last = start - octave, stop - octave
+        axis, origin, reach = self.lines.axis, self.origin, self.boxes.reach_m[box]
         middle = (first + last) // 2
         to = place - origin[middle]
         r = np.einsum("ij,ij->i", to, axis[middle])
@@ -254,17 +343,17 @@ class _Search:
         part = np.einsum("ij,ij->i", place - begin, chord) / np.maximum(square, 1e-300)
         part = np.clip(part, 0.0, 1.0)
         off = place - begin - part[:, None] * chord
-        length = octave.along[last] - octave.along[first]
-        scale = np.clip(r / octave.end_m, 1e-3, 1.0)
-        bent = np.sqrt(np.maximum((scale * length) ** 2 - square, 0.0))
-        slack = reach + 0.5 * bent
+        length, moved = fan.along[stop] - fan.along[start], fan.moved[stop] - fan.moved[start]
+        scale = np.clip(r / fan.end_m[bucket], 1e-3, 1.0)
+        bent = np.sqrt(np.maximum((scale * length + moved) ** 2 - square, 0.0))
+        slack = reach + 0.5 * bent + moved
         kept = indexes(np.einsum("ij,ij->i", off, off) <= slack * slack)
-        first, last, scale = first[kept], last[kept], scale[kept]
-        window = (reach[kept] + bent[kept]) / scale
-        at = octave.along[first] + part[kept] * length[kept]
-        low = np.maximum(octave.along.searchsorted(at - window, side="left"), first)
-        high = np.minimum(octave.along.searchsorted(at + window, side="right"), last + 1)
-        return kept, (low, np.maximum(high - low, 0))
+        start, stop, scale = start[kept], stop[kept], scale[kept]
+        window = (reach[kept] + bent[kept] + 3.0 * moved[kept]) / scale
+        at = fan.along[start] + part[kept] * length[kept]
+        low = np.maximum(fan.along.searchsorted(at - window, side="left"), start)
+        high = np.minimum(fan.along.searchsorted(at + window, side="right"), stop + 1)
+        return kept, (low - octave[kept], np.maximum(high - low, 0))
 
     def _inside(self, beam: Ints, place: Floats, word: Words, near: Floats, far: Floats) -> tuple[Ints, Floats, Floats]:
         lines, optics = self.lines, self.light.optics
@@ -288,46 +377,56 @@ class _Search:
             size = size * np.exp(-np.minimum(square, 500.0))
         else:
             size = np.where(square < 1.0, size, 0.0)
-        return self.drawn(beam, r, size)
+        kept = indexes(size > 0.0)
+        return beam[kept], r[kept], size[kept]
 
 
-def _in_boxes_by_loops(
-    loops: ModuleType, search: _Search, octave: _Octave, boxes: _Boxes
-) -> tuple[Ints, Floats, Floats]:
-    of, light, lines = search.of, search.light, search.lines
+def _covered(far_m: Floats) -> float:
+    """A power of `OCTAVE` beyond all of these ranges."""
+    return float(OCTAVE ** math.floor(math.log(max(float(far_m.max()), 1e-3)) / math.log(OCTAVE)))
+
+
+def _none() -> tuple[Ints, Floats, Floats]:
+    return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
+
+
+def _joined(found: list[tuple[Ints, Floats, Floats]]) -> tuple[Ints, Floats, Floats]:
+    beam, range_m, size = (np.concatenate(column) for column in zip(_none(), *found, strict=True))
+    return beam, range_m, size
+
+
+def _in_boxes_by_loops(loops: ModuleType, search: _Search) -> tuple[Ints, Floats, Floats]:
+    of, light, lines, fan, boxes = search.of, search.light, search.lines, search.fan, search.boxes
     optics, largest = light.optics, light.sizes.largest_mm
     least, begin_m, step_m = light.least_table
     across = np.zeros((0, 3)) if lines.across is None else lines.across
-    room = 1024 + 32 * len(lines.axis)
+    room = 1024 + 8 * len(lines.axis)
     while True:
         beam, range_m, size = np.zeros(room, np.int64), np.zeros(room), np.zeros(room)
         number = loops.falling(
-            of.signed_key, _POISSON, of.low_mm, of.slope_mm, of.share, largest, search.cell_m, boxes.bucket,
-            boxes.near_m, boxes.far_m, boxes.reach_m, boxes.low, boxes.size, octave.first, octave.last, octave.along,
-            octave.end_m, search.origin, lines.axis, across, lines.far_m, optics.tan_x, optics.tan_y,
+            of.signed_key, _POISSON, of.low_mm, of.slope_mm, of.share, largest, fan.cell_m, boxes.bucket,
+            boxes.near_m, boxes.far_m, boxes.reach_m, boxes.low, boxes.size, fan.first, fan.last, fan.along, fan.moved,
+            fan.end_m, search.origin, lines.axis, across, lines.far_m, optics.tan_x, optics.tan_y,
             optics.exit_radius_m, optics.gaussian, least, begin_m, step_m, beam, range_m, size,
         )  # fmt: skip
         if number <= room:
-            return search.drawn(beam[:number], range_m[:number], size[:number])
+            return beam[:number], range_m[:number], size[:number]
         room = number
 
 
 @by_loops(_in_boxes_by_loops, "falling")
-def in_boxes(search: _Search, octave: _Octave, boxes: _Boxes) -> tuple[Ints, Floats, Floats]:
-    """Beam, range and effective size of the particles in these boxes."""
+def in_boxes(search: _Search) -> tuple[Ints, Floats, Floats]:
+    """Beam, range and effective size of the particles in the boxes of a search."""
     found = []
-    count = boxes.size.prod(axis=1)
+    count = search.boxes.size.prod(axis=1)
     total = count.cumsum()
     begin = 0
     while begin < len(count):
         before = total[begin - 1] if begin else 0
         end = max(int(total.searchsorted(before + AT_ONCE, side="right")), begin + 1)
-        found.append(search.of_some(octave, boxes, np.arange(begin, end), count[begin:end]))
+        found.append(search.of_some(np.arange(begin, end), count[begin:end]))
         begin = end
-    if not found:
-        return np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
-    beam, range_m, size = (np.concatenate(column) for column in zip(*found, strict=True))
-    return beam, range_m, size
+    return _joined(found)
 
 
 # ------------------------------------------------------------------------------- numbers of a cell

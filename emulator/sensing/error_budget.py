@@ -233,6 +233,9 @@ def _particles(measure: Measure, plan: ScanPlan) -> Finding:
     for one in view.air.particles:
         share, mean = measure._falling.mean_field(one, *where[1:])
         saves += f"; {one.term} below {share:g} of the level enters as its mean, at most {mean:.2g} of the level"
+        left = measure._falling.shadow_left_out(one, *where)
+        if left > 0.0:
+            saves += f", and casts no flickering shadow: {100.0 * left:.2g} % rms of what stands behind"
     return Finding(out, value, RAREST_PARTICLES, saves, unit="per sweep")
 
 

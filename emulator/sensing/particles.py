@@ -35,7 +35,7 @@ LEAST_K_M2 = 1e-40
 "System constant below which no particle is seen: the filter keeps all light out, and sizes would overflow."
 MOST_A_BEAM = 3000.0
 "Particles seen alone by one beam from which they are a continuum."
-DRAWN = (0.05, 0.1, 0.2, 0.4, 1.0)
+DRAWN = (0.1, 0.2, 0.4, 1.0)
 """Shares of the level from which a particle is drawn: the first that leaves few enough in a beam. A cut of 0.1 is good
 to 1 % of the beams that answer, one of 0.3 to 3 %."""
 FAINTEST_SHADOW = 1e-3
@@ -209,6 +209,13 @@ class Falling:
         light = self.light(particles, extinction_per_m, gain)
         r = np.geomspace(max(light.optics.overlap_start_m, 1e-3), max(light.end_m, 1.0), 256)
         return light.share, float(np.max(light.rest(r) / light.optics.level(r)))
+
+    def shadow_left_out(self, particles: Particles, far_m: Floats, extinction_per_m: float, gain: float = 1.0) -> float:
+        """Spread, over its mean, of the light of the farthest surface (both ways) by particles that are not drawn."""
+        behind = far_m[np.isfinite(far_m)]
+        if not len(behind):
+            return 0.0
+        return 2.0 * self.light(particles, extinction_per_m, gain).shadow_left_out(float(behind.max()))
 
     def seen(
         self, particles: Particles, rays: Rays, t_s: Floats, rotation: Floats, far_m: Floats, extinction_per_m: float,

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from emulator.physics import atmosphere, beams, precipitation
+from emulator.physics import atmosphere, beams
 from emulator.physics.detection import detect
 from emulator.physics.detector import Detector
 from emulator.physics.materials import SurfaceTable, known_materials, material
@@ -84,18 +84,6 @@ def main(repeats: int) -> None:
 
     soft = timed("tables of fog, once a weather", fog, repeats)
     timed("detection in fog of 200 m", lambda: detect(echoes, BEAMS, detector, normals=normals, soft=soft), repeats)
-
-    spectrum = precipitation.rain_spectrum(10.0)
-    scale = np.full(BEAMS, float(precipitation.detectable_scale(6.4565e-3, 0.00584, 30.0, 1.26e-3, 0.5, 3.3e-7)))
-    far = np.full(BEAMS, 30.0)
-
-    def drops() -> object:
-        mean = precipitation.detectable_mean(spectrum, scale, 6.4565e-3, 0.5, far)
-        count = np.random.default_rng(1).poisson(mean)
-        uniform = np.random.default_rng(2).uniform(size=(int(count.sum()), 2))
-        return precipitation.detectable_particles(spectrum, scale, 6.4565e-3, 0.5, far, count, uniform)
-
-    timed("drops of rain, 10 mm/h", drops, repeats)
 
 
 if __name__ == "__main__":

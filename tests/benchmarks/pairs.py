@@ -37,6 +37,7 @@ BUILT = "casting.embree.structure"
 "Left out of what is built, not of a sweep."
 LEAST_SAVED = 3.0
 "[%] What saves less in every scene has one form only."
+SNOW: dict[str, Any] = {"snow": {"rate_mm_h": 5.0, "kind": "dry"}}
 HEAD = ("step", "numpy arrays: module, lines", "loops: module, lines")
 
 
@@ -116,11 +117,12 @@ def saved(pair: Pair, measures: Sequence[Any], repeats: int) -> float:
 def scenes(folder: Path) -> dict[str, Any]:
     """Column -> scenario."""
     bench_scan.hills(folder / "hills.obj", 171)
-    return {
+    found = {
         f"{name}, {'at rest' if resting else 'driving'}": bench_scan.street(folder, weather, resting)
         for name, weather in (("clear", {}), ("fog, rain, sun", bench_scan.RAIN_AND_FOG))
         for resting in (True, False)
     }
+    return {**found, "snow, at rest": bench_scan.street(folder, SNOW, True)}
 
 
 def main(repeats: int) -> None:

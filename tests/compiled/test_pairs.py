@@ -41,7 +41,7 @@ def test_the_page_has_the_steps_that_the_code_has_with_their_lines() -> None:
 
 def test_what_saves_less_than_3_percent_in_every_scene_has_one_form_only() -> None:
     for step, _, _, *saved in told()[2:]:
-        assert len(saved) == 4
+        assert len(saved) == 5
         assert max(map(float, saved)) >= pairs.LEAST_SAVED, step
 
 
