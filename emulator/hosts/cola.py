@@ -90,8 +90,8 @@ class ColaHost:
         if listen:
             return
         try:
-            told = self._ask(b"sRN DeviceIdent")
-            name, version = (str(word).strip() for word in decode("str str", self._dialect, told))
+            answer = self._ask(b"sRN DeviceIdent")
+            name, version = (str(word).strip() for word in decode("str str", self._dialect, answer))
         except (LineClosed, Rejected):
             raise LinkError("no CoLa device answers") from None
         self.title = f"{name} {version}"

@@ -8,7 +8,7 @@ login       user levels, hashes, challenges
 commands    variables, methods, events: the table
 filters     echo choice, fog, particle, median and mean filter
 fields, watching   field evaluation
-session     what happens when, and who is told
+session     what happens when, and to whom scans go
 """
 
 from __future__ import annotations

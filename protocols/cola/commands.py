@@ -51,7 +51,7 @@ class Device(Protocol):
 
     def challenge(self, asked: bytes, request: Request) -> Any: ...
 
-    def answer(self, told: bytes, request: Request) -> Any: ...
+    def answer(self, response: bytes, request: Request) -> Any: ...
 
     def ident(self) -> Values: ...
 
@@ -103,12 +103,12 @@ class Variable:
 
     layout: str | Callable[[Model], str]
     factory: Callable[[Settings], Values] | None
-    "As delivered; None: told by `live`."
+    "As delivered; None: computed by `live`."
     source: str
     live: Callable[[Device, int], Values] | None = None
     "(device, now_ns)"
     level: int | None = AUTHORISED
-    "Needed for writing; None: nobody writes it."
+    "Needed for writing; None: read only."
     check: Callable[[Device, Values], Code | None] | None = None
     "Why values that fit the layout are refused."
     changed: Callable[[Device, int], None] | None = None
@@ -254,7 +254,7 @@ VARIABLES: Mapping[str, Variable] = {
     "ContaminationResult": Variable(
         "u8 u8", None, "vendor's driver", lambda device, now: device.contamination(), None, on=_series("mrs")),
     "OPcurtmpdev": Variable("f32", None, MEMORY, lambda device, now: [device.celsius(now)], None,
-                            note="a law of warm-up of our own"),
+                            note="law of warm-up: an assumption"),
     "LocationName": Variable("str", _location, "recorded"),
     "EIHstCola": Variable("u8", lambda settings: [1 if settings.model.series == "mrs" else 0], LISTED,
                           check=_among(0, 1)),

@@ -1,4 +1,4 @@
-"""What the device does to echoes before it tells of them: echo choice, fog, particle, median, mean, in that order.
+"""What the device does to echoes before it sends them: echo choice, fog, particle, median, mean, in that order.
 
 Belongs here: arithmetic over beams, and what a filter remembers of earlier scans. Not: the variables that set them.
 """

@@ -1,4 +1,4 @@
-"""One CoLa device: requests of several hosts in either dialect, each with its answer, scans to whoever subscribed.
+"""One CoLa device: requests of several hosts in either dialect, each with its answer, scans to subscribers.
 
 Belongs here: the device's state over time, and what goes to whom. Not: what names mean (commands), layouts (scandata).
 """
@@ -43,7 +43,7 @@ from protocols.skeleton.sweeps import Sweep
 TICK_NS = Fraction(1000)
 SPIN_UP_SHARES = (0.2, 0.5, 0.8)
 "Of the time until it measures: STlms says motor start, then rotating, in preparation, ready."
-DEAF_NS = SECOND_NS
+NO_NETWORK_NS = SECOND_NS
 "A device that has just been switched on has no network yet; at most half of the time until it measures."
 POLLED_NS = 2 * SECOND_NS
 "So long after a poll the device goes on measuring for the next one."
@@ -66,7 +66,7 @@ class Shape:
     """One turn of the mirror at the present settings."""
 
     sweep: Sweep
-    told: slice
+    sent: slice
     "Of the beams measured, those in a telegram."
     start: int
     step: int
@@ -75,7 +75,7 @@ class Shape:
 
 @dataclass
 class Held:
-    """A scan that has been measured, for whoever subscribes before it leaves, and the last one for polls."""
+    """A scan that has been measured, for hosts that subscribe before it leaves, and the last one for polls."""
 
     start_ns: int
     due_ns: int
@@ -98,7 +98,7 @@ class ColaSession(RequestSession):
     def __init__(self, settings: Settings) -> None:
         model = settings.model
         ready_ns = round(1e9 * settings.ready_s)
-        super().__init__(min(DEAF_NS, ready_ns // 2), model.telegram_ns(settings.pair))
+        super().__init__(min(NO_NETWORK_NS, ready_ns // 2), model.telegram_ns(settings.pair))
         self.settings = settings
         self._kept: tuple[dict[str, Any], dict[int, int], Pair] = self._delivered()
         "What mEEwriteall has stored: variables, passwords, scan configuration."
@@ -133,7 +133,7 @@ class ColaSession(RequestSession):
         self._poll_until_ns = 0
         self._telegrams_made = 0
         self._date_us: int | None = None
-        "Date less device time, in microseconds since 1970; None: nobody has set it."
+        "Date less device time, in microseconds since 1970; None: it has not been set."
         self._shapes: dict[tuple[int, int], Shape] = {}
         self._line_free_ns: dict[int, int] = {}
         self._imu_goes = False
@@ -143,7 +143,7 @@ class ColaSession(RequestSession):
     # power
 
     def power_on(self, now_ns: int) -> None:
-        """What was not stored is lost; deaf for a while, measuring later."""
+        """What was not stored is lost; for a while without network, measuring later."""
         self.power_ups += 1
         super().power_on(now_ns)
 
@@ -211,13 +211,13 @@ class ColaSession(RequestSession):
         return [self.settings.model.ident, self.settings.firmware]
 
     def date(self, at_ns: int) -> tuple[int, ...]:
-        """Year to second, and microseconds: from 1970 on since power-on, unless it was set or its server tells."""
+        """Year to second, and microseconds: from 1970 on since power-on, unless it was set, or has an NTP server."""
         if self.values["TSCRole"] == [1] and self.settings.ntp_epoch_s:
             micro = round(self.settings.ntp_epoch_s * 1e6) + at_ns // 1000
         else:
             micro = self.clock.shown_ns(at_ns) // 1000 + (self._date_us or 0)
-        told = EPOCH + timedelta(microseconds=min(max(0, micro), LATEST_US))
-        return told.year, told.month, told.day, told.hour, told.minute, told.second, told.microsecond
+        date = EPOCH + timedelta(microseconds=min(max(0, micro), LATEST_US))
+        return (*date.timetuple()[:6], date.microsecond)
 
     def set_date(self, micro: int, now_ns: int) -> None:
         """The device's calendar says so many microseconds since 1970 now."""
@@ -232,7 +232,7 @@ class ColaSession(RequestSession):
             self._motor_stopped = degree != 0.0
             if self._running:
                 self.rearrange(now_ns)
-        elif what == "motor told":
+        elif what == "motor status":
             self._motor_wrong = degree != 0.0
         else:
             return super().impair(now_ns, what, degree)
@@ -263,7 +263,7 @@ class ColaSession(RequestSession):
             return
         self.pair = pair
         model = self.settings.model
-        if model.series in ("lms1", "lms5"):  # the step that is told is that of the scans, the limits stay
+        if model.series in ("lms1", "lms5"):  # the step is that of the scans, the limits stay
             ((_, first, last),) = self.values["LMPoutputRange"][0]
             self.values["LMPoutputRange"] = [[[pair[1], first, last]]]
         self._nominal_ns = model.telegram_ns(pair)
@@ -307,8 +307,8 @@ class ColaSession(RequestSession):
         return content_of(self.values["LMDscandatacfg"])
 
     def _filters(self) -> filters.Filters:
-        values, told = self.values, self.content
-        usual = [filters.ALL if told.channels & 0b11110 else filters.FIRST]
+        values = self.values
+        usual = [filters.ALL if self.content.channels & 0b11110 else filters.FIRST]
         particle, threshold = values["LFPparticle"]
         mean = values.get("LFPmeanfilter", [0, 1, 0])
         return filters.Filters(
@@ -339,10 +339,10 @@ class ColaSession(RequestSession):
         low, high = (min(max(round((edge - start) / coarse), 0), count - 1) for edge in (first, last))
         # a TiM thins its points out by the step written here; an LMS ignores it, as drivers write an old one
         every = max(1, round(step / coarse)) if model.series == "tim" else 1
-        told = slice(low, high + 1, every)
+        sent = slice(low, high + 1, every)
         beams = np.arange(count)
         if not self._watching.active:
-            beams, told = beams[told], slice(None)
+            beams, sent = beams[sent], slice(None)
         filtered = self._filters()
         plain = filtered.echo == filters.FIRST and not filtered.fog
         sweep = Sweep(
@@ -354,7 +354,7 @@ class ColaSession(RequestSession):
             max_echoes=1 if plain else model.echoes,
             wants_intensity=self.content.remission or filtered.fog,
         )
-        return Shape(sweep, told, round(start + low * coarse), round(coarse * every))
+        return Shape(sweep, sent, round(start + low * coarse), round(coarse * every))
 
     @property
     def _scale(self) -> float:
@@ -395,7 +395,7 @@ class ColaSession(RequestSession):
         sent_ns = model.transmission_ns + (turn_ns if model.series in ("lms1", "lms5") else end_ns)
         self._watching.see(scan, end_ns)
         numbers = range(plan.sweep, plan.sweep + 1)
-        found = self._chain.add(_cut(scan, shape.told), self._filters(), plan.sweep % model.layers)
+        found = self._chain.add(_cut(scan, shape.sent), self._filters(), plan.sweep % model.layers)
         takers = [
             one for one, since_ns in self._hosts.items() if one not in (POLL, WATCH) and since_ns <= plan.start_ns
         ]
@@ -450,7 +450,7 @@ class ColaSession(RequestSession):
             inputs=0,
             outputs=8 if model.series == "tim" else self._watching.bits(),
             layer_cdeg=model.layers_cdeg[number % model.layers],
-            frequencies=model.told_frequencies(self.pair),
+            frequencies=model.frequencies(self.pair),
         )
         self._telegrams_made += 1
         return Body(
@@ -477,15 +477,15 @@ class ColaSession(RequestSession):
     def _let_go(self, now_ns: int) -> None:
         """Of the scans that have ended keep the last."""
         while len(self._held) > 1 and self._held[1].due_ns <= now_ns:
-            self._tell_held(self._held.popleft(), now_ns)
+            self._note_unsent(self._held.popleft(), now_ns)
 
-    def _tell_held(self, held: Held, now_ns: int) -> None:
+    def _note_unsent(self, held: Held, now_ns: int) -> None:
         if not held.sent:
             self._events.unsent(now_ns, DropReason.KEPT, range(held.sweep, held.sweep + 1), "", held.stream)
 
     def _give_up_held(self, now_ns: int) -> None:
         while self._held:
-            self._tell_held(self._held.popleft(), now_ns)
+            self._note_unsent(self._held.popleft(), now_ns)
 
     def _serve_polls(self, due_ns: int) -> None:
         held = self._held[0]
@@ -598,19 +598,19 @@ class ColaSession(RequestSession):
     def _salt(self) -> bytes:
         return login.challenge_of(str(self.settings.serial), 0, 0) if self.settings.login == "challenge 2" else b""
 
-    def answer(self, told: bytes, request: Request) -> list[Any] | Sfa:
+    def answer(self, response: bytes, request: Request) -> list[Any] | Sfa:
         """SetUserLevel: a challenge serves once."""
         if self.settings.login == CLASSIC:
             return refusal(Code.METHOD_UNKNOWN, DropReason.UNKNOWN_COMMAND)
-        if len(told) != 33:
-            return refusal(Code.TOO_LITTLE if len(told) < 33 else Code.TOO_MUCH)
-        drawn, level = self._asked.pop(request.address, None), told[32]
+        if len(response) != 33:
+            return refusal(Code.TOO_LITTLE if len(response) < 33 else Code.TOO_MUCH)
+        drawn, level = self._asked.pop(request.address, None), response[32]
         if drawn is None:
             return [3]
         password = self.settings.passwords.get(level)
         if password is None:
             return [1]
-        if login.response(login.long_hash(level, password, self._salt), drawn) != told[:32]:
+        if login.response(login.long_hash(level, password, self._salt), drawn) != response[:32]:
             return [2]
         self.log_in(level, request)
         return [0]
@@ -638,13 +638,13 @@ class ColaSession(RequestSession):
 
     def _refusal(self, request: Request, refused: Refused) -> bytes | None:
         dialect = request.data[:1]
-        if not self._hears(dialect):
+        if not self._speaks(dialect):
             return None
         self._dialects[request.address] = dialect
         code = refused.code if isinstance(refused, Sfa) else UNKNOWN.get(request.code[:3], Code.COMMAND_UNKNOWN)
         return frame(dialect, b"sFA %X" % code if dialect == ASCII else b"sFA" + int(code).to_bytes(2, "big"))
 
-    def _hears(self, dialect: bytes) -> bool:
+    def _speaks(self, dialect: bytes) -> bool:
         """Whether it speaks that dialect at present."""
         spoken = BINARY if self.values["EIHstCola"] == [1] else ASCII
         return self.settings.dialect == "both" or dialect == spoken
@@ -652,7 +652,7 @@ class ColaSession(RequestSession):
     def _asked_for(self, request: Request) -> bytes | Answer | Refused:
         """Every row of the table leads here."""
         dialect, (raw, _, data) = request.data[:1], request.data[1:].partition(b"\0")
-        if not self._hears(dialect):
+        if not self._speaks(dialect):
             return Answer(None)
         self._dialects[request.address] = dialect
         kind, name = request.code[:3], raw.decode("ascii", "replace")
@@ -741,10 +741,10 @@ def _event(dialect: bytes, name: str, data: bytes) -> bytes:
     return frame(dialect, _named(dialect, b"sSN", name.encode(), data))
 
 
-def _cut(scan: Scan, told: slice) -> Scan:
-    """The beams that are told."""
-    if told == slice(None):
+def _cut(scan: Scan, sent: slice) -> Scan:
+    """The beams that are sent."""
+    if sent == slice(None):
         return scan
     return replace(
-        scan, range_m=scan.range_m[told], intensity=scan.intensity[told], flags=scan.flags[told], actor=scan.actor[told]
+        scan, range_m=scan.range_m[sent], intensity=scan.intensity[sent], flags=scan.flags[sent], actor=scan.actor[sent]
     )

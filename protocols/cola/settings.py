@@ -40,7 +40,7 @@ class Settings:
     "0.1 h."
     power_ups: int
     ntp_epoch_s: float
-    "What an NTP server would tell at the beginning of the run."
+    "Time of the NTP server at the beginning of the run, from 1970."
     serial_baud: int
     wide_imu: bool
 
@@ -83,7 +83,7 @@ def settings_of(keys: DeviceKeys) -> Settings:
         hours=keys.integer("operating_hours", "ODoprh at the beginning, in 0.1 h", 1_000, 0, 0xFFFFFF),
         power_ups=keys.integer("power_ups", "ODpwrc before the run", 41, 0, 0xFFFFFF),
         ntp_epoch_s=keys.number(
-            "ntp_epoch_s", "what its NTP server tells at the run's beginning, from 1970", 0.0, 0, 4e9
+            "ntp_epoch_s", "time of its NTP server at the beginning of the run, from 1970", 0.0, 0, 4e9
         ),
         serial_baud=keys.integer("serial_baud", "speed of its serial line", 57_600, 9_600, 500_000),
         wide_imu=keys.flag("imu_64_bit", "MRS1000: the IMU's time has 64 bits", True),
