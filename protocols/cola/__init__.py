@@ -8,6 +8,9 @@ login       user levels, hashes, challenges
 commands    variables, methods, events: the table
 filters     echo choice, fog, particle, median and mean filter
 fields, watching   field evaluation
+shapes      beams and telegrams at the present settings
+state       what the device remembers and says of itself
+asking      requests in either dialect, with their answers
 session     what happens when, and to whom scans go
 """
 
