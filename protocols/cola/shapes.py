@@ -1,4 +1,4 @@
-"""Which beams a scan has, which of them a telegram has, and which telegrams are not sent, at the settings of a moment.
+"""Beams of a scan, those of them in a telegram, and telegrams that are not sent, at the settings of a moment.
 
 Belongs here: geometry and choice by the variables that hosts write. Not: instants (session), echoes (filters).
 """
