@@ -18,6 +18,7 @@ from emulator.endurance.growth import Growth, look
 from emulator.endurance.guests import Guestbook, LineGuests, StreamGuests
 from emulator.endurance.repeats import repeating
 from emulator.endurance.scene import soak_scenario
+from emulator.hosts.families import is_on_can
 from emulator.instrument.instrument import Instrument
 from emulator.measuring.measuring import InPlace
 from emulator.process.clock import SystemClock
@@ -93,7 +94,7 @@ class Soak:
         for index, session in enumerate(assembly.new_sessions(scenario)):
             name = names[index]
             link: Link
-            if assembly.family_of(scenario, index).name == "can_objects":
+            if is_on_can(assembly.family_of(scenario, index).name):
                 bus = GuestBus(draws[name], self.books[name])
                 link = buses.link(f"can:{name}", lambda bus=bus: (CanWire(BITRATE), bus))  # type: ignore[misc]
             else:

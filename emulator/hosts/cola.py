@@ -5,7 +5,8 @@ Belongs here: start-up, decoding of LMDscandata, giving up. Not: bytes (protocol
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -180,3 +181,8 @@ class ColaScript:
                 self._line.write(frame(BINARY, b"sEN LMDscandata \x01"), now_ns)
             self._again_ns = now_ns + AGAIN_NS
         return self._again_ns
+
+
+def cola_script(line: HostEnd, on_scan: Callable[[int, HostScan], None], device: Mapping[str, Any]) -> ColaScript:
+    """For `lidaremu test`."""
+    return ColaScript(line, on_scan)

@@ -17,12 +17,14 @@ session     what happens when, and to whom scans go
 from __future__ import annotations
 
 from protocols.cola.commands import rows
-from protocols.cola.framing import ColaFraming
+from protocols.cola.framing import ColaFraming, frame
 from protocols.cola.session import ColaSession
 from protocols.cola.settings import settings_of
+from protocols.cola.values import BINARY
 from protocols.session import LinkKind, Session
 from protocols.skeleton.family import SimpleFamily
 from protocols.skeleton.keys import DeviceKeys
+from protocols.wire import Wire
 
 
 def new_session(keys: DeviceKeys) -> ColaSession:
@@ -38,4 +40,10 @@ class ColaFamily(SimpleFamily):
         return ColaFraming()
 
 
-FAMILY = ColaFamily("cola", tcp_is_line=False, build=new_session, rows=rows())
+WIRE = Wire(
+    (LinkKind.STREAM, LinkKind.SERIAL, LinkKind.DATAGRAM),
+    lambda kind: ColaFraming(),
+    LinkKind.STREAM,
+    (frame(BINARY, b"sEN LMDscandata \x01"),),
+)
+FAMILY = ColaFamily("cola", tcp_is_line=False, build=new_session, rows=rows(), wire=WIRE)
