@@ -230,6 +230,7 @@ class Session(ABC):
 
         `window`: transmission of its front window. `motor speed`: factor on the nominal speed. `motor status`: its
         monitoring reports the motor right (0), too fast (1) or too slow (-1). `motor stopped`: (1), or turns again (0).
+        `busy`: it refuses every request (1). `login`: it refuses every login (1).
         """
         return False
 

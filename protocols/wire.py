@@ -25,6 +25,8 @@ class Wire:
     asked_on: LinkKind | None = None
     "Link on which `requests` make a device measure all the time; None: nothing makes it."
     requests: tuple[bytes, ...] = ()
+    impaired: tuple[str, ...] = ()
+    "What `Session.impair` of its devices takes beside window and motor."
 
     @property
     def usual(self) -> LinkKind:
@@ -61,6 +63,11 @@ def wire_of(name: str | None) -> Wire | None:
         return None
     found = family(name)
     return found.wire if isinstance(found, HasWire) else ANY
+
+
+def impaired_by(what: str) -> tuple[str, ...]:
+    """Names of the families whose devices can be impaired so."""
+    return tuple(name for name in families() if (wire := wire_of(name)) is not None and what in wire.impaired)
 
 
 def changing(method: str) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from emulator.config.tables import DescribedTable
 from protocols.session import LinkKind
-from protocols.wire import changing, wire_of
+from protocols.wire import changing, impaired_by, wire_of
 
 if TYPE_CHECKING:
     from emulator.faults.acts import Act, Gear
@@ -72,6 +72,8 @@ class Kind:
     "Empty: all."
     needs: str = ""
     "A method of `protocols.framing.Framing` that telegrams of the family must support."
+    needs_part: str = ""
+    "What `Session.impair` of the family must take (`Wire.impaired`)."
     needs_session: bool = False
     "It is the device that shows it: a model without a protocol has none."
     links: tuple[LinkKind, ...] = ()
@@ -94,18 +96,24 @@ class Kind:
         if self.families:
             return family in self.families
         if family is None:
-            return not (self.needs or self.needs_session)
+            return not (self.needs or self.needs_part or self.needs_session)
         wire = wire_of(family)
-        return not self.needs or wire is None or wire.changes(self.needs)
+        if wire is None:
+            return True
+        return (not self.needs or wire.changes(self.needs)) and (
+            not self.needs_part or self.needs_part in wire.impaired
+        )
 
     def known_families(self) -> tuple[str, ...]:
         """Those that it is for, by name; empty: all."""
+        if self.needs_part:
+            return impaired_by(self.needs_part)
         return self.families or (changing(self.needs) if self.needs else ())
 
     def unfit(self, target: Target) -> str | None:
         """Why it does not exist on that sensor, `found; want allowed`; None when it does."""
         if not self.is_for(target.family):
-            found = _or(self.known_families()) if self.families or self.needs else "a family"
+            found = _or(self.known_families()) if self.known_families() else "a family"
             return f"{target.model} speaks {target.family or 'no protocol'}; want a sensor of {found}"
         if target.sees not in self.sees:
             lists = "lists objects" if target.sees == "objects" else "lists no objects"

@@ -14,6 +14,7 @@ from pydantic import Field
 
 from emulator.faults.acts import Act, Gear
 from emulator.faults.config import Common
+from emulator.faults.impairments import impair
 from emulator.faults.kinds import FROM_HOST, TO_HOST, Keys, Kind, Target
 from emulator.transports.link import Received
 from protocols.framing import Framing
@@ -259,6 +260,21 @@ class Refuse(Act):
         self._held.clear()
 
 
+class Refusing(Act):
+    """The device itself refuses, for as long as the fault lasts."""
+
+    def __init__(self, gear: Gear, what: str) -> None:
+        super().__init__(gear)
+        self._what = what
+
+    def begin(self, now_ns: int) -> None:
+        impair(self.gear, now_ns, self._what, 1.0)
+        self.gear.hit(now_ns)
+
+    def end(self, now_ns: int) -> None:
+        impair(self.gear, now_ns, self._what, None)
+
+
 def _has(method: str) -> Callable[[Keys, Common, Target], str | None]:
     """A check: whether the family's framing on the target's links has such a field."""
 
@@ -405,5 +421,23 @@ KINDS: tuple[Kind, ...] = (
         directions=FROM_HOST,
         needs="to_be_refused",
         check=_has("to_be_refused"),
+    ),
+    _kind(
+        "device_busy",
+        "The device answers every request with `device busy`; scans continue.",
+        "Requests are carried out.",
+        act=lambda keys, gear: Refusing(gear, "busy"),
+        directions=(),
+        lasts="state",
+        needs_part="busy",
+    ),
+    _kind(
+        "refuse_login",
+        "The device refuses every login, also with the correct password.",
+        "Logins succeed; those from before the fault were never lost.",
+        act=lambda keys, gear: Refusing(gear, "login"),
+        directions=(),
+        lasts="state",
+        needs_part="login",
     ),
 )

@@ -45,5 +45,6 @@ WIRE = Wire(
     lambda kind: ColaFraming(),
     LinkKind.STREAM,
     (frame(BINARY, b"sEN LMDscandata \x01"),),
+    impaired=("busy", "login"),
 )
 FAMILY = ColaFamily("cola", tcp_is_line=False, build=new_session, rows=rows(), wire=WIRE)

@@ -45,7 +45,9 @@ class ColaAsking(ColaState):
     # user levels
 
     def log_in(self, level: int, request: Request) -> bool:
-        """A host has that level from now on."""
+        """A host has that level from now on; False: refused."""
+        if self._refuses_login and level != login.RUN:
+            return False
         was_still = self._still
         self._levels[request.address] = level
         if self._still != was_still:
@@ -82,8 +84,7 @@ class ColaAsking(ColaState):
             return [1]
         if login.response(login.long_hash(level, password, self._salt), drawn) != response[:32]:
             return [2]
-        self.log_in(level, request)
-        return [0]
+        return [0 if self.log_in(level, request) else 2]
 
     def _may(self, level: int, request: Request) -> bool:
         return not self.settings.strict or self._levels.get(request.address, login.RUN) >= level
@@ -128,6 +129,8 @@ class ColaAsking(ColaState):
         if not self._speaks(dialect):
             return Answer(None)
         self._dialects[request.address] = dialect
+        if self._busy:
+            return refusal(Code.BUSY, DropReason.BUSY)
         kind, name = request.code[:3], raw.decode("ascii", "replace")
         try:
             if kind == b"sRI":

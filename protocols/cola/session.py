@@ -189,7 +189,7 @@ class ColaSession(ColaAsking):
         return Body(
             header, found.range_m, found.intensity, found.flags, shape.start, shape.step, setup.scale,
             model.nearest_raw, content, setup.echoes(),
-            encoders=((0, 0),) if content.encoder and self.values.get("LICencset", [0]) != [0] else (),
+            encoders=setup.encoders(told.true_ns),
             name=self.values["LocationName"][0],
             date=self.date(told.true_ns) if content.time and model.sends_time else None,
         )  # fmt: skip

@@ -5,7 +5,8 @@ Belongs here: geometry and choice by the variables that hosts write. Not: instan
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -61,10 +62,22 @@ class Setup:
         return filters.Filters(
             echo=values.get("FREchoFilter", usual)[0],
             fog=self.settings.fog,
+            edge_m=self.settings.edge_m if self.settings.model.series == "mrs" else 0.0,
+            angles=_angles(values.get("LFPangleRangeFilter", [0])),
             particle_m=threshold / 1000.0 if particle else None,
             median=values.get("LFPmedianfilter", [0])[0] == 1,
             mean=mean[1] if mean[0] else 1,
         )
+
+    def encoders(self, at_ns: int) -> tuple[tuple[int, int], ...]:
+        """Position in ticks and speed in mm/s at an instant; an encoder of one channel has no sign."""
+        mode = self.values.get("LICencset", [0])[0]
+        if not self.content.encoder or not mode:
+            return ()
+        speed = abs(self.settings.encoder_mm_s) if mode == 1 else self.settings.encoder_mm_s
+        per_tick_mm = self.values["LICencres"][0]
+        ticks = math.floor(speed * at_ns * 1e-9 / per_tick_mm)
+        return ((ticks & 0xFFFFFFFF, round(abs(speed)) & 0xFFFF),)
 
     def echoes(self) -> int:
         """Number of echoes in a telegram."""
@@ -116,3 +129,8 @@ class Setup:
         while self.kept_back(found):  # layers that are switched off
             found += 1 if (found + 1) % layers else 1 + (interval - 1) * layers
         return found - number
+
+
+def _angles(values: Sequence[Any]) -> filters.Angles | None:
+    """LFPangleRangeFilter: on, azimuth and elevation from and to, every n-th beam."""
+    return filters.Angles(*values[1:]) if values[0] else None

@@ -192,6 +192,10 @@ class ColaState(RequestSession):
         self.advance(now_ns)
         if what == "window":
             self.window = degree
+        elif what == "busy":
+            self._busy = degree != 0.0
+        elif what == "login":
+            self._refuses_login = degree != 0.0
         elif what == "motor stopped":
             self._motor_stopped = degree != 0.0
             if self._running:
@@ -227,4 +231,4 @@ class ColaState(RequestSession):
         """The settings that scans depend on."""
         return Setup(self.settings, self.values, self.pair)
 
-    _motor_wrong = False
+    _motor_wrong = _busy = _refuses_login = False
