@@ -179,6 +179,8 @@ class Session(ABC):
     "Where the device's counter of scans or telegrams begins at power-on."
     count_bits: int = 0
     "Width of that counter; 0: the wire has none."
+    restart_hangs_up: bool = False
+    "Whether its TCP connections end when it restarts at a host's request."
 
     @abstractmethod
     def power_on(self, now_ns: int) -> None:

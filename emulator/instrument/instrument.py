@@ -24,6 +24,7 @@ from protocols.errors import ScanRefused
 from protocols.framing import Frames, Framing
 from protocols.scan import Scan, ScanPlan
 from protocols.session import Address, DropReason, Emission, Event, LinkKind, Restarted, Session
+from protocols.timebase import inside
 
 if TYPE_CHECKING:
     from emulator.instrument.fault_hooks import FaultHooks, Passed
@@ -112,6 +113,8 @@ class Instrument:
         "It wants to be stepped now, whatever it said: something outside has changed."
         self.impairments: dict[str, dict[int, float]] = {}
         "What befalls the device, and how much by the number of each fault."
+        self._switched_ns = 0
+        "When it was switched on last."
         self._cuts = 0
         "Power cuts that have not ended."
         self._lives = 0
@@ -144,6 +147,7 @@ class Instrument:
         for index, link in enumerate(self.links):
             if link.kind is not LinkKind.STREAM:
                 self.session.connected(now_ns, Address(index, 0), link.kind)
+        self._switched_ns = now_ns
         self.session.power_on(now_ns)
 
     def step(self, now_ns: int) -> int | None:
@@ -172,6 +176,8 @@ class Instrument:
             self._release(now_ns)
         self._note_events(events)
         wakes = [link.flush(now_ns) for link in self.links]
+        if any(isinstance(event, Restarted) and event.at_ns > self._switched_ns for event in events):
+            self._hang_up(now_ns)
         self.input_budget.settle(now_ns)
         if self.input_budget.rests(now_ns):  # a link whose input waits for us wants to be asked now; it has to wait
             wakes = [wake for wake in wakes if wake is not None and wake > now_ns]
@@ -208,6 +214,12 @@ class Instrument:
         """Whether the device is switched on."""
         return not self._cuts
 
+    def _hang_up(self, now_ns: int) -> None:
+        """The device has restarted by itself: its reply has left, its connections are no more, if it has a network."""
+        if inside(self.session, 0)[0].restart_hangs_up and sum(link.reset_hosts() for link in self.links):
+            self.connections_seen += 1
+            self.poked = True
+
     def power_off(self, now_ns: int) -> int:
         """Cut the power: what has not left is gone, in the middle of a byte if need be; how many bytes those were."""
         self._cuts += 1
@@ -235,6 +247,7 @@ class Instrument:
             self.session.disconnected(now_ns, address)
         self._peers.clear()
         self.stats.last_scan_due_ns = None
+        self._switched_ns = now_ns
         self.session.power_on(now_ns)
 
     def set_line_speed(self, index: int, now_ns: int, baud: int | None) -> None:

@@ -55,6 +55,7 @@ class ColaState(RequestSession):
     clock_tick_ns = TICK_NS
     clock_bits = 32
     count_bits = 16
+    restart_hangs_up = True
 
     @abstractmethod
     def rearrange(self, now_ns: int) -> None:

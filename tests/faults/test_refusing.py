@@ -1,4 +1,4 @@
-"""Devices that refuse requests or logins for a while, in virtual time; and for whom these faults exist."""
+"""Devices that refuse requests or logins, or restart, in virtual time; and for whom these faults exist."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ from emulator.errors import ScenarioError
 from emulator.faults.catalogue import fits, kinds
 from emulator.judging.trial import Trial
 from emulator.scenario import scenario
+from emulator.transports.loopback import LoopLink
+from protocols.cola.framing import frame
+from protocols.cola.values import ASCII
 
 TEXT = """\
 schema: 1
@@ -44,3 +47,24 @@ def test_only_families_that_state_it_have_the_fault(do: str) -> None:
     assert fits(kinds()[do]) == "cola"
     with pytest.raises(ScenarioError, match="want a sensor of cola"):
         trial(do, "sick-lms291-s05")
+
+
+def test_a_restart_at_a_hosts_request_sends_its_reply_and_ends_the_connections() -> None:
+    made = trial("device_busy")
+    made.faults.clear(1, 0)
+    (instrument,) = made.instruments
+    link = instrument.links[0]
+    assert isinstance(link, LoopLink)
+    host = link.connect()
+    made.run.advance(4_000_000_000)
+    assert host.connected
+    for text in (b"sMN SetAccessMode 3 F4724744", b"sMN mSCreboot"):
+        host.write(frame(ASCII, text), made.run.clock.now_ns())
+        made.run.advance(made.run.clock.now_ns() + 500_000_000)
+    assert host.read().endswith(b"\x02sAN mSCreboot\x03")
+    assert not host.connected
+    assert instrument.stats.restarts == 2
+    sent = instrument.stats.scans_sent
+    made.run.advance(made.run.clock.now_ns() + 6_000_000_000)
+    assert instrument.stats.scans_sent > sent, "the built-in host has connected again"
+    made.close()
