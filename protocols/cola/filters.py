@@ -39,7 +39,7 @@ class Angles:
         azimuth, elevation = plan.azimuth_rad, plan.elevation_rad
         inside = (azimuth >= self.azimuth_from) & (azimuth <= self.azimuth_to)
         inside &= (elevation >= self.elevation_from) & (elevation <= self.elevation_to)
-        return ~inside | (np.arange(len(azimuth)) % self.every != 0)
+        return np.asarray(~inside | (np.arange(len(azimuth)) % self.every != 0))
 
 
 @dataclass(frozen=True)
