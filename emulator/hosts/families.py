@@ -67,7 +67,7 @@ def is_on_can(family: str | None) -> bool:
     return wire is not None and wire.on_can_only
 
 
-def free_link(family: str, sensor: str, folder: Path) -> str | None:
+def free_link(family: str | None, sensor: str, folder: Path) -> str | None:
     """A link that no other run uses, of the kind that a family usually has; None: there is no such family."""
     wire = wire_of(family)
     if wire is None:

@@ -35,6 +35,14 @@ class ColaAsking(ColaState):
     REPLY_NS: ClassVar[int] = 2_000_000
 
     @abstractmethod
+    def start_measuring(self, now_ns: int) -> None:
+        """The mirror turns."""
+
+    @abstractmethod
+    def stop_measuring(self, now_ns: int) -> None:
+        """No scans."""
+
+    @abstractmethod
     def _poll(self, request: Request) -> Answer | Refused:
         """The last scan."""
 
