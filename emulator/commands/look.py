@@ -9,7 +9,7 @@ import click
 
 from emulator.commands.common import LONGEST_S, Finite
 from emulator.errors import EmulatorError
-from emulator.hosts.families import names
+from emulator.hosts.families import is_on_can, names
 from emulator.output.lines import note, say
 
 
@@ -45,12 +45,12 @@ def look(
     With --png alone one scan is taken. Where scans come without replies, as from lidaremu replay, it listens;
     when the other end closes the line it says so and ends.
     """
-    from emulator.looking.look import CAN_FAMILY, Wanted, connect, run_look
+    from emulator.looking.look import Wanted, connect, run_look
     from emulator.looking.look_files import require_matplotlib
     from emulator.looking.screen import drawable
 
-    if family_name != CAN_FAMILY and (model is not None or extended):
-        raise click.UsageError(f"--model and --extended apply only to --family {CAN_FAMILY}")
+    if not is_on_can(family_name) and (model is not None or extended):
+        raise click.UsageError("--model and --extended apply only to --family can_objects")
     if png is not None:
         require_matplotlib()
         if scans is None and duration is None:

@@ -216,7 +216,7 @@ class Instrument:
 
     def _hang_up(self, now_ns: int) -> None:
         """The device has restarted by itself: its reply has left, its connections are no more, if it has a network."""
-        if inside(self.session, 0)[0].restart_hangs_up and sum(link.reset_hosts() for link in self.links):
+        if inside(self.session, 0)[0].restart_hangs_up and sum([link.reset_hosts() for link in self.links]) > 0:
             self.connections_seen += 1
             self.poked = True
 

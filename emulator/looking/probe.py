@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from emulator.errors import EmulatorError, LinkError
 from emulator.hosts.families import BUILT_IN, found_at, on_lines
@@ -65,7 +66,7 @@ def tries(tcp: bool) -> list[Try]:
 
     usual = LinkKind.STREAM if tcp else LinkKind.SERIAL
     own = sorted(on_lines(), key=lambda name: (wire := wire_of(name)) is None or wire.usual is not usual)
-    found: list[Try] = [(name, lambda line, name=name: _built_in(name, line)) for name in own]
+    found: list[Try] = [(name, partial(_built_in, name)) for name in own]
     for name in families():
         known = family(name) if name not in BUILT_IN else None
         if isinstance(known, HasHost):
