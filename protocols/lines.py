@@ -36,8 +36,8 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     },
     "cola": {
         "codec": "values framing scandata login",
-        "commands": "commands",
-        "session": "session filters fields watching",
+        "commands": "commands asking",
+        "session": "session state shapes filters fields watching",
         "settings": "settings models",
         "other": "__init__",
     },

@@ -179,6 +179,8 @@ class Session(ABC):
     "Where the device's counter of scans or telegrams begins at power-on."
     count_bits: int = 0
     "Width of that counter; 0: the wire has none."
+    restart_hangs_up: bool = False
+    "Whether its TCP connections end when it restarts at a host's request."
 
     @abstractmethod
     def power_on(self, now_ns: int) -> None:
@@ -230,6 +232,7 @@ class Session(ABC):
 
         `window`: transmission of its front window. `motor speed`: factor on the nominal speed. `motor status`: its
         monitoring reports the motor right (0), too fast (1) or too slow (-1). `motor stopped`: (1), or turns again (0).
+        `busy`: it refuses every request (1). `login`: it refuses every login (1).
         """
         return False
 

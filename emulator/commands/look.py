@@ -9,14 +9,13 @@ import click
 
 from emulator.commands.common import LONGEST_S, Finite
 from emulator.errors import EmulatorError
+from emulator.hosts.families import is_on_can, names
 from emulator.output.lines import note, say
 
 
 @click.command()
 @click.argument("link")
-@click.option(
-    "--family", "family_name", default="lms2xx", show_default=True, help="Protocol: lms2xx, ld, cola or can_objects."
-)
+@click.option("--family", "family_name", default="lms2xx", show_default=True, help=f"Protocol: {names()}.")
 @click.option("--model", metavar="NAME", help="Format of object lists, for example can-ars408 (default: detected).")
 @click.option("--extended", is_flag=True, help="Also request class, size and existence from an ARS408 (not stored).")
 @click.option("--baud", type=int, default=38_400, show_default=True, help="Line speed to request (serial).")
@@ -46,12 +45,12 @@ def look(
     With --png alone one scan is taken. Where scans come without replies, as from lidaremu replay, it listens;
     when the other end closes the line it says so and ends.
     """
-    from emulator.looking.look import CAN_FAMILY, Wanted, connect, run_look
+    from emulator.looking.look import Wanted, connect, run_look
     from emulator.looking.look_files import require_matplotlib
     from emulator.looking.screen import drawable
 
-    if family_name != CAN_FAMILY and (model is not None or extended):
-        raise click.UsageError(f"--model and --extended apply only to --family {CAN_FAMILY}")
+    if not is_on_can(family_name) and (model is not None or extended):
+        raise click.UsageError("--model and --extended apply only to --family can_objects")
     if png is not None:
         require_matplotlib()
         if scans is None and duration is None:
@@ -72,7 +71,7 @@ def look(
     help="Name of a built-in scenario, or a path (default: one with a sensor of the family).",
 )
 @click.option("--sensor", help="Sensor to show (default: the first of the family).")
-@click.option("--family", "family_name", metavar="F", help="lms2xx (default), ld, cola or can_objects.")
+@click.option("--family", "family_name", metavar="F", help=f"{names()}; default lms2xx.")
 @click.option(
     "--duration", type=Finite(0.0, LONGEST_S), default=None, metavar="S", help="Stop after this many seconds."
 )

@@ -39,8 +39,8 @@ MOST_HOURS, MOST_REAL_S = 24.0 * 14, 86_400.0 * 7
 )
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on standard output.")
 def soak(hours: float | None, real_s: float | None, seed: int, out: Path | None, as_json: bool) -> int:
-    """LMS291, LD-LRS and an object list while hosts come, go and misbehave: no leak, no scan lost unaccounted, clean
-    data for every host that behaves. In virtual time, or with --real as a daemon with real links.
+    """LMS291, LD-LRS, TiM551 and an object list while hosts come, go and misbehave: no leak, no scan lost unaccounted,
+    clean data for every host that behaves. In virtual time, or with --real as a daemon with real links.
     """
     if hours is not None and real_s is not None:
         raise click.UsageError("--hours is virtual time, --real is real time; want one of them")

@@ -13,9 +13,20 @@ from typing import Protocol
 
 import numpy as np
 
-from emulator.endurance.scene import LD_BEAMS, LD_RATE_HZ, LMS_BEAMS, LMS_RATE_HZ, WALL_M
+from emulator.endurance.scene import (
+    COLA_BEAMS,
+    COLA_RATE_HZ,
+    LD_BEAMS,
+    LD_RATE_HZ,
+    LMS_BEAMS,
+    LMS_RATE_HZ,
+    WALL_M,
+)
+from emulator.hosts.cola import ColaScript
 from emulator.hosts.scans import HostScan
-from emulator.hosts.scripted import LdScript, Lms2xxScript
+from emulator.hosts.scripted import LdScript, Lms2xxScript, Script
+from protocols.cola.framing import frame
+from protocols.cola.values import ASCII, BINARY
 from protocols.ld.telegrams import payload_of
 from protocols.ld.usp import encode_frame
 from protocols.lms2xx.telegrams import request
@@ -205,6 +216,31 @@ class LineGuests:
         self._act = act
 
 
+@dataclass(frozen=True)
+class Tongue:
+    """What hosts of a family say on TCP."""
+
+    script: Callable[[HostEnd, Judge], Script]
+    "The well-behaved one."
+    beams: int
+    rate_hz: float
+    request: bytes
+    "A whole one that costs the device a reply."
+    subscribe: bytes
+    "Asked by a host that goes at once."
+    huge: bytes
+    "The beginning of a telegram whose length field is absurd."
+
+
+LD_TONGUE = Tongue(
+    LdScript, LD_BEAMS, LD_RATE_HZ, LD_IDENT, encode_frame(payload_of(0x0301, 3, 0x0A)), b"\x02USP\xff\xff\xff\xff"
+)
+COLA_TONGUE = Tongue(
+    ColaScript, COLA_BEAMS, COLA_RATE_HZ, frame(BINARY, b"sRN DeviceIdent"), frame(ASCII, b"sEN LMDscandata 1"),
+    b"\x02\x02\x02\x02\xff\xff\xff\xff",
+)  # fmt: skip
+
+
 class StreamGuests:
     """Hosts of a sensor on TCP: a well-behaved one that stays, and others beside it."""
 
@@ -212,13 +248,21 @@ class StreamGuests:
              "asks and goes")  # fmt: skip
 
     def __init__(
-        self, link: Reachable, rng: np.random.Generator, book: Guestbook, period_ns: float = SECOND_NS / LD_RATE_HZ
+        self,
+        link: Reachable,
+        rng: np.random.Generator,
+        book: Guestbook,
+        period_ns: float | None = None,
+        tongue: Tongue = LD_TONGUE,
     ) -> None:
+        """`period_ns`: between two scans, None: that of the device; infinite where hosts read when they get round."""
+        self._tongue = tongue
         self._link = link
         self._rng = rng
         self._book = book
-        self._judge = Judge(book, LD_BEAMS, period_ns, 0)
-        self._good = LdScript(link.connect(0), self._judge)
+        period_ns = SECOND_NS / tongue.rate_hz if period_ns is None else period_ns
+        self._judge = Judge(book, tongue.beams, period_ns, 0)
+        self._good = tongue.script(link.connect(0), self._judge)
         book.visits["well-behaved"] += 1
         self._other: HostEnd | None = None
         self._kind = ""
@@ -253,20 +297,20 @@ class StreamGuests:
         self._next_ns = now_ns
 
     def _act(self, host: HostEnd, now_ns: int) -> int:
-        rng = self._rng
+        rng, request = self._rng, self._tongue.request
         if self._kind == "half a frame":
-            host.write(LD_IDENT[: int(rng.integers(1, len(LD_IDENT)))], now_ns)
+            host.write(request[: int(rng.integers(1, len(request)))], now_ns)
             return round(rng.uniform(0.01, 2.0) * SECOND_NS)
         if self._kind == "random bytes":
             host.write(noise(rng, 1000), now_ns)
         elif self._kind == "flood of requests":
-            host.write(LD_IDENT * 50, now_ns)
+            host.write(request * 50, now_ns)
             if now_ns >= self._came_ns + FLOOD_NS:
                 return 10 * SECOND_NS
         elif self._kind == "huge length":
-            host.write(b"\x02USP\xff\xff\xff\xff" + noise(rng, 100), now_ns)
+            host.write(self._tongue.huge + noise(rng, 100), now_ns)
         elif self._kind == "asks and goes":
-            host.write(encode_frame(payload_of(0x0301, 3, 0x0A)), now_ns)
+            host.write(self._tongue.subscribe, now_ns)
             return 10 * SECOND_NS
         else:
             return 10 * SECOND_NS

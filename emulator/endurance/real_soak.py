@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from emulator.endurance.growth import Growth, cpu_s, look
-from emulator.endurance.guests import Guestbook, LineGuests, StreamGuests
+from emulator.endurance.guests import COLA_TONGUE, Guestbook, LineGuests, StreamGuests
 from emulator.endurance.process_guests import Saboteur
 from emulator.endurance.real_guests import Endpoint, Intruders, ListReader, Terminal
 from emulator.endurance.scene import soak_text
@@ -51,7 +51,7 @@ def run_real(seconds: float, seed: int, progress: Callable[[float], None] = lamb
 
 
 def _run_in(folder: Path, seconds: float, seed: int, progress: Callable[[float], None]) -> Soaked:
-    text = soak_text(seed, f"pty:{folder}/front", "tcp:127.0.0.1:0", "socketcand:127.0.0.1:0/can0")
+    text = soak_text(seed, f"pty:{folder}/front", "tcp:127.0.0.1:0", "socketcand:127.0.0.1:0/can0", "tcp:127.0.0.1:0")
     (folder / "soak.yaml").write_text(text, encoding="utf-8")
     control = folder / "control.sock"
     daemon = subprocess.Popen(
@@ -92,14 +92,17 @@ def _soak(
     saboteur: Saboteur, progress: Callable[[float], None],
 ) -> tuple[Growth, float]:  # fmt: skip
     clock = SystemClock()
-    draws = [np.random.default_rng((seed, number)) for number in range(5)]
-    places = [Endpoint(_address(links["top"])), Endpoint(_address(links["objects"])), Endpoint(control)]
+    draws = [np.random.default_rng((seed, number)) for number in range(4)]
+    draws.append(np.random.default_rng((seed, 6)))
+    names = ("top", "objects", "gate")
+    places = [*(Endpoint(_address(links[name])) for name in names), Endpoint(control)]
     terminal = Terminal(links["front"].partition(":")[2])
-    top, can, orders = places
+    top, can, gate, orders = places
     stay_s = (min(3.0, seconds / 12.0), min(60.0, seconds / 8.0))
     hosts: list[Any] = [
         LineGuests(terminal, draws[0], books["front"], stay_s, np.inf),
         StreamGuests(top, draws[1], books["top"], np.inf),
+        StreamGuests(gate, draws[4], books["gate"], np.inf, COLA_TONGUE),
         ListReader(can, links["objects"].rpartition("/")[2], books["objects"]),
         Intruders(can, draws[2], books["objects"].visits, CAN_WORDS),
         Intruders(orders, draws[3], books["control"].visits, ORDERS),

@@ -1,4 +1,4 @@
-"""The scenario of a soak: an LMS291 at 37.5 scans a second, an LD-LRS, an object list on CAN; cheap to measure."""
+"""The scenario of a soak: LMS291 at 37.5 scans per second, LD-LRS, TiM551, an object list on CAN; cheap to measure."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from pathlib import Path
 from emulator.scenario import scenario
 from emulator.scenario.scenario import Scenario
 
-LMS_RATE_HZ, LD_RATE_HZ, LIST_RATE_HZ = 37.5, 5.0, 1e3 / 75.0
-LMS_BEAMS, LD_BEAMS = 361, 360
+LMS_RATE_HZ, LD_RATE_HZ, COLA_RATE_HZ, LIST_RATE_HZ = 37.5, 5.0, 15.0, 1e3 / 75.0
+LMS_BEAMS, LD_BEAMS, COLA_BEAMS = 361, 360, 271
 WALL_M = 8.0
-"What the middle beam of both scanners sees."
+"What the middle beam of the scanners sees."
 
 _TEXT = """\
 schema: 1
@@ -36,6 +36,11 @@ sensors:
     device: {{delays: fast, step_deg: 1.0, motor_hz: 5}}
     physics: {physics}
     links: ["{top}"]
+  - id: gate
+    model: sick-tim551
+    mount: {{at_m: [0, 0, 1]}}
+    physics: {physics}
+    links: ["{gate}"]
   - id: objects
     model: can-ars408
     from: [front]
@@ -45,9 +50,15 @@ sensors:
 _PHYSICS = "{rule: axis, sub_beams: 1, background: false, weather_echoes: false}"
 
 
-def soak_text(seed: int, front: str = "loop:front", top: str = "loop:top", objects: str = "can:virtual:soak") -> str:
+def soak_text(
+    seed: int,
+    front: str = "loop:front",
+    top: str = "loop:top",
+    objects: str = "can:virtual:soak",
+    gate: str = "loop:gate",
+) -> str:
     """The scenario with these links."""
-    return _TEXT.format(seed=seed, physics=_PHYSICS, front=front, top=top, objects=objects)
+    return _TEXT.format(seed=seed, physics=_PHYSICS, front=front, top=top, objects=objects, gate=gate)
 
 
 def soak_scenario(seed: int) -> Scenario:

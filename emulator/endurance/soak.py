@@ -1,4 +1,4 @@
-"""A day in virtual time: three sensors, hosts that come, go and misbehave, and the account at the end.
+"""A day in virtual time: four sensors, hosts that come, go and misbehave, and the account at the end.
 
 Belongs here: putting the run together, sampling, the verdict. Not: the hosts (guests), the real-time soak (real_soak).
 """
@@ -15,9 +15,10 @@ import numpy as np
 
 from emulator.endurance.bus_guests import GuestBus
 from emulator.endurance.growth import Growth, look
-from emulator.endurance.guests import Guestbook, LineGuests, StreamGuests
+from emulator.endurance.guests import COLA_TONGUE, Guestbook, LineGuests, StreamGuests
 from emulator.endurance.repeats import repeating
 from emulator.endurance.scene import soak_scenario
+from emulator.hosts.families import is_on_can
 from emulator.instrument.instrument import Instrument
 from emulator.measuring.measuring import InPlace
 from emulator.process.clock import SystemClock
@@ -93,7 +94,7 @@ class Soak:
         for index, session in enumerate(assembly.new_sessions(scenario)):
             name = names[index]
             link: Link
-            if assembly.family_of(scenario, index).name == "can_objects":
+            if is_on_can(assembly.family_of(scenario, index).name):
                 bus = GuestBus(draws[name], self.books[name])
                 link = buses.link(f"can:{name}", lambda bus=bus: (CanWire(BITRATE), bus))  # type: ignore[misc]
             else:
@@ -103,6 +104,7 @@ class Soak:
         hosts: list[VirtualHost] = [
             LineGuests(loops["front"], draws["front"], self.books["front"], stay_s),
             StreamGuests(loops["top"], draws["top"], self.books["top"]),
+            StreamGuests(loops["gate"], draws["gate"], self.books["gate"], tongue=COLA_TONGUE),
         ]
         self._run = VirtualRun(self.instruments, hosts)
         self._run.power_on()

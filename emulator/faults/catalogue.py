@@ -63,7 +63,7 @@ def rows(name: str | None = None) -> list[dict[str, object]]:
 
 def fits(kind: Kind) -> str:
     """For which sensors and links a kind exists, in a few words."""
-    parts = [*kind.families, *(one.value for one in kind.links)]
+    parts = [*kind.known_families(), *(one.value for one in kind.links)]
     if kind.sees != ("beams", "objects"):
         parts += [f"sees {one}" for one in kind.sees]
     return ", ".join(parts) or "all"

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from emulator.config.tables import DescribedTable
 from protocols.session import LinkKind
+from protocols.wire import changing, impaired_by, wire_of
 
 if TYPE_CHECKING:
     from emulator.faults.acts import Act, Gear
@@ -69,6 +70,12 @@ class Kind:
     "How long a fault with these keys lasts."
     families: tuple[str, ...] = ()
     "Empty: all."
+    needs: str = ""
+    "A method of `protocols.framing.Framing` that telegrams of the family must support."
+    needs_part: str = ""
+    "What `Session.impair` of the family must take (`Wire.impaired`)."
+    needs_session: bool = False
+    "It is the device that shows it: a model without a protocol has none."
     links: tuple[LinkKind, ...] = ()
     "Kinds of link on which it exists; empty: all."
     sees: tuple[str, ...] = ("beams", "objects")
@@ -84,10 +91,30 @@ class Kind:
         """Whether `of`, `label` and `direction` mean something to it without a trigger that counts."""
         return bool(self.directions)
 
+    def is_for(self, family: str | None) -> bool:
+        """Whether it exists on sensors of that family."""
+        if self.families:
+            return family in self.families
+        if family is None:
+            return not (self.needs or self.needs_part or self.needs_session)
+        wire = wire_of(family)
+        if wire is None:
+            return True
+        return (not self.needs or wire.changes(self.needs)) and (
+            not self.needs_part or self.needs_part in wire.impaired
+        )
+
+    def known_families(self) -> tuple[str, ...]:
+        """Those that it is for, by name; empty: all."""
+        if self.needs_part:
+            return impaired_by(self.needs_part)
+        return self.families or (changing(self.needs) if self.needs else ())
+
     def unfit(self, target: Target) -> str | None:
         """Why it does not exist on that sensor, `found; want allowed`; None when it does."""
-        if self.families and target.family not in self.families:
-            return f"{target.model} speaks {target.family or 'no protocol'}; want a sensor of {_or(self.families)}"
+        if not self.is_for(target.family):
+            found = _or(self.known_families()) if self.known_families() else "a family"
+            return f"{target.model} speaks {target.family or 'no protocol'}; want a sensor of {found}"
         if target.sees not in self.sees:
             lists = "lists objects" if target.sees == "objects" else "lists no objects"
             other = "a sensor that lists objects" if target.sees == "beams" else "one of the sensors in its `from`"

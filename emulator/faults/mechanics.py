@@ -151,7 +151,8 @@ KINDS: tuple[Kind, ...] = (
         MotorSpeed,
         act=Motor,
         lasts="state",
-        families=("lms2xx", "ld", "cola"),
+        sees=("beams",),
+        needs_session=True,
     ),
     _kind("mirror_wobble", MirrorWobble, "Walls move along the beam; distant ground comes and goes.", check=_some),
     _kind(

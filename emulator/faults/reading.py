@@ -74,12 +74,14 @@ def target_of(
     """What is known of a sensor before a run; `actors` of its scene."""
     from emulator.sensors.spec import load_spec
     from protocols import families, family
+    from protocols.wire import wire_of
 
     spec = load_spec(model)
     found: tuple[LinkKind, ...] = ()
     if spec.family in families():
         is_line = family(str(spec.family)).tcp_is_line
-        default = "can:x" if spec.family == "can_objects" else "tcp:x"
+        wire = wire_of(spec.family)
+        default = "can:x" if wire is not None and wire.on_can_only else "tcp:x"
         found = tuple(link_kind(url, is_line) for url in links or (default,))
     known = None if actors is None else tuple(actors)
     return Target(sensor, model, spec.family, found, spec.sees, spec.device, device, tuple(links), known)

@@ -14,10 +14,12 @@ from pydantic import Field
 
 from emulator.faults.acts import Act, Gear
 from emulator.faults.config import Common
+from emulator.faults.impairments import impair
 from emulator.faults.kinds import FROM_HOST, TO_HOST, Keys, Kind, Target
 from emulator.transports.link import Received
 from protocols.framing import Framing
-from protocols.session import Emission, LinkKind
+from protocols.session import Emission
+from protocols.wire import wire_of
 
 NEXT_ONE = "The next telegram is correct again."
 
@@ -258,6 +260,21 @@ class Refuse(Act):
         self._held.clear()
 
 
+class Refusing(Act):
+    """The device itself refuses, for as long as the fault lasts."""
+
+    def __init__(self, gear: Gear, what: str) -> None:
+        super().__init__(gear)
+        self._what = what
+
+    def begin(self, now_ns: int) -> None:
+        impair(self.gear, now_ns, self._what, 1.0)
+        self.gear.hit(now_ns)
+
+    def end(self, now_ns: int) -> None:
+        impair(self.gear, now_ns, self._what, None)
+
+
 def _has(method: str) -> Callable[[Keys, Common, Target], str | None]:
     """A check: whether the family's framing on the target's links has such a field."""
 
@@ -273,24 +290,11 @@ def _has(method: str) -> Callable[[Keys, Common, Target], str | None]:
 
 
 def _framings(target: Target, link: int | None) -> list[Framing]:
-    from protocols.can_objects.framing import CanFraming
-    from protocols.cola.framing import ColaFraming
-    from protocols.ld.framing import PackageFraming, SegmentFraming, UspFraming
-    from protocols.lms2xx.framing import Lms2xxFraming
-
-    of_ld = {LinkKind.SERIAL: PackageFraming, LinkKind.CAN: SegmentFraming}
+    wire = wire_of(target.family)
+    if wire is None or wire.framing is None:
+        return []  # of another package: known when the run begins
     links = target.links if link is None or link >= len(target.links) else (target.links[link],)
-    if target.family == "lms2xx":
-        return [Lms2xxFraming()]
-    if target.family == "ld":
-        return [of_ld.get(kind, UspFraming)() for kind in links]
-    if target.family == "cola":
-        return [ColaFraming()]
-    if target.family == "can_objects":
-        from protocols.can_objects.layout import load
-
-        return [CanFraming(load("ars408.dbc"), None)]
-    return []  # of another package: known when the run begins
+    return [wire.framing(kind) for kind in links or (wire.usual,)]
 
 
 def _changes_check(keys: LengthKeys | CounterKeys, common: Common, target: Target) -> str | None:
@@ -349,7 +353,7 @@ KINDS: tuple[Kind, ...] = (
         "bad_checksum",
         "A telegram has a wrong checksum and no other error.",
         act=lambda keys, gear: Changed(gear, lambda framing, one: framing.bad_check(one), True),
-        families=("lms2xx", "ld", "cola"),
+        needs="bad_check",
         check=_has("bad_check"),
     ),
     _kind(
@@ -357,7 +361,7 @@ KINDS: tuple[Kind, ...] = (
         "The length field of a telegram is wrong; its checksum is correct.",
         keys=LengthKeys,
         act=lambda keys, gear: Changed(gear, lambda framing, one: framing.with_length(one, keys.change), True),
-        families=("lms2xx", "ld", "cola"),
+        needs="with_length",
         check=_all(_changes_check, _has("with_length")),
     ),
     _kind(
@@ -373,7 +377,7 @@ KINDS: tuple[Kind, ...] = (
         "A telegram has another response code; its checksum is correct.",
         keys=TypeKeys,
         act=lambda keys, gear: Changed(gear, lambda framing, one: framing.with_type(one, keys.code), True),
-        families=("lms2xx", "ld"),
+        needs="with_type",
         check=_has("with_type"),
     ),
     _kind(
@@ -381,7 +385,7 @@ KINDS: tuple[Kind, ...] = (
         "A telegram has the address of another device; its checksum is correct.",
         keys=AddressKeys,
         act=lambda keys, gear: Changed(gear, lambda framing, one: framing.with_address(one, keys.address), True),
-        families=("lms2xx", "ld"),
+        needs="with_address",
         check=_has("with_address"),
     ),
     _kind(
@@ -399,7 +403,7 @@ KINDS: tuple[Kind, ...] = (
         "The next request is answered.",
         act=lambda keys, gear: Drop(gear),
         of="replies",
-        families=("lms2xx", "ld", "cola"),
+        needs="to_be_refused",
     ),
     _kind(
         "slow_reply",
@@ -415,7 +419,25 @@ KINDS: tuple[Kind, ...] = (
         "The same request is accepted.",
         act=lambda keys, gear: Refuse(gear),
         directions=FROM_HOST,
-        families=("lms2xx", "ld", "cola"),
+        needs="to_be_refused",
         check=_has("to_be_refused"),
+    ),
+    _kind(
+        "device_busy",
+        "The device answers every request with `device busy`; scans continue.",
+        "Requests are carried out.",
+        act=lambda keys, gear: Refusing(gear, "busy"),
+        directions=(),
+        lasts="state",
+        needs_part="busy",
+    ),
+    _kind(
+        "refuse_login",
+        "The device refuses every login, also with the correct password.",
+        "Logins succeed; those from before the fault were never lost.",
+        act=lambda keys, gear: Refusing(gear, "login"),
+        directions=(),
+        lasts="state",
+        needs_part="login",
     ),
 )

@@ -5,7 +5,8 @@ Belongs here: start-up, decoding of LMDscandata, giving up. Not: bytes (protocol
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from emulator.hosts.lines import Line, LineClosed, SocketLine
 from emulator.hosts.scans import HostScan
 from emulator.hosts.scripted import Connection, HostEnd
 from emulator.process.clock import SystemClock
+from protocols.cola.commands import VARIABLES
 from protocols.cola.framing import ColaSplitter, frame
 from protocols.cola.login import AUTHORISED, PASSWORDS, short_hash
 from protocols.cola.scandata import LAYOUT
@@ -21,9 +23,15 @@ from protocols.cola.values import ASCII, BINARY, Rejected, decode, encode
 from protocols.scan import Floats
 
 LONGEST = 1 << 19
-REPLY_S = 2.0
+REPLY_S, REPEAT_S = 2.0, 0.4
+"A device that is just being switched on hears the first requests not at all: its name is asked for again."
+STARTS_S, LOOK_S = 60.0, 0.25
+"An LMS1xx may need so long until it measures; how often it is asked."
+MEASURES = 7
+"STlms."
 BAUD = 57_600
 SILENCE_NS, AGAIN_NS = 2_000_000_000, 500_000_000
+STATUS = str(VARIABLES["STlms"].layout)
 DAZZLED = 15
 "Values up to this one are no distances."
 LISTENING = "CoLa device that answers nothing (listening)"
@@ -90,8 +98,8 @@ class ColaHost:
         if listen:
             return
         try:
-            told = self._ask(b"sRN DeviceIdent")
-            name, version = (str(word).strip() for word in decode("str str", self._dialect, told))
+            answer = self._ask(b"sRN DeviceIdent", again_s=REPEAT_S)
+            name, version = (str(word).strip() for word in decode("str str", self._dialect, answer))
         except (LineClosed, Rejected):
             raise LinkError("no CoLa device answers") from None
         self.title = f"{name} {version}"
@@ -102,6 +110,7 @@ class ColaHost:
         )
         self._ask(b"sMN LMCstartmeas")
         self._ask(b"sMN Run")
+        self._wait_until_it_measures()
         self._ask(b"sEN LMDscandata", encode("u8", self._dialect, [1]))
         self._streams = True
 
@@ -130,13 +139,28 @@ class ColaHost:
             pass  # it has gone, or is silent
         self._line.close()
 
-    def _ask(self, request: bytes, arguments: bytes = b"") -> bytes:
-        """Arguments of the answer; `LinkError` when none comes, or the device refuses."""
-        self._line.write(frame(self._dialect, request + (b" " + arguments if arguments else b"")))
+    def _wait_until_it_measures(self) -> None:
+        """Scans come when the mirror is at speed; a device without STlms is not waited for."""
+        end_ns = self._clock.now_ns() + int(STARTS_S * 1e9)
+        try:
+            while self._clock.now_ns() < end_ns:
+                status = decode(STATUS, self._dialect, self._ask(b"sRN STlms"))
+                if status[0] == MEASURES:
+                    return
+                self._take(LOOK_S)
+        except (LinkError, Rejected):
+            return
+
+    def _ask(self, request: bytes, arguments: bytes = b"", again_s: float = REPLY_S) -> bytes:
+        """Arguments of the answer; `LinkError` when none comes, or the device refuses. Asked again every `again_s`."""
         wanted = request.partition(b" ")[2]
         end_ns = self._clock.now_ns() + int(REPLY_S * 1e9)
-        while (left_ns := end_ns - self._clock.now_ns()) > 0:
-            for head, name, data in self._take(left_ns * 1e-9):
+        next_ns = self._clock.now_ns()
+        while (now_ns := self._clock.now_ns()) < end_ns:
+            if now_ns >= next_ns:
+                self._line.write(frame(self._dialect, request + (b" " + arguments if arguments else b"")))
+                next_ns += int(again_s * 1e9)
+            for head, name, data in self._take((min(end_ns, next_ns) - now_ns) * 1e-9):
                 if head.startswith(b"sFA"):
                     raise LinkError(f"the device refuses {request.decode()}")
                 if name == wanted and head != b"sSN":
@@ -180,3 +204,8 @@ class ColaScript:
                 self._line.write(frame(BINARY, b"sEN LMDscandata \x01"), now_ns)
             self._again_ns = now_ns + AGAIN_NS
         return self._again_ns
+
+
+def cola_script(line: HostEnd, on_scan: Callable[[int, HostScan], None], device: Mapping[str, Any]) -> ColaScript:
+    """For `lidaremu test`."""
+    return ColaScript(line, on_scan)

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from emulator.hosts import describe_cola
+from emulator.hosts.families import BUILT_IN, found_at
 from protocols.ld.packages import Package, PackageReader
 from protocols.ld.profiles import RANGE_LSB_PER_M, Field
 from protocols.ld.sectors import TICKS
@@ -46,7 +47,7 @@ class Speaker:
     """Whose wire it is."""
 
     family: str
-    "lms2xx | ld | cola | can_objects; anything else speaks nothing that is known."
+    "Anything but a built-in one speaks nothing that is known."
     facts: Mapping[str, Any] = field(default_factory=dict)
     "The model's `device` table."
     device: Mapping[str, Any] = field(default_factory=dict)
@@ -66,14 +67,11 @@ def describe(speaker: Speaker, data: bytes, kind: str = "serial", peer: int = 0,
     """
     if not data:
         return [Described("nothing", "", "no byte")]
-    known: dict[str, Callable[[], list[Described]]] = {
-        "lms2xx": lambda: _lms2xx(data, sent),
-        "ld": lambda: _ld(data, kind, sent),
-        "cola": lambda: [Described(*row) for row in describe_cola.rows(data, row_of, unknown)],
-        "can_objects": lambda: _can(speaker, data, peer),
-    }
     try:
-        found = known[speaker.family]() if speaker.family in known else [unknown(data, "unknown protocol")]
+        if speaker.family in BUILT_IN:
+            found: list[Described] = found_at(BUILT_IN[speaker.family].fields)(speaker, data, kind, peer, sent)
+        else:
+            found = [unknown(data, "unknown protocol")]
     except (ValueError, IndexError, KeyError, OverflowError, OSError) as error:
         found = [unknown(data, f"cannot be read: {error}")]
     return found[:MOST_FIELDS]
@@ -365,3 +363,26 @@ def _shift(table: Mapping[str, Any], identifier: Callable[[str], int]) -> int:
     if table.get("format") in LEDDAR_DETECTIONS:
         return int(table.get("tx_base_id", 0x750)) - 0x750
     return 0
+
+
+# ---------------------------------------------------------------- one for each family, as the table of families has it
+
+
+def lms2xx(speaker: Speaker, data: bytes, kind: str, peer: int, sent: bool) -> list[Described]:
+    """Of an LMS2xx telegram."""
+    return _lms2xx(data, sent)
+
+
+def ld(speaker: Speaker, data: bytes, kind: str, peer: int, sent: bool) -> list[Described]:
+    """Of a message of an LD."""
+    return _ld(data, kind, sent)
+
+
+def cola(speaker: Speaker, data: bytes, kind: str, peer: int, sent: bool) -> list[Described]:
+    """Of CoLa telegrams."""
+    return [Described(*row) for row in describe_cola.rows(data, row_of, unknown)]
+
+
+def can_objects(speaker: Speaker, data: bytes, kind: str, peer: int, sent: bool) -> list[Described]:
+    """Of a CAN frame."""
+    return _can(speaker, data, peer)

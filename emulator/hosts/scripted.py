@@ -5,9 +5,10 @@ For `lidaremu test` and tests. They ask again when no reply comes, as drivers do
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from emulator.hosts.ld import read_profile
 from emulator.hosts.lms2xx import RATE_CODES, Lms2xxView, TelegramReader
@@ -222,3 +223,13 @@ class LdScript:
             self._buffer = self._buffer[length + OVERHEAD if whole else 4 :]
             if whole:
                 return payload
+
+
+def lms2xx_script(line: HostEnd, on_scan: OnScan, device: Mapping[str, Any]) -> Lms2xxScript:
+    """For `lidaremu test`."""
+    return Lms2xxScript(line, on_scan)
+
+
+def ld_script(line: HostEnd, on_scan: OnScan, device: Mapping[str, Any]) -> LdScript:
+    """The same; directions go by the device's own zero."""
+    return LdScript(line, on_scan, math.radians(float(device.get("zero_deg", 0.0))))

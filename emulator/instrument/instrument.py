@@ -24,6 +24,7 @@ from protocols.errors import ScanRefused
 from protocols.framing import Frames, Framing
 from protocols.scan import Scan, ScanPlan
 from protocols.session import Address, DropReason, Emission, Event, LinkKind, Restarted, Session
+from protocols.timebase import inside
 
 if TYPE_CHECKING:
     from emulator.instrument.fault_hooks import FaultHooks, Passed
@@ -120,6 +121,8 @@ class Instrument:
         "The session wants a sweep measured."
         self.impairments: dict[str, dict[int, float]] = {}
         "What befalls the device, and how much by the number of each fault."
+        self._switched_ns = 0
+        "When it was switched on last."
         self._cuts = 0
         "Power cuts that have not ended."
         self._lives = 0
@@ -152,12 +155,14 @@ class Instrument:
         for index, link in enumerate(self.links):
             if link.kind is not LinkKind.STREAM:
                 self.session.connected(now_ns, Address(index, 0), link.kind)
+        self._switched_ns = now_ns
         self.session.power_on(now_ns)
         self._due_ns = 0
 
     def step(self, now_ns: int) -> int | None:
         """Do all that can be done by `now_ns`; the instant of the next step, None while only a host can wake it."""
-        idle = now_ns < self._due_ns and not (self._outstanding or self.poked or self.feed) and self._faults_wait(now_ns)
+        asked = self._outstanding or self.poked or self.feed is not None
+        idle = now_ns < self._due_ns and not asked and self._faults_wait(now_ns)
         self.poked = False
         self.ledger.now_ns = now_ns
         if self.faults is not None and not idle:
@@ -192,6 +197,10 @@ class Instrument:
         if self.faults is not None:
             self._release(now_ns)
         self._note_events(events)
+        if any(isinstance(event, Restarted) and event.at_ns > self._switched_ns for event in events):
+            for link in self.links:
+                link.flush(now_ns)  # the reply leaves first
+            self._hang_up(now_ns)
         deadline_ns = self.session.next_deadline()
         self._due_ns = FOREVER_NS if deadline_ns is None else deadline_ns
         plan = self.session.next_plan()
@@ -242,6 +251,12 @@ class Instrument:
         """Whether the device is switched on."""
         return not self._cuts
 
+    def _hang_up(self, now_ns: int) -> None:
+        """The device has restarted by itself: its reply has left, its connections are no more, if it has a network."""
+        if inside(self.session, 0)[0].restart_hangs_up and sum([link.reset_hosts() for link in self.links]) > 0:
+            self.connections_seen += 1
+            self.poked = True
+
     def power_off(self, now_ns: int) -> int:
         """Cut the power: what has not left is gone, in the middle of a byte if need be; how many bytes those were."""
         self._cuts += 1
@@ -270,6 +285,7 @@ class Instrument:
             self.session.disconnected(now_ns, address)
         self._peers.clear()
         self.stats.last_scan_due_ns = None
+        self._switched_ns = now_ns
         self.session.power_on(now_ns)
         self._due_ns = 0
 

@@ -18,6 +18,7 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 from emulator.config.expressions import Value, evaluate, names, parse
+from emulator.hosts.families import BUILT_IN, free_link
 from emulator.injection.run import FaultRun
 from emulator.instrument.instrument import Instrument
 from emulator.instrument.ledger import check_accounts
@@ -78,14 +79,9 @@ def free_links(loaded: scenario.Scenario, folder: Path) -> dict[str, list[str]]:
     replaced: dict[str, list[str]] = {}
     servers: dict[str, int] = {}
     for index, sensor in enumerate(loaded.sensors):
-        default = {
-            "lms2xx": "pty:x",
-            "ld": "tcp:127.0.0.1:0",
-            "cola": "tcp:127.0.0.1:0",
-            "can_objects": f"socketcand:127.0.0.1:0/{sensor.id}",
-        }
         family = load_spec(sensor.model).family
-        links = sensor.links or ((default[family],) if family in default else ())
+        usual = free_link(family, sensor.id, folder) if family in BUILT_IN else None
+        links = sensor.links or (() if usual is None else (usual,))
         replaced[sensor.id] = [_freed(url, folder, f"{index}-{number}", servers) for number, url in enumerate(links)]
     return replaced
 

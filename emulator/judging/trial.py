@@ -5,7 +5,6 @@ For `lidaremu test`. Every sensor gets a loop in place of its links; sensors on 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from emulator.errors import ScenarioError
-from emulator.hosts.cola import ColaScript
-from emulator.hosts.scripted import HasScript, LdScript, Lms2xxScript
+from emulator.hosts.families import BUILT_IN, found_at, is_on_can
+from emulator.hosts.scripted import HasScript
 from emulator.injection.run import FaultRun
 from emulator.instrument.instrument import Instrument, Measuring
 from emulator.instrument.ledger import check_accounts
@@ -162,13 +161,12 @@ class Trial:
         if sensor.id in self._heard and family.name != "can_objects":
             return _AsRecorded(loops[sensor.id], self._heard[sensor.id])
         on_scan = partial(self.series.host_read, sensor.id)
-        if family.name == "lms2xx":
-            return Lms2xxScript(loops[sensor.id].connect(), on_scan)
-        if family.name == "ld":
-            zero_rad = math.radians(float(sensor.device.get("zero_deg", 0.0)))
-            return LdScript(loops[sensor.id].connect(), on_scan, zero_rad)
-        if family.name == "cola":
-            return ColaScript(loops[sensor.id].connect(), on_scan)
+        if family.name in BUILT_IN:
+            place = BUILT_IN[family.name].script
+            if place is None:
+                return None
+            made: VirtualHost = found_at(place)(loops[sensor.id].connect(), on_scan, sensor.device)
+            return made
         if isinstance(family, HasScript):
             return family.script(loops[sensor.id].connect(), on_scan)
         return None
@@ -270,7 +268,7 @@ def note_verdict(recorder: Recorder, judged: Judgements, end_ns: int) -> None:
 
 def _link_of(scenario: Scenario, index: int, tcp_is_line: bool, loops: Loops, buses: CanPorts) -> Link:
     sensor = scenario.sensors[index]
-    if assembly.family_of(scenario, index).name != "can_objects":
+    if not is_on_can(assembly.family_of(scenario, index).name):
         return open_link(f"loop:{sensor.id}", tcp_is_line, loops=loops)
     bus = next((url for url in sensor.links), f"loop:{sensor.id}").partition("?")[0]
     bitrate = load_spec(sensor.model).device.get("bitrate", BITRATE)

@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from emulator.errors import EmulatorError, LinkError
-from emulator.looking.look import CAN_FAMILY, FAMILIES, Wanted, connect, watch
+from emulator.hosts.families import BUILT_IN, free_link, names
+from emulator.looking.look import Wanted, connect, watch
 from emulator.looking.screen import drawable
 from emulator.runtime.own_daemon import DaemonError, OwnDaemon, own_daemon
 from emulator.scenario import scenario as scenario_file
 from emulator.sensors.spec import load_spec
-from protocols import family as protocol_family
 
-SHOWS = {"lms2xx": "crossing_car", "ld": "bumper", "can_objects": "fog_objects"}
-"Family -> built-in scenario that shows it."
 DEFAULT_S = 20.0
 "How long the demo lasts on a terminal when neither the user nor the scenario says."
 UNWATCHED_S = 5.0
@@ -32,9 +30,9 @@ def run_demo(
     say: Callable[[str], None],
 ) -> int:
     """Start the daemon as a process of its own, look through one sensor, stop it; the exit code."""
-    if family is not None and family not in FAMILIES:
-        raise EmulatorError(f"demo does not support {family!r}; want {', '.join(FAMILIES)}")
-    name = name or SHOWS[family or "lms2xx"]
+    if family is not None and family not in BUILT_IN:
+        raise EmulatorError(f"demo does not support {family!r}; want {names()}")
+    name = name or BUILT_IN[family or "lms2xx"].shown_by
     loaded = scenario_file.load(name)
     families = {item.id: load_spec(item.model).family or "none" for item in loaded.sensors}
     chosen = sensor or next((one for one, its in families.items() if family in (None, its)), None)
@@ -86,12 +84,8 @@ def _show(
 
 
 def _link(sensor: str, family: str, folder: Path) -> str:
-    """Where a host of the demo finds a sensor: the quickest link of its family, free of this machine's ports."""
-    if family == CAN_FAMILY:
-        return f"socketcand:127.0.0.1:0/{sensor[:15] if sensor.isascii() else 'can0'}"
-    if family != "none" and not protocol_family(family).tcp_is_line:
-        return "tcp:127.0.0.1:0"
-    return f"pty:{folder / sensor}"
+    """Where a host of the demo finds a sensor; one without a protocol has no host."""
+    return free_link(family, sensor, folder) or f"pty:{folder / sensor}"
 
 
 def _tell(total: dict[str, Any], say: Callable[[str], None]) -> None:

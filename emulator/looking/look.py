@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
@@ -21,6 +20,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 
 from emulator.errors import EmulatorError, LinkError
+from emulator.hosts.families import BUILT_IN, found_at, is_on_can, names
 from emulator.hosts.lines import Line, LineClosed, open_line
 from emulator.hosts.scans import Host, HostObject, HostObjects, HostScan, Seen
 from emulator.looking import plot
@@ -28,12 +28,6 @@ from emulator.process.clock import SystemClock
 
 if TYPE_CHECKING:
     from emulator.looking.screen import Page
-
-HOSTS = {"lms2xx": "emulator.hosts.lms2xx:Lms2xxHost", "ld": "emulator.hosts.ld:LdHost",
-         "cola": "emulator.hosts.cola:ColaHost"}  # fmt: skip
-"Families on a line -> `module:class`, imported when one is wanted; made with a line and a line speed."
-CAN_FAMILY = "can_objects"
-FAMILIES = (*HOSTS, CAN_FAMILY)
 
 REDRAW_NS = 80_000_000
 POLL_S = 0.05
@@ -80,7 +74,7 @@ def connect(
     url: str, family_name: str, baud: int, model: str | None = None, more: bool = False, listen: bool = False
 ) -> Host:
     """A connected host of that family; every error names the link. `listen`: it asks the device for nothing."""
-    if family_name == CAN_FAMILY:
+    if is_on_can(family_name):
         from emulator.hosts.can_lines import open_can
         from emulator.hosts.can_objects import CanObjectHost
 
@@ -96,23 +90,20 @@ def connect(
 def _listening(make: Callable[..., Host]) -> Callable[[Line, int], Host]:
     """The same, asking for nothing; `EmulatorError` of a host that cannot."""
     if "listen" not in signature(make).parameters:
-        raise EmulatorError(
-            "--listen: the host of this family always sends requests; want lms2xx, ld, cola or can_objects"
-        )
+        raise EmulatorError(f"--listen: the host of this family always sends requests; want {names()}")
     return partial(make, listen=True)
 
 
 def _maker(family_name: str) -> Callable[[Line, int], Host]:
     """What makes a host of an open line: ours, or one that another package's family brings."""
-    if family_name in HOSTS:
-        module, _, name = HOSTS[family_name].partition(":")
-        ours: Callable[[Line, int], Host] = getattr(import_module(module), name)
-        return ours
+    if family_name in BUILT_IN:
+        made: Callable[[Line, int], Host] = found_at(BUILT_IN[family_name].host)
+        return made
     from protocols import families, family
 
     if family_name in families() and isinstance(found := family(family_name), HasHost):
         return found.host
-    raise EmulatorError(f"look does not support {family_name!r}; want {', '.join(FAMILIES)}")
+    raise EmulatorError(f"look does not support {family_name!r}; want {names()}")
 
 
 @contextmanager

@@ -7,10 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from emulator.errors import EmulatorError, LinkError
+from emulator.hosts.families import BUILT_IN, found_at, on_lines
 from emulator.hosts.lines import Line, open_line
-from emulator.looking.look import CAN_FAMILY, HasHost, tidy
+from emulator.looking.look import HasHost, tidy
+from protocols.session import LinkKind
+from protocols.wire import wire_of
 
 CAN_SCHEMES = ("socketcand", "slcan", "can")
 FIRST_BAUD = 9_600
@@ -57,40 +61,25 @@ def probe(url: str, tell: Callable[[str], None] = lambda text: None) -> Found:
 
 
 def tries(tcp: bool) -> list[Try]:
-    """Families in the order in which they are tried; over TCP an LD is likelier."""
+    """Families in the order in which they are tried: first those that usually have such a link."""
     from protocols import families, family
 
-    found: list[Try] = [("ld", _ld), ("cola", _cola)]
-    found.insert(len(found) if tcp else 0, ("lms2xx", _lms2xx))
+    usual = LinkKind.STREAM if tcp else LinkKind.SERIAL
+    own = sorted(on_lines(), key=lambda name: (wire := wire_of(name)) is None or wire.usual is not usual)
+    found: list[Try] = [(name, partial(_built_in, name)) for name in own]
     for name in families():
-        known = family(name) if name not in ("lms2xx", "ld", "cola", CAN_FAMILY) else None
+        known = family(name) if name not in BUILT_IN else None
         if isinstance(known, HasHost):
-            found.append((name, lambda line, name=name, known=known: _stranger(name, known, line)))
+            found.append((name, lambda line, name=name, known=known: _foreign(name, known, line)))
     return found
 
 
-def _lms2xx(line: Line) -> Found:
-    from emulator.hosts.lms2xx import Lms2xxHost
-
-    host = Lms2xxHost(line, None)
-    return Found("lms2xx", tidy(host.title), host.found_baud, not host.listens)
+def _built_in(name: str, line: Line) -> Found:
+    host = found_at(BUILT_IN[name].host)(line, None)
+    return Found(name, tidy(host.title), host.found_baud, not host.listens)
 
 
-def _ld(line: Line) -> Found:
-    from emulator.hosts.ld import LdHost
-
-    host = LdHost(line, None)
-    return Found("ld", tidy(host.title), host.found_baud, not host.listens)
-
-
-def _cola(line: Line) -> Found:
-    from emulator.hosts.cola import ColaHost
-
-    host = ColaHost(line, None)
-    return Found("cola", tidy(host.title), host.found_baud, not host.listens)
-
-
-def _stranger(name: str, family: HasHost, line: Line) -> Found:
+def _foreign(name: str, family: HasHost, line: Line) -> Found:
     host = family.host(line, FIRST_BAUD)
     try:
         return Found(name, tidy(host.title), None, True)
@@ -104,7 +93,7 @@ def _objects(url: str) -> Found:
 
     bus = open_can(url)
     try:
-        return Found(CAN_FAMILY, CanObjectHost(bus).title, None, True)
+        return Found("can_objects", CanObjectHost(bus).title, None, True)
     except LinkError as error:
         raise LinkError(f"{url}: {error}") from None
     except EmulatorError:

@@ -14,23 +14,16 @@ import numpy as np
 from emulator.errors import ScenarioError
 from emulator.sensing.table import table_plan
 from emulator.sensors.spec import SensorSpec
-from protocols.cola.framing import frame
-from protocols.cola.values import BINARY
-from protocols.lms2xx.telegrams import request
 from protocols.scan import Scan, ScanPlan
-from protocols.session import Address, Dropped, DropReason, LinkKind, Session
+from protocols.session import Address, Dropped, DropReason, Session
 from protocols.timebase import Timebase
+from protocols.wire import Wire, wire_of
 
 KEPT_NS = 1_000_000_000
 "Sweeps before a change are remembered for so long: lists are made again after a changed setting."
 SOON_NS, LATER_NS = 100_000_000, 5_000_000_000
 "Time to the next request while the device starts; after one that it has taken."
 MAX_ROUNDS = 64
-KINDS = {"lms2xx": LinkKind.SERIAL, "ld": LinkKind.DATAGRAM, "cola": LinkKind.STREAM}
-"Link on which a family's device is asked: an LD with a listener measures by itself."
-REQUESTS = {"lms2xx": (request(b"\x20\x48"), request(b"\x20\x24")), "ld": (),
-            "cola": (frame(BINARY, b"sEN LMDscandata \x01"),)}  # fmt: skip
-"500 kbaud, so that the line holds no sweep up; then all values, continuously."
 
 
 BLOCK = 16
@@ -71,9 +64,9 @@ class TableSweeps:
 class OwnTimeSweeps:
     """A model on a quartz of its own: its sweeps repeat by its own time, and come out by the run's."""
 
-    def __init__(self, session: Timebase, family: str) -> None:
+    def __init__(self, session: Timebase, wire: Wire) -> None:
         self._session = session
-        self._sweeps = SessionSweeps(session.inner, family)
+        self._sweeps = SessionSweeps(session.inner, wire)
 
     def newest(self, at_ns: int) -> ScanPlan | None:
         found = self._sweeps.newest(self._session.quartz.own_ns(at_ns))
@@ -87,9 +80,9 @@ class SessionSweeps:
     without a list cost nothing.
     """
 
-    def __init__(self, session: Session, family: str) -> None:
+    def __init__(self, session: Session, wire: Wire) -> None:
         self._session = session
-        self._requests = REQUESTS[family]
+        self._requests = wire.requests
         self._plans: list[ScanPlan] = []
         "From the last change on."
         self._wake_ns: int | None = 0
@@ -98,7 +91,8 @@ class SessionSweeps:
         "Duration of the block that repeats for ever, the last one of `_plans`; 0: not yet."
         self._block_sweeps = 0
         "By which its sweeps are counted on: a device may count turns of its mirror."
-        session.connected(0, Address(0, 0), KINDS[family])
+        assert wire.asked_on is not None
+        session.connected(0, Address(0, 0), wire.asked_on)
         session.power_on(0)
 
     def newest(self, at_ns: int) -> ScanPlan | None:
@@ -183,6 +177,7 @@ def sweeps_of(spec: SensorSpec, session: Session | None) -> Sweeps:
     """The sweeps of one source; `session` of a model that has a protocol, switched off."""
     if spec.family is None or session is None:
         return TableSweeps(spec)
-    if spec.family not in KINDS:
+    wire = wire_of(spec.family)
+    if wire is None or wire.asked_on is None:
         raise ScenarioError(f"{spec.model}: no objects from this model: its family {spec.family} has no known sweep")
-    return OwnTimeSweeps(session, spec.family) if isinstance(session, Timebase) else SessionSweeps(session, spec.family)
+    return OwnTimeSweeps(session, wire) if isinstance(session, Timebase) else SessionSweeps(session, wire)

@@ -367,12 +367,15 @@ def _places(url: str) -> list[_Place]:
 def _unspoken(family: str | None, url: str) -> tuple[str, str] | None:
     """Why a family does not speak on a link, and what it speaks on; None: it does, or that is not known here."""
     from emulator.transports.schemes import LINK_SCHEMES
+    from protocols.session import LinkKind
+    from protocols.wire import wire_of
 
     scheme = url.partition(":")[0]
+    wire = wire_of(family)
     spoken: tuple[str, ...]
-    if family == "can_objects" and scheme not in (*CAN_SCHEMES, "loop"):
+    if wire is not None and wire.on_can_only and scheme not in (*CAN_SCHEMES, "loop"):
         spoken = CAN_SCHEMES
-    elif family in ("lms2xx", "cola") and scheme in CAN_SCHEMES:
+    elif wire is not None and LinkKind.CAN not in wire.links and scheme in CAN_SCHEMES:
         spoken = tuple(one for one in LINK_SCHEMES if one not in (*CAN_SCHEMES, "loop"))
     else:
         return None

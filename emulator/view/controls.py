@@ -217,7 +217,7 @@ class Controls:
         found = [
             name
             for name, kind in self._kinds.items()
-            if (not kind.families or target.family in kind.families)
+            if kind.is_for(target.family)
             and (not kind.links or set(kind.links) & set(target.links))
             and target.sees in kind.sees
         ]

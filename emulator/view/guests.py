@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from emulator.errors import EmulatorError
+from emulator.hosts.families import free_link, is_on_can
 from emulator.scenario import scenario as scenario_file
 from emulator.sensors.spec import load_spec
 
@@ -19,12 +20,8 @@ def free_links(name: str, folder: Path) -> list[str]:
     found = []
     for one in scenario_file.load(name).sensors:
         family = load_spec(one.model).family
-        if family == "can_objects":
-            found.append(f"{one.id}=socketcand:127.0.0.1:0/can0")
-        elif family in ("ld", "cola"):
-            found.append(f"{one.id}=tcp:127.0.0.1:0")
-        elif family is not None:
-            found.append(f"{one.id}=pty:{folder / one.id}")
+        if family is not None and (url := free_link(family, one.id, folder)) is not None:
+            found.append(f"{one.id}={url}")
     return found
 
 
@@ -42,11 +39,11 @@ class Guests:
                 threading.Thread(target=self._host, args=(row, family), daemon=True).start()
 
     def _host(self, row: Mapping[str, Any], family: str) -> None:
-        from emulator.looking.look import CAN_FAMILY, connect
+        from emulator.looking.look import connect
 
         while not self._over.is_set():
             try:
-                host = connect(row["links"][0], family, BAUD, row["model"] if family == CAN_FAMILY else None)
+                host = connect(row["links"][0], family, BAUD, row["model"] if is_on_can(family) else None)
                 for _ in host.scans(0.5):
                     if self._over.is_set():
                         return

@@ -15,6 +15,7 @@ from protocols.framing import Framing
 from protocols.session import CommandRow, DeviceKey, LinkKind, Session
 from protocols.skeleton.keys import DeviceKeys
 from protocols.timebase import inside
+from protocols.wire import Wire
 
 FORMATS = {
     "ars408": "protocols.can_objects.ars408",
@@ -26,11 +27,20 @@ FORMATS = {
 "Format name -> module, which has `Settings`, `SESSION` and `SENT`."
 
 
+def _framing(kind: LinkKind) -> Framing:
+    """That of one format: all have the same fields that can be changed."""
+    from protocols.can_objects.framing import CanFraming
+    from protocols.can_objects.layout import load
+
+    return CanFraming(load("ars408.dbc"), None)
+
+
 class CanObjects:
     """The family of sensors that list objects on CAN."""
 
     name = "can_objects"
     tcp_is_line = False
+    wire = Wire((LinkKind.CAN,), _framing)
 
     def new_session(self, device: Mapping[str, Any], facts: Mapping[str, Any]) -> Session:
         """A session in the format that the model, or the scenario, names."""

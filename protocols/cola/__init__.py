@@ -8,18 +8,23 @@ login       user levels, hashes, challenges
 commands    variables, methods, events: the table
 filters     echo choice, fog, particle, median and mean filter
 fields, watching   field evaluation
-session     what happens when, and who is told
+shapes      beams and telegrams at the present settings
+state       what the device remembers and says of itself
+asking      requests in either dialect, with their answers
+session     what happens when, and to whom scans go
 """
 
 from __future__ import annotations
 
 from protocols.cola.commands import rows
-from protocols.cola.framing import ColaFraming
+from protocols.cola.framing import ColaFraming, frame
 from protocols.cola.session import ColaSession
 from protocols.cola.settings import settings_of
+from protocols.cola.values import BINARY
 from protocols.session import LinkKind, Session
 from protocols.skeleton.family import SimpleFamily
 from protocols.skeleton.keys import DeviceKeys
+from protocols.wire import Wire
 
 
 def new_session(keys: DeviceKeys) -> ColaSession:
@@ -35,4 +40,11 @@ class ColaFamily(SimpleFamily):
         return ColaFraming()
 
 
-FAMILY = ColaFamily("cola", tcp_is_line=False, build=new_session, rows=rows())
+WIRE = Wire(
+    (LinkKind.STREAM, LinkKind.SERIAL, LinkKind.DATAGRAM),
+    lambda kind: ColaFraming(),
+    LinkKind.STREAM,
+    (frame(BINARY, b"sEN LMDscandata \x01"),),
+    impaired=("busy", "login"),
+)
+FAMILY = ColaFamily("cola", tcp_is_line=False, build=new_session, rows=rows(), wire=WIRE)

@@ -51,7 +51,7 @@ class Device(Protocol):
 
     def challenge(self, asked: bytes, request: Request) -> Any: ...
 
-    def answer(self, told: bytes, request: Request) -> Any: ...
+    def answer(self, response: bytes, request: Request) -> Any: ...
 
     def ident(self) -> Values: ...
 
@@ -103,12 +103,12 @@ class Variable:
 
     layout: str | Callable[[Model], str]
     factory: Callable[[Settings], Values] | None
-    "As delivered; None: told by `live`."
+    "As delivered; None: computed by `live`."
     source: str
     live: Callable[[Device, int], Values] | None = None
     "(device, now_ns)"
     level: int | None = AUTHORISED
-    "Needed for writing; None: nobody writes it."
+    "Needed for writing; None: read only."
     check: Callable[[Device, Values], Code | None] | None = None
     "Why values that fit the layout are refused."
     changed: Callable[[Device, int], None] | None = None
@@ -172,10 +172,19 @@ def _mean_fits(device: Device, values: Values) -> Code | None:
     return None if values[0] < 2 and 2 <= values[1] <= 100 else Code.CONDITION_FAILED
 
 
+def _positive(device: Device, values: Values) -> Code | None:
+    return None if values[0] > 0.0 else Code.CONDITION_FAILED
+
+
 def _layers_fit(device: Device, values: Values) -> Code | None:
     switches = [one for (one,) in values[0]]
     good = len(switches) == device.settings.model.layers and max(switches) == 1
     return None if good else Code.INVALID_DATA
+
+
+def _angles_fit(device: Device, values: Values) -> Code | None:
+    on, left, right, low, high, every = values
+    return None if on < 2 and left <= right and low <= high and every > 0 else Code.CONDITION_FAILED
 
 
 def _field_fits(device: Device, values: Values) -> Code | None:
@@ -235,6 +244,8 @@ def _optics(device: Device, now_ns: int) -> Values:
     return [0 if (share := device.window) >= 0.7 else 1 if share >= 0.4 else 2 if share >= 0.2 else 3]
 
 
+PI = 3.1415927410125732
+"As a float of 32 bit: 40490FDB."
 LISTED = "drivers' sources and recorded start-ups"
 MANUAL = "telegram examples of the manuals"
 WRITTEN = "drivers write it; the layout is theirs"
@@ -250,11 +261,11 @@ VARIABLES: Mapping[str, Variable] = {
     "ODoprh": Variable("u32", None, "recorded", lambda device, now: [device.hours(now)], None),
     "ODpwrc": Variable("u32", None, "recorded", lambda device, now: [device.power_ups], None),
     "LCMstate": Variable("u8", None, MANUAL, lambda device, now: _optics(device, now), None,
-                         on=_series("lms1", "lms5")),
+                         on=_series("lms1", "lms5"), note="as mm per tick"),
     "ContaminationResult": Variable(
         "u8 u8", None, "vendor's driver", lambda device, now: device.contamination(), None, on=_series("mrs")),
     "OPcurtmpdev": Variable("f32", None, MEMORY, lambda device, now: [device.celsius(now)], None,
-                            note="a law of warm-up of our own"),
+                            note="law of warm-up: an assumption"),
     "LocationName": Variable("str", _location, "recorded"),
     "EIHstCola": Variable("u8", lambda settings: [1 if settings.model.series == "mrs" else 0], LISTED,
                           check=_among(0, 1)),
@@ -273,8 +284,9 @@ VARIABLES: Mapping[str, Variable] = {
                               changed=_scans_change, on=_series("lms1", "lms5", "mrs")),
     "LFPmedianfilter": Variable("u8 u16", lambda settings: [0, 3], MANUAL, check=_among(0, 1),
                                 changed=_scans_change, on=_series("lms5", "mrs")),
-    "LFPangleRangeFilter": Variable("u8 f32 f32 f32 f32 u8", lambda settings: [0, 0.0, 0.0, 0.0, 0.0, 1], WRITTEN,
-                                    on=_series("mrs"), note="stored; without effect"),
+    "LFPangleRangeFilter": Variable("u8 f32 f32 f32 f32 u8", lambda settings: [0, -PI, PI, -PI / 2, PI / 2, 1],
+                                    "vendor's driver, for its newer devices", check=_angles_fit, changed=_scans_change,
+                                    on=_series("mrs"), note="angles in rad, 0 ahead; outside: distance 0"),
     "ScanLayerFilter": Variable("[u8]", lambda settings: [[[1]] * settings.model.layers], "vendor's driver",
                                 check=_layers_fit, changed=_scans_change, on=_series("mrs")),
     "SetActiveApplications": Variable("[s4 u8]", lambda settings: [[["RANG", 1]]], "recorded MRS1000",
@@ -282,8 +294,10 @@ VARIABLES: Mapping[str, Variable] = {
     "MMAlignmentMode": Variable("u8", lambda settings: [0], "vendor's driver, not sent", on=_series("mrs"),
                                 note="stored; without effect"),
     "LICsrc": Variable("u8", lambda settings: [1], WRITTEN, on=_series("lms1", "lms5")),
-    "LICencset": Variable("u8", lambda settings: [0], WRITTEN, check=_among(0, 1, 2, 3), on=_series("lms1", "lms5")),
-    "LICencres": Variable("f32", lambda settings: [1.0], WRITTEN, on=_series("lms1", "lms5")),
+    "LICencset": Variable("u8", lambda settings: [0], WRITTEN, check=_among(0, 1, 2, 3), changed=_scans_change,
+                          on=_series("lms1", "lms5")),
+    "LICencres": Variable("f32", lambda settings: [1.0], WRITTEN, check=_positive, changed=_scans_change,
+                         on=_series("lms1", "lms5"), note="as mm per tick"),
     "DO3And4Fnc": Variable("u8", lambda settings: [0], WRITTEN, check=_among(0, 1), on=_series("lms5")),
     "TSCRole": Variable("u8", lambda settings: [0], WRITTEN, check=_among(0, 1, 2)),
     "TSCTCInterface": Variable("u8", lambda settings: [0], WRITTEN),

@@ -1,4 +1,4 @@
-"""Field evaluation: fields as hosts write them, whether something stands in them, and what is told of it.
+"""Field evaluation: fields as hosts write them, whether something stands in them, and what is reported of it.
 
 Belongs here: geometry of fields and the records on the wire. Not: who has subscribed (session).
 """
@@ -80,7 +80,7 @@ class Watch:
     changes: int = 0
 
     def see(self, result: int) -> bool:
-        """Take the result of one scan; whether what is told has changed."""
+        """Take the result of one scan; whether the result has changed."""
         self.against = 0 if result == self.result else self.against + 1
         if self.against < (1 if self.result == INVALID else SAMPLES):
             return False

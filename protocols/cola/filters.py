@@ -1,4 +1,4 @@
-"""What the device does to echoes before it tells of them: echo choice, fog, particle, median, mean, in that order.
+"""What the device does to echoes before it sends them: echo choice, fog, particle, median, mean, in that order.
 
 Belongs here: arithmetic over beams, and what a filter remembers of earlier scans. Not: the variables that set them.
 """
@@ -11,13 +11,35 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protocols.scan import Floats, Scan
+from protocols.scan import Floats, Scan, ScanPlan
 
 FIRST, ALL, LAST = 0, 1, 2
 "FREchoFilter."
 FOG_M, FOG_PEAK = 4.0, 8.0
 """The fog filter takes away weak echoes of the near field: what is nearer than `FOG_M` and weaker than `FOG_PEAK`
 times the threshold. The maker describes the effect and no figure; these are ours."""
+
+
+EDGE_FAR_M = 16.0
+"The edge filter acts up to here (MRS1000 manual)."
+
+
+@dataclass(frozen=True)
+class Angles:
+    """Directions that LFPangleRangeFilter leaves, straight ahead being 0. [rad]"""
+
+    azimuth_from: float
+    azimuth_to: float
+    elevation_from: float
+    elevation_to: float
+    every: int
+
+    def outside(self, plan: ScanPlan) -> np.ndarray:
+        """Beams without values, (n,)."""
+        azimuth, elevation = plan.azimuth_rad, plan.elevation_rad
+        inside = (azimuth >= self.azimuth_from) & (azimuth <= self.azimuth_to)
+        inside &= (elevation >= self.elevation_from) & (elevation <= self.elevation_to)
+        return np.asarray(~inside | (np.arange(len(azimuth)) % self.every != 0))
 
 
 @dataclass(frozen=True)
@@ -29,6 +51,9 @@ class Filters:
     particle_m: float | None = None
     "An echo needs another one within this distance beside it or before it; None: off."
     median: bool = False
+    angles: Angles | None = None
+    edge_m: float = 0.0
+    "Neighbours that differ by more are both gone; 0: off."
     mean: int = 1
     "Scans a telegram; its rate falls by as much."
 
@@ -64,6 +89,10 @@ class Chain:
             ranges, peaks = _pushed(ranges, peaks, (ranges < FOG_M) & (peaks < FOG_PEAK))
         if filters.echo != ALL:
             ranges, peaks = _one(ranges, peaks, filters.echo)
+        if filters.angles is not None:
+            ranges[filters.angles.outside(scan.plan)] = np.nan
+        if filters.edge_m:
+            ranges[_edges(ranges, filters.edge_m)] = np.nan
         if filters.particle_m is not None:
             before = self._before.get(layer)
             self._before[layer] = ranges.copy()
@@ -113,6 +142,16 @@ def _lonely(ranges: Floats, before: Floats | None, near_m: float) -> np.ndarray:
     if before is not None and before.shape == ranges.shape:
         found |= np.abs(ranges - before) <= near_m
     return np.isfinite(ranges) & ~found
+
+
+def _edges(ranges: Floats, most_m: float) -> np.ndarray:
+    """Echoes of both sides of a step; a direction without an echo is no step."""
+    steps = np.abs(ranges[1:] - ranges[:-1]) > most_m
+    steps &= np.minimum(ranges[1:], ranges[:-1]) <= EDGE_FAR_M
+    found = np.zeros(ranges.shape, bool)
+    found[1:] |= steps
+    found[:-1] |= steps
+    return found
 
 
 def _median(window: list[Floats]) -> Floats:

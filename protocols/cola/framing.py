@@ -1,4 +1,4 @@
-"""Frames of both dialects of CoLa, told apart telegram by telegram; and telegrams changed on their way by faults.
+"""Frames of both dialects of CoLa, distinguished telegram by telegram; and telegrams changed on their way by faults.
 
     CoLa-A    STX text ETX
     CoLa-B    02 02 02 02, length of the payload (32 bits, big endian), payload, XOR of the payload
@@ -49,7 +49,7 @@ def opened(telegram: bytes) -> tuple[bytes, bytes] | None:
 class ColaSplitter(Splitter[bytes]):
     """Finds telegrams; an item is the letter of its dialect and the payload.
 
-    A false start is passed over alone: what it swallowed is looked through again.
+    Of a false start only its first bytes are skipped; what follows them is read again.
     """
 
     def __init__(self, longest: int = LONGEST) -> None:
@@ -112,13 +112,15 @@ class ColaFraming(Framing):
 
     def with_counter(self, one: Emission, change: int) -> bytes | None:
         """Telegram counter and scan counter of a scan."""
-        told = self._counters(one.payload)
-        return None if told is None else self._with(one.payload, [(number + change) & 0xFFFF for number in told])
+        counters = self._counters(one.payload)
+        if counters is None:
+            return None
+        return self._with(one.payload, [(number + change) & 0xFFFF for number in counters])
 
     def stale(self, old: Emission, fresh: Emission) -> bytes | None:
         """An old scan with the counters of the fresh one; its stamps are old, as nothing on the wire is checked."""
-        told = self._counters(fresh.payload)
-        return None if told is None else self._with(old.payload, told)
+        counters = self._counters(fresh.payload)
+        return None if counters is None else self._with(old.payload, counters)
 
     def to_be_refused(self, data: bytes) -> bytes | None:
         """A request for a name that does not exist: answered by sFA."""
@@ -138,8 +140,8 @@ class ColaFraming(Framing):
             return None
         dialect, payload = found
         if dialect == ASCII:
-            told = COUNTER.match(payload)
-            return None if told is None else [int(told[2], 16), int(told[4], 16)]
+            match = COUNTER.match(payload)
+            return None if match is None else [int(match[2], 16), int(match[4], 16)]
         at = payload.index(SCAN) + len(SCAN) + COUNTER_AT
         return [int.from_bytes(payload[at + k : at + k + 2], "big") for k in (0, 2)]
 
@@ -148,7 +150,7 @@ class ColaFraming(Framing):
             return None
         dialect, payload = opened(telegram) or (b"", b"")
         if dialect == ASCII:
-            put = COUNTER.sub(lambda told: told[1] + b"%X %X " % tuple(numbers), payload, count=1)
+            put = COUNTER.sub(lambda match: match[1] + b"%X %X " % tuple(numbers), payload, count=1)
             return frame(dialect, put)
         at = payload.index(SCAN) + len(SCAN) + COUNTER_AT
         words = b"".join(number.to_bytes(2, "big") for number in numbers)

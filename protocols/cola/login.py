@@ -25,8 +25,8 @@ def short_hash(password: str) -> int:
 
 def long_hash(level: int, password: str, salt: bytes = b"") -> bytes:
     """SHA-256 that a device with the login by challenge keeps; `salt` of version 2, empty in version 1."""
-    told = f"{LEVELS[level]}:SICK Sensor:{password}".encode("latin-1")
-    return hashlib.sha256(told + (b":" + salt if salt else b"")).digest()
+    text = f"{LEVELS[level]}:SICK Sensor:{password}".encode("latin-1")
+    return hashlib.sha256(text + (b":" + salt if salt else b"")).digest()
 
 
 def response(kept: bytes, challenge: bytes) -> bytes:

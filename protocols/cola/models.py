@@ -101,7 +101,7 @@ class Model:
         """From beam to beam."""
         return self.turn_ns(pair) * self.coarse(pair) / FULL_TURN
 
-    def told_frequencies(self, pair: Pair) -> tuple[int, int]:
+    def frequencies(self, pair: Pair) -> tuple[int, int]:
         """Scan and measurement frequency as LMDscandata has them: 1/100 Hz, and units of 100 Hz."""
         return (
             round(Fraction(100_000_000_000) / self.telegram_ns(pair)),

@@ -112,22 +112,22 @@ class Body:
 
     header: Header
     range_m: Floats
-    "(n, k) of the points that are told."
+    "(n, k), of the points that are sent."
     intensity: Floats
     flags: NDArray[np.uint8]
     start: int
     step: int
-    "Of the points that are told, 1/10000 deg."
+    "Of the points that are sent, 1/10000 deg."
     scale: float
     nearest: int
     content: Content
     channels: int
-    "How many echoes are told."
+    "Number of echoes that are sent."
     encoders: tuple[tuple[int, int], ...] = ()
     name: str = ""
     comment: str = ""
     date: tuple[int, ...] | None = None
-    "Year to second, and microseconds; None: not told."
+    "Year to second, and microseconds; None: not sent."
 
     def values(self) -> list[Any]:
         """The values of `LAYOUT`."""

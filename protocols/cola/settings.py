@@ -35,12 +35,16 @@ class Settings:
     quiet_login: bool
     "No scans while a host is logged in."
     fog: bool
+    edge_m: float
+    "Neighbours that differ by more are both taken away; 0: off."
+    encoder_mm_s: float
+    "Speed of the belt whose encoder is wired to the device."
     passwords: dict[int, str]
     hours: int
     "0.1 h."
     power_ups: int
     ntp_epoch_s: float
-    "What an NTP server would tell at the beginning of the run."
+    "Time of the NTP server at the beginning of the run, from 1970."
     serial_baud: int
     wide_imu: bool
 
@@ -75,6 +79,9 @@ def settings_of(keys: DeviceKeys) -> Settings:
         login=keys.choice("login", "what GetChallenge does", CLASSIC, (CLASSIC, "challenge 1", "challenge 2")),
         quiet_login=keys.flag("quiet_login", "no scans while a host is logged in", False),
         fog=keys.flag("fog_filter", "weak echoes of the near field are taken away", False),
+        edge_m=keys.number("edge_filter_m", "MRS1000: neighbours that differ by more than this are taken away; 0: off",
+                           0.0, 0.0, 100.0),
+        encoder_mm_s=keys.number("encoder_mm_s", "LMS: speed of the belt at the encoder", 0.0, -60_000.0, 60_000.0),
         passwords={
             MAINTENANCE: keys.text("password_maintenance", "user level 2", PASSWORDS[MAINTENANCE], 32),
             AUTHORISED: keys.text("password_client", "user level 3", PASSWORDS[AUTHORISED], 32),
@@ -83,7 +90,7 @@ def settings_of(keys: DeviceKeys) -> Settings:
         hours=keys.integer("operating_hours", "ODoprh at the beginning, in 0.1 h", 1_000, 0, 0xFFFFFF),
         power_ups=keys.integer("power_ups", "ODpwrc before the run", 41, 0, 0xFFFFFF),
         ntp_epoch_s=keys.number(
-            "ntp_epoch_s", "what its NTP server tells at the run's beginning, from 1970", 0.0, 0, 4e9
+            "ntp_epoch_s", "time of its NTP server at the beginning of the run, from 1970", 0.0, 0, 4e9
         ),
         serial_baud=keys.integer("serial_baud", "speed of its serial line", 57_600, 9_600, 500_000),
         wide_imu=keys.flag("imu_64_bit", "MRS1000: the IMU's time has 64 bits", True),

@@ -64,7 +64,7 @@ class Watching:
         return self._seen[0][0] if self._seen else None
 
     def due(self, now_ns: int) -> bool:
-        """Let what has ended count; whether anything that is told has changed."""
+        """Let what has ended count; whether anything that is reported has changed."""
         changed = False
         while self._seen and self._seen[0][0] <= now_ns:
             _, found = self._seen.popleft()

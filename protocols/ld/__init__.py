@@ -28,6 +28,17 @@ from protocols.ld.services import check_table, rows
 from protocols.ld.session import LdSession
 from protocols.ld.settings import KEYS, Key, settings_of
 from protocols.session import CommandRow, LinkKind, Session
+from protocols.wire import Wire
+
+
+def _framing(kind: LinkKind) -> Framing:
+    if kind is LinkKind.SERIAL:
+        return PackageFraming()
+    return SegmentFraming() if kind is LinkKind.CAN else UspFraming()
+
+
+WIRE = Wire((LinkKind.STREAM, LinkKind.SERIAL, LinkKind.CAN, LinkKind.DATAGRAM), _framing, LinkKind.DATAGRAM)
+"With a listener on datagrams an LD measures by itself."
 
 
 @dataclass(frozen=True)
@@ -36,6 +47,7 @@ class LdFamily:
 
     name: str = "ld"
     tcp_is_line: bool = False
+    wire: Wire = WIRE
 
     def new_session(self, device: Mapping[str, Any], facts: Mapping[str, Any]) -> LdSession:
         """A session of one device, switched off; `DeviceSettingError` for what the model does not have."""
@@ -49,9 +61,7 @@ class LdFamily:
 
     def framing(self, session: Session, kind: LinkKind) -> Framing:
         """How its messages are changed on their way."""
-        if kind is LinkKind.SERIAL:
-            return PackageFraming()
-        return SegmentFraming() if kind is LinkKind.CAN else UspFraming()
+        return _framing(kind)
 
     def device_keys(self) -> tuple[Key, ...]:
         """Every key of a scenario's `device` table, with what is allowed, its default and its meaning."""

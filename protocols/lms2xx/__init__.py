@@ -14,7 +14,9 @@ from protocols.lms2xx.framing import Lms2xxFraming
 from protocols.lms2xx.models import model_of, with_firmware
 from protocols.lms2xx.session import Lms2xxSession
 from protocols.lms2xx.settings import KEYS, read
+from protocols.lms2xx.telegrams import request
 from protocols.session import CommandRow, DeviceKey, LinkKind, Session
+from protocols.wire import Wire
 
 
 class Lms2xxFamily:
@@ -23,6 +25,13 @@ class Lms2xxFamily:
     name = "lms2xx"
     tcp_is_line = True
     "TCP reaches an LMS2xx through a serial device server (ARIA connects so)."
+    wire = Wire(
+        (LinkKind.SERIAL, LinkKind.STREAM, LinkKind.DATAGRAM),
+        lambda kind: Lms2xxFraming(),
+        LinkKind.SERIAL,
+        (request(b"\x20\x48"), request(b"\x20\x24")),
+    )
+    "Asked for 500 kbaud, so that the line holds no sweep up; then all values, continuously."
 
     def new_session(self, device: Mapping[str, Any], facts: Mapping[str, Any]) -> Lms2xxSession:
         """A device that is switched off. Raises `DeviceSettingError`."""

@@ -11,6 +11,7 @@ from typing import Any
 
 from protocols.session import CommandRow, DeviceKey, Session
 from protocols.skeleton.keys import DeviceKeys
+from protocols.wire import ANY, Wire
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,7 @@ class SimpleFamily:
     build: Callable[[DeviceKeys], Session]
     "Reads the keys, with their defaults, and makes the session."
     rows: tuple[CommandRow, ...] = ()
+    wire: Wire = ANY
 
     def new_session(self, device: Mapping[str, Any], facts: Mapping[str, Any]) -> Session:
         """A device that is switched off. Raises `DeviceSettingError`."""
@@ -36,7 +38,11 @@ class SimpleFamily:
         return self.rows
 
     def device_keys(self) -> tuple[DeviceKey, ...]:
-        """For `lidaremu list device`, from the code that checks them."""
-        keys = DeviceKeys({}, {})
+        """Every key, from the code that checks them."""
+        return self.keys_of_model({})
+
+    def keys_of_model(self, facts: Mapping[str, Any]) -> tuple[DeviceKey, ...]:
+        """Those of a model, with its defaults and choices, for `lidaremu list device`."""
+        keys = DeviceKeys({}, facts)
         self.build(keys)
         return tuple(keys.known)

@@ -6,6 +6,7 @@ Belongs here: how a key is read. Not: which keys a family has.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, TypeVar
 
 from protocols.errors import DeviceSettingError
@@ -113,8 +114,9 @@ class DeviceKeys:
             raise DeviceSettingError(self._prefix + str(key), value, f"no such key; known: {names}")
 
     def _take(self, entry: DeviceKey, default: Value, fits: Callable[[Any], bool]) -> Value:
-        self.known.append(entry)
         value: Value = self._values.pop(entry.name, default)
+        # shown of a model: its own word, as its name
+        self.known.append(replace(entry, default=value) if isinstance(value, str) else entry)
         # the default need not be among what a file may say: it stands for an absent key
         if value is not default and not fits(value):
             raise DeviceSettingError(self._prefix + entry.name, value, entry.allowed)

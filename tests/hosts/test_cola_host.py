@@ -10,6 +10,7 @@ from emulator.hosts.cola import ColaHost, ColaScript, exact_step, read_scan
 from emulator.hosts.describe import Speaker, describe
 from emulator.hosts.lines import SocketLine
 from emulator.hosts.scans import HostScan
+from emulator.process.clock import ManualClock
 from protocols.cola.values import ASCII, BINARY
 from tests.protocols.cola.reader import ask_a, ask_b, frames
 from tests.protocols.cola.rig import MS, ONE, SECOND, Rig
@@ -52,6 +53,29 @@ def test_a_host_logs_in_and_reads_scans(model: str, points: int) -> None:
     rig.run(SECOND)
     assert not rig.sent
     assert host.errors == 0
+
+
+class Slow(RigLine):
+    """The same, with a clock of its own."""
+
+    def __init__(self, rig: Rig, clock: ManualClock) -> None:
+        super().__init__(rig)
+        self.clock = clock
+
+    def read(self, timeout_s: float) -> bytes:
+        self.clock.set(self.clock.now_ns() + 10 * MS)
+        return super().read(timeout_s)
+
+
+def test_a_host_waits_for_a_device_that_is_being_switched_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, rig = ManualClock(), Rig(up=False)
+    monkeypatch.setattr("emulator.hosts.cola.SystemClock", lambda: clock)
+    host = ColaHost(Slow(rig, clock), 57_600)
+    assert 10 * SECOND <= rig.now_ns < 11 * SECOND
+    scan = next(host.scans(1.0))
+    assert scan is not None
+    assert len(scan.range_m) == 541
+    assert rig.now_ns < 11 * SECOND
 
 
 def test_a_probe_leaves_the_device_as_it_was() -> None:

@@ -28,6 +28,7 @@ from emulator.sensors.spec import load_spec
 from emulator.world.scene import build as build_scene
 from protocols.scan import DetectedObject, ScanPlan
 from protocols.session import Address
+from protocols.wire import ANY, wire_of
 
 MS = 1_000_000
 YARD = """\
@@ -117,7 +118,7 @@ def test_a_source_measures_at_its_own_rate_without_any_host(
 def test_which_sweep_is_the_newest_does_not_depend_on_who_asked_before() -> None:
     def sweeps() -> SessionSweeps:
         loaded = scenario.loads(YARD, Path("yard.yaml"))
-        return SessionSweeps(assembly.new_session(loaded, 0), "lms2xx")
+        return SessionSweeps(assembly.new_session(loaded, 0), wire_of("lms2xx") or ANY)
 
     steadily, once, back = sweeps(), sweeps(), sweeps()
     for ms in range(0, 8000, 7):
@@ -135,7 +136,7 @@ def test_which_sweep_is_the_newest_does_not_depend_on_who_asked_before() -> None
 
 def test_after_hours_without_a_list_sweeps_go_on_as_if_they_had_been_counted() -> None:
     loaded = scenario.loads(YARD, Path("yard.yaml"))
-    sweeps = SessionSweeps(assembly.new_session(loaded, 0), "lms2xx")
+    sweeps = SessionSweeps(assembly.new_session(loaded, 0), wire_of("lms2xx") or ANY)
     early, late = sweeps.newest(10_000 * MS), sweeps.newest(7_210_000 * MS)
     assert early is not None
     assert late is not None
@@ -160,10 +161,10 @@ def test_the_block_that_is_continued_is_what_the_session_goes_on_to_want(
 ) -> None:
     loaded = scenario.loads(f"schema: 1\nsensors: [{{id: a, model: {model}, device: {device}}}]\n", Path("a.yaml"))
     family = str(load_spec(model).family)
-    quick = SessionSweeps(assembly.new_session(loaded, 0), family)
+    quick = SessionSweeps(assembly.new_session(loaded, 0), wire_of(family) or ANY)
     found = [quick.newest(ms * MS) for ms in range(1, 16_000, step_ms)]
     monkeypatch.setattr("emulator.objects.sweeps._repeats", lambda *_: False)
-    slow = SessionSweeps(assembly.new_session(loaded, 0), family)
+    slow = SessionSweeps(assembly.new_session(loaded, 0), wire_of(family) or ANY)
     assert slow.newest(16_000 * MS) is not None
     every = max(1, len(found) // 60)
     for one, ms in zip(found[::every], range(1, 16_000, step_ms)[::every], strict=True):

@@ -99,3 +99,17 @@ def test_two_sensors_look_ahead_and_back_from_a_moving_vehicle() -> None:
         forward = pose.rotation[0][:, 0]
         ahead.append(float(caster.first_hits(pose.position_m[0], forward[None], 4.0).range_m[0]))
     assert ahead == pytest.approx([189.9 - 20.5, 20.0 - 0.5 + 9.9], abs=1e-9)
+
+
+def test_the_cola_yard_has_three_scanners_of_today_and_each_sees_what_moves() -> None:
+    config = load("cola_yard")
+    assert [sensor.model for sensor in config.sensors] == ["sick-lms111", "sick-tim571", "sick-mrs1104"]
+    world = scene.build(config)
+    seen = set()
+    for sensor in config.sensors:
+        pose = world.sensor_pose(sensor.mount, np.array([4.0]))
+        azimuth = np.radians(np.arange(-90.0, 90.0, 0.5))
+        direction = np.column_stack([np.cos(azimuth), np.sin(azimuth), 0.0 * azimuth]) @ pose.rotation[0].T
+        hits = Caster(world).first_hits(pose.position_m[0], direction, 4.0)
+        seen |= {world.actors[index] for index in hits.actor if index > 0}
+    assert {"fork_lift", "car", "worker"} <= seen

@@ -15,7 +15,7 @@ def test_a_short_soak_in_virtual_time_holds(tmp_path: Path, capsys: pytest.Captu
     assert capsys.readouterr().out.splitlines()[-1] == "held"
     told = json.loads((tmp_path / "soak.json").read_text())
     assert told["held"]
-    for name, least in (("front", 500), ("top", 160), ("objects", 450)):
+    for name, least in (("front", 500), ("top", 160), ("gate", 500), ("objects", 450)):
         account = told["sensors"][name]
         assert account["unaccounted"] == 0
         ended = account["sent"] + sum(account["dropped"].values()) + account["withdrawn"]

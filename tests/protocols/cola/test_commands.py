@@ -302,3 +302,38 @@ def test_a_dirty_window_and_a_standing_motor_are_told() -> None:
 def test_device_keys_are_judged(device: dict[str, Any], text: str) -> None:
     with pytest.raises(DeviceSettingError, match=text):
         FAMILY.new_session(device, {"model": "sick-lms111"})
+
+
+def test_a_busy_device_refuses_every_request_and_goes_on_sending_scans() -> None:
+    rig = Rig()
+    rig.a("sEN LMDscandata 1")
+    assert rig.session.impair(rig.now_ns, "busy", 1.0)
+    rig.forget()
+    for asked in ("sRN SCdevicestate", "sMN SetAccessMode 03 F4724744", "sWN EIHstCola 1", "sEN LMDscandata 0"):
+        assert rig.a(asked, to=TWO) == "sFA D"
+    assert rig.scan().scan_frequency == 5000
+    rig.session.impair(rig.now_ns, "busy", 0.0)
+    assert rig.a("sRN SCdevicestate", to=TWO) == "sRA SCdevicestate 1"
+
+
+@pytest.mark.parametrize("login", ["classic", "challenge 1"])
+def test_a_device_that_refuses_logins_keeps_those_that_it_has_granted(login: str) -> None:
+    rig = Rig(login=login)
+    rig.log_in()
+    assert rig.session.impair(rig.now_ns, "login", 1.0)
+    assert rig.a("sMN SetAccessMode 03 F4724744", to=TWO) == "sAN SetAccessMode 0"
+    assert rig.a("sWN EIHstCola 1", to=TWO) == "sFA A"
+    if login != "classic":
+        drawn = rig.b("sMN GetChallenge", to=TWO)[18:34]
+        answer = response(long_hash(3, "client"), drawn) + b"\x03"
+        assert rig.b("sMN SetUserLevel", answer, to=TWO) == b"sAN SetUserLevel \x02"
+    assert rig.a("sWN EIHstCola 0") == "sWA EIHstCola", "this host was logged in before"
+    rig.session.impair(rig.now_ns, "login", 0.0)
+    assert rig.a("sMN SetAccessMode 03 F4724744", to=TWO) == "sAN SetAccessMode 1"
+
+
+def test_keys_of_a_model_are_its_own() -> None:
+    keys = {one.name: one for one in FAMILY.keys_of_model({"model": "sick-tim571"})}
+    assert "15" in keys["frequency_hz"].allowed
+    assert "50" not in keys["frequency_hz"].allowed
+    assert keys["ready_s"].default.startswith("3")

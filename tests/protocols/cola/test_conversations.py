@@ -229,6 +229,68 @@ def test_the_vendors_driver_starts_an_mrs1000() -> None:
     assert imu >= 15
 
 
+XD_LMS5XX = [
+    ("sRN SCdevicestate", "", None),
+    ("sMN SetAccessMode", "03f4724744", b"sAN SetAccessMode \x01"),
+    ("sWN EIHstCola", "01", b"sWA EIHstCola "),
+    ("sRN FirmwareVersion", "", None), ("sRN SCdevicestate", "", None), ("sRN ODoprh", "", None),
+    ("sRN ODpwrc", "", None), ("sRN LocationName", "", None),
+    ("sRN LMPoutputRange", "", b"sRA LMPoutputRange " + bytes.fromhex("000100001388ffff3cb0001c3a90")),
+    ("sWN LMPoutputRange", "000100001388ffff3cb0001c3a90", b"sWA LMPoutputRange "),
+    ("sRN LMPoutputRange", "", b"sRA LMPoutputRange " + bytes.fromhex("000100001388ffff3cb0001c3a90")),
+    *[(f"sRN field{number:03d}", "", None) for number in range(30)],
+    ("sRN LIDinputstate", "", None),
+    ("sWN LMDscandatacfg", "CONTENT", b"sWA LMDscandatacfg "),
+    ("sRN LMDscandatacfg", "", None),
+]  # fmt: skip
+XD_LMS5XX_PAIR = [
+    ("sMN Run", "", b"sAN Run \x01"),
+    ("sMN SetAccessMode", "03f4724744", b"sAN SetAccessMode \x01"),
+    ("sMN mLMPsetscancfg", "PAIR", None),
+    ("sRN LMPscancfg", "", None),
+]
+XD_LMS5XX_END = [
+    ("sWN FREchoFilter", "FILTER", b"sWA FREchoFilter "),
+    ("sEN LFErec", "01", b"sEA LFErec \x01"),
+    ("sEN LIDoutputstate", "01", b"sEA LIDoutputstate \x01"),
+    ("sEN LIDinputstate", "01", b"sEA LIDinputstate \x01"),
+    ("sMN LMCstartmeas", "", b"sAN LMCstartmeas \x00"),
+    ("sMN Run", "", b"sAN Run \x01"),
+]
+
+
+def with_words(trace: list[tuple[str, str, bytes | None]], **words: str) -> list[tuple[str, str, bytes | None]]:
+    return [(name, words.get(data, data), wanted) for name, data, wanted in trace]
+
+
+@pytest.mark.parametrize(
+    ("pair", "points", "hertz"),
+    [(None, 381, 50), ("000009c4000100000683ffff3cb0001c3a90", 1141, 25),
+     ("00002710000100001a0bffff3cb0001c3a90", 286, 100),
+     ("00000dac0001000009c4ffff3cb0001c3a90", 761, 35)],
+)  # fmt: skip
+@pytest.mark.parametrize("echoes", [1, 5])
+def test_the_vendors_driver_starts_an_lms5xx(pair: str | None, points: int, hertz: int, echoes: int) -> None:
+    rig = Rig("sick-lms511")
+    ask_all(rig, with_words(XD_LMS5XX, CONTENT=("01" if echoes == 1 else "1f") + "000100000000000000010001"))
+    if pair is not None:
+        ask_all(rig, with_words(XD_LMS5XX_PAIR, PAIR=pair))
+        assert rig.b("sRN LMPscancfg") == b"sRA LMPscancfg " + bytes.fromhex(pair)
+    ask_all(rig, with_words(XD_LMS5XX_END, FILTER="02" if echoes == 1 else "01"))
+    assert rig.b("sEN LMDscandata", "01") == b"sEA LMDscandata \x01"
+    begun = None
+    for number in range(hertz + 1):
+        scan = rig.scan(within_ns=5 * SECOND if number == 0 else 100 * MS)
+        begun = rig.now_ns if begun is None else begun
+        names = [f"DIST{one + 1}" for one in range(echoes)]
+        assert [name for name in scan.channels if name.startswith("DIST")] == names
+        assert all(len(scan.mm(name)) == points for name in names)
+        assert scan.channels["DIST1"][2] == -50_000
+        assert scan.scan_frequency == 100 * hertz
+    assert begun is not None
+    assert rig.now_ns - begun == pytest.approx(SECOND, rel=1e-6)
+
+
 def test_aria_sets_up_an_lms5xx() -> None:
     """ARI needs 1, 0, 1 as results, exactly sEA and then sSN, and eight characters of scale and start angle."""
     rig = Rig("sick-lms511")

@@ -429,3 +429,47 @@ def test_counters_and_clocks_wrap_as_wide_as_the_wire(model: str) -> None:
         start_us.append(scan.scan_us)
     period = 1e8 / scan.scan_frequency
     assert all((two - one) % (1 << 32) == pytest.approx(period, abs=1) for one, two in pairwise(start_us))
+
+
+def test_the_encoder_counts_the_way_of_the_belt() -> None:
+    rig = Rig("sick-lms511", encoder_mm_s=-500.0)
+    rig.log_in()
+    assert rig.a("sWN LICencres 00000000") == "sFA 4"
+    assert rig.a("sWN LICencres 3F000000") == "sWA LICencres"  # 0.5 mm per tick
+    rig.a("sWN LMDscandatacfg 01 00 1 0 0 01 00 0 0 0 0 +1")
+    rig.a("sEN LMDscandata 1")
+    assert rig.scan().encoders == [], "LICencset 0: off"
+    for mode, sign in ((1, 1), (2, -1)):
+        rig.a_last(f"sWN LICencset {mode}")
+        rig.forget()
+        one, two = rig.scan(), rig.scan()
+        (first,), (second,) = one.encoders, two.encoders
+        assert (first[1], second[1]) == (500, 500)
+        moved = (second[0] - first[0] + 2**31) % 2**32 - 2**31
+        # 1000 ticks a second, whatever the number of scans between the two
+        assert moved == pytest.approx(sign * (two.scan_us - one.scan_us) * 1e-3, abs=1.0)
+
+
+def test_the_angle_filter_of_an_mrs_leaves_a_sector_and_every_second_beam() -> None:
+    rig = Rig("sick-mrs1104")
+    rig.log_in()
+    assert rig.a("sRN LFPangleRangeFilter") == "sRA LFPangleRangeFilter 0 C0490FDB 40490FDB BFC90FDB 3FC90FDB 1"
+    assert rig.a("sWN LFPangleRangeFilter 1 3F000000 BF000000 BFC90FDB 3FC90FDB 1") == "sFA 4", "from behind to"
+    rig.a("sWN LFPangleRangeFilter 1 BF000000 3F000000 BFC90FDB 3FC90FDB 2")  # -0.5 to 0.5 rad
+    rig.a("sEN LMDscandata 1")
+    counts = np.asarray(rig.scan().channels["DIST1"][4])
+    azimuth = np.radians(-137.5 + 0.25 * np.arange(1101))
+    wanted = (np.abs(azimuth) <= 0.5) & (np.arange(1101) % 2 == 0)
+    np.testing.assert_array_equal(counts > 0, wanted)
+
+
+def test_the_edge_filter_of_an_mrs_takes_both_sides_of_a_step_away_up_to_sixteen_metres() -> None:
+    def world(plan: ScanPlan) -> Scan:
+        n = np.arange(len(plan))
+        near = np.where(n < 300, 5.0, 5.3)  # a step of 0.3 m: none
+        return scan_of(plan, np.where(n < 500, near, np.where(n < 800, 9.0, np.where(n < 1000, 18.0, 30.0))))
+
+    rig = Rig("sick-mrs1104", world, edge_filter_m=0.5)
+    rig.a("sEN LMDscandata 1")
+    counts = np.asarray(rig.scan().channels["DIST1"][4])
+    assert np.flatnonzero(counts == 0).tolist() == [499, 500, 799, 800]

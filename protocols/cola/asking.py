@@ -1,0 +1,192 @@
+"""Requests in either dialect: read, write, call, subscribe, each with its answer or `sFA`; user levels.
+
+Belongs here: from a telegram to a row of the table and back. Not: what a row does (commands), scans (session).
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from protocols.cola import login
+from protocols.cola.commands import METHODS, VARIABLES, Method, Sfa, Variable, codes, refusal
+from protocols.cola.framing import ColaSplitter, frame
+from protocols.cola.settings import CLASSIC
+from protocols.cola.state import ColaState
+from protocols.cola.values import ASCII, BINARY, Code, Rejected, decode, encode
+from protocols.session import DropReason, LinkKind
+from protocols.skeleton.requests import Answer, Command, Refused, Request
+
+ANSWERS = {b"sRN": b"sRA", b"sRI": b"sRA", b"sWN": b"sWA", b"sMN": b"sAN", b"sEN": b"sEA"}
+UNKNOWN = {b"sRN": Code.VARIABLE_UNKNOWN, b"sWN": Code.VARIABLE_UNKNOWN, b"sMN": Code.METHOD_UNKNOWN,
+           b"sEN": Code.EVENT_UNKNOWN}  # fmt: skip
+
+
+def named(dialect: bytes, head: bytes, name: bytes, data: bytes) -> bytes:
+    """A payload: in CoLa-B the blank stands even where nothing follows."""
+    blank = b" " if data or dialect == BINARY else b""
+    return head + b" " + name + blank + data
+
+
+class ColaAsking(ColaState):
+    """One device, without its scans."""
+
+    REPLY_NS: ClassVar[int] = 2_000_000
+
+    @abstractmethod
+    def start_measuring(self, now_ns: int) -> None:
+        """The mirror turns."""
+
+    @abstractmethod
+    def stop_measuring(self, now_ns: int) -> None:
+        """No scans."""
+
+    @abstractmethod
+    def _poll(self, request: Request) -> Answer | Refused:
+        """The last scan."""
+
+    @abstractmethod
+    def _listen(self, name: str, on: int, request: Request) -> bytes | Refused:
+        """Subscribe to an event, or no more."""
+
+    # user levels
+
+    def log_in(self, level: int, request: Request) -> bool:
+        """A host has that level from now on; False: refused."""
+        if self._refuses_login and level != login.RUN:
+            return False
+        was_still = self._still
+        self._levels[request.address] = level
+        if self._still != was_still:
+            self.rearrange(request.now_ns)
+        return True
+
+    def challenge(self, asked: bytes, request: Request) -> list[Any] | Sfa:
+        """GetChallenge: version 1 without a level, version 2 with one and a salt."""
+        if self.settings.login == CLASSIC:
+            return refusal(Code.METHOD_UNKNOWN, DropReason.UNKNOWN_COMMAND)
+        salted = self.settings.login == "challenge 2"
+        if len(asked) != int(salted):
+            return refusal(Code.TOO_LITTLE if salted else Code.TOO_MUCH)
+        self._challenges += 1
+        drawn = login.challenge_of(str(self.settings.serial), self._challenges, request.now_ns)
+        self._asked[request.address] = drawn
+        return [0, drawn + (self._salt if salted else b"")]
+
+    @property
+    def _salt(self) -> bytes:
+        return login.challenge_of(str(self.settings.serial), 0, 0) if self.settings.login == "challenge 2" else b""
+
+    def answer(self, response: bytes, request: Request) -> list[Any] | Sfa:
+        """SetUserLevel: a challenge serves once."""
+        if self.settings.login == CLASSIC:
+            return refusal(Code.METHOD_UNKNOWN, DropReason.UNKNOWN_COMMAND)
+        if len(response) != 33:
+            return refusal(Code.TOO_LITTLE if len(response) < 33 else Code.TOO_MUCH)
+        drawn, level = self._asked.pop(request.address, None), response[32]
+        if drawn is None:
+            return [3]
+        password = self.settings.passwords.get(level)
+        if password is None:
+            return [1]
+        if login.response(login.long_hash(level, password, self._salt), drawn) != response[:32]:
+            return [2]
+        return [0 if self.log_in(level, request) else 2]
+
+    def _may(self, level: int, request: Request) -> bool:
+        return not self.settings.strict or self._levels.get(request.address, login.RUN) >= level
+
+    # requests
+
+    def _splitter(self, kind: LinkKind | None) -> ColaSplitter:
+        return ColaSplitter()
+
+    def _parse(self, request: bytes) -> tuple[bytes, bytes]:
+        """The code is kind and name; the data are dialect, name, a NUL and the arguments."""
+        dialect, payload = request[:1], request[1:].lstrip(b" ")
+        kind, _, rest = payload.partition(b" ")
+        if kind == b"sRI":
+            return kind, dialect + b"0\0" + rest
+        name, _, arguments = rest.partition(b" ")
+        known = kind in UNKNOWN and len(name) <= 64 and name.isalnum()
+        return (kind + b" " + name if known else b"?" if payload else b""), dialect + name + b"\0" + arguments
+
+    def _reply(self, request: Request, payload: bytes) -> bytes:
+        dialect, name = request.data[:1], request.data[1:].partition(b"\0")[0]
+        if request.code == b"sRI" and dialect == BINARY:
+            return frame(dialect, b"sRA \0\0" + payload)
+        return frame(dialect, named(dialect, ANSWERS[request.code[:3]], name, payload))
+
+    def _refusal(self, request: Request, refused: Refused) -> bytes | None:
+        dialect = request.data[:1]
+        if not self._speaks(dialect):
+            return None
+        self._dialects[request.address] = dialect
+        code = refused.code if isinstance(refused, Sfa) else UNKNOWN.get(request.code[:3], Code.COMMAND_UNKNOWN)
+        return frame(dialect, b"sFA %X" % code if dialect == ASCII else b"sFA" + int(code).to_bytes(2, "big"))
+
+    def _speaks(self, dialect: bytes) -> bool:
+        """Whether it speaks that dialect at present."""
+        spoken = BINARY if self.values["EIHstCola"] == [1] else ASCII
+        return self.settings.dialect == "both" or dialect == spoken
+
+    def _asked_for(self, request: Request) -> bytes | Answer | Refused:
+        """Every row of the table leads here."""
+        dialect, (raw, _, data) = request.data[:1], request.data[1:].partition(b"\0")
+        if not self._speaks(dialect):
+            return Answer(None)
+        self._dialects[request.address] = dialect
+        if self._busy:
+            return refusal(Code.BUSY, DropReason.BUSY)
+        kind, name = request.code[:3], raw.decode("ascii", "replace")
+        try:
+            if kind == b"sRI":
+                (index,) = decode("u16", dialect, data)
+                return refusal(Code.OUT_OF_BOUNDS) if index else self._read("DeviceIdent", dialect, request.now_ns)
+            if kind == b"sRN" and name == "LMDscandata":
+                return self._poll(request)
+            if kind == b"sEN":
+                return self._listen(name, decode("u8", dialect, data)[0], request)
+            if kind == b"sMN":
+                return self._call(METHODS[name], data, request)
+            variable = VARIABLES[name]
+            if not variable.on(self.settings.model):
+                return refusal(Code.VARIABLE_UNKNOWN, DropReason.UNKNOWN_COMMAND, name)
+            if kind == b"sRN":
+                return self._read(name, dialect, request.now_ns)
+            return self._write(name, variable, data, request)
+        except Rejected as rejected:
+            return refusal(rejected.code)
+
+    def _read(self, name: str, dialect: bytes, now_ns: int) -> bytes:
+        variable = VARIABLES[name]
+        values = self.values[name] if variable.live is None else variable.live(self, now_ns)
+        return encode(variable.layout_of(self.settings.model), dialect, values)
+
+    def _write(self, name: str, variable: Variable, data: bytes, request: Request) -> bytes | Refused:
+        if variable.level is None or not self._may(variable.level, request):
+            return refusal(Code.WRITE_DENIED, DropReason.WRONG_MODE)
+        values = decode(variable.layout_of(self.settings.model), request.data[:1], data)
+        if variable.check is not None and (code := variable.check(self, values)) is not None:
+            return refusal(code)
+        if values != self.values[name]:
+            self.values[name] = values
+            if variable.changed is not None:
+                variable.changed(self, request.now_ns)
+        return b""
+
+    def _call(self, method: Method, data: bytes, request: Request) -> bytes | Answer | Refused:
+        if not method.on(self.settings.model):
+            return refusal(Code.METHOD_UNKNOWN, DropReason.UNKNOWN_COMMAND)
+        if not self._may(method.level, request):
+            return refusal(Code.METHOD_DENIED, DropReason.WRONG_MODE)
+        dialect = request.data[:1]
+        found = method.act(self, decode(method.arguments, dialect, data), request)
+        if isinstance(found, Sfa):
+            return found
+        return Answer(encode(method.result, dialect, found or []), restarts=method.restarts)
+
+    COMMANDS: ClassVar[Mapping[bytes, Command]] = {
+        code.encode(): Command(code, lambda session, request: session._asked_for(request), "") for code in codes()
+    }

@@ -1,0 +1,70 @@
+"""Devices that refuse requests or logins, or restart, in virtual time; and for whom these faults exist."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from emulator.errors import ScenarioError
+from emulator.faults.catalogue import fits, kinds
+from emulator.judging.trial import Trial
+from emulator.scenario import scenario
+from emulator.transports.loopback import LoopLink
+from protocols.cola.framing import frame
+from protocols.cola.values import ASCII
+
+TEXT = """\
+schema: 1
+seed: 1
+duration_s: 3.0
+world:
+  - {plane: {size_m: [6, 60]}, at_m: [5, 0, 1], pitch_deg: -90, material: white_plaster}
+sensors:
+  - {id: one, model: MODEL, mount: {at_m: [0, 0, 1]}, physics: {noise: false, rule: axis, sub_beams: 1}}
+faults:
+  - {on: one, do: DO, at_s: 0.0, for_s: 1.2}
+"""
+
+
+def trial(do: str, model: str = "sick-tim551") -> Trial:
+    return Trial(scenario.loads(TEXT.replace("DO", do).replace("MODEL", model), Path("refusing.yaml")))
+
+
+def test_a_busy_device_gives_no_scan_until_the_fault_ends_and_counts_what_it_refused() -> None:
+    made = trial("device_busy")
+    made.run.advance(1_150_000_000)
+    (instrument,) = made.instruments
+    assert instrument.stats.scans_sent == 0
+    assert instrument.stats.input_dropped["device busy with earlier requests"] > 0
+    made.run.advance(3_000_000_000 + 1_500_000_000)
+    assert instrument.stats.scans_sent > 0
+    made.close()
+
+
+@pytest.mark.parametrize("do", ["device_busy", "refuse_login"])
+def test_only_families_that_state_it_have_the_fault(do: str) -> None:
+    assert fits(kinds()[do]) == "cola"
+    with pytest.raises(ScenarioError, match="want a sensor of cola"):
+        trial(do, "sick-lms291-s05")
+
+
+def test_a_restart_at_a_hosts_request_sends_its_reply_and_ends_the_connections() -> None:
+    made = trial("device_busy")
+    made.faults.clear(1, 0)
+    (instrument,) = made.instruments
+    link = instrument.links[0]
+    assert isinstance(link, LoopLink)
+    host = link.connect()
+    made.run.advance(4_000_000_000)
+    assert host.connected
+    for text in (b"sMN SetAccessMode 3 F4724744", b"sMN mSCreboot"):
+        host.write(frame(ASCII, text), made.run.clock.now_ns())
+        made.run.advance(made.run.clock.now_ns() + 500_000_000)
+    assert host.read().endswith(b"\x02sAN mSCreboot\x03")
+    assert not host.connected
+    assert instrument.stats.restarts == 2
+    sent = instrument.stats.scans_sent
+    made.run.advance(made.run.clock.now_ns() + 6_000_000_000)
+    assert instrument.stats.scans_sent > sent, "the built-in host has connected again"
+    made.close()
