@@ -16,6 +16,7 @@ FAMILIES = {
     "lms2xx": "protocols.lms2xx",
     "ld": "protocols.ld",
     "can_objects": "protocols.can_objects",
+    "scip": "protocols.scip",
 }
 "Family name -> module that offers `FAMILY`; those of this package."
 
