@@ -151,7 +151,7 @@ KINDS: tuple[Kind, ...] = (
         MotorSpeed,
         act=Motor,
         lasts="state",
-        families=("lms2xx", "ld"),
+        families=("lms2xx", "ld", "scip"),
     ),
     _kind("mirror_wobble", MirrorWobble, "Walls move along the beam; distant ground comes and goes.", check=_some),
     _kind(

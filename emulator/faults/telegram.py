@@ -283,6 +283,10 @@ def _framings(target: Target, link: int | None) -> list[Framing]:
         return [Lms2xxFraming()]
     if target.family == "ld":
         return [of_ld.get(kind, UspFraming)() for kind in links]
+    if target.family == "scip":
+        from protocols.scip.framing import ScipFraming
+
+        return [ScipFraming()]
     if target.family == "can_objects":
         from protocols.can_objects.layout import load
 
@@ -346,7 +350,7 @@ KINDS: tuple[Kind, ...] = (
         "bad_checksum",
         "A telegram has a wrong checksum and no other error.",
         act=lambda keys, gear: Changed(gear, lambda framing, one: framing.bad_check(one), True),
-        families=("lms2xx", "ld"),
+        families=("lms2xx", "ld", "scip"),
         check=_has("bad_check"),
     ),
     _kind(
@@ -370,7 +374,7 @@ KINDS: tuple[Kind, ...] = (
         "A telegram has another response code; its checksum is correct.",
         keys=TypeKeys,
         act=lambda keys, gear: Changed(gear, lambda framing, one: framing.with_type(one, keys.code), True),
-        families=("lms2xx", "ld"),
+        families=("lms2xx", "ld", "scip"),
         check=_has("with_type"),
     ),
     _kind(
@@ -396,7 +400,7 @@ KINDS: tuple[Kind, ...] = (
         "The next request is answered.",
         act=lambda keys, gear: Drop(gear),
         of="replies",
-        families=("lms2xx", "ld"),
+        families=("lms2xx", "ld", "scip"),
     ),
     _kind(
         "slow_reply",
@@ -412,7 +416,7 @@ KINDS: tuple[Kind, ...] = (
         "The same request is accepted.",
         act=lambda keys, gear: Refuse(gear),
         directions=FROM_HOST,
-        families=("lms2xx", "ld"),
+        families=("lms2xx", "ld", "scip"),
         check=_has("to_be_refused"),
     ),
 )

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from emulator.hosts.scip import ReplyReader
 from protocols.ld.packages import Package, PackageReader
 from protocols.ld.profiles import RANGE_LSB_PER_M, Field
 from protocols.ld.sectors import TICKS
@@ -22,6 +23,8 @@ from protocols.ld.usp import UspReader
 from protocols.lms2xx import commands as lms
 from protocols.lms2xx.telegrams import Telegram, open_frame, read_values
 from protocols.lms2xx.values import COUNTS_PER_METRE, MEASURING_MODES
+from protocols.scip import commands as scip
+from protocols.scip.codec import decode_number, decode_values, joined
 
 FIRST = 8
 "Numbers of a row that are shown before it is cut."
@@ -45,7 +48,7 @@ class Speaker:
     """Whose wire it is."""
 
     family: str
-    "lms2xx | ld | can_objects; anything else speaks nothing that is known."
+    "lms2xx | ld | scip | can_objects; anything else speaks nothing that is known."
     facts: Mapping[str, Any] = field(default_factory=dict)
     "The model's `device` table."
     device: Mapping[str, Any] = field(default_factory=dict)
@@ -68,6 +71,7 @@ def describe(speaker: Speaker, data: bytes, kind: str = "serial", peer: int = 0,
     known: dict[str, Callable[[], list[Described]]] = {
         "lms2xx": lambda: _lms2xx(data, sent),
         "ld": lambda: _ld(data, kind, sent),
+        "scip": lambda: _scip(data, sent),
         "can_objects": lambda: _can(speaker, data, peer),
     }
     try:
@@ -86,6 +90,28 @@ def row_of(values: Sequence[float] | np.ndarray[Any, Any], digits: int = 0) -> s
     """The first of many numbers, and how many there are."""
     shown = " ".join(f"{value:.{digits}f}" for value in list(values[:FIRST]))
     return shown + (f" … ({len(values)})" if len(values) > FIRST else "")
+
+
+# ---------------------------------------------------------------- SCIP
+
+
+def _scip(data: bytes, sent: bool) -> list[Described]:
+    if not sent:
+        return [Described("command", repr(data)[2:-1])]
+    found: list[Described] = []
+    for reply in ReplyReader().feed(data):
+        found += [Described("echo", repr(reply.echo)[2:-1]), Described("status", repr(reply.status)[2:-1])]
+        lines = list(reply.lines)
+        form = scip.MEASURES.get(reply.echo[:2])
+        if form is not None and len(lines) > 1:
+            found.append(Described("time stamp", str(decode_number(joined(lines[:1]))), "since power-on", "ms"))
+            range_m, strength = decode_values(joined(lines[1:]), form)
+            found.append(Described("distances", row_of(range_m[:, 0], 3), "first echoes", "m"))
+            if form.intensity:
+                found.append(Described("intensities", row_of(strength[:, 0]), "first echoes"))
+            lines = []
+        found += [Described("line", repr(line)[2:-1]) for line in lines]
+    return found or [unknown(data, "no whole reply")]
 
 
 # ---------------------------------------------------------------- LMS2xx

@@ -76,7 +76,8 @@ def free_links(loaded: scenario.Scenario, folder: Path) -> dict[str, list[str]]:
     replaced: dict[str, list[str]] = {}
     servers: dict[str, int] = {}
     for index, sensor in enumerate(loaded.sensors):
-        default = {"lms2xx": "pty:x", "ld": "tcp:127.0.0.1:0", "can_objects": f"socketcand:127.0.0.1:0/{sensor.id}"}
+        default = {"lms2xx": "pty:x", "ld": "tcp:127.0.0.1:0", "scip": "pty:x"}
+        default |= {"can_objects": f"socketcand:127.0.0.1:0/{sensor.id}"}
         family = load_spec(sensor.model).family
         links = sensor.links or ((default[family],) if family in default else ())
         replaced[sensor.id] = [_freed(url, folder, f"{index}-{number}", servers) for number, url in enumerate(links)]

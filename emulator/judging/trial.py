@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from emulator.errors import ScenarioError
+from emulator.hosts.scip import ScipScript
 from emulator.hosts.scripted import HasScript, LdScript, Lms2xxScript
 from emulator.injection.run import FaultRun
 from emulator.instrument.instrument import Instrument, Measuring
@@ -156,6 +157,8 @@ class Trial:
         if family.name == "ld":
             zero_rad = math.radians(float(sensor.device.get("zero_deg", 0.0)))
             return LdScript(loops[sensor.id].connect(), on_scan, zero_rad)
+        if family.name == "scip":
+            return ScipScript(loops[sensor.id].connect(), on_scan)
         if isinstance(family, HasScript):
             return family.script(loops[sensor.id].connect(), on_scan)
         return None

@@ -29,7 +29,11 @@ from emulator.process.clock import SystemClock
 if TYPE_CHECKING:
     from emulator.looking.screen import Page
 
-HOSTS = {"lms2xx": "emulator.hosts.lms2xx:Lms2xxHost", "ld": "emulator.hosts.ld:LdHost"}
+HOSTS = {
+    "lms2xx": "emulator.hosts.lms2xx:Lms2xxHost",
+    "ld": "emulator.hosts.ld:LdHost",
+    "scip": "emulator.hosts.scip:ScipHost",
+}
 "Families on a line -> `module:class`, imported when one is wanted; made with a line and a line speed."
 CAN_FAMILY = "can_objects"
 FAMILIES = (*HOSTS, CAN_FAMILY)

@@ -63,8 +63,9 @@ def tries(tcp: bool) -> list[Try]:
     found: list[Try] = [("lms2xx", _lms2xx), ("ld", _ld)]
     if tcp:
         found.reverse()
+    found.append(("scip", _scip))
     for name in families():
-        known = family(name) if name not in ("lms2xx", "ld", CAN_FAMILY) else None
+        known = family(name) if name not in (*(one for one, _ in found), CAN_FAMILY) else None
         if isinstance(known, HasHost):
             found.append((name, lambda line, name=name, known=known: _stranger(name, known, line)))
     return found
@@ -82,6 +83,13 @@ def _ld(line: Line) -> Found:
 
     host = LdHost(line, None)
     return Found("ld", tidy(host.title), host.found_baud, not host.listens)
+
+
+def _scip(line: Line) -> Found:
+    from emulator.hosts.scip import ScipHost
+
+    host = ScipHost(line, None)
+    return Found("scip", tidy(host.title), host.found_baud, not host.listens)
 
 
 def _stranger(name: str, family: HasHost, line: Line) -> Found:

@@ -24,9 +24,9 @@ KEPT_NS = 1_000_000_000
 SOON_NS, LATER_NS = 100_000_000, 5_000_000_000
 "Time to the next request while the device starts; after one that it has taken."
 MAX_ROUNDS = 64
-KINDS = {"lms2xx": LinkKind.SERIAL, "ld": LinkKind.DATAGRAM}
+KINDS = {"lms2xx": LinkKind.SERIAL, "ld": LinkKind.DATAGRAM, "scip": LinkKind.SERIAL}
 "Link on which a family's device is asked: an LD with a listener measures by itself."
-REQUESTS = {"lms2xx": (request(b"\x20\x48"), request(b"\x20\x24")), "ld": ()}
+REQUESTS = {"lms2xx": (request(b"\x20\x48"), request(b"\x20\x24")), "ld": (), "scip": (b"MD0044072501000\n",)}
 "500 kbaud, so that the line holds no sweep up; then all values, continuously."
 
 

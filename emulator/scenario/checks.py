@@ -343,7 +343,7 @@ def _unspoken(family: str | None, url: str) -> tuple[str, str] | None:
     spoken: tuple[str, ...]
     if family == "can_objects" and scheme not in (*CAN_SCHEMES, "loop"):
         spoken = CAN_SCHEMES
-    elif family == "lms2xx" and scheme in CAN_SCHEMES:
+    elif family in ("lms2xx", "scip") and scheme in CAN_SCHEMES:
         spoken = tuple(one for one in LINK_SCHEMES if one not in (*CAN_SCHEMES, "loop"))
     else:
         return None

@@ -328,27 +328,22 @@ def _old_scan(device: ScipDevice, request: Request) -> Reply:
     return Answer(None)
 
 
-def _rows() -> dict[bytes, Command]:
-    forms = {
-        "D": (Form(3), "distances of 3 characters"),
-        "S": (Form(2), "distances of 2 characters"),
-        "E": (Form(3, intensity=True), "distances and intensities"),
-    }
-    echoes = {
-        "D": (Form(3, echoes=MOST_ECHOES), "distances of up to 3 echoes"),
-        "E": (Form(3, True, MOST_ECHOES), "distances and intensities of up to 3 echoes"),
-    }
-    found = {}
-    for letter, continuous, kinds, how in (
-        ("G", False, forms, "one scan"),
-        ("H", False, echoes, "one scan"),
-        ("M", True, forms, "scans"),
-        ("N", True, echoes, "scans"),
-    ):
-        for kind, (form, what) in kinds.items():
-            act = partial(_measure, form, continuous)
-            found[(letter + kind).encode()] = Command(f"{how}: {what}", act, "spec 4")
-    return found
+MEASURES: Mapping[bytes, Form] = {
+    start + kind: form
+    for starts, several in (((b"G", b"M"), 1), ((b"H", b"N"), MOST_ECHOES))
+    for start in starts
+    for kind, form in ((b"D", Form(3, echoes=several)), (b"S", Form(2)), (b"E", Form(3, True, several)))
+    if several == 1 or kind != b"S"
+}
+"Measuring commands, and what their values are; M and N repeat."
+
+
+def _row_of(code: bytes, form: Form) -> Command:
+    continuous = code[:1] in (b"M", b"N")
+    what = f"{'scans' if continuous else 'one scan'}: distances of {form.width} characters"
+    what += " and intensities" if form.intensity else ""
+    what += f", up to {form.echoes} echoes" if form.echoes > 1 else ""
+    return Command(what, partial(_measure, form, continuous), "spec 4")
 
 
 COMMANDS: Mapping[bytes, Command] = {
@@ -365,7 +360,7 @@ COMMANDS: Mapping[bytes, Command] = {
     b"CR": Command("motor speed", without(_motor_speed, 2), "spec 4", "one per cent per step: ours"),
     b"HS": Command("sensitivity", without(_sensitivity, 1), "spec 4", "factor 2: ours"),
     b"DB": Command("simulated malfunction", without(_simulate, 2), "spec 4", "until RS or RB"),
-    **_rows(),
+    **{code: _row_of(code, form) for code, form in MEASURES.items()},
     b"%ST": Command("state code", without(_short_state), "spec 4; hokuyolx"),
     b"%SL": Command("sleep", without(_sleep), "spec 4; hokuyolx", "until QT, RS or RT"),
     b"$IP": Command("address", None, "spec 11", "no printed layout"),
