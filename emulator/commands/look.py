@@ -15,7 +15,7 @@ from emulator.output.lines import note, say
 @click.command()
 @click.argument("link")
 @click.option(
-    "--family", "family_name", default="lms2xx", show_default=True, help="Protocol: lms2xx, ld or can_objects."
+    "--family", "family_name", default="lms2xx", show_default=True, help="Protocol: lms2xx, ld, scip or can_objects."
 )
 @click.option("--model", metavar="NAME", help="Format of object lists, for example can-ars408 (default: detected).")
 @click.option("--extended", is_flag=True, help="Also request class, size and existence from an ARS408 (not stored).")
@@ -72,7 +72,7 @@ def look(
     help="Name of a built-in scenario, or a path (default: one with a sensor of the family).",
 )
 @click.option("--sensor", help="Sensor to show (default: the first of the family).")
-@click.option("--family", "family_name", metavar="F", help="lms2xx (default), ld or can_objects.")
+@click.option("--family", "family_name", metavar="F", help="lms2xx (default), ld, scip or can_objects.")
 @click.option(
     "--duration", type=Finite(0.0, LONGEST_S), default=None, metavar="S", help="Stop after this many seconds."
 )

@@ -36,7 +36,8 @@ SPEED_TOLERANCE = 0.1
 UNSTABLE = {"SCIP 2.0": "21", "SCIP 2.2": "0M"}
 RESUMED = "98"
 HELD_BYTES = 1024
-"Input kept of a client that waits for the one connection of a device."
+"""Input kept of a client that waits for the boot, when a real device is not on the network yet and the client's
+connection is not made, or for the end of the one connection that a device serves."""
 SCIP1_LAST = 768
 "G of SCIP 1.1 also has steps outside of the field, without valid values (Player's urglaser asks for 0 to 768)."
 
@@ -146,6 +147,7 @@ class ScipDevice(RequestSession):
 
     def _start(self, now_ns: int) -> None:
         self._mirror = Raster(now_ns, self._turn_ns())
+        self._serve_next(now_ns)
 
     # measurements
 
@@ -353,22 +355,24 @@ class ScipDevice(RequestSession):
     # one client at a time on Ethernet
 
     def connected(self, now_ns: int, address: Address, kind: LinkKind) -> None:
-        """A link is open, or a client has connected: while another is served, it waits."""
+        """A link is open, or a client has connected: during the boot, and while another is served, it waits."""
         super().connected(now_ns, address, kind)
         if kind is LinkKind.STREAM:
-            if self._client is None:
-                self._client = address
-            elif self._client != address:
-                self._waiting[address] = b""
+            self._waiting[address] = b""
+            self._serve_next(now_ns)
 
     def disconnected(self, now_ns: int, address: Address) -> None:
         """A client has disconnected: its measurements end, the next one is served."""
         super().disconnected(now_ns, address)
         self._waiting.pop(address, None)
         if address == self._client:
-            self._client = next(iter(self._waiting), None)
-            if self._client is not None:
-                self.receive(self._waiting.pop(self._client), now_ns, self._client)
+            self._client = None
+            self._serve_next(now_ns)
+
+    def _serve_next(self, now_ns: int) -> None:
+        if self._client is None and self._running and self._waiting:
+            self._client = next(iter(self._waiting))
+            self.receive(self._waiting.pop(self._client), now_ns, self._client)
 
     def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
         """Bytes of a host, in any chunking; those of a waiting client are kept. Never raises."""
