@@ -86,7 +86,9 @@ class ScipDevice(RequestSession):
     def __init__(self, model: Model, settings: Settings) -> None:
         self.model, self.settings = model, settings
         self.period_ns = model.period_ms * 1_000_000
-        super().__init__(settings.boot_ns, self.period_ns)
+        # hokuyolx, reboot(): a device of SCIP 2.2 waits until its speed is stable, then it is in standby
+        boots_turning = model.protocol != "SCIP 2.0"
+        super().__init__(max(settings.boot_ns, settings.spin_up_ns * boots_turning), self.period_ns)
         self.REPLY_NS = settings.reply_ns  # type: ignore[misc]
         self.steps = np.arange(model.first, model.last + 1)
         self._azimuth_rad = np.asarray((self.steps - model.front) * (2.0 * math.pi / model.steps), np.float64)

@@ -372,6 +372,24 @@ def test_ethernet_serves_one_client_and_the_next_when_it_has_gone() -> None:
     assert rig.session.next_plan() is None
 
 
+def test_a_client_that_connects_during_the_boot_is_served_after_it() -> None:
+    rig = Rig("hokuyo-ust-10lx", {"boot_s": 1.0, "spin_up_s": 2.0}, kind=LinkKind.STREAM)
+    rig.session.connected(rig.now_ns, ONE, LinkKind.STREAM)
+    rig.put("V", ONE)
+    rig.put("V\n%ST\n" + "x" * 2000, ONE)
+    rig.run(1900 * MS)
+    assert rig.take() == []
+    assert rig.dropped() == [DropReason.BUSY]
+    rig.run(200 * MS)
+    replies = rig.take(ONE)
+    assert [(one.echo, one.due_ns) for one in replies] == [(one, 2 * SECOND + REPLY_NS) for one in ("VV", "%ST")]
+    assert replies[1].lines == ["000"], "it waits for its motor before it answers"
+    line = Rig(device={"boot_s": 2.0})
+    line.put("VV\n")
+    line.run(3 * SECOND)
+    assert line.take() == [], "no one keeps the input of a serial line"
+
+
 @given(
     st.binary(max_size=60).filter(lambda data: b"\n" not in data and b"\r" not in data),
     st.sampled_from("\n \r \r\n".split(" ")),
