@@ -412,6 +412,7 @@ def test_every_command_in_every_state_has_one_reply(model: str, state: str) -> N
     before = {"laser": "BM", "stream": f"MD{steps}000", "time": "TM0", "sleep": "%SL"}.get(state)
     for code in (code.decode() for code in COMMANDS if not code.startswith(b"1.1")):
         rig = Rig(model, device)
+        rig.run(5 * SECOND if MODELS[model].protocol == "SCIP 2.2" and state == "starting" else 0)
         if before:
             rig.put(before + "\n")
             rig.run(30 * MS)
