@@ -104,11 +104,11 @@ def _scip(data: bytes, sent: bool) -> list[Described]:
         lines = list(reply.lines)
         form = scip.MEASURES.get(reply.echo[:2])
         if form is not None and len(lines) > 1:
-            found.append(Described("time stamp", str(decode_number(joined(lines[:1]))), "since power-on", "ms"))
+            found.append(Described("time stamp", str(decode_number(joined(lines[:1]))), "ms"))
             range_m, strength = decode_values(joined(lines[1:]), form)
-            found.append(Described("distances", row_of(range_m[:, 0], 3), "first echoes", "m"))
+            found.append(Described("distances", row_of(range_m[:, 0], 3), "m"))
             if form.intensity:
-                found.append(Described("intensities", row_of(strength[:, 0]), "first echoes"))
+                found.append(Described("intensities", row_of(strength[:, 0])))
             lines = []
         found += [Described("line", repr(line)[2:-1]) for line in lines]
     return found or [unknown(data, "no whole reply")]

@@ -101,7 +101,7 @@ class ScipView:
             return None
         found = range_m[:, 0]
         found = np.where((found >= self.least_m) & (found <= self.most_m), found, np.nan)
-        azimuth = (index - self.front) * (2.0 * np.pi / self.steps)
+        azimuth = np.asarray((index - self.front) * (2.0 * np.pi / self.steps), np.float64)
         intensity = None if reply.echo[:2] != b"ME" else np.where(np.isnan(found), np.nan, strength[:, 0])
         return HostScan(number, azimuth, found, f"stamp {ticks} ms", intensity)
 

@@ -123,7 +123,10 @@ def test_time_stamps_wrap_at_24_bits() -> None:
     rig.session.clock = rig.session.clock.set_to(rig.now_ns, (2**24 - 100) * MS)
     rig.put("MD0000000001000\n")
     rig.run(SECOND)
+    told = [one.told for one in rig.sent if one.told is not None]
+    assert {one.bits for one in told} == {24}
     stamps = [one.stamp for one in rig.take()[1:]]
+    assert [one.ticks for one in told] == stamps
     assert max(stamps) < 2**24
     assert {(other - one) % 2**24 for one, other in pairwise(stamps)} == {25}
     assert any(other < one for one, other in pairwise(stamps))
@@ -172,6 +175,16 @@ def test_a_second_measurement_replaces_the_first_and_one_scan_comes_beside_it() 
     rig.run(200 * MS)
     echoes = [one.echo for one in rig.take()]
     assert f"MD{FULL}000" not in echoes[echoes.index("MS0000000301000") :]
+
+
+def test_a_counted_measurement_keeps_its_count_when_one_scan_is_asked_beside_it() -> None:
+    rig = Rig()
+    rig.put(f"MD{FULL}020\n")
+    rig.run(130 * MS)  # several scans are measured ahead, and withdrawn by what follows
+    rig.put("GD0000000301\n")
+    rig.run(SECOND)
+    left = [int(one.echo[-2:]) for one in rig.take() if one.status == "99"]
+    assert left == list(range(19, -1, -1))
 
 
 def test_quitting_withdraws_what_has_not_begun() -> None:
