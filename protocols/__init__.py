@@ -17,6 +17,7 @@ FAMILIES = {
     "ld": "protocols.ld",
     "cola": "protocols.cola",
     "can_objects": "protocols.can_objects",
+    "scip": "protocols.scip",
 }
 "Family name -> module that offers `FAMILY`; those of this package."
 

@@ -49,6 +49,13 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "settings": "settings ldmrs_settings",
         "other": "__init__",
     },
+    "scip": {
+        "codec": "codec framing",
+        "commands": "commands",
+        "session": "session device",
+        "settings": "settings models",
+        "other": "__init__",
+    },
 }
 "Family -> kind -> its modules."
 

@@ -100,6 +100,12 @@ LD_SERIAL = tuple(operations([(3, encode_packages(payload_of(*words), 0x0001))])
 LD_CAN = tuple(
     operations([(1, b"\x05\x01" + part) for part in encode_segments(payload_of(*words), 1)]) for words in LD_WORDS
 )
+SCIP = tuple(
+    operations([(3, line + b"\n")])
+    for line in (b"VV", b"PP;x", b"II", b"BM", b"GD0044072501", b"GS0044072503", b"MD0044072501000", b"ME0044072500102",
+                 b"ND0000108001001", b"HE0000108000", b"TM0", b"TM1", b"TM2", b"SS115200", b"CR05", b"HS1", b"DB01",
+                 b"RB", b"RB", b"RS", b"RT", b"%ST", b"%SL", b"SCIP2.0", b"QT")
+)  # fmt: skip
 CAN_OBJECTS = tuple(
     operations([(2, identifier.to_bytes(2, "big") + payload)])
     for identifier in (0x200, 0x202, 0x300, 0x301, 0x400, 0x401, 0x4F0, 0x4F1, 0x5F2, 0x5F3, 0x5F4, 0x740, 0x741, 0x742)

@@ -15,6 +15,7 @@ import numpy as np
 
 from emulator.hosts import describe_cola
 from emulator.hosts.families import BUILT_IN, found_at
+from emulator.hosts.scip import ReplyReader
 from protocols.ld.packages import Package, PackageReader
 from protocols.ld.profiles import RANGE_LSB_PER_M, Field
 from protocols.ld.sectors import TICKS
@@ -24,6 +25,8 @@ from protocols.ld.usp import UspReader
 from protocols.lms2xx import commands as lms
 from protocols.lms2xx.telegrams import Telegram, open_frame, read_values
 from protocols.lms2xx.values import COUNTS_PER_METRE, MEASURING_MODES
+from protocols.scip import commands as scip
+from protocols.scip.codec import decode_number, decode_values, joined
 
 FIRST = 8
 "Numbers of a row that are shown before it is cut."
@@ -86,6 +89,28 @@ def row_of(values: Sequence[float] | np.ndarray[Any, Any], digits: int = 0) -> s
     """The first of many numbers, and how many there are."""
     shown = " ".join(f"{value:.{digits}f}" for value in list(values[:FIRST]))
     return shown + (f" … ({len(values)})" if len(values) > FIRST else "")
+
+
+# ---------------------------------------------------------------- SCIP
+
+
+def _scip(data: bytes, sent: bool) -> list[Described]:
+    if not sent:
+        return [Described("command", repr(data)[2:-1])]
+    found: list[Described] = []
+    for reply in ReplyReader().feed(data):
+        found += [Described("echo", repr(reply.echo)[2:-1]), Described("status", repr(reply.status)[2:-1])]
+        lines = list(reply.lines)
+        form = scip.MEASURES.get(reply.echo[:2])
+        if form is not None and len(lines) > 1:
+            found.append(Described("time stamp", str(decode_number(joined(lines[:1]))), "ms"))
+            range_m, strength = decode_values(joined(lines[1:]), form)
+            found.append(Described("distances", row_of(range_m[:, 0], 3), "m"))
+            if form.intensity:
+                found.append(Described("intensities", row_of(strength[:, 0])))
+            lines = []
+        found += [Described("line", repr(line)[2:-1]) for line in lines]
+    return found or [unknown(data, "no whole reply")]
 
 
 # ---------------------------------------------------------------- LMS2xx
@@ -381,6 +406,11 @@ def ld(speaker: Speaker, data: bytes, kind: str, peer: int, sent: bool) -> list[
 def cola(speaker: Speaker, data: bytes, kind: str, peer: int, sent: bool) -> list[Described]:
     """Of CoLa telegrams."""
     return [Described(*row) for row in describe_cola.rows(data, row_of, unknown)]
+
+
+def scip_reply(speaker: Speaker, data: bytes, kind: str, peer: int, sent: bool) -> list[Described]:
+    """Of SCIP replies."""
+    return _scip(data, sent)
 
 
 def can_objects(speaker: Speaker, data: bytes, kind: str, peer: int, sent: bool) -> list[Described]:

@@ -38,6 +38,9 @@ BUILT_IN: Mapping[str, Hosts] = {
         "emulator.hosts.ld:LdHost", "emulator.hosts.describe:ld", "bumper", "emulator.hosts.scripted:ld_script"),
     "cola": Hosts(
         "emulator.hosts.cola:ColaHost", "emulator.hosts.describe:cola", "cola_yard", "emulator.hosts.cola:cola_script"),
+    "scip": Hosts(
+        "emulator.hosts.scip:ScipHost", "emulator.hosts.describe:scip_reply", "hokuyo_room",
+        "emulator.hosts.scip:scip_script"),
     "can_objects": Hosts(
         "emulator.hosts.can_objects:CanObjectHost", "emulator.hosts.describe:can_objects", "fog_objects"),
 }  # fmt: skip

@@ -38,7 +38,12 @@ BASE: dict[str, Any] = {
     ],
 }
 "What the pieces of scenarios speak of."
-DEVICES = {"can_objects.md": "can-ldmrs", "sick_ld.md": "sick-ld-lrs1000", "lms2xx.md": "sick-lms291-s05"}
+DEVICES = {
+    "can_objects.md": "can-ldmrs",
+    "sick_ld.md": "sick-ld-lrs1000",
+    "lms2xx.md": "sick-lms291-s05",
+    "scip.md": "hokuyo-utm-30lx",
+}
 "Whose `device:` table a page shows alone."
 
 
@@ -73,7 +78,8 @@ def test_pieces_of_scenarios_are_accepted(block: Block, tmp_path: Path) -> None:
     if "device" in piece:
         model = DEVICES[block.page.name]
         extra = {"from": ["front"]} if model.startswith("can") else {}
-        piece = {"sensors": [{"id": "other", "model": model, "links": ["can:virtual:2"], **extra, **piece}]}
+        link = "pty:./other" if model.startswith("hokuyo") else "can:virtual:2"
+        piece = {"sensors": [{"id": "other", "model": model, "links": [link], **extra, **piece}]}
     whole = piece if "schema" in piece else laid_over(BASE, piece)
     (tmp_path / "acme-x1.yaml").write_text((ROOT / "docs/examples/acme-x1.yaml").read_text(encoding="utf-8"))
     (tmp_path / "meshes").symlink_to(ROOT / "scenarios/meshes")

@@ -113,3 +113,15 @@ def test_the_cola_yard_has_three_scanners_of_today_and_each_sees_what_moves() ->
         hits = Caster(world).first_hits(pose.position_m[0], direction, 4.0)
         seen |= {world.actors[index] for index in hits.actor if index > 0}
     assert {"fork_lift", "car", "worker"} <= seen
+
+
+def test_the_hokuyo_room_has_two_scanners_and_each_sees_the_person() -> None:
+    config = load("hokuyo_room")
+    assert [sensor.model for sensor in config.sensors] == ["hokuyo-utm-30lx", "hokuyo-urg-04lx"]
+    world = scene.build(config)
+    for sensor in config.sensors:
+        pose = world.sensor_pose(sensor.mount, np.array([4.5]))
+        azimuth = np.radians(np.arange(-120.0, 120.0, 0.5))
+        direction = np.column_stack([np.cos(azimuth), np.sin(azimuth), 0.0 * azimuth]) @ pose.rotation[0].T
+        hits = Caster(world).first_hits(pose.position_m[0], direction, 4.5)
+        assert "person" in {world.actors[index] for index in hits.actor if index > 0}

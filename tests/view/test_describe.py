@@ -138,3 +138,15 @@ def test_a_leddars_detections_are_named_wherever_its_identifiers_are() -> None:
     assert (
         describe(Speaker("can_objects", {"format": "leddar_m16"}), bytes(8), "can", peer=0x753)[0].unit == "Detections"
     )
+
+
+def test_replies_of_scip_are_taken_apart() -> None:
+    scan = b"ME0000000101000\n99b\n030il\n0?X0O@0?]0OAB\n\n"
+    found = {one.name: (one.value, one.unit) for one in describe(Speaker("scip"), scan)}
+    assert found["time stamp"] == ("12345", "ms")
+    assert found["distances"] == ("1.000 1.005", "m")
+    assert found["intensities"][0] == "2000 2001"
+    (command,) = describe(Speaker("scip"), b"BM\n", sent=False)
+    assert command.value == "BM\\n"
+    for damaged in (b"ME0000000101000\n99b\n030ix\n0?X\n\n", b"\xff\n", b"MD\n00P\n\n"):
+        assert describe(Speaker("scip"), damaged)

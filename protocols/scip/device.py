@@ -1,0 +1,388 @@
+"""A SCIP device between commands: motor, laser, measurements under way, and the sweeps and blocks that follow.
+
+Belongs here: states and times. Not: what a command says (commands), how values are written (codec).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from protocols.scan import Scan, ScanPlan
+from protocols.scip import codec
+from protocols.scip.codec import Form
+from protocols.scip.models import Model
+from protocols.scip.settings import Settings
+from protocols.session import Address, DropReason, Emission, LinkKind
+from protocols.skeleton.instants import SECOND_NS, Raster, earliest
+from protocols.skeleton.outbox import Outgoing
+from protocols.skeleton.requests import RequestSession
+from protocols.skeleton.sweeps import SHARES, Sweep, Telegram
+
+MOST_ECHOES = 3
+TICK_NS = Fraction(1_000_000)
+STAMP_BITS = 24
+EVALUATION_NS = 500_000
+"From the last step of a sweep to the first byte of its block."
+VERIFY_NS = 2 * SECOND_NS
+"A motor that is not at speed again by then is a fault."
+SPEED_TOLERANCE = 0.1
+"Of the motor; beyond it no scan is sent."
+UNSTABLE = {"SCIP 2.0": "21", "SCIP 2.2": "0M"}
+RESUMED = "98"
+HELD_BYTES = 1024
+"""Input kept of a client that waits for the boot, when a real device is not on the network yet and the client's
+connection is not made, or for the end of the one connection that a device serves."""
+SCIP1_LAST = 768
+"G of SCIP 1.1 also has steps outside of the field, without valid values (Player's urglaser asks for 0 to 768)."
+
+
+@dataclass(eq=False)
+class Job:
+    """A measuring command that is carried out."""
+
+    address: Address | None
+    head: bytes
+    "Command up to the count."
+    tail: bytes
+    "Behind the count: `;` and the host's text."
+    form: Form
+    first: int
+    last: int
+    cluster: int
+    skip: int
+    left: int | None
+    "Scans still to be sent; None: until stopped."
+    since_ns: int
+    continuous: bool
+    scip1: bool = False
+    over_ns: int = 0
+    "When its last block is due."
+
+    @property
+    def wants(self) -> bool:
+        """Whether it needs more scans."""
+        return self.left is None or self.left > 0
+
+
+@dataclass(eq=False)
+class Block(Outgoing):
+    """A scan on its way to a host."""
+
+    job: Job | None = None
+
+
+class ScipDevice(RequestSession):
+    """The device without its commands."""
+
+    clock_tick_ns = TICK_NS
+    clock_bits = STAMP_BITS
+
+    def __init__(self, model: Model, settings: Settings) -> None:
+        self.model, self.settings = model, settings
+        self.period_ns = model.period_ms * 1_000_000
+        # hokuyolx, reboot(): a device of SCIP 2.2 waits until its speed is stable, then it is in standby
+        boots_turning = model.protocol != "SCIP 2.0"
+        super().__init__(max(settings.boot_ns, settings.spin_up_ns * boots_turning), self.period_ns)
+        self.REPLY_NS = settings.reply_ns  # type: ignore[misc]
+        self.steps = np.arange(model.first, model.last + 1)
+        self._azimuth_rad = np.asarray((self.steps - model.front) * (2.0 * math.pi / model.steps), np.float64)
+        self.jobs: list[Job] = []
+        self.laser = self.scip1 = self.in_time_mode = self.sleeps = self.faulty = False
+        self.baud = settings.baud
+        self.gain = 1.0
+        self.slower = 0
+        "Steps of `CR` below the nominal speed."
+        self.reboot_ns: int | None = None
+        "When the first `RB` came."
+        self._mirror = Raster(0, self.period_ns)
+        "Turns of the motor; sweeps are every (skip + 1)-th of them."
+        self._speed_ns = 0
+        "When the motor is at speed."
+        self._lit_ns = 0
+        "When the laser can measure."
+        self._verify_ns: int | None = None
+        self._free_ns: dict[Address | None, int] = {}
+        self._client: Address | None = None
+        self._waiting: dict[Address, bytes] = {}
+
+    # states
+
+    def is_stable(self, now_ns: int) -> bool:
+        """Whether the motor is at speed."""
+        return now_ns >= self._speed_ns and self._verify_ns is None and not self.sleeps
+
+    def state(self, now_ns: int) -> tuple[str, str]:
+        """Code and name, as %ST and MESM have them (hokuyolx, statuses.py)."""
+        if self.faulty:
+            return "900", "Error detected"
+        if self.sleeps:
+            return "005", "Sleep"
+        self.jobs = [job for job in self.jobs if job.wants or job.over_ns > now_ns]
+        if self.in_time_mode:
+            code, name = 2, "Time adjustment"
+        elif any(job.continuous for job in self.jobs):
+            code, name = 4, "Multi scan"
+        else:
+            code, name = (3, "Single scan") if self.laser else (0, "Idle")
+        return f"{code + (0 if self.is_stable(now_ns) else 100):03d}", name
+
+    def _reset(self, now_ns: int) -> None:
+        if self.settings.port == "rs232":
+            self._outbox.send(Emission(now_ns, b"", line_speed=self.settings.baud, label="power-on"))
+        self.scip1, self.faulty = self.settings.scip1, self.settings.faulty
+        self.baud, self.gain, self.slower, self.reboot_ns = self.settings.baud, 1.0, 0, None
+        self.laser = self.scip1  # SCIP 1.1 begins with the laser on
+        self.in_time_mode = self.sleeps = False
+        self.jobs.clear()
+        self._free_ns.clear()
+        self._lit_ns, self._speed_ns, self._verify_ns = now_ns, now_ns + self.settings.spin_up_ns, None
+        self._mirror = Raster(now_ns, self._turn_ns())
+
+    def _turn_ns(self) -> Fraction:
+        return self.period_ns * 100 / (100 - self.slower) * self._slowed
+
+    def _start(self, now_ns: int) -> None:
+        self._mirror = Raster(now_ns, self._turn_ns())
+        self._serve_next(now_ns)
+
+    # measurements
+
+    def begin(self, job: Job) -> None:
+        """Carry out a measuring command; one that runs until stopped replaces another."""
+        if job.continuous:
+            self._drop([one for one in self.jobs if one.continuous], job.since_ns)
+        self.light(job.since_ns)
+        self.jobs.append(job)
+        self._renew(job.since_ns)
+
+    def light(self, now_ns: int) -> None:
+        """The laser is on."""
+        if not self.laser:
+            self.laser, self._lit_ns = True, now_ns + self.settings.laser_on_ns
+
+    def stop(self, now_ns: int) -> None:
+        """End all measurements; the laser is off."""
+        self._drop(self.jobs, now_ns)
+        self.laser = False
+
+    def turn_at(self, now_ns: int, slower: int) -> None:
+        """Another speed of the motor."""
+        self.slower = slower
+        self._mirror = self._mirror.going_on(self._mirror.first_from(now_ns), self._turn_ns())
+        self._renew(now_ns)
+
+    def sleep(self, now_ns: int) -> None:
+        """The motor stops."""
+        self.stop(now_ns)
+        self.sleeps = True
+
+    def wake(self, now_ns: int) -> None:
+        """The motor starts again."""
+        if self.sleeps:
+            self.sleeps, self._speed_ns = False, now_ns + self.settings.spin_up_ns
+
+    def fail(self, now_ns: int) -> None:
+        """A fault: laser off, running measurements end with its status."""
+        self._notify(now_ns, self.model.errors["abnormal"])
+        self.stop(now_ns)
+        self.faulty, self._verify_ns = True, None
+
+    def _drop(self, jobs: list[Job], now_ns: int) -> None:
+        gone = set(map(id, jobs))
+        self._withdraw_blocks(now_ns, lambda block: id(block.job) in gone)
+        self.jobs = [job for job in self.jobs if id(job) not in gone]
+        self._subscribe_jobs()
+
+    def _unsubscribe(self, now_ns: int, address: Address | None) -> None:
+        self._drop([job for job in self.jobs if job.address == address], now_ns)
+
+    def _subscribe_jobs(self) -> None:
+        self._hosts = {job.address: job.since_ns for job in self.jobs if job.wants and self._verify_ns is None}
+        if not self._hosts:
+            self._wanted.renew()
+
+    def _withdraw_blocks(self, now_ns: int, which: Callable[[Block], bool]) -> None:
+        gone = self._outbox.withdraw(lambda sent: isinstance(sent, Block) and not sent.begun and which(sent))
+        for sent in reversed(gone):
+            assert isinstance(sent, Block)
+            if sent.job is not None and sent.job.left is not None:
+                sent.job.left += 1
+            if (sweep := sent.emissions[0].sweep) is not None:
+                self._events.unsent(now_ns, DropReason.STALE, range(sweep, sweep + 1), "on its way", None, sent.to)
+
+    def _renew(self, now_ns: int) -> None:
+        """A new stream of sweeps, for the jobs that there are now; sweeps that have begun are still sent."""
+        self._withdraw_blocks(now_ns, lambda block: block.emissions[0].due_ns - self._after_ns() >= now_ns)
+        self._wanted.renew()
+        self._stream += 1
+        ready_ns = max(now_ns, self._lit_ns, self._speed_ns)
+        turns = 1 + min((job.skip for job in self.jobs if job.wants), default=0)
+        first = self._mirror.first_from(ready_ns)
+        self._raster = Raster(self._mirror.at(first), self._mirror.period_ns * turns, self._next)
+        self._subscribe_jobs()
+
+    def _after_ns(self) -> int:
+        """From the start of a sweep to its block."""
+        return math.ceil(self._turn_ns() * self.model.last / self.model.steps) + EVALUATION_NS
+
+    def _sweep(self, number: int) -> Sweep:
+        turn_s = 1e-9 * float(self._turn_ns() / self._slowed)
+        jobs = [job for job in self.jobs if job.wants]
+        offset_s = np.asarray(self.steps * (turn_s / self.model.steps), np.float64)
+        return Sweep(
+            azimuth_rad=self._azimuth_rad,
+            elevation_rad=np.zeros(len(self.steps)),
+            fire_offset_s=offset_s,
+            duration_s=turn_s * self.model.last / self.model.steps,
+            max_range_m=self.model.most_mm / 1000.0,
+            max_echoes=max((job.form.echoes for job in jobs), default=1),
+            gain=self.gain,
+            wants_intensity=any(job.form.intensity for job in jobs),
+        )
+
+    def _telegrams(self, scan: Scan) -> list[Telegram]:
+        return []  # each measurement has its own: `submit`
+
+    def next_plan(self) -> ScanPlan | None:
+        """The next sweep, the same until its scan is submitted; None while nothing is measured."""
+        return None if self.faulty or self.sleeps or self._verify_ns is not None else super().next_plan()
+
+    def submit(self, scan: Scan) -> None:
+        """Take the scan of `next_plan`; `ScanRefused` for any other."""
+        self._wanted.expect(scan.plan, len(scan.range_m))
+        self._wanted.forget()
+        plan = scan.plan
+        self._next = plan.sweep + 1
+        numbers = range(plan.sweep, plan.sweep + 1)
+        takers = [job for job in self.jobs if job.wants and job.since_ns <= plan.start_ns]
+        if not takers:
+            self._events.unsent(self._now_ns, DropReason.STALE, numbers, "no measurement", plan.stream)
+            return
+        values = codec.words_of(scan, self.model.limits)
+        due_ns = plan.start_ns + self._after_ns()
+        carried: set[Address | None] = set()
+        for job in takers:
+            if job.continuous and self._free_ns.get(job.address, 0) > due_ns:
+                self._events.unsent(self._now_ns, DropReason.LINE_BUSY, numbers, "", plan.stream, job.address)
+                continue
+            sweep = None if job.address in carried else plan.sweep
+            carried.add(job.address)
+            job.left = None if job.left is None else job.left - 1
+            job.over_ns = due_ns
+            stamp = self.clock.told(plan.start_ns, TICK_NS, STAMP_BITS)
+            data = self.scan_block(job, stamp.ticks, *values)
+            emission = Emission(
+                due_ns, data, job.address, sweep, None, job.head[:2].decode(), stamp, int(sweep is not None)
+            )
+            self._outbox.put(Block(job.address, deque((emission,)), is_scan=True, job=job))
+            self._occupy(job.address, due_ns, len(data))
+        self._subscribe_jobs()
+
+    def _occupy(self, address: Address | None, due_ns: int, size: int) -> None:
+        if self.settings.port == "rs232":
+            begin_ns = max(due_ns, self._free_ns.get(address, 0))
+            self._free_ns[address] = begin_ns + math.ceil(size * 10 * SECOND_NS / self.baud)
+
+    def scan_block(self, job: Job, ticks: int, distance: codec.Words, strength: codec.Words) -> bytes:
+        """The block of one scan."""
+        first, last, most = job.first - self.model.first, job.last - self.model.first, len(distance)
+        if first < 0 or last >= most:  # SCIP 1.1 alone: steps outside of the field are not valid
+            around = ((max(0, -first), max(0, last + 1 - most)), (0, 0))
+            distance, strength = np.pad(distance, around), np.pad(strength, around)
+            first, last = max(0, first), last - min(0, first)
+        part = slice(first, last + 1)
+        values = codec.merged(distance[part], strength[part], job.cluster, self.model.least_mm)
+        data = codec.encode_values(*values, job.form)
+        if job.scip1:
+            return job.head + b"\n0\n" + codec.blocks(data, sums=False) + b"\n"
+        stamp = codec.summed(codec.encode_number(ticks, codec.STAMP_CHARS))
+        if not job.continuous:
+            return job.head + job.tail + b"\n" + codec.summed(b"00") + stamp + codec.blocks(data) + b"\n"
+        return self._head(job) + codec.summed(b"99") + stamp + codec.blocks(data) + b"\n"
+
+    def _head(self, job: Job) -> bytes:
+        """The echo before a block of a stream, with the number of scans still to come."""
+        return job.head + b"%02d" % (job.left or 0) + job.tail + b"\n"
+
+    def _notify(self, now_ns: int, status: str) -> None:
+        """A block without data for each measurement."""
+        for job in [job for job in self.jobs if job.wants]:
+            head = self._head(job) if job.continuous else job.head + job.tail + b"\n"
+            said = job.head + b"\nE\n\n" if job.scip1 else head + codec.summed(status.encode()) + b"\n"
+            self._outbox.send(Emission(now_ns + self.REPLY_NS, said, job.address, label=status))
+
+    # the motor
+
+    def _next_instant(self) -> int | None:
+        return earliest((super()._next_instant(), self._verify_ns if self._running else None))
+
+    def _happen(self, now_ns: int) -> None:
+        if self._running and self._verify_ns is not None and self._verify_ns <= now_ns:
+            self.fail(now_ns)
+        super()._happen(now_ns)
+
+    def impair(self, now_ns: int, what: str, degree: float) -> bool:
+        """The motor: its speed is `degree` times the nominal one; or it is stopped."""
+        self.advance(now_ns)
+        if what == "motor speed" and degree > 0.0:
+            self._slowed = 1 / Fraction(round(degree * SHARES), SHARES)
+            self.turn_at(now_ns, self.slower)
+            self._monitor(now_ns, abs(degree - 1.0) <= SPEED_TOLERANCE)
+            return True
+        if what == "motor stopped":
+            self._monitor(now_ns, degree == 0.0)
+            return True
+        return False
+
+    def _monitor(self, now_ns: int, right: bool) -> None:
+        if not self._running or self.faulty or right == (self._verify_ns is None):
+            return
+        if right:
+            self._verify_ns = None
+            if self.model.protocol == "SCIP 2.0":
+                self._notify(now_ns, RESUMED)
+            self._renew(now_ns)
+            return
+        self._withdraw_blocks(now_ns, lambda block: True)
+        self._notify(now_ns, UNSTABLE[self.model.protocol])
+        self._verify_ns = now_ns + VERIFY_NS
+        self._subscribe_jobs()
+
+    # one client at a time on Ethernet
+
+    def connected(self, now_ns: int, address: Address, kind: LinkKind) -> None:
+        """A link is open, or a client has connected: during the boot, and while another is served, it waits."""
+        super().connected(now_ns, address, kind)
+        if kind is LinkKind.STREAM:
+            self._waiting[address] = b""
+            self._serve_next(now_ns)
+
+    def disconnected(self, now_ns: int, address: Address) -> None:
+        """A client has disconnected: its measurements end, the next one is served."""
+        super().disconnected(now_ns, address)
+        self._waiting.pop(address, None)
+        if address == self._client:
+            self._client = None
+            self._serve_next(now_ns)
+
+    def _serve_next(self, now_ns: int) -> None:
+        if self._client is None and self._running and self._waiting:
+            self._client = next(iter(self._waiting))
+            self.receive(self._waiting.pop(self._client), now_ns, self._client)
+
+    def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
+        """Bytes of a host, in any chunking; those of a waiting client are kept. Never raises."""
+        if address is not None and address in self._waiting:
+            held = self._waiting[address]
+            self._waiting[address] = (held + data)[:HELD_BYTES]
+            if lost := len(held) + len(data) - len(self._waiting[address]):
+                self.advance(now_ns)
+                self._events.drop(now_ns, DropReason.BUSY, "another client is served", lost)
+            return
+        super().receive(data, now_ns, address)
