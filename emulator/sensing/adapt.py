@@ -47,6 +47,10 @@ class CellHits:
         """The columns that are needed here."""
         return cls(*(getattr(hits, name) for name in COLUMNS))
 
+    def taken(self, rays: Ints) -> CellHits:
+        """Those of some rays."""
+        return CellHits(*(getattr(self, name)[rays] for name in COLUMNS))
+
     def renewed(self, parent: Ints, index: Ints, hits: Hits) -> CellHits:
         """Those of the parents, with new hits at `index`."""
         columns = []

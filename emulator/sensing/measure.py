@@ -21,6 +21,8 @@ from emulator.physics.random_streams import RandomStreams
 from emulator.scenario.weather import WeatherConfig
 from emulator.sensing.adapt import adaptive_rays
 from emulator.sensing.air import Air, AirNow
+from emulator.sensing.bright import BrightEdges
+from emulator.sensing.bright import wanted as bright_wanted
 from emulator.sensing.contracts import FacedCaster
 from emulator.sensing.daylight import Daylight, daylight, surfaces_show
 from emulator.sensing.model import SensorModel, sensor_model
@@ -91,6 +93,9 @@ class Measure:
         self._soft = SoftTargets(model, receiver.bin_m)
         still = (mount.actor is None or scene.motions[scene.index[mount.actor]].still) and not beside
         self._still_pose = scene.sensor_pose(mount, np.zeros(1)) if still else None
+        self._bright: BrightEdges | None = None
+        if bright_wanted(model, scene, self._dry):
+            self._bright = BrightEdges(scene, model, caster, self._dry, still)
         # made here, so that the first sweep of a run is not late
         with np.errstate(under="ignore"):  # edges shorter than any that light can tell from none
             self._pruning = Pruning(scene, model, caster, still) if wanted(model, scene) else None
@@ -205,6 +210,10 @@ class Measure:
                 seen = returned(hits, rays, self._caster, *what)
             if far < np.inf and shines:
                 seen = self._background(seen, rays, far)
+        tails = None
+        if self._bright is not None:
+            bundles = self._bundles.of(plan)
+            seen, tails = self._bright.put_into(seen, bundles, pose, t_s, surfaces, air, gain, plan.max_range_m)
         drops = []
         for particles in air.particles:
             drawn = seen_particles(
@@ -222,8 +231,8 @@ class Measure:
             drops += [] if drawn is None else [drawn]
         found, kept = with_others(seen, drops)
         if spared is not None:
-            return View(rays, seen, found, air, surfaces, spared.cast, spared.plain, kept)
-        return View(rays, seen, found, air, surfaces, len(rays.beam), None, kept)
+            return View(rays, seen, found, air, surfaces, spared.cast, spared.plain, kept, tails)
+        return View(rays, seen, found, air, surfaces, len(rays.beam), None, kept, tails)
 
     def _spared(self, plan: ScanPlan, pose: Pose, t_s: Floats, surfaces: Surfaces, air: AirNow) -> Pruned | None:
         """The sweep with bundles only where they are needed; None where finding out costs more than it saves."""
