@@ -308,7 +308,7 @@ class BrightEdges:
         if self._black is None or self._black[0] is not surfaces:
             table = surfaces.table
             more = SurfaceTable((*table.materials, _BLACK), table.wavelength_nm, np.append(table.rho, 0.0))
-            self._black = surfaces, Surfaces.of(more)
+            self._black = surfaces, Surfaces.of(more, surfaces.solid)
         return self._black[1]
 
     def _on_faces(

@@ -300,7 +300,7 @@ def build(scenario: Scenario, scene: Scene, caster: FacedCaster, sensor_id: str)
     extra = {name: material_from_mapping(name, entry) for name, entry in scenario.materials.items()}
     try:
         model = sensor_model(load_spec(config.model), config.physics, config.mode)
-        surfaces = surface_table(scene.materials, extra, model), surface_table(scene.materials, extra, model, wet=True)
+        surfaces = surface_table(scene, extra, model), surface_table(scene, extra, model, wet=True)
         draws = RandomStreams(scenario.seed, sensor_id)
         receiver = PhotonReceiver(model, model.photons, draws) if model.photons is not None else Receiver(model, draws)
         air = Air(scenario.weather, model, scene)
@@ -309,9 +309,10 @@ def build(scenario: Scenario, scene: Scene, caster: FacedCaster, sensor_id: str)
     return Measure(model, scene, config.mount, caster, surfaces, air, receiver)
 
 
-def surface_table(
-    names: tuple[str, ...], extra: Mapping[str, Material], model: SensorModel, wet: bool = False
-) -> Surfaces:
-    """Reflection of the scene's materials at the sensor's wavelength."""
+def surface_table(scene: Scene, extra: Mapping[str, Material], model: SensorModel, wet: bool = False) -> Surfaces:
+    """Reflection of the scene's materials at the sensor's wavelength, and which bodies are glass all through."""
     find = partial(material, extra=extra)
-    return Surfaces.of(SurfaceTable.of([find(name) for name in names], 1e9 * model.wavelength_m, wet))
+    table = SurfaceTable.of([find(name) for name in scene.materials], 1e9 * model.wavelength_m, wet)
+    glass = np.array([one.model == "glass" for one in table.materials], bool)
+    solid = [bool(body.geometry.closed.all() and glass[body.face_material].all()) for body in scene.bodies]
+    return Surfaces.of(table, np.array(solid, bool) if any(solid) else None)

@@ -180,7 +180,7 @@ class Pruning:
         axes, owner = looked.hits, group[rays.beam]
         columns = CellHits(
             np.full(len(owner), np.nan), axes.body[owner], axes.actor[owner], axes.material[owner],
-            axes.normal[owner], -np.einsum("ij,ij->i", axes.normal[owner], rays.direction),
+            axes.normal[owner], -np.einsum("ij,ij->i", axes.normal[owner], rays.direction), axes.inner[owner],
         )  # fmt: skip
         columns.range_m[known] = closed.plane_ranges(_taken(rays, known), _at(looked, group), rays.beam[known])
         cast = indexes(~known)
@@ -318,5 +318,5 @@ def _at(looked: Looked, beams_: Ints) -> CellHits:
     hits = looked.hits
     return CellHits(
         hits.range_m[beams_], hits.body[beams_], hits.actor[beams_], hits.material[beams_], hits.normal[beams_],
-        hits.cosine[beams_],
+        hits.cosine[beams_], hits.inner[beams_],
     )  # fmt: skip
