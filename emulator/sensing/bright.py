@@ -38,9 +38,8 @@ UNSEEN = 0.02
 MOST_RADII = 4.5
 LEAST_RADII = 2.75
 "Where any of it is seen: 1e-6 of a half plane's light then keeps its two digits."
-CORE_RADII = 1.4
-"A beam whose rays meet bright faces alone, out to here, has them right by its bundle."
-PROBES = 12
+INSIDE = 0.98
+"A beam of which so much falls on bright faces has them right by its bundle."
 PIECE = 2.2
 "Longest edge of a piece in beam radii, on the axis; shorter outside, where the profile falls faster."
 FAINT_NODE = 5e-5
@@ -87,7 +86,7 @@ class Tails:
     beams: Ints
     "Whose bright faces have their own rays."
     rays: int
-    "Cast for it, those that look where it is needed included."
+    "Cast for it, also to faces that were hidden."
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,20 +186,38 @@ class BrightEdges:
     ) -> tuple[SubEchoes, Tails]:  # fmt: skip
         frames = self._frames(bundles, pose, t_s)
         reach = reach_of(self._model, farthest_m)
-        pairs = [found for one in self._faces for found in self._near(one, frames, reach, gain)]
-        chosen = np.unique(np.concatenate([np.zeros(0, np.int64), *(one.beam for one in pairs)]))
+        pairs: list[_Pairs] = []
+        for one in self._faces:
+            for found in self._near(one, frames, reach, gain):
+                pairs.append(replace(found, first=_count(pairs)))
+        nodes = _Nodes.on(pairs, self._model.beam, PIECE, -0.5 * math.log(FAINT_NODE))
+        if not len(nodes):
+            return SubEchoes.none(), Tails(np.zeros(0, np.int64), 0)
+        nodes = nodes.without_faint(FAINT_NODE, len(t_s))
+        hits = self._seen(nodes, frames, reach)
+        seen = np.isfinite(hits.range_m)
+        lit = np.bincount(nodes.beam, nodes.share * seen, len(t_s))
+        chosen = indexes((lit > 0.0) & (lit < INSIDE))
+        cast = len(nodes)
         if not len(chosen):
-            return SubEchoes.none(), Tails(chosen, 0)
-        inside = self._inside(chosen, frames, reach)
-        probed, chosen = PROBES * len(chosen), chosen[~inside]
-        if not len(chosen):
-            return SubEchoes.none(), Tails(chosen, probed)
-        part = part_of(bundles, chosen)
-        rays = cast_rays(part, Pose(pose.position_m[chosen], pose.rotation[chosen]), t_s[chosen])
+            return SubEchoes.none(), Tails(chosen, cast)
+        parts = [(nodes, hits)]
+        # something stands before a part of a face: its edges want finer nodes
+        met, missed = (np.bincount(nodes.pair, which, _count(pairs)) > 0.0 for which in (seen, ~seen))
+        partly = met & missed
+        if bool(partly.any()):
+            kept = indexes(~partly[nodes.pair])
+            finer = _Nodes.on([one.taken(partly) for one in pairs], self._model.beam, PIECE / FINER)
+            finer = finer.taken(indexes(finer.share > FAINT_NODE * lit[finer.beam]))
+            parts = [(nodes.taken(kept), hits.taken(kept)), (finer, self._seen(finer, frames, reach))]
+            cast += len(finer)
+        rays = cast_rays(part_of(bundles, chosen), Pose(pose.position_m[chosen], pose.rotation[chosen]), t_s[chosen])
         others = self._others(rays, surfaces, air, gain, farthest_m, reach)
-        own, cast = self._on_faces(pairs, chosen, frames, rays, surfaces, air, gain, reach)
-        both = SubEchoes.joined(others, own)
-        return replace(both, beam=chosen[both.beam]), Tails(chosen, probed + cast + len(rays.beam))
+        number = np.full(len(t_s), -1, np.int64)
+        number[chosen] = np.arange(len(chosen))
+        own = [self._echoes(one, met, number, frames, rays, surfaces, air, gain) for one, met in parts]
+        both = SubEchoes.joined(others, *own)
+        return replace(both, beam=chosen[both.beam]), Tails(chosen, cast + len(rays.beam))
 
     def _frames(self, bundles: Bundles, pose: Pose, t_s: Floats) -> _Frames:
         """Beams in the world; u and v as `beams.spread` has them, before its turn about the axis."""
@@ -251,8 +268,7 @@ class BrightEdges:
             away = one.closed[face] & (np.einsum("ij,ij->i", normal, corner[:, 0]) > 0.0)
             beam, face, radii, corner = (column[~away] for column in (beam, face, radii, corner))
             own = np.einsum("kij,kcj->kci", frames.across[beam], corner)
-            nearest = np.maximum(np.linalg.norm(corner.mean(axis=1), axis=1) - one.radius_m[face], 0.0)
-            found.append(_Pairs(one, beam, face, own, radii, self._bound(nearest, one.strength[face], gain)))
+            found.append(_Pairs(one, beam, face, own, radii))
         return found
 
     def _in_cone(
@@ -269,15 +285,6 @@ class BrightEdges:
         radii = self._radii(nearest, strength, gain)
         width = radii * (tangent * np.maximum(along + radius_m, 0.0) + shape.exit_radius_m)
         return (along > -radius_m) & (across - radius_m <= width) & (nearest <= reach_m) & (radii > 0.0), radii
-
-    def _inside(self, chosen: Ints, frames: _Frames, reach_m: float) -> Bools:
-        """Beams that meet bright faces alone, as far out as their bundle goes."""
-        turn = 2.0 * np.pi * np.arange(PROBES) / PROBES
-        u, v = CORE_RADII * np.cos(turn), CORE_RADII * np.sin(turn)
-        beam = chosen.repeat(PROBES)
-        origin, ray = self._rays(frames, beam, np.tile(u, len(chosen)), np.tile(v, len(chosen)))
-        hits = self._caster.first_hits(origin, ray, frames.t_s[beam], max_range_m=reach_m)
-        return np.asarray(self._is_mine(hits.body, hits.material).reshape(-1, PROBES).all(axis=1))
 
     def _is_mine(self, body: Ints, material: Ints) -> Bools:
         return np.asarray((body >= 0) & self._bright[material] & self._replaced[body])
@@ -311,28 +318,6 @@ class BrightEdges:
             self._black = surfaces, Surfaces.of(more, surfaces.solid)
         return self._black[1]
 
-    def _on_faces(
-        self, pairs: list[_Pairs], chosen: Ints, frames: _Frames, rays: Rays, surfaces: Surfaces, air: Medium,
-        gain: float, reach_m: float,
-    ) -> tuple[SubEchoes, int]:  # fmt: skip
-        """Of the bright faces, by nodes on them; beams are numbered as in `chosen`. And how many rays it took."""
-        number = np.full(len(frames.t_s), -1, np.int64)
-        number[chosen] = np.arange(len(chosen))
-        nodes = _Nodes.on(pairs, number, self._model.beam, PIECE).without_faint(FAINT_NODE, len(chosen))
-        met = self._seen(nodes, frames, reach_m)
-        parts, cast = [(nodes, met)], len(nodes)
-        hidden = np.zeros(len(chosen), bool)
-        hidden[nodes.mine[np.isnan(met.range_m)]] = True
-        if bool(hidden.any()):  # something stands before a part of it, whose edges want finer nodes
-            number[chosen[~hidden]] = -1
-            finer = _Nodes.on(pairs, number, self._model.beam, PIECE / FINER)
-            finer = finer.taken(indexes(finer.share * finer.bound > FAINT_NODE))
-            kept = indexes(~hidden[nodes.mine])
-            parts = [(nodes.taken(kept), met.taken(kept)), (finer, self._seen(finer, frames, reach_m))]
-            cast += len(finer)
-        echoes = [self._echoes(one, hits, frames, rays, surfaces, air, gain) for one, hits in parts]
-        return SubEchoes.joined(*echoes), cast
-
     def _seen(self, nodes: _Nodes, frames: _Frames, reach_m: float) -> CellHits:
         """What rays to the nodes meet; no range where that is something else."""
         origin, ray = self._rays(frames, nodes.beam, nodes.u, nodes.v)
@@ -341,16 +326,18 @@ class BrightEdges:
         return replace(CellHits.of(hits), range_m=np.where(there, hits.range_m, np.nan))
 
     def _echoes(
-        self, nodes: _Nodes, hits: CellHits, frames: _Frames, rays: Rays, surfaces: Surfaces, air: Medium, gain: float
-    ) -> SubEchoes:
-        met = indexes(np.isfinite(hits.range_m))
-        nodes, hits = nodes.taken(met), hits.taken(met)
+        self, nodes: _Nodes, hits: CellHits, number: Ints, frames: _Frames, rays: Rays, surfaces: Surfaces, air: Medium,
+        gain: float,
+    ) -> SubEchoes:  # fmt: skip
+        """Of the nodes that are seen; beams are numbered anew, -1 not wanted."""
+        met = indexes(np.isfinite(hits.range_m) & (number[nodes.beam] >= 0))
+        nodes, hits, mine = nodes.taken(met), hits.taken(met), number[nodes.beam[met]]
         origin, ray = self._rays(frames, nodes.beam, nodes.u, nodes.v)
         depth = air.depth(origin, ray, hits.range_m, frames.t_s[nodes.beam])
-        weight = nodes.share * windows(rays, self._model, gain)[nodes.mine]
+        weight = nodes.share * windows(rays, self._model, gain)[mine]
         back = surfaces.table.back(hits.material.astype(np.int64), hits.cosine)
         amplitude = weight * collected(hits.range_m, depth, self._model) * back
-        return SubEchoes.of(nodes.mine, hits.range_m, amplitude, None, hits.actor.astype(np.int64))
+        return SubEchoes.of(mine, hits.range_m, amplitude, None, hits.actor.astype(np.int64))
 
 
 @dataclass(frozen=True, eq=False)
@@ -364,49 +351,71 @@ class _Pairs:
     corner_m: Floats
     "(k, 3, 3) along u, v and the axis, from the optical centre."
     radii: Floats
-    bound: Floats
-    "Amplitude of all the beam on that face, over the threshold, at the most."
+    first: int = 0
+    "Number of the first pair among those of all bodies."
+    number: Ints | None = None
+    "(k,) of the pairs, where some were taken."
+
+    def taken(self, wanted: Bools) -> _Pairs:
+        """Those that are wanted, by their number."""
+        number = self.first + np.arange(len(self.beam))
+        at = indexes(wanted[number])
+        return _Pairs(self.of, self.beam[at], self.face[at], self.corner_m[at], self.radii[at], 0, number[at])
+
+
+def _count(pairs: list[_Pairs]) -> int:
+    return sum(len(one.beam) for one in pairs)
 
 
 @dataclass(frozen=True, eq=False)
 class _Nodes:
-    """Points on bright faces."""
+    """Points on bright faces, each for a small piece of them."""
 
-    mine: Ints
-    "Number of the beam among those chosen."
+    pair: Ints
+    "Number of the pair of beam and face."
     beam: Ints
     body: Ints
     face: Ints
     u: Floats
     v: Floats
     share: Floats
-    bound: Floats
 
     def __len__(self) -> int:
-        return len(self.mine)
+        return len(self.beam)
 
     def taken(self, index: Ints) -> _Nodes:
         """Some of them."""
         return _Nodes(*(column[index] for column in vars(self).values()))
 
     @classmethod
-    def on(cls, pairs: list[_Pairs], number: Ints, shape: beams.BeamShape, piece: float) -> _Nodes:
-        """Those for the beams that have a number."""
-        columns = []
-        for one in pairs:
-            kept = indexes(number[one.beam] >= 0)
-            row, u, v, share = nodes_on(one.corner_m[kept], one.radii[kept], shape, piece)
-            at = kept[row]
-            body, face = np.full(len(at), one.of.body), one.of.face[one.face[at]]
-            columns.append((number[one.beam[at]], one.beam[at], body, face, u, v, share, one.bound[at]))
-        return cls(*(np.concatenate(column) for column in zip(*columns, strict=True)))
+    def on(cls, pairs: list[_Pairs], shape: beams.BeamShape, piece: float, near: float | None = None) -> _Nodes:
+        """Those of all pairs; `near`: only as far out as the profile's exponent falls by twice this."""
+        pairs = [one for one in pairs if len(one.beam)]
+        if not pairs:
+            return cls(*([np.zeros(0, np.int64)] * 4), *([np.zeros(0)] * 3))
+        corner, radii = (np.concatenate([getattr(one, name) for one in pairs]) for name in ("corner_m", "radii"))
+        number = [one.first + np.arange(len(one.beam)) if one.number is None else one.number for one in pairs]
+        beam = np.concatenate([one.beam for one in pairs])
+        body = np.repeat([one.of.body for one in pairs], [len(one.beam) for one in pairs])
+        face = np.concatenate([one.of.face[one.face] for one in pairs])
+        if near is not None:  # farther out than the nearest of them nothing is left beside it
+            offset = _offset(corner, shape)
+            least = np.full(int(beam.max()) + 1, np.inf)
+            np.minimum.at(least, beam, offset)
+            radii = np.minimum(radii, np.sqrt(least[beam] ** 2 + near))
+            kept = indexes(offset <= radii)
+        else:
+            kept = np.arange(len(beam))
+        row, u, v, share = nodes_on(corner[kept], radii[kept], shape, piece)
+        row = kept[row]
+        return cls(np.concatenate(number)[row], beam[row], body[row], face[row], u, v, share)
 
     def without_faint(self, share: float, beams_: int) -> _Nodes:
         """Without those that have less than this of what falls on their beam's bright faces; the others take it."""
-        whole = np.bincount(self.mine, self.share, beams_)
-        left = self.taken(indexes(self.share > share * whole[self.mine]))
-        kept = np.maximum(np.bincount(left.mine, left.share, beams_), 1e-300)
-        return replace(left, share=left.share * (whole / kept)[left.mine])
+        whole = np.bincount(self.beam, self.share, beams_)
+        left = self.taken(indexes(self.share > share * whole[self.beam]))
+        kept = np.maximum(np.bincount(left.beam, left.share, beams_), 1e-300)
+        return replace(left, share=left.share * (whole / kept)[left.beam])
 
 
 def nodes_on(
@@ -456,9 +465,26 @@ def nodes_on(
     side, other = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
     area = 0.5 * np.abs(side[:, 0] * other[:, 1] - side[:, 1] * other[:, 0])
     place = np.einsum("qc,kci->kqi", _NODES, uv)
-    square = np.einsum("kqi,kqi->kq", place, place)
-    share = 2.0 / np.pi * area[:, None] * _WEIGHTS * np.exp(-2.0 * square)
-    return row.repeat(len(_WEIGHTS)), place[..., 0].ravel(), place[..., 1].ravel(), share.ravel()
+    weight = _WEIGHTS * np.exp(-2.0 * np.einsum("kqi,kqi->kq", place, place))
+    whole = weight.sum(axis=1)
+    mean = np.einsum("kq,kqi->ki", weight, place) / whole[:, None]
+    return row, mean[:, 0], mean[:, 1], 2.0 / np.pi * area * whole
+
+
+def _offset(corner_m: Floats, shape: beams.BeamShape) -> Floats:
+    """Least distance of triangles from the beam's axis in beam radii; 0 where they reach beside the optical centre."""
+    z = corner_m[:, :, 2]
+    ahead = z.min(axis=1) > np.maximum(0.05 * z.max(axis=1), 1e-9)
+    grow = np.array([math.tan(shape.half_angle_x_rad), math.tan(shape.half_angle_y_rad)])
+    width = np.maximum(grow * np.where(ahead[:, None], z, 1.0)[:, :, None] + shape.exit_radius_m, 1e-12)
+    uv = corner_m[:, :, :2] / width
+    way = np.roll(uv, -1, axis=1) - uv
+    square = np.maximum(np.einsum("kci,kci->kc", way, way), 1e-300)
+    part = np.clip(-np.einsum("kci,kci->kc", uv, way) / square, 0.0, 1.0)
+    foot = uv + part[:, :, None] * way
+    side = uv[:, :, 0] * way[:, :, 1] - uv[:, :, 1] * way[:, :, 0]
+    around = (side >= 0.0).all(axis=1) | (side <= 0.0).all(axis=1)
+    return np.where(ahead & ~around, np.sqrt(np.einsum("kci,kci->kc", foot, foot)).min(axis=1), 0.0)
 
 
 def _touches(corner_m: Floats, radii: Floats, grow: float, w0: float) -> Bools:
