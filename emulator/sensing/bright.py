@@ -38,13 +38,15 @@ UNSEEN = 0.02
 MOST_RADII = 4.5
 LEAST_RADII = 2.75
 "Where any of it is seen: 1e-6 of a half plane's light then keeps its two digits."
-INSIDE = 0.98
-"A beam of which so much falls on bright faces has them right by its bundle."
-PIECE = 2.2
+INSIDE = 0.25
+"A beam of which so much falls on bright faces has them to a few per cent by its bundle: fifteen rays of 61."
+ROUGH = 6.0
+"Longest edge of a piece where only that is asked."
+PIECE = 2.6
 "Longest edge of a piece in beam radii, on the axis; shorter outside, where the profile falls faster."
-FAINT_NODE = 5e-5
+FAINT_NODE = 1e-3
 "Of what a beam gets from bright faces: nodes below are left out, and the others take their share."
-FINER = 4.0
+FINER = 2.0
 "Edges of pieces where something stands before a part of a bright face."
 MOST_LEVELS = 60
 PAIRS_AT_ONCE = 200_000
@@ -190,24 +192,31 @@ class BrightEdges:
         for one in self._faces:
             for found in self._near(one, frames, reach, gain):
                 pairs.append(replace(found, first=_count(pairs)))
-        nodes = _Nodes.on(pairs, self._model.beam, PIECE, -0.5 * math.log(FAINT_NODE))
+        rough = _Nodes.on(pairs, self._model.beam, ROUGH, -0.5 * math.log(FAINT_NODE))
+        tail = np.bincount(rough.beam, rough.share, len(t_s)) < INSIDE
+        beam_of = np.concatenate([np.zeros(0, np.int64), *(one.beam for one in pairs)])
+        nodes = _Nodes.on(
+            [one.taken(tail[beam_of]) for one in pairs], self._model.beam, PIECE, -0.5 * math.log(FAINT_NODE)
+        )
         if not len(nodes):
             return SubEchoes.none(), Tails(np.zeros(0, np.int64), 0)
         nodes = nodes.without_faint(FAINT_NODE, len(t_s))
         hits = self._seen(nodes, frames, reach)
         seen = np.isfinite(hits.range_m)
         lit = np.bincount(nodes.beam, nodes.share * seen, len(t_s))
-        chosen = indexes((lit > 0.0) & (lit < INSIDE))
+        chosen = indexes(lit > 0.0)
         cast = len(nodes)
         if not len(chosen):
             return SubEchoes.none(), Tails(chosen, cast)
         parts = [(nodes, hits)]
         # something stands before a part of a face: its edges want finer nodes
-        met, missed = (np.bincount(nodes.pair, which, _count(pairs)) > 0.0 for which in (seen, ~seen))
+        met, missed = (np.bincount(nodes.pair, which, len(beam_of)) > 0.0 for which in (seen, ~seen))
         partly = met & missed
         if bool(partly.any()):
             kept = indexes(~partly[nodes.pair])
-            finer = _Nodes.on([one.taken(partly) for one in pairs], self._model.beam, PIECE / FINER)
+            finer = _Nodes.on(
+                [one.taken(partly) for one in pairs], self._model.beam, PIECE / FINER, None, FAINT_NODE * lit
+            )
             finer = finer.taken(indexes(finer.share > FAINT_NODE * lit[finer.beam]))
             parts = [(nodes.taken(kept), hits.taken(kept)), (finer, self._seen(finer, frames, reach))]
             cast += len(finer)
@@ -358,7 +367,7 @@ class _Pairs:
 
     def taken(self, wanted: Bools) -> _Pairs:
         """Those that are wanted, by their number."""
-        number = self.first + np.arange(len(self.beam))
+        number = self.first + np.arange(len(self.beam)) if self.number is None else self.number
         at = indexes(wanted[number])
         return _Pairs(self.of, self.beam[at], self.face[at], self.corner_m[at], self.radii[at], 0, number[at])
 
@@ -388,7 +397,14 @@ class _Nodes:
         return _Nodes(*(column[index] for column in vars(self).values()))
 
     @classmethod
-    def on(cls, pairs: list[_Pairs], shape: beams.BeamShape, piece: float, near: float | None = None) -> _Nodes:
+    def on(
+        cls,
+        pairs: list[_Pairs],
+        shape: beams.BeamShape,
+        piece: float,
+        near: float | None = None,
+        least: Floats | None = None,
+    ) -> _Nodes:
         """Those of all pairs; `near`: only as far out as the profile's exponent falls by twice this."""
         pairs = [one for one in pairs if len(one.beam)]
         if not pairs:
@@ -400,13 +416,16 @@ class _Nodes:
         face = np.concatenate([one.of.face[one.face] for one in pairs])
         if near is not None:  # farther out than the nearest of them nothing is left beside it
             offset = _offset(corner, shape)
-            least = np.full(int(beam.max()) + 1, np.inf)
-            np.minimum.at(least, beam, offset)
-            radii = np.minimum(radii, np.sqrt(least[beam] ** 2 + near))
+            least_offset = np.full(int(beam.max()) + 1, np.inf)
+            np.minimum.at(least_offset, beam, offset)
+            radii = np.minimum(radii, np.sqrt(least_offset[beam] ** 2 + near))
             kept = indexes(offset <= radii)
         else:
             kept = np.arange(len(beam))
-        row, u, v, share = nodes_on(corner[kept], radii[kept], shape, piece)
+        below = None if least is None else least[beam[kept]]
+        if near is not None:
+            below = FAINT_NODE * 0.1 * np.exp(-2.0 * least_offset[beam[kept]] ** 2)
+        row, u, v, share = nodes_on(corner[kept], radii[kept], shape, piece, below)
         row = kept[row]
         return cls(np.concatenate(number)[row], beam[row], body[row], face[row], u, v, share)
 
@@ -419,7 +438,7 @@ class _Nodes:
 
 
 def nodes_on(
-    corner_m: Floats, radii: Floats, shape: beams.BeamShape, piece: float = PIECE
+    corner_m: Floats, radii: Floats, shape: beams.BeamShape, piece: float = PIECE, least: Floats | None = None
 ) -> tuple[Ints, Floats, Floats, Floats]:
     """Nodes on triangles with the share of a Gaussian beam's power that falls on each: triangle, u, v, share.
 
@@ -429,6 +448,7 @@ def nodes_on(
     radii : (k,) beam radii beyond which nothing is wanted.
     shape : half angles and exit radius.
     piece : longest edge of a piece on the axis, in beam radii.
+    least : (k,) share below which a piece is not wanted; None: all are.
 
     Notes
     -----
@@ -438,6 +458,7 @@ def nodes_on(
     """
     grow = np.array([math.tan(shape.half_angle_x_rad), math.tan(shape.half_angle_y_rad)])
     w0, row, parts = shape.exit_radius_m, np.arange(len(corner_m)), []
+    least = np.zeros(len(corner_m)) if least is None else least
     for _ in range(MOST_LEVELS):
         if not len(row):
             break
@@ -454,7 +475,9 @@ def nodes_on(
         along = np.where(ahead[:, None], 0.0, np.roll(z, -1, axis=1) - z)
         length = np.sqrt(np.einsum("kci,kci->kc", edge, edge) + along**2)
         nearest = np.maximum(off - arm, 0.0)
-        small = ahead & (length.max(axis=1) * (1.0 + 2.0 * nearest) <= piece)
+        most = np.exp(-2.0 * nearest**2) * (piece / (1.0 + nearest)) ** 2 / np.pi
+        kept &= ~ahead | (most >= least[row])
+        small = ahead & (length.max(axis=1) * (1.0 + nearest) <= piece)
         done = indexes(kept & small)
         parts.append((row[done], uv[done]))
         again = indexes(kept & ~small)

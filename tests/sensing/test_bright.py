@@ -53,7 +53,7 @@ def test_a_sheet_beside_the_axis_answers_as_its_share_of_the_beam_says(tmp_path:
     )  # fmt: skip
     got = float(measure.view(plan()).echoes.amplitude.sum())
     if expected["share"] > 1e-6:
-        assert got == pytest.approx(expected["snr"], rel=0.01)
+        assert got == pytest.approx(expected["snr"], rel=0.03)
     assert bool(np.isfinite(measure(plan()).range_m[0, 0])) == expected["answers"]
 
 
@@ -128,14 +128,14 @@ def test_nodes_on_a_half_plane_are_the_normal_law(offset: float) -> None:
 
 
 def test_what_stands_before_the_sheet_takes_its_light(tmp_path: Path) -> None:
-    """A dark plate covers all of it but what lies beyond 2 radii."""
+    """A dark plate covers all of it but what lies beyond 1.3 radii."""
     width_m = math.tan(0.0064565) * 20.0 + 0.005
-    cover_m = 2.0 * (math.tan(0.0064565) * 10.0 + 0.005)
+    cover_m = 1.3 * (math.tan(0.0064565) * 10.0 + 0.005)
     physics = {**SILENT, "divergence_deg": math.degrees(0.012913)}
     world = [_half_plane(20.0, 1.0 * width_m), plate(10.0, "black", 60.0, cover_m - 30.0, 60.0)]
     materials = {**_sheet(250.0), "black": grey(0.0)}
     measure = build(tmp_path, world, model="sick-lms291-s05", materials=materials, physics=physics)
-    share = _phi(-4.0)
+    share = _phi(-2.6)
     expected = 45_000.0 * math.pi * 250.0 * share * math.exp(-2.0 * 8.9023e-5 * 20.0) / 400.0
     assert measure.view(plan()).echoes.amplitude.sum() == pytest.approx(expected, rel=0.15)
 
