@@ -19,11 +19,11 @@ from emulator.physics.cosines import SHORT, split_cosines
 from emulator.physics.radiometry import overlap
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import SubEchoes
-from emulator.sensing.bright import bright_of
 from emulator.sensing.closed import LEAN_LSB, SHIFT_LSB
 from emulator.sensing.daylight import largest_diffuse_w, surfaces_show, unseen_w
 from emulator.sensing.faint import looked_at, most_dropped
 from emulator.sensing.measure import Measure
+from emulator.sensing.sheets import bright_of
 from emulator.sensing.model import SensorModel
 from emulator.sensing.particles import RARE as RAREST_PARTICLES
 from emulator.sensing.particles import mean_seen

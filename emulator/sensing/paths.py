@@ -165,11 +165,16 @@ def reach_of(model: SensorModel, farthest_m: float = np.inf) -> float:
 
 def windows(rays: Rays, model: SensorModel, gain: float) -> Floats:
     """Factor on each beam's light there and back: the plan's gain, and a windscreen in front of the sensor."""
-    factor = np.full(len(rays.axis), gain)
+    return window_factors(rays.own_axis, model, gain)
+
+
+def window_factors(own_axis: Floats, model: SensorModel, gain: float) -> Floats:
+    """The same of beams by their axes in the sensor's frame."""
+    factor = np.full(len(own_axis), gain)
     if model.windscreen is not None:
         screen = model.windscreen
         rake = math.radians(screen.rake_deg)
-        cosine = np.abs(rays.own_axis @ np.array([math.cos(rake), 0.0, math.sin(rake)]))
+        cosine = np.abs(own_axis @ np.array([math.cos(rake), 0.0, math.sin(rake)]))
         factor *= brdf.pane_internal_transmission_cos(screen.index, cosine, screen.internal_transmission) ** 2
     return factor
 
