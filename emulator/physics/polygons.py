@@ -19,6 +19,7 @@ NEAR = 1e-3
 "Triangles that reach behind the pupil are cut off at this part of their greatest distance."
 
 
+@np.errstate(under="ignore")
 def gaussian_share(corner: Floats) -> tuple[Floats, Floats]:
     """Share of the power on each of k polygons (k, e, 2), and the middle (k, 2) of that light, within the polygon."""
     way = np.roll(corner, -1, axis=1) - corner
@@ -43,6 +44,7 @@ def gaussian_share(corner: Floats) -> tuple[Floats, Floats]:
     return np.abs(signed), middle
 
 
+@np.errstate(under="ignore")
 def within(corner: Floats, place: Floats) -> Bools:
     """(k, m) which of the places (k or 1, m, 2) lie in convex polygons (k, e, 2)."""
     inner, outer = np.True_, np.True_
@@ -55,6 +57,7 @@ def within(corner: Floats, place: Floats) -> Bools:
     return np.asarray(inner | outer)
 
 
+@np.errstate(under="ignore")
 def offset_of(corner: Floats) -> Floats:
     """(k,) least distances of convex polygons (k, e, 2) from the axis; 0 of those around it."""
     way = np.roll(corner, -1, axis=1) - corner

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from emulator.physics import beams, polygons
-from emulator.physics.arrays import Bools, Floats, Ints, indexes
+from emulator.physics.arrays import Bools, Floats, Ints, indexes, ramp
 from emulator.physics.subechoes import Kept, SubEchoes
 from emulator.sensing.contracts import FacedCaster, Medium
 from emulator.sensing.model import SensorModel
@@ -35,7 +35,7 @@ UNSEEN = 0.02
 INSIDE = 0.25
 "A beam of which so much falls on bright faces has them to a few per cent by its bundle: fifteen rays of 61."
 MOST_RADII = 4.5
-LEAST_RADII = 2.75
+LEAST_RADII = 1.0
 "Where any of it is seen: 1e-6 of a half plane's light then keeps its two digits."
 ROUGH = 0.3, 10
 "Between rings, in beam radii, and rays on each: whether anything hides a part of a face."
@@ -45,8 +45,8 @@ MIDDLE = 0.5
 "Of a face's light for the ray to its middle, where nothing hides it."
 NEARER_M = 2e-3
 "What is met so much before a face, and 1e-4 of the way, hides it."
-SAME = 1e-3
-"Of range and amplitude: an echo of the bundle that comes from a bright face."
+SAME, AS_BRIGHT = 1e-3, 0.01
+"Of range, and of amplitude: an echo of the bundle that comes from a bright face."
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +138,9 @@ class BrightEdges:
         own = self._bundled(faced, bundles)
         rough = _rings(faced, *ROUGH, outer)
         rough = _with_middle(rough, middle, len(faced))
-        both = _Nodes(*(np.concatenate(columns) for columns in zip(vars(own).values(), vars(rough).values(), strict=True)))
+        both = _Nodes(
+            *(np.concatenate(columns) for columns in zip(vars(own).values(), vars(rough).values(), strict=True))
+        )
         origin, ray, range_m = self._rays(faced, both, frames)
         met = self._open(both, faced, frames, origin, ray, range_m, reach)
         cast, n_own = len(both), len(own)
@@ -153,13 +155,17 @@ class BrightEdges:
             rest = indexes(~part[ahead.pair])
             origin_, ray_, range_ = self._rays(faced, more, frames)
             now = np.concatenate([now[rest], self._open(more, faced, frames, origin_, ray_, range_, reach)])
-            ahead = _Nodes(*(np.concatenate([a[rest], b]) for a, b in zip(vars(ahead).values(), vars(more).values(), strict=True)))
+            ahead = _Nodes(
+                *(np.concatenate([a[rest], b]) for a, b in zip(vars(ahead).values(), vars(more).values(), strict=True))
+            )
             columns_of = tuple(
                 np.concatenate([a[rest], b]) for a, b in zip(columns_of, (origin_, ray_, range_), strict=True)
             )
             cast += len(more)
         # what they bring back
-        weight = ahead.weight * (share / np.maximum(np.bincount(ahead.pair, ahead.weight, len(faced)), 1e-300))[ahead.pair]
+        weight = (
+            ahead.weight * (share / np.maximum(np.bincount(ahead.pair, ahead.weight, len(faced)), 1e-300))[ahead.pair]
+        )
         lit = indexes(now)
         if not len(lit):
             return SubEchoes.none(), Tails(np.zeros(0, np.int64), cast)
@@ -184,6 +190,15 @@ class BrightEdges:
             others = _without(others, counted)
         return SubEchoes.joined(others, bright), Tails(beam, cast)
 
+    def _radius(self, bundles: Bundles) -> float:
+        """Where the outermost ray of these bundles goes, in beam radii, and a little more; infinite: not known."""
+        shape = self._model.beam
+        narrow = min(shape.half_angle_x_rad, shape.half_angle_y_rad)
+        if narrow < beams.NO_WIDTH or not len(bundles.axis):
+            return math.inf
+        along = np.minimum(bundles.direction[0] @ bundles.axis[0], 1.0).min()
+        return 1.01 * math.tan(math.acos(float(along))) / math.tan(narrow)
+
     # ------------------------------------------------------------------ bounds
     def _radii(self, distance_m: Floats, strength: Floats, gain: float) -> Floats:
         """Beam radii beyond which all the light on such a surface cannot be seen."""
@@ -202,7 +217,10 @@ class BrightEdges:
     def _bundled(self, faced: Faced, bundles: Bundles) -> _Nodes:
         """Rays of the beams' own bundles towards these faces."""
         shape = self._model.beam
-        beam, row = np.unique(faced.beam, return_inverse=True)
+        inner = indexes(faced.offset <= self._radius(bundles))
+        if not len(inner):
+            return _Nodes(np.zeros(0, np.int64), *[np.zeros(0)] * 3)
+        beam, row = np.unique(faced.beam[inner], return_inverse=True)
         across = across_own(bundles.axis[beam], shape)
         if shape.half_angle_x_rad >= beams.NO_WIDTH and shape.half_angle_y_rad >= beams.NO_WIDTH:
             own = np.einsum("nmj,nij->nmi", bundles.direction[beam], across)
@@ -211,9 +229,9 @@ class BrightEdges:
         else:
             assert bundles.start_m is not None
             place = np.einsum("nmj,nij->nmi", bundles.start_m[beam], across)[:, :, :2] / shape.exit_radius_m
-        pair, node = np.nonzero(polygons.within(faced.corner, place[row]))
+        pair, node = np.nonzero(polygons.within(faced.corner[inner], place[row]))
         spot = place[row[pair], node]
-        return _Nodes(pair, spot[:, 0], spot[:, 1], bundles.share[node])
+        return _Nodes(inner[pair], spot[:, 0], spot[:, 1], bundles.share[node])
 
     def _rays(self, faced: Faced, nodes: _Nodes, frames: Frames) -> tuple[Floats, Floats, Floats]:
         """Starts and directions in the world, and how far the face's plane is on them."""
@@ -276,14 +294,16 @@ def _without(others: SubEchoes, counted: SubEchoes) -> SubEchoes:
     """Echoes of bundles less those that are counted otherwise; what these stand before stays dark."""
     if not len(others) or not len(counted):
         return others
-    first, last = (counted.beam.searchsorted(others.beam, side=side) for side in ("left", "right"))
     amplitude = others.amplitude.copy()
-    for k in range(int((last - first).max(initial=0))):
-        at = np.minimum(first + k, len(counted) - 1)
-        same = (first + k < last) & (others.source == counted.source[at])
-        same &= np.abs(others.range_m - counted.range_m[at]) <= SAME * others.range_m
-        same &= np.abs(others.amplitude - counted.amplitude[at]) <= 0.01 * counted.amplitude[at]
-        amplitude[same] = 0.0
+    length = float(others.range_m[-1] if len(others) == 1 else others.range_m.max()) + 1e3
+    key, middle = others.beam * length + others.range_m, counted.beam * length + counted.range_m
+    about = SAME * counted.range_m
+    first, last = key.searchsorted(middle - about), key.searchsorted(middle + about)
+    many = last - first
+    mine, at = np.arange(len(counted)).repeat(many), first.repeat(many) + ramp(many)
+    same = (others.beam[at] == counted.beam[mine]) & (others.source[at] == counted.source[mine])
+    same &= np.abs(others.amplitude[at] - counted.amplitude[mine]) <= AS_BRIGHT * counted.amplitude[mine]
+    amplitude[at[same]] = 0.0
     kept = indexes((amplitude > 0.0) | (others.blocked > 0.0))
     dark = replace(others, amplitude=amplitude)
     spread = None if dark.spread_m is None else dark.spread_m[kept]

@@ -23,7 +23,6 @@ from emulator.sensing.closed import LEAN_LSB, SHIFT_LSB
 from emulator.sensing.daylight import largest_diffuse_w, surfaces_show, unseen_w
 from emulator.sensing.faint import looked_at, most_dropped
 from emulator.sensing.measure import Measure
-from emulator.sensing.sheets import bright_of
 from emulator.sensing.model import SensorModel
 from emulator.sensing.particles import RARE as RAREST_PARTICLES
 from emulator.sensing.particles import mean_seen
@@ -31,6 +30,7 @@ from emulator.sensing.paths import UNSEEN as BEHIND
 from emulator.sensing.paths import best_behind, reach_of
 from emulator.sensing.rays import cast_rays
 from emulator.sensing.receiver import RARE, Receiver
+from emulator.sensing.sheets import bright_of
 from emulator.sensing.soft import UNSEEN, SoftTargets
 from emulator.sensors.spec import SensorSpec
 from protocols.scan import ScanPlan

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.sparse import coo_matrix, csgraph
 
 from emulator.physics import polygons
-from emulator.physics.arrays import Bools, Floats, Ints, indexes
+from emulator.physics.arrays import Bools, Floats, Ints, group_starts, indexes, ramp
 from emulator.physics.beams import NO_WIDTH, BeamShape
 from emulator.physics.materials import SurfaceTable
 from emulator.world.motion import Pose
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 BRIGHT = 10.0
 "Equivalent reflectance from which on a surface is bright; paint, metal and snow stay below 2, sheeting begins at 150."
 PAIRS_AT_ONCE = 200_000
+_ZERO = np.zeros(1)
 
 Radii = Callable[[Floats, Floats], Floats]
 "Beam radii that count at a distance on a surface of this equivalent reflectance; 0: none."
@@ -109,7 +110,6 @@ class _Sheet:
     corner_m: Floats
     "(f, 3, 3)"
     material: Ints
-    strength: Floats
     closed: Bools
     middle_m: Floats
     radius_m: float
@@ -119,27 +119,49 @@ class Sheets:
     """The bright faces of a scene's rigid bodies."""
 
     def __init__(self, scene: Scene, table: SurfaceTable) -> None:
-        self._bodies = scene.bodies
         bright = bright_of(table)
         rigid = [(k, body) for k, body in enumerate(scene.bodies) if body.frames is None]
-        self._sheets = [one for k, body in rigid for one in _sheets(k, body, bright, table)]
-        self._body = np.array([one.body for one in self._sheets], np.int64)
-        self._strength = np.array([one.strength.max() for one in self._sheets])
+        sheets = [one for k, body in rigid for one in _sheets(k, body, bright)]
+        self._bodies = scene.bodies
+        self._fixed = {
+            k: (body.motion.position(_ZERO)[0], body.motion.rotation(_ZERO)[0], body.motion.still)
+            for k, body in rigid
+            if not body.motion.turns
+        }
+        "Of bodies that do not turn: where they are at time 0, how they are turned, whether they stay there."
+        self._body = np.array([one.body for one in sheets], np.int64)
+        self._actor = np.array([scene.bodies[one.body].actor for one in sheets], np.int64)
+        self._middle_m = np.array([one.middle_m for one in sheets]).reshape(-1, 3)
+        self._arm_m = self._middle_m.copy()
+        "(s, 3) the same turned into the world, of bodies that do not turn."
+        for k, number in enumerate(self._body.tolist()):
+            if number in self._fixed:
+                self._arm_m[k] = self._fixed[number][1] @ self._middle_m[k]
+        self._radius_m = np.array([one.radius_m for one in sheets])
+        self._faces = np.array([len(one.material) for one in sheets], np.int64)
+        self._first = self._faces.cumsum() - self._faces
+        self._corner_m = np.concatenate([np.zeros((0, 3, 3)), *(one.corner_m for one in sheets)])
+        self._material = np.concatenate([np.zeros(0, np.int64), *(one.material for one in sheets)])
+        self._closed = np.concatenate([np.zeros(0, bool), *(one.closed for one in sheets)])
+        self._face_strength = table.largest[self._material]
+        self._strength = np.maximum.reduceat(self._face_strength, self._first) if sheets else np.zeros(0)
+        side = self._corner_m[:, 1:] - self._corner_m[:, :1]
+        normal = np.cross(side[:, 0], side[:, 1])
+        self._normal = normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+        self._behind_m = (self._normal * self._corner_m[:, 0]).sum(axis=1)
 
     def near(self, frames: Frames, radii: Radii, reach_m: float) -> Faced:
         """Pairs of a beam and a face that comes into its tail; not those of a closed body that look away."""
         beam, sheet = self._pairs(frames, radii, reach_m)
-        parts = [_NONE]
-        for number in np.unique(sheet):
-            mine, one = beam[sheet == number], self._sheets[number]
-            across = frames.across(mine)
-            step = max(1, PAIRS_AT_ONCE // len(one.material))
-            for begin in range(0, len(mine), step):
-                some = slice(begin, begin + step)
-                parts.append(self._faced(one, mine[some], across[some], frames, radii, reach_m))
-        parts = [one for one in parts if len(one)]
-        if not parts:
+        if not len(beam):
             return _NONE
+        parts = []
+        ends = self._faces[sheet].cumsum()
+        for begin, end in _portions(ends):
+            one = self._faced(beam[begin:end], sheet[begin:end], frames, radii, reach_m)
+            parts += [one] if len(one) else []
+        if len(parts) <= 1:
+            return parts[0] if parts else _NONE
         edges = max(one.corner.shape[1] for one in parts)
         columns = [vars(one) | {"corner": _padded(one.corner, edges)} for one in parts]
         return Faced(*(np.concatenate([one[name] for one in columns]) for name in columns[0]))
@@ -148,26 +170,23 @@ class Sheets:
         """Beams, and sheets whose sphere comes into their cones wherever it and the sensor are in this sweep."""
         t_s, place = frames.t_s, frames.pose.position_m
         first, last = float(t_s.min()), float(t_s.max())
+        low = high = place[0]
         if place.strides[0]:
             low, high = place.min(axis=0), place.max(axis=0)
-        else:
-            low = high = place[0]
         eye, slack = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
-        centre, size = np.zeros((len(self._sheets), 3)), np.zeros(len(self._sheets))
-        when, body = np.array([0.5 * (first + last)]), -1
-        for k, one in enumerate(self._sheets):
-            if one.body != body:
-                body = one.body
-                motion = self._bodies[body].motion
-                pose, moved = motion.pose(when), 0.0
-                if not motion.still and last > first:
-                    moved = motion.speed_bound_m_s * 0.5 * (last - first)
-            if motion.turns:
-                centre[k], size[k] = pose.position_m[0], one.radius_m + float(np.linalg.norm(one.middle_m)) + moved
+        centre, size = np.zeros((len(self._body), 3)), self._radius_m + slack
+        when = np.array([0.5 * (first + last)])
+        for begin, end in _runs(self._body):
+            motion, mine = self._bodies[self._body[begin]].motion, slice(begin, end)
+            fixed = self._fixed.get(int(self._body[begin]))
+            if fixed is None:
+                centre[mine] = motion.position(when)[0]
+                size[mine] += np.linalg.norm(self._middle_m[mine], axis=1)
             else:
-                centre[k] = pose.position_m[0] + pose.rotation[0] @ one.middle_m
-                size[k] = one.radius_m + moved
-        away, size = centre - eye, size + slack
+                centre[mine] = (fixed[0] if fixed[2] else motion.position(when)[0]) + self._arm_m[mine]
+            if last > first and (fixed is None or not fixed[2]):
+                size[mine] += motion.speed_bound_m_s * 0.5 * (last - first)
+        away = centre - eye
         distance = np.linalg.norm(away, axis=1)
         nearest = np.maximum(distance - size, 0.0)
         most = radii(nearest, self._strength)
@@ -176,39 +195,64 @@ class Sheets:
         least = np.where((wide < 1.0) & (angle < np.pi), np.cos(np.minimum(angle, np.pi)), -2.0) - 1e-12
         some = indexes((nearest <= reach_m) & (most > 0.0))
         way = away[some] / np.maximum(distance[some], 1e-9)[:, None]
-        cosine = sum(way[:, k, None] * frames.axis[None, :, k] for k in range(3))
+        cosine = way[:, 0, None] * frames.axis[:, 0]
+        cosine += way[:, 1, None] * frames.axis[:, 1]
+        cosine += way[:, 2, None] * frames.axis[:, 2]
         sheet, beam = np.nonzero(cosine >= least[some, None])
         return beam, some[sheet]
 
-    def _faced(
-        self, one: _Sheet, beam: Ints, across: Floats, frames: Frames, radii: Radii, reach_m: float
-    ) -> Faced:
-        """Those of a sheet."""
-        body = self._bodies[one.body]
-        still = body.motion.still
-        pose = body.motion.pose(frames.t_s[beam[:1]] if still else frames.t_s[beam])
-        # from the body's frame into those of the beams
-        turn = np.einsum("nij,njk->nik", across, np.broadcast_to(pose.rotation, (len(beam), 3, 3)))
-        shift = np.einsum("nij,nj->ni", across, pose.position_m - frames.pose.position_m[beam])
-        corner = np.einsum("nij,fcj->nfci", turn, one.corner_m) + shift[:, None, None]
-        normal = np.cross(corner[:, :, 1] - corner[:, :, 0], corner[:, :, 2] - corner[:, :, 0])
-        behind = np.einsum("nfi,nfi->nf", normal, corner[:, :, 0])
-        # of a closed body faces are counter-clockwise seen from outside
-        row, face = np.nonzero((corner[:, :, :, 2].max(axis=2) > 0.0) & ~(one.closed & (behind > 0.0)) & (behind != 0.0))
-        if not len(row):
-            return _NONE
-        own, normal, behind = polygons.before_pupil(corner[row, face]), normal[row, face], behind[row, face]
-        length = np.linalg.norm(normal, axis=1)
+    def _faced(self, beam: Ints, sheet: Ints, frames: Frames, radii: Radii, reach_m: float) -> Faced:
+        """Those of pairs of a beam and a sheet."""
+        position, rotation = np.zeros((len(beam), 3)), np.zeros((len(beam), 3, 3))
+        body, t_s = self._body[sheet], frames.t_s[beam]
+        for begin, end in _runs(body):
+            motion, mine = self._bodies[body[begin]].motion, slice(begin, end)
+            fixed = self._fixed.get(int(body[begin]))
+            if fixed is None:
+                pose = motion.pose(t_s[mine])
+                position[mine], rotation[mine] = pose.position_m, pose.rotation
+            else:
+                position[mine], rotation[mine] = fixed[0] if fixed[2] else motion.position(t_s[mine]), fixed[1]
+        # spheres where they are
+        shift = position - frames.pose.position_m[beam]
+        middle = shift + np.einsum("nij,nj->ni", rotation, self._middle_m[sheet])
+        along = np.einsum("ni,ni->n", middle, frames.axis[beam])
+        distance = np.sqrt(np.einsum("ni,ni->n", middle, middle))
+        beside = np.sqrt(np.maximum(distance**2 - along**2, 0.0)) - self._radius_m[sheet]
+        nearest, far = np.maximum(distance - self._radius_m[sheet], 0.0), np.maximum(along + self._radius_m[sheet], 0.0)
         tangents, w0 = _tangents(frames.shape), frames.shape.exit_radius_m
+        width = radii(nearest, self._strength[sheet]) * (float(tangents.max()) * far + w0)
+        at = indexes((far > 0.0) & (beside <= width) & (nearest <= reach_m))
+        if not len(at):
+            return _NONE
+        beam, sheet, shift, rotation = beam[at], sheet[at], shift[at], rotation[at]
+        # faces that look here: of a closed body they are counter-clockwise seen from outside
+        many = self._faces[sheet]
+        row, face = np.arange(len(at)).repeat(many), self._first[sheet].repeat(many) + ramp(many)
+        eye = -np.einsum("nji,nj->ni", rotation, shift)
+        height = np.einsum("ki,ki->k", self._normal[face], eye[row]) - self._behind_m[face]
+        at = indexes((height > 0.0) | (~self._closed[face] & (height < 0.0)))
+        row, face, height = row[at], face[at], height[at]
+        # in the coordinates of the beams
+        across = frames.across(beam)
+        turn = np.einsum("nij,njk->nik", across, rotation)
+        corner = np.einsum("kij,kcj->kci", turn[row], self._corner_m[face])
+        corner += np.einsum("nij,nj->ni", across, shift)[row][:, None]
+        at = indexes(corner[:, :, 2].max(axis=1) > 0.0)
+        row, face, height = row[at], face[at], height[at]
+        if not len(at):
+            return _NONE
+        own = polygons.before_pupil(corner[at])
         flat = own[:, :, :2] / np.maximum(tangents * own[:, :, 2:] + w0, 1e-12)
         offset = polygons.offset_of(flat)
-        nearest = np.maximum(np.abs(behind) / length, own[:, :, 2].min(axis=1))
-        strength = one.strength[face]
+        nearest = np.maximum(np.abs(height), own[:, :, 2].min(axis=1))
+        strength = self._face_strength[face]
         at = indexes((offset <= radii(nearest, strength)) & (nearest <= reach_m))
-        row, face, length = row[at], face[at], length[at]
+        row, face, height = row[at], face[at], height[at]
+        normal = np.einsum("kij,kj->ki", turn[row], self._normal[face])
         return Faced(
-            beam[row], np.full(len(row), body.actor), one.material[face], strength[at], across[row],
-            normal[at] / length[:, None], behind[at] / length, flat[at], offset[at],
+            beam[row], self._actor[sheet[row]], self._material[face], strength[at], across[row], normal, -height,
+            flat[at], offset[at],
         )  # fmt: skip
 
 
@@ -238,7 +282,18 @@ def _padded(corner: Floats, edges: int) -> Floats:
     return np.concatenate([corner, *[corner[:, :1]] * (edges - corner.shape[1])], axis=1)
 
 
-def _sheets(number: int, body: Body, bright: Bools, table: SurfaceTable) -> list[_Sheet]:
+def _runs(numbers: Ints) -> list[tuple[int, int]]:
+    """Begins and ends of runs of equal ones."""
+    first = group_starts(numbers).tolist()
+    return list(zip(first, [*first[1:], len(numbers)], strict=True))
+
+
+def _portions(ends: Ints) -> list[tuple[int, int]]:
+    """Begins and ends of portions with about `PAIRS_AT_ONCE` faces, by the sum of faces up to each."""
+    return _runs((ends - 1) // PAIRS_AT_ONCE)
+
+
+def _sheets(number: int, body: Body, bright: Bools) -> list[_Sheet]:
     """Those of a body: faces that share a corner."""
     material = body.face_material
     face = indexes(bright[material])
@@ -258,5 +313,5 @@ def _sheets(number: int, body: Body, bright: Bools, table: SurfaceTable) -> list
         radius = float(np.linalg.norm(part - middle, axis=2).max())
         kind = material[face[at]].astype(np.int64)
         closed = np.asarray(body.geometry.closed[face[at]], bool)
-        found.append(_Sheet(number, part, kind, table.largest[kind], closed, middle, radius))
+        found.append(_Sheet(number, part, kind, closed, middle, radius))
     return found
