@@ -37,7 +37,7 @@ INSIDE = 0.25
 MOST_RADII = 4.5
 LEAST_RADII = 1.0
 "Where any of it is seen: 1e-6 of a half plane's light then keeps its two digits."
-ROUGH = 0.3, 10
+ROUGH = 0.35, 9
 "Between rings, in beam radii, and rays on each: whether anything hides a part of a face."
 FINE = 0.08, 48
 "The same where something does: how much of it."
@@ -135,17 +135,9 @@ class BrightEdges:
         outer = np.clip(np.sqrt(0.5 * np.log(np.maximum(light / UNSEEN, 1.0))), 1.0, MOST_RADII)
         outer = np.maximum(outer, faced.offset + 0.3)
         # what is hidden
-        own = self._bundled(faced, bundles)
-        rough = _rings(faced, *ROUGH, outer)
-        rough = _with_middle(rough, middle, len(faced))
-        both = _Nodes(
-            *(np.concatenate(columns) for columns in zip(vars(own).values(), vars(rough).values(), strict=True))
-        )
-        origin, ray, range_m = self._rays(faced, both, frames)
-        met = self._open(both, faced, frames, origin, ray, range_m, reach)
-        cast, n_own = len(both), len(own)
-        now, ahead = met[n_own:], rough
-        columns_of = origin[n_own:], ray[n_own:], range_m[n_own:]
+        ahead = _with_middle(_rings(faced, *ROUGH, outer), middle, len(faced))
+        columns_of = self._rays(faced, ahead, frames)
+        now, cast = self._open(ahead, faced, frames, *columns_of, reach), len(ahead)
         open_, hidden = (np.bincount(ahead.pair, one, len(faced)) > 0 for one in (now, ~now))
         part = open_ & hidden
         if bool(part.any()):
@@ -180,11 +172,10 @@ class BrightEdges:
         others = seen.found.of_beams(mine)
         if seen.kept is not None:
             others = SubEchoes.joined(others, seen.kept.found.of_beams(mine & ~seen.kept.changed))
-        at = indexes(met[:n_own])
-        if len(at):
-            pair = own.pair[at]
+        own = self._bundled(faced, bundles, open_)
+        if len(own):  # those of them that are hidden are no echoes
             counted = self._echoes(
-                faced, pair, own.weight[at] * factor[faced.beam[pair]], origin[at], ray[at], range_m[at], frames,
+                faced, own.pair, own.weight * factor[faced.beam[own.pair]], *self._rays(faced, own, frames), frames,
                 surfaces, air,
             )  # fmt: skip
             others = _without(others, counted)
@@ -214,10 +205,10 @@ class BrightEdges:
         return np.asarray(white * strength / model.threshold)
 
     # ------------------------------------------------------------------ rays
-    def _bundled(self, faced: Faced, bundles: Bundles) -> _Nodes:
-        """Rays of the beams' own bundles towards these faces."""
+    def _bundled(self, faced: Faced, bundles: Bundles, some: Bools) -> _Nodes:
+        """Rays of the beams' own bundles towards some of these faces."""
         shape = self._model.beam
-        inner = indexes(faced.offset <= self._radius(bundles))
+        inner = indexes(some & (faced.offset <= self._radius(bundles)))
         if not len(inner):
             return _Nodes(np.zeros(0, np.int64), *[np.zeros(0)] * 3)
         beam, row = np.unique(faced.beam[inner], return_inverse=True)
