@@ -47,13 +47,15 @@ def gaussian_share(corner: Floats) -> tuple[Floats, Floats]:
 @np.errstate(under="ignore")
 def within(corner: Floats, place: Floats) -> Bools:
     """(k, m) which of the places (k or 1, m, 2) lie in convex polygons (k, e, 2)."""
-    inner, outer = np.True_, np.True_
     u, v = place[:, :, 0], place[:, :, 1]
+    inner = np.ones((len(corner), place.shape[1]), bool)
+    outer = inner.copy()
     count = corner.shape[1]
     for k in range(count):
         a, b = corner[:, k], corner[:, (k + 1) % count]
         side = (b[:, :1] - a[:, :1]) * (v - a[:, 1:]) - (b[:, 1:] - a[:, 1:]) * (u - a[:, :1])
-        inner, outer = inner & (side >= 0.0), outer & (side <= 0.0)
+        inner &= side >= 0.0
+        outer &= side <= 0.0
     return np.asarray(inner | outer)
 
 

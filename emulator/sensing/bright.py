@@ -61,7 +61,7 @@ class Tails:
 
 @dataclass(frozen=True, eq=False)
 class _Nodes:
-    """Rays of beams to faces."""
+    """Places in beams where faces are."""
 
     pair: Ints
     u: Floats
@@ -70,6 +70,34 @@ class _Nodes:
 
     def __len__(self) -> int:
         return len(self.pair)
+
+
+_NONE = _Nodes(np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Ways:
+    """Rays to such places."""
+
+    pair: Ints
+    weight: Floats
+    origin_m: Floats
+    ray: Floats
+    range_m: Floats
+    open: Bools
+    "Nothing stands before the face, and it is within reach."
+
+    def __len__(self) -> int:
+        return len(self.pair)
+
+    def taken(self, at: Ints) -> _Ways:
+        """Some of them."""
+        return _Ways(*(column[at] for column in vars(self).values()))
+
+    @classmethod
+    def joined(cls, one: _Ways, other: _Ways) -> _Ways:
+        """Both."""
+        return cls(*(np.concatenate(both) for both in zip(vars(one).values(), vars(other).values(), strict=True)))
 
 
 def wanted(model: SensorModel, scene: Scene, surfaces: Surfaces) -> bool:
@@ -121,65 +149,50 @@ class BrightEdges:
         faced = self._sheets.near(frames, lambda m, strength: self._radii(m, strength, gain), reach)
         if not len(faced):
             return none
-        # which beams
         share, middle = polygons.gaussian_share(faced.corner)
         middle_m = faced.range_m(np.arange(len(faced)), middle[:, 0], middle[:, 1], model.beam)
         light = self._bound(middle_m, faced.strength, gain)
         whole = np.bincount(faced.beam, share, len(t_s))
-        beam_light = np.bincount(faced.beam, share * light, len(t_s))
-        asked = (whole < INSIDE) & (beam_light >= UNSEEN)
+        asked = (whole < INSIDE) & (np.bincount(faced.beam, share * light, len(t_s)) >= UNSEEN)
         chosen = indexes(asked[faced.beam] & (share * light > 0.1 * UNSEEN))
         if not len(chosen):
             return none
         faced, share, middle, light = faced.taken(chosen), share[chosen], middle[chosen], light[chosen]
-        outer = np.clip(np.sqrt(0.5 * np.log(np.maximum(light / UNSEEN, 1.0))), 1.0, MOST_RADII)
-        outer = np.maximum(outer, faced.offset + 0.3)
-        # what is hidden
-        ahead = _with_middle(_rings(faced, *ROUGH, outer), middle, len(faced))
-        columns_of = self._rays(faced, ahead, frames)
-        now, cast = self._open(ahead, faced, frames, *columns_of, reach), len(ahead)
-        open_, hidden = (np.bincount(ahead.pair, one, len(faced)) > 0 for one in (now, ~now))
-        part = open_ & hidden
-        if bool(part.any()):
-            more = _rings(faced, *FINE, outer, indexes(part))
-            enough = np.bincount(more.pair, minlength=len(faced)) > 0
-            part &= enough
-            rest = indexes(~part[ahead.pair])
-            origin_, ray_, range_ = self._rays(faced, more, frames)
-            now = np.concatenate([now[rest], self._open(more, faced, frames, origin_, ray_, range_, reach)])
-            ahead = _Nodes(
-                *(np.concatenate([a[rest], b]) for a, b in zip(vars(ahead).values(), vars(more).values(), strict=True))
-            )
-            columns_of = tuple(
-                np.concatenate([a[rest], b]) for a, b in zip(columns_of, (origin_, ray_, range_), strict=True)
-            )
-            cast += len(more)
-        # what they bring back
-        weight = (
-            ahead.weight * (share / np.maximum(np.bincount(ahead.pair, ahead.weight, len(faced)), 1e-300))[ahead.pair]
-        )
-        lit = indexes(now)
+        ahead, seen_of, cast = self._towards(faced, middle, light, frames, reach)
+        lit = indexes(ahead.open)
         if not len(lit):
             return SubEchoes.none(), Tails(np.zeros(0, np.int64), cast)
+        sums = np.maximum(np.bincount(ahead.pair, ahead.weight, len(faced)), 1e-300)
+        ahead = replace(ahead, weight=ahead.weight * (share / sums)[ahead.pair]).taken(lit)
         factor = window_factors(bundles.axis, model, gain)
-        bright = self._echoes(
-            faced, ahead.pair[lit], weight[lit] * factor[faced.beam[ahead.pair[lit]]],
-            *(column[lit] for column in columns_of), frames, surfaces, air,
-        )  # fmt: skip
-        beam = np.unique(faced.beam[ahead.pair[lit]])
+        bright = self._echoes(faced, ahead, factor, frames, surfaces, air)
         mine = np.zeros(len(t_s), bool)
-        mine[beam] = True
+        mine[faced.beam[ahead.pair]] = True
         others = seen.found.of_beams(mine)
         if seen.kept is not None:
             others = SubEchoes.joined(others, seen.kept.found.of_beams(mine & ~seen.kept.changed))
-        own = self._bundled(faced, bundles, open_)
-        if len(own):  # those of them that are hidden are no echoes
-            counted = self._echoes(
-                faced, own.pair, own.weight * factor[faced.beam[own.pair]], *self._rays(faced, own, frames), frames,
-                surfaces, air,
-            )  # fmt: skip
-            others = _without(others, counted)
-        return SubEchoes.joined(others, bright), Tails(beam, cast)
+        own = self._bundled(faced, bundles, seen_of, frames)
+        # those of the bundle's rays that are hidden are no echoes
+        others = _without(others, self._echoes(faced, own, factor, frames, surfaces, air))
+        return SubEchoes.joined(others, bright), Tails(indexes(mine), cast)
+
+    def _towards(
+        self, faced: Faced, middle: Floats, light: Floats, frames: Frames, reach_m: float
+    ) -> tuple[_Ways, Bools, int]:
+        """Rays to faces, finer ones where something hides a part; of which faces any is seen; how many were cast."""
+        outer = np.clip(np.sqrt(0.5 * np.log(np.maximum(light / UNSEEN, 1.0))), 1.0, MOST_RADII)
+        outer = np.maximum(outer, faced.offset + 0.3)
+        ahead = self._open(_with_middle(_rings(faced, *ROUGH, outer), middle), faced, frames, reach_m)
+        cast, seen, hidden = (
+            len(ahead),
+            *(np.bincount(ahead.pair, k, len(faced)) > 0 for k in (ahead.open, ~ahead.open)),
+        )
+        part = seen & hidden
+        if not bool(part.any()):
+            return ahead, seen, cast
+        more = self._open(_rings(faced, *FINE, outer, indexes(part)), faced, frames, reach_m)
+        part &= np.bincount(more.pair, minlength=len(faced)) > 0  # slivers between all of these keep what they have
+        return _Ways.joined(ahead.taken(indexes(~part[ahead.pair])), more), seen, cast + len(more)
 
     def _radius(self, bundles: Bundles) -> float:
         """Where the outermost ray of these bundles goes, in beam radii, and a little more; infinite: not known."""
@@ -205,12 +218,12 @@ class BrightEdges:
         return np.asarray(white * strength / model.threshold)
 
     # ------------------------------------------------------------------ rays
-    def _bundled(self, faced: Faced, bundles: Bundles, some: Bools) -> _Nodes:
+    def _bundled(self, faced: Faced, bundles: Bundles, some: Bools, frames: Frames) -> _Ways:
         """Rays of the beams' own bundles towards some of these faces."""
         shape = self._model.beam
         inner = indexes(some & (faced.offset <= self._radius(bundles)))
         if not len(inner):
-            return _Nodes(np.zeros(0, np.int64), *[np.zeros(0)] * 3)
+            return self._ways(faced, _NONE, frames)
         beam, row = np.unique(faced.beam[inner], return_inverse=True)
         across = across_own(bundles.axis[beam], shape)
         if shape.half_angle_x_rad >= beams.NO_WIDTH and shape.half_angle_y_rad >= beams.NO_WIDTH:
@@ -222,44 +235,45 @@ class BrightEdges:
             place = np.einsum("nmj,nij->nmi", bundles.start_m[beam], across)[:, :, :2] / shape.exit_radius_m
         pair, node = np.nonzero(polygons.within(faced.corner[inner], place[row]))
         spot = place[row[pair], node]
-        return _Nodes(inner[pair], spot[:, 0], spot[:, 1], bundles.share[node])
+        return self._ways(faced, _Nodes(inner[pair], spot[:, 0], spot[:, 1], bundles.share[node]), frames)
 
-    def _rays(self, faced: Faced, nodes: _Nodes, frames: Frames) -> tuple[Floats, Floats, Floats]:
-        """Starts and directions in the world, and how far the face's plane is on them."""
+    def _ways(self, faced: Faced, nodes: _Nodes, frames: Frames) -> _Ways:
+        """Their rays in the world up to the faces' planes, whatever stands before them."""
         range_m = faced.range_m(nodes.pair, nodes.u, nodes.v, self._model.beam)
         origin, ray = frames.rays(faced.beam[nodes.pair], faced.across[nodes.pair], nodes.u, nodes.v)
-        return origin, ray, range_m
+        return _Ways(nodes.pair, nodes.weight, origin, ray, range_m, range_m > 0.0)
 
-    def _open(
-        self, nodes: _Nodes, faced: Faced, frames: Frames, origin: Floats, ray: Floats, range_m: Floats, reach_m: float
-    ) -> Bools:
-        """Nothing stands before the faces on these rays, and they end within reach."""
-        if not len(nodes):
-            return np.zeros(0, bool)
-        t_s = frames.t_s[faced.beam[nodes.pair]]
-        hits = self._caster.first_hits(origin, ray, t_s, max_range_m=reach_m)
+    def _open(self, nodes: _Nodes, faced: Faced, frames: Frames, reach_m: float) -> _Ways:
+        """The same, and whether anything does."""
+        ways = self._ways(faced, nodes, frames)
+        if not len(ways):
+            return ways
+        t_s, range_m = frames.t_s[faced.beam[ways.pair]], ways.range_m
+        hits = self._caster.first_hits(ways.origin_m, ways.ray, t_s, max_range_m=reach_m)
         nearer = hits.range_m < range_m - NEARER_M - 1e-4 * range_m
-        return np.asarray(~nearer & (range_m > 0.0) & (range_m <= reach_m))
+        return replace(ways, open=~nearer & (range_m > 0.0) & (range_m <= reach_m))
 
     def _echoes(
-        self, faced: Faced, pair: Ints, weight: Floats, origin: Floats, ray: Floats, range_m: Floats, frames: Frames,
-        surfaces: Surfaces, air: Medium,
-    ) -> SubEchoes:  # fmt: skip
+        self, faced: Faced, ways: _Ways, factor: Floats, frames: Frames, surfaces: Surfaces, air: Medium
+    ) -> SubEchoes:
+        """Of faces at the ends of rays."""
+        pair = ways.pair
+        if not len(pair):
+            return SubEchoes.none()
         beam = faced.beam[pair]
-        depth = air.depth(origin, ray, range_m, frames.t_s[beam])
-        normal = faced.normal[pair]  # in the beam's own coordinates
-        own = np.einsum("kij,kj->ki", faced.across[pair], ray)
-        cosine = np.minimum(np.abs(np.einsum("ki,ki->k", normal, own)), 1.0)
+        depth = air.depth(ways.origin_m, ways.ray, ways.range_m, frames.t_s[beam])
+        normal = np.einsum("kij,ki->kj", faced.across[pair], faced.normal[pair])
+        cosine = np.minimum(np.abs(np.einsum("ki,ki->k", normal, ways.ray)), 1.0)
         back = surfaces.table.back(faced.material[pair], cosine)
-        amplitude = weight * collected(range_m, depth, self._model) * back
-        return SubEchoes.of(beam, range_m, amplitude, None, faced.actor[pair])
+        amplitude = ways.weight * factor[beam] * collected(ways.range_m, depth, self._model) * back
+        return SubEchoes.of(beam, ways.range_m, amplitude, None, faced.actor[pair])
 
 
 def _rings(faced: Faced, step: float, count: int, outer: Floats, pairs: Ints | None = None) -> _Nodes:
     """Nodes on rings that fall on faces, weighted by the light on their cells; from a face's nearest place outwards."""
     pairs = np.arange(len(faced)) if pairs is None else pairs
     if not len(pairs):
-        return _Nodes(np.zeros(0, np.int64), *[np.zeros(0)] * 3)
+        return _NONE
     edge = np.arange(0.0, float(outer[pairs].max()) + step, step)
     radius = 0.5 * (edge[1:] + edge[:-1])
     light = np.exp(-2.0 * edge[:-1] ** 2) - np.exp(-2.0 * edge[1:] ** 2)
@@ -271,8 +285,9 @@ def _rings(faced: Faced, step: float, count: int, outer: Floats, pairs: Ints | N
     return _Nodes(pairs[row], u[node], v[node], np.repeat(light / count, count)[node])
 
 
-def _with_middle(nodes: _Nodes, middle: Floats, pairs: int) -> _Nodes:
-    """And a ray to the middle of each face's light."""
+def _with_middle(nodes: _Nodes, middle: Floats) -> _Nodes:
+    """And one in the middle of each face's light."""
+    pairs = len(middle)
     rest = np.bincount(nodes.pair, nodes.weight, pairs)
     weight = np.where(rest > 0.0, rest * (MIDDLE / (1.0 - MIDDLE)), 1.0)
     return _Nodes(

@@ -53,7 +53,7 @@ class Frames:
     def across(self, beam: Ints) -> Floats:
         """(k, 3, 3) of some beams: rows are along u, along v, along the axis, in the world."""
         own = across_own(self.own_axis[beam], self.shape)
-        return np.einsum("nij,nkj->nki", self.pose.rotation[beam], own)
+        return np.asarray(np.einsum("nij,nkj->nki", self.pose.rotation[beam], own))
 
     def rays(self, beam: Ints, across: Floats, u: Floats, v: Floats) -> tuple[Floats, Floats]:
         """Starts and directions of rays at (u, v) of their beams, as `beams.spread` makes them."""
@@ -257,8 +257,8 @@ class Sheets:
 
 
 _NONE = Faced(
-    *[np.zeros(0, np.int64)] * 3, np.zeros(0), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3, 2)),
-    np.zeros(0),
+    np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3, 3)),
+    np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3, 2)), np.zeros(0),
 )  # fmt: skip
 
 
