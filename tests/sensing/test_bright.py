@@ -123,6 +123,20 @@ def test_a_sheet_that_moves_is_where_it_is_when_the_beam_fires(tmp_path: Path) -
         assert got == pytest.approx(expected, rel=0.02)
 
 
+def test_a_sheet_that_crosses_within_a_sweep_is_found_in_all_its_beams(tmp_path: Path) -> None:
+    """It is beside the axis when the first beam fires, and 10 m farther at the last."""
+    width_m = math.tan(0.0064565) * 20.0 + 0.005
+    moving = {
+        "id": "sign", "shape": {"box": {"size_m": [0.01, 4.0, 4.0]}}, "material": "sheet",
+        "motion": {"at_m": [20.0, 2.0, -2.0], "velocity_m_s": [0.0, 1.0, 0.0]},
+    }  # fmt: skip
+    physics = {**SILENT, "divergence_deg": math.degrees(0.012913)}
+    measure = build(tmp_path, actors=[moving], model="sick-lms291-s05", materials=_sheet(250.0), physics=physics)
+    echoes = measure.view(plan((0.0, 0.0), fire_s=np.array([1.5 * width_m, 10.0]))).echoes
+    expected = 45_000.0 * math.pi * 250.0 * _phi(-3.0) * math.exp(-2.0 * 8.9023e-5 * 20.0) / 19.995**2
+    assert np.bincount(echoes.beam, echoes.amplitude) == pytest.approx([expected], rel=0.02)
+
+
 def test_ordinary_edges_cost_no_ray_and_change_no_bit(tmp_path: Path) -> None:
     world = [plate(10.0, "white", 2.0, 1.0, 2.0), plate(14.0, "half")]
     ordinary = build(tmp_path, world, model="sick-lms291-s05")
