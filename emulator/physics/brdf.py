@@ -144,18 +144,41 @@ def pane_transmission_cos(index: Values, cosine: Values) -> Floats:
     return 0.5 * ((1.0 - rs) / (1.0 + rs) + (1.0 - rp) / (1.0 + rp))
 
 
+def slanted(index: Values, cosine: Values, internal: Values) -> Floats:
+    """What one pass through a pane leaves whose way in the glass is longer by the slant (Bouguer and Snell)."""
+    t, n, c = floats(internal), floats(index), _clean(cosine)
+    inside = np.sqrt(np.maximum(1.0 - (1.0 - c * c) / (n * n), 1e-18))
+    return np.where(t < 1.0, t ** (1.0 / inside), 1.0)
+
+
+def refracted(direction: Floats, normal: Floats, cosine: Floats, ratio: Floats) -> Floats:
+    """Directions (m, 3) behind a surface; NaN where all is reflected.
+
+    Parameters
+    ----------
+    direction : (m, 3) unit, towards the surface
+    normal : (m, 3) unit, on the side they come from
+    cosine : (m,) of incidence
+    ratio : (m,) index before the surface over that behind it
+    """
+    square = 1.0 - ratio**2 * (1.0 - cosine * cosine)
+    inside = np.sqrt(np.where(square >= 0.0, square, np.nan))
+    out = ratio[:, None] * direction + (ratio * cosine - inside)[:, None] * normal
+    return floats(out / np.linalg.norm(out, axis=1, keepdims=True))
+
+
 def pane_reflection_cos(index: Values, cosine: Values, internal: Values = 1.0) -> Floats:
-    """Share that a pane mirrors, both surfaces and all bounces between them; `internal` is one pass through it."""
+    """Share that a pane mirrors, both surfaces and all bounces between them; `internal` as below."""
     rs, rp = fresnel_cos(index, cosine)
-    t2 = floats(internal) ** 2
+    t2 = slanted(index, cosine, internal) ** 2
     return 0.5 * sum(
         (r + r * (1.0 - r) ** 2 * t2 / np.maximum(1.0 - r * r * t2, 1e-300) for r in (rs, rp)), start=np.zeros(())
     )
 
 
 def pane_internal_transmission_cos(index: Values, cosine: Values, internal: Values) -> Floats:
-    """One-way transmission of an absorbing (laminated, tinted) pane; `internal` is one pass through its glass."""
-    t = floats(internal)
+    """One-way transmission of an absorbing (laminated, tinted) pane; `internal` is one pass straight through it."""
+    t = slanted(index, cosine, internal)
     rs, rp = fresnel_cos(index, cosine)
     return 0.5 * sum(
         ((1.0 - r) ** 2 * t / np.maximum(1.0 - r * r * t * t, 1e-300) for r in (rs, rp)), start=np.zeros(())

@@ -340,6 +340,11 @@ class SurfaceTable:
                 result[chosen] = brdf.pane_internal_transmission_cos(m.index, c[chosen], m.internal)
         return result
 
+    @cached_property
+    def refraction(self) -> Floats:
+        """(materials,) refractive indexes; of what is not glass nothing follows from them."""
+        return self._column("index")
+
     @property
     def largest(self) -> Floats:
         """(materials,) largest value that `back` can take at any incidence, lobes and sheeting included."""

@@ -24,7 +24,7 @@ START_LEVEL = 3
 SAME_NORMAL = 1e-4
 SAME_PLANE_M = 1e-3
 "Cells whose planes agree to this see the same facet."
-COLUMNS = ("range_m", "body", "actor", "material", "normal", "cosine")
+COLUMNS = ("range_m", "body", "actor", "material", "normal", "cosine", "inner")
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +37,8 @@ class CellHits:
     material: NDArray[np.int32]
     normal: Floats
     cosine: Floats
+    inner: NDArray[np.bool_]
+    "Met from inside of a closed shell."
 
     def normals(self, rays: Ints) -> Floats:
         """(k, 3) of some rays."""
@@ -46,6 +48,10 @@ class CellHits:
     def of(cls, hits: Hits) -> CellHits:
         """The columns that are needed here."""
         return cls(*(getattr(hits, name) for name in COLUMNS))
+
+    def taken(self, rays: Ints) -> CellHits:
+        """Those of some rays."""
+        return CellHits(*(getattr(self, name)[rays] for name in COLUMNS))
 
     def renewed(self, parent: Ints, index: Ints, hits: Hits) -> CellHits:
         """Those of the parents, with new hits at `index`."""

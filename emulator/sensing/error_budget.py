@@ -12,9 +12,11 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtr
 
 from emulator.physics.arrays import Floats
 from emulator.physics.cosines import SHORT, split_cosines
+from emulator.physics.radiometry import overlap
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import SubEchoes
 from emulator.sensing.closed import LEAN_LSB, SHIFT_LSB
@@ -27,6 +29,7 @@ from emulator.sensing.paths import UNSEEN as BEHIND
 from emulator.sensing.paths import best_behind, reach_of
 from emulator.sensing.rays import cast_rays
 from emulator.sensing.receiver import RARE, Receiver
+from emulator.sensing.sheets import bright_of
 from emulator.sensing.soft import UNSEEN, SoftTargets
 from emulator.sensors.spec import SensorSpec
 from protocols.scan import ScanPlan
@@ -98,6 +101,28 @@ def _closed_form(measure: Measure, plan: ScanPlan) -> Finding:
     plain = int(np.count_nonzero(view.plain))
     saved = f"{whole - view.cast} of {whole} rays; {plain} of {len(plan)} beams see a single plane"
     return Finding(plain > 0, outside, 1e-3, saved, unit="of power")
+
+
+def _tail(measure: Measure, plan: ScanPlan) -> Finding:
+    """What surfaces without rays of their own may bring back from outside the bundle, where that is most."""
+    view, model, unit = measure.view(plan), measure.model, "of the threshold"
+    bundles = measure._bundles.of(plan)
+    if model.beam.is_ray or model.beam.profile != "gauss" or model.rule in ("axis", "adaptive"):
+        return Finding(False, None, None, "nothing: the beam has no tail, or its bundle has no edge", idle=True)
+    table, met_m = view.surfaces.table, view.seen.nearest_m
+    ordinary = table.largest[~bright_of(table)]
+    met_m = np.maximum(met_m[np.isfinite(met_m)], model.near_gate_m)
+    edge = float(ndtr(-2.0 * measure._bundles.radius)) * float(ordinary.max(initial=0.0)) * plan.gain
+    light = edge * model.k_m2 * overlap(met_m, model.overlap_start_m, model.overlap_full_m)
+    light /= met_m**2 + model.aperture_radius_m**2
+    value = float((light / (model.least_amplitude(met_m) - 1.0)).max(initial=0.0))
+    tails = view.tails
+    if tails is None or not len(tails.beams):
+        rest = len(plan) * bundles.sub_beams
+        return Finding(True, value, 1.0, f"rays beyond {measure._bundles.radius:.2f} radii of {rest}", unit=unit)
+    names = ", ".join(m.name for m, bright in zip(table.materials, bright_of(table), strict=True) if bright)
+    saves = f"rays beyond {measure._bundles.radius:.2f} radii, but {tails.rays} for the edges of {names}"
+    return Finding(False, value, 1.0, f"{saves} in {len(tails.beams)} of {len(plan)} beams", unit=unit)
 
 
 def _plane_moments(measure: Measure, plan: ScanPlan) -> Finding:
@@ -325,6 +350,9 @@ RULES: tuple[Rule, ...] = (
          "two-way optical depth changes the reported range by less than half a quantization step", _clear_air),
     Rule("footprint sub-rays", "closed_form", "once per sweep; once for static beams",
          "no edge within plain_radii beam radii: exp(-2 k^2) of the power lies outside", _closed_form),
+    Rule("tail of the beam", None, "once per sweep",
+         "edges of ordinary surfaces beyond the bundle's outermost ray stay below the threshold; those of surfaces "
+         "with an equivalent reflectance from 10 on get rays of their own, with every rule off as well", _tail),
     Rule("sub-ray ranges on planes", "plane_moments", "once per beam",
          "mean, energy and variance over a tilted plane change no range by a quarter of a quantization step, and no "
          "threshold crossing by an eighth", _plane_moments),

@@ -21,6 +21,8 @@ from emulator.physics.random_streams import RandomStreams
 from emulator.scenario.weather import WeatherConfig
 from emulator.sensing.adapt import adaptive_rays
 from emulator.sensing.air import Air, AirNow
+from emulator.sensing.bright import BrightEdges
+from emulator.sensing.bright import wanted as bright_wanted
 from emulator.sensing.contracts import FacedCaster
 from emulator.sensing.daylight import Daylight, daylight, surfaces_show
 from emulator.sensing.model import SensorModel, sensor_model
@@ -92,6 +94,9 @@ class Measure:
         self._falling = Falling(model)
         still = (mount.actor is None or scene.motions[scene.index[mount.actor]].still) and not beside
         self._still_pose = scene.sensor_pose(mount, np.zeros(1)) if still else None
+        self._bright: BrightEdges | None = None
+        if bright_wanted(model, scene, self._dry):
+            self._bright = BrightEdges(scene, model, caster, self._dry, still)
         # made here, so that the first sweep of a run is not late
         with np.errstate(under="ignore"):  # edges shorter than any that light can tell from none
             self._pruning = Pruning(scene, model, caster, still) if wanted(model, scene) else None
@@ -206,6 +211,10 @@ class Measure:
                 seen = returned(hits, rays, self._caster, *what)
             if far < np.inf and shines:
                 seen = self._background(seen, rays, far)
+        tails = None
+        if self._bright is not None:
+            bundles = self._bundles.of(plan)
+            seen, tails = self._bright.put_into(seen, bundles, pose, t_s, surfaces, air, gain, plan.max_range_m)
         drops = []
         for particles in air.particles:
             falling = self._falling.seen(
@@ -221,8 +230,8 @@ class Measure:
             drops += [] if drawn is None else [drawn]
         found, kept = with_others(seen, drops)
         if spared is not None:
-            return View(rays, seen, found, air, surfaces, spared.cast, spared.plain, kept)
-        return View(rays, seen, found, air, surfaces, len(rays.beam), None, kept)
+            return View(rays, seen, found, air, surfaces, spared.cast, spared.plain, kept, tails)
+        return View(rays, seen, found, air, surfaces, len(rays.beam), None, kept, tails)
 
     def _spared(self, plan: ScanPlan, pose: Pose, t_s: Floats, surfaces: Surfaces, air: AirNow) -> Pruned | None:
         """The sweep with bundles only where they are needed; None where finding out costs more than it saves."""
@@ -290,7 +299,7 @@ def build(scenario: Scenario, scene: Scene, caster: FacedCaster, sensor_id: str)
     extra = {name: material_from_mapping(name, entry) for name, entry in scenario.materials.items()}
     try:
         model = sensor_model(load_spec(config.model), config.physics, config.mode)
-        surfaces = surface_table(scene.materials, extra, model), surface_table(scene.materials, extra, model, wet=True)
+        surfaces = surface_table(scene, extra, model), surface_table(scene, extra, model, wet=True)
         draws = RandomStreams(scenario.seed, sensor_id)
         receiver = PhotonReceiver(model, model.photons, draws) if model.photons is not None else Receiver(model, draws)
         air = Air(scenario.weather, model, scene)
@@ -299,9 +308,10 @@ def build(scenario: Scenario, scene: Scene, caster: FacedCaster, sensor_id: str)
     return Measure(model, scene, config.mount, caster, surfaces, air, receiver)
 
 
-def surface_table(
-    names: tuple[str, ...], extra: Mapping[str, Material], model: SensorModel, wet: bool = False
-) -> Surfaces:
-    """Reflection of the scene's materials at the sensor's wavelength."""
+def surface_table(scene: Scene, extra: Mapping[str, Material], model: SensorModel, wet: bool = False) -> Surfaces:
+    """Reflection of the scene's materials at the sensor's wavelength, and which bodies are glass all through."""
     find = partial(material, extra=extra)
-    return Surfaces.of(SurfaceTable.of([find(name) for name in names], 1e9 * model.wavelength_m, wet))
+    table = SurfaceTable.of([find(name) for name in scene.materials], 1e9 * model.wavelength_m, wet)
+    glass = np.array([one.model == "glass" for one in table.materials], bool)
+    solid = [bool(body.geometry.closed.all() and glass[body.face_material].all()) for body in scene.bodies]
+    return Surfaces.of(table, np.array(solid, bool) if any(solid) else None)

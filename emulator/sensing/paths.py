@@ -44,12 +44,14 @@ class Surfaces:
     "(materials,) those that mirror or transmit."
     special: NDArray[np.bool_]
     "(materials,) those, and those of Phong's model."
+    solid: NDArray[np.bool_] | None = None
+    "(bodies,) closed and of glass alone: light leaves them again where it meets their inside; None: there is none."
 
     @classmethod
-    def of(cls, table: SurfaceTable) -> Surfaces:
+    def of(cls, table: SurfaceTable, solid: NDArray[np.bool_] | None = None) -> Surfaces:
         """Those of a table."""
         onward = np.array([m.model in ("glass", "mirror") for m in table.materials], bool)
-        return cls(table, table.sends_on, float(table.largest.max(initial=0.0)), onward, onward | table.phong)
+        return cls(table, table.sends_on, float(table.largest.max(initial=0.0)), onward, onward | table.phong, solid)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +87,12 @@ class _Front:
     "Share of the beam's power, times all losses there and back."
     length_m: Floats | float
     depth: Floats | float
+    entered: Ints | None = None
+    "Body of glass that each has just entered, -1 none; None: there is no such body."
+    bent: Floats | None = None
+    "(m, 3) its direction in there."
+    index: Floats | None = None
+    "Of refraction there."
 
 
 def trace(
@@ -157,11 +165,16 @@ def reach_of(model: SensorModel, farthest_m: float = np.inf) -> float:
 
 def windows(rays: Rays, model: SensorModel, gain: float) -> Floats:
     """Factor on each beam's light there and back: the plan's gain, and a windscreen in front of the sensor."""
-    factor = np.full(len(rays.axis), gain)
+    return window_factors(rays.own_axis, model, gain)
+
+
+def window_factors(own_axis: Floats, model: SensorModel, gain: float) -> Floats:
+    """The same of beams by their axes in the sensor's frame."""
+    factor = np.full(len(own_axis), gain)
     if model.windscreen is not None:
         screen = model.windscreen
         rake = math.radians(screen.rake_deg)
-        cosine = np.abs(rays.own_axis @ np.array([math.cos(rake), 0.0, math.sin(rake)]))
+        cosine = np.abs(own_axis @ np.array([math.cos(rake), 0.0, math.sin(rake)]))
         factor *= brdf.pane_internal_transmission_cos(screen.index, cosine, screen.internal_transmission) ** 2
     return factor
 
@@ -175,6 +188,16 @@ class _Onward:
     share: Floats
     length_m: Floats
     depth: Floats
+    entered: Ints
+    bent: Floats
+    refraction: Floats
+    "Of the three see the front."
+
+    @classmethod
+    def straight(cls, index: Ints, direction: Floats, share: Floats, length_m: Floats, depth: Floats) -> _Onward:
+        """Through no body."""
+        no = np.full(len(index), -1, np.int64)
+        return cls(index, direction, share, length_m, depth, no, direction, np.ones(len(index)))
 
 
 def _meet(
@@ -294,12 +317,25 @@ def _sent_on(
         if isinstance(front.length_m, float):  # a beam already turned has no axis to measure the tilt from
             lit.reflectance[index] += _face_on(rays.axis[lit.beam[index]], normal, share, length[index], model)
         turned = front.direction[row[at]] + 2.0 * cosine[index, None] * normal
-        onward.append(_Onward(row[at], turned, share, length[index], depth(index)))
+        onward.append(_Onward.straight(row[at], turned, share, length[index], depth(index)))
     at = indexes(through > 0.0)
     if len(at):
-        index = glossy[at]
-        onward.append(_Onward(row[at], front.direction[row[at]], through[at], length[index], depth(index)))
+        index, rows = glossy[at], row[at]
+        one = _Onward.straight(rows, front.direction[rows], through[at], length[index], depth(index))
+        if scene.solid is not None:
+            _enter(one, hits, cosine[index], scene.table.refraction[kind[at]], scene.solid)
+        onward.append(one)
     return onward
+
+
+def _enter(one: _Onward, hits: Hits, cosine: Floats, refraction: Floats, solid: NDArray[np.bool_]) -> None:
+    """Rays that enter a body of glass are bent; a sensor within one is taken for one in a hollow shell."""
+    body = hits.body[one.index].astype(np.int64)
+    into = indexes(solid[body] & ~hits.inner[one.index])
+    one.entered[into], one.refraction[into] = body[into], refraction[into]
+    normal = hits.normals(one.index[into])
+    one.bent = one.direction.copy()
+    one.bent[into] = brdf.refracted(one.direction[into], normal, cosine[into], 1.0 / refraction[into])
 
 
 def collected(length_m: Floats, depth: Floats, model: SensorModel) -> Floats:
@@ -361,18 +397,23 @@ def _continue(
             origin = front.origin_m[index] + front.direction[index] * reached[:, None]
             fronts.append(
                 _Front(
-                    origin + one.direction[kept] * step[:, None],
+                    origin + one.bent[kept] * step[:, None],
                     one.direction[kept],
                     front.t_s[index],
                     front.beam[index],
                     weight[kept],
-                    one.length_m[kept] + step,
+                    one.length_m[kept] + step * np.where(one.entered[kept] >= 0, one.refraction[kept], 1.0),
                     one.depth[kept],
+                    one.entered[kept],
+                    one.bent[kept],
+                    one.refraction[kept],
                 )
             )
         if not fronts:
             break
         front = _merged(fronts)
+        if scene.solid is not None:
+            front = _come_out(front, caster)
         left = max(reach_m - float(np.min(front.length_m)), 0.0)
         hits = caster.first_hits(front.origin_m, front.direction, front.t_s, max_range_m=left)
         met = indexes(front.length_m + hits.range_m <= reach_m)
@@ -395,7 +436,37 @@ def _merged(fronts: list[_Front]) -> _Front:
     return _Front(*(np.concatenate([getattr(one, name) for one in fronts]) for name in _COLUMNS))
 
 
-_COLUMNS = ("origin_m", "direction", "t_s", "beam", "weight", "length_m", "depth")
+_COLUMNS = ("origin_m", "direction", "t_s", "beam", "weight", "length_m", "depth", "entered", "bent", "index")
+
+
+def _come_out(front: _Front, caster: Caster) -> _Front:
+    """Rays in bodies of glass, where they leave them: later by the index, beside where they would have been.
+
+    All losses of the pane, both its faces, were taken where it was entered. What is reflected wholly is lost. A ray
+    that does not meet the body's inside goes straight on: the body is thinner than the step behind its face, or
+    something stands in it.
+    """
+    assert front.entered is not None
+    assert front.bent is not None
+    assert front.index is not None
+    inside = indexes(front.entered >= 0)
+    if not len(inside):
+        return front
+    hits = caster.first_hits(front.origin_m[inside], front.bent[inside], front.t_s[inside])
+    out = indexes((hits.body == front.entered[inside]) & hits.inner)
+    at, way, bent = inside[out], hits.range_m[out], front.bent[inside[out]]
+    direction = brdf.refracted(bent, hits.normals(out), hits.cosine[out], front.index[at])
+    lost = np.isnan(direction[:, 0])
+    direction[lost] = bent[lost]
+    length = np.array(front.length_m, np.float64)
+    step = BEHIND_M * (1.0 + length[at] / 1000.0)
+    columns = front.origin_m.copy(), front.direction.copy(), front.weight.copy()
+    columns[0][at] += way[:, None] * bent + step[:, None] * direction
+    columns[1][at] = direction
+    columns[2][at] *= ~lost
+    length[at] += front.index[at] * way + step
+    origin, turned, weight = columns
+    return _Front(origin, turned, front.t_s, front.beam, weight, length, front.depth)
 
 
 def _part(column: Any, index: Ints) -> Any:

@@ -23,7 +23,7 @@ from emulator.sensing.daylight import surfaces_show
 from emulator.sensing.model import SensorModel
 from emulator.sensing.paths import Seen, Surfaces, reach_of, returned
 from emulator.sensing.plain import MOST_PAIRS, Edges, Pieces, sights_of
-from emulator.sensing.rays import Bundles, Rays, cast_rays, turned
+from emulator.sensing.rays import Bundles, Rays, cast_rays, part_of, turned
 from emulator.world.motion import Pose
 from emulator.world.outlines import outlines_of
 from protocols.scan import ScanPlan
@@ -181,7 +181,7 @@ class Pruning:
         axes, owner = looked.hits, group[rays.beam]
         columns = CellHits(
             np.full(len(owner), np.nan), axes.body[owner], axes.actor[owner], axes.material[owner],
-            axes.normal[owner], -np.einsum("ij,ij->i", axes.normal[owner], rays.direction),
+            axes.normal[owner], -np.einsum("ij,ij->i", axes.normal[owner], rays.direction), axes.inner[owner],
         )  # fmt: skip
         columns.range_m[known] = closed.plane_ranges(_taken(rays, known), _at(looked, group), rays.beam[known])
         cast = indexes(~known)
@@ -197,7 +197,7 @@ class Pruning:
         self, nearest: Floats, chosen: Ints, bundles: Bundles, pose: Pose, t_s: Floats, looked: Looked
     ) -> None:
         """Falling particles are drawn up to the nearest sub-beam's range: that of the bundle, so that none differs."""
-        rays = cast_rays(_part(bundles, chosen), _pose_at(pose, chosen), t_s[chosen])
+        rays = cast_rays(part_of(bundles, chosen), _pose_at(pose, chosen), t_s[chosen])
         ranges = closed.plane_ranges(rays, _at(looked, chosen), rays.beam)
         nearest[chosen] = np.fmin(np.fmin.reduceat(ranges, np.arange(len(chosen)) * bundles.sub_beams), np.inf)
 
@@ -290,11 +290,11 @@ class Pruning:
     def _rays(self, bundles: Bundles, pose: Pose, t_s: Floats, group: Ints) -> tuple[Rays, bool]:
         """Rays of these beams' bundles, numbered anew, and whether the very same were cast before."""
         if not self._at_rest:
-            return cast_rays(_part(bundles, group), _pose_at(pose, group), t_s[group]), False
+            return cast_rays(part_of(bundles, group), _pose_at(pose, group), t_s[group]), False
         key = group.tobytes()
         again = self._group is not None and self._group[0] is bundles and self._group[1] == key
         if self._group is None or not again:
-            made = cast_rays(_part(bundles, group), _pose_at(pose, group), t_s[group])
+            made = cast_rays(part_of(bundles, group), _pose_at(pose, group), t_s[group])
             self._group = bundles, key, made
         return self._group[2].at(t_s[group]), again
 
@@ -311,16 +311,6 @@ def _axes(bundles: Bundles) -> Bundles:
     return Bundles(bundles.axis, bundles.axis[:, None, :], None, one, each, np.ones(len(each)), each)
 
 
-def _part(bundles: Bundles, at: Ints) -> Bundles:
-    n, m = len(at), bundles.sub_beams
-    start = None if bundles.start_m is None else bundles.start_m[at]
-    first = int(bundles.nearest_axis[0])
-    return Bundles(
-        bundles.axis[at], bundles.direction[at], start, bundles.share, np.arange(n).repeat(m),
-        np.tile(bundles.share, n), np.arange(n) * m + first,
-    )  # fmt: skip
-
-
 def _taken(rays: Rays, chosen: Bools) -> Rays:
     return replace(rays, origin_m=rays.origin_m[chosen], direction=rays.direction[chosen], beam=rays.beam[chosen])
 
@@ -329,5 +319,5 @@ def _at(looked: Looked, beams_: Ints) -> CellHits:
     hits = looked.hits
     return CellHits(
         hits.range_m[beams_], hits.body[beams_], hits.actor[beams_], hits.material[beams_], hits.normal[beams_],
-        hits.cosine[beams_],
+        hits.cosine[beams_], hits.inner[beams_],
     )  # fmt: skip

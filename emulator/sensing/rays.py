@@ -125,6 +125,11 @@ class BundleCache:
         self.again = False
         "The bundles asked for last had been asked for before: what takes long to find out of them is worth it."
 
+    @property
+    def radius(self) -> float:
+        """Where the outermost sub-beam goes, in beam radii."""
+        return float(np.sqrt((self._nodes.u**2 + self._nodes.v**2).max()))
+
     def turned(self, bundles: Bundles, rotation: Floats) -> tuple[Turned, bool]:
         """Bundles turned by rotations (n, 3, 3), and whether they are those of an earlier sweep."""
         for one in self._turned:
@@ -161,6 +166,17 @@ class BundleCache:
         direction, start_m = beams.spread(nodes, self._model.beam, azimuth_rad, elevation_rad)
         has_width = self._model.beam.exit_radius_m > 0.0
         return Bundles(axis, direction, start_m if has_width else None, nodes.share, *flat)
+
+
+def part_of(bundles: Bundles, at: Ints) -> Bundles:
+    """Those of some beams, numbered anew."""
+    n, m = len(at), bundles.sub_beams
+    start = None if bundles.start_m is None else bundles.start_m[at]
+    first = int(bundles.nearest_axis[0])
+    return Bundles(
+        bundles.axis[at], bundles.direction[at], start, bundles.share, np.arange(n).repeat(m),
+        np.tile(bundles.share, n), np.arange(n) * m + first,
+    )  # fmt: skip
 
 
 def cast_rays(bundles: Bundles, pose: Pose, t_s: Floats) -> Rays:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from emulator.physics.subechoes import Kept, SubEchoes
 from emulator.sensing.air import AirNow
+from emulator.sensing.bright import Tails
 from emulator.sensing.paths import Seen, Surfaces
 from emulator.sensing.rays import Rays
 
@@ -34,6 +35,8 @@ class View:
     "(n,) beams of which one plane is seen, or nothing, and that had no bundle; None: not asked for."
     kept: Kept | None = None
     "Sub-echoes of beams that have what they had before; `found` holds those of the others alone."
+    tails: Tails | None = None
+    "Beams near bright edges; None: nothing is so bright."
 
     @cached_property
     def echoes(self) -> SubEchoes:

@@ -1,0 +1,317 @@
+"""Bright faces: which surfaces of a scene are, and which of them come near a beam.
+
+Belongs here: sheets (bright faces that hang together), the search for beams beside them, faces in the coordinates of
+beams. Not: the light on them, and what hides them (bright).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.sparse import coo_matrix, csgraph
+
+from emulator.physics import polygons
+from emulator.physics.arrays import Bools, Floats, Ints, group_starts, indexes, ramp
+from emulator.physics.beams import NO_WIDTH, BeamShape
+from emulator.physics.materials import SurfaceTable
+from emulator.world.motion import Pose
+
+if TYPE_CHECKING:
+    from emulator.world.scene import Body, Scene
+
+BRIGHT = 10.0
+"Equivalent reflectance from which on a surface is bright; paint, metal and snow stay below 2, sheeting begins at 150."
+PAIRS_AT_ONCE = 200_000
+_ZERO = np.zeros(1)
+
+Radii = Callable[[Floats, Floats], Floats]
+"Beam radii that count at a distance on a surface of this equivalent reflectance; 0: none."
+
+
+def bright_of(table: SurfaceTable) -> Bools:
+    """(materials,) those whose tail is looked after: what they send on is another matter."""
+    own = np.array([m.model not in ("glass", "mirror") for m in table.materials], bool)
+    return np.asarray(own & (table.largest >= BRIGHT))
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """The beams of a sweep in the world."""
+
+    pose: Pose
+    "Of the sensor at their instants."
+    own_axis: Floats
+    axis: Floats
+    "(n, 3) in the sensor's frame, and in the world."
+    t_s: Floats
+    shape: BeamShape
+
+    def across(self, beam: Ints) -> Floats:
+        """(k, 3, 3) of some beams: rows are along u, along v, along the axis, in the world."""
+        own = across_own(self.own_axis[beam], self.shape)
+        return np.asarray(np.einsum("nij,nkj->nki", self.pose.rotation[beam], own))
+
+    def rays(self, beam: Ints, across: Floats, u: Floats, v: Floats) -> tuple[Floats, Floats]:
+        """Starts and directions of rays at (u, v) of their beams, as `beams.spread` makes them."""
+        x, y = _tangents(self.shape)[:, None] * np.stack([u, v])
+        ray = across[:, 2] + x[:, None] * across[:, 0] + y[:, None] * across[:, 1]
+        ray /= np.sqrt(1.0 + x * x + y * y)[:, None]
+        origin = self.pose.position_m[beam]
+        if self.shape.exit_radius_m >= NO_WIDTH:
+            origin = origin + self.shape.exit_radius_m * (u[:, None] * across[:, 0] + v[:, None] * across[:, 1])
+        return origin, ray
+
+
+@dataclass(frozen=True, eq=False)
+class Faced:
+    """k pairs of a beam and a bright face that comes into its tail."""
+
+    beam: Ints
+    actor: Ints
+    material: Ints
+    strength: Floats
+    "Largest equivalent reflectance."
+    across: Floats
+    "(k, 3, 3) of the beam."
+    normal: Floats
+    "(k, 3) unit vectors in its coordinates: along u, v and the axis."
+    behind_m: Floats
+    "(k,) distance of the face's plane from the optical centre along that."
+    corner: Floats
+    "(k, e, 2) in beam radii."
+    offset: Floats
+    "(k,) least distance from the axis, in beam radii."
+
+    def __len__(self) -> int:
+        return len(self.beam)
+
+    def taken(self, at: Ints) -> Faced:
+        """Some of them."""
+        return Faced(*(column[at] for column in vars(self).values()))
+
+    def range_m(self, pair: Ints, u: Floats, v: Floats, shape: BeamShape) -> Floats:
+        """How far the plane of each is on the ray at (u, v), from the pupil."""
+        x, y = _tangents(shape)[:, None] * np.stack([u, v])
+        normal, w0 = self.normal[pair], shape.exit_radius_m
+        along = normal[:, 0] * x + normal[:, 1] * y + normal[:, 2]
+        left = self.behind_m[pair] - w0 * (normal[:, 0] * u + normal[:, 1] * v)
+        return np.asarray(left / np.where(along == 0.0, 1e-300, along) * np.sqrt(1.0 + x * x + y * y))
+
+
+@dataclass(frozen=True, eq=False)
+class _Sheet:
+    """Bright faces of one body that hang together, about its origin."""
+
+    body: int
+    corner_m: Floats
+    "(f, 3, 3)"
+    material: Ints
+    closed: Bools
+    middle_m: Floats
+    radius_m: float
+
+
+class Sheets:
+    """The bright faces of a scene's rigid bodies."""
+
+    def __init__(self, scene: Scene, table: SurfaceTable) -> None:
+        bright = bright_of(table)
+        rigid = [(k, body) for k, body in enumerate(scene.bodies) if body.frames is None]
+        sheets = [one for k, body in rigid for one in _sheets(k, body, bright)]
+        self._bodies = scene.bodies
+        self._fixed = {
+            k: (body.motion.position(_ZERO)[0], body.motion.rotation(_ZERO)[0], body.motion.still)
+            for k, body in rigid
+            if not body.motion.turns
+        }
+        "Of bodies that do not turn: where they are at time 0, how they are turned, whether they stay there."
+        self._body = np.array([one.body for one in sheets], np.int64)
+        self._actor = np.array([scene.bodies[one.body].actor for one in sheets], np.int64)
+        self._middle_m = np.array([one.middle_m for one in sheets]).reshape(-1, 3)
+        self._arm_m = self._middle_m.copy()
+        "(s, 3) the same turned into the world, of bodies that do not turn."
+        for k, number in enumerate(self._body.tolist()):
+            if number in self._fixed:
+                self._arm_m[k] = self._fixed[number][1] @ self._middle_m[k]
+        self._radius_m = np.array([one.radius_m for one in sheets])
+        self._faces = np.array([len(one.material) for one in sheets], np.int64)
+        self._first = self._faces.cumsum() - self._faces
+        self._corner_m = np.concatenate([np.zeros((0, 3, 3)), *(one.corner_m for one in sheets)])
+        self._material = np.concatenate([np.zeros(0, np.int64), *(one.material for one in sheets)])
+        self._closed = np.concatenate([np.zeros(0, bool), *(one.closed for one in sheets)])
+        self._face_strength = table.largest[self._material]
+        self._strength = np.maximum.reduceat(self._face_strength, self._first) if sheets else np.zeros(0)
+        side = self._corner_m[:, 1:] - self._corner_m[:, :1]
+        normal = np.cross(side[:, 0], side[:, 1])
+        self._normal = normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+        self._behind_m = (self._normal * self._corner_m[:, 0]).sum(axis=1)
+
+    def near(self, frames: Frames, radii: Radii, reach_m: float) -> Faced:
+        """Pairs of a beam and a face that comes into its tail; not those of a closed body that look away."""
+        beam, sheet = self._pairs(frames, radii, reach_m)
+        if not len(beam):
+            return _NONE
+        parts = []
+        ends = self._faces[sheet].cumsum()
+        for begin, end in _portions(ends):
+            one = self._faced(beam[begin:end], sheet[begin:end], frames, radii, reach_m)
+            parts += [one] if len(one) else []
+        if len(parts) <= 1:
+            return parts[0] if parts else _NONE
+        edges = max(one.corner.shape[1] for one in parts)
+        columns = [vars(one) | {"corner": _padded(one.corner, edges)} for one in parts]
+        return Faced(*(np.concatenate([one[name] for one in columns]) for name in columns[0]))
+
+    def _pairs(self, frames: Frames, radii: Radii, reach_m: float) -> tuple[Ints, Ints]:
+        """Beams, and sheets whose sphere comes into their cones wherever it and the sensor are in this sweep."""
+        t_s, place = frames.t_s, frames.pose.position_m
+        first, last = float(t_s.min()), float(t_s.max())
+        low = high = place[0]
+        if place.strides[0]:
+            low, high = place.min(axis=0), place.max(axis=0)
+        eye, slack = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+        centre, size = np.zeros((len(self._body), 3)), self._radius_m + slack
+        when = np.array([0.5 * (first + last)])
+        for begin, end in _runs(self._body):
+            motion, mine = self._bodies[self._body[begin]].motion, slice(begin, end)
+            fixed = self._fixed.get(int(self._body[begin]))
+            if fixed is None:
+                centre[mine] = motion.position(when)[0]
+                size[mine] += np.linalg.norm(self._middle_m[mine], axis=1)
+            else:
+                centre[mine] = (fixed[0] if fixed[2] else motion.position(when)[0]) + self._arm_m[mine]
+            if last > first and (fixed is None or not fixed[2]):
+                size[mine] += motion.speed_bound_m_s * 0.5 * (last - first)
+        away = centre - eye
+        distance = np.linalg.norm(away, axis=1)
+        nearest = np.maximum(distance - size, 0.0)
+        most = radii(nearest, self._strength)
+        wide = (size + most * frames.shape.exit_radius_m) / np.maximum(distance, 1e-9)
+        angle = np.arcsin(np.minimum(wide, 1.0)) + np.arctan(most * float(_tangents(frames.shape).max()))
+        least = np.where((wide < 1.0) & (angle < np.pi), np.cos(np.minimum(angle, np.pi)), -2.0) - 1e-12
+        some = indexes((nearest <= reach_m) & (most > 0.0))
+        way = away[some] / np.maximum(distance[some], 1e-9)[:, None]
+        cosine = way[:, 0, None] * frames.axis[:, 0]
+        cosine += way[:, 1, None] * frames.axis[:, 1]
+        cosine += way[:, 2, None] * frames.axis[:, 2]
+        sheet, beam = np.nonzero(cosine >= least[some, None])
+        return beam, some[sheet]
+
+    def _faced(self, beam: Ints, sheet: Ints, frames: Frames, radii: Radii, reach_m: float) -> Faced:
+        """Those of pairs of a beam and a sheet."""
+        position, rotation = np.zeros((len(beam), 3)), np.zeros((len(beam), 3, 3))
+        body, t_s = self._body[sheet], frames.t_s[beam]
+        for begin, end in _runs(body):
+            motion, mine = self._bodies[body[begin]].motion, slice(begin, end)
+            fixed = self._fixed.get(int(body[begin]))
+            if fixed is None:
+                pose = motion.pose(t_s[mine])
+                position[mine], rotation[mine] = pose.position_m, pose.rotation
+            else:
+                position[mine], rotation[mine] = fixed[0] if fixed[2] else motion.position(t_s[mine]), fixed[1]
+        # spheres where they are
+        shift = position - frames.pose.position_m[beam]
+        middle = shift + np.einsum("nij,nj->ni", rotation, self._middle_m[sheet])
+        along = np.einsum("ni,ni->n", middle, frames.axis[beam])
+        distance = np.sqrt(np.einsum("ni,ni->n", middle, middle))
+        beside = np.sqrt(np.maximum(distance**2 - along**2, 0.0)) - self._radius_m[sheet]
+        nearest, far = np.maximum(distance - self._radius_m[sheet], 0.0), np.maximum(along + self._radius_m[sheet], 0.0)
+        tangents, w0 = _tangents(frames.shape), frames.shape.exit_radius_m
+        width = radii(nearest, self._strength[sheet]) * (float(tangents.max()) * far + w0)
+        at = indexes((far > 0.0) & (beside <= width) & (nearest <= reach_m))
+        if not len(at):
+            return _NONE
+        beam, sheet, shift, rotation = beam[at], sheet[at], shift[at], rotation[at]
+        # faces that look here: of a closed body they are counter-clockwise seen from outside
+        many = self._faces[sheet]
+        row, face = np.arange(len(at)).repeat(many), self._first[sheet].repeat(many) + ramp(many)
+        eye = -np.einsum("nji,nj->ni", rotation, shift)
+        height = np.einsum("ki,ki->k", self._normal[face], eye[row]) - self._behind_m[face]
+        at = indexes((height > 0.0) | (~self._closed[face] & (height < 0.0)))
+        row, face, height = row[at], face[at], height[at]
+        # in the coordinates of the beams
+        across = frames.across(beam)
+        turn = np.einsum("nij,njk->nik", across, rotation)
+        corner = np.einsum("kij,kcj->kci", turn[row], self._corner_m[face])
+        corner += np.einsum("nij,nj->ni", across, shift)[row][:, None]
+        at = indexes(corner[:, :, 2].max(axis=1) > 0.0)
+        row, face, height = row[at], face[at], height[at]
+        if not len(at):
+            return _NONE
+        own = polygons.before_pupil(corner[at])
+        flat = own[:, :, :2] / np.maximum(tangents * own[:, :, 2:] + w0, 1e-12)
+        offset = polygons.offset_of(flat)
+        nearest = np.maximum(np.abs(height), own[:, :, 2].min(axis=1))
+        strength = self._face_strength[face]
+        at = indexes((offset <= radii(nearest, strength)) & (nearest <= reach_m))
+        row, face, height = row[at], face[at], height[at]
+        normal = np.einsum("kij,kj->ki", turn[row], self._normal[face])
+        return Faced(
+            beam[row], self._actor[sheet[row]], self._material[face], strength[at], across[row], normal, -height,
+            flat[at], offset[at],
+        )  # fmt: skip
+
+
+_NONE = Faced(
+    np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3, 3)),
+    np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3, 2)), np.zeros(0),
+)  # fmt: skip
+
+
+def across_own(axis: Floats, shape: BeamShape) -> Floats:
+    """(k, 3, 3) rows along u, v and the axis in the sensor's frame: as `beams.spread` has them, before its turn."""
+    level = np.hypot(axis[:, 0], axis[:, 1])
+    safe = np.where(level > 0.0, level, 1.0)
+    cosine, sine = np.where(level > 0.0, axis[:, 0] / safe, 1.0), axis[:, 1] / safe
+    left = np.stack([-sine, cosine, np.zeros(len(axis))], axis=1)
+    up = np.stack([-axis[:, 2] * cosine, -axis[:, 2] * sine, level], axis=1)
+    roll = math.cos(shape.roll_rad), math.sin(shape.roll_rad)
+    return np.stack([roll[0] * left + roll[1] * up, roll[0] * up - roll[1] * left, axis], axis=1)
+
+
+def _tangents(shape: BeamShape) -> Floats:
+    return np.array([math.tan(shape.half_angle_x_rad), math.tan(shape.half_angle_y_rad)])
+
+
+def _padded(corner: Floats, edges: int) -> Floats:
+    """Polygons with their first corner repeated up to so many."""
+    return np.concatenate([corner, *[corner[:, :1]] * (edges - corner.shape[1])], axis=1)
+
+
+def _runs(numbers: Ints) -> list[tuple[int, int]]:
+    """Begins and ends of runs of equal ones."""
+    first = group_starts(numbers).tolist()
+    return list(zip(first, [*first[1:], len(numbers)], strict=True))
+
+
+def _portions(ends: Ints) -> list[tuple[int, int]]:
+    """Begins and ends of portions with about `PAIRS_AT_ONCE` faces, by the sum of faces up to each."""
+    return _runs((ends - 1) // PAIRS_AT_ONCE)
+
+
+def _sheets(number: int, body: Body, bright: Bools) -> list[_Sheet]:
+    """Those of a body: faces that share a corner."""
+    material = body.face_material
+    face = indexes(bright[material])
+    if not len(face):
+        return []
+    corner = body.vertices[body.faces[face]].astype(np.float64)
+    _, point = np.unique(corner.reshape(-1, 3), axis=0, return_inverse=True)
+    point, mine = point.ravel(), np.arange(len(face)).repeat(3)
+    count = len(face) + int(point.max()) + 1
+    graph = coo_matrix((np.ones(len(point), bool), (mine, len(face) + point)), (count, count))
+    group = csgraph.connected_components(graph, directed=False)[1][: len(face)]
+    found = []
+    for one in np.unique(group):
+        at = indexes(group == one)
+        part = corner[at]
+        middle = 0.5 * (part.min(axis=(0, 1)) + part.max(axis=(0, 1)))
+        radius = float(np.linalg.norm(part - middle, axis=2).max())
+        kind = material[face[at]].astype(np.int64)
+        closed = np.asarray(body.geometry.closed[face[at]], bool)
+        found.append(_Sheet(number, part, kind, closed, middle, radius))
+    return found
