@@ -115,6 +115,8 @@ class Instrument:
         "Who moves the world; None: its file alone, and sweeps are measured ahead."
         self.poked = False
         "It wants to be stepped now, whatever it said: something outside has changed."
+        self.driven = False
+        "Its session is also changed from outside, by a replay: it is asked at every step."
         self._due_ns = 0
         "Until then the session has nothing to do without input: a step before lets only bytes leave. 0: not known."
         self._wants_plan = False
@@ -161,7 +163,7 @@ class Instrument:
 
     def step(self, now_ns: int) -> int | None:
         """Do all that can be done by `now_ns`; the instant of the next step, None while only a host can wake it."""
-        asked = self._outstanding or self.poked or self.feed is not None
+        asked = self._outstanding or self.poked or self.driven or self.feed is not None
         idle = now_ns < self._due_ns and not asked and self._faults_wait(now_ns)
         self.poked = False
         self.ledger.now_ns = now_ns

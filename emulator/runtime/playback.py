@@ -177,6 +177,7 @@ def open_players(wires: Sequence[WireOf], links: Mapping[str, str], gap_ns: int 
             sessions.append(session)
             players.append(Instrument(name, session, opened[-1:], InPlace({})))
             players[-1].ledger.plans = False
+            players[-1].driven = True
     except BaseException:
         for link in opened:
             link.close()

@@ -58,6 +58,8 @@ sensors:
   - {id: front, model: sick-lms291-s05, mount: {at_m: [0, 0, 1]}, links: ["pty:./lms291"]}
   - {id: top, model: sick-ld-lrs1000, device: {step_deg: 1, delays: fast}, links: ["tcp:127.0.0.1:0"]}
   - {id: radar, model: can-ars408, from: [front], links: ["socketcand:127.0.0.1:0/can0"]}
+  - {id: gate, model: sick-lms111, mount: {at_m: [0, 0, 1]}, device: {ready_s: 1}, links: ["tcp:127.0.0.1:0"]}
+  - {id: robot, model: hokuyo-utm-30lx, mount: {at_m: [0, 0, 1]}, links: ["tcp:127.0.0.1:0"]}
 """
 
 
@@ -156,6 +158,8 @@ def test_commands_that_talk_to_a_sensor_run(folder: Path) -> None:
             links = [sensor["links"][0] for sensor in json.loads(daemon.stdout.readline())["sensors"]]
             here = [text.replace("tcp:127.0.0.1:49152", links[1]) for text in wanted]
             here = [text.replace("socketcand:127.0.0.1:29536/can0", links[2]) for text in here]
+            here = [text.replace("tcp:127.0.0.1:2112", links[3]) for text in here]
+            here = [text.replace("tcp:127.0.0.1:10940", links[4]) for text in here]
             codes = run_all([words_of(text) for text in here], folder)
             daemon.communicate(timeout=60)
         finally:
