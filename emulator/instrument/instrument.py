@@ -163,7 +163,7 @@ class Instrument:
 
     def step(self, now_ns: int) -> int | None:
         """Do all that can be done by `now_ns`; the instant of the next step, None while only a host can wake it."""
-        asked = self._outstanding or self.poked or self.driven or self.feed is not None
+        asked = self._outstanding > 0 or self._asked is not None or self.poked or self.driven or self.feed is not None
         idle = now_ns < self._due_ns and not asked and self._faults_wait(now_ns)
         self.poked = False
         self.ledger.now_ns = now_ns

@@ -28,6 +28,8 @@ from emulator.physics.pulse import Pulse
 
 NODES = 1024
 "Of the tables over range and over size: integrals and inverses to 1e-5."
+NONE_PER_M = 1e-100
+"Fewer drawn particles per metre are none: sums of such numbers would underflow."
 SMALLEST_MM = 1e-4
 "Effective sizes below are not told apart."
 MOST_SHADOW = 0.99
@@ -61,8 +63,9 @@ class Sizes:
         s = np.clip(size_mm, SMALLEST_MM, self.largest_mm)
         if self.slope_mm == 0.0:
             return np.asarray(self.number_m3 * np.log(self.largest_mm / s))
-        top = float(special.exp1(self.slope_mm * self.largest_mm))
-        return np.asarray(self.number_m3 * np.maximum(special.exp1(self.slope_mm * s) - top, 0.0))
+        with np.errstate(under="ignore"):  # none so large
+            top = float(special.exp1(self.slope_mm * self.largest_mm))
+            return np.asarray(self.number_m3 * np.maximum(special.exp1(self.slope_mm * s) - top, 0.0))
 
     def squares_below(self, size_mm: Floats, gaussian: bool) -> Floats:
         """Sum of s^2 of the effective sizes below a size, per m^3 of pi w^2 dr. [mm^2/m^3]"""
@@ -138,7 +141,9 @@ class ParticleLight:
         """Mean number of drawn particles per metre of a beam."""
         least = self.least_mm(range_m)
         number = self.sizes.gauss_above(least) if self.optics.gaussian else self.sizes.larger(least)
-        return np.where(least < self.sizes.largest_mm, math.pi * self.optics.area_m2(range_m) * number, 0.0)
+        with np.errstate(under="ignore"):
+            rate = math.pi * self.optics.area_m2(range_m) * number
+        return np.where((least < self.sizes.largest_mm) & (rate > NONE_PER_M), rate, 0.0)
 
     @cached_property
     def end_m(self) -> float:

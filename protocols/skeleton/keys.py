@@ -20,6 +20,7 @@ class DeviceKeys:
 
     def __init__(self, device: Mapping[str, Any], facts: Mapping[str, Any], prefix: str = "") -> None:
         self._values: dict[str, Any] = {**facts, **device}
+        self._of_model = facts.keys() - device.keys()
         self._prefix = prefix
         self.known: list[DeviceKey] = []
         "Keys read so far."
@@ -116,7 +117,8 @@ class DeviceKeys:
     def _take(self, entry: DeviceKey, default: Value, fits: Callable[[Any], bool]) -> Value:
         value: Value = self._values.pop(entry.name, default)
         # shown of a model: its own word, as its name
-        self.known.append(replace(entry, default=value) if isinstance(value, str) else entry)
+        own = entry.name in self._of_model and isinstance(value, str)
+        self.known.append(replace(entry, default=value) if own else entry)
         # the default need not be among what a file may say: it stands for an absent key
         if value is not default and not fits(value):
             raise DeviceSettingError(self._prefix + entry.name, value, entry.allowed)
