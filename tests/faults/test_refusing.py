@@ -68,3 +68,21 @@ def test_a_restart_at_a_hosts_request_sends_its_reply_and_ends_the_connections()
     made.run.advance(made.run.clock.now_ns() + 6_000_000_000)
     assert instrument.stats.scans_sent > sent, "the built-in host has connected again"
     made.close()
+
+
+def test_a_login_is_refused_until_the_fault_ends() -> None:
+    text = TEXT.replace("DO", "refuse_login").replace("MODEL", "sick-tim551").replace("at_s: 0.0", "at_s: 4.0")
+    made = Trial(scenario.loads(text.replace("duration_s: 3.0", "duration_s: 9.0"), Path("refusing.yaml")))
+    (instrument,) = made.instruments
+    link = instrument.links[0]
+    assert isinstance(link, LoopLink)
+    host = link.connect()
+    found = []
+    for until_s in (4.5, 6.0):  # within the fault, and after it
+        made.run.advance(round(until_s * 1e9))
+        host.read()
+        host.write(frame(ASCII, b"sMN SetAccessMode 3 F4724744"), made.run.clock.now_ns())
+        made.run.advance(made.run.clock.now_ns() + 500_000_000)
+        found += [part for part in host.read().split(b"\x02") if b"SetAccessMode" in part]
+    assert found == [b"sAN SetAccessMode 0\x03", b"sAN SetAccessMode 1\x03"]
+    made.close()
