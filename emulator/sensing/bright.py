@@ -119,6 +119,7 @@ class BrightEdges:
         self._all_still = at_rest and model.leave_out.resting and all(body.still for body in scene.bodies)
         self._kept: tuple[tuple[object, ...], tuple[object, ...], tuple[SubEchoes, Tails]] | None = None
 
+    @np.errstate(under="ignore")
     def put_into(
         self, seen: Seen, bundles: Bundles, pose: Pose, t_s: Floats, surfaces: Surfaces, air: Medium, gain: float,
         farthest_m: float,

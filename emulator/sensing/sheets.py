@@ -118,6 +118,7 @@ class _Sheet:
 class Sheets:
     """The bright faces of a scene's rigid bodies."""
 
+    @np.errstate(under="ignore")
     def __init__(self, scene: Scene, table: SurfaceTable) -> None:
         bright = bright_of(table)
         rigid = [(k, body) for k, body in enumerate(scene.bodies) if body.frames is None]
