@@ -118,7 +118,7 @@ class DeviceKeys:
         value: Value = self._values.pop(entry.name, default)
         # shown of a model: its own word, as its name
         own = entry.name in self._of_model and isinstance(value, str)
-        self.known.append(replace(entry, default=value) if own else entry)
+        self.known.append(replace(entry, default=str(value)) if own else entry)
         # the default need not be among what a file may say: it stands for an absent key
         if value is not default and not fits(value):
             raise DeviceSettingError(self._prefix + entry.name, value, entry.allowed)
