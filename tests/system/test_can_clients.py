@@ -57,7 +57,10 @@ Record = tuple[int, bytes]
 
 @dataclass
 class Sensor:
-    """A sensor on the real clock in a thread of its own, sending so many lists from when it is told to."""
+    """A sensor on the real clock in a thread of its own; from when it is told to it sends lists until so many have gone.
+
+    A machine that halts this thread for a second costs lists, as it costs a real daemon's. They are no loss of a client's.
+    """
 
     url: str
     sent: list[Record] = field(default_factory=list)
@@ -76,8 +79,10 @@ class Sensor:
 
         def recording(payload: bytes, due_ns: int, peer: int | None = None, line_speed: int | None = None) -> None:
             assert peer is not None
-            self.sent.append((peer, payload))
+            refused = self.link.stats.payloads_dropped
             send(payload, due_ns, peer, line_speed)
+            if self.link.stats.payloads_dropped == refused:
+                self.sent.append((peer, payload))
 
         self.link.send = recording  # type: ignore[method-assign]
         self._thread.start()
@@ -98,7 +103,7 @@ class Sensor:
         plans, self._plans = self._plans, []
         scans = []
         for plan in plans:
-            if self._lists < LISTS:
+            if list_frames(self.sent) < LIST_FRAMES:
                 scans.append(replace(Scan.empty(plan), objects=tuple(objects(self._lists))))
                 self._lists += 1
         return scans
@@ -177,8 +182,8 @@ def frames(output: str) -> list[Record]:
     return [(int(identifier, 16), bytes.fromhex(data)) for identifier, data in lines]
 
 
-def complete_lists(records: Sequence[Record]) -> int:
-    return sum(peer == 0x60A for peer, _ in records)
+def list_frames(records: Sequence[Record]) -> int:
+    return sum(0x60A <= peer <= 0x60D for peer, _ in records)
 
 
 def socketcand_bus(url: str) -> dict[str, object]:
@@ -204,18 +209,17 @@ def test_every_frame_of_a_hundred_lists_reaches_readers_and_loggers_over_socketc
                 wait_for(one, "Can Logger")
             device.go()
             seen = frames(reader.communicate(timeout=120)[0])
+            time.sleep(0.5)  # the loggers may be behind the reader
             for one in (blf, asc, candump):
                 one.send_signal(signal.SIGINT)
                 one.wait(timeout=60)
         sent = list(device.sent)
-    assert complete_lists(sent) == LISTS
-    assert seen[: len(sent)] == sent[: len(seen)]
-    assert complete_lists(seen) == LISTS
+    assert list_frames(seen) == LIST_FRAMES
+    assert seen == sent[: len(seen)]
     for path in logs:
         with can.LogReader(path) as opened:
             stored = [(message.arbitration_id, bytes(message.data)) for message in opened if not message.is_error_frame]
-        lists_end = 1 + max(index for index, (peer, _) in enumerate(sent) if peer == 0x60D)
-        assert stored[:lists_end] == sent[:lists_end], path.suffix
+        assert stored[: len(seen)] == seen, path.suffix
 
 
 def test_every_frame_of_a_hundred_lists_reaches_a_reader_over_slcan(tmp_path: Path) -> None:
@@ -227,9 +231,8 @@ def test_every_frame_of_a_hundred_lists_reaches_a_reader_over_slcan(tmp_path: Pa
             device.go()
             seen = frames(reader.communicate(timeout=120)[0])
         sent = list(device.sent)
-    assert complete_lists(sent) == LISTS
-    assert complete_lists(seen) == LISTS
-    assert seen[: len(sent)] == sent[: len(seen)]
+    assert list_frames(seen) == LIST_FRAMES
+    assert seen == sent[: len(seen)]
 
 
 def test_cantools_on_the_command_line_decodes_the_log_of_a_run(tmp_path: Path) -> None:
