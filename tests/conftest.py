@@ -11,8 +11,9 @@ from hypothesis import settings
 
 from emulator.instrument.instrument import Instrument
 from emulator.instrument.ledger import faults_of
+from tests.draws import cases
 
-settings.register_profile("lidaremu", deadline=None, derandomize=True)
+settings.register_profile("lidaremu", deadline=None, derandomize=True, max_examples=cases(100))
 settings.load_profile("lidaremu")
 
 

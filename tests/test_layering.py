@@ -44,7 +44,7 @@ STANDARD_OR = {
 
 NO_ROOMS = {"benchmarks", "docs", "extreme", "hostile", "protocols", "scoreboard", "system"}
 "Folders of tests that belong to no single room of emulator/."
-BESIDE = {"by_loops.py", "conftest.py", "layering.py", "test_layering.py", "test_warnings.py"}
+BESIDE = {"by_loops.py", "conftest.py", "draws.py", "layering.py", "test_layering.py", "test_warnings.py"}
 
 
 def place_of(path: Path) -> str:

@@ -13,6 +13,7 @@ from emulator.world import broad_phase, triangles
 from emulator.world.broad_phase import BroadPhase
 from emulator.world.motion import Motion, Steady, Waypoints
 from tests.casting.builders import fan, random_rays, scene_of
+from tests.draws import cases
 
 FASTEST = 1e5
 
@@ -36,7 +37,7 @@ def random_motion(rng: np.random.Generator) -> Motion:
 
 
 @given(seed=st.integers(0, 10**9))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=cases(25), deadline=None)
 def test_whatever_comes_into_reach_is_among_the_chosen(seed: int) -> None:
     rng = np.random.default_rng(seed)
     motions = [random_motion(rng) for _ in range(60)]
@@ -59,7 +60,7 @@ def test_whatever_comes_into_reach_is_among_the_chosen(seed: int) -> None:
 
 
 @given(seed=st.integers(0, 10**9))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=cases(10), deadline=None)
 def test_a_scan_meets_what_it_meets_without_the_choice(seed: int) -> None:
     rng = np.random.default_rng(seed)
     ball, box = triangles.sphere(2.0, 12), triangles.box(4.0, 2.0, 1.5)

@@ -17,6 +17,7 @@ from emulator.world import triangles
 from emulator.world.motion import Steady, Waypoints, rotation_matrix
 from emulator.world.triangles import Geometry, checked
 from tests.casting.builders import brute_force, bumpy_wall, fan, random_rays, scene_of
+from tests.draws import cases
 
 WALL = Steady(at_m=(8.0, 0.0, 0.0), pitch_deg=-90.0)
 
@@ -78,7 +79,7 @@ def test_a_sphere_is_met_within_the_error_of_its_facets() -> None:
     yaw=st.floats(-180, 180), pitch=st.floats(-90, 90), roll=st.floats(-180, 180), seed=st.integers(0, 10_000),
     moving=st.booleans(),
 )  # fmt: skip
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=cases(60), deadline=None)
 def test_a_turned_box_is_met_where_its_slabs_are(
     yaw: float, pitch: float, roll: float, seed: int, moving: bool
 ) -> None:
@@ -259,7 +260,7 @@ def test_what_rests_is_met_alike_merged_or_in_its_own_slot(monkeypatch: pytest.M
 
 
 @given(seed=st.integers(0, 100_000))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=cases(10), deadline=None)
 def test_leaving_out_what_no_ray_can_touch_changes_nothing(seed: int) -> None:
     rng = np.random.default_rng(seed)
     shapes = []
@@ -479,7 +480,7 @@ def crowd(seed: int) -> tuple[Caster, Caster, np.ndarray, np.ndarray, float]:
 
 
 @given(seed=st.integers(0, 100_000))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=cases(10), deadline=None)
 def test_rays_that_come_again_meet_bit_by_bit_what_they_would_meet_anew(seed: int) -> None:
     caster, fresh, origin, direction, far = crowd(seed)
     for t_s in (0.0, 0.3, 0.3, 0.6):
@@ -505,7 +506,7 @@ def test_rays_that_come_again_are_cast_on_nothing_that_rests() -> None:
 
 
 @given(seed=st.integers(0, 100_000))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=cases(10), deadline=None)
 def test_directions_that_come_again_from_elsewhere_meet_what_new_ones_would(seed: int) -> None:
     caster, fresh, origin, direction, far = crowd(seed)
     for t_s in (0.0, 0.3, 0.6):

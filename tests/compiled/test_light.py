@@ -19,6 +19,7 @@ from emulator.sensing.rays import Rays
 from emulator.sensors.physics_options import PhysicsOptions
 from emulator.sensors.spec import load_spec
 from tests.compiled.both import both
+from tests.draws import cases
 
 pytest.importorskip("numba")
 
@@ -70,7 +71,7 @@ def test_the_exponential_is_that_of_the_library() -> None:
     reach_m=st.sampled_from([90.0, 60.0, 1.0]),
     extinction=st.sampled_from([0.0, 1e-6, 1e-4, 0.02]),
 )
-@settings(max_examples=200)
+@settings(max_examples=cases(200))
 def test_hits_become_the_same_sub_echoes(
     seed: int, sub_beams: int, missing: float, even: bool, glossy: bool, reach_m: float, extinction: float
 ) -> None:

@@ -28,10 +28,11 @@ from emulator.world.batched_poses import Cones, may_meet
 from emulator.world.motion import Steady, Waypoints
 from tests.casting.test_raycast import WALL, fan, moving_shapes, random_rays, scene_of
 from tests.compiled.both import RANGE_M, both
+from tests.draws import cases
 
 pytest.importorskip("numba")
 
-FEW = settings(max_examples=60)
+FEW = settings(max_examples=cases(60))
 
 
 # ------------------------------------------------------------------------------- rays
@@ -254,7 +255,7 @@ def same_echoes(one: Echoes, other: Echoes) -> None:
     noisy=st.booleans(),
     full_scale=st.sampled_from([np.inf, 50.0]),
 )
-@settings(max_examples=250)
+@settings(max_examples=cases(250))
 def test_echoes_are_the_same(
     seed: int, extinction: float, sampled: bool, method: str, noisy: bool, full_scale: float
 ) -> None:
@@ -286,7 +287,7 @@ def test_echoes_are_the_same(
     bright=st.booleans(),
     false=st.booleans(),
 )
-@settings(max_examples=200)
+@settings(max_examples=cases(200))
 def test_what_is_reported_is_the_same(
     seed: int, keep: str, max_echoes: int, recovery_s: float, full_scale: float, floor_m2: float,
     gate: tuple[float, float], offset_m: float | None, columns: int, follows_noise: bool, bright: bool, false: bool,

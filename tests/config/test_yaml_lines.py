@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from emulator.config import yaml_lines
 from emulator.config.yaml_lines import Source, dotted, parse
 from emulator.errors import ScenarioError
+from tests.draws import cases
 
 HERE = Path("file.yaml")
 
@@ -136,7 +137,7 @@ def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
 
 
 @given(st.text(alphabet=st.sampled_from("ab:-{}[],&*!#'\"\n \t|>%@?~<0.1"), max_size=60))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=cases(300), deadline=None)
 def test_any_text_is_read_or_refused(text: str) -> None:
     try:
         told = read(text).faults
@@ -155,7 +156,7 @@ plain = st.recursive(
 
 
 @given(plain)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=cases(100), deadline=None)
 def test_json_is_yaml(value: object) -> None:
     import json
 

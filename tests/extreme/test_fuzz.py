@@ -23,13 +23,14 @@ from emulator.sensing.measure import Measure
 from emulator.sensing.measure import build as build_measure
 from emulator.world import scene
 from protocols.scan import DAZZLED, SATURATED, Scan, ScanPlan
+from tests.draws import cases
 from tests.sensing.rig import grey, plan
 
 PHASES = [Phase.explicit, Phase.generate]
 "No shrinking: it builds thousands of scenes and outlasts the test's time limit; the example as drawn says enough."
 
 MODERATE = settings(
-    max_examples=40, derandomize=True, deadline=None, phases=PHASES, suppress_health_check=list(HealthCheck)
+    max_examples=cases(40), derandomize=True, deadline=None, phases=PHASES, suppress_health_check=list(HealthCheck)
 )
 
 
@@ -257,7 +258,9 @@ def test_a_plate_at_any_range_and_tilt_keeps_the_contract(
     assert same(scan, measure(wanted))
 
 
-@settings(max_examples=30, derandomize=True, deadline=None, phases=PHASES, suppress_health_check=list(HealthCheck))
+@settings(
+    max_examples=cases(30), derandomize=True, deadline=None, phases=PHASES, suppress_health_check=list(HealthCheck)
+)
 @given(
     keys=st.dictionaries(
         st.sampled_from(sorted(json.loads(json.dumps(scenario.json_schema()))["$defs"]["PhysicsOptions"]["properties"])),

@@ -26,6 +26,7 @@ from protocols.device_clock import Change, DeviceClock
 from protocols.lms2xx.telegrams import open_frame, read_values, request
 from protocols.quartz import Quartz
 from protocols.session import LinkKind
+from tests.draws import cases
 from tests.faults.devices import SECOND, Device, device
 from tests.protocols.ld.reader import read_frames, read_profile
 from tests.protocols.ld.reader import request as ld_request
@@ -78,7 +79,7 @@ changes = st.lists(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=cases(60), deadline=None)
 @given(changes, st.integers(0, 100 * SECOND))
 def test_the_order_in_which_changes_become_known_does_not_matter(rows: list[tuple[int, Any, int]], at: int) -> None:
     rows = list({row[0]: row for row in rows}.values())
@@ -90,7 +91,7 @@ def test_the_order_in_which_changes_become_known_does_not_matter(rows: list[tupl
     assert first.shown_ns(at) == second.shown_ns(at)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=cases(100), deadline=None)
 @given(
     st.lists(st.tuples(st.integers(1, 50 * SECOND), st.integers(-(10**8), 10**8)), max_size=6),
     st.integers(0, 400 * SECOND),

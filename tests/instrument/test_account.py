@@ -15,6 +15,7 @@ from emulator.instrument.ledger import check_accounts
 from emulator.process.incidents import Incidents
 from protocols.lms2xx.telegrams import request
 from protocols.session import CutShort, DropReason
+from tests.draws import cases
 from tests.instrument.account import SECOND, Yard
 from tests.protocols.ld.reader import request as service
 
@@ -425,7 +426,7 @@ HELD_TWICE = [(0.3, ("fault", FAULTS[4])), (0.5, ("fault", FAULTS[3])), (1.5, ("
 
 
 @pytest.mark.parametrize("kind", ["line", "tcp", "can"])
-@settings(max_examples=6)
+@settings(max_examples=cases(6))
 @example(events=SPOILT_AND_HELD)
 @example(events=HELD_TWICE)
 @given(events=st.lists(st.tuples(st.floats(0.001, 2.0), ACTIONS), min_size=4, max_size=14))

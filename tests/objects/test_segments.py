@@ -13,6 +13,7 @@ from emulator.objects.options import TrackerOptions
 from emulator.objects.points import Points, SensorMotion, View, beam_step_rad, joined, points_of
 from emulator.objects.segments import cluster_labels, fit_yaw, segment
 from protocols.scan import Scan
+from tests.draws import cases
 from tests.objects.flatland import Box, look, plan_of
 
 EVERYWHERE = (float("-inf"), float("inf"))
@@ -39,7 +40,7 @@ def same_partition(one: list[int], other: list[int]) -> bool:
     return all((one[i] == one[j]) == (other[i] == other[j]) for i in range(len(one)) for j in range(i))
 
 
-@settings(max_examples=50)
+@settings(max_examples=cases(50))
 @given(st.lists(st.tuples(st.integers(-8, 8), st.integers(-8, 8)), max_size=25))
 def test_points_on_a_grid_are_clustered_as_by_hand(cells: list[tuple[int, int]]) -> None:
     # one metre apart and a gap of 1.2 m: neither the grid's diagonal nor the cells' rounding decides

@@ -18,6 +18,7 @@ from emulator.objects.options import TrackerOptions
 from emulator.objects.points import SensorMotion, View
 from emulator.objects.tracker import ObjectTracker, believed, completed, wrapped
 from protocols.scan import DetectedObject, Scan
+from tests.draws import cases
 from tests.objects.flatland import Box, look, plan_of
 
 CYCLE_S = 0.08
@@ -274,7 +275,7 @@ def test_the_same_scans_give_the_same_objects() -> None:
     assert follow(boxes, 1.0) == follow(boxes, 1.0)
 
 
-@settings(max_examples=25)
+@settings(max_examples=cases(25))
 @given(
     st.lists(
         st.tuples(

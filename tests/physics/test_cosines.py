@@ -12,6 +12,7 @@ from emulator.physics.detection import detect
 from emulator.physics.detector import Detector
 from emulator.physics.pulse import Pulse
 from emulator.physics.subechoes import SubEchoes
+from tests.draws import cases
 
 PULSE = Pulse(4e-9)
 DETECTOR = Detector(PULSE, threshold=5.0)
@@ -40,7 +41,7 @@ def first_crossing(level: float, range_m: np.ndarray, amplitude: np.ndarray) -> 
     return float(hi)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=cases(60), deadline=None)
 @given(
     spread=st.lists(st.integers(0, 990).map(lambda thousandth: 1e-3 * thousandth), min_size=1, max_size=8),
     weight=st.lists(st.floats(0.01, 1.0), min_size=8, max_size=8),
@@ -59,7 +60,7 @@ def test_a_short_cluster_is_crossed_where_its_pulses_say(
     assert found.crossing(np.array([level]))[0] == pytest.approx(first_crossing(level, range_m, amplitude), abs=1e-6)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=cases(60), deadline=None)
 @given(
     spread=st.lists(
         st.integers(0, 4000).map(lambda thousandth: 1e-3 * thousandth), min_size=2, max_size=9, unique=True

@@ -17,6 +17,7 @@ from emulator.physics.detector import Detector, Echoes, Method
 from emulator.physics.pulse import Pulse, PulseShape
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import SubEchoes, cluster
+from tests.draws import cases
 
 PULSE = Pulse(16e-9)
 METHODS: tuple[Method, ...] = ("leading_edge", "constant_fraction", "peak", "centroid")
@@ -165,7 +166,7 @@ def test_the_order_of_sub_beams_changes_nothing(method: Method, shape: PulseShap
 
 
 @given(seed=st.integers(0, 10**6))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=cases(40), deadline=None)
 def test_joined_parts_are_as_if_all_had_come_together(seed: int) -> None:
     rng = np.random.default_rng(seed)
     parts = []
@@ -335,7 +336,7 @@ def test_the_peak_of_a_spread_echo_falls_by_the_closed_form() -> None:
 
 
 # ------------------------------------------------------------------------------- light outside
-@settings(max_examples=60, derandomize=True, deadline=None)
+@settings(max_examples=cases(60), derandomize=True, deadline=None)
 @given(
     method=st.sampled_from(METHODS),
     rms=st.lists(st.floats(1.0, 30.0), min_size=1, max_size=4),
@@ -559,7 +560,7 @@ amplitudes = st.floats(1e-6, 1e9)
 distances = st.floats(0.0, 300.0)
 
 
-@settings(deadline=None, max_examples=80)
+@settings(deadline=None, max_examples=cases(80))
 @given(
     st.lists(st.tuples(st.integers(0, 4), distances, amplitudes), max_size=40),
     st.sampled_from(METHODS),

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from emulator.physics import polygons
+from tests.draws import cases
 
 Floats = NDArray[np.float64]
 
@@ -31,7 +32,7 @@ def test_a_half_plane_is_the_normal_law(offset: float, turn: float) -> None:
     assert middle == pytest.approx(np.tile([mean * c, mean * s], (2, 1)), rel=1e-6, abs=1e-9)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=cases(60), deadline=None)
 @given(st.lists(st.integers(-250, 250), min_size=6, max_size=6))
 def test_a_triangle_gets_the_rays_that_fall_on_it(numbers: list[int]) -> None:
     corner = 0.01 * np.reshape(numbers, (1, 3, 2))
@@ -50,7 +51,7 @@ def test_the_least_distance_is_that_of_the_nearest_place() -> None:
     assert polygons.offset_of(np.reshape(triangles, (3, 3, 2))) == pytest.approx([1.0, 0.0, math.sqrt(8.0)])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=cases(25), deadline=None)
 @given(st.lists(st.integers(-100, 100), min_size=9, max_size=9))
 def test_what_reaches_behind_the_pupil_keeps_its_light(numbers: list[int]) -> None:
     """Each ray of a beam on its own (Moeller and Trumbore)."""

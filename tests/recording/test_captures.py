@@ -16,6 +16,7 @@ from emulator.recording.captures import MOST_AHEAD, Segment, read_segments, stre
 from emulator.recording.pcapng import TCP, PcapngWriter
 from emulator.recording.reader import read_wire
 from emulator.recording.writer import RecordingError
+from tests.draws import cases
 
 DEVICE, HOST = (bytes((192, 168, 1, 10)), 49_152), (bytes((192, 168, 1, 2)), 40_000)
 IP6 = bytes.fromhex("fe800000000000000000000000000001"), bytes.fromhex("fe800000000000000000000000000002")
@@ -132,7 +133,7 @@ def test_a_stream_is_put_together_as_the_host_got_it(case: str) -> None:
 
 
 @given(st.data())
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=cases(50), deadline=None, derandomize=True)
 def test_any_order_and_any_repeats_give_the_same_bytes(data: st.DataObject) -> None:
     whole = bytes(range(60))
     cuts = sorted(data.draw(st.sets(st.integers(1, 59), max_size=8)))
@@ -239,7 +240,7 @@ def test_datagrams_are_kept_apart_and_a_wrong_port_is_told_with_the_right_ones(t
 
 
 @given(st.binary(max_size=200))
-@settings(max_examples=60)
+@settings(max_examples=cases(60))
 def test_any_bytes_behind_a_captures_magic_end_it_quietly(data: bytes) -> None:
     for magic in (b"\x0a\x0d\x0d\x0a", b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\x3c\x4d"):
         list(read_segments(magic + data))

@@ -20,6 +20,7 @@ from emulator.recording.layout import decode_scan
 from emulator.recording.reader import RecordedRun, read_run, read_wire
 from emulator.recording.writer import RecordingError
 from emulator.scenario import scenario
+from tests.draws import cases
 
 CASE = """\
 schema: 1
@@ -32,7 +33,7 @@ sensors:
 """
 Read = TypeVar("Read")
 NAMES = ("run.mcap", "can.log", "can.asc", "can.blf")
-anywhere = settings(max_examples=60, deadline=None, derandomize=True)
+anywhere = settings(max_examples=cases(60), deadline=None, derandomize=True)
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from emulator.recording.line_dumps import telegrams_of
+from tests.draws import cases
 
 # published: the LMS2xx's type request's and stop's answers begin so; SICK's listing, 4.3 and 4.4
 STREAM = bytes.fromhex("06 0280 0300 A000 1016 0A 06 15")
@@ -28,7 +29,7 @@ def test_garbage_before_and_behind_stays_where_it_is(garbage: bytes) -> None:
 
 
 @given(st.lists(st.sampled_from([b"\x02\x80", b"\x02", b"\x06", b"\x15", b"\x03\0", b"A1", STREAM, PACKAGES, b"\xff"])))
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=cases(200), deadline=None, derandomize=True)
 def test_nothing_is_lost_and_nothing_is_empty(parts: list[bytes]) -> None:
     found = telegrams_of(b"".join(parts))
     assert b"".join(found) == b"".join(parts)

@@ -17,6 +17,7 @@ from emulator.recording.names import LONGEST, bus_names, distinct, plain, planne
 from emulator.recording.reader import read_run
 from emulator.recording.writer import RecordingError
 from emulator.scenario import scenario
+from tests.draws import cases
 
 LISTS = """\
 schema: 1
@@ -65,7 +66,7 @@ def test_buses_of_one_channel_name_get_names_of_their_own(links: list[str], name
     assert stems(*links) == found
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=cases(200), deadline=None, derandomize=True)
 @given(texts=st.lists(st.text(max_size=300), max_size=8), sensors=st.lists(st.from_regex(r"[a-z]{1,3}\Z"), unique=True))
 def test_names_of_files_are_plain_and_no_two_are_the_same_anywhere(texts: list[str], sensors: list[str]) -> None:
     found = distinct([plain(text, "can") for text in texts])

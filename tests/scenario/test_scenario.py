@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from emulator.errors import ScenarioError
 from emulator.scenario import scenario
 from emulator.scenario.scenario import Scenario, load, loads
+from tests.draws import cases
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 HEAD = "schema: 1\n"
@@ -237,7 +238,7 @@ def test_more_actors_than_fit_are_refused() -> None:
 
 
 @given(data=st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=cases(150), deadline=None)
 def test_any_value_anywhere_gives_a_scenario_or_faults(data: st.DataObject) -> None:
     keys = (
         "schema seed world actors weather materials sensors faults expect record id shape mesh box size_m motion "

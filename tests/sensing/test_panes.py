@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from emulator.physics import brdf
 from emulator.sensing.measure import Measure
+from tests.draws import cases
 from tests.sensing import joins
 from tests.sensing.rig import QUIET, Floats, build, plan, plate
 
@@ -133,7 +134,7 @@ def test_a_sensor_in_a_dome_looks_through_one_pane(tmp_path: Path) -> None:
     assert _behind(behind, 19.5)[1] / _behind(alone, 19.5)[1] == pytest.approx(0.852071, rel=1e-4)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=cases(60), deadline=None)
 @given(st.floats(0.0, 1.0), st.floats(1.0, 3.0), st.floats(0.0, 1.55))
 def test_a_pane_by_its_series_of_bounces(internal: float, index: float, incidence: float) -> None:
     """Against the sum over the bounces between the faces, one after another."""

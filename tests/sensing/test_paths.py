@@ -14,6 +14,7 @@ from emulator.compiled import switch
 from emulator.physics import brdf, radiometry
 from emulator.sensing.order import _order, in_order
 from protocols.scan import SATURATED
+from tests.draws import cases
 from tests.sensing.rig import QUIET, build, grey, plan, plate
 
 AXIS = {**QUIET, "rule": "axis", "echoes": "all", "max_echoes": 8}
@@ -163,7 +164,7 @@ def test_no_more_light_comes_back_than_went_out(tmp_path: Path) -> None:
 
 
 @given(seed=st.integers(0, 10**6))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=cases(60), deadline=None)
 def test_sub_echoes_of_several_parts_come_by_beam_and_range(seed: int) -> None:
     rng = np.random.default_rng(seed)
     beams = int(rng.choice([1, 3, 40]))

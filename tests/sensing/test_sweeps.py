@@ -16,6 +16,7 @@ from emulator.physics import counting, radiometry
 from emulator.sensing.table import table_plan
 from emulator.sensors.spec import load_spec
 from protocols.scan import Scan
+from tests.draws import cases
 from tests.sensing.rig import QUIET, build, grey, plan, plate
 
 SCAN_DEG = np.arange(-90.0, 90.5, 0.5)
@@ -194,7 +195,7 @@ def test_several_layers_are_a_table_like_any_other(tmp_path: Path) -> None:
     assert scan.range_m[:, 0] == pytest.approx(expected, abs=1e-6)
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=cases(25), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     range_m=st.floats(0.05, 400.0),
     tilt_deg=st.floats(0.0, 89.9),

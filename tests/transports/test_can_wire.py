@@ -17,6 +17,7 @@ from emulator.transports.link import Received
 from emulator.transports.schemes import check_url, open_link
 from protocols.can_frame import arbitration_key, frame_bits
 from protocols.session import LinkKind
+from tests.draws import cases
 
 MS = 1_000_000
 SECOND = 1_000_000_000
@@ -295,7 +296,7 @@ def test_an_interface_that_the_machine_does_not_have_says_why() -> None:
         open_link("can:socketcan:no_such0")
 
 
-@settings(max_examples=30)
+@settings(max_examples=cases(30))
 @given(st.lists(st.tuples(st.integers(0, 0x7FF), st.binary(max_size=8)), max_size=30))
 def test_a_stock_python_can_bus_sees_every_frame_of_a_virtual_link(sent: list[tuple[int, bytes]]) -> None:
     import can

@@ -18,6 +18,7 @@ from emulator.transports.link import Received
 from emulator.transports.schemes import open_link
 from emulator.transports.slcan import BACKLOG_LIMIT
 from protocols.can_frame import EXTENDED
+from tests.draws import cases
 
 MS = 1_000_000
 SECOND = 1_000_000_000
@@ -239,7 +240,7 @@ def test_a_host_that_asks_without_end_and_never_reads_does_not_fill_the_memory(r
     assert rig.ask("F\r") == "F08\r", "some answers did not fit"
 
 
-@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=cases(40), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(said=st.lists(st.text("CSOLVvNFZtTrR0123456789ABCDEFxyz", max_size=20), max_size=4))
 def test_any_text_is_answered_line_by_line(rig: Rig, said: list[str]) -> None:
     rig.ask("C\r")

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from emulator.world.batched_poses import BatchedPoses
 from emulator.world.motion import Motion, Pose, Steady, Waypoints, matrix_of, quaternion_of, rotation_matrix
+from tests.draws import cases
 
 angle = st.floats(-400.0, 400.0)
 
@@ -34,7 +35,7 @@ def test_axes_turn_as_iso_8855_says(angles: tuple[float, float, float], body: tu
 
 
 @given(yaw=angle, pitch=angle, roll=angle)
-@settings(max_examples=50)
+@settings(max_examples=cases(50))
 def test_rotations_keep_lengths_and_handedness_and_survive_quaternions(yaw: float, pitch: float, roll: float) -> None:
     rotation = rotation_matrix(yaw, pitch, roll)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-14)
@@ -100,7 +101,7 @@ def test_one_waypoint_is_a_place() -> None:
 
 
 @given(t=st.floats(-20, 20), small=st.floats(1e-9, 1e-3))
-@settings(max_examples=40)
+@settings(max_examples=cases(40))
 def test_velocity_is_the_change_of_position(t: float, small: float) -> None:
     motion = path()
     step = motion.position(np.array([t, t + small]))
@@ -131,7 +132,7 @@ def motions() -> list[Motion]:
 
 
 @given(begin=st.floats(-10.0, 40.0), span=st.sampled_from([0.0, 1e-6, 0.0133, 0.7]), asked=st.floats(0.0, 1.0))
-@settings(max_examples=80)
+@settings(max_examples=cases(80))
 def test_straight_stretches_tell_the_same_places_as_the_motions(begin: float, span: float, asked: float) -> None:
     batched = BatchedPoses(motions())
     batched.during(begin - 0.001, begin)  # what it remembers must not matter

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from protocols.can_objects import FORMATS
 from protocols.session import Address, CommandHandled, Dropped, DropReason, ModeChanged, Restarted
+from tests.draws import cases
 from tests.protocols.can_objects.rig import Rig, crowd, decoded, lines, lists, start
 
 LISTENING = {"ars408": 0x200, "ldmrs": 0x50A, "esr": 0x4F1, "leddar_vu8": 0x740, "leddar_m16": 0x740}
@@ -23,7 +24,7 @@ frames = st.tuples(
 
 
 @pytest.mark.parametrize("name", FORMATS)
-@settings(max_examples=40)
+@settings(max_examples=cases(40))
 @given(said=st.lists(frames, max_size=20))
 def test_no_frame_of_a_host_disturbs_a_device_beyond_what_it_may(name: str, said: list[tuple[int, bytes, int]]) -> None:
     rig = start({"format": name}, crowd(5))

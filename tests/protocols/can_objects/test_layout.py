@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from protocols.can_objects.layout import Layout, MessageLayout, load
 from protocols.errors import EncodeError
+from tests.draws import cases
 
 FILES = ("ars408.dbc", "ldmrs.dbc", "esr.dbc", "leddar_vu8.dbc", "leddar_m16.dbc")
 
@@ -32,7 +33,7 @@ MESSAGES = sorted(
 
 
 @pytest.mark.parametrize(("file_name", "name"), MESSAGES)
-@settings(max_examples=15)
+@settings(max_examples=cases(15))
 @given(data=st.data())
 def test_frames_are_the_ones_that_cantools_packs(file_name: str, name: str, data: st.DataObject) -> None:
     layout = load(file_name)[name]

@@ -14,6 +14,7 @@ from protocols.ld.services import COMMANDS
 from protocols.ld.session import MAX_CHANNELS
 from protocols.ld.usp import MAX_REQUEST_BYTES
 from protocols.session import MAX_EVENTS, Address, DropReason, LinkKind
+from tests.draws import cases
 from tests.protocols.ld.reader import can_frames, package, read_frames, read_packages, request, words
 from tests.protocols.ld.rig import FACTS, MS, SECOND, TCP, Rig, measuring, ten_metres
 
@@ -23,7 +24,7 @@ messages = st.tuples(st.sampled_from(sorted(COMMANDS)) | word).flatmap(
 )
 
 
-@settings(max_examples=60)
+@settings(max_examples=cases(60))
 @given(st.lists(messages, max_size=6), st.lists(st.integers(1, 20), max_size=30), st.binary(max_size=12))
 def test_any_cut_of_the_same_bytes_gets_the_same_replies(asked: list, cuts: list[int], noise: bytes) -> None:
     stream = noise + b"".join(request(*message) for message in asked)
@@ -42,7 +43,7 @@ def test_any_cut_of_the_same_bytes_gets_the_same_replies(asked: list, cuts: list
     assert results[0] == results[1]
 
 
-@settings(max_examples=60)
+@settings(max_examples=cases(60))
 @given(
     st.sampled_from([LinkKind.STREAM, LinkKind.SERIAL, LinkKind.CAN, LinkKind.DATAGRAM]),
     st.lists(st.tuples(st.binary(max_size=60), st.integers(0, 2 * SECOND), st.sampled_from([0, 1, 0x2AB])), max_size=9),
@@ -63,7 +64,7 @@ def test_random_bytes_on_any_link_raise_nothing_and_the_device_goes_on(kind: Lin
     assert b"".join(emission.payload for emission in rig.take() if emission.label == "8102")
 
 
-@settings(max_examples=30)
+@settings(max_examples=cases(30))
 @given(st.lists(messages, max_size=12), st.lists(st.integers(0, 400 * MS), min_size=12, max_size=12))
 def test_two_hosts_saying_anything_at_any_time_get_one_answer_each(asked: list, pauses: list[int]) -> None:
     rig = Rig({"delays": "fast", "step_deg": 5})
