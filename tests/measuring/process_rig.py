@@ -25,7 +25,8 @@ from emulator.transports.loopback import Loops
 from protocols.scan import Scan, ScanPlan
 
 MS, SECOND = 1_000_000, 1_000_000_000
-SLICE_NS = 4 * MS
+SLICE_NS = 8 * MS
+"How long each step takes; where a test says so, half of it."
 
 LMS = '  - {{id: {0}, model: sick-lms291-s05, links: ["loop:{0}"], device: {{delays: fast, start: running}}}}'
 LD = '  - {{id: {0}, model: sick-ld-lrs1000, links: ["loop:{0}"], device: {{delays: fast, step_deg: 4, motor_hz: 10}}}}'
@@ -186,11 +187,12 @@ class Rig:
         text: str = "",
         builds_ns: int = 300 * MS,
         build_loops: Callable[[], Any] | None = None,
+        slice_ns: int = SLICE_NS,
     ) -> None:
         """`sensors`: ids of LMS291 at 37.5 scans a second. `text`: rows of other sensors."""
         rows = [LMS.format(name) for name in sensors] + ([text] if text else [])
         loaded = scenario.loads(WORLD + "\n".join(rows) + "\n", Path("rig.yaml"))
-        self.clock = ManualClock()
+        self.clock, self.slice_ns = ManualClock(), slice_ns
         self.takes_ns, self.cpu_ns = 2 * MS, MS
         self.builds_ns = 0
         self.launch_error: OSError | None = None
@@ -246,7 +248,7 @@ class Rig:
         """Serve for so long, or until something holds; whether it does."""
         end_ns = self.clock.now_ns() + round(seconds * SECOND)
         while self.clock.now_ns() < end_ns and not until():
-            self.clock.set(min(end_ns, self.clock.now_ns() + SLICE_NS))
+            self.clock.set(min(end_ns, self.clock.now_ns() + self.slice_ns))
             self.played()
             self.serve()
         return until()
@@ -271,7 +273,7 @@ class Rig:
         """The sender is stopped; the processes go on."""
         end_ns = self.clock.now_ns() + round(seconds * SECOND)
         while self.clock.now_ns() < end_ns:
-            self.clock.set(min(end_ns, self.clock.now_ns() + SLICE_NS))
+            self.clock.set(min(end_ns, self.clock.now_ns() + self.slice_ns))
             self.played()
 
     def stream(self, *sensors: str) -> None:

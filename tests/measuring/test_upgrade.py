@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 
@@ -19,7 +20,7 @@ EACH = 2
 class Upgraded(Rig):
     """A rig whose loops are not built yet."""
 
-    def __init__(self, *sensors: str, workers: int = 1, refused: OSError | None = None) -> None:
+    def __init__(self, *sensors: str, refused: OSError | None = None, **words: Any) -> None:
         self.building = PlayedBuilding()
 
         def begin() -> PlayedBuilding:
@@ -27,7 +28,7 @@ class Upgraded(Rig):
                 raise refused
             return self.building
 
-        super().__init__(*sensors, workers=workers, build_loops=begin)
+        super().__init__(*sensors, build_loops=begin, **words)
 
     def built(self, seconds: float = 5.0) -> None:
         self.building.done = True
@@ -97,7 +98,7 @@ def test_processes_are_replaced_one_by_one_and_no_scan_is_lost(rig: Callable[...
 
 
 def test_the_new_process_is_tried_and_goes_on_from_what_the_old_one_remembers(rig: Callable[..., Upgraded]) -> None:
-    run = rig("front", "left")
+    run = rig("front", "left", slice_ns=4 * MS)
     run.stream()
     run.built()
     old, new = run.processes
