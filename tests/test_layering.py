@@ -52,13 +52,7 @@ def place_of(path: Path) -> str:
 
 
 def tops(path: Path) -> set[str]:
-    names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
-            names.add(node.module)
-    return {name.partition(".")[0] for name in names}
+    return {module.partition(".")[0] for module, *_ in layering.statements(path)}
 
 
 def test_a_module_imports_from_its_own_room_and_from_lower_floors_alone() -> None:

@@ -53,7 +53,8 @@ def test_every_loop_belongs_to_one_step() -> None:
 def test_nobody_else_asks_for_loops() -> None:
     asking = set()
     for path in ROOT.glob("emulator/**/*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        source = path.read_text(encoding="utf-8")
+        for node in ast.walk(ast.parse(source)) if "kernels" in source else ():
             if "kernels" in (getattr(node, "id", ""), getattr(node, "attr", "")):
                 asking.add(path.relative_to(ROOT).as_posix())
     assert asking == set(CHOOSERS) - {"emulator/compiled/switch.py"}

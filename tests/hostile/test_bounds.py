@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import re
 import socket
 import tracemalloc
 from itertools import islice
@@ -152,13 +153,18 @@ def test_a_fault_is_made_as_small_as_it_can_be() -> None:
 FORBIDDEN_CALLS = {"eval", "exec", "compile", "__import__"}
 FORBIDDEN_MODULES = {"pickle", "marshal", "shelve", "dill", "cloudpickle"}
 SHELL = {"system", "popen"}
+NAMES = re.compile(
+    "|".join((*FORBIDDEN_CALLS, *FORBIDDEN_MODULES, *SHELL, "shell", "allow_pickle", r"\bnp\.load\b", r"numpy\.load"))
+)
+"Without one of these words no file does any of it: it need not be parsed."
 
 
 def test_files_are_data_and_never_code() -> None:
     """No source of the product evaluates a text, unpickles, or asks a shell; YAML is read as events alone."""
     found = []
     for path in [*ROOT.glob("emulator/**/*.py"), *ROOT.glob("protocols/**/*.py")]:
-        for node in ast.walk(ast.parse(path.read_text())):
+        source = path.read_text()
+        for node in ast.walk(ast.parse(source)) if NAMES.search(source) else ():
             names: set[str] = set()
             if isinstance(node, ast.Import):
                 names = {alias.name.partition(".")[0] for alias in node.names} & FORBIDDEN_MODULES

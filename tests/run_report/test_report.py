@@ -129,6 +129,7 @@ def test_the_page_stands_alone_and_is_valid_and_its_figures_and_numbers_lie_besi
 
 
 @pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("undrawn")
 def test_object_lists_are_judged_as_by_the_trial(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record = str(tmp_path / "rec")
     main(["test", "fog_objects", "--duration", "0.5", "--record", record, "--json"])

@@ -46,14 +46,14 @@ def test_a_head_begun_anew_counts_on_behind_the_revolution_under_way(instant_ns:
 def test_profiles_leave_once_a_revolution_without_drift(hz: int) -> None:
     rig = measuring({"motor_hz": hz, "step_deg": 22.5}, facts={"model": "sick-ld-oem1000"})
     rig.put(request(0x0301, 0, 0x0002))
-    rig.run(120 * SECOND)
+    rig.run(30 * SECOND)
     sent = [emission for emission in rig.take() if emission.sweep is not None]
-    assert len(sent) == 120 * hz
+    assert len(sent) == 30 * hz
     for emission in sent:
         assert emission.sweep is not None
         exact = Fraction((emission.sweep + 1) * SECOND, hz)
         assert abs(emission.due_ns - exact) <= Fraction(1, 2)
-    assert [emission.sweep for emission in sent] == list(range(120 * hz))
+    assert [emission.sweep for emission in sent] == list(range(30 * hz))
 
 
 # the beams

@@ -16,6 +16,7 @@ from emulator.world import scene, triangles
 from emulator.world.motion import Steady
 from emulator.world.outlines import outline, outlines_of
 from emulator.world.scene import Scene
+from tests.draws import cases
 from tests.sensing.error_budget.scenes import (
     MODELS,
     Tally,
@@ -34,8 +35,8 @@ SHIPPED = scenario.builtin_names()
 
 @pytest.mark.parametrize("part", range(5))
 def test_random_scenes_in_random_weather_are_the_same_full_and_pruned(part: int) -> None:
-    """Sixty of them; `python -m tests.sensing.error_budget.many` compares a thousand."""
-    found = sum((full_against_pruned(seed) for seed in range(12 * part, 12 * part + 12)), Tally())
+    """`cases` of sixty; `python -m tests.sensing.error_budget.many` compares a thousand."""
+    found = sum((full_against_pruned(seed) for seed in range(12 * part, 12 * part + cases(12))), Tally())
     assert found.plain > 0.2 * found.beams
     assert found.plain_differ == 0
     assert found.differ <= 1e-3 * found.beams
