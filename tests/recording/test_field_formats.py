@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 import socket
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import betterosi
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf import LaserScan_pb2, PointCloud_pb2, SceneUpdate_pb2
@@ -24,6 +24,12 @@ from emulator.recording.reader import read_run
 from emulator.scenario.scenario import load
 from emulator.scenario.tables import Mount
 from protocols.scan import DetectedObject, Scan, ScanPlan
+
+
+def betterosi() -> Any:
+    """The reader of OSI, which takes seconds to load: not before a test wants it."""
+    return importlib.import_module("betterosi")
+
 
 SCENE = """
 schema: 1
@@ -110,7 +116,7 @@ def read_osi(path: Path) -> list[Any]:
     data, found = path.read_bytes(), []
     while data:
         size = int.from_bytes(data[:4], "little")
-        found.append(betterosi.SensorData.from_binary(data[4 : 4 + size]))
+        found.append(betterosi().SensorData.from_binary(data[4 : 4 + size]))
         data = data[4 + size :]
     return found
 
@@ -149,10 +155,10 @@ def test_no_echo_is_no_detection_and_a_pedestrian_is_one() -> None:
     assert osi_out.detections(Scan.empty(plan)) == b""
     scan = Scan.empty(plan)
     scan.range_m[299, 0], scan.intensity[299, 0], scan.actor[299, 0] = 5.0, 4.0, 70_000
-    (one,) = betterosi.LidarDetectionData.from_binary(osi_out.detections(scan)).detection
+    (one,) = betterosi().LidarDetectionData.from_binary(osi_out.detections(scan)).detection
     assert (one.object_id.value, one.beam_id.value, one.position.distance, one.intensity) == (70_000, 299, 5.0, 75.0)
     listed = DetectedObject(4, (1, 2, 0.5), (0, 1, 0), (0.5, 0.5, 1.8), 0.1, "pedestrian", actor="walker")
-    back = betterosi.DetectedMovingObject.from_binary(osi_out.moving_object(listed, {"walker": 3}, 1))
+    back = betterosi().DetectedMovingObject.from_binary(osi_out.moving_object(listed, {"walker": 3}, 1))
     assert (back.candidate[0].type, back.header.tracking_id.value) == (3, 4)
     assert back.base.dimension.height == 1.8
 
@@ -179,7 +185,7 @@ def test_osi_goes_by_udp_as_esmini_sends_and_into_mcap(tmp_path: Path) -> None:
     with (tmp_path / "out.mcap").open("rb") as back:
         ((schema, _, told),) = make_reader(back).iter_messages()
     assert (schema.name, told.log_time) == ("osi3.SensorData", 1_013_000_000)
-    parse = betterosi.SensorData.from_binary
+    parse = betterosi().SensorData.from_binary
     assert parse(told.data) == parse(message)
 
 
