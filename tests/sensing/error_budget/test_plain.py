@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -47,8 +48,11 @@ def test_a_bound_that_is_too_small_shows() -> None:
     assert any(one.plain_differ for one in found)
 
 
+shipped = cache(scenario.load)
+
+
 def of_file(name: str, model: str, **physics_: Any) -> Measure:
-    loaded = scenario.load(name)
+    loaded = shipped(name)
     config = next(sensor for sensor in loaded.sensors if sensor.model.startswith(("sick", "paper", "hokuyo")))
     physics = config.physics.model_copy(update=physics_)
     config = config.model_copy(update={"physics": physics, "model": model, "device": {}})
