@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -163,6 +164,12 @@ class Bench:
     def row(self, number: int = 1) -> dict[str, Any]:
         """What a fault says of itself."""
         return dict(self.faults.rows()[number - 1])
+
+
+@cache
+def faultless(kind: str, until_s: float) -> Bench:
+    """One without faults, up to an instant: made once, to be looked at."""
+    return Bench(kind).until(until_s)
 
 
 def load(kind: str, faults: list[dict[str, Any]], seed: int, device: dict[str, Any]) -> scenario.Scenario:

@@ -16,7 +16,7 @@ from protocols.ld.telegrams import GET_PROFILE_REPLY
 from protocols.ld.usp import UspReader
 from protocols.lms2xx.telegrams import open_frame, read_values
 from protocols.session import CommandHandled
-from tests.faults.bench import Bench
+from tests.faults.bench import Bench, faultless
 
 AT_S = 3.0
 CLEAN = {"line": 37, "tcp": 10, "can": 130}
@@ -156,7 +156,7 @@ def restarted(boot_text: bool) -> Callable[[Bench], None]:
 
 def other_bytes(bench: Bench) -> None:
     """The host decodes one scan less than it would, and what it decodes is right."""
-    clean = Bench(bench.kind).until(5.0)
+    clean = faultless(bench.kind, 5.0)
     assert bench.decoded(AT_S, 5.0) in (clean.decoded(AT_S, 5.0) - 1, clean.decoded(AT_S, 5.0) - 2)
 
 
@@ -342,7 +342,7 @@ def late_second_piece(bench: Bench) -> None:
 def foreign_bytes(bench: Bench) -> None:
     assert [one.data for one in bench.sent(label="garbage")] == [b"\xaa" * 64]
     assert b"\xaa" * 64 in bench.heard_between(AT_S, 5.0)
-    clean = Bench(bench.kind).until(5.0)
+    clean = faultless(bench.kind, 5.0)
     assert bench.decoded(AT_S, 5.0) in (clean.decoded(AT_S, 5.0), clean.decoded(AT_S, 5.0) - 1)
 
 
@@ -352,7 +352,7 @@ def stuck(bench: Bench) -> None:
 
 
 def noisy(bench: Bench) -> None:
-    clean = Bench(bench.kind).until(4.2)
+    clean = faultless(bench.kind, 5.0)
     ours, theirs = bench.heard_between(3.1, 4.0), clean.heard_between(3.1, 4.0)
     assert len(ours) == len(theirs)
     wrong = sum((a ^ b).bit_count() for a, b in zip(ours, theirs, strict=True)) / (8 * len(ours))

@@ -8,7 +8,7 @@ import pytest
 
 from emulator.faults.reading import FaultError
 from emulator.physics.random_streams import RandomStreams
-from tests.faults.bench import Bench
+from tests.faults.bench import Bench, faultless
 
 SECOND = 1_000_000_000
 
@@ -27,7 +27,7 @@ def cleared(kind: str, **keys: Any) -> Bench:
 @pytest.mark.parametrize("more", [{}, {"count": 1}], ids=["holds", "over"])
 def test_a_delay_that_is_cleared_lets_go_of_what_waits(kind: str, more: dict[str, Any]) -> None:
     bench = cleared(kind, do="delay_telegram", delay_s=3600.0, **more)
-    healthy = Bench(kind).until(7.0)
+    healthy = faultless(kind, 7.0)
     assert bench.sent(4.0, 7.0)[0].start_ns == 4 * SECOND
     if kind != "line":  # whose own pace lets the slower half of a second's telegrams go
         assert [one.data for one in bench.sent()] == [one.data for one in healthy.sent()], "all of it, in its order"
@@ -46,7 +46,7 @@ def test_a_gap_that_is_cleared_is_over(kind: str) -> None:
     assert len(first.data) == 100
     bench.faults.clear(number, 4 * SECOND)
     bench.until(7.0)
-    healthy = Bench(kind).until(7.0)
+    healthy = faultless(kind, 7.0)
     second = bench.sent(4.0, 7.0)[0]
     assert first.data + second.data == healthy.sent(3.01)[0].data
     assert [one.start_ns for one in bench.sent(6.0)] == [one.start_ns for one in healthy.sent(6.0)]
@@ -61,7 +61,7 @@ def test_a_controller_is_back_on_the_bus_when_its_fault_is_cleared() -> None:
     assert bench.sent(3.2, 4.0) == []
     bench.faults.clear(number, 4 * SECOND)
     bench.until(6.0)
-    healthy = Bench("can").until(6.0)
+    healthy = faultless("can", 6.0)
     assert [(one.start_ns, one.data) for one in bench.sent(4.1)] == [
         (one.start_ns, one.data) for one in healthy.sent(4.1)
     ]
@@ -73,7 +73,7 @@ def test_telegrams_are_told_as_they_leave_when_a_fault_has_changed_the_speed_of_
     bench.until(4.0)
     bench.faults.clear(number, 4 * SECOND)
     bench.until(8.0)
-    healthy = Bench("line").until(8.0)
+    healthy = faultless("line", 8.0)
     assert bench.decoded(7.0, 8.0) >= 37, "the line itself is as fast as ever"
     told, right = ([one.start_ns for one in one.heard.sent[-30:]] for one in (bench, healthy))
     assert told == right
