@@ -100,6 +100,7 @@ PARSERS = (
     _session("can-ldmrs", "can-ldmrs", LinkKind.CAN, fuzz_sessions.CAN_OBJECTS),
     _session("can-esr", "can-esr", LinkKind.CAN, fuzz_sessions.CAN_OBJECTS),
     _session("can-vu8", "can-leddar-vu8", LinkKind.CAN, fuzz_sessions.CAN_OBJECTS),
+    _session("can-m16", "can-leddar-m16", LinkKind.CAN, fuzz_sessions.CAN_OBJECTS),
     _session("scip-tcp", "hokuyo-ust-10lx", LinkKind.STREAM, fuzz_sessions.SCIP),
     _session("scip-serial", "hokuyo-urg-04lx", LinkKind.SERIAL, fuzz_sessions.SCIP),
     Parser("socketcand", fuzz_hosts.socketcand, lambda: fuzz_hosts.CAN_SEEDS, CAN_WORDS),

@@ -7,7 +7,6 @@ without it. Who connects and does not ask is cut off, and of too many such the o
 
 from __future__ import annotations
 
-import gzip
 import http.client
 import io
 import logging
@@ -20,10 +19,11 @@ from typing import Any
 
 import viser
 import websockets.asyncio.server as websocket_server
-from websockets.http11 import Request, Response
+from websockets.http11 import Request
 
 from emulator.errors import LinkError
 from emulator.view.access import Lock
+from emulator.view.browser import prepared
 
 OPEN_S = 5.0
 "Until a connection has asked for something."
@@ -35,35 +35,6 @@ LONGEST_END_S = 30.0
 _FITTING = threading.Lock()
 PANEL = "lidaremu · "
 "What the name of the main panel begins with."
-PACE = """
-(() => {
-  const draw = window.requestAnimationFrame.bind(window), drop = window.cancelAnimationFrame.bind(window)
-  const waiting = new Map()
-  let number = 0, rest = 200
-  window.requestAnimationFrame = (picture) => {
-    const own = ++number
-    const ask = () => {
-      const asked = performance.now()
-      waiting.set(own, [1, draw((at) => {
-        waiting.delete(own)
-        picture(at)
-        const took = performance.now() - asked
-        rest = took > 60 ? Math.min(200, 2 * took) : Math.max(0, rest - 20)
-      })])
-    }
-    if (rest < 4) ask()
-    else waiting.set(own, [0, setTimeout(ask, rest)])
-    return own
-  }
-  window.cancelAnimationFrame = (own) => {
-    const found = waiting.get(own)
-    waiting.delete(own)
-    if (found) (found[0] ? drop : clearTimeout)(found[1])
-  }
-})()
-"""
-"""Pictures wait for each other where they take long: without a graphics card they would keep the page from everything
-else, and its controls would come after a quarter of a minute. The first ones wait in any case."""
 
 
 class LocalServer(viser.ViserServer):
@@ -163,7 +134,7 @@ def _fitted(lock: Lock) -> Iterator[None]:
             reached = connection.local_address[0]
             return lock.ask(
                 request,
-                lambda asked: None if process_request is None else paced(process_request(connection, asked)),
+                lambda asked: None if process_request is None else prepared(process_request(connection, asked)),
                 reached,
             )
 
@@ -175,19 +146,6 @@ def _fitted(lock: Lock) -> Iterator[None]:
         yield
     finally:
         websocket_server.serve = serve  # type: ignore[misc]
-
-
-def paced(answer: Any) -> Any:
-    """The page with `PACE` before everything else; other answers as they are."""
-    if not isinstance(answer, Response) or not answer.headers.get("Content-Type", "").startswith("text/html"):
-        return answer
-    packed = answer.headers.get("Content-Encoding") == "gzip"
-    text = gzip.decompress(answer.body) if packed else bytes(answer.body)
-    text = text.replace(b"<head>", b'<head><meta charset="utf-8"><script>' + PACE.encode() + b"</script>", 1)
-    answer.body = gzip.compress(text, 3) if packed else text
-    del answer.headers["Content-Length"]
-    answer.headers["Content-Length"] = str(len(answer.body))
-    return answer
 
 
 def _answers(host: str, port: int, path: str) -> int:
