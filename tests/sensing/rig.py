@@ -57,7 +57,10 @@ def build(
         "actors": list(actors),
         "weather": weather or {},
         "materials": {"white": grey(1.0), "half": grey(0.5), "dark": grey(0.1), **(materials or {})},
-        "sensors": [{"id": "front", "model": model, "mode": mode, "mount": mount or {}, "physics": physics or {}}, *others],
+        "sensors": [
+            {"id": "front", "model": model, "mode": mode, "mount": mount or {}, "physics": physics or {}},
+            *others,
+        ],
         "emitters": list(emitters),
     }
     path = folder / "scene.yaml"
