@@ -176,7 +176,7 @@ def lit_radiance(direct: Values, sky: Values, rho: Values, sun_cosine: Values, u
 def circumsolar_ratio(elevation_deg: float, beta: float, wavelength_m: float) -> float:
     """Light of the aureole over that of disc and aureole, from single scattering: f m tau_a/(1 + f m tau_a)."""
     scattered = FORWARD_SHARE * float(air_mass(elevation_deg)) * aerosol_depth(wavelength_m, beta)
-    return scattered / (1.0 + scattered)
+    return float(scattered / (1.0 + scattered))
 
 
 def aureole_exponent(ratio: float) -> float:
@@ -187,7 +187,7 @@ def aureole_exponent(ratio: float) -> float:
     .. [1] Buie, Monger and Dey 2003, Sunshape distributions for terrestrial solar simulations, Solar Energy 74:
        2.2 ln(0.52 chi) chi^0.43 - 0.1.
     """
-    return 2.2 * math.log(0.52 * ratio) * ratio**0.43 - 0.1
+    return float(2.2 * math.log(0.52 * ratio) * ratio**0.43 - 0.1)
 
 
 def aureole_radiance(angle_rad: Values, ratio: float, direct: Values) -> Floats:
@@ -270,4 +270,4 @@ def disc_seen(
     half_s = np.sqrt(np.maximum(s**2 - (y - sun_elevation_rad) ** 2, 0.0))
     across = np.maximum(np.minimum(half_f, side + half_s) - np.maximum(-half_f, side - half_s), 0.0)
     slope = wide * np.sin(2.0 * t) * 0.25 * np.pi
-    return np.sum(_WEIGHTS * slope * across, axis=-1) / (np.pi * s**2)
+    return np.asarray(np.sum(_WEIGHTS * slope * across, axis=-1) / (np.pi * s**2))

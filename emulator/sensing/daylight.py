@@ -283,7 +283,7 @@ class _SunInView:
             rays.centre_m[at].repeat(len(points), axis=0), np.tile(points, (len(at), 1)), t_s.repeat(len(points))
         )
         share = np.isnan(hits.range_m).reshape(len(at), len(points)).mean(axis=1)
-        return share[np.searchsorted(of[at], of)]
+        return np.asarray(share[np.searchsorted(of[at], of)])
 
 
 def _around(centre: Floats, half_rad: float) -> Floats:
