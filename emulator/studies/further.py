@@ -158,8 +158,9 @@ def sun_facts() -> list[Fact]:
         Fact("twilight on level ground, sun at -6 deg", "lx", nautical, "quoted", 3.4,
              sunlight.illuminance_lx(-6.0), "follows", "the polynomials of Janiczek and DeYoung 1987"),
         Fact("Linke turbidity of a clear sky", "1", "Kasten 1996; Ineichen, Perez 2002", "memory", 3.0,
-             sunlight.linke_of_beta(sunlight.CLEAR_BETA), "computed", "clear sites 2.5 to 3.5; from the default haze, by Ineichen 2008"),
-        Fact("time for which beams of two scanners in a plane cross", "1", "Popko, Gaylord, Valenta, SPIE", "read, abstract",
+             sunlight.linke_of_beta(sunlight.CLEAR_BETA), "computed",
+             "clear sites 2.5 to 3.5; of the default haze, Ineichen 2008"),
+        Fact("time for which beams of two scanners cross", "1", "Popko, Gaylord, Valenta, SPIE", "read, abstract",
              0.25, crossing_share(), "computed",
              "\"most configurations near 1/4\"; 75 and 47 turns a second, geometry alone: how seldom, not how strong"),
     ]  # fmt: skip
