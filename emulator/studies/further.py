@@ -162,7 +162,7 @@ def sun_facts() -> list[Fact]:
              "clear sites 2.5 to 3.5; of the default haze, Ineichen 2008"),
         Fact("time for which beams of two scanners cross", "1", "Popko, Gaylord, Valenta, SPIE", "read, abstract",
              0.25, crossing_share(), "computed",
-             "\"most configurations near 1/4\"; 75 and 47 turns a second, geometry alone: how seldom, not how strong"),
+             "\"most configurations near 1/4\"; 75 and 47 Hz, geometry alone: how seldom, not how strong"),
     ]  # fmt: skip
 
 
