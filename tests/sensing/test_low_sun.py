@@ -106,6 +106,16 @@ def test_the_aureole_is_seen_beside_the_disc_and_behind_no_wall(tmp_path: Path) 
     assert found[3] < found[1] + 0.05 * wanted
 
 
+def test_a_wall_out_of_reach_hides_the_aureole_where_no_surface_shows(tmp_path: Path) -> None:
+    """A narrow receiver: it casts no ray for the light of surfaces, but one for what stands before the aureole."""
+    power = []
+    for world in ([], [plate(300.0, "dark", 8.0, 5.2)]):
+        weather = towards(3.0, circumsolar_ratio=0.5)
+        measure = build(tmp_path, world, weather=weather, physics=PHYSICS)
+        power.append(background_w(measure, [1.0], elevation_deg=3.0)[0])
+    assert power[1] < 0.5 * power[0]
+
+
 def test_a_sensor_that_drives_into_a_shadow_is_dazzled_no_more_within_the_sweep(tmp_path: Path) -> None:
     """Beams at the sun, one a millisecond, from behind a wall's edge that the sensor passes at 0.5 s."""
     actor = {"id": "ego", "motion": {"at_m": [0.0, 1.0, 0.0], "velocity_m_s": [0.0, -2.0, 0.0]}}
