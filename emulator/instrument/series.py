@@ -21,7 +21,7 @@ from emulator.instrument.observer import Observer, Payload
 from emulator.instrument.owed import GAPS_KEPT, silence_ns, usual_gap
 from emulator.objects.metrics import ListedScan, ObjectScore, Score, TruthObject
 from protocols.device_clock import Told
-from protocols.scan import DetectedObject, Floats, Ints, Scan
+from protocols.scan import DAZZLED, DetectedObject, Floats, Ints, Scan
 from protocols.session import Dropped, Event, Restarted
 
 MATCH_RAD = np.radians(0.02)
@@ -45,6 +45,8 @@ class Measured:
     "Of a sensor that lists objects."
     sweep: int = 0
     "Its number, in the device's life that it belongs to."
+    dazzled: int = 0
+    "Beams that light from outside blinds."
 
     def object_of(self, actor: str) -> DetectedObject | None:
         """The object that is that actor; the one seen last when there are several."""
@@ -118,6 +120,7 @@ class SeriesWatcher(Observer):
             scan.objects,
             scan.truth if isinstance(scan, ListedScan) else (),
             scan.plan.sweep,
+            int(np.count_nonzero(scan.flags & DAZZLED)),
         )
 
     def told(self, sensor: str, sweep: int, told: Told) -> None:
@@ -339,6 +342,7 @@ VALUES: Mapping[str, Callable[[Window], Value]] = {
     "first_scan_s": lambda window: float(sent[0]) if len(sent := _sent(window)) else float("nan"),
     "points": _of_measured(_points),
     "points_on": _of_measured(_points_on),
+    "dazzled": _of_measured(lambda item, _: float(item.dazzled)),
     "nearest_m": _of_measured(_nearest),
     "nearest_on": _of_measured(_nearest_on),
     "clock_error_s": _clock(lambda one: (one.device_ns - one.true_ns) * 1e-9),

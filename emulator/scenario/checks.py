@@ -45,6 +45,7 @@ def faults(source: Source) -> list[str]:
         _links,
         _names_of_actors_and_sensors,
         _live,
+        _emitters,
         _faults,
     )
     return [source.fault(*found) for check in checks for found in check(data, source.path.parent)]
@@ -101,7 +102,7 @@ def _numbers(data: dict[str, Any], folder: Path) -> Iterator[Found]:
 
 
 def _unique_ids(data: dict[str, Any], folder: Path) -> Iterator[Found]:
-    for key in ("actors", "sensors"):
+    for key in ("actors", "sensors", "emitters"):
         seen: dict[str, Loc] = {}
         for loc, entry in _tables(data, key):
             name = entry.get("id")
@@ -237,7 +238,7 @@ def _nearest_models(name: str, models: Sequence[str]) -> str:
 
 def _mounts(data: dict[str, Any], folder: Path) -> Iterator[Found]:
     actors = _ids(data, "actors")
-    for loc, sensor in _tables(data, "sensors"):
+    for loc, sensor in (*_tables(data, "sensors"), *_tables(data, "emitters")):
         actor = _table(sensor, "mount").get("actor")
         if isinstance(actor, str) and actor not in actors:
             yield (*loc, "mount", "actor"), repr(actor), f"{nearest(actor, actors)}; leave it out for the world"
@@ -426,6 +427,32 @@ def _can_load(model: object) -> bool:
         return isinstance(model, str) and bool(load_spec(model))
     except SpecError:
         return False
+
+
+def _emitters(data: dict[str, Any], folder: Path) -> Iterator[Found]:
+    """Sensors and models that emit: only what sees beams sends light."""
+    from emulator.errors import SpecError
+    from emulator.sensors.spec import list_models, load_spec
+
+    sensors = {entry["id"]: entry for _, entry in _tables(data, "sensors") if isinstance(entry.get("id"), str)}
+    for loc, entry in _tables(data, "emitters"):
+        for key in ("sensor", "model"):
+            name = entry.get(key)
+            if not isinstance(name, str):
+                continue
+            if key == "sensor" and name not in sensors:
+                yield (*loc, key), repr(name), nearest(name, list(sensors)) if sensors else "a sensor of this file"
+                continue
+            if key == "model" and name not in list_models():
+                yield (*loc, key), repr(name), f"a shipped model: {nearest(name, list_models())}"
+                continue
+            model = sensors[name].get("model") if key == "sensor" else name
+            try:
+                beams = load_spec(model).sees == "beams" if isinstance(model, str) else True
+            except SpecError:
+                continue  # told at the sensor
+            if not beams:
+                yield (*loc, key), f"{name!r} lists objects", "one that sends beams"
 
 
 def _faults(data: dict[str, Any], folder: Path) -> Iterator[Found]:

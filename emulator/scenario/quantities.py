@@ -45,6 +45,7 @@ QUANTITIES: Mapping[str, Quantity] = {
     "first_scan_s": Quantity("when the first scan left"),
     "points": Quantity("series: beams with an echo"),
     "points_on": Quantity("series: beams whose first echo is that actor's", "actor"),
+    "dazzled": Quantity("series: beams blinded by light from outside"),
     "nearest_m": Quantity("series: shortest range"),
     "nearest_on": Quantity("series: shortest range to that actor [m]", "actor"),
     "clock_error_s": Quantity("series: device time in its telegrams, unwrapped, minus run time"),
@@ -73,6 +74,7 @@ QUANTITIES: Mapping[str, Quantity] = {
 LIVE = (
     "points",
     "points_on",
+    "dazzled",
     "nearest_m",
     "nearest_on",
     "objects",

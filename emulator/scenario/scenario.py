@@ -26,6 +26,7 @@ from emulator.errors import ScenarioError
 from emulator.faults.config import Common
 from emulator.scenario import checks
 from emulator.scenario.clock_options import ClockOptions
+from emulator.scenario.emitters import MOST_EMITTERS, Emitter
 from emulator.scenario.live_options import LiveOptions
 from emulator.scenario.object_options import ObjectOptions
 from emulator.scenario.tables import Actor, Id, Mount, Shape, WorldItem, long_as
@@ -101,6 +102,8 @@ class Scenario(DescribedTable):
     materials: dict[str, dict[str, Any]] = Field(default_factory=dict)
     "Materials of this file beside those that come with the package."
     sensors: Annotated[tuple[SensorConfig, ...], Field(max_length=MOST_SENSORS)] = ()
+    emitters: Annotated[tuple[Emitter, ...], Field(max_length=MOST_EMITTERS)] = ()
+    "Lidars whose pulses the sensors receive, see docs/senses.md."
     faults: Annotated[tuple[Common, ...], Field(max_length=1000)] = ()
     "What goes wrong on purpose, see docs/faults.md."
     expect: tuple[Expectation, ...] = ()

@@ -126,8 +126,37 @@ class Sun(Table):
     azimuth_deg: Annotated[float, Field(ge=-1e6, le=1e6)] = 180.0
     "Where it stands, from the world's x axis towards y."
     elevation_deg: Annotated[float, Field(ge=-90.0, le=90.0)] = 45.0
+    "Of the disc's middle, as it is seen. Below 0 twilight, from -18 on night."
     cloud_factor: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
     "Share of sun and sky that clouds leave."
+    turbidity_beta: Annotated[float, Field(ge=0.0, le=2.0)] | None = None
+    "Angstrom's coefficient: optical depth of haze at 1 um. None: 0.035, very clear; 0.1 clear, 0.2 hazy, 0.4 turbid."
+    turbidity: Annotated[float, Field(ge=1.0, le=30.0)] | None = None
+    "The same as Linke turbidity at air mass 2, instead of `turbidity_beta`: 2.19 without haze, 3 clear, 5 hazy."
+    circumsolar_ratio: Annotated[float, Field(ge=0.0, le=0.8)] | None = None
+    "Light of the aureole over that of disc and aureole. None: from the haze and the elevation."
+
+    @model_validator(mode="after")
+    def _one_turbidity(self) -> Sun:
+        if self.turbidity is not None:
+            if self.turbidity_beta is not None:
+                raise ValueError("turbidity and turbidity_beta; want one of them")
+            from emulator.physics import sunlight
+
+            try:
+                sunlight.beta_of_linke(self.turbidity)
+            except ValueError as error:
+                raise ValueError(f"turbidity {error}") from None
+        return self
+
+    @property
+    def beta(self) -> float:
+        """Angstrom's coefficient of the haze."""
+        from emulator.physics import sunlight
+
+        if self.turbidity is not None:
+            return sunlight.beta_of_linke(self.turbidity)
+        return sunlight.CLEAR_BETA if self.turbidity_beta is None else self.turbidity_beta
 
 
 class _Media(Table):

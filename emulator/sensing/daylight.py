@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from emulator.physics import background, geometry, noise
-from emulator.physics.arrays import Bools, Floats, clamped
-from emulator.physics.constants import ELEMENTARY_CHARGE_C, SKY_RADIANCE_W_M2_SR_NM, SUN_TABLE_TOTAL_W_M2
+from emulator.physics import background, geometry, noise, sunlight
+from emulator.physics.arrays import Bools, Floats, Ints, clamped, indexes
+from emulator.physics.constants import ELEMENTARY_CHARGE_C, SUN_HALF_ANGLE_RAD
 from emulator.sensing.contracts import Caster
 from emulator.sensing.model import RECEIVER_TEMPERATURE_K, SensorModel
 from emulator.sensing.paths import Seen, Surfaces
@@ -26,6 +27,10 @@ TOP = 1e-3
 "In noise rms: crossings so near to the maximum of an echo are not looked after."
 INVISIBLE = 2e-3
 "Background whose shot noise adds less than this to the square of the noise is not seen."
+POINTS = 61
+"Over the sun's disc, or the part of it that a narrow field of view looks at: what hides it counts in sixtieths."
+INSTANTS = 8
+"Of a sweep of a moving sensor at which it is found out whether it stands in the sun."
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,14 +66,41 @@ def _unseen_share(model: SensorModel) -> float:
     return min(INVISIBLE, model.lsb_m * slope / (model.threshold + 3.0))
 
 
+@dataclass(frozen=True)
+class _Sky:
+    """Light of the sun and the sky at the ground, clouds in. Per m of wavelength."""
+
+    direct: float
+    "On a plane that faces the sun, as far as its disc is above the horizon. [W/m^2/m]"
+    whole: float
+    "The same from a whole disc."
+    radiance: float
+    "Of the sky away from the sun. [W/m^2/sr/m]"
+    ratio: float
+    "Circumsolar ratio; 0: no aureole."
+
+
+@lru_cache(maxsize=64)
+def _clear_sky(sun: Sun, wavelength_m: float) -> _Sky:
+    h, beta = sun.elevation_deg, sun.beta
+    share = float(sunlight.disc_share(h))
+    whole = 0.0
+    if share > 0.0:
+        whole = sun.cloud_factor * float(sunlight.direct_normal(h, beta, wavelength_m, sun.total_w_m2))
+    radiance = sun.cloud_factor * sunlight.sky_radiance(h, beta, wavelength_m, sun.total_w_m2)
+    ratio = sun.circumsolar_ratio
+    if ratio is None:
+        ratio = sunlight.circumsolar_ratio(h, beta, wavelength_m)
+    return _Sky(share * whole, whole, radiance, ratio)
+
+
 def largest_diffuse_w(sun: Sun, model: SensorModel) -> float:
-    """Background of a white surface facing the sun, which no surface or sky exceeds. [W]"""
-    irradiance = background.solar_ground(model.wavelength_m, sun.total_w_m2) * sun.cloud_factor
-    half = 0.5 * model.receiver.field_of_view_rad
-    white = background.background_surface(
-        irradiance, _band_m(model), 1.0, 0.0, model.aperture_radius_m, half, model.efficiency
-    )
-    return max(float(white), _sky_w(sun, model))
+    """Background of a white surface facing sun and sky, which no surface or sky exceeds. [W]"""
+    if not _shines(sun, model):
+        return 0.0
+    sky = _clear_sky(sun, model.wavelength_m)
+    white = sunlight.lit_radiance(sky.direct, sky.radiance, 1.0, 1.0, 1.0)
+    return _filling_w(max(float(white), sky.radiance), model)
 
 
 def surfaces_show(sun: Sun | None, model: SensorModel) -> bool:
@@ -77,24 +109,19 @@ def surfaces_show(sun: Sun | None, model: SensorModel) -> bool:
 
 
 def _shines(sun: Sun, model: SensorModel) -> bool:
-    return model.background and sun.total_w_m2 != 0.0 and sun.elevation_deg > 0.0
+    lit = sun.total_w_m2 != 0.0 and sun.cloud_factor != 0.0 and sun.elevation_deg > sunlight.NIGHT_DEG
+    return model.background and lit
 
 
 def _limit_w(model: SensorModel) -> float:
     return unseen_w(model) if model.leave_out.background_light and model.photons is None else 0.0
 
 
-def _band_m(model: SensorModel) -> float:
-    return 1e-9 * model.receiver.filter_nm
-
-
-def _sky_w(sun: Sun, model: SensorModel) -> float:
-    radiance = SKY_RADIANCE_W_M2_SR_NM * sun.total_w_m2 / SUN_TABLE_TOTAL_W_M2 * sun.cloud_factor
+def _filling_w(radiance: float, model: SensorModel) -> float:
+    """Background from a radiance, per m of wavelength, all over the field of view. [W]"""
     half = 0.5 * model.receiver.field_of_view_rad
-    power = background.background_sky(
-        radiance * model.receiver.filter_nm, model.aperture_radius_m, half, model.efficiency
-    )
-    return float(power)
+    within = 1e-9 * model.receiver.filter_nm * radiance
+    return float(background.background_sky(within, model.aperture_radius_m, half, model.efficiency))
 
 
 def daylight(
@@ -103,17 +130,19 @@ def daylight(
     """Background of every beam, from what its first sub-beam looks at."""
     if sun is None or not _shines(sun, model):
         return NIGHT
-    towards = _direction(sun)
     limit_w = _limit_w(model)
     power = np.zeros(len(rays.axis))
     if surfaces_show(sun, model):
-        power += _diffuse_w(sun, towards, found, surfaces, model)
-    direct = _sun_w(sun, towards, rays, model)
-    if bool((direct > limit_w).any()):
-        power += np.where(_in_the_sun(rays, towards, caster), direct, 0.0)
+        power += _diffuse_w(sun, found, surfaces, model)
+    power += _SunInView(sun, rays, model).power_w(found, caster, limit_w)
     if not bool((power > limit_w).any()):
         return NIGHT
     return of_power(power, model)
+
+
+def largest_near_sun_w(sun: Sun, rays: Rays, model: SensorModel) -> float:
+    """Largest background of any beam from the sun's disc, its aureole and stray light, if nothing hides them. [W]"""
+    return _SunInView(sun, rays, model).largest_w() if _shines(sun, model) else 0.0
 
 
 def of_power(power: Floats, model: SensorModel) -> Daylight:
@@ -138,34 +167,137 @@ def of_power(power: Floats, model: SensorModel) -> Daylight:
 
 
 def _direction(sun: Sun) -> Floats:
+    """Unit vector to the middle of the disc."""
     azimuth, elevation = math.radians(sun.azimuth_deg), math.radians(sun.elevation_deg)
     level = math.cos(elevation)
     return np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
 
 
-def _diffuse_w(sun: Sun, towards: Floats, found: Seen, surfaces: Surfaces, model: SensorModel) -> Floats:
-    irradiance = background.solar_ground(model.wavelength_m, sun.total_w_m2) * sun.cloud_factor
-    half = 0.5 * model.receiver.field_of_view_rad
+def _diffuse_w(sun: Sun, found: Seen, surfaces: Surfaces, model: SensorModel) -> Floats:
+    sky = _clear_sky(sun, model.wavelength_m)
     met = found.axis_material >= 0
     rho = np.zeros(len(met))
     rho[met] = surfaces.table.rho[found.axis_material[met]]
-    incidence = np.arccos(clamped(found.axis_normal @ towards, -1.0, 1.0))
-    lit = background.background_surface(
-        irradiance, _band_m(model), rho, incidence, model.aperture_radius_m, half, model.efficiency
+    lit = sunlight.lit_radiance(
+        sky.direct, sky.radiance, rho, found.axis_normal @ _direction(sun), found.axis_normal[:, 2]
     )
-    return np.where(met, lit, _sky_w(sun, model))
+    return _filling_w(1.0, model) * np.where(met, lit, sky.radiance)
 
 
-def _sun_w(sun: Sun, towards: Floats, rays: Rays, model: SensorModel) -> Floats:
-    irradiance = background.solar_ground(model.wavelength_m, sun.total_w_m2, direct=True) * sun.cloud_factor
-    half = 0.5 * model.receiver.field_of_view_rad
-    angle = geometry.angle_between(rays.axis, towards)
-    return background.background_sun(
-        irradiance, _band_m(model), model.aperture_radius_m, half, model.efficiency, angle
-    )  # fmt: skip
+class _SunInView:
+    """The sun's disc, its aureole and its stray light in the beams of a sweep."""
+
+    def __init__(self, sun: Sun, rays: Rays, model: SensorModel) -> None:
+        self._sky = _clear_sky(sun, model.wavelength_m)
+        self._rays, self._towards = rays, _direction(sun)
+        self._half, self._sun_rad = 0.5 * model.receiver.field_of_view_rad, math.radians(sun.elevation_deg)
+        area = math.pi * model.aperture_radius_m**2
+        self._per_irradiance = 1e-9 * model.receiver.filter_nm * area * model.efficiency
+
+    def power_w(self, found: Seen, caster: Caster, limit_w: float) -> Floats:
+        """(n,) background of it behind what hides it; what is below the limit may be left out. [W]"""
+        power = np.zeros(len(self._rays.axis))
+        if self._most_w() <= limit_w:
+            return power
+        angle = geometry.angle_between(self._rays.axis, self._towards)
+        disc, stray, aureole = self._disc_w(angle), self._stray_w(angle), self._aureole_w(angle)
+        if not bool((np.maximum(disc, stray) + aureole > limit_w).any()):
+            return power
+        seen = indexes(disc > 0.0)
+        if len(seen):
+            disc[seen] *= self._open_disc(seen, caster)
+        if bool((stray > limit_w).any()):
+            stray *= self._sensor_in_the_sun(caster)
+        power += np.maximum(disc, stray)
+        around = indexes((aureole > 0.0) & (found.axis_material < 0))
+        if len(around):  # a surface out of reach hides it all the same
+            rays = self._rays
+            hits = caster.first_hits(rays.centre_m[around], rays.axis[around], rays.t_s[rays.nearest_axis[around]])
+            power[around] += np.where(np.isnan(hits.range_m), aureole[around], 0.0)
+        return power
+
+    def largest_w(self) -> float:
+        """Of any beam, if nothing hides it."""
+        angle = geometry.angle_between(self._rays.axis, self._towards)
+        power = np.maximum(self._disc_w(angle), self._stray_w(angle)) + self._aureole_w(angle)
+        return float(np.max(power, initial=0.0))
+
+    def _most_w(self) -> float:
+        """More than any beam may get."""
+        share = 1.0 if self._half > SUN_HALF_ANGLE_RAD else max((self._half / SUN_HALF_ANGLE_RAD) ** 2, 1e-4)
+        return self._per_irradiance * self._sky.whole * (share + self._sky.ratio / max(1.0 - self._sky.ratio, 1e-3))
+
+    def _disc_w(self, angle: Floats) -> Floats:
+        """What of the disc is in the field of view and above the horizon."""
+        share = np.zeros(len(angle))
+        near = indexes(angle < self._half + SUN_HALF_ANGLE_RAD)
+        if len(near) and self._sky.direct > 0.0:
+            if self._sun_rad >= SUN_HALF_ANGLE_RAD:
+                share[near] = background.sun_share(self._half, SUN_HALF_ANGLE_RAD, angle[near])
+            else:
+                upward = np.arcsin(clamped(self._rays.axis[near, 2], -1.0, 1.0))
+                share[near] = sunlight.disc_seen(self._half, upward, self._sun_rad, angle[near])
+        return self._per_irradiance * self._sky.whole * share
+
+    def _stray_w(self, angle: Floats) -> Floats:
+        return self._per_irradiance * self._sky.direct * np.minimum(background.stray_light(angle, self._half), 1.0)
+
+    def _aureole_w(self, angle: Floats) -> Floats:
+        power = np.zeros(len(angle))
+        near = indexes(angle < self._half + sunlight.AUREOLE_RAD)
+        if len(near) and self._sky.direct > 0.0 and self._sky.ratio > 0.0:
+            upward = np.arcsin(clamped(self._rays.axis[near, 2], -1.0, 1.0))
+            seen = sunlight.aureole_seen(self._half, angle[near], self._sky.ratio)
+            power[near] = self._per_irradiance * self._sky.direct * seen * sunlight.above_horizon(self._half, upward)
+        return power
+
+    def _open_disc(self, beams: Ints, caster: Caster) -> Floats:
+        """Share of what each beam sees of the disc that nothing hides: points over the smaller of field and disc."""
+        axis, narrow = self._rays.axis[beams], self._half < SUN_HALF_ANGLE_RAD
+        if narrow:
+            points = _around(axis, self._half)
+            counts = _within(points, np.broadcast_to(self._towards, axis.shape), SUN_HALF_ANGLE_RAD)
+        else:
+            points = np.broadcast_to(_around(self._towards[None, :], SUN_HALF_ANGLE_RAD), (len(beams), POINTS, 3))
+            counts = _within(points, axis, self._half)
+        counts = counts & (points[:, :, 2] >= 0.0)
+        at = np.nonzero(counts)
+        rays = self._rays
+        hits = caster.first_hits(rays.centre_m[beams][at[0]], points[at], rays.t_s[rays.nearest_axis[beams]][at[0]])
+        free = np.bincount(at[0], np.isnan(hits.range_m), len(beams))
+        of = np.count_nonzero(counts, axis=1)
+        return np.where(of > 0, free / np.maximum(of, 1), 1.0)
+
+    def _sensor_in_the_sun(self, caster: Caster) -> Floats:
+        """(n,) share of the disc above the horizon that nothing hides from the sensor, at some instants of a sweep."""
+        rays, n = self._rays, len(self._rays.axis)
+        still = bool((rays.centre_m == rays.centre_m[0]).all())
+        of = np.zeros(n, np.int64) if still else np.arange(n) * INSTANTS // n
+        at = np.unique(of, return_index=True)[1]
+        points = _around(self._towards[None, :], SUN_HALF_ANGLE_RAD)[0]
+        points = points[points[:, 2] >= 0.0]
+        if not len(points):
+            return np.ones(n)
+        t_s = rays.t_s[rays.nearest_axis[at]]
+        hits = caster.first_hits(
+            rays.centre_m[at].repeat(len(points), axis=0), np.tile(points, (len(at), 1)), t_s.repeat(len(points))
+        )
+        share = np.isnan(hits.range_m).reshape(len(at), len(points)).mean(axis=1)
+        return np.asarray(share[np.searchsorted(of[at], of)])
 
 
-def _in_the_sun(rays: Rays, towards: Floats, caster: Caster) -> bool:
-    """Nothing stands between the sensor and the sun; one ray for the sweep."""
-    hits = caster.first_hits(rays.centre_m[:1], towards[None, :], rays.t_s[:1])
-    return bool(np.isnan(hits.range_m[0]))
+def _around(centre: Floats, half_rad: float) -> Floats:
+    """(n, POINTS, 3) directions of equal shares of a disc around directions (n, 3): a sunflower's."""
+    number = np.arange(POINTS)
+    radius = math.tan(half_rad) * np.sqrt((number + 0.5) / POINTS)
+    turn = number * math.pi * (3.0 - math.sqrt(5.0))
+    aside = np.cross(centre, np.where(np.abs(centre[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]))
+    aside /= np.linalg.norm(aside, axis=1, keepdims=True)
+    over = np.cross(aside, centre)
+    x, y = radius * np.cos(turn), radius * np.sin(turn)
+    found = centre[:, None, :] + x[:, None] * aside[:, None, :] + y[:, None] * over[:, None, :]
+    return np.asarray(found / np.linalg.norm(found, axis=2, keepdims=True))
+
+
+def _within(points: Floats, centre: Floats, half_rad: float) -> Bools:
+    return np.asarray(np.linalg.norm(points - centre[:, None, :], axis=2) <= 2.0 * math.sin(0.5 * half_rad))

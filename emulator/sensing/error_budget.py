@@ -20,7 +20,7 @@ from emulator.physics.radiometry import overlap
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import SubEchoes
 from emulator.sensing.closed import LEAN_LSB, SHIFT_LSB
-from emulator.sensing.daylight import largest_diffuse_w, surfaces_show, unseen_w
+from emulator.sensing.daylight import largest_diffuse_w, largest_near_sun_w, surfaces_show, unseen_w
 from emulator.sensing.faint import looked_at, most_dropped
 from emulator.sensing.measure import Measure
 from emulator.sensing.model import SensorModel
@@ -237,6 +237,25 @@ def _sun(measure: Measure, plan: ScanPlan) -> Finding:
     return Finding(out, value, unseen_w(model), "background noise of every beam", unit=unit)
 
 
+def _sun_in_view(measure: Measure, plan: ScanPlan) -> Finding:
+    sun, model = measure.air.at(1e-9 * plan.start_ns).sun, measure.model
+    bound, saves = unseen_w(model), "rays to the sun's disc, stray light and aureole of the beams near it"
+    if sun is None:
+        return Finding(True, 0.0, bound, saves, idle=True, unit="W")
+    value = largest_near_sun_w(sun, measure.view(plan).rays, model)
+    return Finding(value <= bound and model.leave_out.background_light, value, bound, saves, unit="W")
+
+
+def _others(measure: Measure, plan: ScanPlan) -> Finding:
+    others, unit = measure.others, "per sweep"
+    if others is None:
+        return Finding(True, 0.0, RARE, "pulses of every emitter in every gate", idle=True, unit=unit)
+    saves = f"pulses of {', '.join(one.id for one in others.found) or 'no emitter'} in every gate"
+    if others.elsewhere:
+        saves += f"; left out: {', '.join(others.elsewhere)}, stopped by the optical filter"
+    return Finding(not others.found, others.pulses_of(len(plan)), RARE, saves, unit=unit)
+
+
 def _false_alarms(measure: Measure, plan: ScanPlan) -> Finding:
     receiver, unit = measure._receiver, "per sweep"
     if not isinstance(receiver, Receiver) or not measure.model.false_alarms:
@@ -366,6 +385,12 @@ RULES: tuple[Rule, ...] = (
     Rule("background light", "background_light", "once per sweep",
          "its shot noise adds less than 2e-3 to the noise variance, and shifts no threshold crossing by half a "
          "quantization step", _sun),
+    Rule("sun in view", "background_light", "once per sweep",
+         "the same for the disc, the aureole and the stray light of the sun in the beam that gets most of them",
+         _sun_in_view),
+    Rule("pulses of other lidars", None, "once per sweep",
+         "no emitter within the optical filter; of a pulse that arrives in a gate, below a hundredth of the threshold",
+         _others),
     Rule("noise false alarms", "noise_echoes", "once per sweep", "mean count per sweep below 1e-6", _false_alarms),
     Rule("atmospheric backscatter", "backscatter", "once per state of the weather",
          "its return is below a tenth of the threshold; it is computed where it shifts a threshold crossing by half a "

@@ -26,6 +26,7 @@ from emulator.sensing.bright import wanted as bright_wanted
 from emulator.sensing.contracts import FacedCaster
 from emulator.sensing.daylight import Daylight, daylight, surfaces_show
 from emulator.sensing.model import SensorModel, sensor_model
+from emulator.sensing.others import Others, others_of
 from emulator.sensing.particles import Falling
 from emulator.sensing.paths import Seen, Surfaces, reach_of, returned
 from emulator.sensing.photon_receiver import PhotonReceiver
@@ -67,6 +68,7 @@ class Measure:
         air: Air,
         receiver: Receiver | PhotonReceiver,
         beside: bool = False,
+        others: Others | None = None,
     ) -> None:
         """`beside`: the sensor is where `shift_m` says, which may be elsewhere in each sweep."""
         self.shift_m: Floats | None = None
@@ -81,7 +83,7 @@ class Measure:
         "The state that `air` was made from; None: the scenario's own."
         self._refused: dict[str, None] = {}
         self._scene, self._mount = scene, mount
-        self._caster = caster
+        self._caster, self.others = caster, others
         self._dry, self._wet = surfaces
         self._bundles = BundleCache(model)
         self._receiver = receiver
@@ -137,7 +139,7 @@ class Measure:
         if shift_m is not None:
             if self._beside is None:  # of what is kept for a sensor at rest nothing holds there
                 parts = self._scene, self._mount, self._caster, (self._dry, self._wet), self.air, self._receiver
-                self._beside = Measure(self.model, *parts, beside=True)
+                self._beside = Measure(self.model, *parts, beside=True, others=self.others)
             self._beside.air, self._beside.shift_m = self.air, shift_m
             return self._beside._look(plan, None)
         view = self._view(plan)
@@ -228,6 +230,9 @@ class Measure:
         if self._soft.uneven(air):
             drawn = self._soft.points(air, rays, seen.echoes, t_s, gain)
             drops += [] if drawn is None else [drawn]
+        if self.others is not None and self.others.found:
+            dimmed = air.everywhere.extinction_per_m
+            drops += self.others.echoes(rays, t_s, self._caster, surfaces, dimmed, gain, plan.max_range_m)
         found, kept = with_others(seen, drops)
         if spared is not None:
             return View(rays, seen, found, air, surfaces, spared.cast, spared.plain, kept, tails)
@@ -303,9 +308,10 @@ def build(scenario: Scenario, scene: Scene, caster: FacedCaster, sensor_id: str)
         draws = RandomStreams(scenario.seed, sensor_id)
         receiver = PhotonReceiver(model, model.photons, draws) if model.photons is not None else Receiver(model, draws)
         air = Air(scenario.weather, model, scene)
+        others = others_of(scenario, scene, sensor_id, model) if scenario.emitters else None
     except ValueError as error:  # numbers that are right alone but not together
         raise ScenarioError(f"{scenario.label(f'sensors.{index}.physics')}: {error}") from error
-    return Measure(model, scene, config.mount, caster, surfaces, air, receiver)
+    return Measure(model, scene, config.mount, caster, surfaces, air, receiver, others=others)
 
 
 def surface_table(scene: Scene, extra: Mapping[str, Material], model: SensorModel, wet: bool = False) -> Surfaces:

@@ -46,8 +46,10 @@ def build(
     physics: dict[str, Any] | None = None,
     mount: dict[str, Any] | None = None,
     seed: int = 1,
+    emitters: Sequence[dict[str, Any]] = (),
+    others: Sequence[dict[str, Any]] = (),
 ) -> Measure:
-    """The measuring function of a sensor `front` in such a scenario."""
+    """The measuring function of a sensor `front` in such a scenario; `others`: its further sensors."""
     text = {
         "schema": 1,
         "seed": seed,
@@ -55,7 +57,11 @@ def build(
         "actors": list(actors),
         "weather": weather or {},
         "materials": {"white": grey(1.0), "half": grey(0.5), "dark": grey(0.1), **(materials or {})},
-        "sensors": [{"id": "front", "model": model, "mode": mode, "mount": mount or {}, "physics": physics or {}}],
+        "sensors": [
+            {"id": "front", "model": model, "mode": mode, "mount": mount or {}, "physics": physics or {}},
+            *others,
+        ],
+        "emitters": list(emitters),
     }
     path = folder / "scene.yaml"
     path.write_text(json.dumps(text), encoding="utf-8")  # JSON is YAML

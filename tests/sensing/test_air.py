@@ -133,7 +133,7 @@ def test_a_plume_as_points_and_fog_as_a_table_give_the_same_echo(tmp_path: Path,
     """Fog everywhere against a plume of the same fog that holds everything, before a wall and before the sun."""
     physics = {**AXIS, "detection": "peak", "threshold_to_noise": 2.0, "background": into_the_sun}
     world = [] if into_the_sun else [plate(12.0, "half")]
-    sky = {"sun": {"azimuth_deg": 0.0, "elevation_deg": 0.001}}
+    sky = {"sun": {"azimuth_deg": 0.0, "elevation_deg": 0.001, "total_w_m2": 20_000.0}}  # through 38 air masses
     fog = {"fog": {"visibility_m": 60.0}}
     everywhere = build(tmp_path, world, weather={**fog, **sky}, physics=physics)(plan())
     box = {"at_m": [0.0, 0.0, -500.0], "size_m": [1e3, 1e3, 1e3], **fog}

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from emulator.physics import noise, pulse, radiometry
+from emulator.physics import noise, pulse, radiometry, sunlight
 from protocols.scan import DAZZLED, SATURATED
 from tests.sensing.rig import QUIET, build, grey, plan, plate
 
@@ -111,7 +111,12 @@ def test_a_wanted_rate_of_false_alarms_sets_the_threshold(tmp_path: Path) -> Non
     assert measure.model.threshold == pytest.approx(5.0229, abs=1e-3)
 
 
-SUN_IN_VIEW = {"sun": {"azimuth_deg": 0.0, "elevation_deg": 0.001}}
+ON_THE_HORIZON = 0.5 * float(sunlight.direct_normal(0.0, sunlight.CLEAR_BETA, 905e-9, 1.0))
+"Of what the sun gives in vain outside the atmosphere, in the half of a field of view above the horizon. [1/m]"
+SUN_IN_VIEW = {
+    "sun": {"azimuth_deg": 0.0, "elevation_deg": 0.0, "total_w_m2": 0.7e9 / 1366.1 * 1370.0 / ON_THE_HORIZON}
+}
+"As bright in level beams as the sun of a high summer's day, all of it."
 
 
 def test_the_sun_in_the_field_of_view_makes_noise_and_shortens_the_range(tmp_path: Path) -> None:
@@ -119,7 +124,7 @@ def test_the_sun_in_the_field_of_view_makes_noise_and_shortens_the_range(tmp_pat
     physics = {**QUIET, "rule": "axis"}
     ratio = []
     for weather in (CLEAR, {**CLEAR, **SUN_IN_VIEW}):
-        ball = {"plane": {"size_m": [0.01, 0.01]}, "at_m": [30.0, 0.0, 0.0], "material": "white", "pitch_deg": -90.0}
+        ball = {"plane": {"size_m": [0.1, 0.1]}, "at_m": [30.0, 0.0, 0.0], "material": "white", "pitch_deg": -90.0}
         measure = build(tmp_path, [ball], weather=weather, physics={**physics, "rule": "spiral", "sub_beams": 7})
         scan = measure(plan([0.0, 0.0]))
         assert not (scan.flags & DAZZLED).any(), "0.304 mW on 0.55 A/W is 0.17 mA, below 0.2 mA"
@@ -134,14 +139,17 @@ def test_the_sun_in_the_field_of_view_makes_noise_and_shortens_the_range(tmp_pat
     assert light.noise[0] == pytest.approx(54.95 / 36.67, rel=2e-3)
 
 
-def test_beside_a_plate_the_sun_lowers_its_echo_to_two_thirds(tmp_path: Path) -> None:
-    """The plate covers half of the beam, and the sun stands right behind its edge."""
+def test_beside_a_plate_half_of_the_sun_in_the_field_of_view_lowers_its_echo(tmp_path: Path) -> None:
+    """The plate covers half of the beam and of the field of view, and the sun stands right behind its edge."""
     physics = {**QUIET, "rule": "spiral", "sub_beams": 256}
     world = [plate(30.0, "white", 10.0, 5.001)]
     night, day = (
         build(tmp_path, world, weather={**CLEAR, **sky}, physics=physics)(plan()) for sky in ({}, SUN_IN_VIEW)
     )
-    assert day.intensity[0, 0] / night.intensity[0, 0] == pytest.approx(36.67 / 54.95, rel=2e-3)
+    seen = 0.5 + 2.0 / np.pi * 0.001 / (30.0 * 0.61e-3)  # the edge is a millimetre beside the axis
+    assert day.intensity[0, 0] / night.intensity[0, 0] == pytest.approx(
+        36.67 / np.sqrt((1.0 - seen) * 36.67**2 + seen * 54.95**2), rel=1e-2
+    )
 
 
 def test_a_wide_receiver_looking_into_the_sun_is_dazzled_and_at_night_it_is_not(tmp_path: Path) -> None:

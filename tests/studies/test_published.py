@@ -161,7 +161,13 @@ def test_worse_weather_never_lengthens_a_detection_range_and_a_threshold_shorten
 
 # ------------------------------------------------------------------------------- further values
 def test_at_least_ten_values_of_four_other_sources_are_computed_and_near_the_print() -> None:
-    facts = [*further.droplet_facts(QUICK), *further.rain_facts(), *further.surface_facts(), *further.scanner_facts()]
+    facts = [
+        *further.droplet_facts(QUICK),
+        *further.rain_facts(),
+        *further.surface_facts(),
+        *further.sun_facts(),
+        *further.scanner_facts(),
+    ]
     good = [fact for fact in facts if fact.kind == "computed" and abs(fact.ours / fact.printed - 1.0) <= 0.10]
     assert len(good) >= 10
     assert len({fact.source for fact in good}) >= 4

@@ -1,0 +1,162 @@
+"""A low sun in beams: noise of those that look at it, what hides it, its aureole, twilight; the shipped scenarios."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from emulator.errors import ScenarioError
+from emulator.judging.trial import Trial
+from emulator.physics import sunlight
+from emulator.physics.arrays import Floats
+from emulator.scenario import scenario
+from emulator.scenario.weather import WeatherConfig
+from emulator.sensing import daylight
+from emulator.sensing.error_budget import explained
+from emulator.sensing.measure import Measure
+from protocols.scan import DAZZLED
+from tests.sensing import joins
+from tests.sensing.rig import QUIET, build, plan, plate
+
+PHYSICS: dict[str, Any] = {**QUIET, "rule": "axis"}
+LMS = "sick-lms291-s05"
+
+
+def towards(elevation_deg: float, **keys: Any) -> dict[str, Any]:
+    return {"sun": {"azimuth_deg": 0.0, "elevation_deg": elevation_deg, **keys}}
+
+
+def background_w(measure: Measure, azimuth_deg: Any = (0.0,), elevation_deg: float = 0.0, t_s: float = 0.0) -> Floats:
+    view = measure.view(plan(azimuth_deg, elevation_deg=elevation_deg, start_s=t_s))
+    light = daylight.daylight(view.air.sun, view.rays, view.seen, view.surfaces, measure._caster, measure.model)
+    return np.zeros(len(view.rays.axis)) if light.power_w is None else light.power_w
+
+
+@pytest.mark.parametrize("case", [one for one in joins.cases("low_sun")], ids=lambda case: case["name"])
+def test_a_beam_into_the_sun_has_the_noise_of_the_outside_case(tmp_path: Path, case: dict[str, Any]) -> None:
+    """The paper's receiver looks at the middle of the disc: its share of it, times the light of the case."""
+    h, beta = case["setup"]["elevation_deg"], case["setup"]["turbidity_beta"]
+    measure = build(tmp_path, weather=towards(h, turbidity_beta=beta), physics=PHYSICS)
+    model = measure.model
+    half = 0.5 * model.receiver.field_of_view_rad
+    light = 1e9 * case["expected"]["dni_anchored_w_m2_nm"] * 1e-9 * model.receiver.filter_nm
+    wanted = light * math.pi * model.aperture_radius_m**2 * model.efficiency * (half / 4.652e-3) ** 2
+    found = background_w(measure, elevation_deg=h)[0]
+    noise = [model.receiver.noise_a(power) for power in (found, wanted)]
+    assert noise[0] == pytest.approx(noise[1], rel=0.01)
+    assert found == pytest.approx(wanted, rel=0.01, abs=2e-9)
+
+
+def test_nothing_jumps_while_the_sun_sets(tmp_path: Path) -> None:
+    """A level wide receiver that looks at the place where it sets, from half a degree to three below."""
+    measure = build(
+        tmp_path, weather=towards(1.0), model=LMS, physics={**PHYSICS, "leave_out": {"background_light": False}}
+    )
+    power = []
+    for h in np.linspace(0.5, -3.0, 701):
+        measure._change_air(WeatherConfig.model_validate(towards(float(h))))
+        power.append(background_w(measure)[0])
+    steps = np.diff(power)
+    assert np.abs(steps).max() < 0.04 * max(power), "a disc is a hundred steps wide"
+    assert power[0] > 1e3 * power[-1] > 0.0
+    assert (steps[60:] <= 1e-9 * power[0]).all()
+
+
+@pytest.mark.parametrize(("edge_m", "share"), [(-1.0, 1.0), (-0.1, 0.93), (0.0, 0.5), (0.1, 0.07), (1.0, 0.0)])
+def test_a_wall_cuts_the_disc(tmp_path: Path, edge_m: float, share: float) -> None:
+    """A wall 20 m away whose edge is so far right or left of the disc's middle; the disc is 0.186 m wide there."""
+    wall = plate(20.0, "dark", 30.0, edge_m - 15.0)  # it stands on the right
+    elevation = 3.0
+    light = [
+        background_w(
+            build(tmp_path, world, weather=towards(elevation), model=LMS, physics=PHYSICS), elevation_deg=elevation
+        )[0]
+        for world in ([], [wall])
+    ]
+    above = math.acos(max(-1.0, min(1.0, edge_m / 0.09304)))
+    exact = (above - math.sin(above) * math.cos(above)) / math.pi
+    assert exact == pytest.approx(share, abs=0.1)
+    assert light[1] / light[0] == pytest.approx(exact, abs=0.05)
+
+
+def test_the_aureole_is_seen_beside_the_disc_and_behind_no_wall(tmp_path: Path) -> None:
+    """Two degrees beside the sun a field of view has its radiance there; a wall hides it, out of reach as well."""
+    keys: dict[str, Any] = {"model": LMS, "physics": PHYSICS}
+    found = []
+    for world, ratio in (
+        ([], 0.2),
+        ([], 0.0),
+        ([plate(20.0, "dark", 1.0, 0.9)], 0.2),
+        ([plate(200.0, "dark", 8.0, 7.0)], 0.2),
+    ):
+        measure = build(tmp_path, world, weather=towards(3.0, circumsolar_ratio=ratio), **keys)
+        found.append(background_w(measure, [2.0], elevation_deg=3.0)[0])
+    model = measure.model
+    angle = 2.0 * math.cos(math.radians(3.0)) * math.pi / 180.0
+    direct = float(sunlight.direct_normal(3.0, sunlight.CLEAR_BETA, model.wavelength_m, 1370.0))
+    radiance = float(sunlight.aureole_radiance(angle, 0.2, direct)) * 1e-9 * model.receiver.filter_nm
+    half = 0.5 * model.receiver.field_of_view_rad
+    wanted = radiance * math.pi * half**2 * math.pi * model.aperture_radius_m**2 * model.efficiency
+    assert found[0] - found[1] == pytest.approx(wanted, rel=0.1)
+    assert found[2] < found[1] + 0.05 * wanted
+    assert found[3] < found[1] + 0.05 * wanted
+
+
+def test_a_wall_out_of_reach_hides_the_aureole_where_no_surface_shows(tmp_path: Path) -> None:
+    """A narrow receiver: it casts no ray for the light of surfaces, but one for what stands before the aureole."""
+    power = []
+    for world in ([], [plate(300.0, "dark", 8.0, 5.2)]):
+        weather = towards(3.0, circumsolar_ratio=0.5)
+        measure = build(tmp_path, world, weather=weather, physics=PHYSICS)
+        power.append(background_w(measure, [1.0], elevation_deg=3.0)[0])
+    assert power[1] < 0.5 * power[0]
+
+
+def test_a_sensor_that_drives_into_a_shadow_is_dazzled_no_more_within_the_sweep(tmp_path: Path) -> None:
+    """Beams at the sun, one a millisecond, from behind a wall's edge that the sensor passes at 0.5 s."""
+    actor = {"id": "ego", "motion": {"at_m": [0.0, 1.0, 0.0], "velocity_m_s": [0.0, -2.0, 0.0]}}
+    wall = plate(5.0, "dark", 30.0, -15.0)
+    measure = build(tmp_path, [wall], actors=[actor], weather=towards(1.0), model=LMS, physics=PHYSICS,
+                    mount={"actor": "ego", "pitch_deg": -1.0})  # fmt: skip
+    scan = measure(plan(np.zeros(1000), fire_s=1e-3 * np.arange(1000)))
+    dazzled = (scan.flags & DAZZLED) > 0
+    assert dazzled[:480].all()
+    assert not dazzled[520:].any()
+
+
+def test_a_sun_that_reaches_no_beam_costs_no_ray(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    measure = build(tmp_path, [plate(10.0, "half")], weather=towards(-19.0), model=LMS, physics=PHYSICS)
+    monkeypatch.setattr(daylight, "_SunInView", None)  # may not be asked
+    assert np.isfinite(measure(plan()).range_m).any()
+    monkeypatch.undo()
+    high = build(tmp_path, [plate(10.0, "half")], weather=towards(80.0), physics=PHYSICS)
+    rows = {row["term"]: row for row in explained(high, plan())}
+    assert rows["sun in view"]["left_out"]
+    assert not rows["sun in view"]["idle"]
+    low = build(tmp_path, weather=towards(0.5), model=LMS, physics=PHYSICS)
+    assert not {row["term"]: row for row in explained(low, plan())}["sun in view"]["left_out"]
+
+
+@pytest.mark.parametrize(("keys", "told"), [
+    ("turbidity: 1.5", "turbidity 1.5; want at least 2.19"),
+    ("turbidity: 3, turbidity_beta: 0.1", "turbidity and turbidity_beta; want one of them"),
+    ("turbidity_beta: -0.1", "turbidity_beta: -0.1; want a number >= 0"),
+    ("circumsolar_ratio: 0.9", "circumsolar_ratio: 0.9; want a number <= 0.8"),
+])  # fmt: skip
+def test_a_wrong_haze_is_refused_with_its_place(keys: str, told: str) -> None:
+    with pytest.raises(ScenarioError) as raised:
+        scenario.loads(f"schema: 1\nweather:\n  sun: {{{keys}}}\n", Path("case.yaml"))
+    assert str(raised.value).startswith("case.yaml:3: weather.sun")
+    assert told in str(raised.value)
+
+
+@pytest.mark.parametrize("name", ["low_sun", "two_lidars"])
+def test_the_shipped_scenarios_end_as_they_say(name: str) -> None:
+    trial = Trial(scenario.load(name))
+    verdict = trial.finish()
+    trial.close()
+    assert verdict.held, str(verdict)
