@@ -17,7 +17,20 @@ from pydantic import Field, ValidationError, model_validator
 from emulator.config.tables import NotNegative, Positive, Table
 from emulator.config.yaml_source import Loc, Source, fault_lines, read
 from emulator.errors import SpecError
-from emulator.sensors.physics_options import BundleRule, DetectionMethod, EchoChoice, Profile, PulseShape
+from emulator.sensors.physics_options import (
+    ELECTRONICS,
+    BundleRule,
+    ClipPlace,
+    CornerMHz,
+    DetectionMethod,
+    EchoChoice,
+    Profile,
+    PulseShape,
+    RatedAt,
+    ResponseShape,
+    TailShare,
+    TimeConstantNs,
+)
 
 Value = TypeVar("Value")
 
@@ -94,6 +107,19 @@ class ReceiverSpec(Table):
     full_scale_snr: Fact[Positive] | None = None
     "Peak over noise at which the signal clips; None: never."
     recovery_ns: Fact[NotNegative] | None = None
+    response: Fact[ResponseShape] | None = None
+    "Low-pass of the electronics, which shapes pulses and correlates noise; None: an ideal receiver."
+    corner_mhz: Fact[CornerMHz] | None = None
+    "Its half-power frequency; None: bandwidth_mhz."
+    clips: Fact[ClipPlace] | None = None
+    "Whether the full scale limits the current before the filter or the voltage after it (None: after)."
+    rated_at: Fact[RatedAt] | None = None
+    "Where the system constant holds: behind the filter (None: output) or before it."
+    coupling_ns: Fact[TimeConstantNs] | None = None
+    "Time constant of an AC coupling; None: none."
+    tail_share: Fact[TailShare] | None = None
+    "Share of an echo's charge that comes late, with the time constant `tail_ns`."
+    tail_ns: Fact[TimeConstantNs] | None = None
     overlap_start_m: Fact[Positive]
     "Where beam and field of view first meet."
     overlap_full_m: Fact[Positive]
@@ -197,6 +223,9 @@ class SensorSpec(Table):
         if receiver is not None and pulse is not None:
             if (receiver.system_constant_m2 is None) == (pulse.energy_uj is None):
                 raise ValueError("want either receiver.system_constant_m2 or pulse.energy_uj, the other follows")
+            given = [key for key in ELECTRONICS if getattr(receiver, key) is not None]
+            if given and receiver.response is None:
+                raise ValueError(f"receiver.{given[0]} without receiver.response; want both")
             if receiver.overlap_full_m.value < receiver.overlap_start_m.value:
                 raise ValueError("receiver.overlap_full_m lies before receiver.overlap_start_m")
         return self
