@@ -130,6 +130,7 @@ def detect(
     detector: Detector,
     *,
     normals: Numbers | None = None,
+    timing: Numbers | None = None,
     noise: Values = 1.0,
     soft: SoftProfile | None = None,
     dazzled: Bools | None = None,
@@ -144,6 +145,8 @@ def detect(
     beams : number n of beams
     detector : threshold, method, choice of echoes
     normals : (n, e) standard normal numbers; the i-th highest echo of a beam takes number i modulo e. None: no noise
+    timing : the same for the places of maxima, centroids and fractions, whose noise is another than that of heights;
+        None: the same numbers
     noise : scalar or (n,) rms noise of each beam over the nominal one (sun in view)
     soft : homogeneous medium that scatters back, on this detector's bins
     dazzled : (n,) beams that report nothing
@@ -157,7 +160,7 @@ def detect(
     with np.errstate(under="ignore"):
         if not signals:
             signals = (signals_of(echoes, beams, detector, noisy=normals is not None, noise=noise, soft=soft),)
-        found = Found.joined([_measure(part, detector, normals) for part in signals])
+        found = Found.joined([_measure(part, detector, normals, timing) for part in signals])
     if noise_echoes is not None and noise_echoes[0].size:
         beam, r, amplitude = noise_echoes
         k = beam.size
@@ -232,7 +235,9 @@ def _soft_marks(echoes: SubEchoes, soft: SoftProfile, marked: Bools) -> SubEchoe
 
 
 # ------------------------------------------------------------------------------- seen, and where
-def _measure_by_loops(loops: ModuleType, signals: Signals, detector: Detector, normals: Numbers | None) -> Found:
+def _measure_by_loops(
+    loops: ModuleType, signals: Signals, detector: Detector, normals: Numbers | None, timing: Numbers | None
+) -> Found:
     """On a leading edge of sin^2 pulses."""
     if not detector.closed_form:
         return OTHERWISE
@@ -270,7 +275,7 @@ def _measure_by_loops(loops: ModuleType, signals: Signals, detector: Detector, n
 
 
 @by_loops(_measure_by_loops, "ranks", "levels", "readings")
-def _measure(signals: Signals, detector: Detector, normals: Numbers | None) -> Found:
+def _measure(signals: Signals, detector: Detector, normals: Numbers | None, timing: Numbers | None) -> Found:
     rms, cosines, own, single, mixed = signals.rms, signals.cosines, signals.own, signals.single, signals.mixed
     wave, clusters = signals.wave, signals.clusters
     beam = np.concatenate([cosines.beam, own.beam, single.beam, mixed.beam])
@@ -290,6 +295,9 @@ def _measure(signals: Signals, detector: Detector, normals: Numbers | None) -> F
         sizes = np.bincount(beam, minlength=rms.size)
         rank[order] = ramp(sizes)
         z = normals[beam, rank % normals.shape[1]]
+    late = z
+    if timing is not None and normals is not None:
+        late = timing[beam, rank % timing.shape[1]]
     clipped = height >= detector.full_scale
     shown = np.minimum(height, detector.full_scale)
     level = threshold - z * noise
@@ -321,7 +329,7 @@ def _measure(signals: Signals, detector: Detector, normals: Numbers | None) -> F
         elif mixed.beam.size and detector.method == "constant_fraction":
             range_m[k:] = fractions(wave, mixed, detector, signals.threshold)
         far = 0.5 * detector.pulse.fwhm_m
-        range_m = range_m + clamped(z * detector.sigma_m(shown, noise), -far, far) - detector.offset_m
+        range_m = range_m + clamped(late * detector.sigma_m(shown, noise), -far, far) - detector.offset_m
     source = np.full(beam.size, NO_SOURCE, np.int64)
     source[:i] = cosines.source
     source[j:k] = clusters.source[single.index]

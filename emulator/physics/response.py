@@ -160,15 +160,6 @@ def gauss_on_sin2(time_s: Values, fwhm_s: float, sigma_s: float) -> Floats:
     return np.where(near == t, np.maximum(0.25 * (flat + swing), 0.0), 0.0)
 
 
-def crlb_gauss(fwhm_s: Values, snr: Values, bandwidth_hz: Values) -> Floats:
-    """Cramer-Rao bound of range, Gaussian pulse in white noise: (c/2)(1/SNR) sqrt(sigma/(sqrt(pi) B)). [m]
-
-    `bandwidth_hz`: in which the noise of the SNR is, one-sided.
-    """
-    sigma = floats(fwhm_s) / FWHM_PER_SIGMA
-    return 0.5 * SPEED_OF_LIGHT_M_S / floats(snr) * np.sqrt(sigma / (math.sqrt(math.pi) * floats(bandwidth_hz)))
-
-
 # ------------------------------------------------------------------------------- the whole shaped pulse
 @dataclass(frozen=True)
 class ShapedPulse:

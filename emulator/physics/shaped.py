@@ -20,11 +20,10 @@ from scipy import special
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, indexes, ramp
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.detection import Found, report
-from emulator.physics.detector import Detector, Echoes
+from emulator.physics.detector import BASE_OF_ECHO, BASE_OF_THRESHOLD, Detector, Echoes
 from emulator.physics.response import Response, ShapedPulse
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import NO_SOURCE, SubEchoes, cluster, unfold_spread
-from emulator.physics.timing import BASE_OF_ECHO, BASE_OF_THRESHOLD
 
 SIGMAS = 6.0
 "Windows whose light is so many noise rms below the threshold are left to the law of false alarms."
@@ -209,7 +208,7 @@ class Shaped:
 
     # ------------------------------------------------------------------ echoes
     def _found(self, block: _Block, windows: Windows, points: SubEchoes, rms: Floats) -> Found:
-        detector, (r, n) = self._detector, block.shown.shape
+        detector, n = self._detector, block.shown.shape[1]
         beam = windows.beam[block.window]
         own, level = rms[beam], detector.thresholds(rms)[beam]
         shown = block.shown.ravel()

@@ -76,6 +76,7 @@ class Receiver:
             sampled=not model.leave_out.waveform,
             follows_noise=True,
             floor_m2=model.floor_m2,
+            bandwidth_hz=model.receiver.bandwidth_hz,
             near_gate_m=model.near_gate_m,
             far_gate_m=model.gate_m,
         )
@@ -125,11 +126,15 @@ class Receiver:
             return self._scan(plan, echoes, daylight)
         signals = self._signals(found, kept, n, soft, daylight.noise)
         normals = self._draws.normals("receiver", plan.sweep, n, NUMBERS_A_BEAM) if model.noise else None
+        timing = None
+        if model.noise and model.method != "leading_edge":
+            timing = self._draws.normals("timing", plan.sweep, n, NUMBERS_A_BEAM)
         echoes = detect(
             found,
             n,
             detector,
             normals=normals,
+            timing=timing,
             soft=soft,
             dazzled=daylight.dazzled,
             noise_echoes=self._noise_echoes(plan, daylight.noise) if model.false_alarms else None,

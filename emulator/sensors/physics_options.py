@@ -66,6 +66,15 @@ class PhotonOptions(Table):
     trap_time_ns: Annotated[float, Field(gt=0.0, le=1e6)] = 50.0
     "Mean time of its release."
 
+    @model_validator(mode="after")
+    def _dead_time(self) -> PhotonOptions:
+        if self.dead_time_ns is None:
+            named = "dead_time_law", "cells", "afterpulse_probability", "trap_time_ns"
+            given = [key for key in named if getattr(self, key) != type(self).model_fields[key].default]
+            if given:
+                raise ValueError(f"{given[0]} without dead_time_ns; want both")
+        return self
+
 
 class LeaveOut(Table):
     """Switches of single rules of the error budget; bounds: `error_budget`. `full` switches all off."""
