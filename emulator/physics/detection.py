@@ -329,7 +329,7 @@ def _measure(signals: Signals, detector: Detector, normals: Numbers | None, timi
         elif mixed.beam.size and detector.method == "constant_fraction":
             range_m[k:] = fractions(wave, mixed, detector, signals.threshold)
         far = 0.5 * detector.pulse.fwhm_m
-        range_m = range_m + clamped(late * detector.sigma_m(shown, noise), -far, far) - detector.offset_m
+        range_m = range_m + clamped(late * detector.sigma_m(shown, noise, threshold), -far, far) - detector.offset_m
     source = np.full(beam.size, NO_SOURCE, np.int64)
     source[:i] = cosines.source
     source[j:k] = clusters.source[single.index]

@@ -101,7 +101,7 @@ class Detector:
         zero_s = float(timing(self.pulse.fwhm_s, self.fraction, self.cfd_delay_s))
         return 0.5 * SPEED_OF_LIGHT_M_S * zero_s - self.pulse.start_lead_m
 
-    def sigma_m(self, amplitude: Values, noise: Values = 1.0) -> Floats:
+    def sigma_m(self, amplitude: Values, noise: Values = 1.0, threshold: Values | None = None) -> Floats:
         """Range noise of the method for single echoes; for the leading edge `detect` shifts the threshold instead."""
         snr = np.maximum(floats(amplitude) / noise, 1e-9)
         tau = self.pulse.fwhm_s
@@ -113,7 +113,8 @@ class Detector:
             return floats(np.sqrt(1.0 + self.fraction**2) / (slope * snr))
         bandwidth = 0.5 / tau if self.bandwidth_hz is None else self.bandwidth_hz
         if self.method == "centroid":
-            base = np.minimum(BASE_OF_ECHO, BASE_OF_THRESHOLD * self.threshold / np.maximum(floats(amplitude), 1e-9))
+            level = self.threshold if threshold is None else threshold
+            base = np.minimum(BASE_OF_ECHO, BASE_OF_THRESHOLD * level / np.maximum(floats(amplitude), 1e-9))
             return centroid_sigma(self.pulse, base, snr, bandwidth)
         # the maximum behind the filter that fits the pulse: the Cramer-Rao bound
         bound = crlb_sin2 if self.pulse.shape == "sin2" else crlb_gauss

@@ -265,7 +265,7 @@ class BrightEdges:
         depth = air.depth(ways.origin_m, ways.ray, ways.range_m, frames.t_s[beam])
         normal = np.einsum("kij,ki->kj", faced.across[pair], faced.normal[pair])
         cosine = np.minimum(np.abs(np.einsum("ki,ki->k", normal, ways.ray)), 1.0)
-        back = surfaces.table.back(faced.material[pair], cosine)
+        back = surfaces.table.back(faced.material[pair], cosine, ways.range_m)
         amplitude = ways.weight * factor[beam] * collected(ways.range_m, depth, self._model) * back
         return SubEchoes.of(beam, ways.range_m, amplitude, None, faced.actor[pair])
 

@@ -36,6 +36,8 @@ Value = TypeVar("Value")
 RECEIVER_TEMPERATURE_K = 293.15
 FINEST_BIN_SHARE = 16
 "Bins of a sampled pulse's FWHM at the least: a parabola then finds its peak to 1e-4 of it."
+COAXIAL = 2.0 / 3.0
+"Of the lens's radius: mean distance of its points from an emitter in its middle."
 MOST_BINS = 256
 "Bins of it by default at the most: a parabola finds the peak to 1e-8 of it, 15 um of a pulse of 10 us."
 FINEST_CHOSEN = 65536
@@ -99,6 +101,8 @@ class SensorModel:
     "Amplitude of an ideal white plate at 1 m."
     peak_w: float
     aperture_radius_m: float
+    baseline_m: float
+    "Between emitter and receiver."
     efficiency: float
     receiver: Receiver
     signal_shot: float
@@ -234,6 +238,7 @@ def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> Sensor
         k_m2=k_m2,
         peak_w=peak_w,
         aperture_radius_m=aperture_m,
+        baseline_m=1e-3 * _or(options.baseline_mm, receiver.baseline_mm, 1e3 * COAXIAL * aperture_m),
         efficiency=efficiency,
         receiver=detector,
         signal_shot=float(

@@ -130,6 +130,8 @@ class PhysicsOptions(Table):
     exit_diameter_mm: Annotated[float, Field(ge=0.0, le=1e4)] | None = None
     pulse: PulseShape | None = None
     pulse_fwhm_ns: Annotated[float, Field(ge=0.01, le=1e5)] | None = None
+    baseline_mm: Annotated[float, Field(ge=0.0, le=1e4)] | None = None
+    "From emitter to receiver: over the range the angle at which retroreflective sheeting is observed."
     wavelength_nm: Annotated[float, Field(ge=300.0, le=3000.0)] | None = None
     filter_offset_nm: Annotated[float, Field(ge=-3000.0, le=3000.0)] | None = None
     "Laser line off the centre of the receiver's filter, by temperature for instance: 0.3 nm/K."

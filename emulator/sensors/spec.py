@@ -80,6 +80,8 @@ class ReceiverSpec(Table):
 
     aperture_mm: Fact[Positive]
     "Diameter of the receiving lens."
+    baseline_mm: Fact[NotNegative] | None = None
+    "From emitter to receiver, for the angle at which sheeting is observed; None: two thirds of the lens's radius."
     efficiency: Fact[Share]
     "All receive losses: optics, filter at the laser line."
     system_constant_m2: Fact[Positive] | None = None
