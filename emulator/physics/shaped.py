@@ -146,9 +146,7 @@ class Shaped:
         return Windows(beam[first], start, np.maximum(np.minimum(end[seen], most), start), first, count)
 
     # ------------------------------------------------------------------ waveforms
-    def _blocks(
-        self, windows: Windows, points: SubEchoes, rms: Floats, sweep: int, noisy: bool
-    ) -> Iterator[_Block]:
+    def _blocks(self, windows: Windows, points: SubEchoes, rms: Floats, sweep: int, noisy: bool) -> Iterator[_Block]:
         if not len(windows.beam):
             return
         columns = np.ceil((windows.high_m - windows.low_m) / self._bin_m).astype(np.int64) + 6
@@ -350,7 +348,8 @@ class Shaped:
         count = np.maximum(stop - begin, 1)
         flat, edge = begin.repeat(count) + ramp(count), count.cumsum() - count
         base = np.minimum(BASE_OF_THRESHOLD * level, BASE_OF_ECHO * height).repeat(count)
-        value = np.maximum(block.shown.ravel()[flat], -1e12)
+        value = block.shown.ravel()[flat]
+        value = np.where(np.isfinite(value), value, 0.0)
         value = value * (value / np.maximum(np.hypot(value, base), 1e-300)) ** 4
         total = np.add.reduceat(value, edge)
         moment = np.add.reduceat(value * ramp(count), edge)

@@ -34,7 +34,7 @@ class Sheeting:
     @property
     def reference_cd_lx_m2(self) -> float:
         """R_A there."""
-        return float(self.coefficient(*self.reference))
+        return round(float(self.coefficient(*self.reference)), 9)
 
     def coefficient(self, observation_deg: Values, entrance_deg: Values) -> Floats:
         """R_A at these angles, below the smallest that of the smallest; 0 from 90 degrees on. [cd/lx/m2]"""
