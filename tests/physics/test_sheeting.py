@@ -55,7 +55,7 @@ def test_a_users_sheeting_takes_its_size_from_its_class_or_its_own_number() -> N
     table = SurfaceTable.of([material_from_mapping("a", own)], 905.0)
     back = table.back(np.zeros(1, np.int64), np.array([math.cos(math.radians(30.0))]))
     assert back[0] == pytest.approx(math.pi * 90.0 * 30.0 / 70.0 + 0.3 * math.cos(math.radians(30.0)), rel=1e-9)
-    with pytest.raises(MaterialError, match="materials.a.retro_class: 'ra9'; want one of ra1, ra2"):
+    with pytest.raises(MaterialError, match=r"materials\.a\.retro_class: 'ra9'; want one of ra1, ra2"):
         material_from_mapping("a", {"rho": 0.3, "model": "retro", "retro_class": "ra9"})
     with pytest.raises(MaterialError, match="want none, or model retro"):
         material_from_mapping("a", {"rho": 0.3, "retro_class": "ra1"})
