@@ -211,7 +211,7 @@ def crlb_gauss(fwhm_s: Values, snr: Values, bandwidth_hz: Values) -> Floats:
     `bandwidth_hz`: in which the noise of the SNR is, one-sided.
     """
     sigma = floats(fwhm_s) / FWHM_PER_SIGMA
-    return 0.5 * C / floats(snr) * np.sqrt(sigma / (np.sqrt(np.pi) * floats(bandwidth_hz)))
+    return floats(0.5 * C / floats(snr) * np.sqrt(sigma / (np.sqrt(np.pi) * floats(bandwidth_hz))))
 
 
 def centroid_sigma(pulse: Pulse, base: Values, snr: Values, bandwidth_hz: float) -> Floats:
@@ -229,7 +229,7 @@ def centroid_sigma(pulse: Pulse, base: Values, snr: Values, bandwidth_hz: float)
     slope = square * square * (square + 5.0 * b2) / (square + b2) ** 3
     step_s = 2.0 * (x[1] - x[0]) / C
     spread = np.sqrt(np.sum((slope * x) ** 2, axis=1) * step_s) / (np.sum(weight, axis=1) * step_s)
-    return np.interp(np.log(share), np.log(node), spread) * np.sqrt(0.5 / bandwidth_hz) / floats(snr)
+    return floats(np.interp(np.log(share), np.log(node), spread) * np.sqrt(0.5 / bandwidth_hz) / floats(snr))
 
 
 def edge_range_sigma_sin2(fwhm_s: Values, tnr: Values, snr: Values) -> Floats:

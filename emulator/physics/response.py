@@ -219,7 +219,7 @@ class ShapedPulse:
     @cached_property
     def envelope(self) -> Floats:
         """(k,) largest size of the value from there on."""
-        return np.maximum.accumulate(np.abs(self.value)[::-1])[::-1]
+        return floats(np.maximum.accumulate(np.abs(self.value)[::-1])[::-1])
 
     def at(self, x_m: Floats) -> Floats:
         """Value at any apparent range."""

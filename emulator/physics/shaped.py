@@ -56,7 +56,7 @@ class Windows:
         length = float(max(self.high_m.max(), range_m.max(initial=0.0)) - min(self.low_m.min(), 0.0)) + 1.0
         at = (self.beam * length + self.low_m).searchsorted(beam * length + range_m, side="right") - 1
         inside = np.maximum(at, 0)
-        return (at >= 0) & (self.beam[inside] == beam) & (range_m <= self.high_m[inside])
+        return np.asarray((at >= 0) & (self.beam[inside] == beam) & (range_m <= self.high_m[inside]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -353,7 +353,7 @@ class Shaped:
         value = value * (value / np.maximum(np.hypot(value, base), 1e-300)) ** 4
         total = np.add.reduceat(value, edge)
         moment = np.add.reduceat(value * ramp(count), edge)
-        return begin - row * n + np.where(total > 0.0, moment / np.where(total > 0.0, total, 1.0), 0.0)
+        return np.asarray(begin - row * n + np.where(total > 0.0, moment / np.where(total > 0.0, total, 1.0), 0.0))
 
     def _fractions(self, block: _Block, start: Ints, end: Ints, otherwise: Floats) -> Floats:
         """Columns at which the delayed signal overtakes the attenuated one after the threshold is reached."""

@@ -102,6 +102,8 @@ class _Ways:
 
 def wanted(model: SensorModel, scene: Scene, surfaces: Surfaces) -> bool:
     """Beams of this sensor have a tail, and there is a surface that may show it."""
+    if model.sidelobe_share > 0.0:  # their rays are there instead
+        return False
     if model.beam.is_ray or model.beam.profile != "gauss" or model.rule in ("axis", "adaptive"):
         return False
     bright = bright_of(surfaces.table)

@@ -93,6 +93,13 @@ class SensorModel:
     seed_mode: bool
     wavelength_m: float
     beam: BeamShape
+    sidelobe_share: float
+    "Of the emitted light; 0: none."
+    sidelobe_rad: float
+    "Full angle."
+    bloom_share: float
+    "Of a saturating echo, on the detector of a neighbour; 0: none."
+    bloom_rad: float
     rule: BundleRule
     sub_beams: int
     depth: int
@@ -225,12 +232,22 @@ def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> Sensor
     full_scale = receiver.full_scale_snr.value if receiver.full_scale_snr is not None else math.inf
     if options.full_scale_snr is not None:
         full_scale = math.inf if options.full_scale_snr == "off" else options.full_scale_snr
+    sidelobe = _or(options.sidelobe_share, optics.sidelobe_share, 0.0)
+    bloom = _or(options.bloom_share, receiver.bloom_share, 0.0)
+    if sidelobe > 0.0 and (_or(options.rule, bundle.rule) == "adaptive" or profile != "gauss"):
+        raise ValueError("sidelobe_share with rule adaptive or a top-hat; want another rule, profile gauss, or 0")
+    if bloom > 0.0 and not math.isfinite(full_scale):
+        raise ValueError("bloom_share without full_scale_snr; want both")
     if options.weather_echoes and not seed and options.photons is None:
         _require_short(gate_m, 0.5 * SPEED_OF_LIGHT_M_S * bin_s)
     return SensorModel(
         seed_mode=seed,
         wavelength_m=1e-9 * _or(options.wavelength_nm, optics.wavelength_nm),
         beam=_beam(optics, options, profile),
+        sidelobe_share=sidelobe,
+        sidelobe_rad=1e-3 * _wide("sidelobe", sidelobe, options.sidelobe_mrad, optics.sidelobe_mrad),
+        bloom_share=bloom,
+        bloom_rad=1e-3 * _wide("bloom", bloom, options.bloom_mrad, receiver.bloom_mrad),
         rule=_or(options.rule, bundle.rule),
         sub_beams=_or(options.sub_beams, bundle.sub_beams),
         depth=options.depth,
@@ -273,6 +290,13 @@ def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> Sensor
         leave_out=LeaveOut.nothing() if options.full else options.leave_out,
         plain_radii=options.plain_radii,
     )
+
+
+def _wide(name: str, share: float, chosen: float | None, fact: Fact[float] | None) -> float:
+    """An angle that must be known where there is a share."""
+    if share > 0.0 and chosen is None and fact is None:
+        raise ValueError(f"{name}_share without {name}_mrad; want both")
+    return _or(chosen, fact, 1.0)
 
 
 def _need(part: Value | None) -> Value:

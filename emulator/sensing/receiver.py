@@ -21,6 +21,7 @@ from emulator.physics.random_streams import RandomStreams
 from emulator.physics.shaped import Shaped
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import Kept, SubEchoes
+from emulator.sensing.blooming import bloomed
 from emulator.sensing.daylight import NIGHT, Daylight
 from emulator.sensing.faint import looked_at
 from emulator.sensing.model import SensorModel
@@ -114,6 +115,8 @@ class Receiver:
     ) -> Scan:
         """The scan of a sweep; `kept`: sub-echoes of beams of which none are in `found`."""
         model, n = self._model, len(plan)
+        if model.bloom_share > 0.0:
+            found, kept = bloomed(found if kept is None else kept.whole(found), plan, model), None
         detector = self._detector
         if plan.max_echoes < detector.max_echoes:
             detector = _with_echoes(detector, plan.max_echoes)

@@ -127,6 +127,14 @@ class PhysicsOptions(Table):
     divergence_deg: Divergence | tuple[Divergence, Divergence] | None = None
     "Full angle, or in and across the scan plane."
     roll_deg: float | None = None
+    sidelobe_share: Annotated[float, Field(ge=0.0, le=0.5)] | None = None
+    "Of the emitted light, in a wide Gaussian around the beam; 0: none."
+    sidelobe_mrad: Annotated[float, Field(gt=0.0, le=300.0)] | None = None
+    "Full angle of it, 1/e^2."
+    bloom_share: Annotated[float, Field(ge=0.0, le=0.5)] | None = None
+    "Of an echo that saturates, on a detector right beside its own that listens at the time; 0: none."
+    bloom_mrad: Annotated[float, Field(gt=0.0, le=1000.0)] | None = None
+    "Angle between beams at which it has fallen to 1/e^2."
     exit_diameter_mm: Annotated[float, Field(ge=0.0, le=1e4)] | None = None
     pulse: PulseShape | None = None
     pulse_fwhm_ns: Annotated[float, Field(ge=0.01, le=1e5)] | None = None

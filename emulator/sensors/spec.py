@@ -62,6 +62,10 @@ class OpticsSpec(Table):
     "Full angle in the scan plane: 1/e^2 of the irradiance (gauss), edge (tophat)."
     divergence_y_mrad: Fact[Divergence]
     "Across the scan plane."
+    sidelobe_share: Fact[Annotated[float, Field(ge=0.0, le=0.5)]] | None = None
+    "Of the emitted light, in a wide Gaussian around the beam; None: none."
+    sidelobe_mrad: Fact[Annotated[float, Field(gt=0.0, le=300.0)]] | None = None
+    "Full angle of it, 1/e^2."
     roll_deg: Fact[float] | None = None
     exit_diameter_mm: Fact[NotNegative] | None = None
     "Diameter of the beam at the window, by the same measure as the divergence."
@@ -109,6 +113,10 @@ class ReceiverSpec(Table):
     full_scale_snr: Fact[Positive] | None = None
     "Peak over noise at which the signal clips; None: never."
     recovery_ns: Fact[NotNegative] | None = None
+    bloom_share: Fact[Annotated[float, Field(ge=0.0, le=0.5)]] | None = None
+    "Of an echo that saturates, on a detector right beside its own that listens at the time; None: none."
+    bloom_mrad: Fact[Annotated[float, Field(gt=0.0, le=1000.0)]] | None = None
+    "Angle between beams at which it has fallen to 1/e^2."
     response: Fact[ResponseShape] | None = None
     "Low-pass of the electronics, which shapes pulses and correlates noise; None: an ideal receiver."
     corner_mhz: Fact[CornerMHz] | None = None
