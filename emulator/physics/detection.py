@@ -44,7 +44,7 @@ class Numbers(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
+class Found:
     """Echoes before the choice of which to report; flat arrays."""
 
     beam: Ints
@@ -54,14 +54,14 @@ class _Found:
     source: Ints
 
     @classmethod
-    def joined(cls, parts: list[_Found]) -> _Found:
+    def joined(cls, parts: list[Found]) -> Found:
         """All echoes of parts."""
         if len(parts) == 1:
             return parts[0]
         return cls(*(np.concatenate(column) for column in zip(*(vars(part).values() for part in parts), strict=True)))
 
     @classmethod
-    def none(cls) -> _Found:
+    def none(cls) -> Found:
         n = np.zeros(0, np.int64)
         return cls(n, np.zeros(0), np.zeros(0), np.zeros(0, np.bool_), n)
 
@@ -130,6 +130,7 @@ def detect(
     detector: Detector,
     *,
     normals: Numbers | None = None,
+    timing: Numbers | None = None,
     noise: Values = 1.0,
     soft: SoftProfile | None = None,
     dazzled: Bools | None = None,
@@ -144,6 +145,8 @@ def detect(
     beams : number n of beams
     detector : threshold, method, choice of echoes
     normals : (n, e) standard normal numbers; the i-th highest echo of a beam takes number i modulo e. None: no noise
+    timing : the same for the places of maxima, centroids and fractions, whose noise is another than that of heights;
+        None: the same numbers
     noise : scalar or (n,) rms noise of each beam over the nominal one (sun in view)
     soft : homogeneous medium that scatters back, on this detector's bins
     dazzled : (n,) beams that report nothing
@@ -157,18 +160,18 @@ def detect(
     with np.errstate(under="ignore"):
         if not signals:
             signals = (signals_of(echoes, beams, detector, noisy=normals is not None, noise=noise, soft=soft),)
-        found = _Found.joined([_measure(part, detector, normals) for part in signals])
+        found = Found.joined([_measure(part, detector, normals, timing) for part in signals])
     if noise_echoes is not None and noise_echoes[0].size:
         beam, r, amplitude = noise_echoes
         k = beam.size
-        found = _Found(
+        found = Found(
             np.concatenate([found.beam, beam]),
             np.concatenate([found.range_m, r]),
             np.concatenate([found.amplitude, np.maximum(amplitude, signals[0].threshold[beam])]),
             np.concatenate([found.saturated, np.zeros(k, np.bool_)]),
             np.concatenate([found.source, np.full(k, NO_SOURCE, np.int64)]),
         )
-    return _report(found, beams, detector, dazzled)
+    return report(found, beams, detector, dazzled)
 
 
 # ------------------------------------------------------------------------------- clusters: closed form or sampled
@@ -232,14 +235,16 @@ def _soft_marks(echoes: SubEchoes, soft: SoftProfile, marked: Bools) -> SubEchoe
 
 
 # ------------------------------------------------------------------------------- seen, and where
-def _measure_by_loops(loops: ModuleType, signals: Signals, detector: Detector, normals: Numbers | None) -> _Found:
+def _measure_by_loops(
+    loops: ModuleType, signals: Signals, detector: Detector, normals: Numbers | None, timing: Numbers | None
+) -> Found:
     """On a leading edge of sin^2 pulses."""
     if not detector.closed_form:
         return OTHERWISE
     rms, cosines, own, single, mixed = signals.rms, signals.cosines, signals.own, signals.single, signals.mixed
     beam = np.concatenate([cosines.beam, own.beam, single.beam, mixed.beam])
     if beam.size == 0:
-        return _Found.none()
+        return Found.none()
     i = cosines.beam.size
     j = i + own.beam.size
     k = j + single.beam.size
@@ -266,16 +271,16 @@ def _measure_by_loops(loops: ModuleType, signals: Signals, detector: Detector, n
         beam, height, z, crossing, source, seen, rms, signals.threshold, *shape, lead_m, detector.walk_table,
         detector.offset_m,
     )  # fmt: skip
-    return _Found(of, range_m, amplitude, clipped, source)
+    return Found(of, range_m, amplitude, clipped, source)
 
 
 @by_loops(_measure_by_loops, "ranks", "levels", "readings")
-def _measure(signals: Signals, detector: Detector, normals: Numbers | None) -> _Found:
+def _measure(signals: Signals, detector: Detector, normals: Numbers | None, timing: Numbers | None) -> Found:
     rms, cosines, own, single, mixed = signals.rms, signals.cosines, signals.own, signals.single, signals.mixed
     wave, clusters = signals.wave, signals.clusters
     beam = np.concatenate([cosines.beam, own.beam, single.beam, mixed.beam])
     if beam.size == 0:
-        return _Found.none()
+        return Found.none()
     alone = np.ones(own.beam.size)
     centre = np.concatenate([cosines.centre_m, own.centre_m * alone, single.centre_m, mixed.centre_m])
     height = np.concatenate([cosines.height, own.height * alone, single.amplitude, mixed.amplitude])
@@ -290,12 +295,15 @@ def _measure(signals: Signals, detector: Detector, normals: Numbers | None) -> _
         sizes = np.bincount(beam, minlength=rms.size)
         rank[order] = ramp(sizes)
         z = normals[beam, rank % normals.shape[1]]
+    late = z
+    if timing is not None and normals is not None:
+        late = timing[beam, rank % timing.shape[1]]
     clipped = height >= detector.full_scale
     shown = np.minimum(height, detector.full_scale)
     level = threshold - z * noise
     seen = (shown >= level) & tall
     if not bool(seen.any()):
-        return _Found.none()
+        return Found.none()
     if detector.shot_factor > 0.0:  # at the crossing the signal is as high as the threshold, however high it rises
         level = threshold - z * np.sqrt(dark**2 + detector.shot_factor * np.minimum(height, threshold))
     level = clamped(level, 0.02 * threshold, np.maximum(shown, 1e-12))
@@ -321,20 +329,20 @@ def _measure(signals: Signals, detector: Detector, normals: Numbers | None) -> _
         elif mixed.beam.size and detector.method == "constant_fraction":
             range_m[k:] = fractions(wave, mixed, detector, signals.threshold)
         far = 0.5 * detector.pulse.fwhm_m
-        range_m = range_m + clamped(z * detector.sigma_m(shown, noise), -far, far) - detector.offset_m
+        range_m = range_m + clamped(late * detector.sigma_m(shown, noise, threshold), -far, far) - detector.offset_m
     source = np.full(beam.size, NO_SOURCE, np.int64)
     source[:i] = cosines.source
     source[j:k] = clusters.source[single.index]
     source[k:] = sources(wave, mixed)
     amplitude = clamped(height + z * noise, threshold, np.maximum(detector.full_scale, threshold))
     range_m = np.maximum(range_m, 0.0)  # a touching target is at 0, whatever the noise
-    return _Found(beam[seen], range_m[seen], amplitude[seen], clipped[seen], source[seen])
+    return Found(beam[seen], range_m[seen], amplitude[seen], clipped[seen], source[seen])
 
 
 # ------------------------------------------------------------------------------- choice
 
 
-def _report(found: _Found, beams: int, detector: Detector, dazzled: Bools | None) -> Echoes:
+def report(found: Found, beams: int, detector: Detector, dazzled: Bools | None) -> Echoes:
     k = detector.max_echoes
     blind_m = 0.5 * SPEED_OF_LIGHT_M_S * detector.recovery_s
     kept = (found.range_m >= detector.near_gate_m) & (found.range_m <= detector.far_gate_m) & np.isfinite(found.range_m)

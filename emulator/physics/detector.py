@@ -12,8 +12,10 @@ import numpy as np
 
 from emulator.physics.arrays import Bools, Floats, Ints, Values, floats
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
-from emulator.physics.pulse import Pulse, cfd_gauss, cfd_sin2
+from emulator.physics.pulse import Pulse, centroid_sigma, cfd_gauss, cfd_sin2, crlb_gauss, crlb_sin2
 
+BASE_OF_THRESHOLD, BASE_OF_ECHO = 0.5, 0.1
+"What is below the lesser of these shares of the threshold and of the echo's height weighs little in a centroid."
 Method = Literal["leading_edge", "constant_fraction", "peak", "centroid"]
 Keep = Literal["first", "strongest", "last", "all"]
 
@@ -52,6 +54,8 @@ class Detector:
     "The threshold is so many times each beam's own noise; else of the nominal one, whatever the light outside."
     floor_m2: float = 0.0
     "Echoes fainter than floor_m2/R^2 are dropped: fog correction by a least reflectance, K times rho."
+    bandwidth_hz: float | None = None
+    "One-sided, in which the noise is: for the range noise of maxima and centroids; None: 1/(2 FWHM)."
     near_gate_m: float = 0.0
     far_gate_m: float = float("inf")
 
@@ -97,21 +101,24 @@ class Detector:
         zero_s = float(timing(self.pulse.fwhm_s, self.fraction, self.cfd_delay_s))
         return 0.5 * SPEED_OF_LIGHT_M_S * zero_s - self.pulse.start_lead_m
 
-    def sigma_m(self, amplitude: Values, noise: Values = 1.0) -> Floats:
+    def sigma_m(self, amplitude: Values, noise: Values = 1.0, threshold: Values | None = None) -> Floats:
         """Range noise of the method for single echoes; for the leading edge `detect` shifts the threshold instead."""
         snr = np.maximum(floats(amplitude) / noise, 1e-9)
         tau = self.pulse.fwhm_s
-        c = SPEED_OF_LIGHT_M_S
         if self.method == "constant_fraction":
-            lead, delay, h = self.cfd_lead_m, 0.5 * c * self.cfd_delay_s, 1e-6 * self.pulse.fwhm_m
+            lead, delay, h = self.cfd_lead_m, 0.5 * SPEED_OF_LIGHT_M_S * self.cfd_delay_s, 1e-6 * self.pulse.fwhm_m
             x = np.array([lead - h, lead + h])
             y = self.fraction * self.pulse.profile(x) - self.pulse.profile(x - delay)
             slope = abs(float(y[1] - y[0])) / (2.0 * h)
             return floats(np.sqrt(1.0 + self.fraction**2) / (slope * snr))
-        if self.pulse.shape == "sin2":
-            return c * tau / np.pi / snr  # Cramer-Rao bound with B = 1/(2 FWHM)
-        sigma = self.pulse.sigma_m
-        return floats(sigma * np.sqrt(2.0 * sigma / (np.sqrt(np.pi) * self.pulse.fwhm_m)) / snr)
+        bandwidth = 0.5 / tau if self.bandwidth_hz is None else self.bandwidth_hz
+        if self.method == "centroid":
+            level = self.threshold if threshold is None else threshold
+            base = np.minimum(BASE_OF_ECHO, BASE_OF_THRESHOLD * level / np.maximum(floats(amplitude), 1e-9))
+            return centroid_sigma(self.pulse, base, snr, bandwidth)
+        # the maximum behind the filter that fits the pulse: the Cramer-Rao bound
+        bound = crlb_sin2 if self.pulse.shape == "sin2" else crlb_gauss
+        return bound(tau, snr, bandwidth)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from emulator.physics import brdf
+from emulator.physics import brdf, sheeting
 from emulator.physics.arrays import Bools, Floats, Ints, floats, indexes
 from emulator.physics.constants import WATER_INDEX_905
 
@@ -65,6 +65,8 @@ class Material:
     "Glass: what one pass inside the pane leaves."
     retro_cd_lx_m2: float = 0.0
     "Coefficient R_A of retroreflective sheeting."
+    retro_class: str = ""
+    "Class of `sheeting.yaml` by which it falls with the angles of entrance and observation; empty: it does not."
     wet: bool = False
     "Covered with a film of water: darker diffuse part."
     evidence: str = "user"
@@ -148,6 +150,15 @@ def material_from_mapping(name: str, entry: Mapping[str, Any]) -> Material:
         fields["specular"] = None if value == "fresnel" else _number(f"{where}.specular", value, 0, 1, _SHARE)
     elif base is None and model == "mirror" and "index" not in entry:
         raise MaterialError(f"{where}.specular", "missing", "a share from 0 to 1, or fresnel with an index")
+    if "retro_class" in entry:
+        known = sheeting.classes()
+        if entry["retro_class"] not in known:
+            raise MaterialError(f"{where}.retro_class", repr(entry["retro_class"]), f"one of {', '.join(known)}")
+        fields["retro_class"] = str(entry["retro_class"])
+        if "retro_cd_lx_m2" not in entry:
+            fields["retro_cd_lx_m2"] = known[fields["retro_class"]].reference_cd_lx_m2
+        if model != "retro":
+            raise MaterialError(f"{where}.retro_class", repr(entry["retro_class"]), "none, or model retro")
     if "wet" in entry:
         if not isinstance(entry["wet"], bool):
             raise MaterialError(f"{where}.wet", repr(entry["wet"]), "true or false")
@@ -196,7 +207,7 @@ _NUMBERS: Mapping[str, tuple[float, float, str]] = MappingProxyType(
         "retro_cd_lx_m2": (0.0, 2000.0, "a number from 0 to 2000, in cd/lx/m2"),
     }
 )
-_KEYS = ("rho", "k_over_s", "model", "like", "range", "specular", "wet", "source", "evidence", *_NUMBERS)
+_KEYS = ("rho", "k_over_s", "model", "like", "range", "specular", "wet", "retro_class", "source", "evidence", *_NUMBERS)
 
 
 def _number(where: str, value: object, low: float, high: float, allowed: str) -> float:
@@ -244,21 +255,26 @@ class SurfaceTable:
     wavelength_nm: float
     rho: Floats
     "(materials,) diffuse reflectance at the wavelength."
+    baseline_m: float = 0.0
+    "Distance between emitter and receiver, over the range the angle of observation."
 
     @classmethod
-    def of(cls, materials: Sequence[Material], wavelength_nm: float, wet: bool = False) -> SurfaceTable:
+    def of(
+        cls, materials: Sequence[Material], wavelength_nm: float, wet: bool = False, baseline_m: float = 0.0
+    ) -> SurfaceTable:
         """Table of these materials; `wet` wets every surface that is not glass or water."""
         kept = tuple(replace(m, wet=True) if wet and m.model not in ("glass", "mirror") else m for m in materials)
         rho = np.array([m.reflectance(wavelength_nm) for m in kept], dtype=np.float64)
-        return cls(kept, wavelength_nm, rho)
+        return cls(kept, wavelength_nm, rho, baseline_m)
 
-    def back(self, index: Ints, cosine: Floats) -> Floats:
+    def back(self, index: Ints, cosine: Floats, range_m: Floats | None = None) -> Floats:
         """pi f cos of every hit: reflectance equivalent to a Lambert plate seen face-on.
 
         Parameters
         ----------
         index : (m,) material of each hit, in the order of `materials`
         cosine : (m,) cosine of incidence, 0..1; its sign is ignored
+        range_m : (m,) where the angle of observation follows from it; None: it is 0
 
         Mirrors and glass give their diffuse part only; what they send on is `mirror_share` and `transmission`.
         """
@@ -270,7 +286,13 @@ class SurfaceTable:
             if rough.any():
                 result += rough.take(index) * (1.0 - c * c)
             if retro.any():
-                result += retro.take(index)
+                back = retro.take(index)
+                for number, one in self._sheeting:
+                    at = indexes(index == number)
+                    if len(at):
+                        angle = 0.0 if range_m is None else np.arctan2(self.baseline_m, range_m[at])
+                        back[at] *= one.share(angle, c[at])
+                result += back
             for model, has in lobed:
                 at = indexes(has.take(index))
                 if not len(at):
@@ -288,20 +310,25 @@ class SurfaceTable:
     def factors(self) -> Floats:
         """(6, materials) of `back`: factors of cos and of sin^2, sheeting; a GGX lobe's share, F0 and roughness.
 
-        Of Phong's model nothing.
+        Of those that stand `apart` nothing.
         """
         ggx = np.zeros(len(self.materials))
         for model, has in self._shapes[3]:
             if model == "ggx":
                 ggx = has * self._column("lobe_share")
         flat, rough, retro, _ = self._shapes
-        flat = np.where(self.phong, 0.0, flat)
+        flat, retro = np.where(self.apart, 0.0, flat), np.where(self.apart, 0.0, retro)
         return np.array([flat, rough, retro, ggx, self._column("f0"), self._column("roughness")], np.float64)
 
     @cached_property
-    def phong(self) -> Bools:
-        """(materials,) those of Phong's model."""
-        return np.array([m.model == "phong" for m in self.materials], bool)
+    def apart(self) -> Bools:
+        """(materials,) those that `factors` have no place for: Phong's model, and sheeting of a class."""
+        return np.array([m.model == "phong" or m.retro_class != "" for m in self.materials], bool)
+
+    @cached_property
+    def _sheeting(self) -> list[tuple[int, sheeting.Sheeting]]:
+        """Materials whose retroreflection falls with the angles."""
+        return [(k, sheeting.classes()[m.retro_class]) for k, m in enumerate(self.materials) if m.retro_class]
 
     @cached_property
     def _shapes(self) -> tuple[Floats, Floats, Floats, list[tuple[str, Bools]]]:

@@ -205,6 +205,33 @@ def crlb_sin2(fwhm_s: Values, snr: Values, bandwidth_hz: Values) -> Floats:
     return C / np.pi / floats(snr) * np.sqrt(floats(fwhm_s) / (2.0 * floats(bandwidth_hz)))
 
 
+def crlb_gauss(fwhm_s: Values, snr: Values, bandwidth_hz: Values) -> Floats:
+    """Cramer-Rao bound of range, Gaussian pulse in white noise: (c/2)(1/SNR) sqrt(sigma/(sqrt(pi) B)). [m]
+
+    `bandwidth_hz`: in which the noise of the SNR is, one-sided.
+    """
+    sigma = floats(fwhm_s) / FWHM_PER_SIGMA
+    return floats(0.5 * C / floats(snr) * np.sqrt(sigma / (np.sqrt(np.pi) * floats(bandwidth_hz))))
+
+
+def centroid_sigma(pulse: Pulse, base: Values, snr: Values, bandwidth_hz: float) -> Floats:
+    """Range noise of a centroid of samples v weighted with v^5/(v^2 + b^2)^2, white noise, to first order. [m]
+
+    ``sqrt(N0/2 int (w'(s) x)^2 dx)/int w(s) dx`` with N0 = 1/(SNR^2 B), s the pulse and b the base over the peak. Not
+    below the Cramer-Rao bound; for b = 0 and sin^2: (c/2) sqrt(FWHM/(3 B))/SNR.
+    """
+    x = np.linspace(-pulse.half_support_m, pulse.half_support_m, 1025)
+    s = pulse.profile(x)
+    share = np.clip(floats(base), 1e-4, 1.0)
+    node = np.geomspace(1e-4, 1.0, 65)
+    square, b2 = s * s, (node * node)[:, None]
+    weight = s * square * square / (square + b2) ** 2
+    slope = square * square * (square + 5.0 * b2) / (square + b2) ** 3
+    step_s = 2.0 * (x[1] - x[0]) / C
+    spread = np.sqrt(np.sum((slope * x) ** 2, axis=1) * step_s) / (np.sum(weight, axis=1) * step_s)
+    return floats(np.interp(np.log(share), np.log(node), spread) * np.sqrt(0.5 / bandwidth_hz) / floats(snr))
+
+
 def edge_range_sigma_sin2(fwhm_s: Values, tnr: Values, snr: Values) -> Floats:
     """Range noise of a leading edge on a sin^2 pulse: (c FWHM/(2 pi))/sqrt(TNR (SNR - TNR)), SNR > TNR. [m]"""
     t = floats(tnr)

@@ -80,6 +80,10 @@ class RandomStreams:
             left = left[chance[left] > special.pdtr(step, mean[left])]
         return count
 
+    def word(self, term: str) -> int:
+        """A number of 64 bits for whoever makes random numbers of its own keys."""
+        return int(_key(self.seed, self.sensor, term)[0])
+
     def generator(self, term: str, sweep: int) -> np.random.Generator:
         """A stream of its own, for laws that need more than one word a number; depends on the order of its use."""
         return np.random.Generator(_set(np.random.Philox(0), _key(self.seed, self.sensor, term), sweep))

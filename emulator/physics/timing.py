@@ -15,7 +15,7 @@ from emulator.compiled.pair import OTHERWISE, by_loops
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, floats, indexes, ramp
 from emulator.physics.candidates import FAINT, Candidates
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
-from emulator.physics.detector import Detector
+from emulator.physics.detector import BASE_OF_ECHO, BASE_OF_THRESHOLD, Detector
 from emulator.physics.subechoes import NO_SOURCE
 from emulator.physics.waveform import Waveform
 
@@ -23,8 +23,6 @@ _EXACT_M = 1e-7
 "Crossings between the samples are found to this."
 _MOST_STEPS = 20
 "Of Newton's."
-BASE_OF_THRESHOLD, BASE_OF_ECHO = 0.5, 0.1
-"What is below the lesser of these shares of the threshold and of the echo's height weighs little in a centroid."
 
 
 def _edges_by_loops(loops: ModuleType, wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -> Floats:

@@ -102,6 +102,8 @@ class _Ways:
 
 def wanted(model: SensorModel, scene: Scene, surfaces: Surfaces) -> bool:
     """Beams of this sensor have a tail, and there is a surface that may show it."""
+    if model.sidelobe_share > 0.0:  # their rays are there instead
+        return False
     if model.beam.is_ray or model.beam.profile != "gauss" or model.rule in ("axis", "adaptive"):
         return False
     bright = bright_of(surfaces.table)
@@ -265,7 +267,7 @@ class BrightEdges:
         depth = air.depth(ways.origin_m, ways.ray, ways.range_m, frames.t_s[beam])
         normal = np.einsum("kij,ki->kj", faced.across[pair], faced.normal[pair])
         cosine = np.minimum(np.abs(np.einsum("ki,ki->k", normal, ways.ray)), 1.0)
-        back = surfaces.table.back(faced.material[pair], cosine)
+        back = surfaces.table.back(faced.material[pair], cosine, ways.range_m)
         amplitude = ways.weight * factor[beam] * collected(ways.range_m, depth, self._model) * back
         return SubEchoes.of(beam, ways.range_m, amplitude, None, faced.actor[pair])
 

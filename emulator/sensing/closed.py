@@ -80,11 +80,12 @@ def holds(
     at = indexes(good)
     kind, c = hits.material[at].astype(np.int64), seen.cosine[at]
     step = 2.0 * beam.half_angle_x_rad * np.sqrt(np.maximum(1.0 - c * c, 0.0))
-    middle = scene.table.back(kind, c)
+    distance = hits.range_m[at]
+    middle = scene.table.back(kind, c, distance)
     some = np.where(middle > 0.0, middle, 1.0)
     more, less = np.minimum(c + step, 1.0), np.maximum(c - step, 0.0)
-    up = scene.table.back(kind, more) / some - more / c
-    down = scene.table.back(kind, less) / some - less / c
+    up = scene.table.back(kind, more, distance) / some - more / c
+    down = scene.table.back(kind, less, distance) / some - less / c
     lean, bow = 0.5 * np.abs(up - down), np.abs(up + down)
     shift = 0.5 * lean * seen.spread[at] * hits.range_m[at]
     good[at] = (bow < SECOND_ORDER) & (shift < LEAN_LSB * model.lsb_m)
@@ -109,7 +110,7 @@ def echoes(
     mean = range_m * (1.0 + variance - 2.0 * half * half) / energy
     depth = air.depth(rays.origin_m[beams], rays.direction[beams], mean, rays.t_s[beams])
     # the energy's second order is that of 1/r^2 about the axis' range
-    amplitude = collected(range_m, depth, model) * scene.table.back(kind, c) * energy
+    amplitude = collected(range_m, depth, model) * scene.table.back(kind, c, mean) * energy
     if gain != 1.0 or model.windscreen is not None:
         amplitude = amplitude * windows(rays, model, gain)[beams]
     spread_m, pulse = relative * range_m, model.pulse

@@ -302,6 +302,11 @@ def _waveform(measure: Measure, plan: ScanPlan) -> Finding:
     return Finding(out, longest, bound, saves, unit=unit)
 
 
+def _electronics(measure: Measure, plan: ScanPlan) -> Finding:
+    there = measure.model.response is not None
+    return Finding(not there, None, None, "sampling all windows, noise in them", idle=not there)
+
+
 def _bounces(measure: Measure, plan: ScanPlan) -> Finding:
     model, view = measure.model, measure.view(plan)
     bound, unit = BEHIND * model.threshold, "rms noise"
@@ -400,6 +405,9 @@ RULES: tuple[Rule, ...] = (
          "no precipitation, or fewer than 1e-3 particles per sweep exceed the threshold", _particles),
     Rule("waveform sampling", "waveform", "once per cluster of reflections",
          "a cluster shorter than half a pulse is a closed-form sum of cosines; longer clusters are sampled", _waveform),
+    Rule("receiver electronics", None, "once per sensor",
+         "shaped pulses, correlated noise, clipping, tail and undershoot exist with physics.response only; they are "
+         "computed by arrays in every window with light near the threshold, with fast as well", _electronics),
     Rule("secondary rays", "second_rays", "once per scene, then per ray",
          "no surface reflects specularly or transmits 1 %, or the best surface behind returns less than 5 % of the "
          "threshold", _bounces),

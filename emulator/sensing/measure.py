@@ -317,7 +317,7 @@ def build(scenario: Scenario, scene: Scene, caster: FacedCaster, sensor_id: str)
 def surface_table(scene: Scene, extra: Mapping[str, Material], model: SensorModel, wet: bool = False) -> Surfaces:
     """Reflection of the scene's materials at the sensor's wavelength, and which bodies are glass all through."""
     find = partial(material, extra=extra)
-    table = SurfaceTable.of([find(name) for name in scene.materials], 1e9 * model.wavelength_m, wet)
+    table = SurfaceTable.of([find(name) for name in scene.materials], 1e9 * model.wavelength_m, wet, model.baseline_m)
     glass = np.array([one.model == "glass" for one in table.materials], bool)
     solid = [bool(body.geometry.closed.all() and glass[body.face_material].all()) for body in scene.bodies]
     return Surfaces.of(table, np.array(solid, bool) if any(solid) else None)

@@ -16,7 +16,9 @@ from emulator.physics.arrays import Floats
 from emulator.physics.beams import BeamShape
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.pulse import Pulse
+from emulator.physics.response import Response
 from emulator.sensors.physics_options import (
+    ELECTRONICS,
     BundleRule,
     DetectionMethod,
     EchoChoice,
@@ -34,6 +36,8 @@ Value = TypeVar("Value")
 RECEIVER_TEMPERATURE_K = 293.15
 FINEST_BIN_SHARE = 16
 "Bins of a sampled pulse's FWHM at the least: a parabola then finds its peak to 1e-4 of it."
+COAXIAL = 2.0 / 3.0
+"Of the lens's radius: mean distance of its points from an emitter in its middle."
 MOST_BINS = 256
 "Bins of it by default at the most: a parabola finds the peak to 1e-8 of it, 15 um of a pulse of 10 us."
 FINEST_CHOSEN = 65536
@@ -89,6 +93,13 @@ class SensorModel:
     seed_mode: bool
     wavelength_m: float
     beam: BeamShape
+    sidelobe_share: float
+    "Of the emitted light; 0: none."
+    sidelobe_rad: float
+    "Full angle."
+    bloom_share: float
+    "Of a saturating echo, on the detector of a neighbour; 0: none."
+    bloom_rad: float
     rule: BundleRule
     sub_beams: int
     depth: int
@@ -97,6 +108,8 @@ class SensorModel:
     "Amplitude of an ideal white plate at 1 m."
     peak_w: float
     aperture_radius_m: float
+    baseline_m: float
+    "Between emitter and receiver."
     efficiency: float
     receiver: Receiver
     signal_shot: float
@@ -126,6 +139,8 @@ class SensorModel:
     bounces: int
     windscreen: WindscreenOptions | None
     photons: PhotonOptions | None
+    response: Response | None
+    "The receiver's electronics; None: an ideal receiver."
     leave_out: LeaveOut
     "Which rules may leave out what cannot be seen."
     plain_radii: float
@@ -208,20 +223,31 @@ def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> Sensor
     near_gate_m = _or(options.near_gate_m, receiver.near_gate_m, 0.0)
     if near_gate_m >= gate_m:
         raise ValueError(f"near_gate_m {near_gate_m:g} not before gate_m {gate_m:g}; want it smaller")
-    threshold = 1.0 if seed else _threshold(options, detection, detector, gate_m)
+    response = None if seed else _response(receiver, options, detector.bandwidth_hz)
+    bin_s = _bin_s(options.bin_ns, pulse) if response is None else _fine_bin_s(options.bin_ns, pulse, response)
+    threshold = 1.0 if seed else _threshold(options, detection, detector, gate_m, response, bin_s)
     floor = receiver.floor_reflectance.value if receiver.floor_reflectance is not None else 0.0
     if options.floor_reflectance is not None:
         floor = 0.0 if options.floor_reflectance == "off" else options.floor_reflectance
     full_scale = receiver.full_scale_snr.value if receiver.full_scale_snr is not None else math.inf
     if options.full_scale_snr is not None:
         full_scale = math.inf if options.full_scale_snr == "off" else options.full_scale_snr
-    bin_s = _bin_s(options.bin_ns, pulse)
+    sidelobe = _or(options.sidelobe_share, optics.sidelobe_share, 0.0)
+    bloom = _or(options.bloom_share, receiver.bloom_share, 0.0)
+    if sidelobe > 0.0 and (_or(options.rule, bundle.rule) == "adaptive" or profile != "gauss"):
+        raise ValueError("sidelobe_share with rule adaptive or a top-hat; want another rule, profile gauss, or 0")
+    if bloom > 0.0 and not math.isfinite(full_scale):
+        raise ValueError("bloom_share without full_scale_snr; want both")
     if options.weather_echoes and not seed and options.photons is None:
         _require_short(gate_m, 0.5 * SPEED_OF_LIGHT_M_S * bin_s)
     return SensorModel(
         seed_mode=seed,
         wavelength_m=1e-9 * _or(options.wavelength_nm, optics.wavelength_nm),
         beam=_beam(optics, options, profile),
+        sidelobe_share=sidelobe,
+        sidelobe_rad=1e-3 * _wide("sidelobe", sidelobe, options.sidelobe_mrad, optics.sidelobe_mrad),
+        bloom_share=bloom,
+        bloom_rad=1e-3 * _wide("bloom", bloom, options.bloom_mrad, receiver.bloom_mrad),
         rule=_or(options.rule, bundle.rule),
         sub_beams=_or(options.sub_beams, bundle.sub_beams),
         depth=options.depth,
@@ -229,6 +255,7 @@ def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> Sensor
         k_m2=k_m2,
         peak_w=peak_w,
         aperture_radius_m=aperture_m,
+        baseline_m=1e-3 * _or(options.baseline_mm, receiver.baseline_mm, 1e3 * COAXIAL * aperture_m),
         efficiency=efficiency,
         receiver=detector,
         signal_shot=float(
@@ -259,9 +286,17 @@ def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> Sensor
         bounces=options.bounces,
         windscreen=options.windscreen,
         photons=options.photons,
+        response=response,
         leave_out=LeaveOut.nothing() if options.full else options.leave_out,
         plain_radii=options.plain_radii,
     )
+
+
+def _wide(name: str, share: float, chosen: float | None, fact: Fact[float] | None) -> float:
+    """An angle that must be known where there is a share."""
+    if share > 0.0 and chosen is None and fact is None:
+        raise ValueError(f"{name}_share without {name}_mrad; want both")
+    return _or(chosen, fact, 1.0)
 
 
 def _need(part: Value | None) -> Value:
@@ -289,6 +324,35 @@ def _bin_s(chosen_ns: float | None, pulse: Pulse) -> float:
     if 1e-9 * chosen_ns > 1.001 * pulse.fwhm_s:
         raise ValueError(f"bin_ns: {chosen_ns}; want at most the pulse's FWHM, {1e9 * pulse.fwhm_s:.4g}")
     return 1e-9 * chosen_ns
+
+
+def _fine_bin_s(chosen_ns: float | None, pulse: Pulse, response: Response) -> float:
+    """The step at which a receiver with electronics samples its signal and its noise."""
+    if chosen_ns is not None:
+        return _bin_s(chosen_ns, pulse)
+    shortest = response.pole_s if response.shape == "single_pole" else 2.0 * response.sigma_s
+    return max(min(_bin_s(None, pulse), 0.5 * shortest), pulse.fwhm_s / MOST_BINS)
+
+
+def _response(spec: ReceiverSpec, options: PhysicsOptions, bandwidth_hz: float) -> Response | None:
+    """The electronics of spec and options as one."""
+    if options.response == "off" or options.photons is not None:
+        return None
+    if options.response is None and spec.response is None:
+        given = [key for key in ELECTRONICS if getattr(options, key) is not None]
+        if given:
+            raise ValueError(f"{given[0]} without response; want response: single_pole or gauss")
+        return None
+    share = _or(options.tail_share, spec.tail_share, 0.0)
+    return Response(
+        _or(options.response, spec.response),
+        1e6 * _or(options.corner_mhz, spec.corner_mhz, 1e-6 * bandwidth_hz),
+        _or(options.clips, spec.clips, "after"),
+        _or(options.rated_at, spec.rated_at, "output"),
+        1e-9 * _or(options.coupling_ns, spec.coupling_ns, math.inf),
+        share,
+        1e-9 * _or(options.tail_ns, spec.tail_ns, 10.0),
+    )
 
 
 def _require_short(gate_m: float, bin_m: float) -> None:
@@ -367,7 +431,19 @@ def _filter_share(optics: OpticsSpec, receiver: ReceiverSpec, options: PhysicsOp
     return float(background.filter_line_share(line_m, band_m, offset_m) / centred)
 
 
-def _threshold(options: PhysicsOptions, detection: DetectionSpec, receiver: Receiver, gate_m: float) -> float:
+def _threshold(
+    options: PhysicsOptions, detection: DetectionSpec, receiver: Receiver, gate_m: float, response: Response | None,
+    bin_s: float,
+) -> float:  # fmt: skip
+    wanted = options.false_alarms_per_gate
+    if wanted is not None and response is not None:
+        hertz = wanted * SPEED_OF_LIGHT_M_S / (2.0 * gate_m)
+        low, high = 0.0, 40.0
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            often = float(response.crossings_hz(middle, bin_s)) > hertz
+            low, high = (middle, high) if often else (low, middle)
+        return max(high, 1e-3)
     if options.false_alarms_per_gate is not None:
         return float(noise.tnr_for_false_alarms(options.false_alarms_per_gate, receiver.bandwidth_hz, gate_m))
     return _or(options.threshold_to_noise, detection.threshold_to_noise)

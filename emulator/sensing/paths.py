@@ -43,7 +43,7 @@ class Surfaces:
     onward: NDArray[np.bool_]
     "(materials,) those that mirror or transmit."
     special: NDArray[np.bool_]
-    "(materials,) those, and those of Phong's model."
+    "(materials,) those, and those that the loops leave to arrays."
     solid: NDArray[np.bool_] | None = None
     "(bodies,) closed and of glass alone: light leaves them again where it meets their inside; None: there is none."
 
@@ -51,7 +51,7 @@ class Surfaces:
     def of(cls, table: SurfaceTable, solid: NDArray[np.bool_] | None = None) -> Surfaces:
         """Those of a table."""
         onward = np.array([m.model in ("glass", "mirror") for m in table.materials], bool)
-        return cls(table, table.sends_on, float(table.largest.max(initial=0.0)), onward, onward | table.phong, solid)
+        return cls(table, table.sends_on, float(table.largest.max(initial=0.0)), onward, onward | table.apart, solid)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +225,7 @@ def _meet(
             way = way[0][chosen], way[1][chosen], way[2][chosen]
     length = before_m + range_m
     depth = before + air.depth(way[0], way[1], range_m, way[2])
-    reflectance = scene.table.back(material.astype(np.int64), cosine)
+    reflectance = scene.table.back(material.astype(np.int64), cosine, length)
     lit = _Lit(beam, length, cosine, reflectance, material)
     onward = _sent_on(lit, depth.__getitem__, front, hits, chosen, rays, scene, model)
     return (beam, length, weight * collected(length, depth, model) * reflectance), onward
@@ -259,7 +259,7 @@ def _first_met_by_loops(
         index = loops.special(hits.range_m, hits.material, scene.special, reach_m)
     if len(index):
         kind, length, cosine = hits.material[index], hits.range_m[index], hits.cosine[index]
-        more = np.where(scene.table.phong.take(kind), scene.table.back(kind.astype(np.int64), cosine), 0.0)
+        more = np.where(scene.table.apart.take(kind), scene.table.back(kind.astype(np.int64), cosine, length), 0.0)
         lit = _Lit(front.beam[index], length, cosine, more, kind)
         onward = _sent_on(lit, lambda at: alpha * length[at], front, hits, index, rays, scene, model)
     amplitude, keys, seen, nearest = loops.strengths(

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.physics import photons
+from emulator.physics import dead_time, photons
 from emulator.physics.arrays import Floats, Ints, ramp
 from emulator.physics.constants import PLANCK_J_S, SPEED_OF_LIGHT_M_S
 from emulator.physics.random_streams import RandomStreams
@@ -53,6 +53,17 @@ class PhotonReceiver:
                 f" {model.gate_m:g}; want at most {MOST_BINS}: bin_ns from {least_ns:.4g}, or gate_m to"
                 f" {MOST_BINS * self.bin_m:.4g}"
             )
+        self._dead: dead_time.DeadTime | None = None
+        if options.dead_time_ns is not None:
+            if options.dead_time_ns < 0.999 * options.bin_ns:
+                raise ValueError(
+                    f"photons.dead_time_ns {options.dead_time_ns:g} shorter than photons.bin_ns {options.bin_ns:g};"
+                    " want it as long, or finer bins"
+                )
+            self._dead = dead_time.DeadTime(
+                options.dead_time_ns / options.bin_ns, options.dead_time_law == "paralysable", options.cells,
+                options.afterpulse_probability, options.trap_time_ns / options.bin_ns,
+            )  # fmt: skip
         self._bins = math.ceil(model.gate_m / self.bin_m) + 1
         reach = math.ceil(model.pulse.half_support_m / self.bin_m)
         shape = model.pulse.profile(self.bin_m * np.arange(-reach, reach + 1, dtype=np.float64))
@@ -127,6 +138,10 @@ class PhotonReceiver:
         signal, hertz = self.mean_counts(found, begin, end, soft, daylight)
         if options.pair_rate_hz is None:
             background = np.broadcast_to((hertz * bin_s)[:, None], signal.shape)
+            if self._dead is not None:
+                alone = self._dead.histogram(background, options.shots, None)
+                chance = generator if self._model.noise else None
+                return self._dead.histogram(signal + background, options.shots, chance), alone
             alone = photons.first_photon_distribution(background) * options.shots
             if not self._model.noise:
                 return photons.first_photon_distribution(signal + background) * options.shots, alone
@@ -135,11 +150,31 @@ class PhotonReceiver:
         seconds, pairs = 1e-3 * options.integration_ms, options.pair_rate_hz
         true = pairs * options.idler_efficiency * seconds * signal
         singles = pairs * signal.sum(axis=1) + hertz
+        if self._dead is not None:
+            counted = self._counted(singles)
+            true = true * (self._live(singles))[:, None]
+            singles = counted
         accidental = singles * pairs * options.idler_efficiency * bin_s * seconds
         alone = np.broadcast_to(accidental[:, None], signal.shape)
         if not self._model.noise:
             return true + alone, alone
         return generator.poisson(true + alone).astype(np.float64), alone
+
+    def _live(self, rate_hz: Floats) -> Floats:
+        """Share of the time in which steady light finds a cell ready."""
+        options = self._options
+        dead_s = 1e-9 * (options.dead_time_ns or 0.0)
+        each = rate_hz / options.cells
+        if options.dead_time_law == "paralysable":
+            return dead_time.rate_paralysable(1.0, each * dead_s)
+        return 1.0 / (1.0 + each * dead_s)
+
+    def _counted(self, rate_hz: Floats) -> Floats:
+        """Counts a second of steady light, afterpulses included."""
+        options = self._options
+        dead_s, trap_s = 1e-9 * (options.dead_time_ns or 0.0), 1e-9 * options.trap_time_ns
+        more = 1.0 - dead_time.afterpulse_after_dead_time(options.afterpulse_probability, dead_s, trap_s)
+        return rate_hz / more * self._live(rate_hz / more)
 
     def _ranges(self, counts: Floats, alone: Floats) -> tuple[Floats, Floats]:
         """Range and signal to noise of the highest correlation with the pulse in every beam.

@@ -74,6 +74,8 @@ class Pruned:
 
 def wanted(model: SensorModel, scene: Scene) -> bool:
     """The rule may save something for this sensor in this scene."""
+    if model.sidelobe_share > 0.0:  # they see more than one plane
+        return False
     if model.spare_bundles == "never" or model.rule in ("adaptive", "axis") or model.beam.is_ray:
         return False
     if any(body.frames is not None for body in scene.bodies):

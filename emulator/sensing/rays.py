@@ -27,6 +27,10 @@ TILE = 1024
 "Rays that are put in order together: a part of the blocks that the caster takes."
 
 
+SIDELOBE_RAYS = 256
+"Rays of a beam's sidelobes: a plate a tenth of their width across then has some twenty in the middle."
+
+
 @dataclass(frozen=True, eq=False)
 class Bundles:
     """Sub-beams of all beams of a plan, in the sensor's frame: m of them to each of n beams."""
@@ -120,6 +124,9 @@ class BundleCache:
         self._model = model
         rule = "axis" if model.beam.is_ray else "spiral" if model.rule == "adaptive" else model.rule
         self._nodes = beams.together(beams.bundle(rule, model.sub_beams, model.beam.profile))
+        self._core = self._nodes
+        if model.sidelobe_share > 0.0 and not model.beam.is_ray:
+            self._nodes = _with_sidelobes(self._nodes, model)
         self._kept: OrderedDict[tuple[bytes, bytes], Bundles] = OrderedDict()
         self._turned: tuple[Turned, ...] = ()
         self.again = False
@@ -127,8 +134,8 @@ class BundleCache:
 
     @property
     def radius(self) -> float:
-        """Where the outermost sub-beam goes, in beam radii."""
-        return float(np.sqrt((self._nodes.u**2 + self._nodes.v**2).max()))
+        """Where the outermost sub-beam goes, in beam radii, sidelobes aside."""
+        return float(np.sqrt((self._core.u**2 + self._core.v**2).max()))
 
     def turned(self, bundles: Bundles, rotation: Floats) -> tuple[Turned, bool]:
         """Bundles turned by rotations (n, 3, 3), and whether they are those of an earlier sweep."""
@@ -166,6 +173,18 @@ class BundleCache:
         direction, start_m = beams.spread(nodes, self._model.beam, azimuth_rad, elevation_rad)
         has_width = self._model.beam.exit_radius_m > 0.0
         return Bundles(axis, direction, start_m if has_width else None, nodes.share, *flat)
+
+
+def _with_sidelobes(core: beams.Bundle, model: SensorModel) -> beams.Bundle:
+    """A bundle less a share of its light, which fills a wider Gaussian in equal shares."""
+    wide, share = beams.bundle("spiral", SIDELOBE_RAYS, "gauss"), model.sidelobe_share
+    half = 0.5 * model.sidelobe_rad
+    x, y = (half / max(angle, 1e-9) for angle in (model.beam.half_angle_x_rad, model.beam.half_angle_y_rad))
+    return beams.Bundle(
+        np.concatenate([core.u, x * wide.u]),
+        np.concatenate([core.v, y * wide.v]),
+        np.concatenate([(1.0 - share) * core.share, share * wide.share]),
+    )
 
 
 def part_of(bundles: Bundles, at: Ints) -> Bundles:

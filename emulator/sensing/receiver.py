@@ -18,8 +18,10 @@ from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.detection import Signals, detect, signals_of
 from emulator.physics.detector import Detector, Echoes
 from emulator.physics.random_streams import RandomStreams
+from emulator.physics.shaped import Shaped
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import Kept, SubEchoes
+from emulator.sensing.blooming import bloomed
 from emulator.sensing.daylight import NIGHT, Daylight
 from emulator.sensing.faint import looked_at
 from emulator.sensing.model import SensorModel
@@ -75,12 +77,19 @@ class Receiver:
             sampled=not model.leave_out.waveform,
             follows_noise=True,
             floor_m2=model.floor_m2,
+            bandwidth_hz=model.receiver.bandwidth_hz,
             near_gate_m=model.near_gate_m,
             far_gate_m=model.gate_m,
         )
         self._known: _Known | None = None
         gate_m = max(model.gate_m - model.near_gate_m, 0.0)
         self._false_alarms = float(noise.false_alarm_rice(model.threshold, model.receiver.bandwidth_hz, gate_m))
+        self._shaped: Shaped | None = None
+        if model.response is not None:
+            bin_s = 2.0 * model.bin_m / SPEED_OF_LIGHT_M_S
+            gate_s = 2.0 * gate_m / SPEED_OF_LIGHT_M_S
+            self._false_alarms = float(model.response.crossings_hz(model.threshold, bin_s)) * gate_s
+            self._shaped = Shaped(self._detector, model.response, draws.word("waveform noise"))
 
     @property
     def bin_m(self) -> float:
@@ -106,16 +115,29 @@ class Receiver:
     ) -> Scan:
         """The scan of a sweep; `kept`: sub-echoes of beams of which none are in `found`."""
         model, n = self._model, len(plan)
+        if model.bloom_share > 0.0:
+            found, kept = bloomed(found if kept is None else kept.whole(found), plan, model), None
         detector = self._detector
         if plan.max_echoes < detector.max_echoes:
             detector = _with_echoes(detector, plan.max_echoes)
+        if self._shaped is not None:
+            echoes = self._shaped.detect(
+                looked_at(found if kept is None else kept.whole(found), soft, model), n, detector,
+                sweep=plan.sweep, noisy=model.noise, noise=daylight.noise, soft=soft, dazzled=daylight.dazzled,
+                noise_echoes=self._noise_echoes(plan, daylight.noise) if model.false_alarms else None,
+            )  # fmt: skip
+            return self._scan(plan, echoes, daylight)
         signals = self._signals(found, kept, n, soft, daylight.noise)
         normals = self._draws.normals("receiver", plan.sweep, n, NUMBERS_A_BEAM) if model.noise else None
+        timing = None
+        if model.noise and model.method != "leading_edge":
+            timing = self._draws.normals("timing", plan.sweep, n, NUMBERS_A_BEAM)
         echoes = detect(
             found,
             n,
             detector,
             normals=normals,
+            timing=timing,
             soft=soft,
             dazzled=daylight.dazzled,
             noise_echoes=self._noise_echoes(plan, daylight.noise) if model.false_alarms else None,

@@ -17,12 +17,19 @@ PulseShape = Literal["sin2", "gauss"]
 DetectionMethod = Literal["leading_edge", "constant_fraction", "peak", "centroid"]
 Sparingly = Literal["auto", "always", "never"]
 EchoChoice = Literal["first", "strongest", "last", "all"]
+ResponseShape = Literal["single_pole", "gauss"]
+ClipPlace = Literal["before", "after"]
+RatedAt = Literal["input", "output"]
+DeadTimeLaw = Literal["non_paralysable", "paralysable"]
 
 Amplitude = Annotated[float, Field(ge=1e-3, le=1e12)]
 "In rms noise. Beyond these ends no receiver is, and their squares keep their digits."
 Gate = Annotated[float, Field(ge=1e-3, le=1e6)]
 "Farther, noise alone makes so many echoes a beam that they are no scan any more."
 Divergence = Annotated[float, Field(ge=0.0, le=20.0)]
+CornerMHz = Annotated[float, Field(ge=1e-3, le=1e6)]
+TimeConstantNs = Annotated[float, Field(ge=0.01, le=1e6)]
+TailShare = Annotated[float, Field(ge=0.0, le=0.5)]
 
 
 class WindscreenOptions(Table):
@@ -48,6 +55,25 @@ class PhotonOptions(Table):
     idler_efficiency: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
     integration_ms: Annotated[float, Field(gt=0.0, le=1e5)] = 10.0
     "Pairs: time for which coincidences of a beam are collected."
+    dead_time_ns: Annotated[float, Field(gt=0.0, le=1e6)] | None = None
+    "After a count a cell is blind for so long, then counts again; None: the first photon of a pulse is its only one."
+    dead_time_law: DeadTimeLaw = "non_paralysable"
+    "paralysable: a photon within the dead time, not counted itself, begins it anew (passive quenching)."
+    cells: Annotated[int, Field(ge=1, le=100_000)] = 1
+    "Of a silicon photomultiplier, each with its own dead time; the light falls on all alike. 1: one SPAD."
+    afterpulse_probability: Annotated[float, Field(ge=0.0, le=0.9)] = 0.0
+    "That a count fills a trap, whose carrier makes another count when it is released after the dead time."
+    trap_time_ns: Annotated[float, Field(gt=0.0, le=1e6)] = 50.0
+    "Mean time of its release."
+
+    @model_validator(mode="after")
+    def _dead_time(self) -> PhotonOptions:
+        if self.dead_time_ns is None:
+            named = "dead_time_law", "cells", "afterpulse_probability", "trap_time_ns"
+            given = [key for key in named if getattr(self, key) != type(self).model_fields[key].default]
+            if given:
+                raise ValueError(f"{given[0]} without dead_time_ns; want both")
+        return self
 
 
 class LeaveOut(Table):
@@ -86,6 +112,10 @@ class LeaveOut(Table):
         return cls.model_validate({name: "never" if name == "closed_form" else False for name in cls.model_fields})
 
 
+ELECTRONICS = ("response", "corner_mhz", "clips", "rated_at", "coupling_ns", "tail_share", "tail_ns")
+"Keys of the receiver's electronics."
+
+
 class PhysicsOptions(Table):
     """Choices of a run; None: as the model's spec has it."""
 
@@ -97,9 +127,19 @@ class PhysicsOptions(Table):
     divergence_deg: Divergence | tuple[Divergence, Divergence] | None = None
     "Full angle, or in and across the scan plane."
     roll_deg: float | None = None
+    sidelobe_share: Annotated[float, Field(ge=0.0, le=0.5)] | None = None
+    "Of the emitted light, in a wide Gaussian around the beam; 0: none."
+    sidelobe_mrad: Annotated[float, Field(gt=0.0, le=300.0)] | None = None
+    "Full angle of it, 1/e^2."
+    bloom_share: Annotated[float, Field(ge=0.0, le=0.5)] | None = None
+    "Of an echo that saturates, on a detector right beside its own that listens at the time; 0: none."
+    bloom_mrad: Annotated[float, Field(gt=0.0, le=1000.0)] | None = None
+    "Angle between beams at which it has fallen to 1/e^2."
     exit_diameter_mm: Annotated[float, Field(ge=0.0, le=1e4)] | None = None
     pulse: PulseShape | None = None
     pulse_fwhm_ns: Annotated[float, Field(ge=0.01, le=1e5)] | None = None
+    baseline_mm: Annotated[float, Field(ge=0.0, le=1e4)] | None = None
+    "From emitter to receiver: over the range the angle at which retroreflective sheeting is observed."
     wavelength_nm: Annotated[float, Field(ge=300.0, le=3000.0)] | None = None
     filter_offset_nm: Annotated[float, Field(ge=-3000.0, le=3000.0)] | None = None
     "Laser line off the centre of the receiver's filter, by temperature for instance: 0.3 nm/K."
@@ -121,6 +161,19 @@ class PhysicsOptions(Table):
     "Near by, what is darker than a plate of it is overlooked; a retroreflector is as bright as one of some thousand."
     recovery_ns: NotNegative | None = None
     full_scale_snr: Amplitude | Literal["off"] | None = None
+    response: ResponseShape | Literal["off"] | None = None
+    "Electronics of the receiver: pulses shaped and noise correlated by this filter; off: an ideal receiver."
+    corner_mhz: CornerMHz | None = None
+    "Half-power frequency of `response`; None: bandwidth_mhz."
+    clips: ClipPlace | None = None
+    "Whether the full scale limits the current before the filter or the voltage after it."
+    rated_at: RatedAt | None = None
+    "output: an echo keeps its rated peak behind the filter; input: it is lower by what the filter takes."
+    coupling_ns: TimeConstantNs | None = None
+    "Time constant of an AC coupling, after a bright echo the signal is below zero; None: none."
+    tail_share: TailShare | None = None
+    "Share of an echo's charge that comes late."
+    tail_ns: TimeConstantNs | None = None
     noise: bool = True
     "Draw noise of amplitude and range (mode operational)."
     false_alarms: bool = True
@@ -142,6 +195,11 @@ class PhysicsOptions(Table):
     def _one_threshold(self) -> PhysicsOptions:
         if self.threshold_to_noise is not None and self.false_alarms_per_gate is not None:
             raise ValueError("threshold_to_noise and false_alarms_per_gate; want one of them")
+        if self.response == "off" or self.photons is not None:
+            given = [key for key in ELECTRONICS if getattr(self, key) is not None and getattr(self, key) != "off"]
+            if given:
+                why = "photons" if self.photons is not None else "response off"
+                raise ValueError(f"{', '.join(given)} beside {why}; want one of them")
         if self.gate_m is not None and self.near_gate_m is not None and self.near_gate_m >= self.gate_m:
             raise ValueError(f"near_gate_m {self.near_gate_m} not before gate_m {self.gate_m}; want it smaller")
         return self

@@ -17,7 +17,20 @@ from pydantic import Field, ValidationError, model_validator
 from emulator.config.tables import NotNegative, Positive, Table
 from emulator.config.yaml_source import Loc, Source, fault_lines, read
 from emulator.errors import SpecError
-from emulator.sensors.physics_options import BundleRule, DetectionMethod, EchoChoice, Profile, PulseShape
+from emulator.sensors.physics_options import (
+    ELECTRONICS,
+    BundleRule,
+    ClipPlace,
+    CornerMHz,
+    DetectionMethod,
+    EchoChoice,
+    Profile,
+    PulseShape,
+    RatedAt,
+    ResponseShape,
+    TailShare,
+    TimeConstantNs,
+)
 
 Value = TypeVar("Value")
 
@@ -49,6 +62,10 @@ class OpticsSpec(Table):
     "Full angle in the scan plane: 1/e^2 of the irradiance (gauss), edge (tophat)."
     divergence_y_mrad: Fact[Divergence]
     "Across the scan plane."
+    sidelobe_share: Fact[Annotated[float, Field(ge=0.0, le=0.5)]] | None = None
+    "Of the emitted light, in a wide Gaussian around the beam; None: none."
+    sidelobe_mrad: Fact[Annotated[float, Field(gt=0.0, le=300.0)]] | None = None
+    "Full angle of it, 1/e^2."
     roll_deg: Fact[float] | None = None
     exit_diameter_mm: Fact[NotNegative] | None = None
     "Diameter of the beam at the window, by the same measure as the divergence."
@@ -67,6 +84,8 @@ class ReceiverSpec(Table):
 
     aperture_mm: Fact[Positive]
     "Diameter of the receiving lens."
+    baseline_mm: Fact[NotNegative] | None = None
+    "From emitter to receiver, for the angle at which sheeting is observed; None: two thirds of the lens's radius."
     efficiency: Fact[Share]
     "All receive losses: optics, filter at the laser line."
     system_constant_m2: Fact[Positive] | None = None
@@ -94,6 +113,23 @@ class ReceiverSpec(Table):
     full_scale_snr: Fact[Positive] | None = None
     "Peak over noise at which the signal clips; None: never."
     recovery_ns: Fact[NotNegative] | None = None
+    bloom_share: Fact[Annotated[float, Field(ge=0.0, le=0.5)]] | None = None
+    "Of an echo that saturates, on a detector right beside its own that listens at the time; None: none."
+    bloom_mrad: Fact[Annotated[float, Field(gt=0.0, le=1000.0)]] | None = None
+    "Angle between beams at which it has fallen to 1/e^2."
+    response: Fact[ResponseShape] | None = None
+    "Low-pass of the electronics, which shapes pulses and correlates noise; None: an ideal receiver."
+    corner_mhz: Fact[CornerMHz] | None = None
+    "Its half-power frequency; None: bandwidth_mhz."
+    clips: Fact[ClipPlace] | None = None
+    "Whether the full scale limits the current before the filter or the voltage after it (None: after)."
+    rated_at: Fact[RatedAt] | None = None
+    "Where the system constant holds: behind the filter (None: output) or before it."
+    coupling_ns: Fact[TimeConstantNs] | None = None
+    "Time constant of an AC coupling; None: none."
+    tail_share: Fact[TailShare] | None = None
+    "Share of an echo's charge that comes late, with the time constant `tail_ns`."
+    tail_ns: Fact[TimeConstantNs] | None = None
     overlap_start_m: Fact[Positive]
     "Where beam and field of view first meet."
     overlap_full_m: Fact[Positive]
@@ -197,6 +233,9 @@ class SensorSpec(Table):
         if receiver is not None and pulse is not None:
             if (receiver.system_constant_m2 is None) == (pulse.energy_uj is None):
                 raise ValueError("want either receiver.system_constant_m2 or pulse.energy_uj, the other follows")
+            given = [key for key in ELECTRONICS if getattr(receiver, key) is not None]
+            if given and receiver.response is None:
+                raise ValueError(f"receiver.{given[0]} without receiver.response; want both")
             if receiver.overlap_full_m.value < receiver.overlap_start_m.value:
                 raise ValueError("receiver.overlap_full_m lies before receiver.overlap_start_m")
         return self

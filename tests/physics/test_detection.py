@@ -518,7 +518,7 @@ def test_the_other_methods_scatter_by_their_bound(method: Method) -> None:
     bound = float(pulse.crlb_sin2(16e-9, 50.0, 31.25e6))
     assert float(np.nanstd(found)) == pytest.approx(expected, rel=0.05)
     assert expected >= 0.999 * bound
-    if method != "constant_fraction":
+    if method == "peak":
         assert expected == pytest.approx(bound, rel=1e-9)
 
 
