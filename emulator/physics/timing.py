@@ -16,6 +16,7 @@ from emulator.physics.arrays import Bools, Floats, Ints, clamped, floats, indexe
 from emulator.physics.candidates import FAINT, Candidates
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.detector import Detector
+from emulator.physics.softprofile import STRAIGHT_M
 from emulator.physics.subechoes import NO_SOURCE
 from emulator.physics.waveform import Waveform
 
@@ -34,13 +35,53 @@ def _edges_by_loops(loops: ModuleType, wave: Waveform, found: Candidates, level:
     return floats(loops.edges(*wave.flat, *what, FAINT, _EXACT_M, _MOST_STEPS))
 
 
-@by_loops(_edges_by_loops, "edges")
 def edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -> Floats:
     """First crossing of each echo's level between its begin and its maximum, exact between the samples.
 
     An echo that rises from a valley above its level never crosses it: it keeps the place that a single echo with this
     maximum would have.
     """
+    crossing = _edges(wave, found, level, otherwise)
+    return crossing if wave.medium is None else _bent(wave, found, level, crossing)
+
+
+def _bent(wave: Waveform, found: Candidates, level: Floats, crossing: Floats) -> Floats:
+    """The same crossings where the medium is not as straight between two samples as they were found with."""
+    first, count = wave.start[found.window], wave.count[found.window]
+    if wave.pulse.shape != "sin2" or not len(first):
+        return crossing
+    local = np.floor(crossing / wave.bin_m).astype(np.int64) - wave.first_bin[found.window]
+    on = (local >= 0) & (local < count - 1)
+    # a crossing at a sample is that of the piece before
+    at = first + clamped(local, 1, count - 3)
+    soft = wave.soft
+    bend = np.abs(np.diff(soft[at - 1 + np.arange(4)[:, None]], 2, axis=0)).max(axis=0)
+    rises = np.maximum(wave.value[at + 1] - wave.value[at], 0.0)
+    some = indexes(on & (0.125 * bend * wave.bin_m > STRAIGHT_M * rises))
+    if not len(some):
+        return crossing
+    window, x, wanted = found.window[some], crossing[some], np.sqrt(level[some])
+    steps = np.maximum(local[some], 0)
+    lo = wave.bin_m * (wave.first_bin[window] + steps).astype(np.float64)
+    hi = lo + wave.bin_m
+
+    def over(place: Floats, which: Ints) -> Floats:
+        return np.sqrt(wave.exact_at(place, window[which])) - wanted[which]
+
+    every = np.arange(len(some))
+    lo = np.where((x - lo < _EXACT_M) & (steps > 0), lo - wave.bin_m, lo)
+    top = found.index[some] == first[some] + steps
+    hi = np.where(top & (found.centre_m[some] > lo), np.minimum(hi, found.centre_m[some]), hi)
+    f_lo, f_hi = over(lo, every), over(hi, every)
+    usable = (f_lo < 0.0) & (f_hi > 0.0)
+    new = crossing.copy()
+    new[some] = np.where(usable, _crossing(over, lo, hi, f_lo, f_hi, usable), x)
+    return new
+
+
+@by_loops(_edges_by_loops, "edges")
+def _edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -> Floats:
+    """The same with a medium that is linear between the samples."""
     count = found.index - found.begin + 1
     flat = found.begin.repeat(count) + ramp(count)
     owner = np.arange(count.size).repeat(count)
