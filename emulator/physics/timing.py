@@ -6,6 +6,7 @@ clusters, which have closed forms, and noise.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from types import ModuleType
 
@@ -24,6 +25,9 @@ _EXACT_M = 1e-7
 "Crossings between the samples are found to this."
 _MOST_STEPS = 20
 "Of Newton's."
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+_VALLEY_STEPS = 20
+"Each leaves so much of two bins: to 1e-4 of them in all, where a valley is flat."
 BASE_OF_THRESHOLD, BASE_OF_ECHO = 0.5, 0.1
 "What is below the lesser of these shares of the threshold and of the echo's height weighs little in a centroid."
 
@@ -57,7 +61,10 @@ def _bent(wave: Waveform, found: Candidates, level: Floats, crossing: Floats) ->
     soft = wave.soft
     bend = np.abs(np.diff(soft[at - 1 + np.arange(4)[:, None]], 2, axis=0)).max(axis=0)
     rises = np.maximum(wave.value[at + 1] - wave.value[at], 0.0)
-    some = indexes(on & (0.125 * bend * wave.bin_m > STRAIGHT_M * rises))
+    # the maximum between two samples reaches the level, the samples do not
+    top = (crossing == found.centre_m) & (soft[found.index] > FAINT * found.amplitude) & (level < found.amplitude)
+    some = indexes(on & (top | (0.125 * bend * wave.bin_m > STRAIGHT_M * rises)))
+    crossing = _out_of_valleys(wave, found, level, crossing)
     if not len(some):
         return crossing
     window, x, wanted = found.window[some], crossing[some], np.sqrt(level[some])
@@ -70,12 +77,45 @@ def _bent(wave: Waveform, found: Candidates, level: Floats, crossing: Floats) ->
 
     every = np.arange(len(some))
     lo = np.where((x - lo < _EXACT_M) & (steps > 0), lo - wave.bin_m, lo)
-    top = found.index[some] == first[some] + steps
-    hi = np.where(top & (found.centre_m[some] > lo), np.minimum(hi, found.centre_m[some]), hi)
+    hi = np.where(found.centre_m[some] > lo, np.minimum(hi, found.centre_m[some]), hi)
     f_lo, f_hi = over(lo, every), over(hi, every)
     usable = (f_lo < 0.0) & (f_hi > 0.0)
     new = crossing.copy()
     new[some] = np.where(usable, _crossing(over, lo, hi, f_lo, f_hi, usable), x)
+    return new
+
+
+def _out_of_valleys(wave: Waveform, found: Candidates, level: Floats, crossing: Floats) -> Floats:
+    """The same crossings where an echo rises from a valley whose samples are over its level and which is not."""
+    at = indexes(
+        (wave.value[found.begin] >= level) & (wave.soft[found.begin] > FAINT * level) & (found.index > found.begin)
+    )
+    if not len(at):
+        return crossing
+    window, wanted = found.window[at], np.sqrt(level[at])
+    count = found.index[at] - found.begin[at] + 1
+    piece = wave.value[found.begin[at].repeat(count) + ramp(count)]
+    lowest_of = np.minimum.reduceat(piece, count.cumsum() - count)
+    of = indexes(piece == lowest_of.repeat(count))[::-1]
+    deepest = np.zeros(len(at), np.int64)
+    deepest[np.arange(len(at)).repeat(count)[of]] = found.begin[at].repeat(count)[of] + ramp(count)[of]
+    middle = wave.position(deepest, window)
+    first = wave.bin_m * wave.first_bin[window].astype(np.float64)
+    low, high = np.maximum(middle - wave.bin_m, first), middle + wave.bin_m
+    for _ in range(_VALLEY_STEPS):  # golden section
+        one, other = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+        left = wave.exact_at(one, window) <= wave.exact_at(other, window)
+        low, high = np.where(left, low, one), np.where(left, other, high)
+    lowest, end = 0.5 * (low + high), found.centre_m[at]
+
+    def over(place: Floats, which: Ints) -> Floats:
+        return np.sqrt(wave.exact_at(place, window[which])) - wanted[which]
+
+    every = np.arange(len(at))
+    f_lo, f_hi = over(lowest, every), over(end, every)
+    usable = (f_lo < 0.0) & (f_hi > 0.0) & (end > lowest)
+    new = crossing.copy()
+    new[at] = np.where(usable, _crossing(over, lowest, end, f_lo, f_hi, usable), crossing[at])
     return new
 
 
