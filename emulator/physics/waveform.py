@@ -33,7 +33,7 @@ class Medium:
     clear: Floats
     "(w,) share of the beam that nothing before the window blocks."
     sums: tuple[Floats, ...]
-    "(s + 1,) running over the sub-echoes, from 0 on: shares that end at them, and these with the integrals up to there."
+    "(s + 1,) running over the sub-echoes: shares that end at them, and these with the integrals up to there."
 
     @classmethod
     def of(cls, clusters: Clusters, chosen: Bools, soft: SoftProfile, clear_share: Floats) -> Medium:
