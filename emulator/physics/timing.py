@@ -39,13 +39,13 @@ def _edges_by_loops(loops: ModuleType, wave: Waveform, found: Candidates, level:
     return floats(loops.edges(*wave.flat, *what, FAINT, _EXACT_M, _MOST_STEPS))
 
 
-def edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -> Floats:
+def rising_edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -> Floats:
     """First crossing of each echo's level between its begin and its maximum, exact between the samples.
 
     An echo that rises from a valley above its level never crosses it: it keeps the place that a single echo with this
     maximum would have.
     """
-    crossing = _edges(wave, found, level, otherwise)
+    crossing = edges(wave, found, level, otherwise)
     return crossing if wave.medium is None else _bent(wave, found, level, crossing)
 
 
@@ -120,7 +120,7 @@ def _out_of_valleys(wave: Waveform, found: Candidates, level: Floats, crossing: 
 
 
 @by_loops(_edges_by_loops, "edges")
-def _edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -> Floats:
+def edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -> Floats:
     """The same with a medium that is linear between the samples."""
     count = found.index - found.begin + 1
     flat = found.begin.repeat(count) + ramp(count)

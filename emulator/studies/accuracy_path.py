@@ -25,6 +25,7 @@ from emulator.physics.subechoes import SubEchoes, cluster
 from emulator.physics.waveform import sample
 from emulator.process.clock import CpuClock
 from emulator.scenario import scenario
+from emulator.scenario.scenario import Scenario
 from emulator.sensing.measure import Measure
 from emulator.sensing.measure import build as build_measure
 from emulator.sensing.paths import trace
@@ -109,7 +110,7 @@ class Edges:
         write_quads(folder / "near.obj", self._quads(NEAR_M, self.strips.high * radius))
         write_quads(folder / "far.obj", self._quads(FAR_M, np.full(n, BEYOND * radius)))
         self._path = folder / "edges.yaml"
-        self._world: scene.Scene | None = None
+        self._stage: tuple[Scenario, scene.Scene, CountingCaster] | None = None
 
     def close(self) -> None:
         """Remove the mesh files."""
@@ -143,7 +144,18 @@ class Edges:
         return range_m * np.stack(corners, axis=1)
 
     def build(self, physics: dict[str, Any]) -> tuple[Measure, CountingCaster]:
-        """The measuring function of the sensor among the edges."""
+        """The measuring function of the sensor among the edges; scene and caster are the same for all."""
+        if self._stage is None:
+            loaded = self._load()
+            world = scene.build(loaded)
+            self._stage = loaded, world, CountingCaster(world)
+        loaded, world, caster = self._stage
+        sensors = tuple(
+            one.model_copy(update={"physics": one.physics.model_copy(update=physics)}) for one in loaded.sensors
+        )
+        return build_measure(loaded.model_copy(update={"sensors": sensors}), world, caster, SENSOR), caster
+
+    def _load(self) -> Scenario:
         still = {"at_m": [0.0, 0.0, 0.0]}
         text = {
             "schema": 1,
@@ -172,17 +184,12 @@ class Edges:
                         "pulse": "sin2",
                         "threshold_to_noise": 0.02,
                         "background": False,
-                        **physics,
                     },
                 }
             ],
         }
         self._path.write_text(json.dumps(text), encoding="utf-8")  # JSON is YAML
-        loaded = scenario.load(str(self._path))
-        if self._world is None:
-            self._world = scene.build(loaded)
-        caster = CountingCaster(self._world)
-        return build_measure(loaded, self._world, caster, SENSOR), caster
+        return scenario.load(str(self._path))
 
     def plan(self, group: int) -> ScanPlan:
         """A sweep over one group of beams."""
@@ -226,14 +233,14 @@ class Edges:
         chosen = {"rule": "adaptive", "depth": count} if rule == "adaptive" else {"rule": rule, "sub_beams": count}
         measure, caster = self.build(chosen if rule in PRODUCT else {"rule": "axis"})
         view = None if rule in PRODUCT else measure.view(self.plan(0))  # for its air and surfaces
-        clock, plan = CpuClock(), self.plan(group)
+        plan = self.plan(group)
         rays = (
             None if view is None else rays_of(FIXED[rule](count, np.random.default_rng([count, group])), measure, plan)
         )
         _sweep(measure, caster, plan, view, rays)  # rays are kept from sweep to sweep, so the first is not timed
         caster.rays, taken = 0, []
         for _ in range(SWEEPS):
-            clock.restart()
+            clock = CpuClock()
             echoes, scan = _sweep(measure, caster, plan, view, rays)
             taken.append(1e-9 * clock.now_ns() / self.beams_a_group)
         found = self.errors(measure, group, plan, echoes, scan)
