@@ -19,6 +19,8 @@ from emulator.physics.waveform import Waveform
 
 FAINT = 1e-3
 "Share of a maximum that a medium may have for it to be that of a cosine."
+CLOSER = (0.25, 0.0625)
+"Of a bin: steps of the parabolas that find a maximum in a medium."
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +64,7 @@ def _wave_candidates_by_loops(
         *wave.flat, wave.beam, least, rms, threshold, detector.full_scale, FAINT
     )
     value = np.minimum(wave.value, detector.full_scale)
+    _in_medium(wave, peak, window, centre, height)
     _clip(wave, value, peak, window, detector.full_scale, centre, height)
     return Candidates(wave.beam[window], centre, height, peak, window, begin)
 
@@ -132,6 +135,7 @@ def _parabola(wave: Waveform, value: Floats, peak: Ints, window: Ints, detector:
     centre = wave.position(peak, window) + shift * wave.bin_m
     if detector.pulse.shape == "sin2":
         _exact(wave, peak, window, centre, height)
+        _in_medium(wave, peak, window, centre, height)
     _clip(wave, value, peak, window, detector.full_scale, centre, height)
     return centre, height
 
@@ -156,10 +160,31 @@ def _clip(
     height[clipped] = np.maximum(height[clipped], limit)
 
 
+def _in_medium(wave: Waveform, peak: Ints, window: Ints, centre: Floats, height: Floats) -> None:
+    """Maxima to which a medium adds more than a little: parabolas through values ever closer together."""
+    if wave.medium is None:
+        return
+    at = indexes(wave.soft[peak] > FAINT * height)
+    if not len(at):
+        return
+    window, x = window[at], centre[at]
+    lowest = wave.position(peak[at], window) - wave.bin_m
+    for part in CLOSER:
+        step = part * wave.bin_m
+        left, mid, right = (wave.exact_at(x + side * step, window) for side in (-1.0, 0.0, 1.0))
+        curve = left - 2.0 * mid + right
+        shift = np.where(curve < 0.0, 0.5 * (left - right) / np.where(curve < 0.0, curve, -1.0), 0.0)
+        x = clamped(x + clamped(shift, -1.0, 1.0) * step, lowest, lowest + 2.0 * wave.bin_m)
+    # two samples that are higher than what was found have a kink between them
+    now, kept = wave.exact_at(x, window), wave.value[peak[at]]
+    good = indexes(now >= kept)
+    centre[at[good]], height[at[good]] = x[good], now[good]
+
+
 def _exact(wave: Waveform, peak: Ints, window: Ints, centre: Floats, height: Floats) -> None:
     """Maxima of the one cosine that stands there, where no pulse begins or ends between it and the parabola's.
 
-    Where a medium is more than a thousandth of it, its own bend shifts them, and the parabola's is as good.
+    Where a medium is more than a thousandth of it, its own bend shifts them: `_in_medium`.
     """
     at = indexes(wave.soft[peak] <= FAINT * height)
     if not len(at):

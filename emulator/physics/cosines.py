@@ -36,6 +36,8 @@ MOST_PASSES = 60
 "Each leaves the share of the shift that the medium falls by while the pulses rise by as much: a tenth, mostly."
 SLIGHT = 1e-4
 "Share of a cluster's height that a medium may have for its part in the height to be left out."
+NEAR_TOP = 3.0
+"Times the shift of a maximum by a medium: what is crossed nearer to the maximum is on a parabola, to 5e-4."
 SHIFT = 0.125
 "Shift of a crossing, in steps of the range, below which it is left out under such a cluster."
 
@@ -143,6 +145,8 @@ class Cosines:
     wave_number: float
     air: AirUnder | None = None
     doubted: AirDoubted | None = None
+    shift_m: Floats | None = None
+    "(c,) how far a medium under them shifts their maxima; None: nowhere."
 
     def __len__(self) -> int:
         return len(self.beam)
@@ -156,6 +160,12 @@ class Cosines:
             if air is None:
                 continue
             self._cross_under(air, level, crossing, last[air.cluster])
+        if self.shift_m is not None:
+            # so near a maximum the medium falls by more than the pulses rise; the sum is a parabola
+            bend = 0.5 * self.wave_number**2 * self.height
+            before_m = np.sqrt(2.0 * np.maximum(self.height - level, 0.0) / bend)
+            at = indexes(before_m < NEAR_TOP * self.shift_m)
+            crossing[at] = (self.centre_m - before_m)[at]
         return crossing
 
     @by_loops(_cross_under_by_loops, "crossed_under")
@@ -216,6 +226,7 @@ class Cosines:
         return replace(
             self, beam=self.beam[at], centre_m=self.centre_m[at], height=self.height[at], source=self.source[at],
             first_m=self.first_m[at], start=self.start[at], size=self.size[at], air=air, doubted=doubted,
+            shift_m=None if self.shift_m is None else self.shift_m[at],
         )  # fmt: skip
 
     @classmethod
@@ -247,7 +258,7 @@ def split_cosines(echoes: SubEchoes, detector: Detector, soft: SoftProfile | Non
         return Cosines.none(), echoes
     running, (group, source, *where), (centre, height, first), rest = _summed(echoes, whole, short, k)
     begun, total, real, imaginary = running
-    air: tuple[AirUnder | None, AirDoubted | None] = None, None
+    air: tuple[AirUnder | None, AirDoubted | None, Floats | None] = None, None, None
     if soft is not None and near is not None:
         number = (short.cumsum() - 1)[near]
         air = _under(centre, height, where, number, echoes, soft, detector, start[near], size[near], most)
@@ -346,8 +357,9 @@ def _near(soft: SoftProfile, threshold: float, short: Bools, beam: Ints, begin_m
 def _under(
     centre: Floats, height: Floats, where: Sequence[Ints], number: Ints, echoes: SubEchoes, soft: SoftProfile,
     detector: Detector, start: Ints, size: Ints, share: Floats,
-) -> tuple[AirUnder | None, AirDoubted | None]:  # fmt: skip
-    """The medium under some short clusters, which adds to their `height`, and where it is doubtful.
+) -> tuple[AirUnder | None, AirDoubted | None, Floats | None]:  # fmt: skip
+    """The medium under some short clusters, which adds to their `height`, where it is doubtful, and (c,) how far it
+    shifts `centre`.
 
     `centre`, `height`, `where` (start and size) : of all; `number` : of those with a medium among them; `start`,
     `size`, `share` : of these, the last its bound over the threshold.
@@ -359,14 +371,34 @@ def _under(
         return _air(echoes, soft, start[some], size[some], cluster)
 
     weak, slight = indexes(~strong), indexes(strong)
-    air = doubted = None
+    air = doubted = shift = None
     if len(weak):
         of = number[weak]
         air = computed(weak, of)
-        height[of] += air.at(centre[of], where[0][of] + where[1][of] - 1)
+        shift = _lifted(centre, height, of, air, where[0][of] + where[1][of] - 1)
     if len(slight):
         doubted = AirDoubted(number[slight], most[slight], detector.resolution_m, slight, computed)
-    return air, doubted
+    return air, doubted, shift
+
+
+def _lifted(centre: Floats, height: Floats, of: Ints, air: AirUnder, last: Ints) -> Floats:
+    """Maxima of pulses with a medium under them: it ends at the surfaces, so it falls there and shifts them.
+
+    The medium is a parabola through three places, the cosine is one at its maximum: what is left out is a share
+    (k shift)^2/12 of the lift. Returns how far, of all clusters.
+    """
+    step = air.soft.bin_m
+    before, here, behind = (air.at(centre[of] + side * step, last) for side in (-1.0, 0.0, 1.0))
+    slope, curve = 0.5 * (behind - before) / step, (behind - 2.0 * here + before) / (step * step)
+    # of a maximum (1 + cos)/2 of each pulse; pulses apart bend a little less
+    bend = 0.5 * air.soft.pulse.wave_number**2 * height[of] - curve
+    shift = np.where(bend > 0.0, slope / np.maximum(bend, 1e-300), 0.0)
+    shift = np.where(np.abs(shift) <= step, shift, 0.0)
+    centre[of] += shift
+    height[of] += here + 0.5 * slope * shift
+    every = np.zeros(len(centre))
+    every[of] = np.abs(shift)
+    return every
 
 
 def _air(echoes: SubEchoes, soft: SoftProfile, first: Ints, count: Ints, cluster: Ints) -> AirUnder:

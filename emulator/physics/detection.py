@@ -28,7 +28,7 @@ from emulator.physics.ownecho import OwnEchoes
 from emulator.physics.pulse import stretch_peak_gauss, stretch_peak_sin2
 from emulator.physics.softprofile import MARK, SoftProfile
 from emulator.physics.subechoes import NO_SOURCE, Clusters, SubEchoes, cluster, unfold_spread
-from emulator.physics.timing import centroids, edges, fractions, sources
+from emulator.physics.timing import centroids, fractions, rising_edges, sources
 from emulator.physics.waveform import Waveform, sample
 
 _SIGMAS = 6.0
@@ -264,7 +264,7 @@ def _measure_by_loops(
     if j > i:
         crossing[i:j] = own.crossing(level[i:j])
     if mixed.beam.size:
-        crossing[k:] = edges(signals.wave, mixed, level[k:], crossing[k:])
+        crossing[k:] = rising_edges(signals.wave, mixed, level[k:], crossing[k:])
     none = np.full(own.beam.size, NO_SOURCE)
     source = np.concatenate([cosines.source, none, signals.clusters.source[single.index], sources(signals.wave, mixed)])
     (of, source), (range_m, amplitude), clipped = loops.readings(
@@ -317,7 +317,7 @@ def _measure(signals: Signals, detector: Detector, normals: Numbers | None, timi
         if j > i:
             crossing[i:j] = own.crossing(level[i:j])
         if mixed.beam.size:
-            crossing[k:] = edges(wave, mixed, level[k:], crossing[k:])
+            crossing[k:] = rising_edges(wave, mixed, level[k:], crossing[k:])
         if detector.walk_table:
             range_m = crossing + detector.pulse.lead(np.maximum(shown / threshold, 1.0))
         else:

@@ -24,12 +24,12 @@ class OwnEchoes:
     "Place of the maximum, apparent range from the centre of the pulse."
     height: float
     rise_m: Floats
-    "(r,) bins up to the maximum."
+    "(r,) apparent ranges up to the maximum, close where the rise bends."
     rise: Floats
     "(r,) the medium's return there, ascending."
 
     def crossing(self, level: Floats) -> Floats:
-        """Where it first reaches levels (a,) > 0, its maximum where it never does; linear between the bins. [m]"""
+        """Where it first reaches levels (a,) > 0, its maximum where it never does; linear between these. [m]"""
         found = np.interp(level, self.rise, self.rise_m)
         return np.asarray(np.where(level > self.rise[-1], self.centre_m, found))
 
@@ -38,12 +38,6 @@ class OwnEchoes:
         """Those of `beams` (n,)."""
         if soft is None or not bool(beams.any()):
             return cls(np.zeros(0, np.int64), 0.0, 0.0, np.zeros(1), np.zeros(1))
-        top = int(np.argmax(soft.free))
-        rise_m = soft.bin_m * np.arange(soft.first, soft.first + top + 1, dtype=np.float64)
-        rise = np.maximum.accumulate(soft.free[: top + 1])
-        # a parabola through three bins, as the maxima of samples are found
-        left, middle, right = np.concatenate([np.zeros(1), soft.free, np.zeros(1)])[top : top + 3].tolist()
-        curve = left - 2.0 * middle + right
-        shift = min(max(0.5 * (left - right) / curve, -0.5), 0.5) if curve < 0.0 else 0.0
-        centre, height = float(rise_m[-1]) + shift * soft.bin_m, middle - 0.25 * (left - right) * shift
+        centre, height = soft.top
+        rise_m, rise = soft.rise
         return cls(indexes(beams), centre, height, rise_m, rise)

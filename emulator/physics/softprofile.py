@@ -38,6 +38,12 @@ PIECES = 4
 "Of a bin, where the waveform of a Gaussian pulse is summed from even pieces of the medium."
 MARK = 1e-9
 "Amplitude of the markers that make the waveform be sampled where the medium has its maximum."
+FINEST_PIECE = 1.0 / 32.0
+"Of a pulse's FWHM: knots are this close whatever the bins, for running integrals that turn with the pulse."
+STRAIGHT_M = 1e-5
+"A line between two points of the rise to the maximum is right to this, in range."
+MOST_ROUNDS = 16
+"Of halving what is not straight."
 
 Flat: TypeAlias = tuple[Floats, int, float, float, Floats, Floats, Floats, Ints, float]
 "A medium for compiled loops: tables with an edge, first bin, bin, wave number, ends, knots, cubics, cells, cell."
@@ -116,7 +122,8 @@ class SoftProfile:
         first = int(np.floor((start_m - half) / bin_m)) - 1
         last = int(np.ceil((end + half) / bin_m)) + 2
         x = bin_m * np.arange(first, last + 1, dtype=np.float64)
-        knots = np.unique(np.concatenate([_near(start_m, end, bin_m), [full], x + half, x - half]))
+        fine_m = bin_m if pulse.shape != "sin2" else min(bin_m, 2.0 * FINEST_PIECE * pulse.fwhm_m)
+        knots = np.unique(np.concatenate([_near(start_m, end, fine_m), [full], x + half, x - half]))
         knots = knots[(knots >= start_m) & (knots <= end)]
         knots = knots[np.diff(knots, prepend=-np.inf) > 1e-9]  # x + half and x' - half may be one but for rounding
         if knots.size < 2:
@@ -161,6 +168,71 @@ class SoftProfile:
         """Return of a beam that nothing blocks at apparent range x, linear between the bins. [noise units]"""
         x = floats(x_m)
         return floats(np.interp(x, self._grid, self.free, left=0.0, right=0.0))
+
+    def exact(self, x_m: Values) -> Floats:
+        """The same between the bins, from the running integrals under a sin^2 pulse; linear for another one."""
+        x = floats(x_m)
+        if self.pulse.shape != "sin2":
+            return self.wave(x)
+        a, real, imaginary = self._under_pulse(x)
+        turn = self.pulse.wave_number * x
+        return np.maximum(0.5 * (a + np.cos(turn) * real - np.sin(turn) * imaginary), 0.0)
+
+    def _under_pulse(self, x: Floats) -> Floats:
+        half = self.pulse.half_support_m
+        return self.integrals(x + half) - self.integrals(x - half)
+
+    @cached_property
+    def top(self) -> tuple[float, float]:
+        """Place and height of the largest return, between the bins."""
+        at = int(np.argmax(self.free))
+        grid = self._grid
+        if self.pulse.shape != "sin2":  # a parabola through three bins, as the maxima of samples are found
+            left, middle, right = np.concatenate([np.zeros(1), self.free, np.zeros(1)])[at : at + 3].tolist()
+            curve = left - 2.0 * middle + right
+            shift = min(max(0.5 * (left - right) / curve, -0.5), 0.5) if curve < 0.0 else 0.0
+            return float(grid[at]) + shift * self.bin_m, middle - 0.25 * (left - right) * shift
+        k, low, high = self.pulse.wave_number, float(grid[at]) - self.bin_m, float(grid[at]) + self.bin_m
+        for _ in range(50):  # the pulse is 0 at both ends, so only its phase has a derivative
+            middle = 0.5 * (low + high)
+            _, real, imaginary = self._under_pulse(np.array([middle]))[:, 0]
+            rises = np.sin(k * middle) * real + np.cos(k * middle) * imaginary < 0.0
+            low, high = (middle, high) if rises else (low, middle)
+        place = 0.5 * (low + high)
+        return place, float(self.exact(np.array([place]))[0])
+
+    @cached_property
+    def rise(self) -> tuple[Floats, Floats]:
+        """Apparent ranges up to the largest return, and the returns there, ascending; so close that lines between them
+        are right to `STRAIGHT_M`, at the foot too, where a bin holds most of the rise."""
+        place, height = self.top
+        foot = self.start_m - self.pulse.half_support_m
+        x = np.unique(np.concatenate([[foot], self._grid[(self._grid > foot) & (self._grid < place)], [place]]))
+        value = self.exact(x)
+        value[-1] = height
+        looked_at = np.ones(len(x) - 1, bool) if self.pulse.shape == "sin2" else np.zeros(len(x) - 1, bool)
+        for _ in range(MOST_ROUNDS):
+            at = indexes(looked_at & (value[1:] > max(value[0], 0.1 * INVISIBLE)))
+            if not len(at):
+                break
+            middle = 0.5 * (x[at] + x[at + 1])
+            now = self.exact(middle)
+            rises = np.maximum(value[at + 1] - value[at], 1e-300)
+            line = x[at] + clamped((now - value[at]) / rises, 0.0, 1.0) * (x[at + 1] - x[at])
+            bent = np.abs(line - middle) > STRAIGHT_M
+            looked_at[:] = False
+            looked_at[at] = bent
+            more = np.zeros(len(x), np.int64)
+            more[at + 1] = 1
+            place_of = np.arange(len(x)) + more.cumsum()
+            wider, taller = np.zeros(len(x) + len(at)), np.zeros(len(x) + len(at))
+            wider[place_of], taller[place_of] = x, value
+            wider[place_of[at + 1] - 1], taller[place_of[at + 1] - 1] = middle, now
+            again = np.zeros(len(wider) - 1, bool)
+            some = indexes(looked_at)
+            again[place_of[some]] = again[place_of[some] + 1] = True
+            x, value, looked_at = wider, taller, again
+        return x, np.maximum.accumulate(value)
 
     @cached_property
     def _grid(self) -> Floats:

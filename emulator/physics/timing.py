@@ -6,6 +6,7 @@ clusters, which have closed forms, and noise.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from types import ModuleType
 
@@ -16,6 +17,7 @@ from emulator.physics.arrays import Bools, Floats, Ints, clamped, floats, indexe
 from emulator.physics.candidates import FAINT, Candidates
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.detector import BASE_OF_ECHO, BASE_OF_THRESHOLD, Detector
+from emulator.physics.softprofile import STRAIGHT_M
 from emulator.physics.subechoes import NO_SOURCE
 from emulator.physics.waveform import Waveform
 
@@ -23,6 +25,9 @@ _EXACT_M = 1e-7
 "Crossings between the samples are found to this."
 _MOST_STEPS = 20
 "Of Newton's."
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+_VALLEY_STEPS = 20
+"Each leaves so much of two bins: to 1e-4 of them in all, where a valley is flat."
 
 
 def _edges_by_loops(loops: ModuleType, wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -> Floats:
@@ -32,13 +37,89 @@ def _edges_by_loops(loops: ModuleType, wave: Waveform, found: Candidates, level:
     return floats(loops.edges(*wave.flat, *what, FAINT, _EXACT_M, _MOST_STEPS))
 
 
-@by_loops(_edges_by_loops, "edges")
-def edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -> Floats:
+def rising_edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -> Floats:
     """First crossing of each echo's level between its begin and its maximum, exact between the samples.
 
     An echo that rises from a valley above its level never crosses it: it keeps the place that a single echo with this
     maximum would have.
     """
+    crossing = edges(wave, found, level, otherwise)
+    return crossing if wave.medium is None else _bent(wave, found, level, crossing)
+
+
+def _bent(wave: Waveform, found: Candidates, level: Floats, crossing: Floats) -> Floats:
+    """The same crossings where the medium is not as straight between two samples as they were found with."""
+    first, count = wave.start[found.window], wave.count[found.window]
+    if wave.pulse.shape != "sin2" or not len(first):
+        return crossing
+    local = np.floor(crossing / wave.bin_m).astype(np.int64) - wave.first_bin[found.window]
+    on = (local >= 0) & (local < count - 1)
+    # a crossing at a sample is that of the piece before
+    at = first + clamped(local, 1, count - 3)
+    soft = wave.soft
+    bend = np.abs(np.diff(soft[at - 1 + np.arange(4)[:, None]], 2, axis=0)).max(axis=0)
+    rises = np.maximum(wave.value[at + 1] - wave.value[at], 0.0)
+    # the maximum between two samples reaches the level, the samples do not
+    top = (crossing == found.centre_m) & (soft[found.index] > FAINT * found.amplitude) & (level < found.amplitude)
+    some = indexes(on & (top | (0.125 * bend * wave.bin_m > STRAIGHT_M * rises)))
+    crossing = _out_of_valleys(wave, found, level, crossing)
+    if not len(some):
+        return crossing
+    window, x, wanted = found.window[some], crossing[some], np.sqrt(level[some])
+    steps = np.maximum(local[some], 0)
+    lo = wave.bin_m * (wave.first_bin[window] + steps).astype(np.float64)
+    hi = lo + wave.bin_m
+
+    def over(place: Floats, which: Ints) -> Floats:
+        return np.sqrt(wave.exact_at(place, window[which])) - wanted[which]
+
+    every = np.arange(len(some))
+    lo = np.where((x - lo < _EXACT_M) & (steps > 0), lo - wave.bin_m, lo)
+    hi = np.where(found.centre_m[some] > lo, np.minimum(hi, found.centre_m[some]), hi)
+    f_lo, f_hi = over(lo, every), over(hi, every)
+    usable = (f_lo < 0.0) & (f_hi > 0.0)
+    new = crossing.copy()
+    new[some] = np.where(usable, _crossing(over, lo, hi, f_lo, f_hi, usable), x)
+    return new
+
+
+def _out_of_valleys(wave: Waveform, found: Candidates, level: Floats, crossing: Floats) -> Floats:
+    """The same crossings where an echo rises from a valley whose samples are over its level and which is not."""
+    at = indexes(
+        (wave.value[found.begin] >= level) & (wave.soft[found.begin] > FAINT * level) & (found.index > found.begin)
+    )
+    if not len(at):
+        return crossing
+    window, wanted = found.window[at], np.sqrt(level[at])
+    count = found.index[at] - found.begin[at] + 1
+    piece = wave.value[found.begin[at].repeat(count) + ramp(count)]
+    lowest_of = np.minimum.reduceat(piece, count.cumsum() - count)
+    of = indexes(piece == lowest_of.repeat(count))[::-1]
+    deepest = np.zeros(len(at), np.int64)
+    deepest[np.arange(len(at)).repeat(count)[of]] = found.begin[at].repeat(count)[of] + ramp(count)[of]
+    middle = wave.position(deepest, window)
+    first = wave.bin_m * wave.first_bin[window].astype(np.float64)
+    low, high = np.maximum(middle - wave.bin_m, first), middle + wave.bin_m
+    for _ in range(_VALLEY_STEPS):  # golden section
+        one, other = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+        left = wave.exact_at(one, window) <= wave.exact_at(other, window)
+        low, high = np.where(left, low, one), np.where(left, other, high)
+    lowest, end = 0.5 * (low + high), found.centre_m[at]
+
+    def over(place: Floats, which: Ints) -> Floats:
+        return np.sqrt(wave.exact_at(place, window[which])) - wanted[which]
+
+    every = np.arange(len(at))
+    f_lo, f_hi = over(lowest, every), over(end, every)
+    usable = (f_lo < 0.0) & (f_hi > 0.0) & (end > lowest)
+    new = crossing.copy()
+    new[at] = np.where(usable, _crossing(over, lowest, end, f_lo, f_hi, usable), crossing[at])
+    return new
+
+
+@by_loops(_edges_by_loops, "edges")
+def edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -> Floats:
+    """The same with a medium that is linear between the samples."""
     count = found.index - found.begin + 1
     flat = found.begin.repeat(count) + ramp(count)
     owner = np.arange(count.size).repeat(count)

@@ -10,9 +10,9 @@ however many sub-echoes there are.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from types import ModuleType
 from typing import Any
 
@@ -23,6 +23,25 @@ from emulator.physics.arrays import Bools, Floats, Ints, clamped, cos_sin, float
 from emulator.physics.pulse import Pulse
 from emulator.physics.softprofile import NO_MEDIUM, SoftProfile
 from emulator.physics.subechoes import Clusters
+
+
+@dataclass(frozen=True, eq=False)
+class Medium:
+    """What scatters back in w windows with s sub-echoes."""
+
+    soft: SoftProfile
+    clear: Floats
+    "(w,) share of the beam that nothing before the window blocks."
+    sums: tuple[Floats, ...]
+    "(s + 1,) running over the sub-echoes: shares that end at them, and these with the integrals up to there."
+
+    @classmethod
+    def of(cls, clusters: Clusters, chosen: Bools, soft: SoftProfile, clear_share: Floats) -> Medium:
+        """That of the windows that `sample` makes of the same."""
+        kept = indexes(chosen[clusters.cluster])
+        blocked = clusters.blocked[kept]
+        whole = soft.integrals(clusters.range_m[kept]) * blocked
+        return cls(soft, clear_share[chosen], (_sums(blocked), *(_sums(one) for one in whole)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +74,8 @@ class Waveform:
     of the amplitudes times the cosine and the sine of their distance from the window's first sample."""
     hazy: bool = True
     "There is a medium in it."
+    medium: Callable[[], Medium] | None = None
+    "What it is, where a value between the samples is asked for."
 
     @property
     def flat(self) -> tuple[Any, ...]:
@@ -121,6 +142,30 @@ class Waveform:
         part = offset - whole
         return floats((1.0 - part) * self.soft[at] + part * self.soft[at + 1])
 
+    @cached_property
+    def _medium(self) -> Medium | None:
+        return None if self.medium is None else self.medium()
+
+    def exact_at(self, x_m: Floats, window: Ints) -> Floats:
+        """Value at any apparent range inside windows, the medium's part from its integrals and not from the samples."""
+        air = self._medium
+        if air is None:
+            return self.at(x_m, window)
+        begun, ended = self.under_way(x_m, window)
+        soft, turn = air.soft, self.pulse.wave_number * x_m
+        cosine, sine = np.cos(turn), np.sin(turn)
+        far, near = (soft.integrals(x_m + side * self.pulse.half_support_m) for side in (1.0, -1.0))
+        stopped, *ending = air.sums
+        before = stopped.take(self.sub_first[window])
+        open_far = np.maximum(air.clear[window] - (stopped.take(begun) - before), 0.0)
+        open_near = np.maximum(air.clear[window] - (stopped.take(ended) - before), 0.0)
+        a, real, imaginary = (
+            open_far * one - open_near * other + _between(sums, begun, ended)
+            for one, other, sums in zip(far, near, ending, strict=True)
+        )
+        part = np.maximum(0.5 * (a + cosine * real - sine * imaginary), 0.0)
+        return np.maximum(self.surfaces_at(x_m, window) + part, 0.0)
+
     def at(self, x_m: Floats, window: Ints) -> Floats:
         """Value at any apparent range inside windows."""
         if not self.hazy:
@@ -148,7 +193,7 @@ def _sample_by_loops(
     beam, first_bin, start, count, sub_first, sub_count = whole
     return Waveform(
         pulse, bin_m, beam, first_bin, start, count, value, part, sub_first, sub_count, r, amplitude, source,
-        tuple(sums), soft is not None,
+        tuple(sums), soft is not None, _medium_of(clusters, chosen, soft, clear_share),
     )  # fmt: skip
 
 
@@ -199,7 +244,14 @@ def sample(
         clusters.source[kept],
         tuple(sums),
         soft is not None,
+        _medium_of(clusters, chosen, soft, clear_share),
     )
+
+
+def _medium_of(
+    clusters: Clusters, chosen: Bools, soft: SoftProfile | None, clear_share: Floats
+) -> Callable[[], Medium] | None:
+    return None if soft is None else partial(Medium.of, clusters, chosen, soft, clear_share)
 
 
 def _samples(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 import tempfile
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,8 +23,9 @@ from emulator.physics.arrays import Floats
 from emulator.physics.beams import Bundle
 from emulator.physics.subechoes import SubEchoes, cluster
 from emulator.physics.waveform import sample
-from emulator.process.clock import SystemClock
+from emulator.process.clock import CpuClock
 from emulator.scenario import scenario
+from emulator.scenario.scenario import Scenario
 from emulator.sensing.measure import Measure
 from emulator.sensing.measure import build as build_measure
 from emulator.sensing.paths import trace
@@ -108,6 +110,7 @@ class Edges:
         write_quads(folder / "near.obj", self._quads(NEAR_M, self.strips.high * radius))
         write_quads(folder / "far.obj", self._quads(FAR_M, np.full(n, BEYOND * radius)))
         self._path = folder / "edges.yaml"
+        self._stage: tuple[Scenario, scene.Scene, CountingCaster] | None = None
 
     def close(self) -> None:
         """Remove the mesh files."""
@@ -141,7 +144,18 @@ class Edges:
         return range_m * np.stack(corners, axis=1)
 
     def build(self, physics: dict[str, Any]) -> tuple[Measure, CountingCaster]:
-        """The measuring function of the sensor among the edges."""
+        """The measuring function of the sensor among the edges; scene and caster are the same for all."""
+        if self._stage is None:
+            loaded = self._load()
+            world = scene.build(loaded)
+            self._stage = loaded, world, CountingCaster(world)
+        loaded, world, caster = self._stage
+        sensors = tuple(
+            one.model_copy(update={"physics": one.physics.model_copy(update=physics)}) for one in loaded.sensors
+        )
+        return build_measure(loaded.model_copy(update={"sensors": sensors}), world, caster, SENSOR), caster
+
+    def _load(self) -> Scenario:
         still = {"at_m": [0.0, 0.0, 0.0]}
         text = {
             "schema": 1,
@@ -170,16 +184,12 @@ class Edges:
                         "pulse": "sin2",
                         "threshold_to_noise": 0.02,
                         "background": False,
-                        **physics,
                     },
                 }
             ],
         }
         self._path.write_text(json.dumps(text), encoding="utf-8")  # JSON is YAML
-        loaded = scenario.load(str(self._path))
-        world = scene.build(loaded)
-        caster = CountingCaster(world)
-        return build_measure(loaded, world, caster, SENSOR), caster
+        return scenario.load(str(self._path))
 
     def plan(self, group: int) -> ScanPlan:
         """A sweep over one group of beams."""
@@ -192,28 +202,49 @@ class Edges:
 
     def run(self, rule: str, count: int) -> Run:
         """Measure all groups with one rule; `count`: sub-beams, or rounds of splitting of rule `adaptive`."""
+        return self.in_turns([(rule, count)])[0]
+
+    def in_turns(
+        self, settings: Sequence[tuple[str, int]], begun: Callable[[int], object] = lambda group: None
+    ) -> list[Run]:
+        """The same of several (rule, count), which take turns with each group: all of them see the same machine.
+
+        Each begins with a sweep that is not timed, and another one is first each time.
+        """
+        parts: dict[tuple[str, int], list[tuple[float, float, Errors]]] = {one: [] for one in settings}
+        for group in range(self.groups):
+            begun(group)
+            first = group * len(settings) // self.groups
+            turn = [*settings[first:], *settings[:first]]
+            for one in turn if group % 2 == 0 else turn[::-1]:
+                parts[one].append(self._group(*one, group))
+        return [
+            Run(
+                rule,
+                count,
+                float(np.mean([one[0] for one in found])),
+                *zip(*((s, e) for _, s, e in found), strict=True),
+            )
+            for (rule, count), found in ((one, parts[one]) for one in settings)
+        ]
+
+    def _group(self, rule: str, count: int, group: int) -> tuple[float, float, Errors]:
+        """Rays and seconds a beam, and errors, of one group."""
         chosen = {"rule": "adaptive", "depth": count} if rule == "adaptive" else {"rule": rule, "sub_beams": count}
         measure, caster = self.build(chosen if rule in PRODUCT else {"rule": "axis"})
         view = None if rule in PRODUCT else measure.view(self.plan(0))  # for its air and surfaces
-        rng = np.random.default_rng(count)
-        clock = SystemClock()
-        seconds: list[float] = []
-        found: list[Errors] = []
-        cast = 0
-        for group in range(self.groups):
-            plan = self.plan(group)
-            rays = None if view is None else rays_of(FIXED[rule](count, rng), measure, plan)
-            _sweep(measure, caster, plan, view, rays)  # rays are kept from sweep to sweep, so the first is not timed
-            caster.rays = 0
-            taken = []
-            for _ in range(SWEEPS):
-                clock.restart()
-                echoes, scan = _sweep(measure, caster, plan, view, rays)
-                taken.append(1e-9 * clock.now_ns() / self.beams_a_group)
-            seconds.append(min(taken))
-            cast += caster.rays // SWEEPS
-            found.append(self.errors(measure, group, plan, echoes, scan))
-        return Run(rule, count, cast / (self.groups * self.beams_a_group), tuple(seconds), tuple(found))
+        plan = self.plan(group)
+        rays = (
+            None if view is None else rays_of(FIXED[rule](count, np.random.default_rng([count, group])), measure, plan)
+        )
+        _sweep(measure, caster, plan, view, rays)  # rays are kept from sweep to sweep, so the first is not timed
+        caster.rays, taken = 0, []
+        for _ in range(SWEEPS):
+            clock = CpuClock()
+            echoes, scan = _sweep(measure, caster, plan, view, rays)
+            taken.append(1e-9 * clock.now_ns() / self.beams_a_group)
+        found = self.errors(measure, group, plan, echoes, scan)
+        return caster.rays / SWEEPS / self.beams_a_group, min(taken), found
 
     def errors(self, measure: Measure, group: int, plan: ScanPlan, echoes: SubEchoes, scan: Scan) -> Errors:
         """Against the two echoes of the closed form, given to the same receiver."""

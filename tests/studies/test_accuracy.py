@@ -16,9 +16,9 @@ from emulator.commands.cli import main
 from emulator.physics import adaptive, radiometry
 from emulator.sensors.physics_options import LeaveOut
 from emulator.sensors.spec import list_models, load_spec
-from emulator.studies import accuracy, accuracy_knobs, accuracy_rules
+from emulator.studies import accuracy, accuracy_knobs, accuracy_rules, accuracy_targets
 from emulator.studies.accuracy_acceptance import DEFAULT, SEED_RAD, WIDE_RAD, plane_errors
-from emulator.studies.accuracy_path import PRODUCT, Edges
+from emulator.studies.accuracy_path import PRODUCT, Edges, Errors, Run
 from emulator.studies.accuracy_rules import FIXED, Strips
 from emulator.studies.report import Report
 
@@ -35,6 +35,8 @@ TINY = replace(
     point_counts=(61,),
     scenarios=("bumper",),
     alone=("flat_wall",),
+    hard_beams=24,
+    hard_turns=1,
 )
 EDGES = 1200
 
@@ -269,6 +271,64 @@ def test_the_report_has_every_rule_in_every_table(tiny: Report) -> None:
     advised = tiny.table("accuracy_advice")
     assert advised.rows[1][0] == 2e-2
     assert float(advised.rows[1][3] or 0.0) < DEFAULT
+
+
+def test_hard_targets_have_a_row_for_each_rule_and_both_forms(tiny: Report) -> None:
+    hard = tiny.table("accuracy_hard")
+    names = [target.name for target in accuracy_targets.targets()]
+    assert list(dict.fromkeys(hard.column("target"))) == names
+    assert len(hard.rows) == len(names) * len(accuracy_targets.RULES)
+    error = {(row[0], row[1]): float(row[3] or 0.0) for row in hard.rows}
+    for name in names:
+        assert error[name, "spiral 1024"] < 0.5 * error[name, "spiral 61"] or name.startswith("snow")
+    snow = next(name for name in names if name.startswith("snow"))
+    assert error[snow, "spiral 16"] < 1e-12  # flakes are of the world and not of the bundle
+    assert all(value is not None and float(value) > 0.0 for value in hard.column("arrays_us"))
+
+
+def test_mirrored_pairs_have_no_handedness_and_err_by_more(tiny: Report) -> None:
+    rows = {(row[0], row[1]): row for row in tiny.table("accuracy_mirror").rows}
+    for count in (61, 256):
+        spiral, pairs = rows["spiral", count], rows["mirrored pairs", count + count % 2]
+        assert float(spiral[4] or 0.0) > 10.0  # mm: the spiral turns one way
+        assert float(pairs[4] or 0.0) < 1e-6
+        assert float(pairs[2] or 0.0) > float(spiral[2] or 0.0)
+
+
+def run_of(rule: str, seconds: tuple[float, ...], error: float = 1e-3) -> Run:
+    return Run(rule, 61, 61.0, seconds, (Errors(error, 0.0, 0.0, 0.0),) * len(seconds))
+
+
+def test_only_a_rule_that_wins_nine_turns_of_ten_is_recommended_for_its_time() -> None:
+    one, two = tuple([1.0] * 10), tuple([2.0] * 10)
+    rest = {rule: [run_of(rule, tuple([9.0] * 10))] for rule in PRODUCT}
+    runs = {**rest, "spiral": [run_of("spiral", one)], "grid": [run_of("grid", two)]}
+    assert accuracy.in_every_turn(runs, 1e-2) == ("spiral", "10 of 10")
+    runs["grid"] = [run_of("grid", (0.5, 0.5, *two[2:]))]
+    assert accuracy.in_every_turn(runs, 1e-2) == (None, "spiral in 8 of 10; grid in 2 of 10")
+    assert accuracy.in_every_turn(runs, 1e-4) == (None, None)
+
+
+def test_settings_take_turns_and_each_group_begins_with_another_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[tuple[str, int, int]] = []
+
+    def noted(self: Edges, rule: str, count: int, group: int) -> tuple[float, float, Errors]:
+        seen.append((rule, count, group))
+        return float(count), 1e-6 * (group + 1), Errors(0.0, 0.0, 0.0, 0.0)
+
+    monkeypatch.setattr(Edges, "_group", noted)
+    begun: list[int] = []
+    with Edges(3, 4) as made:
+        runs = made.in_turns([("spiral", 16), ("spiral", 61), ("grid", 16)], begun.append)
+    assert begun == [0, 1, 2]
+    assert [seen[3 * k][:2] for k in range(3)] == [("spiral", 16), ("spiral", 16), ("grid", 16)]
+    assert all(len({one[:2] for one in seen[3 * k : 3 * k + 3]}) == 3 for k in range(3))
+    assert [(one.rule, one.count, one.rays) for one in runs] == [
+        ("spiral", 16, 16.0),
+        ("spiral", 61, 61.0),
+        ("grid", 16, 16.0),
+    ]
+    assert runs[0].seconds == pytest.approx((1e-6, 2e-6, 3e-6))
 
 
 def test_the_least_time_is_told_with_the_rules_that_were_not_run_so_far(tiny: Report) -> None:
