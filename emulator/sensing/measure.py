@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from emulator.casting.detail import detailed
 from emulator.errors import ScenarioError
 from emulator.measuring.conditions import NORMAL, ActiveFault, Conditions
 from emulator.physics import atmosphere
@@ -291,7 +292,7 @@ def build(scenario: Scenario, scene: Scene, caster: FacedCaster, sensor_id: str)
     ----------
     scenario : the run
     scene : its bodies and motions
-    caster : first hits on that scene, see raycast
+    caster : first hits on that scene, see raycast; leaves are put into it here
     sensor_id : which of its sensors; one that sees beams
     """
     index = next(number for number, one in enumerate(scenario.sensors) if one.id == sensor_id)
@@ -303,9 +304,10 @@ def build(scenario: Scenario, scene: Scene, caster: FacedCaster, sensor_id: str)
         draws = RandomStreams(scenario.seed, sensor_id)
         receiver = PhotonReceiver(model, model.photons, draws) if model.photons is not None else Receiver(model, draws)
         air = Air(scenario.weather, model, scene)
+        leaves = [one.foliage for one in surfaces[0].table.materials]
     except ValueError as error:  # numbers that are right alone but not together
         raise ScenarioError(f"{scenario.label(f'sensors.{index}.physics')}: {error}") from error
-    return Measure(model, scene, config.mount, caster, surfaces, air, receiver)
+    return Measure(model, scene, config.mount, detailed(caster, scene, leaves, scenario.seed), surfaces, air, receiver)
 
 
 def surface_table(scene: Scene, extra: Mapping[str, Material], model: SensorModel, wet: bool = False) -> Surfaces:

@@ -13,6 +13,8 @@ import numpy as np
 
 from emulator.config.budgets import MESH
 from emulator.errors import SceneError
+from emulator.physics.foliage import LARGEST_WALK, Foliage
+from emulator.physics.materials import material_from_mapping
 from emulator.scenario.checks import BUILTIN
 from emulator.scenario.live_options import SpawnShape
 from emulator.scenario.scenario import Scenario
@@ -226,6 +228,8 @@ class _Builder:
         "Of each body, in the scenario."
         self.faults: list[str] = []
         self.warnings: list[str] = []
+        found = {name: material_from_mapping(name, entry).foliage for name, entry in scenario.materials.items()}
+        self._leaves: dict[str, Foliage] = {name: leaves for name, leaves in found.items() if leaves is not None}
 
     def add(self, actor: int, shape: Shape, owner: Actor | WorldItem | SpawnShape, motion: Motion, dotted: str) -> None:
         if self.total > self.most:
@@ -234,6 +238,7 @@ class _Builder:
         try:
             geometry = self._geometry(shape, self._scenario.label(f"{below}.{shape.kind}"))
             names = self._part_materials(geometry, owner, dotted)
+            self._check_leaves(geometry, names, self._scenario.label(f"{below}.{shape.kind}"))
         except SceneError as error:
             self.faults.extend(error.lines)
             return
@@ -357,6 +362,26 @@ class _Builder:
         geometry = replace(first, centre=centre, radius=radius)
         self.frames[id(geometry)] = frames
         return geometry
+
+    def _check_leaves(self, geometry: Geometry, names: list[str], where: str) -> None:
+        """Leaves fill a body: it is closed, and not so large that a ray passes cells without end."""
+        for part, name in enumerate(names):
+            leaves = self._leaves.get(name)
+            if leaves is None:
+                continue
+            mine = geometry.face_part == part
+            if len(mine) and not geometry.closed[mine].all():
+                told = (
+                    f"{int((mine & ~geometry.closed).sum())} of {int(mine.sum())} triangles of {geometry.parts[part]}"
+                )
+                raise SceneError(f"{where}: {told} enclose nothing for the leaves of {name}; want a closed body")
+            cells = 2.0 * geometry.radius / leaves.cell_m
+            if cells > LARGEST_WALK:
+                least = 2.0 * geometry.radius / LARGEST_WALK / leaves.cell_m * leaves.leaf_size_m
+                raise SceneError(
+                    f"{where}: {cells:.3g} leaves of {name} beside each other; want foliage.leaf_size_m of at least"
+                    f" {least:.2g} m, or a smaller body"
+                )
 
     def _part_materials(self, geometry: Geometry, owner: Actor | WorldItem | SpawnShape, dotted: str) -> list[str]:
         """Material of each part: its own entry, else `material`, else a part that bears a material's name."""
