@@ -16,6 +16,8 @@ from emulator.casting.raycast import Caster
 from emulator.physics import foliage
 from emulator.physics.arrays import indexes
 from emulator.physics.foliage import Foliage, Walks
+from emulator.physics.materials import material_from_mapping
+from emulator.scenario.scenario import Scenario
 from emulator.world.batched_poses import Flags, Longs
 from emulator.world.scene import Scene
 from emulator.world.triangles import Floats
@@ -208,6 +210,12 @@ def _writable(hits: Hits | LateHits) -> Hits:
     """A copy of them."""
     whole = hits if isinstance(hits, Hits) else hits.whole
     return Hits(*(column.copy() for column in vars(whole).values()))
+
+
+def leaves_of(scenario: Scenario, scene: Scene) -> list[Foliage | None]:
+    """Of each of the scene's materials."""
+    own = {name: material_from_mapping(name, entry) for name, entry in scenario.materials.items()}
+    return [own[name].foliage if name in own else None for name in scene.materials]
 
 
 def detailed(caster: Caster, scene: Scene, leaves: Sequence[Foliage | None], seed: int) -> Caster | DetailedCaster:

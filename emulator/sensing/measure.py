@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from emulator.casting.detail import detailed
+from emulator.casting.detail import detailed, leaves_of
 from emulator.errors import ScenarioError
 from emulator.measuring.conditions import NORMAL, ActiveFault, Conditions
 from emulator.physics import atmosphere
@@ -304,10 +304,10 @@ def build(scenario: Scenario, scene: Scene, caster: FacedCaster, sensor_id: str)
         draws = RandomStreams(scenario.seed, sensor_id)
         receiver = PhotonReceiver(model, model.photons, draws) if model.photons is not None else Receiver(model, draws)
         air = Air(scenario.weather, model, scene)
-        leaves = [one.foliage for one in surfaces[0].table.materials]
     except ValueError as error:  # numbers that are right alone but not together
         raise ScenarioError(f"{scenario.label(f'sensors.{index}.physics')}: {error}") from error
-    return Measure(model, scene, config.mount, detailed(caster, scene, leaves, scenario.seed), surfaces, air, receiver)
+    seeing = detailed(caster, scene, leaves_of(scenario, scene), scenario.seed)
+    return Measure(model, scene, config.mount, seeing, surfaces, air, receiver)
 
 
 def surface_table(scene: Scene, extra: Mapping[str, Material], model: SensorModel, wet: bool = False) -> Surfaces:
