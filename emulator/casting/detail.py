@@ -1,7 +1,7 @@
-"""First hits where a face is not all there is to see: bodies full of leaves.
+"""First hits where a face is not all there is to see: bodies full of leaves, and faces with textures.
 
-Belongs here: rays that go on behind the hull of such a body, and what stands within and behind it. Not: the faces
-(raycast), where leaves are (physics.foliage).
+Belongs here: rays that go on behind the hull of a body of leaves, and what stands within and behind it; the material
+and the normal of a texel. Not: faces (raycast), where leaves are (physics.foliage), what a picture says (mesh_maps).
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from emulator.casting.hits import Hits, LateHits, Renewed
 from emulator.casting.raycast import Caster
 from emulator.physics import foliage
 from emulator.physics.arrays import indexes
-from emulator.physics.foliage import Foliage, Walks
-from emulator.physics.materials import material_from_mapping
+from emulator.physics.foliage import Walks
+from emulator.physics.materials import LEVELS, Material, material_from_mapping, with_levels
 from emulator.scenario.scenario import Scenario
 from emulator.world.batched_poses import Flags, Longs
 from emulator.world.scene import Scene
@@ -29,6 +29,8 @@ MOST_HULLS = 256
 NESTED = 8
 "Hulls within each other that a ray is in at a time; of more the outermost is forgotten."
 KEPT = 16
+PLAIN = Material("", ())
+"Of those that ship with the package none has leaves or maps."
 
 
 @dataclass(eq=False)
@@ -48,13 +50,17 @@ class _Front:
 class DetailedCaster:
     """A caster that knows what faces stand for; of a scene without such bodies none is made."""
 
-    def __init__(self, bare: Caster, scene: Scene, leaves: Sequence[Foliage | None], seed: int) -> None:
-        """`leaves`: of each of the scene's materials."""
+    def __init__(self, bare: Caster, scene: Scene, materials: Sequence[Material], seed: int) -> None:
+        """`materials`: those of the scene."""
         self.bare = bare
         "Of faces alone."
         self._scene = scene
-        self._leafy = np.array([one is not None for one in leaves], bool)
-        self._leaves = leaves
+        self.materials = materials
+        self._leaves = [one.foliage for one in materials]
+        self._leafy = np.array([one is not None for one in self._leaves], bool)
+        self._maps = [one.maps for one in materials]
+        self._mapped = np.array([one is not None for one in self._maps], bool)
+        self._first = with_levels(materials)[1]
         self._keys = [foliage.key_of(seed, number) for number in range(len(scene.bodies))]
         self._kept: tuple[tuple[Hits, Hits, Longs], ...] = ()
         "Of rays that come again: hits on faces, what is made of them, rays that go on. The latest last."
@@ -82,9 +88,9 @@ class DetailedCaster:
             return self.renewed(origin_m, direction, t_s, max_range_m).hits
         hits = self.bare.first_hits(origin_m, direction, t_s, max_range_m=max_range_m, aimed=aimed, order=order)
         at = self._onward(hits)
-        if not len(at):
-            return hits
-        return self._behind(_writable(hits), at, origin_m, direction, t_s, max_range_m)
+        if len(at):
+            hits = self._behind(_writable(hits), at, origin_m, direction, t_s, max_range_m)
+        return self._put_maps(hits, origin_m, direction, t_s)
 
     def renewed(self, origin_m: Floats, direction: Floats, t_s: Floats | float, max_range_m: float = np.inf) -> Renewed:
         """First hits of rays that come again, told apart; those that go on behind a hull are new where bodies move."""
@@ -95,17 +101,61 @@ class DetailedCaster:
             made = bare.resting
             if len(onward):
                 made = self._behind(_writable(made), onward, origin_m, direction, t_s, max_range_m)
+            made = self._put_maps(made, origin_m, direction, t_s)
             known = bare.resting, made, onward
             self._kept = (*self._kept[-KEPT + 1 :], known)
         _, made, onward = known
-        if not self.bare.moves:
-            return Renewed(made, bare.rays, bare.now)
-        rays = np.union1d(onward, bare.rays)
+        rays = np.union1d(onward, bare.rays) if self.bare.moves else bare.rays
         if not len(rays):
             return Renewed(made, bare.rays, bare.now)
         times = np.broadcast_to(np.asarray(t_s, np.float64), (len(direction),))[rays]
         now = self.first_hits(origin_m[rays], direction[rays], times, max_range_m=max_range_m)
         return Renewed(made, rays, now if isinstance(now, Hits) else now.whole)
+
+    def _put_maps(
+        self, hits: Hits | LateHits, origin_m: Floats, direction: Floats, t_s: Floats | float
+    ) -> Hits | LateHits:
+        """The hits with the reflectance and the normal of the texel, or the vertices, where faces have such."""
+        at = indexes(self._mapped.take(hits.material, mode="wrap") & (hits.material >= 0))
+        if not len(at):
+            return hits
+        found = _writable(hits)
+        origin = np.broadcast_to(np.asarray(origin_m, np.float64), direction.shape)
+        times = np.broadcast_to(np.asarray(t_s, np.float64), (len(direction),))
+        body = found.body[at]
+        for number in np.unique(body).tolist():
+            rays = at[body == number]
+            one = self._scene.bodies[number]
+            geometry, maps = one.geometry, one.geometry.maps
+            if maps is None:
+                continue
+            pose = one.motion.pose(times[rays])
+            place = origin[rays] + found.range_m[rays, None] * direction[rays] - pose.position_m
+            local = np.einsum("nji,nj->ni", pose.rotation, place)
+            face = found.face[rays]
+            corner = geometry.faces[face].astype(np.int64)
+            corners = geometry.vertices[corner]
+            share = _shares(local, corners)
+            part = geometry.face_part[face]
+            for which in np.unique(part).tolist():
+                k = indexes(part == which)
+                material = int(one.part_material[which])
+                wanted = self._maps[material]
+                if wanted is None:
+                    continue
+                if wanted.reflectance is not None:
+                    light = maps.luminance(which, corner[k], share[k])
+                    level = np.rint(light * (LEVELS - 1)).astype(np.int32)
+                    found.material[rays[k]] = self._first[material] + level
+                if wanted.normals:
+                    flat = geometry.normals[face[k]]
+                    normal = maps.normals(which, corner[k], share[k], corners[k], flat)
+                    along = direction[rays[k]]
+                    side = np.where(np.einsum("nij,nj,ni->n", pose.rotation[k], flat, along) > 0.0, -1.0, 1.0)
+                    world = side[:, None] * np.einsum("nij,nj->ni", pose.rotation[k], normal)
+                    found.normal[rays[k]] = world
+                    found.cosine[rays[k]] = np.maximum(-np.einsum("ij,ij->i", world, along), 0.0)
+        return found
 
     def _onward(self, hits: Hits | LateHits) -> Longs:
         """Rays that meet a hull first."""
@@ -191,6 +241,18 @@ class DetailedCaster:
         return np.asarray(met.body.astype(np.int64) * len(self._leaves) + met.material)
 
 
+def _shares(place: Floats, corners: Floats) -> Floats:
+    """(k, 3) barycentric shares of points on triangles (k, 3, 3)."""
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    to = place - corners[:, 0]
+    aa, ab, bb = (np.einsum("ij,ij->i", *pair) for pair in ((first, first), (first, second), (second, second)))
+    pa, pb = np.einsum("ij,ij->i", to, first), np.einsum("ij,ij->i", to, second)
+    det = aa * bb - ab * ab
+    v, w = (bb * pa - ab * pb) / det, (aa * pb - ab * pa) / det
+    share = np.clip(np.stack([1.0 - v - w, v, w], axis=1), 0.0, 1.0)
+    return np.asarray(share / share.sum(axis=1, keepdims=True))
+
+
 def _pass(front: _Front, met: Hits, medium: Longs, materials: int) -> None:
     """Hulls are entered and left; of the last entered of a body first."""
     within = front.within
@@ -212,14 +274,10 @@ def _writable(hits: Hits | LateHits) -> Hits:
     return Hits(*(column.copy() for column in vars(whole).values()))
 
 
-def leaves_of(scenario: Scenario, scene: Scene) -> list[Foliage | None]:
-    """Of each of the scene's materials."""
+def detailed(caster: Caster, scene: Scene, scenario: Scenario) -> Caster | DetailedCaster:
+    """The caster itself where no body has leaves or maps."""
     own = {name: material_from_mapping(name, entry) for name, entry in scenario.materials.items()}
-    return [own[name].foliage if name in own else None for name in scene.materials]
-
-
-def detailed(caster: Caster, scene: Scene, leaves: Sequence[Foliage | None], seed: int) -> Caster | DetailedCaster:
-    """The caster itself where no body has leaves."""
-    if all(one is None for one in leaves):
+    materials = [own.get(name, PLAIN) for name in scene.materials]
+    if all(one.foliage is None and one.maps is None for one in materials):
         return caster
-    return DetailedCaster(caster, scene, leaves, seed)
+    return DetailedCaster(caster, scene, materials, scenario.seed)

@@ -28,6 +28,24 @@ WAVELENGTH_TOLERANCE_NM = 45.0
 "A reflectance holds this far from the wavelength it is given for (850 to 950 nm for 905); farther is refused."
 
 
+@dataclass(frozen=True)
+class Maps:
+    """What a mesh's own colours and normals mean on this material."""
+
+    reflectance: tuple[float, float] | None = None
+    "Of black and of white; linear in luminance between them."
+    normals: bool = False
+
+    @property
+    def levels(self) -> Floats:
+        """(`LEVELS`,) reflectances of the steps between black and white; none where colours mean nothing."""
+        return np.zeros(0) if self.reflectance is None else np.linspace(*self.reflectance, LEVELS)
+
+
+LEVELS = 256
+"Steps of luminance."
+
+
 class MaterialError(ValueError):
     """A material that cannot be: carries the key, what was found and what is allowed."""
 
@@ -70,6 +88,7 @@ class Material:
     "Covered with a film of water: darker diffuse part."
     foliage: Foliage | None = None
     "A closed body of it is full of leaves, and no surface; `rho` is that of a leaf."
+    maps: Maps | None = None
     evidence: str = "user"
     source: str = ""
 
@@ -181,6 +200,8 @@ def material_from_mapping(name: str, entry: Mapping[str, Any]) -> Material:
         fields["rho"] = layer
     elif base is None:
         raise MaterialError(f"{where}.rho", "missing", "a number from 0 to 1, or a mapping of wavelength in nm to one")
+    if "maps" in entry:
+        fields["maps"] = _maps(f"{where}.maps", entry["maps"], model)
     result = replace(made, **fields)
     if result.model == "retro" and result.retro_cd_lx_m2 <= 0.0:
         raise MaterialError(f"{where}.retro_cd_lx_m2", "missing", "a number > 0, in cd/lx/m2")
@@ -231,6 +252,28 @@ def _leafy(name: str, entry: Mapping[str, Any], base: Material | None) -> Materi
     return Material(name, rho, wet=wet, foliage=leaves, **words)
 
 
+_UNMAPPED = ("glass", "mirror", "retro")
+
+
+def _maps(where: str, given: object, model: str) -> Maps:
+    allowed = "a mapping with reflectance: [of black, of white] and normals: true, one of them or both"
+    if not isinstance(given, Mapping) or not given or set(given) - {"reflectance", "normals"}:
+        raise MaterialError(where, repr(given), allowed)
+    if model in _UNMAPPED:
+        raise MaterialError(where, f"given for model {model}", "another model")
+    pair, normals = given.get("reflectance"), given.get("normals", False)
+    if not isinstance(normals, bool):
+        raise MaterialError(f"{where}.normals", repr(normals), "true or false")
+    if pair is None:
+        if not normals:
+            raise MaterialError(where, repr(given), allowed)
+        return Maps(None, True)
+    if not isinstance(pair, Sequence) or isinstance(pair, str) or len(pair) != 2:
+        raise MaterialError(f"{where}.reflectance", repr(pair), "two numbers from 0 to 1, of black and of white")
+    black, white = (_number(f"{where}.reflectance", one, 0.0, 1.0, _SHARE) for one in pair)
+    return Maps((black, white), normals)
+
+
 def _law(where: str, value: object) -> str | float:
     """A distribution of leaf inclinations."""
     ratio = f"ellipsoidal: a number from {RATIOS[0]:g} to {RATIOS[1]:g}"
@@ -261,7 +304,20 @@ _NUMBERS: Mapping[str, tuple[float, float, str]] = MappingProxyType(
         "retro_cd_lx_m2": (0.0, 2000.0, "a number from 0 to 2000, in cd/lx/m2"),
     }
 )
-_KEYS = ("rho", "k_over_s", "model", "like", "range", "specular", "wet", "foliage", "source", "evidence", *_NUMBERS)
+_KEYS = (
+    "rho",
+    "k_over_s",
+    "model",
+    "like",
+    "range",
+    "specular",
+    "wet",
+    "foliage",
+    "maps",
+    "source",
+    "evidence",
+    *_NUMBERS,
+)
 
 
 def _number(where: str, value: object, low: float, high: float, allowed: str) -> float:
@@ -294,6 +350,16 @@ def _table() -> Mapping[str, Material]:
     text = resources.files("emulator.physics").joinpath("materials.yaml").read_text(encoding="utf-8")
     entries = YAML(typ="safe", pure=True).load(text)
     return MappingProxyType({name: material_from_mapping(name, entry) for name, entry in entries.items()})
+
+
+def with_levels(materials: Sequence[Material]) -> tuple[list[Material], list[int]]:
+    """Materials, and behind them the steps of those that are mapped; and where those of each begin, -1 none."""
+    every, first = list(materials), []
+    for one in materials:
+        levels = np.zeros(0) if one.maps is None else one.maps.levels
+        first.append(len(every) if len(levels) else -1)
+        every += [replace(one, rho=((0.0, float(rho)),)) for rho in levels]
+    return every, first
 
 
 # ------------------------------------------------------------------------------- whole scans of hits
@@ -418,6 +484,11 @@ class SurfaceTable:
             np.tile(np.cos(np.radians(np.arange(91.0))), len(self.materials)),
         )
         return floats(top.reshape(len(self.materials), 91).max(axis=1))
+
+    @cached_property
+    def detailed(self) -> Bools:
+        """(materials,) of which a face is not one plane of one reflectance: leaves, maps."""
+        return np.array([m.foliage is not None or m.maps is not None for m in self.materials], bool)
 
     @cached_property
     def leafy(self) -> Bools:

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from emulator.casting.detail import detailed, leaves_of
+from emulator.casting.detail import detailed
 from emulator.errors import ScenarioError
 from emulator.measuring.conditions import NORMAL, ActiveFault, Conditions
 from emulator.physics import atmosphere
 from emulator.physics.arrays import Floats, indexes
-from emulator.physics.materials import Material, SurfaceTable, material, material_from_mapping
+from emulator.physics.materials import Material, SurfaceTable, material, material_from_mapping, with_levels
 from emulator.physics.random_streams import RandomStreams
 from emulator.scenario.weather import WeatherConfig
 from emulator.sensing.adapt import adaptive_rays
@@ -306,14 +306,15 @@ def build(scenario: Scenario, scene: Scene, caster: FacedCaster, sensor_id: str)
         air = Air(scenario.weather, model, scene)
     except ValueError as error:  # numbers that are right alone but not together
         raise ScenarioError(f"{scenario.label(f'sensors.{index}.physics')}: {error}") from error
-    seeing = detailed(caster, scene, leaves_of(scenario, scene), scenario.seed)
+    seeing = detailed(caster, scene, scenario)
     return Measure(model, scene, config.mount, seeing, surfaces, air, receiver)
 
 
 def surface_table(scene: Scene, extra: Mapping[str, Material], model: SensorModel, wet: bool = False) -> Surfaces:
     """Reflection of the scene's materials at the sensor's wavelength, and which bodies are glass all through."""
     find = partial(material, extra=extra)
-    table = SurfaceTable.of([find(name) for name in scene.materials], 1e9 * model.wavelength_m, wet)
+    every, _ = with_levels([find(name) for name in scene.materials])
+    table = SurfaceTable.of(every, 1e9 * model.wavelength_m, wet)
     glass = np.array([one.model == "glass" for one in table.materials], bool)
     solid = [bool(body.geometry.closed.all() and glass[body.face_material].all()) for body in scene.bodies]
     return Surfaces.of(table, np.array(solid, bool) if any(solid) else None)

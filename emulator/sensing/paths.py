@@ -53,7 +53,7 @@ class Surfaces:
     def of(cls, table: SurfaceTable, solid: NDArray[np.bool_] | None = None) -> Surfaces:
         """Those of a table."""
         onward = np.array([m.model in ("glass", "mirror") for m in table.materials], bool)
-        detailed = table.leafy if bool(table.leafy.any()) else None
+        detailed = table.detailed if bool(table.detailed.any()) else None
         strongest = float(table.largest.max(initial=0.0))
         return cls(table, table.sends_on, strongest, onward, onward | table.phong, solid, detailed)
 

@@ -154,7 +154,7 @@ def ranges(model: Any, azimuth_deg: np.ndarray, seeds: int = 150) -> np.ndarray:
     azimuth = np.radians(azimuth_deg)
     ray = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(len(azimuth))], axis=1)
     known = model._caster
-    other = [DetailedCaster(known.bare, model._scene, known._leaves, seed) for seed in range(seeds)]
+    other = [DetailedCaster(known.bare, model._scene, known.materials, seed) for seed in range(seeds)]
     return np.stack([one.first_hits(np.zeros((len(ray), 3)), ray, np.zeros(len(ray))).range_m for one in other])
 
 
