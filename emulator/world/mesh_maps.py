@@ -83,7 +83,7 @@ class MeshMaps:
         if maps.colour.picture >= 0:
             texel = _texels(self.pictures[maps.colour.picture], maps.colour.wrap, self.uv, corner, share)
             rgb *= linear(texel / 255.0)
-        return np.clip(rgb @ LUMINANCE, 0.0, 1.0)
+        return np.asarray(np.clip(rgb @ LUMINANCE, 0.0, 1.0))
 
     def normals(self, part: int, corner: Ints, share: Floats, place: Floats, flat: Floats) -> Floats:
         """(k, 3) unit normals by the texture, on the side of the faces' normals `flat`; `place` (k, 3, 3) corners."""
@@ -100,12 +100,12 @@ class MeshMaps:
         made = maps.scale * (x[:, None] * right + y[:, None] * up) + z[:, None] * flat
         length = np.linalg.norm(made, axis=1)
         sound = (det != 0.0) & (length > 1e-6)
-        return np.where(sound[:, None], made / np.where(length > 0.0, length, 1.0)[:, None], flat)
+        return np.asarray(np.where(sound[:, None], made / np.where(length > 0.0, length, 1.0)[:, None], flat))
 
 
 def linear(value: Floats) -> Floats:
     """Light of a value in sRGB, both 0 to 1 (IEC 61966-2-1)."""
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    return np.asarray(np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4))
 
 
 def _unit(vector: Floats) -> Floats:
