@@ -179,6 +179,11 @@ class Caster:
         return known
 
     @property
+    def bare(self) -> Caster:
+        """Itself: it knows of faces alone."""
+        return self
+
+    @property
     def moves(self) -> bool:
         """Some body moves, or is stored as those that do."""
         return self.movers > 0

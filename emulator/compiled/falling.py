@@ -21,7 +21,7 @@ _MASK, _TWO = np.uint64(2**21 - 1), np.uint64(2)
 
 @compiled()
 def mixed(word):
-    """`world_particles._mixed`."""
+    """`world_particles.mixed`."""
     word = (word ^ (word >> _30)) * _M1
     word = (word ^ (word >> _27)) * _M2
     return word ^ (word >> _31)

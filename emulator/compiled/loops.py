@@ -4,6 +4,7 @@ from emulator.compiled.casting import resting, told, unwritten
 from emulator.compiled.clusters import crossed, joined, split, sums
 from emulator.compiled.echoes import levels, ranks, readings
 from emulator.compiled.falling import falling
+from emulator.compiled.leaves import leaves
 from emulator.compiled.maxima import edges, maxima
 from emulator.compiled.media import crossed_under, ended_under
 from emulator.compiled.moving import moving, near, pairs
@@ -20,6 +21,7 @@ __all__ = [
     "falling",
     "in_order",
     "joined",
+    "leaves",
     "levels",
     "library",
     "maxima",

@@ -51,6 +51,8 @@ class MeshBudget:
     "After every node has drawn its mesh, as is said of triangles."
     triangles: int = 10_000_000
     "After every node has drawn its mesh: a short file may draw a large mesh often."
+    pixels: int = 70_000_000
+    "Of all pictures of a glTF, where a material asks for them: four of 4096 x 4096."
     memory_bytes: int = 5_000_000_000
     "Of the process that reads, above what it began with: 1e7 triangles that share no vertex need nine tenths of it."
     cpu_s: int = 120

@@ -20,11 +20,30 @@ import numpy as np
 from emulator.physics import brdf, sheeting
 from emulator.physics.arrays import Bools, Floats, Ints, floats, indexes
 from emulator.physics.constants import WATER_INDEX_905
+from emulator.physics.foliage import LAWS, RATIOS, Foliage
 
 Model = Literal["lambert", "oren_nayar", "phong", "ggx", "coated", "mirror", "glass", "retro"]
 MODELS: tuple[str, ...] = get_args(Model)
 WAVELENGTH_TOLERANCE_NM = 45.0
 "A reflectance holds this far from the wavelength it is given for (850 to 950 nm for 905); farther is refused."
+
+
+@dataclass(frozen=True)
+class Maps:
+    """What a mesh's own colours and normals mean on this material."""
+
+    reflectance: tuple[float, float] | None = None
+    "Of black and of white; linear in luminance between them."
+    normals: bool = False
+
+    @property
+    def levels(self) -> Floats:
+        """(`LEVELS`,) reflectances of the steps between black and white; none where colours mean nothing."""
+        return np.zeros(0) if self.reflectance is None else np.linspace(*self.reflectance, LEVELS)
+
+
+LEVELS = 256
+"Steps of luminance."
 
 
 class MaterialError(ValueError):
@@ -69,6 +88,9 @@ class Material:
     "Class of `sheeting.yaml` by which it falls with the angles of entrance and observation; empty: it does not."
     wet: bool = False
     "Covered with a film of water: darker diffuse part."
+    foliage: Foliage | None = None
+    "A closed body of it is full of leaves, and no surface; `rho` is that of a leaf."
+    maps: Maps | None = None
     evidence: str = "user"
     source: str = ""
 
@@ -133,6 +155,12 @@ def material_from_mapping(name: str, entry: Mapping[str, Any]) -> Material:
             near = difflib.get_close_matches(str(key), _KEYS, 1)
             raise MaterialError(f"{where}.{key}", "unknown key", near[0] if near else f"one of {', '.join(_KEYS)}")
     made = base or Material(name, ())
+    if "foliage" in entry:
+        return _leafy(name, entry, base)
+    if made.foliage is not None:
+        for key in ("rho", "k_over_s", "model"):
+            if key in entry:
+                raise MaterialError(f"{where}.{key}", f"given for leaves, like {made.name}", "foliage.leaf_reflectance")
     model = entry.get("model", made.model)
     if model not in MODELS:
         raise MaterialError(f"{where}.model", repr(model), f"one of {', '.join(MODELS)}")
@@ -183,6 +211,8 @@ def material_from_mapping(name: str, entry: Mapping[str, Any]) -> Material:
         fields["rho"] = layer
     elif base is None:
         raise MaterialError(f"{where}.rho", "missing", "a number from 0 to 1, or a mapping of wavelength in nm to one")
+    if "maps" in entry:
+        fields["maps"] = _maps(f"{where}.maps", entry["maps"], model)
     result = replace(made, **fields)
     if result.model == "retro" and result.retro_cd_lx_m2 <= 0.0:
         raise MaterialError(f"{where}.retro_cd_lx_m2", "missing", "a number > 0, in cd/lx/m2")
@@ -190,6 +220,84 @@ def material_from_mapping(name: str, entry: Mapping[str, Any]) -> Material:
 
 
 _SHARE = "a number from 0 to 1"
+_BESIDE_FOLIAGE = ("like", "foliage", "wet", "source", "evidence")
+_FOLIAGE = ("leaf_area_density_m2_m3", "leaf_angle", "leaf_reflectance", "leaf_size_m")
+
+
+def _leafy(name: str, entry: Mapping[str, Any], base: Material | None) -> Material:
+    """A material that is leaves; what is not given is that of `like`."""
+    where, given = f"materials.{name}.foliage", entry["foliage"]
+    for key in entry:
+        if key not in _BESIDE_FOLIAGE:
+            allowed = f"foliage with {', '.join(_BESIDE_FOLIAGE[2:])} alone; leaves reflect as foliage.leaf_reflectance"
+            raise MaterialError(f"materials.{name}.{key}", "given beside foliage", f"{allowed} says")
+    if not isinstance(given, Mapping):
+        raise MaterialError(where, repr(given), f"a mapping with {', '.join(_FOLIAGE)}")
+    for key in given:
+        if key not in _FOLIAGE:
+            near = difflib.get_close_matches(str(key), _FOLIAGE, 1)
+            raise MaterialError(f"{where}.{key}", "unknown key", near[0] if near else f"one of {', '.join(_FOLIAGE)}")
+    fields: dict[str, Any] = {}
+    limits = {"leaf_area_density_m2_m3": (0.0, 1000.0, ""), "leaf_size_m": (0.001, 2.0, " m")}
+    for key, (low, high, unit) in limits.items():
+        if key in given:
+            text = f"a number from {low:g} to {high:g}{unit}"
+            fields[key] = _number(f"{where}.{key}", given[key], low, high, text)
+    if "leaf_angle" in given:
+        fields["leaf_angle"] = _law(f"{where}.leaf_angle", given["leaf_angle"])
+    known = None if base is None else base.foliage
+    if known is None and "leaf_area_density_m2_m3" not in given:
+        raise MaterialError(f"{where}.leaf_area_density_m2_m3", "missing", "a number from 0 to 1000")
+    leaves = Foliage(**fields) if known is None else replace(known, **fields)
+    rho = () if base is None else base.rho
+    if "leaf_reflectance" in given:
+        rho = _spectrum(f"{where}.leaf_reflectance", given["leaf_reflectance"], 0.0, 1.0, _SHARE)
+    elif base is None:
+        raise MaterialError(
+            f"{where}.leaf_reflectance", "missing", "a number from 0 to 1, or a mapping of wavelength in nm to one"
+        )
+    if "wet" in entry and not isinstance(entry["wet"], bool):
+        raise MaterialError(f"materials.{name}.wet", repr(entry["wet"]), "true or false")
+    wet = entry.get("wet", False if base is None else base.wet)
+    words = {key: str(entry[key]) for key in ("source", "evidence") if key in entry}
+    return Material(name, rho, wet=wet, foliage=leaves, **words)
+
+
+_UNMAPPED = ("glass", "mirror", "retro")
+
+
+def _maps(where: str, given: object, model: str) -> Maps:
+    allowed = "a mapping with reflectance: [of black, of white] and normals: true, one of them or both"
+    if not isinstance(given, Mapping) or not given or set(given) - {"reflectance", "normals"}:
+        raise MaterialError(where, repr(given), allowed)
+    if model in _UNMAPPED:
+        raise MaterialError(where, f"given for model {model}", "another model")
+    pair, normals = given.get("reflectance"), given.get("normals", False)
+    if not isinstance(normals, bool):
+        raise MaterialError(f"{where}.normals", repr(normals), "true or false")
+    if pair is None:
+        if not normals:
+            raise MaterialError(where, repr(given), allowed)
+        return Maps(None, True)
+    if not isinstance(pair, Sequence) or isinstance(pair, str) or len(pair) != 2:
+        raise MaterialError(f"{where}.reflectance", repr(pair), "two numbers from 0 to 1, of black and of white")
+    black, white = (_number(f"{where}.reflectance", one, 0.0, 1.0, _SHARE) for one in pair)
+    return Maps((black, white), normals)
+
+
+def _law(where: str, value: object) -> str | float:
+    """A distribution of leaf inclinations."""
+    ratio = f"ellipsoidal: a number from {RATIOS[0]:g} to {RATIOS[1]:g}"
+    if isinstance(value, Mapping):
+        if list(value) != ["ellipsoidal"]:
+            raise MaterialError(where, repr(dict(value)), f"{ratio}, or one of {', '.join(LAWS)}")
+        return _number(f"{where}.ellipsoidal", value["ellipsoidal"], *RATIOS, f"a number from {RATIOS[0]:g} to 100")
+    if not isinstance(value, str) or value not in LAWS:
+        near = difflib.get_close_matches(str(value), LAWS, 1)
+        raise MaterialError(where, repr(value), f"{near[0]}" if near else f"one of {', '.join(LAWS)}, or {ratio}")
+    return value
+
+
 _NUMBERS: Mapping[str, tuple[float, float, str]] = MappingProxyType(
     {
         "slope_rad": (0.0, math.pi / 2.0, "a number from 0 to 1.57"),
@@ -207,7 +315,21 @@ _NUMBERS: Mapping[str, tuple[float, float, str]] = MappingProxyType(
         "retro_cd_lx_m2": (0.0, 2000.0, "a number from 0 to 2000, in cd/lx/m2"),
     }
 )
-_KEYS = ("rho", "k_over_s", "model", "like", "range", "specular", "wet", "retro_class", "source", "evidence", *_NUMBERS)
+_KEYS = (
+    "rho",
+    "k_over_s",
+    "model",
+    "like",
+    "range",
+    "specular",
+    "wet",
+    "foliage",
+    "maps",
+    "retro_class",
+    "source",
+    "evidence",
+    *_NUMBERS,
+)
 
 
 def _number(where: str, value: object, low: float, high: float, allowed: str) -> float:
@@ -240,6 +362,16 @@ def _table() -> Mapping[str, Material]:
     text = resources.files("emulator.physics").joinpath("materials.yaml").read_text(encoding="utf-8")
     entries = YAML(typ="safe", pure=True).load(text)
     return MappingProxyType({name: material_from_mapping(name, entry) for name, entry in entries.items()})
+
+
+def with_levels(materials: Sequence[Material]) -> tuple[list[Material], list[int]]:
+    """Materials, and behind them the steps of those that are mapped; and where those of each begin, -1 none."""
+    every, first = list(materials), []
+    for one in materials:
+        levels = np.zeros(0) if one.maps is None else one.maps.levels
+        first.append(len(every) if len(levels) else -1)
+        every += [replace(one, rho=((0.0, float(rho)),)) for rho in levels]
+    return every, first
 
 
 # ------------------------------------------------------------------------------- whole scans of hits
@@ -380,6 +512,16 @@ class SurfaceTable:
             np.tile(np.cos(np.radians(np.arange(91.0))), len(self.materials)),
         )
         return floats(top.reshape(len(self.materials), 91).max(axis=1))
+
+    @cached_property
+    def detailed(self) -> Bools:
+        """(materials,) of which a face is not one plane of one reflectance: leaves, maps."""
+        return np.array([m.foliage is not None or m.maps is not None for m in self.materials], bool)
+
+    @cached_property
+    def leafy(self) -> Bools:
+        """(materials,) of which closed bodies are full of leaves."""
+        return np.array([m.foliage is not None for m in self.materials], bool)
 
     @property
     def sends_on(self) -> bool:

@@ -47,7 +47,7 @@ SLACK_M = 1e-5
 "Beams that are nearer to their places of an earlier sweep, from the first one, are looked for in the same boxes."
 AT_ONCE = 200_000
 "Cells that are held together."
-_STEP = np.uint64(0x9E3779B97F4A7C15)
+STEP = np.uint64(0x9E3779B97F4A7C15)
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,13 +312,13 @@ class _Search:
         cell[:, 0] += at % size[:, 0]
         cell[:, 1] += at // size[:, 0] % size[:, 1]
         cell[:, 2] += at // (size[:, 0] * size[:, 1])
-        word = _cell_words(np.uint64(self.of.key), cell)
-        number = np.searchsorted(_POISSON, _unit(_mixed(word + _STEP)), side="right")
+        word = cell_words(np.uint64(self.of.key), cell)
+        number = np.searchsorted(_POISSON, unit(mixed(word + STEP)), side="right")
         some = indexes(number > 0)
         number = number[some]
         owner = some.repeat(number)
-        word = _mixed(word[owner] + (2 * ramp(number) + 2).astype(np.uint64) * _STEP)
-        place = (cell[owner] + _three(word)) * self.fan.cell_m
+        word = mixed(word[owner] + (2 * ramp(number) + 2).astype(np.uint64) * STEP)
+        place = (cell[owner] + three(word)) * self.fan.cell_m
         kept, beams = self._near(box[owner], place)
         place, word = place[kept], word[kept]
         first, number = beams
@@ -372,7 +372,7 @@ class _Search:
             y = np.einsum("ij,ij->i", off, np.cross(axis, across))
             square = (x / np.maximum(optics.tan_x * r + optics.exit_radius_m, 1e-150)) ** 2
             square = square + (y / np.maximum(optics.tan_y * r + optics.exit_radius_m, 1e-150)) ** 2
-        size = self.of.sizes(_unit(_mixed(word + _STEP)), self.light.sizes.largest_mm)
+        size = self.of.sizes(unit(mixed(word + STEP)), self.light.sizes.largest_mm)
         if optics.gaussian:
             size = size * np.exp(-np.minimum(square, 500.0))
         else:
@@ -434,25 +434,25 @@ _POISSON = np.asarray(special.pdtr(np.arange(24), A_CELL), np.float64)
 _PRIMES = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
 
 
-def _mixed(word: Words) -> Words:
+def mixed(word: Words) -> Words:
     """The last steps of splitmix64: every bit of the result depends on every bit given."""
     word = (word ^ (word >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     word = (word ^ (word >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return np.asarray(word ^ (word >> np.uint64(31)))
 
 
-def _cell_words(key: np.uint64, cell: Ints) -> Words:
+def cell_words(key: np.uint64, cell: Ints) -> Words:
     words = cell.astype(np.uint64) * _PRIMES
-    word = _mixed(words[:, 0] ^ key)
-    word = _mixed(word + words[:, 1])
-    return _mixed(word + words[:, 2])
+    word = mixed(words[:, 0] ^ key)
+    word = mixed(word + words[:, 1])
+    return mixed(word + words[:, 2])
 
 
-def _unit(word: Words) -> Floats:
+def unit(word: Words) -> Floats:
     return ((word >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53
 
 
-def _three(word: Words) -> Floats:
+def three(word: Words) -> Floats:
     """(k, 3) uniform numbers of 21 bits each: places in a cell to less than a micrometre."""
     mask = np.uint64(2**21 - 1)
     parts = [(word >> np.uint64(shift)) & mask for shift in (0, 21, 42)]

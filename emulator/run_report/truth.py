@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from emulator.casting import raycast
+from emulator.casting.detail import detailed
 from emulator.casting.hits import Hits, LateHits
 from emulator.errors import EmulatorError
 from emulator.recording.layout import RecordedScan
@@ -32,7 +33,7 @@ class Truth:
     def __init__(self, scenario: Scenario, world: Scene, played: Played | None = None) -> None:
         """`played`: the recorded feed, where somebody else moved the world."""
         self._played = played
-        self._caster = raycast.Caster(world)
+        self._caster = detailed(raycast.Caster(world), world, scenario)
         self._mounts = {sensor.id: sensor.mount for sensor in scenario.sensors}
         self.scene = world
 

@@ -72,6 +72,10 @@ class FacedCaster(Protocol):
     """The same with faces, and rays that come again."""
 
     @property
+    def bare(self) -> FacedCaster:
+        """One that finds faces alone, also where these stand for more."""
+
+    @property
     def moves(self) -> bool: ...
     @property
     def movers(self) -> int: ...

@@ -283,6 +283,17 @@ def _particles(measure: Measure, plan: ScanPlan) -> Finding:
     return Finding(out, value, RAREST_PARTICLES, saves, unit="per sweep")
 
 
+def _leaves(measure: Measure, plan: ScanPlan) -> Finding:
+    """Leaves are met by rays: between them, in wide beams, only so many are looked at."""
+    table, caster = measure._dry.table, measure._caster
+    if caster.bare is caster or not bool(table.leafy.any()):
+        return Finding(True, None, None, "rays that go on behind the faces of crowns", idle=True)
+    rays = measure._bundles.of(plan).sub_beams
+    least_mm = 1e3 * min(one.foliage.cell_m for one in table.materials if one.foliage is not None)
+    saves = f"nothing; leaves in cells of {least_mm:.3g} mm and more, met by {rays} rays of each beam"
+    return Finding(False, 0.5 / math.sqrt(rays), 1.0, saves, unit="of a beam, rms")
+
+
 def _waveform(measure: Measure, plan: ScanPlan) -> Finding:
     model, receiver, unit = measure.model, measure._receiver, "m"
     bound = SHORT * model.pulse.half_support_m
@@ -403,6 +414,9 @@ RULES: tuple[Rule, ...] = (
     Rule("backscatter tables", "soft_table", "once per state of the weather", "exact in homogeneous air", _soft_table),
     Rule("precipitation particles", "particles", "once per state of the weather, draws per sweep",
          "no precipitation, or fewer than 1e-3 particles per sweep exceed the threshold", _particles),
+    Rule("leaves", None, "once for a static sensor, else per sweep",
+         "each ray meets leaves with the gap probability exactly; where leaves are smaller than the distance of the "
+         "rays of a beam, its share in the gaps flickers more than it should, at most as independent rays do", _leaves),
     Rule("waveform sampling", "waveform", "once per cluster of reflections",
          "a cluster shorter than half a pulse is a closed-form sum of cosines; longer clusters are sampled", _waveform),
     Rule("receiver electronics", None, "once per sensor",

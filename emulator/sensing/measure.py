@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from emulator.casting.detail import detailed
 from emulator.errors import ScenarioError
 from emulator.measuring.conditions import NORMAL, ActiveFault, Conditions
 from emulator.physics import atmosphere
 from emulator.physics.arrays import Floats, indexes
-from emulator.physics.materials import Material, SurfaceTable, material, material_from_mapping
+from emulator.physics.materials import Material, SurfaceTable, material, material_from_mapping, with_levels
 from emulator.physics.random_streams import RandomStreams
 from emulator.scenario.weather import WeatherConfig
 from emulator.sensing.adapt import adaptive_rays
@@ -296,7 +297,7 @@ def build(scenario: Scenario, scene: Scene, caster: FacedCaster, sensor_id: str)
     ----------
     scenario : the run
     scene : its bodies and motions
-    caster : first hits on that scene, see raycast
+    caster : first hits on that scene, see raycast; leaves are put into it here
     sensor_id : which of its sensors; one that sees beams
     """
     index = next(number for number, one in enumerate(scenario.sensors) if one.id == sensor_id)
@@ -311,13 +312,15 @@ def build(scenario: Scenario, scene: Scene, caster: FacedCaster, sensor_id: str)
         others = others_of(scenario, scene, sensor_id, model) if scenario.emitters else None
     except ValueError as error:  # numbers that are right alone but not together
         raise ScenarioError(f"{scenario.label(f'sensors.{index}.physics')}: {error}") from error
-    return Measure(model, scene, config.mount, caster, surfaces, air, receiver, others=others)
+    seeing = detailed(caster, scene, scenario)
+    return Measure(model, scene, config.mount, seeing, surfaces, air, receiver, others=others)
 
 
 def surface_table(scene: Scene, extra: Mapping[str, Material], model: SensorModel, wet: bool = False) -> Surfaces:
     """Reflection of the scene's materials at the sensor's wavelength, and which bodies are glass all through."""
     find = partial(material, extra=extra)
-    table = SurfaceTable.of([find(name) for name in scene.materials], 1e9 * model.wavelength_m, wet, model.baseline_m)
+    every, _ = with_levels([find(name) for name in scene.materials])
+    table = SurfaceTable.of(every, 1e9 * model.wavelength_m, wet, model.baseline_m)
     glass = np.array([one.model == "glass" for one in table.materials], bool)
     solid = [bool(body.geometry.closed.all() and glass[body.face_material].all()) for body in scene.bodies]
     return Surfaces.of(table, np.array(solid, bool) if any(solid) else None)

@@ -46,12 +46,16 @@ class Surfaces:
     "(materials,) those, and those that the loops leave to arrays."
     solid: NDArray[np.bool_] | None = None
     "(bodies,) closed and of glass alone: light leaves them again where it meets their inside; None: there is none."
+    detailed: NDArray[np.bool_] | None = None
+    "(materials,) those whose faces stand for more than a plane of one reflectance; None: there is none."
 
     @classmethod
     def of(cls, table: SurfaceTable, solid: NDArray[np.bool_] | None = None) -> Surfaces:
         """Those of a table."""
         onward = np.array([m.model in ("glass", "mirror") for m in table.materials], bool)
-        return cls(table, table.sends_on, float(table.largest.max(initial=0.0)), onward, onward | table.apart, solid)
+        detailed = table.detailed if bool(table.detailed.any()) else None
+        strongest = float(table.largest.max(initial=0.0))
+        return cls(table, table.sends_on, strongest, onward, onward | table.apart, solid, detailed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -97,6 +97,8 @@ class Pruning:
     def __init__(self, scene: Scene, model: SensorModel, caster: FacedCaster, at_rest: bool) -> None:
         at_rest = at_rest and model.leave_out.resting
         self._model, self._caster, self._at_rest = model, caster, at_rest
+        self._bare = caster.bare
+        "For what is asked of planes and edges."
         self.radii = model.plain_radii if model.beam.profile == "gauss" else 1.0 + 1e-6
         # of what a feed may bring no edges are known: with it in a sweep, none are looked at
         outlines = outlines_of(replace(scene, bodies=tuple(body for body in scene.bodies if not body.motion.may_come)))
@@ -147,6 +149,8 @@ class Pruning:
         plain = looked.plain & (planes.steep < closed.STEEPEST)
         if surfaces.sends_on and model.bounces > 0:
             plain[met] &= ~surfaces.onward[hits.material[met]]
+        if surfaces.detailed is not None:
+            plain[met] &= ~surfaces.detailed[hits.material[met]]
         short, leans = closed.holds(planes, hits, surfaces, air, model, plain & met)
         if model.rule == "laguerre" or not model.leave_out.plane_moments:
             short[:] = False  # that rule is chosen for its exact sums
@@ -211,7 +215,7 @@ class Pruning:
             kept = self._kept[2]
             return Looked(kept.rays.at(t_s), kept.hits, kept.plain, 0)
         rays, again = self._axis_rays(bundles, pose, t_s)
-        hits = self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=cut, again=again)
+        hits = self._bare.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=cut, again=again)
         found = self._judged(plan, rays, hits, pose, t_s, reach if not far else math.inf, bundles.sub_beams)
         if self._all_still:
             self._kept = key, cut, found
@@ -270,7 +274,7 @@ class Pruning:
         direction = turned(rotation, own).reshape(-1, 3)
         origin = rays.centre_m[at].repeat(PROBES, axis=0) + turned(rotation, start).reshape(-1, 3)
         owner = at.repeat(PROBES)
-        found = self._caster.first_hits(origin, direction, rays.t_s[owner])
+        found = self._bare.first_hits(origin, direction, rays.t_s[owner])
         same = (found.body == hits.body[owner]) & (found.material == hits.material[owner])
         normal = hits.normal[owner]
         same &= np.einsum("ij,ij->i", found.normal, normal) > 1.0 - SAME_NORMAL

@@ -30,12 +30,15 @@ from emulator.world.gltf_guard import (
     primitives_of,
     width_of,
 )
+from emulator.world.mesh_maps import MeshMaps, PartMaps, Textures, Wanted
 
 KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WHOLE = {5120: 127.0, 5121: 255.0, 5122: 32767.0, 5123: 65535.0}
 "What stands for 1 where an accessor is `normalized` (glTF 2.0, 3.11)."
 
 Floats = NDArray[np.float64]
+Span = tuple[str, dict[str, Any], int, int]
+"Part, table of the primitive, first vertex and number of vertices."
 Raw = tuple[Floats, NDArray[np.int64], NDArray[np.int32], tuple[str, ...]]
 
 
@@ -43,11 +46,57 @@ def load_gltf(path: Path, budget: MeshBudget = MESH) -> Raw:
     """Vertices (v, 3), triangles (f, 3), part of each, names of the parts; `ValueError` for what cannot be read."""
     with ExitStack() as files:
         found = judged(path, budget, files)
-        return _triangles(found)
+        return _triangles(found)[0]
 
 
-def _triangles(found: Judged) -> Raw:
-    """Every mesh where its nodes place it: by primitives, then by the names of nodes."""
+def load_with_maps(path: Path, budget: MeshBudget, wanted: Wanted) -> tuple[Raw, MeshMaps]:
+    """The same with colours and normals of some parts."""
+    with ExitStack() as files:
+        found = judged(path, budget, files)
+        raw, spans = _triangles(found, apart=True)
+        budget.need("vertices", len(raw[0]), "vertices, those of each primitive counted by themselves")
+        return raw, _maps(found, Textures(found, path, budget, files), raw, spans, wanted)
+
+
+def _maps(found: Judged, textures: Textures, raw: Raw, spans: list[Span], wanted: Wanted) -> MeshMaps:
+    uv, normal_uv, colour = (np.full((len(raw[0]), width), np.nan) for width in (2, 2, 3))
+    parts: dict[str, tuple[PartMaps, int | None]] = {}
+    for name, primitive, first, count in spans:
+        if not wanted.has(name):
+            continue
+        number = number_of(primitive, "material") if "material" in primitive else None
+        maps, which, other = textures.of(number)
+        if parts.setdefault(name, (maps, number))[0] != maps:
+            raise ValueError(f"part {name!r}: materials of one name with different pictures; want names of their own")
+        here = slice(first, first + count)
+        for target, key, on in ((uv, which, maps.colour), (normal_uv, other, maps.normal)):
+            if on.picture >= 0 and f"TEXCOORD_{key}" in primitive["attributes"]:
+                target[here] = _attribute(found, primitive, f"TEXCOORD_{key}", ("VEC2",), count)
+        if "COLOR_0" in primitive["attributes"]:
+            colour[here] = _attribute(found, primitive, "COLOR_0", ("VEC3", "VEC4"), count)[:, :3]
+    told = tuple(parts[name][0] if name in parts else PartMaps() for name in raw[3])
+    return MeshMaps(uv, normal_uv, colour, tuple(textures.pictures), told)
+
+
+def _attribute(found: Judged, primitive: dict[str, Any], key: str, kinds: tuple[str, ...], count: int) -> Floats:
+    """Values of a vertex attribute; whole numbers are shares of their largest."""
+    number = number_of(primitive["attributes"], key)
+    accessors = found.tree["accessors"]
+    if number >= len(accessors) or accessors[number].get("type") not in kinds or accessors[number]["count"] != count:
+        raise ValueError(f"{key} is accessor {number}; want one of {' or '.join(kinds)} with {count} elements")
+    if "bufferView" not in accessors[number]:
+        raise ValueError(f"{key}: accessor {number} without data")
+    values = _array(found, number).astype(np.float64) / WHOLE.get(accessors[number]["componentType"], 1.0)
+    if not np.isfinite(values).all():
+        raise ValueError(f"{key}: numbers that are not finite")
+    return values
+
+
+def _triangles(found: Judged, apart: bool = False) -> tuple[Raw, list[Span]]:
+    """Every mesh where its nodes place it: by primitives, then by the names of nodes.
+
+    `apart`: each primitive has its own vertices. And the vertices of every primitive that is drawn.
+    """
     tree = found.tree
     places = _places(found)
     names = _names(tree)
@@ -59,30 +108,36 @@ def _triangles(found: Judged) -> Raw:
             mesh = node["mesh"]
             for item in drawn(tree, mesh):
                 shown.append((order[mesh, item[0]], str(node.get("name", number)), number, mesh, item))
-    count = {(number, item[3]): tree["accessors"][item[3]]["count"] for _, _, number, _, item in shown}
+    count = {
+        (number, item[3], item[0] if apart else 0): tree["accessors"][item[3]]["count"]
+        for _, _, number, _, item in shown
+    }
+    spans: list[Span] = []
     points = np.zeros((sum(count.values()), 3))
     faces = np.zeros((sum(item[4] for *_, item in shown), 3), np.int64)
     part = np.zeros(len(faces), np.int32)
     numbers: dict[str, int] = {}
     arrays: dict[int, NDArray[Any]] = {}
-    offsets: dict[tuple[int, int], int] = {}
+    offsets: dict[tuple[int, int, int], int] = {}
     lists: dict[tuple[int, int], NDArray[np.int64]] = {}
     total = first = 0
     for _, _, number, mesh, (which, primitive, mode, corners, _) in sorted(shown, key=lambda one: one[:3]):
         if corners not in arrays:
             arrays[corners] = _positions(found, corners)
-        if (number, corners) not in offsets:  # several primitives of a mesh share their vertices
-            offsets[number, corners] = total
+        own = number, corners, which if apart else 0
+        if own not in offsets:  # several primitives of a mesh share their vertices
+            offsets[own] = total
             points[total : total + len(arrays[corners])] = _placed(arrays[corners], places[number])
             total += len(arrays[corners])
         if (mesh, which) not in lists:
             lists[mesh, which] = _faces(found, primitive, mode, len(arrays[corners]))
         indices = lists[mesh, which]
         name = _material(tree, primitive) or names[mesh, which]
-        faces[first : first + len(indices)] = indices + offsets[number, corners]
+        faces[first : first + len(indices)] = indices + offsets[own]
         part[first : first + len(indices)] = numbers.setdefault(name, len(numbers))
         first += len(indices)
-    return points, faces, part, tuple(numbers)
+        spans.append((name, primitive, offsets[own], len(arrays[corners])))
+    return (points, faces, part, tuple(numbers)), spans
 
 
 # ---------------------------------------------------------------- numbers

@@ -2,8 +2,8 @@
 
 Belongs here: chunks, JSON, where buffers come from, sizes, the tree of nodes, what nodes draw in all. Not: the numbers
 themselves (gltf_file). A buffer is in the file, in a `data:` text, or a file beside it: never outside its folder, never
-on a network. Pictures are not read at all: of a material only its name counts. Bytes that nothing draws are not read
-either, however long a buffer is.
+on a network. Of a material only its name counts here; its pictures, where they are asked for, are read by mesh_maps.
+Bytes that nothing draws are not read either, however long a buffer is.
 """
 
 from __future__ import annotations
@@ -267,7 +267,7 @@ def _buffers(
         if not isinstance(uri, str):
             raise ValueError(f"buffer {number}: uri; want a text")
         if uri not in known:
-            known[uri] = _from_uri(uri, path.parent, number in used, files)
+            known[uri] = from_uri(uri, path.parent, number in used, files)
             size += known[uri][0]
             budget.need("bytes", size, "bytes in all its buffers")
         found.append(known[uri])
@@ -278,7 +278,7 @@ def _part(data: bytes, first: int, count: int) -> bytes:
     return data[first : first + count]
 
 
-def _from_uri(uri: str, folder: Path, used: bool, files: ExitStack) -> tuple[int, Read]:
+def from_uri(uri: str, folder: Path, used: bool, files: ExitStack) -> tuple[int, Read]:
     shown = _short(uri)
     if uri.startswith("data:"):
         head, comma, body = uri.partition(",")

@@ -11,16 +11,19 @@ glTF, `up="z"` takes a glTF as it is.
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emulator.config.budgets import MESH, MOST_FLOAT_CHARACTERS, MeshBudget, PlainFile, TooMuch, raised
 from emulator.errors import SceneError
 from emulator.process.quiet_loggers import muted
-from emulator.world.gltf_file import Raw, load_gltf, unique_name
+from emulator.world.gltf_file import Raw, load_gltf, load_with_maps, unique_name
+from emulator.world.mesh_maps import Wanted, of_colours
 from emulator.world.obj_file import load_obj
 from emulator.world.triangles import Geometry, checked
 
@@ -37,8 +40,13 @@ PLY_BYTES |= dict.fromkeys(("int16", "uint16"), 2) | dict.fromkeys(("int", "uint
 PLY_BYTES |= dict.fromkeys(("float", "float32"), 4) | dict.fromkeys(("double", "float64"), 8)
 
 
-def load(path: Path, up: Literal["y", "z"] | None, scale: float, where: str, budget: MeshBudget = MESH) -> Geometry:
+def load(
+    path: Path, up: Literal["y", "z"] | None, scale: float, where: str, budget: MeshBudget = MESH,
+    wanted: Wanted | None = None,
+) -> Geometry:  # fmt: skip
     """Triangles of a mesh file, read here and now; a `SceneError` beginning with `where` for what cannot be used.
+
+    `wanted`: parts of which colours and normals are read too; None: of none.
 
     Files that a stranger may have made are read by `reading_apart`, in a process of its own.
     """
@@ -47,7 +55,14 @@ def load(path: Path, up: Literal["y", "z"] | None, scale: float, where: str, bud
         raise SceneError(f"{where}: {path.name}; want a mesh file ending in {', '.join(sorted(UP))}")
     try:
         with muted("trimesh"):
-            points, faces, part, names = READERS[suffix](path, budget)
+            maps = None
+            if wanted is not None and suffix in (".glb", ".gltf"):
+                (points, faces, part, names), maps = load_with_maps(path, budget, wanted)
+            else:
+                points, faces, part, names = READERS[suffix](path, budget)
+                colour = None if wanted is None else _vertex_colours(path, suffix, len(points))
+                if colour is not None and len(colour) == len(points):
+                    maps = of_colours(colour, len(names))
         budget.need("vertices", len(points), "vertices")
         budget.need("triangles", len(faces), "triangles")
         budget.need("items", len(names), "parts")
@@ -57,7 +72,8 @@ def load(path: Path, up: Literal["y", "z"] | None, scale: float, where: str, bud
             points[:] = points[:, [2, 0, 1]]  # in place: a large mesh is not kept twice
         if scale != 1.0:
             points *= scale
-        return checked(points, faces, part, names, f"{where}: {path.name}")
+        made = checked(points, faces, part, names, f"{where}: {path.name}")
+        return made if maps is None else replace(made, maps=maps)
     except SceneError:
         raise
     except FileNotFoundError:
@@ -73,6 +89,25 @@ def load(path: Path, up: Literal["y", "z"] | None, scale: float, where: str, bud
         reason = " ".join((getattr(error, "strerror", None) or str(error)).split()) or type(error).__name__
         told = f"{where}: {path.name}: cannot be read ({reason[:200]})"
         raise SceneError(f"{told}; want a mesh in {suffix[1:]} format") from error
+
+
+def _vertex_colours(path: Path, suffix: str, count: int) -> NDArray[np.float64] | None:
+    """(count, 3) from 0 to 1 as they stand in the file, or None where there are none for every vertex."""
+    with PlainFile(path) as file:
+        data = file.read()
+    if suffix == ".obj":  # behind the place of a vertex, as several programs write them
+        rows = [words[4:7] for line in data.splitlines() if len(words := line.split()) >= 7 and words[0] == b"v"]
+        return np.array(rows, np.float64) if len(rows) == count else None
+    if suffix != ".ply":
+        return None
+    import trimesh
+
+    wanted: dict[str, Any] = {"skip_materials": True, "fix_texture": False}
+    loaded = trimesh.load_scene(BytesIO(data), file_type="ply", process=False, maintain_order=True, **wanted)
+    meshes = [one for one in loaded.geometry.values() if isinstance(one, trimesh.Trimesh) and len(one.faces)]
+    if not meshes or any(one.visual.kind != "vertex" for one in meshes):
+        return None
+    return np.concatenate([np.asarray(one.visual.vertex_colors, np.float64)[:, :3] / 255.0 for one in meshes])
 
 
 def _obj(path: Path, budget: MeshBudget) -> Raw:

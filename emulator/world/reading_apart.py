@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from emulator.config.budgets import MeshBudget, mesh_budget, raised
 from emulator.errors import SceneError
 from emulator.world import mesh_files
+from emulator.world.mesh_maps import MeshMaps, Wanted, parts_read, parts_told
 from emulator.world.triangles import Geometry
 
 MOST_HEAD = 64_000_000
@@ -75,15 +76,19 @@ class Reader:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def read(self, path: Path, up: Literal["y", "z"] | None, scale: float, where: str) -> Geometry:
+    def read(
+        self, path: Path, up: Literal["y", "z"] | None, scale: float, where: str, wanted: Wanted | None = None
+    ) -> Geometry:
         """As `mesh_files.load`, elsewhere."""
         if not hasattr(os, "fork"):
-            return mesh_files.load(path, up, scale, where, self.budget)
+            return mesh_files.load(path, up, scale, where, self.budget, wanted)
         if self._line is None:
             self._start()
         place = f"{where}: {path.name}"
         try:
-            return self._ask({"path": str(path), "up": up, "scale": scale, "where": where}, place)
+            asked = {"path": str(path), "up": up, "scale": scale, "where": where}
+            maps = None if wanted is None else [wanted.every, *wanted.parts]
+            return self._ask({**asked, "wanted": maps}, place)
         except TimeoutError:
             self.close()
             told = f"not read within {self._patience_s:g} s; want a file on a disk that answers {raised('cpu_s')}"
@@ -164,8 +169,20 @@ class Reader:
             if found[name].min() < 0 or found[name].max() >= most:
                 raise ValueError(name)
         counts = int(head["dropped"]), int(head["coplanar"])
+        maps = None if head["maps"] is None else self._maps(head["maps"], vertices, len(parts))
         return Geometry(parts=parts, centre=centre, radius=float(head["radius"]), dropped=counts[0], coplanar=counts[1],
-                        **found)  # fmt: skip
+                        maps=maps, **found)  # fmt: skip
+
+    def _maps(self, head: dict[str, Any], vertices: int, parts: int) -> MeshMaps:
+        sizes = [(int(height), int(width)) for height, width in head["pictures"]]
+        if any(min(one) < 1 for one in sizes) or sum(h * w for h, w in sizes) > self.budget.pixels:
+            raise ValueError("pictures")
+        uv, normal_uv, colour = (self._take(8 * vertices * k).view(np.float64).reshape(-1, k) for k in (2, 2, 3))
+        pictures = tuple(self._take(3 * h * w).reshape(h, w, 3) for h, w in sizes)
+        told = parts_read(head["parts"], len(pictures))
+        if len(told) != parts:
+            raise ValueError("parts")
+        return MeshMaps(uv, normal_uv, colour, pictures, told)
 
     def _take(self, size: int) -> NDArray[np.uint8]:
         """So many bytes of the answer; `EOFError` when the other end has gone."""
@@ -256,17 +273,29 @@ def _lower(what: int, soft: int) -> None:
 
 def _answer(line: socket.socket, asked: dict[str, Any], budget: MeshBudget) -> None:
     try:
-        found = mesh_files.load(Path(asked["path"]), asked["up"], asked["scale"], asked["where"], budget)
+        maps = asked["wanted"]
+        wanted = None if maps is None else Wanted(bool(maps[0]), tuple(maps[1:]))
+        found = mesh_files.load(Path(asked["path"]), asked["up"], asked["scale"], asked["where"], budget, wanted)
     except SceneError as error:
         short = isinstance(error.__context__, MemoryError)
         _send(line, {"ok": None if short else False, "told": str(error)})
         return
-    head = {"vertices": len(found.vertices), "faces": len(found.faces), "parts": found.parts, "radius": found.radius}
+    head: dict[str, Any] = {
+        "vertices": len(found.vertices),
+        "faces": len(found.faces),
+        "parts": found.parts,
+        "radius": found.radius,
+    }
     head |= {"centre": found.centre.tolist(), "dropped": found.dropped, "coplanar": found.coplanar}
+    more: list[NDArray[Any]] = []
+    head["maps"] = None
+    if found.maps is not None:
+        sizes = [one.shape[:2] for one in found.maps.pictures]
+        head["maps"] = {"pictures": sizes, "parts": parts_told(found.maps.parts)}
+        more = [found.maps.uv, found.maps.normal_uv, found.maps.colour, *found.maps.pictures]
     _send(line, {"ok": True} | head)
-    for name, kind, _ in SHAPES:
-        array: NDArray[Any] = np.ascontiguousarray(getattr(found, name), kind)
-        line.sendall(array.data.cast("B"))
+    for array in [*(np.asarray(getattr(found, name), kind) for name, kind, _ in SHAPES), *more]:
+        line.sendall(np.ascontiguousarray(array).data.cast("B"))
 
 
 def _send(line: socket.socket, head: dict[str, Any]) -> None:

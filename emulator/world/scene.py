@@ -13,15 +13,18 @@ import numpy as np
 
 from emulator.config.budgets import MESH
 from emulator.errors import SceneError
+from emulator.physics.foliage import LARGEST_WALK, Foliage
+from emulator.physics.materials import Maps, material_from_mapping
 from emulator.scenario.checks import BUILTIN
 from emulator.scenario.live_options import SpawnShape
 from emulator.scenario.scenario import Scenario
 from emulator.scenario.tables import Actor, FramesConfig, MotionConfig, Mount, Shape, WorldItem
 from emulator.scenario.tables import Box as BoxShape
-from emulator.world import mesh_files, triangles
+from emulator.world import mesh_files, mesh_maps, triangles
 from emulator.world.coplanar import coplanar_triangles
 from emulator.world.fed import Box, Fed, FedNow
 from emulator.world.mesh_frames import Frames
+from emulator.world.mesh_maps import Wanted
 from emulator.world.motion import Floats, Motion, Pose, Steady, Vector, Waypoints
 from emulator.world.reading_apart import Reader
 from emulator.world.triangles import Geometry, Ints
@@ -226,14 +229,20 @@ class _Builder:
         "Of each body, in the scenario."
         self.faults: list[str] = []
         self.warnings: list[str] = []
+        found = {name: material_from_mapping(name, entry) for name, entry in scenario.materials.items()}
+        self._leaves: dict[str, Foliage] = {k: one.foliage for k, one in found.items() if one.foliage is not None}
+        self._maps: dict[str, Maps] = {k: one.maps for k, one in found.items() if one.maps is not None}
 
     def add(self, actor: int, shape: Shape, owner: Actor | WorldItem | SpawnShape, motion: Motion, dotted: str) -> None:
         if self.total > self.most:
             return
         below = f"{dotted}.shape" if isinstance(owner, Actor) else dotted
         try:
-            geometry = self._geometry(shape, self._scenario.label(f"{below}.{shape.kind}"))
+            where = self._scenario.label(f"{below}.{shape.kind}")
+            geometry = self._geometry(shape, where, self._wanted(owner) if self._maps else None)
             names = self._part_materials(geometry, owner, dotted)
+            self._check_leaves(geometry, names, where)
+            self._check_maps(geometry, names, where)
         except SceneError as error:
             self.faults.extend(error.lines)
             return
@@ -290,10 +299,34 @@ class _Builder:
             rest = len(found) - MOST_TWINS_TOLD
             self.warnings.append(f"{self._scenario.source}: {rest} more pairs of bodies have coplanar triangles")
 
-    def _geometry(self, shape: Shape, where: str) -> Geometry:
+    def _wanted(self, owner: Actor | WorldItem | SpawnShape) -> Wanted | None:
+        """Parts whose material looks at their colours or normals."""
+        mapped = {part for part, name in owner.materials.items() if name in self._maps}
+        if owner.material in self._maps:
+            return Wanted(True, tuple(part for part in owner.materials if part not in mapped))
+        if owner.material is None:
+            mapped |= {name for name in self._maps if name not in owner.materials}
+        return Wanted(False, tuple(sorted(mapped))) if mapped else None
+
+    def _check_maps(self, geometry: Geometry, names: list[str], where: str) -> None:
+        for part, name in enumerate(names):
+            maps = self._maps.get(name)
+            if maps is None:
+                continue
+            if id(geometry) in self.frames:
+                raise SceneError(f"{where}: {name} has maps; want a material without them on a shape of frames")
+            mine = geometry.faces[geometry.face_part == part]
+            normals, colours = maps.normals, maps.reflectance is not None
+            told = mesh_maps.check(geometry.maps, part, geometry.parts[part], mine.astype(np.int64), colours, normals)
+            if told:
+                raise SceneError(f"{where}: part {told}")
+
+    def _geometry(self, shape: Shape, where: str, wanted: Wanted | None) -> Geometry:
         key = shape.model_dump_json(include={"mesh", "plane", "box", "cylinder", "sphere", "frames", "up", "scale"})
+        if wanted is not None and shape.mesh is not None:
+            key += repr(wanted)
         if key not in self.made:
-            self.made[key] = geometry = self._make(shape, where)
+            self.made[key] = geometry = self._make(shape, where, wanted)
             frames = self.frames.get(id(geometry))
             self.total += len(geometry.faces) * (1 if frames is None else len(frames.vertices))
             if geometry.dropped:
@@ -304,9 +337,9 @@ class _Builder:
                 )
         return self.made[key]
 
-    def _make(self, shape: Shape, where: str) -> Geometry:
+    def _make(self, shape: Shape, where: str, wanted: Wanted | None) -> Geometry:
         if shape.mesh is not None:
-            return self._load(shape.mesh, shape, where)
+            return self._load(shape.mesh, shape, where, wanted)
         if shape.frames is not None:
             return self._make_frames(shape, shape.frames, where)
         if shape.plane is not None:
@@ -318,11 +351,12 @@ class _Builder:
         assert shape.sphere is not None
         return triangles.sphere(shape.sphere.radius_m, shape.sphere.segments)
 
-    def _load(self, name: str, shape: Shape, where: str) -> Geometry:
+    def _load(self, name: str, shape: Shape, where: str, wanted: Wanted | None = None) -> Geometry:
         """A mesh of the package is read here, any other file in a process of its own."""
         path = self._scenario.resolve(name)
-        load = mesh_files.load if name.startswith(BUILTIN) else self._reader.read
-        return load(path, shape.up, shape.scale, where)
+        if name.startswith(BUILTIN):
+            return mesh_files.load(path, shape.up, shape.scale, where, wanted=wanted)
+        return self._reader.read(path, shape.up, shape.scale, where, wanted)
 
     def _make_frames(self, shape: Shape, config: FramesConfig, where: str) -> Geometry:
         """The first frame with the sphere of all; every other one must be the same mesh with its vertices moved."""
@@ -357,6 +391,26 @@ class _Builder:
         geometry = replace(first, centre=centre, radius=radius)
         self.frames[id(geometry)] = frames
         return geometry
+
+    def _check_leaves(self, geometry: Geometry, names: list[str], where: str) -> None:
+        """Leaves fill a body: it is closed, and not so large that a ray passes cells without end."""
+        for part, name in enumerate(names):
+            leaves = self._leaves.get(name)
+            if leaves is None:
+                continue
+            mine = geometry.face_part == part
+            if len(mine) and not geometry.closed[mine].all():
+                told = (
+                    f"{int((mine & ~geometry.closed).sum())} of {int(mine.sum())} triangles of {geometry.parts[part]}"
+                )
+                raise SceneError(f"{where}: {told} enclose nothing for the leaves of {name}; want a closed body")
+            cells = 2.0 * geometry.radius / leaves.cell_m
+            if cells > LARGEST_WALK:
+                least = 2.0 * geometry.radius / LARGEST_WALK / leaves.cell_m * leaves.leaf_size_m
+                raise SceneError(
+                    f"{where}: {cells:.3g} leaves of {name} beside each other; want foliage.leaf_size_m of at least"
+                    f" {least:.2g} m, or a smaller body"
+                )
 
     def _part_materials(self, geometry: Geometry, owner: Actor | WorldItem | SpawnShape, dotted: str) -> list[str]:
         """Material of each part: its own entry, else `material`, else a part that bears a material's name."""

@@ -16,6 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from emulator.errors import SceneError
+from emulator.world.mesh_maps import MeshMaps
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -50,6 +51,8 @@ class Geometry:
     "Triangles of no area that were left out."
     coplanar: int = 0
     "Triangles that lie on another one of a different part: which of them a beam meets is arbitrary."
+    maps: MeshMaps | None = None
+    "Colours and normals by texel and vertex, where they were asked for."
 
 
 @np.errstate(under="ignore")  # products of lengths below 1e-150 are no area

@@ -175,12 +175,20 @@ def main(repeats: int) -> None:
     sys.stdout.write(f"the same, one ray a beam:   {one:.2f} ms a scan, {1e3 / 75.0 / one:.1f} sensors a core\n")
 
 
-def street(folder: Path, weather: dict[str, Any], resting: bool) -> scenario.Scenario:
-    """The scenario `street` on rolling ground, 1e5 triangles in all, as it is or from where its car begins."""
+def street(
+    folder: Path, weather: dict[str, Any], resting: bool, more: dict[str, Any] | None = None
+) -> scenario.Scenario:
+    """The scenario `street` on rolling ground, 1e5 triangles in all, as it is or from where its car begins.
+
+    `more`: further materials, and things that stand in it.
+    """
     loaded = scenario.load("street")
     text = json.loads(json.dumps(YAML(typ="safe").load(scenario.dump(loaded))))
     text["world"].append({"mesh": str(folder / "hills.obj"), "material": "asphalt", "at_m": [20.0, 0.0, -4.2]})
     text["weather"] = weather
+    if more is not None:
+        text["materials"] = {**(text.get("materials") or {}), **more["materials"]}
+        text["world"] += more["world"]
     if resting:
         pose = scene.build(loaded).sensor_pose(loaded.sensors[0].mount, np.zeros(1))
         text["sensors"][0]["mount"] = {"at_m": pose.position_m[0].tolist()}

@@ -38,6 +38,10 @@ BUILT = "casting.embree.structure"
 LEAST_SAVED = 3.0
 "[%] What saves less in every scene has one form only."
 SNOW: dict[str, Any] = {"snow": {"rate_mm_h": 5.0, "kind": "dry"}}
+HEDGES: dict[str, Any] = {
+    "materials": {"privet": {"foliage": {"leaf_area_density_m2_m3": 2.5, "leaf_reflectance": 0.45}}},
+    "world": [{"box": {"size_m": [60.0, 0.8, 1.6]}, "at_m": [30.0, y, 0.0], "material": "privet"} for y in (6.5, -6.5)],
+}
 HEAD = ("step", "numpy arrays: module, lines", "loops: module, lines")
 
 
@@ -122,7 +126,9 @@ def scenes(folder: Path) -> dict[str, Any]:
         for name, weather in (("clear", {}), ("fog, rain, sun", bench_scan.RAIN_AND_FOG))
         for resting in (True, False)
     }
-    return {**found, "snow, at rest": bench_scan.street(folder, SNOW, True)}
+    found["snow, at rest"] = bench_scan.street(folder, SNOW, True)
+    hedges = bench_scan.street(folder, {}, False, HEDGES)
+    return {**found, "hedges, driving": hedges}
 
 
 def main(repeats: int) -> None:
