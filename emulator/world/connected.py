@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FEW = 4096
-"Nodes. scipy's graphs take longer to import than the rest of a small scene takes to build; of more nodes they are faster."
+"Nodes. scipy's graphs take longer to import than all the rest of a small scene; of more nodes they are faster."
 
 
 def pieces_of(
