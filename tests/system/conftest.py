@@ -25,7 +25,8 @@ PATIENCE_S = 60.0
 STANDING = ("--set", "actors.0.motion.velocity_m_s=[0, 0, 0]", "--set", "actors.1.motion.at_m=[55.8, 0, 0]")
 "Of the scenario bumper: the grey car stays 50 m ahead, whenever a host comes."
 LONGEST_TEST_S = 300
-LONGEST = ["test_docs_commands", "test_mrpt", "test_wheel", "test_view", "test_faults", "test_soak", "test_run"]
+LONGEST = ["test_docs_commands", "test_mrpt", "test_view", "test_wheel", "test_soak", "test_object_lists", "test_run",
+           "test_lost_links", "test_faults", "test_brake", "test_look", "test_compiled"]  # fmt: skip
 "Files, by how long they take."
 NICENESS = {"tests": -5, "daemons": -15}
 "Whatever else the machine does, where this user may say so: what the tests judge is no other program's load."
