@@ -1,16 +1,19 @@
 """MRPT's drivers as judges: built once for all files and processes of the tests, and kept in the environment of Python.
 
-Belongs here: the build. cmake makes anew what has changed: sources of ours, or MRPT's headers.
+Belongs here: the build; `python -m tests.system.mrpt_build` does it before the tests, which have to end in their time.
+cmake makes anew what has changed: sources of ours, or MRPT's headers.
 """
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import hashlib
 import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -39,3 +42,8 @@ def missing(reason: str) -> None:
     if os.environ.get("CI"):
         pytest.fail(reason)
     pytest.skip(reason)
+
+
+if __name__ == "__main__":
+    with contextlib.suppress(pytest.skip.Exception):
+        built(Path(tempfile.gettempdir()))

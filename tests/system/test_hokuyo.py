@@ -16,6 +16,7 @@ import pytest
 
 from tests.system.conftest import PATIENCE_S, RunningDaemon, daemons
 
+pytestmark = pytest.mark.timeout(900)  # the first who wants the drivers builds them, perhaps on a busy machine
 WALL_M = 8.0
 SIGMAS_M = 0.06
 "Six times the device's statistical error."

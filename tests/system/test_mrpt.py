@@ -21,6 +21,7 @@ from emulator.runtime.control import ask
 from tests.system.conftest import PATIENCE_S, RunningDaemon, daemons, favoured
 from tests.system.hosts import drift_s
 
+pytestmark = pytest.mark.timeout(900)  # the first who wants the drivers builds them, perhaps on a busy machine
 WALL_M = 8.0
 "flat_wall: the wall's distance straight ahead."
 NOISE_M = 0.010

@@ -15,6 +15,7 @@ import pytest
 from tests.protocols.cola.reader import ask_a, ask_b, frames, read
 from tests.system.conftest import PATIENCE_S
 
+pytestmark = pytest.mark.timeout(900)  # the first who wants the drivers builds them, perhaps on a busy machine
 WALL = """\
 schema: 1
 seed: 1
