@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -114,17 +115,17 @@ class Material:
 # ------------------------------------------------------------------------------- table and users' materials
 def known_materials() -> tuple[str, ...]:
     """Names of the materials that ship with the package, in the order of their table."""
-    return tuple(_table())
+    return tuple(_texts())
 
 
 def builtin_materials() -> Mapping[str, Material]:
     """The materials that ship with the package, by name; read-only."""
-    return _table()
+    return MappingProxyType({name: _builtin(name) for name in _texts()})
 
 
 def material(name: str, extra: Mapping[str, Material] = MappingProxyType({})) -> Material:
     """A material by name, the user's own first; an unknown name is refused with the nearest known one."""
-    found = extra.get(name) or _table().get(name)
+    found = extra.get(name) or (_builtin(name) if name in _texts() else None)
     if found is None:
         names = [*extra, *known_materials()]
         near = difflib.get_close_matches(name, names, 1)
@@ -356,12 +357,18 @@ def _spectrum(where: str, value: object, low: float, high: float, allowed: str) 
 
 
 @cache
-def _table() -> Mapping[str, Material]:
+def _texts() -> Mapping[str, str]:
+    """Each entry of the table as it is written: all of them take longer to parse than the rest of a scenario."""
+    text = resources.files("emulator.physics").joinpath("materials.yaml").read_text(encoding="utf-8")
+    entries = re.split(r"^(?=[a-z])", text, flags=re.MULTILINE)[1:]
+    return MappingProxyType({entry.partition(":")[0]: entry for entry in entries})
+
+
+@cache
+def _builtin(name: str) -> Material:
     from ruamel.yaml import YAML
 
-    text = resources.files("emulator.physics").joinpath("materials.yaml").read_text(encoding="utf-8")
-    entries = YAML(typ="safe", pure=True).load(text)
-    return MappingProxyType({name: material_from_mapping(name, entry) for name, entry in entries.items()})
+    return material_from_mapping(name, YAML(typ="safe", pure=True).load(_texts()[name])[name])
 
 
 def with_levels(materials: Sequence[Material]) -> tuple[list[Material], list[int]]:

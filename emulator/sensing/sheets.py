@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import coo_matrix, csgraph
 
 from emulator.physics import polygons
 from emulator.physics.arrays import Bools, Floats, Ints, group_starts, indexes, ramp
 from emulator.physics.beams import NO_WIDTH, BeamShape
 from emulator.physics.materials import SurfaceTable
+from emulator.world.connected import pieces_of
 from emulator.world.motion import Pose
 
 if TYPE_CHECKING:
@@ -304,8 +304,7 @@ def _sheets(number: int, body: Body, bright: Bools) -> list[_Sheet]:
     _, point = np.unique(corner.reshape(-1, 3), axis=0, return_inverse=True)
     point, mine = point.ravel(), np.arange(len(face)).repeat(3)
     count = len(face) + int(point.max()) + 1
-    graph = coo_matrix((np.ones(len(point), bool), (mine, len(face) + point)), (count, count))
-    group = csgraph.connected_components(graph, directed=False)[1][: len(face)]
+    group = pieces_of(count, mine, len(face) + point)[1][: len(face)]
     found = []
     for one in np.unique(group):
         at = indexes(group == one)

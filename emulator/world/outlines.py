@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from emulator.world.connected import pieces_of
 from emulator.world.scene import Body, Scene
 from emulator.world.triangles import Floats, Geometry
 
@@ -64,9 +63,8 @@ def outline(geometry: Geometry, face_material: NDArray[np.integer]) -> Outline:
     kept[np.flatnonzero(size == 2)[flat]] = False
     at = begin[kept]
     again = np.flatnonzero(~fresh)
-    links = (np.ones(len(again), np.int8), (face[again - 1], face[again]))
     count = len(geometry.faces)
-    pieces, piece = connected_components(coo_array(links, shape=(count, count)), directed=False)
+    pieces, piece = pieces_of(count, face[again - 1], face[again])
     crosses = pieces > MOST_PIECES
     if crosses:
         pieces, piece = 1, np.zeros(count, np.int64)

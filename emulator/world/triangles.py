@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from emulator.errors import SceneError
+from emulator.world.connected import pieces_of
 from emulator.world.mesh_maps import MeshMaps
 
 Floats = NDArray[np.float64]
@@ -160,12 +159,11 @@ def _shells(local: Floats, faces: NDArray[np.int64], part: Ints) -> tuple[NDArra
     linked = np.flatnonzero(np.repeat(balanced, sizes)[1:] & (key[1:] == key[:-1]))
     face = (order // 3).astype(np.int32)
     del key, order, begins, sizes, balanced
-    joints = (np.ones(len(linked), dtype=np.int8), (face[linked], face[linked + 1]))
-    shells, shell = connected_components(coo_array(joints, shape=(len(faces), len(faces))), directed=False)
+    shells, shell = pieces_of(len(faces), face[linked], face[linked + 1])
     whole = np.ones(shells, dtype=bool)
     whole[shell[~good.reshape(-1, 3).all(axis=1)]] = False
 
-    del joints, linked, face
+    del linked, face
     wedge = np.zeros(len(faces))
     for some in _slices(len(faces)):
         a, b, c = (local[faces[some, k]] for k in range(3))

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import pickle
+from importlib import resources
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from ruamel.yaml import YAML
 
 from emulator.physics import brdf
 from emulator.physics.materials import (
@@ -34,6 +36,14 @@ def test_every_material_of_the_table_has_both_wavelengths_a_range_and_a_source()
         assert entry.range_905 is not None
         low, high = entry.range_905
         assert low <= entry.reflectance(905) <= high, name
+
+
+def test_an_entry_that_is_read_alone_is_that_of_the_whole_table() -> None:
+    text = resources.files("emulator.physics").joinpath("materials.yaml").read_text(encoding="utf-8")
+    entries = YAML(typ="safe", pure=True).load(text)
+    assert tuple(entries) == known_materials()
+    for name, entry in entries.items():
+        assert material(name) == material_from_mapping(name, entry)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,12 +17,16 @@ from typing import Any
 
 import pytest
 
+from tests.system.mrpt_build import built
+from tests.system.nursery import NURSERY, begun
+
 PATIENCE_S = 60.0
 "Limit of a wait: a machine that is busy otherwise takes seconds for what takes milliseconds."
 STANDING = ("--set", "actors.0.motion.velocity_m_s=[0, 0, 0]", "--set", "actors.1.motion.at_m=[55.8, 0, 0]")
 "Of the scenario bumper: the grey car stays 50 m ahead, whenever a host comes."
 LONGEST_TEST_S = 300
-LONGEST = ["test_docs_commands", "test_mrpt", "test_wheel", "test_view", "test_faults", "test_soak", "test_run"]
+LONGEST = ["test_docs_commands", "test_mrpt", "test_view", "test_wheel", "test_soak", "test_object_lists", "test_run",
+           "test_lost_links", "test_faults", "test_brake", "test_look", "test_compiled"]  # fmt: skip
 "Files, by how long they take."
 NICENESS = {"tests": -5, "daemons": -15}
 "Whatever else the machine does, where this user may say so: what the tests judge is no other program's load."
@@ -46,6 +49,19 @@ def favoured() -> list[str]:
     """Words before a command that has to keep its time."""
     words = ["nice", "-n", str(NICENESS["daemons"] - NICENESS["tests"])]
     return [] if subprocess.run([*words, "true"], capture_output=True, check=False).stderr else words
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _nursery() -> Iterator[None]:
+    """Ends with the tests."""
+    yield
+    NURSERY.close()
+
+
+@pytest.fixture(scope="session")
+def mrpt(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of MRPT's drivers, built."""
+    return built(tmp_path_factory.getbasetemp().parent)
 
 
 @dataclass
@@ -88,14 +104,8 @@ def daemons(folder: Path) -> Iterator[Callable[..., RunningDaemon]]:
     started: list[RunningDaemon] = []
 
     def start(*arguments: str) -> RunningDaemon:
-        process = subprocess.Popen(
-            [*favoured(), sys.executable, "-m", "emulator", "run", *arguments, "--json"],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            cwd=folder,
-            env=dict(os.environ) | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])},
-        )
+        nicer = NICENESS["daemons"] - NICENESS["tests"]
+        process = begun("run", *arguments, "--json", cwd=folder, stdin=None, nicer=nicer)
         assert process.stdout is not None
         first = process.stdout.readline()
         if not first:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -17,6 +15,7 @@ import pytest
 
 from tests.system.conftest import PATIENCE_S, STANDING
 from tests.system.hosts import LdHost, LmsHost
+from tests.system.nursery import ran
 
 WIDTH_M = 1.78
 "Of the car's tail."
@@ -118,10 +117,8 @@ def test_look_draws_what_an_ld_sends_and_leaves_it_as_it_was(daemon: Callable[..
     links = ("--link", "ld=tcp:127.0.0.1:0", "--link", "ld=pty:./ld")
     running = daemon("bumper", *STANDING, "--set", "sensors.1.device.delays=fast", *links)
     url = running.link("ld")
-    command = [sys.executable, "-m", "emulator", "look", "--family", "ld", "--scans", "2"]
-    done = subprocess.run(
-        [*command, url, "--csv", "ld.csv"], cwd=tmp_path, capture_output=True, text=True, timeout=240, check=False
-    )
+    command = ("look", "--family", "ld", "--scans", "2")
+    done = ran(*command, url, "--csv", "ld.csv", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "LD-LRS1000" in done.stdout
     rows = [row.split(",") for row in (tmp_path / "ld.csv").read_text().splitlines()[1:]]
@@ -131,10 +128,7 @@ def test_look_draws_what_an_ld_sends_and_leaves_it_as_it_was(daemon: Callable[..
     assert all(20.0 < metres < 60.5 for metres in ahead)
     with LdHost(port_of(url)) as host:
         assert host.ask(0x0102) == [0, 1]
-        done = subprocess.run(
-            [*command, f"pty:{running.path('ld', 1)}", "--baud", "115200"],
-            cwd=tmp_path, capture_output=True, text=True, timeout=240, check=False,
-        )  # fmt: skip
+        done = ran(*command, f"pty:{running.path('ld', 1)}", "--baud", "115200", cwd=tmp_path)
         assert done.returncode == 0, done.stderr
         assert "721 beams" in done.stdout
         assert host.ask(0x0102) == [0, 1]

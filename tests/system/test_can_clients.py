@@ -32,6 +32,7 @@ from emulator.transports.schemes import open_link
 from emulator.transports.shim import find_compiler
 from protocols.can_objects import FAMILY
 from protocols.scan import DetectedObject, Scan, ScanPlan
+from tests.system.nursery import ran
 
 LISTS = 100
 CYCLE_MS = 20
@@ -57,9 +58,9 @@ Record = tuple[int, bytes]
 
 @dataclass
 class Sensor:
-    """A sensor on the real clock in a thread of its own; from when it is told to it sends lists until so many have gone.
+    """A sensor on the real clock in a thread of its own; told to, it sends lists until so many have gone.
 
-    A machine that halts this thread for a second costs lists, as it costs a real daemon's. They are no loss of a client's.
+    A machine that halts this thread for a second costs lists, as it costs a real daemon's. They are no client's loss.
     """
 
     url: str
@@ -259,12 +260,10 @@ def test_cantools_on_the_command_line_decodes_the_log_of_a_run(tmp_path: Path) -
 @pytest.mark.skipif(shutil.which("candump") is None, reason="can-utils is not installed")
 @pytest.mark.skipif(find_compiler(os.environ) is None, reason="no C compiler here")
 def test_candump_reads_a_run_without_a_kernel_module_and_the_wall_clock(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "emulator", "run", "fog_objects", "--link", "radar=socketcand:127.0.0.1:0/can0"]
-    command += ["--link", f"scanner=pty:{tmp_path / 'scanner'}", "--duration", "30", "--json", "--shim"]
+    words = ["run", "fog_objects", "--link", "radar=socketcand:127.0.0.1:0/can0"]
+    words += ["--link", f"scanner=pty:{tmp_path / 'scanner'}", "--duration", "30", "--json", "--shim"]
     begun = time.time()
-    done = subprocess.run(
-        [*command, "--", "candump", "-L", "-n", "3", "can0"], capture_output=True, text=True, timeout=100
-    )
+    done = ran(*words, "--", "candump", "-L", "-n", "3", "can0", cwd=tmp_path, seconds=100)
     lines = [line.split(" ") for line in done.stderr.splitlines() if line.startswith("(")]
     assert [line[1] for line in lines] == ["can0"] * 3, done.stderr
     assert all(begun - 1 < float(line[0].strip("()")) < time.time() + 1 for line in lines)

@@ -76,7 +76,7 @@ def shortened(text: str) -> str:
     """The same with an end: nobody waits a minute for a page."""
     head, separator, driver = text.partition(" -- ")
     if head.startswith(("lidaremu run", "lidaremu demo")) and not (separator and "--duration" not in head):
-        head = re.sub(r" --duration \S+", "", head) + (" --duration 4" if "demo" in head else " --duration 0.5")
+        head = re.sub(r" --duration \S+", "", head) + (" --duration 1.5" if "demo" in head else " --duration 0.5")
         head = head.replace("run bumper", "run bumper --link ld=tcp:127.0.0.1:0")  # its own port may be another's
         head = re.sub(r" --link ld=\S*49152", "", head).replace(":29536/", ":0/")
     if head.startswith("lidaremu look") and "--scans" not in head:

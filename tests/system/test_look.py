@@ -8,7 +8,6 @@ import re
 import signal
 import socket
 import subprocess
-import sys
 import termios
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,9 +17,8 @@ import pytest
 
 from emulator.runtime.control import ask
 from tests.system.conftest import PATIENCE_S, STANDING, RunningDaemon
+from tests.system.nursery import begun, ran
 from tests.system.terminals import Terminal
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
@@ -38,11 +36,7 @@ def terminal(tmp_path: Path) -> Iterator[Callable[..., Terminal]]:
 
 
 def lidaremu(folder: Path, *arguments: str, seconds: float = 4 * PATIENCE_S) -> subprocess.CompletedProcess[str]:
-    environment = dict(os.environ) | {"PYTHONPATH": str(ROOT)}
-    return subprocess.run(
-        [sys.executable, "-m", "emulator", *arguments],
-        cwd=folder, env=environment, capture_output=True, text=True, timeout=seconds, check=False,
-    )  # fmt: skip
+    return ran(*arguments, cwd=folder, seconds=seconds)
 
 
 def test_an_lms2xx_is_drawn_obeys_keys_and_a_new_size_and_leaves_the_terminal_as_it_was(
@@ -137,13 +131,9 @@ def test_an_address_where_nothing_answers_is_told_with_what_was_tried(tmp_path: 
             f"socketcand:127.0.0.1:{port}/can0": "no greeting within",
         }
         processes = {
-            url: subprocess.Popen(
-                [sys.executable, "-m", "emulator", "look", url]
-                + (["--family", "can_objects"] if url.startswith("socketcand") else []),
-                cwd=tmp_path, env=dict(os.environ) | {"PYTHONPATH": str(ROOT)}, stderr=subprocess.PIPE, text=True,
-            )
+            url: begun("look", url, *(["--family", "can_objects"] if "can" in url else []), cwd=tmp_path, stdout=None)
             for url in tried
-        }  # fmt: skip
+        }
         for url, process in processes.items():
             _, told = process.communicate(timeout=PATIENCE_S)
             assert process.returncode == 3, told

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,8 +15,8 @@ from emulator.judging.rig import Rig
 from emulator.runtime.control import ask
 from tests.system.conftest import PATIENCE_S, RunningDaemon
 from tests.system.hosts import Adapter, LmsHost
+from tests.system.nursery import begun
 
-ROOT = Path(__file__).resolve().parents[2]
 CASE = """\
 schema: 1
 world:
@@ -85,12 +82,8 @@ def test_the_rest_of_a_replay_goes_on(daemon: Callable[..., RunningDaemon], adap
             host.stream()
             host.scan()
     assert running.stop() == 0
-    process = subprocess.Popen(
-        [sys.executable, "-m", "emulator", "replay", "rec", "--loop", "0", "--json",
-         "--link", "front=pty:./again?speed=ignore", "--link", f"rear=serial:{adapter.path}"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
-        env=dict(os.environ) | {"PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+    links = ("--link", "front=pty:./again?speed=ignore", "--link", f"rear=serial:{adapter.path}")
+    process = begun("replay", "rec", "--loop", "0", "--json", *links, cwd=tmp_path)
     try:
         assert process.stdout is not None
         assert process.stderr is not None

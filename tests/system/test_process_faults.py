@@ -17,6 +17,7 @@ import pytest
 from emulator.runtime.control import ask
 from tests.system.conftest import PATIENCE_S, RunningDaemon
 from tests.system.hosts import LmsHost
+from tests.system.nursery import begun
 
 CHEAP = "physics: {rule: axis, sub_beams: 1}"
 CASE = f"""\
@@ -137,15 +138,12 @@ def test_a_stopped_sender_and_stopped_onlookers(daemon: Daemons, case: Path, mon
     environment = dict(os.environ) | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
     port = running.link("ld").rpartition(":")[2]
     reader = subprocess.Popen([sys.executable, "-c", READER, port], stdout=subprocess.PIPE, env=environment)
-    page = subprocess.Popen(
-        [sys.executable, "-m", "emulator", "view", str(case / "control"), "--no-browser", "--json"],
-        stdout=subprocess.PIPE, env=environment,
-    )  # fmt: skip
+    page = begun("view", str(case / "control"), "--no-browser", "--json", cwd=case, stderr=None)
     try:
         assert reader.stdout is not None
         assert reader.stdout.readline() == b"reads\n"
         assert page.stdout is not None
-        assert b"ready" in page.stdout.readline()
+        assert "ready" in page.stdout.readline()
         with streaming(running, "a") as host:
             measuring = worker_of(running, "a")
             service.hear()

@@ -19,20 +19,13 @@ from emulator.recording.reader import read_run
 from emulator.runtime.control import ask
 from tests.system.conftest import PATIENCE_S, RunningDaemon
 from tests.system.hosts import LmsHost
+from tests.system.nursery import begun, ran
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 def replay(folder: Path, *arguments: str, stdin: int | None = None) -> subprocess.Popen[str]:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "emulator", "replay", *arguments, "--json"],
-        stdin=stdin,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=folder,
-        env=dict(os.environ) | {"PYTHONPATH": str(ROOT)},
-    )
+    process = begun("replay", *arguments, "--json", cwd=folder, stdin=stdin)
     assert process.stdout is not None
     first = process.stdout.readline()
     assert first, process.communicate()[1]
@@ -90,27 +83,8 @@ def test_a_replay_starts_a_driver_told_where_sensors_are_and_a_replay_is_looked_
     recording: Path, tmp_path: Path
 ) -> None:
     look = f"{sys.executable} -m emulator look pty:$LIDAREMU_FRONT --baud 38400 --scans 3 --json"
-    command = [
-        sys.executable,
-        "-m",
-        "emulator",
-        "replay",
-        "rec",
-        "--loop",
-        "0",
-        "--link",
-        "front=pty:./again",
-        "--json",
-    ]
-    done = subprocess.run(
-        [*command, "--", "sh", "-c", f"{look} && exit 7"],
-        cwd=tmp_path,
-        env=dict(os.environ) | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    words = ("rec", "--loop", "0", "--link", "front=pty:./again", "--json")
+    done = ran("replay", *words, "--", "sh", "-c", f"{look} && exit 7", cwd=tmp_path)
     assert done.returncode == 1, done.stderr
     assert "ended with exit code 7" in done.stderr
     rows = [json.loads(line) for line in done.stderr.splitlines() if line.startswith("{")]
@@ -140,31 +114,10 @@ def test_a_replay_can_be_stepped_and_looped(recording: Path, tmp_path: Path) -> 
 
 def test_a_recording_that_is_none_and_a_sensor_that_is_not_in_it_are_told(recording: Path, tmp_path: Path) -> None:
     for arguments, told in ((["nothing"], "nothing"), (["rec", "--link", "rear=pty:./x"], "front")):
-        done = subprocess.run(
-            [sys.executable, "-m", "emulator", "replay", *arguments],
-            capture_output=True,
-            text=True,
-            cwd=tmp_path,
-            env=dict(os.environ) | {"PYTHONPATH": str(ROOT)},
-            timeout=2 * PATIENCE_S,
-            check=False,
-        )
+        done = ran("replay", *arguments, cwd=tmp_path)
         assert done.returncode == 2
         assert told in done.stderr
         assert "Traceback" not in done.stderr
-
-
-def command(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """A command of ours, to its end."""
-    return subprocess.run(
-        [*words[:-1], *words[-1].split()] if words[0] == "sh" else [sys.executable, "-m", "emulator", *words],
-        capture_output=True,
-        text=True,
-        cwd=folder,
-        env=dict(os.environ) | {"PYTHONPATH": str(ROOT)},
-        timeout=2 * PATIENCE_S,
-        check=False,
-    )
 
 
 def test_a_folder_has_one_recording_and_its_removal_is_told_while_the_run_goes_on(
@@ -175,7 +128,7 @@ def test_a_folder_has_one_recording_and_its_removal_is_told_while_the_run_goes_o
     assert isinstance(status, dict)
     assert status["recording"]["state"] == "on"
     before = (tmp_path / "rec" / "scenario.yaml").stat()
-    second = command(tmp_path, "run", "flat_wall", "--link", "front=pty:./other", "--record", "rec")
+    second = ran("run", "flat_wall", "--link", "front=pty:./other", "--record", "rec", cwd=tmp_path)
     assert second.returncode == 2
     assert "rec: holds a recording already" in second.stderr
     assert (tmp_path / "rec" / "scenario.yaml").stat() == before
@@ -204,7 +157,10 @@ def test_a_folder_has_one_recording_and_its_removal_is_told_while_the_run_goes_o
 
 def test_a_limit_on_files_ends_a_recording_of_a_test_with_exit_code_4(tmp_path: Path) -> None:
     words = f"{sys.executable} -m emulator test flat_wall --duration 2 --record runs --json"
-    done = command(tmp_path, "sh", "-c", 'ulimit -f 300; exec "$@"', "sh", words)  # the kernel's own EFBIG
+    done = subprocess.run(
+        ["sh", "-c", f"ulimit -f 300; exec {words}"],  # the kernel's own EFBIG
+        cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=240,
+    )  # fmt: skip
     assert done.returncode == 4, done.stderr
     row = json.loads(done.stdout)
     assert row["verdict"] == "passed"

@@ -8,7 +8,6 @@ import os
 import select
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,8 +24,8 @@ from emulator.scenario import scenario
 from protocols.ld.telegrams import words_of
 from protocols.lms2xx.telegrams import read_values
 from tests.system.conftest import PATIENCE_S
+from tests.system.nursery import begun
 
-ROOT = Path(__file__).resolve().parents[2]
 CASE = """\
 schema: 1
 duration_s: 1.5
@@ -73,15 +72,7 @@ def ld_scans(data: bytes) -> list[tuple[float, ...]]:
 def replaying(folder: Path, *arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """The command, and the link of the sensor that its first `--link` names, else of the first sensor."""
     named = arguments[arguments.index("--link") + 1].partition("=")[0] if "--link" in arguments else None
-    with subprocess.Popen(
-        [sys.executable, "-m", "emulator", "replay", *arguments, "--json"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=folder,
-        env=dict(os.environ) | {"PYTHONPATH": str(ROOT)},
-    ) as process:
+    with begun("replay", *arguments, "--json", cwd=folder, stdin=subprocess.PIPE) as process:
         assert process.stdout is not None
         first = process.stdout.readline()
         assert first, process.communicate()[1]

@@ -18,14 +18,11 @@ import pytest
 
 from tests.system.conftest import PATIENCE_S
 from tests.system.hosts import LmsHost, drift_s
-
-ROOT = Path(__file__).resolve().parents[2]
+from tests.system.nursery import ran
 
 
 def command(*arguments: str, cwd: Path, timeout: float = 4 * PATIENCE_S) -> subprocess.CompletedProcess[str]:
-    words = [sys.executable, "-m", "emulator", *arguments]
-    environment = dict(os.environ) | {"PYTHONPATH": str(ROOT)}
-    return subprocess.run(words, capture_output=True, text=True, cwd=cwd, timeout=timeout, env=environment, check=False)
+    return ran(*arguments, cwd=cwd, seconds=timeout)
 
 
 def test_a_host_streams_at_the_rate_of_the_line_and_the_run_reports_it(daemon: Callable[..., object]) -> None:
@@ -161,14 +158,6 @@ def test_a_driver_given_on_the_command_line_runs_with_the_run(tmp_path: Path) ->
     assert missing.returncode == 2
     assert "no-such-driver" in missing.stderr
     assert "Traceback" not in missing.stderr
-
-
-def test_the_demo_draws_what_the_sensor_sees(tmp_path: Path) -> None:
-    done = command("demo", "--scenario", "flat_wall", "--duration", "4", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "LMS291" in done.stdout
-    assert "361 beams" in done.stdout
-    assert "scans sent" in done.stdout
 
 
 def test_look_writes_a_picture_and_a_table(daemon: Callable[..., object], tmp_path: Path) -> None:

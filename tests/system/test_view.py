@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 import threading
 import time
 import urllib.error
@@ -22,6 +21,7 @@ from emulator.hosts.lines import SerialLine
 from emulator.hosts.lms2xx import Lms2xxHost
 from emulator.runtime.control import ask
 from tests.system.conftest import PATIENCE_S
+from tests.system.nursery import begun
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 DRIVER = shutil.which("chromedriver")
@@ -82,9 +82,8 @@ def view(tmp_path: Path) -> Iterator[Callable[..., str]]:
     started: list[subprocess.Popen[str]] = []
 
     def start(*arguments: str) -> str:
-        command = [sys.executable, "-m", "emulator", "view", *arguments, "--no-browser", "--json", "--token", TOKEN]
-        environment = dict(os.environ) | {"PYTHONPATH": str(ROOT)}
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=tmp_path, env=environment)
+        words = ("view", *arguments, "--no-browser", "--json", "--token", TOKEN)
+        process = begun(*words, cwd=tmp_path, stderr=None)
         started.append(process)
         assert process.stdout is not None
         return str(json.loads(process.stdout.readline())["url"])

@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,26 +13,18 @@ from pathlib import Path
 import pytest
 
 from tests.system.conftest import PATIENCE_S
+from tests.system.nursery import begun
 
 if os.environ.get("CI") != "true":
     pytest.importorskip("viser", reason="extra `view` is not installed")
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
 def view(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     """The command, showing."""
     (tmp_path / "temporary").mkdir()
-    environment = dict(os.environ) | {"PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path / "temporary")}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "emulator", "view", "flat_wall", "--no-browser", "--json"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=tmp_path,
-        env=environment,
-    )
+    more = {"TMPDIR": str(tmp_path / "temporary")}
+    process = begun("view", "flat_wall", "--no-browser", "--json", cwd=tmp_path, more=more)
     assert process.stdout is not None
     assert json.loads(process.stdout.readline())["event"] == "ready"
     yield process

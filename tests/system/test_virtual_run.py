@@ -22,6 +22,7 @@ from emulator.runtime.virtual import MAX_STEPS_AT_ONCE, VirtualRun
 from emulator.scenario import scenario
 from tests.system.conftest import PATIENCE_S
 from tests.system.hosts import LmsHost
+from tests.system.nursery import ran
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -36,12 +37,8 @@ def test_a_virtual_run_without_a_host_says_why_it_stands(daemon: Callable[..., o
 
 
 def test_a_virtual_run_that_waits_for_nobody_ends_by_itself(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "emulator", "run", "flat_wall", "--clock", "virtual", "--no-wait", "--duration", "3600",
-         "--json"],
-        capture_output=True, text=True, cwd=tmp_path, timeout=4 * PATIENCE_S, check=False,
-        env=dict(os.environ) | {"PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+    words = ("--clock", "virtual", "--no-wait", "--duration", "3600", "--json")
+    done = ran("run", "flat_wall", *words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout.splitlines()[-1])["event"] == "stopped"
     assert done.stderr == ""
@@ -54,11 +51,7 @@ def test_laws_outside_their_range_are_told_under_a_virtual_clock(tmp_path: Path)
         "sensors: [{id: front, model: sick-lms291-s05, links: ['pty:./x']}]\n",
         encoding="utf-8",
     )
-    done = subprocess.run(
-        [sys.executable, "-m", "emulator", "run", str(path), "--clock", "virtual", "--no-wait", "--duration", "1"],
-        capture_output=True, text=True, cwd=tmp_path, timeout=4 * PATIENCE_S, check=False,
-        env=dict(os.environ) | {"PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+    done = ran("run", str(path), "--clock", "virtual", "--no-wait", "--duration", "1", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stderr.count("lidaremu: warning: front: dust: law esmail: visibility") == 1
 

@@ -76,14 +76,14 @@ def test_the_wheel_has_the_data_that_the_program_reads(wheel: Path) -> None:
 
 def test_it_runs_the_demo_from_another_folder(lidaremu: str, tmp_path: Path) -> None:
     shown = told([lidaremu, "demo", "--duration", "1"], tmp_path)
+    assert "LMS291" in shown
     assert "361 beams" in shown
+    assert "scans sent" in shown
     assert list(tmp_path.iterdir()) == []
 
 
 def test_it_runs_every_shipped_scenario_from_another_folder(lidaremu: str, tmp_path: Path) -> None:
     names = builtin_names()
     assert len(names) >= 10
-    checked = told([lidaremu, "check", *names], tmp_path)
-    assert checked.count(": ok: ") == len(names)
-    tested = told([lidaremu, "test", *names, "--duration", "2.3", "--set", "expect=[]", "--jobs", "1"], tmp_path)
+    tested = told([lidaremu, "test", *names, "--duration", "0.3", "--set", "expect=[]", "--jobs", "1"], tmp_path)
     assert f"{len(names)} passed" in tested
