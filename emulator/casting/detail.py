@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from emulator.world.batched_poses import Flags, Longs
 from emulator.world.scene import Scene
 from emulator.world.triangles import Floats
 
+AnyCaster = TypeVar("AnyCaster")
 BEHIND_M = 1e-4
 "Behind a hull a search begins so far, and a thousandth of it more per metre: the caster works in float32."
 MOST_HULLS = 256
@@ -62,7 +64,7 @@ class DetailedCaster:
         self._mapped = np.array([one is not None for one in self._maps], bool)
         self._first = with_levels(materials)[1]
         self._keys = [foliage.key_of(seed, number) for number in range(len(scene.bodies))]
-        self._kept: tuple[tuple[Hits, Hits, Longs], ...] = ()
+        self._kept: tuple[tuple[Hits | LateHits, Hits | LateHits, Longs], ...] = ()
         "Of rays that come again: hits on faces, what is made of them, rays that go on. The latest last."
 
     @property
@@ -98,7 +100,7 @@ class DetailedCaster:
         known = next((one for one in self._kept if one[0] is bare.resting), None)
         if known is None:
             onward = self._onward(bare.resting)
-            made = bare.resting
+            made: Hits | LateHits = bare.resting
             if len(onward):
                 made = self._behind(_writable(made), onward, origin_m, direction, t_s, max_range_m)
             made = self._put_maps(made, origin_m, direction, t_s)
@@ -228,9 +230,9 @@ class DetailedCaster:
             normal = foliage.leaf_normals(leaves.leaf_angle, word[hit], along[hit])
             cosine = np.abs(np.einsum("ij,ij->i", normal, along[hit]))
             count, world = len(hit), np.einsum("nij,nj->ni", pose.rotation[hit], normal)
-            same = (np.full(count, one, np.int32) for one in (number, body.actor))
+            body_of, actor_of = np.full(count, number, np.int32), np.full(count, body.actor, np.int32)
             parts.append(Hits(
-                stop[hit], *same, np.zeros(count, np.int64), np.full(count, material, np.int32), world,
+                stop[hit], body_of, actor_of, np.zeros(count, np.int64), np.full(count, material, np.int32), world,
                 np.zeros(count, bool), cosine,
             ))  # fmt: skip
             which.append(rays[hit])
@@ -274,10 +276,10 @@ def _writable(hits: Hits | LateHits) -> Hits:
     return Hits(*(column.copy() for column in vars(whole).values()))
 
 
-def detailed(caster: Caster, scene: Scene, scenario: Scenario) -> Caster | DetailedCaster:
+def detailed(caster: AnyCaster, scene: Scene, scenario: Scenario) -> AnyCaster | DetailedCaster:
     """The caster itself where no body has leaves or maps."""
     own = {name: material_from_mapping(name, entry) for name, entry in scenario.materials.items()}
     materials = [own.get(name, PLAIN) for name in scene.materials]
     if all(one.foliage is None and one.maps is None for one in materials):
         return caster
-    return DetailedCaster(caster, scene, materials, scenario.seed)
+    return DetailedCaster(cast("Caster", caster), scene, materials, scenario.seed)

@@ -18,8 +18,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from types import MappingProxyType, ModuleType
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emulator.compiled.pair import by_loops
 from emulator.physics.arrays import Floats, Ints, floats, indexes
@@ -92,7 +94,7 @@ def _raw(law: Law, a: Floats) -> Floats:
 
 
 def _nodes() -> Floats:
-    return (np.arange(NODES) + 0.5) * (0.5 * math.pi / NODES)
+    return (np.arange(NODES, dtype=np.float64) + 0.5) * (0.5 * math.pi / NODES)
 
 
 def projection(law: Law, cosine: Floats) -> Floats:
@@ -242,7 +244,7 @@ def first_leaves(walks: Walks) -> tuple[Floats, Words]:
     return stop, words
 
 
-def _taken(on: Ints, *columns: Floats | Ints) -> tuple[Floats | Ints, ...]:
+def _taken(on: Ints, *columns: NDArray[Any]) -> tuple[NDArray[Any], ...]:
     return tuple(column[on] for column in columns)
 
 

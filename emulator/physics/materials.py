@@ -260,8 +260,8 @@ def _leafy(name: str, entry: Mapping[str, Any], base: Material | None) -> Materi
     if "wet" in entry and not isinstance(entry["wet"], bool):
         raise MaterialError(f"materials.{name}.wet", repr(entry["wet"]), "true or false")
     wet = entry.get("wet", False if base is None else base.wet)
-    words = {key: str(entry[key]) for key in ("source", "evidence") if key in entry}
-    return Material(name, rho, wet=wet, foliage=leaves, **words)
+    source, evidence = str(entry.get("source", "")), str(entry.get("evidence", "user"))
+    return Material(name, rho, wet=wet, foliage=leaves, source=source, evidence=evidence)
 
 
 _UNMAPPED = ("glass", "mirror", "retro")

@@ -176,7 +176,7 @@ class SoftProfile:
             return self.wave(x)
         a, real, imaginary = self._under_pulse(x)
         turn = self.pulse.wave_number * x
-        return np.maximum(0.5 * (a + np.cos(turn) * real - np.sin(turn) * imaginary), 0.0)
+        return floats(np.maximum(0.5 * (a + np.cos(turn) * real - np.sin(turn) * imaginary), 0.0))
 
     def _under_pulse(self, x: Floats) -> Floats:
         half = self.pulse.half_support_m

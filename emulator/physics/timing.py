@@ -55,7 +55,7 @@ def _bent(wave: Waveform, found: Candidates, level: Floats, crossing: Floats) ->
     local = np.floor(crossing / wave.bin_m).astype(np.int64) - wave.first_bin[found.window]
     on = (local >= 0) & (local < count - 1)
     # a crossing at a sample is that of the piece before
-    at = first + clamped(local, 1, count - 3)
+    at = first + np.minimum(np.maximum(local, 1), count - 3)
     soft = wave.soft
     bend = np.abs(np.diff(soft[at - 1 + np.arange(4)[:, None]], 2, axis=0)).max(axis=0)
     rises = np.maximum(wave.value[at + 1] - wave.value[at], 0.0)

@@ -164,7 +164,7 @@ class Waveform:
             for one, other, sums in zip(far, near, ending, strict=True)
         )
         part = np.maximum(0.5 * (a + cosine * real - sine * imaginary), 0.0)
-        return np.maximum(self.surfaces_at(x_m, window) + part, 0.0)
+        return floats(np.maximum(self.surfaces_at(x_m, window) + part, 0.0))
 
     def at(self, x_m: Floats, window: Ints) -> Floats:
         """Value at any apparent range inside windows."""

@@ -185,7 +185,7 @@ def _found(target: Hard, chosen: Mapping[str, Any], plan: ScanPlan) -> tuple[Flo
     energy = np.bincount(echoes.beam[near], (echoes.amplitude * np.square(echoes.range_m))[near], len(plan))
     with np.errstate(invalid="ignore"):
         seen = (scan.range_m < NEAR_M).any(axis=1)
-    return energy, seen, rays, seconds
+    return np.asarray(energy, np.float64), seen, rays, seconds
 
 
 # ------------------------------------------------------------------------------- mirror images

@@ -105,9 +105,10 @@ def _vertex_colours(path: Path, suffix: str, count: int) -> NDArray[np.float64] 
     wanted: dict[str, Any] = {"skip_materials": True, "fix_texture": False}
     loaded = trimesh.load_scene(BytesIO(data), file_type="ply", process=False, maintain_order=True, **wanted)
     meshes = [one for one in loaded.geometry.values() if isinstance(one, trimesh.Trimesh) and len(one.faces)]
-    if not meshes or any(one.visual.kind != "vertex" for one in meshes):
+    visuals: list[Any] = [one.visual for one in meshes]
+    if not visuals or any(one.kind != "vertex" for one in visuals):
         return None
-    return np.concatenate([np.asarray(one.visual.vertex_colors, np.float64)[:, :3] / 255.0 for one in meshes])
+    return np.concatenate([np.asarray(one.vertex_colors, np.float64)[:, :3] / 255.0 for one in visuals])
 
 
 def _obj(path: Path, budget: MeshBudget) -> Raw:
