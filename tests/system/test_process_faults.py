@@ -102,8 +102,7 @@ def test_killed_and_stopped_workers(daemon: Daemons, case: Path) -> None:
         with pytest.raises(ProcessLookupError):
             os.kill(stopped, 0)
     os.kill(worker_of(running, "a"), signal.SIGSTOP)  # the end does not wait for it
-    assert running.stop() == 5
-    assert late(running.end["a"]) > 0
+    assert running.stop() == 5  # of `a` nothing has to be late: a new worker may be there before the next sweep
     assert late(running.end["b"]) > 37.5 * 4
 
 
