@@ -64,7 +64,7 @@ class DetailedCaster:
         self._mapped = np.array([one is not None for one in self._maps], bool)
         self._first = with_levels(materials)[1]
         self._keys = [foliage.key_of(seed, number) for number in range(len(scene.bodies))]
-        self._kept: tuple[tuple[Hits | LateHits, Hits | LateHits, Longs], ...] = ()
+        self._kept: tuple[tuple[Hits, Hits, Longs], ...] = ()
         "Of rays that come again: hits on faces, what is made of them, rays that go on. The latest last."
 
     @property
@@ -100,11 +100,11 @@ class DetailedCaster:
         known = next((one for one in self._kept if one[0] is bare.resting), None)
         if known is None:
             onward = self._onward(bare.resting)
-            made: Hits | LateHits = bare.resting
+            hits: Hits | LateHits = bare.resting
             if len(onward):
-                made = self._behind(_writable(made), onward, origin_m, direction, t_s, max_range_m)
-            made = self._put_maps(made, origin_m, direction, t_s)
-            known = bare.resting, made, onward
+                hits = self._behind(_writable(hits), onward, origin_m, direction, t_s, max_range_m)
+            hits = self._put_maps(hits, origin_m, direction, t_s)
+            known = bare.resting, hits if isinstance(hits, Hits) else hits.whole, onward
             self._kept = (*self._kept[-KEPT + 1 :], known)
         _, made, onward = known
         rays = np.union1d(onward, bare.rays) if self.bare.moves else bare.rays

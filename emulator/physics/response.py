@@ -196,7 +196,8 @@ class ShapedPulse:
     @cached_property
     def x_m(self) -> Floats:
         """(k,) apparent range from the pulse's centre."""
-        return -self.lead_m + self.step_m * np.arange(math.ceil((self.lead_m + self.trail_m) / self.step_m) + 1, dtype=np.float64)
+        count = math.ceil((self.lead_m + self.trail_m) / self.step_m) + 1
+        return -self.lead_m + self.step_m * np.arange(count, dtype=np.float64)
 
     @cached_property
     def value(self) -> Floats:
