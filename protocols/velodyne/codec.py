@@ -107,18 +107,28 @@ def returns(scan: Scan, mode: Mode) -> tuple[Floats, Floats]:
 
     Where both are one echo, the second is the second strongest, or the same again if there is only one.
     """
-    range_m, strength = scan.range_m, np.where(np.isnan(scan.range_m), -1.0, np.nan_to_num(scan.intensity))
-    beams, most = np.arange(len(range_m)), range_m.shape[1] - 1
-    strongest = np.argmax(strength, axis=1)
-    last = most - np.argmax(strength[:, ::-1] >= 0.0, axis=1)
-    if mode == "dual":
-        rest = strength.copy()
-        rest[beams, strongest] = -1.0
-        second = np.where(rest.max(axis=1) >= 0.0, np.argmax(rest, axis=1), strongest)
-        chosen = np.stack((last, np.where(strongest == last, second, strongest)))
-    else:
+    range_m, strength = scan.range_m, scan.intensity
+    strongest, last = _best(range_m, strength, None), _best(range_m, None, None)
+    if mode != "dual":
         chosen = (last if mode == "last" else strongest)[None]
-    return range_m[beams, chosen], scan.intensity[beams, chosen]
+    else:
+        second = _best(range_m, strength, strongest)
+        second = np.where(np.isnan(range_m[np.arange(len(range_m)), second]), strongest, second)
+        chosen = np.stack((last, np.where(strongest == last, second, strongest)))
+    beams = np.arange(len(range_m))
+    return range_m[beams, chosen], strength[beams, chosen]
+
+
+def _best(range_m: Floats, strength: Floats | None, without: Words | None) -> Words:
+    """Which echo of each beam is the strongest (the last one: no `strength`), or the first where there is none."""
+    found, best = np.zeros(len(range_m), np.int64), np.full(len(range_m), -1.0)
+    for echo in range(range_m.shape[1]):
+        value = np.full(len(range_m), float(echo)) if strength is None else np.nan_to_num(strength[:, echo])
+        better = ~np.isnan(range_m[:, echo]) & (value > best)
+        if without is not None:
+            better &= without != echo
+        found[better], best[better] = echo, value[better]
+    return found
 
 
 def distances(range_m: Floats, unit_mm: int) -> Words:

@@ -101,6 +101,7 @@ class VelodyneDevice(RequestSession):
             self._links.append(address)
 
     def _reset(self, now_ns: int) -> None:
+        self._outbox.withdraw(lambda sent: sent.emissions[0].label == "data")  # those of a slice that had begun, too
         self.settings = self._used = self.saved
         self._nominal_ns = self._slice_ns
         self.gps.powered_on(now_ns)

@@ -70,7 +70,7 @@ class Model:
 
 _N = np.arange(128)
 _VLP_16 = Model(
-    "velodyne-vlp-16", "VLP-16", 0x22, tables.VLP_16, (0.0,) * 16, 2, 55_296, tuple((_N[:16] * 2304).tolist()), 1000.0
+    "velodyne-vlp-16", "VLP-16", 0x22, tables.VLP_16, (0.0,) * 16, 2, 55_296, tuple((_N[:16] * 2304).tolist()), 12_500.0
 )
 MODELS: Mapping[str, Model] = {
     one.model: one
@@ -81,15 +81,15 @@ MODELS: Mapping[str, Model] = {
         ),
         Model(
             "velodyne-hdl-32e", "HDL-32E", 0x21, tables.HDL_32E, (0.0,) * 32, 2, 46_080,
-            tuple((_N[:32] * 1152).tolist()), 1000.0,
+            tuple((_N[:32] * 1152).tolist()), 12_500.0,
         ),
         Model(
             "velodyne-vlp-32c", "VLP-32C", 0x28, tables.VLP_32C, tables.VLP_32C_OFFSET, 4, 55_296,
-            tuple((_N[:32] // 2 * 2304).tolist()), 4000.0,
+            tuple((_N[:32] // 2 * 2304).tolist()), 50_000.0,
         ),
         Model(
             "velodyne-vls-128", "VLS-128", 0xA1, tables.VLS_128, tables.VLS_128_OFFSET, 4, 53_300,
-            tuple(((_N // 8 + _N // 64) * 2665).tolist()), 4840.0, stamp_ns=8_700,  # ROS: 8.7 us after the first group
+            tuple(((_N // 8 + _N // 64) * 2665).tolist()), 75_000.0, stamp_ns=8_700,  # ROS: after the first group
         ),
     )
 }  # fmt: skip

@@ -49,11 +49,22 @@ class Motor:
     def turns(self, at_ns: NDArray[np.int64]) -> Floats:
         """Turns of the head since its start, modulo whole ones at knots; any shape, after the first knot kept."""
         knots = self._knots
-        place = np.searchsorted(np.array([one.at_ns for one in knots]), at_ns, side="right") - 1
-        place = np.maximum(place, 0)
-        table = np.array([(one.turns, one.hz, one.acceleration) for one in knots])[place]
-        after_s = 1e-9 * (at_ns - np.array([one.at_ns for one in knots])[place])
-        return table[..., 0] + after_s * (table[..., 1] + 0.5 * table[..., 2] * after_s)
+        begun = np.array([one.at_ns for one in knots])
+        place = np.maximum(np.searchsorted(begun, (at_ns.min(), at_ns.max()), side="right") - 1, 0)
+        if place[0] == place[1]:  # as nearly always: one piece
+            return self._on(knots[place[0]], at_ns)
+        pieces = np.maximum(np.searchsorted(begun, at_ns, side="right") - 1, 0)
+        found = np.zeros(at_ns.shape)
+        for index in range(place[0], place[1] + 1):
+            found[pieces == index] = self._on(knots[index], at_ns[pieces == index])
+        return found
+
+    @staticmethod
+    def _on(knot: Knot, at_ns: NDArray[np.int64]) -> Floats:
+        after_s: Floats = 1e-9 * (at_ns - knot.at_ns)
+        if knot.acceleration == 0.0:
+            return knot.turns + knot.hz * after_s
+        return knot.turns + after_s * (knot.hz + 0.5 * knot.acceleration * after_s)
 
     def speed_hz(self, at_ns: int) -> float:
         """Turns a second."""

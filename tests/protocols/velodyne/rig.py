@@ -21,7 +21,7 @@ DATA, POSITION, WEB = Address(0, 0), Address(1, 0), Address(2, 7)
 def wall(plan: ScanPlan) -> Scan:
     """Ten metres everywhere, half as bright as white; nothing else."""
     scan = Scan.empty(plan, 2)
-    scan.range_m[:, 0], scan.intensity[:, 0] = 10.0, 5.0
+    scan.range_m[:, 0], scan.intensity[:, 0] = 10.0, 62.5
     return scan
 
 
@@ -31,7 +31,7 @@ class Rig:
     def __init__(
         self, device: Mapping[str, Any] | None = None, model: str = "velodyne-vlp-16", session: Any = None
     ) -> None:
-        quick = {"boot_s": 0.0, "spin_up_s": 0.0}
+        quick = {"boot_s": 0.0, "spin_up_s": 0.0, "slice_packets": 16}
         made = session or FAMILY.new_session(quick | dict(device or {}), {"model": model})
         self.session: VelodyneSession = made
         self.world: Callable[[ScanPlan], Scan] = wall
