@@ -29,7 +29,7 @@ class VelodyneFamily:
         lambda kind: VelodyneFraming(),
         LinkKind.STREAM,
         (b"GET /packets HTTP/1.1\r\n\r\n",),
-        impaired=("pps",),
+        impaired=("no pps",),
     )
 
     def new_session(self, device: Mapping[str, Any], facts: Mapping[str, Any]) -> VelodyneSession:

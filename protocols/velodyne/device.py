@@ -175,10 +175,10 @@ class VelodyneDevice(RequestSession):
         self._listeners = [one for one in self._listeners if one != address]
 
     def impair(self, now_ns: int, what: str, degree: float) -> bool:
-        """The motor's speed (a factor), a motor that is stopped, pulses of the GPS (0: they end)."""
+        """The motor's speed (a factor), a motor that is stopped (1), pulses of the GPS that do not come (1)."""
         self.advance(now_ns)
-        if what == "pps":
-            self.gps.switch(now_ns, degree != 0.0 and self.build.pps)
+        if what == "no pps":
+            self.gps.switch(now_ns, degree == 0.0 and self.build.pps)
         elif what in ("motor speed", "motor stopped"):
             stopped = what == "motor stopped"
             self._factor = float(degree == 0.0) if stopped else round(degree * SHARES) / SHARES

@@ -43,6 +43,7 @@ DEVICES = {
     "sick_ld.md": "sick-ld-lrs1000",
     "lms2xx.md": "sick-lms291-s05",
     "scip.md": "hokuyo-utm-30lx",
+    "velodyne.md": "velodyne-vlp-16",
 }
 "Whose `device:` table a page shows alone."
 

@@ -153,13 +153,13 @@ def test_a_clock_that_loses_the_pulses_goes_on_from_the_last_one() -> None:
     rig = Rig({"pps": True, "nmea": True, "utc": "2026-03-01T10:00:00"})
     rig.session.clock = rig.session.clock.at_rate(0, 100_000)
     rig.run(5.5)
-    assert rig.session.impair(rig.now_ns, "pps", 0.0)
+    assert rig.session.impair(rig.now_ns, "no pps", 1.0)
     assert rig.get("/cgi/status.json")["gps"]["pps_state"] == "Absent"
     rig.run(10.0)
     last = packets(rig.sent)[-1]
     drift_us = stamps([last])[0] - (last.due_ns - 1_327_104) / 1000
     assert drift_us == pytest.approx(100e-6 * 10.5e6, abs=3)  # since the pulse at 5 s
-    assert rig.session.impair(rig.now_ns, "pps", 1.0)
+    assert rig.session.impair(rig.now_ns, "no pps", 0.0)
     rig.run(4.0)
     last = packets(rig.sent)[-1]
     assert abs(stamps([last])[0] - (last.due_ns - 1_327_104) / 1000) <= 101
