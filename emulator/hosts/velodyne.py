@@ -18,9 +18,12 @@ from emulator.hosts.scans import HostScan
 from emulator.hosts.scripted import AGAIN_NS, SILENCE_NS, Connection, HostEnd
 from emulator.process.clock import SystemClock
 from protocols.velodyne.codec import DATA_BYTES, PACKET, POSITION, POSITION_BYTES, TURN_CDEG, decode
+from protocols.velodyne.models import MODELS, MODES
 
 ASK = b"GET /packets HTTP/1.1\r\n\r\n"
 MARK = b"\xff\xee"
+ENDS = frozenset(bytes((mode, model.product)) for mode in MODES.values() for model in MODELS.values())
+"Return mode and model, the last bytes of a packet."
 START_S = 5.0
 "A device whose motor starts sends dark packets, but sends."
 MOST_PACKETS = 8000
@@ -43,8 +46,8 @@ class TurnReader:
         """Turns that are whole by now; what is before the first packet is passed over."""
         self._held += data
         while len(self._held) >= DATA_BYTES:
-            if not self._held.startswith(MARK):
-                at = self._held.find(MARK)
+            if not self._begins():
+                at = self._held.find(MARK, 1)
                 self.errors += not self._held.startswith(b"HTTP/")
                 self._held = self._held[at:] if at > 0 else b""
                 continue
@@ -56,6 +59,10 @@ class TurnReader:
                 self._packets.clear()
             self._packets.append(packet)
             self._last = azimuth
+
+    def _begins(self) -> bool:
+        """Whether a packet does: blocks have the same mark, so its end must be right too."""
+        return self._held.startswith(MARK) and self._held[DATA_BYTES - 2 : DATA_BYTES] in ENDS
 
     def _turn(self) -> HostScan | None:
         read = decode(np.frombuffer(b"".join(self._packets), PACKET))
