@@ -56,6 +56,13 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "settings": "settings models",
         "other": "__init__",
     },
+    "velodyne": {
+        "codec": "codec framing",
+        "commands": "session",
+        "session": "device motor",
+        "settings": "settings models tables",
+        "other": "__init__",
+    },
 }
 "Family -> kind -> its modules."
 

@@ -8,7 +8,7 @@ Times are integer nanoseconds since the run began.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from fractions import Fraction
@@ -191,6 +191,10 @@ class Session(ABC):
 
     def disconnected(self, now_ns: int, address: Address) -> None:
         """A TCP client has disconnected."""
+
+    def keep_time(self, true_ns: Callable[[int], int], own_ns: Callable[[int], int]) -> None:
+        """It has a quartz of its own from now on: from its instants to the run's, and back; for what it hears of true
+        time, as the pulses of a GPS."""
 
     @abstractmethod
     def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:

@@ -32,6 +32,7 @@ class Timebase(Session):
         "Own plans given out, by epoch and sweep."
         self._shown: tuple[ScanPlan, Quartz, ScanPlan] | None = None
         "The last one, and as what it was given out."
+        inner.keep_time(lambda own_ns: self.quartz.true_ns(own_ns), lambda true_ns: self.quartz.own_ns(true_ns))
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.inner, name)  # of one family alone: its device, its line

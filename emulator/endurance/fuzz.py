@@ -103,6 +103,7 @@ PARSERS = (
     _session("can-m16", "can-leddar-m16", LinkKind.CAN, fuzz_sessions.CAN_OBJECTS),
     _session("scip-tcp", "hokuyo-ust-10lx", LinkKind.STREAM, fuzz_sessions.SCIP),
     _session("scip-serial", "hokuyo-urg-04lx", LinkKind.SERIAL, fuzz_sessions.SCIP),
+    _session("velodyne", "velodyne-vlp-16", LinkKind.STREAM, fuzz_sessions.VELODYNE),
     Parser("socketcand", fuzz_hosts.socketcand, lambda: fuzz_hosts.CAN_SEEDS, CAN_WORDS),
     Parser("slcan", fuzz_hosts.slcan, lambda: fuzz_hosts.SLCAN_SEEDS, SLCAN_WORDS),
     Parser("control", fuzz_hosts.control, lambda: fuzz_hosts.ORDER_SEEDS, ORDER_WORDS),

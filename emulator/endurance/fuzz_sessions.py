@@ -111,6 +111,17 @@ CAN_OBJECTS = tuple(
     for identifier in (0x200, 0x202, 0x300, 0x301, 0x400, 0x401, 0x4F0, 0x4F1, 0x5F2, 0x5F3, 0x5F4, 0x740, 0x741, 0x742)
     for payload in (bytes(8), b"\xff" * 8, bytes.fromhex("f8000000 08 00 00 00"), b"\x01\x02")
 )
+VELODYNE = tuple(
+    operations([(3, text.replace(b"|", b"\r\n"))])
+    for text in (
+        b"GET /cgi/status.json HTTP/1.1||", b"GET /cgi/diag.json HTTP/1.1||", b"GET /cgi/snapshot.hdl HTTP/1.1||",
+        b"POST /cgi/setting HTTP/1.1|Content-Length: 8||rpm=1200", b"GET /packets HTTP/1.1||", b"GET / HTTP/1.0||",
+        b"POST /cgi/setting HTTP/1.1|Content-Length: 12||returns=Dual", b"POST /cgi/reset HTTP/1.1||",
+        b"POST /cgi/setting HTTP/1.1|Content-Length: 9||laser=off", b"POST /cgi/save HTTP/1.1|Content-Length: 0||",
+        b"POST /cgi/setting/fov HTTP/1.1|Content-Length: 16||start=290&end=70", b"POST /x|Transfer-Encoding: y||",
+        b"POST /cgi/setting/phaselock HTTP/1.1|Content-Length: 22||enabled=on&offset=9000",
+    )
+)  # fmt: skip
 COLA_TEXTS = (
     "sMN SetAccessMode 03 F4724744", "sRN LMPscancfg", "sMN mLMPsetscancfg +2500 +1 +2500 -450000 +2250000",
     "sWN LMPoutputRange 1 1388 FFF92230 225510", "sWN LMDscandatacfg 1F 00 3 1 0 01 00 1 1 1 1 +1", "sRN LMDscandata",

@@ -440,4 +440,13 @@ KINDS: tuple[Kind, ...] = (
         lasts="state",
         needs_part="login",
     ),
+    _kind(
+        "no_pps",
+        "The pulses of the GPS receiver do not reach the device; its clock continues by its own quartz.",
+        "They arrive again; the device locks to them anew.",
+        act=lambda keys, gear: Refusing(gear, "no pps"),
+        directions=(),
+        lasts="state",
+        needs_part="no pps",
+    ),
 )

@@ -41,6 +41,9 @@ BUILT_IN: Mapping[str, Hosts] = {
     "scip": Hosts(
         "emulator.hosts.scip:ScipHost", "emulator.hosts.describe:scip_reply", "hokuyo_room",
         "emulator.hosts.scip:scip_script"),
+    "velodyne": Hosts(
+        "emulator.hosts.velodyne:VelodyneHost", "emulator.hosts.velodyne:described", "velodyne_street",
+        "emulator.hosts.velodyne:velodyne_script"),
     "can_objects": Hosts(
         "emulator.hosts.can_objects:CanObjectHost", "emulator.hosts.describe:can_objects", "fog_objects"),
 }  # fmt: skip

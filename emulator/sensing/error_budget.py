@@ -32,7 +32,9 @@ from emulator.sensing.receiver import RARE, Receiver
 from emulator.sensing.sheets import bright_of
 from emulator.sensing.soft import UNSEEN, SoftTargets
 from emulator.sensors.spec import SensorSpec
+from protocols import family
 from protocols.scan import ScanPlan
+from protocols.session import Address, LinkKind
 
 
 @dataclass(frozen=True)
@@ -450,11 +452,13 @@ def explained(measure: Measure, plan: ScanPlan) -> list[dict[str, Any]]:
 
 
 def usual_plan(spec: SensorSpec) -> ScanPlan:
-    """A sweep such as this model makes: its own table, or half a degree over 180 degrees, an eighth over 360."""
+    """A sweep such as this model makes: its own table, a slice, half a degree over 180 degrees, an eighth over 360."""
     from emulator.sensing.table import table_plan
 
     if spec.beams is not None:
         return table_plan(spec, 0)
+    if spec.family == "velodyne":
+        return first_plan(spec)
     usual = {"ld": (0.125, 360.0, 0.1), "scip": (0.25, 270.0, 0.025)}
     step, field, period = usual.get(spec.family or "", (0.5, 180.0, 2.0 / 75.0))
     n = round(field / step) + (field < 360.0)
@@ -462,3 +466,14 @@ def usual_plan(spec: SensorSpec) -> ScanPlan:
     azimuth = np.radians(index * step - 0.5 * field)
     far = math.inf if spec.receiver is None else spec.receiver.gate_m.value
     return ScanPlan(0, 0, 0, azimuth, np.zeros(n), index * period / n, period, max_range_m=far, wants_intensity=True)
+
+
+def first_plan(spec: SensorSpec) -> ScanPlan:
+    """The first sweep that a device of this model asks for, with its motor at speed."""
+    session = family(spec.family or "").new_session({"boot_s": 0.0, "spin_up_s": 0.0}, spec.device)
+    session.connected(0, Address(0, 0), LinkKind.DATAGRAM)
+    session.power_on(0)
+    session.advance(0)
+    plan = session.next_plan()
+    assert plan is not None
+    return plan

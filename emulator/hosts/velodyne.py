@@ -1,0 +1,176 @@
+"""Hosts for Velodyne: one on a connection for `look` and `view`, one in virtual time for `lidaremu test`.
+
+Belongs here: what a driver does with packets. It shares the codec with the device, and nothing else. A scan is the
+layer nearest to the horizon of a turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from emulator.errors import LinkError
+from emulator.hosts.describe import Described, Speaker, row_of, unknown
+from emulator.hosts.lines import Line
+from emulator.hosts.scans import HostScan
+from emulator.hosts.scripted import AGAIN_NS, SILENCE_NS, Connection, HostEnd
+from emulator.process.clock import SystemClock
+from protocols.velodyne.codec import DATA_BYTES, PACKET, POSITION, POSITION_BYTES, TURN_CDEG, decode
+from protocols.velodyne.models import MODELS, MODES
+
+ASK = b"GET /packets HTTP/1.1\r\n\r\n"
+MARK = b"\xff\xee"
+ENDS = frozenset(bytes((mode, model.product)) for mode in MODES.values() for model in MODELS.values())
+"Return mode and model, the last bytes of a packet."
+START_S = 5.0
+"A device whose motor starts sends dark packets, but sends."
+MOST_PACKETS = 8000
+"Of a turn: 300/min of a VLS-128 in dual mode have 3752."
+
+
+class TurnReader:
+    """Turns out of a stream of packets in any chunking; a turn ends where the azimuth passes 0."""
+
+    def __init__(self) -> None:
+        self._held = b""
+        self._packets: list[bytes] = []
+        self._last = 0
+        self._scans = 0
+        self.errors = 0
+        "Places where no packet began, and turns that could not be read."
+        self.title = "Velodyne"
+
+    def feed(self, data: bytes) -> Iterator[HostScan]:
+        """Turns that are whole by now; what is before the first packet is passed over."""
+        self._held += data
+        while len(self._held) >= DATA_BYTES:
+            if not self._begins():
+                at = self._held.find(MARK, 1)
+                self.errors += not self._held.startswith(b"HTTP/")
+                self._held = self._held[at:] if at > 0 else b""
+                continue
+            packet, self._held = self._held[:DATA_BYTES], self._held[DATA_BYTES:]
+            azimuth = int.from_bytes(packet[2:4], "little")
+            if self._packets and (azimuth < self._last or len(self._packets) >= MOST_PACKETS):
+                if (scan := self._turn()) is not None:
+                    yield scan
+                self._packets.clear()
+            self._packets.append(packet)
+            self._last = azimuth
+
+    def _begins(self) -> bool:
+        """Whether a packet does: blocks have the same mark, so its end must be right too."""
+        return self._held.startswith(MARK) and self._held[DATA_BYTES - 2 : DATA_BYTES] in ENDS
+
+    def _turn(self) -> HostScan | None:
+        read = decode(np.frombuffer(b"".join(self._packets), PACKET))
+        if read is None:
+            self.errors += 1
+            return None
+        model, mode, said = read
+        self.title = f"Velodyne {model.title}"
+        laser = int(np.argmin(np.abs(model.elevation_deg)))
+        heads = np.unwrap(2.0 * np.pi / TURN_CDEG * said.azimuth_cdeg.ravel())
+        rate = (heads[-1] - heads[0]) / max(1, len(heads) - 1) / model.cycle_ns
+        azimuth = np.radians(model.offset_deg[laser]) - heads - rate * model.laser_ns[laser]
+        words = said.distance[0, :, :, laser].ravel()
+        range_m = np.where(words > 0, words * model.unit_mm / 1000.0, np.nan)
+        bright = np.where(words > 0, said.reflectivity[0, :, :, laser].ravel(), np.nan)
+        self._scans += 1
+        detail = f"{mode}, {model.elevation_deg[laser]:g} deg of {model.lasers} layers, {said.stamp_us[0]} us"
+        wrapped = np.pi - (np.pi - azimuth) % (2.0 * np.pi)
+        return HostScan(self._scans - 1, wrapped, range_m, detail, bright)
+
+
+class VelodyneHost:
+    """Asks for packets on a TCP connection; raises `LinkError` when none come."""
+
+    def __init__(self, line: Line, baud: int | None) -> None:
+        """`baud`: of no meaning; None: the device is left as it is, which a request for packets does too."""
+        self._line, self._reader = line, TurnReader()
+        self.listens = False
+        self.found_baud: int | None = None
+        line.write(ASK)
+        clock, self._first = SystemClock(), b""
+        end_ns = clock.now_ns() + round(1e9 * START_S)
+        while MARK not in self._first and (left_ns := end_ns - clock.now_ns()) > 0:
+            self._first += line.read(left_ns / 1e9)
+        if MARK not in self._first or not self._first.startswith(b"HTTP/1.1 200"):
+            raise LinkError("no Velodyne sends packets there")
+        self.title = self._reader.title
+
+    @property
+    def errors(self) -> int:
+        """Damaged packets so far."""
+        return self._reader.errors
+
+    def scans(self, timeout_s: float) -> Iterator[HostScan | None]:
+        """Turns as they arrive; None when nothing came for `timeout_s`."""
+        data = self._first
+        while True:
+            for scan in self._reader.feed(data):
+                self.title = self._reader.title
+                yield scan
+            if not data:
+                yield None
+            data = self._line.read(timeout_s)
+
+    def close(self) -> None:
+        """Hang up."""
+        self._line.close()
+
+
+class VelodyneScript:
+    """A host in virtual time; it asks again when nothing comes."""
+
+    def __init__(self, line: HostEnd, on_scan: Callable[[int, HostScan], None]) -> None:
+        self._line, self._on_scan, self._reader = line, on_scan, TurnReader()
+        self._connection = line if isinstance(line, Connection) else None
+        self._again_ns = 0
+
+    def step(self, now_ns: int) -> int | None:
+        """Read, decode, ask; when to be called again."""
+        if data := self._line.read():
+            self._again_ns = max(self._again_ns, now_ns + SILENCE_NS)
+            for scan in self._reader.feed(data):
+                self._on_scan(now_ns, scan)
+        if now_ns >= self._again_ns:
+            if self._connection is not None:
+                self._connection.reconnect(now_ns)
+            self._reader = TurnReader()
+            self._line.write(ASK, now_ns)
+            self._again_ns = now_ns + AGAIN_NS
+        return self._again_ns
+
+
+def velodyne_script(
+    line: HostEnd, on_scan: Callable[[int, HostScan], None], device: Mapping[str, Any]
+) -> VelodyneScript:
+    """For `lidaremu test`."""
+    return VelodyneScript(line, on_scan)
+
+
+def described(speaker: Speaker, data: bytes, kind: str, peer: int, sent: bool) -> list[Described]:
+    """Fields of a data packet, a position packet, a request or its reply."""
+    if sent and len(data) == POSITION_BYTES:
+        position = np.frombuffer(data, POSITION)[0]
+        state = ("absent", "synchronising", "locked", "error")[min(3, int(position["pps"]))]
+        said = bytes(position["sentence"]).decode("ascii", "replace").strip()
+        return [Described("time stamp", str(position["stamp"]), "us"), Described("PPS", state), Described("NMEA", said)]
+    if sent and len(data) == DATA_BYTES:
+        if (read := decode(np.frombuffer(data, PACKET))) is None:
+            return [unknown(data, "no known model or mode")]
+        model, mode, said_all = read
+        return [
+            Described("model", model.title),
+            Described("returns", mode),
+            Described("time stamp", str(said_all.stamp_us[0]), "us"),
+            Described("azimuths", row_of(said_all.azimuth_cdeg[0] / 100.0, 2), "deg"),
+            Described("distances", row_of(said_all.distance[0, 0, 0] * model.unit_mm / 1000.0, 3), "m"),
+            Described("reflectivities", row_of(said_all.reflectivity[0, 0, 0])),
+        ]
+    head, _, body = data.partition(b"\r\n\r\n")
+    lines = [*head.split(b"\r\n")[:1], body]
+    return [Described("line", repr(line)[2:-1][:200]) for line in lines if line] or [unknown(data, "empty")]

@@ -1,0 +1,168 @@
+"""Velodyne's datagrams: data packets of 1206 bytes and position packets of 512, many at once as arrays.
+
+Belongs here: bytes, rounding, and the words for no return. Not: when a laser fires and where it looks (models, device).
+Little-endian. Arrays of P packets, K firings of a packet, L lasers, E echoes of a laser (dual mode: last, strongest).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from functools import reduce
+from operator import xor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocols.scan import Floats, Scan
+from protocols.velodyne.models import BLOCKS, CHANNELS, MODELS, MODES, Mode, Model
+
+Words = NDArray[np.int64]
+DATA_BYTES, POSITION_BYTES = 1206, 512
+HOUR_US = 3_600_000_000
+TURN_CDEG = 36_000
+BANKS = np.array((0xEEFF, 0xDDFF, 0xCCFF, 0xBBFF), np.uint16)
+"Flag of a block, by the 32 lasers that it has."
+RETRO = 1000.0
+"Reflectivity over that of a white plate that is told as 255; ours, the maker calibrates with retro-reflectors."
+CHANNEL = np.dtype([("distance", "<u2"), ("reflectivity", "u1")])
+BLOCK = np.dtype([("flag", "<u2"), ("azimuth", "<u2"), ("channels", CHANNEL, CHANNELS)])
+PACKET = np.dtype([("blocks", BLOCK, BLOCKS), ("stamp", "<u4"), ("mode", "u1"), ("product", "u1")])
+SENTENCE_AT, SENTENCE_BYTES = 206, 128
+POSITION = np.dtype(
+    {
+        "names": ["top", "bottom", "stamp", "pps", "sentence"],
+        "formats": ["u1", "u1", "<u4", "u1", f"S{SENTENCE_BYTES}"],
+        "offsets": [187, 188, 198, 202, SENTENCE_AT],
+        "itemsize": POSITION_BYTES,
+    }
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Firings:
+    """What P packets say."""
+
+    azimuth_cdeg: Words
+    "(P, K) of the head when a firing begins; not of every firing on the wire: decoded, those between are interpolated."
+    stamp_us: Words
+    "(P,) past the hour"
+    distance: Words
+    "(E, P, K, L) in the model's unit, 0: no return"
+    reflectivity: Words
+    "(E, P, K, L) 0..100 diffuse, 101..255 retro-reflector"
+
+
+def encode(model: Model, mode: Mode, firings: Firings) -> NDArray[np.void]:
+    """Data packets (P,), the whole slice at once."""
+    echoes, count, _, lasers = firings.distance.shape
+    groups = firings.distance.shape[2] * lasers // CHANNELS
+    used = groups * echoes  # all 12 blocks, but for a VLS-128 in dual mode, that fills 8
+    first = np.arange(groups) * CHANNELS // lasers
+    packets = np.zeros(count, PACKET)
+    blocks = packets["blocks"]
+    # unused blocks have the azimuth of the first: velodyne_decoder derives the rate of rotation from the last block
+    blocks["azimuth"] = firings.azimuth_cdeg[:, :1] % TURN_CDEG
+    blocks["azimuth"][:, :used] = np.repeat(firings.azimuth_cdeg[:, first] % TURN_CDEG, echoes, axis=1)
+    blocks["flag"][:, :used] = np.repeat(BANKS[np.arange(groups) * CHANNELS % lasers // CHANNELS], echoes)
+    channels = blocks["channels"]
+    for name in ("distance", "reflectivity"):
+        values = getattr(firings, name).reshape(echoes, count, groups, CHANNELS)
+        channels[name][:, :used] = np.moveaxis(values, 0, 2).reshape(count, used, CHANNELS)
+    packets["stamp"], packets["mode"], packets["product"] = firings.stamp_us % HOUR_US, MODES[mode], model.product
+    return packets
+
+
+def decode(packets: NDArray[np.void]) -> tuple[Model, Mode, Firings] | None:
+    """What data packets of one sensor in one mode say; None: unknown model, mode, or mixed."""
+    models = {one.product: one for one in MODELS.values()}
+    modes = {code: name for name, code in MODES.items()}
+    kinds = np.unique(packets[["product", "mode"]]) if len(packets) else packets
+    if len(kinds) != 1 or int(kinds["product"][0]) not in models or int(kinds["mode"][0]) not in modes:
+        return None
+    model, mode = models[int(kinds["product"][0])], modes[int(kinds["mode"][0])]
+    echoes, count, firings = 1 + (mode == "dual"), len(packets), model.firings(mode)
+    groups = firings * model.lasers // CHANNELS
+    blocks = packets["blocks"][:, : groups * echoes]
+    shape = (count, groups, echoes, CHANNELS)
+    values = [
+        np.moveaxis(blocks["channels"][name].reshape(shape), 2, 0).reshape(echoes, count, firings, model.lasers)
+        for name in ("distance", "reflectivity")
+    ]
+    heads = blocks["azimuth"][:, ::echoes].astype(np.int64)
+    each, between = max(1, model.lasers // CHANNELS), max(1, CHANNELS // model.lasers)
+    azimuth = np.repeat(heads[:, ::each], between, axis=1)
+    if between > 1 and heads.shape[1] > 1:  # a VLP-16 tells every second firing
+        step = (heads[:, -1:] - heads[:, :1]) % TURN_CDEG / (heads.shape[1] - 1)
+        azimuth[:, 1::2] += np.rint(step / 2).astype(np.int64)
+    return (
+        model,
+        mode,
+        Firings(azimuth % TURN_CDEG, packets["stamp"].astype(np.int64), *(one.astype(np.int64) for one in values)),
+    )
+
+
+def returns(scan: Scan, mode: Mode) -> tuple[Floats, Floats]:
+    """Range and intensity (E, n) of the returns that a mode reports; NaN: none. Dual: last, strongest.
+
+    Where both are one echo, the second is the second strongest, or the same again if there is only one.
+    """
+    range_m, strength = scan.range_m, scan.intensity
+    strongest, last = _best(range_m, strength, None), _best(range_m, None, None)
+    if mode != "dual":
+        chosen = (last if mode == "last" else strongest)[None]
+    else:
+        second = _best(range_m, strength, strongest)
+        second = np.where(np.isnan(range_m[np.arange(len(range_m)), second]), strongest, second)
+        chosen = np.stack((last, np.where(strongest == last, second, strongest)))
+    beams = np.arange(len(range_m))
+    return range_m[beams, chosen], strength[beams, chosen]
+
+
+def _best(range_m: Floats, strength: Floats | None, without: Words | None) -> Words:
+    """Which echo of each beam is the strongest (the last one: no `strength`), or the first where there is none."""
+    found, best = np.zeros(len(range_m), np.int64), np.full(len(range_m), -1.0)
+    for echo in range(range_m.shape[1]):
+        value = np.full(len(range_m), float(echo)) if strength is None else np.nan_to_num(strength[:, echo])
+        better = ~np.isnan(range_m[:, echo]) & (value > best)
+        if without is not None:
+            better &= without != echo
+        found[better], best[better] = echo, value[better]
+    return found
+
+
+def distances(range_m: Floats, unit_mm: int) -> Words:
+    """Words of ranges; what the wire cannot say is no return."""
+    words = np.rint(np.nan_to_num(range_m * (1000.0 / unit_mm), nan=0.0))
+    return np.where((words > 0.0) & (words <= 0xFFFF), words, 0.0).astype(np.int64)
+
+
+def reflectivities(range_m: Floats, intensity: Floats, white_m2: float) -> Words:
+    """Calibrated reflectivity: 0..100 as a diffuse plate seen straight, 101..255 by the logarithm beyond; 0: none.
+
+    intensity over the threshold; its decrease with the distance is removed, that with air and incidence is not.
+    """
+    over_white = np.nan_to_num(intensity * range_m * range_m / white_m2, nan=0.0)
+    bright = 100.0 + 155.0 * np.log(np.maximum(over_white, 1.0)) / np.log(RETRO)
+    words = np.where(over_white <= 1.0, 100.0 * over_white, np.clip(bright, 101.0, 255.0))
+    return np.rint(words).astype(np.int64)
+
+
+def encode_position(stamp_us: int, pps: int, sentence: bytes, top_c: int = 0, bottom_c: int = 0) -> bytes:
+    """A position packet; temperatures are 0 on older firmware."""
+    packet = np.zeros(1, POSITION)
+    packet["stamp"], packet["pps"], packet["sentence"] = stamp_us % HOUR_US, pps, sentence
+    packet["top"], packet["bottom"] = top_c, bottom_c
+    return packet.tobytes()
+
+
+def gprmc(utc_ns: int, latitude_deg: float, longitude_deg: float, valid: bool = True) -> bytes:
+    """A $GPRMC sentence with CR LF for a time since 1970, of a receiver at rest."""
+    when = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=utc_ns // 1000)
+    places = []
+    for degrees, width, signs in ((latitude_deg, 2, "NS"), (longitude_deg, 3, "EW")):
+        minutes = round(abs(degrees) * 60.0 * 1e4)
+        places.append(f"{minutes // 600_000:0{width}d}{minutes % 600_000 / 1e4:07.4f},{signs[degrees < 0.0]}")
+    state = "A" if valid else "V"
+    text = f"GPRMC,{when:%H%M%S}.00,{state},{','.join(places)},0.000,0.0,{when:%d%m%y},0.0,E,{'A' if valid else 'N'}"
+    return f"${text}*{reduce(xor, text.encode()):02X}\r\n".encode()
