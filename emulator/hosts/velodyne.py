@@ -26,6 +26,7 @@ ENDS = frozenset(bytes((mode, model.product)) for mode in MODES.values() for mod
 "Return mode and model, the last bytes of a packet."
 START_S = 5.0
 "A device whose motor starts sends dark packets, but sends."
+ANSWER_S = 1.0
 MOST_PACKETS = 8000
 "Of a turn: 300/min of a VLS-128 in dual mode have 3752."
 
@@ -96,7 +97,9 @@ class VelodyneHost:
         clock, self._first = SystemClock(), b""
         end_ns = clock.now_ns() + round(1e9 * START_S)
         while MARK not in self._first and (left_ns := end_ns - clock.now_ns()) > 0:
-            self._first += line.read(left_ns / 1e9)
+            self._first += line.read(min(left_ns / 1e9, ANSWER_S))
+            if not self._first.startswith(b"HTTP/"):
+                break  # it answers at once, or it is none
         if MARK not in self._first or not self._first.startswith(b"HTTP/1.1 200"):
             raise LinkError("no Velodyne sends packets there")
         self.title = self._reader.title

@@ -61,7 +61,7 @@ class Motor:
 
     @staticmethod
     def _on(knot: Knot, at_ns: NDArray[np.int64]) -> Floats:
-        after_s: Floats = (at_ns - knot.at_ns).astype(np.float64) * 1e-9
+        after_s = np.asarray(1e-9 * (at_ns - knot.at_ns), np.float64)
         if knot.acceleration == 0.0:
             return knot.turns + knot.hz * after_s
         return knot.turns + after_s * (knot.hz + 0.5 * knot.acceleration * after_s)

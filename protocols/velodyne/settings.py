@@ -133,6 +133,6 @@ def _set(old: Settings, path: str, key: str, text: str) -> Settings | None:
     if path in ("host", "net"):
         table = dict(getattr(old, path))
         if key in table and text.isascii() and text.isprintable() and len(text) <= 40:
-            changed = tuple((table | {key: text}).items())
-            return replace(old, host=changed) if path == "host" else replace(old, net=changed)
+            told = tuple((table | {key: text}).items())
+            return replace(old, host=told) if path == "host" else replace(old, net=told)
     return None

@@ -93,4 +93,4 @@ def test_nothing_known_is_told_family_by_family(clock: ManualClock, plug: Callab
 
 
 def test_over_tcp_an_ld_is_tried_first() -> None:
-    assert [name for name, _ in probing.tries(True)][:3] == ["ld", "cola", "lms2xx"]
+    assert [name for name, _ in probing.tries(True)][:3] == ["ld", "cola", "velodyne"]
