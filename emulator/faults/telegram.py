@@ -443,7 +443,7 @@ KINDS: tuple[Kind, ...] = (
     _kind(
         "no_pps",
         "The pulses of the GPS receiver do not reach the device; its clock continues by its own quartz.",
-        "They arrive again; the device locks to them anew.",
+        "They arrive again; the device locks to them again.",
         act=lambda keys, gear: Refusing(gear, "no pps"),
         directions=(),
         lasts="state",

@@ -423,7 +423,7 @@ RULES: tuple[Rule, ...] = (
          "a cluster shorter than half a pulse is a closed-form sum of cosines; longer clusters are sampled", _waveform),
     Rule("receiver electronics", None, "once per sensor",
          "shaped pulses, correlated noise, clipping, tail and undershoot exist with physics.response only; they are "
-         "computed by arrays in every window with light near the threshold, with fast as well", _electronics),
+         "computed with numpy arrays in every window with light near the threshold, with fast as well", _electronics),
     Rule("secondary rays", "second_rays", "once per scene, then per ray",
          "no surface reflects specularly or transmits 1 %, or the best surface behind returns less than 5 % of the "
          "threshold", _bounces),

@@ -159,7 +159,7 @@ def run(effort: Effort, steps: Callable[[list[str]], Iterator[str]] = iter) -> R
             "Hard targets, and mirrored scenes",
             (
                 "Targets at which a bundle errs by more than at an ordinary edge, each with the rules that a scenario "
-                "can choose, by arrays and by compiled loops.",
+                "can choose, with numpy arrays and with compiled loops.",
                 "The spiral turns one way, so a scene and its mirror image have other errors: of opposite chirality, "
                 "of the same size. A bundle that is its own mirror image is no better for it: its nodes come in pairs, "
                 "and at edges of any direction it errs by more.",

@@ -24,7 +24,7 @@ TURN_CDEG = 36_000
 BANKS = np.array((0xEEFF, 0xDDFF, 0xCCFF, 0xBBFF), np.uint16)
 "Flag of a block, by the 32 lasers that it has."
 RETRO = 1000.0
-"Reflectivity over that of a white plate that is told as 255; ours, the maker calibrates with retro-reflectors."
+"Reflectivity over that of a white plate that is reported as 255; ours, the maker calibrates with retro-reflectors."
 CHANNEL = np.dtype([("distance", "<u2"), ("reflectivity", "u1")])
 BLOCK = np.dtype([("flag", "<u2"), ("azimuth", "<u2"), ("channels", CHANNEL, CHANNELS)])
 PACKET = np.dtype([("blocks", BLOCK, BLOCKS), ("stamp", "<u4"), ("mode", "u1"), ("product", "u1")])

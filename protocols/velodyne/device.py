@@ -32,7 +32,7 @@ POSITION_NS = 293 * 1_327_104 // 57
 MOST_ECHOES = 4
 "Of a beam, out of which the returns are chosen."
 MOST_KEPT = 1000
-"Slices outside of the field of view that are passed over at once; a turn of 300/min has less."
+"Slices outside of the field of view that are skipped at once; a turn of 300/min has less."
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class VelodyneDevice(RequestSession):
 
     def __init__(self, model: Model, settings: Settings, build: Build) -> None:
         self.model, self.settings, self.build = model, settings, build
-        "As told; slices are those of `_used`."
+        "As set; slices are those of `_used`."
         self.saved = self._used = settings
         self.gps = Gps(build.utc_ns, build.pps, build.nmea)
         super().__init__(build.boot_ns, self._slice_ns)

@@ -29,7 +29,7 @@ class Model:
     model: str
     "Identifier, as the sensor spec is called."
     title: str
-    "As the web interface tells it."
+    "As the web interface reports it."
     product: int
     "Last byte of a packet."
     elevation_deg: tuple[float, ...]

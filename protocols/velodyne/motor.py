@@ -20,7 +20,7 @@ SAFE_HZ = 4.5
 LOCK_STEP = 0.05
 "Share of the speed by which the phase lock changes it."
 LOCK_PULSES = 3
-"Pulses until the clock follows them; ours, the maker tells none."
+"Pulses until the clock follows them; ours, the maker states none."
 KNOTS_KEPT = 64
 
 
@@ -67,7 +67,7 @@ class Motor:
         return knot.turns + after_s * (knot.hz + 0.5 * knot.acceleration * after_s)
 
     def speed_hz(self, at_ns: int) -> float:
-        """Turns a second."""
+        """Turns per second."""
         knot = next((one for one in reversed(self._knots) if one.at_ns <= at_ns), self._knots[0])
         return knot.hz + knot.acceleration * 1e-9 * (at_ns - knot.at_ns)
 

@@ -1,6 +1,6 @@
 """The web interface of a Velodyne: HTTP requests in, pages and JSON out.
 
-Belongs here: the form of requests and replies, and what each page tells. Not: limits of settings (settings), and what
+Belongs here: the form of requests and replies, what each page contains. Not: limits of settings (settings), and what
 they do (device). Sources: MRPT and Nebula (paths and fields that drivers use), the maker's scripts around the manual.
 """
 
@@ -146,8 +146,8 @@ COMMANDS: Mapping[bytes, Command] = {
     b"POST /cgi/setting": Command("rpm, returns, laser", _form("setting"), DRIVERS, "takes effect with the next slice"),
     b"POST /cgi/setting/fov": Command("field of view", _form("fov"), DRIVERS, "start, end"),
     b"POST /cgi/setting/phaselock": Command("phase lock", _form("phaselock"), "public clients", "enabled, offset"),
-    b"POST /cgi/setting/host": Command("where it sends", _form("host"), DRIVERS, "told, not used: the link decides"),
-    b"POST /cgi/setting/net": Command("its address", _form("net"), DRIVERS, "told, not used"),
+    b"POST /cgi/setting/host": Command("where it sends", _form("host"), DRIVERS, "stored, not used: the link decides"),
+    b"POST /cgi/setting/net": Command("its address", _form("net"), DRIVERS, "stored, not used"),
     b"POST /cgi/save": Command("keep settings over power-off", _save, DRIVERS),
     b"POST /cgi/reset": Command("restart", lambda *_: Answer(page("200 OK", b"OK"), restarts=True), DRIVERS),
     b"GET /packets": Command("data packets on this connection", _packets, "ours", "no real device has it"),

@@ -20,7 +20,7 @@ SLICE_NS = 5_000_000
 
 @dataclass(frozen=True)
 class Settings:
-    """What the device keeps when it is told to save."""
+    """What the device keeps when it is ordered to save."""
 
     mode: Mode = "strongest"
     rpm: int = 600
@@ -30,7 +30,7 @@ class Settings:
     phase_lock: bool = False
     phase_cdeg: int = 0
     host: tuple[tuple[str, str], ...] = (("addr", "255.255.255.255"), ("dport", "2368"), ("tport", "8308"))
-    "Told, not used: links are the scenario's."
+    "Reported, not used: links are the scenario's."
     net: tuple[tuple[str, str], ...] = (
         ("addr", "192.168.1.201"),
         ("mask", "255.255.255.0"),
@@ -46,7 +46,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Build:
-    """What nobody changes over the wire."""
+    """What cannot be changed over the wire."""
 
     serial: str
     boot_ns: int
@@ -72,7 +72,7 @@ def read(keys: DeviceKeys) -> tuple[Settings, Build]:
     )
     utc = keys.text("utc", "UTC at the beginning of the run, as YYYY-MM-DDTHH:MM:SS.", "2026-01-01T12:00:00", 26)
     build = Build(
-        keys.text("serial_number", "Told by the web interface.", "AE00000001", 16),
+        keys.text("serial_number", "Reported by the web interface.", "AE00000001", 16),
         round(1e9 * keys.number("boot_s", "From power-on until it sends.", 1.0, 0.0, 60.0)),
         round(1e9 * keys.number("spin_up_s", "From power-on until the motor is at its speed.", 3.0, 0.0, 60.0)),
         keys.integer("slice_packets", "Packets measured together, at least 2; 0: those of 5 ms.", 0, 0, 1000),

@@ -21,6 +21,7 @@ CHOOSERS = {
     "emulator/compiled/switch.py": "loads",
     "emulator/measuring/worker.py": "loads them before a process is ready",
     "emulator/sensing/rays.py": "orders rays, for packets alone",
+    "emulator/studies/accuracy_targets.py": "compares the two forms where both can run",
 }
 "Who asks for loops, and why."
 

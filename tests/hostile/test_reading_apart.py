@@ -251,7 +251,12 @@ def test_files_of_a_scenario_are_read_apart_and_those_of_the_package_are_not(
 ) -> None:
     here: list[str] = []
     load = mesh_files.load
-    monkeypatch.setattr(mesh_files, "load", lambda path, *rest: (here.append(path.name), load(path, *rest))[1])
+
+    def noted(path: Path, *rest: Any, **more: Any) -> Any:
+        here.append(path.name)
+        return load(path, *rest, **more)
+
+    monkeypatch.setattr(mesh_files, "load", noted)
     world = built(square.parent, "square.obj", "builtin:car.glb")
     assert here == ["car.glb"]  # the other one's name is appended in another process
     assert len(world.bodies[0].faces) == 2

@@ -78,7 +78,9 @@ def test_behind_a_saturating_retroreflector_a_wall_is_hidden_and_comes_back_fart
 def test_false_alarms_are_as_frequent_as_the_law_of_the_filter_says(tmp_path: Path) -> None:
     measure = build(
         tmp_path, [plate(100.0, "white")], weather=CLEAR,
-        physics={"rule": "axis", "threshold_to_noise": 3.5, "response": "gauss", "range_noise_mm": 0.0},
+        physics={
+            "rule": "axis", "threshold_to_noise": 3.5, "response": "gauss", "range_noise_mm": 0.0, "echoes": "first",
+        },
     )  # fmt: skip
     assert isinstance(measure._receiver, Receiver)
     scan = measure(plan(np.zeros(4000), max_echoes=1))

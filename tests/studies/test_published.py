@@ -298,7 +298,9 @@ def test_json_is_one_line_that_names_the_files(
 ) -> None:
     from emulator.studies import published
 
-    monkeypatch.setattr(published, "chapters", lambda *_: {"a": lambda: ranges.table_2(QUICK)})
+    monkeypatch.setattr(
+        published, "chapters", lambda *_: {"a": lambda: ranges.table_2(QUICK), "b": lambda: further.values(QUICK)}
+    )
     assert main(["study", "published", "--quick", "--json", "--out", str(tmp_path)]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["study"] == "published"

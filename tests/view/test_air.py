@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -79,27 +78,6 @@ def test_names_that_come_together_are_parted() -> None:
     assert not stacked(np.zeros((0, 3)), 1.0).size
     heights = name_heights({"front": Mount(actor="ego", at_m=(2, 0, 0.7))}, 1.0, {"ego": 1.0, "car": 9.0})
     assert 0.7 + heights["front"] == pytest.approx(2.0)
-
-
-@pytest.mark.parametrize("packed", [True, False])
-def test_pictures_of_the_page_leave_time_for_its_controls(packed: bool) -> None:
-    pytest.importorskip("viser", reason="extra `view` is not installed")
-    from websockets.datastructures import Headers
-    from websockets.http11 import Response
-
-    from emulator.view.local_server import PACE, paced
-
-    text = b"<!doctype html><html><head><title>x</title></head></html>"
-    body = gzip.compress(text) if packed else text
-    headers = Headers({"Content-Type": "text/html; charset=utf-8", "Content-Length": str(len(body))})
-    headers["Content-Encoding"] = "gzip" if packed else "identity"
-    found = paced(Response(200, "OK", headers, body))
-    shown = gzip.decompress(found.body) if packed else found.body
-    assert shown.index(PACE.encode()) < shown.index(b"<title>")
-    assert found.headers.get_all("Content-Length") == [str(len(found.body))]
-    other = Response(200, "OK", Headers({"Content-Type": "image/png"}), b"<head>")
-    assert paced(other).body == b"<head>"
-    assert paced(None) is None
 
 
 def test_a_scenario_of_our_own_begins_again_and_the_old_one_ends_after(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -53,7 +53,8 @@ shipped = cache(scenario.load)
 
 def of_file(name: str, model: str, **physics_: Any) -> Measure:
     loaded = shipped(name)
-    config = next(sensor for sensor in loaded.sensors if sensor.model.startswith(("sick", "paper", "hokuyo")))
+    makers = ("sick", "paper", "hokuyo", "velodyne", "rplidar", "ldrobot", "ydlidar")
+    config = next(sensor for sensor in loaded.sensors if sensor.model.startswith(makers))
     physics = config.physics.model_copy(update=physics_)
     config = config.model_copy(update={"physics": physics, "model": model, "device": {}})
     loaded = loaded.model_copy(update={"sensors": (config,)})
