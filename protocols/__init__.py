@@ -18,6 +18,7 @@ FAMILIES = {
     "cola": "protocols.cola",
     "can_objects": "protocols.can_objects",
     "scip": "protocols.scip",
+    "rplidar": "protocols.rplidar",
 }
 "Family name -> module that offers `FAMILY`; those of this package."
 
