@@ -41,6 +41,9 @@ BUILT_IN: Mapping[str, Hosts] = {
     "scip": Hosts(
         "emulator.hosts.scip:ScipHost", "emulator.hosts.describe:scip_reply", "hokuyo_room",
         "emulator.hosts.scip:scip_script"),
+    "rplidar": Hosts(
+        "emulator.hosts.rplidar:RplidarHost", "emulator.hosts.describe:rplidar_reply", "rplidar_room",
+        "emulator.hosts.rplidar:rplidar_script"),
     "can_objects": Hosts(
         "emulator.hosts.can_objects:CanObjectHost", "emulator.hosts.describe:can_objects", "fog_objects"),
 }  # fmt: skip

@@ -16,6 +16,7 @@ from emulator.physics.arrays import Floats
 from emulator.physics.beams import BeamShape
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.pulse import Pulse
+from emulator.physics.triangulation import Triangulation
 from emulator.sensors.physics_options import (
     BundleRule,
     DetectionMethod,
@@ -27,7 +28,15 @@ from emulator.sensors.physics_options import (
     Sparingly,
     WindscreenOptions,
 )
-from emulator.sensors.spec import DetectionSpec, Fact, OpticsSpec, PulseSpec, ReceiverSpec, SensorSpec
+from emulator.sensors.spec import (
+    DetectionSpec,
+    Fact,
+    OpticsSpec,
+    PulseSpec,
+    ReceiverSpec,
+    SensorSpec,
+    TriangulationSpec,
+)
 
 Value = TypeVar("Value")
 
@@ -117,6 +126,8 @@ class SensorModel:
     lsb_m: float
     range_noise_m: float
     systematic_m: float
+    triangulation: Triangulation | None
+    "None: time of flight."
     full_scale: float
     recovery_m: float
     noise: bool
@@ -250,6 +261,7 @@ def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> Sensor
         lsb_m=1e-3 * detection.lsb_mm.value,
         range_noise_m=1e-3 * _or(options.range_noise_mm, detection.range_noise_mm),
         systematic_m=1e-3 * _or(options.systematic_mm, detection.systematic_mm),
+        triangulation=_triangulation(spec.triangulation),
         full_scale=full_scale,
         recovery_m=0.5e-9 * SPEED_OF_LIGHT_M_S * _or(options.recovery_ns, receiver.recovery_ns, 0.0),
         noise=options.noise and not seed,
@@ -261,6 +273,19 @@ def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> Sensor
         photons=options.photons,
         leave_out=LeaveOut.nothing() if options.full else options.leave_out,
         plain_radii=options.plain_radii,
+    )
+
+
+def _triangulation(spec: TriangulationSpec | None) -> Triangulation | None:
+    if spec is None:
+        return None
+    return Triangulation(
+        baseline_m=1e-3 * spec.baseline_mm.value,
+        focal_px=spec.focal_px.value,
+        subpixel_px=spec.subpixel_px.value,
+        spot_px=_or(None, spec.spot_px, 0.0),
+        step_px=_or(None, spec.step_px, 0.0),
+        imager_px=_or(None, spec.imager_px, math.inf),
     )
 
 

@@ -19,7 +19,7 @@ class RplidarFraming(Framing):
 
     def bad_check(self, one: Emission) -> bytes | None:
         """Of a capsule its sum; nodes and replies have none."""
-        if one.label not in CAPSULES or one.payload[:1] < b"\xa0" or one.sweep is None and one.scans:
+        if one.label not in CAPSULES or one.payload[:1] < b"\xa0" or (one.sweep is None and one.scans):
             return None
         return bytes((one.payload[0] ^ 0x01,)) + one.payload[1:]
 

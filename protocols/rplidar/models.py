@@ -33,7 +33,9 @@ class Mode:
 
 def _modes(us: tuple[float, ...], most_m: int, names: str = "Standard Express Boost Sensitivity Stability") -> Any:
     kinds = {"Standard": STANDARD, "Express": EXPRESS, "DenseBoost": DENSE}
-    return tuple(Mode(name, each, most_m, kinds.get(name, ULTRA)) for name, each in zip(names.split(), us, strict=False))
+    return tuple(
+        Mode(name, each, most_m, kinds.get(name, ULTRA)) for name, each in zip(names.split(), us, strict=False)
+    )
 
 
 EXTRA = (("UltraDense", ULTRA_DENSE), ("HQ", HQ))

@@ -79,7 +79,9 @@ def restarts(capsules: list[bytes], at: int = 2) -> list[bool]:
 
 
 def _ultra_major(code: int) -> tuple[int, int]:
-    for level, (start, mm) in reversed(list(enumerate([(0, 0), (512, 512), (1280, 2048), (1792, 4096), (3328, 16384)]))):
+    for level, (start, mm) in reversed(
+        list(enumerate([(0, 0), (512, 512), (1280, 2048), (1792, 4096), (3328, 16384)]))
+    ):
         if code >= start:
             return mm + ((code - start) << level), level
     raise AssertionError
