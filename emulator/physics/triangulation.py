@@ -1,8 +1,8 @@
 """Ranges by triangulation: where the spot is on the imager, and what its errors there are as ranges.
 
-Belongs here: formulas on arrays. Not: whether there is light enough (detection), which sensors have such optics (specs).
-A target at the distance d from the line of lens and laser is at p = f b / d pixels from the vanishing point, so the same
-error of p is an error of the range that grows with the square of it: dd = d^2 dp / (f b).
+Belongs here: formulas on arrays. Not: whether there is light enough (detection), which sensors have such optics.
+A target at the distance d from the line of lens and laser is at p = f b / d pixels from the vanishing point, so the
+same error of p is an error of the range that grows with the square of it: dd = d^2 dp / (f b).
 """
 
 from __future__ import annotations

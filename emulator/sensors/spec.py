@@ -131,7 +131,7 @@ class TriangulationSpec(Table):
     focal_px: Fact[Positive]
     "Of the lens, in pixels of the imager."
     subpixel_px: Fact[NotNegative]
-    "Standard deviation of the place that is found for a bright spot; error of the range d^2 subpixel / (focal baseline)."
+    "Standard deviation of the place found for a bright spot; as a range d^2 subpixel / (focal baseline)."
     spot_px: Fact[NotNegative] | None = None
     "Width of the spot, over the signal to noise an error too: faint targets scatter more. None: none."
     step_px: Fact[NotNegative] | None = None

@@ -155,7 +155,8 @@ class RplidarDevice(RequestSession):
         if model.boots_with_text:
             major, minor = model.firmware
             stage = " - rtm" if minor < 30 else ""
-            text = f"RP LIDAR System.\r\nFirmware Ver {major}.{minor}{stage}, HW Ver {model.hardware}\r\nModel: {model.byte:x}\r\n"
+            lines = "RP LIDAR System.", f"Firmware Ver {major}.{minor}{stage}, HW Ver {model.hardware}"
+            text = "\r\n".join((*lines, f"Model: {model.byte:x}", ""))
             self._outbox.send(Emission(now_ns, text.encode(), label="boot"))
 
     def _next_instant(self) -> int | None:
