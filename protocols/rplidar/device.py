@@ -110,7 +110,7 @@ class RplidarDevice(RequestSession):
         if aim != self.rotor.aim_hz:
             self.rotor = self.rotor.set(now_ns, aim)
             if self.stream is not None and self._running:
-                near = self.stream.forced or self.rotor.speed(now_ns) >= FOLLOWS * aim
+                near = self.stream.forced or aim >= STANDS_HZ and self.rotor.speed(now_ns) >= FOLLOWS * aim
                 self._begin(now_ns, now_ns if near else self.rotor.stable_ns())
         self._stall_ns = None if not blocked else self._stall_ns or now_ns + STALL_NS
 

@@ -1,4 +1,4 @@
-"""Strangers as judges of RPLIDAR: pyrplidarsdk (PyPI, with the maker's SDK), unmodified, on pseudo-terminals and UDP."""
+"""Strangers as judges of RPLIDAR: pyrplidarsdk (PyPI, with the maker's SDK), unmodified, on pty and UDP."""
 
 from __future__ import annotations
 
@@ -76,9 +76,9 @@ def judged(words: dict[str, object]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(("sensor", "baud", "model", "points", "most_m"), [
-    ("a1", 115_200, 24, (850, 1100), 0.08),
-    ("s2", 1_000_000, 113, (2500, 2950), 0.12),
-    ("c1", 460_800, 65, (400, 480), 0.12),
+    ("a1", 115_200, 24, (850, 1100), 0.06),
+    ("s2", 1_000_000, 113, (2500, 2950), 0.06),
+    ("c1", 460_800, 65, (400, 480), 0.06),
 ])  # fmt: skip
 def test_the_maker_s_sdk_reads_the_room_at_each_speed(
     running: RunningDaemon, sensor: str, baud: int, model: int, points: tuple[int, int], most_m: float
@@ -87,7 +87,7 @@ def test_the_maker_s_sdk_reads_the_room_at_each_speed(
 
 
 def reads_the_room(found: dict[str, Any], model: int, points: tuple[int, int], most_m: float) -> None:
-    """Three turns with as many points as the motor's speed leaves, each where the walls are; the SDK drops no-returns."""
+    """Three turns with as many points as the motor's speed leaves, where the walls are; the SDK drops no-returns."""
     assert found["info"]["model"] == str(model)
     assert len(found["turns"]) == 3
     for turn in found["turns"]:
@@ -95,10 +95,10 @@ def reads_the_room(found: dict[str, Any], model: int, points: tuple[int, int], m
         assert points[0] < len(angle) < points[1]
         true = HALF_M / np.maximum(np.maximum(np.abs(np.cos(angle)), -np.sin(angle)), 1e-9)
         off = np.abs(range_m - true)
-        assert off.max() < most_m
+        assert np.percentile(off, 99) < most_m, "but for the edges of walls"
         assert np.median(off) < 0.012
 
 
 def test_the_maker_s_sdk_reads_the_room_over_udp(running: RunningDaemon) -> None:
     words = {"ip_address": "127.0.0.1", "udp_port": int(running.link("net").rpartition(":")[2])}
-    reads_the_room(judged(words), 113, (2500, 2950), 0.12)
+    reads_the_room(judged(words), 113, (2500, 2950), 0.06)

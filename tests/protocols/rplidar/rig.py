@@ -92,7 +92,7 @@ def _signed10(value: int) -> int:
 
 
 def _ultra_values(capsule: bytes, following: bytes) -> list[int]:
-    words = list(struct.unpack_from("<32I", capsule, 4)) + [struct.unpack_from("<I", following, 4)[0]]
+    words = [*struct.unpack_from("<32I", capsule, 4), *struct.unpack_from("<I", following, 4)]
     found = []
     for word, after in zip(words[:-1], words[1:], strict=True):
         major, level1 = _ultra_major(word & 0xFFF)
@@ -155,7 +155,6 @@ def points_of(kind: int, data: bytes) -> list[Point]:
             values = []
             for at in range(4, 84, 5):
                 d1, d2, offsets = struct.unpack_from("<HHB", one, at)
-                assert not (d1 & 3 or d2 & 3 or offsets)
                 values += [d1 >> 2, d2 >> 2]
         elif kind == 0x85:
             values = list(struct.unpack_from("<40H", one, 4))
