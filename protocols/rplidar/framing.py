@@ -1,4 +1,4 @@
-"""Replies of RPLIDARs changed on their way: wrong sums, another type, another answer; sums made right again.
+"""Replies of RPLIDARs changed on their way: wrong sums, another type, requests that no device knows.
 
 Belongs here: places in a reply or a group. Not: when something is changed.
 """
@@ -6,27 +6,24 @@ Belongs here: places in a reply or a group. Not: when something is changed.
 from __future__ import annotations
 
 from protocols.framing import Framing
-from protocols.rplidar.codec import DESCRIPTOR, REPLY_SYNC, xor
+from protocols.rplidar.codec import DESCRIPTOR, REPLY_SYNC
 from protocols.session import Emission
 
 UNKNOWN = b"\xa5\x7f"
 "A request that no device knows."
-CAPSULES = ("82", "84", "85", "86")
+CAPSULES, HQ_LABEL = ("82", "84", "85", "86"), "83"
 
 
 class RplidarFraming(Framing):
     """A descriptor with data, or groups of samples."""
 
     def bad_check(self, one: Emission) -> bytes | None:
-        """Of a capsule its sum; nodes and replies have none."""
-        if one.label not in CAPSULES or one.payload[:1] < b"\xa0" or (one.sweep is None and one.scans):
+        """Of a capsule its sum, of an HQ block its CRC; nodes and replies have none."""
+        if one.sweep is None and one.scans:
             return None
-        return bytes((one.payload[0] ^ 0x01,)) + one.payload[1:]
-
-    def with_sum(self, payload: bytes) -> bytes:
-        """A capsule with the sum that it should have."""
-        total = xor(payload[2:])
-        return bytes((0xA0 | total & 0x0F, 0x50 | total >> 4)) + payload[2:]
+        if one.label == HQ_LABEL:
+            return one.payload[:-1] + bytes((one.payload[-1] ^ 0x01,))
+        return bytes((one.payload[0] ^ 0x01,)) + one.payload[1:] if one.label in CAPSULES else None
 
     def with_type(self, one: Emission, code: int) -> bytes | None:
         """Another type byte in the descriptor."""

@@ -64,8 +64,9 @@ def test_ranges_lie_on_steps_of_the_place_which_are_wider_the_farther() -> None:
     places = REALISTIC.place_px(found) * 128.0
     np.testing.assert_allclose(places, np.rint(places), atol=1e-6)
     assert (np.abs(found - range_m) <= 0.51 * REALISTIC.step_m(range_m) * (1 + range_m / 100)).all()
-    levels = np.diff(np.unique(found))
-    assert levels[-2] / levels[0] > 1000
+    for at_m in (4.0, 12.0):
+        near = np.unique(found[np.abs(range_m - at_m) < 5.0 * REALISTIC.step_m(at_m)])
+        assert np.diff(near).max() == pytest.approx(float(REALISTIC.step_m(at_m)), rel=0.03)
 
 
 def test_nearer_than_the_imager_reaches_there_is_no_spot() -> None:
