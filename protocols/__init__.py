@@ -19,6 +19,7 @@ FAMILIES = {
     "can_objects": "protocols.can_objects",
     "scip": "protocols.scip",
     "velodyne": "protocols.velodyne",
+    "rplidar": "protocols.rplidar",
 }
 "Family name -> module that offers `FAMILY`; those of this package."
 

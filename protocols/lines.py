@@ -63,6 +63,13 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "settings": "settings models tables",
         "other": "__init__",
     },
+    "rplidar": {
+        "codec": "codec framing",
+        "commands": "commands",
+        "session": "session device rotor",
+        "settings": "settings models",
+        "other": "__init__",
+    },
 }
 "Family -> kind -> its modules."
 

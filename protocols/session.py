@@ -201,7 +201,7 @@ class Session(ABC):
         """Bytes of a host, in any chunking. Never raises, whatever they are."""
 
     def modem_lines(self, dtr: bool, rts: bool, now_ns: int, address: Address) -> None:
-        """A host has set DTR and RTS of a serial line; ignored by devices without such inputs, as all here."""
+        """A host has set DTR and RTS of a serial line; ignored by devices without such inputs."""
 
     @abstractmethod
     def advance(self, now_ns: int) -> None:

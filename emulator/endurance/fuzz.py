@@ -104,6 +104,8 @@ PARSERS = (
     _session("scip-tcp", "hokuyo-ust-10lx", LinkKind.STREAM, fuzz_sessions.SCIP),
     _session("scip-serial", "hokuyo-urg-04lx", LinkKind.SERIAL, fuzz_sessions.SCIP),
     _session("velodyne", "velodyne-vlp-16", LinkKind.STREAM, fuzz_sessions.VELODYNE),
+    _session("rplidar-serial", "rplidar-a1m8", LinkKind.SERIAL, fuzz_sessions.RPLIDAR),
+    _session("rplidar-udp", "rplidar-s2m1", LinkKind.DATAGRAM, fuzz_sessions.RPLIDAR),
     Parser("socketcand", fuzz_hosts.socketcand, lambda: fuzz_hosts.CAN_SEEDS, CAN_WORDS),
     Parser("slcan", fuzz_hosts.slcan, lambda: fuzz_hosts.SLCAN_SEEDS, SLCAN_WORDS),
     Parser("control", fuzz_hosts.control, lambda: fuzz_hosts.ORDER_SEEDS, ORDER_WORDS),

@@ -19,6 +19,7 @@ from protocols.ld.segments import encode_segments
 from protocols.ld.telegrams import payload_of
 from protocols.ld.usp import encode_frame
 from protocols.lms2xx.telegrams import request
+from protocols.rplidar.codec import request as rplidar_request
 from protocols.scan import Scan
 from protocols.session import Address, LinkKind, Session
 
@@ -106,6 +107,16 @@ SCIP = tuple(
                  b"ND0000108001001", b"HE0000108000", b"TM0", b"TM1", b"TM2", b"SS115200", b"CR05", b"HS1", b"DB01",
                  b"RB", b"RB", b"RS", b"RT", b"%ST", b"%SL", b"SCIP2.0", b"QT")
 )  # fmt: skip
+RPLIDAR_REQUESTS = (
+    (0x20, b""), (0x21, b""), (0x25, b""), (0x40, b""), (0x50, b""), (0x52, b""), (0x59, b""), (0x82, bytes(5)),
+    (0x82, b"\x03" + bytes(4)), (0x83, bytes(33)), (0x84, b"\x70\0\0\0"), (0x84, b"\x71\0\0\0\x03\0"),
+    (0x85, b"\xc0\xcc\x01\0" + bytes(12)), (0x90, b"\x5f\x5f\0\xd0\x07\0\0\0"), (0xA8, b"\x58\x02"),
+    (0xF0, b"\x94\x02"), (0xF0, bytes(2)), (0xFF, bytes(4)),
+)  # fmt: skip
+RPLIDAR = (
+    *(operations([(3, rplidar_request(code, payload))]) for code, payload in RPLIDAR_REQUESTS),
+    operations([(3, b"A" * 64)]),
+)
 CAN_OBJECTS = tuple(
     operations([(2, identifier.to_bytes(2, "big") + payload)])
     for identifier in (0x200, 0x202, 0x300, 0x301, 0x400, 0x401, 0x4F0, 0x4F1, 0x5F2, 0x5F3, 0x5F4, 0x740, 0x741, 0x742)

@@ -15,6 +15,7 @@ import numpy as np
 
 from emulator.hosts import describe_cola
 from emulator.hosts.families import BUILT_IN, found_at
+from emulator.hosts.rplidar_reading import Reader, distances
 from emulator.hosts.scip import ReplyReader
 from protocols.ld.packages import Package, PackageReader
 from protocols.ld.profiles import RANGE_LSB_PER_M, Field
@@ -25,6 +26,8 @@ from protocols.ld.usp import UspReader
 from protocols.lms2xx import commands as lms
 from protocols.lms2xx.telegrams import Telegram, open_frame, read_values
 from protocols.lms2xx.values import COUNTS_PER_METRE, MEASURING_MODES
+from protocols.rplidar import commands as rplidar
+from protocols.rplidar.codec import FORMS, HQ, REPLY_SYNC, STANDARD, ULTRA_DENSE
 from protocols.scip import commands as scip
 from protocols.scip.codec import decode_number, decode_values, joined
 
@@ -111,6 +114,29 @@ def _scip(data: bytes, sent: bool) -> list[Described]:
             lines = []
         found += [Described("line", repr(line)[2:-1]) for line in lines]
     return found or [unknown(data, "no whole reply")]
+
+
+# ---------------------------------------------------------------- RPLIDAR
+
+
+def _rplidar(data: bytes, sent: bool) -> list[Described]:
+    if not sent:
+        code = rplidar.COMMANDS.get(data[1:2]) if data[:1] == b"\xa5" else None
+        return [unknown(data, "no request") if code is None else Described(code.name, data[3:-1].hex(" "))]
+    if data[:2] == REPLY_SYNC and len(data) >= 7:
+        return [Described("type", f"{data[6]:02X}"), Described("data", data[7:].hex(" "))]
+    for form in FORMS.values():
+        if form.kind not in (STANDARD, HQ) and len(data) == form.size and data[0] >> 4 == 0xA:
+            angle = int.from_bytes(data[8:10] if form.kind == ULTRA_DENSE else data[2:4], "little")
+            rows = np.frombuffer(data, np.uint8)[None]
+            return [
+                Described("start angle", f"{(angle & 0x7FFF) / 64.0:.3f}", "deg"),
+                Described("distances", row_of(distances(form, rows, rows)[0]), "mm"),
+            ]
+    nodes = next(iter(Reader().feed_nodes(data)), None) if len(data) % 5 == 0 else None
+    if nodes is None:
+        return [unknown(data, "no reply")]
+    return [Described("angles", row_of(nodes[0], 2), "deg"), Described("distances", row_of(nodes[1]), "mm")]
 
 
 # ---------------------------------------------------------------- LMS2xx
@@ -411,6 +437,11 @@ def cola(speaker: Speaker, data: bytes, kind: str, peer: int, sent: bool) -> lis
 def scip_reply(speaker: Speaker, data: bytes, kind: str, peer: int, sent: bool) -> list[Described]:
     """Of SCIP replies."""
     return _scip(data, sent)
+
+
+def rplidar_reply(speaker: Speaker, data: bytes, kind: str, peer: int, sent: bool) -> list[Described]:
+    """Of an RPLIDAR's replies and groups of samples."""
+    return _rplidar(data, sent)
 
 
 def can_objects(speaker: Speaker, data: bytes, kind: str, peer: int, sent: bool) -> list[Described]:

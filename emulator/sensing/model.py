@@ -17,6 +17,7 @@ from emulator.physics.beams import BeamShape
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.pulse import Pulse
 from emulator.physics.response import Response
+from emulator.physics.triangulation import Triangulation
 from emulator.sensors.physics_options import (
     ELECTRONICS,
     BundleRule,
@@ -29,7 +30,15 @@ from emulator.sensors.physics_options import (
     Sparingly,
     WindscreenOptions,
 )
-from emulator.sensors.spec import DetectionSpec, Fact, OpticsSpec, PulseSpec, ReceiverSpec, SensorSpec
+from emulator.sensors.spec import (
+    DetectionSpec,
+    Fact,
+    OpticsSpec,
+    PulseSpec,
+    ReceiverSpec,
+    SensorSpec,
+    TriangulationSpec,
+)
 
 Value = TypeVar("Value")
 
@@ -130,6 +139,8 @@ class SensorModel:
     lsb_m: float
     range_noise_m: float
     systematic_m: float
+    triangulation: Triangulation | None
+    "None: time of flight."
     full_scale: float
     recovery_m: float
     noise: bool
@@ -277,6 +288,7 @@ def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> Sensor
         lsb_m=1e-3 * detection.lsb_mm.value,
         range_noise_m=1e-3 * _or(options.range_noise_mm, detection.range_noise_mm),
         systematic_m=1e-3 * _or(options.systematic_mm, detection.systematic_mm),
+        triangulation=_triangulation(spec.triangulation),
         full_scale=full_scale,
         recovery_m=0.5e-9 * SPEED_OF_LIGHT_M_S * _or(options.recovery_ns, receiver.recovery_ns, 0.0),
         noise=options.noise and not seed,
@@ -297,6 +309,19 @@ def _wide(name: str, share: float, chosen: float | None, fact: Fact[float] | Non
     if share > 0.0 and chosen is None and fact is None:
         raise ValueError(f"{name}_share without {name}_mrad; want both")
     return _or(chosen, fact, 1.0)
+
+
+def _triangulation(spec: TriangulationSpec | None) -> Triangulation | None:
+    if spec is None:
+        return None
+    return Triangulation(
+        baseline_m=1e-3 * spec.baseline_mm.value,
+        focal_px=spec.focal_px.value,
+        subpixel_px=spec.subpixel_px.value,
+        spot_px=_or(None, spec.spot_px, 0.0),
+        step_px=_or(None, spec.step_px, 0.0),
+        imager_px=_or(None, spec.imager_px, math.inf),
+    )
 
 
 def _need(part: Value | None) -> Value:

@@ -193,7 +193,12 @@ class Receiver:
 
     def _scan(self, plan: ScanPlan, echoes: Echoes, daylight: Daylight) -> Scan:
         model, n = self._model, len(plan)
-        range_m = echoes.range_m
+        range_m, amplitude = echoes.range_m, echoes.amplitude
+        rms = 1.0 if daylight.noise is None else daylight.noise[:, None]
+        if model.triangulation is not None and not model.seed_mode:
+            spots = self._draws.normal("spot", plan.sweep, n, range_m.shape[1]) if model.noise else 0.0
+            range_m = model.triangulation.measured(range_m, amplitude / rms, spots)
+            amplitude = np.where(np.isnan(range_m), np.nan, amplitude)
         if model.systematic_m:
             range_m = range_m + model.systematic_m
         if model.noise and model.range_noise_m > 0.0:
@@ -204,6 +209,5 @@ class Receiver:
             flags[echoes.saturated.any(axis=1)] |= SATURATED
         if daylight.dazzled is not None:
             flags[daylight.dazzled] |= DAZZLED
-        rms = 1.0 if daylight.noise is None else daylight.noise[:, None]
-        intensity = np.maximum(echoes.amplitude / (model.threshold * rms), 1.0)
+        intensity = np.maximum(amplitude / (model.threshold * rms), 1.0)
         return Scan(plan, range_m, intensity, flags, echoes.source.astype(np.int32))

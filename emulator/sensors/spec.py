@@ -159,6 +159,23 @@ class DetectionSpec(Table):
     "Finest step of the reported range."
 
 
+class TriangulationSpec(Table):
+    """Optics of a sensor that triangulates; its errors are added to those of `detection`."""
+
+    baseline_mm: Fact[Positive]
+    "Between laser and lens."
+    focal_px: Fact[Positive]
+    "Of the lens, in pixels of the imager."
+    subpixel_px: Fact[NotNegative]
+    "Standard deviation of the place found for a bright spot; as a range d^2 subpixel / (focal baseline)."
+    spot_px: Fact[NotNegative] | None = None
+    "Width of the spot, over the signal to noise an error too: faint targets scatter more. None: none."
+    step_px: Fact[NotNegative] | None = None
+    "Quantisation of the place. None: none."
+    imager_px: Fact[Positive] | None = None
+    "Where the imager ends, from the vanishing point: nearer targets give no echo. None: it does not."
+
+
 class BundleSpec(Table):
     """What sensing does unless a scenario says otherwise."""
 
@@ -212,6 +229,8 @@ class SensorSpec(Table):
     pulse: PulseSpec | None = None
     receiver: ReceiverSpec | None = None
     detection: DetectionSpec | None = None
+    triangulation: TriangulationSpec | None = None
+    "None: it measures time of flight."
     bundle: BundleSpec | None = None
     geometry: GeometrySpec | None = None
     beams: BeamTable | None = None

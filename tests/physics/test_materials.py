@@ -30,7 +30,7 @@ def test_every_material_of_the_table_has_both_wavelengths_a_range_and_a_source()
     for name, entry in builtin_materials().items():
         assert entry.name == name
         assert entry.model in MODELS
-        assert [nm for nm, _ in entry.rho] == [785.0, 905.0, 1550.0]
+        assert [nm for nm, _ in entry.rho] == [650.0, 785.0, 850.0, 905.0, 1550.0]
         assert entry.source, name
         assert entry.evidence in ("read", "mem", "choice", "calc"), name
         assert entry.range_905 is not None
@@ -70,7 +70,7 @@ def test_reflectances_are_those_of_the_specification_s_table(name: str, rho_905:
 
 def test_a_sensor_near_a_given_wavelength_takes_its_value_and_another_is_refused() -> None:
     assert material("asphalt").reflectance(903) == material("asphalt").reflectance(905)
-    with pytest.raises(MaterialError, match=r"materials.asphalt.rho: no value for 532 nm.*785, 905, 1550"):
+    with pytest.raises(MaterialError, match=r"materials.asphalt.rho: no value for 532 nm.*650, 785, 850, 905, 1550"):
         material("asphalt").reflectance(532)
     own = material_from_mapping("mine", {"rho": 0.4})
     assert own.reflectance(532) == 0.4

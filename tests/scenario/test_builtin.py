@@ -126,3 +126,15 @@ def test_the_hokuyo_room_has_two_scanners_and_each_sees_the_person() -> None:
         direction = np.column_stack([np.cos(azimuth), np.sin(azimuth), 0.0 * azimuth]) @ pose.rotation[0].T
         hits = Caster(world).first_hits(pose.position_m[0], direction, 4.5)
         assert "person" in {world.actors[index] for index in hits.actor if index > 0}
+
+
+def test_the_rplidar_room_has_two_scanners_and_each_sees_the_person() -> None:
+    config = load("rplidar_room")
+    assert [sensor.model for sensor in config.sensors] == ["rplidar-a1m8", "rplidar-s2m1"]
+    world = scene.build(config)
+    for sensor in config.sensors:
+        pose = world.sensor_pose(sensor.mount, np.array([4.5]))
+        azimuth = np.radians(np.arange(-180.0, 180.0, 0.5))
+        direction = np.column_stack([np.cos(azimuth), np.sin(azimuth), 0.0 * azimuth]) @ pose.rotation[0].T
+        hits = Caster(world).first_hits(pose.position_m[0], direction, 4.5)
+        assert "person" in {world.actors[index] for index in hits.actor if index > 0}

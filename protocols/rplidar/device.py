@@ -1,0 +1,355 @@
+"""An RPLIDAR between requests: motor, laser, health, the stream of samples, and the groups that carry it.
+
+Belongs here: states and times. Not: what a request says (commands), how samples are written (codec).
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections import deque
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from protocols.rplidar.codec import FORMS, STANDARD, Form, Samples, line_of_sight_deg
+from protocols.rplidar.models import Mode, Model
+from protocols.rplidar.rotor import NEVER_NS, STANDS_HZ, Rotor, Turns
+from protocols.rplidar.settings import Settings
+from protocols.scan import Scan, ScanPlan
+from protocols.session import Address, DropReason, Emission, LinkKind
+from protocols.skeleton.instants import SECOND_NS, Raster, earliest
+from protocols.skeleton.outbox import Outgoing
+from protocols.skeleton.requests import Request, RequestSession
+from protocols.skeleton.sweeps import Sweep, Telegram
+
+TOGETHER_NS = 2_000_000
+"Standard nodes are handed over in groups of so long at most."
+STALL_NS = SECOND_NS
+"A motor that stands so long while it should turn is a fault."
+STALLED = 0x8001
+"Error code of it; ours."
+USUAL_MM = 2000.0
+"Target for which the line of sight is planned; others take the neighbouring sample."
+GOOD, ERROR = 0, 2
+FORCED_TURN_NS = SECOND_NS // 10
+"Samples of a motor that stands are measured so long at once."
+CONFIRM_NS = SECOND_NS // 2
+"A detected speed that is not confirmed by then is forgotten."
+FOLLOWS = 0.5
+"Of the speed that is set: above, samples go on while the motor changes its speed."
+BITS = 10
+"Of a byte on the line."
+
+
+@dataclass(frozen=True)
+class Stream:
+    """A scan that is carried out."""
+
+    mode: Mode
+    form: Form
+    address: Address | None
+    forced: bool
+
+
+class RplidarDevice(RequestSession):
+    """The device without its commands."""
+
+    clock_tick_ns = Fraction(1000)
+    clock_bits = 32
+    INTER_BYTE_NS = 5 * SECOND_NS
+
+    def __init__(self, model: Model, settings: Settings) -> None:
+        self.model, self.settings = model, settings
+        super().__init__(settings.boot_ns, Fraction(round(1e9 / settings.turn_hz)))
+        self.REPLY_NS = settings.reply_ns  # type: ignore[misc]
+        self.LINE_SPEED = model.baud  # type: ignore[misc]
+        self.baud = model.baud
+        self.health, self.error_code = settings.health, settings.error_code
+        self.stream: Stream | None = None
+        self.ip = bytes(12)
+        "Kept over power-off."
+        self._dtr = False
+        self._factor = 1.0
+        "Of a fault on the motor's speed; 0: it is blocked."
+        self._set_hz = 0.0
+        "By PWM or A8."
+        tau_s = 1e-9 * settings.spin_up_ns / math.log(20.0)
+        self.rotor = Rotor(0, 0.0, 0.0, 0.0, tau_s, settings.wobble)
+        self._begin_ns: int | None = None
+        "When the samples of a requested scan begin, the motor being stable."
+        self._stall_ns: int | None = None
+        self._left: Samples | None = None
+        "Samples of no whole group yet."
+        self._detected_ns: int | None = None
+        self._follows: int | None = None
+        "The sweep that continues the groups."
+
+    # the motor
+
+    def _wanted_hz(self) -> float:
+        if self.model.motor == "dtr":
+            return 0.0 if self._dtr else self.settings.turn_hz
+        if self._dtr and self.model.motor == "pwm":
+            return 0.0
+        if self._set_hz == 0.0 and self.model.motor == "rpm" and self.stream is not None:
+            return self.settings.turn_hz
+        return self._set_hz
+
+    def turn_at(self, now_ns: int, hz: float) -> None:
+        """The speed that a host sets; 0: it stands."""
+        self._set_hz = 0.0 if hz <= 0.0 else min(max(hz, self.model.least_hz), self.model.most_hz)
+        self._drive(now_ns)
+
+    def _drive(self, now_ns: int) -> None:
+        """The motor goes to the speed that holds now; the samples go on from here at other angles."""
+        wanted = self._wanted_hz()
+        aim = wanted * self._factor
+        blocked = wanted > 0.0 and aim < STANDS_HZ
+        if aim != self.rotor.aim_hz:
+            self.rotor = self.rotor.set(now_ns, aim)
+            if self.stream is not None and self._running:
+                near = self.stream.forced or aim >= STANDS_HZ and self.rotor.speed(now_ns) >= FOLLOWS * aim
+                self._begin(now_ns, now_ns if near else self.rotor.stable_ns())
+        self._stall_ns = None if not blocked else self._stall_ns or now_ns + STALL_NS
+
+    def modem_lines(self, dtr: bool, rts: bool, now_ns: int, address: Address) -> None:
+        """DTR of the USB adapter: set, the motor stands (not of S models)."""
+        self.advance(now_ns)
+        self._dtr = dtr
+        self._drive(now_ns)
+
+    def impair(self, now_ns: int, what: str, degree: float) -> bool:
+        """The motor: its speed is `degree` times what is set; or it is blocked."""
+        self.advance(now_ns)
+        if what == "motor speed" and degree > 0.0:
+            self._factor = degree
+        elif what == "motor stopped":
+            self._factor = 0.0 if degree else 1.0
+        else:
+            return False
+        self._drive(now_ns)
+        return True
+
+    # states
+
+    def _reset(self, now_ns: int) -> None:
+        self.baud = self.model.baud
+        self.health, self.error_code = self.settings.health, self.settings.error_code
+        if self._restarted:  # RESET leaves the protection stop
+            self.health = GOOD if self.health == ERROR else self.health
+        self._restarted, self._detected_ns = False, None
+        self.stream, self._begin_ns, self._left, self._stall_ns, self._set_hz = None, None, None, None, 0.0
+        self.rotor = self.rotor.set(now_ns, 0.0)
+        self._drive(now_ns)
+
+    _restarted = False
+
+    def reset(self) -> None:
+        """RESET was received: the protection stop is left."""
+        self._restarted = True
+
+    def _start(self, now_ns: int) -> None:
+        model = self.model
+        if model.boots_with_text:
+            major, minor = model.firmware
+            stage = " - rtm" if minor < 30 else ""
+            lines = "RP LIDAR System.", f"Firmware Ver {major}.{minor}{stage}, HW Ver {model.hardware}"
+            text = "\r\n".join((*lines, f"Model: {model.byte:x}", ""))
+            self._outbox.send(Emission(now_ns, text.encode(), label="boot"))
+
+    def _next_instant(self) -> int | None:
+        own = (self._begin_ns, self._stall_ns) if self._running else ()
+        return earliest((super()._next_instant(), *own))
+
+    def _happen(self, now_ns: int) -> None:
+        if self._running and self._begin_ns is not None and self._begin_ns <= now_ns:
+            self._begin_ns = None
+            self._restream(now_ns)
+        if self._running and self._stall_ns is not None and self._stall_ns <= now_ns:
+            self._stall_ns = None
+            self.health, self.error_code = ERROR, STALLED
+            self.stop(now_ns)
+        super()._happen(now_ns)
+
+    # scans
+
+    def begin(self, request: Request, mode: Mode, kind: int, forced: bool = False) -> bytes:
+        """Carry out a scan request; its descriptor."""
+        form = FORMS[kind]
+        self.stream = Stream(mode, form, request.address, forced)
+        self._drive(request.now_ns)
+        ready_ns = request.now_ns + self.REPLY_NS + 1
+        self._begin(request.now_ns, ready_ns if forced else max(ready_ns, self.rotor.stable_ns()))
+        return form.descriptor
+
+    def _begin(self, now_ns: int, at_ns: int) -> None:
+        """Samples begin, or go on at other angles, at `at_ns`."""
+        self._end_sweeps(now_ns)
+        self._begin_ns = None if at_ns >= NEVER_NS else at_ns
+
+    def stop(self, now_ns: int) -> None:
+        """The scan ends; of what is being sent the rest of one group."""
+        self._begin_ns = self.stream = self._left = None
+        self._end_sweeps(now_ns)
+        self._drive(now_ns)
+
+    def _end_sweeps(self, now_ns: int) -> None:
+        for sent in reversed(self._outbox.withdraw(lambda sent: sent.is_scan)):
+            if (sweep := sent.emissions[0].sweep) is not None:
+                self._events.unsent(now_ns, DropReason.STALE, range(sweep, sweep + 1), "on its way", None, sent.to)
+        self._hosts.clear()
+        self._wanted.renew()
+
+    def _unsubscribe(self, now_ns: int, address: Address | None) -> None:
+        if self.stream is not None and self.stream.address == address:
+            self.stop(now_ns)
+
+    def sample_ns(self, stream: Stream) -> Fraction:
+        """From sample to sample: as the mode tells, and no faster than the line takes."""
+        if self._connections.kind(stream.address) not in (None, LinkKind.SERIAL):
+            return stream.mode.period_ns
+        line = Fraction(stream.form.size * BITS * SECOND_NS, self.baud * stream.form.samples)
+        return max(stream.mode.period_ns, line)
+
+    def _restream(self, now_ns: int) -> None:
+        """The first sample is taken now."""
+        stream = self.stream
+        if stream is None:
+            return
+        self._stream += 1
+        self._left, self._follows = None, None
+        step = self.sample_ns(stream)
+        if self.rotor.aim_hz < STANDS_HZ:
+            count = FORCED_TURN_NS // step
+            self._raster = Raster(now_ns, step * int(count), self._next)
+        else:
+            period = Fraction(round(1e9 / self.rotor.aim_hz))
+            self._raster = Turns(now_ns, period, self._next, rotor=self.rotor, sample_ns=step)
+        self._hosts[stream.address] = now_ns
+
+    def _indexes(self, number: int) -> tuple[int, int, Fraction]:
+        """First sample of a sweep and of the next, and the time between two."""
+        raster, stream = self._raster, self.stream
+        assert stream is not None
+        if isinstance(raster, Turns):
+            return raster.index(number), raster.index(number + 1), raster.sample_ns
+        step = self.sample_ns(stream)
+        count = round(raster.period_ns / step)
+        return (number - raster.first) * count, (number - raster.first + 1) * count, step
+
+    def _sweep(self, number: int) -> Sweep:
+        assert self.stream is not None
+        first, end, step = self._indexes(number)
+        offset_s = np.arange(end - first) * (1e-9 * float(step))
+        angle_deg = self._angles_deg(number, offset_s)
+        if self._bent:
+            angle_deg = angle_deg - float(line_of_sight_deg(np.array([USUAL_MM]))[0])
+        return Sweep(
+            azimuth_rad=-np.radians(angle_deg),
+            elevation_rad=np.zeros(end - first),
+            fire_offset_s=offset_s,
+            duration_s=float((end - first) * step) * 1e-9,
+            max_range_m=float(self.stream.mode.most_m),
+            wants_intensity=True,
+        )
+
+    @property
+    def _bent(self) -> bool:
+        return self.stream is not None and self.stream.form.turned
+
+    def _angles_deg(self, number: int, offset_s: np.ndarray) -> np.ndarray:
+        turns = self.rotor.at(self._raster.at(number) + 1e9 * offset_s)
+        return np.asarray(360.0 * (turns - np.floor(turns)))
+
+    def _samples(self, scan: Scan) -> Samples:
+        """What was measured, in the rotor's angles."""
+        plan, model = scan.plan, self.model
+        mm = 1000.0 * np.nan_to_num(scan.range_m[:, 0])
+        mm = np.where((mm >= model.least_mm) & (mm <= 1000.0 * plan.max_range_m), mm, 0.0)
+        strength = np.nan_to_num(scan.intensity[:, 0], nan=1.0)
+        quality = np.clip(np.rint(0.5 * model.best_quality * strength), 1, model.best_quality).astype(np.int64)
+        quality = np.where(mm > 0.0, quality << 2, 0)
+        angle = self._angles_deg(plan.sweep, plan.fire_offset_s)
+        if self._bent:  # the neighbour whose line of sight, by its own distance, belongs to this angle of the rotor
+            seen = np.degrees(-plan.azimuth_rad) + line_of_sight_deg(np.where(mm > 0.0, mm, USUAL_MM))
+            chosen = _nearest(seen, angle, len(angle) == self._whole_turn(plan))
+            mm, quality = mm[chosen], quality[chosen]
+        starts = np.zeros(len(mm), np.bool_)
+        starts[:1] = isinstance(self._raster, Turns) and plan.sweep > self._raster.first
+        stamp_us = self.clock.shown_ns(plan.start_ns) / 1000.0 + 1e6 * plan.fire_offset_s
+        return Samples(angle, mm, quality, starts, stamp_us)
+
+    def _whole_turn(self, plan: ScanPlan) -> int:
+        return len(plan) if plan.sweep > self._raster.first else -1
+
+    def _telegrams(self, scan: Scan) -> list[Telegram]:
+        stream, plan = self.stream, scan.plan
+        assert stream is not None
+        form, fresh = stream.form, self._samples(scan)
+        kept = self._left if self._follows == plan.sweep else None
+        restart, held = kept is None, 0 if kept is None else len(kept)
+        samples = fresh if kept is None else kept.then(fresh)
+        count = (len(samples) - form.further) // form.samples
+        self._left, self._follows = samples.part(max(count, 0) * form.samples), plan.sweep + 1
+        if count <= 0:
+            return []
+        groups = form.encode(samples.part(0, count * form.samples + form.further), restart)
+        step_ns = 1e9 * plan.duration_s / max(len(plan), 1)
+        together = max(1, int(TOGETHER_NS / (step_ns * form.samples))) if form.kind == STANDARD else 1
+        ends = np.arange(together, count + together, together).clip(max=count)
+        last = ends * form.samples + form.further - held
+        after = np.maximum(np.rint(last * step_ns), 0).astype(np.int64)
+        begins = [0, *ends[:-1].tolist()]
+        return [
+            Telegram(due, groups[a:b].tobytes(), f"{form.kind:02X}")
+            for due, a, b in zip(after.tolist(), begins, ends.tolist(), strict=True)
+        ]
+
+    def submit(self, scan: Scan) -> None:
+        """Take the scan of `next_plan`; `ScanRefused` for any other."""
+        plan = scan.plan
+        self._wanted.expect(plan, len(scan.range_m))
+        self._wanted.forget()
+        self._next = plan.sweep + 1
+        assert self.stream is not None
+        to = self.stream.address
+        emissions = deque(self._emissions(plan, self._telegrams(scan), to))
+        if emissions:
+            self._outbox.put(Outgoing(to, emissions, is_scan=True))
+        else:
+            numbers = range(plan.sweep, plan.sweep + 1)
+            self._events.unsent(self._now_ns, DropReason.KEPT, numbers, "too few samples", plan.stream)
+
+    # speed of the line
+
+    def detect(self, now_ns: int) -> None:
+        """A run of 41 has come at the speed of the line: it is told, and may be confirmed."""
+        if self.model.byte < 0x40 or self.stream is not None:
+            return
+        self._detected_ns = now_ns
+        said = struct.pack("<I", self.baud)
+        self._outbox.send(Emission(now_ns + self.REPLY_NS, said, label="41"))
+
+    @property
+    def detected(self) -> bool:
+        """Whether a host may confirm a speed now."""
+        return self._detected_ns is not None and self._now_ns - self._detected_ns <= CONFIRM_NS
+
+    def change_speed(self, now_ns: int, baud: int) -> None:
+        """The line has another speed until the next power-on."""
+        self.baud, self._detected_ns = baud, None
+        self._outbox.send(Emission(now_ns + self.REPLY_NS, b"", line_speed=baud, label="90"))
+
+
+def _nearest(known: np.ndarray, wanted: np.ndarray, closed: bool) -> np.ndarray:
+    """Index into `known` (degrees, in any order) of the nearest to each of `wanted`; `closed`: it is a whole turn."""
+    order = np.argsort(known, kind="stable")
+    table = known[order]
+    if closed:
+        order, table = np.tile(order, 3), np.concatenate([table - 360.0, table, table + 360.0])
+    at = np.searchsorted(table, wanted).clip(1, len(table) - 1) if len(table) > 1 else np.zeros(len(wanted), np.int64)
+    if len(table) > 1:
+        at = at - (wanted - table[at - 1] <= table[at] - wanted)
+    return np.asarray(order[at])
