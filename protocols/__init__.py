@@ -18,6 +18,8 @@ FAMILIES = {
     "cola": "protocols.cola",
     "can_objects": "protocols.can_objects",
     "scip": "protocols.scip",
+    "ldrobot": "protocols.ldrobot",
+    "ydlidar": "protocols.ydlidar",
 }
 "Family name -> module that offers `FAMILY`; those of this package."
 
