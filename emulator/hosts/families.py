@@ -41,6 +41,12 @@ BUILT_IN: Mapping[str, Hosts] = {
     "scip": Hosts(
         "emulator.hosts.scip:ScipHost", "emulator.hosts.describe:scip_reply", "hokuyo_room",
         "emulator.hosts.scip:scip_script"),
+    "ldrobot": Hosts(
+        "emulator.hosts.ldrobot:LdrobotHost", "emulator.hosts.ldrobot:fields", "desk_scanners",
+        "emulator.hosts.ldrobot:ldrobot_script"),
+    "ydlidar": Hosts(
+        "emulator.hosts.ydlidar:YdlidarHost", "emulator.hosts.ydlidar:fields", "desk_scanners",
+        "emulator.hosts.ydlidar:ydlidar_script"),
     "can_objects": Hosts(
         "emulator.hosts.can_objects:CanObjectHost", "emulator.hosts.describe:can_objects", "fog_objects"),
 }  # fmt: skip

@@ -408,7 +408,12 @@ def usual_plan(spec: SensorSpec) -> ScanPlan:
 
     if spec.beams is not None:
         return table_plan(spec, 0)
-    usual = {"ld": (0.125, 360.0, 0.1), "scip": (0.25, 270.0, 0.025)}
+    usual = {
+        "ld": (0.125, 360.0, 0.1),
+        "scip": (0.25, 270.0, 0.025),
+        "ldrobot": (0.8, 360.0, 0.1),
+        "ydlidar": (0.504, 360.0, 1.0 / 7.0),
+    }
     step, field, period = usual.get(spec.family or "", (0.5, 180.0, 2.0 / 75.0))
     n = round(field / step) + (field < 360.0)
     index = np.arange(n)

@@ -1,13 +1,12 @@
 """LDROBOT's packets: twelve samples, start and end angle, speed, time stamp, CRC.
 
-Belongs here: bytes and numbers. Not: when a packet is sent (session).
+Belongs here: bytes and numbers. Not: when a packet is sent (the device), reading packets (`emulator.hosts.ldrobot`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,52 +69,6 @@ def encode_packets(
     return [row.tobytes() for row in bytes_]
 
 
-class Packet(NamedTuple):
-    """One packet as a host reads it."""
-
-    speed_dps: int
-    angle_deg: Floats
-    "(12,)"
-    range_m: Floats
-    "(12,) NaN where there is no echo."
-    intensity: Floats
-    stamp_ms: int
-
-
 def with_crc(data: bytes) -> bytes:
     """A packet with its CRC made right."""
     return data[:-1] + bytes(crc8(np.frombuffer(data[:-1], np.uint8)[None]))
-
-
-def decode_packet(data: bytes) -> Packet | None:
-    """One packet; None if it is damaged."""
-    if len(data) != SIZE or data[:2] != HEAD or with_crc(data) != data:
-        return None
-    one = np.frombuffer(data, PACKET)[0]
-    start, end = int(one["start"]), int(one["end"])
-    angle = (start + np.arange(SAMPLES) * ((end - start) % TURN_CDEG) / (SAMPLES - 1)) % TURN_CDEG / 100.0
-    mm, intensity = one["samples"]["mm"].astype(float), one["samples"]["intensity"].astype(float)
-    return Packet(int(one["speed"]), angle, np.where(mm > 0, mm / 1000.0, np.nan), intensity, int(one["stamp"]))
-
-
-class PacketReader:
-    """Packets out of bytes in any chunking."""
-
-    def __init__(self) -> None:
-        self._held = b""
-        self.errors = 0
-        "Beginnings of packets that were none, or damaged."
-
-    def feed(self, data: bytes) -> Iterator[Packet]:
-        """Packets that are whole by now."""
-        held = self._held + data
-        at = 0
-        while (at := held.find(HEAD, at)) >= 0 and at + SIZE <= len(held):
-            found = decode_packet(held[at : at + SIZE])
-            if found is None:
-                self.errors += 1
-                at += 1
-                continue
-            yield found
-            at += SIZE
-        self._held = held[at:] if at >= 0 else held[-1:]

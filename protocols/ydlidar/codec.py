@@ -1,12 +1,12 @@
 """YDLIDAR's packets and replies: samples of 2, 3 or 4 bytes, the XOR over words, angles before their correction.
 
-Belongs here: bytes, numbers, and the geometry of the slanted line of triangulation. Not: when something is sent.
+Belongs here: bytes, numbers, and the geometry of the slanted line of triangulation. Not: when something is sent, reading it
+(`emulator.hosts.ydlidar`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,85 +120,3 @@ def encode_reply(kind: int, data: bytes, continuous: bool = False) -> bytes:
     """A reply; of a continuous one the data are its first packets, and the length is formal."""
     length = 5 | CONTINUOUS if continuous else len(data)
     return REPLY + length.to_bytes(4, "little") + bytes((kind,)) + data
-
-
-class Packet(NamedTuple):
-    """One packet as a host reads it, before the correction of angles."""
-
-    kind: int
-    "CT"
-    angle_deg: Floats
-    words: NDArray[np.uint16]
-    intensity: Floats | None
-    "As sent, of 8 or 16 bits; None: two bytes a sample."
-
-
-def decode_packet(data: bytes, width: int) -> Packet | None:
-    """One packet with samples of so many bytes; None if its checksum is wrong."""
-    size = data[3]
-    raw = np.frombuffer(data, np.uint8, size * width, HEAD_BYTES).reshape(size, width).astype(np.uint16)
-    words = raw[:, -2] | raw[:, -1] << 8
-    levels = None if width == 2 else raw[:, 0] | (raw[:, 1] << 8 if width == 4 else 0)
-    head = np.frombuffer(data, "<u2", HEAD_BYTES // 2)
-    check = np.bitwise_xor.reduce(words) ^ (0 if levels is None else np.bitwise_xor.reduce(levels))
-    if np.bitwise_xor.reduce(head) ^ check:
-        return None
-    first, last = float(head[2] >> 1) / 64.0, float(head[3] >> 1) / 64.0
-    span = (last - first) % 360.0
-    angle = first + np.arange(size) * (span / (size - 1) if size > 1 else 0.0)
-    return Packet(data[2], angle, words, None if levels is None else levels.astype(np.float64))
-
-
-class StreamReader:
-    """Packets and replies out of bytes in any chunking; the width of samples is found by the checksum."""
-
-    def __init__(self) -> None:
-        self._held = b""
-        self._widths = [2, 3, 4]
-        self.errors = 0
-        "Beginnings of packets that were none, or damaged."
-
-    def feed(self, data: bytes) -> Iterator[Packet | bytes]:
-        """Packets, and replies as bytes, that are whole by now."""
-        held = self._held + data
-        at = 0
-        while at + HEAD_BYTES <= len(held):
-            if held.startswith(REPLY, at):
-                size = 7 + (int.from_bytes(held[at + 2 : at + 6], "little") & 0xFF)
-                size = 7 if held[at + 5] >> 6 else size
-                if at + size > len(held):
-                    break
-                yield held[at : at + size]
-                at += size
-            elif held.startswith(HEAD, at) and held[at + 4] & held[at + 6] & 1 and 1 <= held[at + 3] <= 80:
-                found, size = self._packet(held[at:])
-                if found is None and size:
-                    break
-                if found is not None:
-                    yield found
-                self.errors += found is None
-                at += size or 1
-            else:
-                marks = [place for mark in (HEAD, REPLY) if (place := held.find(mark, at + 1)) >= 0]
-                at = min(marks, default=max(at, len(held) - 1))
-        self._held = held[at:]
-
-    def _packet(self, data: bytes) -> tuple[Packet | None, int]:
-        """A packet and its size; None and 0: there is none; None and more: bytes are missing."""
-        for width in self._widths:
-            size = HEAD_BYTES + data[3] * width
-            if size > len(data):
-                return None, size
-            if (found := decode_packet(data, width)) is not None:
-                self._widths.remove(width)
-                self._widths.insert(0, width)
-                return found, size
-        return None, 0
-
-
-def range_mm(packet: Packet, unit_mm: float) -> Floats:
-    """Distances of a packet, NaN where there is no return; 3 bytes a sample have whole millimetres."""
-    words: Any = packet.words.astype(np.float64)
-    if packet.intensity is not None and packet.intensity.size and unit_mm != 1.0:
-        words = (packet.words & 0xFFFC).astype(np.float64)
-    return np.where(words > 0, words * unit_mm, np.nan)

@@ -97,6 +97,7 @@ def read(keys: DeviceKeys, model: Model) -> Settings:
     spin_up = keys.number("spin_up_s", "From standstill until the motor is at speed.", 0.5, 0.0, 60.0)
     wobble = keys.number("speed_wobble", "Most that the speed of the motor differs, as a share.", 0.01, 0.0, 0.2)
     bits = int(keys.number_of("intensity_bits", "Of a sample; 16 is the TG15 I.", model.bits[0], model.bits))
+    dtr = "DTR drives the motor, as with the USB board; it is seen with the shim only."
     serial = keys.text("serial_number", "16 digits of the device info.", "2024011500000123", 16)
     if len(serial) != 16 or not serial.isdigit():
         raise DeviceSettingError("serial_number", serial, "16 digits")
@@ -111,5 +112,5 @@ def read(keys: DeviceKeys, model: Model) -> Settings:
         HEALTH.index(keys.choice("health", "Answer to 91 and 92; error: it sends no samples.", "good", HEALTH)),
         keys.flag("module_info", "The device info is sent once, 0.2 s after the stream has begun.", model.answers),
         keys.flag("stamp_packets", "A packet with the time in ms goes before each zero packet.", False),
-        keys.flag("dtr_motor", "DTR drives the motor, as with the USB board; without shim it is not seen.", not model.sets),
+        keys.flag("dtr_motor", dtr, not model.sets),
     )  # fmt: skip

@@ -5,10 +5,8 @@ Belongs here: commands, states, when a packet leaves. Not: bytes of packets (cod
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator, Mapping
 from fractions import Fraction
-from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np

@@ -24,6 +24,8 @@ SHIPPED = {
     "sick-tim571", "sick-tim781", "sick-mrs1104",
     "hokuyo-urg-04lx", "hokuyo-ubg-04lx-f01", "hokuyo-uhg-08lx", "hokuyo-utm-30lx", "hokuyo-utm-30lx-ew",
     "hokuyo-ust-10lx", "hokuyo-ust-20lx",
+    "ldrobot-ld06", "ldrobot-ld19", "ldrobot-stl-27l",
+    "ydlidar-x2", "ydlidar-x4", "ydlidar-g4", "ydlidar-tg15", "ydlidar-t-mini",
     "can-ars408", "can-ldmrs", "can-leddar-vu8", "can-leddar-m16", "can-esr",
 }  # fmt: skip
 
@@ -60,7 +62,10 @@ def test_sick_numbers_and_the_reference_receiver_follow_the_physics_specificatio
                  "sick-lms1": (3240.0, 4e-9), "sick-lms5": (7200.0, 4e-9), "sick-tim55": (640.0, 4e-9),
                  "sick-tim56": (640.0, 4e-9), "sick-tim": (695.0, 4e-9), "sick-mrs": (2560.0, 4e-9),
                  "hokuyo-utm": (1000.0, 4e-9), "hokuyo-ust-10": (160.0, 4e-9), "hokuyo-ust-20": (640.0, 4e-9),
-                 "hokuyo-urg": (17.8, 4e-9), "hokuyo-ubg": (17.8, 4e-9), "hokuyo-uhg": (71.2, 4e-9)}  # fmt: skip
+                 "hokuyo-urg": (17.8, 4e-9), "hokuyo-ubg": (17.8, 4e-9), "hokuyo-uhg": (71.2, 4e-9),
+                 "ldrobot-ld": (100.8, 4e-9), "ldrobot-stl": (437.5, 4e-9), "ydlidar-x4": (80.0, 4e-9),
+                 "ydlidar-x2": (51.2, 4e-9), "ydlidar-g4": (204.8, 4e-9), "ydlidar-tg": (180.0, 4e-9),
+                 "ydlidar-t-m": (115.2, 4e-9)}  # fmt: skip
     k_m2, fwhm_s = next((value for name, value in constants.items() if model.startswith(name)), (9000.0, 4e-9))
     assert made.k_m2 / made.threshold == pytest.approx(k_m2, rel=2e-4)
     assert made.pulse.fwhm_s == pytest.approx(fwhm_s)
