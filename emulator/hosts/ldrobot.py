@@ -111,7 +111,7 @@ class LdrobotHost:
         while True:
             data = self._line.read(timeout_s)
             for packet in self._reader.feed(data):
-                yield from turns.add(packet.angle_deg, packet.range_m, packet.intensity, packet.speed_dps / 360.0)
+                yield from turns.add(packet.angle_deg, packet.range_m, packet.intensity)
             if not data:
                 yield None
 
@@ -136,7 +136,7 @@ class LdrobotScript:
             self._next_ns = now_ns + NEXT_NS
         for packet in self._reader.feed(self._line.read()):
             self._next_ns = now_ns + SILENCE_NS
-            for scan in self._turns.add(packet.angle_deg, packet.range_m, packet.intensity, packet.speed_dps / 360.0):
+            for scan in self._turns.add(packet.angle_deg, packet.range_m, packet.intensity):
                 self._on_scan(now_ns, scan)
         if now_ns >= self._next_ns:
             self._at, self._next_ns = self._at + 1, now_ns + NEXT_NS

@@ -27,7 +27,7 @@ class TurnAssembler:
         self._whole = False
 
     def add(
-        self, angle_deg: Floats, range_m: Floats, intensity: Floats | None, hz: float, true_deg: Floats | None = None
+        self, angle_deg: Floats, range_m: Floats, intensity: Floats | None, true_deg: Floats | None = None
     ) -> Iterator[HostScan]:
         """Samples in the order of measuring, clockwise angles as the device tells them; turns that they complete.
 
@@ -46,13 +46,13 @@ class TurnAssembler:
             self._parts.append((true_deg[part], range_m[part], None if intensity is None else intensity[part]))
             if end is None:
                 break
-            if self._whole and (scan := self._made(hz)) is not None:
+            if self._whole and (scan := self._made()) is not None:
                 yield scan
             self._parts, self._whole, begin = [], True, end
         if sum(len(one[0]) for one in self._parts) > MOST:
             self._parts, self._whole = [], False
 
-    def _made(self, hz: float) -> HostScan | None:
+    def _made(self) -> HostScan | None:
         angle = np.concatenate([one[0] for one in self._parts])
         if not len(angle):
             return None
@@ -61,4 +61,4 @@ class TurnAssembler:
         strength = np.where(np.isnan(range_m), np.nan, np.concatenate(levels)) if levels else None
         azimuth = np.radians((180.0 - angle) % 360.0 - 180.0)
         self.count += 1
-        return HostScan(self.count - 1, np.asarray(azimuth, np.float64), range_m, f"{hz:.2f} Hz", strength)
+        return HostScan(self.count - 1, np.asarray(azimuth, np.float64), range_m, f"{len(angle)} samples", strength)

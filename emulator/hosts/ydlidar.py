@@ -141,8 +141,7 @@ class View:
         if self.triangulates:
             angle = angle + correction_deg(np.nan_to_num(found))
         # where a turn ends is told by the rotor's own angles: corrected ones go back and forth
-        for scan in turns.add(packet.angle_deg, found / 1000.0, packet.intensity, 0.0, angle):
-            yield scan
+        yield from turns.add(packet.angle_deg, found / 1000.0, packet.intensity, angle)
 
 
 class YdlidarHost:
@@ -259,10 +258,8 @@ def ydlidar_script(line: HostEnd, on_scan: Callable[[int, HostScan], None], devi
 def fields(speaker: Speaker, data: bytes, kind: str, peer: int, sent: bool) -> list[Described]:
     """Of commands, replies and packets."""
     if not sent:
-        rows = [COMMANDS.get(data[at : at + 2]) for at in range(0, len(data), 2)]
-        names = [
-            Described("command", f"{data[2 * k : 2 * k + 2].hex(' ')}: {row.name}") for k, row in enumerate(rows) if row
-        ]
+        pairs = [data[at : at + 2] for at in range(0, len(data), 2)]
+        names = [Described("command", f"{one.hex(' ')}: {COMMANDS[one].name}") for one in pairs if one in COMMANDS]
         return names or [unknown(data, "no command")]
     found: list[Described] = []
     for item in StreamReader().feed(data):

@@ -1,6 +1,6 @@
 """YDLIDAR's packets and replies: samples of 2, 3 or 4 bytes, the XOR over words, angles before their correction.
 
-Belongs here: bytes, numbers, and the geometry of the slanted line of triangulation. Not: when something is sent, reading it
+Belongs here: bytes, numbers, the geometry of the slanted line of triangulation. Not: when something is sent; reading it
 (`emulator.hosts.ydlidar`).
 """
 

@@ -1,4 +1,4 @@
-"""A session with a free rotor in virtual time, and a world that answers its plans by the true direction of each beam."""
+"""A session with a free rotor in virtual time; a world that answers its plans by the true direction of each beam."""
 
 from __future__ import annotations
 
