@@ -27,6 +27,10 @@ from protocols.ydlidar.session import COMMANDS
 BAUDS = (128_000, 115_200, 230_400, 512_000)
 STOP, INFO, SCAN = b"\xa5\x00\xa5\x65", b"\xa5\x90", b"\xa5\x60"
 MOST_LSN = 80
+WIDTHS = (2, 3, 4)
+"Bytes per sample."
+MOST_BAD = 3
+"Damaged packets in a row after which the width of samples is looked for anew."
 ANSWER_S = 0.4
 START_S = 4.0
 TRY_NS = 400_000_000
@@ -60,11 +64,15 @@ def decode_packet(data: bytes, width: int) -> Packet | None:
 
 
 class StreamReader:
-    """Packets and replies out of bytes in any chunking; the width of samples is found by the checksum."""
+    """Packets and replies out of bytes in any chunking.
 
-    def __init__(self) -> None:
+    Bytes per sample are found by the checksum and the packet that follows: zeros at its end have no part in the XOR.
+    """
+
+    def __init__(self, width: int | None = None) -> None:
         self._held = b""
-        self._widths = [2, 3, 4]
+        self._width = width
+        self._bad = 0
         self.errors = 0
         "Beginnings of packets that were none, or damaged."
 
@@ -95,14 +103,18 @@ class StreamReader:
 
     def _packet(self, data: bytes) -> tuple[Packet | None, int]:
         """A packet and its size; None and 0: there is none; None and more: bytes are missing."""
-        for width in self._widths:
+        known = self._width is not None
+        for width in WIDTHS if self._width is None else (self._width,):
             size = HEAD_BYTES + data[3] * width
-            if size > len(data):
+            if size + (0 if known else len(HEAD)) > len(data):
                 return None, size
-            if (found := decode_packet(data, width)) is not None:
-                self._widths.remove(width)
-                self._widths.insert(0, width)
+            found = decode_packet(data, width)
+            if found is not None and (known or data[size : size + len(HEAD)] in (HEAD, REPLY)):
+                self._width, self._bad = width, 0
                 return found, size
+        self._bad += 1
+        if self._bad > MOST_BAD:
+            self._width = None
         return None, 0
 
 
