@@ -182,7 +182,7 @@ class YdlidarSession(TurningSession, RequestSession):
         if self.model.sets:
             self._start_motor(now_ns)
         self._subscribe(now_ns, None)
-        if self.settings.has_module_info:
+        if self.settings.has_module_info and not self._stalled:
             due_ns = max(now_ns, self._speed_ns) + MODULE_INFO_NS
             info = Emission(due_ns, codec.encode_reply(INFO, self.info()), request.address, label="module info")
             self._module = self._outbox.send(info)
