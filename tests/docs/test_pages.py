@@ -43,6 +43,7 @@ DEVICES = {
     "sick_ld.md": "sick-ld-lrs1000",
     "lms2xx.md": "sick-lms291-s05",
     "scip.md": "hokuyo-utm-30lx",
+    "desk_scanners.md": "ydlidar-g4",
 }
 "Whose `device:` table a page shows alone."
 
@@ -78,7 +79,7 @@ def test_pieces_of_scenarios_are_accepted(block: Block, tmp_path: Path) -> None:
     if "device" in piece:
         model = DEVICES[block.page.name]
         extra = {"from": ["front"]} if model.startswith("can") else {}
-        link = "pty:./other" if model.startswith("hokuyo") else "can:virtual:2"
+        link = "pty:./other" if model.startswith(("hokuyo", "ydlidar")) else "can:virtual:2"
         piece = {"sensors": [{"id": "other", "model": model, "links": [link], **extra, **piece}]}
     whole = piece if "schema" in piece else laid_over(BASE, piece)
     (tmp_path / "acme-x1.yaml").write_text((ROOT / "docs/examples/acme-x1.yaml").read_text(encoding="utf-8"))
