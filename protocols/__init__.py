@@ -20,6 +20,8 @@ FAMILIES = {
     "scip": "protocols.scip",
     "velodyne": "protocols.velodyne",
     "rplidar": "protocols.rplidar",
+    "ldrobot": "protocols.ldrobot",
+    "ydlidar": "protocols.ydlidar",
 }
 "Family name -> module that offers `FAMILY`; those of this package."
 

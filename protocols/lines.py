@@ -70,6 +70,8 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "settings": "settings models",
         "other": "__init__",
     },
+    "ldrobot": {"codec": "codec", "session": "__init__"},
+    "ydlidar": {"codec": "codec", "session": "session", "settings": "models", "other": "__init__"},
 }
 "Family -> kind -> its modules."
 

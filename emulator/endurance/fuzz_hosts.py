@@ -11,7 +11,9 @@ from concurrent.futures import Future
 from pathlib import Path
 
 from emulator.endurance.scene import soak_text
+from emulator.hosts import ldrobot, ydlidar
 from emulator.hosts.lms2xx import TelegramReader
+from emulator.hosts.turns import TurnAssembler
 from emulator.instrument.instrument import Instrument
 from emulator.measuring.measuring import InPlace
 from emulator.process.clock import SystemClock
@@ -151,6 +153,40 @@ def telegram_reader() -> Callable[[bytes], None]:
     return run
 
 
+def ldrobot_reader() -> Callable[[bytes], None]:
+    """The same of packets without end."""
+
+    def run(data: bytes) -> None:
+        turns = TurnAssembler()
+        for packet in ldrobot.PacketReader().feed(data):
+            list(turns.add(packet.angle_deg, packet.range_m, packet.intensity))
+
+    return run
+
+
+def ydlidar_reader() -> Callable[[bytes], None]:
+    """The same of packets and replies, of any width of samples."""
+
+    def run(data: bytes) -> None:
+        turns, view = TurnAssembler(), ydlidar.View()
+        for item in ydlidar.StreamReader().feed(data):
+            if isinstance(item, bytes):
+                view = ydlidar.View.of(item) or view
+            else:
+                list(view.add(turns, item))
+
+    return run
+
+
+LDROBOT_SEEDS = (
+    bytes.fromhex("542C6808AB7EE000E4DC00E2D900E5D500E3D300E4D000E9CD00E4CA00E2C700E9C500E5C200E5C000E5BE823A1A50"),
+)
+YDLIDAR_SEEDS = (
+    bytes.fromhex("AA558D0141004100875BA00F AA550004013281 33FF4FA00FCC0FB91F0000 A55A0500004081"),
+    bytes.fromhex(
+        "A55A14000000040605010302000204000101050000000000010203 AA550004013281 33E14F64A00F5ACC0F21B81F000000"
+    ),
+)
 READER_SEEDS = (
     request(b"\x20\x24"),
     b"\x02\x80\x03\x00\xa0\x00\x10\x16\x0a",

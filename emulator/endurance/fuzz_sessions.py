@@ -117,6 +117,11 @@ RPLIDAR = (
     *(operations([(3, rplidar_request(code, payload))]) for code, payload in RPLIDAR_REQUESTS),
     operations([(3, b"A" * 64)]),
 )
+LDROBOT = (operations([(3, bytes.fromhex("54a10400000000 4a"))]),)
+YDLIDAR = tuple(
+    operations([(3, bytes((0xA5, code))), (5, b"\xa5\x60"), (4, b"\xa5\x65")])
+    for code in (0x00, 0x60, 0x61, 0x65, 0x90, 0x91, 0x92, 0x40, 0x80, 0x09, 0x0B, 0x0C, 0x0D, 0xD0, 0xD1, 0xD9, 0x05)
+)
 CAN_OBJECTS = tuple(
     operations([(2, identifier.to_bytes(2, "big") + payload)])
     for identifier in (0x200, 0x202, 0x300, 0x301, 0x400, 0x401, 0x4F0, 0x4F1, 0x5F2, 0x5F3, 0x5F4, 0x740, 0x741, 0x742)

@@ -47,6 +47,12 @@ BUILT_IN: Mapping[str, Hosts] = {
     "rplidar": Hosts(
         "emulator.hosts.rplidar:RplidarHost", "emulator.hosts.describe:rplidar_reply", "rplidar_room",
         "emulator.hosts.rplidar:rplidar_script"),
+    "ldrobot": Hosts(
+        "emulator.hosts.ldrobot:LdrobotHost", "emulator.hosts.ldrobot:fields", "desk_scanners",
+        "emulator.hosts.ldrobot:ldrobot_script"),
+    "ydlidar": Hosts(
+        "emulator.hosts.ydlidar:YdlidarHost", "emulator.hosts.ydlidar:fields", "desk_scanners",
+        "emulator.hosts.ydlidar:ydlidar_script"),
     "can_objects": Hosts(
         "emulator.hosts.can_objects:CanObjectHost", "emulator.hosts.describe:can_objects", "fog_objects"),
 }  # fmt: skip

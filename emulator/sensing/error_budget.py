@@ -459,7 +459,13 @@ def usual_plan(spec: SensorSpec) -> ScanPlan:
         return table_plan(spec, 0)
     if spec.family == "velodyne":
         return first_plan(spec)
-    usual = {"ld": (0.125, 360.0, 0.1), "scip": (0.25, 270.0, 0.025), "rplidar": (0.3, 360.0, 1 / 7)}
+    usual = {
+        "ld": (0.125, 360.0, 0.1),
+        "scip": (0.25, 270.0, 0.025),
+        "rplidar": (0.3, 360.0, 1.0 / 7.0),
+        "ldrobot": (0.8, 360.0, 0.1),
+        "ydlidar": (0.504, 360.0, 1.0 / 7.0),
+    }
     step, field, period = usual.get(spec.family or "", (0.5, 180.0, 2.0 / 75.0))
     n = round(field / step) + (field < 360.0)
     index = np.arange(n)

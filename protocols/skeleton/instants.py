@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Protocol
 
 SECOND_NS = 1_000_000_000
 FAR_BEHIND = 10
@@ -33,6 +34,20 @@ def run_until(now_ns: int, from_ns: int, next_instant: Callable[[], int | None],
         from_ns = max(from_ns, instant)
         happen(from_ns)
     return max(from_ns, now_ns)
+
+
+class Numbered(Protocol):
+    """Instants by their numbers, ascending."""
+
+    @property
+    def period_ns(self) -> Fraction:
+        """From one to the next, nominally."""
+
+    def at(self, number: int) -> int:
+        """Instant of a number."""
+
+    def first_from(self, instant_ns: int) -> int:
+        """The least number whose instant is `instant_ns` or later."""
 
 
 @dataclass(frozen=True)

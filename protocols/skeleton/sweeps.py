@@ -21,7 +21,7 @@ from typing import ClassVar, NamedTuple
 from protocols.device_clock import Told
 from protocols.scan import Floats, Scan, ScanPlan
 from protocols.session import Address, DropReason, Emission
-from protocols.skeleton.instants import Raster, Timers, earliest
+from protocols.skeleton.instants import Numbered, Raster, Timers, earliest
 from protocols.skeleton.outbox import Outgoing
 from protocols.skeleton.session import TimedSession
 from protocols.skeleton.wanted import Wanted
@@ -95,6 +95,10 @@ class SweepSession(TimedSession):
     def _telegrams(self, scan: Scan) -> Iterable[Telegram]:
         """The telegrams of a scan, in the order of sending; at least one."""
 
+    def _schedule(self) -> Numbered:
+        """When each sweep begins."""
+        return self._raster
+
     def _reset(self, now_ns: int) -> None:
         """Reset volatile settings to those after power-on."""
 
@@ -160,7 +164,7 @@ class SweepSession(TimedSession):
         """Send scans to a host from the next sweep on; no effect if it is subscribed. None: every link."""
         if not self._hosts:
             self._stream += 1
-            self._next = max(self._next, self._raster.first_from(now_ns))
+            self._next = max(self._next, self._schedule().first_from(now_ns))
         self._hosts.setdefault(address, now_ns)
 
     def _unsubscribe(self, now_ns: int, address: Address | None) -> None:
@@ -215,7 +219,7 @@ class SweepSession(TimedSession):
         return self._choose() if plan is None else plan
 
     def _choose(self) -> ScanPlan:
-        raster, slowed = self._raster, float(self._slowed)
+        raster, slowed = self._schedule(), float(self._slowed)
         ended = raster.first_from(self._now_ns - round(1e9 * slowed * self._sweep(self._next).duration_s))
         if ended > self._next:  # not measured in time: never silently
             late = range(self._next, ended)

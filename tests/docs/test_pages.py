@@ -45,6 +45,7 @@ DEVICES = {
     "scip.md": "hokuyo-utm-30lx",
     "velodyne.md": "velodyne-vlp-16",
     "rplidar.md": "rplidar-a2m8",
+    "desk_scanners.md": "ydlidar-g4",
 }
 "Whose `device:` table a page shows alone."
 
@@ -80,7 +81,7 @@ def test_pieces_of_scenarios_are_accepted(block: Block, tmp_path: Path) -> None:
     if "device" in piece:
         model = DEVICES[block.page.name]
         extra = {"from": ["front"]} if model.startswith("can") else {}
-        usual = {"hokuyo": "pty:./other", "rplidar": "pty:./other", "velodyne": "udp:127.0.0.1:2368"}
+        usual = {"velodyne": "udp:127.0.0.1:2368"} | dict.fromkeys(("hokuyo", "rplidar", "ydlidar"), "pty:./other")
         link = usual.get(model.partition("-")[0], "can:virtual:2")
         piece = {"sensors": [{"id": "other", "model": model, "links": [link], **extra, **piece}]}
     whole = piece if "schema" in piece else laid_over(BASE, piece)

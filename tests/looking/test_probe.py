@@ -9,7 +9,7 @@ import pytest
 
 from emulator.commands.cli import main
 from emulator.errors import LinkError
-from emulator.hosts import ld, lms2xx
+from emulator.hosts import ld, ldrobot, lms2xx, scip, ydlidar
 from emulator.hosts.lines import Line
 from emulator.looking import probe as probing
 from emulator.process.clock import ManualClock
@@ -54,7 +54,7 @@ class Answering(Line):
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> ManualClock:
     made = ManualClock()
-    for module in (lms2xx, ld):
+    for module in (lms2xx, ld, scip, ldrobot, ydlidar):
         monkeypatch.setattr(module, "SystemClock", lambda: made)
     return made
 
@@ -89,7 +89,7 @@ def test_nothing_known_is_told_family_by_family(clock: ManualClock, plug: Callab
     told: list[str] = []
     with pytest.raises(LinkError, match=r"no sensor recognised; lms2xx: no LMS2xx answers.*; ld: no LD answers"):
         probing.probe("pty:./x", told.append)
-    assert told[:3] == [f"pty:./x: trying {family}" for family in ("lms2xx", "scip", "ld")]
+    assert told[:3] == [f"pty:./x: trying {family}" for family in ("lms2xx", "scip", "ldrobot")]
 
 
 def test_over_tcp_an_ld_is_tried_first() -> None:

@@ -116,6 +116,19 @@ def test_the_cola_yard_has_three_scanners_of_today_and_each_sees_what_moves() ->
     assert {"fork_lift", "car", "worker"} <= seen
 
 
+def test_the_desk_scanners_see_the_person_and_the_robot_does_not_see_itself() -> None:
+    config = load("desk_scanners")
+    assert [sensor.model for sensor in config.sensors] == ["ldrobot-ld19", "ydlidar-x4"]
+    world = scene.build(config)
+    for sensor in config.sensors:
+        pose = world.sensor_pose(sensor.mount, np.array([3.5]))
+        azimuth = np.radians(np.arange(-180.0, 180.0, 0.5))
+        direction = np.column_stack([np.cos(azimuth), np.sin(azimuth), 0.0 * azimuth]) @ pose.rotation[0].T
+        hits = Caster(world).first_hits(pose.position_m[0], direction, 3.5)
+        assert {world.actors[index] for index in hits.actor if index > 0} == {"person"}
+        assert np.isfinite(hits.range_m).all(), "a room on all sides"
+
+
 def test_the_hokuyo_room_has_two_scanners_and_each_sees_the_person() -> None:
     config = load("hokuyo_room")
     assert [sensor.model for sensor in config.sensors] == ["hokuyo-utm-30lx", "hokuyo-urg-04lx"]

@@ -1,0 +1,127 @@
+"""A rotor that turns freely: its angle at an instant, and which samples of a fixed rate fall into which turn.
+
+Belongs here: closed forms of angle and time, numbers of samples. Not: what a device measures or sends.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from protocols.scan import Floats
+from protocols.skeleton.instants import SECOND_NS, Raster
+
+WOBBLES = ((0.7, 1.3), (0.3, 0.37))
+"Share and frequency [Hz] of what the speed of a motor wobbles by; no source has figures, these are ours."
+ROUNDS = 60
+"Of Newton's method; it takes about five."
+
+
+@dataclass(frozen=True)
+class Rotor:
+    """Speed ``hz (1 + wobble w(t)) + (from_hz - hz) exp(-t / settle)``, its integral in turns; t from `at_ns` on."""
+
+    at_ns: int
+    turns: float
+    "Turns made by `at_ns`."
+    hz: float
+    "Speed that the motor is controlled to; > 0."
+    from_hz: float
+    "Speed at `at_ns`."
+    settle_s: float
+    "Time constant of a change of speed."
+    wobble: float = 0.0
+    "The speed is within this share of `hz` when it has settled."
+
+    def _since_s(self, at_ns: int) -> float:
+        return max(0, at_ns - self.at_ns) / SECOND_NS
+
+    def speed_hz(self, at_ns: int) -> float:
+        """Speed at an instant; before `at_ns` that at `at_ns`."""
+        t = self._since_s(at_ns)
+        swing = sum(share * math.sin(2.0 * math.pi * hz * t) for share, hz in WOBBLES)
+        return self.hz * (1.0 + self.wobble * swing) + (self.from_hz - self.hz) * math.exp(-t / self.settle_s)
+
+    def turned(self, at_ns: int) -> float:
+        """Turns made by an instant; before `at_ns` those at `at_ns`."""
+        t = self._since_s(at_ns)
+        swing = sum(share * (1.0 - math.cos(2.0 * math.pi * hz * t)) / (2.0 * math.pi * hz) for share, hz in WOBBLES)
+        settled = self.settle_s * -math.expm1(-t / self.settle_s)
+        return self.turns + self.hz * (t + self.wobble * swing) + (self.from_hz - self.hz) * settled
+
+    def turned_at(self, since_s: Floats) -> Floats:
+        """The same for times after `at_ns`, any shape."""
+        swing = np.zeros_like(since_s)
+        for share, hz in WOBBLES:
+            swing += share * (1.0 - np.cos(2.0 * np.pi * hz * since_s)) / (2.0 * np.pi * hz)
+        settled = self.settle_s * -np.expm1(-since_s / self.settle_s)
+        return np.asarray(
+            self.turns + self.hz * (since_s + self.wobble * swing) + (self.from_hz - self.hz) * settled, np.float64
+        )
+
+    def instant_of(self, turns: float) -> int:
+        """When it has made so many turns, to about a nanosecond; `at_ns` if it has made them before."""
+        if turns <= self.turns:
+            return self.at_ns
+        t = (turns - self.turns) / self.hz
+        for _ in range(ROUNDS):
+            at_ns = self.at_ns + round(t * SECOND_NS)
+            step = (turns - self.turned(at_ns)) / max(self.speed_hz(at_ns), 1e-3 * self.hz)
+            t = max(0.0, (at_ns - self.at_ns) / SECOND_NS + step)
+            if abs(step) < 1e-9:
+                break
+        return self.at_ns + round(t * SECOND_NS)
+
+    def driven(self, at_ns: int, hz: float) -> Rotor:
+        """With another controlled speed from an instant on; the angle goes on from there."""
+        return Rotor(at_ns, self.turned(at_ns), hz, self.speed_hz(at_ns), self.settle_s, self.wobble)
+
+
+@dataclass(frozen=True)
+class Turns:
+    """The turns of a rotor as sweeps of samples: turn n has the samples taken from its n-th passing of zero on."""
+
+    rotor: Rotor
+    samples: Raster
+    "Instants of all samples."
+    since: int = 0
+    "The first sample of the stream; the turn that it is in is not whole."
+    group: int = 1
+    "A turn begins with the next whole group of samples, counted from `since`: a packet is not cut."
+
+    @property
+    def period_ns(self) -> Fraction:
+        """Of a turn at the controlled speed."""
+        return Fraction(SECOND_NS) / Fraction(self.rotor.hz)
+
+    @property
+    def first(self) -> int:
+        """Number of the turn in which the stream begins."""
+        return math.floor(self.rotor.turned(self.samples.at(self.since)))
+
+    def sample(self, number: int) -> int:
+        """Number of the first sample of a turn."""
+        if number <= self.first:
+            return self.since
+        index = max(self.since, self.samples.first_from(self.rotor.instant_of(number)))
+        while self.rotor.turned(self.samples.at(index)) < number:
+            index += 1
+        while index > self.since and self.rotor.turned(self.samples.at(index - 1)) >= number:
+            index -= 1
+        return self.since - (self.since - index) // self.group * self.group
+
+    def at(self, number: int) -> int:
+        """When a turn begins."""
+        return self.samples.at(self.sample(number))
+
+    def first_from(self, instant_ns: int) -> int:
+        """The least number whose turn begins at `instant_ns` or later."""
+        number = max(self.first, math.floor(self.rotor.turned(instant_ns)))
+        while self.at(number) < instant_ns:
+            number += 1
+        while number > self.first and self.at(number - 1) >= instant_ns:
+            number -= 1
+        return number
