@@ -156,7 +156,7 @@ def receiver_facts(effort: Effort) -> list[Fact]:
         Fact("largest count rate of a SPAD with 28.5 ns dead time", "1/µs", "Chen et al. 2020, Electronics 9, 1131",
              "read, abstract", 35.0, 1e-6 * saturated_hz(28.5), "computed", "\"around 35 Mcounts/s\"; bins of 0.5 ns"),
         Fact("best width of a pulse for first photons, over the bin of the clock", "1", wu, "read, abstract", 0.56,
-             width, "computed", "Cramér-Rao bound of our law of first photons, Gaussian pulse, range and flux unknown"),
+             width, "computed", "Cramér-Rao bound of our law of first photons, Gaussian pulse, in steps of 0.02"),
         Fact("error of the range there, times the root of the number of pulses, over the bin", "1", wu,
              "read, abstract", 0.53, precision, "computed", "root mean square over the places of the pulse in its bin",
              why="over what the paper takes the mean is not in its abstract"),
@@ -263,7 +263,7 @@ def leaf_facts(effort: Effort) -> list[Fact]:
         for law, printed in (("planophile", 26.76), ("erectophile", 63.24), ("spherical", 57.30))
     ]  # fmt: skip
     return facts + [
-        Fact(f"-ln of the gaps over the leaf area index at {HINGE_DEG:g} deg, {law}", "1",
+        Fact(f"minus ln of the gaps over the leaf area index at {HINGE_DEG:g} deg, {law}", "1",
              "Baret et al. 2010, Agric. For. Meteorol. 150", "memory", 0.93, gap_depth(law, effort), "computed",
              "\"GAI = -ln(P)/0.93\"; ours: beams through a layer of index 1")
         for law in ("planophile", "erectophile", "spherical")

@@ -205,8 +205,12 @@ def test_at_least_ten_values_of_four_papers_are_measured_and_each_says_how_its_p
         # 140 of type II times 30/70 of type I at both angles, and what is left of that at 30 degrees
         ("R_A of white sheeting, 0.5 deg of observation, 4 of", 60.0, 0.5),
         ("R_A of white sheeting, 0.2 deg of observation, 30 of", 60.0 * math.cos(math.radians(30.0)), 0.1),
-        ("-ln of the gaps over the leaf area index at 57.5 deg, spherical", 0.5 / math.cos(math.radians(57.5)), 0.06),
-        ("-ln of the gaps over the leaf area index at 57.5 deg, planophile", 0.93, 0.08),
+        (
+            "minus ln of the gaps over the leaf area index at 57.5 deg, spherical",
+            0.5 / math.cos(math.radians(57.5)),
+            0.06,
+        ),
+        ("minus ln of the gaps over the leaf area index at 57.5 deg, planophile", 0.93, 0.08),
         ("mean inclination of leaves, planophile", 26.76, 0.01),
         ("mean inclination of leaves, spherical", math.degrees(1.0), 0.01),
     ],
