@@ -101,7 +101,7 @@ def snow_facts(effort: Effort) -> list[Fact]:
     ):
         facts.append(
             Fact(f"{name}: area of the beam at 30 m", "cm²", SLIDES, "read, slides", printed,
-                 1e4 * beam_area_m2(model, 30.0), "computed", "to 1/e²; what the print goes to is not told", why=why)
+                 1e4 * beam_area_m2(model, 30.0), "computed", "to 1/e²; the print's rim is not stated", why=why)
         )  # fmt: skip
     return facts
 
