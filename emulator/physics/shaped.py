@@ -230,7 +230,7 @@ class Shaped:
         shift = np.where(good, 0.5 * (left - right) / np.where(good, bend, -1.0), 0.0)
         shift = clamped(shift, -0.5, 0.5)
         column = top - row * n + shift
-        height = height - np.where(good, 0.25 * (left - right) * shift, 0.0)
+        height = height - 0.25 * np.where(good, left - right, 0.0) * shift
         flat_top = indexes(clipped & (height >= detector.full_scale))
         if flat_top.size:  # the middle of the run
             most = indexes((shown[flat] >= detector.full_scale) & clipped[owner])

@@ -38,7 +38,6 @@ def run(driving: Driving, effort: Effort, steps: Callable[[list[str]], Iterator[
     sections = tuple(made[name]() for name in steps(list(made)))
     report = Report(NAME, TITLE, (), sections)
     worst = worst_of_table_2(report)
-    rows = len(report.table("further_values").rows)
     return Report(
         NAME,
         TITLE,
@@ -48,8 +47,8 @@ def run(driving: Driving, effort: Effort, steps: Callable[[list[str]], Iterator[
             "that is possible: by a closed form, and through the path that an emulated sensor takes (scenario, "
             "mesh, ray caster, sub-beams, receiver).",
             f"Table 2: all seven rows with one receiver, largest deviation {worst:.1f} %; six adjustable "
-            f"numbers stand behind them, see there. Further values: {rows} from other sources, with what each of them "
-            "proves.",
+            "numbers stand behind them, see there. Further values, of other sources: each with its deviation, what it "
+            "proves, and a verdict.",
             "Could not be had: the curves of figures 3 to 6, and the experiment behind figure 6 (Garcia et al. 2009).",
         ),
         sections,

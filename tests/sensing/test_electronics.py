@@ -117,6 +117,19 @@ def test_the_scan_is_the_same_in_whatever_order_and_with_all_rules_off(tmp_path:
     assert not np.array_equal(early.range_m, late.range_m)
 
 
+@pytest.mark.parametrize("response", ["single_pole", "gauss"])
+def test_a_low_threshold_finds_echoes_at_the_rim_of_a_window_and_computes_no_nonsense(
+    tmp_path: Path, response: str
+) -> None:
+    """Noise is over a threshold of three rms at first and last samples too; numpy's warnings are errors here."""
+    physics = {**ALONE, "rule": "axis", "response": response, "pulse_fwhm_ns": 3.0, "threshold_to_noise": 3.0}
+    measure = build(tmp_path, [plate(20.0, "dark")], weather=CLEAR, physics={**physics, "detection": "peak"})
+    scan = measure(plan(np.zeros(1000), max_echoes=1))
+    seen = scan.range_m[:, 0]
+    assert np.count_nonzero(np.abs(seen - 20.0) < 1.0) > 900
+    assert np.isfinite(scan.intensity[np.isfinite(seen), 0]).all()
+
+
 def test_explain_says_whether_they_are_computed(tmp_path: Path) -> None:
     for response, out in (("off", True), ("gauss", False)):
         measure = build(tmp_path, [plate(20.0, "half")], physics={"response": response})

@@ -106,14 +106,17 @@ def test_the_aureole_is_seen_beside_the_disc_and_behind_no_wall(tmp_path: Path) 
     assert found[3] < found[1] + 0.05 * wanted
 
 
-def test_a_wall_out_of_reach_hides_the_aureole_where_no_surface_shows(tmp_path: Path) -> None:
-    """A narrow receiver: it casts no ray for the light of surfaces, but one for what stands before the aureole."""
+@pytest.mark.parametrize("where", ["before the aureole", "beside it"])
+def test_a_wall_out_of_reach_hides_the_aureole_where_no_surface_shows(tmp_path: Path, where: str) -> None:
+    """A thin sun: no ray is cast for the light of surfaces, but one for what stands before the aureole."""
     power = []
-    for world in ([], [plate(300.0, "dark", 8.0, 5.2)]):
-        weather = towards(3.0, circumsolar_ratio=0.5)
+    for world in ([], [plate(300.0, "dark", 8.0, 5.2 if where == "before the aureole" else 25.2)]):
+        weather = towards(3.0, circumsolar_ratio=0.5, total_w_m2=100.0)
         measure = build(tmp_path, world, weather=weather, physics=PHYSICS)
+        assert not daylight.surfaces_show(measure.air.at(0.0).sun, measure.model)
         power.append(background_w(measure, [1.0], elevation_deg=3.0)[0])
-    assert power[1] < 0.5 * power[0]
+    assert power[0] > 0.0
+    assert power[1] == (pytest.approx(power[0]) if where == "beside it" else pytest.approx(0.0, abs=0.1 * power[0]))
 
 
 def test_a_sensor_that_drives_into_a_shadow_is_dazzled_no_more_within_the_sweep(tmp_path: Path) -> None:

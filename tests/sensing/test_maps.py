@@ -227,6 +227,15 @@ def test_too_many_pixels_are_refused_before_they_are_read(at: Path, monkeypatch:
         poster(at, {"reflectance": [0, 1]})
 
 
+@pytest.mark.parametrize("how", [{"material": "poster"}, {"materials": {"poster": "poster"}}])
+def test_shapes_that_change_have_no_maps(at: Path, how: dict[str, Any]) -> None:
+    quad(at, picture=png(GREY))
+    shape = {"frames": {"meshes": ["poster.gltf", "poster.gltf"], "period_s": 1.0}}
+    materials = {"poster": {"rho": 0.5, "maps": {"reflectance": [0, 1]}}}
+    with pytest.raises(SceneError, match=r"actors\.a\.shape\.frames: poster has maps; want a material without them"):
+        build(at, actors=[{"id": "a", "shape": shape, **how}], materials=materials)
+
+
 def test_primitives_have_no_maps(at: Path) -> None:
     with pytest.raises(SceneError, match="neither pictures nor vertex colours"):
         build(at, [plate(5.0, "poster")], materials={"poster": {"rho": 0.5, "maps": {"reflectance": [0, 1]}}})
