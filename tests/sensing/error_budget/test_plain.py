@@ -48,7 +48,9 @@ def test_a_bound_that_is_too_small_shows() -> None:
 
 def of_file(name: str, model: str, **physics_: Any) -> Measure:
     loaded = scenario.load(name)
-    config = next(sensor for sensor in loaded.sensors if sensor.model.startswith(("sick", "paper", "hokuyo")))
+    config = next(
+        sensor for sensor in loaded.sensors if sensor.model.startswith(("sick", "paper", "hokuyo", "ldrobot"))
+    )
     physics = config.physics.model_copy(update=physics_)
     config = config.model_copy(update={"physics": physics, "model": model, "device": {}})
     loaded = loaded.model_copy(update={"sensors": (config,)})
