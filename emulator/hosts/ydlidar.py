@@ -60,7 +60,8 @@ def decode_packet(data: bytes, width: int) -> Packet | None:
     first, last = float(head[2] >> 1) / 64.0, float(head[3] >> 1) / 64.0
     span = (last - first) % 360.0
     angle = first + np.arange(size) * (span / (size - 1) if size > 1 else 0.0)
-    return Packet(data[2], angle, words, None if levels is None else levels.astype(np.float64))
+    angle_deg, shown = np.asarray(angle, np.float64), None if levels is None else levels.astype(np.float64)
+    return Packet(data[2], angle_deg, np.asarray(words, np.uint16), shown)
 
 
 class StreamReader:

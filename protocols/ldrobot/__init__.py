@@ -15,7 +15,7 @@ import numpy as np
 from protocols.errors import DeviceSettingError
 from protocols.framing import Framing
 from protocols.ldrobot.codec import HEAD, SAMPLES, SIZE, STAMP_MS, encode_packets, with_crc
-from protocols.scan import Scan
+from protocols.scan import Floats, Scan
 from protocols.session import CommandRow, DeviceKey, Emission, LinkKind, Session
 from protocols.skeleton.keys import DeviceKeys
 from protocols.skeleton.one_way import OneWaySession
@@ -91,11 +91,11 @@ class LdrobotSession(TurningSession, OneWaySession):
             yield Telegram(after, packet, "packet")
 
 
-def brightness(scan: Scan) -> np.ndarray[Any, np.dtype[np.float64]]:
+def brightness(scan: Scan) -> Floats:
     """Intensity 0..255 of the first echo; no source has the law: 100 at the threshold, 20 more for each doubling."""
     with np.errstate(invalid="ignore", divide="ignore"):
         level = 100.0 + 20.0 * np.log2(scan.intensity[:, 0])
-    return np.clip(np.nan_to_num(np.rint(level), nan=0.0), 0.0, 255.0)
+    return np.asarray(np.clip(np.nan_to_num(np.rint(level), nan=0.0), 0.0, 255.0), np.float64)
 
 
 class LdrobotFraming(Framing):

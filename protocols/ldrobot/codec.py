@@ -33,9 +33,9 @@ SIZE = PACKET.itemsize
 @lru_cache(maxsize=1)
 def _places() -> NDArray[np.uint8]:
     """Entry [k, b]: what byte b at place k of a packet adds to its CRC, which is linear; (46, 256)."""
-    step = np.arange(256, dtype=np.uint16)
+    step: NDArray[np.int64] = np.arange(256, dtype=np.int64)
     for _ in range(8):
-        step = (step << 1) ^ np.where(step & 0x80, POLYNOMIAL | 0x100, 0).astype(np.uint16)
+        step = (step << 1) ^ np.where(step & 0x80, POLYNOMIAL | 0x100, 0)
     table = np.zeros((SIZE - 1, 256), np.uint8)
     table[-1] = step
     for place in range(SIZE - 3, -1, -1):

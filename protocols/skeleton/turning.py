@@ -201,8 +201,8 @@ class TurningSession(SweepSession):
         first, end = turns.sample(number), turns.sample(number + 1)
         period_s = float(turns.samples.period_ns) / SECOND_NS
         start_ns = turns.samples.at(first)
-        after_s = np.arange(end - first) * period_s
-        turned = rotor.turned_at((start_ns - rotor.at_ns) / SECOND_NS + after_s)
+        after_s = np.asarray(np.arange(end - first) * period_s, np.float64)
+        turned = rotor.turned_at(np.asarray((start_ns - rotor.at_ns) / SECOND_NS + after_s, np.float64))
         hz = rotor.speed_hz(start_ns)
         whole = bool(turned[0] - number < hz * period_s * self.GROUP)
         return Samples(first, 360.0 * (turned - number), after_s, hz, whole, len(after_s) * period_s)

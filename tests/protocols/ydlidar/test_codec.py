@@ -131,10 +131,6 @@ def test_the_corrected_points_lie_on_the_line_that_passes_beside_the_axis() -> N
     np.testing.assert_allclose(np.tan(seen) * mm, 21.8 - slope * mm, atol=1e-9)
 
 
-def reported(chosen: np.ndarray, mm: np.ndarray) -> list[float]:
-    return [float(one) for one in mm[chosen]]
-
-
 def test_a_line_meets_the_nearer_of_two_and_looks_past_the_edge_of_a_near_one() -> None:
     angle = 90.0 + 0.5 * np.arange(100)
     cast = angle + FAR_DEG
@@ -146,6 +142,11 @@ def test_a_line_meets_the_nearer_of_two_and_looks_past_the_edge_of_a_near_one() 
     # the near plate is met at all angles whose line points at it, and there alone
     np.testing.assert_allclose([true[near].min(), true[near].max()], [100.25, 109.75], atol=0.5)
     assert np.diff(np.flatnonzero(near)).max() == 1
+    lines = angle + float(correction_deg(np.array(300.0)))
+    inside = (lines > 100.5) & (lines < 109.5)
+    outside = (lines < 99.5) | (lines > 110.5)
+    assert near[inside].all()
+    assert not near[outside].any()
     # behind its far edge the line sees the wall where the axis does not: 4.3 degrees beside the plate, not a hole
     assert np.isfinite(seen).all()
 
