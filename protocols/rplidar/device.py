@@ -242,7 +242,7 @@ class RplidarDevice(RequestSession):
     def _sweep(self, number: int) -> Sweep:
         assert self.stream is not None
         first, end, step = self._indexes(number)
-        offset_s = np.arange(end - first) * (1e-9 * float(step))
+        offset_s = np.asarray(np.arange(end - first) * (1e-9 * float(step)), np.float64)
         angle_deg = self._angles_deg(number, offset_s)
         if self._bent:
             angle_deg = angle_deg - float(line_of_sight_deg(np.array([USUAL_MM]))[0])
