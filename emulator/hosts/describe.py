@@ -27,7 +27,7 @@ from protocols.lms2xx import commands as lms
 from protocols.lms2xx.telegrams import Telegram, open_frame, read_values
 from protocols.lms2xx.values import COUNTS_PER_METRE, MEASURING_MODES
 from protocols.rplidar import commands as rplidar
-from protocols.rplidar.codec import FORMS, HQ, REPLY_SYNC, STANDARD, ULTRA_DENSE
+from protocols.rplidar.codec import EXPRESS, FORMS, HQ, REPLY_SYNC, STANDARD, ULTRA_DENSE
 from protocols.scip import commands as scip
 from protocols.scip.codec import decode_number, decode_values, joined
 
@@ -126,6 +126,8 @@ def _rplidar(data: bytes, sent: bool) -> list[Described]:
     if data[:2] == REPLY_SYNC and len(data) >= 7:
         return [Described("type", f"{data[6]:02X}"), Described("data", data[7:].hex(" "))]
     for form in FORMS.values():
+        if form.kind == EXPRESS and any(data[8::5]):  # a dense capsule has the same size, and no offsets that are 0
+            continue
         if form.kind not in (STANDARD, HQ) and len(data) == form.size and data[0] >> 4 == 0xA:
             angle = int.from_bytes(data[8:10] if form.kind == ULTRA_DENSE else data[2:4], "little")
             rows = np.frombuffer(data, np.uint8)[None]

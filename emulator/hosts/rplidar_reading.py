@@ -88,6 +88,8 @@ class Reader:
         self._before: codec.Bytes | None = None
         "The last capsule: its angles are known with the next one."
         self._turn: list[tuple[Floats, Floats]] = []
+        self._entire = False
+        "Samples since the first begin of a turn: what came before is not a whole one."
         self.errors = 0
         "Groups or bytes that were not what they should be."
 
@@ -175,7 +177,8 @@ class Reader:
             if cut > begin:
                 self._turn.append((angle[begin:cut], mm[begin:cut]))
             if cut < len(angle) and self._turn:
-                yield Turn(*(np.concatenate(column) for column in zip(*self._turn, strict=True)))
-                self._turn = []
+                if self._entire:
+                    yield Turn(*(np.concatenate(column) for column in zip(*self._turn, strict=True)))
+                self._turn, self._entire = [], True
         if sum(len(part) for part, _ in self._turn) > MOST_HELD:
             self._turn = []

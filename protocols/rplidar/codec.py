@@ -69,15 +69,18 @@ class Samples:
 
     def part(self, first: int, end: int | None = None) -> Samples:
         """Those from `first` to before `end`."""
-        return Samples(*(column[first:end] for column in self._columns()))
+        at = slice(first, end)
+        return Samples(self.angle_deg[at], self.mm[at], self.quality[at], self.starts[at], self.stamp_us[at])
 
     def then(self, other: Samples) -> Samples:
         """Both, one behind the other."""
-        pairs = zip(self._columns(), other._columns(), strict=True)
-        return Samples(*(np.concatenate(pair) for pair in pairs))
-
-    def _columns(self) -> tuple[NDArray[np.generic], ...]:
-        return self.angle_deg, self.mm, self.quality, self.starts, self.stamp_us
+        return Samples(
+            np.concatenate([self.angle_deg, other.angle_deg]),
+            np.concatenate([self.mm, other.mm]),
+            np.concatenate([self.quality, other.quality]),
+            np.concatenate([self.starts, other.starts]),
+            np.concatenate([self.stamp_us, other.stamp_us]),
+        )
 
     def __len__(self) -> int:
         return len(self.mm)

@@ -110,7 +110,7 @@ class RplidarDevice(RequestSession):
         if aim != self.rotor.aim_hz:
             self.rotor = self.rotor.set(now_ns, aim)
             if self.stream is not None and self._running:
-                near = self.stream.forced or aim >= STANDS_HZ and self.rotor.speed(now_ns) >= FOLLOWS * aim
+                near = self.stream.forced or (aim >= STANDS_HZ and self.rotor.speed(now_ns) >= FOLLOWS * aim)
                 self._begin(now_ns, now_ns if near else self.rotor.stable_ns())
         self._stall_ns = None if not blocked else self._stall_ns or now_ns + STALL_NS
 
@@ -207,7 +207,7 @@ class RplidarDevice(RequestSession):
             self.stop(now_ns)
 
     def sample_ns(self, stream: Stream) -> Fraction:
-        """From sample to sample: as the mode tells, and no faster than the line takes."""
+        """From sample to sample: as the mode reports, and no faster than the line takes."""
         if self._connections.kind(stream.address) not in (None, LinkKind.SERIAL):
             return stream.mode.period_ns
         line = Fraction(stream.form.size * BITS * SECOND_NS, self.baud * stream.form.samples)
@@ -242,7 +242,7 @@ class RplidarDevice(RequestSession):
     def _sweep(self, number: int) -> Sweep:
         assert self.stream is not None
         first, end, step = self._indexes(number)
-        offset_s = np.arange(end - first) * (1e-9 * float(step))
+        offset_s = np.asarray(np.arange(end - first) * (1e-9 * float(step)), np.float64)
         angle_deg = self._angles_deg(number, offset_s)
         if self._bent:
             angle_deg = angle_deg - float(line_of_sight_deg(np.array([USUAL_MM]))[0])
@@ -325,7 +325,7 @@ class RplidarDevice(RequestSession):
     # speed of the line
 
     def detect(self, now_ns: int) -> None:
-        """A run of 41 has come at the speed of the line: it is told, and may be confirmed."""
+        """A run of 41 has come at the speed of the line: it is reported, and may be confirmed."""
         if self.model.byte < 0x40 or self.stream is not None:
             return
         self._detected_ns = now_ns

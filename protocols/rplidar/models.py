@@ -27,7 +27,7 @@ class Mode:
 
     @property
     def period_ns(self) -> Fraction:
-        """Per sample, as told: in 1/256 us."""
+        """Per sample, as reported: in 1/256 us."""
         return Fraction(round(256 * self.us) * 1000, 256)
 
 

@@ -35,7 +35,6 @@ def test_the_host_streams_whatever_the_device_did_before(before: bytes, model: s
     host = RplidarHost(line, 115_200)
     assert host.title == f"RPLIDAR {NAMES[model[8:]]}"
     scans = host.scans(0.5)
-    assert next(scans) is not None
     for _ in range(2):
         scan = next(scans)
         assert scan is not None
@@ -61,7 +60,7 @@ def test_the_script_asks_again_after_a_restart_and_whatever_the_mode() -> None:
         rig = Rig(model, world=room)
         seen: list[HostScan] = []
         line: Any = End(rig)  # type: ignore[arg-type]
-        script = RplidarScript(line, lambda now_ns, scan: seen.append(scan))
+        script = RplidarScript(line, lambda now_ns, scan, seen=seen: seen.append(scan))  # type: ignore[misc]
         for _ in range(2):
             until_ns = rig.now_ns + 5 * SECOND
             before = len(seen)
@@ -88,8 +87,9 @@ def test_turns_are_the_same_in_any_chunking_and_as_another_decoder_reads_them(mo
     found = np.concatenate([turn.mm for turn in turns if isinstance(turn, Turn)])
     size = {0: 5, 1: 84, 2: 170, 3: 781}[mode]
     points = points_of(data[6], data[7 : 7 + (len(data) - 7) // size * size])
-    np.testing.assert_allclose(found, [point.mm for point in points][: len(found)])
-    assert len(found) > 1000
+    first = np.flatnonzero(np.diff([point.angle for point in points]) < -180.0)[0] + 1
+    np.testing.assert_allclose(found, [point.mm for point in points][first : first + len(found)])
+    assert len(found) > 800
 
 
 @pytest.mark.parametrize("mode", [0, 1, 2])

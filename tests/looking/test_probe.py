@@ -89,7 +89,8 @@ def test_nothing_known_is_told_family_by_family(clock: ManualClock, plug: Callab
     told: list[str] = []
     with pytest.raises(LinkError, match=r"no sensor recognised; lms2xx: no LMS2xx answers.*; ld: no LD answers"):
         probing.probe("pty:./x", told.append)
-    assert told[:3] == [f"pty:./x: trying {family}" for family in ("lms2xx", "scip", "ldrobot")]
+    families = ("lms2xx", "scip", "rplidar", "ldrobot", "ydlidar", "ld")
+    assert told[:6] == [f"pty:./x: trying {family}" for family in families]
 
 
 def test_over_tcp_an_ld_is_tried_first() -> None:

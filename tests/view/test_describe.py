@@ -150,3 +150,18 @@ def test_replies_of_scip_are_taken_apart() -> None:
     assert command.value == "BM\\n"
     for damaged in (b"ME0000000101000\n99b\n030ix\n0?X\n\n", b"\xff\n", b"MD\n00P\n\n"):
         assert describe(Speaker("scip"), damaged)
+
+
+def test_replies_and_capsules_of_an_rplidar_are_taken_apart() -> None:
+    (request,) = describe(Speaker("rplidar"), b"\xa5\xf0\x02\x94\x02\xc1", sent=False)
+    assert (request.name, request.value) == ("SET_MOTOR_PWM", "94 02")
+    reply = {one.name: one.value for one in describe(Speaker("rplidar"), bytes.fromhex("A55A030000000601 0203"))}
+    assert reply == {"type": "06", "data": "01 02 03"}
+    capsule = bytes.fromhex("A9590099") + bytes.fromhex("D007") * 40
+    found = {one.name: (one.value, one.unit) for one in describe(Speaker("rplidar"), capsule)}
+    assert found["start angle"] == ("100.000", "deg")
+    assert found["distances"][0].startswith("2000 2000")
+    nodes = {one.name: one.value for one in describe(Speaker("rplidar"), bytes.fromhex("5A0132401F") * 2)}
+    assert nodes == {"angles": "100.00 100.00", "distances": "2000 2000"}
+    for damaged in (b"", b"\xa5", b"\xff" * 5, bytes(84)):
+        assert describe(Speaker("rplidar"), damaged)

@@ -10,6 +10,7 @@ import struct
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -94,7 +95,7 @@ def _signed10(value: int) -> int:
 def _ultra_values(capsule: bytes, following: bytes) -> list[int]:
     words = [*struct.unpack_from("<32I", capsule, 4), *struct.unpack_from("<I", following, 4)]
     found = []
-    for word, after in zip(words[:-1], words[1:], strict=True):
+    for word, after in pairwise(words):
         major, level1 = _ultra_major(word & 0xFFF)
         base2, level2 = _ultra_major(after & 0xFFF)
         base1 = major
@@ -147,7 +148,7 @@ def points_of(kind: int, data: bytes) -> list[Point]:
         return found
     found = []
     place = 8 if kind == 0x86 else 2
-    for one, after in zip(groups[:-1], groups[1:], strict=True):
+    for one, after in pairwise(groups):
         start, diff = _start(_checked(one), place), _start(after, place) - _start(one, place)
         diff += 360.0 if diff < 0 else 0.0
         quality = [0] * 96
@@ -155,6 +156,7 @@ def points_of(kind: int, data: bytes) -> list[Point]:
             values = []
             for at in range(4, 84, 5):
                 d1, d2, offsets = struct.unpack_from("<HHB", one, at)
+                assert not (d1 & 3 | d2 & 3 | offsets)
                 values += [d1 >> 2, d2 >> 2]
         elif kind == 0x85:
             values = list(struct.unpack_from("<40H", one, 4))

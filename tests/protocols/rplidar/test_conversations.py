@@ -1,4 +1,4 @@
-"""Conversations in virtual time: start-ups of drivers, every request in every state, motor, health, boot, line speed."""
+"""Conversations in virtual time: start-ups of drivers, requests in every state, motor, health, boot, line speed."""
 
 from __future__ import annotations
 
@@ -120,8 +120,8 @@ def test_the_extra_modes_are_of_the_newest_forms(kind: int, number: int) -> None
     assert rig.stream(request(0x83, bytes(33)), SECOND)[0] == 0x83
 
 
-SDK_A1 = [INFO, INFO, HEALTH, conf(1), STOP, INFO, INFO, conf(0x7C), STOP, INFO, *(conf(e, 3) for e in (0x71, 0x74, 0x75)),
-          conf(0x7F, 3), conf(1), express(3)]  # fmt: skip
+SDK_A1 = [INFO, INFO, HEALTH, conf(1), STOP, INFO, INFO, conf(0x7C), STOP, INFO,
+          *(conf(e, 3) for e in (0x71, 0x74, 0x75)), conf(0x7F, 3), conf(1), express(3)]  # fmt: skip
 SDK_A2 = [
     INFO,
     request(0xFF, bytes(4)),
