@@ -364,9 +364,10 @@ def announce_ready(
     feed: str | None = None,
 ) -> None:
     """Say where hosts can connect, every link accepts one by now, and how long."""
+    from emulator.scenario.vehicle_options import NAME as VEHICLE_BUS
     from emulator.sensors.spec import name_of
 
-    models = {sensor.id: name_of(sensor.model) for sensor in scenario.sensors}
+    models = {sensor.id: name_of(sensor.model) for sensor in scenario.sensors} | {VEHICLE_BUS: "the ego's own motion"}
     if as_json:
         sensors = [
             {"id": item.sensor, "model": models[item.sensor], "links": [link.url for link in item.links]}

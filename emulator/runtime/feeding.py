@@ -203,6 +203,12 @@ class Feeding:
             self.book.asked(begin_s + plan.fire_offset_s, delay_s)
         return self.book.world(begin_s - (BEFORE_S if len(plan) else LISTS_S), end_s + BEFORE_S)
 
+    def world_around(self, actor: str, at_ns: int) -> World:
+        """What is known of one actor around an instant, which is now."""
+        if self._file is not None:
+            self._pull(at_ns)
+        return self.book.world(at_ns * 1e-9 - BEFORE_S, at_ns * 1e-9 + BEFORE_S, actor)
+
     def _pull(self, until_ns: int) -> None:
         """Take what a file tells that was known before that instant."""
         while self._next is not None and self._next.known_ns < until_ns:

@@ -25,6 +25,7 @@ from emulator.live.samples import BadSample, Update
 from emulator.process.clock import SystemClock
 from emulator.runtime.feeding import Feeding
 from emulator.runtime.virtual_daemon import VirtualDaemon
+from emulator.scenario.vehicle_options import NAME as VEHICLE_BUS
 
 PROTOCOL = 1
 LONGEST_STEP_S = 10.0
@@ -72,7 +73,7 @@ class Conversation:
         if op == "hello":
             if request.get("protocol", PROTOCOL) != PROTOCOL:
                 raise WrongRequest(f"protocol: {request['protocol']!r:.40}; want {PROTOCOL}")
-            sensors = [one.sensor for one in self._daemon.instruments]
+            sensors = [one.sensor for one in self._daemon.instruments if one.sensor != VEHICLE_BUS]
             return {"op": "hello", "protocol": PROTOCOL, "t_s": self._now_s(), "sensors": sensors}
         if op == "bye":
             self.is_over = True
@@ -108,7 +109,7 @@ class Conversation:
 
     def _step(self, update: Update, t_ns: int) -> dict[str, object]:
         stamped = Update(t_ns, update.actors, update.removed, update.snapshot, update.seq, update.host, update.unknown)
-        instruments = self._daemon.instruments
+        instruments = [one for one in self._daemon.instruments if one.sensor != VEHICLE_BUS]
 
         def step() -> dict[str, object]:
             before = {one.sensor: one.stats.scans_sent for one in instruments}

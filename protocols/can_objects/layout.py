@@ -135,7 +135,7 @@ class Layout:
         database: Any = cantools.database.load_string(text, database_format="dbc", strict=True)
         self._database = database
         self.messages: Mapping[str, MessageLayout] = {
-            message.name: _message_layout(message)
+            message.name: layout_of(message)
             for message in self._database.messages
             if not message.is_multiplexed()
         }
@@ -200,7 +200,8 @@ def load(file_name: str) -> Layout:
     return Layout(file_name)
 
 
-def _message_layout(message: Any) -> MessageLayout:
+def layout_of(message: Any) -> MessageLayout:
+    """Of a cantools message without alternatives and of at most 8 bytes."""
     signals = {signal.name: _signal_layout(signal, message.length) for signal in message.signals}
     used: set[int] = set()
     for layout in signals.values():
