@@ -110,7 +110,7 @@ def faults(data: Mapping[str, Any], folder: Path) -> Iterator[tuple[Loc, str, st
     if isinstance(actor, str) and actor not in actors:
         yield (NAME, "actor"), repr(actor), nearest(actor, actors)
     if NAME in sensors:
-        yield ("sensors", sensors.index(NAME), "id"), repr(NAME), f"another id: {NAME}: is the table of this file"
+        yield ("sensors", sensors.index(NAME), "id"), repr(NAME), "another id"
     yield from _link(table.get("link"))
     yield from _of_dbc(table, folder)
 

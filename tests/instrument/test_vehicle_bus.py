@@ -114,7 +114,7 @@ def test_workers_and_a_recording_change_nothing_and_the_recording_has_it(tmp_pat
     _, one = heard(scenario)
     _, two = heard(scenario, workers=1, record=tmp_path / "rec")
     assert one.transcript.sha256() == two.transcript.sha256()
-    found = [row for row in read_run(tmp_path / "rec").payloads if row.sensor == "vehicle_bus" and row.sent]
+    found = read_run(tmp_path / "rec").sent["vehicle_bus", 0].payloads
     assert {row.peer for row in found} == {257, 258}
     assert len(found) >= 45
     assert list((tmp_path / "rec").glob("*.log"))
@@ -128,7 +128,7 @@ world: [{box: {size_m: [1, 1, 1]}, at_m: [20, 0, 0.5], material: concrete}]
 actors: [{id: ego, motion: {velocity_m_s: [5, 0, 0]}}]
 sensors:
   - {id: eye, model: sick-lms291-s05, mount: {actor: ego, at_m: [0, 0, 0.6]}, links: ["pty:./eye"]}
-  - {id: radar, model: continental-ars408-21, mount: {actor: ego}, from: [eye], links: ["socketcand:127.0.0.1:29536/can0"]}
+  - {id: radar, model: can-ars408, mount: {actor: ego}, from: [eye], links: ["socketcand:127.0.0.1:29536/can0"]}
 """
     bus = """
 vehicle_bus:
@@ -147,7 +147,7 @@ vehicle_bus:
         trial.finish()
         trial.close()
         state = layout.decode_message("SensorState", frames.of[0x201][-1].data, decode_choices=False)
-        missing.append(state["MotionRx"])
+        missing.append(state["MotionInput"])
     assert missing[0] != 0
     assert missing[1] == 0
 
@@ -239,7 +239,7 @@ SIG_VALTYPE_ 5 Real : 1;
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ([("actor: ego", "actor: eko")], ["vehicle_bus.actor: 'eko'; want ego"]),
+        ([("actor: ego", "actor: eko")], ["vehicle_bus.actor: 'eko'; want one of ego"]),
         ([("socketcand:127.0.0.1:29536/can0", "pty:./can")], ["vehicle_bus.link: 'pty:./can'; want a link of socket"]),
         ([("socketcand:127.0.0.1:29536/can0", "socketcand:nowhere")], ["vehicle_bus.link: "]),
         ([("builtin:vehicle.dbc", "builtin:vehicel.dbc")], ["vehicle_bus.dbc: 'builtin:vehicel.dbc': no such file; want"]),
@@ -252,7 +252,7 @@ SIG_VALTYPE_ 5 Real : 1;
         ([("wheelbase_m: 2.7", "")], ["signals.WheelAngle: steering_deg without vehicle_bus.wheelbase_m"]),
         ([("steering_ratio: 16", "")], ["signals.SteeringWheelAngle: steering_wheel_deg without vehicle_bus.steering_"]),
         ([("link:", "lnk: 3\n  link:")], ["vehicle_bus.lnk"]),
-        ([("can0", "can0?bitrate=10000")], ["vehicle_bus.messages: 17", "no more than the bus carries: 10000 bit/s"]),
+        ([("can0", "can0?bitrate=10000")], ["vehicle_bus.messages: 18650 bit/s at most", "no more than the bus carries: 10000 bit/s"]),
     ],
 )
 def test_check_tells_file_line_and_key(changes: Sequence[tuple[str, str]], told: Sequence[str], tmp_path: Path) -> None:
@@ -294,7 +294,7 @@ def test_what_a_dbc_file_asks_for_and_is_not_sent_is_refused_by_name(message: st
 
 def test_a_sensor_cannot_have_its_name_nor_a_stream_its_port() -> None:
     sensor = "sensors: [{id: %s, model: hokuyo-ust-10lx, links: ['tcp:127.0.0.1:29536']}]\n"
-    with pytest.raises(ScenarioError, match=r"sensors\.0\.id: 'vehicle_bus'; want another id"):
+    with pytest.raises(ScenarioError, match=r"sensors\.vehicle_bus\.id: 'vehicle_bus'; want another id"):
         loads(DRIVE + sensor % "vehicle_bus" + BUS.replace("29536", "29537"), Path("name.yaml"))
     with pytest.raises(ScenarioError, match=r"vehicle_bus\.link: .* is also a link of eye"):
         loads(DRIVE + sensor % "eye" + BUS, Path("port.yaml"))
