@@ -35,6 +35,7 @@ from emulator.commands.ctl import control_of, ctl
 from emulator.commands.doctor import doctor
 from emulator.commands.endings import Ending
 from emulator.commands.explain import explain
+from emulator.commands.fmu import fmu
 from emulator.commands.fuzz import fuzz
 from emulator.commands.look import demo, look
 from emulator.commands.probe import probe
@@ -254,7 +255,8 @@ def run(
         lockstep = lockstep_of(daemon)
         feed_url = feed_url if lockstep is None else lockstep.url
         recorder = recorder_for(loaded, instruments, record, daemon, now_ns)
-        osi = field_formats(loaded, instruments, recorder, daemon.feeding, note)
+        newest = None if lockstep is None else lockstep.newest
+        osi = field_formats(loaded, instruments, recorder, daemon.feeding, note, newest)
         with daemon.signals():
             real.restart()
             if leash is not None:
@@ -495,7 +497,7 @@ def list_(what: str, name: str | None, as_json: bool) -> int:
     return OK
 
 
-for command in (demo, look, print_transcript, probe, report, test, replay, diff, ctl, doctor, study, explain, view):
+for command in (demo, look, print_transcript, probe, report, test, replay, diff, ctl, doctor, study, explain, view, fmu):
     commands.add_command(command)
 
 study.add_command(fuzz)
