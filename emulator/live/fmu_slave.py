@@ -40,6 +40,8 @@ LOOK_S = 0.02
 MOST_BYTES = 64 << 20
 KEPT = 2
 "Generations of output buffers: one is valid until the second next step begins."
+MASTERS_OWN = ("LD_PRELOAD", "PYTHONHOME")
+"Variables that are for the Python that the master embeds, not for the run's."
 POSE = ("x_m", "y_m", "z_m", "yaw_deg", "pitch_deg", "roll_deg")
 VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s")
 TURN = "turn_rate_deg_s"
@@ -58,9 +60,10 @@ class _Run:
         place = self._folder / "lockstep"
         self._out, self._err = (self._folder / "out").open("wb"), (self._folder / "err").open("wb")
         words = [*words, "--set", f"live.feed=lockstep:unix:{place}"]
+        own = {name: text for name, text in os.environ.items() if name not in MASTERS_OWN}
         try:
             self._process = subprocess.Popen(
-                words, stdin=subprocess.PIPE, stdout=self._out, stderr=self._err, start_new_session=True
+                words, stdin=subprocess.PIPE, stdout=self._out, stderr=self._err, env=own, start_new_session=True
             )
         except OSError as error:
             self._tidy()
