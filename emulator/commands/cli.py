@@ -497,7 +497,9 @@ def list_(what: str, name: str | None, as_json: bool) -> int:
     return OK
 
 
-for command in (demo, look, print_transcript, probe, report, test, replay, diff, ctl, doctor, study, explain, view, fmu):
+for command in (
+    demo, look, print_transcript, probe, report, test, replay, diff, ctl, doctor, study, explain, view, fmu,
+):  # fmt: skip
     commands.add_command(command)
 
 study.add_command(fuzz)

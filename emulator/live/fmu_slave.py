@@ -18,8 +18,8 @@ import signal
 import socket
 import subprocess
 import tempfile
-import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
@@ -67,7 +67,9 @@ class _Run:
             )
         except OSError as error:
             self._tidy()
-            raise _Failed(f"{words[0]}: {error.strerror}; want lidaremu installed, or its command in `lidaremu`") from None
+            raise _Failed(
+                f"{words[0]}: {error.strerror}; want lidaremu installed, or its command in `lidaremu`"
+            ) from None
         self._socket: socket.socket | None = None
         self.ready = self._ready()
         self._socket = socket.socket(socket.AF_UNIX)
@@ -76,8 +78,7 @@ class _Run:
         self.hello = self.ask({"op": "hello", "protocol": 1})[0]
 
     def _ready(self) -> dict[str, Any]:
-        until = time.monotonic() + PATIENCE_S
-        while time.monotonic() < until:
+        for _ in range(round(PATIENCE_S / LOOK_S)):
             row = self._event("ready")
             if row is not None:
                 return row
@@ -85,7 +86,8 @@ class _Run:
                 said = self._said()
                 self._tidy()
                 raise _Failed(f"the run ended with exit code {self._process.returncode}: {said}")
-            time.sleep(LOOK_S)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(LOOK_S)
         self.close()
         raise _Failed(f"the run was not ready after {PATIENCE_S:g} s")
 
@@ -204,7 +206,7 @@ class Lidaremu(Fmi2Slave):  # type: ignore[misc]
         self._view = _Pointer()
         self._data = {name: _Pointer() for name in self._config["sensors"]}
         self._valid, self._next_s, self._sha256 = False, 0.0, ""
-        self._given = {"lidaremu": "", "record": "", "speed": 0.0}
+        self._given: dict[str, Any] = {"lidaremu": "", "record": "", "speed": 0.0}
         self._osmp: dict[str, tuple[str, str, str]] = {}
         "Variable -> binary variable, role, type."
         self._register()
@@ -219,17 +221,16 @@ class Lidaremu(Fmi2Slave):  # type: ignore[misc]
         for number, name in enumerate(self._config["sensors"]):
             suffix = f"[{number + 1}]" if len(self._data) > 1 else ""
             self._add_pointer(f"OSMPSensorDataOut{suffix}", "SensorData", self._data[name], "output")
-            self._add(Integer, f"{named(name)}.scans", "output", lambda name=name: self._sent[name])
-            self._add(Integer, f"{named(name)}.scans_in_step", "output", lambda name=name: self._in_step[name])
-            self._add(String, f"{named(name)}.links", "output", lambda name=name: self._links[name])
+            self._add(Integer, f"{named(name)}.scans", "output", partial(self._sent.__getitem__, name))
+            self._add(Integer, f"{named(name)}.scans_in_step", "output", partial(self._in_step.__getitem__, name))
+            self._add(String, f"{named(name)}.links", "output", partial(self._links.__getitem__, name))
         self._add(Boolean, "valid", "output", lambda: self._valid)
         self._add(Real, "next_s", "output", lambda: self._next_s)
         self._add(String, "sha256", "output", lambda: self._sha256)
         for key, kind in (("lidaremu", String), ("record", String), ("speed", Real)):
-            self._add(kind, key, "parameter", lambda key=key: self._given[key], self._given_setter(key))
-
-    def _given_setter(self, key: str) -> Callable[[Any], None]:
-        return lambda value: self._given.__setitem__(key, value)
+            self._add(
+                kind, key, "parameter", partial(self._given.__getitem__, key), partial(self._given.__setitem__, key)
+            )
 
     def _pose_ends(self, name: str, key: str) -> tuple[Callable[[], float], Callable[[float], None]]:
         def put(value: float) -> None:
@@ -242,12 +243,8 @@ class Lidaremu(Fmi2Slave):  # type: ignore[misc]
         for role, key in (("base.lo", "lo"), ("base.hi", "hi"), ("size", "size")):
             name = f"{base}.{role}"
             self._osmp[name] = base, role, kind
-            put = None if causality == "output" else self._pointer_setter(pointer, key)
-            self._add(Integer, name, causality, lambda key=key: getattr(pointer, key), put)
-
-    @staticmethod
-    def _pointer_setter(pointer: _Pointer, key: str) -> Callable[[int], None]:
-        return lambda value: setattr(pointer, key, value)
+            put = None if causality == "output" else partial(setattr, pointer, key)
+            self._add(Integer, name, causality, partial(getattr, pointer, key), put)
 
     def _add(
         self, kind: Any, name: str, causality: str, get: Callable[[], Any], put: Callable[[Any], None] | None = None
@@ -272,9 +269,7 @@ class Lidaremu(Fmi2Slave):  # type: ignore[misc]
         assert variables is not None
         vendor = Element("VendorAnnotations")
         tool = SubElement(vendor, "Tool", name=OSMP)
-        SubElement(
-            tool, "osmp:osmp", {"xmlns:osmp": OSMP_XMLNS, "version": OSMP_VERSION, "osi-version": OSI_VERSION}
-        )
+        SubElement(tool, "osmp:osmp", {"xmlns:osmp": OSMP_XMLNS, "version": OSMP_VERSION, "osi-version": OSI_VERSION})
         root.insert(list(root).index(variables), vendor)
         structure = root.find("ModelStructure")
         assert structure is not None

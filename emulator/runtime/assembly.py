@@ -25,6 +25,7 @@ from emulator.transports.link import Link
 from emulator.transports.loopback import Loops
 from emulator.transports.schemes import open_link
 from protocols import family
+from protocols.can_objects.layout import database_of
 from protocols.errors import DeviceSettingError
 from protocols.session import Family, Session
 
@@ -137,11 +138,11 @@ def open_vehicle(scenario: Scenario, measuring: Measuring, link: Callable[[str],
     options = scenario.vehicle_bus
     if options is None:
         return []
-    from emulator.scenario.vehicle_options import NAME, dbc_path, read_dbc
+    from emulator.scenario.vehicle_options import NAME, dbc_path
     from emulator.world.ego import EgoMotion
 
     try:
-        database = read_dbc(dbc_path(options.dbc, scenario.folder))
+        database = database_of(dbc_path(options.dbc, scenario.folder))
     except (OSError, ValueError) as error:
         raise scenario.fault("vehicle_bus.dbc", f"{options.dbc}: {error}", "a DBC file that can be read") from None
     session = VehicleSession(options, database, EgoMotion(scenario, options.actor))

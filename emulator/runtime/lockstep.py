@@ -114,9 +114,9 @@ class Conversation:
         self.newest.is_wanted = self.newest.is_wanted or bool(want)
         done = self._step(update, t_ns)
         if want:
-            found = dict(self.newest.messages)
-            done["osi"] = {name: len(message) for name, message in found.items()}
-            self.more = b"".join(found.values())
+            messages = dict(self.newest.messages)
+            done["osi"] = {name: len(message) for name, message in messages.items()}
+            self.more = b"".join(messages.values())
         return {"op": "done", "t_s": t_ns * 1e-9} | seq | done
 
     def _now_s(self) -> float:

@@ -19,13 +19,11 @@ from emulator.config.tables import DescribedTable, Positive
 from emulator.config.yaml_lines import Loc
 from emulator.scenario.tables import Id
 from protocols.can_frame import LONGEST_FRAME_BITS, MAX_DATA_BYTES
-from protocols.can_objects.layout import layout_of
+from protocols.can_objects.layout import database_of, layout_of
 
 NAME = "vehicle_bus"
 "Of the sender, where sensors have their ids."
 BUILTIN = "builtin:"
-MOST_BYTES = 16 << 20
-"Of a DBC file."
 CAN_LINKS = ("socketcand", "slcan", "can")
 
 SOURCES = (
@@ -88,18 +86,6 @@ def builtin_dbcs() -> list[str]:
     return [BUILTIN + name for package in ("scenarios", "protocols.can_objects") for name in _dbc_names(package)]
 
 
-def read_dbc(path: Path) -> Any:
-    """The cantools database of a file; `ValueError` with what is wrong with it."""
-    import cantools
-
-    if path.stat().st_size > MOST_BYTES:
-        raise ValueError(f"more than {MOST_BYTES >> 20} MB")
-    try:
-        return cantools.database.load_file(str(path), database_format="dbc", strict=True)
-    except Exception as error:  # whatever a parser says of a file of somebody else
-        raise ValueError(" ".join(str(error).split())[:200] or type(error).__name__) from None
-
-
 def faults(data: Mapping[str, Any], folder: Path) -> Iterator[tuple[Loc, str, str]]:
     """What a file's `vehicle_bus:` cannot have; types are left to the model."""
     table = data.get(NAME)
@@ -149,7 +135,7 @@ def _of_dbc(table: Mapping[str, Any], folder: Path) -> Iterator[tuple[Loc, str, 
         yield (NAME, "dbc"), f"{name!r}: no such file", want
         return
     try:
-        database = read_dbc(path)
+        database = database_of(path)
     except (ValueError, OSError) as error:
         yield (NAME, "dbc"), f"{name!r}: {error}", "a DBC file that cantools reads"
         return

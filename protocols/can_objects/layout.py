@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from protocols.errors import EncodeError
 
 RawInts = NDArray[np.int64]
+MOST_BYTES = 16 << 20
+"Of a DBC file."
 
 
 @dataclass(frozen=True)
@@ -135,9 +138,7 @@ class Layout:
         database: Any = cantools.database.load_string(text, database_format="dbc", strict=True)
         self._database = database
         self.messages: Mapping[str, MessageLayout] = {
-            message.name: layout_of(message)
-            for message in self._database.messages
-            if not message.is_multiplexed()
+            message.name: layout_of(message) for message in self._database.messages if not message.is_multiplexed()
         }
 
     def __getitem__(self, name: str) -> MessageLayout:
@@ -192,6 +193,18 @@ class Layout:
             for value in signal.multiplexer_ids or ():
                 found[value] = (*found.get(value, ()), signal.name)
         return found
+
+
+def database_of(path: Path) -> Any:
+    """The cantools database of somebody else's DBC file; `ValueError` with what is wrong with it, `OSError`."""
+    import cantools
+
+    if path.stat().st_size > MOST_BYTES:
+        raise ValueError(f"more than {MOST_BYTES >> 20} MB")
+    try:
+        return cantools.database.load_file(str(path), database_format="dbc", strict=True)
+    except Exception as error:  # whatever a parser says of a strange file
+        raise ValueError(" ".join(str(error).split())[:200] or type(error).__name__) from None
 
 
 @cache

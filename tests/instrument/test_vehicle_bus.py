@@ -16,8 +16,9 @@ from emulator.instrument.vehicle_bus import VehicleSession
 from emulator.judging.trial import Trial
 from emulator.recording.reader import read_run
 from emulator.scenario.scenario import Scenario, dump, load, loads
-from emulator.scenario.vehicle_options import dbc_path, read_dbc
+from emulator.scenario.vehicle_options import dbc_path
 from emulator.world.ego import EgoMotion
+from protocols.can_objects.layout import database_of
 
 DBC = cantools.database.load_file(str(dbc_path("builtin:vehicle.dbc", Path())))
 BUS = """
@@ -169,7 +170,7 @@ def test_a_value_beyond_its_signal_is_sent_as_the_limit_and_told_once() -> None:
 def session(text: str) -> VehicleSession:
     scenario = loads(text, Path("late.yaml"))
     assert scenario.vehicle_bus is not None
-    database = read_dbc(dbc_path(scenario.vehicle_bus.dbc, scenario.folder))
+    database = database_of(dbc_path(scenario.vehicle_bus.dbc, scenario.folder))
     return VehicleSession(scenario.vehicle_bus, database, EgoMotion(scenario, "ego"))
 
 
@@ -242,17 +243,29 @@ SIG_VALTYPE_ 5 Real : 1;
         ([("actor: ego", "actor: eko")], ["vehicle_bus.actor: 'eko'; want one of ego"]),
         ([("socketcand:127.0.0.1:29536/can0", "pty:./can")], ["vehicle_bus.link: 'pty:./can'; want a link of socket"]),
         ([("socketcand:127.0.0.1:29536/can0", "socketcand:nowhere")], ["vehicle_bus.link: "]),
-        ([("builtin:vehicle.dbc", "builtin:vehicel.dbc")], ["vehicle_bus.dbc: 'builtin:vehicel.dbc': no such file; want"]),
+        (
+            [("builtin:vehicle.dbc", "builtin:vehicel.dbc")],
+            ["vehicle_bus.dbc: 'builtin:vehicel.dbc': no such file; want"],
+        ),
         ([("builtin:vehicle.dbc", "none.dbc")], ["vehicle_bus.dbc: 'none.dbc': no such file; want a DBC file"]),
         ([("builtin:vehicle.dbc", "bad.dbc")], ["vehicle_bus.dbc: 'bad.dbc': "]),
-        ([("VehicleMotion:", "VehicleMotoin:")], ["vehicle_bus.messages.VehicleMotoin: 'VehicleMotoin': not in builtin"]),
+        (
+            [("VehicleMotion:", "VehicleMotoin:")],
+            ["vehicle_bus.messages.VehicleMotoin: 'VehicleMotoin': not in builtin"],
+        ),
         ([("Speed: speed_km_h", "Sped: speed_km_h")], ["signals.Sped: 'Sped': not in VehicleMotion; want Speed"]),
         ([("speed_km_h", "speed_kmh")], ["signals.Speed: 'speed_kmh'; want a number, or speed_km_h"]),
         ([("SpeedValid: 1", "SpeedValid: 2")], ["signals.SpeedValid: 2; want -1e-06 to 1, the limits of SpeedValid"]),
         ([("wheelbase_m: 2.7", "")], ["signals.WheelAngle: steering_deg without vehicle_bus.wheelbase_m"]),
-        ([("steering_ratio: 16", "")], ["signals.SteeringWheelAngle: steering_wheel_deg without vehicle_bus.steering_"]),
+        (
+            [("steering_ratio: 16", "")],
+            ["signals.SteeringWheelAngle: steering_wheel_deg without vehicle_bus.steering_"],
+        ),
         ([("link:", "lnk: 3\n  link:")], ["vehicle_bus.lnk"]),
-        ([("can0", "can0?bitrate=10000")], ["vehicle_bus.messages: 18650 bit/s at most", "no more than the bus carries: 10000 bit/s"]),
+        (
+            [("can0", "can0?bitrate=10000")],
+            ["vehicle_bus.messages: 18650 bit/s at most", "no more than the bus carries: 10000 bit/s"],
+        ),
     ],
 )
 def test_check_tells_file_line_and_key(changes: Sequence[tuple[str, str]], told: Sequence[str], tmp_path: Path) -> None:
@@ -271,7 +284,10 @@ def test_check_tells_file_line_and_key(changes: Sequence[tuple[str, str]], told:
     ("message", "told"),
     [
         ("Plain: {signals: {Speed: speed_m_s, Count: counter}}", "cycle_ms: missing, and Plain has no GenMsgCycleTime"),
-        ("Plain: {cycle_ms: 10, signals: {Speed: speed_m_s}}", "Count is a message counter (SigType); want Count: counter"),
+        (
+            "Plain: {cycle_ms: 10, signals: {Speed: speed_m_s}}",
+            "Count is a message counter (SigType); want Count: counter",
+        ),
         ("Plain: {cycle_ms: 10, signals: {Real: speed_m_s, Count: counter}}", "Real is a floating-point signal"),
         ("Plain: {cycle_ms: 10, signals: {Speed: counter, Count: counter}}", "counter in Speed, which is scaled"),
         ("Plain: {cycle_ms: 0.2, signals: {Count: counter}}", "cycle_ms: 0.2"),
