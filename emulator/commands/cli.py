@@ -437,7 +437,8 @@ def announce_end(
     for total in totals:
         dropped = ", ".join(f"{count} {reason}" for reason, count in total["scans_dropped"].items()) or "none"
         rate = "-" if total["scans_per_s"] is None else f"{total['scans_per_s']:.3f}/s"
-        say(f"{total['id']}: {total['scans_sent']} scans sent, {rate}; dropped: {dropped}")
+        if "vehicle_bus" not in total:
+            say(f"{total['id']}: {total['scans_sent']} scans sent, {rate}; dropped: {dropped}")
         account = total["account"]
         if account["under_way"] or account["unaccounted"]:
             rest = f"{account['under_way']} in flight, {account['unaccounted']} unaccounted"
@@ -461,6 +462,11 @@ def announce_end(
             say(f"{total['id']}: input dropped: {ignored}{probing}")
         for name, row in total.get("faults", {}).items():
             say(f"{total['id']}: fault {name}: begun {row['begun']} times, {row['hits']} hits")
+        if "vehicle_bus" in total:
+            account = total["vehicle_bus"]
+            counts = ", ".join(f"{count} {name}" for name, count in account["frames"].items()) or "none"
+            skipped = sum(account["skipped"].values())
+            say(f"{total['id']}: frames: {counts}" + (f"; {skipped} skipped, a cycle late" if skipped else ""))
         if "objects" in total:
             for line in told(total["objects"]):
                 say(f"{total['id']}: {line}")

@@ -91,7 +91,7 @@ class Conversation:
         if want not in ([], ["osi"]):
             raise WrongRequest(f"want: {want!r:.40}; want ['osi']")
         kind = request.get("osi_type", "GroundTruth")
-        if kind not in READERS:
+        if not isinstance(kind, str) or kind not in READERS:
             raise WrongRequest(f"osi_type: {kind!r:.40}; want one of {', '.join(READERS)}")
         if osi is None:
             update = update_of({key: value for key, value in request.items() if key not in APART})
