@@ -115,11 +115,11 @@ def ground_truth(t_s: float, number: int) -> bytes:
     def moving(key: int, name: str, x: float) -> bytes:
         base = wire.piece(1, wire.doubles((4.0, 2.0, 1.5))) + wire.piece(2, wire.doubles((x, 0.0, 0.75)))
         base += wire.piece(3, wire.doubles((0.0, 0.0, 0.0)))
-        entity = wire.piece(10, wire.piece(3, name.encode()))
+        entity = wire.piece(10, wire.piece(3, b"entity_name:" + name.encode()))
         return wire.piece(5, wire.piece(1, wire.whole(1, key)) + wire.piece(2, base) + wire.whole(3, 2) + entity)
 
     head = wire.piece(2, wire.instant(round(t_s * 1e9))) + wire.piece(3, wire.whole(1, 7))
-    return head + moving(7, "ego", 0.0) + moving(9, "car", car_at(number))
+    return head + moving(7, "ego", 0.0) + moving(9, "car", car_at(number) - 6.0)
 
 
 def test_the_description_holds_by_fmpy_and_names_osmp(packed: Path) -> None:
@@ -152,6 +152,7 @@ def test_poses_by_fmi_give_the_bytes_of_lock_step_and_osi_comes_out(packed: Path
 
 
 def test_a_sensor_view_by_its_pointer_gives_the_bytes_of_its_ground_truth(packed: Path, tmp_path: Path) -> None:
+    seen = b""
     with driven(packed, tmp_path) as found:
         for number in range(1, STEPS + 1):
             view = wire.piece(7, ground_truth(round(number * STEP_S, 9), number))
@@ -161,6 +162,10 @@ def test_a_sensor_view_by_its_pointer_gives_the_bytes_of_its_ground_truth(packed
             names = ("OSMPSensorViewIn.base.lo", "OSMPSensorViewIn.base.hi", "OSMPSensorViewIn.size")
             found.slave.setInteger([found.of[name] for name in names], [*halves, len(view)])
             found.slave.doStep((number - 1) * STEP_S, STEP_S)
+            seen = message_of(found, "OSMPSensorDataOut[2]") or seen
+    betterosi = pytest.importorskip("betterosi")
+    ahead = [one.base.position.x for one in betterosi.SensorData.from_binary(seen).moving_object]
+    assert any(abs(x - 12.4) < 1.5 for x in ahead), ahead  # the car, 2 m of it behind its face; it stood at 20 m
     assert found.sha256 == by_lockstep(tmp_path, osi=True)[0]
 
 
