@@ -35,6 +35,7 @@ from emulator.commands.ctl import control_of, ctl
 from emulator.commands.doctor import doctor
 from emulator.commands.endings import Ending
 from emulator.commands.explain import explain
+from emulator.commands.fmu import fmu
 from emulator.commands.fuzz import fuzz
 from emulator.commands.look import demo, look
 from emulator.commands.probe import probe
@@ -254,7 +255,8 @@ def run(
         lockstep = lockstep_of(daemon)
         feed_url = feed_url if lockstep is None else lockstep.url
         recorder = recorder_for(loaded, instruments, record, daemon, now_ns)
-        osi = field_formats(loaded, instruments, recorder, daemon.feeding, note)
+        newest = None if lockstep is None else lockstep.newest
+        osi = field_formats(loaded, instruments, recorder, daemon.feeding, note, newest)
         with daemon.signals():
             real.restart()
             if leash is not None:
@@ -364,9 +366,10 @@ def announce_ready(
     feed: str | None = None,
 ) -> None:
     """Say where hosts can connect, every link accepts one by now, and how long."""
+    from emulator.scenario.vehicle_options import NAME as VEHICLE_BUS
     from emulator.sensors.spec import name_of
 
-    models = {sensor.id: name_of(sensor.model) for sensor in scenario.sensors}
+    models = {sensor.id: name_of(sensor.model) for sensor in scenario.sensors} | {VEHICLE_BUS: "the ego's own motion"}
     if as_json:
         sensors = [
             {"id": item.sensor, "model": models[item.sensor], "links": [link.url for link in item.links]}
@@ -434,7 +437,8 @@ def announce_end(
     for total in totals:
         dropped = ", ".join(f"{count} {reason}" for reason, count in total["scans_dropped"].items()) or "none"
         rate = "-" if total["scans_per_s"] is None else f"{total['scans_per_s']:.3f}/s"
-        say(f"{total['id']}: {total['scans_sent']} scans sent, {rate}; dropped: {dropped}")
+        if "vehicle_bus" not in total:
+            say(f"{total['id']}: {total['scans_sent']} scans sent, {rate}; dropped: {dropped}")
         account = total["account"]
         if account["under_way"] or account["unaccounted"]:
             rest = f"{account['under_way']} in flight, {account['unaccounted']} unaccounted"
@@ -458,6 +462,11 @@ def announce_end(
             say(f"{total['id']}: input dropped: {ignored}{probing}")
         for name, row in total.get("faults", {}).items():
             say(f"{total['id']}: fault {name}: begun {row['begun']} times, {row['hits']} hits")
+        if "vehicle_bus" in total:
+            account = total["vehicle_bus"]
+            counts = ", ".join(f"{count} {name}" for name, count in account["frames"].items()) or "none"
+            skipped = sum(account["skipped"].values())
+            say(f"{total['id']}: frames: {counts}" + (f"; {skipped} skipped, a cycle late" if skipped else ""))
         if "objects" in total:
             for line in told(total["objects"]):
                 say(f"{total['id']}: {line}")
@@ -494,7 +503,9 @@ def list_(what: str, name: str | None, as_json: bool) -> int:
     return OK
 
 
-for command in (demo, look, print_transcript, probe, report, test, replay, diff, ctl, doctor, study, explain, view):
+for command in (
+    demo, look, print_transcript, probe, report, test, replay, diff, ctl, doctor, study, explain, view, fmu,
+):  # fmt: skip
     commands.add_command(command)
 
 study.add_command(fuzz)

@@ -22,7 +22,7 @@ from emulator.process.driver import driver_environment, end_driver, how_it_ended
 if TYPE_CHECKING:
     from emulator.instrument.instrument import Instrument
     from emulator.instrument.observer import Observer
-    from emulator.recording.osi_out import OsiOut
+    from emulator.recording.osi_out import Newest, OsiOut
     from emulator.recording.writer import Recorder
     from emulator.runtime.daemon import Daemon, Lateness
     from emulator.runtime.feeding import Feeding
@@ -62,10 +62,14 @@ def field_formats(
     recorder: Recorder | None,
     feeding: Feeding | None,
     tell: Callable[[str], None],
+    newest: Newest | None = None,
 ) -> OsiOut | None:
-    """`record.foxglove` and `record.osi`: formats that other tools read; what must be closed at the end."""
+    """`record.foxglove` and `record.osi`: formats that other tools read; what must be closed at the end.
+
+    `newest`: gets the newest OSI message of each sensor; None: nobody takes them out.
+    """
     wanted = scenario.record
-    if not (wanted.osi or (wanted.foxglove and recorder is not None)):
+    if not (wanted.osi or newest is not None or (wanted.foxglove and recorder is not None)):
         return None
     from emulator.recording.foxglove import FoxgloveChannels
     from emulator.recording.osi_out import OsiOut, opened
@@ -75,7 +79,10 @@ def field_formats(
     observers: list[Observer] = []
     if wanted.foxglove and recorder is not None:
         observers.append(FoxgloveChannels(recorder, where))
-    osi = OsiOut(where, [opened(url) for url in wanted.osi], tell) if wanted.osi else None
+    osi = None
+    if wanted.osi or newest is not None:
+        osi = OsiOut(where, [opened(url) for url in wanted.osi], tell)
+        osi.newest = osi.newest if newest is None else newest
     observers += [] if osi is None else [osi]
     for instrument in instruments:
         for observer in observers:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from emulator.instrument.instrument import Instrument
+from emulator.instrument.vehicle_bus import VehicleSession
 
 
 def summary(instrument: Instrument) -> dict[str, Any]:
@@ -18,6 +19,8 @@ def summary(instrument: Instrument) -> dict[str, Any]:
     judged = {} if stats.objects is None else {"objects": stats.objects.as_json()}
     if instrument.faults is not None:
         judged["faults"] = instrument.faults.counts()
+    if isinstance(instrument.session, VehicleSession):
+        judged["vehicle_bus"] = instrument.session.account()
     return {
         "id": instrument.sensor,
         "scans_sent": stats.scans_sent,

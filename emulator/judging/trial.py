@@ -32,6 +32,7 @@ from emulator.runtime import assembly
 from emulator.runtime.liveness import Liveness
 from emulator.runtime.virtual import VirtualHost, VirtualRun, nothing_owed
 from emulator.scenario.scenario import Scenario
+from emulator.scenario.vehicle_options import NAME as VEHICLE_BUS
 from emulator.sensors.spec import load_spec
 from emulator.transports.can_link import BITRATE, CanPorts, LoopOutlet
 from emulator.transports.can_wire import CanWire, Carried
@@ -118,7 +119,7 @@ class Trial:
         self._warnings = () if own is None else own.warnings
         measuring = measuring if own is None else own
         assert measuring is not None
-        self.transcript = Transcript(names)
+        self.transcript = Transcript(names if scenario.vehicle_bus is None else [*names, VEHICLE_BUS])
         self.series = SeriesWatcher(names)
         loops, buses = Loops(), CanPorts()
         self.instruments: list[Instrument] = []
@@ -134,7 +135,12 @@ class Trial:
             host = self._host_of(index, family, loops)
             hosts += [] if host is None else [host]
         self.faults = FaultRun(scenario, self.instruments)
+        for vehicle in assembly.open_vehicle(scenario, measuring, partial(_bus_of, buses)):
+            for watcher in (self.transcript, *watchers):
+                vehicle.watch(watcher)
+            self.instruments.append(vehicle)
         self.feeding = assembly.feeding_of(scenario, self.instruments, None)
+        assembly.tell_vehicle(self.instruments, self.incidents)
         "Who moves the world from outside: a file, here; of others nothing comes."
         self.run = VirtualRun(self.instruments, hosts, nothing_owed if self._workers is None else self._settle)
         self.recorder = None if record is None else self._record(record)
@@ -273,6 +279,12 @@ def _link_of(scenario: Scenario, index: int, tcp_is_line: bool, loops: Loops, bu
     bus = next((url for url in sensor.links), f"loop:{sensor.id}").partition("?")[0]
     bitrate = load_spec(sensor.model).device.get("bitrate", BITRATE)
     return buses.link(bus, lambda: (CanWire(int(sensor.device.get("bitrate", bitrate))), SilentBus(bus)))
+
+
+def _bus_of(buses: CanPorts, url: str) -> Link:
+    """The vehicle's link: on the bus of sensors that name the same one, else on one of its own."""
+    bus = url.partition("?")[0]
+    return buses.link(bus, lambda: (CanWire(BITRATE), SilentBus(bus)))
 
 
 def run_trial(

@@ -388,10 +388,11 @@ class Book:
             one.class_ or "",
         )
 
-    def world(self, begin_s: float, end_s: float) -> World:
-        """Everything that beams from `begin_s` to `end_s` need."""
+    def world(self, begin_s: float, end_s: float, only: str | None = None) -> World:
+        """Everything that beams from `begin_s` to `end_s` need; or of one actor alone."""
         tracks, gone = [], []
-        for name, lives in self._known.items():
+        wanted = self._known if only is None else {only: self._known[only]} if only in self._known else {}
+        for name, lives in wanted.items():
             found = [track for known in lives if (track := self._track(known, begin_s, end_s)) is not None]
             tracks += [(name, track) for track in found]
             if not found and lives[0].t_s[0] <= begin_s:

@@ -138,6 +138,8 @@ class Workers:
 
     def takes_ns(self, sensor: str) -> int | None:
         """The longest of the last sweeps of that sensor; None while the first one in its process is still to come."""
+        if sensor not in self._home:
+            return 0  # it measures nothing
         home = self._home[sensor]
         pace = home.pace[sensor]
         return None if pace.fresh and home.state == "ready" else pace.longest_ns

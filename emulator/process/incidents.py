@@ -47,6 +47,7 @@ KINDS = {
         "the path of a link is gone and cannot be restored: its folder is missing or not writable"
     ),
     "feed silent": IncidentKind("no poses came for longer than live.silent.after_s, which ends this run", FEED_ENDED),
+    "signal limited": IncidentKind("a value of the vehicle bus was beyond its signal's limits; once per signal"),
     "helper ended": IncidentKind("an auxiliary process of the run ended: the page, a driver, a recorder"),
 }
 "Name -> what it means; docs/endurance.md has the same table from here."

@@ -11,6 +11,7 @@ import math
 import socket
 import struct
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
@@ -199,19 +200,33 @@ def sensor_data(scan: Scan, sensor_id: int, mount: Mount, ego: Pose | None, ids:
     return out + wire.piece(26, wire.piece(1, VERSION) + wire.piece(3, wire.piece(1, head) + echoes))
 
 
+@dataclass
+class Newest:
+    """The newest message of each sensor, for a feeder that takes them out."""
+
+    is_wanted: bool = False
+    "Nobody has asked: none are made."
+    messages: dict[str, bytes] = field(default_factory=dict)
+
+
 class OsiOut(Observer):
     """Sends every scan of a run."""
 
     def __init__(self, where: Whereabouts, outs: list[Out], failed: Callable[[str], None]) -> None:
         """`failed` is told once of a place that takes no more."""
         self._where, self._outs, self._failed = where, outs, failed
+        self.newest = Newest()
         self._ids = where.scene.index
 
     def scan(self, sensor: str, scan: Scan) -> None:
+        if not self._outs and not self.newest.is_wanted:
+            return
         mount = self._where.mount(sensor)
         end_s = scan.plan.start_ns * 1e-9 + scan.plan.duration_s
         ego = None if mount.actor is None else self._where.actor(mount.actor, end_s)
         message = sensor_data(scan, self._where.sensors.index(sensor) + 1, mount, ego, self._ids)
+        if self.newest.is_wanted:
+            self.newest.messages[sensor] = message
         for one in tuple(self._outs):
             try:
                 one.send(message)

@@ -36,6 +36,7 @@ from emulator.recording.names import CAPTURE_ENDING, LOG_ENDINGS, SCENARIO_NAME,
 from emulator.recording.pcapng import LD_PORT, Packets
 from emulator.recording.writing import IN_STEP, Manner, Writing
 from emulator.scenario.scenario import Scenario, dump
+from emulator.scenario.vehicle_options import NAME as VEHICLE_BUS
 from emulator.transports.link import LATENESS_KEPT
 from emulator.transports.urls import parse_url
 from protocols.device_clock import Told
@@ -466,6 +467,7 @@ def _text(number: int, mode: str) -> IO[str]:
 def _buses(scenario: Scenario, instruments: Sequence[Instrument]) -> dict[str, BusName]:
     """The buses of a run by the address that its links tell; sensors that share one have the same."""
     given = {sensor.id: sensor.links for sensor in scenario.sensors}
+    given |= {} if scenario.vehicle_bus is None else {VEHICLE_BUS: (scenario.vehicle_bus.link,)}
     texts: dict[str, str] = {}
     for one in instruments:
         links = given.get(one.sensor, ())

@@ -10,9 +10,11 @@ from emulator.compiled import build, switch
 from emulator.injection.run import FaultRun
 from emulator.instrument.device_clock import with_clock
 from emulator.instrument.instrument import Instrument, Measuring
+from emulator.instrument.vehicle_bus import VehicleSession
 from emulator.measuring.measuring import InPlace, Measure, Measures
 from emulator.measuring.supervision import Workers, worker_count
 from emulator.process.clock import Clock, wall_ns
+from emulator.process.incidents import Incidents
 from emulator.runtime.daemon import Daemon
 from emulator.runtime.feeding import Feeding
 from emulator.runtime.virtual_daemon import VirtualDaemon
@@ -23,6 +25,7 @@ from emulator.transports.link import Link
 from emulator.transports.loopback import Loops
 from emulator.transports.schemes import open_link
 from protocols import family
+from protocols.can_objects.layout import database_of
 from protocols.errors import DeviceSettingError
 from protocols.session import Family, Session
 
@@ -106,7 +109,8 @@ def open_instruments(
 ) -> list[Instrument]:
     """Open every link of every sensor; when one cannot be opened, the others are closed again.
 
-    `loops` holds the host's end of every `loop:NAME`; `can_ports` the buses.
+    `loops` holds the host's end of every `loop:NAME`; `can_ports` the buses. Behind the sensors comes who sends the
+    ego's own motion, if there is one.
     """
     opened: list[Link] = []
     can_ports = CanPorts() if can_ports is None else can_ports
@@ -121,11 +125,28 @@ def open_instruments(
                 opened.append(links[-1])
             instruments.append(Instrument(sensor.id, session, links, measuring))
             instruments[-1].family = family_of(scenario, index)
+        instruments += open_vehicle(scenario, measuring, lambda url: open_link(url, can_ports=can_ports))
     except BaseException:
         for link in opened:
             link.close()
         raise
     return instruments
+
+
+def open_vehicle(scenario: Scenario, measuring: Measuring, link: Callable[[str], Link]) -> list[Instrument]:
+    """Who sends the ego's own motion on CAN: one, or nobody. `link` opens a link."""
+    options = scenario.vehicle_bus
+    if options is None:
+        return []
+    from emulator.scenario.vehicle_options import NAME, dbc_path
+    from emulator.world.ego import EgoMotion
+
+    try:
+        database = database_of(dbc_path(options.dbc, scenario.folder))
+    except (OSError, ValueError) as error:
+        raise scenario.fault("vehicle_bus.dbc", f"{options.dbc}: {error}", "a DBC file that can be read") from None
+    session = VehicleSession(options, database, EgoMotion(scenario, options.actor))
+    return [Instrument(NAME, session, [link(options.link)], measuring)]
 
 
 def feeding_of(
@@ -136,8 +157,19 @@ def feeding_of(
         return None
     feeding = Feeding(scenario, scenario.live, instruments, real_ns)
     for one in instruments:
-        one.feed = feeding
+        session = one.session
+        if not isinstance(session, VehicleSession):
+            one.feed = feeding
+        elif scenario.live.actors.fed is None or session.ego.actor in scenario.live.actors.fed:
+            session.ego.feed(feeding.world_around)
     return feeding
+
+
+def tell_vehicle(instruments: Sequence[Instrument], incidents: Incidents) -> None:
+    """What the sender of the ego's motion has to tell goes to the incidents of the run."""
+    for one in instruments:
+        if isinstance(one.session, VehicleSession):
+            one.session.on_limited = partial(incidents.note, "signal limited")
 
 
 def start(
@@ -160,8 +192,9 @@ def start(
         measuring.close()
         raise
     daemon = Daemon(instruments, clock, measuring)
-    daemon.faults = FaultRun(scenario, instruments)
+    daemon.faults = FaultRun(scenario, instruments[: len(scenario.sensors)])
     daemon.feeding = feeding_of(scenario, instruments, clock.now_ns)
+    tell_vehicle(instruments, daemon.incidents)
     if daemon.feeding is not None:
         daemon.feeding.call = daemon.call
     return daemon, instruments
@@ -189,8 +222,9 @@ def start_virtual(
             pool.close()
         raise
     daemon = VirtualDaemon(instruments, pool, speed, warnings=measuring.warnings)
-    daemon.faults = FaultRun(scenario, instruments)
+    daemon.faults = FaultRun(scenario, instruments[: len(scenario.sensors)])
     daemon.feeding = feeding_of(scenario, instruments, None)
+    tell_vehicle(instruments, daemon.incidents)
     if daemon.feeding is not None:
         daemon.feeding.call = daemon.call
     return daemon, instruments

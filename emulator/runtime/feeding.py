@@ -30,7 +30,7 @@ from emulator.live.receivers import (
     message_in,
 )
 from emulator.live.samples import Update
-from emulator.live.tracks import World
+from emulator.live.tracks import NOTHING, World
 from emulator.scenario.live_options import LiveOptions
 from emulator.scenario.scenario import Scenario
 from emulator.world.told import book_of
@@ -202,6 +202,14 @@ class Feeding:
             delay_s = 0.0 if self._real_ns is None else self._clock.delay_ns * 1e-9
             self.book.asked(begin_s + plan.fire_offset_s, delay_s)
         return self.book.world(begin_s - (BEFORE_S if len(plan) else LISTS_S), end_s + BEFORE_S)
+
+    def world_around(self, actor: str, at_ns: int) -> World:
+        """What is known of one actor around an instant, which is now."""
+        if self._real_ns is None and at_ns <= 0:
+            return NOTHING  # at the start nothing is told yet, whether a feeder came before or after the first frame
+        if self._file is not None:
+            self._pull(at_ns)
+        return self.book.world(at_ns * 1e-9 - BEFORE_S, at_ns * 1e-9 + BEFORE_S, actor)
 
     def _pull(self, until_ns: int) -> None:
         """Take what a file tells that was known before that instant."""

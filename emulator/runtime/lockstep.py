@@ -20,11 +20,13 @@ from typing import Protocol, TypeVar
 
 from emulator.errors import EmulatorError, LinkError
 from emulator.live.json_lines import MOST_BYTES, update_of
-from emulator.live.osi import ground_truth
+from emulator.live.osi import ground_truth, sensor_view
 from emulator.live.samples import BadSample, Update
 from emulator.process.clock import SystemClock
+from emulator.recording.osi_out import Newest
 from emulator.runtime.feeding import Feeding
 from emulator.runtime.virtual_daemon import VirtualDaemon
+from emulator.scenario.vehicle_options import NAME as VEHICLE_BUS
 
 PROTOCOL = 1
 LONGEST_STEP_S = 10.0
@@ -32,8 +34,9 @@ MOST_OSI = 64 << 20
 READ_BYTES = 1 << 16
 LOOK_S = 0.25
 OPS = ("hello", "update", "step", "bye")
-APART = ("op", "protocol", "osi")
+APART = ("op", "protocol", "osi", "osi_type", "want")
 "Keys of a request that are none of an update."
+READERS = {"GroundTruth": ground_truth, "SensorView": sensor_view}
 
 Found = TypeVar("Found")
 
@@ -54,9 +57,14 @@ class Conversation:
     def __init__(self, daemon: VirtualDaemon, feeding: Feeding, call: InRun) -> None:
         self._daemon, self._feeding, self._call = daemon, feeding, call
         self.is_over = False
+        self.newest = Newest()
+        "OSI SensorData of each sensor, of the present step."
+        self.more = b""
+        "What follows the last answer's line."
 
     def answer(self, request: object, osi: bytes | None = None) -> dict[str, object]:
         """Of one request; never raises for what a feeder says."""
+        self.more = b""
         try:
             return self._answered(request, osi)
         except (WrongRequest, BadSample) as error:
@@ -72,17 +80,23 @@ class Conversation:
         if op == "hello":
             if request.get("protocol", PROTOCOL) != PROTOCOL:
                 raise WrongRequest(f"protocol: {request['protocol']!r:.40}; want {PROTOCOL}")
-            sensors = [one.sensor for one in self._daemon.instruments]
+            sensors = [one.sensor for one in self._daemon.instruments if one.sensor != VEHICLE_BUS]
             return {"op": "hello", "protocol": PROTOCOL, "t_s": self._now_s(), "sensors": sensors}
         if op == "bye":
             self.is_over = True
             return {"op": "bye"}
         if op not in ("update", "step"):
             raise WrongRequest(f"op: {op!r:.40}; want one of {', '.join(OPS)}")
+        want = request.get("want", [])
+        if want not in ([], ["osi"]):
+            raise WrongRequest(f"want: {want!r:.40}; want ['osi']")
+        kind = request.get("osi_type", "GroundTruth")
+        if not isinstance(kind, str) or kind not in READERS:
+            raise WrongRequest(f"osi_type: {kind!r:.40}; want one of {', '.join(READERS)}")
         if osi is None:
             update = update_of({key: value for key, value in request.items() if key not in APART})
         else:
-            found = ground_truth(osi)
+            found = READERS[kind](osi)
             given = update_of({key: request[key] for key in ("t_s", "t_ns", "seq") if key in request})
             update = Update(given.t_ns, found.actors, snapshot=True, seq=given.seq, host=found.host)
         now_ns = self._daemon.now_ns
@@ -97,7 +111,13 @@ class Conversation:
         if op == "update":
             self._take(update, t_ns)
             return {"op": "ok", "t_s": t_ns * 1e-9} | seq
-        return {"op": "done", "t_s": t_ns * 1e-9} | seq | self._step(update, t_ns)
+        self.newest.is_wanted = self.newest.is_wanted or bool(want)
+        done = self._step(update, t_ns)
+        if want:
+            messages = dict(self.newest.messages)
+            done["osi"] = {name: len(message) for name, message in messages.items()}
+            self.more = b"".join(messages.values())
+        return {"op": "done", "t_s": t_ns * 1e-9} | seq | done
 
     def _now_s(self) -> float:
         return self._daemon.now_ns * 1e-9
@@ -108,9 +128,10 @@ class Conversation:
 
     def _step(self, update: Update, t_ns: int) -> dict[str, object]:
         stamped = Update(t_ns, update.actors, update.removed, update.snapshot, update.seq, update.host, update.unknown)
-        instruments = self._daemon.instruments
+        instruments = [one for one in self._daemon.instruments if one.sensor != VEHICLE_BUS]
 
         def step() -> dict[str, object]:
+            self.newest.messages.clear()
             before = {one.sensor: one.stats.scans_sent for one in instruments}
             if stamped.actors or stamped.removed or stamped.snapshot:
                 self._feeding.take(stamped, self._daemon.now_ns, again=True)
@@ -161,6 +182,11 @@ class LockstepServer:
         self._thread = threading.Thread(target=self._serve, name="lidaremu-lockstep", daemon=True)
         self._thread.start()
 
+    @property
+    def newest(self) -> Newest:
+        """Where the newest OSI SensorData of each sensor is put, for feeders that want it."""
+        return self._talk.newest
+
     def close(self) -> None:
         """Listen no more."""
         self._over.set()
@@ -210,7 +236,7 @@ class LockstepServer:
             if self._pace is not None and answer["op"] == "done":
                 late_s = (self._daemon.now_ns * 1e-9 - began_s) / self._pace
                 self._over.wait(max(0.0, late_s - (self._real.now_ns() - began_ns) * 1e-9))
-            feeder.sendall(json.dumps(answer).encode() + b"\n")
+            feeder.sendall(json.dumps(answer).encode() + b"\n" + self._talk.more)
 
     def _line(self, feeder: socket.socket, held: bytearray) -> bytes | None:
         """None: the feeder has gone, or sends no lines."""

@@ -46,6 +46,7 @@ def faults(source: Source) -> list[str]:
         _names_of_actors_and_sensors,
         _live,
         _emitters,
+        _vehicle_bus,
         _faults,
     )
     return [source.fault(*found) for check in checks for found in check(data, source.path.parent)]
@@ -319,6 +320,31 @@ def _links(data: dict[str, Any], folder: Path) -> Iterator[Found]:
                     yield (*loc, "links", number), f"{url!r} is also a link of {holder}", "a link used only once"
                     break
             taken += [(place, str(sensor.get("id"))) for place in _places(url)]
+
+
+def _vehicle_bus(data: dict[str, Any], folder: Path) -> Iterator[Found]:
+    from emulator.scenario.vehicle_options import NAME, faults
+
+    yield from faults(data, folder)
+    url = _table(data, NAME).get("link")
+    if not isinstance(url, str) or url.partition(":")[0] not in CAN_SCHEMES:
+        return
+    with contextlib.suppress(ValueError, ModuleNotFoundError):
+        own = _places(url)
+        for _, sensor in _tables(data, "sensors"):
+            links = sensor.get("links")
+            for other in links if isinstance(links, list) else ():
+                clash = isinstance(other, str) and _clash(own, other)
+                if clash:
+                    found = f"{url!r} is also a link of {sensor.get('id')}"
+                    yield (NAME, "link"), found, "the CAN bus of a sensor, or a link used only once"
+
+
+def _clash(own: Sequence[_Place], url: str) -> bool:
+    try:
+        return any(one.clashes(place) for one in own for place in _places(url))
+    except ValueError:
+        return False
 
 
 CAN_SCHEMES = ("socketcand", "slcan", "can")

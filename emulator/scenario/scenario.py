@@ -30,6 +30,8 @@ from emulator.scenario.emitters import MOST_EMITTERS, Emitter
 from emulator.scenario.live_options import LiveOptions
 from emulator.scenario.object_options import ObjectOptions
 from emulator.scenario.tables import Actor, Id, Mount, Shape, WorldItem, long_as
+from emulator.scenario.vehicle_options import BUILTIN as BUILTIN_DBC
+from emulator.scenario.vehicle_options import VehicleBus, dbc_path
 from emulator.scenario.weather import WeatherConfig
 from emulator.sensors.physics_options import PhysicsOptions
 from emulator.sensors.spec import is_file
@@ -109,6 +111,8 @@ class Scenario(DescribedTable):
     expect: tuple[Expectation, ...] = ()
     live: LiveOptions | None = None
     "Who moves the world while it runs, see docs/live_world.md; None: this file alone."
+    vehicle_bus: VehicleBus | None = None
+    "The ego's own motion on CAN, see docs/live_world.md; None: it is not sent."
     record: Record = Field(default_factory=Record)
 
     _source: yaml_lines.Source = PrivateAttr()
@@ -283,6 +287,8 @@ def dump(scenario: Scenario) -> str:
         for entry in data["live"]["actors"]["classes"].values():
             if entry.get("mesh"):
                 entry["mesh"] = _told_mesh(scenario, entry["mesh"])
+    if scenario.vehicle_bus is not None and not scenario.vehicle_bus.dbc.startswith(BUILTIN_DBC):
+        data["vehicle_bus"]["dbc"] = str(dbc_path(scenario.vehicle_bus.dbc, scenario.folder).resolve())
     for change, entry in zip(scenario.weather.changes, data["weather"].get("changes", ()), strict=True):
         for key in set(entry) - change.model_fields_set:
             del entry[key]  # what a change does not name goes on

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from protocols.errors import EncodeError
 
 RawInts = NDArray[np.int64]
+MOST_BYTES = 16 << 20
+"Of a DBC file."
 
 
 @dataclass(frozen=True)
@@ -135,9 +138,7 @@ class Layout:
         database: Any = cantools.database.load_string(text, database_format="dbc", strict=True)
         self._database = database
         self.messages: Mapping[str, MessageLayout] = {
-            message.name: _message_layout(message)
-            for message in self._database.messages
-            if not message.is_multiplexed()
+            message.name: layout_of(message) for message in self._database.messages if not message.is_multiplexed()
         }
 
     def __getitem__(self, name: str) -> MessageLayout:
@@ -194,13 +195,26 @@ class Layout:
         return found
 
 
+def database_of(path: Path) -> Any:
+    """The cantools database of somebody else's DBC file; `ValueError` with what is wrong with it, `OSError`."""
+    import cantools
+
+    if path.stat().st_size > MOST_BYTES:
+        raise ValueError(f"more than {MOST_BYTES >> 20} MB")
+    try:
+        return cantools.database.load_file(str(path), database_format="dbc", strict=True)
+    except Exception as error:  # whatever a parser says of a strange file
+        raise ValueError(" ".join(str(error).split())[:200] or type(error).__name__) from None
+
+
 @cache
 def load(file_name: str) -> Layout:
     """The layout of a DBC file of this package, read once."""
     return Layout(file_name)
 
 
-def _message_layout(message: Any) -> MessageLayout:
+def layout_of(message: Any) -> MessageLayout:
+    """Of a cantools message without alternatives and of at most 8 bytes."""
     signals = {signal.name: _signal_layout(signal, message.length) for signal in message.signals}
     used: set[int] = set()
     for layout in signals.values():

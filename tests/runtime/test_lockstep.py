@@ -121,6 +121,10 @@ def test_a_feeder_moves_time_and_learns_what_was_sent(scene: Callable[[str], str
         (b'{"op": "step", "t_s": NaN}', "t_s"),
         (b'{"op": "step", "t_s": 1, "actors": [{"id": 1}]}', "at_m: none"),
         (b'{"op": "step", "t_s": 1, "osi": -1}', "osi"),
+        (b'{"op": "step", "t_s": 1, "want": ["truth"]}', "want: ['truth']; want ['osi']"),
+        (b'{"op": "step", "t_s": 1, "want": {"osi": 1}}', "want ['osi']"),
+        (b'{"op": "step", "t_s": 1, "osi": 0, "osi_type": ["SensorView"]}', "want one of GroundTruth, SensorView"),
+        (b'{"op": "step", "t_s": 1, "osi": 0, "osi_type": "SensorView"}', "global_ground_truth: none"),
         (b'{"op": "hello", "protocol": 2}', "want 1"),
     ],
 )
