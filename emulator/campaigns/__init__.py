@@ -3,5 +3,5 @@
 Belongs here: factors, designs, names of cases, the directory of cases, engines, results and their page. Not: how one
 scenario is run and judged (judging), the words of the command (commands).
 
-May import: `view` excepted, everything below the commands.
+May import: `run_report` and below.
 """

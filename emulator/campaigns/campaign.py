@@ -76,7 +76,9 @@ def load(path: Path, out: Path, driver: Sequence[str] = (), points: int | None =
     try:
         base = _base(found, source)
     except ScenarioError as error:
-        told += [f"{source.place(('scenario',))}: scenario: {line}" if ":" not in line else line for line in error.lines]
+        told += [
+            f"{source.place(('scenario',))}: scenario: {line}" if ":" not in line else line for line in error.lines
+        ]
     factors: tuple[Factor, ...] = ()
     plan: Plan | None = None
     try:
@@ -99,7 +101,9 @@ def _resized(found: CampaignFile, points: int) -> CampaignFile:
     table = getattr(found.design, kind)
     if "points" not in type(table).model_fields:
         raise ScenarioError(f"--points {points}: design {kind} has no number of points; want one that has")
-    return found.model_copy(update={"design": found.design.model_copy(update={kind: table.model_copy(update={"points": points})})})
+    return found.model_copy(
+        update={"design": found.design.model_copy(update={kind: table.model_copy(update={"points": points})})}
+    )
 
 
 def _base(found: CampaignFile, source: Source) -> Source:
@@ -152,7 +156,9 @@ def _check(found: CampaignFile, source: Source, job: Job) -> tuple[str, ...]:
         and found.design.monte_carlo.precision.of == "pass"
     )
     if judged and not expected and not job.driver:
-        told.append(f"{source.place(('design', kind))}: design.{kind}: nothing is expected; want expect, here or in the scenario")
+        told.append(
+            f"{source.place(('design', kind))}: design.{kind}: nothing is expected; want expect, here or in the scenario"
+        )
     if told:
         raise ScenarioError.of(told)
     return expected
@@ -300,7 +306,9 @@ def write_scenario(campaign: Campaign, store: Store, name: str, path: Path) -> P
     try:
         point = tuple(tuple(values[column] for column in one.columns) for one in campaign.factors)
     except KeyError as error:
-        raise EmulatorError(f"{name}: of a campaign without factor {error}; want the file that it was run with") from None
+        raise EmulatorError(
+            f"{name}: of a campaign without factor {error}; want the file that it was run with"
+        ) from None
     loaded = campaign.job.changed(point, row["seed"])
     head = f"# Case {name}: {row['verdict']}, sha256 {row['sha256']}\n"
     try:

@@ -59,7 +59,9 @@ class Processes:
         try:
             from pebble import ProcessPool
         except ImportError:
-            raise EmulatorError("pebble is missing; campaigns need the extra: pip install 'lidaremu[campaign]'") from None
+            raise EmulatorError(
+                "pebble is missing; campaigns need the extra: pip install 'lidaremu[campaign]'"
+            ) from None
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(PRELOAD)
         self._jobs = jobs or len(os.sched_getaffinity(0))
@@ -100,7 +102,11 @@ def _row_of(job: Job, case: Case, future: Future[Row]) -> Row:
     except DiskFull:
         raise
     except TimeoutError:
-        row = blank(job, case) | {"verdict": "hung", "fault": f"no end within {job.seconds:g} s", "seconds": job.seconds}
+        row = blank(job, case) | {
+            "verdict": "hung",
+            "fault": f"no end within {job.seconds:g} s",
+            "seconds": job.seconds,
+        }
     except ProcessExpired as error:
         row = blank(job, case) | {"verdict": "crashed", "fault": f"its process ended with {_ending(error.exitcode)}"}
     return lost(job, row)

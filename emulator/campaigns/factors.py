@@ -101,8 +101,10 @@ class Factor:
         if self.steps is None:
             raise ScenarioError(f"{self.label}: continuous, without steps; want steps for a grid")
         unit = (np.arange(self.steps) + 0.5) / self.steps if self.law is not None else np.linspace(0, 1, self.steps)
-        return tuple(dict.fromkeys(self.at(unit))) if self.law is not None else tuple(
-            dict.fromkeys((self.clean(one),) for one in self.continuous_at(unit).tolist())
+        return (
+            tuple(dict.fromkeys(self.at(unit)))
+            if self.law is not None
+            else tuple(dict.fromkeys((self.clean(one),) for one in self.continuous_at(unit).tolist()))
         )
 
     def changes(self, values: Values) -> list[tuple[str, Any]]:
@@ -231,6 +233,4 @@ def shown(factors: Sequence[Factor], point: Point) -> dict[str, Any]:
 
 def changes_of(factors: Sequence[Factor], point: Point) -> list[tuple[str, Any]]:
     """All keys of the scenario that a point sets."""
-    return [
-        change for factor, values in zip(factors, point, strict=True) for change in factor.changes(values)
-    ]
+    return [change for factor, values in zip(factors, point, strict=True) for change in factor.changes(values)]

@@ -176,14 +176,18 @@ def read(path: Path) -> tuple[CampaignFile, yaml_lines.Source]:
     source = yaml_lines.read(path, ScenarioError)
     data = source.data
     if not isinstance(data, dict):
-        raise ScenarioError(f"{path}:1: file: {'empty' if data is None else 'no table'}; want scenario, factors, design")
+        raise ScenarioError(
+            f"{path}:1: file: {'empty' if data is None else 'no table'}; want scenario, factors, design"
+        )
     data = {**data, "design": _whole(data["design"])} if "design" in data else data
     source = yaml_lines.Source(source.path, data, source.places)
     try:
         found = CampaignFile.model_validate(_frozen(data))
     except ValidationError as error:
         raise ScenarioError.of(fault_lines(source, CampaignFile, error)) from None
-    told = [_told(source, ("quantities", name), name, "a name, not `pass`") for name in found.quantities if name == "pass"]
+    told = [
+        _told(source, ("quantities", name), name, "a name, not `pass`") for name in found.quantities if name == "pass"
+    ]
     for name, factor in found.factors.items():
         if factor.whole and factor.values is not None:
             told.append(_told(source, ("factors", name, "whole"), "true", "it with range or distribution"))
@@ -214,7 +218,9 @@ def _references(found: CampaignFile, source: yaml_lines.Source) -> list[str]:
         of = design.boundary.of
         if of is not None and (of not in found.factors or found.factors[of].range is None):
             wanted = ", ".join(name for name, one in found.factors.items() if one.range is not None)
-            told.append(source.fault(("design", kind, "of"), repr(of), wanted or "a factor with a range: there is none"))
+            told.append(
+                source.fault(("design", kind, "of"), repr(of), wanted or "a factor with a range: there is none")
+            )
     searched = design.worst is not None or (design.boundary is not None and design.boundary.of is None)
     if searched and (len(ranges) != len(found.factors) or not ranges):
         other = next((name for name in found.factors if name not in ranges), None)

@@ -164,7 +164,9 @@ def refine(wanted: Boundary, factors: Sequence[Factor], evaluate: Evaluate) -> d
     try:
         from adaptive import LearnerND
     except ImportError:
-        raise EmulatorError("adaptive is missing; this design needs the extra: pip install 'lidaremu[campaign]'") from None
+        raise EmulatorError(
+            "adaptive is missing; this design needs the extra: pip install 'lidaremu[campaign]'"
+        ) from None
     learner = LearnerND(lambda unit: 0.0, bounds=[(0.0, 1.0)] * len(factors))
     done = 0
     while done < wanted.points:

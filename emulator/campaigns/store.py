@@ -136,7 +136,9 @@ class Store:
         for folder in folders:
             with contextlib.suppress(NotADirectoryError, FileNotFoundError):
                 found.update(
-                    one[:64] for one in os.listdir(self.root / "cases" / folder) if len(one) == 69 and one[64:] == SUFFIX
+                    one[:64]
+                    for one in os.listdir(self.root / "cases" / folder)
+                    if len(one) == 69 and one[64:] == SUFFIX
                 )
         return found
 
