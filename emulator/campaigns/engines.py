@@ -5,11 +5,13 @@ Belongs here: handing out cases and getting rows back, with those that crash or 
 
 from __future__ import annotations
 
+import atexit
 import itertools
 import multiprocessing
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from functools import cache
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -82,6 +84,10 @@ class Processes:
             for future in wait(waiting, return_when=FIRST_COMPLETED).done:
                 yield _row_of(job, waiting.pop(future), future)
 
+    def use(self, work: Work) -> None:
+        """Do this for each case from here on."""
+        self._work = work
+
     def close(self) -> None:
         """End the processes, also in the middle of a case."""
         self._pool.stop()
@@ -127,3 +133,20 @@ def lost(job: Job, row: Row) -> Row:
 
 def _ending(code: Any) -> str:
     return f"signal {-code}" if isinstance(code, int) and code < 0 else f"exit code {code}"
+
+
+@cache
+def _processes() -> Processes:
+    """Of a worker of a cluster, which keeps them from case to case."""
+    # Dask's nanny starts its worker as a daemon, which must have no children lest they outlive it: ours are ended at exit
+    multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
+    made = Processes()
+    atexit.register(made.close)
+    return made
+
+
+def own_pool(work: Work, job: Job, case: Case, may_record: bool) -> Row:
+    """One case in another process of this machine, with the limit of its time; crashes and hangs become rows."""
+    pool = _processes()
+    pool.use(work)
+    return next(pool.run(job, iter((case,)), lambda: may_record))
