@@ -89,11 +89,15 @@ def load(path: Path, out: Path, driver: Sequence[str] = (), points: int | None =
     if told or base is None:
         raise ScenarioError.of(told)
     job = Job(
-        base, factors, found.seed, found.repeats, plan.salted if plan is not None else found.design.kind == "monte_carlo",
+        base, factors, found.seed, found.repeats, _salted(found, plan),
         tuple(found.quantities.items()), tuple(driver), found.record, found.limits.seconds, out.absolute(), version(),
     )  # fmt: skip
     job = replace(job, digest=digest_of(job))
     return Campaign(path, found, factors, job, plan, _check(found, source, job))
+
+
+def _salted(found: CampaignFile, plan: Plan | None) -> bool:
+    return plan.salted if plan is not None else found.design.kind == "monte_carlo"
 
 
 def _resized(found: CampaignFile, points: int) -> CampaignFile:
@@ -156,9 +160,7 @@ def _check(found: CampaignFile, source: Source, job: Job) -> tuple[str, ...]:
         and found.design.monte_carlo.precision.of == "pass"
     )
     if judged and not expected and not job.driver:
-        told.append(
-            f"{source.place(('design', kind))}: design.{kind}: nothing is expected; want expect, here or in the scenario"
-        )
+        told.append(f"{source.place(('design', kind))}: design.{kind}: nothing is expected; want expect")
     if told:
         raise ScenarioError.of(told)
     return expected
@@ -217,8 +219,8 @@ class Runner:
         self._searched: set[str] = set()
         if campaign.plan is None and self._shard.of > 1:
             raise EmulatorError(
-                f"--shard: design {campaign.file.design.kind} looks at results as they come; want a design whose points are"
-                " known before, or one run with more --jobs"
+                f"--shard: design {campaign.file.design.kind} looks at results as they come; want a design whose points"
+                " are known before, or one run with more --jobs"
             )
 
     def _may_record(self) -> bool:

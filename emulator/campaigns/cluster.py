@@ -74,7 +74,7 @@ class Cluster:
                     done.add(future_)
         except (OSError, CommClosedError, CancelledError) as error:
             raise EmulatorError(
-                f"--dask {self._address}: the scheduler was lost ({error}); what is done stays, the same command goes on"
+                f"--dask {self._address}: the scheduler was lost ({error}); the same command goes on from there"
             ) from None
 
     def close(self) -> None:

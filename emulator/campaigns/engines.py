@@ -138,7 +138,7 @@ def _ending(code: Any) -> str:
 @cache
 def _processes() -> Processes:
     """Of a worker of a cluster, which keeps them from case to case."""
-    # Dask's nanny starts its worker as a daemon, which must have no children lest they outlive it: ours are ended at exit
+    # Dask's nanny starts its worker as a daemon, which must leave no children behind: ours are ended at exit
     multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
     made = Processes()
     atexit.register(made.close)

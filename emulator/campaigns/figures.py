@@ -14,16 +14,18 @@ from emulator.campaigns.factors import Floats
 from emulator.campaigns.searching import mean_interval, wilson
 from emulator.campaigns.sensitivity import Index
 from emulator.campaigns.table import Results, shown_value
-from emulator.studies.drawing import COLOURS, DPI, bare, figure, png, word
+from emulator.studies.drawing import COLOURS, bare, figure, png, word
 from emulator.studies.report import Picture, Spot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 MOST_LEVELS = 30
 "Distinct values of a factor that are shown one by one; more are put together in bins."
-BINS = 12
+BINS, PER_BIN = 12, 12
+"At most so many bins, and at least so many cases in each."
 MOST_MARKS = 20_000
 MOST_SPOTS = 400
 PASS, FAIL, BROKEN = COLOURS[0], COLOURS[1], "#8c959f"
@@ -40,9 +42,14 @@ def distinct(results: Results, column: str) -> Floats:
     return np.unique(values[~np.isnan(values)])
 
 
-def is_log(values: Floats) -> bool:
-    """Whether it is better read on a logarithmic axis."""
-    return bool(len(values) > 2 and values.min() > 0 and values.max() / values.min() >= 20)
+def logarithmic(axis: Axis) -> None:
+    """A scale with ticks at 1, 2 and 5 of each decade, as plain numbers."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.axes.set(**{f"{axis.axis_name}scale": "log"})
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def verdict_map(results: Results, across: str, up: str, link: Callable[[int], str]) -> Picture:
@@ -65,8 +72,8 @@ def verdict_map(results: Results, across: str, up: str, link: Callable[[int], st
             if column in results.levels:
                 setter = axes.set_xticks if axis == "x" else axes.set_yticks
                 setter(range(len(known)), [word(_level(results, column, value)) for value in known])
-            elif is_log(known):
-                (axes.set_xscale if axis == "x" else axes.set_yscale)("log")
+            elif column in results.log:
+                logarithmic(axes.xaxis if axis == "x" else axes.yaxis)
     axes.set_xlabel(across)
     axes.set_ylabel(up)
     made.draw_without_rendering()
@@ -166,8 +173,8 @@ def curves(results: Results, of: str, columns: Sequence[str], confidence: float 
         else:
             panel.fill_between(where, low, high, color=COLOURS[0], alpha=0.2, linewidth=0)
             panel.plot(where, mean, "o-", color=COLOURS[0], linewidth=1.6, markersize=3.5)
-            if is_log(where):
-                panel.set_xscale("log")
+            if column in results.log:
+                logarithmic(panel.xaxis)
         panel.set_xlabel(short(column))
         panel.set_ylabel("share passed" if of == "pass" else short(of))
         if of == "pass":
@@ -191,7 +198,8 @@ def band(x: Floats, values: Floats, is_share: bool, confidence: float) -> tuple[
         parts = [(float(one), values[x == one]) for one in levels]
     else:
         order = np.argsort(x, kind="stable")
-        parts = [(float(np.median(x[one])), values[one]) for one in np.array_split(order, BINS) if len(one)]
+        bins = min(max(len(x) // PER_BIN, 3), BINS)
+        parts = [(float(np.median(x[one])), values[one]) for one in np.array_split(order, bins) if len(one)]
     found = []
     for place, inside in parts:
         interval = wilson(int(inside.sum()), len(inside), confidence) if is_share else mean_interval(inside, confidence)

@@ -46,7 +46,7 @@ def write_page(
     path = out / "report.html"
     try:
         (out / PAGES).mkdir(exist_ok=True)
-        for number, name in enumerate(linked):
+        for name in linked:
             row = store.row(name)
             if row is not None:
                 page = form.page(case_page(campaign, store, row))
@@ -146,7 +146,9 @@ def _outcome(outcome: Mapping[str, Any] | None) -> Iterator[Section]:
         )
         table = Table(
             "boundary", f"Between which values of {outcome['of']} the verdict changes", columns,
-            tuple((*(_cell(row["factors"][one]) for one in others), row["low"], row["high"], row["state"]) for row in rows),
+            tuple(
+                (*(_cell(row["factors"][one]) for one in others), row["low"], row["high"], row["state"]) for row in rows
+            ),
         )  # fmt: skip
         yield Section("Boundary", (), (), (table,))
 
@@ -180,7 +182,7 @@ def _sensitivity(campaign: Campaign, effects: Mapping[str, Any]) -> Iterator[Sec
     if not pictures:
         return
     if campaign.file.design.kind == "saltelli":
-        text = "Sobol indices from Saltelli's design: first order, what a factor explains alone; total, with all interactions."
+        text = "Sobol indices from Saltelli's design: first order, of a factor alone; total, with all interactions."
     else:
         text = "First-order Sobol indices by RBD-FAST. Total ones need the design `saltelli`."
     yield Section("Sensitivity", (text,), tuple(pictures))

@@ -14,8 +14,8 @@ from emulator.campaigns.campaign import Campaign
 from emulator.campaigns.factors import Floats
 from emulator.campaigns.table import Results
 
-LEAST = 64
-"Cases below which nothing is said."
+LEAST, LEAST_GIVEN = 64, 256
+"Points below which nothing is said: of Saltelli's design, and of others, whose estimates are noisier."
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def indices(campaign: Campaign, results: Results, of: str) -> list[Index]:
     first = np.searchsorted(results.number, numbers)
     points = np.column_stack([results.factors[one][first] for one in columns])
     known = ~np.isnan(values) & ~np.isnan(points).any(axis=1)
-    if known.sum() < LEAST:
+    if known.sum() < LEAST_GIVEN:
         return []
     found = rbd_fast.analyze(problem, points[known], values[known], M=10, seed=0)
     return [Index(name, float(found["S1"][at]), float(found["S1_conf"][at])) for at, name in enumerate(names)]

@@ -55,8 +55,8 @@ class Store:
         known = self.manifest()
         if known is not None and known.get("version") != version:
             raise EmulatorError(
-                f"{self.root}: begun with version {known.get('version')}, this is {version}: results of two versions are"
-                " not one campaign; want that version, another --out, or --rerun for all cases anew"
+                f"{self.root}: begun with version {known.get('version')}, this is {version}, which may"
+                " give other results; want that version, another --out, or --rerun for all cases anew"
             )
         if known is None or known.get("digest") != digest:
             self._put(self.root / "campaign.json", json.dumps({"version": version, "file": file, "digest": digest}))

@@ -50,6 +50,8 @@ class Results:
     expect: dict[str, Counter[bool]]
     told: dict[str, str] = field(default_factory=dict)
     "Why cases did not pass, as far as kept."
+    log: frozenset[str] = frozenset()
+    "Factors that are spread over decades."
 
     def __len__(self) -> int:
         return len(self.names)
@@ -110,7 +112,8 @@ def gather(campaign: Campaign, rows: Iterable[Row], out: Path) -> tuple[Results,
     factors = dict(zip(columns, whole[6 : 6 + len(columns)], strict=True))
     found = dict(zip(quantities, whole[6 + len(columns) :], strict=True))
     levels = {column: list(known) for column, known in codes.items()}
-    return Results(*whole[:5], factors, levels, found, whole[5], expect, told), path
+    log = frozenset(one.name for one in campaign.factors if one.log)
+    return Results(*whole[:5], factors, levels, found, whole[5], expect, told, log), path
 
 
 def gather_counts(store: Store, wanted: set[str] | None) -> dict[str, int]:

@@ -24,10 +24,20 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, metavar="DIR", help="Folder of the campaign; what is done there already is not run again.")  # fmt: skip
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    required=True,
+    metavar="DIR",
+    help="Folder of the campaign; what is done there is not run again.",
+)
 @click.option("--jobs", type=click.IntRange(min=1, max=4096), help="Number of processes (default: cores).")
 @click.option("--points", type=click.IntRange(min=1), metavar="N", help="Replace the number of points of the design.")
-@click.option("--driver", metavar="COMMAND", help="Run this host against each case, on links of its own, in virtual time; its links are in LIDAREMU_<SENSOR>.")  # fmt: skip
+@click.option(
+    "--driver",
+    metavar="COMMAND",
+    help="Run this host against each case, on its own links, given in LIDAREMU_<SENSOR>, in virtual time.",
+)
 @click.option("--shard", metavar="I/N", help="Run only part I of N.")
 @click.option("--resume", is_flag=True, help="Continue a campaign that was begun: an error where there is none.")
 @click.option("--retry", is_flag=True, help="Run those again that ended in an error, crashed or hung.")
@@ -35,10 +45,24 @@ if TYPE_CHECKING:
 @click.option("--status", is_flag=True, help="Only tell how far it is.")
 @click.option("--case", metavar="NAME", help="Only write the scenario of this case into the folder.")
 @click.option("--dask", metavar="ADDRESS", help="Run on the workers of this Dask scheduler.")
-@click.option("--slurm", type=click.IntRange(min=1, max=100_000), metavar="N", help="Only write a job script for an array of N tasks.")  # fmt: skip
+@click.option(
+    "--slurm",
+    type=click.IntRange(min=1, max=100_000),
+    metavar="N",
+    help="Only write a job script for an array of N tasks.",
+)
 @click.option("--report/--no-report", default=True, help="Write results and page at the end.")
-@click.option("--case-reports", type=click.IntRange(min=0), default=4, show_default=True, metavar="N", help="Number of recorded cases of which a whole report is made.")  # fmt: skip
-@click.option("--junitxml", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE", help="Write a JUnit XML report.")  # fmt: skip
+@click.option(
+    "--case-reports",
+    type=click.IntRange(min=0),
+    default=4,
+    show_default=True,
+    metavar="N",
+    help="Number of recorded cases of which a whole report is made.",
+)
+@click.option(
+    "--junitxml", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE", help="Write a JUnit XML report."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
 def campaign(
     file: Path,
@@ -237,7 +261,8 @@ def _write_slurm(
     from emulator.campaigns.slurm import script
 
     if loaded.plan is None:
-        raise EmulatorError(f"--slurm: design {loaded.file.design.kind} looks at results as they come; want a design whose points are known before")  # fmt: skip
+        kind = loaded.file.design.kind
+        raise EmulatorError(f"--slurm: design {kind} looks at results as they come; want points known before")
     more = [*(["--driver", shlex.join(words)] if words else []), *(["--points", str(points)] if points else [])]
     path = out / "campaign.sbatch"
     try:

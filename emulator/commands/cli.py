@@ -495,7 +495,9 @@ def list_(what: str, name: str | None, as_json: bool) -> int:
     return OK
 
 
-for command in (demo, look, print_transcript, probe, report, test, campaign, replay, diff, ctl, doctor, study, explain, view):
+for command in (
+    *(demo, look, print_transcript, probe, report, test, campaign, replay, diff, ctl, doctor, study, explain, view),
+):
     commands.add_command(command)
 
 study.add_command(fuzz)

@@ -62,8 +62,8 @@ def complain_of_use(error: click.ClickException) -> None:
 
 @contextmanager
 def bar(title: str) -> Iterator[Callable[..., None]]:
-    """A bar on standard error where that is a terminal; called with the share that is done, and a text that stands behind the
-    title, which draws it anew.
+    """A bar on standard error where that is a terminal; called with the share that is done, and a text
+    behind the title; it is drawn anew then.
 
     No thread draws it: some of the work forks. What is said meanwhile stays on standard output, redirected or not.
     """

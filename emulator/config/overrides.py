@@ -65,7 +65,7 @@ def changed(
 
 
 def placed(source: Source, values: Sequence[tuple[str, Any, str]]) -> Source:
-    """The source with values put at dotted keys, in their order: (key, value, label of messages); all faults at once."""
+    """The source with values put at dotted keys, in their order: (key, value, label); all faults at once."""
     places = dict(source.places)
     data = _copied(source.data)
     faults: list[str] = []

@@ -31,7 +31,7 @@ def campaign(tmp_path: Path, text: str, head: str = HEAD):
         (f"factors: {{{VISIBILITY}: {{range: [50, 70]}}}}\ndesign: grid\n", 3, "want steps"),
         (f"factors: {{{VISIBILITY}: {{range: [50, 70], values: [3]}}}}\ndesign: grid\n", 3, "one of values, range"),
         (f"factors: {{{VISIBILITY}: {{range: [50, 70]}}}}\ndesign: {{sobol: 100}}\n", 4, "64 or 128"),
-        (f"factors: {{{VISIBILITY}: {{range: [50, 70], steps: 900000}}, seed: {{range: [0, 9e5], steps: 900000}}}}\ndesign: grid\n", 4, "at most"),
+        (f"factors: {{{VISIBILITY}: {{range: [50, 70], steps: 90000}}, seed: {{range: [0, 9e5], steps: 90000}}}}\ndesign: grid\n", 4, "at most"),
         (f"factors: {{{VISIBILITY}: {{range: [50, 70]}}}}\ndesign: {{annealing: 3}}\n", 4, "annealing"),
         (f"factors: {{{VISIBILITY}: {{range: [50, 70]}}}}\ndesign: {{lhs: 0}}\n", 4, "> 0"),
         (f"factors: {{{VISIBILITY}: {{range: [50, 70]}}}}\ndesign: {{worst: {{of: far}}}}\n", 4, "far"),

@@ -108,7 +108,9 @@ def test_a_full_disk_stops_the_campaign_and_nothing_half_written_counts(
 
 
 def test_a_case_that_crashes_or_hangs_is_counted_and_the_rest_goes_on(made: Make) -> None:
-    campaign = made(f"factors: {{{VISIBILITY}: {{values: [60, 66, 77, 200, 300]}}}}\ndesign: grid\nlimits: {{seconds: 3}}\n")
+    campaign = made(
+        f"factors: {{{VISIBILITY}: {{values: [60, 66, 77, 200, 300]}}}}\ndesign: grid\nlimits: {{seconds: 3}}\n"
+    )
     engine = Processes(2, stand_in)
     try:
         runner, store, _ = run(campaign, engine)
