@@ -56,7 +56,7 @@ class Store:
         if known is not None and known.get("version") != version:
             raise EmulatorError(
                 f"{self.root}: begun with version {known.get('version')}, this is {version}, which may"
-                " give other results; want that version, another --out, or --rerun for all cases anew"
+                " give other results; want that version, another --out, or --rerun to run all cases again"
             )
         if known is None or known.get("digest") != digest:
             self._put(self.root / "campaign.json", json.dumps({"version": version, "file": file, "digest": digest}))

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 @click.option("--shard", metavar="I/N", help="Run only part I of N.")
 @click.option("--resume", is_flag=True, help="Continue a campaign that was begun: an error where there is none.")
 @click.option("--retry", is_flag=True, help="Run those again that ended in an error, crashed or hung.")
-@click.option("--rerun", is_flag=True, help="Begin anew in a folder that was begun with another version.")
+@click.option("--rerun", is_flag=True, help="Run all again in a folder that was begun with another version.")
 @click.option("--status", is_flag=True, help="Only tell how far it is.")
 @click.option("--case", metavar="NAME", help="Only write the scenario of this case into the folder.")
 @click.option("--dask", metavar="ADDRESS", help="Run on the workers of this Dask scheduler.")

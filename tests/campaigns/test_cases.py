@@ -133,7 +133,8 @@ def test_a_slurm_script_runs_every_shard(tmp_path: Path, capsys: pytest.CaptureF
     ("words", "told"),
     [
         (["--shard", "4/3"], "want I/N"), (["--resume"], "no campaign was begun"), (["--status"], "no campaign"),
-        (["--driver", "'"], "want a command"), (["--case", "abcd"], "no campaign"), (["--points", "4"], "has no number"),
+        (["--driver", "'"], "want a command"),
+        (["--case", "abcd"], "no campaign"), (["--points", "4"], "has no number"),
     ],
 )  # fmt: skip
 def test_words_that_make_no_sense_are_refused(
