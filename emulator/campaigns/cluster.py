@@ -60,7 +60,7 @@ class Cluster:
             return futures
 
         try:
-            done = as_completed(more())
+            done = as_completed(more(), loop=client.loop)
             for future in done:
                 case = waiting.pop(future.key.removeprefix("case-"))
                 try:

@@ -206,9 +206,9 @@ def _references(found: CampaignFile, source: yaml_lines.Source) -> list[str]:
     told, design, kind = [], found.design, found.design.kind
     known = ", ".join(found.quantities) or "a quantity: there is none, see quantities"
     if design.monte_carlo is not None and design.monte_carlo.precision is not None:
-        of = design.monte_carlo.precision.of
-        if of != "pass" and of not in found.quantities:
-            told.append(source.fault(("design", kind, "precision", "of"), repr(of), f"pass or {known}"))
+        wanted_of = design.monte_carlo.precision.of
+        if wanted_of != "pass" and wanted_of not in found.quantities:
+            told.append(source.fault(("design", kind, "precision", "of"), repr(wanted_of), f"pass or {known}"))
         if design.monte_carlo.most < design.monte_carlo.least:
             told.append(source.fault(("design", kind, "most"), str(design.monte_carlo.most), "least or more"))
     if design.worst is not None and design.worst.of not in found.quantities:

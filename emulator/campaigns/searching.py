@@ -97,7 +97,7 @@ def _passes(rows: Sequence[Row]) -> bool | None:
     """Whether at least half of the repeats of a point passed; None: one did not come to its end."""
     if any(row["verdict"] in BROKEN for row in rows):
         return None
-    return 2 * sum(row["verdict"] == "passed" for row in rows) >= len(rows)
+    return bool(2 * sum(row["verdict"] == "passed" for row in rows) >= len(rows))
 
 
 @dataclass
