@@ -30,7 +30,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("emulator/judging",),
     ("emulator/studies", "emulator/endurance"),
     ("emulator/run_report", "emulator/looking"),
-    ("emulator/view",),
+    ("emulator/view", "emulator/campaigns"),
     ("emulator/commands",),
     ("emulator/__main__.py",),
 )

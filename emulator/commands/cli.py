@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import click
 
 from emulator import __version__
+from emulator.commands.campaign import campaign
 from emulator.commands.common import (
     CANNOT_RUN,
     FAILED,
@@ -504,7 +505,7 @@ def list_(what: str, name: str | None, as_json: bool) -> int:
 
 
 for command in (
-    demo, look, print_transcript, probe, report, test, replay, diff, ctl, doctor, study, explain, view, fmu,
+    demo, look, print_transcript, probe, report, test, campaign, replay, diff, ctl, doctor, study, explain, view, fmu,
 ):  # fmt: skip
     commands.add_command(command)
 

@@ -61,13 +61,14 @@ def complain_of_use(error: click.ClickException) -> None:
 
 
 @contextmanager
-def bar(title: str) -> Iterator[Callable[[float], None]]:
-    """A bar on standard error where that is a terminal; called with the share that is done, which draws it anew.
+def bar(title: str) -> Iterator[Callable[..., None]]:
+    """A bar on standard error where that is a terminal; called with the share that is done, and a text
+    behind the title; it is drawn anew then.
 
     No thread draws it: some of the work forks. What is said meanwhile stays on standard output, redirected or not.
     """
     if not sys.stderr.isatty():
-        yield lambda share: None
+        yield lambda share, text="": None
         return
     from rich.console import Console
     from rich.markup import escape
@@ -79,8 +80,8 @@ def bar(title: str) -> Iterator[Callable[[float], None]]:
         task = shown.add_task(escape(visible(title)), total=1.0)
         shown.refresh()
 
-        def tell(share: float) -> None:
-            shown.update(task, completed=share)
+        def tell(share: float, text: str = "") -> None:
+            shown.update(task, completed=share, description=escape(visible(f"{title} {text}" if text else title)))
             shown.refresh()
 
         yield tell

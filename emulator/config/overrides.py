@@ -64,6 +64,23 @@ def changed(
     return Source(source.path, data, places, source.faults)
 
 
+def placed(source: Source, values: Sequence[tuple[str, Any, str]]) -> Source:
+    """The source with values put at dotted keys, in their order: (key, value, label); all faults at once."""
+    places = dict(source.places)
+    data = _copied(source.data)
+    faults: list[str] = []
+    for key, value, label in values:
+        try:
+            if not _KEY.match(key):
+                raise ScenarioError(f"{label}: {key!r} is not a key; want one like weather.fog.visibility_m")
+            _put(data, key.replace("[", ".").replace("]", "").split("."), _copied(value), label, places)
+        except ScenarioError as error:
+            faults.extend(error.lines)
+    if faults:
+        raise ScenarioError.of(faults)
+    return Source(source.path, data, places, source.faults)
+
+
 def _copied(data: Any) -> Any:
     if isinstance(data, dict):
         return {key: _copied(value) for key, value in data.items()}

@@ -108,6 +108,8 @@ class Trial:
         built-in one.
         """
         self._heard = heard or {}
+        self.outcome: Run | None = None
+        "What the run has left, once it is finished."
         self.scenario = scenario
         self.expected = understand(scenario)
         self.incidents = Incidents()
@@ -190,7 +192,8 @@ class Trial:
         for instrument in self.instruments:
             for link in instrument.links:
                 instrument.stats.lateness.extend(link.stats.lateness_ns)
-        judged = verdicts(self.expected, Run(self.scenario, self.series, by_name, end_ns))
+        self.outcome = Run(self.scenario, self.series, by_name, end_ns)
+        judged = verdicts(self.expected, self.outcome)
         failures = [] if self._workers is None else self._workers.failures
         check_accounts(self.instruments, self.incidents, end_ns)
         lost = [row for row in self.incidents.rows() if row["kind"] == "scans unaccounted"]

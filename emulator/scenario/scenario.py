@@ -205,15 +205,23 @@ def load(
     ------
     ScenarioError : one line a fault, all of them.
     """
-    path = _path_of(path_or_builtin_name)
-    return _judged(
-        yaml_lines.parse(yaml_lines.read_text(path, ScenarioError), path, ScenarioError), overrides, seed, links
-    )
+    return _judged(read_source(path_or_builtin_name), overrides, seed, links)
 
 
 def loads(text: str, path: Path, overrides: Sequence[str] = ()) -> Scenario:
     """The same from a text, as if it stood in `path`."""
     return _judged(yaml_lines.parse(text, path, ScenarioError), overrides, None, None)
+
+
+def read_source(path_or_builtin_name: str) -> yaml_lines.Source:
+    """The plain data of a file or a built-in name, not judged yet; raises `ScenarioError`."""
+    path = _path_of(path_or_builtin_name)
+    return yaml_lines.parse(yaml_lines.read_text(path, ScenarioError), path, ScenarioError)
+
+
+def from_source(source: yaml_lines.Source) -> Scenario:
+    """The scenario of plain data, judged as `load` does."""
+    return _judged(source, (), None, None)
 
 
 def _judged(

@@ -23,6 +23,27 @@ NOTHING = "–"
 "Stands for None in the page; the CSV leaves the field empty."
 
 
+class Link(str):
+    """A text in a table that leads to another page."""
+
+    href: str
+
+    def __new__(cls, text: str, href: str) -> Link:
+        made = super().__new__(cls, text)
+        made.href = href
+        return made
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A place of a picture that leads to another page; from its upper left corner, as shares of its size."""
+
+    left: float
+    top: float
+    href: str
+    told: str
+
+
 @dataclass(frozen=True)
 class Column:
     """One column of a table."""
@@ -70,6 +91,7 @@ class Picture:
     title: str
     png: bytes
     caption: str = ""
+    spots: tuple[Spot, ...] = ()
 
     @property
     def uri(self) -> str:

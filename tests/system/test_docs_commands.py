@@ -37,7 +37,7 @@ NOT_RUN = {
     r"^python -m can\.": "never end: test_can_clients.py",
     r"^python -m tests\.": "measures for minutes; the module is there: tests/docs/test_pages.py",
 }
-CODES = {r"visibility_m=-20": 2, r"^lidaremu test step_out.yaml --set": 1}
+CODES = {r"visibility_m=-20": 2, r"^lidaremu test step_out.yaml --set": 1, "^lidaremu campaign .* --out detection$": 1}
 "What ends otherwise than well, as its page says."
 TALKS = re.compile(r"^lidaremu (?:look|ctl) ")
 CHILD = """
@@ -75,6 +75,8 @@ def runnable() -> list[str]:
 def shortened(text: str) -> str:
     """The same with an end: nobody waits a minute for a page."""
     head, separator, driver = text.partition(" -- ")
+    if head.startswith("lidaremu campaign"):
+        return f"{head} --points 4"
     if head.startswith(("lidaremu run", "lidaremu demo")) and not (separator and "--duration" not in head):
         head = re.sub(r" --duration \S+", "", head) + (" --duration 1.5" if "demo" in head else " --duration 0.5")
         head = head.replace("run bumper", "run bumper --link ld=tcp:127.0.0.1:0")  # its own port may be another's
@@ -94,6 +96,7 @@ def folder(tmp_path: Path) -> Iterator[Path]:
     made = Path(tempfile.mkdtemp(prefix="docs", dir="/tmp"))
     for path in (ROOT / "docs/examples").glob("*.yaml"):
         shutil.copy(path, made)
+    shutil.copytree(ROOT / "docs/examples/campaign", made / "docs/examples/campaign")
     for name in ("driver", "my_driver"):
         (made / name).write_text('#!/bin/sh\ntest -n "$LIDAREMU_FRONT"\n', encoding="utf-8")
         (made / name).chmod(stat.S_IRWXU)

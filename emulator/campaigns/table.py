@@ -1,0 +1,286 @@
+"""Results as columns: for the page in memory, for others as Parquet (extra `campaign`) or CSV; JUnit XML.
+
+Belongs here: one pass over the rows of a campaign. Not: what is drawn of them (page).
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import xml.etree.ElementTree as Tree
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emulator.campaigns.campaign import Campaign
+from emulator.campaigns.factors import Floats
+from emulator.campaigns.store import BROKEN, Row, Store
+from emulator.errors import EmulatorError
+from emulator.output.csv_tables import Writer
+from emulator.output.sanitizing import visible
+
+VERDICTS = ("passed", "failed", "error", "crashed", "hung")
+CHUNK = 20_000
+MOST_CASES_JUNIT = 20_000
+"Test cases of the JUnit report; of more, those that did not pass come first."
+MOST_TOLD = 5_000
+"Reasons kept for the page and JUnit."
+
+
+@dataclass
+class Results:
+    """One entry a case, in the order of the design."""
+
+    names: NDArray[np.bytes_]
+    number: NDArray[np.int64]
+    repeat: NDArray[np.int32]
+    verdict: NDArray[np.int8]
+    seconds: Floats
+    factors: dict[str, Floats]
+    "Values of numeric columns, numbers of the levels of others."
+    levels: dict[str, list[str]]
+    "Texts of the levels of columns that are not numeric."
+    quantities: dict[str, Floats]
+    recorded: NDArray[np.bool_]
+    expect: dict[str, Counter[bool]]
+    told: dict[str, str] = field(default_factory=dict)
+    "Why cases did not pass, as far as kept."
+    log: frozenset[str] = frozenset()
+    "Factors that are spread over decades."
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def counts(self) -> dict[str, int]:
+        """Cases by verdict."""
+        return {name: int(np.sum(self.verdict == at)) for at, name in enumerate(VERDICTS)}
+
+    @property
+    def passed(self) -> Floats:
+        """1 passed, 0 failed, NaN did not come to its end."""
+        return np.where(self.verdict == 0, 1.0, np.where(self.verdict == 1, 0.0, np.nan))
+
+    def value(self, name: str) -> Floats:
+        """A quantity, or `pass`."""
+        return self.passed if name == "pass" else self.quantities[name]
+
+
+def gather(campaign: Campaign, rows: Iterable[Row], out: Path) -> tuple[Results, Path]:
+    """All rows as columns, and written as a table beside them; the table's path."""
+    columns = [column for one in campaign.factors for column in one.columns]
+    numeric = {column for one in campaign.factors if one.numeric for column in one.columns}
+    parts: list[tuple[Any, ...]] = []
+    expect: dict[str, Counter[bool]] = {name: Counter() for name in campaign.expect}
+    codes: dict[str, dict[str, int]] = {column: {} for column in columns if column not in numeric}
+    told: dict[str, str] = {}
+    writer = _writer(campaign, columns, numeric, out)
+    quantities = list(campaign.file.quantities)
+    for batch in _batches(rows):
+        writer.add(batch)
+        for row in batch:
+            for name, held in row["expect"].items():
+                expect.setdefault(name, Counter())[held] += 1
+            if row["fault"] and len(told) < MOST_TOLD:
+                told[row["name"]] = row["fault"]
+        parts.append(
+            (
+                np.array([row["name"] for row in batch], dtype="S64"),
+                np.array([row["number"] for row in batch], dtype=np.int64),
+                np.array([row["repeat"] for row in batch], dtype=np.int32),
+                np.array([VERDICTS.index(row["verdict"]) for row in batch], dtype=np.int8),
+                np.array([row["seconds"] for row in batch], dtype=np.float64),
+                np.array([row["recording_bytes"] > 0 for row in batch], dtype=bool),
+                *(np.array([_coded(row["factors"].get(one), codes.get(one)) for row in batch]) for one in columns),
+                *(
+                    np.array([_number(row["quantities"].get(one)) for row in batch], dtype=np.float64)
+                    for one in quantities
+                ),
+            )
+        )
+    path = writer.close()
+    width = 6 + len(columns) + len(quantities)
+    empty = [np.zeros(0, dtype="S64"), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int32)]
+    empty += [np.zeros(0, dtype=np.int8), np.zeros(0), np.zeros(0, dtype=bool)] + [np.zeros(0)] * (width - 6)
+    whole = [np.concatenate([part[at] for part in parts]) for at in range(width)] if parts else empty
+    order = np.lexsort((whole[2], whole[1]))
+    whole = [one[order] for one in whole]
+    factors = dict(zip(columns, whole[6 : 6 + len(columns)], strict=True))
+    found = dict(zip(quantities, whole[6 + len(columns) :], strict=True))
+    levels = {column: list(known) for column, known in codes.items()}
+    log = frozenset(one.name for one in campaign.factors if one.log)
+    return Results(*whole[:5], factors, levels, found, whole[5], expect, told, log), path
+
+
+def gather_counts(store: Store, wanted: set[str] | None) -> dict[str, int]:
+    """Done cases by verdict; `wanted`: of these alone."""
+    counts: Counter[str] = Counter()
+    for row in store.rows(store.names() if wanted is None else wanted):
+        counts[row["verdict"]] += 1
+    return {one: counts[one] for one in VERDICTS}
+
+
+def _batches(rows: Iterable[Row]) -> Iterator[list[Row]]:
+    batch: list[Row] = []
+    for row in rows:
+        batch.append(row)
+        if len(batch) == CHUNK:
+            yield batch
+            batch = []
+    if batch:
+        yield batch
+
+
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, int | float) else float("nan")
+
+
+def _coded(value: Any, codes: dict[str, int] | None) -> float:
+    if codes is None:
+        return _number(value)
+    text = value if isinstance(value, str) else json.dumps(value)
+    return float(codes.setdefault(text, len(codes)))
+
+
+# ---------------------------------------------------------------- files
+
+
+def _flat(
+    row: Row, columns: Sequence[str], numeric: set[str], names: Sequence[str], expect: Sequence[str]
+) -> list[Any]:
+    shown = []
+    for one in columns:
+        value = row["factors"].get(one)
+        shown.append(value if one in numeric or isinstance(value, str) else json.dumps(value))
+    return [
+        row["name"], row["number"], row["repeat"], row["seed"], *shown, row["verdict"],
+        *(row["expect"].get(one) for one in expect), *(row["quantities"].get(one) for one in names),
+        row["seconds"], row["sha256"], row["fault"], row["recording_bytes"],
+    ]  # fmt: skip
+
+
+class _Csv:
+    """Written as rows come, then renamed."""
+
+    def __init__(self, path: Path, heads: Sequence[str], flat: Any) -> None:
+        self._path, self._aside = path, path.with_suffix(".csv.part")
+        try:
+            self._file = self._aside.open("w", newline="", encoding="utf-8")
+        except OSError as error:
+            raise EmulatorError(f"{path}: cannot be written: {error.strerror}") from None
+        self._writer, self._flat = Writer(self._file, {head: ".12g" for head in heads}), flat
+
+    def add(self, rows: Sequence[Row]) -> None:
+        try:
+            self._writer.rows(self._flat(row) for row in rows)
+        except (OSError, csv.Error) as error:
+            raise EmulatorError(f"{self._path}: cannot be written: {error}") from None
+
+    def close(self) -> Path:
+        self._file.close()
+        self._aside.replace(self._path)
+        return self._path
+
+
+class _Parquet:
+    """A row group a batch, then renamed."""
+
+    def __init__(self, path: Path, heads: Sequence[str], kinds: Sequence[str], flat: Any) -> None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        kind_of = {"f": pa.float64(), "i": pa.int64(), "b": pa.bool_(), "s": pa.string()}
+        self._pa, self._heads = pa, heads
+        self._schema = pa.schema([(head, kind_of[kind]) for head, kind in zip(heads, kinds, strict=True)])
+        self._path, self._aside, self._flat, self._kinds = path, path.with_suffix(".parquet.part"), flat, kinds
+        try:
+            self._file = pq.ParquetWriter(self._aside, self._schema)
+        except OSError as error:
+            raise EmulatorError(f"{path}: cannot be written: {error}") from None
+
+    def add(self, rows: Sequence[Row]) -> None:
+        columns = list(zip(*map(self._flat, rows), strict=True))
+        made = [
+            self._pa.array(
+                [None if one is None else float(one) for one in values] if kind == "f" else values, field.type
+            )
+            for values, kind, field in zip(columns, self._kinds, self._schema, strict=True)
+        ]
+        try:
+            self._file.write_table(self._pa.Table.from_arrays(made, schema=self._schema))
+        except OSError as error:
+            raise EmulatorError(f"{self._path}: cannot be written: {error}") from None
+
+    def close(self) -> Path:
+        self._file.close()
+        self._aside.replace(self._path)
+        return self._path
+
+
+def _writer(campaign: Campaign, columns: Sequence[str], numeric: set[str], out: Path) -> _Csv | _Parquet:
+    names, expect = list(campaign.file.quantities), campaign.expect
+    heads = [
+        "case", "number", "repeat", "seed", *columns, "verdict", *(f"expect: {one}" for one in expect),
+        *(f"quantity: {one}" for one in names), "seconds", "sha256", "fault", "recording_bytes",
+    ]  # fmt: skip
+    kinds = ["s", "i", "i", "i", *("f" if one in numeric else "s" for one in columns), "s"]
+    kinds += ["b"] * len(expect) + ["f"] * len(names) + ["f", "s", "s", "i"]
+
+    def flat(row: Row) -> list[Any]:
+        return _flat(row, columns, numeric, names, expect)
+
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError:
+        return _Csv(out / "results.csv", heads, flat)
+    return _Parquet(out / "results.parquet", heads, kinds, flat)
+
+
+# ---------------------------------------------------------------- JUnit
+
+
+def write_junit(campaign: Campaign, results: Results, missing: int, path: Path) -> None:
+    """A test case for each case of the campaign; those not run are errors. Raises `EmulatorError`."""
+    counts = results.counts()
+    broken = sum(counts[one] for one in BROKEN)
+    root = Tree.Element("testsuites", name="lidaremu")
+    suite = Tree.SubElement(
+        root, "testsuite", name=visible(str(campaign.path)), tests=str(len(results) + bool(missing)),
+        failures=str(counts["failed"]), errors=str(broken + bool(missing)), skipped="0",
+        time=f"{float(results.seconds.sum()):.3f}",
+    )  # fmt: skip
+    order = np.argsort(results.verdict == 0, kind="stable")[:MOST_CASES_JUNIT]
+    if len(order) < len(results):
+        properties = Tree.SubElement(suite, "properties")
+        Tree.SubElement(properties, "property", name="cases left out", value=str(len(results) - len(order)))
+    for at in order.tolist():
+        name = results.names[at].decode()
+        shown = ", ".join(f"{column}={shown_value(results, column, at)}" for column in results.factors)
+        case = Tree.SubElement(
+            suite, "testcase", classname=visible(campaign.path.stem), time=f"{results.seconds[at]:.3f}",
+            name=visible(f"{shown or 'seed'} #{results.repeat[at]} {name[:12]}"),
+        )  # fmt: skip
+        verdict = VERDICTS[int(results.verdict[at])]
+        if verdict != "passed":
+            text = visible(results.told.get(name, verdict), "\n")
+            kind = "failure" if verdict == "failed" else "error"
+            Tree.SubElement(case, kind, message=text.partition("\n")[0], type=verdict).text = text
+    if missing:
+        case = Tree.SubElement(suite, "testcase", classname=visible(campaign.path.stem), name="is complete", time="0")
+        Tree.SubElement(case, "error", message=f"{missing} cases are not done")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Tree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+    except OSError as error:
+        raise EmulatorError(f"{path}: cannot write: {error.strerror}") from None
+
+
+def shown_value(results: Results, column: str, at: int) -> str:
+    """A factor's value of one case, as text."""
+    value = float(results.factors[column][at])
+    known = results.levels.get(column)
+    return known[int(value)] if known is not None else f"{value:.6g}"
