@@ -35,6 +35,7 @@ from emulator.commands.ctl import control_of, ctl
 from emulator.commands.doctor import doctor
 from emulator.commands.endings import Ending
 from emulator.commands.explain import explain
+from emulator.commands.export import export
 from emulator.commands.fuzz import fuzz
 from emulator.commands.look import demo, look
 from emulator.commands.probe import probe
@@ -494,7 +495,8 @@ def list_(what: str, name: str | None, as_json: bool) -> int:
     return OK
 
 
-for command in (demo, look, print_transcript, probe, report, test, replay, diff, ctl, doctor, study, explain, view):
+COMMANDS = (demo, look, print_transcript, probe, report, test, replay, diff, export, ctl, doctor, study, explain, view)
+for command in COMMANDS:
     commands.add_command(command)
 
 study.add_command(fuzz)
