@@ -16,7 +16,7 @@ from emulator.output.lines import note, say
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option(
-    "--to", "out", required=True, type=click.Path(path_type=Path), metavar="FILE", help="Ends in .pcd, .ply or .las."
+    "--to", "out", required=True, type=click.Path(path_type=Path), metavar="FILE", help="Ends in .pcd, .ply, .las or .pcap."
 )
 @click.option("--sensor", metavar="ID", help="Of this sensor alone.")
 @click.option(
@@ -43,16 +43,24 @@ def export(
     """Write the measured points of a RECORDING of lidaremu to a file: PCD, PLY or LAS. Columns: x, y, z [m], time in
     the run [s], intensity (peak over the detection threshold), actor (ground truth: its index, 0 world, -1 none),
     sensor, ring (layer, 0 the lowest), echo (0 the nearest). Ranges are those measured, before the device rounds them.
+
+    A .pcap has the datagrams as they were sent, in Ethernet frames, for players and decoders that read no pcapng.
     """
-    from emulator.recording import cloud_files, clouds
+    from emulator.recording import cloud_files, clouds, pcap
     from emulator.recording.reader import read_run
 
     if from_s >= until_s:
         raise click.BadParameter(f"{until_s:g}; want an instant after --from {from_s:g}", param_hint="--until")
-    clouds.check_file(out, tuple(cloud_files.WRITERS))
+    clouds.check_file(out, (*cloud_files.WRITERS, ".pcap"))
     run = read_run(recording)
     if run.cut:
         note(f"{recording}: truncated: {run.cut}; points before that are written")
+    if out.suffix.lower() == ".pcap":
+        if (from_s, until_s, first_only) != (0.0, 1e9, False):
+            raise click.UsageError("a .pcap has all datagrams; want it without --from, --until and --first")
+        count = pcap.write(out, [one for one in run.sent.values() if sensor in (None, one.sensor)])
+        say(json.dumps({"file": str(out), "datagrams": count}) if as_json else f"{out}: {count} datagrams")
+        return OK
     names = clouds.chosen(run, sensor)
     if frame == "sensor" and len(names) > 1:
         raise click.BadParameter(f"none; want one of {', '.join(names)} with --frame sensor", param_hint="--sensor")

@@ -32,7 +32,7 @@ POINT = np.dtype(
     ]
 )
 """Position in the frame [m]; instant of the beam in the run [s]; peak over the detection threshold; index of the actor
-hit, 0 world, -1 none; number of the sensor in the scenario; layer from the lowest, 0; echo of the beam, 0 the nearest."""
+hit, 0 world, -1 none; number of the sensor in the scenario; layer, 0 the lowest; echo of the beam, 0 the nearest."""
 MOST_POINTS = 100_000_000
 "5 GB of memory at their widest; more is refused with a shorter time to ask for."
 SAME_LAYER_RAD = 1e-5
