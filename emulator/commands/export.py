@@ -16,7 +16,12 @@ from emulator.output.lines import note, say
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option(
-    "--to", "out", required=True, type=click.Path(path_type=Path), metavar="FILE", help="Ends in .pcd, .ply, .las or .pcap."
+    "--to",
+    "out",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Ends in .pcd, .ply, .las or .pcap.",
 )
 @click.option("--sensor", metavar="ID", help="Of this sensor alone.")
 @click.option(

@@ -14,11 +14,12 @@ import numpy as np
 from emulator.errors import LinkError
 from emulator.hosts.describe import Described, Speaker, row_of, unknown
 from emulator.hosts.lines import Line
-from emulator.hosts.scans import HostScan
+from emulator.hosts.scans import HostCloud, HostScan
 from emulator.hosts.scripted import AGAIN_NS, SILENCE_NS, Connection, HostEnd
 from emulator.process.clock import SystemClock
-from protocols.velodyne.codec import DATA_BYTES, PACKET, POSITION, POSITION_BYTES, TURN_CDEG, decode
-from protocols.velodyne.models import MODELS, MODES
+from protocols.scan import Floats
+from protocols.velodyne.codec import DATA_BYTES, PACKET, POSITION, POSITION_BYTES, TURN_CDEG, Firings, decode
+from protocols.velodyne.models import MODELS, MODES, Model
 
 ASK = b"GET /packets HTTP/1.1\r\n\r\n"
 MARK = b"\xff\xee"
@@ -82,7 +83,21 @@ class TurnReader:
         self._scans += 1
         detail = f"{mode}, {model.elevation_deg[laser]:g} deg of {model.lasers} layers, {said.stamp_us[0]} us"
         wrapped = np.pi - (np.pi - azimuth) % (2.0 * np.pi)
-        return HostScan(self._scans - 1, wrapped, range_m, detail, bright)
+        return HostScan(self._scans - 1, wrapped, range_m, detail, bright, _cloud(model, said, heads, rate))
+
+
+def _cloud(model: Model, said: Firings, heads: Floats, rate: float) -> HostCloud:
+    """Every laser's first return. `heads` in radians, `rate` per nanosecond."""
+    words = said.distance[0].reshape(len(heads), model.lasers)
+    firing, laser = np.nonzero(words)
+    instants, offsets = np.asarray(model.laser_ns), np.radians(np.asarray(model.offset_deg))
+    azimuth = offsets[laser] - heads[firing] - rate * instants[laser]
+    return HostCloud(
+        np.pi - (np.pi - azimuth) % (2.0 * np.pi),
+        np.radians(np.asarray(model.elevation_deg))[laser],
+        words[firing, laser] * model.unit_mm / 1000.0,
+        said.reflectivity[0].reshape(words.shape)[firing, laser].astype(np.float64),
+    )
 
 
 class VelodyneHost:

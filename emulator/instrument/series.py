@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from emulator.config.expressions import Name, Value
 from emulator.faults.events import FaultEvent
 from emulator.hosts.scans import HostScan
+from emulator.instrument.cloud_errors import largest
 from emulator.instrument.instrument import Instrument
 from emulator.instrument.observer import Observer, Payload
 from emulator.instrument.owed import GAPS_KEPT, silence_ns, usual_gap
@@ -52,6 +53,8 @@ class Measured:
     "(n,); None: all 0"
     turn: int | None = None
     "Of a slice: the turn in which it begins."
+    all_m: Floats | None = None
+    "(n, k) all echoes"
 
     @classmethod
     def joined(cls, slices: Sequence[Measured]) -> Measured:
@@ -74,6 +77,11 @@ class Measured:
     def heights(self) -> Floats:
         """(n,) elevations. [rad]"""
         return np.zeros(len(self.azimuth_rad)) if self.elevation_rad is None else self.elevation_rad
+
+    @property
+    def echoes(self) -> Floats:
+        """(n, k) ranges. [m]"""
+        return self.range_m[:, None] if self.all_m is None else self.all_m
 
     def object_of(self, actor: str) -> DetectedObject | None:
         """The object that is that actor; the one seen last when there are several."""
@@ -100,6 +108,8 @@ class SensorSeries:
     "First bit of each scan on the first link that carried it."
     read: list[tuple[int, int | None, HostScan]] = field(default_factory=list)
     "By our host: when, the beginning of the sweep it carried, the scan as decoded."
+    cloud_errors: dict[int, float] = field(default_factory=dict)
+    "Largest difference of the ranges of each cloud that our host read, by its place in `read`. [m]"
     told: dict[int, Told] = field(default_factory=dict)
     "What scans' telegrams told of the device's time, by the instant of the run that they told of."
     bytes_out: int = 0
@@ -136,6 +146,8 @@ class SeriesWatcher(Observer):
         self.sensors = {sensor: SensorSeries() for sensor in sensors}
         self._sweeps: dict[str, deque[tuple[int, int]]] = {sensor: deque() for sensor in sensors}
         "End and beginning of the sweep of scans that the host has not read yet."
+        self._arrived: dict[str, list[int]] = {}
+        "Beginnings of slices that a turn read by the host may be made of."
         self._begun: dict[str, dict[int, int]] = {sensor: {} for sensor in sensors}
         "Sweep -> its beginning, of the device's present life."
 
@@ -167,6 +179,7 @@ class SeriesWatcher(Observer):
             int(np.count_nonzero(scan.flags & DAZZLED)),
             scan.plan.elevation_rad,
             scan.plan.turn if self._by_turns else None,
+            scan.range_m,
         )
 
     def told(self, sensor: str, sweep: int, told: Told) -> None:
@@ -188,9 +201,17 @@ class SeriesWatcher(Observer):
         """Our host has decoded a scan: the newest one that has wholly arrived, whatever was lost before it."""
         sweeps = self._sweeps[sensor]
         began_ns = None
+        mine = self.sensors[sensor]
+        arrived = self._arrived.setdefault(sensor, [])
+        del arrived[:-2]  # a turn may begin within the newest slice of the one before
         while sweeps and sweeps[0][0] <= at_ns:
             began_ns = sweeps.popleft()[1]
-        self.sensors[sensor].read.append((at_ns, began_ns, scan))
+            arrived.append(began_ns)
+        if scan.cloud is not None:  # it is compared now: all of them are too many to keep
+            slices = [mine.measured[one] for one in arrived if one in mine.measured]
+            mine.cloud_errors[len(mine.read)] = largest(scan.cloud, slices, MATCH_RAD)
+            scan = replace(scan, cloud=None)
+        mine.read.append((at_ns, began_ns, scan))
 
 
 @dataclass(frozen=True)
@@ -330,7 +351,11 @@ def _range_at(window: Window) -> Value:
 
 
 def _range_errors(window: Window) -> Value:
-    errors = []
+    errors: list[float] = []
+    if window.series.cloud_errors:
+        rows = enumerate(window.series.read)
+        errors = [window.series.cloud_errors.get(place, math.nan) for place, row in rows if window.holds(row[0])]
+        return np.array(errors, dtype=np.float64)
     for _, began_ns, scan in window.read:
         truth = None if began_ns is None else window.series.measured.get(began_ns)
         if truth is not None and _is_matched((0, began_ns, scan), window):
@@ -486,7 +511,8 @@ def _span(quantity: str, window: Window, index: int | None, lean: int) -> tuple[
     if quantity == "gap_s":
         return _gap_span(window, lambda lengths: index)
     if quantity in ("range_at", "range_error_m"):
-        read = [one for one in window.read if quantity == "range_at" or _is_matched(one, window)]
+        every = quantity == "range_at" or bool(window.series.cloud_errors)
+        read = [one for one in window.read if every or _is_matched(one, window)]
         instants = [at_ns for at_ns, _, _ in read]
     elif quantity in ("clock_error_s", "clock_ticks"):
         instants = [one.true_ns for one in window.series.told.values() if window.holds(one.true_ns)]
