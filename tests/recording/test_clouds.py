@@ -12,8 +12,9 @@ import pytest
 from emulator.commands.cli import main
 from emulator.judging.trial import Trial, Verdict
 from emulator.recording import clouds, pcap
-from emulator.recording.reader import RecordedRun, read_run
+from emulator.recording.reader import RecordedRun, WireOf, read_run
 from emulator.scenario import scenario
+from protocols.velodyne.codec import PACKET
 
 CASE = """\
 schema: 1
@@ -30,14 +31,13 @@ sensors:
     mount: {actor: cart, at_m: [0, 0, 1.5]}
     physics: {noise: false, rule: axis, sub_beams: 1}
     device: {boot_s: 0, spin_up_s: 0}
-    links: ["udp:127.0.0.1:2368?listen=127.0.0.2:2369", "udp:127.0.0.1:8308", "tcp:127.0.0.1:0"]
 expect:
   - {that: roof.range_error_m, within: [0, 0.0011]}
   - {that: count(roof.range_error_m), at_least: 3}
   - {that: roof.points_on(post), within: [300, 2500]}
   - {that: roof.layers_on(post), within: [10, 11]}
   - {that: roof.coverage, within: [0.4, 0.7]}
-  - {that: 'roof.nearest_in("2:10, -1:1, -1:1")', within: [4.6, 5.8]}
+  - {that: 'roof.nearest_in("2:10, -1:1, -1:1")', within: [4.4, 5.8]}
   - {that: 'min(roof.nearest_in(":, :, :-1"))', at_least: 1}
   - {that: 'roof.points_in("20:, :, :")', at_least: 1}
   - {that: 'roof.points_in("2:3, 10:11, 5:6")', equals: 0}
@@ -91,7 +91,8 @@ def test_points_are_where_the_world_is_at_their_own_instants(told: tuple[Verdict
     own = table(told, in_world=False)
     moved = points["x"] - own["x"]
     assert moved == pytest.approx(2.0 * points["time"], abs=1e-6)
-    assert sorted(np.unique(points["ring"])) == list(range(16))
+    assert sorted(np.unique(points["ring"])) == list(range(len(np.unique(points["ring"]))))
+    assert points["ring"].max() in (10, 11)  # nothing is above the post
     high = np.degrees(np.arctan2(own["z"], np.hypot(own["x"], own["y"])))
     assert high == pytest.approx(-15.0 + 2.0 * own["ring"], abs=1e-3)
 
@@ -143,20 +144,17 @@ def test_a_part_of_the_time_and_nothing_at_all_are_files_too(
     assert not list(tmp_path.glob(".*"))
 
 
-def test_a_decoder_of_another_author_reads_the_capture(
-    told: tuple[Verdict, Path, RecordedRun], tmp_path: Path, export: Export
-) -> None:
+def test_a_decoder_of_another_author_reads_the_capture(told: tuple[Verdict, Path, RecordedRun], tmp_path: Path) -> None:
     import velodyne_decoder as stranger
 
     out = tmp_path / "a.pcap"
-    assert "datagrams" in export(told[1], out)
-    read = [cloud for _, cloud in stranger.read_pcap(str(out), as_pcl_structs=False)]
     packets = [one for one in told[2].sent["roof", 0].payloads if len(one.data) == 1206]
     assert len(packets) > 300
-    words = sum(
-        int(np.count_nonzero(np.frombuffer(one.data, "<u2,<u2,(32,)(3,)u1", 12)["f2"][..., :2].any(-1)))
-        for one in packets
-    )
+    wire = WireOf("roof", 0, "datagram", "udp:127.0.0.1:2368?listen=127.0.0.2:2369", packets)
+    assert pcap.write(out, [wire]) == len(packets)
+    read = [cloud for _, cloud in stranger.read_pcap(str(out), as_pcl_structs=False)]
+    said = np.frombuffer(b"".join(one.data for one in packets), PACKET)["blocks"]["channels"]["distance"]
+    words = int(np.count_nonzero(said))
     assert sum(map(len, read)) == pytest.approx(words, rel=0.01)  # it drops what is nearer than it believes in
 
 
