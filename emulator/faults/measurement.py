@@ -151,7 +151,9 @@ KINDS: tuple[Kind, ...] = (
     _scan("stuck_beams", StuckBeams, "Some beams report one constant range."),
     _scan("dead_beams", DeadBeams, "Some beams never report an echo."),
     _scan("dead_layers", DeadLayers, "Some layers never report an echo: their lasers are dead."),
-    _scan("wrong_calibration", WrongCalibration, "Each layer has a range offset of its own, that of a wrong calibration."),
+    _scan(
+        "wrong_calibration", WrongCalibration, "Each layer has a range offset of its own, that of a wrong calibration."
+    ),
     _scan("range_offset", RangeOffset, "Ranges have a constant offset."),
     _scan("range_scale", RangeScale, "Ranges have a scale error."),
     _scan("noise_burst", NoiseBurst, "Ranges scatter."),

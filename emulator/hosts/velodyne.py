@@ -18,6 +18,7 @@ from emulator.hosts.scans import HostCloud, HostScan
 from emulator.hosts.scripted import AGAIN_NS, SILENCE_NS, Connection, HostEnd
 from emulator.process.clock import SystemClock
 from protocols.scan import Floats
+from protocols.velodyne import own as own_lasers
 from protocols.velodyne.codec import DATA_BYTES, PACKET, POSITION, POSITION_BYTES, TURN_CDEG, Firings, decode
 from protocols.velodyne.models import MODELS, MODES, Model
 
@@ -40,6 +41,8 @@ class TurnReader:
         self._packets: list[bytes] = []
         self._last = 0
         self._scans = 0
+        self._own: Model | None = None
+        "As told in the reply's head, of a sensor that is none of the maker's."
         self.errors = 0
         "Places where no packet began, and turns that could not be read."
         self.title = "Velodyne"
@@ -48,6 +51,9 @@ class TurnReader:
         """Turns that are whole by now; what is before the first packet is passed over."""
         self._held += data
         while len(self._held) >= DATA_BYTES:
+            if self._held.startswith(b"HTTP/"):
+                head, end, _ = self._held.partition(b"\r\n\r\n")
+                self._own = own_lasers.read(head) if end else self._own
             if not self._begins():
                 at = self._held.find(MARK, 1)
                 self.errors += not self._held.startswith(b"HTTP/")
@@ -67,7 +73,7 @@ class TurnReader:
         return self._held.startswith(MARK) and self._held[DATA_BYTES - 2 : DATA_BYTES] in ENDS
 
     def _turn(self) -> HostScan | None:
-        read = decode(np.frombuffer(b"".join(self._packets), PACKET))
+        read = decode(np.frombuffer(b"".join(self._packets), PACKET), self._own)
         if read is None:
             self.errors += 1
             return None
@@ -75,7 +81,11 @@ class TurnReader:
         self.title = f"Velodyne {model.title}"
         laser = int(np.argmin(np.abs(model.elevation_deg)))
         heads = np.unwrap(2.0 * np.pi / TURN_CDEG * said.azimuth_cdeg.ravel())
-        rate = (heads[-1] - heads[0]) / max(1, len(heads) - 1) / model.cycle_ns
+        steps = np.diff(heads)
+        steps = (
+            steps[np.abs(steps) < 4.0 * np.median(steps)] if len(steps) else steps
+        )  # not over what the field of view omits
+        rate = float(steps.mean()) / model.cycle_ns if len(steps) else 0.0
         azimuth = np.radians(model.offset_deg[laser]) - heads - rate * model.laser_ns[laser]
         words = said.distance[0, :, :, laser].ravel()
         range_m = np.where(words > 0, words * model.unit_mm / 1000.0, np.nan)
