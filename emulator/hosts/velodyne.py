@@ -82,9 +82,8 @@ class TurnReader:
         laser = int(np.argmin(np.abs(model.elevation_deg)))
         heads = np.unwrap(2.0 * np.pi / TURN_CDEG * said.azimuth_cdeg.ravel())
         steps = np.diff(heads)
-        steps = (
-            steps[np.abs(steps) < 4.0 * np.median(steps)] if len(steps) else steps
-        )  # not over what the field of view omits
+        if len(steps):  # not over what the field of view omits
+            steps = steps[np.abs(steps) <= 4.0 * np.abs(np.median(steps))]
         rate = float(steps.mean()) / model.cycle_ns if len(steps) else 0.0
         azimuth = np.radians(model.offset_deg[laser]) - heads - rate * model.laser_ns[laser]
         words = said.distance[0, :, :, laser].ravel()
@@ -123,9 +122,9 @@ class VelodyneHost:
         end_ns = clock.now_ns() + round(1e9 * START_S)
         while MARK not in self._first and (left_ns := end_ns - clock.now_ns()) > 0:
             self._first += line.read(min(left_ns / 1e9, ANSWER_S))
-            if not self._first.startswith(b"HTTP/"):
+            if line.asks and not self._first.startswith(b"HTTP/"):
                 break  # it answers at once, or it is none
-        if MARK not in self._first or not self._first.startswith(b"HTTP/1.1 200"):
+        if MARK not in self._first or (line.asks and not self._first.startswith(b"HTTP/1.1 200")):
             raise LinkError("no Velodyne sends packets there")
         self.title = self._reader.title
 

@@ -21,7 +21,9 @@ LAYER_DEG = 1000.0
 class Beams(Protocol):
     """Beams of a slice."""
 
-    azimuth_rad: Floats
+    @property
+    def azimuth_rad(self) -> Floats:
+        """(n,)"""
 
     @property
     def heights(self) -> Floats:

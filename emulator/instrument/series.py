@@ -270,7 +270,7 @@ def _inside(item: Measured, window: Window) -> Floats:
     for unit, (low, high) in zip((x, y, np.sin(item.heights)), box_of(str(window.argument)), strict=True):
         with np.errstate(invalid="ignore"):
             inside &= (unit * item.range_m >= low) & (unit * item.range_m <= high)
-    return item.range_m[inside]
+    return np.asarray(item.range_m[inside])
 
 
 def _nearest_in(item: Measured, window: Window) -> float:

@@ -1,6 +1,6 @@
 """A sensor of one's own that speaks as a Velodyne: layers and firing pattern of a spec's `device.lasers`.
 
-Belongs here: what such a table may have, and how a host on `GET /packets` is told it. Not: the models of the maker
+Belongs here: what such a table may have, and the header in which `GET /packets` has it. Not: the models of the maker
 (models).
 """
 
@@ -106,7 +106,7 @@ def told(model: Model) -> bytes:
 
 
 def read(head: bytes) -> Model | None:
-    """The model that a head of HTTP tells; None: it tells none, or nonsense."""
+    """The model in a head of HTTP; None: there is none, or nonsense."""
     for line in head.split(b"\r\n"):
         name, _, value = line.partition(b":")
         if name != HEADER:
