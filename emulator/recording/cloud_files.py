@@ -26,7 +26,7 @@ def _missing(error: ImportError) -> RecordingError:
 
 def _pcd(path: Path, points: Points, title: str) -> None:
     try:
-        from pypcd4 import Encoding, PointCloud
+        from pypcd4.pypcd4 import Encoding, PointCloud
     except ImportError as error:
         raise _missing(error) from None
     columns, kinds = [], []
@@ -43,7 +43,7 @@ def _ply(path: Path, points: Points, title: str) -> None:
     from trimesh.exchange.ply import export_ply
 
     at_m = np.stack([points["x"], points["y"], points["z"]], axis=1)
-    rest = {name: points[name] for name in (points.dtype.names or ()) if name not in "xyz"}
+    rest: dict[str, Any] = {name: points[name] for name in (points.dtype.names or ()) if name not in "xyz"}
     nothing = np.zeros((0, 3), np.int64)
     cloud = Trimesh(at_m, nothing, process=False, validate=False, vertex_attributes=rest)
     path.write_bytes(export_ply(cloud, include_attributes=True))
