@@ -52,6 +52,8 @@ class ScanPlan:
     "By how much the number goes up from scan to scan within the stream: turns of a mirror that one scan takes."
     period_ns: int | None = None
     "From scan to scan of the stream; 0: no other follows by itself; None: not known in advance."
+    turn: int | None = None
+    "Of a slice: the turn since power-on in which it begins; None: the scan is a whole one."
 
     def __len__(self) -> int:
         return len(self.azimuth_rad)

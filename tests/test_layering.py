@@ -16,7 +16,9 @@ FLOOR_OF = {room: number for number, floor in enumerate(FLOORS) for room in floo
 
 ONLY_IN = {
     "embreex": {"emulator/casting/embree.py", "emulator/casting/deforming.py"},
-    "trimesh": {"emulator/world/"},
+    "trimesh": {"emulator/world/", "emulator/recording/cloud_files.py"},
+    "laspy": {"emulator/recording/cloud_files.py"},
+    "pypcd4": {"emulator/recording/cloud_files.py"},
     "pydantic": {
         "emulator/config/",
         "emulator/sensors/",

@@ -36,6 +36,7 @@ from emulator.commands.ctl import control_of, ctl
 from emulator.commands.doctor import doctor
 from emulator.commands.endings import Ending
 from emulator.commands.explain import explain
+from emulator.commands.export import export
 from emulator.commands.fmu import fmu
 from emulator.commands.fuzz import fuzz
 from emulator.commands.look import demo, look
@@ -504,9 +505,11 @@ def list_(what: str, name: str | None, as_json: bool) -> int:
     return OK
 
 
-for command in (
-    demo, look, print_transcript, probe, report, test, campaign, replay, diff, ctl, doctor, study, explain, view, fmu,
-):  # fmt: skip
+COMMANDS = (
+    demo, look, print_transcript, probe, report, test, campaign, replay, diff, export, ctl, doctor, study, explain,
+    view, fmu,
+)  # fmt: skip
+for command in COMMANDS:
     commands.add_command(command)
 
 study.add_command(fuzz)

@@ -40,10 +40,10 @@ def look(
 ) -> int:
     """Connect to LINK as a host, decode and draw. Real devices too.
 
-    LINK is pty:PATH, serial:DEVICE or tcp:HOST:PORT; with --family can_objects also socketcand:HOST:PORT/CHANNEL,
-    slcan:PATH or can:INTERFACE:CHANNEL. On a terminal it draws until q is pressed; elsewhere it prints a line a second.
-    With --png alone one scan is taken. Where scans come without replies, as from lidaremu replay, it listens;
-    when the other end closes the line it says so and ends.
+    LINK is pty:PATH, serial:DEVICE, tcp:HOST:PORT or, to listen, udp:ADDRESS:PORT; with --family can_objects also
+    socketcand:HOST:PORT/CHANNEL, slcan:PATH or can:INTERFACE:CHANNEL. On a terminal it draws until q is pressed;
+    elsewhere it prints a line a second. With --png alone one scan is taken. Where scans come without replies, as
+    from lidaremu replay, it listens; when the other end closes the line it says so and ends.
     """
     from emulator.looking.look import Wanted, connect, run_look
     from emulator.looking.look_files import require_matplotlib

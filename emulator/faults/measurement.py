@@ -14,7 +14,7 @@ from emulator.config.names import nearest
 from emulator.faults.config import Common
 from emulator.faults.kinds import Keys, Kind, Target
 from emulator.faults.photon import AS_BEFORE
-from emulator.faults.sector import Factor, Metres, Sector
+from emulator.faults.sector import Factor, Layers, Metres, Sector
 
 Seconds = Annotated[float, Field(gt=0.0, le=1e9)]
 Speed = Annotated[float, Field(ge=-1e3, le=1e3)]
@@ -34,6 +34,17 @@ class DeadBeams(Sector):
 
     share: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
     "Of the sector's beams: which ones, the seed decides, for as long as the fault lasts."
+
+
+class DeadLayers(Layers):
+    """Lasers that fire no more."""
+
+
+class WrongCalibration(Keys):
+    """Each layer has a range correction of its own; that of another unit is used."""
+
+    sigma_m: Annotated[float, Field(gt=0.0, le=100.0)] = 0.05
+    "Of a normal law: the error of each layer, by the seed."
 
 
 class RangeOffset(Sector):
@@ -139,6 +150,10 @@ def _list(
 KINDS: tuple[Kind, ...] = (
     _scan("stuck_beams", StuckBeams, "Some beams report one constant range."),
     _scan("dead_beams", DeadBeams, "Some beams never report an echo."),
+    _scan("dead_layers", DeadLayers, "Some layers never report an echo: their lasers are dead."),
+    _scan(
+        "wrong_calibration", WrongCalibration, "Each layer has a range offset of its own, that of a wrong calibration."
+    ),
     _scan("range_offset", RangeOffset, "Ranges have a constant offset."),
     _scan("range_scale", RangeScale, "Ranges have a scale error."),
     _scan("noise_burst", NoiseBurst, "Ranges scatter."),

@@ -16,7 +16,7 @@ from emulator.faults.config import Common
 from emulator.faults.impairments import impair
 from emulator.faults.kinds import Keys, Kind, Target
 from emulator.faults.photon import AS_BEFORE
-from emulator.faults.sector import Degrees
+from emulator.faults.sector import Degrees, Layers
 
 Hertz = Annotated[float, Field(gt=0.0, le=1e4)]
 Tilt = Annotated[float, Field(ge=-180.0, le=180.0)]
@@ -56,6 +56,15 @@ class EncoderOffset(Keys):
 
     azimuth_deg: Degrees = 2.0
     "By so much beams go further left than told."
+
+
+class LayerOffset(Layers):
+    """Lasers that look elsewhere than the table of angles says."""
+
+    azimuth_deg: Degrees = 1.0
+    "By so much they look further left."
+    up_deg: Annotated[float, Field(ge=-45.0, le=45.0)] = 0.0
+    "By so much they look higher."
 
 
 class EncoderSlip(Keys):
@@ -138,6 +147,10 @@ def _some(keys: Any, common: Common, target: Target) -> str | None:
     return None if any(values) else "nothing moves; want one of its angles or lengths other than 0"
 
 
+def _turned(keys: Any, common: Common, target: Target) -> str | None:
+    return None if keys.azimuth_deg or keys.up_deg else "nothing moves; want azimuth_deg or up_deg other than 0"
+
+
 def _kind(name: str, keys: type[Keys], summary: str, ends: str = AS_BEFORE, **more: Any) -> Kind:
     return Kind(name, "mechanics", summary, ends, keys, measured=True, lasts="state", sees=("beams",), **more)
 
@@ -163,6 +176,7 @@ KINDS: tuple[Kind, ...] = (
         act=Stuck,
     ),
     _kind("encoder_offset", EncoderOffset, "The scan is rotated.", check=_some),
+    _kind("layer_offset", LayerOffset, "Some layers look elsewhere than the table of angles says.", check=_turned),
     _kind("encoder_slip", EncoderSlip, "The scan rotates by a step, repeatedly.", check=_some),
     _kind("mount_tilt", MountTilt, "The scan plane is tilted, as after an impact.", check=_some),
     _kind("mount_shift", MountShift, "The scan is taken from a displaced position.", check=_some),

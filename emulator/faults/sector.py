@@ -22,6 +22,21 @@ Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Metres = Annotated[float, Field(ge=-1e5, le=1e5)]
 
 
+class Layers(Keys):
+    """Beams by their layer, that is elevation; of a sensor with one layer all of them."""
+
+    elevation_deg: Annotated[float, Field(ge=-90.0, le=90.0)] = 0.0
+    "The layer nearest to it."
+    layers: Annotated[int, Field(ge=1, le=4096)] = 1
+    "So many, those nearest to it."
+
+    def holds(self, elevation_rad: Floats) -> Bools:
+        """(n,) beams of these layers."""
+        found, which = np.unique(np.round(elevation_rad, 6), return_inverse=True)
+        away = np.argsort(np.abs(found - np.radians(self.elevation_deg)), kind="stable")
+        return np.isin(which.reshape(-1), away[: self.layers])
+
+
 class Sector(Keys):
     """Beams by their azimuth."""
 

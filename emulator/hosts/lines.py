@@ -1,4 +1,4 @@
-"""The host's end of a line: a serial device, a pseudo-terminal's slave, or a TCP connection."""
+"""The host's end of a line: a serial device, a pseudo-terminal's slave, a TCP connection, a port for datagrams."""
 
 from __future__ import annotations
 
@@ -22,6 +22,9 @@ class LineClosed(LinkError):
 
 class Line(ABC):
     """Bytes out, bytes in, and a speed where the line has one."""
+
+    asks = True
+    "Whether a device can be sent requests on it."
 
     @abstractmethod
     def fileno(self) -> int: ...
@@ -119,8 +122,65 @@ class SocketLine(Line):
         self._socket.close()
 
 
+class DatagramLine(Line):
+    """Datagrams that arrive on a port, of one sender or of all; nothing is sent."""
+
+    asks = False
+
+    def __init__(self, host: str, port: int, sender: str | None) -> None:
+        """`host`: an address of this machine, or a multicast group. `sender`: the address of the device."""
+        self._sender = sender
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
+            self._socket.setblocking(False)
+            self._socket.bind((host, port))
+            if 224 <= socket.inet_aton(host)[0] < 240:
+                group = socket.inet_aton(host) + socket.inet_aton("0.0.0.0")
+                self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
+        except OSError as error:
+            self._socket.close()
+            raise LinkError(f"cannot listen on {host}:{port}: {error.strerror or error}") from None
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def write(self, data: bytes) -> None:
+        """Nobody is there to be asked."""
+
+    def _take(self) -> bytes:
+        found = bytearray()
+        while len(found) < 65_536:
+            try:
+                data, source = self._socket.recvfrom(65_536)
+            except BlockingIOError:
+                break
+            if self._sender in (None, source[0]):
+                found += data
+        return bytes(found)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def _datagrams(url: str, place: str, query: str) -> DatagramLine:
+    host, _, port = place.rpartition(":")
+    key, _, sender = query.partition("=")
+    if not (port.isascii() and port.isdecimal() and 1 <= int(port[:6]) <= 65535):
+        raise EmulatorError(f"{url}: port {port!r}; want udp:ADDRESS:PORT, a port of 1..65535")
+    if query and key != "from":
+        raise EmulatorError(f"{url}: {query!r}; want udp:ADDRESS:PORT?from=ADDRESS")
+    for text in [host, sender] if query else [host]:
+        try:
+            socket.inet_pton(socket.AF_INET, text or ("0.0.0.0" if text is host else ""))
+        except OSError:
+            raise EmulatorError(f"{url}: address {text!r}; want four numbers, as 192.168.1.201") from None
+    return DatagramLine(host or "0.0.0.0", int(port), sender or None)
+
+
 def open_line(url: str, baud: int) -> Line:
-    """Connect to `pty:PATH`, `serial:DEVICE`, `tcp:HOST:PORT`, or a path of a serial device."""
+    """Connect to `pty:PATH`, `serial:DEVICE`, `tcp:HOST:PORT`, `udp:ADDRESS:PORT`, or a path of a serial device."""
     scheme, separator, rest = url.partition(":")
     place = rest.partition("?")[0]
     if separator and scheme in ("pty", "serial"):
@@ -130,6 +190,8 @@ def open_line(url: str, baud: int) -> Line:
         if not (port.isascii() and port.isdecimal() and 1 <= int(port[:6]) <= 65535):
             raise EmulatorError(f"{url}: port {port!r}; want tcp:HOST:PORT, a port of 1..65535")
         return SocketLine(host.strip("[]") or "127.0.0.1", int(port))
+    if separator and scheme == "udp":
+        return _datagrams(url, place, rest.partition("?")[2])
     if Path(url).exists():
         return SerialLine(url, baud)
-    raise EmulatorError(f"{url}; want pty:PATH, serial:DEVICE or tcp:HOST:PORT")
+    raise EmulatorError(f"{url}; want pty:PATH, serial:DEVICE, tcp:HOST:PORT or udp:ADDRESS:PORT")

@@ -10,6 +10,20 @@ from protocols.scan import Floats
 
 
 @dataclass(frozen=True, eq=False)
+class HostCloud:
+    """All layers of a turn as a host has decoded them: the first return of each beam that has one."""
+
+    azimuth_rad: Floats
+    "(m,) ISO 8855"
+    elevation_rad: Floats
+    "(m,)"
+    range_m: Floats
+    "(m,)"
+    intensity: Floats
+    "(m,)"
+
+
+@dataclass(frozen=True, eq=False)
 class HostScan:
     """One scan as a host has decoded it."""
 
@@ -23,6 +37,8 @@ class HostScan:
     "What the telegram said beside the distances, for a status line."
     intensity: Floats | None = None
     "(n,) in the device's own units, NaN where it reports none; None: this device, or this telegram, tells none."
+    cloud: HostCloud | None = None
+    "Of a device with several layers, of which the scan is the one nearest to the horizon."
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,13 @@ import numpy as np
 from emulator.errors import LinkError
 from emulator.hosts.describe import Described, Speaker, row_of, unknown
 from emulator.hosts.lines import Line
-from emulator.hosts.scans import HostScan
+from emulator.hosts.scans import HostCloud, HostScan
 from emulator.hosts.scripted import AGAIN_NS, SILENCE_NS, Connection, HostEnd
 from emulator.process.clock import SystemClock
-from protocols.velodyne.codec import DATA_BYTES, PACKET, POSITION, POSITION_BYTES, TURN_CDEG, decode
-from protocols.velodyne.models import MODELS, MODES
+from protocols.scan import Floats
+from protocols.velodyne import own as own_lasers
+from protocols.velodyne.codec import DATA_BYTES, PACKET, POSITION, POSITION_BYTES, TURN_CDEG, Firings, decode
+from protocols.velodyne.models import MODELS, MODES, Model
 
 ASK = b"GET /packets HTTP/1.1\r\n\r\n"
 MARK = b"\xff\xee"
@@ -39,6 +41,8 @@ class TurnReader:
         self._packets: list[bytes] = []
         self._last = 0
         self._scans = 0
+        self._own: Model | None = None
+        "As told in the reply's head, of a sensor that is none of the maker's."
         self.errors = 0
         "Places where no packet began, and turns that could not be read."
         self.title = "Velodyne"
@@ -47,6 +51,9 @@ class TurnReader:
         """Turns that are whole by now; what is before the first packet is passed over."""
         self._held += data
         while len(self._held) >= DATA_BYTES:
+            if self._held.startswith(b"HTTP/"):
+                head, end, _ = self._held.partition(b"\r\n\r\n")
+                self._own = own_lasers.read(head) if end else self._own
             if not self._begins():
                 at = self._held.find(MARK, 1)
                 self.errors += not self._held.startswith(b"HTTP/")
@@ -66,7 +73,7 @@ class TurnReader:
         return self._held.startswith(MARK) and self._held[DATA_BYTES - 2 : DATA_BYTES] in ENDS
 
     def _turn(self) -> HostScan | None:
-        read = decode(np.frombuffer(b"".join(self._packets), PACKET))
+        read = decode(np.frombuffer(b"".join(self._packets), PACKET), self._own)
         if read is None:
             self.errors += 1
             return None
@@ -74,7 +81,10 @@ class TurnReader:
         self.title = f"Velodyne {model.title}"
         laser = int(np.argmin(np.abs(model.elevation_deg)))
         heads = np.unwrap(2.0 * np.pi / TURN_CDEG * said.azimuth_cdeg.ravel())
-        rate = (heads[-1] - heads[0]) / max(1, len(heads) - 1) / model.cycle_ns
+        steps = np.diff(heads)
+        if len(steps):  # not over what the field of view omits
+            steps = steps[np.abs(steps) <= 4.0 * np.abs(np.median(steps))]
+        rate = float(steps.mean()) / model.cycle_ns if len(steps) else 0.0
         azimuth = np.radians(model.offset_deg[laser]) - heads - rate * model.laser_ns[laser]
         words = said.distance[0, :, :, laser].ravel()
         range_m = np.where(words > 0, words * model.unit_mm / 1000.0, np.nan)
@@ -82,7 +92,21 @@ class TurnReader:
         self._scans += 1
         detail = f"{mode}, {model.elevation_deg[laser]:g} deg of {model.lasers} layers, {said.stamp_us[0]} us"
         wrapped = np.pi - (np.pi - azimuth) % (2.0 * np.pi)
-        return HostScan(self._scans - 1, wrapped, range_m, detail, bright)
+        return HostScan(self._scans - 1, wrapped, range_m, detail, bright, _cloud(model, said, heads, rate))
+
+
+def _cloud(model: Model, said: Firings, heads: Floats, rate: float) -> HostCloud:
+    """Every laser's first return. `heads` in radians, `rate` per nanosecond."""
+    words = said.distance[0].reshape(len(heads), model.lasers)
+    firing, laser = np.nonzero(words)
+    instants, offsets = np.asarray(model.laser_ns), np.radians(np.asarray(model.offset_deg))
+    azimuth = offsets[laser] - heads[firing] - rate * instants[laser]
+    return HostCloud(
+        np.pi - (np.pi - azimuth) % (2.0 * np.pi),
+        np.radians(np.asarray(model.elevation_deg))[laser],
+        words[firing, laser] * model.unit_mm / 1000.0,
+        said.reflectivity[0].reshape(words.shape)[firing, laser].astype(np.float64),
+    )
 
 
 class VelodyneHost:
@@ -98,9 +122,9 @@ class VelodyneHost:
         end_ns = clock.now_ns() + round(1e9 * START_S)
         while MARK not in self._first and (left_ns := end_ns - clock.now_ns()) > 0:
             self._first += line.read(min(left_ns / 1e9, ANSWER_S))
-            if not self._first.startswith(b"HTTP/"):
+            if line.asks and not self._first.startswith(b"HTTP/"):
                 break  # it answers at once, or it is none
-        if MARK not in self._first or not self._first.startswith(b"HTTP/1.1 200"):
+        if MARK not in self._first or (line.asks and not self._first.startswith(b"HTTP/1.1 200")):
             raise LinkError("no Velodyne sends packets there")
         self.title = self._reader.title
 

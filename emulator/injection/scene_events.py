@@ -26,7 +26,7 @@ class LastScans(Observer):
     ) -> None:
         """`on_scan` is called with the sensor and the end of each of its sweeps."""
         self._instruments, self._actors, self._on_scan = instruments, actors, on_scan
-        self._series = SeriesWatcher(list(instruments))
+        self._series = SeriesWatcher(list(instruments), by_turns=False)
         self._watched: set[str] = set()
 
     def watch(self, sensor: str) -> None:

@@ -9,17 +9,19 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from emulator.config.expressions import Name, Value
 from emulator.faults.events import FaultEvent
 from emulator.hosts.scans import HostScan
+from emulator.instrument.cloud_errors import largest
 from emulator.instrument.instrument import Instrument
 from emulator.instrument.observer import Observer, Payload
 from emulator.instrument.owed import GAPS_KEPT, silence_ns, usual_gap
 from emulator.objects.metrics import ListedScan, ObjectScore, Score, TruthObject
+from emulator.scenario.quantities import box_of
 from protocols.device_clock import Told
 from protocols.scan import DAZZLED, DetectedObject, Floats, Ints, Scan
 from protocols.session import Dropped, Event, Restarted
@@ -47,6 +49,39 @@ class Measured:
     "Its number, in the device's life that it belongs to."
     dazzled: int = 0
     "Beams that light from outside blinds."
+    elevation_rad: Floats | None = None
+    "(n,); None: all 0"
+    turn: int | None = None
+    "Of a slice: the turn in which it begins."
+    all_m: Floats | None = None
+    "(n, k) all echoes"
+
+    @classmethod
+    def joined(cls, slices: Sequence[Measured]) -> Measured:
+        """A turn out of its slices."""
+        first = slices[0]
+        return cls(
+            first.at_ns,
+            np.concatenate([one.azimuth_rad for one in slices]),
+            np.concatenate([one.range_m for one in slices]),
+            np.concatenate([one.actor for one in slices]),
+            first.objects,
+            first.truth,
+            first.sweep,
+            sum(one.dazzled for one in slices),
+            np.concatenate([one.heights for one in slices]),
+            first.turn,
+        )
+
+    @property
+    def heights(self) -> Floats:
+        """(n,) elevations. [rad]"""
+        return np.zeros(len(self.azimuth_rad)) if self.elevation_rad is None else self.elevation_rad
+
+    @property
+    def echoes(self) -> Floats:
+        """(n, k) ranges. [m]"""
+        return self.range_m[:, None] if self.all_m is None else self.all_m
 
     def object_of(self, actor: str) -> DetectedObject | None:
         """The object that is that actor; the one seen last when there are several."""
@@ -73,6 +108,8 @@ class SensorSeries:
     "First bit of each scan on the first link that carried it."
     read: list[tuple[int, int | None, HostScan]] = field(default_factory=list)
     "By our host: when, the beginning of the sweep it carried, the scan as decoded."
+    cloud_errors: dict[int, float] = field(default_factory=dict)
+    "Largest difference of the ranges of each cloud that our host read, by its place in `read`. [m]"
     told: dict[int, Told] = field(default_factory=dict)
     "What scans' telegrams told of the device's time, by the instant of the run that they told of."
     bytes_out: int = 0
@@ -84,14 +121,33 @@ class SensorSeries:
     events: deque[Event] = field(default_factory=lambda: deque(maxlen=MOST_UNSENT))
     "Drops and restarts."
 
+    def sweeps(self) -> list[Measured]:
+        """Sweeps; of a sensor that measures in slices the whole turns, those with slices of the turns around them."""
+        groups: list[list[Measured]] = []
+        for one in self.measured.values():
+            if one.turn is not None and groups and groups[-1][0].turn == one.turn:
+                groups[-1].append(one)
+            else:
+                groups.append([one])
+        turns = [group[0].turn for group in groups]
+        if None in turns:
+            return [one for group in groups for one in group]
+        numbers = np.array(turns, dtype=np.int64)
+        whole = np.flatnonzero((np.diff(numbers[:-1]) == 1) & (np.diff(numbers[1:]) == 1)) + 1
+        return [Measured.joined(groups[index]) for index in whole]
+
 
 class SeriesWatcher(Observer):
     """Collects the series of all sensors of a run."""
 
-    def __init__(self, sensors: Sequence[str]) -> None:
+    def __init__(self, sensors: Sequence[str], by_turns: bool = True) -> None:
+        """`by_turns`: slices are joined to turns."""
+        self._by_turns = by_turns
         self.sensors = {sensor: SensorSeries() for sensor in sensors}
         self._sweeps: dict[str, deque[tuple[int, int]]] = {sensor: deque() for sensor in sensors}
         "End and beginning of the sweep of scans that the host has not read yet."
+        self._arrived: dict[str, list[int]] = {}
+        "Beginnings of slices that a turn read by the host may be made of."
         self._begun: dict[str, dict[int, int]] = {sensor: {} for sensor in sensors}
         "Sweep -> its beginning, of the device's present life."
 
@@ -121,6 +177,9 @@ class SeriesWatcher(Observer):
             scan.truth if isinstance(scan, ListedScan) else (),
             scan.plan.sweep,
             int(np.count_nonzero(scan.flags & DAZZLED)),
+            scan.plan.elevation_rad,
+            scan.plan.turn if self._by_turns else None,
+            scan.range_m,
         )
 
     def told(self, sensor: str, sweep: int, told: Told) -> None:
@@ -142,9 +201,17 @@ class SeriesWatcher(Observer):
         """Our host has decoded a scan: the newest one that has wholly arrived, whatever was lost before it."""
         sweeps = self._sweeps[sensor]
         began_ns = None
+        mine = self.sensors[sensor]
+        arrived = self._arrived.setdefault(sensor, [])
+        del arrived[:-2]  # a turn may begin within the newest slice of the one before
         while sweeps and sweeps[0][0] <= at_ns:
             began_ns = sweeps.popleft()[1]
-        self.sensors[sensor].read.append((at_ns, began_ns, scan))
+            arrived.append(began_ns)
+        if scan.cloud is not None:  # it is compared now: all of them are too many to keep
+            slices = [mine.measured[one] for one in arrived if one in mine.measured]
+            mine.cloud_errors[len(mine.read)] = largest(scan.cloud, slices, MATCH_RAD)
+            scan = replace(scan, cloud=None)
+        mine.read.append((at_ns, began_ns, scan))
 
 
 @dataclass(frozen=True)
@@ -164,8 +231,8 @@ class Window:
 
     @property
     def measured(self) -> list[Measured]:
-        """Sweeps that began in the window."""
-        return [item for item in self.series.measured.values() if self.holds(item.at_ns)]
+        """Sweeps or turns that began in the window."""
+        return [item for item in self.series.sweeps() if self.holds(item.at_ns)]
 
     @property
     def read(self) -> list[tuple[int, int | None, HostScan]]:
@@ -193,6 +260,36 @@ def _nearest(item: Measured, window: Window) -> float:
 def _nearest_on(item: Measured, window: Window) -> float:
     known = item.range_m[item.actor == window.actors.index(str(window.argument))]
     return float(np.nanmin(known)) if np.any(~np.isnan(known)) else float("nan")
+
+
+def _inside(item: Measured, window: Window) -> Floats:
+    """Ranges of the first echoes in the box."""
+    level = np.cos(item.heights)
+    x, y = level * np.cos(item.azimuth_rad), level * np.sin(item.azimuth_rad)
+    inside = np.full(len(item.range_m), True)
+    for unit, (low, high) in zip((x, y, np.sin(item.heights)), box_of(str(window.argument)), strict=True):
+        with np.errstate(invalid="ignore"):
+            inside &= (unit * item.range_m >= low) & (unit * item.range_m <= high)
+    return np.asarray(item.range_m[inside])
+
+
+def _nearest_in(item: Measured, window: Window) -> float:
+    known = _inside(item, window)
+    return float(known.min()) if len(known) else float("nan")
+
+
+def _layers_on(item: Measured, window: Window) -> float:
+    mine = item.actor == window.actors.index(str(window.argument))
+    return float(len(np.unique(item.heights[mine])))
+
+
+def _coverage(item: Measured, window: Window) -> float:
+    return float(np.mean(~np.isnan(item.range_m))) if len(item.range_m) else float("nan")
+
+
+def _turns(window: Window) -> Value:
+    begun = [item.at_ns for item in window.measured]
+    return (len(begun) - 1) * 1e9 / (begun[-1] - begun[0]) if len(begun) > 1 else float("nan")
 
 
 def _object(item: Measured, window: Window) -> float:
@@ -254,7 +351,11 @@ def _range_at(window: Window) -> Value:
 
 
 def _range_errors(window: Window) -> Value:
-    errors = []
+    errors: list[float] = []
+    if window.series.cloud_errors:
+        rows = enumerate(window.series.read)
+        errors = [window.series.cloud_errors.get(place, math.nan) for place, row in rows if window.holds(row[0])]
+        return np.array(errors, dtype=np.float64)
     for _, began_ns, scan in window.read:
         truth = None if began_ns is None else window.series.measured.get(began_ns)
         if truth is not None and _is_matched((0, began_ns, scan), window):
@@ -328,7 +429,7 @@ VALUES: Mapping[str, Callable[[Window], Value]] = {
     "scans_per_s": _rate,
     "scans_sent": lambda window: float(len(_sent(window))),
     "scans_read": lambda window: float(len(window.read)),
-    "scans_measured": lambda window: float(len(window.measured)),
+    "scans_measured": lambda window: float(sum(map(window.holds, window.series.measured))),
     "scans_dropped": _total(lambda one: one.stats.scans_dropped.total()),
     "input_dropped": _total(lambda one: one.stats.input_dropped.total()),
     "replies_sent": _total(lambda one: one.stats.replies_sent),
@@ -342,9 +443,14 @@ VALUES: Mapping[str, Callable[[Window], Value]] = {
     "first_scan_s": lambda window: float(sent[0]) if len(sent := _sent(window)) else float("nan"),
     "points": _of_measured(_points),
     "points_on": _of_measured(_points_on),
+    "points_in": _of_measured(lambda item, window: float(len(_inside(item, window)))),
+    "layers_on": _of_measured(_layers_on),
+    "coverage": _of_measured(_coverage),
     "dazzled": _of_measured(lambda item, _: float(item.dazzled)),
     "nearest_m": _of_measured(_nearest),
     "nearest_on": _of_measured(_nearest_on),
+    "nearest_in": _of_measured(_nearest_in),
+    "turns_per_s": _turns,
     "clock_error_s": _clock(lambda one: (one.device_ns - one.true_ns) * 1e-9),
     "clock_ticks": _clock(lambda one: float(one.ticks)),
     "objects": _of_measured(lambda item, _: float(len(item.objects))),
@@ -405,7 +511,8 @@ def _span(quantity: str, window: Window, index: int | None, lean: int) -> tuple[
     if quantity == "gap_s":
         return _gap_span(window, lambda lengths: index)
     if quantity in ("range_at", "range_error_m"):
-        read = [one for one in window.read if quantity == "range_at" or _is_matched(one, window)]
+        every = quantity == "range_at" or bool(window.series.cloud_errors)
+        read = [one for one in window.read if every or _is_matched(one, window)]
         instants = [at_ns for at_ns, _, _ in read]
     elif quantity in ("clock_error_s", "clock_ticks"):
         instants = [one.true_ns for one in window.series.told.values() if window.holds(one.true_ns)]

@@ -7,6 +7,7 @@ language itself (expressions), values (series), the verdict (expectations).
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -22,7 +23,7 @@ class Quantity:
 
     help: str
     wants: str = ""
-    "`actor`, `angle` or `fault` in parentheses."
+    "`actor`, `angle`, `box` or `fault` in parentheses."
 
 
 QUANTITIES: Mapping[str, Quantity] = {
@@ -45,9 +46,14 @@ QUANTITIES: Mapping[str, Quantity] = {
     "first_scan_s": Quantity("when the first scan left"),
     "points": Quantity("series: beams with an echo"),
     "points_on": Quantity("series: beams whose first echo is that actor's", "actor"),
+    "points_in": Quantity("series: beams whose first echo is in that box", "box"),
+    "layers_on": Quantity("series: layers of which a first echo is that actor's", "actor"),
+    "coverage": Quantity("series: share of the beams with an echo"),
     "dazzled": Quantity("series: beams blinded by light from outside"),
     "nearest_m": Quantity("series: shortest range"),
     "nearest_on": Quantity("series: shortest range to that actor [m]", "actor"),
+    "nearest_in": Quantity("series: shortest range in that box [m]", "box"),
+    "turns_per_s": Quantity("whole turns measured per second, of sensors that measure in slices; else sweeps"),
     "clock_error_s": Quantity("series: device time in its telegrams, unwrapped, minus run time"),
     "clock_ticks": Quantity("series: the same time in ticks, as on the wire"),
     "objects": Quantity("series: objects in the list"),
@@ -74,9 +80,13 @@ QUANTITIES: Mapping[str, Quantity] = {
 LIVE = (
     "points",
     "points_on",
+    "points_in",
+    "layers_on",
+    "coverage",
     "dazzled",
     "nearest_m",
     "nearest_on",
+    "nearest_in",
     "objects",
     "object",
     "object_range_m",
@@ -91,6 +101,23 @@ LIVE = (
     "faults",
 )
 "Quantities with a value for one scan, and counters of the run so far."
+
+
+BOX_FORM = 'a box in the sensor\'s frame, x, y and z from:to in metres, as "2:10, -1:1, -1.5:" (an end left out: none)'
+Box = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+
+
+def box_of(text: str) -> Box:
+    """Least and greatest x, y and z of a box. [m] `ValueError` for a text that is none."""
+    axes = []
+    for part in text.split(","):
+        low, high = part.split(":")
+        ends = float(low) if low.strip() else -math.inf, float(high) if high.strip() else math.inf
+        if not ends[0] < ends[1]:  # NaN too
+            raise ValueError(part)
+        axes.append(ends)
+    x, y, z = axes
+    return x, y, z
 
 
 def check_name(name: Name, sensors: Sequence[str], actors: Sequence[str]) -> None:
@@ -115,6 +142,11 @@ def check_name(name: Name, sensors: Sequence[str], actors: Sequence[str]) -> Non
             )
     if known.wants == "angle" and not isinstance(name.argument, float):
         raise ExpressionError(f"{name}: {name.argument!r}; want an azimuth in degrees, as {quantity}(0)")
+    if known.wants == "box":
+        try:
+            box_of(str(name.argument))
+        except ValueError:
+            raise ExpressionError(f"{name}: {name.argument!r}; want {BOX_FORM}") from None
     if not known.wants and name.argument is not None:
         raise ExpressionError(f"{name}: {quantity} takes nothing in parentheses")
 

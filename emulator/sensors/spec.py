@@ -31,6 +31,8 @@ from emulator.sensors.physics_options import (
     TailShare,
     TimeConstantNs,
 )
+from protocols import family
+from protocols.errors import DeviceSettingError
 
 Value = TypeVar("Value")
 
@@ -299,7 +301,25 @@ def load_spec_file(path: Path) -> SensorSpec:
         raise SpecError.of(fault_lines(source, SensorSpec, exc)) from exc
     if spec.model != path.stem:
         raise SpecError(f"{source.place(('model',))}: model: {spec.model!r}; want the file's name, {path.stem!r}")
+    _check_device(spec, source)
     return spec
+
+
+def _check_device(spec: SensorSpec, source: Source) -> None:
+    """The table that the family gets, by a family that checks it: its faults with their line in the file."""
+    try:
+        check = getattr(None if spec.family is None else family(spec.family), "check_facts", None)
+    except KeyError:
+        return  # another package's; who makes a session says so
+    if check is None:
+        return
+    try:
+        check(spec.device)
+    except DeviceSettingError as error:
+        loc: Loc = ("device", *error.key.split("."))
+        while loc and loc not in source.places:
+            loc = loc[:-1]
+        raise SpecError(f"{source.place(loc)}: device.{error.key}: {error.found!r}; want {error.allowed}") from None
 
 
 def _folder() -> Path:

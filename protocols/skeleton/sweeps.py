@@ -46,6 +46,8 @@ class Sweep:
     max_echoes: int = 1
     gain: float = 1.0
     wants_intensity: bool = False
+    turn: int | None = None
+    "Of a slice: the turn in which it begins."
 
 
 class Telegram(NamedTuple):
@@ -242,6 +244,7 @@ class SweepSession(TimedSession):
             max_range_m=sweep.max_range_m,
             gain=sweep.gain,
             wants_intensity=sweep.wants_intensity,
+            turn=sweep.turn,
             stream=self._stream,
             period_ns=round(raster.period_ns),
         )

@@ -13,7 +13,7 @@ from protocols.session import CommandRow, DeviceKey, LinkKind, Session
 from protocols.skeleton.keys import DeviceKeys
 from protocols.skeleton.requests import coverage
 from protocols.velodyne.framing import VelodyneFraming
-from protocols.velodyne.models import model_of
+from protocols.velodyne.own import model_of
 from protocols.velodyne.session import COMMANDS, VelodyneSession
 from protocols.velodyne.settings import read
 from protocols.wire import Wire
@@ -38,6 +38,10 @@ class VelodyneFamily:
         settings, build = read(keys)
         keys.finish()
         return VelodyneSession(model_of(facts), settings, build)
+
+    def check_facts(self, facts: Mapping[str, Any]) -> None:
+        """Raise `DeviceSettingError` for a spec's `device` table that is none."""
+        model_of(facts)
 
     def commands(self) -> tuple[CommandRow, ...]:
         """The coverage table."""

@@ -73,9 +73,12 @@ def encode(model: Model, mode: Mode, firings: Firings) -> NDArray[np.void]:
     return packets
 
 
-def decode(packets: NDArray[np.void]) -> tuple[Model, Mode, Firings] | None:
-    """What data packets of one sensor in one mode say; None: unknown model, mode, or mixed."""
-    models = {one.product: one for one in MODELS.values()}
+def decode(packets: NDArray[np.void], own: Model | None = None) -> tuple[Model, Mode, Firings] | None:
+    """What data packets of one sensor in one mode say; None: unknown model, mode, or mixed.
+
+    `own`: a model with lasers of its own, where it is known that it sends them.
+    """
+    models = {one.product: one for one in MODELS.values()} | ({} if own is None else {own.product: own})
     modes = {code: name for name, code in MODES.items()}
     kinds = np.unique(packets[["product", "mode"]]) if len(packets) else packets
     if len(kinds) != 1 or int(kinds["product"][0]) not in models or int(kinds["mode"][0]) not in modes:

@@ -219,6 +219,7 @@ class VelodyneDevice(RequestSession):
             max_range_m=0xFFFF * model.unit_mm / 1000.0,
             max_echoes=MOST_ECHOES,
             wants_intensity=True,
+            turn=self.motor.turn(start_ns),
         )
         return Slice(heads, sees, sweep)
 

@@ -95,9 +95,12 @@ MODELS: Mapping[str, Model] = {
 }  # fmt: skip
 
 
-def model_of(facts: Mapping[str, Any]) -> Model:
+def row_of(facts: Mapping[str, Any]) -> Model:
     """The row that a spec's `device` table names; `DeviceSettingError` when there is none."""
     name = facts.get("model", "velodyne-vlp-16")
-    if name not in MODELS:
+    if not isinstance(name, str) or name not in MODELS:
         raise DeviceSettingError("model", name, " | ".join(MODELS))
+    for key in facts:
+        if key not in ("model", "lasers"):
+            raise DeviceSettingError(str(key), facts[key], "model or lasers")
     return MODELS[name]

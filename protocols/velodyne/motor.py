@@ -33,6 +33,8 @@ class Knot:
     hz: float
     acceleration: float = 0.0
     "[Hz/s]"
+    whole: int = 0
+    "Turns before, which `turns` leaves out."
 
 
 class Motor:
@@ -58,6 +60,11 @@ class Motor:
         for index in range(place[0], place[1] + 1):
             found[pieces == index] = self._on(knots[index], at_ns[pieces == index])
         return found
+
+    def turn(self, at_ns: int) -> int:
+        """Whole turns of the head since its start."""
+        knot = next((one for one in reversed(self._knots) if one.at_ns <= at_ns), self._knots[0])
+        return knot.whole + int(self._on(knot, np.array(at_ns)) // 1.0)
 
     @staticmethod
     def _on(knot: Knot, at_ns: NDArray[np.int64]) -> Floats:
@@ -108,9 +115,9 @@ class Motor:
         return None
 
     def _put(self, at_ns: int, hz: float, acceleration: float) -> None:
-        turns = float(self.turns(np.array(at_ns))) % 1.0
+        turns, whole = float(self.turns(np.array(at_ns))) % 1.0, self.turn(at_ns)
         self._knots = [one for one in self._knots if one.at_ns < at_ns][-KNOTS_KEPT:]
-        self._knots.append(Knot(at_ns, turns, hz, acceleration))
+        self._knots.append(Knot(at_ns, turns, hz, acceleration, whole))
 
 
 @dataclass

@@ -18,6 +18,7 @@ from protocols.skeleton.receiving import Fault, Splitter
 from protocols.skeleton.requests import Answer, Command, Refused, Request
 from protocols.velodyne.codec import TURN_CDEG
 from protocols.velodyne.device import VelodyneDevice
+from protocols.velodyne.own import told
 from protocols.velodyne.settings import changed
 
 LONGEST = 8192
@@ -128,7 +129,7 @@ def _save(device: VelodyneDevice, request: Request) -> bytes:
 def _packets(device: VelodyneDevice, request: Request) -> bytes:
     if request.address is not None:
         device.listen(request.now_ns, request.address)
-    return b"HTTP/1.1 200 OK\r\nContent-Type: application/octet-stream\r\n\r\n"
+    return b"HTTP/1.1 200 OK\r\nContent-Type: application/octet-stream\r\n" + told(device.model) + b"\r\n"
 
 
 def _front(device: VelodyneDevice, request: Request) -> bytes:

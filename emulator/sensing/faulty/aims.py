@@ -43,6 +43,11 @@ def _offset(one: Held, plan: ScanPlan, draws: RandomStreams, aim: Aim) -> Aim:
     return aim[0] + math.radians(one.keys.azimuth_deg), aim[1]
 
 
+def _layer_offset(one: Held, plan: ScanPlan, draws: RandomStreams, aim: Aim) -> Aim:
+    mine = one.keys.holds(plan.elevation_rad)  # a layer is what the device believes it is
+    return aim[0] + np.radians(one.keys.azimuth_deg) * mine, aim[1] + np.radians(one.keys.up_deg) * mine
+
+
 MOST_SLIPS = 4096
 
 
@@ -80,6 +85,7 @@ def _vibration(one: Held, plan: ScanPlan, draws: RandomStreams, aim: Aim) -> Aim
 AIMS: Mapping[str, Callable[[Held, ScanPlan, RandomStreams, Aim], Aim]] = {
     "mirror_wobble": _wobble,
     "mirror_stuck": _stuck,
+    "layer_offset": _layer_offset,
     "encoder_offset": _offset,
     "encoder_slip": _slip,
     "mount_tilt": _tilt,

@@ -50,6 +50,24 @@ def _dead_beams(one: Held, scan: Scan, draws: RandomStreams) -> Scan:
     )
 
 
+def _dead_layers(one: Held, scan: Scan, draws: RandomStreams) -> Scan:
+    dead = one.keys.holds(scan.plan.elevation_rad)[:, None]
+    return replace(
+        scan,
+        range_m=np.where(dead, np.nan, scan.range_m),
+        intensity=np.where(dead, np.nan, scan.intensity),
+        flags=np.where(dead[:, 0], 0, scan.flags).astype(np.uint8),
+        actor=np.where(dead, np.int32(-1), scan.actor).astype(np.int32),
+    )
+
+
+def _wrong_calibration(one: Held, scan: Scan, draws: RandomStreams) -> Scan:
+    _, which = np.unique(np.round(scan.plan.elevation_rad, 6), return_inverse=True)
+    which = which.reshape(-1)
+    errors = draws.normal(one.term("layers"), 0, int(which.max(initial=0)) + 1, 1)[:, 0] * one.keys.sigma_m
+    return replace(scan, range_m=np.maximum(scan.range_m + errors[which][:, None], 0.0))
+
+
 def _range_offset(one: Held, scan: Scan, draws: RandomStreams) -> Scan:
     shifted = np.maximum(scan.range_m + one.keys.offset_m, 0.0)
     return replace(scan, range_m=np.where(_inside(one, scan), shifted, scan.range_m))
@@ -95,6 +113,8 @@ def _wrong_intensity(one: Held, scan: Scan, draws: RandomStreams) -> Scan:
 READINGS: Mapping[str, Reading] = {
     "stuck_beams": _stuck_beams,
     "dead_beams": _dead_beams,
+    "dead_layers": _dead_layers,
+    "wrong_calibration": _wrong_calibration,
     "range_offset": _range_offset,
     "range_scale": _range_scale,
     "noise_burst": _noise_burst,

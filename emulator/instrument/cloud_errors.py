@@ -1,0 +1,76 @@
+"""How far the ranges that a host read of a cloud are from those measured: beams matched by layer and azimuth.
+
+Belongs here: the matching. Not: series of a run (series).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from emulator.hosts.scans import HostCloud
+from protocols.scan import Floats
+
+SAME_LAYER_RAD = 1e-4
+LAYER_DEG = 1000.0
+"Layers are so far apart on the axis on which beams are matched; azimuths are within 360."
+
+
+class Beams(Protocol):
+    """Beams of a slice."""
+
+    @property
+    def azimuth_rad(self) -> Floats:
+        """(n,)"""
+
+    @property
+    def heights(self) -> Floats:
+        """(n,) elevations. [rad]"""
+
+    @property
+    def echoes(self) -> Floats:
+        """(n, k) ranges. [m]"""
+
+
+def _keys(azimuth_rad: Floats, elevation_rad: Floats, layers: Floats) -> Floats:
+    layer = np.searchsorted(layers, elevation_rad + 0.5 * SAME_LAYER_RAD, side="right")
+    return np.asarray(LAYER_DEG * layer + np.degrees(azimuth_rad) % 360.0)
+
+
+def _differences(cloud: HostCloud, slices: Sequence[Beams], within_rad: float) -> Floats:
+    """(n,) from the nearest echo of the beam that matches; NaN: none does, or it has none."""
+    elevation = np.concatenate([one.heights for one in slices])
+    if not len(elevation):
+        return np.full(len(cloud.range_m), np.nan)
+    layers = np.unique(elevation)
+    layers = layers[np.diff(layers, prepend=-np.inf) > SAME_LAYER_RAD]
+    keys = _keys(np.concatenate([one.azimuth_rad for one in slices]), elevation, layers)
+    order = np.argsort(keys, kind="stable")
+    keys, wanted = keys[order], _keys(cloud.azimuth_rad, cloud.elevation_rad, layers)
+    right = np.clip(np.searchsorted(keys, wanted), 0, len(keys) - 1)
+    left = np.maximum(right - 1, 0)
+    nearest = np.where(np.abs(keys[left] - wanted) < np.abs(keys[right] - wanted), left, right)
+    width = max(one.echoes.shape[1] for one in slices)
+    echoes = np.full((len(keys), width), np.nan)
+    first = 0
+    for one in slices:
+        echoes[first : first + len(one.echoes), : one.echoes.shape[1]] = one.echoes
+        first += len(one.echoes)
+    apart = np.abs(echoes[order][nearest] - cloud.range_m[:, None])
+    found = np.fmin.reduce(apart, axis=1)
+    return np.where(np.abs(keys[nearest] - wanted) < np.degrees(within_rad), found, np.nan)
+
+
+def largest(cloud: HostCloud, slices: Sequence[Beams], within_rad: float) -> float:
+    """Largest difference of a turn read from the slices that it may have come of, the newest last; NaN: none matches.
+
+    The newest slice is matched apart: it may belong to the next turn, whose beams have nearly the same azimuths.
+    """
+    parts = [part for part in (slices[:-1], slices[-1:]) if part]
+    if not parts or not len(cloud.range_m):
+        return float("nan")
+    found = np.fmin.reduce([_differences(cloud, part, within_rad) for part in parts])
+    known = found[~np.isnan(found)]
+    return float(known.max()) if len(known) else float("nan")
