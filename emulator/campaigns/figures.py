@@ -27,7 +27,7 @@ MOST_LEVELS = 30
 BINS, PER_BIN = 12, 12
 "At most so many bins, and at least so many cases in each."
 MOST_MARKS = 20_000
-MOST_SPOTS = 400
+MOST_SPOTS = 200
 PASS, FAIL, BROKEN = COLOURS[0], COLOURS[1], "#8c959f"
 
 
