@@ -5,6 +5,7 @@ Belongs here: handing cases to a scheduler. Not: the cluster. Workers must see t
 
 from __future__ import annotations
 
+import importlib
 import itertools
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
@@ -28,13 +29,13 @@ class Cluster:
 
     def __init__(self, address: str, work: Work = run_case) -> None:
         try:
-            from distributed import Client
+            distributed: Any = importlib.import_module("distributed")
         except ImportError:
             raise EmulatorError(
                 "distributed is missing; --dask needs the extra: pip install 'lidaremu[dask]'"
             ) from None
         try:
-            self._client = Client(address, timeout=PATIENCE_S, set_as_default=False)
+            self._client = distributed.Client(address, timeout=PATIENCE_S, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             raise EmulatorError(
                 f"--dask {address}: {error}; want the address of a scheduler, as tcp://HOST:8786"
@@ -43,8 +44,8 @@ class Cluster:
 
     def run(self, job: Job, cases: Iterable[Case], may_record: Callable[[], bool]) -> Iterator[Row]:
         """A row for each, as they are done."""
-        from distributed import CancelledError, KilledWorker, as_completed
-        from distributed.comm import CommClosedError
+        distributed: Any = importlib.import_module("distributed")
+        comm: Any = importlib.import_module("distributed.comm")
 
         source, client = iter(cases), self._client
         waiting: dict[str, Case] = {}
@@ -60,19 +61,19 @@ class Cluster:
             return futures
 
         try:
-            done = as_completed(more(), loop=client.loop)
+            done = distributed.as_completed(more(), loop=client.loop)
             for future in done:
                 case = waiting.pop(future.key.removeprefix("case-"))
                 try:
                     yield future.result()
                 except DiskFull:
                     raise
-                except KilledWorker as error:
+                except distributed.KilledWorker as error:
                     text = f"its worker died, {error.allowed_failures + 1} times"
                     yield lost(job, blank(job, case) | {"verdict": "crashed", "fault": text})
                 for future_ in more():
                     done.add(future_)
-        except (OSError, CommClosedError, CancelledError) as error:
+        except (OSError, comm.CommClosedError, distributed.CancelledError) as error:
             raise EmulatorError(
                 f"--dask {self._address}: the scheduler was lost ({error}); the same command goes on from there"
             ) from None

@@ -67,13 +67,13 @@ class Processes:
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(PRELOAD)
         self._jobs = jobs or len(os.sched_getaffinity(0))
-        self._pool = ProcessPool(max_workers=self._jobs, context=context, initializer=_one_thread)
+        self._pool: Any = ProcessPool(max_workers=self._jobs, context=context, initializer=_one_thread)
         self._work = work
 
     def run(self, job: Job, cases: Iterable[Case], may_record: Callable[[], bool]) -> Iterator[Row]:
         """A row for each, as they are done."""
         source = iter(cases)
-        waiting: dict[Future[Row], Case] = {}
+        waiting: dict[Any, Case] = {}
         limit_s = job.seconds + (GRACE_S if job.driver else 0.0)
         while True:
             for case in itertools.islice(source, self._jobs * AHEAD - len(waiting)):

@@ -6,7 +6,7 @@ Belongs here: drawing. Not: what is told beside them (page), numbers (table, sen
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from emulator.studies.report import Picture, Spot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 MOST_LEVELS = 30
@@ -42,7 +41,7 @@ def distinct(results: Results, column: str) -> Floats:
     return np.unique(values[~np.isnan(values)])
 
 
-def logarithmic(axis: Axis) -> None:
+def logarithmic(axis: Any) -> None:
     """A scale with ticks at 1, 2 and 5 of each decade, as plain numbers."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -68,12 +67,12 @@ def verdict_map(results: Results, across: str, up: str, link: Callable[[int], st
             axes.tick_params(axis="x", rotation=90)
     else:
         spots_at, chosen = _marks(axes, results, x, y)
-        for column, axis, known in ((across, "x", levels[0]), (up, "y", levels[1])):
+        for column, side, known in ((across, "x", levels[0]), (up, "y", levels[1])):
             if column in results.levels:
-                setter = axes.set_xticks if axis == "x" else axes.set_yticks
+                setter = axes.set_xticks if side == "x" else axes.set_yticks
                 setter(range(len(known)), [word(_level(results, column, value)) for value in known])
             elif column in results.log:
-                logarithmic(axes.xaxis if axis == "x" else axes.yaxis)
+                logarithmic(axes.xaxis if side == "x" else axes.yaxis)
     axes.set_xlabel(across)
     axes.set_ylabel(up)
     made.draw_without_rendering()

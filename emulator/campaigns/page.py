@@ -196,10 +196,9 @@ def _expectations(results: Results) -> Iterator[Section]:
         share = wilson(counts[True], counts[True] + counts[False])
         rows.append((name, counts[True], counts[False], 100 * share.low, 100 * share.high))
     columns = (
-        Column("expectation", "expectation"), Column("held", "held"), Column("failed", "failed"),
+        Column("expectation", "expectation"), Column("held", "held", "d"), Column("failed", "failed", "d"),
         Column("low_percent", "held, 95 % from (%)", ".1f"), Column("high_percent", "to (%)", ".1f"),
     )  # fmt: skip
-    columns = tuple(Column(one.key, one.title, "d") if one.key in ("held", "failed") else one for one in columns)
     yield Section("Expectations", (), (), (Table("expectations", "How often each held", columns, tuple(rows)),))
 
 
@@ -220,7 +219,7 @@ def _lists(campaign: Campaign, results: Results, link: Callable[[int], str]) -> 
     flaky = _flakiest(results)
     if campaign.file.repeats > 1 and flaky:
         first = {number: at for at, number in reversed(list(enumerate(results.number.tolist())))}
-        rows = [
+        rows: list[tuple[Any, ...]] = [
             (
                 Link(results.names[first[number]].decode()[:12], link(first[number])),
                 *_values(results, first[number]),
@@ -251,7 +250,7 @@ def _values(results: Results, case: int) -> tuple[str, ...]:
 
 
 def _table(results: Results, name: str, title: str, cases: Sequence[int], link: Callable[[int], str]) -> Table:
-    rows = []
+    rows: list[tuple[Any, ...]] = []
     for case in cases:
         full = results.names[case].decode()
         told = results.told.get(full, "").partition("\n")[0]

@@ -70,4 +70,4 @@ def _means(results: Results, of: str) -> tuple[Floats, Floats]:
     numbers, at = np.unique(results.number, return_inverse=True)
     values = results.value(of)
     sums = np.bincount(at, weights=values)
-    return numbers, sums / np.bincount(at)
+    return numbers.astype(np.float64), sums / np.bincount(at)

@@ -104,16 +104,19 @@ def gather(campaign: Campaign, rows: Iterable[Row], out: Path) -> tuple[Results,
         )
     path = writer.close()
     width = 6 + len(columns) + len(quantities)
-    empty = [np.zeros(0, dtype="S64"), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int32)]
-    empty += [np.zeros(0, dtype=np.int8), np.zeros(0), np.zeros(0, dtype=bool)] + [np.zeros(0)] * (width - 6)
-    whole = [np.concatenate([part[at] for part in parts]) for at in range(width)] if parts else empty
+    empty: list[NDArray[Any]] = [np.zeros(0, dtype="S64"), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int32)]
+    empty += [np.zeros(0, dtype=np.int8), np.zeros(0), np.zeros(0, dtype=bool), *[np.zeros(0)] * (width - 6)]
+    whole: list[Any] = [np.concatenate([part[at] for part in parts]) for at in range(width)] if parts else empty
     order = np.lexsort((whole[2], whole[1]))
     whole = [one[order] for one in whole]
     factors = dict(zip(columns, whole[6 : 6 + len(columns)], strict=True))
     found = dict(zip(quantities, whole[6 + len(columns) :], strict=True))
     levels = {column: list(known) for column, known in codes.items()}
     log = frozenset(one.name for one in campaign.factors if one.log)
-    return Results(*whole[:5], factors, levels, found, whole[5], expect, told, log), path
+    names, number, repeat, verdict, seconds, recorded = whole[:6]
+    return Results(
+        names, number, repeat, verdict, seconds, factors, levels, found, recorded, expect, told, log
+    ), path
 
 
 def gather_counts(store: Store, wanted: set[str] | None) -> dict[str, int]:

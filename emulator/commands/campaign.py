@@ -243,7 +243,8 @@ def _status(loaded: Campaign, store: Store, part: Shard, as_json: bool) -> int:
     counts = gather_counts(store, wanted)
     done = sum(counts.values())
     planned = None if wanted is None else len(wanted)
-    row = {"planned": planned, "done": done, **counts, "recordings_bytes": store.recorded_bytes()}
+    recorded = store.recorded_bytes()
+    row = {"planned": planned, "done": done, **counts, "recordings_bytes": recorded}
     if as_json:
         say(json.dumps(row))
     else:
@@ -251,7 +252,7 @@ def _status(loaded: Campaign, store: Store, part: Shard, as_json: bool) -> int:
         say(
             f"{done}{left} cases done: " + (", ".join(f"{n} {verdict}" for verdict, n in counts.items() if n) or "none")
         )
-        say(f"recordings: {row['recordings_bytes'] / 1e6:.1f} MB of {loaded.file.limits.disk_mb:g} MB")
+        say(f"recordings: {recorded / 1e6:.1f} MB of {loaded.file.limits.disk_mb:g} MB")
     return OK
 
 

@@ -195,7 +195,7 @@ def best_first_photon() -> tuple[float, float]:
 
 def _first_photon_error(fwhm: float, flux: float, bins: int = 12, step: float = 1e-4) -> float:
     """Cramér-Rao bound of one pulse of a mean of `flux` photoelectrons, all lengths in bins."""
-    at = (np.arange(10) + 0.5) / 10.0 - 0.5
+    at = (np.arange(10, dtype=np.float64) + 0.5) / 10.0 - 0.5
     cases = [(at, flux), (at + step, flux), (at - step, flux), (at, flux + step), (at, flux - step)]
     now, right, left, more, less = (_first_photon_shares(place, fwhm, mean, bins) for place, mean in cases)
     seen = np.maximum(now, 1e-300)
@@ -272,7 +272,7 @@ def leaf_facts(effort: Effort) -> list[Fact]:
 
 def mean_inclination_deg(law: str) -> float:
     """Of the density by which leaves are drawn."""
-    angle = (np.arange(2000) + 0.5) * (0.5 * math.pi / 2000)
+    angle = (np.arange(2000, dtype=np.float64) + 0.5) * (0.5 * math.pi / 2000)
     return math.degrees(float(np.sum(angle * foliage.density_of(law, angle)) * 0.5 * math.pi / 2000))
 
 
