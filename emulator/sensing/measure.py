@@ -243,10 +243,9 @@ class Measure:
         """The sweep with bundles only where they are needed; None where finding out costs more than it saves."""
         if self._pruning is None or (self._scene.fed is not None and self._scene.fed.has_spawned):
             return None
-        bundles = self._bundles.of(plan)
-        if not self._pruning.pays(len(plan), bundles.sub_beams):
+        if not self._pruning.pays(len(plan), self._bundles.sub_beams):
             return None
-        return self._pruning.sweep(plan, bundles, pose, t_s, surfaces, air)
+        return self._pruning.sweep(plan, self._bundles.of(plan), pose, t_s, surfaces, air)
 
     def _rays(self, plan: ScanPlan, pose: Pose, t_s: Floats) -> tuple[Rays, Resting | None]:
         """Rays of fixed bundles; a sensor at rest casts the same ones as long as the plan's angles stay."""

@@ -133,6 +133,11 @@ class BundleCache:
         "The bundles asked for last had been asked for before: what takes long to find out of them is worth it."
 
     @property
+    def sub_beams(self) -> int:
+        """Of each beam."""
+        return len(self._nodes)
+
+    @property
     def radius(self) -> float:
         """Where the outermost sub-beam goes, in beam radii, sidelobes aside."""
         return float(np.sqrt((self._core.u**2 + self._core.v**2).max()))
