@@ -12,20 +12,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from emulator.compiled.pair import by_loops
 from emulator.physics import beams
-from emulator.physics.arrays import Bools, Floats, Ints, indexes
+from emulator.physics.arrays import Bools, Floats, Ints, exp_or_zero, indexes
+from emulator.physics.radiometry import overlap
 from emulator.physics.subechoes import SubEchoes
 from emulator.sensing import closed
 from emulator.sensing.air import AirNow
 from emulator.sensing.contracts import FacedCaster, Hits
 from emulator.sensing.daylight import surfaces_show
 from emulator.sensing.model import SensorModel
-from emulator.sensing.paths import Seen, Surfaces, reach_of, returned
+from emulator.sensing.paths import Seen, Surfaces, reach_of, returned, windows
 from emulator.sensing.pruning import Pruned
 from emulator.sensing.rays import BundleCache, Rays, cast_rays, pose_at, turned
 from emulator.sensing.sheets import bright_of
@@ -42,6 +45,10 @@ INNER = 0.6
 "Radius of the second ring: its shares, from the moments of the disc up to the fourth, are positive."
 OFF_PLANE_LSB = 0.5
 "Of a probe from the plane through the others of its beam, in steps of the range: more is an edge or a crease."
+WIDEST = 0.1
+"Spread of ranges over the pulse's FWHM up to which two ranges, a spread before and behind the mean, stand for all."
+NOTHING, CLOSED, PROBED, BUNDLE = 0, 1, 2, 3
+"What becomes of a beam: no echo; two ranges; the paths of its probes; those of its bundle."
 MOST_BRIGHT = 64
 "Pieces of bright faces around each of which a sphere is looked at."
 
@@ -130,15 +137,19 @@ class Probing:
 
     def __init__(self, scene: Scene, model: SensorModel, caster: FacedCaster, bundles: BundleCache, dry: Surfaces):
         self._model, self._caster, self._bundles = model, caster, bundles
-        self.nodes = probe_nodes(model.probes)
+        self.nodes = nodes = probe_nodes(model.probes)
         beam = model.beam
         x, y = math.tan(beam.half_angle_x_rad), math.tan(beam.half_angle_y_rad)
         self._rim = max(x, y), beam.exit_radius_m
-        # opposite rays, and how the inverse range of each follows from those on the axes of the ellipse
-        u, v = self.nodes.u, self.nodes.v
-        self._fit = _planes_fit(u, v)
-        self._slant = np.sqrt(1.0 + (x * u) ** 2 + (y * v) ** 2)
-        "Length of each ray whose part along the axis is 1."
+        cr, sr = math.cos(beam.roll_rad), math.sin(beam.roll_rad)
+        across, upward = cr * x * nodes.u - sr * y * nodes.v, sr * x * nodes.u + cr * y * nodes.v
+        length = np.sqrt(1.0 + across * across + upward * upward)
+        pupil = beam.exit_radius_m
+        self._aim = np.array([
+            1.0 / length, across / length, upward / length,
+            pupil * (cr * nodes.u - sr * nodes.v), pupil * (sr * nodes.u + cr * nodes.v),
+        ])  # fmt: skip
+        self._places = np.array([length, nodes.u, nodes.v])
         self._bright = _bright_spheres(scene, bright_of(dry.table))
 
     @property
@@ -153,46 +164,40 @@ class Probing:
         far = np.inf if surfaces_show(air.sun, model) or not model.spare_far else reach
         rays = self._rays(plan, pose, t_s)
         hits = self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=far)
-        plain = self.plain(hits, rays, t_s, reach)
         n, count = len(plan), len(self.nodes)
-        what = self._caster, surfaces, air, model, gain, plan.max_range_m
-        nearest, material, normal = np.full(n, np.inf), np.full(n, -1, np.int32), np.zeros((n, 3))
-        found, cast = SubEchoes.none(), len(rays.beam)
-        for chosen in (plain, ~plain):
-            at = indexes(chosen)
-            if not len(at):
+        weight = np.ones(n)
+        if gain != 1.0 or model.windscreen is not None:
+            weight = windows(rays, model, gain)
+        kinds, made = _judged(
+            hits, weight, self._places, self.nodes.share, _treated(surfaces, air, model), reach, surfaces, air, model
+        )
+        for one in self._bright or ():
+            kinds[(kinds != BUNDLE) & self._looks_at(one, rays, t_s)] = BUNDLE
+        at = np.arange(n) * count
+        closed_ = indexes(kinds == CLOSED)
+        found = SubEchoes(
+            closed_.repeat(2), made[:2, closed_].T.ravel(), made[2, closed_].repeat(2), np.full(2 * len(closed_), 0.5),
+            hits.actor[at[closed_]].astype(np.int64).repeat(2),
+        )  # fmt: skip
+        nearest, material, normal = made[3], hits.material[at], hits.normals(at)
+        what, cast = (self._caster, surfaces, air, model, gain, plan.max_range_m), len(rays.beam)
+        for kind in (PROBED, BUNDLE):
+            chosen = indexes(kinds == kind)
+            if not len(chosen):
                 continue
-            if chosen is plain:
-                own = (at[:, None] * count + np.arange(count)).ravel() if len(at) < n else None
-                part = rays if own is None else _rays_at(rays, at, own)
-                seen = returned(hits if own is None else _Picked.of(hits, own), part, *what)
+            if kind == PROBED:
+                own = (at[chosen][:, None] + np.arange(count)).ravel()
+                seen = returned(_Picked.of(hits, own), _rays_at(rays, chosen, own), *what)
             else:
-                part = cast_rays(self._bundles.part(plan, at), pose_at(pose, at), t_s[at])
+                part = cast_rays(self._bundles.part(plan, chosen), pose_at(pose, chosen), t_s[chosen])
                 first = self._caster.first_hits(part.origin_m, part.direction, part.t_s, max_range_m=far)
                 seen, cast = returned(first, part, *what), cast + len(part.beam)
-            nearest[at], material[at], normal[at] = seen.nearest_m, seen.axis_material, seen.axis_normal
-            echoes = seen.echoes if len(at) == n else replace(seen.echoes, beam=at[seen.echoes.beam])
-            found = SubEchoes.joined(found, echoes)
+                material[chosen], normal[chosen] = seen.axis_material, seen.axis_normal
+            nearest[chosen] = seen.nearest_m
+            found = SubEchoes.joined(found, replace(seen.echoes, beam=chosen[seen.echoes.beam]))
         none = np.full(n, np.nan)
         axes = _axes(rays, n, count)
-        return Pruned(axes, Seen(found, nearest, material, normal), plain, cast, closed.Shifts(none, none))
-
-    def plain(self, hits: Hits, rays: Rays, t_s: Floats, reach: float) -> Bools:
-        """(n,) beams whose probes meet one material of one actor on one plane, or nothing."""
-        n, count = len(rays.axis), len(self.nodes)
-        range_m = hits.range_m.reshape(n, count)
-        met = range_m <= reach
-        some, every = met.any(axis=1), met.all(axis=1)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            inverse = self._slant / range_m
-            off = np.abs(inverse @ self._fit) * (range_m[:, :1] ** 2)
-            flat = off.max(axis=1) <= OFF_PLANE_LSB * self._model.lsb_m
-        material, actor = hits.material.reshape(n, count), hits.actor.reshape(n, count)
-        same = (material == material[:, :1]).all(axis=1) & (actor == actor[:, :1]).all(axis=1)
-        plain = ~some | (every & flat & same)
-        for one in self._bright or ():
-            plain &= ~self._looks_at(one, rays, t_s)
-        return np.asarray(plain)
+        return Pruned(axes, Seen(found, nearest, material, normal), kinds != BUNDLE, cast, closed.Shifts(none, none))
 
     def _looks_at(self, one: _Bright, rays: Rays, t_s: Floats) -> Bools:
         """(n,) beams whose cone comes into that sphere."""
@@ -208,32 +213,103 @@ class Probing:
     def _rays(self, plan: ScanPlan, pose: Pose, t_s: Floats) -> Rays:
         """The probes of all beams in the world."""
         n, count = len(plan), len(self.nodes)
-        own, start = beams.spread(self.nodes, self._model.beam, plan.azimuth_rad, plan.elevation_rad, np.zeros(n))
-        direction = turned(pose.rotation, own)
-        origin = pose.position_m.T.repeat(count, axis=1)
-        if self._rim[1] > 0.0:
-            origin += turned(pose.rotation, start).reshape(n * count, 3).T
-        beam = np.arange(n).repeat(count)
+        ca, sa = np.cos(plan.azimuth_rad), np.sin(plan.azimuth_rad)
+        ce, se = np.cos(plan.elevation_rad), np.sin(plan.elevation_rad)
+        own = np.array([[ce * ca, ce * sa, se], [-sa, ca, np.zeros(n)], [-se * ca, -se * sa, ce]])
+        frame = turned(pose.rotation, own.transpose(2, 0, 1)).transpose(1, 2, 0)
+        origin, direction = _aimed(frame, pose.position_m.T, self._aim)
         return Rays(
             origin_m=origin.T,
-            direction=direction.reshape(n * count, 3),
+            direction=direction.T,
             t_s=t_s.repeat(count),
-            beam=beam,
+            beam=np.arange(n).repeat(count),
             share=np.tile(self.nodes.share, n),
             nearest_axis=np.arange(n) * count,
             centre_m=pose.position_m,
-            axis=direction[:, 0, :],
-            own_axis=own[:, 0, :],
+            axis=frame[0].T,
+            own_axis=own[0].T,
         )
 
 
-def _planes_fit(u: Floats, v: Floats) -> Floats:
-    """(k, k) that takes inverse ranges of k probes to what they differ from those of a plane.
+def _aimed_by_loops(loops: ModuleType, frame: Floats, place: Floats, aim: Floats) -> Floats:
+    made: Floats = loops.aimed(frame, place, aim)
+    return made
 
-    On a plane the inverse of the distance along the axis is linear in the place within the beam.
-    """
-    terms = np.stack([np.ones_like(u), u, v], axis=1)
-    return np.asarray((np.eye(len(u)) - terms @ np.linalg.pinv(terms)).T)
+
+@by_loops(_aimed_by_loops, "aimed")
+def _aimed(frame: Floats, place: Floats, aim: Floats) -> Floats:
+    """Origins and directions (2, 3, n k), see `compiled.probes`."""
+    n, k = place.shape[1], aim.shape[1]
+    forward, left, up = frame[..., None]
+    direction = forward * aim[0] + left * aim[1] + up * aim[2]
+    origin = place[..., None] + left * aim[3] + up * aim[4]
+    return np.array([origin.reshape(3, n * k), direction.reshape(3, n * k)])
+
+
+def _treated(surfaces: Surfaces, air: AirNow, model: SensorModel) -> Ints:
+    """(materials,) the least that a beam on it needs."""
+    table = surfaces.table
+    needs = np.where(table.apart | air.uneven, PROBED, CLOSED)
+    if surfaces.sends_on and model.bounces > 0:
+        needs = np.where(surfaces.onward, BUNDLE, needs)
+    if surfaces.detailed is not None:
+        needs = np.where(surfaces.detailed, BUNDLE, needs)
+    return needs.astype(np.int64)
+
+
+def _judged_by_loops(
+    loops: ModuleType, hits: Hits, weight: Floats, places: Floats, share: Floats, treated: Ints, reach_m: float,
+    surfaces: Surfaces, air: AirNow, model: SensorModel,
+) -> tuple[Ints, Floats]:  # fmt: skip
+    kinds, made = loops.judged(
+        hits.range_m, hits.material, hits.actor, hits.cosine, weight, places, share, treated, reach_m,
+        OFF_PLANE_LSB * model.lsb_m, WIDEST * model.pulse.fwhm_m, surfaces.table.factors, air.extinction_per_m,
+        model.k_m2, model.aperture_radius_m, model.overlap_start_m, model.overlap_full_m,
+    )  # fmt: skip
+    return kinds, made
+
+
+@by_loops(_judged_by_loops, "judged")
+def _judged(
+    hits: Hits, weight: Floats, places: Floats, share: Floats, treated: Ints, reach_m: float,
+    surfaces: Surfaces, air: AirNow, model: SensorModel,
+) -> tuple[Ints, Floats]:  # fmt: skip
+    """What becomes of beams (n,); two ranges and an amplitude of the closed ones, nearest ranges (4, n)."""
+    n, k = len(weight), len(share)
+    range_m, material, actor = (one.reshape(n, k) for one in (hits.range_m, hits.material, hits.actor))
+    met = range_m <= reach_m
+    made = np.zeros((4, n))
+    made[3] = np.fmin.reduce(np.where(met, range_m, np.inf), axis=1)
+    every, some = met.all(axis=1), met.any(axis=1)
+    same = (material == material[:, :1]).all(axis=1) & (actor == actor[:, :1]).all(axis=1)
+    kinds = np.where(some, BUNDLE, NOTHING)
+    at = indexes(every & same)
+    r = range_m[at]
+    inverse = places[0] / r
+    square = float((places[1] * places[1]).sum())
+    middle = inverse.mean(axis=1, keepdims=True)
+    across, upward = (inverse @ places[1])[:, None] / square, (inverse @ places[2])[:, None] / square
+    off = np.abs(inverse - middle - across * places[1] - upward * places[2]).max(axis=1, initial=0.0) * r[:, 0] ** 2
+    flat = off <= OFF_PLANE_LSB * model.lsb_m
+    at, r = at[flat], r[flat]
+    kinds[at] = np.maximum(CLOSED, treated[material[at, 0]])
+    here = kinds[at] == CLOSED
+    at, r = at[here], r[here]
+    cosine = hits.cosine.reshape(n, k)[at]
+    back = surfaces.table.back(material[at].ravel().astype(np.int64), cosine.ravel()).reshape(r.shape)
+    height = share * back / (r * r + model.aperture_radius_m**2)
+    if air.extinction_per_m > 0.0:
+        height = height * exp_or_zero(-2.0 * air.extinction_per_m * r)
+    height = height * overlap(r, model.overlap_start_m, model.overlap_full_m)
+    total, away = height.sum(axis=1), r - r[:, :1]
+    mean = (height * away).sum(axis=1) / np.where(total > 0.0, total, 1.0)
+    spread = np.sqrt((share * (away - mean[:, None]) ** 2).sum(axis=1))
+    narrow = spread <= WIDEST * model.pulse.fwhm_m
+    kinds[at[~narrow]] = PROBED
+    at, middle_m, spread = at[narrow], (r[:, 0] + mean)[narrow], spread[narrow]
+    made[0, at], made[1, at] = middle_m - spread, middle_m + spread
+    made[2, at] = 0.5 * weight[at] * model.k_m2 * total[narrow]
+    return kinds, made
 
 
 def _bright_spheres(scene: Scene, bright: Bools) -> tuple[_Bright, ...] | None:
