@@ -48,17 +48,18 @@ def _back(factors, kind, c):
 
 
 @compiled(
-    FLOATS, WORDS, WORDS, FLOATS, FLOATS, ROWS, FLOATS, INTS, FLOAT, FLOAT, FLOAT,
+    FLOATS, WORDS, WORDS, FLOATS, FLOATS, ROWS, FLOATS, INTS, FLOAT, FLOAT, FLOAT, FLOAT,
     ROWS, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT,
 )  # fmt: skip
 def judged(
-    range_m, material, actor, cosine, weight, nodes, share, treated, reach_m, off_m, widest_m,
+    range_m, material, actor, cosine, weight, nodes, share, treated, reach_m, off_m, widest_m, foot_m2,
     factors, extinction, strength, aperture_m, overlap_start_m, overlap_full_m,
 ):  # fmt: skip
     """What becomes of beams (n,), and two ranges with their common amplitude, and the nearest range (4, n).
 
     `weight` : (n,); `nodes` : (3, k) length, u and v of probes; `treated` : (materials,) the least of what becomes of a
-    beam on it; `off_m` : how far a probe may be from a plane; `widest_m` : spread up to which two ranges do.
+    beam on it; `off_m` : how far a probe may be from a plane; `widest_m` : spread up to which two ranges do;
+    `foot_m2` : square of the way from the mean to the nearest range, times the amplitude, up to which they do.
     """
     n, k = len(weight), len(share)
     kinds, made = np.zeros(n, np.int64), np.zeros((4, n))
@@ -108,6 +109,10 @@ def judged(
             total += height
             first += height * (r - range_m[at])
         mean = first / total if total > 0.0 else 0.0
+        height, lead = weight[i] * strength * total, range_m[at] + mean - nearest
+        if lead > 4.0 * off_m and lead * lead * height > foot_m2:
+            kinds[i] = BUNDLE
+            continue
         second = 0.0
         for j in range(k):
             r = range_m[at + j]
@@ -117,5 +122,5 @@ def judged(
             kinds[i] = PROBED
             continue
         made[0, i], made[1, i] = range_m[at] + mean - spread, range_m[at] + mean + spread
-        made[2, i] = 0.5 * weight[i] * strength * total
+        made[2, i] = 0.5 * height
     return kinds, made

@@ -45,6 +45,8 @@ INNER = 0.6
 "Radius of the second ring: its shares, from the moments of the disc up to the fourth, are positive."
 OFF_PLANE_LSB = 0.5
 "Of a probe from the plane through the others of its beam, in steps of the range: more is an edge or a crease."
+MOST_BEHIND = 0.1
+"Share of the light behind an edge between probes: of four it is 0.091."
 WIDEST = 0.1
 "Spread of ranges over the pulse's FWHM up to which two ranges, a spread before and behind the mean, stand for all."
 NOTHING, CLOSED, PROBED, BUNDLE = 0, 1, 2, 3
@@ -86,7 +88,7 @@ def most_missed(probes: int) -> tuple[float, float]:
 
 def wanted(model: SensorModel) -> bool:
     """The rule is for this sensor: its spec has probes, and its beam an edge."""
-    if model.probes == 0 or not model.leave_out.narrow_beams or model.leave_out.closed_form == "never":
+    if model.probes == 0 or not model.leave_out.narrow_beams:
         return False
     if model.rule in ("axis", "adaptive") or model.beam.is_ray or model.beam.profile != "tophat":
         return False
@@ -257,14 +259,24 @@ def _treated(surfaces: Surfaces, air: AirNow, model: SensorModel) -> Ints:
     return needs.astype(np.int64)
 
 
+def _foot_m2(model: SensorModel) -> float:
+    """Square of the way from the mean to the nearest range, times the amplitude, from which the pulse's foot counts.
+
+    A pulse of sin^2 is at the share x of its peak (2 F / pi) sqrt(x) behind its foot, F its FWHM in range. Where the
+    threshold is crossed nearer to the foot than the first ray is before the mean, single rays are timed: the bundle is
+    cast.
+    """
+    return (2.0 * model.pulse.fwhm_m / math.pi) ** 2 * model.threshold
+
+
 def _judged_by_loops(
     loops: ModuleType, hits: Hits, weight: Floats, places: Floats, share: Floats, treated: Ints, reach_m: float,
     surfaces: Surfaces, air: AirNow, model: SensorModel,
 ) -> tuple[Ints, Floats]:  # fmt: skip
     kinds, made = loops.judged(
         hits.range_m, hits.material, hits.actor, hits.cosine, weight, places, share, treated, reach_m,
-        OFF_PLANE_LSB * model.lsb_m, WIDEST * model.pulse.fwhm_m, surfaces.table.factors, air.extinction_per_m,
-        model.k_m2, model.aperture_radius_m, model.overlap_start_m, model.overlap_full_m,
+        OFF_PLANE_LSB * model.lsb_m, WIDEST * model.pulse.fwhm_m, _foot_m2(model), surfaces.table.factors,
+        air.extinction_per_m, model.k_m2, model.aperture_radius_m, model.overlap_start_m, model.overlap_full_m,
     )  # fmt: skip
     return kinds, made
 
@@ -303,12 +315,16 @@ def _judged(
     height = height * overlap(r, model.overlap_start_m, model.overlap_full_m)
     total, away = height.sum(axis=1), r - r[:, :1]
     mean = (height * away).sum(axis=1) / np.where(total > 0.0, total, 1.0)
+    height, lead = weight[at] * model.k_m2 * total, mean - away.min(axis=1, initial=0.0)
+    low = (lead <= 4.0 * OFF_PLANE_LSB * model.lsb_m) | (lead * lead * height <= _foot_m2(model))
+    kinds[at[~low]] = BUNDLE
+    at, r, mean, away, height = at[low], r[low], mean[low], away[low], height[low]
     spread = np.sqrt((share * (away - mean[:, None]) ** 2).sum(axis=1))
     narrow = spread <= WIDEST * model.pulse.fwhm_m
     kinds[at[~narrow]] = PROBED
     at, middle_m, spread = at[narrow], (r[:, 0] + mean)[narrow], spread[narrow]
     made[0, at], made[1, at] = middle_m - spread, middle_m + spread
-    made[2, at] = 0.5 * weight[at] * model.k_m2 * total[narrow]
+    made[2, at] = 0.5 * height[narrow]
     return kinds, made
 
 

@@ -27,7 +27,8 @@ Amplitude = Annotated[float, Field(ge=1e-3, le=1e12)]
 Gate = Annotated[float, Field(ge=1e-3, le=1e6)]
 "Farther, noise alone makes so many echoes a beam that they are no scan any more."
 Divergence = Annotated[float, Field(ge=0.0, le=20.0)]
-Probes = Annotated[int, Field(ge=0, le=64)]
+Probes = Literal[0] | Annotated[int, Field(ge=4, le=64)]
+"Of a beam, around its axis; four are the fewest that tell a plane from an edge."
 CornerMHz = Annotated[float, Field(ge=1e-3, le=1e6)]
 TimeConstantNs = Annotated[float, Field(ge=0.01, le=1e6)]
 TailShare = Annotated[float, Field(ge=0.0, le=0.5)]
