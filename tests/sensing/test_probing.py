@@ -1,4 +1,4 @@
-"""Narrow beams: a few probes where a beam sees one smooth surface, its bundle elsewhere, against the full computation."""
+"""Narrow beams: probes where a beam sees one smooth surface, its bundle elsewhere, against the full computation."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_what_may_slip_between_probes_is_the_segment_beside_the_ring() -> None:
         edge, strip = probing.most_missed(probes)
         assert edge == pytest.approx((half - math.sin(half) * math.cos(half)) / math.pi, abs=1e-9)
         assert edge <= probing.MOST_BEHIND
-        assert edge < strip < 0.5
+        assert edge < strip <= 0.5
 
 
 @pytest.mark.parametrize("model", [PUCK, STRONG])
@@ -83,11 +83,12 @@ def test_random_scenes_are_measured_as_in_full(seed: int, model: str) -> None:
     np.testing.assert_allclose(one.intensity[seen, 0], other.intensity[seen, 0], rtol=0.03)
 
 
-def test_bundles_are_the_very_same() -> None:
+def test_bundles_are_the_same() -> None:
     spared, whole = pair(random_scene(1))
     plan = layers()
     left = ~spared.view(plan).plain  # type: ignore[operator]
-    np.testing.assert_array_equal(spared(plan).range_m[left], whole(replace(plan)).range_m[left])
+    one, other = spared(plan).range_m[left], whole(replace(plan)).range_m[left]
+    np.testing.assert_allclose(one, other, rtol=1e-12)  # light may be summed in another order
 
 
 def test_a_small_reflector_between_the_probes_is_seen() -> None:
@@ -97,7 +98,7 @@ def test_a_small_reflector_between_the_probes_is_seen() -> None:
     spared, whole = pair(of_bodies(wall, patch))
     plan = layers(16, 0.0, 0.0, 0.0)
     assert not spared.view(plan).plain.any()  # type: ignore[union-attr]
-    np.testing.assert_array_equal(spared(plan).range_m, whole(replace(plan)).range_m)
+    np.testing.assert_allclose(spared(plan).range_m, whole(replace(plan)).range_m, rtol=1e-12)
 
 
 def test_other_sensors_and_full_have_no_probes() -> None:
