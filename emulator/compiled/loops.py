@@ -9,13 +9,11 @@ from emulator.compiled.maxima import edges, maxima
 from emulator.compiled.media import crossed_under, ended_under
 from emulator.compiled.moving import moving, near, pairs
 from emulator.compiled.packets import Packets, library
-from emulator.compiled.probes import aimed, judged
 from emulator.compiled.surfaces import in_order, special, strengths
 from emulator.compiled.waves import sampled
 
 __all__ = [
     "Packets",
-    "aimed",
     "crossed",
     "crossed_under",
     "edges",
@@ -23,7 +21,6 @@ __all__ = [
     "falling",
     "in_order",
     "joined",
-    "judged",
     "leaves",
     "levels",
     "library",

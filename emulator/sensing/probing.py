@@ -12,13 +12,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.compiled.pair import by_loops
 from emulator.physics import beams
 from emulator.physics.arrays import Bools, Floats, Ints, exp_or_zero, indexes
 from emulator.physics.radiometry import overlap
@@ -233,14 +231,8 @@ class Probing:
         )
 
 
-def _aimed_by_loops(loops: ModuleType, frame: Floats, place: Floats, aim: Floats) -> Floats:
-    made: Floats = loops.aimed(frame, place, aim)
-    return made
-
-
-@by_loops(_aimed_by_loops, "aimed")
 def _aimed(frame: Floats, place: Floats, aim: Floats) -> Floats:
-    """Origins and directions (2, 3, n k), see `compiled.probes`."""
+    """Origins and directions (2, 3, n k): of `aim` (5, k) shares of the frame in a direction, metres left and up."""
     n, k = place.shape[1], aim.shape[1]
     forward, left, up = frame[..., None]
     direction = forward * aim[0] + left * aim[1] + up * aim[2]
@@ -269,19 +261,6 @@ def _foot_m2(model: SensorModel) -> float:
     return (2.0 * model.pulse.fwhm_m / math.pi) ** 2 * model.threshold
 
 
-def _judged_by_loops(
-    loops: ModuleType, hits: Hits, weight: Floats, places: Floats, share: Floats, treated: Ints, reach_m: float,
-    surfaces: Surfaces, air: AirNow, model: SensorModel,
-) -> tuple[Ints, Floats]:  # fmt: skip
-    kinds, made = loops.judged(
-        hits.range_m, hits.material, hits.actor, hits.cosine, weight, places, share, treated, reach_m,
-        OFF_PLANE_LSB * model.lsb_m, WIDEST * model.pulse.fwhm_m, _foot_m2(model), surfaces.table.factors,
-        air.extinction_per_m, model.k_m2, model.aperture_radius_m, model.overlap_start_m, model.overlap_full_m,
-    )  # fmt: skip
-    return kinds, made
-
-
-@by_loops(_judged_by_loops, "judged")
 def _judged(
     hits: Hits, weight: Floats, places: Floats, share: Floats, treated: Ints, reach_m: float,
     surfaces: Surfaces, air: AirNow, model: SensorModel,

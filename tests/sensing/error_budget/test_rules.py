@@ -80,7 +80,7 @@ _POSTS = [body(0, triangles.box(0.05, 0.05, 4.0), 2, Steady(at_m=(10.0, 0.3 * y,
 FENCE = scene_of(wall(11.0), *_POSTS)
 POLE = scene_of(body(0, triangles.cylinder(0.02, 4.0, 12), 2, Steady(at_m=(10.0, 0.0, -2.0))))
 BEHIND_GLASS = scene_of(wall(5.0, kind=1, thick_m=0.01), wall(15.0, kind=2))
-STEP = scene_of(wall(12.0, yaw_deg=20.0), wall(11.9, yaw_deg=-20.0))
+STEP = scene_of(wall(11.0, kind=2), *_POSTS)
 _DRIVES = Steady(at_m=(15.0, 0.0, -1.0), velocity_m_s=(0.0, 30.0, 0.0))
 PASSING = Scene(("world", "a"), ("unknown",) * 2, (Steady(), _DRIVES), ("asphalt",),
                 (body(1, triangles.box(4.0, 2.0, 3.0), 0, _DRIVES),))  # fmt: skip
