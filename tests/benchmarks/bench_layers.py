@@ -88,8 +88,10 @@ def main() -> None:
                 each, cast = float(np.mean(whole)) / beams, float(np.mean(raw)) / beams
                 rays = float(np.mean([view.cast for view in views])) / beams
                 print(
-                    f"{model}; {'fog, rain, sun' if wet else 'clear'}; {'loops' if loops else 'arrays'}; {1 / each:.3g};"
-                    f" {period_s / (each * beams):.2f}; {rays:.1f}; {1e6 * each:.2f}; {1e6 * cast:.2f}; {each / cast:.1f}",
+                    f"{model}; {'fog, rain, sun' if wet else 'clear'};"
+                    f" {'loops' if loops else 'arrays'}; {1 / each:.3g};"
+                    f" {period_s / (each * beams):.2f}; {rays:.1f}; {1e6 * each:.2f};"
+                    f" {1e6 * cast:.2f}; {each / cast:.1f}",
                     flush=True,
                 )
 
