@@ -126,12 +126,16 @@ class LateHits:
 
     def normals(self, rays: Longs) -> Floats:
         """(k, 3) of some rays."""
-        if len(self.parts) > 1:
-            return self.whole.normal[rays]
-        found, _ = self.parts[0]
-        side = np.where(found.facing[rays] > 0.0, -1.0, 1.0)
+        normal, side = np.zeros((3, len(rays))), np.zeros(len(rays))
+        begin = 0
+        for found, _ in self.parts:
+            end = begin + len(found.range_m)
+            at = indexes((rays >= begin) & (rays < end)) if len(self.parts) > 1 else slice(None)
+            normal[:, at] = found.normals(rays[at] - begin)
+            side[at] = np.where(found.facing[rays[at] - begin] > 0.0, -1.0, 1.0)
+            begin = end
         side[np.isnan(self.range_m[rays])] = 0.0
-        return np.asarray((found.normals(rays) * side).T)
+        return np.asarray((normal * side).T)
 
 
 @dataclass(frozen=True, eq=False)

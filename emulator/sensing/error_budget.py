@@ -27,6 +27,7 @@ from emulator.sensing.model import SensorModel
 from emulator.sensing.particles import RARE as RAREST_PARTICLES
 from emulator.sensing.paths import UNSEEN as BEHIND
 from emulator.sensing.paths import best_behind, reach_of
+from emulator.sensing.probing import MOST_BEHIND, most_missed
 from emulator.sensing.rays import cast_rays
 from emulator.sensing.receiver import RARE, Receiver
 from emulator.sensing.sheets import bright_of
@@ -95,7 +96,9 @@ def _clear_air(measure: Measure, plan: ScanPlan) -> Finding:
 
 def _closed_form(measure: Measure, plan: ScanPlan) -> Finding:
     view, model = measure.view(plan), measure.model
-    whole = len(plan) * len(measure._bundles.of(plan).share)
+    whole = len(plan) * measure._bundles.sub_beams
+    if measure._probing is not None:
+        return Finding(False, None, None, "0 rays: narrow beams have probes", idle=True)
     outside = math.exp(-2.0 * model.plain_radii**2) if model.beam.profile == "gauss" else 0.0
     if view.plain is None:
         saved = "0 rays: the edge test would cost more than it saves"
@@ -103,6 +106,22 @@ def _closed_form(measure: Measure, plan: ScanPlan) -> Finding:
     plain = int(np.count_nonzero(view.plain))
     saved = f"{whole - view.cast} of {whole} rays; {plain} of {len(plan)} beams see a single plane"
     return Finding(plain > 0, outside, 1e-3, saved, unit="of power")
+
+
+def _narrow_beams(measure: Measure, plan: ScanPlan) -> Finding:
+    """What of the light may lie behind a straight edge that no probe meets."""
+    model = measure.model
+    edge, strip = most_missed(model.probes) if model.probes else (0.0, 0.0)
+    if measure._probing is None:
+        return Finding(False, None, None, "0 rays: no probes in the spec, or a beam without edge", idle=True)
+    view = measure.view(plan)
+    assert view.plain is not None
+    whole, plain = len(plan) * measure._bundles.sub_beams, int(np.count_nonzero(view.plain))
+    saves = (
+        f"{whole - view.cast} of {whole} rays; {plain} of {len(plan)} beams see one smooth surface; "
+        f"a strip of at most {100.0 * strip:.0f} % of the light may slip between {model.probes} probes"
+    )
+    return Finding(True, edge, MOST_BEHIND, saves, unit="of power")
 
 
 def _tail(measure: Measure, plan: ScanPlan) -> Finding:
@@ -387,6 +406,10 @@ RULES: tuple[Rule, ...] = (
          "two-way optical depth changes the reported range by less than half a quantization step", _clear_air),
     Rule("footprint sub-rays", "closed_form", "once per sweep; once for static beams",
          "no edge within plain_radii beam radii: exp(-2 k^2) of the power lies outside", _closed_form),
+    Rule("sub-rays of narrow beams", "narrow_beams", "once per beam",
+         "axis and probes meet one material on one plane within half a quantization step, no retro-reflector is near; "
+         "their quadrature has no error up to the third degree; value: the largest share of the light behind a "
+         "straight edge that no probe meets", _narrow_beams),
     Rule("tail of the beam", None, "once per sweep",
          "edges of ordinary surfaces beyond the bundle's outermost ray stay below the threshold; those of surfaces "
          "with an equivalent reflectance from 10 on get rays of their own, with every rule off as well", _tail),

@@ -31,6 +31,8 @@ from emulator.sensing.others import Others, others_of
 from emulator.sensing.particles import Falling
 from emulator.sensing.paths import Seen, Surfaces, reach_of, returned
 from emulator.sensing.photon_receiver import PhotonReceiver
+from emulator.sensing.probing import Probing
+from emulator.sensing.probing import wanted as probes_wanted
 from emulator.sensing.pruning import Pruned, Pruning, wanted
 from emulator.sensing.rays import RAYS_KEPT, BundleCache, Rays, cast_rays, rays_of
 from emulator.sensing.receiver import Receiver
@@ -103,6 +105,10 @@ class Measure:
         # made here, so that the first sweep of a run is not late
         with np.errstate(under="ignore"):  # edges shorter than any that light can tell from none
             self._pruning = Pruning(scene, model, caster, still) if wanted(model, scene) else None
+        self._probing: Probing | None = None
+        if probes_wanted(model):
+            probing = Probing(scene, model, caster, self._bundles, self._dry)
+            self._probing = None if probing.too_bright else probing
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -241,12 +247,13 @@ class Measure:
 
     def _spared(self, plan: ScanPlan, pose: Pose, t_s: Floats, surfaces: Surfaces, air: AirNow) -> Pruned | None:
         """The sweep with bundles only where they are needed; None where finding out costs more than it saves."""
+        if self._probing is not None:
+            return self._probing.sweep(plan, pose, t_s, surfaces, air)
         if self._pruning is None or (self._scene.fed is not None and self._scene.fed.has_spawned):
             return None
-        bundles = self._bundles.of(plan)
-        if not self._pruning.pays(len(plan), bundles.sub_beams):
+        if not self._pruning.pays(len(plan), self._bundles.sub_beams):
             return None
-        return self._pruning.sweep(plan, bundles, pose, t_s, surfaces, air)
+        return self._pruning.sweep(plan, self._bundles.of(plan), pose, t_s, surfaces, air)
 
     def _rays(self, plan: ScanPlan, pose: Pose, t_s: Floats) -> tuple[Rays, Resting | None]:
         """Rays of fixed bundles; a sensor at rest casts the same ones as long as the plan's angles stay."""

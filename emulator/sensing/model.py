@@ -111,6 +111,8 @@ class SensorModel:
     bloom_rad: float
     rule: BundleRule
     sub_beams: int
+    probes: int
+    "Rays around the axis of each beam that are cast before its bundle; 0: none."
     depth: int
     pulse: Pulse
     k_m2: float
@@ -261,6 +263,7 @@ def sensor_model(spec: SensorSpec, options: PhysicsOptions, mode: str) -> Sensor
         bloom_rad=1e-3 * _wide("bloom", bloom, options.bloom_mrad, receiver.bloom_mrad),
         rule=_or(options.rule, bundle.rule),
         sub_beams=_or(options.sub_beams, bundle.sub_beams),
+        probes=_or(options.probes, bundle.probes, 0),
         depth=options.depth,
         pulse=pulse,
         k_m2=k_m2,

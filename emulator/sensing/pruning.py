@@ -23,7 +23,7 @@ from emulator.sensing.daylight import surfaces_show
 from emulator.sensing.model import SensorModel
 from emulator.sensing.paths import Seen, Surfaces, reach_of, returned
 from emulator.sensing.plain import MOST_PAIRS, Edges, Pieces, sights_of
-from emulator.sensing.rays import Bundles, Rays, cast_rays, part_of, turned
+from emulator.sensing.rays import Bundles, Rays, cast_rays, part_of, pose_at, turned
 from emulator.world.motion import Pose
 from emulator.world.outlines import outlines_of
 from protocols.scan import ScanPlan
@@ -203,7 +203,7 @@ class Pruning:
         self, nearest: Floats, chosen: Ints, bundles: Bundles, pose: Pose, t_s: Floats, looked: Looked
     ) -> None:
         """Falling particles are drawn up to the nearest sub-beam's range: that of the bundle, so that none differs."""
-        rays = cast_rays(part_of(bundles, chosen), _pose_at(pose, chosen), t_s[chosen])
+        rays = cast_rays(part_of(bundles, chosen), pose_at(pose, chosen), t_s[chosen])
         ranges = closed.plane_ranges(rays, _at(looked, chosen), rays.beam)
         nearest[chosen] = np.fmin(np.fmin.reduceat(ranges, np.arange(len(chosen)) * bundles.sub_beams), np.inf)
 
@@ -270,7 +270,7 @@ class Pruning:
         own, start = beams.spread(
             ring, self._model.beam, plan.azimuth_rad[at], plan.elevation_rad[at], np.zeros(len(at))
         )  # fmt: skip
-        rotation = _pose_at(pose, at).rotation
+        rotation = pose_at(pose, at).rotation
         direction = turned(rotation, own).reshape(-1, 3)
         origin = rays.centre_m[at].repeat(PROBES, axis=0) + turned(rotation, start).reshape(-1, 3)
         owner = at.repeat(PROBES)
@@ -296,19 +296,13 @@ class Pruning:
     def _rays(self, bundles: Bundles, pose: Pose, t_s: Floats, group: Ints) -> tuple[Rays, bool]:
         """Rays of these beams' bundles, numbered anew, and whether the very same were cast before."""
         if not self._at_rest:
-            return cast_rays(part_of(bundles, group), _pose_at(pose, group), t_s[group]), False
+            return cast_rays(part_of(bundles, group), pose_at(pose, group), t_s[group]), False
         key = group.tobytes()
         again = self._group is not None and self._group[0] is bundles and self._group[1] == key
         if self._group is None or not again:
-            made = cast_rays(part_of(bundles, group), _pose_at(pose, group), t_s[group])
+            made = cast_rays(part_of(bundles, group), pose_at(pose, group), t_s[group])
             self._group = bundles, key, made
         return self._group[2].at(t_s[group]), again
-
-
-def _pose_at(pose: Pose, at: Ints) -> Pose:
-    if pose.rotation.strides[0] == 0:  # one rotation for all
-        return Pose(pose.position_m[at], np.broadcast_to(pose.rotation[0], (len(at), 3, 3)))
-    return Pose(pose.position_m[at], pose.rotation[at])
 
 
 def _axes(bundles: Bundles) -> Bundles:

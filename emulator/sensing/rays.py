@@ -133,6 +133,11 @@ class BundleCache:
         "The bundles asked for last had been asked for before: what takes long to find out of them is worth it."
 
     @property
+    def sub_beams(self) -> int:
+        """Of each beam."""
+        return len(self._nodes)
+
+    @property
     def radius(self) -> float:
         """Where the outermost sub-beam goes, in beam radii, sidelobes aside."""
         return float(np.sqrt((self._core.u**2 + self._core.v**2).max()))
@@ -163,14 +168,18 @@ class BundleCache:
             self._kept.move_to_end(key)
         return found
 
-    def _spread(self, azimuth_rad: Floats, elevation_rad: Floats) -> Bundles:
+    def part(self, plan: ScanPlan, at: Ints) -> Bundles:
+        """Bundles of some of the plan's beams, numbered anew; not kept."""
+        return self._spread(plan.azimuth_rad[at], plan.elevation_rad[at], beams.beam_phase(at))
+
+    def _spread(self, azimuth_rad: Floats, elevation_rad: Floats, phase_rad: Floats | None = None) -> Bundles:
         axis = beams.axis_directions(azimuth_rad, elevation_rad)
         nodes, n, m = self._nodes, len(axis), len(self._nodes)
         first = int(np.argmin(nodes.u**2 + nodes.v**2))
         flat = np.arange(n).repeat(m), np.tile(nodes.share, n), np.arange(n) * m + first
         if m == 1:
             return Bundles(axis, axis[:, None, :], None, nodes.share, *flat)
-        direction, start_m = beams.spread(nodes, self._model.beam, azimuth_rad, elevation_rad)
+        direction, start_m = beams.spread(nodes, self._model.beam, azimuth_rad, elevation_rad, phase_rad)
         has_width = self._model.beam.exit_radius_m > 0.0
         return Bundles(axis, direction, start_m if has_width else None, nodes.share, *flat)
 
@@ -196,6 +205,13 @@ def part_of(bundles: Bundles, at: Ints) -> Bundles:
         bundles.axis[at], bundles.direction[at], start, bundles.share, np.arange(n).repeat(m),
         np.tile(bundles.share, n), np.arange(n) * m + first,
     )  # fmt: skip
+
+
+def pose_at(pose: Pose, at: Ints) -> Pose:
+    """That of some beams."""
+    if pose.rotation.strides[0] == 0:  # one rotation for all
+        return Pose(pose.position_m[at], np.broadcast_to(pose.rotation[0], (len(at), 3, 3)))
+    return Pose(pose.position_m[at], pose.rotation[at])
 
 
 def cast_rays(bundles: Bundles, pose: Pose, t_s: Floats) -> Rays:

@@ -27,6 +27,8 @@ Amplitude = Annotated[float, Field(ge=1e-3, le=1e12)]
 Gate = Annotated[float, Field(ge=1e-3, le=1e6)]
 "Farther, noise alone makes so many echoes a beam that they are no scan any more."
 Divergence = Annotated[float, Field(ge=0.0, le=20.0)]
+Probes = Literal[0] | Annotated[int, Field(ge=4, le=64)]
+"Of a beam, around its axis; four are the fewest that tell a plane from an edge."
 CornerMHz = Annotated[float, Field(ge=1e-3, le=1e6)]
 TimeConstantNs = Annotated[float, Field(ge=0.01, le=1e6)]
 TailShare = Annotated[float, Field(ge=0.0, le=0.5)]
@@ -85,6 +87,8 @@ class LeaveOut(Table):
     "One ray for beams that see one plane; `auto`: where that saves time."
     plane_moments: bool = True
     "Such a beam's echo from the moments of a tilted plane, where they hold; else by its bundle's ranges to the plane."
+    narrow_beams: bool = True
+    "Probes instead of a bundle for beams of a sensor with `probes` that see one smooth surface."
     resting: bool = True
     "What a sensor at rest meets of resting bodies is found once."
     far_objects: bool = True
@@ -121,6 +125,8 @@ class PhysicsOptions(Table):
 
     rule: BundleRule | None = None
     sub_beams: Annotated[int, Field(ge=1, le=65536)] | None = None
+    probes: Probes | None = None
+    "Rays around the axis of each beam that are cast before its bundle, for a top-hat; 0: none."
     depth: Annotated[int, Field(ge=0, le=8)] = 4
     "Levels of splitting of rule `adaptive`."
     profile: Profile | None = None

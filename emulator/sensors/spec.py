@@ -24,6 +24,7 @@ from emulator.sensors.physics_options import (
     CornerMHz,
     DetectionMethod,
     EchoChoice,
+    Probes,
     Profile,
     PulseShape,
     RatedAt,
@@ -183,6 +184,8 @@ class BundleSpec(Table):
 
     rule: Fact[BundleRule]
     sub_beams: Fact[Annotated[int, Field(ge=1, le=65536)]]
+    probes: Fact[Probes] | None = None
+    "Rays around the axis of each beam that are cast first; None: the whole bundle."
 
 
 class BeamTable(Table):

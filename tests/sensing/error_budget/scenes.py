@@ -26,6 +26,7 @@ from emulator.world.scene import Body, Scene
 from protocols.scan import ScanPlan
 
 MODELS = LD, LMS, PAPER = "sick-ld-lrs1000", "sick-lms291-s05", "paper-905nm"
+PUCK = "velodyne-vlp-16"
 MATERIALS = ("asphalt", "concrete", "car_paint_silver", "window_glass", "retro_sheeting", "brick")
 
 

@@ -18,7 +18,7 @@ from emulator.physics.softtarget import fog_shape
 from emulator.physics.subechoes import SubEchoes
 from emulator.scenario import scenario
 from emulator.scenario.weather import WeatherConfig
-from emulator.sensing import closed, daylight, faint, measure, particles, paths, pruning, receiver, soft
+from emulator.sensing import closed, daylight, faint, measure, particles, paths, probing, pruning, receiver, soft
 from emulator.sensing.measure import Measure
 from emulator.sensing.measure import build as build_measure
 from emulator.sensing.model import SensorModel
@@ -31,6 +31,7 @@ from tests.sensing.error_budget.scenes import (
     LD,
     LMS,
     PAPER,
+    PUCK,
     Tally,
     body,
     full_against_pruned,
@@ -79,6 +80,7 @@ _POSTS = [body(0, triangles.box(0.05, 0.05, 4.0), 2, Steady(at_m=(10.0, 0.3 * y,
 FENCE = scene_of(wall(11.0), *_POSTS)
 POLE = scene_of(body(0, triangles.cylinder(0.02, 4.0, 12), 2, Steady(at_m=(10.0, 0.0, -2.0))))
 BEHIND_GLASS = scene_of(wall(5.0, kind=1, thick_m=0.01), wall(15.0, kind=2))
+STEP = scene_of(wall(11.0, kind=2), *_POSTS)
 _DRIVES = Steady(at_m=(15.0, 0.0, -1.0), velocity_m_s=(0.0, 30.0, 0.0))
 PASSING = Scene(("world", "a"), ("unknown",) * 2, (Steady(), _DRIVES), ("asphalt",),
                 (body(1, triangles.box(4.0, 2.0, 3.0), 0, _DRIVES),))  # fmt: skip
@@ -95,6 +97,7 @@ CASES: dict[str, tuple[Scene, str, WeatherConfig | None, dict[str, object], Wron
     "clear_air": (scene_of(wall(30.0)), LMS, HAZE, {"weather_echoes": False}, wrongly(
         (SensorModel, "clear_depth", ALWAYS))),
     "plane_moments": (STEEP, LMS, None, {}, wrongly((closed, "SPREAD_LSB", 1e9), (closed, "SHIFT_LSB", 1e9))),
+    "narrow_beams": (STEP, PUCK, None, {"noise": False}, wrongly((probing, "OFF_PLANE_LSB", 1e9))),
     "resting": (PASSING, LD, None, {}, wrongly((raycast.Caster, "_changed", lambda *_: None))),
     "far_objects": (MIXED, LD, None, {}, wrongly(
         (measure, "reach_of", lambda *_: 8.0), (pruning, "reach_of", lambda *_: 8.0))),

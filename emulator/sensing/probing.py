@@ -1,0 +1,344 @@
+"""Sweeps of narrow beams: a few rays of each beam first, its bundle only where these do not lie on one smooth surface.
+
+Belongs here: the probing rays, what a beam must show to do with them, the order of the steps. Not: the paths of rays
+(paths), bundles (rays). For sensors whose angles never repeat and whose spec has `probes`; sensors with wide beams
+have their plain beams by the scene's edges instead (pruning).
+
+The probes of a plain beam are its bundle: their shares are those of a quadrature of the disc, so that mean, spread and
+strength over a smooth surface have no error of second order.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emulator.physics import beams
+from emulator.physics.arrays import Bools, Floats, Ints, exp_or_zero, indexes
+from emulator.physics.radiometry import overlap
+from emulator.physics.subechoes import SubEchoes
+from emulator.sensing import closed
+from emulator.sensing.air import AirNow
+from emulator.sensing.contracts import FacedCaster, Hits
+from emulator.sensing.daylight import surfaces_show
+from emulator.sensing.model import SensorModel
+from emulator.sensing.paths import Seen, Surfaces, reach_of, returned, windows
+from emulator.sensing.pruning import Pruned
+from emulator.sensing.rays import BundleCache, Rays, cast_rays, pose_at, turned
+from emulator.sensing.sheets import bright_of
+from emulator.world.connected import pieces_of
+from emulator.world.motion import Pose
+from protocols.scan import ScanPlan
+
+if TYPE_CHECKING:
+    from emulator.world.scene import Body, Scene
+
+ONE_RING = 10
+"Probes up to which all of them are on the rim."
+INNER = 0.6
+"Radius of the second ring: its shares, from the moments of the disc up to the fourth, are positive."
+OFF_PLANE_LSB = 0.5
+"Of a probe from the plane through the others of its beam, in steps of the range: more is an edge or a crease."
+MOST_BEHIND = 0.1
+"Share of the light behind an edge between probes: of four it is 0.091."
+WIDEST = 0.1
+"Spread of ranges over the pulse's FWHM up to which two ranges, a spread before and behind the mean, stand for all."
+NOTHING, CLOSED, PROBED, BUNDLE = 0, 1, 2, 3
+"What becomes of a beam: no echo; two ranges; the paths of its probes; those of its bundle."
+MOST_BRIGHT = 64
+"Pieces of bright faces around each of which a sphere is looked at."
+
+
+def probe_nodes(probes: int) -> beams.Bundle:
+    """The axis and so many more rays of a top-hat: on the rim, or on it and on a ring of `INNER` radii between.
+
+    Shares give the mean of every polynomial up to the third degree over the disc; with two rings up to the fifth.
+    """
+    if probes <= ONE_RING:
+        rings, shares = [(1.0, probes, 0.0)], [0.5]
+    else:
+        outer = (probes + 1) // 2
+        rings = [(1.0, outer, 0.0), (INNER, probes - outer, math.pi / outer)]
+        inner = (0.5 - 1.0 / 3.0) / (INNER**2 - INNER**4)
+        shares = [0.5 - inner * INNER**2, inner]
+    u, v, share = [np.zeros(1)], [np.zeros(1)], [np.array([1.0 - sum(shares)])]
+    for (radius, count, first), whole in zip(rings, shares, strict=True):
+        turn = first + 2.0 * np.pi * np.arange(count) / count
+        u, v = [*u, radius * np.cos(turn)], [*v, radius * np.sin(turn)]
+        share.append(np.full(count, whole / count))
+    return beams.Bundle(np.concatenate(u), np.concatenate(v), np.concatenate(share))
+
+
+def most_missed(probes: int) -> tuple[float, float]:
+    """Share of the light behind a straight edge, and within a straight strip, that may slip between the probes."""
+    nodes = probe_nodes(probes)
+    edge = strip = 0.0
+    for turn in np.linspace(0.0, np.pi, 721):
+        place = np.sort(nodes.u * math.cos(turn) + nodes.v * math.sin(turn))
+        below = 0.5 + (place * np.sqrt(np.maximum(1.0 - place**2, 0.0)) + np.arcsin(np.clip(place, -1, 1))) / np.pi
+        edge, strip = max(edge, float(below[0])), max(strip, float(np.diff(below).max()))
+    return edge, strip
+
+
+def wanted(model: SensorModel) -> bool:
+    """The rule is for this sensor: its spec has probes, and its beam an edge."""
+    if model.probes == 0 or not model.leave_out.narrow_beams:
+        return False
+    if model.rule in ("axis", "adaptive") or model.beam.is_ray or model.beam.profile != "tophat":
+        return False
+    return model.sidelobe_share == 0.0 and model.sub_beams > model.probes + 1
+
+
+@dataclass(frozen=True, eq=False)
+class _Picked:
+    """Hits of some rays; what few ask for is looked up when they do."""
+
+    hits: Hits
+    at: Ints
+    range_m: Floats
+    actor: NDArray[np.int32]
+    material: NDArray[np.int32]
+    cosine: Floats
+    inner: Bools
+
+    @classmethod
+    def of(cls, hits: Hits, at: Ints) -> _Picked:
+        """Those of the rays `at`."""
+        return cls(hits, at, hits.range_m[at], hits.actor[at], hits.material[at], hits.cosine[at], hits.inner[at])
+
+    @property
+    def body(self) -> NDArray[np.int32]:
+        return self.hits.body[self.at]
+
+    @property
+    def normal(self) -> Floats:
+        return self.hits.normals(self.at)
+
+    def normals(self, rays: Ints) -> Floats:
+        """(k, 3) of some rays."""
+        return self.hits.normals(self.at[rays])
+
+
+@dataclass(frozen=True, eq=False)
+class _Bright:
+    """A sphere around a piece of bright faces of a body, in its frame."""
+
+    body: Body
+    centre_m: Floats
+    radius_m: float
+
+
+class Probing:
+    """Measures the surfaces of one sensor's sweeps by probes, and by bundles where these do not do."""
+
+    def __init__(self, scene: Scene, model: SensorModel, caster: FacedCaster, bundles: BundleCache, dry: Surfaces):
+        self._model, self._caster, self._bundles = model, caster, bundles
+        self.nodes = nodes = probe_nodes(model.probes)
+        beam = model.beam
+        x, y = math.tan(beam.half_angle_x_rad), math.tan(beam.half_angle_y_rad)
+        self._rim = max(x, y), beam.exit_radius_m
+        cr, sr = math.cos(beam.roll_rad), math.sin(beam.roll_rad)
+        across, upward = cr * x * nodes.u - sr * y * nodes.v, sr * x * nodes.u + cr * y * nodes.v
+        length = np.sqrt(1.0 + across * across + upward * upward)
+        pupil = beam.exit_radius_m
+        self._aim = np.array([
+            1.0 / length, across / length, upward / length,
+            pupil * (cr * nodes.u - sr * nodes.v), pupil * (sr * nodes.u + cr * nodes.v),
+        ])  # fmt: skip
+        self._places = np.array([length, nodes.u, nodes.v])
+        self._bright = _bright_spheres(scene, bright_of(dry.table))
+
+    @property
+    def too_bright(self) -> bool:
+        """So many bright bodies that every beam would have to be looked at for them."""
+        return self._bright is None
+
+    def sweep(self, plan: ScanPlan, pose: Pose, t_s: Floats, surfaces: Surfaces, air: AirNow) -> Pruned:
+        """Everything that comes back from surfaces in a sweep."""
+        model, gain = self._model, plan.gain
+        reach = reach_of(model, plan.max_range_m)
+        far = np.inf if surfaces_show(air.sun, model) or not model.spare_far else reach
+        rays = self._rays(plan, pose, t_s)
+        hits = self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=far)
+        n, count = len(plan), len(self.nodes)
+        weight = np.ones(n)
+        if gain != 1.0 or model.windscreen is not None:
+            weight = windows(rays, model, gain)
+        kinds, made = _judged(
+            hits, weight, self._places, self.nodes.share, _treated(surfaces, air, model), reach, surfaces, air, model
+        )
+        for one in self._bright or ():
+            kinds[(kinds != BUNDLE) & self._looks_at(one, rays, t_s)] = BUNDLE
+        at = np.arange(n) * count
+        closed_ = indexes(kinds == CLOSED)
+        found = SubEchoes(
+            closed_.repeat(2), made[:2, closed_].T.ravel(), made[2, closed_].repeat(2), np.full(2 * len(closed_), 0.5),
+            hits.actor[at[closed_]].astype(np.int64).repeat(2),
+        )  # fmt: skip
+        nearest, material, normal = made[3], hits.material[at], hits.normals(at)
+        what, cast = (self._caster, surfaces, air, model, gain, plan.max_range_m), len(rays.beam)
+        for kind in (PROBED, BUNDLE):
+            chosen = indexes(kinds == kind)
+            if not len(chosen):
+                continue
+            if kind == PROBED:
+                own = (at[chosen][:, None] + np.arange(count)).ravel()
+                seen = returned(_Picked.of(hits, own), _rays_at(rays, chosen, own), *what)
+            else:
+                part = cast_rays(self._bundles.part(plan, chosen), pose_at(pose, chosen), t_s[chosen])
+                first = self._caster.first_hits(part.origin_m, part.direction, part.t_s, max_range_m=far)
+                seen, cast = returned(first, part, *what), cast + len(part.beam)
+                material[chosen], normal[chosen] = seen.axis_material, seen.axis_normal
+            nearest[chosen] = seen.nearest_m
+            found = SubEchoes.joined(found, replace(seen.echoes, beam=chosen[seen.echoes.beam]))
+        none = np.full(n, np.nan)
+        axes = _axes(rays, n, count)
+        return Pruned(axes, Seen(found, nearest, material, normal), kinds != BUNDLE, cast, closed.Shifts(none, none))
+
+    def _looks_at(self, one: _Bright, rays: Rays, t_s: Floats) -> Bools:
+        """(n,) beams whose cone comes into that sphere."""
+        times = np.array([0.5 * (t_s.min() + t_s.max()), t_s.min(), t_s.max()])
+        places = one.body.motion.pose(times).to_world(one.centre_m)
+        slack = 2.0 * float(np.linalg.norm(places - places[0], axis=1).max())
+        to = places[0] - rays.centre_m
+        along = np.einsum("ij,ij->i", to, rays.axis)
+        across = np.einsum("ij,ij->i", to, to) - along * along
+        room = one.radius_m + slack + self._rim[1] + self._rim[0] * np.maximum(along, 0.0)
+        return np.asarray((across <= room * room) & (along > -room))
+
+    def _rays(self, plan: ScanPlan, pose: Pose, t_s: Floats) -> Rays:
+        """The probes of all beams in the world."""
+        n, count = len(plan), len(self.nodes)
+        ca, sa = np.cos(plan.azimuth_rad), np.sin(plan.azimuth_rad)
+        ce, se = np.cos(plan.elevation_rad), np.sin(plan.elevation_rad)
+        own = np.array([[ce * ca, ce * sa, se], [-sa, ca, np.zeros(n)], [-se * ca, -se * sa, ce]])
+        frame = turned(pose.rotation, own.transpose(2, 0, 1)).transpose(1, 2, 0)
+        origin, direction = _aimed(frame, pose.position_m.T, self._aim)
+        return Rays(
+            origin_m=origin.T,
+            direction=direction.T,
+            t_s=t_s.repeat(count),
+            beam=np.arange(n).repeat(count),
+            share=np.tile(self.nodes.share, n),
+            nearest_axis=np.arange(n) * count,
+            centre_m=pose.position_m,
+            axis=frame[0].T,
+            own_axis=own[0].T,
+        )
+
+
+def _aimed(frame: Floats, place: Floats, aim: Floats) -> Floats:
+    """Origins and directions (2, 3, n k): of `aim` (5, k) shares of the frame in a direction, metres left and up."""
+    n, k = place.shape[1], aim.shape[1]
+    forward, left, up = frame[..., None]
+    direction = forward * aim[0] + left * aim[1] + up * aim[2]
+    origin = place[..., None] + left * aim[3] + up * aim[4]
+    return np.array([origin.reshape(3, n * k), direction.reshape(3, n * k)])
+
+
+def _treated(surfaces: Surfaces, air: AirNow, model: SensorModel) -> Ints:
+    """(materials,) the least that a beam on it needs."""
+    table = surfaces.table
+    needs = np.where(table.apart | air.uneven, PROBED, CLOSED)
+    if surfaces.sends_on and model.bounces > 0:
+        needs = np.where(surfaces.onward, BUNDLE, needs)
+    if surfaces.detailed is not None:
+        needs = np.where(surfaces.detailed, BUNDLE, needs)
+    return needs.astype(np.int64)
+
+
+def _foot_m2(model: SensorModel) -> float:
+    """Square of the way from the mean to the nearest range, times the amplitude, from which the pulse's foot counts.
+
+    A pulse of sin^2 is at the share x of its peak (2 F / pi) sqrt(x) behind its foot, F its FWHM in range. Where the
+    threshold is crossed nearer to the foot than the first ray is before the mean, single rays are timed: the bundle is
+    cast.
+    """
+    return (2.0 * model.pulse.fwhm_m / math.pi) ** 2 * model.threshold
+
+
+def _judged(
+    hits: Hits, weight: Floats, places: Floats, share: Floats, treated: Ints, reach_m: float,
+    surfaces: Surfaces, air: AirNow, model: SensorModel,
+) -> tuple[Ints, Floats]:  # fmt: skip
+    """What becomes of beams (n,); two ranges and an amplitude of the closed ones, nearest ranges (4, n)."""
+    n, k = len(weight), len(share)
+    range_m, material, actor = (one.reshape(n, k) for one in (hits.range_m, hits.material, hits.actor))
+    met = range_m <= reach_m
+    made = np.zeros((4, n))
+    made[3] = np.fmin.reduce(np.where(met, range_m, np.inf), axis=1)
+    every, some = met.all(axis=1), met.any(axis=1)
+    same = (material == material[:, :1]).all(axis=1) & (actor == actor[:, :1]).all(axis=1)
+    kinds = np.where(some, BUNDLE, NOTHING)
+    at = indexes(every & same)
+    r = range_m[at]
+    inverse = places[0] / r
+    square = float((places[1] * places[1]).sum())
+    middle = inverse.mean(axis=1, keepdims=True)
+    across, upward = (inverse @ places[1])[:, None] / square, (inverse @ places[2])[:, None] / square
+    off = np.abs(inverse - middle - across * places[1] - upward * places[2]).max(axis=1, initial=0.0) * r[:, 0] ** 2
+    flat = off <= OFF_PLANE_LSB * model.lsb_m
+    at, r = at[flat], r[flat]
+    kinds[at] = np.maximum(CLOSED, treated[material[at, 0]])
+    here = kinds[at] == CLOSED
+    at, r = at[here], r[here]
+    cosine = hits.cosine.reshape(n, k)[at]
+    back = surfaces.table.back(material[at].ravel().astype(np.int64), cosine.ravel()).reshape(r.shape)
+    height = share * back / (r * r + model.aperture_radius_m**2)
+    if air.extinction_per_m > 0.0:
+        height = height * exp_or_zero(-2.0 * air.extinction_per_m * r)
+    height = height * overlap(r, model.overlap_start_m, model.overlap_full_m)
+    total, away = height.sum(axis=1), r - r[:, :1]
+    mean = (height * away).sum(axis=1) / np.where(total > 0.0, total, 1.0)
+    height, lead = weight[at] * model.k_m2 * total, mean - away.min(axis=1, initial=0.0)
+    low = (lead <= 4.0 * OFF_PLANE_LSB * model.lsb_m) | (lead * lead * height <= _foot_m2(model))
+    kinds[at[~low]] = BUNDLE
+    at, r, mean, away, height = at[low], r[low], mean[low], away[low], height[low]
+    spread = np.sqrt((share * (away - mean[:, None]) ** 2).sum(axis=1))
+    narrow = spread <= WIDEST * model.pulse.fwhm_m
+    kinds[at[~narrow]] = PROBED
+    at, middle_m, spread = at[narrow], (r[:, 0] + mean)[narrow], spread[narrow]
+    made[0, at], made[1, at] = middle_m - spread, middle_m + spread
+    made[2, at] = 0.5 * height[narrow]
+    return kinds, made
+
+
+def _bright_spheres(scene: Scene, bright: Bools) -> tuple[_Bright, ...] | None:
+    """Around each piece of bright faces; None where there are too many, or one changes its shape."""
+    found = []
+    for body in scene.bodies:
+        faces = bright[body.face_material]
+        if not bool(faces.any()):
+            continue
+        corners = body.faces[faces]
+        _, piece = pieces_of(len(body.vertices), corners[:, :2].ravel(), corners[:, 1:].ravel())
+        own = np.unique(piece[corners[:, 0]])
+        if body.frames is not None or len(found) + len(own) > MOST_BRIGHT:
+            return None
+        for number in own:
+            points = body.vertices[corners[piece[corners[:, 0]] == number]].reshape(-1, 3)
+            centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
+            found.append(_Bright(body, centre, float(np.linalg.norm(points - centre, axis=1).max())))
+    return tuple(found)
+
+
+def _rays_at(rays: Rays, at: Ints, own: Ints) -> Rays:
+    """Those of some beams, numbered anew."""
+    count = len(own) // len(at)
+    return Rays(
+        rays.origin_m[own], rays.direction[own], rays.t_s[own], np.arange(len(at)).repeat(count), rays.share[own],
+        np.arange(len(at)) * count, rays.centre_m[at], rays.axis[at], rays.own_axis[at],
+    )  # fmt: skip
+
+
+def _axes(rays: Rays, n: int, count: int) -> Rays:
+    """The middle ray of each beam, for those who look along beams."""
+    each, at = np.arange(n), np.arange(n) * count
+    return Rays(
+        rays.origin_m[at], rays.direction[at], rays.t_s[at], each, np.ones(n), each, rays.centre_m, rays.axis,
+        rays.own_axis,
+    )  # fmt: skip
