@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -309,7 +309,7 @@ def _judged(
 
 def _bright_spheres(scene: Scene, bright: Bools) -> tuple[_Bright, ...] | None:
     """Around each piece of bright faces; None where there are too many, or one changes its shape."""
-    found = []
+    found: list[Any] = []
     for body in scene.bodies:
         faces = bright[body.face_material]
         if not bool(faces.any()):
