@@ -86,3 +86,16 @@ def test_a_login_is_refused_until_the_fault_ends() -> None:
         found += [part for part in host.read().split(b"\x02") if b"SetAccessMode" in part]
     assert found == [b"sAN SetAccessMode 0\x03", b"sAN SetAccessMode 1\x03"]
     made.close()
+
+
+def test_pulses_that_do_not_come_unlock_the_clock_of_a_velodyne_until_the_fault_ends() -> None:
+    text = TEXT.replace("DO", "no_pps").replace("MODEL", "velodyne-vlp-16").replace("at_s: 0.0", "at_s: 4.0")
+    text = text.replace("sub_beams: 1}}", "sub_beams: 1}, device: {boot_s: 0, fov_deg: [0, 1], pps: true, nmea: true}}")
+    made = Trial(scenario.loads(text.replace("duration_s: 3.0", "duration_s: 10.0"), Path("case.yaml")))
+    (instrument,) = made.instruments
+    states = []
+    for until_s in (3.9, 5.1, 9.5):  # before the fault, within it, after it
+        made.run.advance(round(until_s * 1e9))
+        states.append(instrument.session.gps.state(made.run.clock.now_ns()))  # type: ignore[attr-defined]
+    assert states == [2, 0, 2]
+    made.close()
