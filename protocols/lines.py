@@ -60,7 +60,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "codec": "codec framing",
         "commands": "session",
         "session": "device motor",
-        "settings": "settings models tables",
+        "settings": "settings models tables own",
         "other": "__init__",
     },
     "rplidar": {

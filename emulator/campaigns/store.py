@@ -36,7 +36,6 @@ class Store:
     def __init__(self, root: Path) -> None:
         self.root = root
         self._made: set[str] = set()
-        self._index: int | None = None
         self._writer = f"{socket.gethostname()[:64]}-{os.getpid()}-{os.urandom(4).hex()}"
 
     def make(self) -> None:
@@ -109,11 +108,9 @@ class Store:
         text = json.dumps(row)
         assert text.startswith(HEAD)
         self._put(self.place(name), text + "\n")
-        if self._index is None:
-            flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
-            self._index = os.open(self.root / "index" / f"{self._writer}.jsonl", flags, 0o644)
         with contextlib.suppress(OSError):  # a hint for readers; the case itself is there
-            os.write(self._index, text.encode() + b"\n")
+            with (self.root / "index" / f"{self._writer}.jsonl").open("ab", buffering=0) as index:
+                index.write(text.encode() + b"\n")
 
     def keep_recording(self, aside: Path, name: str) -> int:
         """Move a finished recording to its place; its bytes."""

@@ -5,7 +5,6 @@ Belongs here: one pass over the rows of a campaign. Not: what is drawn of them (
 
 from __future__ import annotations
 
-import csv
 import json
 import xml.etree.ElementTree as Tree
 from collections import Counter
@@ -180,7 +179,7 @@ class _Csv:
     def add(self, rows: Sequence[Row]) -> None:
         try:
             self._writer.rows(self._flat(row) for row in rows)
-        except (OSError, csv.Error) as error:
+        except OSError as error:
             raise EmulatorError(f"{self._path}: cannot be written: {error}") from None
 
     def close(self) -> Path:

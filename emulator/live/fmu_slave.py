@@ -35,7 +35,8 @@ OSMP_VERSION, OSI_VERSION = "1.6.0", "3.8.0"
 MIME = "application/x-open-simulation-interface"
 PATIENCE_S = 300.0
 "For a run that begins: it may compile its loops first."
-END_S = 20.0
+LEAVE_S, END_S = 10.0, 20.0
+"For a run to end by itself, and at a signal."
 LOOK_S = 0.02
 MOST_BYTES = 64 << 20
 KEPT = 2
@@ -133,7 +134,9 @@ class _Run:
             self._socket.close()
         assert self._process.stdin is not None
         self._process.stdin.close()
-        if self._process.poll() is None:
+        try:
+            self._process.wait(0.0 if self._socket is None else LEAVE_S)  # by itself: a signal in its last steps would take the last event with it
+        except subprocess.TimeoutExpired:
             self._process.send_signal(signal.SIGTERM)
         try:
             self._process.wait(END_S)

@@ -186,7 +186,7 @@ class TurningSession(SweepSession):
     # sweeps
 
     def next_plan(self) -> ScanPlan | None:
-        """The next turn; None while the rotor stands or nobody listens."""
+        """The next turn; None while the rotor stands or no host listens."""
         return None if self._stalled else super().next_plan()
 
     def _samples(self, number: int) -> Samples:

@@ -254,7 +254,8 @@ def test_the_sensors_use_what_the_study_recommends() -> None:
         if bundle is not None:
             assert bundle.rule.value == "spiral"
             rays[model] = bundle.sub_beams.value
-    assert set(rays.values()) == {DEFAULT, 256}
+    assert set(rays.values()) == {DEFAULT, 256, 19}
+    assert all(model.startswith("rplidar-") for model, count in rays.items() if count == 19)  # 3200 a turn
     assert [model for model, count in rays.items() if count == 256] == ["paper-905nm"]  # few beams, as the page says
 
 

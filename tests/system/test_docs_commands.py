@@ -60,6 +60,11 @@ sensors:
   - {id: radar, model: can-ars408, from: [front], links: ["socketcand:127.0.0.1:0/can0"]}
   - {id: gate, model: sick-lms111, mount: {at_m: [0, 0, 1]}, device: {ready_s: 1}, links: ["tcp:127.0.0.1:0"]}
   - {id: robot, model: hokuyo-utm-30lx, mount: {at_m: [0, 0, 1]}, links: ["tcp:127.0.0.1:0"]}
+  - {id: roof, model: velodyne-vlp-16, mount: {at_m: [0, 0, 1]}, device: {boot_s: 0, fov_deg: [350, 10]}, links: [
+       "tcp:127.0.0.1:0"]}
+  - {id: a1, model: rplidar-a1m8, mount: {at_m: [0, 0, 1]}, links: ["pty:./rplidar_a1"]}
+  - {id: ld19, model: ldrobot-ld19, mount: {at_m: [0, 0, 1]}, links: ["pty:./ld19"]}
+  - {id: x4, model: ydlidar-x4, mount: {at_m: [0, 0, 1]}, links: ["pty:./x4"]}
 """
 
 
@@ -163,6 +168,7 @@ def test_commands_that_talk_to_a_sensor_run(folder: Path) -> None:
             here = [text.replace("socketcand:127.0.0.1:29536/can0", links[2]) for text in here]
             here = [text.replace("tcp:127.0.0.1:2112", links[3]) for text in here]
             here = [text.replace("tcp:127.0.0.1:10940", links[4]) for text in here]
+            here = [text.replace("tcp:127.0.0.1:8080", links[5]) for text in here]
             codes = run_all([words_of(text) for text in here], folder)
             daemon.communicate(timeout=60)
         finally:
