@@ -135,7 +135,8 @@ class _Run:
         assert self._process.stdin is not None
         self._process.stdin.close()
         try:
-            self._process.wait(0.0 if self._socket is None else LEAVE_S)  # by itself: a signal in its last steps would take the last event with it
+            # by itself: a signal in its last steps would take the last event with it
+            self._process.wait(0.0 if self._socket is None else LEAVE_S)
         except subprocess.TimeoutExpired:
             self._process.send_signal(signal.SIGTERM)
         try:
