@@ -109,7 +109,7 @@ def test_whatever_ends_the_process_is_told_and_the_next_file_is_read(
 
 def test_a_process_has_its_memory_and_no_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "bad.stl"
-    count = 2_000_000  # 100 MB, and twice as much when it is read
+    count = 6_000_000  # 300 MB, and twice as much when it is read: more than what the parent has free
     with path.open("wb") as file:
         file.write(bytes(80) + struct.pack("<I", count))
         file.truncate(84 + 50 * count)
