@@ -315,6 +315,13 @@ def _kind(name: str, summary: str, ends: str = NEXT_ONE, **more: object) -> Kind
     return Kind(name, "telegram", summary, ends, **more)  # type: ignore[arg-type]
 
 
+def _refusing(name: str, summary: str, ends: str, part: str) -> Kind:
+    """A state of the device itself, of families that have that part."""
+    return _kind(
+        name, summary, ends, act=lambda keys, gear: Refusing(gear, part), directions=(), lasts="state", needs_part=part
+    )
+
+
 KINDS: tuple[Kind, ...] = (
     _kind(
         "drop_telegram",
@@ -422,31 +429,22 @@ KINDS: tuple[Kind, ...] = (
         needs="to_be_refused",
         check=_has("to_be_refused"),
     ),
-    _kind(
+    _refusing(
         "device_busy",
         "The device answers every request with `device busy`; scans continue.",
         "Requests are carried out.",
-        act=lambda keys, gear: Refusing(gear, "busy"),
-        directions=(),
-        lasts="state",
-        needs_part="busy",
+        "busy",
     ),
-    _kind(
+    _refusing(
         "refuse_login",
         "The device refuses every login, also with the correct password.",
         "Logins succeed; those from before the fault were never lost.",
-        act=lambda keys, gear: Refusing(gear, "login"),
-        directions=(),
-        lasts="state",
-        needs_part="login",
+        "login",
     ),
-    _kind(
+    _refusing(
         "no_pps",
         "The pulses of the GPS receiver do not reach the device; its clock continues by its own quartz.",
         "They arrive again; the device locks to them again.",
-        act=lambda keys, gear: Refusing(gear, "no pps"),
-        directions=(),
-        lasts="state",
-        needs_part="no pps",
+        "no pps",
     ),
 )

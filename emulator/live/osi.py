@@ -112,10 +112,11 @@ def _signed(value: int) -> int:
     return value - 2**64 if value >= 2**63 else value
 
 
-def ground_truth(data: bytes) -> Update:
-    """One GroundTruth as an update; a snapshot of all moving objects. `BadSample` where it cannot be used."""
-    stamp_ns: int | None = None
-    host: str | None = None
+def ground_truth(data: bytes, stamp_ns: int | None = None, host: str | None = None) -> Update:
+    """One GroundTruth as an update; a snapshot of all moving objects. `BadSample` where it cannot be used.
+
+    `stamp_ns`, `host` : where the message itself has none
+    """
     actors: list[ActorSample] = []
     for number, kind, value in fields(data):
         if kind != BYTES:
@@ -150,11 +151,7 @@ def sensor_view(data: bytes) -> Update:
                 host = _id(value)
     if inner is None:
         raise BadSample("global_ground_truth: none; want a SensorView with one")
-    if not any(number == 2 for number, _, _ in fields(inner)) and stamp_ns is not None:
-        inner += _bytes(2, _number(1, stamp_ns // NS) + _number(2, stamp_ns % NS))
-    if host is not None and not any(number == 3 for number, _, _ in fields(inner)):
-        inner += _bytes(3, _number(1, host))
-    return ground_truth(inner)
+    return ground_truth(inner, stamp_ns, None if host is None else str(host))
 
 
 def _check_version(data: bytes) -> None:
@@ -266,27 +263,3 @@ def _entity(data: bytes) -> str | None:
         if number == 3 and kind == BYTES and isinstance(value, bytes) and value.startswith(b"entity_name:"):
             return _text(value[len(b"entity_name:") :])
     return None
-
-
-# ---------------------------------------------------------------- the way back, for traces and tests of our own
-
-
-def _number(number: int, value: int) -> bytes:
-    return _key(number, VARINT) + _as_varint(value & (2**64 - 1))
-
-
-def _bytes(number: int, data: bytes) -> bytes:
-    return _key(number, BYTES) + _as_varint(len(data)) + data
-
-
-def _key(number: int, kind: int) -> bytes:
-    return _as_varint(number << 3 | kind)
-
-
-def _as_varint(value: int) -> bytes:
-    out = bytearray()
-    while value > 0x7F:
-        out.append(value & 0x7F | 0x80)
-        value >>= 7
-    out.append(value)
-    return bytes(out)

@@ -146,11 +146,11 @@ def _thing(number: int, x: float, size: bytes = b"", kind: int = 3) -> bytes:
     """A StationaryObject, as field 4 of a GroundTruth."""
     from struct import pack
 
-    from emulator.live.osi import _bytes, _number
+    from emulator.recording.protowire import piece, whole
 
-    position = _bytes(2, b"".join(bytes((8 * one + 1,)) + pack("<d", value) for one, value in ((1, x), (2, 0.0))))
+    position = piece(2, b"".join(bytes((8 * one + 1,)) + pack("<d", value) for one, value in ((1, x), (2, 0.0))))
     base = size + position
-    return _bytes(4, _bytes(1, _number(1, number)) + _bytes(2, base) + _bytes(3, _number(1, kind)))
+    return piece(4, piece(1, whole(1, number)) + piece(2, base) + piece(3, whole(1, kind)))
 
 
 def test_stationary_objects_are_read_and_stay_when_later_messages_have_none() -> None:
