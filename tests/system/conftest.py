@@ -103,9 +103,9 @@ def daemons(folder: Path) -> Iterator[Callable[..., RunningDaemon]]:
     """Starts daemons in a folder; all of them are ended with it."""
     started: list[RunningDaemon] = []
 
-    def start(*arguments: str) -> RunningDaemon:
+    def start(*arguments: str, forked: bool = True) -> RunningDaemon:
         nicer = NICENESS["daemons"] - NICENESS["tests"]
-        process = begun("run", *arguments, "--json", cwd=folder, stdin=None, nicer=nicer)
+        process = begun("run", *arguments, "--json", cwd=folder, stdin=None, nicer=nicer, forked=forked)
         assert process.stdout is not None
         first = process.stdout.readline()
         if not first:

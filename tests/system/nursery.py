@@ -153,12 +153,15 @@ class Forked(subprocess.Popen[str]):
 
 
 def begun(
-    *words: str, cwd: Path, more: Mapping[str, str] | None = None, nicer: int = 0, **streams: Any
+    *words: str, cwd: Path, more: Mapping[str, str] | None = None, nicer: int = 0, forked: bool = True, **streams: Any
 ) -> subprocess.Popen[str]:
-    """`lidaremu WORDS` in that folder; `more` of the environment, `streams` as of `Popen` (both outputs are pipes)."""
+    """`lidaremu WORDS` in that folder; `more` of the environment, `streams` as of `Popen` (both outputs are pipes).
+
+    `forked` : False: the command as a user starts it, whose own processes import what they need
+    """
     environment = os.environ | {"PYTHONPATH": str(ROOT)} | (more or {})
     streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | streams
-    if hasattr(os, "fork") and environment.get(SWITCH) == os.environ.get(SWITCH):
+    if forked and hasattr(os, "fork") and environment.get(SWITCH) == os.environ.get(SWITCH):
         return Forked(list(words), cwd=cwd, env=environment, text=True, nicer=nicer, **streams)
     first = ["nice", "-n", str(nicer)] if nicer else []
     command = [*first, sys.executable, "-m", "emulator", *words]
