@@ -22,9 +22,9 @@ class EmulatorError(Exception):
     @classmethod
     def of(cls, lines: Iterable[str]) -> Self:
         """Several faults, a line each; an end of a line within one is somebody else's."""
-        told = tuple(lines)
-        error = cls("\n".join(told))
-        error._lines = told
+        reported = tuple(lines)
+        error = cls("\n".join(reported))
+        error._lines = reported
         return error
 
     @property

@@ -20,7 +20,7 @@ Kind = Literal["step", "set", "rate", "stop", "go"]
 
 
 @dataclass(frozen=True)
-class Told:
+class DeviceStamp:
     """The time stamp of one telegram, and the true time."""
 
     true_ns: int
@@ -104,9 +104,9 @@ class DeviceClock:
         """The same counted in ticks of `tick_ns`, as wide as the wire has it."""
         return self.shown_ns(at_ns) * tick_ns.denominator // tick_ns.numerator & ((1 << bits) - 1)
 
-    def told(self, at_ns: int, tick_ns: Fraction, bits: int) -> Told:
+    def reported(self, at_ns: int, tick_ns: Fraction, bits: int) -> DeviceStamp:
         """The time stamp of a telegram for an instant."""
-        return Told(at_ns, self.shown_ns(at_ns), self.ticks(at_ns, tick_ns, bits), float(tick_ns), bits)
+        return DeviceStamp(at_ns, self.shown_ns(at_ns), self.ticks(at_ns, tick_ns, bits), float(tick_ns), bits)
 
     def powered_on(self, at_ns: int) -> DeviceClock:
         """The device is switched on or restarts: the clock restarts, unless it runs on a battery."""

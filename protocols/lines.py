@@ -181,11 +181,11 @@ def main(arguments: list[str]) -> int:
         PAGE.write_text(written(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
         return 0
     try:
-        told = table([*shipped(), *map(Path, arguments)])
+        reported = table([*shipped(), *map(Path, arguments)])
     except (OSError, SyntaxError, UnicodeDecodeError) as error:
         sys.stderr.write(f"{error}; want the file or folder of a family\n")
         return 2
-    sys.stdout.write(f"{told}\n")
+    sys.stdout.write(f"{reported}\n")
     return 0
 
 

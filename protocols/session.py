@@ -14,7 +14,7 @@ from enum import Enum
 from fractions import Fraction
 from typing import Any, NamedTuple, Protocol
 
-from protocols.device_clock import DeviceClock, Told
+from protocols.device_clock import DeviceClock, DeviceStamp
 from protocols.scan import Scan, ScanPlan
 
 MAX_EVENTS = 10_000
@@ -56,7 +56,7 @@ class Emission:
     "The line changes to this many baud as soon as the last bit of this payload has left."
     label: str = ""
     "What it is, for traces: `B0`, `ACK`, `A0`."
-    told: Told | None = None
+    reported: DeviceStamp | None = None
     "Time stamp in the first telegram of a scan; for recordings and reports."
     scans: int = 1
     "Scans that it carries, numbered from `sweep` on; of a mean all its scans; 0: a further part of a scan."

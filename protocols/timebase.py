@@ -112,10 +112,10 @@ class Timebase(Session):
         return [self._sent(one) for one in self.inner.take_emissions(self.quartz.own_ns(now_ns))]
 
     def _sent(self, own: Emission) -> Emission:
-        told = own.told
-        if told is not None:
-            told = replace(told, true_ns=self.quartz.true_ns(told.true_ns))
-        return replace(own, due_ns=self.quartz.true_ns(own.due_ns), told=told)
+        reported = own.reported
+        if reported is not None:
+            reported = replace(reported, true_ns=self.quartz.true_ns(reported.true_ns))
+        return replace(own, due_ns=self.quartz.true_ns(own.due_ns), reported=reported)
 
     def modem_lines(self, dtr: bool, rts: bool, now_ns: int, address: Address) -> None:
         self.inner.modem_lines(dtr, rts, self.quartz.own_ns(now_ns), address)

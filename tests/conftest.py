@@ -30,5 +30,5 @@ def _every_scan_is_on_account(request: pytest.FixtureRequest, monkeypatch: pytes
     monkeypatch.setattr(Instrument, "__init__", noted)
     yield
     if request.node.get_closest_marker("unaccounted") is None:
-        told = {one.sensor: text for one in made if (text := faults_of(one.ledger.account()))}
-        assert not told, f"scans that are nowhere: {told}"
+        reported = {one.sensor: text for one in made if (text := faults_of(one.ledger.account()))}
+        assert not reported, f"scans that are nowhere: {reported}"

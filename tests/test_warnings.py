@@ -32,21 +32,21 @@ sensors:
 
 def test_check_tells_the_range_of_a_law(scenario: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", scenario]) == 0
-    told = capsys.readouterr().err
-    assert told == f"lidaremu: {scenario}: warning: {THIN}\nlidaremu: {scenario}: warning: {DENSE}\n"
+    reported = capsys.readouterr().err
+    assert reported == f"lidaremu: {scenario}: warning: {THIN}\nlidaremu: {scenario}: warning: {DENSE}\n"
     assert main(["check", "--json", scenario]) == 0
     assert json.loads(capsys.readouterr().out)["warnings"] == [THIN, DENSE]
 
 
 def test_test_tells_the_range_of_a_law(scenario: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["test", scenario]) == 0
-    told = capsys.readouterr().out
-    assert told.count(f"  warning: {THIN}\n") == told.count(f"  warning: {DENSE}\n") == 1
+    reported = capsys.readouterr().out
+    assert reported.count(f"  warning: {THIN}\n") == reported.count(f"  warning: {DENSE}\n") == 1
     assert main(["test", "--json", "--workers", "1", scenario]) == 0
     assert json.loads(capsys.readouterr().out)["warnings"] == [THIN, DENSE]
 
 
 def test_run_tells_the_range_of_a_law_once(scenario: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", scenario, "--duration", "0.2"]) == 0
-    told = capsys.readouterr().err
-    assert told.count(f"lidaremu: warning: {THIN}\n") == told.count(f"lidaremu: warning: {DENSE}\n") == 1
+    reported = capsys.readouterr().err
+    assert reported.count(f"lidaremu: warning: {THIN}\n") == reported.count(f"lidaremu: warning: {DENSE}\n") == 1

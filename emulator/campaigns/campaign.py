@@ -71,12 +71,12 @@ def load(path: Path, out: Path, driver: Sequence[str] = (), points: int | None =
     found, source = read(path)
     if points is not None:
         found = _resized(found, points)
-    told: list[str] = []
+    reported: list[str] = []
     base: Source | None = None
     try:
         base = _base(found, source)
     except ScenarioError as error:
-        told += [
+        reported += [
             f"{source.place(('scenario',))}: scenario: {line}" if ":" not in line else line for line in error.lines
         ]
     factors: tuple[Factor, ...] = ()
@@ -85,9 +85,9 @@ def load(path: Path, out: Path, driver: Sequence[str] = (), points: int | None =
         factors = factors_of(found, source)
         plan = plan_of(found, factors, f"{source.place(('design',))}: design.{found.design.kind}")
     except ScenarioError as error:
-        told += error.lines
-    if told or base is None:
-        raise ScenarioError.of(told)
+        reported += error.lines
+    if reported or base is None:
+        raise ScenarioError.of(reported)
     job = Job(
         base, factors, found.seed, found.repeats, _salted(found, plan),
         tuple(found.quantities.items()), tuple(driver), found.record, found.limits.seconds, out.absolute(), version(),
@@ -125,7 +125,7 @@ def _base(found: CampaignFile, source: Source) -> Source:
 def _check(found: CampaignFile, source: Source, job: Job) -> tuple[str, ...]:
     """What a case would refuse, before the first: each factor's levels and ends; names of what is judged."""
     usual = tuple(_tried(one)[0] for one in job.factors)
-    told: list[str] = []
+    reported: list[str] = []
 
     def attempt(point: Point) -> Any:
         try:
@@ -133,17 +133,17 @@ def _check(found: CampaignFile, source: Source, job: Job) -> tuple[str, ...]:
             rehearse(loaded)
             return loaded
         except EmulatorError as error:
-            told.extend(line for line in error.lines if line not in told)
+            reported.extend(line for line in error.lines if line not in reported)
             return None
 
     loaded = attempt(usual)
     for at, factor in enumerate(job.factors):
-        if any(line.startswith(f"{factor.label}:") for line in told):
+        if any(line.startswith(f"{factor.label}:") for line in reported):
             continue
         for values in _tried(factor)[1:]:
             attempt((*usual[:at], values, *usual[at + 1 :]))
-    if told:
-        raise ScenarioError.of(told)
+    if reported:
+        raise ScenarioError.of(reported)
     sensors = [sensor.id for sensor in loaded.sensors]
     actors = ["world", *(actor.id for actor in loaded.actors)]
     for name, text in found.quantities.items():
@@ -151,7 +151,7 @@ def _check(found: CampaignFile, source: Source, job: Job) -> tuple[str, ...]:
             for one in names(parse(text)):
                 check_name(one, sensors, actors)
         except ExpressionError as error:
-            told.append(f"{source.place(('quantities', name))}: quantities.{name}: {text!r}: {error}")
+            reported.append(f"{source.place(('quantities', name))}: quantities.{name}: {text!r}: {error}")
     expected = tuple(dict.fromkeys(one.name for one in understand(loaded)))
     kind = found.design.kind
     judged = kind == "boundary" or (
@@ -160,9 +160,9 @@ def _check(found: CampaignFile, source: Source, job: Job) -> tuple[str, ...]:
         and found.design.monte_carlo.precision.of == "pass"
     )
     if judged and not expected and not job.driver:
-        told.append(f"{source.place(('design', kind))}: design.{kind}: nothing is expected; want expect")
-    if told:
-        raise ScenarioError.of(told)
+        reported.append(f"{source.place(('design', kind))}: design.{kind}: nothing is expected; want expect")
+    if reported:
+        raise ScenarioError.of(reported)
     return expected
 
 

@@ -60,8 +60,8 @@ def run_case(job: Job, case: Case, may_record: bool = True) -> Row:
         row |= {"verdict": "passed" if held else "failed", "sha256": found.sha256}
         row["expect"] = {item.name: item.held for item in found.judgements}
         row["quantities"] = found.quantities
-        told = [f"{item.name}: {item.told}" for item in found.judgements if not item.held]
-        row["fault"] = "\n".join([*told, *([found.fault] if found.fault else [])])
+        reported = [f"{item.name}: {item.reported}" for item in found.judgements if not item.held]
+        row["fault"] = "\n".join([*reported, *([found.fault] if found.fault else [])])
         row["warnings"] = list(found.warnings)
         row["seconds"] = round(clock.now_ns() * 1e-9, 6)
         if not held and may_record and job.record == "failed" and not at_once:

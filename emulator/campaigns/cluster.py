@@ -20,7 +20,7 @@ from emulator.errors import EmulatorError
 AHEAD = 4
 "Cases per thread of the cluster that wait there."
 LEAST_AHEAD = 8
-PATIENCE_S = 30
+TIME_LIMIT_S = 30
 "For a scheduler to answer."
 
 
@@ -35,7 +35,7 @@ class Cluster:
                 "distributed is missing; --dask needs the extra: pip install 'lidaremu[dask]'"
             ) from None
         try:
-            self._client = distributed.Client(address, timeout=PATIENCE_S, set_as_default=False)
+            self._client = distributed.Client(address, timeout=TIME_LIMIT_S, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             raise EmulatorError(
                 f"--dask {address}: {error}; want the address of a scheduler, as tcp://HOST:8786"

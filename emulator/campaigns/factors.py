@@ -114,19 +114,19 @@ class Factor:
 
 def factors_of(found: CampaignFile, source: yaml_lines.Source) -> tuple[Factor, ...]:
     """All factors of a file; `ScenarioError` has a line for each fault."""
-    told: list[str] = []
+    reported: list[str] = []
     made: list[Factor] = []
     for name, table in found.factors.items():
         label = f"{source.place(('factors', name))}: factors.{name}"
         try:
             made.append(_factor(name, table, label, source.path.parent))
         except ScenarioError as error:
-            told += error.lines
+            reported += error.lines
     columns = [column for one in made for column in one.columns]
     for twice in sorted({one for one in columns if columns.count(one) > 1}):
-        told.append(f"{source.place(('factors',))}: factors: {twice} given twice; want each key in one factor")
-    if told:
-        raise ScenarioError.of(told)
+        reported.append(f"{source.place(('factors',))}: factors: {twice} given twice; want each key in one factor")
+    if reported:
+        raise ScenarioError.of(reported)
     return tuple(made)
 
 

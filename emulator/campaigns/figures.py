@@ -1,6 +1,6 @@
 """Pictures of a campaign: maps of pass and fail over two factors, curves with confidence bands, bars of sensitivity.
 
-Belongs here: drawing. Not: what is told beside them (page), numbers (table, sensitivity).
+Belongs here: drawing. Not: what is reported beside them (page), numbers (table, sensitivity).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ PASS, FAIL, BROKEN = COLOURS[0], COLOURS[1], "#8c959f"
 
 
 def short(name: str) -> str:
-    """The part of a key that tells most: its end."""
+    """The part of a key that says most: its end."""
     return name if len(name) <= 28 else "…" + name[-27:]
 
 
@@ -78,10 +78,10 @@ def verdict_map(results: Results, across: str, up: str, link: Callable[[int], st
     made.draw_without_rendering()
     image = png(made)
     spots = _spots(made, axes, spots_at, chosen, results, link)
-    told = "Share of passed cases in each cell, over all other factors" if cells else "Each mark is a case"
+    reported = "Share of passed cases in each cell, over all other factors" if cells else "Each mark is a case"
     return Picture(
         f"map-{_file(across)}-{_file(up)}", f"Pass and fail over {across} and {up}", image,
-        f"{told}. A click opens a case.", spots,
+        f"{reported}. A click opens a case.", spots,
     )  # fmt: skip
 
 

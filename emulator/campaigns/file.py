@@ -185,52 +185,54 @@ def read(path: Path) -> tuple[CampaignFile, yaml_lines.Source]:
         found = CampaignFile.model_validate(_frozen(data))
     except ValidationError as error:
         raise ScenarioError.of(fault_lines(source, CampaignFile, error)) from None
-    told = [
-        _told(source, ("quantities", name), name, "a name, not `pass`") for name in found.quantities if name == "pass"
+    reported = [
+        _reported(source, ("quantities", name), name, "a name, not `pass`")
+        for name in found.quantities
+        if name == "pass"
     ]
     for name, factor in found.factors.items():
         if factor.whole and factor.values is not None:
-            told.append(_told(source, ("factors", name, "whole"), "true", "it with range or distribution"))
-    told += list(_references(found, source))
-    if told:
-        raise ScenarioError.of(told)
+            reported.append(_reported(source, ("factors", name, "whole"), "true", "it with range or distribution"))
+    reported += list(_references(found, source))
+    if reported:
+        raise ScenarioError.of(reported)
     return found, source
 
 
-def _told(source: yaml_lines.Source, loc: yaml_lines.Loc, found: str, want: str) -> str:
+def _reported(source: yaml_lines.Source, loc: yaml_lines.Loc, found: str, want: str) -> str:
     return source.fault(loc, found, want)
 
 
 def _references(found: CampaignFile, source: yaml_lines.Source) -> list[str]:
     """What a design names must be there."""
-    told, design, kind = [], found.design, found.design.kind
+    reported, design, kind = [], found.design, found.design.kind
     known = ", ".join(found.quantities) or "a quantity: there is none, see quantities"
     if design.monte_carlo is not None and design.monte_carlo.precision is not None:
         wanted_of = design.monte_carlo.precision.of
         if wanted_of != "pass" and wanted_of not in found.quantities:
-            told.append(source.fault(("design", kind, "precision", "of"), repr(wanted_of), f"pass or {known}"))
+            reported.append(source.fault(("design", kind, "precision", "of"), repr(wanted_of), f"pass or {known}"))
         if design.monte_carlo.most < design.monte_carlo.least:
-            told.append(source.fault(("design", kind, "most"), str(design.monte_carlo.most), "least or more"))
+            reported.append(source.fault(("design", kind, "most"), str(design.monte_carlo.most), "least or more"))
     if design.worst is not None and design.worst.of not in found.quantities:
-        told.append(source.fault(("design", kind, "of"), repr(design.worst.of), known))
+        reported.append(source.fault(("design", kind, "of"), repr(design.worst.of), known))
     ranges = [name for name, one in found.factors.items() if one.range is not None or one.distribution is not None]
     if design.boundary is not None:
         of = design.boundary.of
         if of is not None and (of not in found.factors or found.factors[of].range is None):
             wanted = ", ".join(name for name, one in found.factors.items() if one.range is not None)
-            told.append(
+            reported.append(
                 source.fault(("design", kind, "of"), repr(of), wanted or "a factor with a range: there is none")
             )
     searched = design.worst is not None or (design.boundary is not None and design.boundary.of is None)
     if searched and (len(ranges) != len(found.factors) or not ranges):
         other = next((name for name in found.factors if name not in ranges), None)
         loc: yaml_lines.Loc = ("factors",) if other is None else ("factors", other)
-        told.append(source.fault(loc, "not a range", f"ranges or distributions alone for design {kind}"))
+        reported.append(source.fault(loc, "not a range", f"ranges or distributions alone for design {kind}"))
     if design.boundary is not None and of is None and len(ranges) == 1 and len(found.factors) == 1:
-        told.append(source.fault(("design", kind), "no of", f"of: {ranges[0]}, which is bisected"))
+        reported.append(source.fault(("design", kind), "no of", f"of: {ranges[0]}, which is bisected"))
     if not found.factors and design.monte_carlo is None:
-        told.append(source.fault(("factors",), "none", "at least one factor, or design monte_carlo over seeds"))
-    return told
+        reported.append(source.fault(("factors",), "none", "at least one factor, or design monte_carlo over seeds"))
+    return reported
 
 
 def _whole(design: Any) -> Any:

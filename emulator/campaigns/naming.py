@@ -65,11 +65,11 @@ class Job:
         """The scenario of a case, judged; raises `ScenarioError`."""
         values: list[tuple[str, Any, str]] = [("seed", seed, f"seed {seed}")]
         for factor, found in zip(self.factors, point, strict=True):
-            values += [(key, value, f"{factor.label}: {told(value)}") for key, value in factor.changes(found)]
+            values += [(key, value, f"{factor.label}: {reported(value)}") for key, value in factor.changes(found)]
         return scenarios.from_source(keys_of.placed(self.source, values))
 
 
-def told(value: Any) -> str:
+def reported(value: Any) -> str:
     """A value in a message."""
     text = json.dumps(value)
     return text if len(text) <= 40 else text[:37] + "..."

@@ -1,6 +1,6 @@
 """The page of a campaign, and a page for each case that it leads to.
 
-Belongs here: what is told, and in which order. Not: drawing (figures), HTML (studies.report).
+Belongs here: what is reported, and in which order. Not: drawing (figures), HTML (studies.report).
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ def write_page(
             if row is not None:
                 page = form.page(case_page(campaign, store, row))
                 (out / PAGES / f"{name}.html").write_text(page, encoding="utf-8")
-        told = [name for name in linked if store.recording(name).is_dir()]
-        for name in told[:runs]:
+        reported = [name for name in linked if store.recording(name).is_dir()]
+        for name in reported[:runs]:
             _run_report(store.recording(name))
         path.write_text(form.page(made), encoding="utf-8")
     except OSError as error:
@@ -253,15 +253,15 @@ def _table(results: Results, name: str, title: str, cases: Sequence[int], link: 
     rows: list[tuple[Any, ...]] = []
     for case in cases:
         full = results.names[case].decode()
-        told = results.told.get(full, "").partition("\n")[0]
-        told = told if len(told) <= 120 else told[:117] + "..."
+        reported = results.reported.get(full, "").partition("\n")[0]
+        reported = reported if len(reported) <= 120 else reported[:117] + "..."
         rows.append(
             (
                 Link(full[:12], link(case)),
                 *_values(results, case),
                 VERDICTS[int(results.verdict[case])],
                 float(results.seconds[case]),
-                told,
+                reported,
             )
         )
     columns = (

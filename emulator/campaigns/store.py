@@ -62,7 +62,7 @@ class Store:
         return known is not None and known.get("digest") != digest
 
     def forget_version(self) -> None:
-        """Begin anew; done cases stay, under names that no new case has."""
+        """Begin again; done cases stay, under names that no new case has."""
         with contextlib.suppress(FileNotFoundError):
             (self.root / "campaign.json").unlink()
 

@@ -27,7 +27,7 @@ VERDICTS = ("passed", "failed", "error", "crashed", "hung")
 CHUNK = 20_000
 MOST_CASES_JUNIT = 20_000
 "Test cases of the JUnit report; of more, those that did not pass come first."
-MOST_TOLD = 5_000
+MOST_REPORTED = 5_000
 "Reasons kept for the page and JUnit."
 
 
@@ -47,7 +47,7 @@ class Results:
     quantities: dict[str, Floats]
     recorded: NDArray[np.bool_]
     expect: dict[str, Counter[bool]]
-    told: dict[str, str] = field(default_factory=dict)
+    reported: dict[str, str] = field(default_factory=dict)
     "Why cases did not pass, as far as kept."
     log: frozenset[str] = frozenset()
     "Factors that are spread over decades."
@@ -76,7 +76,7 @@ def gather(campaign: Campaign, rows: Iterable[Row], out: Path) -> tuple[Results,
     parts: list[tuple[Any, ...]] = []
     expect: dict[str, Counter[bool]] = {name: Counter() for name in campaign.expect}
     codes: dict[str, dict[str, int]] = {column: {} for column in columns if column not in numeric}
-    told: dict[str, str] = {}
+    reported: dict[str, str] = {}
     writer = _writer(campaign, columns, numeric, out)
     quantities = list(campaign.file.quantities)
     for batch in _batches(rows):
@@ -84,8 +84,8 @@ def gather(campaign: Campaign, rows: Iterable[Row], out: Path) -> tuple[Results,
         for row in batch:
             for name, held in row["expect"].items():
                 expect.setdefault(name, Counter())[held] += 1
-            if row["fault"] and len(told) < MOST_TOLD:
-                told[row["name"]] = row["fault"]
+            if row["fault"] and len(reported) < MOST_REPORTED:
+                reported[row["name"]] = row["fault"]
         parts.append(
             (
                 np.array([row["name"] for row in batch], dtype="S64"),
@@ -114,7 +114,7 @@ def gather(campaign: Campaign, rows: Iterable[Row], out: Path) -> tuple[Results,
     log = frozenset(one.name for one in campaign.factors if one.log)
     names, number, repeat, verdict, seconds, recorded = whole[:6]
     return Results(
-        names, number, repeat, verdict, seconds, factors, levels, found, recorded, expect, told, log
+        names, number, repeat, verdict, seconds, factors, levels, found, recorded, expect, reported, log
     ), path
 
 
@@ -268,7 +268,7 @@ def write_junit(campaign: Campaign, results: Results, missing: int, path: Path) 
         )  # fmt: skip
         verdict = VERDICTS[int(results.verdict[at])]
         if verdict != "passed":
-            text = visible(results.told.get(name, verdict), "\n")
+            text = visible(results.reported.get(name, verdict), "\n")
             kind = "failure" if verdict == "failed" else "error"
             Tree.SubElement(case, kind, message=text.partition("\n")[0], type=verdict).text = text
     if missing:

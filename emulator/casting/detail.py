@@ -95,7 +95,8 @@ class DetailedCaster:
         return self._put_maps(hits, origin_m, direction, t_s)
 
     def renewed(self, origin_m: Floats, direction: Floats, t_s: Floats | float, max_range_m: float = np.inf) -> Renewed:
-        """First hits of rays that come again, told apart; those that go on behind a hull are new where bodies move."""
+        """First hits of rays that come again, distinguished; those that go on behind a hull are new where bodies
+        move."""
         bare = self.bare.renewed(origin_m, direction, t_s, max_range_m)
         known = next((one for one in self._kept if one[0] is bare.resting), None)
         if known is None:

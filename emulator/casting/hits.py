@@ -89,7 +89,7 @@ class LateHits:
     inner: Flags
     cosine: Floats
     parts: tuple[tuple[Nearest, Callable[[], Hits]], ...]
-    "What was found for the rays, one block after another, and how all of it is told."
+    "What was found for the rays, one block after another, and how all of it is reported."
 
     def __len__(self) -> int:
         return len(self.range_m)
@@ -110,7 +110,7 @@ class LateHits:
 
     @cached_property
     def whole(self) -> Hits:
-        return Hits.joined([told() for _, told in self.parts])
+        return Hits.joined([reported() for _, reported in self.parts])
 
     @property
     def body(self) -> Ints:

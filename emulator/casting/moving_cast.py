@@ -293,7 +293,7 @@ class MovingCast:
         return Met(near.rays[hit], triangle, movers.body[which], range_m[hit], normal, facing[hit])
 
     def _near(self, low: Floats, high: Floats, begin_s: float, end_s: float, far: float) -> Movers:
-        """Those that can come within reach; built anew once a second, or where the sensor comes to another cell."""
+        """Those that can come within reach; built again once a second, or where the sensor comes to another cell."""
         which = self._broad_phase.within(low, high, far, begin_s, end_s)
         if self._fed is not None:
             return self._there(which)

@@ -49,7 +49,7 @@ LONGER = 1.0 + 1e-6
 BLOCK = 32_768
 "Rays cast together: more short steps cost more than arrays that leave the processor's cache."
 KEEP_NUMBERS = 3_900_000
-"An array of so many (31 MB) is made and freed once: glibc then keeps freed memory instead of mapping it anew."
+"An array of so many (31 MB) is made and freed once: glibc then keeps freed memory instead of mapping it again."
 SUBSETS_KEPT = 16
 FAN_RAYS_KEPT = 400_000
 "Rays of which it is remembered what they meet of resting bodies: about 200 bytes each."
@@ -75,13 +75,13 @@ def _resting_by_loops(loops: ModuleType, caster: Caster, origin: Floats, aim: Ai
     return found
 
 
-def _told_by_loops(loops: ModuleType, caster: Caster, found: Nearest, inner: Flags, far: float) -> LateHits:
-    """What few ask for is looked up, by arrays, if somebody does."""
-    (actor, material), cosine = loops.told(
+def _reported_by_loops(loops: ModuleType, caster: Caster, found: Nearest, inner: Flags, far: float) -> LateHits:
+    """What few ask for is looked up, with numpy arrays, if somebody does."""
+    (actor, material), cosine = loops.reported(
         found.range_m, found.triangle, found.body, found.facing, far, inner, caster._actor_of, caster._material,
         caster._table.part, caster._parts_of, caster._part_material,
     )  # fmt: skip
-    later = partial(array_form(Caster._told), caster, found, inner, far)
+    later = partial(array_form(Caster._reported), caster, found, inner, far)
     return LateHits(found.range_m, actor, material, inner, cosine, ((found, later),))
 
 
@@ -209,7 +209,7 @@ class Caster:
         return found
 
     def renewed(self, origin_m: Floats, direction: Floats, t_s: Floats | float, max_range_m: float = np.inf) -> Renewed:
-        """First hits of rays that come again, told apart: on what rests, and those that differ now.
+        """First hits of rays that come again, distinguished: on what rests, and those that differ now.
 
         The arguments are those of `first_hits` with `again`.
         """
@@ -241,7 +241,7 @@ class Caster:
             blocks.append(Block(here, origin, aim, box, found, indexes(inner)))
             if not self.moves and inner.any():
                 self._recast_leaks(found, inner, origin, aim.ray, np.zeros(len(aim)), far)
-            parts.append(array_form(Caster._told)(self, found, inner, far))
+            parts.append(array_form(Caster._reported)(self, found, inner, far))
         hits = Hits.joined(parts) if blocks else Hits.misses(count)
         for column in vars(hits).values():
             column.flags.writeable = False
@@ -264,7 +264,7 @@ class Caster:
         inner = self._is_inner(found)
         if inner.any():
             self._recast_leaks(found, inner, origin, ray, times, fan.far)
-        return rays + block.here.start, array_form(Caster._told)(self, found, inner, fan.far)
+        return rays + block.here.start, array_form(Caster._reported)(self, found, inner, fan.far)
 
     def _subset(self, bodies: frozenset[int]) -> Caster:
         if bodies not in self._subsets:
@@ -282,11 +282,11 @@ class Caster:
             self._recast_leaks(found, inner, origin, aim.ray, times, far)
         if skip is not None:
             found.range_m = found.range_m + skip
-        return self._told(found, inner, far)
+        return self._reported(found, inner, far)
 
-    @by_loops(_told_by_loops, "told")
-    def _told(self, found: Nearest, inner: Flags, far: float) -> Hits | LateHits:
-        """What was found, as it is told; `found` stays as it is."""
+    @by_loops(_reported_by_loops, "reported")
+    def _reported(self, found: Nearest, inner: Flags, far: float) -> Hits | LateHits:
+        """What was found, as it is reported; `found` stays as it is."""
         table, body, triangle = self._table, found.body, found.triangle
         missed = triangle < 0
         if far < np.inf:

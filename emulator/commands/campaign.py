@@ -151,9 +151,9 @@ def _end(
     if as_json:
         say(json.dumps(row))
     else:
-        told = ", ".join(f"{count} {verdict}" for verdict, count in counts.items() if count) or "nothing to run"
-        say(f"{sum(counts.values())} cases, {runner.progress.now} run now: {told}")
-        for line in _told(outcome):
+        reported = ", ".join(f"{count} {verdict}" for verdict, count in counts.items() if count) or "nothing to run"
+        say(f"{sum(counts.values())} cases, {runner.progress.now} run now: {reported}")
+        for line in _reported(outcome):
             say(line)
         for path in files:
             say(path)
@@ -175,7 +175,7 @@ def _page(loaded: Campaign, store: Store, results: Any, missing: int, outcome: A
     return [str(write_page(loaded, store, results, missing, outcome, runs))]
 
 
-def _told(outcome: dict[str, Any] | None) -> Iterator[str]:
+def _reported(outcome: dict[str, Any] | None) -> Iterator[str]:
     if outcome is None:
         return
     if outcome["design"] == "monte_carlo":

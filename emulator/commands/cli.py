@@ -242,7 +242,7 @@ def run(
     if daemon.faults is not None:
         daemon.faults.listeners.append(fault_teller(as_json))
     if isinstance(daemon, VirtualDaemon):
-        daemon.waits_for_hosts, daemon.tells_alone = not no_wait, True
+        daemon.waits_for_hosts, daemon.reports_alone = not no_wait, True
     if realtime and (refused := be_realtime()):
         note(f"--realtime: {refused}; normal scheduling is used")
     transcript = watched(instruments) if isinstance(daemon, VirtualDaemon) else None
@@ -344,7 +344,7 @@ def now_of(daemon: Daemon | VirtualDaemon, clock: Clock) -> int:
 
 
 def fault_teller(as_json: bool) -> Callable[[str, FaultEvent], None]:
-    """Tells of each fault that it begins and ends; single hits are recorded and counted."""
+    """Reports each fault that it begins and ends; single hits are recorded and counted."""
 
     def tell(sensor: str, event: FaultEvent) -> None:
         if event.what == "hit":
@@ -385,11 +385,11 @@ def announce_ready(
             say(f"ready: {item.sensor} ({models[item.sensor]}) on {link.url}")
     if feed is not None:
         say(f"ready: poses on {feed}")
-    say(ending.told())
+    say(ending.reported())
 
 
 def watched(instruments: Sequence[Instrument]) -> Transcript:
-    """The digest of a run's wire bytes with their virtual times, as `test` tells it."""
+    """The digest of a run's wire bytes with their virtual times, as `test` reports it."""
     from emulator.recording.transcript import Transcript
 
     transcript = Transcript([one.sensor for one in instruments])
@@ -399,7 +399,7 @@ def watched(instruments: Sequence[Instrument]) -> Transcript:
 
 
 def incident_teller(as_json: bool) -> Callable[[Incident], None]:
-    """Tells of each incident when it happens."""
+    """Reports each incident when it happens."""
 
     def tell(incident: Incident) -> None:
         if as_json:
@@ -426,14 +426,14 @@ def announce_end(
     `recording`: how it stands with it, None when the run was not recorded.
     """
     from emulator.instrument.summary import summary
-    from emulator.objects.metrics import told
+    from emulator.objects.metrics import reported
 
     totals = [summary(item) for item in instruments]
     if as_json:
         digest = {} if sha256 is None else {"sha256": sha256}
-        told_of = {"recording": recording, "incidents": incidents.rows(), "incident_totals": incidents.totals()}
+        reported_of = {"recording": recording, "incidents": incidents.rows(), "incident_totals": incidents.totals()}
         ended = {"why": why, "ended_s": ended_s}
-        say(json.dumps({"event": "stopped", **ended, "sensors": totals} | told_of | digest))
+        say(json.dumps({"event": "stopped", **ended, "sensors": totals} | reported_of | digest))
         return
     say(f"ended after {ended_s:.3f} s: {why}")
     for total in totals:
@@ -470,7 +470,7 @@ def announce_end(
             skipped = sum(account["skipped"].values())
             say(f"{total['id']}: frames: {counts}" + (f"; {skipped} skipped, a cycle late" if skipped else ""))
         if "objects" in total:
-            for line in told(total["objects"]):
+            for line in reported(total["objects"]):
                 say(f"{total['id']}: {line}")
     for kind, count in incidents.totals().items():
         say(f"incidents: {count} {kind}")

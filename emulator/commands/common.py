@@ -63,7 +63,7 @@ def complain_of_use(error: click.ClickException) -> None:
 @contextmanager
 def bar(title: str) -> Iterator[Callable[..., None]]:
     """A bar on standard error where that is a terminal; called with the share that is done, and a text
-    behind the title; it is drawn anew then.
+    behind the title; it is drawn again then.
 
     No thread draws it: some of the work forks. What is said meanwhile stays on standard output, redirected or not.
     """
@@ -88,7 +88,7 @@ def bar(title: str) -> Iterator[Callable[..., None]]:
 
 
 def part_of(progress: Callable[[float], None], done: int, of: int) -> Callable[[float], None]:
-    """Tells the share of one of several things as that of the whole."""
+    """Passes on the share of one of several things as that of the whole."""
     return lambda share: progress((done + share) / of)
 
 

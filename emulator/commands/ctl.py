@@ -48,8 +48,8 @@ def control_of(
     if recorder is not None:
         orders.record(recorder.note, recorder.state)
 
-    def befell(kind: str, text: str) -> None:
-        """Told by the control's thread; noted, and printed, by the run's."""
+    def on_incident(kind: str, text: str) -> None:
+        """Reported by the control's thread; noted, and printed, by the run's."""
 
         def note() -> None:
             at_ns = daemon.now_ns if isinstance(daemon, VirtualDaemon) else clock.now_ns()
@@ -58,7 +58,7 @@ def control_of(
         daemon.call(note)
 
     limited = not isinstance(daemon, VirtualDaemon)
-    return ControlServer(path or new_path(), orders.methods(), daemon, befell, limited)
+    return ControlServer(path or new_path(), orders.methods(), daemon, on_incident, limited)
 
 
 @click.command()
@@ -94,8 +94,8 @@ def ctl(order: str, parameters: tuple[str, ...], path: Path | None, as_json: boo
         if len(found) != 1:
             if not found:
                 raise LinkError("no daemon of this user is running; want lidaremu run SCENARIO first, or --socket PATH")
-            told = "; ".join(f"{scenario_of(one)} at {one}" for one in found)
-            raise LinkError(f"which daemon? {told}; want --socket PATH")
+            reported = "; ".join(f"{scenario_of(one)} at {one}" for one in found)
+            raise LinkError(f"which daemon? {reported}; want --socket PATH")
         path = found[0]
     result = control.ask(Path(str(path).removeprefix("unix:")), order, params)
     if isinstance(result, dict) and "why" in result:

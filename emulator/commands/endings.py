@@ -41,7 +41,7 @@ class Ending:
         """Keys of `ready`."""
         return {"ends_at_s": self.at_s, "ends_by": self.by or None, "round_s": self.round_s}
 
-    def told(self) -> str:
+    def reported(self) -> str:
         """One line for a user."""
         again = "" if self.round_s is None else f"; the world begins again every {self.round_s:g} s"
         if self.at_s is None:

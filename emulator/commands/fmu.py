@@ -54,7 +54,7 @@ def fmu(
 
 
 def pack(scenario: Scenario, out: Path, actors: Sequence[str]) -> dict[str, Any]:
-    """Write the FMU; what it was told. `EmulatorError` without the extra."""
+    """Write the FMU; what it was reported. `EmulatorError` without the extra."""
     try:
         from pythonfmu.builder import FmuBuilder
     except ImportError:
@@ -124,16 +124,16 @@ def place_files(scenario: Scenario, folder: Path) -> list[Path]:
     yaml = YAML(typ="safe", pure=True)
     data = yaml.load(dump(scenario))
     (folder / FILES).mkdir()
-    told: dict[str, str] = {}
+    reported: dict[str, str] = {}
 
     def placed(text: str) -> str:
         path = Path(text)
         if not path.is_absolute() or not path.is_file():
             return text
-        if text not in told:
-            told[text] = f"{FILES}/{len(told)}_{path.name}"
-            shutil.copyfile(path, folder / told[text])
-        return told[text]
+        if text not in reported:
+            reported[text] = f"{FILES}/{len(reported)}_{path.name}"
+            shutil.copyfile(path, folder / reported[text])
+        return reported[text]
 
     def walk(entry: Any) -> Any:
         if isinstance(entry, dict):

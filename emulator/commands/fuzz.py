@@ -56,7 +56,7 @@ def fuzz(seconds: float, seed: int, names: tuple[str, ...], engine: str, out: Pa
                 outcome = guided(parser, seconds / len(chosen), seed)
             else:
                 outcome = whole.fuzz(parser, seconds / len(chosen), seed)
-            row = whole.told(outcome)
+            row = whole.reported(outcome)
             rows.append(row)
             say(json.dumps(row) if as_json else _line(row))
             for fault in outcome.faults:

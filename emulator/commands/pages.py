@@ -1,4 +1,4 @@
-"""Pages of docs/ that are made from tables and options: `python -m emulator.commands.pages` writes them anew.
+"""Pages of docs/ that are made from tables and options: `python -m emulator.commands.pages` writes them again.
 
 Belongs here: the command line as Markdown, and what `lidaremu list` knows. Not: pages that people write; the tables of
 docs/faults.md (faults.page) and of protocols/COVERAGE.md (protocols.coverage).
@@ -65,8 +65,8 @@ def _option(option: click.Option, context: click.Context) -> str:
     metavar = "" if option.is_flag else f" {option.make_metavar(context)}"
     several = " Several times." if option.multiple and "several" not in (option.help or "") else ""
     default = option.get_default(context, call=False)
-    told = isinstance(default, str | int | float) and not isinstance(default, bool)
-    shown = f"`{_plain(default)}`" if told else ""
+    reported = isinstance(default, str | int | float) and not isinstance(default, bool)
+    shown = f"`{_plain(default)}`" if reported else ""
     if option.required:
         shown = "required"
     return f"| `{_plain(names + metavar)}` | {_safe(option.help or '')}{several} | {shown} |"

@@ -25,5 +25,5 @@ def probe(link: str, as_json: bool) -> int:
     from emulator.looking import probe as probing
 
     found = probing.probe(link, note if sys.stderr.isatty() else lambda text: None)
-    say(json.dumps({"link": link} | asdict(found)) if as_json else f"{link}: {found.told()}")
+    say(json.dumps({"link": link} | asdict(found)) if as_json else f"{link}: {found.reported()}")
     return OK

@@ -112,13 +112,13 @@ def replay_world(recording: Path, as_json: bool) -> int:
 
     if not (recording / "scenario.yaml").is_file():
         raise EmulatorError(f"{recording}: no scenario.yaml; want a folder of lidaremu run --record")
-    told = list(read("recording", recording.absolute()))
-    if not told:
+    reported = list(read("recording", recording.absolute()))
+    if not reported:
         raise EmulatorError(f"{recording}: no feed; want a recording of a scenario with live:")
     changes = [f"live.feed={json.dumps(f'recording:{recording.absolute()}')}"]
     loaded = load(str(recording / "scenario.yaml"), changes)
     if loaded.duration_s is None:
-        last_s = max(max(one.run_ns for one in told) * 1e-9, 1e-3)
+        last_s = max(max(one.run_ns for one in reported) * 1e-9, 1e-3)
         loaded = load(str(recording / "scenario.yaml"), [*changes, f"duration_s={last_s!r}"])
     heard = {
         sensor: wire.payloads
@@ -128,11 +128,11 @@ def replay_world(recording: Path, as_json: bool) -> int:
     if heard:  # nobody decodes what the recorded hosts got
         loaded = loaded.model_copy(update={"expect": ()})
     verdict = run_trial(loaded, heard=heard)
-    row = {"updates": len(told), "duration_s": verdict.duration_s, "sha256": verdict.sha256, "held": verdict.held}
+    row = {"updates": len(reported), "duration_s": verdict.duration_s, "sha256": verdict.sha256, "held": verdict.held}
     if as_json:
         say(json.dumps({"event": "world", **row}))
     else:
-        say(f"{len(told)} updates, {verdict.duration_s:g} s")
+        say(f"{len(reported)} updates, {verdict.duration_s:g} s")
         for one in verdict.judgements:
             say(str(one))
         say(f"sha256 of all wire bytes with their virtual times: {verdict.sha256}")
@@ -218,8 +218,8 @@ def replay(
             daemon.power_on()
             _announce(players, as_json)
             if command:
-                told = [(player.sensor, player.links[0].url) for player in players]
-                driver = start_driver(command, driver_environment(os.environ, told), as_json)
+                reported = [(player.sensor, player.links[0].url) for player in players]
+                driver = start_driver(command, driver_environment(os.environ, reported), as_json)
             started, drawn_ns = False, 0
 
             def going() -> bool:
@@ -270,8 +270,8 @@ def _tell_end(late: Lateness, rounds: int, links: Sequence[Link], stepped: bool,
     elif not late.count:
         say("nothing was sent")
     else:
-        told = f"; gap error: median {late.median_us:.0f} us, p99 {late.p99_us:.0f} us" if kept else ""
-        say(f"{late.count} payloads sent{told}")
+        reported = f"; gap error: median {late.median_us:.0f} us, p99 {late.p99_us:.0f} us" if kept else ""
+        say(f"{late.count} payloads sent{reported}")
         if lost:
             say(f"{lost} bytes lost: no host was connected, or it did not read")
 

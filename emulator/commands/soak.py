@@ -55,11 +55,11 @@ def soak(hours: float | None, real_s: float | None, seed: int, out: Path | None,
             from emulator.endurance.soak import run_virtual
 
             soaked = run_virtual(24.0 if hours is None else hours, seed, progress)
-    told = soaked.as_json()
+    reported = soaked.as_json()
     if out is not None:
-        (out / "soak.json").write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+        (out / "soak.json").write_text(json.dumps(reported, indent=1) + "\n", encoding="utf-8")
     if as_json:
-        say(json.dumps(told))
+        say(json.dumps(reported))
     else:
         for line in table(soaked):
             say(line)

@@ -16,30 +16,32 @@ def lines_of(status: Mapping[str, Any]) -> list[str]:
     manner = f"{status['clock']} clock{', paused' if status.get('paused') else ''}"
     end_s = status.get("ends_at_s")
     end = "" if end_s is None else f", ends at {end_s:g} s"
-    told = [f"{status.get('scenario', 'run')}: {status['now_s']:.1f} s, {manner}{end}", ""]
+    reported = [f"{status.get('scenario', 'run')}: {status['now_s']:.1f} s, {manner}{end}", ""]
     rows: list[Sequence[str]] = [HEAD]
     for sensor in status["sensors"]:
         rows += _rows(sensor)
     widths = [max(len(row[column]) for row in rows) for column in range(len(HEAD))]
     for row in rows:
         cells = (text.ljust(width) for text, width in zip(row, widths, strict=True))
-        told.append("  ".join(cells).rstrip())
+        reported.append("  ".join(cells).rstrip())
     for sensor in status["sensors"]:
         reasons = {"dropped": sensor.get("scans_dropped"), "input not taken": sensor.get("input_dropped")}
         for what, found in reasons.items():
             if found:
-                told.append(f"{sensor['id']}: {what}: " + ", ".join(f"{n} {why}" for why, n in found.items()))
+                reported.append(f"{sensor['id']}: {what}: " + ", ".join(f"{n} {why}" for why, n in found.items()))
         for name, row in sensor.get("faults", {}).items():
-            told.append(f"{sensor['id']}: fault {name}: begun {row['begun']} times, {row['hits']} hits")
+            reported.append(f"{sensor['id']}: fault {name}: begun {row['begun']} times, {row['hits']} hits")
     workers = status.get("workers") or []
     if workers:
-        told.append("workers: " + ", ".join(f"{one['worker']} {one['state']} (pid {one['pid']})" for one in workers))
+        reported.append(
+            "workers: " + ", ".join(f"{one['worker']} {one['state']} (pid {one['pid']})" for one in workers)
+        )
     recording = status.get("recording")
     if recording:
-        told.append(f"recording: {recording['state']}, {recording['folder']}")
+        reported.append(f"recording: {recording['state']}, {recording['folder']}")
     for kind, count in (status.get("incident_totals") or {}).items():
-        told.append(f"incidents: {count} {kind}")
-    return told
+        reported.append(f"incidents: {count} {kind}")
+    return reported
 
 
 def _rows(sensor: Mapping[str, Any]) -> list[Sequence[str]]:

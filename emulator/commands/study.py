@@ -113,14 +113,14 @@ def published(
     worst = whole.worst_of_table_2(made)
     held = worst <= whole.TOLERANCE_PERCENT
     if as_json:
-        told = {
+        reported = {
             "study": "published",
             "held": held,
             "table_2_worst_percent": round(worst, 3),
             "seconds": round(1e-9 * clock.now_ns(), 1),
             "files": [str(path) for path in written],
         }
-        say(json.dumps(told))
+        say(json.dumps(reported))
     else:
         say(f"{written[0]}: {len(written)} files; table 2 within {worst:.1f} % in every row")
     return OK if held else FAILED
@@ -144,14 +144,14 @@ def accuracy(out: Path, quick: bool, as_json: bool) -> int:
     rows = made.table("accuracy_acceptance").rows
     missed = [str(row[0]) for row in rows if not row[3]]
     if as_json:
-        told = {
+        reported = {
             "study": "accuracy",
             "held": not missed,
             "missed": missed,
             "seconds": round(1e-9 * clock.now_ns(), 1),
             "files": [str(path) for path in written],
         }
-        say(json.dumps(told))
+        say(json.dumps(reported))
     else:
         say(f"{written[0]}: {len(written)} files; {len(rows) - len(missed)} of {len(rows)} numbers met")
         for item in missed:

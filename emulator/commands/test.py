@@ -199,7 +199,7 @@ def _outcome(
 def _all(
     names: Sequence[str], folders: Sequence[Path | None], one: partial[Result], jobs: int, progress: Progress
 ) -> Iterator[Result]:
-    """Every outcome, in the order of the names; `progress` is told of what goes on within one."""
+    """Every outcome, in the order of the names; `progress` is informed of what goes on within one."""
     if min(jobs, len(names)) <= 1:
         for number, (name, folder) in enumerate(zip(names, folders, strict=True)):
             yield one(name, folder, progress=part_of(progress, number, len(names)))
@@ -241,7 +241,7 @@ def _tell(result: Result) -> None:
             say(f"  {sensor['id']}: {sensor['objects']['lists']} object lists: {', '.join(figures)}")
     for item in found.judgements:
         if not item.held:
-            say(f"  {item.name}: {item.told}")
+            say(f"  {item.name}: {item.reported}")
 
 
 def _write_junit(results: Sequence[Result], path: Path) -> None:
@@ -273,12 +273,12 @@ def _write_junit(results: Sequence[Result], path: Path) -> None:
         cases = suite.findall("testcase")
         for case, item in zip(cases, judged, strict=False):
             if not item.held:
-                Tree.SubElement(case, "failure", message=_clean(item.told))
+                Tree.SubElement(case, "failure", message=_clean(item.reported))
         if result.recording_ended and result.found is not None and result.found.recording is not None:
             suite.set("tests", str(len(cases) + 1))
             suite.set("errors", "1")
-            told = {"classname": _clean(result.scenario), "name": "is recorded to its end", "time": "0.000"}
-            case = Tree.SubElement(suite, "testcase", told)
+            reported = {"classname": _clean(result.scenario), "name": "is recorded to its end", "time": "0.000"}
+            case = Tree.SubElement(suite, "testcase", reported)
             Tree.SubElement(case, "error", message=_clean(f"recording ended: {result.found.recording['why']}"))
         if result.found is not None and result.found.warnings:
             lines = [f"warning: {text}" for text in result.found.warnings]

@@ -54,7 +54,7 @@ def transcript(recording: Path, sensor: str | None, from_s: float, to_s: float, 
     late = any(one.actual_ns is not None for wire in run.sent.values() for one in wire.payloads)
     for said in found:
         speaker = speakers.get(said.wire.sensor, Speaker(""))
-        say(json.dumps(said.as_json(speaker)) if as_json else said.told(speaker, several, late))
+        say(json.dumps(said.as_json(speaker)) if as_json else said.reported(speaker, several, late))
     if run.cut:
         note(f"{recording}: truncated: {run.cut}")
     return OK

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from emulator.view.frames import Source
 
 NEEDS = "the page needs more: pip install 'lidaremu[view]'"
-MOST_TOLD = 8
-"Names that are told; a browser that is refused tries again."
+MOST_REPORTED = 8
+"Names that are reported; a browser that is refused tries again."
 
 
 @click.command()
@@ -101,12 +101,12 @@ def view(
 
 
 def _refused() -> Callable[[str], None]:
-    """Tells of a browser that has the token and comes by a name that was not opened; each name once."""
-    told: set[str] = set()
+    """Reports a browser that has the token and comes by a name that was not opened; each name once."""
+    reported: set[str] = set()
 
     def tell(host: str) -> None:
-        if host not in told and len(told) < MOST_TOLD:
-            told.add(host)
+        if host not in reported and len(reported) < MOST_REPORTED:
+            reported.add(host)
             note(f"refused: a browser asks for {host[:100]!r}, which is not an allowed host; see --allow-host")
 
     return tell

@@ -18,7 +18,7 @@ _SIN = tuple((-1.0) ** n / math.factorial(2 * n + 1) for n in range(11))
 _HALVES = np.where(np.arange(900) <= 829, 0.5 ** np.arange(900.0), 0.0)
 "Powers of a half; below 1e-250, see `physics.arrays.LOG_NOTHING`, nothing."
 _LN_2_HIGH, _LN_2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
-"Their sum is the logarithm of 2; the first has bits to spare for a whole factor."
+"Their sum is the logarithm of 2; the first has bits left for a whole factor."
 
 
 @compiled()

@@ -46,7 +46,7 @@ def _key() -> str:
 
 
 def _processor() -> str:
-    """What the processor calls itself and can do, where the system tells."""
+    """What the processor calls itself and can do, where the system says so."""
     with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         return "\n".join(dict.fromkeys(one for one in lines if one.startswith(("model name", "flags", "Features"))))

@@ -106,7 +106,7 @@ def unwritten(count):
 
 
 @compiled(OUT_FLOATS, INTS, INTS, FLOATS, FLOAT, OUT_FLAGS, WORDS, WORDS, INTS, INTS, WORDS)
-def told(range_m, triangle, body, facing, far, inner, actor_of, material_of, part_of, parts_of, part_material):
+def reported(range_m, triangle, body, facing, far, inner, actor_of, material_of, part_of, parts_of, part_material):
     """Actor and material (2, m), and cosine (m,) of hits. Ranges and `inner` are made those of hits, in place.
 
     `material_of` : of the merged triangles, the first ones; for others it is looked up by body and part.

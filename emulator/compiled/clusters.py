@@ -88,7 +88,7 @@ def sums(range_m, amplitude, source, whole, short, wave_number):
     n, count = len(range_m), 0
     for c in range(len(short)):
         count += short[c]
-    running, told, size = np.empty((4, n)), np.empty((4, count), np.int64), np.empty((3, count))
+    running, reported, size = np.empty((4, n)), np.empty((4, count), np.int64), np.empty((3, count))
     begun, total, real, imaginary = running[0], running[1], running[2], running[3]
     left = np.empty(n, np.int64)
     made = others = 0
@@ -118,11 +118,16 @@ def sums(range_m, amplitude, source, whole, short, wave_number):
             begun[k] = 0.5 * (a - cosine * x - sine * y)
             if here > best:  # the first of equals
                 best, strongest = here, source[k]
-        told[0, made], told[1, made], told[2, made], told[3, made] = whole[0, c], strongest, first, end - first
+        reported[0, made], reported[1, made], reported[2, made], reported[3, made] = (
+            whole[0, c],
+            strongest,
+            first,
+            end - first,
+        )
         size[0, made] = range_m[first] + np.arctan2(y, x) / wave_number
         size[1, made], size[2, made] = 0.5 * (a + np.hypot(x, y)), range_m[first]
         made += 1
-    return running, told, size, left[:others].copy()
+    return running, reported, size, left[:others].copy()
 
 
 @compiled()

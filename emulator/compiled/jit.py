@@ -65,7 +65,7 @@ class _OnStart(event.Listener):  # type: ignore[misc]
 
 
 @contextmanager
-def told_once(tell: Callable[[str], object], text: str) -> Iterator[None]:
+def reported_once(tell: Callable[[str], object], text: str) -> Iterator[None]:
     """Says so when the compiler begins to run, and only then."""
     with event.install_listener("numba:compile", _OnStart(lambda: tell(text))):
         yield

@@ -1,6 +1,6 @@
 """All compiled functions, by name. Nothing else belongs here."""
 
-from emulator.compiled.casting import resting, told, unwritten
+from emulator.compiled.casting import reported, resting, unwritten
 from emulator.compiled.clusters import crossed, joined, split, sums
 from emulator.compiled.echoes import levels, ranks, readings
 from emulator.compiled.falling import falling
@@ -30,12 +30,12 @@ __all__ = [
     "pairs",
     "ranks",
     "readings",
+    "reported",
     "resting",
     "sampled",
     "special",
     "split",
     "strengths",
     "sums",
-    "told",
     "unwritten",
 ]

@@ -83,7 +83,7 @@ def crossed_under(
     level, start, size, first_m, begun, total, real, imaginary, half_m,
     before, begins, open_, sums, crossing, last, least, exact_m, passes,
 ):  # fmt: skip
-    """Where clusters with a medium under them first reach a level: looked for anew from `crossing` and `last` on until
+    """Where clusters with a medium under them first reach a level: looked for again from `crossing` and `last` on until
     they move by less than `exact_m`."""
     found = crossing.copy()
     for c in range(len(level)):

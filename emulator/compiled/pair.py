@@ -1,4 +1,4 @@
-"""A step of a sweep in two forms, by arrays and by compiled loops, behind one function that chooses.
+"""A step of a sweep in two forms, with numpy arrays and by compiled loops, behind one function that chooses.
 
 Belongs here: the choice, the same for all steps. The array form carries it: `by_loops` above an array form names the
 function that does the same with loops, which stands beside it, and the loops that this takes. Not: the loops.
@@ -53,5 +53,5 @@ def by_loops(loop: Callable[..., Any], *names: str) -> Callable[[Callable[Given,
 
 
 def array_form(step: Callable[Given, Any]) -> Callable[Given, Any]:
-    """The form by arrays of a step."""
+    """The form with numpy arrays of a step."""
     return step.pair.array  # type: ignore[attr-defined, no-any-return]

@@ -27,7 +27,7 @@ def _places(beam, range_m, reach_m, most_empty, nearest):
     """Numbers (n, most) that sort as the ranges of each beam, and whose last bits are the place in the beam; of hits
     beyond reach the largest. `nearest` is filled.
 
-    Ranges are told apart to 1e-10 of themselves. (0, 0) where there would be more than `most_empty` places to each.
+    Ranges are distinguished to 1e-10 of themselves. (0, 0) where there would be more than `most_empty` places to each.
     """
     m = len(beam)
     ends = np.empty(len(nearest), np.int64)
@@ -80,7 +80,7 @@ def strengths(
     """Amplitude (m,) of hits; `_places` of those within `reach_m`, if there are any; each beam's nearest range.
 
     Columns are (m,), `beam` ascends; `factors` : (6, materials), see `SurfaceTable.factors`; `clear_depth` : optical
-    depth there and back below which three terms stand for the exponential; `more` : reflectance of the hits `more_at`
+    two-way optical depth below which three terms stand for the exponential; `more` : reflectance of the hits `more_at`
     beyond what their materials' factors give.
     """
     nearest = np.full(beams, np.inf)

@@ -68,7 +68,7 @@ def _loops() -> tuple[ModuleType | None, str]:
     if not importlib.util.find_spec("numba"):
         return None, "numba is not installed; with 'lidaremu[fast]' a sweep takes a half or a third of its time"
     try:
-        with importlib.import_module("emulator.compiled.jit").told_once(sys.stderr.write, MESSAGE):
+        with importlib.import_module("emulator.compiled.jit").reported_once(sys.stderr.write, MESSAGE):
             loops = importlib.import_module("emulator.compiled.loops")
         if not build.built():
             build.note_built(importlib.import_module("emulator.compiled.jit").KEPT_IN)

@@ -3,7 +3,8 @@
 Belongs here: the limits, how a user raises those of meshes, and opening a file that is a plain file. Not: the reading
 (mesh_files, recording), and the process that holds memory and time (reading_apart).
 
-A scenario cannot raise a limit, for a stranger may have written it as well; the environment of whoever runs it can:
+A scenario cannot raise a limit, for an untrusted party may have written it as well; the environment of whoever runs
+it can:
 
     LIDAREMU_MESH_LIMITS=triangles=5e7,memory_bytes=3e10,cpu_s=900 lidaremu run town.yaml
 """
@@ -123,7 +124,7 @@ class TextBudget:
     values: int = 400_000
     "As written, and after aliases are followed."
     separators: int = 500_000
-    "What separates values: the text alone tells it, long before the values could be counted."
+    "What separates values: the text alone shows it, long before the values could be counted."
     depth: int = 32
     "A scenario needs about 8."
 

@@ -15,7 +15,7 @@ from emulator.config.yaml_lines import Loc, Source, parse_value
 from emulator.errors import ScenarioError
 
 SHOWN = 200
-"Characters of a change that are told of it."
+"Characters of a change that are reported of it."
 _KEY = re.compile(r"[^.\[\]=\s]+(?:\[\d+\])*(?:\.[^.\[\]=\s]+(?:\[\d+\])*)*\Z")
 
 ENDED_BY_NULL = ("weather", "changes")
@@ -28,7 +28,7 @@ def changed(
     seed: int | None = None,
     links: Mapping[str, Sequence[str]] | None = None,
 ) -> Source:
-    """The source with `a.b=c` texts applied in their order, then seed and links; every fault is told at once.
+    """The source with `a.b=c` texts applied in their order, then seed and links; every fault is reported at once.
 
     A key leads through tables by name and through lists by number or by the `id` of an item: `sensors.front.mode` and
     `sensors.0.mode` are the same. The value is YAML; null takes a key away. Tables that are missing are made.

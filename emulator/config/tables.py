@@ -13,7 +13,7 @@ Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 
 MOST_M = 1e9
-"Of a coordinate or length: float64 tells 1e-7 m apart there, beyond it ever less."
+"Of a coordinate or length: float64 resolves 1e-7 m there, beyond it ever less."
 Coordinate = Annotated[float, Field(ge=-MOST_M, le=MOST_M)]
 
 

@@ -79,7 +79,7 @@ class Source:
         return dotted(loc, self.data, self._ids)
 
     def fault(self, loc: Sequence[str | int], found: str, want: str) -> str:
-        """The line that tells a fault: `file:line: dotted.key: found; want allowed`."""
+        """The line that reports a fault: `file:line: dotted.key: found; want allowed`."""
         return f"{self.place(loc)}: {self.dotted(loc)}: {found}; want {want}"
 
 
@@ -112,7 +112,8 @@ def read(path: Path, error: type[EmulatorError]) -> Source:
 def parse(text: str, path: Path, error: type[EmulatorError]) -> Source:
     """Read YAML 1.2 from a string that is said to come from `path`.
 
-    What makes the whole text unreadable is raised as `error`; what can be told together with other faults (a key given
+    What makes the whole text unreadable is raised as `error`; what can be reported together with other faults (a
+    key given
     twice, a tag) stands in `Source.faults`.
     """
     _judge_length(text, path, error)

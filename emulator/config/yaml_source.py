@@ -28,7 +28,7 @@ def fault_lines(source: Source, model: type[BaseModel], exc: ValidationError) ->
     return list(dict.fromkeys(text for _, _, text in sorted(found, key=lambda one: one[:2])))
 
 
-def told(model: type[BaseModel], data: Any, exc: ValidationError) -> list[tuple[Loc, str, str]]:
+def reported(model: type[BaseModel], data: Any, exc: ValidationError) -> list[tuple[Loc, str, str]]:
     """The same without a file: key below `data`, what was found, what is wanted."""
     found = []
     for item in exc.errors(include_url=False):

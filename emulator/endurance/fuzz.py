@@ -128,7 +128,7 @@ PARSERS = (
     _mesh(".stl", (b"solid ", b"facet normal 0 0 0\n", b"outer loop\n", b"vertex 1e999 0 0\n", b"endsolid\n")),
     *(_recording(suffix) for suffix in (".mcap", ".pcapng", ".pcap", ".blf", ".asc", ".log", ".raw")),
 )
-"Everything that reads what a stranger wrote."
+"Everything that reads what an untrusted party wrote."
 
 
 @dataclass(frozen=True)
@@ -270,7 +270,7 @@ def save(fault: Fault, folder: Path) -> Path:
     return path
 
 
-def told(outcome: Outcome) -> dict[str, Any]:
+def reported(outcome: Outcome) -> dict[str, Any]:
     """One parser's row, ready for JSON."""
     return {
         "parser": outcome.parser,

@@ -98,7 +98,7 @@ def slcan() -> Callable[[bytes], None]:
 
 
 class _AtOnce:
-    """A run that does at once what it is told."""
+    """A run that does at once what it is reported."""
 
     def call(self, action: Callable[[], object]) -> Future[object]:
         done: Future[object] = Future()

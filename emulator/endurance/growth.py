@@ -65,7 +65,7 @@ class Growth:
         middle = len(values) // 2
         return float(np.median(values[-width:]) - np.median(values[middle : middle + width]))
 
-    def told(self) -> dict[str, Any]:
+    def reported(self) -> dict[str, Any]:
         """Figures for the report."""
         rss = [sample.rss_bytes / 1e6 for sample in self.samples]
         blocks = [float(sample.blocks) for sample in self.samples]

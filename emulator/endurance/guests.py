@@ -32,7 +32,7 @@ from protocols.ld.usp import encode_frame
 from protocols.lms2xx.telegrams import request
 
 SECOND_NS = 1_000_000_000
-PATIENCE_NS = 60 * SECOND_NS
+TIME_LIMIT_NS = 60 * SECOND_NS
 "A well-behaved host has its first scan within this time of virtual or real seconds, whatever came before it."
 RANGE_TOLERANCE_M = 0.3
 FLOOD_NS = 500_000_000
@@ -165,7 +165,7 @@ class LineGuests:
         assert self._judge is not None
         wake = self._good.step(now_ns)
         first_ns = self._judge.first_ns
-        self._until_ns = self._came_ns + PATIENCE_NS if first_ns is None else first_ns + self._stay_ns
+        self._until_ns = self._came_ns + TIME_LIMIT_NS if first_ns is None else first_ns + self._stay_ns
         if now_ns >= self._until_ns:
             if first_ns is None:
                 self._book.faults["no scan in a visit"] += 1
@@ -179,7 +179,7 @@ class LineGuests:
         self._judge = Judge(self._book, LMS_BEAMS, self._period_ns, now_ns)
         self._host = self._link.connect(now_ns)
         self._good = Lms2xxScript(self._host, self._judge)
-        self._until_ns = now_ns + PATIENCE_NS
+        self._until_ns = now_ns + TIME_LIMIT_NS
 
     def _leave(self, now_ns: int) -> None:
         if self._host is not None:
@@ -206,7 +206,7 @@ class LineGuests:
                 host.write(STATUS + noise(rng, 8), at_ns)
                 return at_ns + SECOND_NS // 2
             if kind == "flood of requests":
-                host.write(STATUS * 100, at_ns)  # 50 000 bytes a second, as fast as the line can be
+                host.write(STATUS * 100, at_ns)  # 50 000 bytes per second, as fast as the line can be
             elif kind == "flood of bad checksums":
                 host.write((STATUS[:-1] + b"\xff") * 100, at_ns)
             else:

@@ -68,8 +68,8 @@ class Saboteur:
             return True
         return False
 
-    def told(self, incidents: dict[str, int]) -> list[str]:
-        """What the daemon should have told and has not, in words."""
+    def reported(self, incidents: dict[str, int]) -> list[str]:
+        """What the daemon should have reported and has not, in words."""
         found = []
         if incidents.get("worker replaced", 0) < self.ended:
             found.append(f"processes: {self.ended} killed, {incidents.get('worker replaced', 0)} reported as replaced")

@@ -78,8 +78,8 @@ def _run_in(folder: Path, seconds: float, seed: int, progress: Callable[[float],
             daemon.wait()
         daemon.stdout.close()
     stopped = json.loads(out.splitlines()[-1])
-    told = saboteur.told(stopped["incidents"])
-    return _verdict(stopped, books, growth, taken, cpu, seed, told)
+    reported = saboteur.reported(stopped["incidents"])
+    return _verdict(stopped, books, growth, taken, cpu, seed, reported)
 
 
 def _address(link: str) -> tuple[str, int]:
@@ -140,7 +140,7 @@ def _drive(
 
 def _verdict(
     stopped: dict[str, Any], books: dict[str, Guestbook], growth: Growth, taken_s: float, cpu: float, seed: int,
-    told: Sequence[str],
+    reported: Sequence[str],
 ) -> Soaked:  # fmt: skip
     sensors, lateness = {}, {}
     for row in stopped["sensors"]:
@@ -158,8 +158,8 @@ def _verdict(
         name: {"visits": dict(book.visits), "clean_scans": book.clean_scans, "faults": dict(book.faults)}
         for name, book in books.items()
     }
-    memory = growth.told() | {"cpu_s": round(cpu, 2), "cpu_share": round(cpu / taken_s, 4)}
+    memory = growth.reported() | {"cpu_s": round(cpu, 2), "cpu_share": round(cpu / taken_s, 4)}
     faults = judged(sensors, {name: one for name, one in hosts.items() if name not in BESIDE}, memory)
     failures = tuple(f"daemon: {text}: {count} times" for text, count in stopped["failures"].items())
     hosts["processes"]["incidents"] = stopped["incidents"]
-    return Soaked("real", taken_s, taken_s, seed, sensors, hosts, memory, faults + failures + tuple(told))
+    return Soaked("real", taken_s, taken_s, seed, sensors, hosts, memory, faults + failures + tuple(reported))

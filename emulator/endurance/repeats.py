@@ -56,5 +56,5 @@ class Repeated:
 
 
 def repeating(measures: Mapping[str, Measure]) -> dict[str, Repeated]:
-    """The same for every sensor; a list of objects that must be made anew measures its sources itself."""
+    """The same for every sensor; a list of objects that must be made again measures its sources itself."""
     return {name: Repeated(measure) for name, measure in measures.items()}

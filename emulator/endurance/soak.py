@@ -34,9 +34,9 @@ GROUP_NS = 20_000_000
 LEAST_SAMPLES, MOST_SAMPLES, SAMPLE_S = 40, 400, 30.0
 RISE_MB, RISE_BLOCKS, RISE_TRACED_KB = 4.0, 12_000, 256.0
 """What the second half of a run may add before it counts as a leak. Tables of the last thousand events fill slowly,
-with 3000 blocks a sensor; a leak of one object a scan would be 67 500 in the second half of an hour. What
+with 3000 blocks a sensor; a leak of one object per scan would be 67 500 in the second half of an hour. What
 tracemalloc sees is, for minutes, rows of those tables that replace rows made before it looked: 25 kB in a quarter of a
-virtual hour, nearly all of it events of sessions; a leak of 200 bytes a scan would add 256 kB in half a minute."""
+virtual hour, nearly all of it events of sessions; a leak of 200 bytes per scan would add 256 kB in half a minute."""
 TRACED_SHARE = 0.05
 "Share of the run at its end that is watched by tracemalloc, which makes everything several times slower."
 TRACED_MOST_S = 300.0
@@ -138,7 +138,7 @@ class Soak:
             }
         return found
 
-    def told(self) -> dict[str, dict[str, Any]]:
+    def reported(self) -> dict[str, dict[str, Any]]:
         """Of every sensor's hosts: who came, and what the well-behaved ones got."""
         return {
             name: {
@@ -176,10 +176,10 @@ def run_virtual(hours: float, seed: int, progress: Callable[[float], None] = lam
     finally:
         tracemalloc.stop()
         soak.close()
-    memory = growth.told()
-    # what is made anew and replaces something older counts as growth until it is settled: the last half is judged
+    memory = growth.reported()
+    # what is made again and replaces something older counts as growth until it is settled: the last half is judged
     memory["traced_kb_rise"] = round((traced[-1] - traced[2 + (len(traced) - 2) // 2]) / 1024, 1)
-    sensors, hosts = soak.accounts(), soak.told()
+    sensors, hosts = soak.accounts(), soak.reported()
     faults = judged(sensors, hosts, memory)
     return Soaked("virtual", total_s, clock.now_ns() * 1e-9, seed, sensors, hosts, memory, faults)
 

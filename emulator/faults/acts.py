@@ -26,7 +26,7 @@ BLOCK = 256
 
 
 class Account(Protocol):
-    """Where a fault tells what it did."""
+    """Where a fault shows what it did."""
 
     def hit(self, now_ns: int, detail: str = "") -> None:
         """It has hit one thing more."""

@@ -335,7 +335,7 @@ def unknown_message(label: str, target: Target) -> str | None:
 def _known_signal(keys: Any, common: Common, target: Target) -> str | None:
     layout = _layout(target)
     if layout is None or (common.label is not None and common.label not in layout.messages):
-        return None  # a wrong label is told of every fault
+        return None  # a wrong label is informed of every fault
     messages = [layout[common.label]] if common.label else layout.messages.values()
     known = list(dict.fromkeys(name for message in messages for name in message.signals))
     return None if keys.signal in known else f"signal {keys.signal!r}; want {nearest(keys.signal, known)}"

@@ -126,8 +126,8 @@ def allowed(annotation: Any, metadata: Any = ()) -> str:
 
 def _bounded(word: str, metadata: list[Any]) -> str:
     signs = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
-    told: dict[str, Any] = {}
+    reported: dict[str, Any] = {}
     for item in metadata:
         for part in getattr(item, "metadata", [item]):
-            told |= {key: getattr(part, key) for key in signs if getattr(part, key, None) is not None}
-    return " ".join([word, *(f"{signs[key]} {value:g}" for key, value in told.items())])
+            reported |= {key: getattr(part, key) for key in signs if getattr(part, key, None) is not None}
+    return " ".join([word, *(f"{signs[key]} {value:g}" for key, value in reported.items())])

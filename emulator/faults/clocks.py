@@ -1,6 +1,7 @@
 """Faults of the device clock: it jumps, drifts, stops, restarts.
 
-The truth goes into recordings beside what is told, see docs/clocks.md. Not: a scenario's `clock` table (device_clock).
+The truth goes into recordings beside what is reported, see docs/clocks.md. Not: a scenario's `clock` table
+(device_clock).
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class ClockDrift(Keys):
     ppm: Annotated[float, Field(ge=-100_000.0, le=100_000.0)] = 500.0
     "Too fast, beyond what the scenario's `clock` table says; to a thousandth."
     drives: Literal["schedule", "stamps"] = "schedule"
-    "schedule: motor, cycles and delays follow the quartz; stamps: only the time it tells does."
+    "schedule: motor, cycles and delays follow the quartz; stamps: only the time it reports does."
 
 
 class ClockReset(Keys):
@@ -112,19 +113,19 @@ class Reset(Act):
         self.gear.hit(now_ns)
 
 
-TELLING = "a device that reports a time: an LMS2xx, LD, LD-MRS, ESR or Vu8"
+REPORTING = "a device that reports a time: an LMS2xx, LD, LD-MRS, ESR or Vu8"
 
 
-def _tells_time(keys: Any, common: Common, target: Target) -> str | None:
+def _reports_time(keys: Any, common: Common, target: Target) -> str | None:
     """A radar without stamps can only have its schedule drift."""
     named = {**(target.facts or {}), **(target.device or {})}
     if named.get("format") == "ars408" and getattr(keys, "drives", "stamps") == "stamps":
-        return f"{target.model} reports no time; want {TELLING}"
+        return f"{target.model} reports no time; want {REPORTING}"
     return None
 
 
 def _kind(name: str, keys: type[Keys], summary: str, ends: str, act: Any) -> Kind:
-    return Kind(name, "clock", summary, ends, keys, act=act, lasts="state", check=_tells_time)
+    return Kind(name, "clock", summary, ends, keys, act=act, lasts="state", check=_reports_time)
 
 
 KINDS: tuple[Kind, ...] = (

@@ -17,7 +17,7 @@ Count = Annotated[int, Field(ge=1, le=10**12)]
 
 
 class Common(DescribedTable):
-    """Something that goes wrong on purpose; its other keys depend on `do`, see `lidaremu list faults NAME`."""
+    """An injected fault; its other keys depend on `do`, see `lidaremu list faults NAME`."""
 
     model_config = ConfigDict(extra="allow")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-MOST_HITS_TOLD = 1000
+MOST_HITS_REPORTED = 1000
 "Of one fault: the first ones. All are counted."
 
 

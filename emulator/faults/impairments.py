@@ -21,7 +21,7 @@ def impair(gear: Gear, now_ns: int, what: str, degree: float | None) -> None:
     else:
         mine[gear.number] = degree
     if what in FACTORS:
-        told = math.prod(mine.values())
+        reported = math.prod(mine.values())
     else:
-        told = max(mine.values(), key=abs, default=0.0)
-    gear.session.impair(now_ns, what, told)
+        reported = max(mine.values(), key=abs, default=0.0)
+    gear.session.impair(now_ns, what, reported)

@@ -29,7 +29,7 @@ class MotorSpeed(Keys):
     percent: Annotated[float, Field(ge=-50.0, le=50.0)] = -5.0
     "Too fast; negative: too slow."
     told_from_percent: Annotated[float, Field(ge=0.0, le=100.0)] = 3.0
-    "The device's own supervision sees it when it is off by more; ours, no source tells."
+    "The device's own supervision sees it when it is off by more; the bound is a guess, no source gives it."
 
 
 class MirrorWobble(Keys):
@@ -48,14 +48,14 @@ class MirrorStuck(Keys):
     at_deg: Degrees | None = None
     "Azimuth at which it stands; none: somewhere within the plan, by the seed."
     told: bool = True
-    "A device that watches its motor tells: an LD stops measuring (mode error), an LMS2xx sets its status."
+    "A device that watches its motor reports: an LD stops measuring (mode error), an LMS2xx sets its status."
 
 
 class EncoderOffset(Keys):
     """The encoder's zero has moved."""
 
     azimuth_deg: Degrees = 2.0
-    "By so much beams go further left than told."
+    "By so much beams go further left than reported."
 
 
 class LayerOffset(Layers):
@@ -112,10 +112,10 @@ class Motor(Act):
         super().__init__(gear)
         self._factor = 1.0 + 0.01 * keys.percent
         told = abs(keys.percent) > keys.told_from_percent
-        self._told = 0.0 if not told else math.copysign(1.0, keys.percent)
+        self._reported = 0.0 if not told else math.copysign(1.0, keys.percent)
 
     def begin(self, now_ns: int) -> None:
-        impair(self.gear, now_ns, "motor status", self._told)
+        impair(self.gear, now_ns, "motor status", self._reported)
         impair(self.gear, now_ns, "motor speed", self._factor)
         self.gear.hit(now_ns)
 
@@ -125,20 +125,20 @@ class Motor(Act):
 
 
 class Stuck(Act):
-    """What the device tells of a motor that stands."""
+    """What the device reports of a motor that stands."""
 
     def __init__(self, keys: Any, gear: Gear) -> None:
         super().__init__(gear)
-        self._told = keys.told
+        self._reported = keys.told
 
     def begin(self, now_ns: int) -> None:
-        if self._told:
+        if self._reported:
             impair(self.gear, now_ns, "motor stopped", 1.0)
             if self.gear.session.next_plan() is None:  # a device that stops measures nothing that could be hit
                 self.gear.hit(now_ns)
 
     def end(self, now_ns: int) -> None:
-        if self._told:
+        if self._reported:
             impair(self.gear, now_ns, "motor stopped", None)
 
 

@@ -1,4 +1,4 @@
-"""The tables of docs/faults.md, from the catalogue: `python -m emulator.faults.page` writes them anew.
+"""The tables of docs/faults.md, from the catalogue: `python -m emulator.faults.page` writes them again.
 
 Belongs here: rows as Markdown, and where they go. Not: the text of the page (docs/faults.md itself).
 """
@@ -44,7 +44,7 @@ def _key(row: dict[str, str]) -> str:
 
 
 def written(text: str) -> str:
-    """The page with its tables made anew."""
+    """The page with its tables made again."""
     head, begin, rest = text.partition(BEGIN)
     _, end, tail = rest.partition(END)
     if not begin or not end:

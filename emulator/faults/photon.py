@@ -109,7 +109,7 @@ class ReceiverNoise(Keys):
     "On the rms noise in the dark."
 
 
-class WindowTold(Act):
+class WindowReported(Act):
     """The device's supervision of its window."""
 
     def __init__(self, keys: Any, gear: Gear) -> None:
@@ -131,7 +131,7 @@ AS_BEFORE = "Later scans equal those of a run without the fault."
 
 KINDS: tuple[Kind, ...] = (
     _kind("dirty_window", DirtyWindow, "Weaker echoes in a sector; dark and far targets lost; the device reports it.",
-          AS_BEFORE + " The device's status is normal again.", WindowTold),
+          AS_BEFORE + " The device's status is normal again.", WindowReported),
     _kind("wet_window", WetWindow, "Echoes fade and vanish in moving patches.", AS_BEFORE),
     _kind("dead_laser", Keys, "No echo in any beam except noise false alarms.", AS_BEFORE),
     _kind("weak_laser", WeakLaser, "The maximum range falls: dark and distant targets are lost.", AS_BEFORE),

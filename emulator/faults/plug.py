@@ -41,7 +41,7 @@ class Unplug(Holding):
             link.unplug()
             self.gear.instrument.connections_seen += 1
         self.gear.instrument.torn_off(now_ns)
-        self.gear.instrument.poked = True  # a link that was read in this step already tells of its hosts in the next
+        self.gear.instrument.poked = True  # a link that was read in this step already reports its hosts in the next
 
     def end(self, now_ns: int) -> None:
         for link in self.gear.links:
@@ -84,7 +84,7 @@ class Power(Holding):
 
 
 class Reboot(Power):
-    """The device starts anew at once."""
+    """The device starts again at once."""
 
     def begin(self, now_ns: int) -> None:
         super().begin(now_ns)

@@ -129,15 +129,15 @@ def problems(
         wanted = " or ".join(one.value for one in kind.links)
         yield ("link",), f"link {link} is of the kind {target.links[link].value}", f"a {wanted} link for {name}"
     label = entry.get("label")
-    told = unknown_message(label, target) if isinstance(label, str) else None
-    if told is not None:
-        found, _, want = told.partition("; want ")
+    reported = unknown_message(label, target) if isinstance(label, str) else None
+    if reported is not None:
+        found, _, want = reported.partition("; want ")
         yield ("label",), found, want
     common, _ = judged(Common, {key: value for key, value in entry.items() if key in Common.model_fields})
     if kind.check is not None and keys is not None and isinstance(common, Common):
-        told = kind.check(keys, common, target)
-        if told is not None:
-            found, _, want = told.partition("; want ")
+        reported = kind.check(keys, common, target)
+        if reported is not None:
+            found, _, want = reported.partition("; want ")
             yield ("do",), f"{name}: {found}", want
 
 
@@ -172,12 +172,12 @@ def _triggers(
 
 def judged(model: type[Any], values: Mapping[str, Any]) -> tuple[Any | None, list[Problem]]:
     """A model of these values, or what is wrong with them."""
-    from emulator.config.yaml_source import told
+    from emulator.config.yaml_source import reported
 
     try:
         return model.model_validate(frozen(values)), []
     except ValidationError as exc:
-        return None, told(model, values, exc)
+        return None, reported(model, values, exc)
 
 
 def read(entry: Mapping[str, Any], target: Target, known: Callable[[str], None], live: bool = False) -> Fault:

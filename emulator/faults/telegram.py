@@ -305,7 +305,7 @@ def _all(
     *checks: Callable[[Keys, Common, Target], str | None] | Callable[..., str | None],
 ) -> Callable[[Keys, Common, Target], str | None]:
     def check(keys: Keys, common: Common, target: Target) -> str | None:
-        return next((told for one in checks if (told := one(keys, common, target)) is not None), None)
+        return next((reported for one in checks if (reported := one(keys, common, target)) is not None), None)
 
     return check
 

@@ -94,9 +94,9 @@ class CanObjectHost:
                 reader = recognised(heard)
                 if reader is not None:
                     return reader
-        told = ", ".join(f"{one & 0x1FFFFFFF:X}" for one in sorted(heard)[:12])
+        seen = ", ".join(f"{one & 0x1FFFFFFF:X}" for one in sorted(heard)[:12])
         raise LinkError(
             f"no object list recognised within {LISTEN_S:g} s:"
-            f" {f'identifiers received: {told}' if told else 'the bus is silent; a Vu8 or M16 sends only on request'};"
+            f" {f'identifiers received: {seen}' if seen else 'the bus is silent; a Vu8 or M16 sends only on request'};"
             f" --model names one of {', '.join(READERS)}"
         )

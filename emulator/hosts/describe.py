@@ -309,8 +309,8 @@ def _ld_message(words: Sequence[int]) -> list[Described]:
     if code == SERVICE_FAILURE:
         return [Described("service", f"{code:04X}", "SERVICE_FAILURE"), *_ld_status(words[1:3])]
     row = LD_COMMANDS.get(code & ~REPLY_BIT)
-    told = (row.name if row else "unknown") + (", reply" if code & REPLY_BIT else "")
-    found = [Described("service", f"{code:04X}", told)]
+    reported = (row.name if row else "unknown") + (", reply" if code & REPLY_BIT else "")
+    found = [Described("service", f"{code:04X}", reported)]
     if code == 0x0301 | REPLY_BIT and len(words) > 2:
         return found + _ld_profile(words)
     if code == 0x0101 | REPLY_BIT and len(words) >= 7:

@@ -152,8 +152,8 @@ class LdHost:
             self._ask(0x0403, 0, seconds=SPIN_UP_S)
             verdict = self._ask(0x0404, seconds=SPIN_UP_S)[3]
             if verdict:
-                told = name_of(MeasureError, verdict)
-                raise Refused(f"the device refuses to measure: error {verdict} ({told})")
+                reported = name_of(MeasureError, verdict)
+                raise Refused(f"the device refuses to measure: error {verdict} ({reported})")
         self._send(0x0301, 0, self._form)
         self.title = title
 

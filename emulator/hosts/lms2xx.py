@@ -254,8 +254,8 @@ class Lms2xxHost:
                 self._ask(bytes((0x20, RATE_CODES[baud])), 0xA0)
                 self._line.set_baud(baud)
             return
-        told = ", ".join(map(str, speeds))
-        raise LinkError(f"no LMS2xx answers to `stop` (20 25); tried {told} baud, twice each")
+        reported = ", ".join(map(str, speeds))
+        raise LinkError(f"no LMS2xx answers to `stop` (20 25); tried {reported} baud, twice each")
 
     def _ask(self, payload: bytes, reply: int, tries: int = 3, seconds: float = SECONDS_FOR_A_REPLY) -> Telegram:
         for _ in range(tries):

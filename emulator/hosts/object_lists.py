@@ -47,7 +47,7 @@ class ListReader(ABC):
         """Take one frame of the bus; the list that it completes."""
 
     def keep_alive(self) -> list[Frame]:
-        """Frames that the device wants ten times a second, so that it goes on."""
+        """Frames that the device wants ten times per second, so that it goes on."""
         return []
 
     def hello(self, more: bool) -> list[Frame]:
@@ -172,17 +172,17 @@ class LdmrsReader(ListReader):
     def _object(self, number: int, row: Values) -> HostObject:
         not_valid = VELOCITY_NOT_VALID * 0.1 + 0.05
         speeds = [None if row[key] < not_valid else row[key] for key in ("VelX", "VelY")]
-        told = row.get("Reserved2", 0) > 0  # class and certainty in bytes that the manual reserves
+        reported = row.get("Reserved2", 0) > 0  # class and certainty in bytes that the manual reserves
         return HostObject(
             number, row["PosX"], row["PosY"], speeds[0], speeds[1],
             row.get("BoxSizeX"), row.get("BoxSizeY"), math.radians(row["BoxYaw"]) if "BoxYaw" in row else None,
-            LDMRS_CLASSES.get(int(row["Reserved1"]), "?") if told else None,
-            row["Reserved2"] / 100.0 if told else None,
+            LDMRS_CLASSES.get(int(row["Reserved1"]), "?") if reported else None,
+            row["Reserved2"] / 100.0 if reported else None,
         )  # fmt: skip
 
 
 class EsrReader(ListReader):
-    """Tracks of 0x500 to 0x53F. The radar radiates only while a host says so and tells its own motion."""
+    """Tracks of 0x500 to 0x53F. The radar radiates only while a host says so and reports its own motion."""
 
     model, file = "can-esr", "esr.dbc"
 
@@ -319,7 +319,7 @@ READERS: Mapping[str, type[ListReader]] = {
 def recognised(identifiers: Iterable[int]) -> ListReader | None:
     """The reader for a bus on which these identifiers were heard; None while they do not tell.
 
-    An ARS408 by the header of its lists, which tells its sensor id; an ESR by its status; a Vu8 by its counts; an M16
+    An ARS408 by the header of its lists, which reports its sensor id; an ESR by its status; a Vu8 by its counts; an M16
     by counts with detections on the identifier before; an LD-MRS by header, time, and trailer eight further, wherever
     its base is.
     """

@@ -36,7 +36,7 @@ class HostScan:
     detail: str = ""
     "What the telegram said beside the distances, for a status line."
     intensity: Floats | None = None
-    "(n,) in the device's own units, NaN where it reports none; None: this device, or this telegram, tells none."
+    "(n,) in the device's own units, NaN where it reports none; None: this device, or this telegram, reports none."
     cloud: HostCloud | None = None
     "Of a device with several layers, of which the scan is the one nearest to the horizon."
 

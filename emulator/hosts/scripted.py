@@ -31,13 +31,13 @@ class HostEnd(Protocol):
 
 @runtime_checkable
 class Connection(Protocol):
-    """An end that can be hung up on."""
+    """An end that can be disconnected."""
 
     @property
     def connected(self) -> bool: ...
 
     def reconnect(self, at_ns: int) -> bool:
-        """Hang up, and connect anew; False: refused."""
+        """Hang up, and connect again; False: refused."""
 
 
 GET_STATUS, TRANS_ROTATE, TRANS_MEASURE = 0x0102, 0x0403, 0x0404
@@ -60,16 +60,16 @@ class HasScript(Protocol):
     def script(self, line: HostEnd, on_scan: OnScan) -> Script: ...
 
 
-PATIENCE_NS = 4_000_000_000
+TIME_LIMIT_NS = 4_000_000_000
 "An LMS2xx may take three seconds to change its mode."
-ACK_PATIENCE_NS = 500_000_000
+ACK_TIME_LIMIT_NS = 500_000_000
 "Its ACK comes within 60 ms: where nothing at all is heard, it has another speed, or none is there."
 AGAIN_NS = 1_000_000_000
 "How often a host tries to connect again, or asks a device that may be starting."
-LD_PATIENCE_NS = 30_000_000_000
+LD_TIME_LIMIT_NS = 30_000_000_000
 "An LD answers TRANS_MEASURE when its head is at speed."
 SILENCE_NS = 2_000_000_000
-"A stream that pauses for so long is asked for anew: the device may have been switched off and on."
+"A stream that pauses for so long is asked for again: the device may have been switched off and on."
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Lms2xxScript:
         data = self._line.read()
         if data:
             if 0 < self._at < len(self._requests) or self._tries:
-                self._again_ns = max(self._again_ns, self._asked_ns + PATIENCE_NS)
+                self._again_ns = max(self._again_ns, self._asked_ns + TIME_LIMIT_NS)
             self._reader.feed(data)
             while (telegram := self._reader.take()) is not None:
                 if self._at < len(self._requests) and telegram.command == self._requests[self._at].reply:
@@ -148,7 +148,7 @@ class Lms2xxScript:
         self._tries += 1
         self._asked_ns = now_ns
         self._line.write(request(self._requests[self._at].payload), now_ns)
-        self._again_ns = now_ns + ACK_PATIENCE_NS
+        self._again_ns = now_ns + ACK_TIME_LIMIT_NS
 
 
 class LdScript:
@@ -174,7 +174,7 @@ class LdScript:
                 # an idle device does not measure before its head turns (listing 8011576, p. 46)
                 asked = (TRANS_ROTATE, 0) if words[2] & 0xF == Mode.IDLE else (TRANS_MEASURE,)
                 self._line.write(encode_frame(payload_of(*asked)), now_ns)
-                self._state, self._again_ns = "measure", now_ns + LD_PATIENCE_NS
+                self._state, self._again_ns = "measure", now_ns + LD_TIME_LIMIT_NS
             elif words and words[0] == TRANS_ROTATE | REPLY_BIT:
                 self._line.write(encode_frame(payload_of(TRANS_MEASURE)), now_ns)
             elif words and words[0] == TRANS_MEASURE | REPLY_BIT:

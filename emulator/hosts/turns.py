@@ -29,7 +29,7 @@ class TurnAssembler:
     def add(
         self, angle_deg: Floats, range_m: Floats, intensity: Floats | None, true_deg: Floats | None = None
     ) -> Iterator[HostScan]:
-        """Samples in the order of measuring, clockwise angles as the device tells them; turns that they complete.
+        """Samples in the order of measuring, clockwise angles as the device reports them; turns that they complete.
 
         `true_deg`: directions, where they are not the angles of the rotor.
         """

@@ -42,7 +42,7 @@ class TurnReader:
         self._last = 0
         self._scans = 0
         self._own: Model | None = None
-        "As told in the reply's head, of a sensor that is none of the maker's."
+        "As reported in the reply's head, of a sensor that is none of the maker's."
         self.errors = 0
         "Places where no packet began, and turns that could not be read."
         self.title = "Velodyne"

@@ -30,7 +30,7 @@ MOST_LSN = 80
 WIDTHS = (2, 3, 4)
 "Bytes per sample."
 MOST_BAD = 3
-"Damaged packets in a row after which the width of samples is looked for anew."
+"Damaged packets in a row after which the width of samples is looked for again."
 ANSWER_S = 0.4
 START_S = 4.0
 TRY_NS = 400_000_000
@@ -153,7 +153,7 @@ class View:
         angle = packet.angle_deg
         if self.triangulates:
             angle = angle + correction_deg(np.nan_to_num(found))
-        # where a turn ends is told by the rotor's own angles: corrected ones go back and forth
+        # where a turn ends is reported by the rotor's own angles: corrected ones go back and forth
         yield from turns.add(packet.angle_deg, found / 1000.0, packet.intensity, angle)
 
 

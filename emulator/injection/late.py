@@ -1,7 +1,7 @@
 """Telegrams that faults have made late, link by link, and all that waits behind them.
 
 A link keeps its order, a line, a connection and a CAN controller's queue alike: what follows a late telegram is late
-too, and is told so. Belongs here: only that, not why they are late (telegram, octets).
+too, and is reported so. Belongs here: only that, not why they are late (telegram, octets).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class LateTelegrams:
         return found
 
     def _parts(self, emission: Emission, only: int | None) -> list[tuple[int, int | None]]:
-        """Links that it goes to, and how it is told apart there."""
+        """Links that it goes to, and how it is distinguished there."""
         if emission.address is not None:
             index = emission.address.link
             return [(index, only)] if index < len(self._queues) else []

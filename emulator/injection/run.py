@@ -161,7 +161,7 @@ class SensorFaults:
         return found
 
     def noted(self, event: Event) -> None:
-        """Something that the session told."""
+        """Something that the session reported."""
         if isinstance(event, CommandHandled):
             for one in self.live:
                 one.commanded(event)
@@ -194,7 +194,8 @@ class FaultRun:
     """All faults of a run."""
 
     def __init__(self, scenario: Scenario, instruments: Sequence[Instrument]) -> None:
-        """Those of the scenario, judged; `FaultError` (told by `check` with file and line) for one that cannot be."""
+        """Those of the scenario, judged; `FaultError` (reported by `check` with file and line) for one that cannot
+        be."""
         self.seed = scenario.seed
         self._scenario = scenario
         self._instruments = {one.sensor: one for one in instruments}
@@ -205,7 +206,7 @@ class FaultRun:
         self._measured: dict[int, ActiveFault] = {}
         self._last: LastScans | None = None
         self.listeners: list[Callable[[str, FaultEvent], None]] = []
-        "Told of every event: (sensor, event)."
+        "Informed of every event: (sensor, event)."
         for entry in scenario.faults:
             self.add(entry.model_dump(exclude_none=True), 0, live=False)
 
@@ -250,8 +251,8 @@ class FaultRun:
         """End a fault for good; what it did."""
         running = self._faults.get(number)
         if running is None:
-            told = ", ".join(map(str, self._faults)) or "none: the list is empty"
-            raise FaultError(f"number: {number}; want {told}")
+            reported = ", ".join(map(str, self._faults)) or "none: the list is empty"
+            raise FaultError(f"number: {number}; want {reported}")
         running.end(now_ns, for_good=True)
         running.of.late.let_go(number, now_ns)
         self._instruments[running.fault.sensor].poked = True

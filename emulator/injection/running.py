@@ -10,7 +10,7 @@ from typing import Protocol
 
 from emulator.config.expressions import parse
 from emulator.faults.acts import Act, Gear
-from emulator.faults.events import MOST_HITS_TOLD, FaultEvent
+from emulator.faults.events import MOST_HITS_REPORTED, FaultEvent
 from emulator.faults.reading import Fault
 from emulator.injection.late import LateTelegrams
 from emulator.instrument.instrument import Instrument
@@ -124,7 +124,7 @@ class Running:
     def hit(self, now_ns: int, detail: str = "") -> None:
         """It has hit one thing more."""
         self.hits += 1
-        if self.hits <= MOST_HITS_TOLD:
+        if self.hits <= MOST_HITS_REPORTED:
             self.of.tell(FaultEvent(now_ns, self.number, self.fault.kind.name, "hit", detail))
 
     def took(self, what: str, count: int = 1) -> None:
@@ -163,7 +163,7 @@ class Running:
         self.until_ns = self._end_of(now_ns)
         self._left = common.for_telegrams
         self._one_hit = kind.lasts == "telegrams" and self.until_ns is None and self._left is None
-        if self.begun == 1 or self._told_singly():
+        if self.begun == 1 or self._reported_singly():
             self.of.tell(FaultEvent(now_ns, self.number, kind.name, "begin"))
         if kind.measured and self.fault.moment is not None and common.probability is None:
             self._install(now_ns, self.until_ns)
@@ -181,15 +181,15 @@ class Running:
         if self.state != "over":
             self.state = "over" if for_good or not self._again() else "waiting"
         self.of.settling = self.of.settling or self.state == "over"
-        if was != "over" and self.begun and (self.state == "over" or (was == "active" and self._told_singly())):
+        if was != "over" and self.begun and (self.state == "over" or (was == "active" and self._reported_singly())):
             self.of.tell(FaultEvent(now_ns, self.number, self.fault.kind.name, "end", f"{self.hits} hits"))
         if self.state == "over" and self.fault.kind.measured:
             self.of.run.close_measured(self.number, now_ns)
         self.until_ns = self._left = None
 
-    def _told_singly(self) -> bool:
-        """Whether each beginning and end is told: not of one that hits a telegram now and then; its hits are."""
-        return not self._one_hit and self.begun <= MOST_HITS_TOLD
+    def _reported_singly(self) -> bool:
+        """Whether each beginning and end is reported: not of one that hits a telegram now and then; its hits are."""
+        return not self._one_hit and self.begun <= MOST_HITS_REPORTED
 
     def _again(self) -> bool:
         """Whether it can begin once more."""

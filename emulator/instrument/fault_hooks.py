@@ -65,7 +65,7 @@ class FaultHooks(Protocol):
         """What was held back and goes on now."""
 
     def noted(self, event: Event) -> None:
-        """Something that the session told."""
+        """Something that the session reported."""
 
     def cut(self) -> int:
         """The power is away: bytes that were held back and are gone."""

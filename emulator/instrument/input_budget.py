@@ -1,4 +1,4 @@
-"""How long a sensor listens at one go, so that a flood on its links does not make other sensors late.
+"""How long a sensor listens at once, so that a flood on its links does not make other sensors late.
 
 Belongs here: what waits, and for how long. Not: how many bytes a link takes, and how long who has worked rests
 (transports).
@@ -52,7 +52,7 @@ class InputBudget:
                 break
 
     def _next(self) -> tuple[int, Received]:
-        """What is heard at one go: all that came at once, or a piece of it where it has no borders."""
+        """What is heard at once: all that came at once, or a piece of it where it has no borders."""
         index, received = self._waiting.popleft()
         flows = self._links[index].kind in (LinkKind.SERIAL, LinkKind.STREAM)
         if self.turn.clock_ns is None or not flows or len(received.data) <= PIECE:

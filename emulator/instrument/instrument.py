@@ -1,7 +1,7 @@
 """One sensor on its links: one session, the links its hosts use, and its measuring process.
 
 Nothing here knows a protocol, a mesh or a clock: `step(now_ns)` moves bytes and scans, and says when to call again.
-What it counts is in `stats`, what it tells to those who look on in `observers`.
+What it counts is in `stats`, what observers see in `observers`.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Instrument:
         self.sensor = sensor
         self.session = session
         self.links = tuple(links)
-        self._links_tell = all(link.tells_of_input for link in self.links)
+        self._links_tell = all(link.reports_input for link in self.links)
         self.input_budget = InputBudget(self.links)
         self.stats = InstrumentStats()
         self.conditions = NORMAL
@@ -110,7 +110,7 @@ class Instrument:
         self.family: Family | None = None
         "Whose protocol it speaks; for faults that change telegrams."
         self.faults: FaultHooks | None = None
-        "What goes wrong on purpose; None: nothing, at no cost."
+        "Injected faults; None: nothing, at no cost."
         self.feed: WorldFeed | None = None
         "Who moves the world; None: its file alone, and sweeps are measured ahead."
         self.poked = False
@@ -122,7 +122,7 @@ class Instrument:
         self._wants_plan = False
         "The session wants a sweep measured."
         self.impairments: dict[str, dict[int, float]] = {}
-        "What befalls the device, and how much by the number of each fault."
+        "Impairments of the device, and how much by the number of each fault."
         self._switched_ns = 0
         "When it was switched on last."
         self._cuts = 0
@@ -149,7 +149,7 @@ class Instrument:
         self.observers.add(watcher)
 
     def unwatch(self, watcher: Observer) -> None:
-        """Tell it no more; also from within what it is told."""
+        """Tell it no more; also from within what it is reported."""
         self.observers.remove(watcher)
 
     def power_on(self, now_ns: int) -> None:
@@ -173,18 +173,18 @@ class Instrument:
         heard = wake_ns is not None and wake_ns <= now_ns and self._take_input(now_ns)
         if self._cuts:
             return self._rest_without_power(now_ns)
-        told = self.session.take_events()
-        if idle and not heard and not told:
+        reported = self.session.take_events()
+        if idle and not heard and not reported:
             if self._wants_plan:
                 self.owed.wait(now_ns)
             return wake_ns if self._links_tell else self._next_step(now_ns)
-        return self._step_session(now_ns, told)
+        return self._step_session(now_ns, reported)
 
-    def _step_session(self, now_ns: int, told: list[Event]) -> int | None:
+    def _step_session(self, now_ns: int, reported: list[Event]) -> int | None:
         """The same where the session has something to do; `told`: events that have not been noted."""
         self._due_ns = 0
         self.session.advance(now_ns)
-        events = told + self.session.take_events()
+        events = reported + self.session.take_events()
         if any(isinstance(event, Restarted) for event in events):
             self.ledger.restart()  # before sweeps of the device's new life are asked for
         for _ in range(MAX_ROUNDS):
@@ -209,7 +209,7 @@ class Instrument:
         self._wants_plan = plan is not None
         self.ledger.wants(plan)
         if events:
-            self.owed.told(now_ns, events)
+            self.owed.reported(now_ns, events)
         if plan is not None:
             self.owed.wait(now_ns)
         if plan is not None and self._key(plan) != self._asked:
@@ -269,7 +269,7 @@ class Instrument:
         self._due_ns = 0
         self.owed.stop(now_ns)
         self._discarded = self._outstanding
-        self._note_events()  # what it has told already
+        self._note_events()  # what it has reported already
         self.ledger.now_ns = now_ns
         self.ledger.cut(SWITCHED_OFF)
         lost = sum(link.clear() for link in self.links)
@@ -301,7 +301,7 @@ class Instrument:
         return self.family.framing(self.session, kind) if isinstance(self.family, Frames) else None
 
     def tell_fault(self, event: FaultEvent) -> None:
-        """Something a fault did, for whoever looks on."""
+        """Something a fault did, for observers."""
         self.observers.event(event)
 
     @property
@@ -485,7 +485,7 @@ class Instrument:
     def _send(self, emission: Emission, only: int | None = None) -> str | None:
         """Hand a telegram to its links, or to one of them; why not one of them has taken it, None if one has."""
         address = emission.address
-        self.observers.told(emission)
+        self.observers.reported(emission)
         targets = range(len(self.links)) if address is None else range(len(self.links))[address.link : address.link + 1]
         peer = None if address is None else address.peer
         if emission.sweep is not None:

@@ -5,7 +5,7 @@
 A slot is a scan that hosts are entitled to: a turn of a mirror (as many as a scan takes) while its values are streamed,
 a revolution of a subscribed profile, a cycle of an object list, an answer that was asked for. Slots are known by the
 numbers of the sweeps that a session wants measured: within one stream (`ScanPlan.stream`) a number that is passed over
-is a slot too, and the session must say why (`Dropped`). A scan that goes to several hosts, told apart by their
+is a slot too, and the session must say why (`Dropped`). A scan that goes to several hosts, distinguished by their
 addresses, is a slot for each of them. What passes by the clock while a sweep is not measured counts as too late.
 
 Belongs here: the numbers and their sums. Not: who measures and sends (`instrument`), how sums are shown.
@@ -60,7 +60,7 @@ class _Settled:
     of_host: bool
     "For one of several hosts; others may still get the scan."
     provisional: bool = False
-    "Until the session tells why: it may have nobody to tell any more."
+    "Until the session reports why: it may have nobody to tell any more."
 
 
 @dataclass
@@ -76,10 +76,11 @@ class _Stream:
     "What is asked for from now on under that name is another stream."
     open: dict[int, _Slot] = field(default_factory=dict)
     passed: list[tuple[range, int]] = field(default_factory=list)
-    "Numbers that were passed over and that nothing was told of; the number behind them, with which it is to be told."
+    """Numbers that were passed over and not reported; the number behind them, with which it is to
+    be reported."""
     settled: deque[_Settled] = field(default_factory=lambda: deque(maxlen=SETTLED_KEPT))
     ahead: int = 0
-    "Slots told of without a number before their number was passed over."
+    "Slots reported without a number before their number was passed over."
     assumed: int = 0
     "Slots found to be late by the clock, which the session may still tell of."
     last: tuple[int, int] | None = None
@@ -103,7 +104,7 @@ class _Stream:
         return next((one for one in reversed(self.settled) if number in one.numbers), None)
 
     def waits(self) -> int:
-        """Slots that were passed over and whose turn to be told has not come."""
+        """Slots that were passed over and whose turn to be reported has not come."""
         return sum(len(numbers) for numbers, behind in self.passed if behind in self.open)
 
 
@@ -264,7 +265,7 @@ class Ledger:
         stream.open[plan.sweep].measuring = False
 
     def missed(self, plan: ScanPlan) -> None:
-        """The scan of a plan never comes, and the session knows: it tells why, or wants it once more."""
+        """The scan of a plan never comes, and the session knows: it reports why, or wants it once more."""
         stream = self._of_plan(plan)
         slot = None if stream is None else stream.open.get(plan.sweep)
         if stream is not None and slot is not None and slot.key == (plan.epoch, plan.sweep):
@@ -272,7 +273,7 @@ class Ledger:
             stream.settled[-1].provisional = True
 
     def refuse(self, plan: ScanPlan, reason: str = WITHDRAWN) -> None:
-        """The scan of a plan is not wanted any more, or never comes; unless its slot was asked for anew."""
+        """The scan of a plan is not wanted any more, or never comes; unless its slot was asked for again."""
         stream = self._of_plan(plan)
         slot = None if stream is None else stream.open.get(plan.sweep)
         if stream is not None and slot is not None and slot.key == (plan.epoch, plan.sweep):
@@ -304,7 +305,7 @@ class Ledger:
             self._overtake(stream, emission.sweep, last.end_ns)
 
     def _overtake(self, stream: _Stream, number: int, end_ns: int) -> None:
-        """A scan has left: earlier ones that have not are missing, and must be told."""
+        """A scan has left: earlier ones that have not are missing, and must be reported."""
         for one in [one for one, slot in stream.open.items() if one < number and not slot.measuring]:
             del stream.open[one]
             stream.passed.append((range(one, one + 1), number))
@@ -350,7 +351,7 @@ class Ledger:
         self._tell_numbers(stream, numbers, reason, event.address is not None)
 
     def _take_provisional(self, stream: _Stream, numbers: range) -> None:
-        """What was put down as late until the session tells is open again: now it does."""
+        """What was put down as late until the session reports is open again: now it does."""
         for settled in [one for one in stream.settled if one.provisional and one.numbers.start in numbers]:
             number = settled.numbers.start
             self._count(settled.outcome, -1)
@@ -415,7 +416,7 @@ class Ledger:
         return done
 
     def restart(self) -> None:
-        """The device has started anew: what it had not sent is withdrawn."""
+        """The device has started again: what it had not sent is withdrawn."""
         self._leave()
         self._end_streams(WITHDRAWN)
 
@@ -495,8 +496,8 @@ def check_accounts(instruments: Iterable[HasLedger], incidents: Incidents, now_n
     """At the end of a run: an incident for each sensor whose scans do not add up."""
     for instrument in instruments:
         instrument.ledger.now_ns = max(now_ns, instrument.ledger.now_ns)
-        if told := faults_of(instrument.ledger.account()):
-            incidents.note("scans unaccounted", now_ns, instrument.sensor, told)
+        if reported := faults_of(instrument.ledger.account()):
+            incidents.note("scans unaccounted", now_ns, instrument.sensor, reported)
 
 
 def faults_of(account: dict[str, Any]) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from emulator.faults.events import FaultEvent
 from emulator.transports.pacing import PacedLine, leave_ns
-from protocols.device_clock import Told
+from protocols.device_clock import DeviceStamp
 from protocols.scan import Scan
 from protocols.session import Emission, Event
 
@@ -46,7 +46,7 @@ class Payload:
 
 
 class Observer:
-    """Looks on; every method may be left as it is."""
+    """Observes; every method may be left as it is."""
 
     def payload(self, payload: Payload) -> None:
         """Bytes that will leave, or came in."""
@@ -55,16 +55,16 @@ class Observer:
         """What should have left by `due_ns`, its last bit, had left by `actual_ns`. In real time alone."""
 
     def cut(self, sensor: str, link: int, end_ns: int) -> None:
-        """What was told to leave on a line does so no further than this."""
+        """What was ordered to leave on a line does so no further than this."""
 
     def scan(self, sensor: str, scan: Scan) -> None:
         """A sweep that the device has taken."""
 
-    def told(self, sensor: str, sweep: int, told: Told) -> None:
-        """What a scan's telegram tells of the device's time; once for each host and link that gets it."""
+    def reported(self, sensor: str, sweep: int, reported: DeviceStamp) -> None:
+        """What a scan's telegram reports of the device's time; once for each host and link that gets it."""
 
     def event(self, sensor: str, event: Event | FaultEvent) -> None:
-        """Something the session told, or that a fault did."""
+        """Something the session reported, or that a fault did."""
 
 
 class LineTimes:

@@ -1,6 +1,6 @@
 """The observers of one sensor: each gets what its links carry, with the instants of first and last bit.
 
-Belongs here: who looks on, and what must be kept of lines and buses to say when bytes leave and whose scan they are.
+Belongs here: observers, and what must be kept of lines and buses to say when bytes leave and whose scan they are.
 Not: the contract of a watcher (`watching`), what is sent (`instrument`).
 """
 
@@ -23,7 +23,7 @@ FRAMES_KEPT = 1024
 
 
 class Observers:
-    """Those who look on while one sensor works; all calls are cheap while nobody does."""
+    """Observers while one sensor works; all calls are cheap while nobody does."""
 
     def __init__(self, sensor: str, links: Sequence[Link]) -> None:
         self._sensor = sensor
@@ -31,7 +31,7 @@ class Observers:
         self._watchers: list[Observer] = []
         self._times: dict[int, LineTimes] = {}
         self._speeds: dict[int, int] = {}
-        "Of serial links, as last told; for watchers that come later."
+        "Of serial links, as last reported; for watchers that come later."
         self._on_bus: dict[int, deque[tuple[int, bytes, int]]] = {}
         "CAN link -> identifier, bytes and sweep of frames that begin a scan and have not been carried yet."
 
@@ -49,7 +49,7 @@ class Observers:
                 link.on_carried = partial(self._carried, index)
 
     def remove(self, watcher: Observer) -> None:
-        """Tell it no more; also from within what it is told."""
+        """Tell it no more; also from within what it is reported."""
         self._watchers = [one for one in self._watchers if one is not watcher]
         if self._watchers:
             return
@@ -72,15 +72,15 @@ class Observers:
             waiting.clear()
 
     def heard(self, index: int, received: Received, now_ns: int) -> None:
-        """Bytes came in on a link; frames of a bus are told as the bus carries them."""
+        """Bytes came in on a link; frames of a bus are reported as the bus carries them."""
         if self._watchers and self._links[index].kind is not LinkKind.CAN:
             self._tell(Payload(self._sensor, index, received.peer, received.data, now_ns, now_ns, False))
 
-    def told(self, emission: Emission) -> None:
-        """What a scan's telegram tells of the device's time."""
-        if emission.told is not None and emission.sweep is not None:
+    def reported(self, emission: Emission) -> None:
+        """What a scan's telegram reports of the device's time."""
+        if emission.reported is not None and emission.sweep is not None:
             for watcher in self._watchers:
-                watcher.told(self._sensor, emission.sweep, emission.told)
+                watcher.reported(self._sensor, emission.sweep, emission.reported)
 
     def leaving(self, index: int, peer: int | None, emission: Emission) -> None:
         """A telegram is about to be handed to a link."""
@@ -90,7 +90,7 @@ class Observers:
             self._on_bus[index].append((peer or 0, emission.payload, emission.sweep))
 
     def left(self, index: int, peer: int | None, emission: Emission) -> None:
-        """The link has taken it; frames of a bus are told as the bus carries them."""
+        """The link has taken it; frames of a bus are reported as the bus carries them."""
         if not self._watchers or self._links[index].kind is LinkKind.CAN:
             return
         start_ns = end_ns = emission.due_ns
@@ -118,7 +118,7 @@ class Observers:
             watcher.scan(self._sensor, scan)
 
     def event(self, event: Event | FaultEvent) -> None:
-        """The session told something, or a fault did."""
+        """The session reported something, or a fault did."""
         for watcher in self._watchers:
             watcher.event(self._sensor, event)
 

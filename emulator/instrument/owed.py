@@ -40,7 +40,7 @@ class Span:
 
 
 def silence_ns(sent_ns: int | None, first_ns: int, usual_ns: float | None, now_ns: int) -> int:
-    """For how long a sensor that owes scans has been silent; 0: it is not, as far as its usual gap tells."""
+    """For how long a sensor that owes scans has been silent; 0: it is not, as far as its usual gap shows."""
     since_ns = first_ns if sent_ns is None else max(sent_ns, first_ns)
     limit_ns = FIRST_NS if usual_ns is None else SILENT_GAPS * usual_ns
     quiet_ns = now_ns - since_ns
@@ -112,8 +112,8 @@ class Owed:
         """A plug is pulled, or connections are reset."""
         self._torn = bool(self.spans) and self._goes_on(now_ns)
 
-    def told(self, now_ns: int, events: Iterable[Event]) -> None:
-        """What the session has told: it may have ended a stream by itself."""
+    def reported(self, now_ns: int, events: Iterable[Event]) -> None:
+        """What the session has reported: it may have ended a stream by itself."""
         if any(isinstance(event, ModeChanged | Restarted) for event in events):
             if self._heard_ns is None or now_ns - self._heard_ns > HOST_NS:
                 self.stop(now_ns)

@@ -22,7 +22,7 @@ from emulator.instrument.observer import Observer, Payload
 from emulator.instrument.owed import GAPS_KEPT, silence_ns, usual_gap
 from emulator.objects.metrics import ListedScan, ObjectScore, Score, TruthObject
 from emulator.scenario.quantities import box_of
-from protocols.device_clock import Told
+from protocols.device_clock import DeviceStamp
 from protocols.scan import DAZZLED, DetectedObject, Floats, Ints, Scan
 from protocols.session import Dropped, Event, Restarted
 
@@ -103,15 +103,15 @@ class SensorSeries:
     """One sensor's run."""
 
     measured: dict[int, Measured] = field(default_factory=dict)
-    "By the instant at which the sweep began: a device counts its sweeps anew after a power cut."
+    "By the instant at which the sweep began: a device counts its sweeps again after a power cut."
     sent_ns: list[int] = field(default_factory=list)
     "First bit of each scan on the first link that carried it."
     read: list[tuple[int, int | None, HostScan]] = field(default_factory=list)
     "By our host: when, the beginning of the sweep it carried, the scan as decoded."
     cloud_errors: dict[int, float] = field(default_factory=dict)
     "Largest difference of the ranges of each cloud that our host read, by its place in `read`. [m]"
-    told: dict[int, Told] = field(default_factory=dict)
-    "What scans' telegrams told of the device's time, by the instant of the run that they told of."
+    reported: dict[int, DeviceStamp] = field(default_factory=dict)
+    "What scans' telegrams reported of the device's time, by the instant of the run that they reported of."
     bytes_out: int = 0
     bytes_in: int = 0
     faults: dict[int, FaultSpan] = field(default_factory=dict)
@@ -182,8 +182,8 @@ class SeriesWatcher(Observer):
             scan.range_m,
         )
 
-    def told(self, sensor: str, sweep: int, told: Told) -> None:
-        self.sensors[sensor].told[told.true_ns] = told
+    def reported(self, sensor: str, sweep: int, reported: DeviceStamp) -> None:
+        self.sensors[sensor].reported[reported.true_ns] = reported
 
     def event(self, sensor: str, event: Event | FaultEvent) -> None:
         mine = self.sensors[sensor]
@@ -412,10 +412,10 @@ def _total(count: Callable[[Instrument], int]) -> Callable[[Window], Value]:
     return lambda window: float(count(window.instrument))
 
 
-def _clock(number: Callable[[Told], float]) -> Callable[[Window], Value]:
+def _clock(number: Callable[[DeviceStamp], float]) -> Callable[[Window], Value]:
     def value(window: Window) -> Value:
-        told = [one for one in window.series.told.values() if window.holds(one.true_ns)]
-        return np.array([number(one) for one in told], dtype=np.float64)
+        reported = [one for one in window.series.reported.values() if window.holds(one.true_ns)]
+        return np.array([number(one) for one in reported], dtype=np.float64)
 
     return value
 
@@ -488,7 +488,7 @@ def _gap_span(window: Window, place: Callable[[Floats], int]) -> tuple[int, int]
 
 
 def _span(quantity: str, window: Window, index: int | None, lean: int) -> tuple[int, int] | None:
-    """When a value was: between which instants, the same for one; None: that cannot be told."""
+    """When a value was: between which instants, the same for one; None: that cannot be reported."""
     if index is None:
         if quantity in ("scans_per_s", "scans_sent", "scans_read", "scans_measured"):
             return _gap_span(window, lambda lengths: int(np.argmin(lengths) if lean > 0 else np.argmax(lengths)))
@@ -515,7 +515,7 @@ def _span(quantity: str, window: Window, index: int | None, lean: int) -> tuple[
         read = [one for one in window.read if every or _is_matched(one, window)]
         instants = [at_ns for at_ns, _, _ in read]
     elif quantity in ("clock_error_s", "clock_ticks"):
-        instants = [one.true_ns for one in window.series.told.values() if window.holds(one.true_ns)]
+        instants = [one.true_ns for one in window.series.reported.values() if window.holds(one.true_ns)]
     elif quantity == "lateness_us":
         return None
     else:
@@ -536,7 +536,7 @@ def spans(
     from_ns: int,
     to_ns: int,
 ) -> Callable[[Name, int | None, int], tuple[int, int] | None]:
-    """Tells when a value of a name was, within a window of time: (name, place in its series or None, lean)."""
+    """Reports when a value of a name was, within a window of time: (name, place in its series or None, lean)."""
 
     def span(name: Name, index: int | None, lean: int) -> tuple[int, int] | None:
         if len(name.parts) != 2:

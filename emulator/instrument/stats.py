@@ -47,7 +47,8 @@ class InstrumentStats:
 
     @property
     def rate_hz(self) -> float:
-        """Scans a second while they were streamed, a silence that lasts included; NaN before a stream's second scan."""
+        """Scans per second while they were streamed, a silence that lasts included; NaN before a stream's second
+        scan."""
         silent_ns = self.owed.silent_ns(self.ledger.now_ns)
         return self.gaps * 1e9 / (self.gaps_ns + silent_ns) if self.gaps_ns > 0 else math.nan
 
@@ -85,7 +86,7 @@ class InstrumentStats:
             self.objects.add(scan.objects, scan.truth)
 
     def note_event(self, event: Event) -> None:
-        """Something the session told."""
+        """Something the session reported."""
         if isinstance(event, Dropped):
             if event.reason.of_scans:
                 self.ledger.tell(event)

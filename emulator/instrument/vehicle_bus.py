@@ -98,7 +98,7 @@ class VehicleSession(EventSession):
         self.limited: Counter[str] = Counter()
         "Values beyond a signal's limits, by message.signal; the limit was sent."
         self.on_limited: Callable[[int, str, str], None] = lambda now_ns, on, text: None
-        "Told of the first one of each signal."
+        "Informed of the first one of each signal."
         self._state: tuple[int, EgoState] | None = None
 
     def _cyclic(self, options: VehicleBus, name: str, database: Any) -> _Cyclic:
@@ -182,7 +182,7 @@ class VehicleSession(EventSession):
         return self._state[1]
 
     def _raw(self, label: str, layout: SignalLayout, value: float, now_ns: int) -> int:
-        """The nearest raw value; the limit for what lies outside, told once."""
+        """The nearest raw value; the limit for what lies outside, reported once."""
         raw = layout.quantise_one(value)
         exact = (value - layout.offset) / layout.scale
         if not layout.raw_min - 0.5 <= exact <= layout.raw_max + 0.5:

@@ -47,7 +47,7 @@ def blame(
     lookup: Lookup,
     span_of: Callable[[Name, int | None, int], tuple[int, int] | None],
 ) -> Blamed | None:
-    """The value to which a failed expectation is due; None where no instant can be told.
+    """The value to which a failed expectation is due; None where no instant can be reported.
 
     `span_of(name, index, lean)`: when a value was; `lean` > 0: the name's value is too high, < 0: too low.
     """
@@ -170,8 +170,8 @@ def active(scenario: Scenario, watcher: SeriesWatcher, sensor: str, from_ns: int
     sources = next((one.from_ for one in scenario.sensors if one.id == sensor), ())
     found: list[str] = []
     for one in (sensor, *sources):
-        told = [*_faults(watcher.sensors[one], from_ns, to_ns), *_late(watcher.sensors[one], from_ns, to_ns)]
-        found += told if one == sensor else [f"{one}: {text}" for text in told]
+        reported = [*_faults(watcher.sensors[one], from_ns, to_ns), *_late(watcher.sensors[one], from_ns, to_ns)]
+        found += reported if one == sensor else [f"{one}: {text}" for text in reported]
     changes = [change for change in scenario.weather.changes if change.t_s * 1e9 <= to_ns]
     if changes:
         keys = ", ".join(sorted(changes[-1].model_fields_set - {"t_s"}))
@@ -181,18 +181,18 @@ def active(scenario: Scenario, watcher: SeriesWatcher, sensor: str, from_ns: int
 
 
 def _faults(series: SensorSeries, from_ns: int, to_ns: int) -> list[str]:
-    told = []
+    reported = []
     for number, fault in series.faults.items():
         if fault.begun_ns > to_ns or (fault.ended_ns is not None and fault.ended_ns < from_ns):
             continue
         kind = kinds().get(fault.name)
         if kind is not None and kind.lasts == "telegrams":
             hits = [at for at, of in series.hits if of == number and from_ns - NEAR_NS <= at <= to_ns + NEAR_NS]
-            told += [f"fault {fault.name}, hit at {hits[0] * 1e-9:.3f} s"] if hits else []
+            reported += [f"fault {fault.name}, hit at {hits[0] * 1e-9:.3f} s"] if hits else []
             continue
         until = "" if fault.ended_ns is None else f" to {fault.ended_ns * 1e-9:.3f} s"
-        told.append(f"fault {fault.name} from {fault.begun_ns * 1e-9:.3f} s{until}")
-    return told
+        reported.append(f"fault {fault.name} from {fault.begun_ns * 1e-9:.3f} s{until}")
+    return reported
 
 
 def _late(series: SensorSeries, from_ns: int, to_ns: int) -> list[str]:

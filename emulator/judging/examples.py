@@ -12,7 +12,7 @@ from pathlib import Path
 
 DISTANCES_M = (3.0, 6.0, 12.0, 20.0)
 LMS291_RATES = ((1.0, 180, 75.0), (0.5, 180, 37.5), (0.25, 100, 18.75))
-"Resolution [deg], field [deg], whole scans a second: 75 Hz of the mirror over 1, 2, 4 interlaced sweeps."
+"Resolution [deg], field [deg], whole scans per second: 75 Hz of the mirror over 1, 2, 4 interlaced sweeps."
 WEATHERS = {
     "clear": "{}",
     "haze": "{fog: {visibility_m: 500}}",

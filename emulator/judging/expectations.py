@@ -55,7 +55,7 @@ class Judgement:
     "Faults, changes of the weather and late sweeps at that time."
 
     @property
-    def told(self) -> str:
+    def reported(self) -> str:
         """Why it failed, in one line; of one that held, what was found."""
         text = f"{self.found}; expected {self.wanted}"
         if self.at_s is not None:
@@ -84,7 +84,7 @@ class Judgements(list[Judgement]):
     def __str__(self) -> str:
         failed = [item for item in self if not item.held]
         lines = [f"failed: {len(failed)} of {len(self)} expectations"] if failed else [f"passed: {len(self)}"]
-        lines += [f"  {item.name}: {item.told}" for item in failed]
+        lines += [f"  {item.name}: {item.reported}" for item in failed]
         return "\n".join(lines + [f"  warning: {text}" for text in self.warnings])
 
     __repr__ = __str__
@@ -99,25 +99,25 @@ def understand(scenario: Scenario) -> list[Expected]:
     """The expectations of a scenario; `ScenarioError` has a line for each fault."""
     sensors = [sensor.id for sensor in scenario.sensors]
     actors = ["world", *(actor.id for actor in scenario.actors)]
-    told: list[str] = []
+    reported: list[str] = []
     found: list[Expected] = []
     for index, item in enumerate(scenario.expect):
         extra = dict(item.model_extra or {}) | ({} if item.within is None else {"within": item.within})
         for key in set(extra) - set(KEYS):
-            told.append(str(scenario.fault(f"expect.{index}.{key}", extra[key], f"that, {', '.join(KEYS)}")))
+            reported.append(str(scenario.fault(f"expect.{index}.{key}", extra[key], f"that, {', '.join(KEYS)}")))
         try:
             tree = parse(item.that)
             for name in names(tree):
                 check_name(name, sensors, actors)
         except ExpressionError as error:
-            told.append(f"{scenario.label(f'expect.{index}.that')}: {item.that!r}: {error}")
+            reported.append(f"{scenario.label(f'expect.{index}.that')}: {item.that!r}: {error}")
             continue
         try:
             found.append(_expected(item.that, tree, extra))
         except ExpressionError as error:
-            told.append(f"{scenario.label(f'expect.{index}')}: {error}")
-    if told:
-        raise ScenarioError.of(told)
+            reported.append(f"{scenario.label(f'expect.{index}')}: {error}")
+    if reported:
+        raise ScenarioError.of(reported)
     return found
 
 
@@ -148,21 +148,23 @@ def _expected(text: str, tree: Node, extra: Mapping[str, Any]) -> Expected:
 
 def judge(expected: Expected, lookup: Callable[[Name], Value]) -> Judgement:
     """Whether it holds; a value that is missing does not."""
-    wanted = _told_bounds(expected)
+    wanted = _bounds_text(expected)
     try:
         value = np.asarray(evaluate(expected.tree, lookup))
     except ExpressionError as error:
         return Judgement(expected.name, False, str(error), wanted)
     if not expected.bounded:
         if value.dtype != bool:
-            return Judgement(expected.name, False, _told(value), "true or false; give within, equals or a comparison")
-        return Judgement(expected.name, bool(value.size and value.all()), _told(value), wanted)
+            return Judgement(
+                expected.name, False, _reported(value), "true or false; give within, equals or a comparison"
+            )
+        return Judgement(expected.name, bool(value.size and value.all()), _reported(value), wanted)
     number = value.astype(np.float64)
     held = bool(number.size) and bool(np.all((number >= expected.lowest) & (number <= expected.highest)))
-    return Judgement(expected.name, held, _told(value), wanted)
+    return Judgement(expected.name, held, _reported(value), wanted)
 
 
-def _told_bounds(expected: Expected) -> str:
+def _bounds_text(expected: Expected) -> str:
     if not expected.bounded:
         return "true"
     if expected.lowest == expected.highest:
@@ -174,7 +176,7 @@ def _told_bounds(expected: Expected) -> str:
     return f"{expected.lowest:g} to {expected.highest:g}"
 
 
-def _told(value: np.ndarray) -> str:
+def _reported(value: np.ndarray) -> str:
     if value.dtype == bool:
         return str(bool(value.all())).lower() if value.size else "no values"
     if not value.ndim:
@@ -227,15 +229,15 @@ class Run:
 
     def silences(self) -> list[str]:
         """A line for each sensor that is silent at the end although hosts are owed scans."""
-        told = []
+        reported = []
         for sensor in self.watcher.sensors:
             silent_s = float(np.asarray(self.lookup()(Name((sensor, "silent_s")))))
             if silent_s > 0.0:
                 end_s = self.end_ns * 1e-9
                 around = active(self.scenario, self.watcher, sensor, round((end_s - silent_s) * 1e9), self.end_ns)
                 why = f"; active: {', '.join(around)}" if around else ""
-                told.append(f"{sensor}: silent at the end, no scan for {silent_s:.3f} s of {end_s:g} s{why}")
-        return told
+                reported.append(f"{sensor}: silent at the end, no scan for {silent_s:.3f} s of {end_s:g} s{why}")
+        return reported
 
 
 def verdicts(expected: Sequence[Expected], run: Run) -> Judgements:

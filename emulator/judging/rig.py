@@ -36,7 +36,7 @@ from emulator.scenario.quantities import check_name
 from emulator.sensors.spec import load_spec
 from emulator.transports.urls import parse_url
 
-PATIENCE_S = 120.0
+TIME_LIMIT_S = 120.0
 "Real seconds that a call may take before the test fails."
 
 Found = TypeVar("Found")
@@ -129,7 +129,7 @@ class Rig:
         self.recording = folder / "recording"
         "Everything of the run, for `lidaremu replay` and `diff`."
         self.on_verdict: Callable[[str], None] = lambda text: None
-        "Told of a verdict that is not good, or has warnings."
+        "Informed of a verdict that is not good, or has warnings."
         self._speed = speed
         self._trouble: BaseException | None = None
         self._thread: threading.Thread | None = None
@@ -182,8 +182,8 @@ class Rig:
         if self._recorder.failure and error is None:
             raise RuntimeError(f"{self._recorder.folder}: the recording ended early: {self._recorder.failure}")
         if (cut := self._daemon.incidents.exit_code) and error is None:
-            told = "; ".join(f"{row['on']}: {row['kind']}: {row['text']}" for row in self._daemon.incidents.rows())
-            raise RuntimeError(f"the run had incidents (exit code {cut}): {told}")
+            reported = "; ".join(f"{row['on']}: {row['kind']}: {row['text']}" for row in self._daemon.incidents.rows())
+            raise RuntimeError(f"the run had incidents (exit code {cut}): {reported}")
         if self._daemon.lost_links and error is None:
             raise RuntimeError(f"links were lost: {'; '.join(self._daemon.lost_links)}")
 
@@ -193,7 +193,7 @@ class Rig:
             if self._lockstep is not None:
                 self._lockstep.close()
             self._daemon.stop()
-            self._thread.join(PATIENCE_S)
+            self._thread.join(TIME_LIMIT_S)
             self._thread = None
             check_accounts(self.instruments, self._daemon.incidents, self._daemon.now_ns)
             self._daemon.close()
@@ -207,7 +207,7 @@ class Rig:
     def _in_run(self, action: Callable[[], Found]) -> Found:
         if self._thread is None or not self._thread.is_alive():
             raise RuntimeError("the run has ended") from self._trouble
-        found: Any = self._daemon.call(action).result(PATIENCE_S)
+        found: Any = self._daemon.call(action).result(TIME_LIMIT_S)
         return found  # type: ignore[no-any-return]
 
     @property

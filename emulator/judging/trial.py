@@ -45,7 +45,7 @@ from protocols.session import Family
 DEFAULT_S = 5.0
 "Length of a trial whose scenario has no duration."
 PARTS = 50
-"Of a trial's time, for who wants to be told of its progress; the bytes are the same."
+"Of a trial's time, between reports of its progress; the bytes are the same."
 
 
 @dataclass(frozen=True)
@@ -60,11 +60,11 @@ class Verdict:
     warnings: tuple[str, ...] = ()
     "What was computed outside the range where it is known to hold, and sensors that are silent at the end."
     incidents: tuple[dict[str, object], ...] = ()
-    "What befell our own processes, files and links."
+    "Incidents of the run's processes, files and links."
     exit_code: int = 0
     "Of those incidents."
     recording: dict[str, Any] | None = None
-    "How it stands with the recording, as `Recorder.state` tells it; None when there is none."
+    "How it stands with the recording, as `Recorder.state` reports it; None when there is none."
 
     @property
     def held(self) -> bool:
@@ -180,7 +180,8 @@ class Trial:
         return None
 
     def finish(self, progress: Callable[[float], None] | None = None) -> Verdict:
-        """Run to the end, finish the recording, and judge. `progress` is told the share of the time that has passed."""
+        """Run to the end, finish the recording, and judge. `progress` gets the share of the time that has
+        passed."""
         duration_s = self.scenario.duration_s or DEFAULT_S
         end_ns = round(duration_s * 1e9)
         if progress is not None:
@@ -256,15 +257,15 @@ class _Nothing:
 
 def rehearse(scenario: Scenario) -> None:
     """Set a scenario up without measuring: `ScenarioError` has all that a trial or a run would refuse."""
-    told: list[str] = []
+    reported: list[str] = []
     without = scenario.model_copy(update={"expect": ()})
     for refused in (partial(understand, scenario), lambda: Trial(without, measuring=_Nothing()).close()):
         try:
             refused()
         except ScenarioError as error:
-            told += [line for line in error.lines if line not in told]
-    if told:
-        raise ScenarioError.of(told)
+            reported += [line for line in error.lines if line not in reported]
+    if reported:
+        raise ScenarioError.of(reported)
 
 
 def note_verdict(recorder: Recorder, judged: Judgements, end_ns: int) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from emulator.live.rotations import Floats
 
 EDGES_S = np.concatenate([[0.0], np.geomspace(1e-5, 100.0, 561)])
-"8 % from one to the next: what is told of a median is within half of that."
+"8 % from one to the next: what a median says is within half of that."
 MOST_ERRORS = 100_000
 
 
@@ -69,7 +69,7 @@ class Ages:
     def report(self) -> dict[str, object]:
         """Milliseconds, millimetres, milliradians; None where nothing was measured."""
 
-        def told(found: Histogram) -> dict[str, float] | None:
+        def reported(found: Histogram) -> dict[str, float] | None:
             if not found.count:
                 return None
             return {
@@ -80,8 +80,8 @@ class Ages:
 
         return {
             "beams": self.beams,
-            "age_ms": told(self.age),
+            "age_ms": reported(self.age),
             "extrapolated": self.extrapolated,
-            "error_mm": told(self.error_m),
-            "error_mrad": told(self.error_rad),
+            "error_mm": reported(self.error_m),
+            "error_mrad": reported(self.error_rad),
         }

@@ -1,4 +1,4 @@
-"""What a feeder has told so far: tracks of all its actors, and the account of what was wrong with its samples.
+"""What a feeder has reported so far: tracks of all its actors, and the account of what was wrong with its samples.
 
 Belongs here: order, duplicates, jumps, removal, reused ids, limits; the tracks that a sweep needs; how old its poses
 are. Not: formats, sockets, the feeder's clock (playout). Nothing here reads a clock.
@@ -108,7 +108,7 @@ class Book:
         self.counts: Counter[str] = Counter()
         self.events: deque[tuple[float, str]] = deque(maxlen=MOST_EVENTS)
         "Instant and text, once each."
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self.newest_s = -np.inf
         "Instant of the newest sample."
         self._times: deque[float] = deque(maxlen=LOOKED_AT)
@@ -122,9 +122,9 @@ class Book:
     # ------------------------------------------------------------ what comes
 
     def take(self, update: Update, run_ns: int, again: bool = False) -> bool:
-        """One update that holds at `run_ns`; whether it is used. Never raises: what is wrong is counted and told.
+        """One update that holds at `run_ns`; whether it is used. Never raises: what is wrong is counted and reported.
 
-        `again`: what is told of an actor for the second time at one instant replaces the first.
+        `again`: what is informed of an actor for the second time at one instant replaces the first.
         """
         t_s = run_ns * 1e-9
         self.counts["received"] += 1
@@ -178,7 +178,7 @@ class Book:
         return True
 
     def _find_host(self, actors: Sequence[ActorSample], t_s: float) -> None:
-        """The feeder's own vehicle where it has not been told: esmini says it in its first message only."""
+        """The feeder's own vehicle where it has not been reported: esmini says it in its first message only."""
         wanted = () if self.rules.host is None else (self.rules.host, self.rules.host.removeprefix("entity:"))
         actors = [one for one in actors if not one.static]
         found = next((one for one in actors if one.id in wanted or one.name in wanted), None)
@@ -345,9 +345,9 @@ class Book:
     def _tell(self, t_s: float, text: str, key: str | None = None) -> None:
         """Once."""
         key = text if key is None else key
-        if key in self._told or len(self._told) >= MOST_EVENTS:
+        if key in self._reported or len(self._reported) >= MOST_EVENTS:
             return
-        self._told.add(key)
+        self._reported.add(key)
         self._note(t_s, text)
 
     def _note(self, t_s: float, text: str) -> None:

@@ -20,7 +20,7 @@ from typing import Any
 from emulator.errors import LinkError
 from emulator.live.json_lines import encoded
 
-PATIENCE_S = 10.0
+TIME_LIMIT_S = 10.0
 
 
 def _address(url: str, kinds: Sequence[str]) -> tuple[str, str, int, str]:
@@ -38,10 +38,10 @@ def _connected(host: str, port: int, path: str) -> socket.socket:
     try:
         if path:
             found = socket.socket(socket.AF_UNIX)
-            found.settimeout(PATIENCE_S)
+            found.settimeout(TIME_LIMIT_S)
             found.connect(path)
             return found
-        found = socket.create_connection((host, port), PATIENCE_S)
+        found = socket.create_connection((host, port), TIME_LIMIT_S)
         found.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return found
     except OSError as error:
@@ -52,7 +52,7 @@ class Feeder:
     """Sends updates; nothing comes back."""
 
     def __init__(self, url: str) -> None:
-        """`json-udp://HOST:PORT` or `json-tcp://HOST:PORT`, as `ready` tells it."""
+        """`json-udp://HOST:PORT` or `json-tcp://HOST:PORT`, as `ready` reports it."""
         self._kind, host, port, _ = _address(url, ("json-udp", "json-tcp"))
         self._seq = 0
         if self._kind == "json-tcp":
@@ -99,7 +99,7 @@ class Lockstep:
     """Moves virtual time step by step."""
 
     def __init__(self, url: str) -> None:
-        """`lockstep://HOST:PORT` or `lockstep:unix:PATH`, as `ready` tells it."""
+        """`lockstep://HOST:PORT` or `lockstep:unix:PATH`, as `ready` reports it."""
         _, host, port, path = _address(url, ("lockstep",))
         self._socket = _connected(host, port, path)
         self._file = self._socket.makefile("rb")
@@ -123,7 +123,8 @@ class Lockstep:
         return answer
 
     def step(self, t_s: float, actors: Sequence[Mapping[str, object]] = (), **keys: Any) -> dict[str, object]:
-        """Time moves to `t_s`, where actors are as told; `sent`: scans of each sensor, `next_s`: what is due next."""
+        """Time moves to `t_s`, where actors are as reported; `sent`: scans of each sensor, `next_s`: what is due
+        next."""
         done = self.ask({"op": "step", "t_s": t_s, "actors": [dict(one) for one in actors], **keys})
         self.t_s = t_s
         return done

@@ -25,7 +25,7 @@ GZIP = b"\x1f\x8b"
 
 
 @dataclass(frozen=True)
-class Told:
+class Reported:
     """One update of a file."""
 
     known_ns: int
@@ -35,7 +35,7 @@ class Told:
     again: bool = False
 
 
-def read(kind: str, path: Path) -> Iterator[Told]:
+def read(kind: str, path: Path) -> Iterator[Reported]:
     """Updates of a file; `ScenarioError` where it cannot be read, `BadSample` counts for a message of it."""
     try:
         if kind == "osi-trace":
@@ -49,7 +49,7 @@ def read(kind: str, path: Path) -> Iterator[Told]:
         raise ScenarioError(f"{path}: {error.strerror or error}; want a file that can be read") from None
 
 
-def _stamped(updates: Iterator[Update]) -> Iterator[Told]:
+def _stamped(updates: Iterator[Update]) -> Iterator[Reported]:
     """From the first stamp on, which is the beginning of the run; each is known when the one before holds."""
     first: int | None = None
     before_ns = -1
@@ -58,7 +58,7 @@ def _stamped(updates: Iterator[Update]) -> Iterator[Told]:
         if stamp is None:
             continue
         first = stamp if first is None else first
-        yield Told(before_ns, stamp - first, update)
+        yield Reported(before_ns, stamp - first, update)
         before_ns = stamp - first
 
 
@@ -144,7 +144,7 @@ def _json_file(path: Path) -> Iterator[Update]:
                 raise ScenarioError(f"{path}:{number}: {error}") from None
 
 
-def _recorded(path: Path) -> Iterator[Told]:
+def _recorded(path: Path) -> Iterator[Reported]:
     from mcap.exceptions import McapError
     from mcap.reader import make_reader
 
@@ -153,6 +153,8 @@ def _recorded(path: Path) -> Iterator[Told]:
         try:
             for _, _, message in make_reader(data).iter_messages(topics=[FEED_TOPIC], log_time_order=False):
                 row = json.loads(message.data)
-                yield Told(row["known_ns"], row["run_ns"], json_lines.of_json(row["update"]), row.get("again", False))
+                yield Reported(
+                    row["known_ns"], row["run_ns"], json_lines.of_json(row["update"]), row.get("again", False)
+                )
         except (McapError, struct.error, ValueError, KeyError, TypeError) as error:
             raise ScenarioError(f"{file}: {error}; want a recording with a feed") from None

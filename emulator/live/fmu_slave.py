@@ -33,7 +33,7 @@ OSMP = "net.pmsf.osmp"
 OSMP_XMLNS = "http://xsd.pmsf.net/OSISensorModelPackaging"
 OSMP_VERSION, OSI_VERSION = "1.6.0", "3.8.0"
 MIME = "application/x-open-simulation-interface"
-PATIENCE_S = 300.0
+TIME_LIMIT_S = 300.0
 "For a run that begins: it may compile its loops first."
 LEAVE_S, END_S = 10.0, 20.0
 "For a run to end by itself, and at a signal."
@@ -49,7 +49,7 @@ TURN = "turn_rate_deg_s"
 
 
 class _Failed(RuntimeError):
-    """Told to the master; the FMU is of no more use."""
+    """Reported to the master; the FMU is of no more use."""
 
 
 class _Run:
@@ -79,7 +79,7 @@ class _Run:
         self.hello = self.ask({"op": "hello", "protocol": 1})[0]
 
     def _ready(self) -> dict[str, Any]:
-        for _ in range(round(PATIENCE_S / LOOK_S)):
+        for _ in range(round(TIME_LIMIT_S / LOOK_S)):
             row = self._event("ready")
             if row is not None:
                 return row
@@ -90,7 +90,7 @@ class _Run:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(LOOK_S)
         self.close()
-        raise _Failed(f"the run was not ready after {PATIENCE_S:g} s")
+        raise _Failed(f"the run was not ready after {TIME_LIMIT_S:g} s")
 
     def _event(self, name: str) -> dict[str, Any] | None:
         for line in (self._folder / "out").read_text(encoding="utf-8", errors="replace").splitlines():

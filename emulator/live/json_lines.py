@@ -23,7 +23,7 @@ ACTOR_KEYS = (
     "angular_velocity_deg_s", "size_m", "class", "model", "host", "reference", "jump", "static", "material", "shape",
 )  # fmt: skip
 UNUSED = ("weather", "material", "shape")
-"Keys of the schema that are read and not used yet; told like those that are not known."
+"Keys of the schema that are read and not used yet; reported like those that are not known."
 
 
 def decoded(text: bytes | str) -> Update:
@@ -207,11 +207,11 @@ def as_json(update: Update) -> dict[str, object]:
         entry |= {"reference": one.reference} if one.reference != "box_centre" else {}
         entry |= {key: True for key in ("host", "jump", "static") if getattr(one, key)}
         actors.append(entry)
-    told: dict[str, object] = {"t_ns": update.t_ns, "actors": actors}
-    told |= {"removed": list(update.removed)} if update.removed else {}
-    told |= {"snapshot": True} if update.snapshot else {}
-    told |= {"host": update.host} if update.host is not None else {}
-    return told if update.seq is None else told | {"seq": update.seq}
+    reported: dict[str, object] = {"t_ns": update.t_ns, "actors": actors}
+    reported |= {"removed": list(update.removed)} if update.removed else {}
+    reported |= {"snapshot": True} if update.snapshot else {}
+    reported |= {"host": update.host} if update.host is not None else {}
+    return reported if update.seq is None else reported | {"seq": update.seq}
 
 
 def of_json(data: Mapping[str, Any]) -> Update:

@@ -63,7 +63,7 @@ class Track:
     shape: str = ""
     "Which of a pool's shapes it has, scaled to `size_m`; empty: the scenario's own."
     class_: str = ""
-    "As the feeder tells it; empty: not at all."
+    "As the feeder reports it; empty: not at all."
 
     @property
     def last_s(self) -> float:

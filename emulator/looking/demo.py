@@ -37,8 +37,8 @@ def run_demo(
     families = {item.id: load_spec(item.model).family or "none" for item in loaded.sensors}
     chosen = sensor or next((one for one, its in families.items() if family in (None, its)), None)
     if chosen not in families:
-        told = ", ".join(f"{one} ({its})" for one, its in families.items())
-        raise EmulatorError(f"{f'sensor {sensor!r}' if sensor else f'family {family}'}; {name} has {told}")
+        reported = ", ".join(f"{one} ({its})" for one, its in families.items())
+        raise EmulatorError(f"{f'sensor {sensor!r}' if sensor else f'family {family}'}; {name} has {reported}")
     live = drawable()
     lasts_s = duration_s or ((loaded.duration_s or DEFAULT_S) if live else UNWATCHED_S)
     options = [f"--duration={lasts_s + 60.0}"]

@@ -37,7 +37,7 @@ SILENT_S = 10.0
 "Then a device is given up where nobody watches."
 LINE_NS = 1_000_000_000
 RATE_SCANS = 40
-"Scans over which the rate is told."
+"Scans over which the rate is reported."
 SHRINK_PAGES = 25
 "Pages for which a smaller picture would have done before it is taken: it does not jump about."
 GROW_PAGES = 3
@@ -65,7 +65,7 @@ class Wanted:
     table: Path | None = None
     as_json: bool = False
     live: bool = False
-    "Draw on the terminal until told to stop."
+    "Draw on the terminal until asked to stop."
     lines: bool = True
     "Without `live`: a line a second, the last scan drawn at the end."
 
@@ -136,7 +136,7 @@ def run_look(host: Host, url: str, wanted: Wanted, say: Say) -> int:
 
 
 def watch(host: Host, wanted: Wanted, say: Say) -> Seen | None:
-    """Follow the stream until told to stop; the last scan, None when none came."""
+    """Follow the stream until asked to stop; the last scan, None when none came."""
     clock = SystemClock()
     view = View(tidy(host.title))
     with ExitStack() as open_:
@@ -219,15 +219,15 @@ def _no_show(now_ns: int) -> bool:
 
 
 def _lines(view: View, say: Say) -> Callable[[int], bool]:
-    told_ns: int | None = None
+    reported_ns: int | None = None
 
     def show(now_ns: int) -> bool:
-        nonlocal told_ns
+        nonlocal reported_ns
         if view.last is not None:
-            if told_ns is None:
-                told_ns = now_ns
-            elif now_ns - told_ns >= LINE_NS:
-                told_ns = now_ns
+            if reported_ns is None:
+                reported_ns = now_ns
+            elif now_ns - reported_ns >= LINE_NS:
+                reported_ns = now_ns
                 say(view.status(now_ns))
         return True
 
@@ -279,7 +279,7 @@ def _several(count: int, one: str, more: str = "") -> str:
 
 
 class View:
-    """What is on a page: the last scan, how far it is drawn, what the status line tells."""
+    """What is on a page: the last scan, how far it is drawn, what the status line reports."""
 
     def __init__(self, title: str) -> None:
         self.title = title
@@ -328,7 +328,7 @@ class View:
 
     @property
     def rate_hz(self) -> float:
-        """Scans a second over the last ones; NaN before the second."""
+        """Scans per second over the last ones; NaN before the second."""
         span_ns = self._times[-1] - self._times[0] if self._times else 0
         return (len(self._times) - 1) * 1e9 / span_ns if span_ns > 0 else math.nan
 

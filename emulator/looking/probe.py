@@ -30,9 +30,9 @@ class Found:
     baud: int | None
     "Line speed at which it was found; None where there is none."
     answers: bool
-    "False: it sends but heeds no request, as a recording that is sent again."
+    "False: it sends but follows no request, as a recording that is sent again."
 
-    def told(self) -> str:
+    def reported(self) -> str:
         """One line for a user."""
         speed = "" if self.baud is None else f" at {self.baud} baud"
         how = "" if self.answers else "; it sends and answers nothing, as a recording that is sent again"

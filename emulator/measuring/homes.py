@@ -27,7 +27,7 @@ class Sweep:
     tries: int = 0
     "Workers that have ended while they measured it."
     given_up: bool = False
-    "Its device has been told that it will not come; whatever comes of it is thrown away."
+    "Its device knows that it will not come; whatever comes of it is thrown away."
 
     @property
     def end_ns(self) -> int:
@@ -100,7 +100,7 @@ class Home:
         self.pipe: Pipe | None = None
         self.fileno = -1
         self.form = ""
-        "Arrays or loops, as the process tells."
+        "Arrays or loops, as the process reports."
         self.successor: Successor | None = None
         self.latest: dict[str, Sweep] = {}
         "Sensor -> the sweep that was measured last: a successor is tried with it."
@@ -117,7 +117,7 @@ class Home:
         "Processes that have ended in a row and were not sound."
         self.starts = 0
         self.lost = False
-        "It has been told that none can be started."
+        "It has been reported that none can be started."
         self.why = ""
         "Why the last one has ended."
         self.stillness = Stillness(0)
@@ -125,5 +125,5 @@ class Home:
 
     @property
     def name(self) -> str:
-        """As told in incidents."""
+        """As reported in incidents."""
         return f"worker {self.number}"

@@ -35,7 +35,7 @@ def warnings_of(measures: Mapping[str, Measure]) -> tuple[str, ...]:
     return tuple(found)
 
 
-class Told:
+class Reported:
     """Passes on every warning once."""
 
     def __init__(self) -> None:
@@ -70,7 +70,7 @@ def restore(measures: Mapping[str, Measure], found: Mapping[str, object]) -> Non
 
 
 class NotMeasured(Scan):
-    """Stands for a sweep that was asked for and will not come: its device is told to choose another one."""
+    """Stands for a sweep that was asked for and will not come: its device may choose another one."""
 
 
 @runtime_checkable
@@ -87,13 +87,13 @@ class InPlace:
     def __init__(self, measures: Mapping[str, Measure]) -> None:
         self._measures = measures
         self._done: dict[str, list[Scan]] = {}
-        self._told = Told()
-        self.warnings: list[str] = self._told.new(warnings_of(measures))
+        self._reported = Reported()
+        self.warnings: list[str] = self._reported.new(warnings_of(measures))
         "What is not yet passed on; whoever does empties it."
 
     def request(self, sensor: str, plan: ScanPlan, conditions: Conditions = NORMAL) -> None:
         self._done.setdefault(sensor, []).append(measured(self._measures[sensor], plan, conditions))
-        self.warnings += self._told.new(warnings_of({sensor: self._measures[sensor]}))
+        self.warnings += self._reported.new(warnings_of({sensor: self._measures[sensor]}))
 
     def collect(self, sensor: str) -> list[Scan]:
         return self._done.pop(sensor, [])

@@ -1,7 +1,7 @@
 """Worker processes, each serving a fixed share of the sensors; one that ends or hangs is replaced.
 
 Belongs here: what each owes, when it is started, given up and started again. Not: what runs in it (worker), how long is
-waited (patience), what is told of it (daemon, virtual_daemon).
+waited (time limit), what is informed of it (daemon, virtual_daemon).
 
 Nothing here waits for a process: starting, building a scene and dying go on while hosts are served. The descriptors of
 pipes are known to one epoll set of our own, which lets go of each before it is closed; whoever waits for workers waits
@@ -22,7 +22,7 @@ from typing import Any
 from emulator.errors import EmulatorError, SceneError
 from emulator.measuring.conditions import NORMAL, Conditions
 from emulator.measuring.homes import Blame, Handover, Home, Question, Successor, Sweep
-from emulator.measuring.measuring import BuildMeasures, NotMeasured, Told
+from emulator.measuring.measuring import BuildMeasures, NotMeasured, Reported
 from emulator.measuring.upgrade import Building, Upgrade
 from emulator.measuring.worker import Forked, Handle, Pipe
 from emulator.process import time_limits
@@ -39,7 +39,7 @@ MOST_TRIES = 2
 VIRTUAL_FAILURES = 5
 "Virtual time stands while a worker is missing: not for ever."
 LOST_AFTER = 3
-"Processes in a row that did not come to be ready; from then on it is told that none can be started."
+"Processes in a row that did not come to be ready; from then on it is reported that none can be started."
 KILLED, OUT_OF_MEMORY = "SIGKILL", " (out of memory?)"
 GRACE_S = 0.5
 "For workers that have been asked to end; then they are made to."
@@ -66,7 +66,7 @@ class Workers:
     ) -> None:
         """Waits until each has built its scene; `EmulatorError` says why one could not.
 
-        `run_clock` tells the time of plans; None: it is virtual and stands while sweeps are owed. `clock`: by which
+        `run_clock` reports the time of plans; None: it is virtual and stands while sweeps are owed. `clock`: by which
         processes are judged. `launch` starts one, with compiled loops or without; None: as this process is switched.
         `build_loops` begins to build what is not there yet: processes begin with arrays and go over to loops later.
         """
@@ -84,14 +84,14 @@ class Workers:
         self._done: dict[str, list[Scan]] = {}
         self._fresh: set[str] = set()
         self.failures: list[str] = []
-        "What could not be measured, not yet told; whoever does empties it."
+        "What could not be measured, not yet reported; whoever does empties it."
         self.incidents: list[tuple[str, str, str]] = []
-        "What befell the processes: kind, worker, text; likewise."
-        self._told = Told()
+        "Incidents of the processes: kind, worker, text; likewise."
+        self._reported = Reported()
         self.warnings: list[str] = []
         "What is not yet passed on; whoever does empties it."
         self.notes: list[str] = []
-        "What is told and is no fault; likewise."
+        "What is reported and is no fault; likewise."
         self._first = True
         self._upgrade: Upgrade | None = None
         self._as_switched = build_loops is None
@@ -133,7 +133,7 @@ class Workers:
 
     @property
     def run_clock(self) -> Clock | None:
-        """Tells the time of plans."""
+        """Reports the time of plans."""
         return self._run_clock
 
     def takes_ns(self, sensor: str) -> int | None:
@@ -309,14 +309,14 @@ class Workers:
                 raise what.of(result)
             self._ended(home, f"refused: {'; '.join(result)}")
         elif word == "warning":
-            self.warnings += self._told.new([result])
+            self.warnings += self._reported.new([result])
         elif home.in_hand is not None:
             self._finished(home, home.in_hand, word, result)
 
     def _ready(self, home: Home, warnings: Sequence[str]) -> None:
         took_s = (self._ran.ns - home.since_ns) * 1e-9
         home.state, home.since_ns, home.ready_ns, home.was_ready = "ready", self._ran.ns, self._ran.ns, True
-        self.warnings += self._told.new(warnings)
+        self.warnings += self._reported.new(warnings)
         if home.lost:
             home.lost = False
             self.incidents.append(("worker back", home.name, f"started again: the scene was built in {took_s:.1f} s"))

@@ -4,7 +4,7 @@ Belongs here: when loops are built, and when a process with loops is started, tr
 with arrays; one at a time. Not: how it takes that place, nor what happens to a process that serves (supervision); what
 is built and how (compiled.build). A run on a virtual clock has none of this: it keeps the form it began with.
 
-Nothing here is a fault of the run: what goes wrong is told once, and arrays go on.
+Nothing here is a fault of the run: what goes wrong is reported once, and arrays go on.
 """
 
 from __future__ import annotations
@@ -47,7 +47,8 @@ class Upgrade:
         notes: list[str],
         began_ns: int,
     ) -> None:
-        """`build` begins at once, and may raise `OSError`; `notes` get what is to be told; `began_ns`: running time."""
+        """`build` begins at once, and may raise `OSError`; `notes` get what is to be reported; `began_ns`: running
+        time."""
         self._launch, self._epoll, self._notes, self._began_ns = launch, epoll, notes, began_ns
         self._building: Building | None = None
         self._built_s = 0.0
@@ -125,7 +126,7 @@ class Upgrade:
         return None
 
     def close(self, homes: Sequence[Home]) -> list[Handle]:
-        """End what is under way; the processes that have been told to end."""
+        """End what is under way; the processes that have been ordered to end."""
         self.is_over = True
         if self._building is not None:
             self._building.close()

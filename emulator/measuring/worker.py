@@ -19,14 +19,23 @@ from typing import Any, Protocol
 
 from emulator.compiled import switch
 from emulator.errors import EmulatorError
-from emulator.measuring.measuring import BuildMeasures, Measure, Told, measured, refusals, restore, states, warnings_of
+from emulator.measuring.measuring import (
+    BuildMeasures,
+    Measure,
+    Reported,
+    measured,
+    refusals,
+    restore,
+    states,
+    warnings_of,
+)
 
 PR_SET_PDEATHSIG = 1
 "linux/prctl.h."
 NICENESS = 5
 "Where there is one core: workers yield to the sender."
 ARRAYS, LOOPS = "arrays", "loops"
-"Form of a sweep's steps in a process, as told when it is ready."
+"Form of a sweep's steps in a process, as reported when it is ready."
 LENGTH_BYTES = 8
 READ_AT_ONCE = 1 << 20
 
@@ -188,8 +197,8 @@ def serve(pipe: WorkerEnd, build: BuildMeasures) -> None:
     except MemoryError:
         pipe.send("refused", EmulatorError, ("the scene does not fit into memory",))
         return
-    told = Told()
-    pipe.send("ready", LOOPS if switch.in_use() else ARRAYS, told.new(warnings_of(measures)))
+    reported = Reported()
+    pipe.send("ready", LOOPS if switch.in_use() else ARRAYS, reported.new(warnings_of(measures)))
     while True:
         sensor, plan, conditions = pipe.receive()
         if sensor is None and conditions is None:
@@ -199,15 +208,15 @@ def serve(pipe: WorkerEnd, build: BuildMeasures) -> None:
         elif plan is None:
             pipe.send("judged", None, refusals(measures, sensor, conditions))
         else:
-            _measure(pipe, measures, told, sensor, plan, conditions)
+            _measure(pipe, measures, reported, sensor, plan, conditions)
 
 
 def _measure(
-    pipe: WorkerEnd, measures: Mapping[str, Measure], told: Told, sensor: str, plan: Any, conditions: Any
+    pipe: WorkerEnd, measures: Mapping[str, Measure], reported: Reported, sensor: str, plan: Any, conditions: Any
 ) -> None:
     try:
         scan = measured(measures[sensor], plan, conditions)
-        for text in told.new(warnings_of({sensor: measures[sensor]})):
+        for text in reported.new(warnings_of({sensor: measures[sensor]})):
             pipe.send("warning", sensor, text)
         pipe.send("scan", sensor, scan)
     except (ArithmeticError, ValueError, LookupError, TypeError, RuntimeError, MemoryError) as error:

@@ -17,7 +17,7 @@ POINT_M = 0.25
 PEDESTRIAN_M = 1.0
 "A stride with swinging arms."
 TWO_WHEELER_M = (2.6, 0.9)
-"Length and width: the longest motorcycle, the widest handlebar. A motorcycle is not told from a bicycle."
+"Length and width: the longest motorcycle, the widest handlebar. A motorcycle is not distinguished from a bicycle."
 CAR_M = (6.0, 2.3)
 TRUCK_M = (20.0, 3.0)
 REAR_FROM_M = 1.3

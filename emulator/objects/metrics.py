@@ -209,7 +209,7 @@ def _figures(score: Score) -> dict[str, Any]:
     }
 
 
-def told(figures: Mapping[str, Any]) -> Iterator[str]:
+def reported(figures: Mapping[str, Any]) -> Iterator[str]:
     """`ObjectScore.as_json` as a table: each object by class of distance, each object, each class of distance, all."""
     yield f"{figures['lists']} lists  precision recall place [m] size [m] speed [m/s]  seen false missed"
     rows = [(f"{row['actor']}, {_up_to(row)}", row) for row in figures["by_actor_and_distance"]]

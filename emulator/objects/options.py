@@ -57,7 +57,7 @@ class TrackerOptions:
 
 
 OF_FORMAT: Mapping[str, Mapping[str, Any]] = MappingProxyType(
-    # a ranging module tells at once what comes back; it neither confirms nor remembers
+    # a ranging module reports at once what comes back; it neither confirms nor remembers
     {name: MappingProxyType({"confirm_hits": 1, "coast_s": 0.0}) for name in ("leddar_vu8", "leddar_m16")}
 )
 "Where a format's own default differs from the tracker's."

@@ -25,13 +25,13 @@ from protocols.scan import DetectedObject
 FAR = 1e6
 "Cost of a pair that is none."
 HEADING_SPEED_M_S = 1.5
-"From this speed on the direction of motion tells which side is the front."
+"From this speed on the direction of motion shows which side is the front."
 ABSORB_M = 0.3
 "A group whose centre lies in a track's box, or this near to it, is a piece of that object."
 YAW_DRIFT_RAD_S = np.radians(20.0)
 "A car in a tight bend."
 CORNER_M, LINE_M = 0.4, 1.0
-"Least second side of an L-shape; least length of a side that tells a direction."
+"Least second side of an L-shape; least length of a side that shows a direction."
 YAW_NOISE_RAD = {"corner": np.radians(4.0), "line": np.radians(10.0), "blob": np.radians(80.0)}
 GROW, SHRINK = 0.5, 0.05
 "Share of the difference by which a remembered size follows one scan's."

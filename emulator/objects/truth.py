@@ -1,6 +1,6 @@
 """What the objects really are: boxes of the scene's actors, as a sensor sees them move.
 
-Belongs here: truth for judging lists, and the true motion of the sensor that lists them. Nothing of it is told to
+Belongs here: truth for judging lists, and the true motion of the sensor that lists them. Nothing of it is reported to
 a host, but the ego motion that a device on a vehicle knows. Not: figures (`emulator.objects.metrics`).
 """
 
@@ -100,7 +100,8 @@ class Witness:
         return np.array([-0.5 * size[0], -0.5 * size[1], 0.0]), np.array([0.5 * size[0], 0.5 * size[1], size[2]])
 
     def knows(self, actor: int) -> bool:
-        """Whether that actor is one to be told of: not the world, nor the sensor's own vehicle, nor without a shape."""
+        """Whether that actor is to be listed: not the world, nor the sensor's own vehicle, nor without a
+        shape."""
         return actor in self._boxes
 
     def object(self, actor: int, t_s: float, own: Carried | None = None) -> TruthObject:

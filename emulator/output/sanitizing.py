@@ -1,6 +1,6 @@
 """Output to a terminal: the one place through which every text goes, and where untrusted characters are escaped.
 
-Names of files, bytes of wires, words of devices and keys of strangers' files come into our lines. A character that is
+Names of files, bytes of wires, words of devices and keys of untrusted files come into our lines. A character that is
 no letter, digit, sign or blank is shown as a text of its own (`\\x1b`, `\\u202e`): it neither moves the cursor, nor
 colours, nor turns the order of letters, nor ends a line. `lines` end where we end them. A letter that the stream cannot
 hold is shown the same way.

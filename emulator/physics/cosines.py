@@ -31,7 +31,7 @@ LEAST = 1e-6
 FAINT = 0.1
 "Share of the threshold that a medium may have under a cluster that is crossed in closed form."
 EXACT_M = 1e-5
-"Crossings are looked for anew, with the medium that is under them, until they move by less than this."
+"Crossings are looked for again, with the medium that is under them, until they move by less than this."
 MOST_PASSES = 60
 "Each leaves the share of the shift that the medium falls by while the pulses rise by as much: a tenth, mostly."
 SLIGHT = 1e-4
@@ -339,7 +339,7 @@ def _near(soft: SoftProfile, threshold: float, short: Bools, beam: Ints, begin_m
     near = indexes(begin_m < max(soft.until_m, alone_m))
     if not len(near):
         return None, begin_m
-    # where the medium may come near a level itself, what is crossed first is not told by the pulses alone
+    # where the medium may come near a level itself, the pulses alone do not show what is crossed first
     begin = begin_m[near]
     under = soft.wave(np.maximum(begin, soft.peak_m)) / threshold
     kept = short[near] & (under < FAINT) & (begin >= alone_m)
@@ -432,6 +432,6 @@ def _ended(echoes: SubEchoes, soft: SoftProfile, first: Ints, count: Ints, begin
 
 
 def _running(values: Floats, start: Ints, size: Ints) -> Floats:
-    """Running sums that begin anew in every cluster."""
+    """Running sums that begin again in every cluster."""
     sums = values.cumsum()
     return np.asarray(sums - (sums[start] - values[start]).repeat(size))

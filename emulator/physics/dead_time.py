@@ -118,10 +118,10 @@ class DeadTime:
                 fresh = again = np.zeros(beams)
             gone, held = counts[:, i] - fresh - again, fresh + again
             if self.paralysable and (plain.any() or trapped.any()):
-                anew = take(plain, np.broadcast_to(p, plain.shape))
+                once_more = take(plain, np.broadcast_to(p, plain.shape))
                 anew_held = take(trapped, np.broadcast_to(p, trapped.shape))
-                plain, trapped = plain - anew, trapped - anew_held
-                gone, held = gone + anew.sum(axis=0), held + anew_held.sum(axis=0)
+                plain, trapped = plain - once_more, trapped - anew_held
+                gone, held = gone + once_more.sum(axis=0), held + anew_held.sum(axis=0)
             now = i % (longest + 1)
             ready, loaded = ready + plain[now], loaded + trapped[now]
             plain[now] = trapped[now] = 0.0

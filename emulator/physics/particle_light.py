@@ -31,7 +31,7 @@ NODES = 1024
 NONE_PER_M = 1e-100
 "Fewer drawn particles per metre are none: sums of such numbers would underflow."
 SMALLEST_MM = 1e-4
-"Effective sizes below are not told apart."
+"Effective sizes below are not distinguished."
 MOST_SHADOW = 0.99
 "Share of a beam that one particle stops at the most."
 MOST_LIFT = 0.9

@@ -113,7 +113,7 @@ class Shaped:
 
     # ------------------------------------------------------------------ what is looked at
     def _points(self, echoes: SubEchoes, beams: int, soft: SoftProfile | None) -> SubEchoes:
-        """All that sends light back as points, those that no receiver can tell apart as one."""
+        """All that sends light back as points, those that no receiver can distinguish as one."""
         if echoes.spread_m is not None:
             echoes = unfold_spread(echoes, echoes.spread_m > 0.05 * self._detector.resolution_m)
         if soft is not None:

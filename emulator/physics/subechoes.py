@@ -1,6 +1,6 @@
 """Sub-echoes of a scan as flat arrays, and how they fall into clusters that can interact.
 
-Here: the container, sorting, splitting into clusters, joining what no receiver can tell apart. Not here: the waveform
+Here: the container, sorting, splitting into clusters, joining what no receiver can distinguish. Not here: the waveform
 that clusters make (waveform) and which echoes are reported (detection).
 Amplitudes are in units of the receiver's nominal rms noise: signal current at the peak of the pulse over noise.
 """
@@ -152,7 +152,7 @@ class Kept:
 
 @dataclass(frozen=True, eq=False)
 class Clusters:
-    """Sub-echoes joined where no receiver can tell them apart, and cut into clusters that do not overlap."""
+    """Sub-echoes joined where no receiver can distinguish them, and cut into clusters that do not overlap."""
 
     beam: Ints
     "(g,) of each joined sub-echo"

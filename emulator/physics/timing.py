@@ -224,7 +224,7 @@ def _crossing(
 ) -> Floats:
     """Zeros of functions that rise from f_lo < 0 at lo to f_hi >= 0 at hi, to `_EXACT_M`.
 
-    False position, the value at the stale end lessened as the new one tells (Anderson and Bjorck), a bisection where
+    False position, the value at the stale end lessened as the new one reports (Anderson and Bjorck), a bisection where
     three steps have not halved the bracket; only those not there yet are evaluated. Where there is no bracket the upper
     end is returned.
     """
@@ -249,7 +249,7 @@ def _crossing(
         less = np.where(less > 0.0, less, 0.5)
         fa = np.where(up, np.where(side == 1, less * fa, fa), f)
         fb = np.where(up, f, np.where(side == -1, less * fb, fb))
-        # the slope from the nearer end tells how far it still is
+        # the slope from the nearer end shows how far it still is
         moved = mid - np.where(up, b, a)
         slope = np.where(moved != 0.0, (f - old) / np.where(moved != 0.0, moved, 1.0), slope)
         a, b = np.where(up, a, mid), np.where(up, mid, b)

@@ -1,6 +1,6 @@
 """Drops and flakes as places in the world: the same for every beam, sensor and sweep that looks there.
 
-Here: which particles stand in a cell of the world, made anew from the cell's numbers whenever they are wanted, and
+Here: which particles stand in a cell of the world, made again from the cell's numbers whenever they are wanted, and
 which of them stand in which beams. Not here: how bright they are (particle_light).
 
 Particles of a class of sizes share one velocity, so they rest in a frame that moves with it. In this frame cells are

@@ -32,7 +32,7 @@ def wall_ns(clock: Clock, at_ns: int) -> int:
 
 
 class ManualClock:
-    """Time that moves when told to."""
+    """Time that moves when it is set."""
 
     def __init__(self, now_ns: int = 0) -> None:
         self._now_ns = now_ns

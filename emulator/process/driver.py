@@ -1,6 +1,6 @@
 """The driver under test as a child process of `lidaremu run`: started, and ended with all that it has started.
 
-Belongs here: processes, and where a driver is told its sensors are. Not: when one is started (cli, recordings).
+Belongs here: processes, and where a driver learns of its sensors. Not: when one is started (cli, recordings).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from emulator.errors import EmulatorError
 
-PATIENCE_S = 5.0
+TIME_LIMIT_S = 5.0
 "For a driver that has been asked to end."
 
 
@@ -42,7 +42,7 @@ def driver_environment(before: Mapping[str, str], links: Sequence[tuple[str, str
 
 
 def variable_of(sensor: str) -> str:
-    """Name of the environment variable that tells a driver where a sensor is."""
+    """Name of the environment variable that shows a driver where a sensor is."""
     return "LIDAREMU_" + "".join(letter if letter.isalnum() else "_" for letter in sensor.upper())
 
 
@@ -67,7 +67,7 @@ def end_driver(driver: subprocess.Popen[bytes]) -> int:
     for one in family:
         _send(one, signal.SIGTERM)
     with contextlib.suppress(subprocess.TimeoutExpired):
-        driver.wait(PATIENCE_S)
+        driver.wait(TIME_LIMIT_S)
     for one in family:
         _send(one, signal.SIGKILL)
     driver.wait()

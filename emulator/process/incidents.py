@@ -24,7 +24,7 @@ KEPT = 64
 
 @dataclass(frozen=True)
 class IncidentKind:
-    """Something that can befall a run."""
+    """Something that can happen to a run."""
 
     meaning: str
     exit_code: int = 0

@@ -1,4 +1,4 @@
-"""sd_notify(3): telling systemd that the run is ready, what it does, that it lives, that it ends.
+"""sd_notify(3): reports to systemd that the run is ready, what it does, that it lives, that it ends.
 
 Belongs here: the words and the socket. Not: when they are said (daemon, virtual_daemon). Our own, since what
 there is as a wheel (systemd-watchdog 1.0) counts by the wall clock, so that a clock set back ends the service, and
@@ -31,7 +31,7 @@ class Notifier:
 
     @classmethod
     def of_environment(cls, environment: MutableMapping[str, str]) -> Notifier:
-        """As systemd tells it; what it tells is taken out, so that a child does not speak for us."""
+        """As systemd gives it; it is taken out of the environment, so that a child does not speak for us."""
         address, usec, pid = (environment.pop(name, "") for name in VARIABLES)
         is_ours = not pid or pid == str(os.getpid())
         return cls(address, int(usec) if usec.isdecimal() and usec.isascii() and len(usec) < 19 and is_ours else 0)

@@ -1,7 +1,7 @@
 """How long our own processes are waited for: time in which we ran ourselves, deadlines, pauses between attempts.
 
 Belongs here: the numbers, each with its reason, and the arithmetic on them. Not: what is done then (supervision,
-liveness). docs/process_faults.md tells the same numbers; a test holds it to these.
+liveness). docs/process_faults.md reports the same numbers; a test holds it to these.
 """
 
 from __future__ import annotations

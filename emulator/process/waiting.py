@@ -29,7 +29,7 @@ AWAKE_SHARE = 0.05
 "At most this share of one core is spent waiting awake."
 MOST_AWAKE_NS = 200_000
 "Longest time awake before one deadline: a machine that wakes later than this is busy, and would be more so."
-SPARE_NS = 10_000
+MARGIN_NS = 10_000
 STOCK_NS = 2_000_000
 "Time awake that can be saved up."
 OVERSHOOTS = 64
@@ -177,7 +177,7 @@ class Waiter:
         self._over.append(over_ns)
         self._sleeps += 1
         if self._sleeps % 8 == 0:
-            wanted_ns = _usual(self._over) + _usual(self._rehearsals) + SPARE_NS
+            wanted_ns = _usual(self._over) + _usual(self._rehearsals) + MARGIN_NS
             self.margin_ns = min(wanted_ns, MOST_AWAKE_NS) if self._share else 0
 
 

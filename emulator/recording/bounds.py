@@ -176,9 +176,9 @@ def _verdict(file: BinaryIO, at: int, size: int, finished: bool, error: Exceptio
     A run that was killed leaves a piece of a record at the end, or zeros where the power failed. Where the file has its
     end, or a whole chunk comes after, something else has happened.
     """
-    told = ENDS if isinstance(error, Ends | struct.error | EndOfFile) else str(error) or type(error).__name__
+    reported = ENDS if isinstance(error, Ends | struct.error | EndOfFile) else str(error) or type(error).__name__
     if finished:
-        return Altered(f"the record at byte {at}: {told}")
+        return Altered(f"the record at byte {at}: {reported}")
     file.seek(at)
     rest = file.read(SOUGHT)
     if not any(rest):
@@ -186,9 +186,9 @@ def _verdict(file: BinaryIO, at: int, size: int, finished: bool, error: Exceptio
     place = rest.find(b"\x06", 1)
     while place >= 0:
         if _is_chunk(rest, place):
-            return Altered(f"the record at byte {at}: {told}; a whole chunk comes after it")
+            return Altered(f"the record at byte {at}: {reported}; a whole chunk comes after it")
         place = rest.find(b"\x06", place + 1)
-    return Ends(told)
+    return Ends(reported)
 
 
 def _is_chunk(data: bytes, at: int) -> bool:

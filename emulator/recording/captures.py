@@ -19,7 +19,7 @@ VLAN_TAGS = (0x8100, 0x88A8, 0x9100)
 MOST_BLOCK = 1 << 26
 MOST_AHEAD = 256
 "Segments that wait for a missing one. Of more, or after `PATIENCE_NS`, it is the capture that lacks it."
-PATIENCE_NS = 3_000_000_000
+TIME_LIMIT_NS = 3_000_000_000
 SYN = 0x02
 
 
@@ -166,7 +166,7 @@ class Stream:
         self._ahead.append(item)
         self._take()
         while self._ahead and (
-            len(self._ahead) > MOST_AHEAD or item.at_ns - min(one.at_ns for one in self._ahead) > PATIENCE_NS
+            len(self._ahead) > MOST_AHEAD or item.at_ns - min(one.at_ns for one in self._ahead) > TIME_LIMIT_NS
         ):
             self._skip()
 

@@ -15,7 +15,7 @@ from emulator.recording.layout import RecordedScan
 from emulator.recording.reader import RecordedRun
 from emulator.recording.whereabouts import Whereabouts
 from emulator.scenario import scenario as scenario_file
-from emulator.world.told import Played
+from emulator.world.feed_record import Played
 from protocols.scan import Floats
 
 POINT = np.dtype(

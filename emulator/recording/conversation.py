@@ -54,7 +54,7 @@ class Said:
         """When its first bit began indeed, as far as it is recorded: as late as its last."""
         return self.payload.start_ns + self.payload.late_ns
 
-    def told(self, speaker: Speaker, several: bool, late: bool = False) -> str:
+    def reported(self, speaker: Speaker, several: bool, late: bool = False) -> str:
         """One line: when its first bit was due, who, what bytes, what they say. `several`: sensors take part.
 
         `late`: with a column of how many milliseconds later than that it left, blank where that is not recorded.

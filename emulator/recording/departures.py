@@ -1,9 +1,10 @@
 """When payloads of one link had left indeed, beside when they were due: for runs in real time.
 
-Belongs here: which payload it was that a link says has left. Not: who tells (transports, daemon), files (writer).
+Belongs here: which payload it was that a link says has left. Not: who reports (transports, daemon), files (writer).
 
-A payload is recorded when it is handed to its link, which tells later when its last bit was due and had left. A payload
-that the link gives up is never told of: those behind it show that.
+A payload is recorded when it is handed to its link, which reports later when its last bit was due and had left. A
+payload
+that the link gives up is never reported: those behind it show that.
 """
 
 from __future__ import annotations

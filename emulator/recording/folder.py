@@ -2,7 +2,7 @@
 
 Belongs here: making, writing, looking after and closing files. Not: what stands in them, nor when it is written.
 
-Every file is made anew (O_EXCL) in the folder as it was opened, never through a symbolic link: nothing that was there
+Every file is made again (O_EXCL) in the folder as it was opened, never through a symbolic link: nothing that was there
 is written over, and of two runs into one folder one is refused.
 """
 
@@ -66,7 +66,8 @@ class RecordingFile:
             raise RecordingLost(0, f"{self.name} was cut: {found.st_size} of {self.written} bytes are there")
 
     def moved(self, folder: str) -> str:
-        """Where the file is now, once it is no longer where it was told to be last; `folder` is where its folder is."""
+        """Where the file is now, once it is no longer where it was reported to be last; `folder` is where its
+        folder is."""
         path = _path_of(self.number)
         if not path or not folder or path == os.path.join(folder, self._place):
             return ""

@@ -40,17 +40,17 @@ def distinct(names: Sequence[str]) -> list[str]:
     given: set[str] = set()
     found = []
     for name in names:
-        number, told = 1, name
-        while told.casefold() in given or (number > 1 and told.casefold() in taken):
+        number, reported = 1, name
+        while reported.casefold() in given or (number > 1 and reported.casefold() in taken):
             number += 1
-            told = f"{name}-{number}"
-        given.add(told.casefold())
-        found.append(told)
+            reported = f"{name}-{number}"
+        given.add(reported.casefold())
+        found.append(reported)
     return found
 
 
 def bus_names(texts: Mapping[str, str]) -> dict[str, BusName]:
-    """A name for each bus, by its address: of the channel, and where that comes again with what tells them apart.
+    """A name for each bus, by its address: of the channel, and where that comes again with what distinguishes them.
 
     `texts`: address -> the link as the scenario has it, whose port may be 0. In the scenario's order.
     """
@@ -71,7 +71,7 @@ def _channel(url: LinkUrl) -> str:
 
 
 def _mark(url: LinkUrl) -> str:
-    """What tells links of the same channel apart: port, interface, or the folder of a terminal."""
+    """What distinguishes links of the same channel: port, interface, or the folder of a terminal."""
     if url.scheme == "socketcand":
         port = url.target.partition("/")[0].rpartition(":")[2]
         return "" if port == "0" else port

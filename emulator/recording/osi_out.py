@@ -213,7 +213,7 @@ class OsiOut(Observer):
     """Sends every scan of a run."""
 
     def __init__(self, where: Whereabouts, outs: list[Out], failed: Callable[[str], None]) -> None:
-        """`failed` is told once of a place that takes no more."""
+        """`failed` is reported once of a place that takes no more."""
         self._where, self._outs, self._failed = where, outs, failed
         self.newest = Newest()
         self._ids = where.scene.index

@@ -24,9 +24,9 @@ Place = tuple[str, int]
 
 def places_of(url: str) -> tuple[Place, Place]:
     """Where a `udp:` link sends from and to; 127.0.0.1 and port 0 where its text does not say."""
-    told, _, query = url.removeprefix("udp:").partition("?")
+    reported, _, query = url.removeprefix("udp:").partition("?")
     listen = parse_qs(query).get("listen", [""])[0]
-    return _place(listen), _place(told)
+    return _place(listen), _place(reported)
 
 
 def _place(text: str) -> Place:

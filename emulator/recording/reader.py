@@ -24,7 +24,7 @@ from emulator.recording.folder import RecordingError
 from emulator.recording.layout import RecordedScan, decode_scan
 from emulator.recording.line_dumps import telegrams_of
 from emulator.recording.pcapng import LD_PORT
-from protocols.device_clock import Told
+from protocols.device_clock import DeviceStamp
 from protocols.scan import Floats
 
 DAMAGE = (McapError, struct.error, ValueError, LookupError, EOFError, OverflowError, TypeError, RecursionError)
@@ -96,8 +96,8 @@ class RecordedRun:
     scans: dict[str, list[RecordedScan]] = field(default_factory=dict)
     offsets: dict[str, list[Floats | None]] = field(default_factory=dict)
     "Of each scan, when each of its beams fired after its start [s], shared by those that have the same; None: unknown."
-    clocks: dict[str, list[tuple[int, Told]]] = field(default_factory=dict)
-    "Sensor -> sweep and what its telegram told of the device's time."
+    clocks: dict[str, list[tuple[int, DeviceStamp]]] = field(default_factory=dict)
+    "Sensor -> sweep and what its telegram reported of the device's time."
     events: list[tuple[int, str, dict[str, object]]] = field(default_factory=list)
     cut: str = ""
     "Why reading ended before the file's own end; empty for a whole file."
@@ -169,7 +169,7 @@ def _take(run: RecordedRun, channel: Channel, message: Message, offsets: dict[st
         offsets[meta["sensor"]] = np.frombuffer(message.data, "<f8").astype(np.float64)
     elif channel.message_encoding == layout.CLOCK_ENCODING:
         row = loads_json(message.data)
-        run.clocks.setdefault(meta["sensor"], []).append((row.pop("sweep"), Told(**row)))
+        run.clocks.setdefault(meta["sensor"], []).append((row.pop("sweep"), DeviceStamp(**row)))
     elif channel.message_encoding == layout.EVENT_ENCODING:
         row = loads_json(message.data)
         run.events.append((message.log_time, meta["sensor"], row))
@@ -247,8 +247,8 @@ def _from_capture(path: Path, data: bytes, port: int) -> list[WireOf]:
     found = streams_of(segments, port)
     if not found:
         ports = Counter(item.source[1] for item in segments if item.data)
-        told = ", ".join(str(number) for number, _ in ports.most_common(8)) or "none did"
-        raise RecordingError(f"{path}: no data sent by port {port}; want --port of the device, one of: {told}")
+        reported = ", ".join(str(number) for number, _ in ports.most_common(8)) or "none did"
+        raise RecordingError(f"{path}: no data sent by port {port}; want --port of the device, one of: {reported}")
     first = found[0][0][0]
     wires = []
     for number, parts in enumerate(found):

@@ -70,7 +70,7 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class Told:
+class Reported:
     """Something that happened; `sensor` is `run` for what concerns the whole run."""
 
     at_ns: int
@@ -92,7 +92,7 @@ class Cut:
     reason: str
 
 
-Item = Head | Wire | Left | Beams | Measured | Told | End | Cut
+Item = Head | Wire | Left | Beams | Measured | Reported | End | Cut
 
 
 @dataclass
@@ -182,5 +182,5 @@ def _message(channel: Channel, message: Message) -> Item | None:
         return Beams(meta["sensor"], np.frombuffer(message.data, "<f8").astype(np.float64))
     if encoding == layout.EVENT_ENCODING:
         row = loads_json(message.data)
-        return Told(message.log_time, meta["sensor"], row if isinstance(row, dict) else {"event": str(row)})
+        return Reported(message.log_time, meta["sensor"], row if isinstance(row, dict) else {"event": str(row)})
     return None

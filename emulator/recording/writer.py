@@ -2,7 +2,7 @@
 
 Messages wait in this process until there are `CHUNK_BYTES` of them or they span `CHUNK_NS` of the run, and in a run
 that hosts wait for half a second of real time at most. BLF and ASC are written at the end, from the candump log.
-A recording that cannot go on ends, with its reason, and is told as an incident; the run goes on.
+A recording that cannot go on ends, with its reason, and is reported as an incident; the run goes on.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from emulator.scenario.scenario import Scenario, dump
 from emulator.scenario.vehicle_options import NAME as VEHICLE_BUS
 from emulator.transports.link import LATENESS_KEPT
 from emulator.transports.urls import parse_url
-from protocols.device_clock import Told
+from protocols.device_clock import DeviceStamp
 from protocols.scan import Floats, Scan, ScanPlan
 from protocols.session import Event, LinkKind
 
@@ -51,7 +51,7 @@ LOG_BYTES = 1 << 16
 MOST_CHANNELS = 50_000
 "Of the 65535 that MCAP counts: connections come and go; those after it are recorded without their number."
 SAME_FRAME = 4096
-"Frames of a bus that are remembered: every sensor on it tells of each, the log has it once."
+"Frames of a bus that are remembered: every sensor on it reports each, the log has it once."
 SAME_INSTANT_S = 5e-8
 "Beams fired within it of each other are the same: devices count in ticks of some nanoseconds."
 
@@ -83,9 +83,9 @@ class Recorder(Observer):
         now_ns: Callable[[], int] | None = None,
         manner: Manner = IN_STEP,
     ) -> None:
-        """Makes the folder, and looks on at every instrument. `RecordingError` when that cannot be.
+        """Makes the folder, and observes at every instrument. `RecordingError` when that cannot be.
 
-        `incidents` is told when the recording ends early, at `now_ns()` on the run's clock.
+        `incidents` is informed when the recording ends early, at `now_ns()` on the run's clock.
         """
         self.failure = ""
         "Why the recording ended before the run; empty while it goes on."
@@ -104,12 +104,12 @@ class Recorder(Observer):
         self._captures: dict[str, tuple[Packets, _Pieces]] = {}
         self._logs: dict[str, _Pieces] = {}
         self._seen: dict[str, dict[int, None]] = {}
-        "Of each bus the ends of its last frames: every sensor on it tells of each frame."
+        "Of each bus the ends of its last frames: every sensor on it reports each frame."
         self._departures: dict[tuple[str, int], Departures] | None = {} if manner.late else None
         "Of each sensor's links what has been handed to them and not left; None: all leaves when it is due."
         self._offsets: dict[str, Floats] = {}
-        self._told: dict[str, tuple[int, int]] = {}
-        "Sensor -> the sweep whose time was written last, and its instant: it is told once for each host."
+        self._reported: dict[str, tuple[int, int]] = {}
+        "Sensor -> the sweep whose time was written last, and its instant: it is reported once for each host."
         self._buses = _buses(scenario, instruments)
         stems = [bus.stem for bus in self._buses.values()]
         self._lock = threading.RLock()
@@ -123,7 +123,7 @@ class Recorder(Observer):
             self._folder.undo()
             raise RecordingError(f"{folder}: cannot record there: {reason(error)}") from None
         self._writing = Writing(manner, self.flush, self._fail)
-        self._incidents.listeners.append(self._befell)
+        self._incidents.listeners.append(self._write_incident)
         for instrument in instruments:
             if manner.late:
                 for link in instrument.links:
@@ -160,7 +160,7 @@ class Recorder(Observer):
         self._chunk.record(channel)
         return number
 
-    # ------------------------------------------------------------ what is told
+    # ------------------------------------------------------------ what is reported
 
     def payload(self, payload: Payload) -> None:
         self._guarded(self._payload, payload)
@@ -176,11 +176,11 @@ class Recorder(Observer):
         if self._truth and not self.failure:
             self._guarded(self._measured, sensor, scan)
 
-    def told(self, sensor: str, sweep: int, told: Told) -> None:
-        if self._truth and self._told.get(sensor) != (sweep, told.true_ns):
-            self._told[sensor] = sweep, told.true_ns
-            data = json.dumps({"sweep": sweep} | asdict(told)).encode()
-            self._add(sensor, "clock", layout.CLOCK_ENCODING, self._clock, told.true_ns, data)
+    def reported(self, sensor: str, sweep: int, reported: DeviceStamp) -> None:
+        if self._truth and self._reported.get(sensor) != (sweep, reported.true_ns):
+            self._reported[sensor] = sweep, reported.true_ns
+            data = json.dumps({"sweep": sweep} | asdict(reported)).encode()
+            self._add(sensor, "clock", layout.CLOCK_ENCODING, self._clock, reported.true_ns, data)
 
     def event(self, sensor: str, event: Event | FaultEvent) -> None:
         self._guarded(self._happened, sensor, event)
@@ -207,7 +207,7 @@ class Recorder(Observer):
         """An update of a feed, as it was used."""
         self._add("world", "feed", layout.EVENT_ENCODING, self._event, now_ns, json.dumps(row).encode())
 
-    def _befell(self, incident: Incident) -> None:
+    def _write_incident(self, incident: Incident) -> None:
         self.note(incident.at_ns, {"event": "Incident"} | incident.as_json())
 
     def state(self) -> dict[str, object]:
@@ -353,7 +353,7 @@ class Recorder(Observer):
         bus = self._buses[url]
         if url not in self._logs:
             self._logs[url] = _Pieces(bus.stem + LOG_ENDINGS[0])
-        # a frame is told as the bus carries it, so that in real time this is when it leaves
+        # a frame is reported as the bus carries it, so that in real time this is when it leaves
         at_ns = payload.end_ns if self._departures is None else max(payload.end_ns, self._now_ns())
         frame = LoggedFrame(at_ns, payload.peer, payload.data, bus.channel)
         self._logs[url].add(candump_line(frame).encode("ascii"))
@@ -412,7 +412,7 @@ class Recorder(Observer):
     # ------------------------------------------------------------ the end
 
     def close(self) -> None:
-        """Finish every file; trouble at the end is told as one on the way."""
+        """Finish every file; trouble at the end is reported as one on the way."""
         if self._closed:
             return
         with self._lock:

@@ -18,9 +18,9 @@ from emulator.process.clock import SystemClock
 
 MOST_WAITING = 64 << 20
 "Bytes for a disk that takes less than the run gives."
-PATIENCE_S = 30.0
+TIME_LIMIT_S = 30.0
 "For a disk that takes nothing at all."
-STUCK = f"the disk has taken nothing for {PATIENCE_S:g} s"
+STUCK = f"the disk has taken nothing for {TIME_LIMIT_S:g} s"
 
 
 @dataclass(frozen=True)
@@ -84,12 +84,14 @@ class Writing:
             before = -1
             while before != self._done and not self._failed:
                 before = self._done
-                if self._room.wait_for(lambda: self._failed or self._put - self._done <= MOST_WAITING // 2, PATIENCE_S):
+                if self._room.wait_for(
+                    lambda: self._failed or self._put - self._done <= MOST_WAITING // 2, TIME_LIMIT_S
+                ):
                     return
         self.fail(OSError(0, STUCK))
 
     def do(self, job: Job) -> None:
-        """One job, here and now; its trouble is told and ends the writing."""
+        """One job, here and now; its trouble is reported and ends the writing."""
         if self._failed:
             return
         try:
@@ -98,7 +100,7 @@ class Writing:
             self.fail(error)
 
     def fail(self, error: Exception) -> None:
-        """End the writing because of that; told the first time."""
+        """End the writing because of that; reported the first time."""
         with self._room:
             first, self._failed = not self._failed, True
             self._room.notify_all()
@@ -133,7 +135,7 @@ class Writing:
         before = -1
         while self._thread.is_alive() and before != self._done:
             before = self._done
-            self._thread.join(PATIENCE_S)
+            self._thread.join(TIME_LIMIT_S)
         if self._thread.is_alive():
             self.fail(OSError(0, STUCK))
             return False

@@ -1,6 +1,6 @@
 """The chapter of a run's report on its expectations: what was wanted and found, and a picture around each failure.
 
-Belongs here: what is told of a verdict. Not: judging (`judging.expectations`), other chapters.
+Belongs here: what is shown of a verdict. Not: judging (`judging.expectations`), other chapters.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ def chapter(run: Gathered) -> Section | None:
     if not rows:
         if run.scenario is None or not run.scenario.expect:
             return None
-        told = f"{len(run.scenario.expect)} expectations are in the scenario; this run was not judged."
-        return Section("Expectations", (told,))
+        reported = f"{len(run.scenario.expect)} expectations are in the scenario; this run was not judged."
+        return Section("Expectations", (reported,))
     failed = [row for row in rows if not row.get("held")]
     text = f"failed: {len(failed)} of {len(rows)} expectations" if failed else f"passed: all {len(rows)} expectations"
     columns = (
@@ -72,8 +72,10 @@ def _pictures(run: Gathered, failed: Sequence[Mapping[str, Any]]) -> Iterator[Pi
         name = str(row.get("name", ""))
         title = f"Around the failure of: {name}"
         active = ", ".join(map(str, row.get("active", ()))) or "nothing else"
-        told = f"Grey: from {row['at_s']:.3f} s" + (f" to {row['until_s']:.3f} s" if _number(row, "until_s") else "")
-        yield Picture(f"expectation_{number}", title, _picture(run, row), f"{told}. Active then: {active}.")
+        reported = f"Grey: from {row['at_s']:.3f} s" + (
+            f" to {row['until_s']:.3f} s" if _number(row, "until_s") else ""
+        )
+        yield Picture(f"expectation_{number}", title, _picture(run, row), f"{reported}. Active then: {active}.")
 
 
 def _sensors(run: Gathered, row: Mapping[str, Any]) -> list[SensorTally]:

@@ -155,8 +155,8 @@ def error_histograms(shown: Sequence[tuple[str, Errors]]) -> bytes:
         axes.set_xlim(-1e3 * reach, 1e3 * reach)
         axes.axvline(1e3 * errors.mean_m, color="#1b1f24", linewidth=1.0, linestyle=(0, (4, 3)))
         beyond = errors.count - int(inner[np.abs(centres) <= reach].sum())
-        told = f"; {beyond} beyond" if beyond else ""
-        axes.set_title(f"{name}: {errors.count} echoes{told}", fontsize=10)
+        reported = f"; {beyond} beyond" if beyond else ""
+        axes.set_title(f"{name}: {errors.count} echoes{reported}", fontsize=10)
         axes.set_xlabel("measured minus true range [mm]")
     return png(made)
 
@@ -208,7 +208,7 @@ def errors_by_distance(tally: RangeTally, actors: Sequence[int]) -> bytes:
 
 
 def least_seen(tally: RangeTally, actors: Sequence[int]) -> list[int]:
-    """Those of which a picture tells most: met often enough, and seen in the smallest share of the sweeps."""
+    """Those of which a picture says most: met often enough, and seen in the smallest share of the sweeps."""
     if len(actors) <= MOST_CURVES:
         return list(actors)
     often = [one for one in actors if tally.could[one].sum() >= OFTEN]

@@ -18,7 +18,7 @@ import numpy as np
 from emulator.instrument.stats import SCAN_REASONS
 from emulator.objects.metrics import ObjectScore, TruthObject
 from emulator.recording.layout import RecordedScan
-from emulator.recording.streaming import Beams, Cut, End, Head, Left, Measured, Progress, Told, Wire, items
+from emulator.recording.streaming import Beams, Cut, End, Head, Left, Measured, Progress, Reported, Wire, items
 from emulator.run_report.sight import Sight
 from emulator.run_report.truth import SensorTruth, Truth, truth_of
 from emulator.scenario.scenario import Scenario
@@ -217,7 +217,8 @@ class SensorTally:
             self.objects.add(scan)
 
     def finish(self, row: Mapping[str, Any]) -> None:
-        """The counters of the end: they hold what no event tells, scans that faults took or that were switched off."""
+        """The counters of the end: they hold what no event reports, scans that faults took or that were switched
+        off."""
         self.end = row
         for counts, key in ((self.scans_dropped, "scans_dropped"), (self.input_dropped, "input_dropped")):
             found = row.get(key)
@@ -248,7 +249,7 @@ class SensorTally:
             return Happening(at_ns, self.sensor, "mode", str(row.get("mode", "")))
         if kind.startswith("Fault"):
             return self._fault(at_ns, row)
-        return Happening(at_ns, self.sensor, "event", _told(row), row)
+        return Happening(at_ns, self.sensor, "event", _reported(row), row)
 
     def _fault(self, at_ns: int, row: Mapping[str, Any]) -> Happening | None:
         """Each hit is counted; begin and end go on the time line."""
@@ -262,11 +263,11 @@ class SensorTally:
             fault.begun_ns = at_ns
         elif what == "end":
             fault.ended_ns = at_ns
-        told = " ".join(str(row[key]) for key in ("name", "what", "detail") if row.get(key))
-        return Happening(at_ns, self.sensor, "fault", told, row)
+        reported = " ".join(str(row[key]) for key in ("name", "what", "detail") if row.get(key))
+        return Happening(at_ns, self.sensor, "fault", reported, row)
 
 
-def _told(row: Mapping[str, Any]) -> str:
+def _reported(row: Mapping[str, Any]) -> str:
     rest = ", ".join(_pairs({key: value for key, value in row.items() if key not in ("event", "at_ns")}))
     return f"{row.get('event', '')} {rest}".strip()
 
@@ -284,7 +285,7 @@ def _pairs(row: Mapping[str, Any], inside: str = "") -> Iterator[str]:
 
 @dataclass
 class Gathered:
-    """Everything of a recording that a report tells."""
+    """Everything of a recording that a report shows."""
 
     path: Path
     version: str = ""
@@ -305,7 +306,7 @@ class Gathered:
     "The counters of the run's end are there."
     last_ns: int = 0
     verdict: Mapping[str, Any] = field(default_factory=dict)
-    "What was expected and found, as the last one to judge the run has told."
+    "What was expected and found, as the last one to judge the run has reported."
     judged_ns: int = 0
 
     @property
@@ -351,9 +352,9 @@ def gather(path: Path, with_truth: bool = True, tell: Callable[[Progress], None]
             tally = run.sensor(item.sensor)
             if tally.truth is not None:
                 tally.truth.offsets_s = item.fire_offset_s
-        elif isinstance(item, Told) and item.sensor == "run" and item.row.get("event") == "Verdict":
+        elif isinstance(item, Reported) and item.sensor == "run" and item.row.get("event") == "Verdict":
             run.verdict, run.judged_ns = item.row, item.at_ns
-        elif isinstance(item, Told):
+        elif isinstance(item, Reported):
             run.last_ns = max(run.last_ns, item.at_ns)
             _happened(run, item)
         elif isinstance(item, Head):
@@ -376,9 +377,9 @@ def _scan(run: Gathered, item: Measured) -> None:
     try:
         run.sensor(item.sensor).scan(item.scan)
     except (KeyError, TypeError, ValueError) as error:  # an object or truth of another form
-        told = f"{item.sensor}: lists of objects are not read: {type(error).__name__}: {error}"
-        if told not in run.remarks:
-            run.remarks.append(told)
+        reported = f"{item.sensor}: lists of objects are not read: {type(error).__name__}: {error}"
+        if reported not in run.remarks:
+            run.remarks.append(reported)
 
 
 def _begin(run: Gathered, head: Head, with_truth: bool) -> None:
@@ -390,11 +391,11 @@ def _begin(run: Gathered, head: Head, with_truth: bool) -> None:
         run.sensor(sensor.id).model = sensor.model
 
 
-def _happened(run: Gathered, item: Told) -> None:
+def _happened(run: Gathered, item: Reported) -> None:
     if item.sensor == "run":
         order = str(item.row.get("event", "")) == "Order"
         rest = {key: value for key, value in item.row.items() if key not in ("event", "order")}
-        text = f"{item.row.get('order', '')} {_told(rest)}".strip() if order else _told(item.row)
+        text = f"{item.row.get('order', '')} {_reported(rest)}".strip() if order else _reported(item.row)
         found: Happening | None = Happening(item.at_ns, "run", "order" if order else "event", text, item.row)
     else:
         found = run.sensor(item.sensor).happened(item.at_ns, item.row)
@@ -417,8 +418,10 @@ def _remark(run: Gathered) -> None:
             "The recording has no counters of its end: the run was ended by force, or the recording is of an older"
             " version. Lateness is not known, nor how many scans faults took away."
         )
-    told = run.verdict.get("warnings", ())
-    run.remarks += [f"Warning: {text}" for text in told if isinstance(text, str)] if isinstance(told, list) else []
+    reported = run.verdict.get("warnings", ())
+    run.remarks += (
+        [f"Warning: {text}" for text in reported if isinstance(text, str)] if isinstance(reported, list) else []
+    )
     for one in run.sensors.values():
         if one.silent_s and not any(text.startswith(f"Warning: {one.sensor}: silent") for text in run.remarks):
             run.remarks.append(f"Warning: {one.sensor}: silent at the end, no scan for {one.silent_s:.3f} s.")

@@ -1,6 +1,6 @@
 """The page of a run's report: chapters, tables and words around what was gathered.
 
-Belongs here: what is told, and in which order. Not: counting (gather), drawing (figures), HTML (studies.report).
+Belongs here: what is reported, and in which order. Not: counting (gather), drawing (figures), HTML (studies.report).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MOST_ROWS = 300
 
 
 def report_of(run: Gathered, tell: Callable[[float], None] = lambda share: None) -> Report:
-    """Everything as one report; `tell` is told the share that is drawn."""
+    """Everything as one report; `tell` gets the share that is drawn."""
     sensors = list(run.sensors.values())
     sending = [one for one in sensors if len(one.sent_ns) > 2]
     parts: list[Callable[[], Iterable[Section | None]]] = [
@@ -56,11 +56,11 @@ def _lead(run: Gathered) -> Iterator[Picture]:
         return
     if run.sight.lead in {one.id for one in run.scenario.sensors}:
         names = ", ".join(f"`{name}`" for name in run.sight.shown)
-        told = (
+        reported = (
             f"The recorded scene at {run.sight.at_s:.3f} s with one sweep of {names}; the triangle is the first sensor."
         )
         yield Picture(
-            "scene", "The scene with the sensors' points", sight.draw(run.sight, run.scene, run.scenario), told
+            "scene", "The scene with the sensors' points", sight.draw(run.sight, run.scene, run.scenario), reported
         )
 
 
@@ -223,13 +223,13 @@ def _rates(run: Gathered, sensors: Sequence[SensorTally]) -> Section | None:
 def _echoes(one: SensorTally) -> Iterator[Section]:
     points = np.array(one.points, dtype=np.float64)
     spread = f"{points.mean():.1f} on average, {points.min():.0f} to {points.max():.0f}"
-    told = f"{len(points)} sweeps; beams with an echo: {spread}."
+    reported = f"{len(points)} sweeps; beams with an echo: {spread}."
     picture = Picture(f"{stem(one.sensor)}_echoes", "Beams with an echo", figures.echoes(one), "Over time.")
-    yield Section(f"{one.sensor}: echoes", (told,), (picture,))
+    yield Section(f"{one.sensor}: echoes", (reported,), (picture,))
 
 
 def _lateness_and_drops(sensors: Sequence[SensorTally], duration_s: float) -> Section:
-    told = [one for one in sensors if one.end.get("lateness_us", {}).get("sends")]
+    reported = [one for one in sensors if one.end.get("lateness_us", {}).get("sends")]
     columns = (
         Column("sensor", "Sensor"),
         Column("sends", "Sends", "d"),
@@ -237,9 +237,10 @@ def _lateness_and_drops(sensors: Sequence[SensorTally], duration_s: float) -> Se
         Column("p99_us", "99 % [µs]", ".1f"),
         Column("worst_us", "Worst [µs]", ".1f"),
     )
-    late = [one.end["lateness_us"] for one in told]
+    late = [one.end["lateness_us"] for one in reported]
     rows = [
-        (one.sensor, row["sends"], row["median"], row["p99"], row["worst"]) for one, row in zip(told, late, strict=True)
+        (one.sensor, row["sends"], row["median"], row["p99"], row["worst"])
+        for one, row in zip(reported, late, strict=True)
     ]
     drops = [
         (one.sensor, what, reason, count)
@@ -282,16 +283,16 @@ def _lateness_and_drops(sensors: Sequence[SensorTally], duration_s: float) -> Se
     ]
     if links:
         link_heads = (Column("sensor", "Sensor"), Column("link", "Link", "d"), *columns[1:])
-        told_links = [(sensor, number, *late_us(link)) for _, sensor, number, link in links]
+        reported_links = [(sensor, number, *late_us(link)) for _, sensor, number, link in links]
         words = (
             "From the recorded instants: when the last bit of a payload was due, and when it had left at the latest."
         )
-        tables.insert(0, Table("lateness_by_link", "Lateness by link", link_heads, rows_of(told_links), words))
+        tables.insert(0, Table("lateness_by_link", "Lateness by link", link_heads, rows_of(reported_links), words))
     text = [] if rows or links else ["Lateness is not in this recording."]
     text += [] if drops else ["Nothing was dropped."]
     pictures: tuple[Picture, ...] = ()
-    if any(one.end["lateness_us"]["worst"] for one in told):
-        picture = figures.lateness(told)
+    if any(one.end["lateness_us"]["worst"] for one in reported):
+        picture = figures.lateness(reported)
         pictures = (
             Picture(
                 "lateness",

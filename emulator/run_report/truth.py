@@ -20,8 +20,8 @@ from emulator.run_report.errors import RangeTally
 from emulator.scenario import scenario as scenario_file
 from emulator.scenario.scenario import Scenario
 from emulator.world import scene
+from emulator.world.feed_record import Played
 from emulator.world.scene import Scene
-from emulator.world.told import Played
 from protocols.scan import Floats, Ints
 
 BATCH_BEAMS = 30_000
@@ -120,7 +120,7 @@ class SensorTruth:
 
 
 def truth_of(text: str, path: Path, tell: Callable[[str], None]) -> tuple[Scenario | None, Truth | None]:
-    """The recorded scenario and its scene; `tell` is told why there is none, as when a mesh has gone."""
+    """The recorded scenario and its scene; `tell` gets the reason why there is none, as when a mesh has gone."""
     try:
         loaded = scenario_file.loads(text, path)
     except (EmulatorError, ValueError) as error:

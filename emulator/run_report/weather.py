@@ -32,7 +32,7 @@ QUANTITIES: Mapping[str, tuple[str, tuple[str, ...], str]] = {
 
 
 MOST_ROUNDS = 1000
-"Of a scenario that begins again: so many are told."
+"Of a scenario that begins again: so many are reported."
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ def build_measures(scenario: Scenario) -> Mapping[str, Measure]:
 
 
 def measures_of(scenario: Scenario, world: Scene) -> Mapping[str, Measure]:
-    """The measuring function of every sensor in that scene; a `physics:` table that cannot be is told here."""
+    """The measuring function of every sensor in that scene; a `physics:` table that cannot be is reported here."""
     from emulator.casting import raycast
     from emulator.sensing.measure import build as build_measure
 
@@ -177,7 +177,8 @@ def start(
 ) -> tuple[Daemon, list[Instrument]]:
     """Everything of a real-time run, devices still switched off: workers first, links after them.
 
-    Compiled loops that are wanted and not there yet are built beside it; until then its workers compute by arrays.
+    Compiled loops that are wanted and not there yet are built beside it; until then its workers compute with numpy
+    arrays.
     `sockets`: gives drivers under the preload shim an interface for each CAN bus.
     """
     sessions = new_sessions(scenario)

@@ -1,4 +1,4 @@
-"""Orders to a running daemon: JSON-RPC 2.0, one object a line, on a Unix socket that its owner alone can open.
+"""Orders to a running daemon: JSON-RPC 2.0, one object per line, on a Unix socket that its owner alone can open.
 
     {"jsonrpc": "2.0", "id": 1, "method": "status"}
     {"jsonrpc": "2.0", "id": 1, "result": {"clock": "real", "now_s": 12.5, ...}}
@@ -7,7 +7,8 @@ Belongs here: the server and its client. Not: what the methods do (orders), and 
 server waits in a thread of its own; what an order does is done by the run's own thread, between two steps. Garbage is
 answered with an error. Clients are answered in turn, a line each, and all together take `SHARE` of a core. One is
 answered no further while it leaves `MOST_UNREAD` unread; one that reads nothing for `DEAF_S`, or whose line is longer
-than `LONGEST_LINE`, is hung up on. Of `MOST_CLIENTS` the one that has been silent longest makes room for the next. The
+than `LONGEST_LINE`, is disconnected. Of `MOST_CLIENTS` the one that has been silent longest makes room for the
+next. The
 run goes on in any case.
 """
 
@@ -42,11 +43,11 @@ SHARE, STOCK_NS = 0.1, 200_000_000
 "Of one core, and processor time that may be spent ahead: what clients ask for is paid by the process that sends scans."
 DEAREST_NS = 50_000_000
 "Of one answer at most so much counts: an order that takes long holds up nobody for seconds."
-DEAF_S = 30.0
+UNREAD_S = 30.0
 TICK_S = 1.0
 LOOK_NS = 1_000_000_000
 "So often it is seen whether the socket is still where clients look for it."
-PATIENCE_S = 60.0
+TIME_LIMIT_S = 60.0
 
 __all__ = ["ControlServer", "Later", "Method", "OrderError", "ask", "default_folder", "new_path", "running"]
 
@@ -122,7 +123,7 @@ class ControlServer:
     methods: Mapping[str, Method]
     run: Controlled
     on_incident: Callable[[str, str], None] | None = None
-    "Told of the kind and text of what befell the socket's place; called in the control's thread."
+    "Informed of the kind and text of incidents of the socket's place; called in the control's thread."
     limited: bool = True
     "Answers take no more than their share of the processor; not so where nothing can be late."
     _clients: dict[int, _Client] = field(default_factory=dict)
@@ -143,13 +144,13 @@ class ControlServer:
         "No descriptor is left for another client; looked at again with the next tick."
         self._look_ns = 0
         self._away = False
-        "It has been told that the socket's place is somebody else's."
+        "It has been reported that the socket's place is somebody else's."
         self._thread = threading.Thread(target=self._serve, name="lidaremu-control", daemon=True)
         self._thread.start()
 
     @property
     def url(self) -> str:
-        """As told in `ready`."""
+        """As reported in `ready`."""
         return f"unix:{self.path}"
 
     def close(self) -> None:
@@ -191,7 +192,7 @@ class ControlServer:
             self._look_ns = now_ns + LOOK_NS
             self._tend()
         for client in list(self._clients.values()):
-            if client.unread and now_ns - client.read_at_ns > DEAF_S * 1e9:
+            if client.unread and now_ns - client.read_at_ns > UNREAD_S * 1e9:
                 self._hang_up(client)
 
     def _tend(self) -> None:
@@ -352,12 +353,12 @@ class ControlServer:
 
         done = self.run.call(obeyed)
         try:
-            found = done.result(PATIENCE_S)
+            found = done.result(TIME_LIMIT_S)
             return found.make() if isinstance(found, Later) else found
         except OrderError:
             raise
         except TookTooLong:
-            raise OrderError(REFUSED, f"no result within {PATIENCE_S:g} s") from None
+            raise OrderError(REFUSED, f"no result within {TIME_LIMIT_S:g} s") from None
         except (EmulatorError, ValueError, TypeError, RuntimeError, ArithmeticError) as error:
             raise OrderError(REFUSED, str(error)) from None
 
@@ -372,7 +373,7 @@ def _is_busy(client: _Client, now_ns: int) -> bool:
         sent = client.text
     except OSError:
         return False
-    return bool(sent) and now_ns - client.spoke_at_ns <= DEAF_S * 1e9
+    return bool(sent) and now_ns - client.spoke_at_ns <= UNREAD_S * 1e9
 
 
 def _farewell(connection: socket.socket, why: str) -> None:
@@ -396,10 +397,10 @@ def _request(line: bytes) -> dict[str, Any]:
     return request
 
 
-def ask(path: Path, method: str, params: Mapping[str, Any], patience_s: float = PATIENCE_S + 5.0) -> object:
+def ask(path: Path, method: str, params: Mapping[str, Any], time_limit_s: float = TIME_LIMIT_S + 5.0) -> object:
     """One order to a daemon; its result. `EmulatorError` has the daemon's own words; `LinkError`: none answers."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-        connection.settimeout(patience_s)
+        connection.settimeout(time_limit_s)
         try:
             connection.connect(str(path))
             request = {"jsonrpc": "2.0", "id": 1, "method": method, "params": dict(params)}

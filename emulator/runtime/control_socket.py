@@ -117,7 +117,7 @@ class Doorway:
             return False
 
     def restore(self) -> socket.socket:
-        """Listen there anew; the listener from before, to be closed. `LinkError` as at first."""
+        """Listen there again; the listener from before, to be closed. `LinkError` as at first."""
         if self.path.parent == folder_place():
             default_folder()
         old = self.listener

@@ -42,7 +42,7 @@ LONG_STEP_NS = 200_000
 
 
 class Daemon:
-    """Runs instruments on a real clock until told to stop."""
+    """Runs instruments on a real clock until asked to stop."""
 
     def __init__(
         self,
@@ -74,13 +74,13 @@ class Daemon:
         self._lost: set[int] = set()
         self.lost_links: list[str] = []
         self.faults: FaultRun | None = None
-        "What goes wrong on purpose in this run."
+        "Injected faults in this run."
         self.feeding: Feeding | None = None
         "Who moves the world from outside."
         self.failures: Counter[str] = Counter()
         "Scans that could not be measured, by cause."
         self.incidents = Incidents()
-        "What befell our own processes, files and links."
+        "Incidents of the run's processes, files and links."
         self.notifier = Notifier()
         "Who started us, if it wants to know."
         self._ran = RunningTime()
@@ -149,7 +149,7 @@ class Daemon:
             self._wake[index] = now_ns
 
     def run(self, until_ns: int | None = None, while_true: Callable[[], bool] | None = None) -> None:
-        """Serve until `stop`, until `until_ns`, or until `while_true` says no (asked about ten times a second)."""
+        """Serve until `stop`, until `until_ns`, or until `while_true` says no (asked about ten times per second)."""
         sharpen_timers()
         shorten_slices()
         sys.setswitchinterval(SWITCH_S)
@@ -294,7 +294,7 @@ class Daemon:
             self._tell_of(self._workers.poll())
 
     def _tell_of(self, fresh: set[str]) -> None:
-        """Pass on what workers have told; step the sensors that have something new."""
+        """Pass on what workers have reported; step the sensors that have something new."""
         assert self._workers is not None
         now_ns = self._clock.now_ns()
         workers = self._workers
@@ -312,7 +312,7 @@ class Daemon:
             self.on_failure(self._workers.notes.pop(0))
 
     def _look_around(self, now_ns: int) -> None:
-        """Some ten times a second: do our processes, our sensors and we ourselves live?"""
+        """Some ten times per second: do our processes, our sensors and we ourselves live?"""
         wait_ns = TICK_NS
         if self._workers is not None:
             self._tell_of(self._workers.check())

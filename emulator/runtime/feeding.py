@@ -4,7 +4,7 @@ Belongs here: the feed of a scenario, when a sweep is measured, what of the feed
 (live), lock-step (lockstep), who measures (measuring).
 
 In real time a sweep is asked for when all poses that its beams want are known, or when it must be begun to be sent in
-time, whichever is first. In virtual time it is asked for at its end: all that was told by then is known.
+time, whichever is first. In virtual time it is asked for at its end: all that was reported by then is known.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from emulator.errors import LinkError
 from emulator.instrument.instrument import Instrument
-from emulator.live.files import Told, read
+from emulator.live.files import Reported, read
 from emulator.live.playout import PlayoutClock
 from emulator.live.receivers import (
     Decoder,
@@ -33,14 +33,14 @@ from emulator.live.samples import Update
 from emulator.live.tracks import NOTHING, World
 from emulator.scenario.live_options import LiveOptions
 from emulator.scenario.scenario import Scenario
-from emulator.world.told import book_of
+from emulator.world.feed_record import book_of
 from protocols.scan import ScanPlan
 
 MARGIN_NS = 2_000_000
 "Beside what measuring has taken lately: the way there and back."
 FIRST_NS = 60_000_000
 "What measuring is taken to take before it is known."
-SPARE = 1.15
+MARGIN = 1.15
 "Share of the longest that measuring has taken lately."
 FORGET = 0.98
 "Of that after each sweep: half of a stall is forgotten after 34."
@@ -80,9 +80,9 @@ class Feeding:
         self._took: dict[str, float] = {}
         "The longest that measuring has taken lately, by sensor. [ns]"
         self.on_update: Callable[[int, dict[str, object]], None] = lambda now_ns, row: None
-        "Told of everything that is used of the feed: for a recording."
-        self._file: Iterator[Told] | None = None
-        self._next: Told | None = None
+        "Informed of everything that is used of the feed: for a recording."
+        self._file: Iterator[Reported] | None = None
+        self._next: Reported | None = None
         place = live.place
         if place.is_file:
             self._file = read(place.kind, Path(scenario.folder / place.path))
@@ -106,8 +106,8 @@ class Feeding:
         except OSError as error:
             raise LinkError(f"{self.live.feed}: {error.strerror or error}; want a free address") from None
         self._receiver.start()
-        told = f"[{host}]" if ":" in host else host
-        return f"{place.kind}://{told}:{self._receiver.port}"
+        reported = f"[{host}]" if ":" in host else host
+        return f"{place.kind}://{reported}:{self._receiver.port}"
 
     def close(self) -> None:
         """Receive no more."""
@@ -140,7 +140,7 @@ class Feeding:
         run_ns = self.run_ns(update, now_ns)
         used = self.book.take(update, run_ns, again)
         if used:
-            self.on_update(now_ns, told_row(now_ns, run_ns, update, again))
+            self.on_update(now_ns, report_row(now_ns, run_ns, update, again))
             self._wake(run_ns)
         return used
 
@@ -180,7 +180,7 @@ class Feeding:
     def _takes_ns(self, sensor: str) -> int:
         """So long before it must be sent a sweep is asked for at the latest."""
         took = self._took.get(sensor)
-        return MARGIN_NS + round(FIRST_NS if took is None else SPARE * took)
+        return MARGIN_NS + round(FIRST_NS if took is None else MARGIN * took)
 
     def came(self, sensor: str, now_ns: int) -> None:
         """Its scan has come."""
@@ -206,21 +206,25 @@ class Feeding:
     def world_around(self, actor: str, at_ns: int) -> World:
         """What is known of one actor around an instant, which is now."""
         if self._real_ns is None and at_ns <= 0:
-            return NOTHING  # at the start nothing is told yet, whether a feeder came before or after the first frame
+            # at the start nothing is reported yet, whether a feeder came before or after the first frame
+            return NOTHING
         if self._file is not None:
             self._pull(at_ns)
         return self.book.world(at_ns * 1e-9 - BEFORE_S, at_ns * 1e-9 + BEFORE_S, actor)
 
     def _pull(self, until_ns: int) -> None:
-        """Take what a file tells that was known before that instant."""
+        """Take what a file reports that was known before that instant."""
         while self._next is not None and self._next.known_ns < until_ns:
-            told = self._next
+            reported = self._next
             assert self._file is not None
             self._next = next(self._file, None)
-            if self.book.take(told.update, told.run_ns, told.again):
-                self.on_update(max(0, told.known_ns), told_row(told.known_ns, told.run_ns, told.update, told.again))
+            if self.book.take(reported.update, reported.run_ns, reported.again):
+                self.on_update(
+                    max(0, reported.known_ns),
+                    report_row(reported.known_ns, reported.run_ns, reported.update, reported.again),
+                )
 
-    # ------------------------------------------------------------ what is told
+    # ------------------------------------------------------------ what is reported
 
     def look(self, now_ns: int) -> str:
         """Why the run is to end: its feed is silent; empty: it goes on."""
@@ -232,16 +236,16 @@ class Feeding:
 
     def report(self) -> dict[str, object]:
         """Counts, ages, errors of extrapolation, the feeder's clock."""
-        told: dict[str, object] = {"feed": self.live.feed, **_counts(self.book.counts), **self.book.ages.report()}
-        told["actors"] = len(self.book.actors())
+        reported: dict[str, object] = {"feed": self.live.feed, **_counts(self.book.counts), **self.book.ages.report()}
+        reported["actors"] = len(self.book.actors())
         if self._real_ns is not None and self._maps == "offset":
-            told |= {
+            reported |= {
                 "offset_ms": round(self._clock.offset_ns * 1e-6, 3),
                 "delay_ms": round(self._clock.delay_ns * 1e-6, 3),
                 "drift_ppm": round(self._clock.drift_ppm, 1),
             }
-        told["last_event"] = self.book.events[-1][1] if self.book.events else None
-        return told
+        reported["last_event"] = self.book.events[-1][1] if self.book.events else None
+        return reported
 
     def lines(self) -> list[str]:
         """The same for people."""
@@ -262,7 +266,7 @@ class Feeding:
         return found
 
 
-def told_row(now_ns: int, run_ns: int, update: Update, again: bool) -> dict[str, object]:
+def report_row(now_ns: int, run_ns: int, update: Update, again: bool) -> dict[str, object]:
     """An update as a recording has it."""
     from emulator.live.json_lines import as_json
 

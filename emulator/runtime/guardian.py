@@ -24,7 +24,7 @@ from emulator.runtime.own_daemon import ending_signals
 FIRST_S, LONGEST_S = 0.5, 30.0
 "Before the first new start, and at most: each is twice the one before."
 STEADY_NS = 60_000_000_000
-"A daemon that has run so long begins the row anew."
+"A daemon that has run so long begins the row again."
 TRACEBACK = 1
 "Exit code of a Python program that ends by an uncaught error; a run without a COMMAND has no other use for it."
 
@@ -40,7 +40,7 @@ def guard(
     """Have daemons served until one ends in order; its exit code.
 
     `serve`: runs the daemon of that number, from 0, to its end and gives its exit code. `pause`: waits; false: the
-    guardian was told to end meanwhile.
+    guardian was ordered to end meanwhile.
     """
     wait_s, number = FIRST_S, 0
     while True:
@@ -93,7 +93,7 @@ class Keeper:
 
     def serve(self, number: int) -> int:
         """One daemon, to its end."""
-        if self._told_to_end(0.0):
+        if self._asked_to_end(0.0):
             return 0
         command = [sys.executable, "-m", "emulator", *arguments_of(self._words, self._record, number)]
         # a session of its own: Ctrl-C of the terminal reaches it through us alone, once
@@ -103,13 +103,13 @@ class Keeper:
         finally:
             assert self._daemon.stdin is not None
             self._daemon.stdin.close()
-        return 0 if self._told_to_end(0.0) and died(code) else code
+        return 0 if self._asked_to_end(0.0) and died(code) else code
 
     def pause(self, seconds: float) -> bool:
         """Wait; false: somebody wants the end."""
-        return not self._told_to_end(seconds)
+        return not self._asked_to_end(seconds)
 
-    def _told_to_end(self, seconds: float) -> bool:
+    def _asked_to_end(self, seconds: float) -> bool:
         return bool(select.select([self._ended], [], [], seconds)[0])
 
     def close(self) -> None:

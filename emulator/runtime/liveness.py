@@ -59,7 +59,7 @@ class Liveness:
 
     def look(self, now_ns: int, ran_ns: int, without: Collection[str] = ()) -> None:
         """Look at all of them. `now_ns`: the run's clock; `ran_ns`: time in which the run was served, which counts.
-        `without`: sensors that have lost their links, told already."""
+        `without`: sensors that have lost their links, reported already."""
         self._ran_ns = ran_ns
         for instrument in self._instruments:
             watch = self._watches[instrument.sensor]

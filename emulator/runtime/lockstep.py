@@ -1,6 +1,7 @@
 """Lock-step: a feeder moves virtual time, and learns of each step what was sent.
 
-Belongs here: the conversation, one JSON object a line over TCP or a Unix socket. Not: what poses become (feeding), how
+Belongs here: the conversation, one JSON object per line over TCP or a Unix socket. Not: what poses become
+(feeding), how
 time moves (virtual). docs/live_world.md has the requests and answers.
 
 One feeder at a time. Nothing here is of a wall clock: the same lines give the same bytes at any pace.
@@ -48,7 +49,7 @@ class InRun(Protocol):
 
 
 class WrongRequest(ValueError):
-    """What a feeder is told; nothing has changed."""
+    """What a feeder is answered; nothing has changed."""
 
 
 class Conversation:
@@ -172,8 +173,8 @@ class LockstepServer:
                 self._socket = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
                 self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 self._socket.bind((host, place.port))
-                told = f"[{host}]" if ":" in host else host
-                self.url = f"lockstep://{told}:{self._socket.getsockname()[1]}"
+                reported = f"[{host}]" if ":" in host else host
+                self.url = f"lockstep://{reported}:{self._socket.getsockname()[1]}"
             self._socket.listen(4)
         except OSError as error:
             self._socket.close()

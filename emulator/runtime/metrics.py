@@ -12,7 +12,7 @@ from emulator.runtime.liveness import Liveness
 def prometheus(
     instruments: Sequence[Instrument], incidents: Incidents | None = None, liveness: Liveness | None = None
 ) -> str:
-    """Counters and the histogram of every sensor, what befell the run, and who is silent."""
+    """Counters and the histogram of every sensor, incidents of the run, and who is silent."""
     silence = [] if liveness is None else _silence_lines(instruments, liveness)
     return "\n".join([*_lines(instruments), *_incident_lines(incidents or Incidents()), *silence]) + "\n"
 

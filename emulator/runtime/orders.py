@@ -42,12 +42,12 @@ NOTHING_MORE_NS = 10_000_000_000
 
 def _taken(params: Mapping[str, Any], **allowed: tuple[float, float]) -> dict[str, float]:
     """Numbers by name within their bounds; `OrderError` names what is allowed."""
-    told = ", ".join(f"{name}: {low:g} to {high:g}" for name, (low, high) in allowed.items()) or "nothing"
+    reported = ", ".join(f"{name}: {low:g} to {high:g}" for name, (low, high) in allowed.items()) or "nothing"
     found = {}
     for name, value in params.items():
         low, high = allowed.get(name, (1.0, 0.0))
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-            raise OrderError(BAD_PARAMS, f"{name}: {value!r}; want {told}")
+            raise OrderError(BAD_PARAMS, f"{name}: {value!r}; want {reported}")
         found[name] = float(value)
     return found
 
@@ -63,7 +63,7 @@ class Orders:
         scenario: Scenario,
         note: Callable[[int, dict[str, object]], None] = lambda now_ns, row: None,
     ) -> None:
-        """`note` is told of every order that changes something. To be made before the devices are switched on."""
+        """`note` is informed of every order that changes something. To be made before the devices are switched on."""
         self._recording: Callable[[], dict[str, object] | None] = lambda: None
         self.until_ns: int | None = None
         "When the run ends by itself; None: it goes on until it is stopped."
@@ -82,7 +82,7 @@ class Orders:
                     one.watch(steps)
 
     def record(self, note: Callable[[int, dict[str, object]], None], state: Callable[[], dict[str, object]]) -> None:
-        """The run is recorded: `note` is told of orders, `state` tells how it stands with the recording."""
+        """The run is recorded: `note` is informed of orders, `state` shows how it stands with the recording."""
         self._note, self._recording = note, state
 
     def methods(self) -> dict[str, Method]:
@@ -188,7 +188,7 @@ class Orders:
 
     def weather_judged(self, params: Mapping[str, Any]) -> object:
         """The same; beside it the sensors that cannot compute such weather, and go on with the scenario's own."""
-        told: dict[str, Any] = self.weather(params)
+        reported: dict[str, Any] = self.weather(params)
         asked: list[Future[dict[str, str]]] = []
         for measuring in {id(one.measuring): one.measuring for one in self._instruments}.values():
             if params and isinstance(measuring, Judges):
@@ -197,9 +197,9 @@ class Orders:
         def whole() -> object:
             done, _ = wait(asked, JUDGED_S)
             refused = {sensor: why for one in done for sensor, why in one.result().items()}
-            return told | ({"not_computed": refused} if refused else {})
+            return reported | ({"not_computed": refused} if refused else {})
 
-        return Later(whole) if asked else told
+        return Later(whole) if asked else reported
 
     def pause(self, params: Mapping[str, Any]) -> object:
         """Virtual time stands, now or as soon as it is `at_s`."""
@@ -248,11 +248,11 @@ class Orders:
             done = daemon.run_of.step_scans(int(count), before_ns + NOTHING_MORE_NS, sensor)
         else:
             done = self._byte_steps[sensor or "", link].step(int(count), before_ns + NOTHING_MORE_NS)
-        told: dict[str, object] = {what: done} if what in ("scans", "bytes") else {}
+        reported: dict[str, object] = {what: done} if what in ("scans", "bytes") else {}
         named = {name: params[name] for name in ("sensor", "link") if name in params}
-        if done < count and told:
-            told["why"] = self._why_nothing(what, done, sensor)
-        return self._did("step", **(wanted or {"scans": 1.0}), **named) | told
+        if done < count and reported:
+            reported["why"] = self._why_nothing(what, done, sensor)
+        return self._did("step", **(wanted or {"scans": 1.0}), **named) | reported
 
     def _why_nothing(self, what: str, done: int, sensor: str | None) -> str:
         """Why a step ended before all its scans or bytes had come, in words."""

@@ -28,7 +28,7 @@ from typing import IO, Any
 
 from emulator.errors import EmulatorError
 
-PATIENCE_S = 10.0
+TIME_LIMIT_S = 10.0
 "For a daemon that has been asked to end."
 FOLDER = re.compile(r"lidaremu-own-(\d+)-\w+")
 "Name of a command's folder: its process is in it."
@@ -56,10 +56,10 @@ class OwnDaemon:
         """Its control socket."""
         return Path(self.ready["control"].removeprefix("unix:"))
 
-    def code(self, patience_s: float = 0.0) -> int | None:
+    def code(self, time_limit_s: float = 0.0) -> int | None:
         """Its exit code, negative for a signal; None while it runs, for `patience_s` more at least."""
         with contextlib.suppress(subprocess.TimeoutExpired):
-            return self.process.wait(patience_s)
+            return self.process.wait(time_limit_s)
         return None
 
     @property
@@ -84,11 +84,11 @@ class OwnDaemon:
         if self.process.poll() is None:
             self.process.terminate()
         try:
-            self.process.wait(PATIENCE_S)
+            self.process.wait(TIME_LIMIT_S)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
-        self._reader.join(PATIENCE_S)
+        self._reader.join(TIME_LIMIT_S)
         for end in (self.process.stdin, self.process.stdout):
             if end is not None:
                 with contextlib.suppress(OSError):
@@ -170,10 +170,10 @@ def end_hard() -> None:
 class Leash:
     """The daemon's side: its standard input, whose end is to end it."""
 
-    def __init__(self, descriptor: int, folder: Path | None, patience_s: float = PATIENCE_S) -> None:
+    def __init__(self, descriptor: int, folder: Path | None, time_limit_s: float = TIME_LIMIT_S) -> None:
         self._descriptor = descriptor
         self._folder = folder
-        self._patience_s = patience_s
+        self._time_limit_s = time_limit_s
         self._over = threading.Event()
 
     def ended(self) -> bool:
@@ -204,7 +204,7 @@ class Leash:
             return
         stop()
         call(lambda: None)
-        if not self._over.wait(self._patience_s):
+        if not self._over.wait(self._time_limit_s):
             self.remove()
             kill()
 

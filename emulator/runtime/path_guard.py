@@ -1,7 +1,7 @@
 """The places in the file system by which hosts find a run's links, looked after while it runs.
 
-Belongs here: when to look. A change in a place's folder is told by inotify, where the kernel has that; besides, and
-where it has not, every place is looked at once a second. Not: what is put back (`transports.stable_path`).
+Belongs here: when to look. A change in a place's folder is reported by inotify, where the kernel has that; besides, and
+where it has not, every place is looked at once a second. Not: what is restored (`transports.stable_path`).
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ class PathGuard:
                 self._watch = FolderWatch()
 
     def fileno(self) -> int:
-        """Readable when something has changed in one of the folders; -1 where that is not told."""
+        """Readable when something has changed in one of the folders; -1 where that is not reported."""
         return -1 if self._watch is None else self._watch.fileno()
 
     def next_ns(self) -> int | None:
-        """When to look next if nothing is told; None: never."""
+        """When to look next if nothing is reported; None: never."""
         return self._next_ns if self._links else None
 
     def changed(self, now_ns: int, at_ns: int | None = None) -> None:

@@ -36,7 +36,7 @@ MOST_EVENTS = 16
 MOST_BYTES = 50_000
 "Of telegrams in one answer."
 LATEST_SENDS = 256
-"Of which the lateness is told."
+"Of which the lateness is reported."
 PIECE = 30_000
 "Letters of the scenario in one answer; JSON makes at most six of one."
 MOST_OBJECTS = 256
@@ -78,8 +78,8 @@ class _Keeper(Observer):
             seen.payloads.append((seen.count, payload))
 
     def event(self, sensor: str, event: Any) -> None:
-        told = f"{event.reason.value} {event.detail}".rstrip() if isinstance(event, Dropped) else ""
-        row = (event.at_ns, f"{type(event).__name__}: {told}".rstrip(": "))
+        reported = f"{event.reason.value} {event.detail}".rstrip() if isinstance(event, Dropped) else ""
+        row = (event.at_ns, f"{type(event).__name__}: {reported}".rstrip(": "))
         self.of.setdefault(sensor, _Seen()).events.append(row)
 
 
@@ -106,7 +106,7 @@ class Snapshots:
     # ------------------------------------------------------------ methods
 
     def glance(self, params: Mapping[str, Any]) -> object:
-        """Time, links, counts, and the lateness of the last sends: `status` for who asks several times a second."""
+        """Time, links, counts, and the lateness of the last sends: `status` for who asks several times per second."""
         self._known(params)
         virtual = self._daemon if isinstance(self._daemon, VirtualDaemon) else None
         return {
@@ -251,7 +251,7 @@ def _most(counts: Counter[str]) -> dict[str, int]:
 
 
 def _scan(scan: Scan, number: int, missed: int, room: int) -> dict[str, object]:
-    """One scan as text; of more points than `room` every so manieth beam."""
+    """One scan as text; of more points than `room` every n-th beam."""
     plan = scan.plan
     n, k = scan.range_m.shape
     every = max(1, -(-n * k // max(1, room)))
@@ -287,12 +287,12 @@ def _object(item: Any) -> dict[str, object]:
 
 
 def _telegrams(rows: Sequence[tuple[int, Payload]], total: int, room: int) -> dict[str, object]:
-    told: list[dict[str, object]] = []
+    reported: list[dict[str, object]] = []
     for number, one in reversed(rows):
         room -= len(one.data)
-        if room < 0 and told:
+        if room < 0 and reported:
             break
-        told.append(
+        reported.append(
             {
                 "number": number,
                 "link": one.link,
@@ -306,4 +306,4 @@ def _telegrams(rows: Sequence[tuple[int, Payload]], total: int, room: int) -> di
                 "data": one.data[:MOST_BYTES].hex(),
             }
         )
-    return {"number": total, "payloads": told[::-1]}
+    return {"number": total, "payloads": reported[::-1]}

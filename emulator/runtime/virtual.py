@@ -52,7 +52,8 @@ class VirtualRun:
     ) -> None:
         """`settle` waits for the scans that other processes still owe and names their sensors.
 
-        `on_lost` is told of a sensor that has lost a link: it is not stepped again, the others go on. None: that ends
+        `on_lost` is informed of a sensor that has lost a link: it is not stepped again, the others go on. None:
+        that ends
         the run.
         """
         self.clock = ManualClock()
@@ -206,11 +207,11 @@ class ByteSteps(Observer):
         self._run = run
         self._sensor, self._link = sensor, link
         self._ahead: deque[Payload] = deque()
-        "Of which bytes are still to leave; told when the link got them."
+        "Of which bytes are still to leave; reported when the link got them."
         self._gone = 0
         "Bytes of the first of them that have left."
         self._at_once = 0
-        "Bytes that had left when they were told, since the last look."
+        "Bytes that had left when they were reported, since the last look."
 
     def payload(self, payload: Payload) -> None:
         if not payload.sent or (payload.sensor, payload.link) != (self._sensor, self._link):

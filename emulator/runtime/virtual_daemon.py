@@ -1,6 +1,6 @@
 """Real hosts on virtual time: serves their links, and moves time as far as computing and their reading allow.
 
-Time stands while no host is there, unless told not to wait for one, and while one holds more than `MOST_HELD` bytes
+Time stands while no host is there, unless asked not to wait for one, and while one holds more than `MOST_HELD` bytes
 unread; it moves while at least one has read everything, from one thing due to the next. With nothing due at all it goes
 on with the real clock, so that a run ends; but not at once, so that an answer comes at the same instant in every run.
 With a speed it is held back to that many virtual seconds a real one, and hosts need not read.
@@ -59,7 +59,7 @@ class _Order:
 
 
 class VirtualDaemon:
-    """Runs instruments on a virtual clock until told to stop; other threads speak to it through `call`."""
+    """Runs instruments on a virtual clock until asked to stop; other threads speak to it through `call`."""
 
     def __init__(
         self,
@@ -71,7 +71,7 @@ class VirtualDaemon:
     ) -> None:
         """`speed`: virtual seconds a real one; None: as fast as possible. `workers`: None when measuring in place.
 
-        `warnings`: where whoever measures leaves them; each is taken out and told.
+        `warnings`: where whoever measures leaves them; each is taken out and reported.
         """
         self._warnings = [] if warnings is None else warnings
         self._workers = workers
@@ -105,23 +105,23 @@ class VirtualDaemon:
         self._came_ns, self._heard = -ANSWER_NS, 0
         "When a host came last, in real time, and what all had said by then."
         self._alone_since_ns: int | None = None
-        self._told_alone = False
-        self.tells_alone = False
+        self._reported_alone = False
+        self.reports_alone = False
         "Say once that time stands because no host is there."
         self.failures: Counter[str] = Counter()
         "Scans that could not be measured, by cause."
         self.on_failure = on_failure
         self.lost_links: list[str] = []
         self.faults: FaultRun | None = None
-        "What goes wrong on purpose in this run."
+        "Injected faults in this run."
         self.feeding: Feeding | None = None
         "Who moves the world from outside."
         self.incidents = Incidents()
-        "What befell our own processes, files and links."
+        "Incidents of the run's processes, files and links."
         self.notifier = Notifier()
         "Who started us, if it wants to know."
         self._look_ns = 0
-        "When it is told next that we live, in real time."
+        "When it is reported next that we live, in real time."
         self.liveness = Liveness(self.instruments, self.incidents)
         self.run_of.on_look = lambda now_ns: self.liveness.look(now_ns, now_ns, self.run_of.lost)
         self._path_guard = PathGuard(instruments, self.incidents)
@@ -240,7 +240,8 @@ class VirtualDaemon:
     def run(self, until_ns: int | None = None, while_true: Callable[[], bool] | None = None) -> None:
         """Serve until `stop`, until that virtual instant, or until `while_true` says no.
 
-        As fast as hosts read, the end waits for what they have not read yet. A sensor that has lost a link is told and
+        As fast as hosts read, the end waits for what they have not read yet. A sensor that has lost a link is
+        reported and
         served no more, the others go on; with the last of them the run ends.
         """
         self.notifier.ready()
@@ -355,8 +356,8 @@ class VirtualDaemon:
         now_ns = self._real.now_ns()
         if self._alone_since_ns is None:
             self._alone_since_ns = now_ns
-        if not self._told_alone and now_ns - self._alone_since_ns > ALONE_NS and self.tells_alone:
-            self._told_alone = True
+        if not self._reported_alone and now_ns - self._alone_since_ns > ALONE_NS and self.reports_alone:
+            self._reported_alone = True
             self.on_failure("no host is connected: virtual time is stopped; --no-wait lets it advance")
 
     def _idle(self, until_ns: int | None) -> float:

@@ -476,7 +476,7 @@ def _emitters(data: dict[str, Any], folder: Path) -> Iterator[Found]:
             try:
                 beams = load_spec(model).sees == "beams" if isinstance(model, str) else True
             except SpecError:
-                continue  # told at the sensor
+                continue  # reported at the sensor
             if not beams:
                 yield (*loc, key), f"{name!r} lists objects", "one that sends beams"
 
@@ -496,6 +496,8 @@ def _faults(data: dict[str, Any], folder: Path) -> Iterator[Found]:
             name = str(sensor.get("id"))
             targets[name] = target_of(name, sensor["model"], urls, _table(sensor, "device"), actors[1:])
     for loc, entry in _tables(data, "faults"):
-        told = problems(entry, targets.get(str(entry.get("on"))), lambda text: check_expression(text, sensors, actors))
-        for key, found, want in told:
+        reported = problems(
+            entry, targets.get(str(entry.get("on"))), lambda text: check_expression(text, sensors, actors)
+        )
+        for key, found, want in reported:
             yield (*loc, *key), found, want

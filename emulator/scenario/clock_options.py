@@ -23,12 +23,12 @@ class ClockStep(DescribedTable):
 
 
 class ClockOptions(DescribedTable):
-    """The time that a device tells, against the run's."""
+    """The time that a device reports, against the run's."""
 
     drift_ppm: Annotated[float, Field(ge=-100_000.0, le=100_000.0)] = 0.0
     "How much too fast its quartz is; to a thousandth."
     drives: Literal["schedule", "stamps"] = "schedule"
-    """schedule: one quartz paces motor, cycles and delays as well as the time it tells; stamps: the time alone."""
+    """schedule: one quartz paces motor, cycles and delays as well as the time it reports; stamps: the time alone."""
     offset_s: Annotated[float, Field(ge=-1e9, le=1e10)] = 0.0
     "Shown at power-on beyond what the device begins with."
     start_ticks: Annotated[int, Field(ge=0, lt=2**64)] | None = None

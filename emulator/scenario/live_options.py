@@ -167,7 +167,7 @@ class LiveOptions(DescribedTable):
     jump_m_s: Annotated[float, Field(gt=0.0, le=1e6)] = 10.0
     "Faster than three times the stated speed and this beside it is a jump, which is not interpolated."
     mount: Literal["rear_axle", "origin"] = "rear_axle"
-    "What sensors are mounted by on an actor whose feeder tells its rear axle (OSI does)."
+    "What sensors are mounted by on an actor whose feeder reports its rear axle (OSI does)."
     beyond_loopback: bool = False
     "A feed may be sent from other machines, to the address that `feed` names."
 

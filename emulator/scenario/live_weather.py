@@ -1,7 +1,7 @@
 """Weather changed while a run lives: an order's table merged into what holds, judged, and put in its place in time.
 
 Belongs here: what an order means. The outcome is a weather with one more entry in its `changes`, so that the same entry
-in a scenario gives the same scans. Not: keys and bounds (weather), who is told of it (orders, rig).
+in a scenario gives the same scans. Not: keys and bounds (weather), who orders it (orders, rig).
 """
 
 from __future__ import annotations

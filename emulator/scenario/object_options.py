@@ -36,7 +36,7 @@ class ObjectOptions(DescribedTable):
     coast_s: Annotated[float, Field(ge=0.0, le=60.0)] | None = None
     "An object that has not been seen for longer than this is gone (0.5)."
     confirm_hits: Annotated[int, Field(ge=1, le=100)] | None = None
-    "Lists in which an object must be seen before it is told (2)."
+    "Lists in which an object must be seen before it is reported (2)."
     acceleration_m_s2: Annotated[float, Field(gt=0.0, le=1000.0)] | None = None
     "White acceleration of the motion model (3)."
     position_noise_m: Annotated[float, Field(gt=0.0, le=100.0)] | None = None

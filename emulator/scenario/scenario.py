@@ -107,7 +107,7 @@ class Scenario(DescribedTable):
     emitters: Annotated[tuple[Emitter, ...], Field(max_length=MOST_EMITTERS)] = ()
     "Lidars whose pulses the sensors receive, see docs/senses.md."
     faults: Annotated[tuple[Common, ...], Field(max_length=1000)] = ()
-    "What goes wrong on purpose, see docs/faults.md."
+    "Injected faults, see docs/faults.md."
     expect: tuple[Expectation, ...] = ()
     live: LiveOptions | None = None
     "Who moves the world while it runs, see docs/live_world.md; None: this file alone."
@@ -234,14 +234,14 @@ def _judged(
         raise ScenarioError(f"{source.path}:1: file: empty; want a scenario, beginning with schema: 1")
     source = changes.changed(source, overrides, seed, links)
     _find_models(source)
-    told = list(source.faults)
+    reported = list(source.faults)
     try:
         scenario = Scenario.model_validate(_frozen(source.data))
     except ValidationError as exc:
-        told += fault_lines(source, Scenario, exc)
-    told += checks.faults(source)
-    if told:
-        raise ScenarioError.of(_in_file_order(told))
+        reported += fault_lines(source, Scenario, exc)
+    reported += checks.faults(source)
+    if reported:
+        raise ScenarioError.of(_in_file_order(reported))
     scenario._source = source
     return scenario
 
@@ -254,10 +254,10 @@ def _find_models(source: yaml_lines.Source) -> None:
             sensor["model"] = str((source.path.parent / sensor["model"]).absolute())
 
 
-def _in_file_order(told: Sequence[str]) -> list[str]:
+def _in_file_order(reported: Sequence[str]) -> list[str]:
     """Faults by line, one for each key: what comes first in `told` explains what follows from it."""
     first: dict[tuple[str, ...], str] = {}
-    for text in told:
+    for text in reported:
         first.setdefault(tuple(text.split(": ", 2)[:2]), text)
 
     def line(text: str) -> tuple[str, int]:
@@ -281,10 +281,10 @@ def dump(scenario: Scenario) -> str:
     """The scenario as YAML with every default filled in; meshes by absolute path, so that it can lie anywhere."""
     data = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
     for item, entry in zip(scenario.world, data["world"], strict=True):
-        _told_shape(scenario, item, entry)
+        _full_shape(scenario, item, entry)
     for actor, entry in zip(scenario.actors, data["actors"], strict=True):
         if actor.shape is not None:
-            _told_shape(scenario, actor.shape, entry["shape"])
+            _full_shape(scenario, actor.shape, entry["shape"])
         motion = entry["motion"]
         kept = {"waypoints", "loop"} if actor.motion.waypoints else set(motion) - {"waypoints", "loop"}
         entry["motion"] = {key: value for key, value in motion.items() if key in kept}
@@ -294,7 +294,7 @@ def dump(scenario: Scenario) -> str:
             data["live"]["feed"] = f"{place.kind}:{(scenario.folder / place.path).resolve()}"
         for entry in data["live"]["actors"]["classes"].values():
             if entry.get("mesh"):
-                entry["mesh"] = _told_mesh(scenario, entry["mesh"])
+                entry["mesh"] = _full_mesh(scenario, entry["mesh"])
     if scenario.vehicle_bus is not None and not scenario.vehicle_bus.dbc.startswith(BUILTIN_DBC):
         data["vehicle_bus"]["dbc"] = str(dbc_path(scenario.vehicle_bus.dbc, scenario.folder).resolve())
     for change, entry in zip(scenario.weather.changes, data["weather"].get("changes", ()), strict=True):
@@ -310,16 +310,16 @@ def dump(scenario: Scenario) -> str:
     return out.getvalue()
 
 
-def _told_shape(scenario: Scenario, shape: Shape, entry: dict[str, Any]) -> None:
+def _full_shape(scenario: Scenario, shape: Shape, entry: dict[str, Any]) -> None:
     if shape.frames is not None:
-        entry["frames"]["meshes"] = [_told_mesh(scenario, mesh) for mesh in shape.frames.meshes]
+        entry["frames"]["meshes"] = [_full_mesh(scenario, mesh) for mesh in shape.frames.meshes]
     elif shape.mesh is not None:
-        entry["mesh"] = _told_mesh(scenario, shape.mesh)
+        entry["mesh"] = _full_mesh(scenario, shape.mesh)
     else:
         entry.pop("scale", None)
 
 
-def _told_mesh(scenario: Scenario, mesh: str) -> str:
+def _full_mesh(scenario: Scenario, mesh: str) -> str:
     if mesh.startswith(checks.BUILTIN):
         return mesh
     path = scenario.resolve(mesh).resolve()

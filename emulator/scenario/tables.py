@@ -21,7 +21,7 @@ MOST_M_S = 1e5
 
 
 def long_as(count: int) -> BeforeValidator:
-    """Tells a list of another length in one line instead of one a missing number."""
+    """Reports a list of another length in one line instead of one a missing number."""
 
     def check(value: Any) -> Any:
         if isinstance(value, tuple) and len(value) != count:

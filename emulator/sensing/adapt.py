@@ -1,6 +1,6 @@
 """Adaptive bundles: cells of every beam, split where the scene changes between neighbours, with what they met.
 
-Belongs here: casting for cells and the label that tells whether two cells see the same plane. Not: the cells themselves
+Belongs here: casting for cells and the label that says whether two cells see the same plane. Not: the cells themselves
 (physics.adaptive).
 """
 

@@ -244,7 +244,7 @@ def _filled(part: Layer | Plume, place: Place, base: Medium, model: SensorModel,
     """A layer or plume. What is given by a visibility takes the place of the clear air there; the rest adds to it.
 
     It never thins the air around it: two such volumes that overlap would take the same air away twice, and light
-    would grow on its way. One that is clearer than its surroundings adds nothing, and that is told.
+    would grow on its way. One that is clearer than its surroundings adds nothing, and that is reported.
     """
     seen = _seen_media(part.fog, part.dust, part.smoke, model, warnings)
     if seen:

@@ -5,7 +5,7 @@ bundles (rays), the light on a polygon (physics.polygons), which faces are brigh
 
 A bundle of equal shares ends where its outermost ray goes, and counts an edge in whole rays. Of a beam near a bright
 face's edge, what bright faces send back is therefore not taken from its bundle: the light on each face is known in
-closed form, and rays to it tell how much of that is hidden, and from how far the rest comes. All else that the beam
+closed form, and rays to it show how much of that is hidden, and from how far the rest comes. All else that the beam
 meets is still its bundle's.
 """
 

@@ -150,10 +150,10 @@ def _plane_moments(measure: Measure, plan: ScanPlan) -> Finding:
     view, step_m = measure.view(plan), measure.model.lsb_m
     t_s = 1e-9 * plan.start_ns + plan.fire_offset_s
     with np.errstate(under="ignore"):
-        spared = measure._spared(plan, measure._pose(t_s), t_s, view.surfaces, view.air)
-    if spared is None or not bool(spared.plain.any()):
+        rays_saved = measure._pruned_by_bundles(plan, measure._pose(t_s), t_s, view.surfaces, view.air)
+    if rays_saved is None or not bool(rays_saved.plain.any()):
         return Finding(False, None, None, "0 beams", idle=True)
-    shifts, plain = spared.shifts, int(spared.plain.sum())
+    shifts, plain = rays_saved.shifts, int(rays_saved.plain.sum())
     short = int(np.count_nonzero(np.isfinite(shifts.crossing_m)))
     saves = f"sub-ray ranges in {short} of {plain} single-plane beams"
     if not short:

@@ -161,7 +161,7 @@ class Measure:
         return ""
 
     def _change_air(self, weather: WeatherConfig | None) -> None:
-        """Other weather for this sweep; one that this sensor cannot compute is told, the scenario's own holds."""
+        """Other weather for this sweep; one that this sensor cannot compute is reported, the scenario's own holds."""
         if weather != self._weather:
             self.air = self._own_air
             if weather is not None:
@@ -193,21 +193,21 @@ class Measure:
         t_s = 1e-9 * plan.start_ns + plan.fire_offset_s
         pose = self._pose(t_s)
         air, gain = self.air.at(float(t_s[0])), plan.gain
-        if air.volumes and self.model.spare_far:
+        if air.volumes and self.model.prune_far:
             place, reach = pose.position_m, reach_of(self.model, plan.max_range_m)
             low, high = place.min(axis=0), place.max(axis=0)
             air = self.air.near(air, low, high, reach, float(t_s.min()), float(t_s.max()))
         surfaces = self._wet if air.wet else self._dry
-        spared = self._spared(plan, pose, t_s, surfaces, air)
-        if spared is not None:
-            rays, seen = spared.rays, spared.seen
+        rays_saved = self._pruned_by_bundles(plan, pose, t_s, surfaces, air)
+        if rays_saved is not None:
+            rays, seen = rays_saved.rays, rays_saved.seen
         elif self.model.rule == "adaptive" and not self.model.beam.is_ray:
             rays, cells = adaptive_rays(plan, pose, t_s, self._caster, self.model)
             seen = returned(cells, rays, self._caster, surfaces, air, self.model, gain, plan.max_range_m)
         else:
             rays, resting = self._rays(plan, pose, t_s)
             shines = surfaces_show(air.sun, self.model)
-            far = reach_of(self.model, plan.max_range_m) if self.model.spare_far else np.inf
+            far = reach_of(self.model, plan.max_range_m) if self.model.prune_far else np.inf
             if shines and self._looks_far:
                 far = np.inf
             what = surfaces, air, self.model, gain, plan.max_range_m
@@ -241,11 +241,13 @@ class Measure:
             dimmed = air.everywhere.extinction_per_m
             drops += self.others.echoes(rays, t_s, self._caster, surfaces, dimmed, gain, plan.max_range_m)
         found, kept = with_others(seen, drops)
-        if spared is not None:
-            return View(rays, seen, found, air, surfaces, spared.cast, spared.plain, kept, tails)
+        if rays_saved is not None:
+            return View(rays, seen, found, air, surfaces, rays_saved.cast, rays_saved.plain, kept, tails)
         return View(rays, seen, found, air, surfaces, len(rays.beam), None, kept, tails)
 
-    def _spared(self, plan: ScanPlan, pose: Pose, t_s: Floats, surfaces: Surfaces, air: AirNow) -> Pruned | None:
+    def _pruned_by_bundles(
+        self, plan: ScanPlan, pose: Pose, t_s: Floats, surfaces: Surfaces, air: AirNow
+    ) -> Pruned | None:
         """The sweep with bundles only where they are needed; None where finding out costs more than it saves."""
         if self._probing is not None:
             return self._probing.sweep(plan, pose, t_s, surfaces, air)

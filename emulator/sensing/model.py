@@ -20,6 +20,7 @@ from emulator.physics.response import Response
 from emulator.physics.triangulation import Triangulation
 from emulator.sensors.physics_options import (
     ELECTRONICS,
+    BundlePruning,
     BundleRule,
     DetectionMethod,
     EchoChoice,
@@ -27,7 +28,6 @@ from emulator.sensors.physics_options import (
     PhotonOptions,
     PhysicsOptions,
     Profile,
-    Sparingly,
     WindscreenOptions,
 )
 from emulator.sensors.spec import (
@@ -160,12 +160,12 @@ class SensorModel:
     "Beam radii around the axis of a plain beam within which nothing but its plane may be."
 
     @property
-    def spare_bundles(self) -> Sparingly:
+    def prune_bundles(self) -> BundlePruning:
         """Beams that see one plane are cast as one ray."""
         return self.leave_out.closed_form
 
     @property
-    def spare_far(self) -> bool:
+    def prune_far(self) -> bool:
         """What lies out of reach is not cast on."""
         return self.leave_out.far_objects
 
@@ -194,7 +194,7 @@ class SensorModel:
 
     @property
     def clear_depth(self) -> float:
-        """Optical depth there and back that shifts no crossing by half a step, and no amplitude by a thousandth.
+        """Two-way optical depth that shifts no crossing by half a step, and no amplitude by a thousandth.
 
         The threshold being at most 0.9 of the amplitude.
         """

@@ -42,7 +42,8 @@ def in_order(beam: Ints, range_m: Floats, amplitude: Floats, blocked: Floats, ac
 def _order(beam: Ints, range_m: Floats) -> Ints:
     """Indexes by beam, then range, by sorting numbers that hold beam, range and index in 63 bits.
 
-    That is four times as fast as sorting indexes. Ranges are told apart to 2^-24 of the largest at the least, 5e-6 m at
+    That is four times as fast as sorting indexes. Ranges are distinguished to 2^-24 of the largest at the least,
+    5e-6 m at
     82 m; what is nearer together than that is one for every receiver.
     """
     index_bits, beam_bits = len(beam).bit_length(), max(int(beam.max()), 1).bit_length()

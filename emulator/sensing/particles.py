@@ -99,8 +99,8 @@ def _singly(particles: Particles, model: SensorModel, echoes: str) -> Particles 
     drawn = echoes == "drops" or _sparse(particles, model)
     if drawn and (mean := float(light_of(particles, model, 0.0, 1.0, 1.0).mean(np.array(np.inf)))) > MOST_A_BEAM:
         if echoes == "drops":
-            told = f"weather.{particles.term}.echoes: drops, {mean:.3g} of them seen in a beam"
-            raise ValueError(f"{told}; want continuum or auto from {MOST_A_BEAM:g} on")
+            reported = f"weather.{particles.term}.echoes: drops, {mean:.3g} of them seen in a beam"
+            raise ValueError(f"{reported}; want continuum or auto from {MOST_A_BEAM:g} on")
         return None
     return particles if drawn else None
 

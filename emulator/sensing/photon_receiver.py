@@ -39,7 +39,7 @@ class PhotonReceiver:
         self.draws = draws
         self._model, self._options = model, options
         self.bin_m = 0.5e-9 * SPEED_OF_LIGHT_M_S * options.bin_ns
-        # a thousandth more, so that what a refusal tells is allowed
+        # a thousandth more, so that what a refusal reports is allowed
         if options.pair_rate_hz is None and 1.001 * self.bin_m * FINEST_BIN_SHARE < model.pulse.fwhm_m:
             least_ns = 1e9 * model.pulse.fwhm_s / FINEST_BIN_SHARE
             raise ValueError(

@@ -16,7 +16,7 @@ from protocols.scan import Scan, ScanPlan
 
 
 class Placed:
-    """The same function, told first where everything is."""
+    """The same function, reported first where everything is."""
 
     def __init__(self, measure: Measure, fed: FedNow, turned_ns: Callable[[int], int]) -> None:
         """`turned_ns`: what finished rounds of the scene have taken at an instant: poses are in the run's time."""

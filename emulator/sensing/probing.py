@@ -161,7 +161,7 @@ class Probing:
         """Everything that comes back from surfaces in a sweep."""
         model, gain = self._model, plan.gain
         reach = reach_of(model, plan.max_range_m)
-        far = np.inf if surfaces_show(air.sun, model) or not model.spare_far else reach
+        far = np.inf if surfaces_show(air.sun, model) or not model.prune_far else reach
         rays = self._rays(plan, pose, t_s)
         hits = self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=far)
         n, count = len(plan), len(self.nodes)
@@ -327,7 +327,7 @@ def _bright_spheres(scene: Scene, bright: Bools) -> tuple[_Bright, ...] | None:
 
 
 def _rays_at(rays: Rays, at: Ints, own: Ints) -> Rays:
-    """Those of some beams, numbered anew."""
+    """Those of some beams, numbered again."""
     count = len(own) // len(at)
     return Rays(
         rays.origin_m[own], rays.direction[own], rays.t_s[own], np.arange(len(at)).repeat(count), rays.share[own],

@@ -76,12 +76,12 @@ def wanted(model: SensorModel, scene: Scene) -> bool:
     """The rule may save something for this sensor in this scene."""
     if model.sidelobe_share > 0.0:  # they see more than one plane
         return False
-    if model.spare_bundles == "never" or model.rule in ("adaptive", "axis") or model.beam.is_ray:
+    if model.prune_bundles == "never" or model.rule in ("adaptive", "axis") or model.beam.is_ray:
         return False
     if any(body.frames is not None for body in scene.bodies):
         return False  # edges of what changes its shape are not followed
     faces = {id(body.geometry): len(body.faces) for body in scene.bodies}
-    return sum(faces.values()) <= MOST_FACES and (model.spare_bundles == "always" or thin(model))
+    return sum(faces.values()) <= MOST_FACES and (model.prune_bundles == "always" or thin(model))
 
 
 def thin(model: SensorModel) -> bool:
@@ -114,8 +114,8 @@ class Pruning:
         "Where nothing moves: the last sweep, what it depends on, and what that is the identity of."
 
     def pays(self, beams_: int, sub_beams: int) -> bool:
-        """Looking at the edges costs clearly less than the rays that may be spared."""
-        if self._model.spare_bundles == "always":
+        """Looking at the edges costs clearly less than the rays that may be saved."""
+        if self._model.prune_bundles == "always":
             return True
         if sub_beams < FEWEST:
             return False
@@ -142,7 +142,7 @@ class Pruning:
     ) -> Pruned:
         model, gain = self._model, plan.gain
         reach = reach_of(model, plan.max_range_m)
-        looked = self._looked(plan, bundles, pose, t_s, reach, far=surfaces_show(air.sun, model) or not model.spare_far)
+        looked = self._looked(plan, bundles, pose, t_s, reach, far=surfaces_show(air.sun, model) or not model.prune_far)
         rays, hits = looked.rays, looked.hits
         planes = closed.planes(rays, hits, model, self.radii)
         met = np.isfinite(hits.range_m)
@@ -178,7 +178,7 @@ class Pruning:
     ) -> tuple[Seen, int]:  # fmt: skip
         """Bundles of these beams: cast, or where they meet one plane for certain, computed from it."""
         rays, again = self._rays(bundles, pose, t_s, group)
-        far = np.inf if surfaces_show(air.sun, self._model) or not self._model.spare_far else reach
+        far = np.inf if surfaces_show(air.sun, self._model) or not self._model.prune_far else reach
         known = plain[group][rays.beam]
         if not bool(known.any()):
             first = self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=far, again=again)
@@ -232,7 +232,7 @@ class Pruning:
             plain[every] = self._probed(plan, every, rays, hits, pose, PROBED_RADII)
             return Looked(rays, hits, plain, cast + PROBES * len(every))
         most_pairs = int(0.5 * n * sub_beams * RAY_NS / PAIR_NS)
-        if self._model.spare_bundles == "always":
+        if self._model.prune_bundles == "always":
             most_pairs = MOST_PAIRS
         sights = sights_of(pose, rays.axis, t_s)
         crossings = self.edges.crossings(sights, min(reach, 1e9), self._at_rest, most_pairs, self._cover_m(rays, hits))
@@ -294,7 +294,7 @@ class Pruning:
         return self._axes[1].at(t_s), again
 
     def _rays(self, bundles: Bundles, pose: Pose, t_s: Floats, group: Ints) -> tuple[Rays, bool]:
-        """Rays of these beams' bundles, numbered anew, and whether the very same were cast before."""
+        """Rays of these beams' bundles, numbered again, and whether the very same were cast before."""
         if not self._at_rest:
             return cast_rays(part_of(bundles, group), pose_at(pose, group), t_s[group]), False
         key = group.tobytes()

@@ -169,7 +169,7 @@ class BundleCache:
         return found
 
     def part(self, plan: ScanPlan, at: Ints) -> Bundles:
-        """Bundles of some of the plan's beams, numbered anew; not kept."""
+        """Bundles of some of the plan's beams, numbered again; not kept."""
         return self._spread(plan.azimuth_rad[at], plan.elevation_rad[at], beams.beam_phase(at))
 
     def _spread(self, azimuth_rad: Floats, elevation_rad: Floats, phase_rad: Floats | None = None) -> Bundles:
@@ -197,7 +197,7 @@ def _with_sidelobes(core: beams.Bundle, model: SensorModel) -> beams.Bundle:
 
 
 def part_of(bundles: Bundles, at: Ints) -> Bundles:
-    """Those of some beams, numbered anew."""
+    """Those of some beams, numbered again."""
     n, m = len(at), bundles.sub_beams
     start = None if bundles.start_m is None else bundles.start_m[at]
     first = int(bundles.nearest_axis[0])

@@ -100,7 +100,7 @@ def _rays_of(beams: Ints, sub_beams: int) -> Ints:
 
 
 def _part(rays: Rays, beams: Ints, index: Ints) -> Rays:
-    """Those of some beams, numbered anew."""
+    """Those of some beams, numbered again."""
     sub_beams = len(index) // len(beams)
     number = np.arange(len(beams))
     return Rays(

@@ -30,7 +30,7 @@ class View:
     air: AirNow
     surfaces: Surfaces
     cast: int
-    "First rays cast: those of all bundles, where none was spared."
+    "First rays cast: those of all bundles, where none was saved."
     plain: NDArray[np.bool_] | None = None
     "(n,) beams of which one plane is seen, or nothing, and that had no bundle; None: not asked for."
     kept: Kept | None = None

@@ -15,7 +15,7 @@ BundleRule = Literal["axis", "laguerre", "spiral", "grid", "adaptive"]
 Profile = Literal["gauss", "tophat"]
 PulseShape = Literal["sin2", "gauss"]
 DetectionMethod = Literal["leading_edge", "constant_fraction", "peak", "centroid"]
-Sparingly = Literal["auto", "always", "never"]
+BundlePruning = Literal["auto", "always", "never"]
 EchoChoice = Literal["first", "strongest", "last", "all"]
 ResponseShape = Literal["single_pole", "gauss"]
 ClipPlace = Literal["before", "after"]
@@ -53,14 +53,14 @@ class PhotonOptions(Table):
     dark_count_hz: Annotated[float, Field(ge=0.0, le=1e11)] = 1000.0
     bin_ns: Annotated[float, Field(ge=1e-3, le=1000.0)] = 1.0
     pair_rate_hz: Annotated[float, Field(gt=0.0, le=1e11)] | None = None
-    "Photon pairs instead of pulses: so many a second, each idler kept at home as the clock of its twin."
+    "Photon pairs instead of pulses: so many a second, each idler kept at home as the clock of its counterpart."
     idler_efficiency: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
     integration_ms: Annotated[float, Field(gt=0.0, le=1e5)] = 10.0
     "Pairs: time for which coincidences of a beam are collected."
     dead_time_ns: Annotated[float, Field(gt=0.0, le=1e6)] | None = None
     "After a count a cell is blind for so long, then counts again; None: the first photon of a pulse is its only one."
     dead_time_law: DeadTimeLaw = "non_paralysable"
-    "paralysable: a photon within the dead time, not counted itself, begins it anew (passive quenching)."
+    "paralysable: a photon within the dead time, not counted itself, begins it again (passive quenching)."
     cells: Annotated[int, Field(ge=1, le=100_000)] = 1
     "Of a silicon photomultiplier, each with its own dead time; the light falls on all alike. 1: one SPAD."
     afterpulse_probability: Annotated[float, Field(ge=0.0, le=0.9)] = 0.0
@@ -83,7 +83,7 @@ class LeaveOut(Table):
 
     clear_air: bool = True
     "No extinction where all that is met is too near for it to be seen."
-    closed_form: Sparingly = "auto"
+    closed_form: BundlePruning = "auto"
     "One ray for beams that see one plane; `auto`: where that saves time."
     plane_moments: bool = True
     "Such a beam's echo from the moments of a tilted plane, where they hold; else by its bundle's ranges to the plane."

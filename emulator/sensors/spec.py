@@ -210,7 +210,8 @@ class BeamTable(Table):
 
 
 class GeometrySpec(Table):
-    """How the device scans. For a family these facts are told, not used: the family's own table plans the sweeps."""
+    """How the device scans. For a family these facts are reported, not used: the family's own table plans the
+    sweeps."""
 
     field_deg: Fact[Positive]
     steps_deg: Fact[list[Positive]]

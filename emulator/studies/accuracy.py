@@ -387,7 +387,7 @@ def in_every_turn(runs: dict[str, list[Run]], allowed: float) -> tuple[str | Non
     """The rule that takes the least time for an error, and in how many turns it does; None where that changes.
 
     Every turn has its own edges and sees its own moment of the machine. What wins in fewer than `HOLDS` of them is not
-    recommended, but told.
+    recommended, but reported.
     """
     winners = []
     for turn in range(len(runs["spiral"][0].seconds)):

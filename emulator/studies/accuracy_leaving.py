@@ -101,7 +101,7 @@ def pruning(names: Sequence[str], sweeps: int) -> Table:
 
 
 def _measured(loaded: Scenario, sensor: str, physics: dict[str, object], sweeps: int) -> tuple[Floats, float, float]:
-    """Ranges of all sweeps, rays a beam, median milliseconds a sweep."""
+    """Ranges of all sweeps, rays per beam, median milliseconds a sweep."""
     measure, caster = built(loaded, sensor, physics)
     sweep_of(measure, 0)
     caster.rays = 0

@@ -75,7 +75,7 @@ def by_rays(curves: Curves) -> Picture:
 
 
 def _plain(axes: Axes, ticks: tuple[float, ...]) -> None:
-    """Ticks of the x axis where they are told, as plain numbers."""
+    """Ticks of the x axis where they are reported, as plain numbers."""
     low, high = axes.get_xlim()
     shown = [tick for tick in ticks if low <= tick <= high]
     axes.set_xticks(shown, [f"{tick:g}" for tick in shown])

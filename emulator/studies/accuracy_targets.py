@@ -1,6 +1,7 @@
 """Targets that are hard for a bundle: a bright edge, a wire, flakes, wide beams; and scenes beside their mirror images.
 
-Belongs here: cost against error there, rule by rule, by arrays and by compiled loops. Not: random edges of ordinary
+Belongs here: cost against error there, rule by rule, with numpy arrays and by compiled loops. Not: random edges of
+ordinary
 surfaces (accuracy_rules, accuracy_path).
 """
 
@@ -92,7 +93,7 @@ class Timed:
     error: float
     missed: float
     seconds: dict[bool, list[float]]
-    "By arrays (False) and by loops (True), one for each turn."
+    "With numpy arrays (False) and by loops (True), one for each turn."
 
 
 def hard(count: int, turns: int) -> Table:

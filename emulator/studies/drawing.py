@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444")
-"Told apart by colour-blind readers (Okabe and Ito)."
+"Distinguished by colour-blind readers (Okabe and Ito)."
 DPI = 130
 
 

@@ -16,7 +16,7 @@ class Effort:
     phases: int = 100
     "Equally spaced positions of the beam grid over which points are averaged: each edge is right to one of them."
     every: int = 1
-    "Of the ranges of figure 6 and of the rows of the weather tables, only each so manieth is measured."
+    "Of the ranges of figure 6 and of the rows of the weather tables, only each n-th is measured."
 
 
 FULL = Effort()

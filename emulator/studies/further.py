@@ -190,7 +190,7 @@ def scanner_facts() -> list[Fact]:
 
 
 def lms_plan(device: dict[str, object]) -> ScanPlan:
-    """The sweep that an LMS291 wants after it was told to send all scans."""
+    """The sweep that an LMS291 wants after it was ordered to send all scans."""
     session = lms2xx.FAMILY.new_session(device, load_spec(LMS291.model).device)
     now_ns = 0
     session.power_on(now_ns)

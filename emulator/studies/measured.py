@@ -200,9 +200,9 @@ def _first_photon_error(fwhm: float, flux: float, bins: int = 12, step: float = 
     now, right, left, more, less = (_first_photon_shares(place, fwhm, mean, bins) for place, mean in cases)
     seen = np.maximum(now, 1e-300)
     along, bright = (right - left) / (2.0 * step), (more - less) / (2.0 * step)
-    told = np.where(now > 1e-12, 1.0 / seen, 0.0)
+    reported = np.where(now > 1e-12, 1.0 / seen, 0.0)
     aa, ab, bb = (
-        (one * other * told).sum(axis=1) for one, other in ((along, along), (along, bright), (bright, bright))
+        (one * other * reported).sum(axis=1) for one, other in ((along, along), (along, bright), (bright, bright))
     )
     return float(np.sqrt(np.mean(bb / (aa * bb - ab * ab))))
 

@@ -158,7 +158,7 @@ def figure_6(effort: Effort) -> Section:
         table = count(scanner, car, effort)
         tables.append(table)
         draw(axes, scanner, car, table)
-        texts.append(told(scanner, table))
+        texts.append(reported(scanner, table))
     falls = all(bool(np.all(np.diff(table.numbers("mesh_one_grey")) <= 0.0)) for table in tables)
     return Section(
         "Figure 6: points on a grey car",
@@ -248,7 +248,7 @@ def draw(axes: Axes, scanner: Scanner, car: Outline, table: Table) -> None:
     axes.legend(frameon=False, fontsize=9)
 
 
-def told(scanner: Scanner, table: Table) -> str:
+def reported(scanner: Scanner, table: Table) -> str:
     """What the table of one sensor says, in words."""
     enough = [row for row in table.rows if float(row[1] or 0.0) > 2.0]
     plate_off = max(abs(float(row[3] or 0.0)) for row in enough)

@@ -41,7 +41,7 @@ class Spot:
     left: float
     top: float
     href: str
-    told: str
+    reported: str
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Fact:
-    """A number that is told first, in large letters."""
+    """A number that is reported first, in large letters."""
 
     label: str
     value: str

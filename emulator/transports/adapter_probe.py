@@ -52,13 +52,13 @@ def _latency_timer(device: str, sysfs: Path) -> Probe:
     name = Path(os.path.realpath(device)).name
     place = sysfs / name / "device" / "latency_timer"
     driver = sysfs / name / "device" / "driver"
-    told = os.path.basename(os.path.realpath(driver)) if driver.exists() else "no driver's name"
+    reported = os.path.basename(os.path.realpath(driver)) if driver.exists() else "no driver's name"
     try:
         ms = int(place.read_text())
     except (OSError, ValueError):
-        return Probe("latency timer", True, f"none that the driver shows ({told})")
+        return Probe("latency timer", True, f"none that the driver shows ({reported})")
     advice = "" if ms <= SLOWEST_TIMER_MS else f"; want {SLOWEST_TIMER_MS} or less: echo 1 > {place}"
-    return Probe("latency timer", ms <= SLOWEST_TIMER_MS, f"{ms} ms ({told}){advice}")
+    return Probe("latency timer", ms <= SLOWEST_TIMER_MS, f"{ms} ms ({reported}){advice}")
 
 
 def _speeds(port: serial.Serial) -> Probe:
@@ -99,7 +99,7 @@ def _loop(port: serial.Serial, clock: Clock) -> Probe:
 
 def _pace(port: serial.Serial, clock: Clock, bridged: bool) -> Probe:
     """How fast bytes really leave: between a short and a long block, so that fixed delays drop out."""
-    told, good = [], True
+    reported, good = [], True
     for baud in (LOOP_BAUD, SPEEDS[-1]):
         try:
             port.baudrate = baud
@@ -111,13 +111,13 @@ def _pace(port: serial.Serial, clock: Clock, bridged: bool) -> Probe:
         span_ns = move(size) - move(size // 4)
         real = 10 * (size - size // 4) / max(1, span_ns) * 1e9
         if span_ns <= 0 or real > 10 * baud:
-            told.append(f"{baud} baud: bytes leave at once: no line behind it, or one that buffers them all")
+            reported.append(f"{baud} baud: bytes leave at once: no line behind it, or one that buffers them all")
             good = False
         else:
-            told.append(f"{baud} baud: really {real:.0f}")
+            reported.append(f"{baud} baud: really {real:.0f}")
             good = good and abs(real - baud) <= CLOSE * baud
     way = "there and back" if bridged else "by the driver's own word of what has left"
-    return Probe("real speed", good, f"{'; '.join(told)} ({way})")
+    return Probe("real speed", good, f"{'; '.join(reported)} ({way})")
 
 
 def _moved(port: serial.Serial, clock: Clock, count: int, bridged: bool) -> int:

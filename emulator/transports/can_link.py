@@ -17,7 +17,7 @@ from typing import Protocol
 
 from emulator.errors import LinkError
 from emulator.transports.can_wire import CanWire, Carried, Node, Notice
-from emulator.transports.link import Befallen, Link, Received
+from emulator.transports.link import Link, LinkIncident, Received
 from emulator.transports.turns import CROWD_NS, Turn
 from protocols.session import LinkKind
 
@@ -28,7 +28,7 @@ GROUP_NS = 2_000_000
 MOST_LISTENERS = 8
 "Hosts to whom each frame is shown when it ends; more of them get those of `GROUP_NS` in one piece."
 AT_ONCE_FRAMES = 64
-"Frames that are carried at one go on a bus whose time is limited; other sensors come before the rest."
+"Frames that are carried at once on a bus whose time is limited; other sensors come before the rest."
 LOWEST_BITRATE, HIGHEST_BITRATE = 10_000, 1_000_000
 
 
@@ -98,7 +98,7 @@ class Outlet(ABC):
         """As of a link."""
         return None
 
-    def tend(self, now_ns: int) -> list[Befallen]:
+    def tend(self, now_ns: int) -> list[LinkIncident]:
         """As of a link."""
         return []
 
@@ -141,7 +141,7 @@ class CanPort:
         self.turn = Turn()
         "Of all that happens on this bus. While it rests, the bus stands."
         self._rests = False
-        self._strangers_until_ns = 0
+        self._untrusted_until_ns = 0
         """Hosts said something, or had frames on the bus, a moment ago: until then time is counted. What sensors alone
         say is not limited."""
         self._crowded_ns: int | None = None
@@ -155,7 +155,7 @@ class CanPort:
             return
         self._asking = asking
         timed = self.turn.clock_ns is not None
-        began_ns = self.turn.begin() if timed and now_ns < self._strangers_until_ns else None
+        began_ns = self.turn.begin() if timed and now_ns < self._untrusted_until_ns else None
         said = self.outlet.counters.host_frames + self.outlet.counters.malformed
         self.outlet.poll(now_ns)
         carried = self.wire.take(now_ns, AT_ONCE_FRAMES if timed else None)
@@ -181,9 +181,9 @@ class CanPort:
         many = self.outlet.listeners() > MOST_LISTENERS
         own = [link.node for link in self.links]
         if said or many or any(frame.node not in own for frame in carried):
-            self._strangers_until_ns = now_ns + CROWD_NS
+            self._untrusted_until_ns = now_ns + CROWD_NS
         exact = not many and any(node.waiting for node in own)
-        self._crowded_ns = now_ns if now_ns < self._strangers_until_ns and not exact else None
+        self._crowded_ns = now_ns if now_ns < self._untrusted_until_ns and not exact else None
 
     @property
     def resting(self) -> bool:
@@ -251,7 +251,7 @@ class CanLink(Link):
     def path(self) -> str | None:
         return self._port.outlet.path if self._port is not None and self._port.links[0] is self else None
 
-    def tend(self, now_ns: int) -> list[Befallen]:
+    def tend(self, now_ns: int) -> list[LinkIncident]:
         return self._port.outlet.tend(now_ns) if self._port is not None and self._port.links[0] is self else []
 
     def share(self) -> None:

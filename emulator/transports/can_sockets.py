@@ -34,7 +34,7 @@ FIRST_INDEX = 1_000_001
 LONGEST_NAME = 15
 MAX_INTERFACES = 16
 MAX_SOCKETS = 256
-"Of all programs together; further ones are told that there is no room (ENOBUFS)."
+"Of all programs together; further ones learn that there is no room (ENOBUFS)."
 FRAMES_A_CALL = 64
 "Taken from one socket at a time: none can starve the others."
 BACKLOG_FRAMES = 1024

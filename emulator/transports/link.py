@@ -35,7 +35,7 @@ class Received:
 
 
 @dataclass(frozen=True)
-class Befallen:
+class LinkIncident:
     """Something that somebody else did to a link's place in the file system."""
 
     kind: str
@@ -80,13 +80,13 @@ class Link(ABC):
     kind: LinkKind
     hold = False
     """Under a virtual clock: what a host has no room for is kept instead of lost. Time waits for `held` to go down."""
-    tells_of_input = False
+    reports_input = False
     "`flush` wants to be called at once, or when it comes, where `receive` has something: it need not be asked too."
 
     def __init__(self) -> None:
         self.stats = LinkStats()
         self.on_given_up: Callable[[bytes], None] = lambda payload: None
-        "Told of each payload that `send` has taken and that is given up whole after all: no host gets it."
+        "Informed of each payload that `send` has taken and that is given up whole after all: no host gets it."
 
     @property
     @abstractmethod
@@ -130,8 +130,8 @@ class Link(ABC):
         """The path in the file system by which hosts find it, and which others might take away; None: there is none."""
         return None
 
-    def tend(self, now_ns: int) -> list[Befallen]:
-        """Look whether that path still leads here and put it back; what befell it since, each told once.
+    def tend(self, now_ns: int) -> list[LinkIncident]:
+        """Look whether that path still leads here and put it back; incidents since then.
 
         `now_ns`: of a clock that never stands. Called when the path's folder has changed, and once a second.
         """

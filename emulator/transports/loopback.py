@@ -127,7 +127,7 @@ class _Input:
 class LoopLink(Link):
     """The device's end."""
 
-    tells_of_input = True
+    reports_input = True
 
     def __init__(self, name: str, serial_line: bool = True, group_ns: int = GROUP_NS) -> None:
         super().__init__()
@@ -165,7 +165,7 @@ class LoopLink(Link):
         return host
 
     def accept(self, host: LoopHost, at_ns: int) -> bool:
-        """A host that was hung up on comes again, under another number."""
+        """A host that was disconnected comes again, under another number."""
         if self._pulled or self._refusals or self.kind is LinkKind.SERIAL:
             return False
         self.leave(host, at_ns)
@@ -291,11 +291,11 @@ class LoopLink(Link):
         self._now_ns = now_ns
         for left in self._line.take(now_ns):
             peer = self._addressed.popleft() if left.ends else self._addressed[0]
-            hearing = [host for host in self._hosts.values() if not self._pulled and peer in (None, host.peer)]
-            for host in hearing:
+            input_budget_ns = [host for host in self._hosts.values() if not self._pulled and peer in (None, host.peer)]
+            for host in input_budget_ns:
                 host.hear(left)
                 self.stats.bytes_out += len(left.data)
-            if not hearing:
+            if not input_budget_ns:
                 self.stats.bytes_lost += len(left.data)
             if left.ends:
                 self.stats.note_left(left.last_ns, now_ns)

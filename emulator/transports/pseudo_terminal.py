@@ -11,7 +11,7 @@ alive between hosts, and the kernel reports exactly (POLLHUP) whether anybody ha
 Named limits: the kernel forces eight data bits and no parity on a pseudo-terminal, so those are not seen; there is no
 break, and modem lines only for drivers under the preload shim, which leaves word of DTR and RTS in the settings;
 TCIOFLUSH by the host also takes what we have not read yet; a host that closes and another that opens within the same
-instant cannot be told apart from one that stays.
+instant cannot be distinguished from one that stays.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import termios
 from emulator.errors import LinkError
 from emulator.transports.inotify import OpenWatch
 from emulator.transports.intake import LINE_BURST, LINE_BYTES_S, Intake
-from emulator.transports.link import Befallen, Link, Received
+from emulator.transports.link import Link, LinkIncident, Received
 from emulator.transports.pacing import Left, PacedLine
 from emulator.transports.stable_path import StablePath
 from emulator.transports.tty_modes import TtyModes, forget_lines, read_lines, read_modes, set_raw
@@ -72,14 +72,14 @@ class PseudoTerminal(Link):
         self._line = PacedLine()
         self._to_host: Receiver | None = None
         self._watch: OpenWatch | None = None
-        self._poll = self._told = select.poll()
+        self._poll = self._reported = select.poll()
         self._path = path
         self._pulled = 0
         "How often the plug was pulled and not put in again."
         self._make()
         self._open = False
         self._lines: tuple[bool, bool] | None = None
-        self._lines_told: list[Received] = []
+        self._lines_reported: list[Received] = []
         self._input_waits = False
         self._intake = Intake(*self.INTAKE)
         self._kept = b""
@@ -108,11 +108,11 @@ class PseudoTerminal(Link):
             raise
         finally:
             os.close(slave)
-        self._poll, self._told = select.poll(), select.poll()
+        self._poll, self._reported = select.poll(), select.poll()
         self._poll.register(self._master, select.POLLIN)
         if self._watch is not None:
             self._poll.register(self._watch.fileno(), select.POLLIN)
-            self._told.register(self._watch.fileno(), select.POLLIN)
+            self._reported.register(self._watch.fileno(), select.POLLIN)
 
     def unplug(self) -> None:
         self._pulled += 1
@@ -141,7 +141,7 @@ class PseudoTerminal(Link):
     def path(self) -> str | None:
         return self._place.path
 
-    def tend(self, now_ns: int) -> list[Befallen]:
+    def tend(self, now_ns: int) -> list[LinkIncident]:
         return self._place.tend(now_ns) if self._master >= 0 else []
 
     @property
@@ -165,10 +165,10 @@ class PseudoTerminal(Link):
             return []
         self._look()
         self.flush(now_ns)
-        told, self._lines_told = self._lines_told, []
+        reported, self._lines_reported = self._lines_reported, []
         data = self._read(self._intake.room(now_ns)) if self._input_waits else b""
         if not data:
-            return told
+            return reported
         self._intake.take(len(data))
         self.stats.bytes_in += len(data)
         modes = self.host_modes()
@@ -176,7 +176,7 @@ class PseudoTerminal(Link):
         if device is not None and not self._hear_each_other(modes.sends_baud, device):
             self.stats.bytes_garbled += len(data)
             data = resample(data, modes.sends_baud, device).values.tobytes() if modes.sends_baud else b""
-        return [*told, Received(0, data)] if data else told
+        return [*reported, Received(0, data)] if data else reported
 
     def _read(self, most: int) -> bytes:
         chunks, size = [], 0
@@ -231,7 +231,7 @@ class PseudoTerminal(Link):
 
     def _may_have_changed(self) -> bool:
         """Whether somebody opened or closed it; a look at a flooded terminal waits for the kernel's own thread."""
-        return self._watch is None or bool(self._told.poll(0))
+        return self._watch is None or bool(self._reported.poll(0))
 
     def _look(self) -> None:
         """See whether a host is there. What the last one left unread goes with it, as a port's buffer does."""
@@ -247,7 +247,7 @@ class PseudoTerminal(Link):
             self._kept = b""
             self._forget_unread()
             if self._lines is not None and self._lines != (False, False):  # a port that is closed lets both fall
-                self._lines_told.append(Received(0, lines=(False, False)))
+                self._lines_reported.append(Received(0, lines=(False, False)))
             self._lines = None
 
     def _look_at_lines(self) -> None:
@@ -255,7 +255,7 @@ class PseudoTerminal(Link):
         lines = read_lines(self._master)
         if lines is not None and lines != self._lines:
             self._lines = lines
-            self._lines_told.append(Received(0, lines=lines))
+            self._lines_reported.append(Received(0, lines=lines))
 
     def _forget_unread(self) -> None:
         """Empty what the terminal holds and what is on its way there; only a slave descriptor reaches both."""

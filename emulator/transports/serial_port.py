@@ -90,7 +90,7 @@ class SerialPort(Link):
         self._new_speed: int | None = None
         "The line changes to it as soon as it is empty; nothing is handed over before."
         self._lost: str | None = None
-        self._told = False
+        self._reported = False
         self._schedule: PacedLine | None = None
         "The line as it should be, where departures are recorded: the UART's own pace is not asked."
 
@@ -112,8 +112,8 @@ class SerialPort(Link):
 
     def receive(self, now_ns: int) -> list[Received]:
         data = b"" if self._gone else self._read()
-        if self._lost is not None and not self._told:
-            self._told = True
+        if self._lost is not None and not self._reported:
+            self._reported = True
             raise LinkError(f"serial:{self._device}: lost: {self._lost}")
         if not data:
             return []
@@ -171,7 +171,7 @@ class SerialPort(Link):
             return None if self._gone else self._flush(now_ns)
         except FAULTS as error:
             self._lose(error)
-            return now_ns  # at once, so that `receive` tells
+            return now_ns  # at once, so that `receive` reports
 
     def _flush(self, now_ns: int) -> int | None:
         while True:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from emulator.transports.can_link import BITRATE, HIGHEST_BITRATE, LOWEST_BITRATE, CanPort, CanPorts, Outlet
 from emulator.transports.can_wire import CanWire, Carried
 from emulator.transports.intake import CAN_BURST, STREAM_BYTES_S
-from emulator.transports.link import Befallen, Link
+from emulator.transports.link import Link, LinkIncident
 from emulator.transports.pseudo_terminal import PseudoTerminal
 from emulator.transports.urls import parse_url
 from protocols.can_frame import EXTENDED, MAX_DATA_BYTES, MAX_EXTENDED_ID, MAX_STANDARD_ID, split_identifier
@@ -136,7 +136,7 @@ class Adapter(Outlet):
     def path(self) -> str | None:
         return self._terminal.path
 
-    def tend(self, now_ns: int) -> list[Befallen]:
+    def tend(self, now_ns: int) -> list[LinkIncident]:
         return self._terminal.tend(now_ns)
 
     def filenos(self) -> tuple[int, ...]:

@@ -110,7 +110,7 @@ class Client:
     statistics_ns: int = 0
     "Between two lines of statistics in control mode; 0: none."
     counted_ns: int | None = None
-    "When it was told statistics last, or entered control mode."
+    "When it got statistics last, or entered control mode."
     listens_from_ns: int | None = None
     "In raw mode: when the first frame may go to it."
     held: list[bytes] = field(default_factory=list)
@@ -360,7 +360,7 @@ class Channel(Outlet):
         subscribed = [client for client in present if client.manager.subscriptions]
         for client in subscribed:
             others = [Heard(one.peer, one.data, one.end_ns) for one in carried if one.node is not client.node]
-            self.give_heard(client, [told for one in others for told in client.manager.hear(one)], now_ns)
+            self.give_heard(client, [reported for one in others for reported in client.manager.hear(one)], now_ns)
         return bool(raw or subscribed)
 
     def give_heard(self, client: Client, heard: Sequence[Heard], now_ns: int) -> None:
@@ -450,7 +450,7 @@ def parse_send(arguments: Sequence[bytes]) -> tuple[int, bytes] | None:
 
 
 def statistics_due_ns(client: Client) -> int | None:
-    """When a client is told statistics next."""
+    """When a client gets statistics next."""
     return client.counted_ns + client.statistics_ns if client.counted_ns is not None and client.statistics_ns else None
 
 

@@ -38,11 +38,11 @@ class Subscription:
     "Bits of the 64 whose change it wants to see; None: every frame."
     throttle_ns: int
     seen: int | None = None
-    "Masked data of the frame that it was last told of, or will be."
-    told_ns: int | None = None
+    "Masked data of the frame that it got last, or will get."
+    reported_ns: int | None = None
     "Time of the frame from which the throttle counts."
     flush_ns: int | None = None
-    "When what was held back is told."
+    "When what was held back is reported."
     held: Heard | None = None
 
 
@@ -88,7 +88,7 @@ class BroadcastManager:
         return True
 
     def hear(self, heard: Heard) -> list[Heard]:
-        """What the client is told at once of a frame on the bus."""
+        """What the client gets at once of a frame on the bus."""
         wants = self.subscriptions.get(heard.peer)
         if wants is None:
             return []
@@ -99,27 +99,31 @@ class BroadcastManager:
             wants.seen = bits
         if not wants.throttle_ns:
             return [heard]
-        if wants.flush_ns is None and wants.told_ns is not None and heard.at_ns - wants.told_ns < wants.throttle_ns:
-            wants.flush_ns = wants.told_ns + wants.throttle_ns
+        if (
+            wants.flush_ns is None
+            and wants.reported_ns is not None
+            and heard.at_ns - wants.reported_ns < wants.throttle_ns
+        ):
+            wants.flush_ns = wants.reported_ns + wants.throttle_ns
         if wants.flush_ns is not None:
             wants.held = heard
             return []
-        wants.told_ns = heard.at_ns
+        wants.reported_ns = heard.at_ns
         return [heard]
 
     def flush(self, now_ns: int) -> list[Heard]:
-        """What was held back and is told by now, in order of time."""
-        told = []
+        """What was held back and is due by now, in order of time."""
+        reported = []
         for wants in self.subscriptions.values():
             if wants.flush_ns is None or wants.flush_ns > now_ns:
                 continue
             if wants.held is None:
-                wants.flush_ns = wants.told_ns = None
+                wants.flush_ns = wants.reported_ns = None
                 continue
-            told.append(wants.held)
+            reported.append(wants.held)
             wants.held = None
-            wants.told_ns, wants.flush_ns = wants.flush_ns, wants.flush_ns + wants.throttle_ns
-        return sorted(told, key=lambda one: one.at_ns)
+            wants.reported_ns, wants.flush_ns = wants.flush_ns, wants.flush_ns + wants.throttle_ns
+        return sorted(reported, key=lambda one: one.at_ns)
 
     def send(self, now_ns: int) -> list[Heard]:
         """Frames of the jobs that go to the bus by now, each with the time when it was due."""

@@ -6,7 +6,8 @@ owner ends, so after `kill -9` the next start takes both over. Only what is plai
 never touched.
 
 While its owner runs, `tend` puts back a link that was removed, or in whose place stands one that leads nowhere; what
-else stands there is told and left alone until it goes. Only who holds the lock writes the link, so two running daemons
+else stands there is reported and left alone until it goes. Only who holds the lock writes the link, so two running
+daemons
 never take it from each other; who is robbed again and again waits longer each time.
 """
 
@@ -18,15 +19,15 @@ import os
 import stat
 
 from emulator.errors import LinkError
-from emulator.transports.link import Befallen
+from emulator.transports.link import LinkIncident
 
 TERMINALS = "/dev/pts/"
 SECOND_NS = 1_000_000_000
 LONGEST_NS = 60 * SECOND_NS
 QUIET_NS = 2 * LONGEST_NS
-"A link that has stood for so long is put back at once when it goes."
+"A link that has stood for so long is restored at once when it goes."
 FREE = 8
-"So often it is put back at once within that time; then after 1 s, 2 s, 4 s, up to `LONGEST_NS`."
+"So often it is restored at once within that time; then after 1 s, 2 s, 4 s, up to `LONGEST_NS`."
 RESTORED, TAKEN, GONE = "link restored", "link path taken", "link path gone"
 "Kinds of incidents."
 
@@ -39,12 +40,12 @@ class StablePath:
         self._target = target
         self._owner = os.getpid()
         self._heir = False
-        "The lock was taken anew from somebody who is dead: a link into /dev/pts is his."
+        "The lock was taken again from somebody who is dead: a link into /dev/pts is his."
         self._away = ""
-        "What was told of the link while it is not there: `TAKEN` or `GONE`."
+        "What was reported of the link while it is not there: `TAKEN` or `GONE`."
         self._restored_ns = -QUIET_NS
         self._restored = 0
-        "How often it was put back with less than `QUIET_NS` between."
+        "How often it was restored with less than `QUIET_NS` between."
         folder, name = os.path.split(self.path)
         self._lock_path = os.path.join(folder, f".{name}.lidaremu")
         left_behind = os.path.lexists(self._lock_path)
@@ -122,16 +123,16 @@ class StablePath:
         if not old.startswith(TERMINALS) or (os.path.exists(old) and not left_behind):
             raise LinkError(f"{self.path}: a link to {old} not made by lidaremu exists; remove it or use another path")
 
-    def tend(self, now_ns: int) -> list[Befallen]:
-        """Look whether the link still leads here, put it back where that is allowed; what befell it since."""
+    def tend(self, now_ns: int) -> list[LinkIncident]:
+        """Look whether the link still leads here, put it back where that is allowed; incidents since then."""
         if self._lock_fd < 0 or os.getpid() != self._owner:
             return []
         stands, locked = self._leads_here(), self._is_lock_file(self._lock_fd)
         if stands and locked:
             return self._back("points here again") if self._away else []
-        if stands:  # the lock is nobody's business but ours: it is taken anew in silence, now or with the next look
+        if stands:  # the lock is nobody's business but ours: it is taken again in silence, now or with the next look
             with contextlib.suppress(LinkError):
-                self._lock_anew()
+                self._lock_again()
             return []
         folder = os.path.dirname(self.path)
         if not os.path.isdir(folder):
@@ -139,7 +140,7 @@ class StablePath:
         try:
             if not locked:
                 left_behind = os.path.lexists(self._lock_path)
-                self._lock_anew()
+                self._lock_again()
                 self._heir = left_behind
             what, alive = self._what_stands()
             if alive:
@@ -157,13 +158,13 @@ class StablePath:
         self._restored_ns, self._heir = now_ns, False
         return self._back(f"{what} was there; restored" if what else "was removed; restored")
 
-    def _back(self, how: str) -> list[Befallen]:
+    def _back(self, how: str) -> list[LinkIncident]:
         self._away = ""
-        return [Befallen(RESTORED, f"{self.path}: {how}")]
+        return [LinkIncident(RESTORED, f"{self.path}: {how}")]
 
-    def _stay(self, kind: str, text: str) -> list[Befallen]:
-        told, self._away = self._away, kind
-        return [] if told == kind else [Befallen(kind, text)]
+    def _stay(self, kind: str, text: str) -> list[LinkIncident]:
+        reported, self._away = self._away, kind
+        return [] if reported == kind else [LinkIncident(kind, text)]
 
     def _leads_here(self) -> bool:
         try:
@@ -171,7 +172,7 @@ class StablePath:
         except OSError:
             return False
 
-    def _lock_anew(self) -> None:
+    def _lock_again(self) -> None:
         old, self._lock_fd = self._lock_fd, self._lock()
         os.close(old)
 

@@ -54,7 +54,7 @@ class Host:
     connection: socket.socket
     waiting: bytearray = field(default_factory=bytearray)
     "What the kernel has not taken yet."
-    deaf_ns: int | None = None
+    unread_since_ns: int | None = None
     "Since when it has taken nothing of what waits for it."
     paused: bool = False
     "What it sends stays in the kernel."
@@ -90,13 +90,13 @@ class Hosts:
         self._accepted = 0
         self._pause_until_ns: int | None = None
         self.intake = intake
-        "While it is closed, nobody needs to wait for the descriptor: `next_ns` tells when."
+        "While it is closed, nobody needs to wait for the descriptor: `next_ns` says when."
         self._read_last = -1
         "Descriptor of the host that was read last."
         self._slow: set[int] = set()
         "Numbers of hosts for which something waits."
         self._gone: list[int] = []
-        "Numbers of connections that were reset, still to be told."
+        "Numbers of connections that were reset, still to be reported."
         self._orphans: dict[int, socket.socket] = {}
         "Connections of a network stack that has died."
         self._refusals = 0
@@ -171,7 +171,7 @@ class Hosts:
         sent = self._hand_over(host, data, now_ns)
         if sent < len(data) and not host.broken:
             host.waiting += memoryview(data)[sent:]
-            host.deaf_ns = now_ns
+            host.unread_since_ns = now_ns
             self._slow.add(host.number)
         self._watch(host)
 
@@ -189,7 +189,7 @@ class Hosts:
             self._watch(host)
 
     def reset_all(self) -> int:
-        """Reset every connection; the next `poll` tells of them. How many it were."""
+        """Reset every connection; the next `poll` reports them. How many it were."""
         hosts = list(self._hosts.values())
         for host in hosts:
             self._stats.bytes_lost += host.backlog
@@ -214,7 +214,7 @@ class Hosts:
         self._epoll.register(self._listener, select.EPOLLIN)
 
     def abandon_all(self) -> int:
-        """Leave connections open and silent, told to nobody; nobody can connect. How many it were."""
+        """Leave connections open and silent, reported to nobody; nobody can connect. How many it were."""
         hosts = list(self._hosts.values())
         for host in hosts:
             self._stats.bytes_lost += host.backlog
@@ -265,7 +265,8 @@ class Hosts:
         return ACCEPTS_A_CALL * ACCEPT_BYTES
 
     def _make_room(self, now_ns: int, events: list[Received]) -> bool:
-        """Whether one has lost its place: the oldest that never spoke, else who has flooded or been deaf for longest.
+        """Whether one has lost its place: the oldest that never spoke, else who has flooded or been without input
+        for longest.
 
         What a flood left in the kernel is read for minutes after its programs are gone.
         """
@@ -315,9 +316,9 @@ class Hosts:
         if host.waiting:
             if sent := self._hand_over(host, host.waiting, now_ns):
                 del host.waiting[:sent]
-                host.deaf_ns = now_ns
+                host.unread_since_ns = now_ns
         if not host.waiting:
-            host.deaf_ns = None
+            host.unread_since_ns = None
             self._slow.discard(host.number)
         self._watch(host)
 
@@ -328,7 +329,7 @@ class Hosts:
         except BlockingIOError:
             return 0
         except OSError:
-            host.broken = True  # the connection stays watched: `poll` finds it and tells
+            host.broken = True  # the connection stays watched: `poll` finds it and reports
             self._stats.bytes_lost += len(data)
             host.waiting.clear()
             return 0
@@ -401,7 +402,7 @@ def _cause(error: OSError, host: str, port: int) -> str:
 
 def _prepare(connection: socket.socket) -> None:
     connection.setblocking(False)
-    with contextlib.suppress(OSError):  # a host that has reset already: the first read tells
+    with contextlib.suppress(OSError):  # a host that has reset already: the first read reports
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for name, value in KEEPALIVE:
@@ -410,8 +411,8 @@ def _prepare(connection: socket.socket) -> None:
 
 
 def _bad_since_ns(host: Host) -> int | None:
-    """Since when it floods, or is deaf; None: it does not and is not."""
-    return min((ns for ns in (host.flooding_ns, host.deaf_ns) if ns is not None), default=None)
+    """Since when it floods, or is without input; None: it does not and is not."""
+    return min((ns for ns in (host.flooding_ns, host.unread_since_ns) if ns is not None), default=None)
 
 
 def _has_unread(host: Host) -> bool:

@@ -1,6 +1,7 @@
 """A sensor on TCP: its own network interface (`TcpStream`), or its serial line behind a device server (`TcpLine`).
 
-TcpStream: connections are numbered and told to the session; each payload is one `send`, without Nagle's delay, to one
+TcpStream: connections are numbered and reported to the session; each payload is one `send`, without Nagle's delay,
+to one
 host or to all; nothing is paced. While a host reads too slowly, payloads for it are dropped whole and counted; what has
 been begun is always finished, so nothing is cut or interleaved.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 AT_ONCE_NS = 1_000_000
-"Longest work at one go; what has come by then and is not yet done waits."
+"Longest work at once; what has come by then and is not yet done waits."
 STOCK_NS = 3_000_000
 "So much may be worked ahead: a host that behaves is not kept waiting for one long step."
 REST = 3
@@ -26,9 +26,10 @@ class Turn:
 
     def __init__(self) -> None:
         self.clock_ns: Callable[[], int] | None = None
-        "Tells the processor time of the thread that works; None: there is no limit."
+        "Reports the processor time of the thread that works; None: there is no limit."
         self.wall_ns: Callable[[], int] | None = None
-        "Tells the time, where that is sooner told than processor time; less of it than `AT_ONCE_NS` is never too much."
+        """Reports the time, where that is sooner reported than processor time; less of it than `AT_ONCE_NS` is
+        never too much."""
         self._wall_began_ns = 0
         self.resting = 1
         "How many share the time at present, this one included."

@@ -91,7 +91,7 @@ class Lock:
         self._ticket = ""
         self.port = 0
         self.refused: Callable[[str], None] = lambda host: None
-        "Told the host by which somebody came who has the token."
+        "Given the host by which somebody came who has the token."
 
     def places(self, reached: str | None) -> Iterator[Place]:
         """Addresses that were opened; `reached`: that of this machine on which a connection came in."""
@@ -118,7 +118,7 @@ class Lock:
         known = [place for place in self.places(reached) if asked in place.hosts]
         if not known:
             self.refused(hosts[0] if hosts else "")
-            return answer(HTTPStatus.FORBIDDEN, self._told(hosts))
+            return answer(HTTPStatus.FORBIDDEN, self._reported(hosts))
         own = {f"{place.scheme}://{asked}" for place in known}
         if origins and (len(origins) > 1 or origins[0].lower() not in own):
             return answer(HTTPStatus.FORBIDDEN)
@@ -149,7 +149,7 @@ class Lock:
             return "moved"
         return None
 
-    def _told(self, hosts: list[str]) -> str:
+    def _reported(self, hosts: list[str]) -> str:
         """For who has the token: why there is nothing."""
         asked = " and ".join(host[:100] for host in hosts) or "no host"
         opened = ", ".join(dict.fromkeys(place.hosts[-1] for place in self.places(None)))

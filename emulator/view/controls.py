@@ -15,7 +15,7 @@ from emulator.output.sanitizing import html, visible
 from emulator.runtime.order_words import parameters_of
 from emulator.view.drawing import inset
 from emulator.view.frames import Frame, Source
-from emulator.view.sky import CLEAR_M, FOG_CHOICES, THICK_M, faults_of, fog_field_m, fog_table, told
+from emulator.view.sky import CLEAR_M, FOG_CHOICES, THICK_M, faults_of, fog_field_m, fog_table, reported
 
 QUIET_LOOKS = 8
 "Looks after the user's last move of a slider until the sliders follow the daemon again."
@@ -289,7 +289,7 @@ class Controls:
             self._show_weather()
             self._orders.send("faults?", "faults", {}, self._take_faults)
         for key, panel, text in (
-            ("sky", self._sky, told(self._weather)),
+            ("sky", self._sky, reported(self._weather)),
             ("faults", self._active, faults_of(self._faults)),
         ):
             if self._shown.get(key) != text:
@@ -309,7 +309,7 @@ class Controls:
     def _set(self, key: str, handle: Any, value: Any) -> None:
         """Only what has changed: a value set again would take the user's hand off the slider.
 
-        Nor where the user has moved it and the order that tells so is still to come: it would be made of our value.
+        Nor where the user has moved it and the order that reports so is still to come: it would be made of our value.
         """
         if key == "speed" and value not in handle.options:
             handle.options = (*handle.options, value)

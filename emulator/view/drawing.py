@@ -130,12 +130,14 @@ def _sensor(name: str, model: str, sensor: ShownSensor, points: int, frame: Fram
         if counts:
             parts.append(f"{word}: " + ", ".join(f"{count} {html(reason)}" for reason, count in counts.items()))
     for link in sensor.links:
-        dot, told = {True: ("#66bb6a", "host"), False: ("#9e9e9e", "no host"), None: ("#90a4ae", "recorded")}[link.host]
+        dot, reported = {True: ("#66bb6a", "host"), False: ("#9e9e9e", "no host"), None: ("#90a4ae", "recorded")}[
+            link.host
+        ]
         lost = f", {link.bytes_lost} lost" if link.bytes_lost else ""
         parts.append(
             f'<span style="color:{dot}">●</span> '
             f'<span style="{MONO};word-break:break-all">{html(link.url)}</span><br>'
-            f"{told}, {_bytes(link.bytes_out)} out, {_bytes(link.bytes_in)} in{lost}"
+            f"{reported}, {_bytes(link.bytes_out)} out, {_bytes(link.bytes_in)} in{lost}"
         )
     body = "<br>".join(parts)
     return (
@@ -180,10 +182,10 @@ def telegram_fields(row: ShownTelegram | None, fields: Sequence[Described]) -> s
     lines = "".join(
         f"<tr><td>{html(one.name)}</td><td>{html(one.value)}</td><td>{html(one.unit)}</td></tr>" for one in fields
     )
-    told = f"{row.at_s:.4f} s, {len(row.data) + row.cut} bytes {'to' if row.sent else 'from'} the host"
+    reported = f"{row.at_s:.4f} s, {len(row.data) + row.cut} bytes {'to' if row.sent else 'from'} the host"
     dump = row.data[:MOST_HEX].hex(" ") + (" …" if len(row.data) > MOST_HEX else "")
     return (
-        f'<div id="view-telegram" style="{MONO};line-height:1.35"><b>{told}</b>'
+        f'<div id="view-telegram" style="{MONO};line-height:1.35"><b>{reported}</b>'
         f'<table style="width:100%">{lines}</table>'
         f'<div style="word-break:break-all;opacity:.7;margin-top:4px">{dump}</div></div>'
     )

@@ -36,7 +36,7 @@ class ShownScan:
     "(n, k) 0 world, -1 none or weather."
     objects: tuple[Mapping[str, Any], ...] = ()
     every: int = 1
-    "Only every so manieth beam is here."
+    "Only every n-th beam is here."
     missed: int = 0
     "Scans that went by unseen before this one."
 

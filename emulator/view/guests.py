@@ -29,10 +29,10 @@ class Guests:
     """One host a sensor; each reads until the daemon goes."""
 
     def __init__(self, sensors: Sequence[Mapping[str, Any]], failed: Callable[[str], None]) -> None:
-        """`sensors` as told in `ready`."""
+        """`sensors` as reported in `ready`."""
         self._failed = failed
         self._over = threading.Event()
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         for row in sensors:
             family = load_spec(row["model"]).family
             if family is not None and row["links"]:
@@ -54,8 +54,8 @@ class Guests:
             self._over.wait(1.0)
 
     def _tell(self, text: str) -> None:
-        if not self._over.is_set() and text not in self._told:
-            self._told.add(text)
+        if not self._over.is_set() and text not in self._reported:
+            self._reported.add(text)
             self._failed(text)
 
     def close(self) -> None:

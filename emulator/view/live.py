@@ -90,7 +90,7 @@ class LiveSource:
             speed=glance["speed"],
             scans=dict(self._scans),
             sensors={name: _sensor(row) for name, row in glance["sensors"].items()},
-            telegrams=self._told(),
+            telegrams=self._reported(),
             telegrams_missed=self._missed,
             notes=self._notes,
             stands=self._at_end(glance),
@@ -106,7 +106,7 @@ class LiveSource:
         """Whether a daemon of ours has ended, and not as asked."""
         return self._daemon is not None and self._daemon.code() not in (None, 0)
 
-    def _told(self) -> dict[str, tuple[ShownTelegram, ...]]:
+    def _reported(self) -> dict[str, tuple[ShownTelegram, ...]]:
         return {name: tuple(rows) for name, rows in self._telegrams.items()}
 
     def _take_scans(self, answer: Mapping[str, Any]) -> None:

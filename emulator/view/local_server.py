@@ -54,10 +54,10 @@ class LocalServer(viser.ViserServer):
         """Nothing leaves this machine."""
 
 
-class Patient(websocket_server.ServerConnection):
+class LimitedConnection(websocket_server.ServerConnection):
     """A connection; of those that have not asked yet only so many are kept."""
 
-    waiting: dict[Patient, None]
+    waiting: dict[LimitedConnection, None]
     "Of its server, in the order in which they came."
 
     def connection_made(self, transport: Any) -> None:
@@ -92,12 +92,12 @@ def open_server(
 ) -> LocalServer:
     """The page's server, listening. Raises `LinkError` when the address cannot be had, or the lock does not hold.
 
-    `further`: hosts by which it may be reached besides, as with `--allow-host`; `refused` is told of others.
+    `further`: hosts by which it may be reached besides, as with `--allow-host`; `refused` is informed of others.
     """
     be_free(host, port)
     lock = Lock(token, host, further)
     logging.getLogger("websockets.server").addFilter(_quiet)
-    with _FITTING, _fitted(lock), redirect_stdout(io.StringIO()):  # it prints its address even when told not to
+    with _FITTING, _fitted(lock), redirect_stdout(io.StringIO()):  # it prints its address even when reported not to
         server = LocalServer(host=host, port=port, label=title, verbose=False)
     server.lock = lock
     lock.port = server.get_port()
@@ -127,7 +127,7 @@ def be_free(host: str, port: int) -> None:
 def _fitted(lock: Lock) -> Iterator[None]:
     """While this lasts, servers of websockets are made with the lock."""
     serve = websocket_server.serve
-    patient = type("Patient", (Patient,), {"waiting": {}})
+    limited = type("LimitedConnection", (LimitedConnection,), {"waiting": {}})
 
     def locked(*args: Any, process_request: Any = None, **options: Any) -> Any:
         def ask(connection: Any, request: Request) -> Any:
@@ -138,7 +138,7 @@ def _fitted(lock: Lock) -> Iterator[None]:
                 reached,
             )
 
-        fixed = {"create_connection": patient, "open_timeout": OPEN_S, "close_timeout": GOODBYE_S}
+        fixed = {"create_connection": limited, "open_timeout": OPEN_S, "close_timeout": GOODBYE_S}
         return serve(*args, process_request=ask, **options | fixed)
 
     websocket_server.serve = locked  # type: ignore[assignment, misc]
@@ -149,7 +149,7 @@ def _fitted(lock: Lock) -> Iterator[None]:
 
 
 def _answers(host: str, port: int, path: str) -> int:
-    """What a stranger is answered: nobody has opened the name by which it asks."""
+    """What others are answered: nobody has opened the name by which it asks."""
     reached = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
     connection = http.client.HTTPConnection(reached, port, timeout=10.0)
     try:

@@ -27,13 +27,13 @@ from emulator.view.frames import Floats, Frame, Ints, ShownScan, ShownTelegram, 
 from emulator.view.local_server import PANEL
 from emulator.world import scene as scenes
 from emulator.world.fed import Fed
-from emulator.world.told import Played
+from emulator.world.feed_record import Played
 
 FRAME_S = 0.125
 "Between two looks at the source."
 POINT_M = 0.15
 SLOW = 4
-"Text is made anew every so many looks."
+"Text is made again every so many looks."
 NAME_SHARE = 0.07
 "Between the names of sensors one above the other, of the distance from which the page first looks."
 NEWEST = "newest"
@@ -46,7 +46,7 @@ class Page:
     def __init__(
         self, server: viser.ViserServer, source: Source, tell: Callable[[str], None] = lambda text: None
     ) -> None:
-        """`tell` is told what whoever has started the page should know."""
+        """`tell` gets what whoever has started the page should know."""
         self._server = server
         self._tell = tell
         self._ended = ""
@@ -195,7 +195,7 @@ class Page:
             self._snow.visible = bool(len(snow))
 
     def _weather_at(self, now_s: float) -> Mapping[str, Any]:
-        """A daemon's as it tells it; of a recording the scenario's, without what was ordered in the run."""
+        """A daemon's as it reports it; of a recording the scenario's, without what was ordered in the run."""
         return state_of(self._scenario.weather, self._world.local_s(now_s)) if self._recorded else self.controls.weather
 
     def _rides(self, name: str) -> bool:
@@ -257,13 +257,13 @@ class Page:
 
     # ------------------------------------------------------------ again and again
 
-    def run(self, stopped: threading.Event, patience: Callable[[], bool] = lambda: True) -> None:
+    def run(self, stopped: threading.Event, keeps_waiting: Callable[[], bool] = lambda: True) -> None:
         """Until `stopped`, or `patience` ends."""
-        while not stopped.wait(FRAME_S) and patience():
+        while not stopped.wait(FRAME_S) and keeps_waiting():
             self.look()
 
     def close(self) -> None:
-        """Before the server is stopped: what orders still answer is told to nobody."""
+        """Before the server is stopped: what orders still answer goes nowhere."""
         self.controls.over = True
 
     def look(self) -> None:

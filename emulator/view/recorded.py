@@ -16,7 +16,7 @@ from emulator.recording.reader import RecordedRun, WireOf, read_run
 from emulator.scenario import scenario as scenario_file
 from emulator.scenario.scenario import Scenario
 from emulator.view.frames import Frame, ShownLink, ShownScan, ShownSensor, ShownTelegram, ViewError
-from emulator.world.told import Played
+from emulator.world.feed_record import Played
 
 LAST = 32
 "Telegrams shown of each sensor."

@@ -24,7 +24,7 @@ def fog_table(visibility_m: float) -> dict[str, float] | None:
 
 
 def visibility_m(weather: Mapping[str, Any]) -> float | None:
-    """The shortest of the air, of fog, dust and smoke; None: nothing is told of it."""
+    """The shortest of the air, of fog, dust and smoke; None: nothing says so."""
     fogs = [weather.get(name) or {} for name in ("fog", "dust", "smoke")]
     found = [weather.get("visibility_m"), *(table.get("visibility_m") or table.get("mor_m") for table in fogs)]
     return min((float(one) for one in found if one), default=None)
@@ -37,7 +37,7 @@ def fog_field_m(weather: Mapping[str, Any]) -> float:
     return float(f"{min(CLEAR_M, float(seen)) if seen else CLEAR_M:.6g}")
 
 
-def told(weather: Mapping[str, Any]) -> str:
+def reported(weather: Mapping[str, Any]) -> str:
     """What holds, in a line of HTML."""
     parts = []
     if weather.get("visibility_m"):

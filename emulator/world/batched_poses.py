@@ -25,7 +25,7 @@ CHUNK = 8
 "Least number of neighbouring rays that are tested as one cone."
 MOST_CHUNKS = 512
 REMEMBER_S = 1e-9
-"A stretch is looked up anew so long before its end, and as a share of the time."
+"A stretch is looked up again so long before its end, and as a share of the time."
 ROUNDING = 1e-9
 "Of cosines: far more than their rounding, and 4e-5 rad about the middle of a distant sphere."
 MANY = 4096

@@ -23,7 +23,7 @@ from emulator.world.motion import Floats, Motion, Waypoints
 WINDOW_S = 1.0
 CELL_M = 64.0
 MARGIN = 1e-6
-"Share, and metres, against rounding; times of 1e9 s and coordinates of 1e9 m are told apart to 1e-7 of their units."
+"Share, and metres, against rounding; times of 1e9 s and coordinates of 1e9 m are resolved to 1e-7 of their units."
 KEPT = 16
 "Choices kept: one for each sensor that looks at the scene."
 FEW = 4
@@ -61,8 +61,8 @@ class BroadPhase:
         return chosen
 
     def _chosen(self, low: Floats, high: Floats, reach_m: float, begin_s: float, end_s: float) -> Longs:
-        spare = MARGIN * (1.0 + max(abs(begin_s), abs(end_s)))
-        begin, end = begin_s - spare, end_s + spare
+        spare_room = MARGIN * (1.0 + max(abs(begin_s), abs(end_s)))
+        begin, end = begin_s - spare_room, end_s + spare_room
         now = self._batched.during(begin, end)
         start = now.at + (begin - now.since) * now.velocity
         half = now.velocity * ((end - begin) / 2.0)

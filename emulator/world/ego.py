@@ -20,7 +20,7 @@ from emulator.world.scene import motion_of
 STEP_S = 1e-4
 "Rates are differences over this time, from the instant on."
 FASTEST_M_S = 400.0
-"Faster is a jump, of which no sensor of a vehicle tells."
+"Faster is a jump, of which no sensor of a vehicle knows."
 SLOWEST_M_S = 0.1
 "Slower, the steering angle does not follow from the motion; it stays."
 
@@ -54,7 +54,7 @@ class EgoMotion:
         self._last = EgoState()
 
     def feed(self, world_of: Callable[[str, int], World]) -> None:
-        """From now on `world_of` says what a feed tells of the actor around an instant."""
+        """From now on `world_of` says where a feed has the actor around an instant."""
         self._world_of = world_of
         self._motion = Fed(self._now, self.actor, self._motion, None)
 

@@ -74,8 +74,8 @@ def _maps(found: Judged, textures: Textures, raw: Raw, spans: list[Span], wanted
                 target[here] = _attribute(found, primitive, f"TEXCOORD_{key}", ("VEC2",), count)
         if "COLOR_0" in primitive["attributes"]:
             colour[here] = _attribute(found, primitive, "COLOR_0", ("VEC3", "VEC4"), count)[:, :3]
-    told = tuple(parts[name][0] if name in parts else PartMaps() for name in raw[3])
-    return MeshMaps(uv, normal_uv, colour, tuple(textures.pictures), told)
+    reported = tuple(parts[name][0] if name in parts else PartMaps() for name in raw[3])
+    return MeshMaps(uv, normal_uv, colour, tuple(textures.pictures), reported)
 
 
 def _attribute(found: Judged, primitive: dict[str, Any], key: str, kinds: tuple[str, ...], count: int) -> Floats:

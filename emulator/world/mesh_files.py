@@ -1,7 +1,7 @@
 """Mesh files (glTF, GLB, OBJ, STL, PLY) to triangles with named parts, in this project's axes.
 
 Belongs here: which reader reads what, what a header promises, axes. Not: glTF (gltf_guard, gltf_file), OBJ (obj_file),
-checks of the triangles (triangles), the process in which strangers' files are read (reading_apart).
+checks of the triangles (triangles), the process in which untrusted files are read (reading_apart).
 
 Axes: x forward, y left, z up, metres. glTF is defined with +y up, +z forward and -x right (glTF 2.0, 3.4): its
 (x, y, z) becomes (z, x, y). OBJ, STL and PLY define no axes and are taken as they are, z up; `up="y"` turns them like
@@ -48,7 +48,7 @@ def load(
 
     `wanted`: parts of which colours and normals are read too; None: of none.
 
-    Files that a stranger may have made are read by `reading_apart`, in a process of its own.
+    Files that an untrusted party may have made are read by `reading_apart`, in a process of its own.
     """
     suffix = path.suffix.lower()
     if suffix not in UP:
@@ -87,8 +87,8 @@ def load(
         raise SceneError(f"{where}: {path.name}: {error}") from None
     except Exception as error:  # readers of broken files fail in every way there is
         reason = " ".join((getattr(error, "strerror", None) or str(error)).split()) or type(error).__name__
-        told = f"{where}: {path.name}: cannot be read ({reason[:200]})"
-        raise SceneError(f"{told}; want a mesh in {suffix[1:]} format") from error
+        reported = f"{where}: {path.name}: cannot be read ({reason[:200]})"
+        raise SceneError(f"{reported}; want a mesh in {suffix[1:]} format") from error
 
 
 def _vertex_colours(path: Path, suffix: str, count: int) -> NDArray[np.float64] | None:

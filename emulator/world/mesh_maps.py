@@ -273,10 +273,10 @@ def parts_told(parts: Sequence[PartMaps]) -> list[list[Any]]:
     ]
 
 
-def parts_read(told: list[list[Any]], pictures: int) -> tuple[PartMaps, ...]:
+def parts_read(reported: list[list[Any]], pictures: int) -> tuple[PartMaps, ...]:
     """From JSON; `ValueError` for what cannot be."""
     found = []
-    for c, cs, ct, r, g, b, n, ns, nt, scale in told:
+    for c, cs, ct, r, g, b, n, ns, nt, scale in reported:
         if not (-1 <= int(c) < pictures and -1 <= int(n) < pictures):
             raise ValueError("pictures")
         factor = float(r), float(g), float(b)

@@ -297,6 +297,6 @@ def file_bytes(name: str) -> bytes:
 
 
 def write_all(folder: Path) -> None:
-    """Write every file anew: after a change of this module."""
+    """Write every file again: after a change of this module."""
     for name in (*MODELS, "yard"):
         (folder / f"{name}.glb").write_bytes(file_bytes(name))

@@ -4,8 +4,9 @@ Belongs here: the text format, as far as shapes and names go. Not: other formats
 triangles (triangles). trimesh is not used for these: it drops the names of groups, and of materials whose library is
 missing, and does not keep the order of the file.
 
-The text is read in pieces of some megabytes, the numbers of each by arrays. What a piece has that arrays cannot read,
-a word that is no number for one, is looked for line by line, to be told by its number.
+The text is read in pieces of some megabytes, the numbers of each with numpy arrays. What a piece has that arrays
+cannot read,
+a word that is no number for one, is looked for line by line, to be reported by its number.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ Longs = NDArray[np.int64]
 FLAT_RAD = 1e-5
 "Faces that differ by less are one plane: a circle of so flat facets has half a million of them."
 MOST_PIECES = 512
-"Connected pieces of a mesh that are told apart; a mesh with more counts as one that may cross itself."
+"Connected pieces of a mesh that are distinguished; a mesh with more counts as one that may cross itself."
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class Outline:
     "(p, 3) box of each piece."
     high_m: Floats
     crosses: bool
-    "Too many pieces to tell apart."
+    "Too many pieces to distinguish."
 
 
 def outline(geometry: Geometry, face_material: NDArray[np.integer]) -> Outline:

@@ -16,7 +16,7 @@ from emulator.live.tracks import Track, World, together
 from emulator.world.motion import Floats, Vector, matrix_of
 
 Longs = NDArray[np.int64]
-SPARE_M = 1e-6
+MARGIN_M = 1e-6
 "Against rounding, beside a share as large."
 
 
@@ -65,7 +65,7 @@ class Bounds:
         # a cubic leaves its chord by less than what is travelled in its step; beyond the last sample a twist is as fast
         beyond = np.clip(end_s - self._last[which], 0.0, self._hold[which])
         radius = self._half[which] + self._fastest[which] * (self._step[which] + beyond)
-        return self._middle[which], radius * (1.0 + SPARE_M) + SPARE_M
+        return self._middle[which], radius * (1.0 + MARGIN_M) + MARGIN_M
 
 
 class Placings:
@@ -131,7 +131,7 @@ class Placings:
         middle = low + (high - low) / 2.0
         off = paths - middle[:, :, None]
         away = np.sqrt(np.einsum("ikn,ikn->kn", off, off).max(axis=1))
-        return middle, away * (1.0 + SPARE_M) + SPARE_M
+        return middle, away * (1.0 + MARGIN_M) + MARGIN_M
 
     def around(self, motions: Sequence[Body]) -> tuple[Floats, Floats]:
         """Centres (3, k) and radii (k,) that hold origins of bodies meanwhile, without looking where they are."""

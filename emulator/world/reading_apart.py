@@ -5,7 +5,8 @@ and the limits (budgets).
 
 The process is forked, so that it costs milliseconds; it is asked for one file after the other by a line of JSON, and
 answers with a line of JSON and plain arrays of numbers, which are judged before they are taken: nothing it says is
-run. Whatever ends it, a fault of a library or a limit of the kernel, costs that file, and is told in one line. Where
+run. Whatever ends it, a fault of a library or a limit of the kernel, costs that file, and is reported in one line.
+Where
 there is no fork, files are read in place; where the kernel keeps no limit of memory (macOS), the limits of `budgets` on
 what a file may ask for are the only ones.
 """
@@ -37,7 +38,7 @@ from emulator.world.triangles import Geometry
 
 MOST_HEAD = 64_000_000
 "Bytes of the line in front of the arrays: names of parts, or what is wrong."
-PATIENCE, PATIENCE_S = 20, 60.0
+TIME_LIMIT, TIME_LIMIT_S = 20, 60.0
 "A process that waits for its disk, or for other programs, is given so many times its processor time, or that."
 PR_SET_PDEATHSIG = 1
 "linux/prctl.h."
@@ -61,7 +62,7 @@ class Spent:
 
 
 class Reader:
-    """Reads mesh files of strangers; to be closed, or used in a `with`. The process starts with the first file."""
+    """Reads untrusted mesh files; to be closed, or used in a `with`. The process starts with the first file."""
 
     def __init__(self, budget: MeshBudget | None = None) -> None:
         self.budget = mesh_budget() if budget is None else budget
@@ -91,8 +92,8 @@ class Reader:
             return self._ask({**asked, "wanted": maps}, place)
         except TimeoutError:
             self.close()
-            told = f"not read within {self._patience_s:g} s; want a file on a disk that answers {raised('cpu_s')}"
-            raise SceneError(f"{place}: {told}") from None
+            reported = f"not read within {self._time_limit_s:g} s; want a file on a disk that answers {raised('cpu_s')}"
+            raise SceneError(f"{place}: {reported}") from None
         except SceneError:
             raise
         except (EOFError, OSError):
@@ -128,11 +129,11 @@ class Reader:
             _child(theirs, parent, self.budget)
         theirs.close()
         self._pid, self._line = pid, ours
-        ours.settimeout(self._patience_s)
+        ours.settimeout(self._time_limit_s)
 
     @property
-    def _patience_s(self) -> float:
-        return max(PATIENCE_S, float(PATIENCE * self.budget.cpu_s))
+    def _time_limit_s(self) -> float:
+        return max(TIME_LIMIT_S, float(TIME_LIMIT * self.budget.cpu_s))
 
     def _ask(self, request: dict[str, Any], place: str) -> Geometry:
         assert self._line is not None
@@ -145,7 +146,7 @@ class Reader:
             if head["ok"] is not True:
                 if head["ok"] is None:  # out of memory: what is left of it is not worth keeping
                     self.close()
-                raise SceneError(str(head["told"]))
+                raise SceneError(str(head["reported"]))
             return self._geometry(head)
         except (ValueError, LookupError, TypeError, RecursionError) as error:
             if isinstance(error, SceneError):
@@ -179,10 +180,10 @@ class Reader:
             raise ValueError("pictures")
         uv, normal_uv, colour = (self._take(8 * vertices * k).view(np.float64).reshape(-1, k) for k in (2, 2, 3))
         pictures = tuple(self._take(3 * h * w).reshape(h, w, 3) for h, w in sizes)
-        told = parts_read(head["parts"], len(pictures))
-        if len(told) != parts:
+        reported = parts_read(head["parts"], len(pictures))
+        if len(reported) != parts:
             raise ValueError("parts")
-        return MeshMaps(uv, normal_uv, colour, pictures, told)
+        return MeshMaps(uv, normal_uv, colour, pictures, reported)
 
     def _take(self, size: int) -> NDArray[np.uint8]:
         """So many bytes of the answer; `EOFError` when the other end has gone."""
@@ -278,7 +279,7 @@ def _answer(line: socket.socket, asked: dict[str, Any], budget: MeshBudget) -> N
         found = mesh_files.load(Path(asked["path"]), asked["up"], asked["scale"], asked["where"], budget, wanted)
     except SceneError as error:
         short = isinstance(error.__context__, MemoryError)
-        _send(line, {"ok": None if short else False, "told": str(error)})
+        _send(line, {"ok": None if short else False, "reported": str(error)})
         return
     head: dict[str, Any] = {
         "vertices": len(found.vertices),

@@ -31,7 +31,7 @@ from emulator.world.triangles import Geometry, Ints
 
 MOST_TRIANGLES = 20_000_000
 "Of all different shapes together, unless one file may have more; 1e7 build in about a minute and 2 GB."
-MOST_TWINS_TOLD = 5
+MOST_COPLANAR_REPORTED = 5
 "Pairs of bodies that lie on each other; of more only their number."
 BOX = Shape(box=BoxShape(size_m=(1.0, 1.0, 1.0)))
 "Of an actor that nothing else is known of, scaled to its size."
@@ -183,7 +183,7 @@ def build(scenario: Scenario) -> Scene:
         builder.faults.append(f"{scenario.source}: {builder.total} triangles in all; want at most {builder.most}")
     if builder.faults:
         raise SceneError.of(builder.faults)
-    builder.tell_twins()
+    builder.report_coplanar()
     slots = () if scenario.live is None else scenario.live.slots
     return Scene(
         ("world", *(actor.id for actor in scenario.actors), *slots),
@@ -284,19 +284,19 @@ class _Builder:
                     motion = Fed(now, slot, None, Box.around(body.vertices), shape=name)
                     self.bodies[place] = replace(body, motion=motion)
             if self.faults:
-                return  # the others would be told the same
+                return  # the others would be reported the same
 
-    def tell_twins(self) -> None:
+    def report_coplanar(self) -> None:
         """Warn of resting bodies that lie on each other with other materials."""
         found = sorted(coplanar_triangles(self.bodies).items())
-        for (one, two), count in found[:MOST_TWINS_TOLD]:
+        for (one, two), count in found[:MOST_COPLANAR_REPORTED]:
             where, other = (self._scenario.label(self.places[body]) for body in (two, one))
             self.warnings.append(
                 f"{where}: {count} triangles lie on those of {other.rpartition(': ')[2]}, of another material; which"
                 " is seen is arbitrary"
             )
-        if len(found) > MOST_TWINS_TOLD:
-            rest = len(found) - MOST_TWINS_TOLD
+        if len(found) > MOST_COPLANAR_REPORTED:
+            rest = len(found) - MOST_COPLANAR_REPORTED
             self.warnings.append(f"{self._scenario.source}: {rest} more pairs of bodies have coplanar triangles")
 
     def _wanted(self, owner: Actor | WorldItem | SpawnShape) -> Wanted | None:
@@ -317,9 +317,11 @@ class _Builder:
                 raise SceneError(f"{where}: {name} has maps; want a material without them on a shape of frames")
             mine = geometry.faces[geometry.face_part == part]
             normals, colours = maps.normals, maps.reflectance is not None
-            told = mesh_maps.check(geometry.maps, part, geometry.parts[part], mine.astype(np.int64), colours, normals)
-            if told:
-                raise SceneError(f"{where}: part {told}")
+            reported = mesh_maps.check(
+                geometry.maps, part, geometry.parts[part], mine.astype(np.int64), colours, normals
+            )
+            if reported:
+                raise SceneError(f"{where}: part {reported}")
 
     def _geometry(self, shape: Shape, where: str, wanted: Wanted | None) -> Geometry:
         key = shape.model_dump_json(include={"mesh", "plane", "box", "cylinder", "sphere", "frames", "up", "scale"})
@@ -370,15 +372,15 @@ class _Builder:
             if many > self.most:
                 raise SceneError(f"{where}.meshes.{number}: {many} triangles in all; want at most {self.most}")
             first = made[0] if made else one
-            told = f"{where}.meshes.{number}: {name}"
+            reported = f"{where}.meshes.{number}: {name}"
             if len(one.vertices) != len(first.vertices) or len(one.faces) != len(first.faces):
                 found = f"{len(one.faces)} triangles on {len(one.vertices)} vertices"
                 want = f"{len(first.faces)} on {len(first.vertices)} as in the first frame"
-                raise SceneError(f"{told}: {found}; want {want}")
+                raise SceneError(f"{reported}: {found}; want {want}")
             if not np.array_equal(one.faces, first.faces) or not np.array_equal(one.face_part, first.face_part):
-                raise SceneError(f"{told}: other triangles; want those of the first frame, only vertices moved")
+                raise SceneError(f"{reported}: other triangles; want those of the first frame, only vertices moved")
             if one.parts != first.parts and len(first.parts) > 1:  # a mesh of one part may bear its file's name
-                raise SceneError(f"{told}: parts {', '.join(one.parts)}; want {', '.join(first.parts)}")
+                raise SceneError(f"{reported}: parts {', '.join(one.parts)}; want {', '.join(first.parts)}")
             made.append(one)
         first = made[0]
         frames = Frames(
@@ -400,10 +402,10 @@ class _Builder:
                 continue
             mine = geometry.face_part == part
             if len(mine) and not geometry.closed[mine].all():
-                told = (
+                reported = (
                     f"{int((mine & ~geometry.closed).sum())} of {int(mine.sum())} triangles of {geometry.parts[part]}"
                 )
-                raise SceneError(f"{where}: {told} enclose nothing for the leaves of {name}; want a closed body")
+                raise SceneError(f"{where}: {reported} enclose nothing for the leaves of {name}; want a closed body")
             cells = 2.0 * geometry.radius / leaves.cell_m
             if cells > LARGEST_WALK:
                 least = 2.0 * geometry.radius / LARGEST_WALK / leaves.cell_m * leaves.leaf_size_m

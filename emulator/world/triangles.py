@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 MOST_M = 1e10
-"Of a coordinate: float64 tells 1e-6 m apart there."
+"Of a coordinate: float64 resolves 1e-6 m there."
 SLICE = 1 << 18
 "Triangles that are worked on at a time."
 MOST_SHELLS_NESTED = 2000
@@ -74,7 +74,7 @@ def checked(
     used[indices] = True
     if not used.all():
         low, high = vertices[used].min(axis=0), vertices[used].max(axis=0)
-    if (low == high).sum() > 1:  # all on one line: told before any of them is looked at
+    if (low == high).sum() > 1:  # all on one line: reported before any of them is looked at
         raise SceneError(f"{where}: all {len(indices)} triangles have no area; want a surface")
     centre = low + (high - low) / 2.0
     local = vertices - centre

@@ -294,8 +294,8 @@ class Ars408Session(CanObjectSession):
         before = self._configuration
         self._configuration = replace(before, **asked)
         if refused:
-            told = f"SensorConfig: not settled: {', '.join(refused)}; left as it was"
-            self._drop(now_ns, DropReason.BAD_ARGUMENT, told)
+            reported = f"SensorConfig: not settled: {', '.join(refused)}; left as it was"
+            self._drop(now_ns, DropReason.BAD_ARGUMENT, reported)
         if values["Set_StoreNvm"] and values["StoreNvm"]:
             self._stored = self._configuration
             self._nvm_written = True

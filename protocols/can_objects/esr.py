@@ -199,12 +199,12 @@ class EsrSession(CanObjectSession):
         self, now_ns: int, radiating: bool, vehicle: Mapping[str, float] | None, order: Mapping[str, float]
     ) -> list[Frame]:
         rolling = self._cycle & 3
-        self._told = self.clock.told(now_ns, TICK_NS, 7)
+        self._reported = self.clock.reported(now_ns, TICK_NS, 7)
         ego = vehicle or {}
         first = self._frame(
             "Status1",
             {"RollingCount1": rolling, "CommError": int(vehicle is None), "ScanIndex": self._cycle & 0xFFFF},
-            DspTimestamp=self._told.ticks * 2,
+            DspTimestamp=self._reported.ticks * 2,
             CurveRadius=ego.get("CurveRadius", 0.0),
             YawRate=ego.get("YawRate", 0.0),
             Speed=ego.get("Speed", 0.0),

@@ -129,8 +129,8 @@ class LdmrsSession(CanObjectSession):
                 "Blind": settings.blind,
             },
         )
-        self._told = self.clock.told(measured_ns, NTP_TICK_NS, 64)
-        ntp = {"NtpSeconds": self._told.ticks >> 32, "NtpFraction": self._told.ticks & 0xFFFFFFFF}
+        self._reported = self.clock.reported(measured_ns, NTP_TICK_NS, 64)
+        ntp = {"NtpSeconds": self._reported.ticks >> 32, "NtpFraction": self._reported.ticks & 0xFFFFFFFF}
         frames = [header, self._frame("ListTime", ntp)]
         frames += [frame for group in listed for frame in group]
         count = len(frames) - (2 if settings.counts_objects_only else 0)

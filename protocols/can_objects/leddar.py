@@ -220,12 +220,12 @@ class LeddarSession(CanObjectSession):
             self._restart_raster(now_ns)
         self._once = False
         found = self._detections(table.take(table.coasting_s <= 0.0))
-        self._told = self.clock.told(measured_ns, TICK_NS, 32)
+        self._reported = self.clock.reported(measured_ns, TICK_NS, 32)
         payload = self._layout["DetectionCount"].frame(
             {
                 "NumDetections": len(found.segment),
                 "LightPower": self._light_power(),
-                "Timestamp": self._told.ticks,
+                "Timestamp": self._reported.ticks,
             }
         )
         return [Frame(self._identifier(1), payload, "DetectionCount"), *self._detection_frames(found)]
@@ -235,8 +235,8 @@ class LeddarSession(CanObjectSession):
         amplitude = AMPLITUDE_AT_10_M * reflectance * (10.0 / np.maximum(distance, 0.1)) ** 2
         amplitude *= self._light_power() / 100.0
         threshold = self._holding["threshold"] / self.THRESHOLD_SCALE
-        told = np.isfinite(distance) & self._sent_segments() & (amplitude >= threshold)
-        segments = np.flatnonzero(told)[::-1][: self._holding["max_detections"]]
+        reported = np.isfinite(distance) & self._sent_segments() & (amplitude >= threshold)
+        segments = np.flatnonzero(reported)[::-1][: self._holding["max_detections"]]
         raw = np.rint(distance[segments] * self._holding["units_per_m"]).clip(0, 0xFFFF).astype(np.int64)
         return Detections(segments.astype(np.int64), raw, amplitude[segments])
 

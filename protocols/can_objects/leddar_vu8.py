@@ -117,7 +117,7 @@ class LeddarVu8Session(LeddarSession):
             Amplitude=found.amplitude,
         )
         rows = zip(found.segment.tolist(), found.distance_raw.tolist(), found.amplitude.tolist(), strict=True)
-        self._memory.listed(rows, self._told.ticks if self._told is not None else 0, self._light_power())
+        self._memory.listed(rows, self._reported.ticks if self._reported is not None else 0, self._light_power())
         step = int(self._multi_id)
         return [Frame(self._identifier(2 + step * k), payload, "Detection") for k, payload in enumerate(payloads)]
 

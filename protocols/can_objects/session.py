@@ -20,7 +20,7 @@ from protocols.can_objects.framing import CanFraming
 from protocols.can_objects.layout import Layout, load
 from protocols.can_objects.settings import CommonSettings
 from protocols.can_objects.table import ObjectTable
-from protocols.device_clock import Told
+from protocols.device_clock import DeviceStamp
 from protocols.scan import Scan, ScanPlan
 from protocols.session import Address, DropReason, Emission, LinkKind
 from protocols.skeleton.instants import SECOND_NS, Timers, earliest
@@ -72,7 +72,7 @@ class _Bus:
     "Rest of the list that is being sent, with the time each frame takes; check headers are in."
     sweep: int | None = None
     "Sweep of the list whose first frame has not left yet."
-    told: Told | None = None
+    reported: DeviceStamp | None = None
     "Time stamp of that list."
 
 
@@ -105,7 +105,7 @@ class CanObjectSession(EventSession):
         self._list_duration_ns = 0
         self._list_end_ns = 0
         "When the list that began last will have left a bus that carries nothing else."
-        self._told: Told | None = None
+        self._reported: DeviceStamp | None = None
         "Time stamp of the latest list; set by its format."
         self._addresses: dict[tuple[int, int], Address] = {}
 
@@ -363,7 +363,7 @@ class CanObjectSession(EventSession):
         self._list_duration_ns = sum(lengths_ns) + gap_ns * (len(lengths_ns) - 1)
         self._list_end_ns = at_ns + self._list_duration_ns
         self._bus.current.extend(zip(frames, lengths_ns, strict=True))
-        self._bus.sweep, self._bus.told = scan.plan.sweep, self._told
+        self._bus.sweep, self._bus.reported = scan.plan.sweep, self._reported
         self._bus.free_ns = self._bus.hold_ns = max(self._bus.free_ns, at_ns)
         self._bus.gap_ns = gap_ns
 
@@ -375,7 +375,7 @@ class CanObjectSession(EventSession):
         end_ns = min(now_ns, bus.replies[0][0] - 1) if bus.replies else now_ns
         while current and next_ns <= end_ns:
             frame, length_ns = current.popleft()
-            self._put(out, frame, next_ns, links, sweep, bus.told, scans=int(sweep is not None))
+            self._put(out, frame, next_ns, links, sweep, bus.reported, scans=int(sweep is not None))
             sweep = None
             bus.free_ns = next_ns + length_ns
             bus.hold_ns = next_ns = bus.free_ns + gap_ns
@@ -394,7 +394,7 @@ class CanObjectSession(EventSession):
         at_ns: int,
         links: list[int],
         sweep: int | None,
-        told: Told | None = None,
+        reported: DeviceStamp | None = None,
         scans: int = 1,
     ) -> None:
         """One emission a link; the first one of a list carries the sweep, the others (`scans` 0) are its rest."""
@@ -404,7 +404,9 @@ class CanObjectSession(EventSession):
             address = self._addresses.get(key)
             if address is None:
                 address = self._addresses[key] = Address(*key)
-            out.append(Emission(at_ns, payload, address, sweep, None, label, None if sweep is None else told, scans))
+            out.append(
+                Emission(at_ns, payload, address, sweep, None, label, None if sweep is None else reported, scans)
+            )
             if sweep is not None:
                 sweep, scans = None, 0
 

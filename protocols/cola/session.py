@@ -19,7 +19,7 @@ from protocols.cola.scandata import Body, Header
 from protocols.cola.shapes import TICK_NS, Shape
 from protocols.cola.state import Held, Host
 from protocols.cola.values import ASCII, BINARY, Code, encode
-from protocols.device_clock import Told
+from protocols.device_clock import DeviceStamp
 from protocols.scan import Scan
 from protocols.session import Address, DropReason, Emission, LinkKind
 from protocols.skeleton.instants import SECOND_NS, Raster, earliest
@@ -134,9 +134,9 @@ class ColaSession(ColaAsking):
         if found is None or setup.kept_back(plan.sweep):
             self._events.unsent(self._now_ns, DropReason.KEPT, numbers, "", plan.stream)
             return
-        told = self.clock.told(end_ns if model.stamps_end else plan.start_ns, TICK_NS, 32)
-        body = self._body(plan.sweep, found, shape, told, sent_ns)
-        held = Held(plan.start_ns, sent_ns, body, told, plan.sweep, plan.stream, False)
+        reported = self.clock.reported(end_ns if model.stamps_end else plan.start_ns, TICK_NS, 32)
+        body = self._body(plan.sweep, found, shape, reported, sent_ns)
+        held = Held(plan.start_ns, sent_ns, body, reported, plan.sweep, plan.stream, False)
         self._let_go(self._now_ns)
         self._held.append(held)
         telegrams: dict[bytes, bytes] = {}
@@ -150,7 +150,7 @@ class ColaSession(ColaAsking):
             telegrams[dialect] = _event(dialect, "LMDscandata", held.body.encoded(dialect))
         held.sent = True
         if self._line_takes(address, len(telegrams[dialect]), held.due_ns):
-            one = Emission(held.due_ns, telegrams[dialect], address, held.sweep, None, "LMDscandata", held.told)
+            one = Emission(held.due_ns, telegrams[dialect], address, held.sweep, None, "LMDscandata", held.reported)
             self._outbox.put(Outgoing(address, deque([one]), is_scan=True))
         else:
             numbers = range(held.sweep, held.sweep + 1)
@@ -165,7 +165,7 @@ class ColaSession(ColaAsking):
         self._line_free_ns[address.link] = due_ns + size * 10 * SECOND_NS // self.settings.serial_baud
         return True
 
-    def _body(self, number: int, found: filters.Filtered, shape: Shape, told: Told, sent_ns: int) -> Body:
+    def _body(self, number: int, found: filters.Filtered, shape: Shape, reported: DeviceStamp, sent_ns: int) -> Body:
         settings, setup = self.settings, self._setup
         content = setup.content
         model = settings.model
@@ -178,7 +178,7 @@ class ColaSession(ColaAsking):
             status=status,
             telegrams=self.first_count + self._telegrams_made & 0xFFFF,
             scans=self.first_count + (self._telegrams_made if model.layers > 1 else number) & 0xFFFF,
-            scan_us=told.ticks,
+            scan_us=reported.ticks,
             sent_us=self.clock.ticks(sent_ns, TICK_NS, 32),
             inputs=0,
             outputs=8 if model.series == "tim" else self._watching.bits(),
@@ -189,9 +189,9 @@ class ColaSession(ColaAsking):
         return Body(
             header, found.range_m, found.intensity, found.flags, shape.start, shape.step, setup.scale,
             model.nearest_raw, content, setup.echoes(),
-            encoders=setup.encoders(told.true_ns),
+            encoders=setup.encoders(reported.true_ns),
             name=self.values["LocationName"][0],
-            date=self.date(told.true_ns) if content.time and model.sends_time else None,
+            date=self.date(reported.true_ns) if content.time and model.sends_time else None,
         )  # fmt: skip
 
     def _poll(self, request: Request) -> Answer | Refused:
@@ -222,8 +222,8 @@ class ColaSession(ColaAsking):
         held = self._held[0]
         for address, dialect in self._asking.items():
             payload = named(dialect, b"sRA", b"LMDscandata", held.body.encoded(dialect))
-            sweep, told = (None, None) if held.sent else (held.sweep, held.told)
-            self._outbox.send(Emission(due_ns, frame(dialect, payload), address, sweep, None, "LMDscandata", told))
+            sweep, reported = (None, None) if held.sent else (held.sweep, held.reported)
+            self._outbox.send(Emission(due_ns, frame(dialect, payload), address, sweep, None, "LMDscandata", reported))
             held.sent = True
         self._asking.clear()
 

@@ -20,7 +20,7 @@ from protocols.cola.scandata import Body
 from protocols.cola.settings import Settings
 from protocols.cola.shapes import TICK_NS, Setup, Shape
 from protocols.cola.watching import Watching
-from protocols.device_clock import Told
+from protocols.device_clock import DeviceStamp
 from protocols.session import Address, Emission
 from protocols.skeleton.instants import SECOND_NS
 from protocols.skeleton.requests import RequestSession
@@ -42,7 +42,7 @@ class Held:
     start_ns: int
     due_ns: int
     body: Body
-    told: Told
+    reported: DeviceStamp
     sweep: int
     stream: int | None
     sent: bool

@@ -102,8 +102,8 @@ def answer(payload: bytes, identity: Callable[[str], str]) -> tuple[bytes, bool]
     kind, _, rest = payload.partition(b" ")
     name, _, data = rest.partition(b" ")
     if kind == b"sRN" and name == b"DeviceIdent":
-        told = _text(identity("sensor_name")) + _text(identity("firmware_version"))
-        return b"sRA DeviceIdent " + told, True
+        reported = _text(identity("sensor_name")) + _text(identity("firmware_version"))
+        return b"sRA DeviceIdent " + reported, True
     if kind == b"sMN" and name == b"SetAccessMode":
         if len(data) != 1 + len(CLIENT):
             return _error(INVALID_DATA), False

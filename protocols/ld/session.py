@@ -386,7 +386,7 @@ class LdSession(TimedSession):
             self._unsent(now_ns, DropReason.STALE, item.sweep)
             return
         revolution = revolution_of(item, self.device, geometry, rotation, self.first_count)
-        told = self.clock.told(item.start_ns, CLOCK_TICK_NS, 16)
+        reported = self.clock.reported(item.start_ns, CLOCK_TICK_NS, 16)
         wanted = False
         for channel in self._channels.values():
             profiles = channel.profiles
@@ -401,7 +401,7 @@ class LdSession(TimedSession):
             sent = channel.telegram(
                 payload, profiles.route, item.end_ns, self.device, sweep=item.sweep, label=f"{GET_PROFILE_REPLY:04X}"
             )
-            sent.emissions[0] = replace(sent.emissions[0], told=told)
+            sent.emissions[0] = replace(sent.emissions[0], reported=reported)
             self._outbox.put(sent)
             self._copy_to_monitor(channel, payload, item)
             if profiles.left is not None:

@@ -81,8 +81,8 @@ class LdrobotSession(TurningSession, OneWaySession):
         samples, plan = self._samples(scan.plan.sweep), scan.plan
         last_s = samples.after_s[SAMPLES - 1 :: SAMPLES]
         after_ns = np.ceil(1e9 * last_s).astype(np.int64)
-        told = [self.clock.told(plan.start_ns + int(after), TICK_NS, STAMP_BITS) for after in after_ns]
-        stamps = np.array([one.device_ns // int(TICK_NS) for one in told])
+        reported = [self.clock.reported(plan.start_ns + int(after), TICK_NS, STAMP_BITS) for after in after_ns]
+        stamps = np.array([one.device_ns // int(TICK_NS) for one in reported])
         packets = encode_packets(
             round(360.0 * samples.hz), samples.angle_deg, scan.range_m[:, 0], brightness(scan), stamps,
             self.model.most_m,

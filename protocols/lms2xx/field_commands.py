@@ -180,11 +180,11 @@ def aim(device: Device, data: bytes) -> Result:
     step, count = data[0], data[1]
     angles = words(data[2:])
     pairs = list(zip(angles[0::2], angles[1::2], strict=True))[:count]
-    told = bytes((step,)) + data[2:6]
+    reported = bytes((step,)) + data[2:6]
     allowed = step in (25, 50, 100) and 1 <= count <= 3 and len(pairs) == count
     if not allowed or any(not first <= last <= 180 for first, last in pairs):
-        return declined(device, bytes((0xE9, REFUSED)) + told, f"69: {count} ranges at {step}/100 deg")
-    return device, Answer(bytes((0xE9, TAKEN)) + told)
+        return declined(device, bytes((0xE9, REFUSED)) + reported, f"69: {count} ranges at {step}/100 deg")
+    return device, Answer(bytes((0xE9, TAKEN)) + reported)
 
 
 def read_second(device: Device, data: bytes) -> Result:

@@ -12,7 +12,7 @@ from dataclasses import replace
 from enum import Enum
 from fractions import Fraction
 
-from protocols.device_clock import Told
+from protocols.device_clock import DeviceStamp
 from protocols.lms2xx import telegrams as wire
 from protocols.lms2xx.commands import KNOWN, Answer, answer, describe
 from protocols.lms2xx.device import Device, new_device, restarted
@@ -295,10 +295,10 @@ class Lms2xxSession(EventSession):
             payload = levels(slot.infringed)
         else:
             payload = encode(slot.output, measured, slot.form, slot.part, slot.comb.grid)
-        told = None
+        reported = None
         if slot.form.indices and slot.output.command != LEVELS:
-            told = self._scan_index(slot)
-            payload += bytes((told.ticks, self._telegram_index & 0xFF))
+            reported = self._scan_index(slot)
+            payload += bytes((reported.ticks, self._telegram_index & 0xFF))
         self._telegram_index += 1
         telegram = wire.reply(payload, self._device.status, self._settings.address)
         label = f"{slot.output.command:02X}"
@@ -307,7 +307,7 @@ class Lms2xxSession(EventSession):
             telegram,
             sweep=slot.first_turn,
             label=label,
-            told=told,
+            reported=reported,
             scans=slot.output.scans,
             pause=self._line.pause(due_ns, len(telegram)),
         )
@@ -325,12 +325,12 @@ class Lms2xxSession(EventSession):
         kept = Unsent(DropReason.KEPT, range(slot.first_turn, slot.end_turn, slot.comb.turns), slot.stream)
         self._tell_unsent([*self._schedule.passed_over(slot), kept], f"{slot.output.command:02X}")
 
-    def _scan_index(self, slot: Slot) -> Told:
+    def _scan_index(self, slot: Slot) -> DeviceStamp:
         """The real-time scan index at the end of a slot's scan: turns so far, and what the clock is off by."""
         end_ns = self._mirror.turn_ns(slot.end_turn)
         turns = slot.end_turn + _turns(self.clock.shown_ns(end_ns)) - _turns(end_ns - self._mirror.began_ns)
         device_ns = round(turns * INDEX_TICK_NS)
-        return Told(end_ns, device_ns, turns & 0xFF, float(INDEX_TICK_NS), 8)
+        return DeviceStamp(end_ns, device_ns, turns & 0xFF, float(INDEX_TICK_NS), 8)
 
     def next_deadline(self) -> int | None:
         """When `advance` or `take_emissions` has something to do even without input."""

@@ -275,7 +275,7 @@ class ScipDevice(RequestSession):
             carried.add(job.address)
             job.left = None if job.left is None else job.left - 1
             job.over_ns = due_ns
-            stamp = self.clock.told(plan.start_ns, TICK_NS, STAMP_BITS)
+            stamp = self.clock.reported(plan.start_ns, TICK_NS, STAMP_BITS)
             data = self.scan_block(job, stamp.ticks, *values)
             emission = Emission(
                 due_ns, data, job.address, sweep, None, job.head[:2].decode(), stamp, int(sweep is not None)

@@ -34,14 +34,14 @@ class ScipFraming(Framing):
     def with_counter(self, one: Emission, change: int) -> bytes | None:
         """The time stamp of a scan, in ms."""
         lines = one.payload.split(b"\n")
-        if one.told is None or len(lines) < 4 or len(lines[2]) != 5:
+        if one.reported is None or len(lines) < 4 or len(lines[2]) != 5:
             return None
-        stamp = encode_number(one.told.ticks + change, 4)
+        stamp = encode_number(one.reported.ticks + change, 4)
         lines[2] = stamp + line_sum(stamp)
         return b"\n".join(lines)
 
     def stale(self, old: Emission, fresh: Emission) -> bytes | None:
-        if old.told is None or fresh.told is None or old.payload[:10] != fresh.payload[:10]:
+        if old.reported is None or fresh.reported is None or old.payload[:10] != fresh.payload[:10]:
             return None
         was, now = old.payload.split(b"\n"), fresh.payload.split(b"\n")
         return b"\n".join([*now[:3], *was[3:]])

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import ClassVar, NamedTuple
 
-from protocols.device_clock import Told
+from protocols.device_clock import DeviceStamp
 from protocols.scan import Floats, Scan, ScanPlan
 from protocols.session import Address, DropReason, Emission
 from protocols.skeleton.instants import Numbered, Raster, Timers, earliest
@@ -57,7 +57,7 @@ class Telegram(NamedTuple):
     "When its first byte is sent, after the sweep's beginning."
     payload: bytes
     label: str = ""
-    told: Told | None = None
+    reported: DeviceStamp | None = None
     link: int | None = None
     "Sent to this link only; None: to the subscribers."
 
@@ -268,9 +268,9 @@ class SweepSession(TimedSession):
     def _emissions(self, plan: ScanPlan, telegrams: Iterable[Telegram], to: Address | None) -> Iterable[Emission]:
         """The first one carries the sweep, the others (`scans` 0) are further parts."""
         sweep: int | None = plan.sweep
-        for after_ns, payload, label, told, link in telegrams:
+        for after_ns, payload, label, reported, link in telegrams:
             due_ns, where = plan.start_ns + round(after_ns * self._slowed), to if link is None else Address(link, 0)
-            yield Emission(due_ns, payload, where, sweep, None, label, told, int(sweep is not None))
+            yield Emission(due_ns, payload, where, sweep, None, label, reported, int(sweep is not None))
             sweep = None
 
     def missed(self, plan: ScanPlan, now_ns: int) -> bool:

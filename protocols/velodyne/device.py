@@ -14,7 +14,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from protocols.device_clock import Told
+from protocols.device_clock import DeviceStamp
 from protocols.scan import Scan
 from protocols.session import Address, DropReason, Emission, LinkKind
 from protocols.skeleton.instants import SECOND_NS, earliest
@@ -79,10 +79,12 @@ class VelodyneDevice(RequestSession):
         """Pulses come at the run's seconds, not at those of a quartz of its own."""
         self.gps.true_ns, self.gps.own_ns = true_ns, own_ns
 
-    def told(self, at_ns: int) -> Told:
+    def reported(self, at_ns: int) -> DeviceStamp:
         """Time past the hour, as in a packet."""
         shown_ns, since_ns = self.gps.shown_ns(self.clock, at_ns)
-        return Told(at_ns, shown_ns - since_ns, shown_ns // 1000 % codec.HOUR_US, float(TICK_NS), self.clock_bits)
+        return DeviceStamp(
+            at_ns, shown_ns - since_ns, shown_ns // 1000 % codec.HOUR_US, float(TICK_NS), self.clock_bits
+        )
 
     @property
     def _packets(self) -> int:
@@ -263,18 +265,18 @@ class VelodyneDevice(RequestSession):
         """The packets of a slice: each leaves when its last laser has fired, those that see nothing do not."""
         count = self._packets
         packet_ns = self.model.packet_ns(self._used.mode)
-        told = [self.told(start_ns + at * packet_ns + self.model.stamp_ns) for at in range(count)]
+        reported = [self.reported(start_ns + at * packet_ns + self.model.stamp_ns) for at in range(count)]
         shape = (-1, count, len(piece.heads_cdeg) // count, self.model.lasers)
         firings = codec.Firings(
             piece.heads_cdeg.reshape(shape[1:3]),
-            np.array([one.ticks for one in told]),
+            np.array([one.ticks for one in reported]),
             distance.reshape(shape),
             reflectivity.reshape(shape),
         )
         data = codec.encode(self.model, self._used.mode, firings).tobytes()
         for at in np.flatnonzero(piece.sees.reshape(shape[1:3]).any(axis=1)).tolist():
             packet = data[at * codec.DATA_BYTES : (at + 1) * codec.DATA_BYTES]
-            yield Telegram((at + 1) * packet_ns, packet, "data", told[at])
+            yield Telegram((at + 1) * packet_ns, packet, "data", reported[at])
 
     def _send_dark(self, now_ns: int) -> None:
         """A slice without a laser: packets leave all the same, without returns."""
@@ -296,7 +298,7 @@ class VelodyneDevice(RequestSession):
         return codec.gprmc(self.gps.utc(now_ns) // SECOND_NS * SECOND_NS, *self.build.place_deg)
 
     def _tell_position(self, now_ns: int) -> None:
-        stamp = self.told(now_ns).ticks
+        stamp = self.reported(now_ns).ticks
         payload = codec.encode_position(stamp, self.gps.state(now_ns), self.sentence(now_ns))
         for address in self._links[1::2]:
             self._outbox.send(Emission(now_ns, payload, address, label="position"))

@@ -89,7 +89,7 @@ def _numbers(table: Mapping[str, Any], key: str, low: float, high: float, count:
     return tuple(float(value) for value in values)
 
 
-def told(model: Model) -> bytes:
+def reported(model: Model) -> bytes:
     """A header line of HTTP with the lasers, of a model that is none of the maker's; else nothing."""
     if MODELS.get(model.model) is model:
         return b""

@@ -18,7 +18,7 @@ from protocols.skeleton.receiving import Fault, Splitter
 from protocols.skeleton.requests import Answer, Command, Refused, Request
 from protocols.velodyne.codec import TURN_CDEG
 from protocols.velodyne.device import VelodyneDevice
-from protocols.velodyne.own import told
+from protocols.velodyne.own import reported
 from protocols.velodyne.settings import changed
 
 LONGEST = 8192
@@ -97,7 +97,7 @@ def _switch(on: bool) -> str:
     return "On" if on else "Off"
 
 
-def _told(what: Callable[[VelodyneDevice, int], Any]) -> Callable[[VelodyneDevice, Request], bytes]:
+def _reported(what: Callable[[VelodyneDevice, int], Any]) -> Callable[[VelodyneDevice, Request], bytes]:
     return lambda device, request: page("200 OK", json.dumps(what(device, request.now_ns)).encode(), "application/json")
 
 
@@ -129,7 +129,7 @@ def _save(device: VelodyneDevice, request: Request) -> bytes:
 def _packets(device: VelodyneDevice, request: Request) -> bytes:
     if request.address is not None:
         device.listen(request.now_ns, request.address)
-    return b"HTTP/1.1 200 OK\r\nContent-Type: application/octet-stream\r\n" + told(device.model) + b"\r\n"
+    return b"HTTP/1.1 200 OK\r\nContent-Type: application/octet-stream\r\n" + reported(device.model) + b"\r\n"
 
 
 def _front(device: VelodyneDevice, request: Request) -> bytes:
@@ -139,11 +139,13 @@ def _front(device: VelodyneDevice, request: Request) -> bytes:
 DRIVERS, MANUAL = "Nebula, MRPT", "the maker's scripts (curl examples)"
 COMMANDS: Mapping[bytes, Command] = {
     b"GET /": Command("page with the model's name", _front, MANUAL),
-    b"GET /cgi/info.json": Command("model, serial number", _told(lambda device, _: _info(device)), "public clients"),
-    b"GET /cgi/status.json": Command("GPS, motor, laser", _told(_status), MANUAL),
-    b"GET /cgi/diag.json": Command("voltages and temperatures", _told(_diag), MANUAL, "values are fixed"),
-    b"GET /cgi/settings.json": Command("settings", _told(lambda device, _: _config(device)), "public clients"),
-    b"GET /cgi/snapshot.hdl": Command("all of it", _told(_snapshot), DRIVERS),
+    b"GET /cgi/info.json": Command(
+        "model, serial number", _reported(lambda device, _: _info(device)), "public clients"
+    ),
+    b"GET /cgi/status.json": Command("GPS, motor, laser", _reported(_status), MANUAL),
+    b"GET /cgi/diag.json": Command("voltages and temperatures", _reported(_diag), MANUAL, "values are fixed"),
+    b"GET /cgi/settings.json": Command("settings", _reported(lambda device, _: _config(device)), "public clients"),
+    b"GET /cgi/snapshot.hdl": Command("all of it", _reported(_snapshot), DRIVERS),
     b"POST /cgi/setting": Command("rpm, returns, laser", _form("setting"), DRIVERS, "takes effect with the next slice"),
     b"POST /cgi/setting/fov": Command("field of view", _form("fov"), DRIVERS, "start, end"),
     b"POST /cgi/setting/phaselock": Command("phase lock", _form("phaselock"), "public clients", "enabled, offset"),

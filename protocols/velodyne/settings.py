@@ -133,6 +133,6 @@ def _set(old: Settings, path: str, key: str, text: str) -> Settings | None:
     if path in ("host", "net"):
         table = dict(getattr(old, path))
         if key in table and text.isascii() and text.isprintable() and len(text) <= 40:
-            told = tuple((table | {key: text}).items())
-            return replace(old, host=told) if path == "host" else replace(old, net=told)
+            reported = tuple((table | {key: text}).items())
+            return replace(old, host=reported) if path == "host" else replace(old, net=reported)
     return None

@@ -144,8 +144,8 @@ class YdlidarSession(TurningSession, RequestSession):
         kind = 1 | min(max(speed, 0), 127) << 1 if samples.is_whole else 0
         start_ns, after_s = scan.plan.start_ns, samples.after_s
         if kind and self.settings.has_stamps:
-            told = self.clock.told(start_ns, TICK_NS, self.clock_bits)
-            yield Telegram(0, stamp_packet(told.ticks), "stamp", told)
+            reported = self.clock.reported(start_ns, TICK_NS, self.clock_bits)
+            yield Telegram(0, stamp_packet(reported.ticks), "stamp", reported)
         last = -1
         for packet in codec.encode_packets(kind, samples.angle_deg, rows):
             last += packet[3]

@@ -45,8 +45,8 @@ print(time.perf_counter() - begin, int(kilobytes) / 1024)
 
 def start(name: str, **environment: str) -> None:
     env = {**os.environ, **environment}
-    told = subprocess.run([sys.executable, "-c", START], env=env, capture_output=True, text=True, check=True).stdout
-    seconds, megabytes = map(float, told.split())
+    reported = subprocess.run([sys.executable, "-c", START], env=env, capture_output=True, text=True, check=True).stdout
+    seconds, megabytes = map(float, reported.split())
     sys.stdout.write(f"start, {name:28s} {seconds:6.2f} s {megabytes:6.0f} MB\n")
 
 
@@ -65,8 +65,8 @@ def search(repeats: int) -> None:
         direction, long = rays.direction[order].astype(np.float32, order="C"), np.full(len(order), 1e30, np.float32)
         run = caster._built[0].run
         found[name] = min(bench_scan.times_ms(lambda: run(origin, direction, long.copy()), repeats))  # noqa: B023
-    told = ", ".join(f"{name} {ms:.2f} ms" for name, ms in found.items())
-    sys.stdout.write(f"{len(rays.order)} rays: {told}\n")
+    reported = ", ".join(f"{name} {ms:.2f} ms" for name, ms in found.items())
+    sys.stdout.write(f"{len(rays.order)} rays: {reported}\n")
 
 
 def alike(name: str, pairs: list[tuple[Scan, Scan]]) -> None:

@@ -23,7 +23,7 @@ from emulator.world import scene
 HOME = Path(scenarios.__file__).parent / "standard.yaml"
 
 
-def told(name: str, cost: Cost, whole: Cost | None = None) -> None:
+def reported(name: str, cost: Cost, whole: Cost | None = None) -> None:
     share = (
         "" if whole is None else f"  {cost.rays / whole.rays:6.1%} of the rays, {cost.ms / whole.ms:6.1%} of the time"
     )
@@ -37,9 +37,9 @@ def rules_of(bench: Bench) -> None:
 
     def against(name: str, measure: Measure) -> None:
         whole, mine = bench.costs(full, measure)
-        told(name, mine, whole)
+        reported(name, mine, whole)
 
-    told("every rule off", bench.costs(full)[0])
+    reported("every rule off", bench.costs(full)[0])
     for name, measure in rules_alone(bench).items():
         against(name, measure)
     against("all (as they come)", bench.measure(LeaveOut()))
@@ -92,7 +92,7 @@ def main() -> None:
             rules_of(bench)
     for far in (0, 10, 100, 1000, 9_900):
         bench, measure = far_actors(far)
-        told(f"LMS291, {far} far actors", bench.costs(measure)[0])
+        reported(f"LMS291, {far} far actors", bench.costs(measure)[0])
 
 
 if __name__ == "__main__":

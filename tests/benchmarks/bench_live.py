@@ -77,12 +77,12 @@ def stepped(fed: int, spawned: int, seconds: float) -> tuple[float, int]:
     trial = Trial(street(fed, spawned))
     try:
         steps = round(seconds / STEP_S)
-        told = [lines(trial.scenario, fed, spawned, STEP_S * k) for k in range(steps + 1)]
+        reported = [lines(trial.scenario, fed, spawned, STEP_S * k) for k in range(steps + 1)]
         for k in range(20):  # everything has been met once
-            _step(trial, k, told[k])
+            _step(trial, k, reported[k])
         before, begin_s = trial.instruments[0].stats.scans_measured, time.process_time()
         for k in range(20, steps + 1):
-            _step(trial, k, told[k])
+            _step(trial, k, reported[k])
         took_s = time.process_time() - begin_s
         return took_s / (seconds - 0.2), trial.instruments[0].stats.scans_measured - before
     finally:

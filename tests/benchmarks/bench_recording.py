@@ -24,7 +24,7 @@ from emulator.recording.writer import Recorder
 from emulator.scenario import scenario
 
 SECONDS = 6.0
-METHODS = ("scan", "payload", "event", "told", "close")
+METHODS = ("scan", "payload", "event", "reported", "close")
 
 
 def timed(method: Callable[..., Any], spent_ns: list[int]) -> Callable[..., Any]:

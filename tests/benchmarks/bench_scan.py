@@ -159,13 +159,13 @@ def main(repeats: int) -> None:
                                 physics=physics, mount=mount)  # fmt: skip
                 caster = measure._caster
                 assert isinstance(caster, raycast.Caster)
-                told = f"1e5 triangles, {name}, {count}, {'driving' if actors else 'at rest'}"
-                parts(told, measure, caster, plan, repeats)
+                reported = f"1e5 triangles, {name}, {count}, {'driving' if actors else 'at rest'}"
+                parts(reported, measure, caster, plan, repeats)
         hills(mesh, 171)
         for name, weather in (("clear", {}), ("fog, rain, sun", RAIN_AND_FOG)):
             for resting in (True, False):
-                told = f"street of 1e5, {name}, 61, {'at rest' if resting else 'driving'}"
-                parts(told, *of(street(Path(folder), weather, resting)), plan, repeats)
+                reported = f"street of 1e5, {name}, 61, {'at rest' if resting else 'driving'}"
+                parts(reported, *of(street(Path(folder), weather, resting)), plan, repeats)
     turn = sweep(1.0)
     measure, _ = of(scenario.load("flat_wall"))
     one = median_ms(lambda: measure(turn), repeats)

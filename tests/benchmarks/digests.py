@@ -24,8 +24,8 @@ def printed(arguments: list[str], compiled: str) -> list[str]:
     """Lines of the command."""
     environment = dict(os.environ) | {"LIDAREMU_COMPILED": compiled}
     command = [sys.executable, "-m", "emulator", *arguments]
-    told = subprocess.run(command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True, check=False)
-    return told.stdout.splitlines()
+    reported = subprocess.run(command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True, check=False)
+    return reported.stdout.splitlines()
 
 
 def digests(jobs: int, compiled: str) -> list[str]:

@@ -130,7 +130,7 @@ def test_a_slurm_script_runs_every_shard(tmp_path: Path, capsys: pytest.CaptureF
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "reported"),
     [
         (["--shard", "4/3"], "want I/N"), (["--resume"], "no campaign was begun"), (["--status"], "no campaign"),
         (["--driver", "'"], "want a command"),
@@ -138,8 +138,8 @@ def test_a_slurm_script_runs_every_shard(tmp_path: Path, capsys: pytest.CaptureF
     ],
 )  # fmt: skip
 def test_words_that_make_no_sense_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], told: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], reported: str
 ) -> None:
     (tmp_path / "c.yaml").write_text(TEXT, encoding="utf-8")
     assert main(["campaign", str(tmp_path / "c.yaml"), "--out", str(tmp_path / "out"), *words]) == 2
-    assert told in capsys.readouterr().err
+    assert reported in capsys.readouterr().err

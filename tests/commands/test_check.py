@@ -21,7 +21,7 @@ def refused(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> st
 
 
 @pytest.mark.parametrize(
-    ("that", "told"),
+    ("that", "reported"),
     [
         ("frnt.points", "sensor 'frnt'; want front"),
         ("front.pionts", "front.pionts; want points"),
@@ -29,10 +29,10 @@ def refused(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> st
         ("front.points >", "want a number"),
     ],
 )
-def test_names_in_expect(that: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_names_in_expect(that: str, reported: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     err = refused(HEAD + FRONT % "" + f"expect:\n  - {{that: '{that}', at_least: 1}}\n", tmp_path, capsys)
     assert "case.yaml:6: " in err
-    assert told in err
+    assert reported in err
 
 
 def test_faults_in_expect_and_elsewhere_are_told_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -43,7 +43,7 @@ def test_faults_in_expect_and_elsewhere_are_told_together(tmp_path: Path, capsys
 
 
 @pytest.mark.parametrize(
-    ("sensor", "told"),
+    ("sensor", "reported"),
     [
         (FRONT % ", links: ['socketcand:127.0.0.1:0/can0']", "lms2xx is not spoken on socketcand; want a link of pty"),
         (FRONT % ", links: ['can:virtual:x']", "lms2xx is not spoken on can"),
@@ -54,9 +54,9 @@ def test_faults_in_expect_and_elsewhere_are_told_together(tmp_path: Path, capsys
     ],
 )
 def test_a_link_that_the_family_does_not_speak(
-    sensor: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    sensor: str, reported: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert told in refused(HEAD + sensor, tmp_path, capsys)
+    assert reported in refused(HEAD + sensor, tmp_path, capsys)
 
 
 @pytest.mark.parametrize(

@@ -169,9 +169,9 @@ def test_a_run_says_when_it_will_end_and_at_its_end_why_it_did(
     assert (rows[0]["ends_at_s"], rows[0]["ends_by"], rows[0]["round_s"]) == (0.5, "duration_s of the scenario", None)
     assert (rows[-1]["why"], rows[-1]["ended_s"]) == ("its duration is over", 0.5)
     assert main(["run", path, "--clock", "virtual", "--no-wait", "--loop", "--duration", "1.25"]) == OK
-    told = capsys.readouterr().out.splitlines()
-    assert told[1] == "ends after 1.25 s (--duration); the world begins again every 0.5 s"
-    assert told[2] == "ended after 1.250 s: its duration is over"
+    reported = capsys.readouterr().out.splitlines()
+    assert reported[1] == "ends after 1.25 s (--duration); the world begins again every 0.5 s"
+    assert reported[2] == "ended after 1.250 s: its duration is over"
 
 
 def test_a_group_without_a_command_shows_its_help_in_lines(capsys: pytest.CaptureFixture[str]) -> None:

@@ -41,17 +41,17 @@ def test_the_exit_code_is_the_worst_verdicts(folder: Path, names: list[str], cod
 
 
 def test_several_at_once_tell_the_same_as_one_after_the_other(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    told = []
+    reported = []
     for jobs in ("1", "2"):
         assert main(["test", str(folder), "--json", "--jobs", jobs]) == 2
         rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-        told.append([{key: row[key] for key in row if key != "real_s"} for row in rows])
-    assert told[0] == told[1]
-    assert [row["verdict"] for row in told[0]] == ["failed", "passed", "error"]
-    assert len(told[0][1]["sha256"]) == 64
-    assert told[0][0]["sha256"] == told[0][1]["sha256"]
-    assert "range_at" in told[0][2]["faults"][0]
-    assert told[0][0]["expect"][0]["held"] is False
+        reported.append([{key: row[key] for key in row if key != "real_s"} for row in rows])
+    assert reported[0] == reported[1]
+    assert [row["verdict"] for row in reported[0]] == ["failed", "passed", "error"]
+    assert len(reported[0][1]["sha256"]) == 64
+    assert reported[0][0]["sha256"] == reported[0][1]["sha256"]
+    assert "range_at" in reported[0][2]["faults"][0]
+    assert reported[0][0]["expect"][0]["held"] is False
 
 
 def test_a_recording_that_ends_early_is_exit_code_4_unless_something_graver_was(
@@ -75,9 +75,9 @@ def test_a_recording_that_ends_early_is_exit_code_4_unless_something_graver_was(
     capsys.readouterr()
     extra = []
     assert outcome(4, "good") == 4
-    told = capsys.readouterr().out
-    assert "recording ended: No space left on device" in told
-    assert told.endswith("1 passed, 1 recording ended early\n")
+    reported = capsys.readouterr().out
+    assert "recording ended: No space left on device" in reported
+    assert reported.endswith("1 passed, 1 recording ended early\n")
     suite = Tree.parse(tmp_path / "r.xml").getroot().find("testsuite")
     assert suite is not None
     assert (suite.get("tests"), suite.get("errors")) == ("2", "1")

@@ -87,13 +87,13 @@ def test_scenarios_tell_how_far_they_are_and_stay_the_same(terminal: Begin, scen
     drawn = shares(seen.screen)
     assert len(set(drawn)) > 20
     assert drawn == sorted(drawn)
-    told = json.loads(seen.out.getvalue())
+    reported = json.loads(seen.out.getvalue())
     seen.out.truncate(0)
     seen.out.seek(0)
     seen.screen.terminal = False
     before = len(seen.screen.getvalue())
     assert main(["test", str(scenario), "--json"]) == 0
-    assert json.loads(seen.out.getvalue())["sha256"] == told["sha256"]
+    assert json.loads(seen.out.getvalue())["sha256"] == reported["sha256"]
     assert len(seen.screen.getvalue()) == before
 
 

@@ -29,32 +29,32 @@ STATUS: dict[str, Any] = {
 
 
 def test_a_table_has_a_row_a_sensor_and_a_row_for_each_further_link() -> None:
-    told = lines_of(STATUS)
-    assert told[0] == "street: 12.3 s, real clock, ends at 30 s"
-    assert told[2].split() == "sensor scans rate dropped replies late p99 silent link in out".split()
-    assert told[3].split() == "front 664 37.50/s 3 8 1.23 ms - pty:./front 31 B 273.3 kB".split()
-    assert told[4].split() == "tcp:127.0.0.1:1 31 B 273.3 kB".split()
-    assert told[2].index("link") == told[3].index("pty:") == told[4].index("tcp:")
-    assert "front: dropped: 3 line slower than the scan rate" in told
-    assert "front: input not taken: 9 no start byte" in told
-    assert told[-2:] == ["workers: 0 ready (pid 4711)", "incidents: 2 sensor silent"]
+    reported = lines_of(STATUS)
+    assert reported[0] == "street: 12.3 s, real clock, ends at 30 s"
+    assert reported[2].split() == "sensor scans rate dropped replies late p99 silent link in out".split()
+    assert reported[3].split() == "front 664 37.50/s 3 8 1.23 ms - pty:./front 31 B 273.3 kB".split()
+    assert reported[4].split() == "tcp:127.0.0.1:1 31 B 273.3 kB".split()
+    assert reported[2].index("link") == reported[3].index("pty:") == reported[4].index("tcp:")
+    assert "front: dropped: 3 line slower than the scan rate" in reported
+    assert "front: input not taken: 9 no start byte" in reported
+    assert reported[-2:] == ["workers: 0 ready (pid 4711)", "incidents: 2 sensor silent"]
 
 
 def test_a_sensor_without_links_or_rate_has_its_row_too() -> None:
     bare = STATUS | {"sensors": [{"id": "x", "scans_sent": 0, "scans_per_s": None}], "workers": [], "ends_at_s": None}
-    told = lines_of(bare | {"paused": True, "clock": "virtual"})
-    assert told[0] == "street: 12.3 s, virtual clock, paused"
-    assert told[3].split() == ["x", "0", "-", "0", "-", "-", "-", "-", "-", "-"]
+    reported = lines_of(bare | {"paused": True, "clock": "virtual"})
+    assert reported[0] == "street: 12.3 s, virtual clock, paused"
+    assert reported[3].split() == ["x", "0", "-", "0", "-", "-", "-", "-", "-", "-"]
 
 
-TOLD = [(True, (), True), (True, ("--json",), False), (False, (), False)]
+REPORTED = [(True, (), True), (True, ("--json",), False), (False, (), False)]
 
 
 @pytest.fixture
 def daemons(monkeypatch: pytest.MonkeyPatch) -> dict[Path, Any]:
     found: dict[Path, Any] = {Path("/run/a.sock"): STATUS}
 
-    def ask(path: Path, method: str, params: Mapping[str, Any], patience_s: float = 0.0) -> object:
+    def ask(path: Path, method: str, params: Mapping[str, Any], time_limit_s: float = 0.0) -> object:
         if found[path] is None:
             raise LinkError(f"{path}: no daemon answers")
         return found[path]
@@ -64,7 +64,7 @@ def daemons(monkeypatch: pytest.MonkeyPatch) -> dict[Path, Any]:
     return found
 
 
-@pytest.mark.parametrize(("terminal", "words", "table"), TOLD)
+@pytest.mark.parametrize(("terminal", "words", "table"), REPORTED)
 def test_a_terminal_gets_the_table_and_a_pipe_json(
     daemons: dict[Path, Any],
     capsys: pytest.CaptureFixture[str],
@@ -86,14 +86,14 @@ def test_which_daemon_names_the_scenarios(daemons: dict[Path, Any], capsys: pyte
     daemons[Path("/run/b.sock")] = {"clock": "real"}
     daemons[Path("/run/c.sock")] = None
     assert main(["ctl", "status"]) == 3
-    told = capsys.readouterr().err
+    reported = capsys.readouterr().err
     for part in (
         "street at /run/a.sock",
         "an older daemon at /run/b.sock",
         "does not answer at /run/c.sock",
         "--socket",
     ):
-        assert part in told
+        assert part in reported
 
 
 def test_a_step_that_brought_nothing_says_why_beside_its_json(

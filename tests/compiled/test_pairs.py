@@ -26,7 +26,7 @@ CHOOSERS = {
 "Who asks for loops, and why."
 
 
-def told() -> list[tuple[str, ...]]:
+def reported() -> list[tuple[str, ...]]:
     """Cells of the page's table."""
     text = (ROOT / "docs" / "compiled.md").read_text(encoding="utf-8")
     lines = text.partition(BEGIN)[2].partition(END)[0].strip().splitlines()
@@ -36,12 +36,12 @@ def told() -> list[tuple[str, ...]]:
 def test_the_page_has_the_steps_that_the_code_has_with_their_lines() -> None:
     at = pairs.loops_at()
     code = [pairs.row(name, one, at) for name, one in pairs.pairs().items()]
-    assert told()[0][:3] == pairs.HEAD
-    assert [cells[:3] for cells in told()[2:]] == code, "python -m tests.benchmarks.pairs prints them"
+    assert reported()[0][:3] == pairs.HEAD
+    assert [cells[:3] for cells in reported()[2:]] == code, "python -m tests.benchmarks.pairs prints them"
 
 
 def test_what_saves_less_than_3_percent_in_every_scene_has_one_form_only() -> None:
-    for step, _, _, *saved in told()[2:]:
+    for step, _, _, *saved in reported()[2:]:
         assert len(saved) == 6
         assert max(float(one) for one in saved if one != "-") >= pairs.LEAST_SAVED, step
 

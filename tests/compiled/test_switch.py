@@ -23,13 +23,13 @@ pytest.importorskip("numba")
 
 
 @pytest.fixture(autouse=True)
-def _looked_anew() -> Iterator[None]:
+def _looked_again() -> Iterator[None]:
     switch._loops.cache_clear()
     yield
     switch._loops.cache_clear()  # what a test pretended is not found by the next one
 
 
-def told(**environment: str) -> str:
+def reported(**environment: str) -> str:
     """Whether a process of its own uses them."""
     code = "from emulator.compiled.switch import kernels; print(kernels() is not None)"
     env = {**os.environ, **environment}
@@ -37,8 +37,8 @@ def told(**environment: str) -> str:
 
 
 def test_the_environment_leaves_them_out() -> None:
-    assert told(LIDAREMU_COMPILED="0") == "False\n"
-    assert told(LIDAREMU_COMPILED="1") == "True\n"
+    assert reported(LIDAREMU_COMPILED="0") == "False\n"
+    assert reported(LIDAREMU_COMPILED="1") == "True\n"
 
 
 def test_without_numba_arrays_do_it(monkeypatch: pytest.MonkeyPatch) -> None:

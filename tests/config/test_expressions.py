@@ -128,7 +128,7 @@ def test_missing_values_of_a_series_compare_false_one_by_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("1e400 > 1", "1e400"),
         ("a.b(1e400) > 1", "1e400"),
@@ -137,6 +137,6 @@ def test_missing_values_of_a_series_compare_false_one_by_one() -> None:
         ("p(a.b, a.b) > 0", "0..100"),
     ],
 )
-def test_numbers_that_are_none_are_told_before_a_run(text: str, told: str) -> None:
-    with pytest.raises(ExpressionError, match=told):
+def test_numbers_that_are_none_are_told_before_a_run(text: str, reported: str) -> None:
+    with pytest.raises(ExpressionError, match=reported):
         parse(text)

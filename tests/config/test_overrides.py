@@ -24,7 +24,7 @@ def read(*overrides: str) -> Scenario:
     return loads(TEXT, Path("test.yaml"), overrides)
 
 
-def told(*overrides: str) -> str:
+def reported(*overrides: str) -> str:
     with pytest.raises(ScenarioError) as caught:
         read(*overrides)
     return str(caught.value)
@@ -89,11 +89,11 @@ def test_the_last_of_several_changes_holds_and_null_takes_away() -> None:
     ],
 )
 def test_a_change_that_cannot_be_is_told_with_its_text(override: str, message: str) -> None:
-    assert told(override).startswith(message)
+    assert reported(override).startswith(message)
 
 
 def test_all_changes_that_cannot_be_are_told_at_once() -> None:
-    assert len(told("x", "sensors.frnt.a=1", "schema.y=2").splitlines()) == 3
+    assert len(reported("x", "sensors.frnt.a=1", "schema.y=2").splitlines()) == 3
 
 
 def test_a_change_mends_a_fault_of_the_file() -> None:
@@ -125,8 +125,8 @@ def test_null_takes_away_a_list_and_a_key_that_may_not_be_null() -> None:
     assert read(changes).weather.changes
     assert read(changes, "weather.changes=null").weather.changes == ()
     assert read("seed=4", "seed=null").seed == read().seed
-    assert "sensors[0].id: missing" in told("sensors.front.id=null")
-    assert "did you mean weather?" in told("wether=null")
+    assert "sensors[0].id: missing" in reported("sensors.front.id=null")
+    assert "did you mean weather?" in reported("wether=null")
 
 
 def test_null_ends_weather_within_a_change() -> None:

@@ -67,7 +67,7 @@ def test_items_of_lists_are_named_by_their_id_where_it_is_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("a: [1, 2\nb: 3", "file.yaml:2: not YAML: "),
         ("a: 1\n b: 2", "file.yaml:2: not YAML: "),
@@ -81,12 +81,12 @@ def test_items_of_lists_are_named_by_their_id_where_it_is_one() -> None:
         ("\n".join("  " * k + "a:" for k in range(60)), "file.yaml:33: nested more than 32 deep"),
     ],
 )
-def test_what_cannot_be_read_is_told_with_its_line(text: str, told: str) -> None:
-    assert refused(text).startswith(told)
+def test_what_cannot_be_read_is_told_with_its_line(text: str, reported: str) -> None:
+    assert refused(text).startswith(reported)
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("a: 1\nb: 2\na: 3", "file.yaml:3: a: given twice, first in line 1; want each key only once"),
         ("x: {1: a, '1': b}", "file.yaml:1: x.1: given twice, first in line 1; want each key only once"),
@@ -99,10 +99,10 @@ def test_what_cannot_be_read_is_told_with_its_line(text: str, told: str) -> None
         ("a: " + "1" * 50, "file.yaml:1: a: a number of 50 digits; want at most 40"),
     ],
 )
-def test_what_is_not_plain_data_is_told_and_the_rest_is_read(text: str, told: str) -> None:
+def test_what_is_not_plain_data_is_told_and_the_rest_is_read(text: str, reported: str) -> None:
     source = read(text)
     assert len(source.faults) == 1
-    assert source.faults[0].startswith(told)
+    assert source.faults[0].startswith(reported)
 
 
 def test_aliases_that_multiply_are_stopped() -> None:
@@ -117,18 +117,18 @@ def test_aliases_that_nest_are_stopped() -> None:
 
 
 def test_files_that_cannot_be_read_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def told(path: Path) -> str:
+    def reported(path: Path) -> str:
         with pytest.raises(ScenarioError) as caught:
             yaml_lines.read(path, ScenarioError)
         return str(caught.value).replace(str(tmp_path), "")
 
     (tmp_path / "latin.yaml").write_bytes(b"a: 1\nb: \xe4\n")
     (tmp_path / "big.yaml").write_text("a: 1\n")
-    assert told(tmp_path / "none.yaml") == "/none.yaml:1: no such file; want a YAML file"
-    assert told(tmp_path) == ":1: no such file; want a YAML file"
-    assert told(tmp_path / "latin.yaml") == "/latin.yaml:2: byte 0xe4 is not UTF-8; want UTF-8"
+    assert reported(tmp_path / "none.yaml") == "/none.yaml:1: no such file; want a YAML file"
+    assert reported(tmp_path) == ":1: no such file; want a YAML file"
+    assert reported(tmp_path / "latin.yaml") == "/latin.yaml:2: byte 0xe4 is not UTF-8; want UTF-8"
     monkeypatch.setattr(yaml_lines, "MAX_BYTES", 3)
-    assert told(tmp_path / "big.yaml") == "/big.yaml:1: 5 bytes; want at most 3"
+    assert reported(tmp_path / "big.yaml") == "/big.yaml:1: 5 bytes; want at most 3"
 
 
 def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
@@ -140,10 +140,10 @@ def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
 @settings(max_examples=cases(300), deadline=None)
 def test_any_text_is_read_or_refused(text: str) -> None:
     try:
-        told = read(text).faults
+        reported = read(text).faults
     except ScenarioError as error:
-        told = (str(error),)
-    assert all(fault.startswith("file.yaml:") for fault in told)
+        reported = (str(error),)
+    assert all(fault.startswith("file.yaml:") for fault in reported)
 
 
 plain = st.recursive(

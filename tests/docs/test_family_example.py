@@ -170,8 +170,8 @@ def test_it_hears_nothing_and_tells_of_it(spin: ModuleType) -> None:
     session = spin.FAMILY.new_session({"turn_hz": 20}, {})
     session.power_on(0)
     session.receive(b"hello", spin.BOOT_NS)
-    told = [(one.reason, one.count) for one in session.take_events() if isinstance(one, Dropped)]
-    assert told == [(DropReason.UNKNOWN_COMMAND, 5)]
+    reported = [(one.reason, one.count) for one in session.take_events() if isinstance(one, Dropped)]
+    assert reported == [(DropReason.UNKNOWN_COMMAND, 5)]
     assert session.next_plan().period_ns == 50_000_000
     with pytest.raises(DeviceSettingError, match=r"turn_hz: 7; want 5 \| 10 \| 20"):
         spin.FAMILY.new_session({"turn_hz": 7}, {})

@@ -57,8 +57,8 @@ def test_the_tables_have_every_key() -> None:
 def test_the_table_has_every_feed() -> None:
     wanted = set(re.findall(r"[a-z-]+(?=:)", WANT_FEED)) - {"unix"}
     rows = [row for row in PAGE[PAGE.index("| `feed` |") :].split("\n\n")[0].splitlines()[2:]]
-    told = {one for row in rows for one in re.findall(r"`([a-z-]+)(?=[:`])", row.split("|")[1])}
-    assert wanted | {"control"} == told
+    reported = {one for row in rows for one in re.findall(r"`([a-z-]+)(?=[:`])", row.split("|")[1])}
+    assert wanted | {"control"} == reported
 
 
 def test_the_feeder_of_the_page_feeds(tmp_path: Path) -> None:
@@ -98,7 +98,7 @@ def test_ctl_tells_of_poses() -> None:
 def test_limits_of_a_feed_are_those_of_the_code() -> None:
     text = " ".join((ROOT / "SECURITY.md").read_text(encoding="utf-8").split())
     text = text[text.index("A feed of poses is untrusted input") :].partition("- **")[0]
-    for told, most in (
+    for reported, most in (
         (f"{receivers.MOST_RATE} updates a second", 5000),
         (f"{json_lines.MOST_BYTES / 1e6:.0f} MB a JSON line", 4),
         (f"{esmini.MOST_MESSAGE >> 20} MiB an OSI message", 64),
@@ -111,7 +111,7 @@ def test_limits_of_a_feed_are_those_of_the_code() -> None:
         (f"`live.actors.statics` (at most {MOST_STATICS})", 2000),
         ("10 000 km", samples.MOST_M / 1e7),
     ):
-        assert told in text, most
+        assert reported in text, most
     assert osi.MOST_OBJECTS == json_lines.MOST_ACTORS == 10_000
     assert samples.MOST_M == 1e7
     assert lockstep.MOST_OSI == esmini.MOST_MESSAGE

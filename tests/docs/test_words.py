@@ -49,6 +49,8 @@ OURS = {
     r"turns? a second|scans? a second|bytes? a second": "per",
 }
 """Home-made word, and what to write instead."""
+PLAIN = re.compile(r"'(?:of ours|our own|nobody|whoever|pass(?:es|ed)? over|st(?:ands?|ood) still|gone with)'", re.IGNORECASE)
+"Plain English for a docstring, where it is no term."
 ELSEWHERE = {"scoreboard.md"}
 "Pages that a run of tests writes."
 
@@ -61,6 +63,13 @@ def left(text: str) -> list[str]:
 
 def _found(ours: str, text: str) -> Iterator[re.Match[str]]:
     return re.finditer(rf"\b(?:{ours})\b", text, re.IGNORECASE)
+
+
+def notes_of(path: Path) -> Iterator[tuple[int, str]]:
+    """Line and text of every docstring of a module, and of every string under a field."""
+    for node, inside in nodes(ast.parse(path.read_text(encoding="utf-8")), None):
+        if isinstance(inside, ast.Expr) and isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.lineno, node.value
 
 
 def texts_of(path: Path, messages_alone: bool) -> Iterator[tuple[int, str]]:
@@ -126,6 +135,17 @@ def test_every_text_of_the_protocols_uses_the_words_of_the_field() -> None:
 
 def test_messages_use_the_words_of_the_field() -> None:
     found = found_in("emulator", messages_alone=True)
+    assert not found, "\n".join(found)
+
+
+def test_every_docstring_of_the_emulator_uses_the_words_of_the_field() -> None:
+    found = [
+        f"{path.relative_to(reading.ROOT)}:{line}: {word}"
+        for path in sorted((reading.ROOT / "emulator").rglob("*.py"))
+        for line, text in notes_of(path)
+        for word in left(text)
+        if not PLAIN.match(word)
+    ]
     assert not found, "\n".join(found)
 
 

@@ -254,7 +254,7 @@ def test_coplanar_twins_are_seen_once_and_told_where_their_materials_differ(tmp_
         assert measure(plan([0.0])).range_m[0, 0] == pytest.approx(10.0, abs=1e-3)
 
 
-def twins_told(folder: Path, *world: dict[str, Any], **keys: Any) -> list[str]:
+def coplanar_reported(folder: Path, *world: dict[str, Any], **keys: Any) -> list[str]:
     return [line for line in scene_from(folder, world=list(world), **keys).warnings if "arbitrary" in line]
 
 
@@ -264,18 +264,18 @@ BOX = {"box": {"size_m": [2.0, 1.0, 1.0]}, "material": "asphalt", "yaw_deg": 30.
 @pytest.mark.parametrize("at_m", [[10.0, 3.0, 0.0], [5e6, -1e7, 200.0]])
 def test_bodies_that_lie_on_each_other_are_told_where_their_materials_differ(tmp_path: Path, at_m: list[float]) -> None:
     one, two = {**BOX, "at_m": at_m}, {**BOX, "at_m": at_m, "material": "white_plaster"}
-    told = twins_told(tmp_path, one, two)
-    assert len(told) == 1
-    assert "scene.yaml:1: world[1]: 12 triangles lie on those of world[0], of another material" in told[0]
-    assert twins_told(tmp_path, one, {**two, "material": "asphalt"}) == []
+    reported = coplanar_reported(tmp_path, one, two)
+    assert len(reported) == 1
+    assert "scene.yaml:1: world[1]: 12 triangles lie on those of world[0], of another material" in reported[0]
+    assert coplanar_reported(tmp_path, one, {**two, "material": "asphalt"}) == []
     # turned half round it is the same box in other numbers, its sides halved by the other diagonals
-    assert "4 triangles" in twins_told(tmp_path, one, {**two, "yaw_deg": -150.0})[0]
-    assert twins_told(tmp_path, one, {**two, "yaw_deg": 31.0}) == []
-    assert twins_told(tmp_path, one, {**two, "at_m": [at_m[0] + 1e-4, *at_m[1:]]}) == []
+    assert "4 triangles" in coplanar_reported(tmp_path, one, {**two, "yaw_deg": -150.0})[0]
+    assert coplanar_reported(tmp_path, one, {**two, "yaw_deg": 31.0}) == []
+    assert coplanar_reported(tmp_path, one, {**two, "at_m": [at_m[0] + 1e-4, *at_m[1:]]}) == []
     # a box on a box, and one beside: the faces between them are seen from nowhere
-    assert twins_told(tmp_path, one, {**two, "at_m": [at_m[0], at_m[1], at_m[2] + 1.0]}) == []
+    assert coplanar_reported(tmp_path, one, {**two, "at_m": [at_m[0], at_m[1], at_m[2] + 1.0]}) == []
     sheet = {"plane": {"size_m": [2.0, 1.0]}, "yaw_deg": 30.0, "material": "white_plaster"}
-    assert "2 triangles" in twins_told(tmp_path, one, {**sheet, "at_m": [at_m[0], at_m[1], at_m[2] + 1.0]})[0]
+    assert "2 triangles" in coplanar_reported(tmp_path, one, {**sheet, "at_m": [at_m[0], at_m[1], at_m[2] + 1.0]})[0]
 
 
 def test_actors_that_rest_have_twins_and_those_that_move_have_none(tmp_path: Path) -> None:
@@ -284,13 +284,15 @@ def test_actors_that_rest_have_twins_and_those_that_move_have_none(tmp_path: Pat
                 "motion": {"at_m": [10.0, 0.0, 0.0], "yaw_deg": 30.0, **motion}}  # fmt: skip
 
     item = {**BOX, "at_m": [10.0, 0.0, 0.0]}
-    assert "actors.crate: 12 triangles lie on those of world[0]" in twins_told(tmp_path, item, actors=[actor()])[0]
-    assert twins_told(tmp_path, item, actors=[actor(velocity_m_s=[1.0, 0.0, 0.0])]) == []
+    assert (
+        "actors.crate: 12 triangles lie on those of world[0]" in coplanar_reported(tmp_path, item, actors=[actor()])[0]
+    )
+    assert coplanar_reported(tmp_path, item, actors=[actor(velocity_m_s=[1.0, 0.0, 0.0])]) == []
 
 
 def test_of_many_bodies_on_each_other_a_few_are_told_and_the_rest_counted(tmp_path: Path) -> None:
-    told = [{**BOX, "at_m": [10.0, 0.0, 0.0], "material": ["asphalt", "white_plaster"][k % 2]} for k in range(8)]
-    lines = scene_from(tmp_path, world=told).warnings
+    reported = [{**BOX, "at_m": [10.0, 0.0, 0.0], "material": ["asphalt", "white_plaster"][k % 2]} for k in range(8)]
+    lines = scene_from(tmp_path, world=reported).warnings
     assert len([line for line in lines if "arbitrary" in line]) == 5
     assert lines[-1] == f"{tmp_path / 'scene.yaml'}: 11 more pairs of bodies have coplanar triangles"
 
@@ -298,15 +300,15 @@ def test_of_many_bodies_on_each_other_a_few_are_told_and_the_rest_counted(tmp_pa
 def test_bodies_smaller_than_what_tells_twins_apart_are_none(tmp_path: Path) -> None:
     tiny = {"sphere": {"radius_m": 1e-8, "segments": 12}, "at_m": [1.0, 0.0, 0.0]}
     other = {**tiny, "at_m": [1.0, 0.0, 1e-8], "material": "white_plaster"}
-    assert twins_told(tmp_path, {**tiny, "material": "asphalt"}, other) == []
+    assert coplanar_reported(tmp_path, {**tiny, "material": "asphalt"}, other) == []
 
 
 def test_twins_are_not_looked_for_among_too_many_triangles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     world = [{**BOX, "at_m": [9.0, 0.0, 0.0], "material": name} for name in ("asphalt", "white_plaster")]
     monkeypatch.setattr("emulator.world.coplanar.MOST_SEARCHED", 23)
-    assert twins_told(tmp_path, *world) == []
+    assert coplanar_reported(tmp_path, *world) == []
     monkeypatch.setattr("emulator.world.coplanar.MOST_SEARCHED", 24)
-    assert len(twins_told(tmp_path, *world)) == 1
+    assert len(coplanar_reported(tmp_path, *world)) == 1
 
 
 # ------------------------------------------------------------------------------- second rays, copies, threads, batches

@@ -102,9 +102,9 @@ def test_an_echo_at_its_threshold_in_60_m_of_fog_is_the_same_in_full(seed: int, 
     fog = WeatherConfig.model_validate({"fog": {"visibility_m": 60.0}})
     scene, model, beams = random_scene(seed), MODELS[seed % 3], wide_plan(181, sweep=sweep)
     with np.errstate(all="ignore"):
-        full, spared = (
+        full, rays_saved = (
             measure_of(scene, model, fog, **one)(beams).range_m[beam]
             for one in ({"full": True}, {"leave_out": {"closed_form": "auto" if seed % 4 == 0 else "always"}})
         )
     assert np.isfinite(full).all()
-    assert spared == pytest.approx(full, abs=1e-3)
+    assert rays_saved == pytest.approx(full, abs=1e-3)

@@ -174,7 +174,7 @@ def keeps_the_contract(scan: Scan, wanted: ScanPlan) -> None:
     assert (seen[:, :-1] >= seen[:, 1:]).all()  # no gap between echoes
 
 
-def told(error: EmulatorError, *places: str) -> None:
+def reported(error: EmulatorError, *places: str) -> None:
     """A refusal says where, and what is wanted."""
     assert any(place in str(error) for place in places), str(error)
     assert "want" in str(error)
@@ -222,7 +222,7 @@ def test_whatever_is_allowed_keeps_the_contract_and_comes_twice_the_same(
     try:
         measure = loaded(text, tmp_path)
     except EmulatorError as error:
-        told(error, "drawn.yaml:1: sensors.front.physics: ", "no area")  # allowed alone and not together
+        reported(error, "drawn.yaml:1: sensors.front.physics: ", "no area")  # allowed alone and not together
         return
     scan = measure(wanted)
     keeps_the_contract(scan, wanted)
@@ -251,7 +251,7 @@ def test_a_plate_at_any_range_and_tilt_keeps_the_contract(
     try:
         measure = loaded(text, tmp_path)
     except EmulatorError as error:
-        told(error, "drawn.yaml:1: sensors.front.physics: ")
+        reported(error, "drawn.yaml:1: sensors.front.physics: ")
         return
     scan = measure(wanted)
     keeps_the_contract(scan, wanted)
@@ -285,7 +285,7 @@ def test_any_value_of_a_choice_is_taken_or_refused_by_name(tmp_path: Path, keys:
         world = scene.build(config)
         measure = build_measure(config, world, raycast.Caster(world), "front")
     except EmulatorError as error:
-        told(error, "drawn.yaml:1: sensors.front.physics")
+        reported(error, "drawn.yaml:1: sensors.front.physics")
         return
     keeps_the_contract(measure(wanted), wanted)
 

@@ -267,17 +267,17 @@ def test_weather_that_is_none_is_refused_by_name(tmp_path: Path, weather: Any) -
 
 
 # ------------------------------------------------------------------------------- wavelength
-@pytest.mark.parametrize(("wavelength_nm", "law", "told"), [
+@pytest.mark.parametrize(("wavelength_nm", "law", "reported"), [
     (532.0, "kim", True), (1550.0, "kim", False), (532.0, "ijaz", True), (1550.0, "ijaz", False),
     (532.0, "naboulsi_advection", True), (2000.0, "kruse", True),
 ])  # fmt: skip
 def test_a_law_outside_its_wavelengths_gives_its_value_and_a_warning(
-    tmp_path: Path, wavelength_nm: float, law: str, told: bool
+    tmp_path: Path, wavelength_nm: float, law: str, reported: bool
 ) -> None:
     weather = {"fog": {"visibility_m": 200.0, "law": law}}
     measure = build(tmp_path, [plate(20.0, "half")], weather=weather, physics={"wavelength_nm": wavelength_nm})
     outside = [line for line in measure.warnings if "wavelength" in line and law in line]
-    assert bool(outside) == told
+    assert bool(outside) == reported
     assert 0.0 < extinction(measure) < 0.1
     assert np.isfinite(measure(plan([0.0])).intensity).all()
 
@@ -378,7 +378,7 @@ def test_a_scan_measured_twice_is_the_same_to_the_last_bit(tmp_path: Path, noise
 
 
 # ------------------------------------------------------------------------------- refused by name
-@pytest.mark.parametrize(("keys", "told"), [
+@pytest.mark.parametrize(("keys", "reported"), [
     ({"world": [{"box": {"size_m": [1.0, 1.0, 1e10]}, "material": "white"}]}, r"world\[0\].box.size_m\[2\]"),
     ({"world": [{"sphere": {"radius_m": 1e-12}, "material": "white"}]}, r"sphere.radius_m: 1e-12; want a number >="),
     ({"world": [{**plate(20.0, "white"), "at_m": [1e300, 0.0, 0.0]}]}, r"world\[0\].at_m\[0\]: 1e\+300; want"),
@@ -398,8 +398,8 @@ def test_a_scan_measured_twice_is_the_same_to_the_last_bit(tmp_path: Path, noise
     ({"physics": {"photons": {"bin_ns": 1e-300}}}, r"physics.photons.bin_ns"),
     ({"physics": {"photons": {"pair_rate_hz": 1e30}}}, r"physics.photons.pair_rate_hz"),
 ])  # fmt: skip
-def test_what_the_model_cannot_do_is_refused_by_name(tmp_path: Path, keys: dict[str, Any], told: str) -> None:
-    with pytest.raises(EmulatorError, match=told) as caught:
+def test_what_the_model_cannot_do_is_refused_by_name(tmp_path: Path, keys: dict[str, Any], reported: str) -> None:
+    with pytest.raises(EmulatorError, match=reported) as caught:
         build(tmp_path, keys.pop("world", ()), **keys)
     assert "scene.yaml:1: " in str(caught.value)
     assert "want" in str(caught.value)

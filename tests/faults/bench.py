@@ -157,7 +157,7 @@ class Bench:
             assert np.nanmax(np.abs(scan.range_m - RANGE_M)) < 0.02
         return len(found)
 
-    def told(self, what: str) -> list[FaultEvent]:
+    def reported(self, what: str) -> list[FaultEvent]:
         """Events of faults."""
         return [event for event in self.heard.events if isinstance(event, FaultEvent) and event.what == what]
 

@@ -121,9 +121,9 @@ def test_the_ld_stamps_wrap_on_the_wire_and_the_truth_goes_on() -> None:
     starts = [one.sectors[0].start_ms for one in found]
     assert any(later < earlier for earlier, later in itertools.pairwise(starts))
     assert {(later - earlier) & 0xFFFF for earlier, later in itertools.pairwise(starts)} == {100}
-    told = [one.told for one in made.sent if one.sweep is not None and one.told is not None]
-    assert [one.ticks for one in told] == starts
-    assert {one.device_ns - one.true_ns for one in told} == {(2**32 - 250) * MS}
+    reported = [one.reported for one in made.sent if one.sweep is not None and one.reported is not None]
+    assert [one.ticks for one in reported] == starts
+    assert {one.device_ns - one.true_ns for one in reported} == {(2**32 - 250) * MS}
 
 
 def clock_of(made: Device) -> int:
@@ -154,8 +154,8 @@ def test_a_quartz_paces_the_head_and_what_it_tells() -> None:
     # by its own clock it is right: a host sees a head that turns in exactly 100 ms
     starts = [one.sectors[0].start_ms for one in profiles(made.sent)]
     assert {(later - earlier) & 0xFFFF for earlier, later in itertools.pairwise(starts)} == {100}
-    told = [one.told for one in made.sent if one.told is not None][-1]
-    assert (told.device_ns - told.true_ns) * 1e-9 == pytest.approx(told.true_ns * 1e-9 * 1e-3, abs=1e-8)
+    reported = [one.reported for one in made.sent if one.reported is not None][-1]
+    assert (reported.device_ns - reported.true_ns) * 1e-9 == pytest.approx(reported.true_ns * 1e-9 * 1e-3, abs=1e-8)
 
 
 def test_an_hour_on_a_drifting_quartz_is_exact() -> None:
@@ -249,10 +249,10 @@ def test_a_hosts_ntp_time_survives_until_power_is_lost() -> None:
     for text in ("30 00 00 00 78 56 34 12", "31 00 00 00 00 00 00 80"):
         made.put(bytes.fromhex(text), 0x50A)
     after = decoded(made, 11.0, "ldmrs.dbc", "ListTime")
-    instants = [one.told.true_ns for one in made.sent if one.told is not None][-len(after) :]
-    told = dict(zip(instants, ntp(after), strict=True))
+    instants = [one.reported.true_ns for one in made.sent if one.reported is not None][-len(after) :]
+    reported = dict(zip(instants, ntp(after), strict=True))
     late = [t for t in instants if t > SECOND]
-    assert told[late[-1]] == pytest.approx(0x12345678 + 0.5 + (late[-1] / SECOND - 1.0) * 1.0001, abs=1e-6)
+    assert reported[late[-1]] == pytest.approx(0x12345678 + 0.5 + (late[-1] / SECOND - 1.0) * 1.0001, abs=1e-6)
     made.session.power_on(11 * SECOND)
     assert ntp(decoded(made, 11.6, "ldmrs.dbc", "ListTime"))[0] == pytest.approx(0.5, abs=1e-3)
 
@@ -261,7 +261,7 @@ def test_the_esr_wraps_its_stamp_every_quarter_of_a_second_and_its_index() -> No
     made = device("can_objects", {"format": "esr"}, start_count=65_530, start_ticks=100)
     rows = decoded(made, 1.5, "esr.dbc", "Status1")
     assert [row["ScanIndex"] for row in rows[:8]] == [65_530, 65_531, 65_532, 65_533, 65_534, 65_535, 0, 1]
-    times = [one.told for one in made.sent if one.told is not None]
+    times = [one.reported for one in made.sent if one.reported is not None]
     assert [row["DspTimestamp"] for row in rows] == [one.ticks * 2 for one in times]
     assert {(b - a) % 256 for a, b in itertools.pairwise(row["DspTimestamp"] for row in rows)} == {50.0}
 
@@ -298,7 +298,7 @@ def case(clock: str) -> scenario.Scenario:
 
 
 @pytest.mark.parametrize(
-    ("clock", "told"),
+    ("clock", "reported"),
     [
         ("{drift: 5}", "case.yaml:11: sensors.top.clock.drift: unknown key; did you mean drift_ppm?"),
         ("{drift_ppm: 200000}", "sensors.top.clock.drift_ppm: 200000"),
@@ -306,10 +306,10 @@ def case(clock: str) -> scenario.Scenario:
         ("{start_count: 65536}", "sensors.top.clock.start_count: 65536"),
     ],
 )
-def test_a_clock_that_cannot_be_is_told_with_its_line(clock: str, told: str) -> None:
+def test_a_clock_that_cannot_be_is_told_with_its_line(clock: str, reported: str) -> None:
     with pytest.raises(ScenarioError) as error:
         Trial(case(clock))
-    assert told in str(error.value)
+    assert reported in str(error.value)
 
 
 def test_a_device_without_time_refuses_a_time() -> None:
@@ -324,11 +324,11 @@ def test_the_recording_has_the_truth_beside_what_was_told(tmp_path: Path) -> Non
     trial.close()
     rows = read_run(tmp_path / "run").clocks["top"]
     assert len({sweep for sweep, _ in rows}) == len(rows) > 10
-    for _, told in rows:
-        seconds = told.true_ns * 1e-9
+    for _, reported in rows:
+        seconds = reported.true_ns * 1e-9
         expected = 3.2 + seconds * 500e-6 - (0.5 if seconds > 1.0 else 0.0)
-        assert (told.device_ns - told.true_ns) * 1e-9 == pytest.approx(expected, abs=2e-9)
-        assert told.ticks == told.device_ns // MS & 0xFFFF
+        assert (reported.device_ns - reported.true_ns) * 1e-9 == pytest.approx(expected, abs=2e-9)
+        assert reported.ticks == reported.device_ns // MS & 0xFFFF
     schemas = (tmp_path / "run" / "run.mcap").read_bytes()
     assert b"lidaremu.Clock" in schemas
 

@@ -30,7 +30,7 @@ def stamps(one: Run) -> dict[float, int]:
 
 def errors_ms(one: Run, from_s: float, to_s: float) -> np.ndarray:
     """Told minus true, 16 bit as a host sees it."""
-    rows = [(told - round(at_s * 1e3)) for at_s, told in stamps(one).items() if from_s <= at_s < to_s]
+    rows = [(reported - round(at_s * 1e3)) for at_s, reported in stamps(one).items() if from_s <= at_s < to_s]
     return (np.array(rows) + 32768) % 65536 - 32768
 
 
@@ -49,14 +49,14 @@ def test_a_clock_that_jumps_stays_where_it_jumped(top: Run) -> None:
 def test_a_clock_that_jumps_may_return(top: Run) -> None:
     faulty = run("do: clock_step, by_s: 10.0, returns: true", on="top")
     assert np.all(np.abs(errors_ms(faulty, BEGIN_S, END_S) - 10_000) <= 1)
-    after = {at_s: told for at_s, told in stamps(faulty).items() if at_s >= END_S}
+    after = {at_s: reported for at_s, reported in stamps(faulty).items() if at_s >= END_S}
     assert after
-    assert after == {at_s: told for at_s, told in stamps(top).items() if at_s >= END_S}
+    assert after == {at_s: reported for at_s, reported in stamps(top).items() if at_s >= END_S}
 
 
 def test_a_clock_that_stands_tells_one_time_and_goes_on_from_there(top: Run) -> None:
     faulty = run("do: clock_stop", on="top")
-    held = [told for at_s, told in stamps(faulty).items() if BEGIN_S <= at_s < END_S]
+    held = [reported for at_s, reported in stamps(faulty).items() if BEGIN_S <= at_s < END_S]
     assert set(held) == {round(BEGIN_S * 1e3)}
     assert len(held) > 4
     assert np.all(np.abs(errors_ms(faulty, END_S, 2.0) + round((END_S - BEGIN_S) * 1e3)) <= 1)
@@ -72,9 +72,9 @@ def test_a_clock_may_begin_again_while_the_device_goes_on(to_s: str, shown_ms: i
 
 def test_a_drift_of_the_stamps_is_gained_while_it_lasts_and_kept(top: Run) -> None:
     faulty = run("do: clock_drift, ppm: 100000, drives: stamps", on="top")
-    for at_s, told in stamps(faulty).items():
+    for at_s, reported in stamps(faulty).items():
         gained = 0.1 * min(max(at_s - BEGIN_S, 0.0), END_S - BEGIN_S)
-        assert told == pytest.approx((at_s + gained) * 1e3, abs=1.0)
+        assert reported == pytest.approx((at_s + gained) * 1e3, abs=1.0)
     assert [at_ns for at_ns, _ in faulty.scans.values()] == [at_ns for at_ns, _ in top.scans.values()]
     assert heals(faulty, top)
 
@@ -87,9 +87,11 @@ def test_a_quartz_that_drifts_takes_the_schedule_with_it() -> None:
     assert held == pytest.approx([50e6 / 1.05] * 5, abs=2.0)
     assert [span for span, at_s in spans if at_s > END_S] == pytest.approx([50e6] * 5, abs=2.0)
     # by its own clock it is right: stamps step by the nominal 50 ms
-    told = list(stamps(faulty).values())
-    assert {(b - a) & 0xFFFF for a, b in itertools.pairwise(told)} <= {49, 50, 51}
-    assert sum((b - a) & 0xFFFF for a, b in itertools.pairwise(told)) == pytest.approx(50 * (len(told) - 1), abs=2)
+    reported = list(stamps(faulty).values())
+    assert {(b - a) & 0xFFFF for a, b in itertools.pairwise(reported)} <= {49, 50, 51}
+    assert sum((b - a) & 0xFFFF for a, b in itertools.pairwise(reported)) == pytest.approx(
+        50 * (len(reported) - 1), abs=2
+    )
 
 
 def test_the_index_of_an_lms_stands_and_jumps_with_its_clock() -> None:
@@ -136,5 +138,5 @@ def test_a_power_cut_takes_the_time_unless_a_battery_keeps_it(power_cycle: str, 
     verdict = trial.finish()
     trial.close()
     assert verdict.held, [(one.name, one.found) for one in verdict.judgements]
-    assert len(trial.series.sensors["top"].told) > 8
-    assert max(one.true_ns for one in trial.series.sensors["top"].told.values()) > 0.7e9
+    assert len(trial.series.sensors["top"].reported) > 8
+    assert max(one.true_ns for one in trial.series.sensors["top"].reported.values()) > 0.7e9

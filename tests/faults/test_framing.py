@@ -218,5 +218,5 @@ def test_signals_are_put_where_the_dbc_has_them() -> None:
 def test_every_format_that_counts_lists_has_its_counter_changed(name: str) -> None:
     layout = load(f"{name}.dbc")
     framing = CanFraming(layout, None)
-    told = {"ars408": "ObjListHeader", "ldmrs": "ListHeader", "esr": "Status1"}[name]
-    assert framing.with_counter(sent(bytes(8), told), 5) not in (None, bytes(8))
+    reported = {"ars408": "ObjListHeader", "ldmrs": "ListHeader", "esr": "Status1"}[name]
+    assert framing.with_counter(sent(bytes(8), reported), 5) not in (None, bytes(8))

@@ -123,10 +123,10 @@ def test_wrong_intensities_leave_the_ranges() -> None:
     words, good = faulty.echoes(), healthy.echoes()
     hit = [sweep for sweep, (at_ns, _) in faulty.scans.items() if BEGIN_S <= at_ns * 1e-9 < END_S]
     assert len(hit) > 4
-    for sweep, told in words.items():
+    for sweep, reported in words.items():
         factor = 0.5 if sweep in hit else 1.0
         whole = good[sweep] < 65535.0
-        assert told[whole] == pytest.approx(factor * good[sweep][whole], abs=1.0)
+        assert reported[whole] == pytest.approx(factor * good[sweep][whole], abs=1.0)
 
 
 def test_a_fault_by_chance_holds_in_some_sweeps() -> None:

@@ -153,9 +153,9 @@ def test_the_lms_scans_at_the_speed_of_its_motor(percent: float) -> None:
     assert [(b - a) & 255 for a, b in itertools.pairwise(indices)] == [
         (b - a) & 255 for a, b in itertools.pairwise(sweeps) if a is not None and b is not None
     ]
-    told = abs(percent) > 3.0
+    reported = abs(percent) > 3.0
     status = {one.data[-3] for one in faulty.payloads if one.sweep is not None and 0.6 < one.start_ns * 1e-9 < 0.78}
-    assert status == {0x13 if told else 0x10}
+    assert status == {0x13 if reported else 0x10}
 
 
 def test_the_ld_tells_its_motor_in_every_profile_and_its_stamps_show_it() -> None:

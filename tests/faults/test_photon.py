@@ -78,8 +78,8 @@ def test_the_lms_tells_of_its_dirty_window_in_every_telegram() -> None:
     assert {one.data[-3] for one in worse.payloads if one.sweep is not None and 0.6 < one.start_ns * 1e-9 < 0.78} == {
         0x93
     }
-    untold = run("do: dirty_window, transmission: 0.3, told: false")
-    assert {one.data[-3] for one in untold.payloads if one.sweep is not None} == {0x10}
+    unreported = run("do: dirty_window, transmission: 0.3, told: false")
+    assert {one.data[-3] for one in unreported.payloads if one.sweep is not None} == {0x10}
     assert heals(faulty, healthy)
 
 
@@ -261,13 +261,13 @@ def test_two_dirty_windows_are_dirtier_and_one_that_is_cleaned_leaves_the_other(
     faulty = run(f"do: dirty_window, transmission: 0.6}}\n  - {second}")
     status = [(one.start_ns * 1e-9, one.data[-3]) for one in faulty.payloads if one.sweep is not None]
 
-    def told(from_s: float, to_s: float) -> set[int]:
+    def reported(from_s: float, to_s: float) -> set[int]:
         return {byte for at_s, byte in status if from_s < at_s < to_s}
 
-    assert told(0.53, 0.6) == {0x92}
-    assert told(0.63, 0.8) == {0x93}  # 0.36: too dirty
-    assert told(0.83, 1.0) == {0x92}
-    assert told(1.03, 2.0) == {0x10}
+    assert reported(0.53, 0.6) == {0x92}
+    assert reported(0.63, 0.8) == {0x93}  # 0.36: too dirty
+    assert reported(0.83, 1.0) == {0x92}
+    assert reported(1.03, 2.0) == {0x10}
 
 
 def test_the_lms_tells_what_is_wrong_when_it_is_asked() -> None:

@@ -120,7 +120,7 @@ def usp_check_wrong(data: bytes) -> bool:
     return bool(UspReader(70_000).feed(data)) and not isinstance(UspReader(70_000).feed(data)[0], bytes)
 
 
-def told_length(data: bytes) -> int:
+def reported_length(data: bytes) -> int:
     return int.from_bytes(data[4:8], "big") - (len(data) - 9)
 
 
@@ -273,7 +273,7 @@ TELEGRAMS = [
     case("line", "bad_checksum", first_is(lambda data: open_frame(data) is None and data[:4] == b"\x02\x80\xd8\x02")),
     case("tcp", "bad_checksum", of_usp(usp_check_wrong)),
     case("line", "wrong_length", first_is(lambda data: int.from_bytes(data[2:4], "little") == len(data) + 1), change=7),
-    case("tcp", "wrong_length", first_is(lambda data: told_length(data) == 7), change=7),
+    case("tcp", "wrong_length", first_is(lambda data: reported_length(data) == 7), change=7),
     case("line", "wrong_counter", stepped(-4), change=5),
     case("tcp", "wrong_counter", stepped(-4), change=5),
     case("can", "wrong_counter", lists_step(6, -4), change=5, label="ObjListHeader", at_telegram=55),
@@ -397,12 +397,12 @@ def invalid(bench: Bench) -> None:
 def test_a_fault_shows_on_the_wire_and_ends(one: Case) -> None:
     bench = Bench(one.kind, one.keys)
     bench.until(one.end_s)
-    assert [event.what for event in bench.told("begin")] == ["begin"]
+    assert [event.what for event in bench.reported("begin")] == ["begin"]
     assert bench.row()["hits"] > 0
     one.shows(bench)
     bench.until(one.clean_s)
     assert bench.row()["state"] == "over"
-    assert len(bench.told("end")) == 1
+    assert len(bench.reported("end")) == 1
     lost = bench.instrument.stats.scans_dropped.copy()
     bench.until(one.clean_s + 1.1)
     assert (len(bench.sent(one.clean_s)) if one.kind == "can" else bench.decoded(one.clean_s, 10**6)) >= CLEAN[one.kind]
@@ -431,8 +431,8 @@ def test_a_lost_ack_is_missing_and_the_command_is_carried_out_all_the_same() -> 
 def test_a_lost_reply_is_asked_for_again() -> None:
     bench = Bench("tcp", {"do": "lose_reply", "on_command": "TRANS_MEASURE", "count": 1}).until(40.0)
     assert bench.row()["taken"]["replies"] == 1
-    told = [one.label for one in bench.sent(0.0, 32.0)][:4]
-    assert told == ["8102", "8403", "8102", "8404"], "lost the first time, given the second"
+    reported = [one.label for one in bench.sent(0.0, 32.0)][:4]
+    assert reported == ["8102", "8403", "8102", "8404"], "lost the first time, given the second"
     assert bench.decoded(38.0, 39.0) == 10
 
 

@@ -47,8 +47,8 @@ def test_a_scenario_of_nothing_but_values_is_refused_before_it_is_parsed(
     text: str, line: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delattr(yaml_lines, "YAML")
-    told = f"bad.yaml:{line}: more than 500000 commas, brackets, dashes and line ends; want a smaller file"
-    assert refused_scenario(text).startswith(told)
+    reported = f"bad.yaml:{line}: more than 500000 commas, brackets, dashes and line ends; want a smaller file"
+    assert refused_scenario(text).startswith(reported)
 
 
 def test_values_are_counted_while_they_are_parsed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -60,11 +60,11 @@ def test_values_are_counted_while_they_are_parsed(monkeypatch: pytest.MonkeyPatc
 
 def test_a_thousand_faults_of_a_list_look_at_its_items_once(monkeypatch: pytest.MonkeyPatch) -> None:
     looks: list[object] = []
-    told_id = yaml_lines._id
-    monkeypatch.setattr(yaml_lines, "_id", lambda item: (looks.append(item), told_id(item))[1])
-    told = refused_scenario("actors:\n" + "".join(f"- {{id: car{n}, mass: !a 1}}\n" for n in range(1000)))
-    assert told.count("\n") == 1000
-    assert "bad.yaml:1001: actors.car999.mass: tag !a; want plain data" in told
+    reported_id = yaml_lines._id
+    monkeypatch.setattr(yaml_lines, "_id", lambda item: (looks.append(item), reported_id(item))[1])
+    reported = refused_scenario("actors:\n" + "".join(f"- {{id: car{n}, mass: !a 1}}\n" for n in range(1000)))
+    assert reported.count("\n") == 1000
+    assert "bad.yaml:1001: actors.car999.mass: tag !a; want plain data" in reported
     assert len(looks) < 10_000  # a few for each fault; a million where every fault looks at all
 
 
@@ -76,7 +76,7 @@ def test_aliases_of_aliases_do_not_grow(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("[" * 500, "nested more than 32 deep"),
         ("seed: 1\nseed: 2", "given twice"),
@@ -95,8 +95,8 @@ def test_aliases_of_aliases_do_not_grow(monkeypatch: pytest.MonkeyPatch) -> None
         ("a: 1\n---\nb: 2", "a second document"),
     ],
 )
-def test_what_is_no_plain_data_is_refused_by_line(text: str, told: str) -> None:
-    assert told in refused_scenario(text)
+def test_what_is_no_plain_data_is_refused_by_line(text: str, reported: str) -> None:
+    assert reported in refused_scenario(text)
 
 
 def test_a_scenario_beyond_its_size_is_refused_before_it_is_read(tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def test_a_buffer_beside_the_mesh_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "reported"),
     [
         (
             {"accessors": [{"bufferView": 0, "componentType": 5126, "count": 10**9, "type": "VEC3"}]},
@@ -183,10 +183,10 @@ def test_a_buffer_beside_the_mesh_is_read(tmp_path: Path) -> None:
         ({"meshes": "x"}, "want a list of tables"),
     ],
 )
-def test_what_a_gltf_asks_for_must_be_there(tmp_path: Path, changes: dict[str, Any], told: str) -> None:
+def test_what_a_gltf_asks_for_must_be_there(tmp_path: Path, changes: dict[str, Any], reported: str) -> None:
     path = tmp_path / "a.gltf"
     path.write_text(json.dumps(gltf(**changes)))
-    with pytest.raises(SceneError, match=told):
+    with pytest.raises(SceneError, match=reported):
         loaded(path)
 
 
@@ -319,6 +319,6 @@ def test_commands_answer_hostile_files_with_a_line(tmp_path: Path, capsys: pytes
     (tmp_path / "a.yaml").write_text("sensors: [" * 100)
     assert main(["replay", str(tmp_path / "a.mcap")]) == 2
     assert main(["check", str(tmp_path / "a.yaml")]) == 2
-    told = capsys.readouterr().err
-    assert "Traceback" not in told
-    assert "want" in told
+    reported = capsys.readouterr().err
+    assert "Traceback" not in reported
+    assert "want" in reported

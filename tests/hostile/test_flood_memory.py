@@ -198,14 +198,14 @@ def test_answers_that_nobody_reads_are_bounded_together_and_who_reads_is_answere
     big = "x" * 100_000
     server = ControlServer(tmp_path / "control.sock", {"big": lambda _: big}, AtOnce(), limited=False)
     line = b'{"id": 1, "method": "big"}\n'
-    deaf = []
+    not_reading = []
     try:
         for _ in range(MOST_CLIENTS - 1):
-            deaf.append(socket.socket(socket.AF_UNIX))
-            deaf[-1].connect(str(server.path))
-            deaf[-1].sendall(line * 1000)
+            not_reading.append(socket.socket(socket.AF_UNIX))
+            not_reading[-1].connect(str(server.path))
+            not_reading[-1].sendall(line * 1000)
         reader = socket.socket(socket.AF_UNIX)
-        deaf.append(reader)
+        not_reading.append(reader)
         reader.settimeout(LIMIT_S)
         reader.connect(str(server.path))
         for _ in range(20):
@@ -218,7 +218,7 @@ def test_answers_that_nobody_reads_are_bounded_together_and_who_reads_is_answere
         assert sum(unread) <= MOST_UNREAD_ALL + MOST_CLIENTS * (len(big) + 100)
         assert max(unread) <= MOST_UNREAD + len(big) + 100
     finally:
-        for one in deaf:
+        for one in not_reading:
             one.close()
         server.close()
 

@@ -34,10 +34,10 @@ def refused(path: Path, budget: MeshBudget = MESH, most: int = LITTLE) -> str:
         assert tracemalloc.get_traced_memory()[1] < most
     finally:
         tracemalloc.stop()
-    told = str(caught.value)
-    assert told.startswith(f"case.yaml:3: {path.name}: ")
-    assert "\n" not in told
-    return told
+    reported = str(caught.value)
+    assert reported.startswith(f"case.yaml:3: {path.name}: ")
+    assert "\n" not in reported
+    return reported
 
 
 def written(path: Path, changes: dict[str, Any]) -> Path:
@@ -85,7 +85,7 @@ def changed(at: list[int], **indices: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "reported"),
     [
         (EMPTY, "accessor 0 of 9999999 elements without data"),
         (FOREST, "100000 triangles; want at most 99999"),
@@ -112,9 +112,11 @@ def changed(at: list[int], **indices: Any) -> dict[str, Any]:
         ({"asset": {"version": "2.0", "x": list(range(3000))}}, "commas and brackets of JSON; want at most 2000"),
     ],
 )
-def test_what_a_gltf_asks_for_is_counted_before_it_is_made(tmp_path: Path, changes: dict[str, Any], told: str) -> None:
+def test_what_a_gltf_asks_for_is_counted_before_it_is_made(
+    tmp_path: Path, changes: dict[str, Any], reported: str
+) -> None:
     budget = replace(MESH, triangles=99_999, json_values=20_000 if len(str(changes)) > 20_000 else 2000)
-    assert told in refused(written(tmp_path / "a.gltf", changes), budget)
+    assert reported in refused(written(tmp_path / "a.gltf", changes), budget)
 
 
 def test_sparse_values_are_put_in_their_places(tmp_path: Path) -> None:
@@ -139,7 +141,7 @@ def test_a_forest_within_the_budget_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         (b"[" * 1_000_000, "1000000 commas and brackets of JSON; want at most 100000"),
         (b'{"a":' * 5000 + b"1" + b"}" * 5000, "nested too deep"),
@@ -149,9 +151,9 @@ def test_a_forest_within_the_budget_is_read(tmp_path: Path) -> None:
         (b"\xff\xfe[]", "cannot be read"),
     ],
 )
-def test_json_is_counted_before_it_is_read(tmp_path: Path, text: bytes, told: str) -> None:
+def test_json_is_counted_before_it_is_read(tmp_path: Path, text: bytes, reported: str) -> None:
     (tmp_path / "a.gltf").write_bytes(text)
-    assert told in refused(tmp_path / "a.gltf", replace(MESH, json_values=100_000))
+    assert reported in refused(tmp_path / "a.gltf", replace(MESH, json_values=100_000))
 
 
 PLY = "ply\nformat {}\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n{}end_header\n"
@@ -160,7 +162,7 @@ FACES = "element face {}\nproperty list {} int vertex_indices\n"
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         (PLY.format(LITTLE_ENDIAN, 2**31, ""), "2147483648 vertices; want at most 30000000"),
         (PLY.format(LITTLE_ENDIAN, "9" * 1000, ""), "want a name and a number"),
@@ -172,9 +174,9 @@ FACES = "element face {}\nproperty list {} int vertex_indices\n"
         ("ply\n" + "comment\n" * 10_000 + "end_header\n", "no header of a PLY within 65536 bytes"),
     ],
 )
-def test_a_ply_has_room_for_what_its_header_promises(tmp_path: Path, text: str, told: str) -> None:
+def test_a_ply_has_room_for_what_its_header_promises(tmp_path: Path, text: str, reported: str) -> None:
     (tmp_path / "a.ply").write_bytes(text.encode() + CORNERS)
-    assert told in refused(tmp_path / "a.ply")
+    assert reported in refused(tmp_path / "a.ply")
 
 
 def test_a_list_of_a_ply_that_is_longer_than_the_file_is_refused(tmp_path: Path) -> None:
@@ -184,7 +186,7 @@ def test_a_list_of_a_ply_that_is_longer_than_the_file_is_refused(tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("name", "head", "size", "told"),
+    ("name", "head", "size", "reported"),
     [
         ("a.stl", bytes(80) + struct.pack("<I", 19_000_000), 84 + 50 * 19_000_000, "19000000 triangles; want at most"),
         ("a.stl", b"", 10**12, "1000000000000 bytes; want at most 1000000000"),
@@ -197,10 +199,10 @@ def test_a_list_of_a_ply_that_is_longer_than_the_file_is_refused(tmp_path: Path)
     ],
 )
 def test_a_file_of_holes_is_refused_by_its_size_alone(
-    tmp_path: Path, name: str, head: bytes, size: int, told: str
+    tmp_path: Path, name: str, head: bytes, size: int, reported: str
 ) -> None:
     line = refused(sparse(tmp_path / name, head, size), most=1_000_000)
-    assert told in line
+    assert reported in line
     assert ("allows more)" in line) == ("want at most" in line)
 
 
@@ -226,7 +228,7 @@ SQUARE = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         (SQUARE + b"f 1 2 " + b"9" * 100_000, "line 5: a number of 100000 characters; want at most 400"),
         (SQUARE + b"f 1 2 " + b"9" * 300, "line 5: 'f 1 2 999999"),
@@ -246,11 +248,11 @@ SQUARE = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 )
 @pytest.mark.parametrize("piece", [64, 4_000_000])
 def test_an_obj_is_refused_by_its_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: bytes, told: str, piece: int
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: bytes, reported: str, piece: int
 ) -> None:
     monkeypatch.setattr("emulator.world.obj_file.PIECE", piece)
     (tmp_path / "a.obj").write_bytes(text)
-    assert told in refused(tmp_path / "a.obj", replace(MESH, triangles=1000, vertices=4000, items=100))
+    assert reported in refused(tmp_path / "a.obj", replace(MESH, triangles=1000, vertices=4000, items=100))
 
 
 @pytest.mark.parametrize("piece", [1, 50, 4_000_000])
@@ -295,7 +297,7 @@ def test_solids_of_an_stl_are_its_parts(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         (b"solid\n" + b"endsolid\n" * 2, "an `endsolid` without its `solid`"),
         (b"solid a\nvertex 0 0 0\nendsolid a\n", "1 vertices of 3 numbers"),
@@ -309,9 +311,9 @@ def test_solids_of_an_stl_are_its_parts(tmp_path: Path) -> None:
         (b"solid" * 100_000, "no triangles"),
     ],
 )
-def test_an_stl_of_text_is_counted_too(tmp_path: Path, text: bytes, told: str) -> None:
+def test_an_stl_of_text_is_counted_too(tmp_path: Path, text: bytes, reported: str) -> None:
     (tmp_path / "a.stl").write_bytes(text)
-    assert told in refused(tmp_path / "a.stl", replace(MESH, items=100, vertices=4000))
+    assert reported in refused(tmp_path / "a.stl", replace(MESH, items=100, vertices=4000))
 
 
 # ---------------------------------------------------------------- what is no file
@@ -322,12 +324,12 @@ def test_what_is_no_plain_file_keeps_nobody_waiting(tmp_path: Path, suffix: str)
     os.mkfifo(tmp_path / f"fifo{suffix}")
     (tmp_path / f"folder{suffix}").mkdir()
     (tmp_path / f"zero{suffix}").symlink_to("/dev/zero")
-    for name, told in (
+    for name, reported in (
         ("fifo", "not a regular file; want one"),
         ("folder", "(Is a directory)"),
         ("zero", "not a regular"),
     ):
-        assert told in refused(tmp_path / f"{name}{suffix}")
+        assert reported in refused(tmp_path / f"{name}{suffix}")
 
 
 def test_a_buffer_that_is_a_pipe_keeps_nobody_waiting(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from protocols.ld.settings import _ip
 LONG = "9" * 100_000
 
 
-def told(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+def reported(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     """What a command says that cannot run."""
     assert main(arguments) == 2
     out, err = capsys.readouterr()
@@ -43,23 +43,23 @@ def told(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     ],
 )
 def test_a_change_of_a_scenario(change: str, want: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert want in told(["check", "flat_wall", "--set", change], capsys)
+    assert want in reported(["check", "flat_wall", "--set", change], capsys)
 
 
 @pytest.mark.parametrize("url", [f"tcp:127.0.0.1:{LONG}", f"udp:[::1]:{LONG}", f"udp:127.0.0.1:{LONG}"])
 def test_a_link(url: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "want a whole number" in told(["check", "flat_wall", "--link", f"front={url}"], capsys)
+    assert "want a whole number" in reported(["check", "flat_wall", "--link", f"front={url}"], capsys)
 
 
 @pytest.mark.parametrize("number", ["inf", "nan", "1e999", LONG, "-1", "2e9"])
 @pytest.mark.parametrize("command", [["run", "flat_wall", "--duration"], ["test", "flat_wall", "--duration"],
                                      ["run", "flat_wall", "--speed"], ["look", "pty:./a", "--duration"]])  # fmt: skip
 def test_an_option(command: list[str], number: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "Invalid value for '--" in told([*command, number], capsys)
+    assert "Invalid value for '--" in reported([*command, number], capsys)
 
 
 def test_parameters_of_an_order(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "seconds: a number of 100000 digits; want at most 40" in told(["ctl", "step", f"seconds={LONG}"], capsys)
+    assert "seconds: a number of 100000 digits; want at most 40" in reported(["ctl", "step", f"seconds={LONG}"], capsys)
     assert parameters_of(["a=" + "[" * 100_000, "b=12"]) == {"a": "[" * 100_000, "b": 12}
 
 

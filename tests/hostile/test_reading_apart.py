@@ -40,13 +40,13 @@ def square(tmp_path: Path) -> Path:
     return path
 
 
-def told_of(reader: Reader, path: Path) -> str:
+def reported_of(reader: Reader, path: Path) -> str:
     with pytest.raises(SceneError) as caught:
         reader.read(path, None, 1.0, "case.yaml:3")
-    told = str(caught.value)
-    assert told.startswith(f"case.yaml:3: {path.name}: ")
-    assert "\n" not in told
-    return told
+    reported = str(caught.value)
+    assert reported.startswith(f"case.yaml:3: {path.name}: ")
+    assert "\n" not in reported
+    return reported
 
 
 def instead(monkeypatch: pytest.MonkeyPatch, act: Callable[[], Any]) -> None:
@@ -88,7 +88,7 @@ def test_one_process_reads_all_files_and_is_gone_afterwards(reader: Reader, squa
 
 
 @pytest.mark.parametrize(
-    ("act", "told"),
+    ("act", "reported"),
     [
         (lambda: os.kill(os.getpid(), signal.SIGSEGV), "process was terminated by SIGSEGV; want a sound file"),
         (lambda: os.kill(os.getpid(), signal.SIGKILL), "was terminated by SIGKILL (out of memory?); want a sound file"),
@@ -100,10 +100,10 @@ def test_one_process_reads_all_files_and_is_gone_afterwards(reader: Reader, squa
     ],
 )
 def test_whatever_ends_the_process_is_told_and_the_next_file_is_read(
-    monkeypatch: pytest.MonkeyPatch, reader: Reader, square: Path, act: Callable[[], Any], told: str
+    monkeypatch: pytest.MonkeyPatch, reader: Reader, square: Path, act: Callable[[], Any], reported: str
 ) -> None:
     instead(monkeypatch, act)
-    assert told in told_of(reader, square.with_name("bad.obj"))
+    assert reported in reported_of(reader, square.with_name("bad.obj"))
     assert len(reader.read(square, None, 1.0, "x").faces) == 2
 
 
@@ -115,9 +115,9 @@ def test_a_process_has_its_memory_and_no_more(tmp_path: Path, monkeypatch: pytes
         file.truncate(84 + 50 * count)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     with Reader(replace(MESH, memory_bytes=150 * MB)) as reader:
-        told = told_of(reader, path)
-    assert "does not fit in memory; want a mesh that needs at most 150000000 bytes" in told
-    assert f"{MESH_LIMITS}=memory_bytes=N allows more" in told
+        reported = reported_of(reader, path)
+    assert "does not fit in memory; want a mesh that needs at most 150000000 bytes" in reported
+    assert f"{MESH_LIMITS}=memory_bytes=N allows more" in reported
     assert reader.spent[0].peak_bytes < before + 200 * MB
 
 
@@ -128,19 +128,19 @@ def test_a_process_has_its_time_and_no_more(monkeypatch: pytest.MonkeyPatch, squ
 
     instead(monkeypatch, turns)
     with Reader(replace(MESH, cpu_s=1)) as reader:
-        told = told_of(reader, square.with_name("bad.obj"))
-        assert "more than 1 s of processor time; want at most 1 s" in told
-        assert f"{MESH_LIMITS}=cpu_s=N allows more" in told
+        reported = reported_of(reader, square.with_name("bad.obj"))
+        assert "more than 1 s of processor time; want at most 1 s" in reported
+        assert f"{MESH_LIMITS}=cpu_s=N allows more" in reported
         assert reader.spent[0].cpu_s < 4.0
         assert len(reader.read(square, None, 1.0, "x").faces) == 2
 
 
 def test_a_process_that_waits_is_not_waited_for(monkeypatch: pytest.MonkeyPatch, square: Path) -> None:
-    monkeypatch.setattr(reading_apart, "PATIENCE", 0)
-    monkeypatch.setattr(reading_apart, "PATIENCE_S", 0.2)
+    monkeypatch.setattr(reading_apart, "TIME_LIMIT", 0)
+    monkeypatch.setattr(reading_apart, "TIME_LIMIT_S", 0.2)
     instead(monkeypatch, signal.pause)
     with Reader(replace(MESH, cpu_s=1)) as reader:
-        assert "not read within 0.2 s" in told_of(reader, square.with_name("bad.obj"))
+        assert "not read within 0.2 s" in reported_of(reader, square.with_name("bad.obj"))
 
 
 def test_the_time_of_one_file_is_not_that_of_the_next(monkeypatch: pytest.MonkeyPatch, square: Path) -> None:
@@ -204,7 +204,7 @@ def test_an_answer_that_is_none_is_not_taken(
 
     monkeypatch.setattr(reading_apart, "_answer", answers)
     with Reader(MESH) as reader:
-        assert "invalid answer" in told_of(reader, square)
+        assert "invalid answer" in reported_of(reader, square)
 
 
 def test_a_process_ends_with_its_parent(monkeypatch: pytest.MonkeyPatch, square: Path) -> None:

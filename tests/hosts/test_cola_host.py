@@ -153,9 +153,9 @@ def test_telegrams_are_described_field_by_field() -> None:
     assert describe(speaker, ask_b("sMN SetAccessMode", "03f4724744"))[-1].value == "3 4101130052"
     rig.put(ask_b("sEN LMDscandata", "01"))
     rig.run(200 * MS)
-    told = {row.name: row.value for row in describe(speaker, rig.sent[-1].payload)}
-    assert told["DIST1"].startswith("10000 10000")
-    assert told["scan frequency"] == "5000"
+    reported = {row.name: row.value for row in describe(speaker, rig.sent[-1].payload)}
+    assert reported["DIST1"].startswith("10000 10000")
+    assert reported["scan frequency"] == "5000"
     for data in (b"\x02", b"\xff\x02", rig.sent[-1].payload[:100], ask_b("sSN LMDscandata", "00")):
         assert describe(speaker, data)
     assert frames(rig.sent[-1].payload)[0][0] == "B"

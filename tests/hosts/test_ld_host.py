@@ -73,8 +73,8 @@ def test_angles_are_to_the_left_and_within_half_a_turn() -> None:
 
 
 def test_mode_and_motor_are_told_by_name_or_code() -> None:
-    told = {words: status_text([0x8301, 0x2000, 1, *words]) for words in ((0, 3), (0, 0x42), (0, 0xA7))}
-    assert list(told.values()) == ["measure", "rotate, motor too slow", "code 7, motor code A"]
+    reported = {words: status_text([0x8301, 0x2000, 1, *words]) for words in ((0, 3), (0, 0x42), (0, 0xA7))}
+    assert list(reported.values()) == ["measure", "rotate, motor too slow", "code 7, motor code A"]
     assert status_text([0x8301, 0x0100, 0]) == ""
 
 

@@ -75,8 +75,8 @@ def test_telegrams_are_told_as_they_leave_when_a_fault_has_changed_the_speed_of_
     bench.until(8.0)
     healthy = faultless("line", 8.0)
     assert bench.decoded(7.0, 8.0) >= 37, "the line itself is as fast as ever"
-    told, right = ([one.start_ns for one in one.heard.sent[-30:]] for one in (bench, healthy))
-    assert told == right
+    reported, right = ([one.start_ns for one in one.heard.sent[-30:]] for one in (bench, healthy))
+    assert reported == right
 
 
 def test_nothing_of_a_slow_line_is_told_behind_a_power_cut() -> None:
@@ -142,7 +142,7 @@ def test_a_telegram_that_begins_a_power_cut_does_not_leave_nor_wait(kind: str, h
         bench.until(second)
         if stats.restarts == 2 and stats.ledger.account()["under_way"]:
             break
-    cuts = [event.at_ns for event in bench.told("hit") if event.name == "power_cycle"]
+    cuts = [event.at_ns for event in bench.reported("hit") if event.name == "power_cycle"]
     assert len(cuts) == 1
     assert [one for one in bench.heard.sent if cuts[0] <= one.start_ns < cuts[0] + 500_000_000] == []
     assert stats.restarts == 2

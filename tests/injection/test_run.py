@@ -19,7 +19,7 @@ from tests.faults.bench import Bench
 
 
 def hit_times(bench: Bench, number: int = 1) -> list[float]:
-    return [event.at_ns * 1e-9 for event in bench.told("hit") if event.number == number]
+    return [event.at_ns * 1e-9 for event in bench.reported("hit") if event.number == number]
 
 
 # ---------------------------------------------------------------- triggers
@@ -88,9 +88,9 @@ def test_an_expression_begins_it_at_the_end_of_the_scan_that_shows_it_and_ends_i
 
     measuring.request = nearer  # type: ignore[method-assign]
     bench.until(2.9)
-    assert [event.at_ns * 1e-9 for event in bench.told("begin")] == [pytest.approx(2.02, abs=0.04)]
+    assert [event.at_ns * 1e-9 for event in bench.reported("begin")] == [pytest.approx(2.02, abs=0.04)]
     bench.until(5.0)
-    assert [event.at_ns * 1e-9 for event in bench.told("end")] == [pytest.approx(3.02, abs=0.04)]
+    assert [event.at_ns * 1e-9 for event in bench.reported("end")] == [pytest.approx(3.02, abs=0.04)]
     assert bench.row()["state"] == "waiting"
 
 
@@ -146,9 +146,9 @@ def test_every_scan_is_on_account(do: str) -> None:
 
 
 def test_hits_are_told_up_to_a_bound_and_all_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("emulator.injection.running.MOST_HITS_TOLD", 5)
+    monkeypatch.setattr("emulator.injection.running.MOST_HITS_REPORTED", 5)
     bench = Bench("line", {"do": "drop_telegram", "at_s": 1.0, "for_s": 1.0}).until(3.0)
-    assert len(bench.told("hit")) == 5
+    assert len(bench.reported("hit")) == 5
     assert bench.row()["hits"] > 30
 
 
@@ -179,9 +179,9 @@ def test_a_live_fault_that_cannot_be_is_told_with_what_is_allowed() -> None:
     with pytest.raises(FaultError, match=r"on: missing; want front"):
         bench.faults.add({"do": "drop_telegram"}, 0)
     for link in (99, True, -1):
-        with pytest.raises(FaultError) as told:
+        with pytest.raises(FaultError) as reported:
             bench.faults.add({"on": "front", "do": "hang", "link": link}, 0)
-        assert "\n" not in str(told.value), "one mistake, one line"
+        assert "\n" not in str(reported.value), "one mistake, one line"
     with pytest.raises(FaultError, match=r"number: 7; want none"):
         bench.faults.clear(7, 0)
     assert bench.faults.rows() == []
@@ -202,7 +202,7 @@ faults:
 
 
 @pytest.mark.parametrize(
-    ("entry", "told"),
+    ("entry", "reported"),
     [
         ("{on: front, do: drop_telegrm, at_s: 1}", "do: 'drop_telegrm'; want a fault: drop_telegram"),
         ("{on: frnt, do: drop_telegram, at_s: 1}", "on: 'frnt'; want front or one of front, ld, objects"),
@@ -233,11 +233,11 @@ faults:
         ("{on: front, do: hang, when: 1 < 2}", "when: '1 < 2': no sensor named; want something like"),
     ],
 )  # fmt: skip
-def test_a_wrong_fault_is_told_by_file_line_and_key(entry: str, told: str) -> None:
+def test_a_wrong_fault_is_told_by_file_line_and_key(entry: str, reported: str) -> None:
     with pytest.raises(ScenarioError) as caught:
         scenario.loads(HEAD + f"  - {entry}\n", Path("case.yaml"))
     lines = str(caught.value).splitlines()
-    assert [line for line in lines if line.startswith("case.yaml:9: faults[0].") and told in line], lines
+    assert [line for line in lines if line.startswith("case.yaml:9: faults[0].") and reported in line], lines
 
 
 def test_right_faults_pass_and_are_dumped_as_they_were() -> None:
@@ -309,7 +309,7 @@ def test_the_page_has_the_catalogue() -> None:
 
 def test_single_hits_now_and_then_are_told_as_hits_and_begin_once() -> None:
     bench = Bench("line", {"do": "drop_telegram", "every": 3, "of": "scans", "count": 20}).until(5.0)
-    assert [len(bench.told(what)) for what in ("begin", "hit", "end")] == [1, 20, 1]
+    assert [len(bench.reported(what)) for what in ("begin", "hit", "end")] == [1, 20, 1]
 
 
 @pytest.mark.parametrize("kind", ["line", "tcp", "can"])

@@ -27,7 +27,7 @@ def sent(sweep: int, address: Address | None = None, scans: int = 1) -> Emission
     return Emission(0, b"scan", address, sweep, scans=scans)
 
 
-def told(reason: DropReason, count: int) -> Dropped:
+def reported(reason: DropReason, count: int) -> Dropped:
     return Dropped(0, reason, count=count)
 
 
@@ -60,7 +60,7 @@ def test_numbers_that_are_passed_over_are_missing_once_the_next_has_left_and_nob
     assert sums(ledger) == (6, 2, 0, 0, 0, 4)
     ledger.tell(dropped_scans(0, DropReason.LATE, range(1, 3))[0])
     assert sums(ledger) == (6, 2, 2, 0, 0, 2)
-    ledger.tell(told(DropReason.LINE_BUSY, 2))  # without numbers
+    ledger.tell(reported(DropReason.LINE_BUSY, 2))  # without numbers
     assert ledger.account()["dropped"] == {"line slower than the scan rate": 2, "measured too late": 2}
     assert sums(ledger)[-1] == 0
 
@@ -82,7 +82,7 @@ def test_a_scan_that_was_measured_and_overtaken_is_missing() -> None:
 
 def test_drops_without_numbers_may_be_told_before_the_numbers_are_passed_over() -> None:
     ledger = measured(Ledger(), 0)
-    ledger.tell(told(DropReason.LATE, 4))
+    ledger.tell(reported(DropReason.LATE, 4))
     assert sums(ledger) == (5, 0, 4, 0, 1, 0)
     ledger.ask(plan(5))
     assert sums(ledger) == (6, 0, 4, 0, 2, 0)
@@ -90,7 +90,7 @@ def test_drops_without_numbers_may_be_told_before_the_numbers_are_passed_over() 
 
 def test_what_is_withdrawn_without_numbers_is_what_was_measured() -> None:
     ledger = measured(Ledger(), 0, 1)
-    ledger.tell(told(DropReason.STALE, 2))
+    ledger.tell(reported(DropReason.STALE, 2))
     assert sums(ledger) == (2, 0, 0, 2, 0, 0)
 
 
@@ -151,7 +151,7 @@ def test_slots_pass_by_the_clock_while_a_sweep_is_not_measured() -> None:
     ledger.wants(None)
     ledger.now_ns += 50 * PERIOD_NS
     assert sums(ledger) == (9, 0, 7, 0, 2, 0), "nothing is owed behind the end"
-    ledger.tell(told(DropReason.LATE, 7))  # a session that says so itself
+    ledger.tell(reported(DropReason.LATE, 7))  # a session that says so itself
     assert sums(ledger) == (9, 0, 7, 0, 2, 0)
 
 

@@ -255,7 +255,7 @@ SIG_VALTYPE_ 5 Real : 1;
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "reported"),
     [
         ([("actor: ego", "actor: eko")], ["vehicle_bus.actor: 'eko'; want one of ego"]),
         ([("socketcand:127.0.0.1:29536/can0", "pty:./can")], ["vehicle_bus.link: 'pty:./can'; want a link of socket"]),
@@ -285,7 +285,9 @@ SIG_VALTYPE_ 5 Real : 1;
         ),
     ],
 )
-def test_check_tells_file_line_and_key(changes: Sequence[tuple[str, str]], told: Sequence[str], tmp_path: Path) -> None:
+def test_check_tells_file_line_and_key(
+    changes: Sequence[tuple[str, str]], reported: Sequence[str], tmp_path: Path
+) -> None:
     (tmp_path / "bad.dbc").write_bytes(b"VERSION \xff\x00 BO_ x")
     text = BUS
     for old, new in changes:
@@ -293,12 +295,12 @@ def test_check_tells_file_line_and_key(changes: Sequence[tuple[str, str]], told:
         text = text.replace(old, new)
     with pytest.raises(ScenarioError) as caught:
         loads(DRIVE + text, tmp_path / "bus.yaml")
-    assert all(one in str(caught.value) for one in told), str(caught.value)
+    assert all(one in str(caught.value) for one in reported), str(caught.value)
     assert all(line.startswith(f"{tmp_path / 'bus.yaml'}:") for line in caught.value.lines)
 
 
 @pytest.mark.parametrize(
-    ("message", "told"),
+    ("message", "reported"),
     [
         ("Plain: {signals: {Speed: speed_m_s, Count: counter}}", "cycle_ms: missing, and Plain has no GenMsgCycleTime"),
         (
@@ -315,12 +317,14 @@ def test_check_tells_file_line_and_key(changes: Sequence[tuple[str, str]], told:
         ("Long: {cycle_ms: 10, signals: {Speed: speed_m_s}}", "Long has 16 bytes"),
     ],
 )
-def test_what_a_dbc_file_asks_for_and_is_not_sent_is_refused_by_name(message: str, told: str, tmp_path: Path) -> None:
+def test_what_a_dbc_file_asks_for_and_is_not_sent_is_refused_by_name(
+    message: str, reported: str, tmp_path: Path
+) -> None:
     (tmp_path / "own.dbc").write_text(E2E)
     text = f"vehicle_bus:\n  link: 'slcan:./can'\n  dbc: own.dbc\n  actor: ego\n  messages:\n    {message}\n"
     with pytest.raises(ScenarioError) as caught:
         loads(DRIVE + text, tmp_path / "bus.yaml")
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
     good = text.replace(message, "Plain: {cycle_ms: 10, signals: {Speed: speed_m_s, Count: counter}}")
     assert loads(DRIVE + good, tmp_path / "bus.yaml").vehicle_bus is not None
 

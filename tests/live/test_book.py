@@ -129,9 +129,9 @@ def test_ages_and_errors_of_extrapolation() -> None:
     book.asked(np.array([0.085, 0.09, 0.095, 0.1]))
     assert (book.ages.beams, book.ages.extrapolated) == (4, 2)
     book.take(Update(None, (at(2.05, velocity_m_s=(20.0, 0.0, 0.0)),)), 100 * MS)
-    told = book.ages.report()
-    assert told["error_mm"]["worst"] == pytest.approx(50.0, abs=0.01)  # type: ignore[index]
-    assert told["age_ms"]["worst"] == pytest.approx(10.0, abs=0.1)  # type: ignore[index]
+    reported = book.ages.report()
+    assert reported["error_mm"]["worst"] == pytest.approx(50.0, abs=0.01)  # type: ignore[index]
+    assert reported["age_ms"]["worst"] == pytest.approx(10.0, abs=0.1)  # type: ignore[index]
 
 
 def test_memory_is_bounded() -> None:
@@ -172,8 +172,8 @@ def test_who_never_heard_the_hosts_id_finds_the_ego(
     host: str | None, guess: bool, actors: tuple[tuple[str, str | None], ...], found: str | None
 ) -> None:
     book = Book(Rules(host=host, guess_host=guess), names=["me", "car"], bind={"host": "me"})
-    told = tuple(replace(at(1.0, one), name=name) for one, name in actors)
-    book.take(Update(None, told), 0)
+    reported = tuple(replace(at(1.0, one), name=name) for one, name in actors)
+    book.take(Update(None, reported), 0)
     assert book.host == found
     assert ("me" in book.actors()) == (found is not None)
     guessed = [text for _, text in book.events if "the smallest id" in text]

@@ -105,8 +105,8 @@ def test_traces_with_a_torn_end_and_packed(tmp_path: Path) -> None:
     trace = tmp_path / "a.osi"
     trace.write_bytes(one + late + one[:50])
     found = list(read("osi-trace", trace))
-    assert [told.run_ns for told in found] == [0, 1_000_000_000]
-    assert [told.known_ns for told in found] == [-1, 0]
+    assert [reported.run_ns for reported in found] == [0, 1_000_000_000]
+    assert [reported.known_ns for reported in found] == [-1, 0]
     packed = tmp_path / "b.osi"
     packed.write_bytes(gzip.compress(one))
     assert len(list(read("osi-trace", packed))) == 1
@@ -135,8 +135,8 @@ def test_mcap_with_osi(tmp_path: Path) -> None:
         channel = writer.register_channel("gt", "protobuf", schema)
         writer.add_message(channel, 0, WORKED, 0)
         writer.finish()
-    (told,) = read("osi-mcap", path)
-    assert told.update == ground_truth(WORKED)
+    (reported,) = read("osi-mcap", path)
+    assert reported.update == ground_truth(WORKED)
     path.write_bytes(b"nothing")
     with pytest.raises(ScenarioError, match="want"):
         list(read("osi-mcap", path))

@@ -124,8 +124,8 @@ def test_near_points_are_red_and_bright_ones_too_where_the_device_tells() -> Non
 def test_objects_are_drawn_where_they_are_with_their_numbers_and_listed_nearest_first() -> None:
     view = View("can-ars408")
     view.take(HostObjects(0, tuple(reversed(LIST.objects))), 0)
-    told = lines_of(view)
-    table = [line[line.index("  ") :].split() for line in told if "car" in line or " 12 " in line]
+    reported = lines_of(view)
+    table = [line[line.index("  ") :].split() for line in reported if "car" in line or " 12 " in line]
     assert table[0][-7:] == ["7", "20.0", "2.0", "-5.0", "0.5", "car", "100"]
     assert table[1][-7:] == ["12", "40.0", "-3.0", "-", "-", "-", "-"]
     picture = [line[:36] for line in view.page(80, 24, 0).drawing.lines]
@@ -234,10 +234,10 @@ def test_a_device_that_falls_silent_is_told_where_nobody_watches(monkeypatch: py
 
 
 @pytest.mark.parametrize(
-    ("title", "told"), [("LMS;S05", "LMS; S05"), ("LD \x1b[2J", "LD ?[2J"), ("", "unnamed device")]
+    ("title", "reported"), [("LMS;S05", "LMS; S05"), ("LD \x1b[2J", "LD ?[2J"), ("", "unnamed device")]
 )
-def test_a_title_is_one_line_of_printable_text(title: str, told: str) -> None:
-    assert tidy(title).startswith(told)
+def test_a_title_is_one_line_of_printable_text(title: str, reported: str) -> None:
+    assert tidy(title).startswith(reported)
 
 
 def test_keyboard_interrupt_is_an_end_as_asked() -> None:

@@ -56,7 +56,7 @@ def test_the_end_of_the_input_stops_the_run(pipe: tuple[int, list[int]], folder:
 def test_a_run_that_does_not_stop_is_killed_and_its_folder_removed(pipe: tuple[int, list[int]], folder: Path) -> None:
     reader, ends = pipe
     killed = threading.Event()
-    Leash(reader, folder, patience_s=0.0).watch(lambda: None, lambda action: None, killed.set)
+    Leash(reader, folder, time_limit_s=0.0).watch(lambda: None, lambda action: None, killed.set)
     os.close(ends.pop())
     assert killed.wait(20.0)
     assert not folder.exists()
@@ -110,7 +110,7 @@ class Ended:
     def __init__(self, words: str, code: int) -> None:
         self.stdout, self.stdin, self.returncode = io.StringIO(words), None, code
 
-    def wait(self, patience_s: float | None = None) -> int:
+    def wait(self, time_limit_s: float | None = None) -> int:
         return self.returncode
 
     poll = wait

@@ -81,16 +81,16 @@ def test_a_recording_is_known_as_one(clock: ManualClock, plug: Callable[[Line], 
     plug(Radio(clock, SCAN, lambda _: 38_400))
     found = probing.probe("pty:./x")
     assert (found.family, found.baud, found.answers) == ("lms2xx", 38_400, False)
-    assert "at 38400 baud; it sends and answers nothing" in found.told()
+    assert "at 38400 baud; it sends and answers nothing" in found.reported()
 
 
 def test_nothing_known_is_told_family_by_family(clock: ManualClock, plug: Callable[[Line], None]) -> None:
     plug(Radio(clock, b"", lambda _: 9_600))
-    told: list[str] = []
+    reported: list[str] = []
     with pytest.raises(LinkError, match=r"no sensor recognised; lms2xx: no LMS2xx answers.*; ld: no LD answers"):
-        probing.probe("pty:./x", told.append)
+        probing.probe("pty:./x", reported.append)
     families = ("lms2xx", "scip", "rplidar", "ldrobot", "ydlidar", "ld")
-    assert told[:6] == [f"pty:./x: trying {family}" for family in families]
+    assert reported[:6] == [f"pty:./x: trying {family}" for family in families]
 
 
 def test_over_tcp_an_ld_is_tried_first() -> None:

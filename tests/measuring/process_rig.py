@@ -198,7 +198,7 @@ class Rig:
         self.launch_error: OSError | None = None
         self.on_launch: Callable[[Played], None] = lambda made: None
         self.processes: list[Played] = []
-        self.told: list[str] = []
+        self.reported: list[str] = []
         names = [one.id for one in loaded.sensors]
         self.workers = Workers(Measures, names, workers, self.clock, _Stepping(self), self._launch, build_loops)
         self.builds_ns = builds_ns
@@ -206,7 +206,7 @@ class Rig:
         self.sessions = assembly.new_sessions(loaded)
         self.instruments = assembly.open_instruments(loaded, self.sessions, self.workers, loops)
         self.by_name = {one.sensor: one for one in self.instruments}
-        self.daemon = Daemon(self.instruments, self.clock, self.workers, self.told.append)
+        self.daemon = Daemon(self.instruments, self.clock, self.workers, self.reported.append)
         self.sent = Sent()
         self.ends: list[Any] = []
         self.hosts: dict[str, Any] = {}

@@ -102,8 +102,8 @@ def test_a_run_on_a_virtual_clock_ends_when_no_worker_can_be_started(
     monkeypatch.setattr(time_limits, "FIRST_PAUSE_NS", 1)
     looped = scenario.loads(CASE.replace("physics:", 'links: ["loop:front"], physics:'), Path("case.yaml"))
     daemon, instruments = assembly.start_virtual(looped, None, 1)
-    told: list[str] = []
-    daemon.on_failure = told.append
+    reported: list[str] = []
+    daemon.on_failure = reported.append
     try:
         daemon.power_on()
 
@@ -119,7 +119,7 @@ def test_a_run_on_a_virtual_clock_ends_when_no_worker_can_be_started(
         assert daemon._stop
         assert daemon.incidents.totals() == {"worker replaced": 2, "worker lost": 1}
         assert daemon.incidents.exit_code == 5
-        assert "Cannot allocate memory" in told[-1]
+        assert "Cannot allocate memory" in reported[-1]
     finally:
         daemon.close()
 

@@ -334,7 +334,7 @@ def started(play: Callable[[Played], None], clock_rig: Rig) -> Workers:
 
 
 @pytest.mark.parametrize(
-    ("play", "told"),
+    ("play", "reported"),
     [
         (lambda made: made.end(-9), r"ended with signal 9 \(SIGKILL\) while it built the scene \(out of memory\?\)"),
         (lambda made: setattr(made, "refuses", "wall.obj: no triangle"), "wall.obj: no triangle"),
@@ -342,12 +342,12 @@ def started(play: Callable[[Played], None], clock_rig: Rig) -> Workers:
     ],
 )
 def test_a_first_start_that_fails_says_why(
-    rig: Make, play: Callable[[Played], None], told: str, monkeypatch: pytest.MonkeyPatch
+    rig: Make, play: Callable[[Played], None], reported: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("emulator.process.time_limits.IDLE_BUILD_NS", 2 * SECOND)
     run = rig("front")
     run.processes.clear()
-    with pytest.raises(SceneError, match=told):
+    with pytest.raises(SceneError, match=reported):
         started(play, run)
 
 

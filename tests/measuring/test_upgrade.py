@@ -39,8 +39,8 @@ class Upgraded(Rig):
 
     def unheard(self) -> list[str]:
         """What has been told but for the beginning of building."""
-        assert self.told[0] == upgrade.BUILDING
-        return self.told[1:]
+        assert self.reported[0] == upgrade.BUILDING
+        return self.reported[1:]
 
     def sound(self, *sensors: str) -> None:
         """No scan is lost, none sent twice, nothing counts as a fault."""
@@ -140,10 +140,10 @@ def test_a_build_that_comes_to_nothing_is_told_once_and_arrays_go_on(rig: Callab
     else:
         run = rig("front", refused=OSError(errno.EAGAIN, "no room"))
         run.stream()
-        assert run.told == [upgrade.NOT_USED.format("no process can be started: no room")]
-    told = len(run.told)
+        assert run.reported == [upgrade.NOT_USED.format("no process can be started: no room")]
+    reported = len(run.reported)
     run.advance(5.0)
-    assert (len(run.told), run.forms(), len(run.processes)) == (told, ["arrays"], 1)
+    assert (len(run.reported), run.forms(), len(run.processes)) == (reported, ["arrays"], 1)
     run.sound("front")
 
 
@@ -271,7 +271,7 @@ def test_without_anything_to_build_nothing_changes() -> None:
     try:
         run.stream()
         assert [one.loops for one in run.processes] == [None]
-        assert run.told == []
+        assert run.reported == []
     finally:
         run.close()
 

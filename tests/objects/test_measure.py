@@ -18,7 +18,7 @@ from emulator.instrument.observer import Observer, Payload
 from emulator.judging.trial import Trial
 from emulator.measuring.measuring import restore, states
 from emulator.objects.measure import ObjectMeasure
-from emulator.objects.metrics import ListedScan, ObjectScore, told
+from emulator.objects.metrics import ListedScan, ObjectScore, reported
 from emulator.objects.sweeps import SessionSweeps, end_ns, sweeps_of
 from emulator.objects.truth import Witness
 from emulator.runtime import assembly
@@ -351,7 +351,7 @@ def test_figures_are_told_by_object_and_distance() -> None:
     assert {actor for actor, _ in score.by_actor_and_distance_m} == {"van", "post"}
     post = [end for actor, end in score.by_actor_and_distance_m if actor == "post"]
     assert post == [20.0, 40.0]
-    lines = list(told(score.as_json()))
+    lines = list(reported(score.as_json()))
     assert "precision recall" in lines[0]
     assert any(line.startswith("  post, up to 20 m") for line in lines)
     assert lines[-1].split()[:2] == ["all", "1.000"]

@@ -14,7 +14,7 @@ from emulator.physics.subechoes import SubEchoes
 
 
 @pytest.mark.parametrize(
-    ("keys", "told"),
+    ("keys", "reported"),
     [
         ({"half_angle_x_rad": -1e-3}, "half_angle_x_rad: -0.001; want a half angle"),
         ({"half_angle_y_rad": math.nan}, "half_angle_y_rad: nan; want a half angle"),
@@ -23,8 +23,8 @@ from emulator.physics.subechoes import SubEchoes
         ({"exit_radius_m": -1.0}, "exit_radius_m: -1.0; want a number >= 0"),
     ],
 )
-def test_a_beam_that_cannot_be_is_refused_by_name(keys: dict[str, object], told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_a_beam_that_cannot_be_is_refused_by_name(keys: dict[str, object], reported: str) -> None:
+    with pytest.raises(ValueError, match=reported):
         BeamShape(**({"half_angle_x_rad": 1e-3, "half_angle_y_rad": 1e-3} | keys))  # type: ignore[arg-type]
 
 

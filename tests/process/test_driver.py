@@ -27,7 +27,7 @@ def nested(shell: str) -> subprocess.Popen[bytes]:
 
 @pytest.mark.parametrize("shell", [ENDLESS, 'trap "" TERM; ' + ENDLESS])
 def test_children_of_a_driver_end_with_it_willing_or_not(shell: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("emulator.process.driver.PATIENCE_S", 0.2)
+    monkeypatch.setattr("emulator.process.driver.TIME_LIMIT_S", 0.2)
     driver = nested(shell)
     family = list(family_of(driver.pid))
     assert len(family) >= 2

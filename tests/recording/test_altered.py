@@ -64,7 +64,7 @@ def payloads(run: RecordedRun) -> dict[tuple[str, int], int]:
     return {key: len(wire.payloads) for key, wire in run.sent.items()}
 
 
-def told(run: RecordedRun) -> list[bytes]:
+def reported(run: RecordedRun) -> list[bytes]:
     return [one.data for _, wire in sorted(run.sent.items()) for one in wire.payloads]
 
 
@@ -94,7 +94,7 @@ def test_a_strangers_reader_finds_every_checksum_right_and_every_message_by_its_
 
 def test_a_file_cut_at_any_byte_opens_up_to_its_last_whole_chunk(finished: Path, tmp_path: Path) -> None:
     whole, ends = finished.read_bytes(), chunk_ends(finished)
-    everything = told(read_run(finished))
+    everything = reported(read_run(finished))
     cut = tmp_path / "cut.mcap"
     at_chunk: dict[int, int] = {}
     for end in ends:  # with nothing behind it
@@ -109,7 +109,7 @@ def test_a_file_cut_at_any_byte_opens_up_to_its_last_whole_chunk(finished: Path,
         least = at_chunk[max(end for end in ends if end <= size)]
         most = min((at_chunk[end] for end in ends if end > size), default=least)
         assert least <= sum(payloads(run).values()) <= most
-        assert set(told(run)) <= set(everything)
+        assert set(reported(run)) <= set(everything)
         assert isinstance(list(items(cut, Progress()))[-1], Cut)
 
 
@@ -128,7 +128,7 @@ def test_a_byte_that_was_altered_anywhere_is_found(finished: Path, tmp_path: Pat
     path = tmp_path / "run.mcap"
     path.write_bytes(finished.read_bytes()) if ended else unfinished(finished, path)
     whole, run = path.read_bytes(), read_run(path)
-    everything, rng = told(run), np.random.default_rng(6)
+    everything, rng = reported(run), np.random.default_rng(6)
     refused = 0
     for at in rng.choice(np.arange(8, len(whole)), TRIED, replace=False).tolist():
         data = bytearray(whole)
@@ -140,7 +140,7 @@ def test_a_byte_that_was_altered_anywhere_is_found(finished: Path, tmp_path: Pat
             refused += str(error).startswith(f"{path}: ")
         else:
             assert not ended, f"byte {at} of {len(whole)}"
-            found = told(run)
+            found = reported(run)
             assert found == everything or run.cut  # nothing else is taken for what was recorded
             assert set(found) <= set(everything)
     assert refused == TRIED if ended else refused > 0.9 * TRIED

@@ -47,7 +47,7 @@ expect:
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory: pytest.TempPathFactory) -> tuple[Verdict, Path, RecordedRun]:
+def reported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Verdict, Path, RecordedRun]:
     folder = tmp_path_factory.mktemp("clouds") / "run"
     trial = Trial(scenario.loads(CASE, Path("case.yaml")), record=folder)
     verdict = trial.finish()
@@ -55,8 +55,8 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> tuple[Verdict, Path, Recor
     return verdict, folder, read_run(folder)
 
 
-def test_expectations_hold_for_whole_turns_and_all_layers(told: tuple[Verdict, Path, RecordedRun]) -> None:
-    verdict = told[0]
+def test_expectations_hold_for_whole_turns_and_all_layers(reported: tuple[Verdict, Path, RecordedRun]) -> None:
+    verdict = reported[0]
     assert len(verdict.judgements) == 11
     assert [str(one) for one in verdict.judgements if not one.held] == []
 
@@ -75,20 +75,20 @@ def export(capsys: pytest.CaptureFixture[str]) -> Export:
     return run
 
 
-def table(told: tuple[Verdict, Path, RecordedRun], in_world: bool = True) -> clouds.Points:
-    run = told[2]
+def table(reported: tuple[Verdict, Path, RecordedRun], in_world: bool = True) -> clouds.Points:
+    run = reported[2]
     where = clouds.where_of(run)
     return clouds.points_of(run, "roof", 0, where if in_world else None, 0.0, 1e9, False)
 
 
-def test_points_are_where_the_world_is_at_their_own_instants(told: tuple[Verdict, Path, RecordedRun]) -> None:
-    points = table(told)
+def test_points_are_where_the_world_is_at_their_own_instants(reported: tuple[Verdict, Path, RecordedRun]) -> None:
+    points = table(reported)
     post = points[points["actor"] == 2]
     ground = points[points["actor"] == 0]
     assert np.abs(ground["z"]).max() < 1e-3
     front = post[np.abs(post["y"]) < 0.9]
     assert front["x"] == pytest.approx(5.75, abs=2e-3)  # although the cart has gone a metre
-    own = table(told, in_world=False)
+    own = table(reported, in_world=False)
     moved = points["x"] - own["x"]
     assert moved == pytest.approx(2.0 * points["time"], abs=1e-6)
     assert sorted(np.unique(points["ring"])) == list(range(len(np.unique(points["ring"]))))
@@ -99,10 +99,10 @@ def test_points_are_where_the_world_is_at_their_own_instants(told: tuple[Verdict
 
 @pytest.mark.parametrize("kind", ["las", "pcd", "ply"])
 def test_other_tools_read_all_columns(
-    kind: str, told: tuple[Verdict, Path, RecordedRun], tmp_path: Path, export: Export
+    kind: str, reported: tuple[Verdict, Path, RecordedRun], tmp_path: Path, export: Export
 ) -> None:
-    out, points = tmp_path / f"a.{kind}", table(told)
-    said = export(told[1], out)
+    out, points = tmp_path / f"a.{kind}", table(reported)
+    said = export(reported[1], out)
     assert f"{len(points)} points of roof" in said
     assert "actor 2: post" in said
     if kind == "las":
@@ -133,22 +133,24 @@ def test_other_tools_read_all_columns(
 
 
 def test_a_part_of_the_time_and_nothing_at_all_are_files_too(
-    told: tuple[Verdict, Path, RecordedRun], tmp_path: Path, export: Export
+    reported: tuple[Verdict, Path, RecordedRun], tmp_path: Path, export: Export
 ) -> None:
-    some = export(told[1], tmp_path / "a.ply", "--from", "0.2", "--until", "0.3", "--json")
-    points = table(told)
+    some = export(reported[1], tmp_path / "a.ply", "--from", "0.2", "--until", "0.3", "--json")
+    points = table(reported)
     inside = np.count_nonzero((points["time"] >= 0.2) & (points["time"] < 0.3))
     assert f'"points": {inside}' in some
     for kind in ("las", "pcd", "ply"):
-        assert "0 points" in export(told[1], tmp_path / f"b.{kind}", "--from", "5")
+        assert "0 points" in export(reported[1], tmp_path / f"b.{kind}", "--from", "5")
     assert not list(tmp_path.glob(".*"))
 
 
-def test_a_decoder_of_another_author_reads_the_capture(told: tuple[Verdict, Path, RecordedRun], tmp_path: Path) -> None:
+def test_a_decoder_of_another_author_reads_the_capture(
+    reported: tuple[Verdict, Path, RecordedRun], tmp_path: Path
+) -> None:
     import velodyne_decoder as stranger
 
     out = tmp_path / "a.pcap"
-    packets = [one for one in told[2].sent["roof", 0].payloads if len(one.data) == 1206]
+    packets = [one for one in reported[2].sent["roof", 0].payloads if len(one.data) == 1206]
     assert len(packets) > 300
     wire = WireOf("roof", 0, "datagram", "udp:127.0.0.1:2368?listen=127.0.0.2:2369", packets)
     assert pcap.write(out, [wire]) == len(packets)
@@ -184,8 +186,8 @@ def test_frames_have_the_addresses_of_their_links_and_checksums_that_hold() -> N
     ],
 )
 def test_what_cannot_be_is_refused(
-    more: tuple[str, ...], said: str, told: tuple[Verdict, Path, RecordedRun], capsys: pytest.CaptureFixture[str]
+    more: tuple[str, ...], said: str, reported: tuple[Verdict, Path, RecordedRun], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["export", str(told[1]), *more]) == 2
+    assert main(["export", str(reported[1]), *more]) == 2
     assert said in " ".join(capsys.readouterr().err.split())
     assert not Path(more[1]).exists()

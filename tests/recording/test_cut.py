@@ -54,8 +54,8 @@ def read(reader: Callable[[Path], Read], path: Path) -> Read | None:
     try:
         return reader(path)
     except RecordingError as error:
-        told = str(error)
-    assert told.startswith(str(path))
+        reported = str(error)
+    assert reported.startswith(str(path))
     return None
 
 
@@ -119,10 +119,10 @@ def test_the_commands_tell_a_cut_and_never_trace_back(
     (tmp_path / "cut").mkdir()
     (tmp_path / "cut" / "run.mcap").write_bytes(whole[: int(share * len(whole))])
     code = main(["diff", str(folder), str(tmp_path / "cut")])
-    told = capsys.readouterr()
+    reported = capsys.readouterr()
     assert code == (1 if share > 0.1 else 2)
-    assert "cut" in told.err or "not an MCAP file" in told.err
-    assert "Traceback" not in told.err
+    assert "cut" in reported.err or "not an MCAP file" in reported.err
+    assert "Traceback" not in reported.err
 
 
 @pytest.mark.parametrize("name", ["run.mcap", "x.pcap", "x.blf", "x.log", "x.bin"])
@@ -132,7 +132,7 @@ def test_a_pipe_and_a_folder_are_refused_and_not_waited_for(
     pipe = tmp_path / name
     os.mkfifo(pipe)
     (tmp_path / "folder.pcap").mkdir()
-    for path, told in ((pipe, "not a regular file"), (tmp_path / "folder.pcap", "folder.pcap")):
+    for path, reported in ((pipe, "not a regular file"), (tmp_path / "folder.pcap", "folder.pcap")):
         for command in (["diff", str(path), str(path)], ["replay", str(path), "--at-once"], ["report", str(path)]):
             assert main(command) == 2
-            assert told in capsys.readouterr().err
+            assert reported in capsys.readouterr().err

@@ -110,8 +110,8 @@ def test_a_link_that_is_made_late_has_both_instants_of_every_payload(late: tuple
     run = read_run(folder)
     assert run.cut == ""
     recorded = [(0, one.end_ns, one.actual_ns) for one in run.sent["front", 0].payloads if one.actual_ns is not None]
-    told = [row for row in left.found if row[0] == 0]
-    assert recorded == told
+    reported = [row for row in left.found if row[0] == 0]
+    assert recorded == reported
     assert len(recorded) >= len(run.sent["front", 0].payloads) - 2  # of the end's last telegrams none has left
     assert len(recorded) > 15
     assert max(one.late_ns for one in run.sent["front", 0].payloads) > 60 * MS
@@ -152,10 +152,10 @@ def test_report_and_transcript_show_both_and_diff_compares_what_was_due(
     assert main([*arguments, "--figures", str(tmp_path / "figures")]) == 0
     row = json.loads(capsys.readouterr().out)["sensors"][0]
     values = [one.late_ns * 1e-3 for one in read_run(folder).sent["front", 0].payloads if one.actual_ns is not None]
-    told = row["links"][0]["lateness_us"]
-    assert told["payloads"] == len(values)
-    assert (told["median"], told["worst"]) == (pytest.approx(np.median(values)), pytest.approx(max(values)))
-    assert told["p99"] == pytest.approx(np.percentile(values, 99))
+    reported = row["links"][0]["lateness_us"]
+    assert reported["payloads"] == len(values)
+    assert (reported["median"], reported["worst"]) == (pytest.approx(np.median(values)), pytest.approx(max(values)))
+    assert reported["p99"] == pytest.approx(np.percentile(values, 99))
     page = (tmp_path / "r.html").read_text()
     assert "Lateness by link" in page
     assert "Lateness over time" in page

@@ -335,44 +335,44 @@ def test_a_disk_that_is_too_slow_holds_virtual_time_and_ends_a_recording_in_real
     monkeypatch: pytest.MonkeyPatch, waits: bool
 ) -> None:
     monkeypatch.setattr(writing, "MOST_WAITING", 100)
-    told: list[str] = []
+    reported: list[str] = []
     may_go, begun = threading.Event(), threading.Event()
 
     def slow() -> None:
         begun.set()
         may_go.wait()
 
-    pen = Writing(Manner(1000.0, waits), lambda: None, lambda error: told.append(str(error)))
+    pen = Writing(Manner(1000.0, waits), lambda: None, lambda error: reported.append(str(error)))
     for _ in range(3):
         pen.put(slow, 50)
     assert begun.wait(30.0)
     if waits:
         threading.Timer(0.0, may_go.set).start()
         pen.make_room()  # comes back when the disk has taken some
-        assert told == []
+        assert reported == []
     else:
         pen.make_room()
-        assert len(told) == 1
-        assert "the disk is too slow" in told[0]
+        assert len(reported) == 1
+        assert "the disk is too slow" in reported[0]
         may_go.set()
     assert pen.close()
 
 
 def test_a_disk_that_stands_still_does_not_hold_the_end_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(writing, "PATIENCE_S", 0.01)
-    told: list[str] = []
+    monkeypatch.setattr(writing, "TIME_LIMIT_S", 0.01)
+    reported: list[str] = []
     may_go = threading.Event()
-    pen = Writing(Manner(1000.0), lambda: None, lambda error: told.append(str(error)))
+    pen = Writing(Manner(1000.0), lambda: None, lambda error: reported.append(str(error)))
     pen.put(lambda: bool(may_go.wait()), 1)
     assert not pen.close()
-    assert "the disk has taken nothing" in told[0]
+    assert "the disk has taken nothing" in reported[0]
     may_go.set()
 
 
 def test_trouble_in_the_thread_is_told_once_and_nothing_is_written_after_it() -> None:
-    told: list[Exception] = []
+    reported: list[Exception] = []
     done: list[int] = []
-    pen = Writing(Manner(1000.0), lambda: None, told.append)
+    pen = Writing(Manner(1000.0), lambda: None, reported.append)
 
     def broken() -> None:
         raise ValueError("of ours")
@@ -382,7 +382,7 @@ def test_trouble_in_the_thread_is_told_once_and_nothing_is_written_after_it() ->
     assert pen.close()
     pen.do(lambda: done.append(3))
     assert done == [1]
-    assert [str(error) for error in told] == ["of ours"]
+    assert [str(error) for error in reported] == ["of ours"]
 
 
 def test_a_recorder_with_a_thread_makes_the_same_messages(tmp_path: Path) -> None:

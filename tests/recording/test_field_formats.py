@@ -183,10 +183,10 @@ def test_osi_goes_by_udp_as_esmini_sends_and_into_mcap(tmp_path: Path) -> None:
     file.send(message)
     file.close()
     with (tmp_path / "out.mcap").open("rb") as back:
-        ((schema, _, told),) = make_reader(back).iter_messages()
-    assert (schema.name, told.log_time) == ("osi3.SensorData", 1_013_000_000)
+        ((schema, _, reported),) = make_reader(back).iter_messages()
+    assert (schema.name, reported.log_time) == ("osi3.SensorData", 1_013_000_000)
     parse = betterosi().SensorData.from_binary
-    assert parse(told.data) == parse(message)
+    assert parse(reported.data) == parse(message)
 
 
 @pytest.mark.parametrize("url", ["udp://127.0.0.1:1", "osi-udp://127.0.0.1", "osi-trace:", "osi-trace:/no/such/x.osi"])

@@ -199,13 +199,13 @@ def test_diff_sees_an_instant_a_peer_a_missing_payload_and_an_object(folder: Pat
         "byte 1: 62 and 58": [replace(one, data=b"aXc")],
         "1 and 0 payloads": [],
     }
-    for told, payloads in changes.items():
+    for reported, payloads in changes.items():
         runs = [RecordedRun(Path("x")), RecordedRun(Path("y"))]
         for run, sent in zip(runs, ([one], payloads), strict=True):
             run.sent["a", 0] = WireOf("a", 0, "serial", "pty:x", sent)
         found = differences(*runs)
         assert len(found) == 1
-        assert told in str(found[0])
+        assert reported in str(found[0])
     scan = read_run(folder).scans["front"][0]
     first, second = RecordedRun(Path("x")), RecordedRun(Path("y"))
     first.scans["a"] = [replace(scan, objects=({"track": 1, "actor": "car"},))]

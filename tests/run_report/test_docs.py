@@ -27,18 +27,18 @@ def test_the_commands_of_the_reports_page_work_one_after_the_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    told = lines_of("report.md")
-    assert len(told) == 4
-    for arguments in told:
+    reported = lines_of("report.md")
+    assert len(reported) == 4
+    for arguments in reported:
         assert main(arguments) == 0, capsys.readouterr().err
     assert {"crossing_car.html", "crossing.html", "crossing", "runs"} <= {path.name for path in tmp_path.iterdir()}
     assert (tmp_path / "crossing" / "front_ranges.csv").exists()
 
 
 def test_every_command_of_the_page_on_look_is_understood() -> None:
-    told = lines_of("look.md")
-    assert len(told) == 10
-    for name, *arguments in told:
+    reported = lines_of("look.md")
+    assert len(reported) == 10
+    for name, *arguments in reported:
         command = commands.commands[name]
         with command.make_context(name, list(arguments)) as context:
             assert isinstance(context, click.Context)

@@ -38,9 +38,12 @@ def renamed(source: Path, target: Path) -> None:
                 )
             data = message.data
             if channel.topic.endswith("/event"):
-                told = json.loads(data)
+                reported = json.loads(data)
                 data = json.dumps(
-                    {key: EVIL if isinstance(told[key], str) and key != "event" else told[key] for key in told}
+                    {
+                        key: EVIL if isinstance(reported[key], str) and key != "event" else reported[key]
+                        for key in reported
+                    }
                 ).encode()
             writer.add_message(channels[channel.id], message.log_time, data, message.publish_time, message.sequence)
         writer.finish()  # type: ignore[no-untyped-call]

@@ -203,9 +203,9 @@ def test_an_old_recording_without_beams_and_end_says_so(tmp_path: Path, monkeypa
     )
     run_trial(scenario_file.load("flat_wall", ["duration_s=0.6"]), record=tmp_path / "rec")
     run = gather(tmp_path / "rec")
-    told = " ".join(run.remarks)
-    assert "no counters of its end" in told
-    assert "front: instants of beams are not recorded for" in told
+    reported = " ".join(run.remarks)
+    assert "no counters of its end" in reported
+    assert "front: instants of beams are not recorded for" in reported
     text = page(report_of(run))
     assert "Lateness is not in this recording." in text
     checked(text)
@@ -300,8 +300,8 @@ def test_faults_of_a_run_are_counted_and_told(tmp_path: Path, capsys: pytest.Cap
     assert front["scans_dropped"]["fault drop_telegram"] == dropped["hits"]
     assert "fault drop_telegram" in (tmp_path / "x.html").read_text(encoding="utf-8")
     assert "ranges" not in front
-    told = [row["what"] for row in found["time_line"] if row["kind"] == "fault"]
-    assert told[:2] == ["drop_telegram begin", f"drop_telegram end {dropped['hits']} hits"]
+    reported = [row["what"] for row in found["time_line"] if row["kind"] == "fault"]
+    assert reported[:2] == ["drop_telegram begin", f"drop_telegram end {dropped['hits']} hits"]
     checked((tmp_path / "x.html").read_text(encoding="utf-8"))
 
 

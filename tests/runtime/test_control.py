@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from emulator.process.clock import ManualClock
-from emulator.runtime.control import DEAF_S, LOOK_NS, MOST_CLIENTS, ControlServer, ask
+from emulator.runtime.control import LOOK_NS, MOST_CLIENTS, UNREAD_S, ControlServer, ask
 
 LIMIT_S = 60.0
 
@@ -73,19 +73,19 @@ def test_who_is_within_a_request_keeps_its_place_until_it_has_sent_nothing_for_l
     assert b"16 clients are connected already" in room.client().recv(4096)
     room.clock.set(int(20e9))
     assert b'"result"' in room.ask(crowd[0], b'od": "echo"}\n{"id": 2,')  # and into the next one
-    room.clock.set(int(DEAF_S * 1e9) + 1)
+    room.clock.set(int(UNREAD_S * 1e9) + 1)
     assert b'"result"' in room.ask(room.client())
     assert b"longest idle" in crowd[1].recv(4096)
     assert b'"result"' in room.ask(crowd[0], b' "method": "echo"}\n')
 
 
 def test_a_socket_that_was_removed_is_put_back_and_who_is_connected_stays(tmp_path: Path) -> None:
-    told: queue.Queue[tuple[str, str]] = queue.Queue()
+    reported: queue.Queue[tuple[str, str]] = queue.Queue()
     methods = {"echo": lambda params: params}
     path = tmp_path / "folder" / "control.sock"
     path.parent.mkdir()
     with ExitStack() as stack:
-        server = ControlServer(path, methods, AtOnce(), lambda *what: told.put(what))
+        server = ControlServer(path, methods, AtOnce(), lambda *what: reported.put(what))
         stack.callback(server.close)
         clock = server._clock = ManualClock()  # type: ignore[assignment]
         bell = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
@@ -101,26 +101,26 @@ def test_a_socket_that_was_removed_is_put_back_and_who_is_connected_stays(tmp_pa
 
         path.unlink()
         look()
-        assert told.get(timeout=LIMIT_S) == ("link restored", f"{path}: was removed; listening again")
+        assert reported.get(timeout=LIMIT_S) == ("link restored", f"{path}: was removed; listening again")
         assert ask(path, "echo", {"a": 1}) == {"a": 1}
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
         path.unlink()
         path.write_text("precious")
         look()
-        assert told.get(timeout=LIMIT_S)[0] == "link path taken"
+        assert reported.get(timeout=LIMIT_S)[0] == "link path taken"
         look()
         assert path.read_text() == "precious"
         shutil.rmtree(path.parent)
         path.parent.mkdir()
         look()
-        assert told.get(timeout=LIMIT_S)[0] == "link restored"
+        assert reported.get(timeout=LIMIT_S)[0] == "link restored"
         other = path.with_name("other.sock")
         path.rename(other)
         second = ControlServer(path, methods, AtOnce())
         look()
-        assert "Address already in use" in told.get(timeout=LIMIT_S)[1]
+        assert "Address already in use" in reported.get(timeout=LIMIT_S)[1]
         second.close()
         look()
-        assert told.get(timeout=LIMIT_S)[0] == "link restored"
-        assert told.empty()
+        assert reported.get(timeout=LIMIT_S)[0] == "link restored"
+        assert reported.empty()
     assert not path.exists()

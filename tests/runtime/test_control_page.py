@@ -61,10 +61,10 @@ def test_the_page_has_every_method_and_no_other(orders: Orders) -> None:
 
 def test_every_example_is_answered_like_that(orders: Orders) -> None:
     methods = orders.methods()
-    for request, told in examples():
+    for request, reported in examples():
         found = methods[request["method"]](request.get("params", {}))
         found = found.make() if isinstance(found, Later) else found
-        assert type(found) is type(told), request
-        if isinstance(told, dict):
-            assert set(told) == set(found) - {"why", "feed"}, request  # no host is here that would read
+        assert type(found) is type(reported), request
+        if isinstance(reported, dict):
+            assert set(reported) == set(found) - {"why", "feed"}, request  # no host is here that would read
     assert json.loads(json.dumps(found)) == found

@@ -15,7 +15,7 @@ from emulator.run_report.truth import truth_of
 from emulator.scenario.scenario import load
 from emulator.view.recorded import RecordedSource
 from emulator.world import scene
-from emulator.world.told import Played
+from emulator.world.feed_record import Played
 
 SCENE = """
 schema: 1

@@ -16,7 +16,7 @@ from emulator.judging.rig import Rig
 from emulator.live.json_lines import MOST_BYTES, update_of
 from emulator.live.receivers import MOST_OSI, Budget, line_in, message_in
 from emulator.live.samples import BadSample
-from emulator.runtime.feeding import FIRST_NS, MARGIN_NS, SPARE, Feeding
+from emulator.runtime.feeding import FIRST_NS, MARGIN, MARGIN_NS, Feeding
 from emulator.scenario.scenario import Scenario, dump, loads
 from protocols.scan import ScanPlan
 from tests.live.test_osi import WORKED
@@ -56,7 +56,7 @@ def test_in_real_time_a_sweep_is_asked_for_as_late_as_it_can_be_sent_in_time() -
     sweep, earliest = plan(1000 * MS), 750 * MS
     found.world("front", sweep, 900 * MS)
     found.came("front", 904 * MS)
-    assert found.ask_ns("front", sweep, earliest) == 1026_700_000 - round(SPARE * 4 * MS) - MARGIN_NS
+    assert found.ask_ns("front", sweep, earliest) == 1026_700_000 - round(MARGIN * 4 * MS) - MARGIN_NS
 
 
 def test_one_that_takes_longer_is_asked_for_earlier_from_then_on_and_a_stall_is_forgotten() -> None:
@@ -123,7 +123,7 @@ def test_more_updates_a_second_than_may_be_are_not_read() -> None:
 
 
 @pytest.mark.parametrize(
-    ("live", "told"),
+    ("live", "reported"),
     [
         ("{feed: 'json-udp://0.0.0.0:47100'}", "beyond_loopback: true"),
         ("{feed: 'json-udp://192.168.1.4:47100'}", "beyond_loopback: true"),
@@ -140,10 +140,10 @@ def test_more_updates_a_second_than_may_be_are_not_read() -> None:
         ("{feed: 'json-udp://127.0.0.1:1', clock: {map: lockstep}}", "lockstep"),
     ],
 )
-def test_what_cannot_be_is_refused_with_its_place(live: str, told: str) -> None:
+def test_what_cannot_be_is_refused_with_its_place(live: str, reported: str) -> None:
     with pytest.raises(ScenarioError, match=r"case.yaml:5: live") as found:
         case(live)
-    assert told in str(found.value)
+    assert reported in str(found.value)
 
 
 def test_beyond_this_machine_where_it_is_said() -> None:

@@ -21,7 +21,7 @@ class Play:
         self._ends_in_pause = ends_in_pause
         self.started: list[int] = []
         self.waited: list[float] = []
-        self.told: list[str] = []
+        self.reported: list[str] = []
 
     def serve(self, number: int) -> int:
         self.started.append(number)
@@ -34,7 +34,7 @@ class Play:
         return self._ends_in_pause != len(self.waited)
 
     def run(self) -> int:
-        return guard(self.serve, self.pause, self.told.append, self.clock)
+        return guard(self.serve, self.pause, self.reported.append, self.clock)
 
 
 @pytest.mark.parametrize("code", [0, 2, 3, 4, 5])
@@ -50,7 +50,7 @@ def test_one_that_dies_is_and_it_is_told(code: int) -> None:
     assert play.run() == 0
     assert play.started == [0, 1]
     assert died(code)
-    assert "after 3.0 s; start 2 in 0.5 s, with the same links" in play.told[0]
+    assert "after 3.0 s; start 2 in 0.5 s, with the same links" in play.reported[0]
 
 
 def test_starts_come_ever_later_and_soon_again_after_a_steady_run() -> None:

@@ -135,7 +135,7 @@ def test_silence_on_purpose_is_not_told(model: str, fault: str) -> None:
     assert verdict.sensors[-1]["scans_sent"] > 5
 
 
-class Deaf:
+class NotReading:
     """Whoever measures and never answers."""
 
     def request(self, sensor: str, plan: ScanPlan, conditions: object = None) -> None:
@@ -147,7 +147,7 @@ class Deaf:
 
 def test_in_virtual_time_a_scan_that_never_comes_is_told() -> None:
     case = scenario.loads(CASE.replace("MODEL", "sick-lms291-s05"), Path("case.yaml"))
-    trial = Trial(case, measuring=Deaf())
+    trial = Trial(case, measuring=NotReading())
     try:
         verdict = trial.finish()
     finally:

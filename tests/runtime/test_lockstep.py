@@ -86,8 +86,8 @@ def test_the_same_feed_gives_the_same_bytes_for_any_workers_and_from_its_recordi
         assert again.finish().sha256 == digest
     finally:
         again.close()
-    told = CliRunner().invoke(replay, [str(tmp_path / "run"), "--world", "--json"], standalone_mode=False)
-    assert json.loads(told.output)["sha256"] == digest
+    reported = CliRunner().invoke(replay, [str(tmp_path / "run"), "--world", "--json"], standalone_mode=False)
+    assert json.loads(reported.output)["sha256"] == digest
     still = Trial(load(path))
     try:
         assert still.finish().sha256 != digest, "the feed is seen"
@@ -176,5 +176,5 @@ def test_a_run_with_an_outside_host_is_replayed_with_what_that_host_said(
             os.close(port)
         digest = rig._transcript.sha256()
         assert rig.instruments[0].stats.scans_sent > 0
-    told = CliRunner().invoke(replay, [str(rig.recording), "--world", "--json"], standalone_mode=False)
-    assert json.loads(told.output)["sha256"] == digest
+    reported = CliRunner().invoke(replay, [str(rig.recording), "--world", "--json"], standalone_mode=False)
+    assert json.loads(reported.output)["sha256"] == digest

@@ -39,7 +39,7 @@ def orders(daemon: VirtualDaemon) -> Orders:
 
 
 @pytest.mark.parametrize(
-    ("method", "params", "told"),
+    ("method", "params", "reported"),
     [
         ("speed", {"x": 1e-300}, "want 0, or 0.001 to 1e\\+06"),
         ("speed", {"x": 1e7}, "0 to 1e\\+06"),
@@ -56,10 +56,10 @@ def orders(daemon: VirtualDaemon) -> Orders:
     ],
 )
 def test_a_value_that_is_none_is_refused_with_what_is_allowed(
-    orders: Orders, daemon: VirtualDaemon, method: str, params: dict[str, Any], told: str
+    orders: Orders, daemon: VirtualDaemon, method: str, params: dict[str, Any], reported: str
 ) -> None:
     before = daemon.speed, daemon.paused, daemon.pause_at_ns, daemon.now_ns
-    with pytest.raises(OrderError, match=told) as refused:
+    with pytest.raises(OrderError, match=reported) as refused:
         orders.methods()[method](params)
     assert refused.value.code == BAD_PARAMS
     assert (daemon.speed, daemon.paused, daemon.pause_at_ns, daemon.now_ns) == before
@@ -99,10 +99,10 @@ def test_status_names_the_scenario_and_when_it_ends(orders: Orders) -> None:
 
 @pytest.mark.parametrize("what", ["scans", "bytes"])
 def test_a_step_without_a_host_says_why_nothing_came(orders: Orders, what: str) -> None:
-    told = orders.step({what: 1})
-    assert isinstance(told, dict)
+    reported = orders.step({what: 1})
+    assert isinstance(reported, dict)
     if what == "scans":
-        assert told["scans"] == 0
-        assert told["why"] == "0 scans within 10 virtual s; front: no host is connected"
+        assert reported["scans"] == 0
+        assert reported["why"] == "0 scans within 10 virtual s; front: no host is connected"
     else:
-        assert told["bytes"] or "no host is connected" in told["why"]
+        assert reported["bytes"] or "no host is connected" in reported["why"]

@@ -36,7 +36,7 @@ def sensor(links: list[Link]) -> Instrument:
     return cast(Instrument, SimpleNamespace(sensor="front", links=tuple(links)))
 
 
-def told(incidents: Incidents) -> list[tuple[str, object, str]]:
+def reported(incidents: Incidents) -> list[tuple[str, object, str]]:
     return [(str(row["kind"]), row["at_s"], str(row["text"]).rpartition("/")[2]) for row in incidents.rows()]
 
 
@@ -62,10 +62,10 @@ def test_every_path_is_looked_at_once_a_second_where_nothing_is_told(
     for name in ("front", "can"):
         (tmp_path / name).unlink()
     found.look(LOOK_NS - 1)
-    assert not told(incidents)
+    assert not reported(incidents)
     assert found.next_ns() == LOOK_NS
     found.look(LOOK_NS, at_ns=7 * LOOK_NS)
-    assert told(incidents) == [(RESTORED, 7.0, f"{name}: was removed; restored") for name in ("front", "can")]
+    assert reported(incidents) == [(RESTORED, 7.0, f"{name}: was removed; restored") for name in ("front", "can")]
     assert (tmp_path / "front").is_symlink()
     assert (tmp_path / "can").is_symlink()
 
@@ -80,14 +80,14 @@ def test_a_change_is_seen_at_once_and_a_busy_folder_wakes_nobody_until_the_next_
     (tmp_path / "front").unlink()
     assert readable(found)
     found.changed(5)
-    assert told(incidents) == [(RESTORED, 5e-9, "front: was removed; restored")]
+    assert reported(incidents) == [(RESTORED, 5e-9, "front: was removed; restored")]
     for number in range(100):
         (tmp_path / f"{number}").touch()
     assert not readable(found)
     assert found.next_ns() == 5 + AGAIN_NS
     (tmp_path / "front").unlink()
     found.look(5 + AGAIN_NS)  # nothing that happened meanwhile is missed
-    assert len(told(incidents)) == 2
+    assert len(reported(incidents)) == 2
     found.changed(6 + AGAIN_NS)  # our own link was a change too
     found.look(6 + 2 * AGAIN_NS)
     assert not readable(found)
@@ -108,7 +108,7 @@ def test_a_folder_that_comes_back_is_watched_again(tmp_path: Path) -> None:
     folder.mkdir()
     found.look(LOOK_NS)
     found.look(2 * LOOK_NS)
-    assert [kind for kind, _, _ in told(incidents)] == [GONE, RESTORED]
+    assert [kind for kind, _, _ in reported(incidents)] == [GONE, RESTORED]
     (folder / "front").unlink()
     assert readable(found)
     link.close()

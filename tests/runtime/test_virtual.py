@@ -120,8 +120,8 @@ def test_a_sensor_that_loses_its_link_is_told_once_and_the_others_go_on(
     whole, hurt = Trial(load()), Trial(load())
     expected, found, silent = sent_by(whole, 1 - lost), sent_by(hurt, 1 - lost), sent_by(hurt, lost)
     pulled = Pulled(hurt, lost, 400_000_000, monkeypatch)
-    told: list[tuple[str, str]] = []
-    hurt.run._on_lost = lambda sensor, error: told.append((sensor, str(error)))
+    reported: list[tuple[str, str]] = []
+    hurt.run._on_lost = lambda sensor, error: reported.append((sensor, str(error)))
     for trial in (whole, hurt):
         for end_ns in (500_000_000, 800_000_000):
             trial.run.advance(end_ns)
@@ -129,7 +129,7 @@ def test_a_sensor_that_loses_its_link_is_told_once_and_the_others_go_on(
     assert found[-1].start_ns > 700_000_000
     assert silent[-1].start_ns < 450_000_000
     name = hurt.instruments[lost].sensor
-    assert told == [(name, f"loop:{name}: lost: pulled")]
+    assert reported == [(name, f"loop:{name}: lost: pulled")]
     assert pulled.asked == 1
     assert hurt.run.lost == {name}
     hurt.instruments[lost].poked = True  # as a fault ordered for it does
@@ -211,7 +211,7 @@ def test_an_expectation_that_fails_says_what_was_found() -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "reported"),
     [
         ("{that: frnt.points}", "case.yaml:12: expect[0].that: 'frnt.points': sensor 'frnt'; want front or another of"),
         ("{that: front.ponts}", "front.ponts; want points"),
@@ -227,10 +227,10 @@ def test_an_expectation_that_fails_says_what_was_found() -> None:
         ("{that: 'front.points >'}", "want a number, a name or '('"),
     ],
 )
-def test_an_expectation_of_what_does_not_exist_is_told_before_anything_runs(line: str, told: str) -> None:
+def test_an_expectation_of_what_does_not_exist_is_told_before_anything_runs(line: str, reported: str) -> None:
     with pytest.raises(ScenarioError) as caught:
         run_trial(expecting(line))
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
 
 
 @pytest.mark.parametrize("order", ["at once", "late", "never"])

@@ -68,7 +68,7 @@ class Plans(Observer):
 def test_an_order_gives_the_same_bytes_as_its_entry_among_the_changes_of_a_file(workers: int) -> None:
     live = trial(workers=workers)
     live.run.advance(500_000_000)
-    told: Any = orders_of(live).weather(ORDER)
+    reported: Any = orders_of(live).weather(ORDER)
     live.run.advance(800_000_000)
     orders = orders_of(live)
     orders._weather = live.instruments[0].conditions.weather or WeatherConfig()
@@ -81,8 +81,8 @@ def test_an_order_gives_the_same_bytes_as_its_entry_among_the_changes_of_a_file(
         assert instrument.conditions.weather is not None
     for change in live.instruments[0].conditions.weather.changes:  # type: ignore[union-attr]
         entries.append(change.model_dump(mode="json", exclude_unset=True, exclude_none=change.t_s < 1.1))
-    assert [entry["t_s"] for entry in entries] == [told["from_s"], second["from_s"], 1.1]
-    assert 0.5 <= told["from_s"] <= 0.76
+    assert [entry["t_s"] for entry in entries] == [reported["from_s"], second["from_s"], 1.1]
+    assert 0.5 <= reported["from_s"] <= 0.76
     start, _, rest = CASE.partition("changes: [{t_s: 1.1, sun: null}]")
     again = trial(start + f"changes: {json.dumps(entries)}" + rest)
     assert again.finish().sha256 == one.sha256
@@ -96,8 +96,8 @@ def test_what_a_sensor_sees_changes_with_the_next_sweep_asked_for() -> None:
     made = trial()
     made.run.advance(500_000_000)
     asked_ns = max(one.asked_ns for one in made.instruments)
-    told: Any = orders_of(made).weather({"fog": {"visibility_m": 8}})
-    assert told["from_s"] == (asked_ns + 1) * 1e-9
+    reported: Any = orders_of(made).weather({"fog": {"visibility_m": 8}})
+    assert reported["from_s"] == (asked_ns + 1) * 1e-9
     made.finish()
     sweeps = made.series.sensors["front"].measured.values()
     before = [np.isfinite(one.range_m).mean() for one in sweeps if one.at_ns <= asked_ns]
@@ -172,7 +172,7 @@ def test_a_thousand_orders_do_not_grow_what_goes_with_a_plan() -> None:
 
 
 @pytest.mark.parametrize(
-    ("table", "told"),
+    ("table", "reported"),
     [
         ({"fog": {"visibility_m": -20.0}}, "weather: fog.visibility_m: -20.0; want a number > 0"),
         ({"fog": {"visibilty_m": 20.0}}, "did you mean visibility_m?"),
@@ -188,12 +188,12 @@ def test_a_thousand_orders_do_not_grow_what_goes_with_a_plan() -> None:
         ({"fog": {"visibility_m": 10, "mor_m": 10}}, "either visibility_m or mor_m"),
     ],
 )
-def test_an_order_that_cannot_be_is_told_and_changes_nothing(table: dict[str, Any], told: str) -> None:
+def test_an_order_that_cannot_be_is_told_and_changes_nothing(table: dict[str, Any], reported: str) -> None:
     made = trial()
     orders = orders_of(made)
     with pytest.raises(ScenarioError) as caught:
         orders.weather(table)
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
     assert all(one.conditions == NORMAL for one in made.instruments)
     made.close()
 
@@ -210,14 +210,14 @@ def test_weather_that_a_sensor_cannot_compute_is_in_the_answer_and_the_run_goes_
     def answer(**tables: Any) -> dict[str, Any]:
         found: Any = orders.methods()["weather"](tables)
         made.run.advance(made.run.clock.now_ns() + 1_000_000)
-        told: dict[str, Any] = found.make() if isinstance(found, Later) else found
-        return told
+        reported: dict[str, Any] = found.make() if isinstance(found, Later) else found
+        return reported
 
     assert "not_computed" not in answer(rain={"rate_mm_h": 5})
-    told = answer(rain={"rate_mm_h": 70, "echoes": "drops"})
-    assert list(told["not_computed"]) == ["front"]
-    assert "weather.rain.echoes: drops" in told["not_computed"]["front"]
-    assert "want continuum or auto" in told["not_computed"]["front"]
+    reported = answer(rain={"rate_mm_h": 70, "echoes": "drops"})
+    assert list(reported["not_computed"]) == ["front"]
+    assert "weather.rain.echoes: drops" in reported["not_computed"]["front"]
+    assert "want continuum or auto" in reported["not_computed"]["front"]
     assert "not_computed" not in answer(rain=None)
     assert "not_computed" not in answer()
     assert made.finish().held

@@ -105,9 +105,9 @@ def test_weather_told_and_ordered_is_that_of_the_round() -> None:
         daemon.power_on()
         daemon.advance(4_500_000_000)
         assert "fog" not in orders.weather({})["weather"]
-        told = orders.weather({"rain": {"rate_mm_h": 5}})["weather"]
-        assert "fog" not in told
-        assert [round(change["t_s"], 6) for change in told["changes"]] == [5.0]
+        reported = orders.weather({"rain": {"rate_mm_h": 5}})["weather"]
+        assert "fog" not in reported
+        assert [round(change["t_s"], 6) for change in reported["changes"]] == [5.0]
         daemon.advance(5_200_000_000)
         assert orders.weather({})["weather"]["fog"]["visibility_m"] == 30
     finally:
@@ -122,7 +122,7 @@ def test_the_report_knows_the_weather_of_every_round() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "duration_s", "until_ns", "told"),
+    ("text", "duration_s", "until_ns", "reported"),
     [
         (CASE, None, None, "runs until it is stopped; the world begins again every 2 s"),
         (CASE, 5.0, 5_000_000_000, "ends after 5 s (--duration); the world begins again every 2 s"),
@@ -135,10 +135,10 @@ def test_the_report_knows_the_weather_of_every_round() -> None:
         (CASE.replace("loop: true\n", "").replace("duration_s: 2\n", ""), None, None, "runs until it is stopped"),
     ],
 )
-def test_a_run_says_when_it_will_end(text: str, duration_s: float | None, until_ns: int | None, told: str) -> None:
+def test_a_run_says_when_it_will_end(text: str, duration_s: float | None, until_ns: int | None, reported: str) -> None:
     ending = Ending.of(load(text), duration_s)
     assert ending.until_ns == until_ns
-    assert ending.told() == told
+    assert ending.reported() == reported
     assert ending.as_json()["ends_at_s"] == (None if until_ns is None else until_ns * 1e-9)
 
 

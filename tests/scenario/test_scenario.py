@@ -189,11 +189,13 @@ BAD = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("text", "told"), BAD, ids=[told.split(": ")[1] + str(n) for n, (_, told) in enumerate(BAD)])
-def test_one_fault_is_told_in_one_line(text: str, told: str) -> None:
+@pytest.mark.parametrize(
+    ("text", "reported"), BAD, ids=[reported.split(": ")[1] + str(n) for n, (_, reported) in enumerate(BAD)]
+)
+def test_one_fault_is_told_in_one_line(text: str, reported: str) -> None:
     lines = faults(text)
     assert len(lines) == 1
-    assert lines[0].startswith(told)
+    assert lines[0].startswith(reported)
     assert "; want " in lines[0] or "? want " in lines[0]
 
 
@@ -232,9 +234,9 @@ def test_empty_parts_pass() -> None:
 
 def test_more_actors_than_fit_are_refused() -> None:
     text = "actors:\n" + "".join(f"  - {{id: a{k}}}\n" for k in range(10_001))
-    (told,) = faults(text)
-    assert told.startswith("test.yaml:2: actors: ")
-    assert told.endswith("want at most 10000 of them")
+    (reported,) = faults(text)
+    assert reported.startswith("test.yaml:2: actors: ")
+    assert reported.endswith("want at most 10000 of them")
 
 
 @given(data=st.data())
@@ -252,12 +254,12 @@ def test_any_value_anywhere_gives_a_scenario_or_faults(data: st.DataObject) -> N
     )
     table = {"schema": 1} | data.draw(st.dictionaries(st.sampled_from(keys), tree, max_size=5))
     text = json.dumps(table).replace("NaN", ".nan").replace("-Infinity", "-.inf").replace("Infinity", ".inf")
-    told = ""
+    reported = ""
     try:
         loads(text, Path("x.yaml"))
     except ScenarioError as error:
-        told = str(error)
-    assert all(line.startswith("x.yaml:1: ") for line in told.splitlines())
+        reported = str(error)
+    assert all(line.startswith("x.yaml:1: ") for line in reported.splitlines())
 
 
 # ---------------------------------------------------------------- names, dump, schema

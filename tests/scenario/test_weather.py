@@ -32,7 +32,7 @@ def weather(text: str) -> WeatherConfig:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("fog: {visibility_m: -20.0}", "fog.yaml:1: fog.visibility_m: -20.0; want a number > 0"),
         ("fog: {visibility_m: 0}", "fog.yaml:1: fog.visibility_m: 0; want a number > 0"),
@@ -55,8 +55,8 @@ def weather(text: str) -> WeatherConfig:
         ("changes: [{fog: null}]", "changes[0].t_s: missing"),
     ],
 )
-def test_a_wrong_value_is_refused_by_file_line_and_key(text: str, told: str) -> None:
-    assert told in faults(text)
+def test_a_wrong_value_is_refused_by_file_line_and_key(text: str, reported: str) -> None:
+    assert reported in faults(text)
 
 
 def test_a_change_holds_from_its_time_on_and_what_it_does_not_name_goes_on() -> None:

@@ -103,11 +103,11 @@ def main() -> None:
         write(name, PARTS[name](asked))
 
 
-def keep(told: dict[str, Any]) -> None:
+def keep(reported: dict[str, Any]) -> None:
     """Take over what a study wrote, but not where its links lay; the other kind of soak is kept."""
-    for sensor in told.get("sensors", {}).values():
+    for sensor in reported.get("sensors", {}).values():
         sensor.pop("links", None)
-    write(told["study"], {told["kind"]: told} if told["study"] == "soak" else told)
+    write(reported["study"], {reported["kind"]: reported} if reported["study"] == "soak" else reported)
 
 
 def write(name: str, found: dict[str, Any]) -> None:

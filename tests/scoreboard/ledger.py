@@ -45,8 +45,8 @@ class Ledger:
             name: {"layer": kind.layer} | {what: (name, what) in self._kept for what in ("begin", "hit", "end")}
             for name, kind in kinds().items()
         }
-        told = {"tests": self._tests, "failed": self._failed, "faults": rows}
-        self._out.write_text(json.dumps(told), encoding="utf-8")
+        reported = {"tests": self._tests, "failed": self._failed, "faults": rows}
+        self._out.write_text(json.dumps(reported), encoding="utf-8")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

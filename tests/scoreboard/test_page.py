@@ -61,10 +61,10 @@ def test_a_soak_is_kept_beside_the_other_kind(tmp_path: Any, monkeypatch: pytest
     monkeypatch.setattr(maker, "RESULTS", tmp_path / "board.json")
     monkeypatch.setattr(maker, "PAGE", tmp_path / "board.md")
     sensors = {"a": {"asked": 3, "sent": 2, "dropped": {"late": 1}, "unaccounted": 0}}
-    told = {"study": "soak", "simulated_s": 5.0, "wall_s": 1.0, "held": True, "faults": [], "sensors": sensors,
+    reported = {"study": "soak", "simulated_s": 5.0, "wall_s": 1.0, "held": True, "faults": [], "sensors": sensors,
             "hosts": {}, "memory": {"rss_mb_rise_second_half": 0.5, "descriptors_peak": 9}}  # fmt: skip
     for kind in ("real", "virtual"):
-        maker.keep(told | {"kind": kind})
+        maker.keep(reported | {"kind": kind})
     assert json.loads((tmp_path / "board.json").read_text())["soak"].keys() == {"real", "virtual"}
     rows = [line for line in (tmp_path / "board.md").read_text().splitlines() if line.startswith("| 5 s")]
     assert rows == [f"| 5 s, {kind} | 1 | 3 | 2 | 1 | 0 | 0 | +0.5 | 9 | held |" for kind in ("real", "virtual")]

@@ -128,13 +128,15 @@ def lifted(case: Case, sweeps: int, beams: int) -> list[Row]:
     """
     rig = replace(Rig.of(case["setup"]), near=0.0)
     to_m = 20.0 if rig.theta < 5e-3 else 5.0
-    told, told_quiet = (np.isfinite(first_echoes(rig, beams, to_m, seed=5, noise=rms)) for rms in (1.0, 0.0))
+    reported, reported_quiet = (np.isfinite(first_echoes(rig, beams, to_m, seed=5, noise=rms)) for rms in (1.0, 0.0))
     noisy, quiet = (np.isfinite(_answers(case["name"], sweeps, noise, 0.0)) for noise in (True, False))
-    turned = math.sqrt((noisy != quiet).mean() / len(quiet) + (told != told_quiet).mean() / len(told))
-    both = math.sqrt(max(told.mean(), 1e-4) * (1.0 / len(told) + 1.0 / len(noisy)))
+    turned = math.sqrt((noisy != quiet).mean() / len(quiet) + (reported != reported_quiet).mean() / len(reported))
+    both = math.sqrt(max(reported.mean(), 1e-4) * (1.0 / len(reported) + 1.0 / len(noisy)))
     return [
-        Row("probability", float(told.mean()), float(noisy.mean()), both),
-        Row("more by noise", float(told.mean() - told_quiet.mean()), float(noisy.mean() - quiet.mean()), turned),
+        Row("probability", float(reported.mean()), float(noisy.mean()), both),
+        Row(
+            "more by noise", float(reported.mean() - reported_quiet.mean()), float(noisy.mean() - quiet.mean()), turned
+        ),
     ]
 
 
@@ -176,8 +178,8 @@ def neighbours(case: Case, sweeps: int) -> list[Row]:
         if setup["delay_s"] > 0.0:
             later = light_at(measure, 4.5, 5.5, azimuth, sweep, 5.0 * sweep + setup["delay_s"])
         pairs.append((light[:-1], later[1:]))
-    told = case["expected"]["signal_correlation_at_range"]["5"]
-    return [Row("correlation at 5 m", told, correlation(pairs), 1.5 / math.sqrt(400.0 * sweeps))]
+    reported = case["expected"]["signal_correlation_at_range"]["5"]
+    return [Row("correlation at 5 m", reported, correlation(pairs), 1.5 / math.sqrt(400.0 * sweeps))]
 
 
 def later(case: Case, late_s: str, sweeps: int) -> list[Row]:
@@ -191,8 +193,8 @@ def later(case: Case, late_s: str, sweeps: int) -> list[Row]:
     for sweep in range(sweeps):
         pair = [light_at(measure, near, far, azimuth, sweep, 7.0 * sweep + late) for late in (0.0, float(late_s))]
         pairs.append((pair[0], pair[1]))
-    told = case["expected"]["correlation_after_s"][late_s]
-    return [Row(f"after {late_s} s", told, correlation(pairs), 1.5 / math.sqrt(len(azimuth) * sweeps))]
+    reported = case["expected"]["correlation_after_s"][late_s]
+    return [Row(f"after {late_s} s", reported, correlation(pairs), 1.5 / math.sqrt(len(azimuth) * sweeps))]
 
 
 def both_answer(case: Case, sweeps: int) -> list[Row]:

@@ -223,16 +223,16 @@ def test_a_wide_beam_takes_rain_as_a_continuum_and_a_thin_one_as_drops(tmp_path:
 
 
 @pytest.mark.parametrize(
-    ("weather", "told"),
+    ("weather", "reported"),
     [
         ({"fog": {"visibility_m": 20.0, "law": "naboulsi_advection"}}, "outside 50 to 1000 m"),
         ({"fog": {"visibility_m": 0.5}}, "no law is physical below about 1 m"),
         ({"changes": [{"t_s": 5.0, "dust": {"visibility_m": 10.0, "law": "esmail"}}]}, "dust: law esmail"),
     ],
 )
-def test_a_law_outside_its_range_is_computed_and_told(tmp_path: Path, weather: dict[str, Any], told: str) -> None:
+def test_a_law_outside_its_range_is_computed_and_told(tmp_path: Path, weather: dict[str, Any], reported: str) -> None:
     measure = build(tmp_path, WALL, weather=weather, physics=AXIS)
-    assert any(told in line for line in measure.warnings)
+    assert any(reported in line for line in measure.warnings)
     measure(plan())
 
 

@@ -53,17 +53,17 @@ def test_a_sensor_at_rest_sees_what_it_would_see_for_the_first_time(
         return build(tmp_path, world, actors=actors, weather=weather, model="sick-lms291-s05",
                      physics={"leave_out": {"closed_form": "never", "resting": resting}})  # fmt: skip
 
-    kept, anew = fresh(), fresh(resting=False)
+    kept, once_more = fresh(), fresh(resting=False)
     changed = []
     for number, start_s in enumerate((0.0, 0.1, 0.2, 0.1, 5.0)):
         one = plan(AZIMUTH, sweep=number, start_s=start_s, fire_s=np.linspace(0.0, 0.006, len(AZIMUTH)))
         same(kept(one), fresh()(one))
-        now, whole = kept(one), anew(one)
+        now, whole = kept(one), once_more(one)
         np.testing.assert_allclose(now.range_m, whole.range_m, rtol=0.0, atol=1e-9)
         np.testing.assert_allclose(now.intensity, whole.intensity, rtol=1e-9)
         np.testing.assert_array_equal(now.actor, whole.actor)
         view = kept.view(one)
-        np.testing.assert_allclose(view.echoes.range_m, anew.view(one).echoes.range_m, rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(view.echoes.range_m, once_more.view(one).echoes.range_m, rtol=0.0, atol=1e-12)
         changed.append(-1 if view.kept is None else int(np.count_nonzero(view.kept.changed)))
     assert not moving or weather or (0 < changed[0] < len(AZIMUTH) and changed[-1] == 0), "some beams, and none at last"
 

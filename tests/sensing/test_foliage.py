@@ -217,13 +217,13 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("told", BAD)
-def test_bad_leaves_are_refused_with_their_place(tmp_path: Path, told: str) -> None:
-    entry = {"leaf_area_density_m2_m3": 2.0, "leaf_reflectance": 0.5, **BAD[told]}
+@pytest.mark.parametrize("reported", BAD)
+def test_bad_leaves_are_refused_with_their_place(tmp_path: Path, reported: str) -> None:
+    entry = {"leaf_area_density_m2_m3": 2.0, "leaf_reflectance": 0.5, **BAD[reported]}
     entry = {key: value for key, value in entry.items() if value is not None}
     with pytest.raises(ScenarioError, match=r"scene.yaml:\d+: materials.hedge.foliage.") as caught:
         build(tmp_path, [hedge()], materials={"hedge": {"foliage": entry}})
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
 
 
 def test_leaves_beside_a_surface_and_in_no_body_are_refused(tmp_path: Path) -> None:

@@ -144,17 +144,17 @@ def test_a_sun_that_reaches_no_beam_costs_no_ray(tmp_path: Path, monkeypatch: py
     assert not {row["term"]: row for row in explained(low, plan())}["sun in view"]["left_out"]
 
 
-@pytest.mark.parametrize(("keys", "told"), [
+@pytest.mark.parametrize(("keys", "reported"), [
     ("turbidity: 1.5", "turbidity 1.5; want at least 2.19"),
     ("turbidity: 3, turbidity_beta: 0.1", "turbidity and turbidity_beta; want one of them"),
     ("turbidity_beta: -0.1", "turbidity_beta: -0.1; want a number >= 0"),
     ("circumsolar_ratio: 0.9", "circumsolar_ratio: 0.9; want a number <= 0.8"),
 ])  # fmt: skip
-def test_a_wrong_haze_is_refused_with_its_place(keys: str, told: str) -> None:
+def test_a_wrong_haze_is_refused_with_its_place(keys: str, reported: str) -> None:
     with pytest.raises(ScenarioError) as raised:
         scenario.loads(f"schema: 1\nweather:\n  sun: {{{keys}}}\n", Path("case.yaml"))
     assert str(raised.value).startswith("case.yaml:3: weather.sun")
-    assert told in str(raised.value)
+    assert reported in str(raised.value)
 
 
 @pytest.mark.parametrize("name", ["low_sun", "two_lidars"])

@@ -211,13 +211,13 @@ BAD: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("told", BAD)
-def test_meshes_without_what_is_wanted_are_refused(at: Path, told: str) -> None:
-    parts, maps = BAD[told]
+@pytest.mark.parametrize("reported", BAD)
+def test_meshes_without_what_is_wanted_are_refused(at: Path, reported: str) -> None:
+    parts, maps = BAD[reported]
     quad(at, **parts)
     with pytest.raises(SceneError, match=r"scene.yaml:\d+: world.0..mesh: ") as caught:
         poster(at, maps)
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
 
 
 def test_too_many_pixels_are_refused_before_they_are_read(at: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -242,7 +242,7 @@ def test_primitives_have_no_maps(at: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("maps", "told"),
+    ("maps", "reported"),
     [
         ({"reflectance": [0.1]}, "maps.reflectance: [0.1]; want two numbers"),
         ({"reflectance": [0.1, 2]}, "maps.reflectance: 2; want a number from 0 to 1"),
@@ -250,7 +250,7 @@ def test_primitives_have_no_maps(at: Path) -> None:
         ({}, "maps: {}; want a mapping"),
     ],
 )
-def test_bad_keys_are_refused(at: Path, maps: dict[str, Any], told: str) -> None:
+def test_bad_keys_are_refused(at: Path, maps: dict[str, Any], reported: str) -> None:
     with pytest.raises(ScenarioError, match=r"scene.yaml:\d+: ") as caught:
         poster(at, maps)
-    assert told in str(caught.value)
+    assert reported in str(caught.value)

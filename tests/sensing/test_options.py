@@ -21,7 +21,7 @@ SCAN_DEG = np.arange(-60.0, 60.5, 0.5)
 
 
 @pytest.mark.parametrize(
-    ("physics", "told"),
+    ("physics", "reported"),
     [
         ({"divergence_deg": 20.1}, "physics.divergence_deg"),
         ({"divergence_deg": -1}, "physics.divergence_deg"),
@@ -46,10 +46,10 @@ SCAN_DEG = np.arange(-60.0, 60.5, 0.5)
         ({"photons": {}, "gate_m": 1e6}, "6.671e+06 bins of gate_m 1e+06; want at most 100000"),
     ],
 )
-def test_a_wrong_choice_is_refused_by_file_line_and_key(tmp_path: Path, physics: dict[str, Any], told: str) -> None:
+def test_a_wrong_choice_is_refused_by_file_line_and_key(tmp_path: Path, physics: dict[str, Any], reported: str) -> None:
     with pytest.raises(ScenarioError) as caught:
         build(tmp_path, [plate(20.0, "asphalt")], physics=physics)
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
     assert "scene.yaml:1: sensors" in str(caught.value)
 
 

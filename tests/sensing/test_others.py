@@ -169,7 +169,7 @@ def test_a_turning_beam_comes_by_once_a_turn(tmp_path: Path) -> None:
     assert len(np.unique(np.round(fire[beams] * 10.0))) >= 8
 
 
-@pytest.mark.parametrize(("emitter", "told"), [
+@pytest.mark.parametrize(("emitter", "reported"), [
     ({"id": "a"}, "want either sensor or model"),
     ({"id": "a", "sensor": "left"}, "emitters.a.sensor: 'left'; want"),
     ({"id": "a", "model": "sick-lms292"}, "emitters.a.model: 'sick-lms292'; want a shipped model"),
@@ -178,7 +178,7 @@ def test_a_turning_beam_comes_by_once_a_turn(tmp_path: Path) -> None:
     ({"id": "a", "model": "paper-905nm", "mount": {"actor": "car"}}, "emitters.a.mount.actor: 'car'"),
     ({"id": "a", "model": "paper-905nm", "pulse_hz": 0.0}, "emitters.a.pulse_hz"),
 ])  # fmt: skip
-def test_a_wrong_emitter_is_refused_with_its_place(tmp_path: Path, emitter: dict[str, Any], told: str) -> None:
+def test_a_wrong_emitter_is_refused_with_its_place(tmp_path: Path, emitter: dict[str, Any], reported: str) -> None:
     with pytest.raises(ScenarioError) as raised:
         on_a_wall(tmp_path, emitter)
-    assert told in str(raised.value)
+    assert reported in str(raised.value)

@@ -62,13 +62,13 @@ def test_one_particle_at_a_time_agrees_with_the_cases_and_with_the_product() -> 
     name, sweeps = SUMS[2]
     case = named("particles_sum", name)[0]
     beams, p = 1500, case["expected"]["probability"]
-    told = first_echoes(Rig.of(case["setup"]), beams, case["expected"]["to_m"], seed=3)
-    assert np.isfinite(told).mean() == pytest.approx(p, abs=4.0 * math.sqrt(p * (1.0 - p) / beams))
+    reported = first_echoes(Rig.of(case["setup"]), beams, case["expected"]["to_m"], seed=3)
+    assert np.isfinite(reported).mean() == pytest.approx(p, abs=4.0 * math.sqrt(p * (1.0 - p) / beams))
     found = cases._answers(case["name"], sweeps, True, None)
     both = np.sqrt(p * (1.0 - p) * (1.0 / beams + 1.0 / len(found)))
-    assert np.isfinite(found).mean() == pytest.approx(np.isfinite(told).mean(), abs=4.0 * both + 0.01 * p)
+    assert np.isfinite(found).mean() == pytest.approx(np.isfinite(reported).mean(), abs=4.0 * both + 0.01 * p)
     for share in (25.0, 75.0):
-        mine, other = np.nanpercentile(found, share), np.nanpercentile(told, share)
+        mine, other = np.nanpercentile(found, share), np.nanpercentile(reported, share)
         assert mine == pytest.approx(other, rel=0.1, abs=0.2)
 
 
@@ -189,10 +189,10 @@ def test_the_flicker_of_particles_that_are_not_drawn_is_bounded(case: Case) -> N
     assert none == pytest.approx(case["expected"]["relative_std"], rel=0.03)
     assert light.shadow_left_out(path_m) < none
     now = measure.air.at(0.0)
-    told = measure._falling.shadow_left_out(
+    reported = measure._falling.shadow_left_out(
         now.particles[0], np.array([0.5 * path_m, path_m, np.inf]), now.extinction_per_m
     )
-    assert told == pytest.approx(2.0 * light.shadow_left_out(path_m))
+    assert reported == pytest.approx(2.0 * light.shadow_left_out(path_m))
 
 
 # ------------------------------------------------------------------------------- every way to the same particles

@@ -70,24 +70,24 @@ def test_what_may_slip_between_probes_is_the_segment_beside_the_ring() -> None:
 @pytest.mark.parametrize("seed", range(6))
 def test_random_scenes_are_measured_as_in_full(seed: int, model: str) -> None:
     """Echoes as many, their ranges within two steps (a spiral of 61 is itself 1 mm off on steep ground)."""
-    spared, whole = pair(random_scene(seed), model, random_weather(seed))
+    rays_saved, whole = pair(random_scene(seed), model, random_weather(seed))
     plan = layers()
-    one, other, plain = spared(plan), whole(replace(plan)), spared.view(plan).plain
+    one, other, plain = rays_saved(plan), whole(replace(plan)), rays_saved.view(plan).plain
     assert plain is not None
     assert np.count_nonzero(plain) > 0.1 * len(plan)
     with np.errstate(invalid="ignore"):
         off = np.abs(one.range_m - other.range_m)
     np.testing.assert_array_equal(np.isnan(one.range_m), np.isnan(other.range_m))
-    assert np.nanmax(off, initial=0.0) <= 2.0 * spared.model.lsb_m
+    assert np.nanmax(off, initial=0.0) <= 2.0 * rays_saved.model.lsb_m
     seen = plain & np.isfinite(one.range_m[:, 0])
     np.testing.assert_allclose(one.intensity[seen, 0], other.intensity[seen, 0], rtol=0.03)
 
 
 def test_bundles_are_the_same() -> None:
-    spared, whole = pair(random_scene(1))
+    rays_saved, whole = pair(random_scene(1))
     plan = layers()
-    left = ~spared.view(plan).plain  # type: ignore[operator]
-    one, other = spared(plan).range_m[left], whole(replace(plan)).range_m[left]
+    left = ~rays_saved.view(plan).plain  # type: ignore[operator]
+    one, other = rays_saved(plan).range_m[left], whole(replace(plan)).range_m[left]
     np.testing.assert_allclose(one, other, rtol=1e-12)  # light may be summed in another order
 
 
@@ -95,10 +95,10 @@ def test_a_small_reflector_between_the_probes_is_seen() -> None:
     """It has a hundredth of the footprint, between the axis and the rim."""
     wall = body(0, triangles.box(0.1, 60.0, 60.0), 0, Steady(at_m=(20.0, 0.0, -30.0)))
     patch = body(0, triangles.box(0.01, 0.004, 0.004), 1, Steady(at_m=(19.9, 0.018, 0.005)))
-    spared, whole = pair(of_bodies(wall, patch))
+    rays_saved, whole = pair(of_bodies(wall, patch))
     plan = layers(16, 0.0, 0.0, 0.0)
-    assert not spared.view(plan).plain.any()  # type: ignore[union-attr]
-    np.testing.assert_allclose(spared(plan).range_m, whole(replace(plan)).range_m, rtol=1e-12)
+    assert not rays_saved.view(plan).plain.any()  # type: ignore[union-attr]
+    np.testing.assert_allclose(rays_saved(plan).range_m, whole(replace(plan)).range_m, rtol=1e-12)
 
 
 def test_other_sensors_and_full_have_no_probes() -> None:

@@ -126,7 +126,7 @@ HEAD = "schema: 1\nextends: sick-lms291-s05\nmodel: mine\ntitle: Mine\n"
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("pulse:\n  fwhm_ns: {value: -4, source: me, evidence: choice}\n",
          "mine.yaml:6: pulse.fwhm_ns.value: -4; want a number >= 0.01"),
@@ -143,10 +143,10 @@ HEAD = "schema: 1\nextends: sick-lms291-s05\nmodel: mine\ntitle: Mine\n"
         ("pulse: !!python/object:os.system x\n", "mine.yaml:5: pulse: tag"),
     ],
 )  # fmt: skip
-def test_a_wrong_file_is_refused_by_file_line_and_key(tmp_path: Path, text: str, told: str) -> None:
+def test_a_wrong_file_is_refused_by_file_line_and_key(tmp_path: Path, text: str, reported: str) -> None:
     with pytest.raises(SpecError) as caught:
         load_spec_file(spec_file(tmp_path, "mine", HEAD + text))
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
 
 
 def test_all_faults_of_a_file_are_told_at_once_in_its_order(tmp_path: Path) -> None:

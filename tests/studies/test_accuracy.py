@@ -216,9 +216,9 @@ def test_fewer_instants_of_a_sweep_err_by_speed_times_interval() -> None:
 
 def test_each_rule_of_leaving_out_is_told_alone_and_with_all(tiny: Report) -> None:
     table = tiny.table("accuracy_leaving")
-    told = table.column("rule")
-    assert told == ["every rule off", *(f"{key} alone" for key in LeaveOut.model_fields), "all as they come"]
-    rays = dict(zip(told, table.numbers("rays"), strict=True))
+    reported = table.column("rule")
+    assert reported == ["every rule off", *(f"{key} alone" for key in LeaveOut.model_fields), "all as they come"]
+    rays = dict(zip(reported, table.numbers("rays"), strict=True))
     assert rays["every rule off"] == float(DEFAULT)
     assert rays["resting alone"] == 0.0  # a wall before a sensor at rest is cast once
     assert rays["clear_air alone"] == rays["faint alone"] == float(DEFAULT)
@@ -354,9 +354,9 @@ def test_a_run_writes_page_pictures_and_tables(
 ) -> None:
     monkeypatch.setattr("emulator.studies.accuracy.run", lambda *_: tiny)
     code = main(["study", "accuracy", "--quick", "--json", "--out", str(tmp_path / "deep" / "report")])
-    told = json.loads(capsys.readouterr().out)
-    assert code == (0 if told["held"] else 1)
-    assert told["held"] is not bool(told["missed"])
+    reported = json.loads(capsys.readouterr().out)
+    assert code == (0 if reported["held"] else 1)
+    assert reported["held"] is not bool(reported["missed"])
     folder = tmp_path / "deep" / "report"
     page = (folder / "accuracy.html").read_text(encoding="utf-8")
     assert "defaults follow: rule spiral, 61" in page

@@ -20,7 +20,7 @@ import pytest
 from tests.system.mrpt_build import built
 from tests.system.nursery import NURSERY, begun
 
-PATIENCE_S = 60.0
+TIME_LIMIT_S = 60.0
 "Limit of a wait: a machine that is busy otherwise takes seconds for what takes milliseconds."
 STANDING = ("--set", "actors.0.motion.velocity_m_s=[0, 0, 0]", "--set", "actors.1.motion.at_m=[55.8, 0, 0]")
 "Of the scenario bumper: the grey car stays 50 m ahead, whenever a host comes."
@@ -90,7 +90,7 @@ class RunningDaemon:
         """End it with a signal; the exit code. What it printed last is in `end`."""
         if self.process.poll() is None:
             self.process.send_signal(number)
-        out, self.errors = self.process.communicate(timeout=PATIENCE_S)
+        out, self.errors = self.process.communicate(timeout=TIME_LIMIT_S)
         for line in out.splitlines():
             event = json.loads(line)
             if event["event"] == "stopped":
@@ -109,7 +109,7 @@ def daemons(folder: Path) -> Iterator[Callable[..., RunningDaemon]]:
         assert process.stdout is not None
         first = process.stdout.readline()
         if not first:
-            _, errors = process.communicate(timeout=PATIENCE_S)
+            _, errors = process.communicate(timeout=TIME_LIMIT_S)
             raise AssertionError(f"the daemon did not start: {errors}")
         running = RunningDaemon(process, json.loads(first))
         started.append(running)

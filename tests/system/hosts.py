@@ -11,7 +11,7 @@ from typing import Any
 
 import serial
 
-PATIENCE_S = 60.0
+TIME_LIMIT_S = 60.0
 LONGEST = 0x400
 "Bytes of a payload; what claims more is no header but bytes of a telegram of which the line has lost a part."
 SILENCE_S = 2.0
@@ -56,7 +56,7 @@ class LmsHost:
     def __exit__(self, *_: object) -> None:
         self.port.close()
 
-    def ask(self, payload: bytes, reply: int, seconds: float = PATIENCE_S) -> bytes:
+    def ask(self, payload: bytes, reply: int, seconds: float = TIME_LIMIT_S) -> bytes:
         """Send a request; the reply's payload. Stream telegrams on the way are skipped."""
         self.port.write(telegram(payload))
         end = time.monotonic() + seconds
@@ -98,7 +98,7 @@ class LmsHost:
     def stop(self) -> int:
         """End the stream; how many scans came before the reply."""
         self.port.write(telegram(b"\x20\x25"))
-        count, end = 0, time.monotonic() + PATIENCE_S
+        count, end = 0, time.monotonic() + TIME_LIMIT_S
         while time.monotonic() < end:
             got = self.next(max(0.0, end - time.monotonic()))
             if got is not None and got[0] == 0xA0:
@@ -106,7 +106,7 @@ class LmsHost:
             count += got is not None and got[0] == 0xB0
         raise AssertionError("no reply A0")
 
-    def scan(self, seconds: float = PATIENCE_S) -> list[int]:
+    def scan(self, seconds: float = TIME_LIMIT_S) -> list[int]:
         """Raw value words of the next B0."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -172,7 +172,7 @@ class LdHost:
     """Talks to an LD-LRS on its TCP port: USP frames, words high byte first."""
 
     def __init__(self, port: int) -> None:
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=TIME_LIMIT_S)
         self.seen = b""
 
     def __enter__(self) -> LdHost:

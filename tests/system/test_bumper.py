@@ -13,7 +13,7 @@ from typing import Any
 import can
 import pytest
 
-from tests.system.conftest import PATIENCE_S, STANDING
+from tests.system.conftest import STANDING, TIME_LIMIT_S
 from tests.system.hosts import LdHost, LmsHost
 from tests.system.nursery import ran
 
@@ -32,7 +32,7 @@ def port_of(url: str) -> int:
 def watch_lms(path: str, begun: threading.Barrier, seconds: float, seen: Seen) -> None:
     with LmsHost(path) as host:
         host.set_baud(500_000)
-        begun.wait(PATIENCE_S)
+        begun.wait(TIME_LIMIT_S)
         host.stream()
         host.scan()
         end = time.monotonic() + seconds
@@ -44,7 +44,7 @@ def watch_lms(path: str, begun: threading.Barrier, seconds: float, seen: Seen) -
 def watch_ld(port: int, begun: threading.Barrier, seconds: float, seen: Seen) -> None:
     with LdHost(port) as host:
         host.measure()
-        begun.wait(PATIENCE_S)
+        begun.wait(TIME_LIMIT_S)
         host.send(0x0301, 0, 0x3FFF)
         host.profile()
         end = time.monotonic() + seconds
@@ -88,7 +88,7 @@ def test_both_scanners_see_the_car_come_nearer_and_their_hosts_do_not_disturb_ea
     for host in hosts:
         host.start()
     for host in hosts:
-        host.join(PATIENCE_S)
+        host.join(TIME_LIMIT_S)
     assert running.stop() == 0
 
     # 112 and 30; fewer on a busy machine, where sweeps that come too late are passed over, and counted
@@ -144,7 +144,7 @@ def test_a_stock_can_client_gets_every_frame_of_every_profile(daemon: Callable[.
         for _ in range(5):
             numbers, size = [], 0
             while not numbers or numbers[-1] != 1:
-                frame = bus.recv(PATIENCE_S)
+                frame = bus.recv(TIME_LIMIT_S)
                 assert frame is not None
                 assert frame.arbitration_id == 0x710
                 numbers.append(int.from_bytes(frame.data[:2], "big"))

@@ -16,7 +16,7 @@ import pytest
 
 from emulator.compiled.switch import SWITCH
 from emulator.runtime.control import ask
-from tests.system.conftest import PATIENCE_S
+from tests.system.conftest import TIME_LIMIT_S
 
 pytest.importorskip("numba")
 
@@ -50,9 +50,9 @@ def started(on: str, cwd: Path, *arguments: str) -> subprocess.Popen[str]:
 
 def ended(process: subprocess.Popen[str]) -> str:
     """What it wrote, once it ended well."""
-    told, wrong = process.communicate(timeout=300)
-    assert process.returncode == 0, told + wrong
-    return told
+    reported, wrong = process.communicate(timeout=300)
+    assert process.returncode == 0, reported + wrong
+    return reported
 
 
 def test_shipped_scenarios_hold_and_mostly_send_the_same_bytes(tmp_path: Path) -> None:
@@ -69,8 +69,8 @@ def test_shipped_scenarios_hold_and_mostly_send_the_same_bytes(tmp_path: Path) -
 
 
 def test_a_run_in_real_time_uses_them_too(tmp_path: Path) -> None:
-    told = ended(started("1", tmp_path, "demo", "--scenario", "crossing_car", "--duration", "2"))
-    assert "crossing_car" in told or "front" in told
+    reported = ended(started("1", tmp_path, "demo", "--scenario", "crossing_car", "--duration", "2"))
+    assert "crossing_car" in reported or "front" in reported
 
 
 @pytest.fixture
@@ -91,7 +91,7 @@ def first_start(tmp_path: Path) -> Any:
 
 
 def until(holds: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE_S
+    end = time.monotonic() + TIME_LIMIT_S
     while not holds():
         assert time.monotonic() < end, "not in time"
         time.sleep(0.05)
@@ -119,9 +119,12 @@ def test_the_first_start_begins_with_arrays_and_goes_over_to_loops(first_start: 
     assert status()["incident_totals"] == {}
     time.sleep(1.0)  # it is reported with the next look at the processes
     process.send_signal(signal.SIGTERM)
-    _, told = process.communicate(timeout=PATIENCE_S)
+    _, reported = process.communicate(timeout=TIME_LIMIT_S)
     assert process.returncode == 0
-    assert [line.partition(" loops are ")[2][:13] for line in told.splitlines()] == ["being built f", "in use; built"]
+    assert [line.partition(" loops are ")[2][:13] for line in reported.splitlines()] == [
+        "being built f",
+        "in use; built",
+    ]
 
 
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
@@ -129,6 +132,6 @@ def test_what_builds_ends_with_the_run(first_start: Any, tmp_path: Path, how: si
     process, _ = first_start
     until((tmp_path / "building").exists)
     process.send_signal(how)
-    _, told = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == (0 if how == signal.SIGTERM else -how), told
+    _, reported = process.communicate(timeout=TIME_LIMIT_S)
+    assert process.returncode == (0 if how == signal.SIGTERM else -how), reported
     until(lambda: gone(int((tmp_path / "building").read_text())))

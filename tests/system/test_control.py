@@ -18,13 +18,13 @@ from emulator.commands.cli import main
 from emulator.errors import EmulatorError, LinkError
 from emulator.recording.reader import read_run
 from emulator.runtime.control import LONGEST_LINE, ask
-from tests.system.conftest import PATIENCE_S
+from tests.system.conftest import TIME_LIMIT_S
 from tests.system.hosts import LmsHost
 
 
 def connect(path: Path) -> socket.socket:
     found = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    found.settimeout(PATIENCE_S)
+    found.settimeout(TIME_LIMIT_S)
     found.connect(str(path))
     return found
 
@@ -65,7 +65,7 @@ def test_status_and_stop_of_a_real_run(
     assert main(["ctl", "pause", "--socket", str(path)]) == 2
     assert "not possible in real time" in capsys.readouterr().err
     assert main(["ctl", "stop", "--socket", str(path)]) == 0
-    assert running.process.wait(timeout=PATIENCE_S) == 0
+    assert running.process.wait(timeout=TIME_LIMIT_S) == 0
     assert not path.exists()
     assert main(["ctl", "status", "--socket", str(path)]) == 3
 
@@ -112,9 +112,9 @@ def test_weather_ordered_from_a_shell_changes_what_the_host_reads(
         assert ctl("weather", "fog.visibility_m=-5") == 2
         assert "weather: fog.visibility_m: -5; want a number > 0" in capsys.readouterr().err
         assert ctl("weather", "fog.visibility_m=3", "fog.law=kruse") == 0
-        told = json.loads(capsys.readouterr().out)
-        assert told["now_s"] <= told["from_s"] <= told["now_s"] + 0.3
-        assert told["weather"]["fog"]["law"] == "kruse"
+        reported = json.loads(capsys.readouterr().out)
+        assert reported["now_s"] <= reported["from_s"] <= reported["now_s"] + 0.3
+        assert reported["weather"]["fog"]["law"] == "kruse"
         assert any(not 790 <= host.scan()[180] <= 810 for _ in range(600))
         assert ctl("weather", "fog=null") == 0
         assert any(795 <= host.scan()[180] <= 805 for _ in range(600))
@@ -123,7 +123,7 @@ def test_weather_ordered_from_a_shell_changes_what_the_host_reads(
     assert "fog" not in json.loads(capsys.readouterr().out)["weather"]
     assert running.stop() == 0
     orders = [row for _, _, row in read_run(tmp_path / "kept").events if row.get("order") == "weather"]
-    assert orders[0]["change"]["t_s"] == told["from_s"]  # type: ignore[index]
+    assert orders[0]["change"]["t_s"] == reported["from_s"]  # type: ignore[index]
     assert orders[1]["change"]["fog"] is None  # type: ignore[index]
 
 
@@ -142,14 +142,14 @@ def test_a_virtual_run_is_stepped_by_bytes_and_to_an_instant(daemon: Callable[..
         assert now_s[2] - now_s[1] == pytest.approx(4 * 10 / 9600, abs=1e-6)  # a byte takes ten bits
         assert ask(path, "step", {"to_s": now_s[2] + 0.25})["now_s"] == pytest.approx(now_s[2] + 0.25, abs=1e-9)
         assert ask(path, "step", {"bytes": 5, "sensor": other, "link": 0})["bytes"] == 0  # nobody asked it for anything
-    for wrong, told in (
+    for wrong, reported in (
         ({"to_s": 0}, "to_s: 0; want"),
         ({"bytes": 1, "seconds": 1}, "want one of scans, bytes, seconds, to_s"),
         ({"bytes": 1, "sensor": "nose"}, "sensor: 'nose'; want one of"),
         ({"bytes": 1, "link": 7}, "link: 7; "),
         ({"seconds": 1, "sensor": one}, "want sensor for scans and bytes"),
     ):
-        with pytest.raises(EmulatorError, match=re.escape(told)):
+        with pytest.raises(EmulatorError, match=re.escape(reported)):
             ask(path, "step", wrong)
     assert running.stop() == 0
 
@@ -195,11 +195,11 @@ def test_garbage_is_answered_and_a_client_that_floods_or_never_reads_is_hung_up_
         for one in half:
             one.sendall(b': "glance"}\n')
             assert line(one)["id"] == 1
-    with connect(path) as deaf:
-        deaf.settimeout(2.0)
+    with connect(path) as not_reading:
+        not_reading.settimeout(2.0)
         try:
             for _ in range(5_000):
-                deaf.sendall(b'{"id": 1, "method": "status"}\n')
+                not_reading.sendall(b'{"id": 1, "method": "status"}\n')
         except (BrokenPipeError, ConnectionResetError, TimeoutError):
             pass
         assert ask(path, "status", {})["clock"] == "real"

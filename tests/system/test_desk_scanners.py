@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.system.conftest import PATIENCE_S, RunningDaemon, daemons
+from tests.system.conftest import TIME_LIMIT_S, RunningDaemon, daemons
 
 WALL_M = 2.0
 SCENE = """\
@@ -63,11 +63,11 @@ def test_lds2d_sees_the_wall(running: RunningDaemon, theirs: str) -> None:
 def test_at_the_wrong_speed_no_packet_is_read(running: RunningDaemon) -> None:
     import serial
 
-    with serial.Serial(running.path("ld19"), 115_200, timeout=PATIENCE_S) as port:
+    with serial.Serial(running.path("ld19"), 115_200, timeout=TIME_LIMIT_S) as port:
         data = port.read(4000)
         assert len(data) == 4000
         assert data.count(b"\x54\x2c") < 20, "of 85"
         port.baudrate = 230_400
-        until = time.monotonic() + PATIENCE_S
+        until = time.monotonic() + TIME_LIMIT_S
         while port.read(4000).count(b"\x54\x2c") < 80:
             assert time.monotonic() < until

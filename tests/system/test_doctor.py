@@ -15,8 +15,8 @@ def test_every_question_has_an_answer(capsys: pytest.CaptureFixture[str]) -> Non
     names = [row["name"] for row in rows]
     assert {"processor cores", "pseudo-terminals", "multicast on 127.0.0.1", "SocketCAN", "timers"} <= set(names)
     assert all(row["detail"] for row in rows)
-    told = {row["name"]: row["detail"] for row in rows}
-    assert "fast" in told["compiled loops"] or "LIDAREMU_COMPILED" in told["compiled loops"]
-    assert "asyncio.sleep" in told["timers"]
-    assert "of a core spent awake" in told["timers"]
-    assert "--realtime" in told["real-time scheduling"] or "want CAP_SYS_NICE" in told["real-time scheduling"]
+    reported = {row["name"]: row["detail"] for row in rows}
+    assert "fast" in reported["compiled loops"] or "LIDAREMU_COMPILED" in reported["compiled loops"]
+    assert "asyncio.sleep" in reported["timers"]
+    assert "of a core spent awake" in reported["timers"]
+    assert "--realtime" in reported["real-time scheduling"] or "want CAP_SYS_NICE" in reported["real-time scheduling"]

@@ -19,7 +19,7 @@ import serial
 from emulator.hosts.lines import SerialLine
 from emulator.hosts.lms2xx import Lms2xxHost
 from emulator.runtime.control import ask
-from tests.system.conftest import PATIENCE_S, RunningDaemon
+from tests.system.conftest import TIME_LIMIT_S, RunningDaemon
 from tests.system.hosts import LdHost, LmsHost
 from tests.system.nursery import SWITCH, ran
 
@@ -40,13 +40,13 @@ def running(daemon: Callable[..., RunningDaemon], tmp_path: Path) -> RunningDaem
 
 
 def fault(running: RunningDaemon, **params: object) -> int:
-    told = ask(Path(running.ready["control"].removeprefix("unix:")), "fault", params)
-    assert isinstance(told, dict)
-    return int(told["number"])
+    reported = ask(Path(running.ready["control"].removeprefix("unix:")), "fault", params)
+    assert isinstance(reported, dict)
+    return int(reported["number"])
 
 
 def until(holds: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE_S
+    end = time.monotonic() + TIME_LIMIT_S
     while not holds():
         assert time.monotonic() < end, "not in time"
         time.sleep(0.02)
@@ -54,12 +54,12 @@ def until(holds: Callable[[], bool]) -> None:
 
 def after(host: LmsHost, head: bytes) -> bytes | None:
     """The next telegram whose payload begins so, whatever stands before it on the line."""
-    end, data = time.monotonic() + PATIENCE_S, host.seen
+    end, data = time.monotonic() + TIME_LIMIT_S, host.seen
     while head not in data:
         assert time.monotonic() < end, data[-50:]
         data += host.port.read(max(1, host.port.in_waiting))
     host.seen = data[data.index(head) - 4 :]
-    return host.next(PATIENCE_S)
+    return host.next(TIME_LIMIT_S)
 
 
 def hung_up(use: Callable[[], object]) -> bool:
@@ -100,7 +100,7 @@ def test_a_pty_is_unplugged_and_a_device_is_switched_off_and_hosts_come_back(run
         again.port.baudrate = 9600
         assert after(again, b"\x90LMS291;") is not None
     ours = Lms2xxHost(SerialLine(path, 9_600), 38_400)
-    assert next(scan for scan in ours.scans(PATIENCE_S) if scan is not None).range_m.shape == (361,)
+    assert next(scan for scan in ours.scans(TIME_LIMIT_S) if scan is not None).range_m.shape == (361,)
     ours.close()
     assert running.stop() == 0
     assert running.end["front"]["restarts"] == 2
@@ -136,7 +136,7 @@ def _sockets_go_and_come(running: RunningDaemon, port: int, connect: Callable[[]
     with pytest.raises(TimeoutError):
         again.socket.recv(1)  # no FIN, no reset: the device cannot say that it has gone
     until(lambda: not refused(("127.0.0.1", port)))
-    again.socket.settimeout(PATIENCE_S)
+    again.socket.settimeout(TIME_LIMIT_S)
     again.socket.sendall(b"\x02USP")
     with pytest.raises(ConnectionResetError):
         again.socket.recv(1)
@@ -192,7 +192,7 @@ def test_a_driver_in_a_test_loses_power_and_plug_on_a_virtual_clock(lidaremu: Ca
             host.port.read(100_000)
             host.seen = b""  # half a telegram
             rig.resume()
-            boot = host.next(PATIENCE_S)
+            boot = host.next(TIME_LIMIT_S)
             assert boot is not None
             assert boot[0] == 0x90
             assert 28.0 <= rig.now_s - began_s < 29.0, "three seconds without power, twenty-five of start-up"

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.system.conftest import PATIENCE_S, RunningDaemon, daemons
+from tests.system.conftest import TIME_LIMIT_S, RunningDaemon, daemons
 
 pytestmark = pytest.mark.timeout(900)  # the first who wants the drivers builds them, perhaps on a busy machine
 WALL_M = 8.0
@@ -58,7 +58,7 @@ def agrees(range_m: np.ndarray, azimuth_rad: np.ndarray) -> None:
 def test_hokuyolx_synchronises_measures_sleeps_and_restarts(running: RunningDaemon) -> None:
     from hokuyolx import HokuyoLX
 
-    laser: Any = HokuyoLX(addr=("127.0.0.1", port(running, "ust")), timeout=PATIENCE_S, time_tolerance=60_000)
+    laser: Any = HokuyoLX(addr=("127.0.0.1", port(running, "ust")), timeout=TIME_LIMIT_S, time_tolerance=60_000)
     try:
         assert (laser.model, laser.dmin, laser.dmax, laser.amax, laser.scan_freq) == ("UST-20LX", 20, 60_000, 1080, 40)
         assert laser.laser_state()[0] == 3
@@ -84,8 +84,8 @@ def test_hokuyolx_synchronises_measures_sleeps_and_restarts(running: RunningDaem
 @pytest.mark.parametrize("sensor", ["usb", "ew"])
 def test_mrpt_connects_and_sees_the_wall(running: RunningDaemon, mrpt: Path, sensor: str) -> None:
     where = running.path("usb") if sensor == "usb" else f"tcp:{port(running, 'ew')}"
-    words = [str(mrpt / "hokuyo_host"), where, "3", str(PATIENCE_S)]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=2 * PATIENCE_S, check=False)
+    words = [str(mrpt / "hokuyo_host"), where, "3", str(TIME_LIMIT_S)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=2 * TIME_LIMIT_S, check=False)
     scans = [line.split() for line in done.stdout.splitlines() if line.startswith("scan ")]
     assert (done.returncode, len(scans)) == (0, 3), done.stdout[-2000:] + done.stderr[-2000:]
     for _, aperture, count, *ranges in scans:
@@ -101,7 +101,7 @@ def test_a_host_of_twenty_lines_reads_true_ranges_on_the_terminal(running: Runni
     def reply() -> list[bytes]:
         nonlocal held
         while b"\n\n" not in held:
-            assert select.select([port], [], [], PATIENCE_S)[0]
+            assert select.select([port], [], [], TIME_LIMIT_S)[0]
             held += os.read(port, 65536)
         one, _, held = held.partition(b"\n\n")
         return one.split(b"\n")

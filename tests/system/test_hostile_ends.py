@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 from emulator.recording.reader import RecordingError, read_run
-from tests.system.conftest import PATIENCE_S
+from tests.system.conftest import TIME_LIMIT_S
 from tests.system.hosts import LmsHost
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -76,7 +76,7 @@ class Bench:
         assert process.stdout is not None
         first = process.stdout.readline()
         if not first:
-            raise AssertionError(process.communicate(timeout=PATIENCE_S)[1])
+            raise AssertionError(process.communicate(timeout=TIME_LIMIT_S)[1])
         assert json.loads(first)["event"] == "ready"
 
     def kill(self, process: subprocess.Popen[str]) -> None:
@@ -85,7 +85,7 @@ class Bench:
         began = time.monotonic()
         process.kill()
         while any(alive(pid) for pid in workers):
-            assert time.monotonic() - began < PATIENCE_S, "a worker outlives its daemon"
+            assert time.monotonic() - began < TIME_LIMIT_S, "a worker outlives its daemon"
             time.sleep(0.01)
         process.communicate()
 
@@ -121,11 +121,11 @@ def test_a_killed_daemon_leaves_nothing_that_blocks_the_next(tmp_path: Path) -> 
         host.stream()
         assert len(host.scan()) == 361
     socket.create_connection(("127.0.0.1", bench.ports[0])).close()
-    with socket.create_connection(("127.0.0.1", bench.ports[1]), timeout=PATIENCE_S) as client:
+    with socket.create_connection(("127.0.0.1", bench.ports[1]), timeout=TIME_LIMIT_S) as client:
         assert client.recv(100).startswith(b"< hi >")
     assert (tmp_path / "can").exists()
     process.send_signal(signal.SIGTERM)
-    _, errors = process.communicate(timeout=PATIENCE_S)
+    _, errors = process.communicate(timeout=TIME_LIMIT_S)
     assert process.returncode == 0, errors
     left = {path.name for path in tmp_path.iterdir()} - {"bench.yaml"}
     assert {name for name in left if not name.startswith("run")} == set()

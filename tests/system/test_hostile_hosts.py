@@ -100,8 +100,8 @@ class Battle:
         """Attack for so long; holds how many connections that were, once it is over."""
         tcp = [port_of(self.links[name][0]) for name in ("line", "top", "objects")]
         ptys = [str(self.folder / name) for name in ("line", "can")]
-        told = json.dumps((tcp, ptys, port_of(self.links["top"][1]), str(self.control), seconds))
-        with subprocess.Popen([sys.executable, "-c", ATTACK, told], stdout=subprocess.PIPE, text=True) as process:
+        reported = json.dumps((tcp, ptys, port_of(self.links["top"][1]), str(self.control), seconds))
+        with subprocess.Popen([sys.executable, "-c", ATTACK, reported], stdout=subprocess.PIPE, text=True) as process:
             opened: list[int] = []
             yield opened
             assert process.stdout is not None

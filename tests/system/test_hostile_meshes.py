@@ -40,9 +40,9 @@ def test_hostile_meshes_cost_little_and_are_told(tmp_path: Path) -> None:
         process.returncode = os.waitstatus_to_exitcode(status)
     lines = (tmp_path / "out").read_text(encoding="utf-8").splitlines()
     assert process.returncode == 2, lines
-    told = ["without data", "19000000 triangles", "100000 characters", "commas and brackets", "not a regular file"]
+    reported = ["without data", "19000000 triangles", "100000 characters", "commas and brackets", "not a regular file"]
     assert len(lines) == len(names)
-    for name, line, want in zip(names, lines, [*told, "ok: 0 sensors", "ok: 0 sensors"], strict=True):
+    for name, line, want in zip(names, lines, [*reported, "ok: 0 sensors", "ok: 0 sensors"], strict=True):
         assert line.startswith(f"{name}.yaml:")
         assert want in line
     assert used.ru_maxrss * 1024 < MOST_BYTES

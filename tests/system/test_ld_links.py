@@ -21,7 +21,7 @@ from emulator.transports.schemes import open_link
 from protocols.ld import FAMILY
 from tests.protocols.ld.reader import package, read_frames, read_packages, read_profile, request, words
 from tests.protocols.ld.rig import FACTS, MS, SECOND, ten_metres
-from tests.system.conftest import PATIENCE_S
+from tests.system.conftest import TIME_LIMIT_S
 
 
 class Bench:
@@ -46,7 +46,7 @@ class Bench:
     def connect(self) -> socket.socket:
         """A host on the TCP link."""
         host, port = self.links[0].url.removeprefix("tcp:").rsplit(":", 1)
-        connection = socket.create_connection((host, int(port)), timeout=PATIENCE_S)
+        connection = socket.create_connection((host, int(port)), timeout=TIME_LIMIT_S)
         self.run(4 * MS)
         return connection
 
@@ -165,7 +165,7 @@ def test_a_stack_that_only_listens_gets_profiles_by_datagram() -> None:
         made = Bench([f"udp:127.0.0.1:{host.getsockname()[1]}?listen=127.0.0.1:0"], mode=None, step_deg=0.5)
         try:
             made.run(SECOND)
-            host.settimeout(PATIENCE_S)
+            host.settimeout(TIME_LIMIT_S)
             profiles = [read_profile(read_frames(host.recv(70_000))[0]) for _ in range(10)]
             assert [profile.sent for profile in profiles] == list(range(1, 11))
             assert {profile.form for profile in profiles} == {0x3DFF}

@@ -14,7 +14,7 @@ from typing import Any
 
 from emulator.runtime.control import ask
 from tests.protocols.ld.reader import read_profile
-from tests.system.conftest import PATIENCE_S, RunningDaemon
+from tests.system.conftest import TIME_LIMIT_S, RunningDaemon
 from tests.system.hosts import Adapter, EndOfLine, LdHost, LmsHost, crc, xor
 
 WORLD = """\
@@ -34,7 +34,7 @@ def started(daemon: Callable[..., RunningDaemon], folder: Path, sensor: str) -> 
 
 
 def until(holds: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE_S
+    end = time.monotonic() + TIME_LIMIT_S
     while not holds():
         assert time.monotonic() < end, "not in time"
         time.sleep(0.02)
@@ -53,7 +53,7 @@ def status(running: RunningDaemon) -> dict[str, Any]:
 def judged(frames: Iterator[bool], wanted: int, more: int) -> list[bool]:
     """Whether each telegram's check is right, until so many were wrong, and of so many behind them."""
     found: list[bool] = []
-    end = time.monotonic() + PATIENCE_S
+    end = time.monotonic() + TIME_LIMIT_S
     while found.count(False) < wanted:
         assert time.monotonic() < end, f"{found.count(False)} wrong ones of {len(found)}"
         found.append(next(frames))
@@ -98,7 +98,7 @@ def test_a_fault_on_a_serial_line(daemon: Callable[..., RunningDaemon], tmp_path
 
 def test_a_fault_by_datagram(daemon: Callable[..., RunningDaemon], tmp_path: Path) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host:
-        host.settimeout(PATIENCE_S)
+        host.settimeout(TIME_LIMIT_S)
         host.bind(("127.0.0.1", 0))
         running = started(daemon, tmp_path, AIR.replace("PORT", str(host.getsockname()[1])))
         frames = datagrams(host)
@@ -153,7 +153,7 @@ def test_a_flooded_port_takes_a_new_host_in_when_its_floods_have_gone(
     port = int(running.link("top").rpartition(":")[2])
     with contextlib.ExitStack() as floods:
         for _ in range(64):
-            one = floods.enter_context(socket.create_connection(("127.0.0.1", port), PATIENCE_S))
+            one = floods.enter_context(socket.create_connection(("127.0.0.1", port), TIME_LIMIT_S))
             one.setblocking(False)
             with contextlib.suppress(BlockingIOError):
                 while True:

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from emulator.runtime.control import ask
-from tests.system.conftest import PATIENCE_S, STANDING, RunningDaemon
+from tests.system.conftest import STANDING, TIME_LIMIT_S, RunningDaemon
 from tests.system.nursery import begun, ran
 from tests.system.terminals import Terminal
 
@@ -35,7 +35,7 @@ def terminal(tmp_path: Path) -> Iterator[Callable[..., Terminal]]:
         one.close()
 
 
-def lidaremu(folder: Path, *arguments: str, seconds: float = 4 * PATIENCE_S) -> subprocess.CompletedProcess[str]:
+def lidaremu(folder: Path, *arguments: str, seconds: float = 4 * TIME_LIMIT_S) -> subprocess.CompletedProcess[str]:
     return ran(*arguments, cwd=folder, seconds=seconds)
 
 
@@ -135,10 +135,10 @@ def test_an_address_where_nothing_answers_is_told_with_what_was_tried(tmp_path: 
             for url in tried
         }
         for url, process in processes.items():
-            _, told = process.communicate(timeout=PATIENCE_S)
-            assert process.returncode == 3, told
-            assert tried[url] in told
-            assert url in told
+            _, reported = process.communicate(timeout=TIME_LIMIT_S)
+            assert process.returncode == 3, reported
+            assert tried[url] in reported
+            assert url in reported
     os.close(master)
     os.close(slave)
 

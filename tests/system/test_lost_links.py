@@ -13,7 +13,7 @@ import serial
 
 from emulator.judging.rig import Rig
 from emulator.runtime.control import ask
-from tests.system.conftest import PATIENCE_S, RunningDaemon
+from tests.system.conftest import TIME_LIMIT_S, RunningDaemon
 from tests.system.hosts import Adapter, LmsHost
 from tests.system.nursery import begun
 
@@ -89,14 +89,14 @@ def test_the_rest_of_a_replay_goes_on(daemon: Callable[..., RunningDaemon], adap
         assert process.stderr is not None
         assert json.loads(process.stdout.readline())["event"] == "ready"
         adapter.opened()
-        with serial.Serial(str(tmp_path / "again"), 9600, timeout=PATIENCE_S) as port:
+        with serial.Serial(str(tmp_path / "again"), 9600, timeout=TIME_LIMIT_S) as port:
             assert port.read(1)
             adapter.pull()
             assert process.stderr.readline().startswith(f"lidaremu: serial:{adapter.path}: lost: ")
             port.reset_input_buffer()
             assert len(port.read(5000)) == 5000
         process.send_signal(signal.SIGTERM)
-        assert process.communicate(timeout=PATIENCE_S)[1] == ""
+        assert process.communicate(timeout=TIME_LIMIT_S)[1] == ""
         assert process.returncode == 3
     finally:
         process.kill()

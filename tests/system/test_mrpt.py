@@ -18,7 +18,7 @@ import pytest
 
 from emulator.process.waiting import realtime_allowed
 from emulator.runtime.control import ask
-from tests.system.conftest import PATIENCE_S, RunningDaemon, daemons, favoured
+from tests.system.conftest import TIME_LIMIT_S, RunningDaemon, daemons, favoured
 from tests.system.hosts import drift_s
 
 pytestmark = pytest.mark.timeout(900)  # the first who wants the drivers builds them, perhaps on a busy machine
@@ -103,8 +103,8 @@ class Judgement:
 
 
 def judge(program: Path, running: RunningDaemon, sensor: str, case: Case) -> Judgement:
-    told = [str(int(value)) for value in (case.baud, case.mm, case.field, case.step, case.scans)]
-    words = [*HOST, str(program), running.path(sensor), *told, str(PATIENCE_S)]
+    reported = [str(int(value)) for value in (case.baud, case.mm, case.field, case.step, case.scans)]
+    words = [*HOST, str(program), running.path(sensor), *reported, str(TIME_LIMIT_S)]
     printed: list[str] = []
     with CONNECTING:
         driver = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
@@ -192,14 +192,14 @@ class Carrying:
     def __init__(self, program: Path, port: str, log: Path) -> None:
         self.log = log
         with log.open("wb") as out:
-            words = [*HOST, str(program), port, "38400", str(5 * PATIENCE_S)]
+            words = [*HOST, str(program), port, "38400", str(5 * TIME_LIMIT_S)]
             self.process = subprocess.Popen(words, stdout=out, stderr=subprocess.STDOUT)
 
     def lines(self, head: str) -> list[str]:
         """Whole lines that begin so."""
         return [line for line in self.log.read_text(errors="replace").split("\n")[:-1] if line.startswith(head)]
 
-    def more(self, count: int, head: str = "scan ", seconds: float = PATIENCE_S) -> bool:
+    def more(self, count: int, head: str = "scan ", seconds: float = TIME_LIMIT_S) -> bool:
         """Whether so many more such lines come in time."""
         wanted, end = len(self.lines(head)) + count, time.monotonic() + seconds
         while len(self.lines(head)) < wanted:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.protocols.cola.reader import ask_a, ask_b, frames, read
-from tests.system.conftest import PATIENCE_S
+from tests.system.conftest import TIME_LIMIT_S
 
 pytestmark = pytest.mark.timeout(900)  # the first who wants the drivers builds them, perhaps on a busy machine
 WALL = """\
@@ -46,7 +46,7 @@ class Host:
     """Speaks one dialect over a socket; decodes with the tests' own reader."""
 
     def __init__(self, port: int) -> None:
-        self._socket = socket.create_connection(("127.0.0.1", port), PATIENCE_S)
+        self._socket = socket.create_connection(("127.0.0.1", port), TIME_LIMIT_S)
         self._held = b""
 
     def ask(self, data: bytes) -> bytes:
@@ -86,18 +86,18 @@ def test_two_hosts_and_then_mrpt_see_the_wall(daemon: Callable[..., Any], mrpt: 
                 break
             except TimeoutError:
                 continue
-        text._socket.settimeout(PATIENCE_S)
+        text._socket.settimeout(TIME_LIMIT_S)
         assert text.ask(ask_a("sWN LMDscandatacfg 01 00 1 1 0 00 00 0 0 0 0 +1")) == b"sWA LMDscandatacfg"
         assert text.ask(ask_a("sEN LMDscandata 1")) == b"sEA LMDscandata 1"
         assert binary.ask(ask_b("sEN LMDscandata", "01")) == b"sEA LMDscandata \x01"
         for host, dialect in ((text, "A"), (binary, "B")):
-            told = [host.next() for _ in range(10)]
-            assert {one for one, _ in told} == {dialect}
-            scans = [read(*one) for one in told]
+            reported = [host.next() for _ in range(10)]
+            assert {one for one, _ in reported} == {dialect}
+            scans = [read(*one) for one in reported]
             seen_right(np.array([scan.mm() for scan in scans]) / 1000.0, 0.5)
             assert all(min(scan.mm("RSSI1")[240:300]) > 0 for scan in scans)
-    words = [str(mrpt / "mrpt_lms100"), str(ports[0]), "20", str(PATIENCE_S)]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=3 * PATIENCE_S, check=False)
+    words = [str(mrpt / "mrpt_lms100"), str(ports[0]), "20", str(TIME_LIMIT_S)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=3 * TIME_LIMIT_S, check=False)
     assert done.returncode == 0, done.stdout[-2000:]
     scans = [line.split() for line in done.stdout.splitlines() if line.startswith("scan ")]
     polled = np.array([[float(word) for word in line[5:]] for line in scans if line[4] == "1081"])

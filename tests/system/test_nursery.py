@@ -6,7 +6,7 @@ import signal
 import subprocess
 from pathlib import Path
 
-from tests.system.conftest import PATIENCE_S
+from tests.system.conftest import TIME_LIMIT_S
 from tests.system.nursery import Forked, begun, ran
 
 
@@ -30,5 +30,5 @@ def test_its_signals_are_its_own(tmp_path: Path) -> None:
             assert (tmp_path / "lms291").is_symlink()
             assert running.poll() is None
             running.send_signal(number)
-            assert running.wait(PATIENCE_S) == code
+            assert running.wait(TIME_LIMIT_S) == code
         assert (tmp_path / "lms291").is_symlink() == (number == signal.SIGKILL)

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from emulator.runtime.control import ask
-from tests.system.conftest import PATIENCE_S, RunningDaemon
+from tests.system.conftest import TIME_LIMIT_S, RunningDaemon
 from tests.system.hosts import LmsHost
 from tests.system.nursery import begun
 
@@ -57,7 +57,7 @@ def worker_of(running: RunningDaemon, sensor: str) -> int:
 
 
 def until(holds: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE_S
+    end = time.monotonic() + TIME_LIMIT_S
     while not holds():
         assert time.monotonic() < end, "not in time"
         time.sleep(0.05)
@@ -113,7 +113,7 @@ class Listener:
     def __init__(self, path: Path) -> None:
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.socket.bind(str(path))
-        self.socket.settimeout(PATIENCE_S)
+        self.socket.settimeout(TIME_LIMIT_S)
 
     def hear(self) -> list[str]:
         """All that has been said and not heard."""
@@ -125,7 +125,7 @@ class Listener:
         except BlockingIOError:
             return found
         finally:
-            self.socket.settimeout(PATIENCE_S)
+            self.socket.settimeout(TIME_LIMIT_S)
 
 
 def test_a_stopped_sender_and_stopped_onlookers(daemon: Daemons, case: Path, monkeypatch: pytest.MonkeyPatch) -> None:

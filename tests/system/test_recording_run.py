@@ -17,7 +17,7 @@ import serial
 
 from emulator.recording.reader import read_run
 from emulator.runtime.control import ask
-from tests.system.conftest import PATIENCE_S, RunningDaemon
+from tests.system.conftest import TIME_LIMIT_S, RunningDaemon
 from tests.system.hosts import LmsHost
 from tests.system.nursery import begun, ran
 
@@ -66,7 +66,7 @@ def test_a_killed_runs_recording_is_replayed_with_its_gaps_and_its_bytes(recordi
     with serial.Serial(str(tmp_path / "again"), 38_400, timeout=0.2) as port:
         began, got = time.monotonic(), b""
         with contextlib.suppress(serial.SerialException):  # the terminal goes when all is sent
-            while time.monotonic() - began < PATIENCE_S:
+            while time.monotonic() - began < TIME_LIMIT_S:
                 got += port.read(4096)
         elapsed = time.monotonic() - began
     out, errors = process.communicate()
@@ -93,7 +93,7 @@ def test_a_replay_starts_a_driver_told_where_sensors_are_and_a_replay_is_looked_
 
 def test_a_replay_can_be_stepped_and_looped(recording: Path, tmp_path: Path) -> None:
     process = replay(tmp_path, "rec", "--link", "front=pty:./again?speed=ignore", "--stepped", stdin=subprocess.PIPE)
-    with serial.Serial(str(tmp_path / "again"), 38_400, timeout=PATIENCE_S) as port:
+    with serial.Serial(str(tmp_path / "again"), 38_400, timeout=TIME_LIMIT_S) as port:
         time.sleep(0.2)
         assert port.in_waiting == 0
         assert process.stdin is not None
@@ -102,21 +102,21 @@ def test_a_replay_can_be_stepped_and_looped(recording: Path, tmp_path: Path) -> 
             process.stdin.flush()
         assert port.read(1) == b"\x06"
         process.stdin.close()
-        process.wait(timeout=PATIENCE_S)
+        process.wait(timeout=TIME_LIMIT_S)
     for pipe in (process.stdout, process.stderr):
         assert pipe is not None
         pipe.close()
     fast = replay(tmp_path, "rec", "--link", "front=pty:./more", "--at-once", "--speed", "50", "--loop", "2")
-    out, errors = fast.communicate(timeout=PATIENCE_S)
+    out, errors = fast.communicate(timeout=TIME_LIMIT_S)
     assert fast.returncode == 0, errors
     assert json.loads(out.splitlines()[-1])["rounds"] == 2
 
 
 def test_a_recording_that_is_none_and_a_sensor_that_is_not_in_it_are_told(recording: Path, tmp_path: Path) -> None:
-    for arguments, told in ((["nothing"], "nothing"), (["rec", "--link", "rear=pty:./x"], "front")):
+    for arguments, reported in ((["nothing"], "nothing"), (["rec", "--link", "rear=pty:./x"], "front")):
         done = ran("replay", *arguments, cwd=tmp_path)
         assert done.returncode == 2
-        assert told in done.stderr
+        assert reported in done.stderr
         assert "Traceback" not in done.stderr
 
 
@@ -136,7 +136,7 @@ def test_a_folder_has_one_recording_and_its_removal_is_told_while_the_run_goes_o
     shutil.rmtree(tmp_path / "rec")
     began = time.monotonic()
     while status["recording"]["state"] == "on":
-        assert time.monotonic() - began < PATIENCE_S
+        assert time.monotonic() - began < TIME_LIMIT_S
         time.sleep(0.05)
         status = ask(running.control, "status", {})
         assert isinstance(status, dict)
@@ -146,7 +146,7 @@ def test_a_folder_has_one_recording_and_its_removal_is_told_while_the_run_goes_o
         host.stream()
         assert len(host.scan()) == 361
     running.process.terminate()
-    out, errors = running.process.communicate(timeout=PATIENCE_S)
+    out, errors = running.process.communicate(timeout=TIME_LIMIT_S)
     assert running.process.returncode == 4, errors
     rows = [json.loads(line) for line in out.splitlines()]
     assert [row["kind"] for row in rows if row["event"] == "incident"] == ["recording ended"]

@@ -23,7 +23,7 @@ from emulator.recording.reader import RecordedRun, read_run
 from emulator.scenario import scenario
 from protocols.ld.telegrams import words_of
 from protocols.lms2xx.telegrams import read_values
-from tests.system.conftest import PATIENCE_S
+from tests.system.conftest import TIME_LIMIT_S
 from tests.system.nursery import begun
 
 CASE = """\
@@ -89,18 +89,18 @@ def heard(url: str) -> bytes:
     got = b""
     if scheme == "tcp":
         host, _, port = place.rpartition(":")
-        with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as line:
+        with socket.create_connection((host, int(port)), timeout=TIME_LIMIT_S) as line:
             while data := line.recv(4096):
                 got += data
         return got
     with serial.Serial(place, 500_000) as port_, contextlib.suppress(OSError):
-        while select.select([port_], [], [], PATIENCE_S)[0] and (data := os.read(port_.fd, 4096)):
+        while select.select([port_], [], [], TIME_LIMIT_S)[0] and (data := os.read(port_.fd, 4096)):
             got += data  # the terminal goes when all has been read
     return got
 
 
 def last_line(process: subprocess.Popen[str]) -> dict[str, object]:
-    out, errors = process.communicate(timeout=PATIENCE_S)
+    out, errors = process.communicate(timeout=TIME_LIMIT_S)
     assert process.returncode == 0, errors
     found: dict[str, object] = json.loads(out.splitlines()[-1])
     return found

@@ -14,7 +14,7 @@ import pytest
 from emulator.commands.cli import main
 from emulator.errors import ScenarioError
 from emulator.recording.can_logs import read_with_library
-from tests.system.conftest import PATIENCE_S
+from tests.system.conftest import TIME_LIMIT_S
 from tests.system.hosts import LmsHost, telegram
 
 
@@ -45,7 +45,7 @@ def test_time_stands_while_the_host_does_not_read_and_while_paused(lidaremu: Cal
     with lidaremu("flat_wall") as rig, LmsHost(rig["front"].path) as host:
         host.stream()
         host.scan()
-        then, end = -1.0, time.monotonic() + PATIENCE_S
+        then, end = -1.0, time.monotonic() + TIME_LIMIT_S
         while rig.now_s != then:  # what the terminal holds is filled first
             assert time.monotonic() < end, "time does not stand"
             then = rig.now_s
@@ -61,7 +61,7 @@ def test_two_rigs_at_once_do_not_collide_and_tcp_ports_are_free(lidaremu: Callab
     alone = {"front": "tcp:127.0.0.1:0"}
     with lidaremu("flat_wall", links=links) as one, lidaremu("flat_wall", links=alone) as two:
         assert one["front"].port != two["front"].port
-        with socket.create_connection(("127.0.0.1", two["front"].port), timeout=PATIENCE_S) as host:
+        with socket.create_connection(("127.0.0.1", two["front"].port), timeout=TIME_LIMIT_S) as host:
             host.sendall(telegram(b"\x20\x25"))
             got = b""
             while len(got) < 10:
@@ -91,7 +91,7 @@ def test_a_can_host_gets_every_frame_on_virtual_time_and_the_logs_have_them(
 ) -> None:
     path = tmp_path / "objects.yaml"
     path.write_text(OBJECTS, encoding="utf-8")
-    with lidaremu(path) as rig, socket.create_connection(("127.0.0.1", rig["list"].port), timeout=PATIENCE_S) as host:
+    with lidaremu(path) as rig, socket.create_connection(("127.0.0.1", rig["list"].port), timeout=TIME_LIMIT_S) as host:
         host.sendall(b"< open list >< rawmode >")
         text = b""
         while text.count(b"< frame") < 60:
@@ -102,8 +102,8 @@ def test_a_can_host_gets_every_frame_on_virtual_time_and_the_logs_have_them(
     heard = [tuple(match) for match in re.findall(rb"< frame ([0-9A-F]+) [0-9.]+ ([0-9A-F]*) >", text)]
     log = [re.match(r"\(\S+\) list (\S+)#(\S*)$", line) for line in (folder / "list.log").read_text().splitlines()]
     logged = [(int(match[1], 16), match[2]) for match in log if match is not None]
-    told = [(int(identifier, 16), data.decode()) for identifier, data in heard]
-    first = next(index for index in range(len(logged)) if logged[index : index + len(told)] == told)
+    reported = [(int(identifier, 16), data.decode()) for identifier, data in heard]
+    first = next(index for index in range(len(logged)) if logged[index : index + len(reported)] == reported)
     assert first >= 0
     for name in ("list.blf", "list.asc"):
         assert [(one.peer, one.data.hex().upper()) for one in read_with_library(folder / name)] == logged

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.system.conftest import PATIENCE_S, RunningDaemon, daemons
+from tests.system.conftest import TIME_LIMIT_S, RunningDaemon, daemons
 
 HALF_M = 2.0
 SCENE = """\
@@ -68,7 +68,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningDaemon]
 def judged(words: dict[str, object]) -> dict[str, Any]:
     done = subprocess.run(
         [sys.executable, "-c", JUDGE, json.dumps(words)],
-        capture_output=True, text=True, timeout=4 * PATIENCE_S, check=False,
+        capture_output=True, text=True, timeout=4 * TIME_LIMIT_S, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])

@@ -16,12 +16,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.system.conftest import PATIENCE_S
+from tests.system.conftest import TIME_LIMIT_S
 from tests.system.hosts import LmsHost, drift_s
 from tests.system.nursery import ran
 
 
-def command(*arguments: str, cwd: Path, timeout: float = 4 * PATIENCE_S) -> subprocess.CompletedProcess[str]:
+def command(*arguments: str, cwd: Path, timeout: float = 4 * TIME_LIMIT_S) -> subprocess.CompletedProcess[str]:
     return ran(*arguments, cwd=cwd, seconds=timeout)
 
 
@@ -116,7 +116,7 @@ def test_the_same_telegrams_are_served_over_tcp_as_behind_a_serial_device_server
 ) -> None:
     running = daemon("flat_wall", "--link", "front=tcp:127.0.0.1:0")
     port = int(running.link("front").rpartition(":")[2])
-    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as host:
+    with socket.create_connection(("127.0.0.1", port), timeout=TIME_LIMIT_S) as host:
         host.sendall(bytes.fromhex("02000200 2025 3508".replace(" ", "")))
         got = b""
         while len(got) < 10:

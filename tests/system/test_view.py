@@ -20,7 +20,7 @@ import pytest
 from emulator.hosts.lines import SerialLine
 from emulator.hosts.lms2xx import Lms2xxHost
 from emulator.runtime.control import ask
-from tests.system.conftest import PATIENCE_S
+from tests.system.conftest import TIME_LIMIT_S
 from tests.system.nursery import begun
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -126,7 +126,7 @@ class Reading(threading.Thread):
 def answered(url: str, **headers: str) -> int:
     """The status with which a request is answered."""
     try:
-        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=PATIENCE_S) as answer:
+        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=TIME_LIMIT_S) as answer:
             return int(answer.status)
     except urllib.error.HTTPError as refused:
         refused.close()

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.system.conftest import PATIENCE_S
+from tests.system.conftest import TIME_LIMIT_S
 from tests.system.nursery import begun
 
 if os.environ.get("CI") != "true":
@@ -30,7 +30,7 @@ def view(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     yield process
     if process.poll() is None:
         process.kill()
-    process.communicate(timeout=PATIENCE_S)
+    process.communicate(timeout=TIME_LIMIT_S)
 
 
 def daemon_of(view: subprocess.Popen[str]) -> int:
@@ -47,7 +47,7 @@ def daemon_of(view: subprocess.Popen[str]) -> int:
 
 
 def until(what: Callable[[], object]) -> None:
-    end = time.monotonic() + PATIENCE_S
+    end = time.monotonic() + TIME_LIMIT_S
     while not what():
         assert time.monotonic() < end
         time.sleep(0.02)
@@ -61,7 +61,7 @@ def test_with_the_page_its_daemon_and_its_folder_go(
     (folder,) = (tmp_path / "temporary").glob("lidaremu-own-*")
     assert list(folder.iterdir())
     view.send_signal(number)
-    view.wait(PATIENCE_S)
+    view.wait(TIME_LIMIT_S)
     until(lambda: not daemon.exists())
     until(lambda: not folder.exists())
     assert view.returncode == (-number if number == signal.SIGKILL else 0)
@@ -73,5 +73,5 @@ def test_the_end_of_the_daemon_is_told_and_the_page_stays(view: subprocess.Popen
     until(lambda: "the daemon was ended by signal 9; the page shows the last state" in view.stderr.readline())
     assert view.poll() is None
     view.terminate()
-    assert view.wait(PATIENCE_S) == 3
+    assert view.wait(TIME_LIMIT_S) == 3
     assert not list((tmp_path / "temporary").glob("lidaremu-own-*"))

@@ -11,7 +11,7 @@ from itertools import cycle
 from pathlib import Path
 
 from emulator.recording.reader import read_run
-from tests.system.conftest import PATIENCE_S, RunningDaemon
+from tests.system.conftest import TIME_LIMIT_S, RunningDaemon
 from tests.system.hosts import LmsHost, telegram
 
 
@@ -28,11 +28,11 @@ def run_with_a_host(daemon: Callable[..., RunningDaemon], name: str, chunks: lis
         for number, size in enumerate(cycle(chunks)):
             if number % 50 == 49:
                 time.sleep(0.03)
-            if not select.select([descriptor], [], [], PATIENCE_S)[0]:
+            if not select.select([descriptor], [], [], TIME_LIMIT_S)[0]:
                 break
             if not os.read(descriptor, size):  # the terminal has gone
                 break
-    out, errors = running.process.communicate(timeout=PATIENCE_S)
+    out, errors = running.process.communicate(timeout=TIME_LIMIT_S)
     assert running.process.returncode == 0, errors
     end = json.loads(out.splitlines()[-1])
     assert end["sensors"][0]["links"][0]["bytes_lost"] == 0
@@ -58,11 +58,11 @@ def test_the_end_waits_until_a_host_has_read(daemon: Callable[..., RunningDaemon
         host.set_baud(38_400)
         host.stream()
         got = b""
-        while select.select([host.port.fd], [], [], PATIENCE_S)[0] and (data := os.read(host.port.fd, 300)):
+        while select.select([host.port.fd], [], [], TIME_LIMIT_S)[0] and (data := os.read(host.port.fd, 300)):
             got += data
             time.sleep(0.02)
         got = host.seen + got
-    out, errors = running.process.communicate(timeout=PATIENCE_S)
+    out, errors = running.process.communicate(timeout=TIME_LIMIT_S)
     assert running.process.returncode == 0, errors
     left = json.loads(out.splitlines()[-1])["sensors"][0]["links"][0]["bytes_out"]
     sent = b"".join(one.data for one in read_run(tmp_path / "rec").sent["front", 0].payloads)

@@ -20,7 +20,7 @@ from emulator.process.clock import SystemClock
 from emulator.runtime import assembly
 from emulator.runtime.virtual import MAX_STEPS_AT_ONCE, VirtualRun
 from emulator.scenario import scenario
-from tests.system.conftest import PATIENCE_S
+from tests.system.conftest import TIME_LIMIT_S
 from tests.system.hosts import LmsHost
 from tests.system.nursery import ran
 
@@ -100,13 +100,13 @@ def test_hosts_are_served_beyond_a_thousand_descriptors(many_descriptors: None, 
     try:
         done = subprocess.run(
             [sys.executable, "-c", HOST, str(tmp_path / "front"), str(ROOT)],
-            capture_output=True, text=True, timeout=4 * PATIENCE_S,
+            capture_output=True, text=True, timeout=4 * TIME_LIMIT_S,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
-        assert running.call(lambda: 7).result(PATIENCE_S) == 7
+        assert running.call(lambda: 7).result(TIME_LIMIT_S) == 7
     finally:
         running.call(running.stop)
-        thread.join(PATIENCE_S)
+        thread.join(TIME_LIMIT_S)
         running.close()
 
 

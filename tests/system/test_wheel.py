@@ -23,7 +23,7 @@ PIP = (sys.executable, "-m", "pip")
 OFFLINE = ("-q", "--no-deps", "--no-index", "--disable-pip-version-check")
 
 
-def told(command: list[str], folder: Path) -> str:
+def reported(command: list[str], folder: Path) -> str:
     """What a command prints; it ends well. Nothing of the project's folder reaches it."""
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=500)
@@ -40,7 +40,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
     dist = tmp_path_factory.mktemp("dist")
-    told([*PIP, "wheel", *OFFLINE, "--no-build-isolation", "-w", str(dist), str(source)], dist)
+    reported([*PIP, "wheel", *OFFLINE, "--no-build-isolation", "-w", str(dist), str(source)], dist)
     (built,) = dist.glob("lidaremu-*.whl")
     return built
 
@@ -49,12 +49,12 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def lidaremu(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
     """The command as installed."""
     place = tmp_path_factory.mktemp("fresh") / "venv"
-    told([sys.executable, "-m", "venv", "--without-pip", str(place)], place.parent)
-    told([*PIP, "--python", str(place / "bin/python"), "install", *OFFLINE, str(wheel)], place.parent)
+    reported([sys.executable, "-m", "venv", "--without-pip", str(place)], place.parent)
+    reported([*PIP, "--python", str(place / "bin/python"), "install", *OFFLINE, str(wheel)], place.parent)
     (site,) = place.glob("lib/python*/site-packages")
     libraries = [path for path in sys.path if path.endswith("site-packages")]
     (site / "borrowed.pth").write_text("\n".join(libraries) + "\n", encoding="utf-8")
-    where = told([str(place / "bin/python"), "-c", "import emulator; print(emulator.__file__)"], place.parent)
+    where = reported([str(place / "bin/python"), "-c", "import emulator; print(emulator.__file__)"], place.parent)
     assert where.startswith(str(site)), where
     return str(place / "bin/lidaremu")
 
@@ -75,7 +75,7 @@ def test_the_wheel_has_the_data_that_the_program_reads(wheel: Path) -> None:
 
 
 def test_it_runs_the_demo_from_another_folder(lidaremu: str, tmp_path: Path) -> None:
-    shown = told([lidaremu, "demo", "--duration", "1"], tmp_path)
+    shown = reported([lidaremu, "demo", "--duration", "1"], tmp_path)
     assert "LMS291" in shown
     assert "361 beams" in shown
     assert "scans sent" in shown
@@ -85,5 +85,5 @@ def test_it_runs_the_demo_from_another_folder(lidaremu: str, tmp_path: Path) -> 
 def test_it_runs_every_shipped_scenario_from_another_folder(lidaremu: str, tmp_path: Path) -> None:
     names = builtin_names()
     assert len(names) >= 10
-    tested = told([lidaremu, "test", *names, "--duration", "0.3", "--set", "expect=[]", "--jobs", "1"], tmp_path)
+    tested = reported([lidaremu, "test", *names, "--duration", "0.3", "--set", "expect=[]", "--jobs", "1"], tmp_path)
     assert f"{len(names)} passed" in tested

@@ -16,7 +16,7 @@ from emulator.transports.loopback import LoopHost, LoopLink
 from emulator.transports.pseudo_terminal import PseudoTerminal
 from emulator.transports.schemes import open_link
 
-PATIENCE_S = 5.0
+TIME_LIMIT_S = 5.0
 "Longest wait for something that the kernel has been given already."
 STEP_NS = 2_000_000
 
@@ -57,7 +57,7 @@ class FdHost(HostEnd):
 
     def write(self, data: bytes) -> None:
         while data:
-            select.select([], [self.fd], [], PATIENCE_S)
+            select.select([], [self.fd], [], TIME_LIMIT_S)
             data = data[os.write(self.fd, data) :]
 
     def read_now(self) -> bytes:
@@ -68,7 +68,7 @@ class FdHost(HostEnd):
         return data
 
     def wait(self) -> None:
-        select.select([self.fd], [], [], PATIENCE_S)
+        select.select([self.fd], [], [], TIME_LIMIT_S)
 
     def close(self) -> None:
         if self.fd >= 0:
@@ -144,7 +144,7 @@ class Rig(ABC):
     def wait_input(self) -> list[Received]:
         """What comes in next."""
         if self.link.filenos():
-            select.select(self.link.filenos(), [], [], PATIENCE_S)
+            select.select(self.link.filenos(), [], [], TIME_LIMIT_S)
         return self.link.receive(self.now_ns)
 
     def take_input(self, count: int) -> list[Received]:
@@ -223,7 +223,7 @@ class TcpRig(Rig):
 
     def _connect(self) -> HostEnd:
         port = int(self.link.url.rpartition(":")[2])
-        return SocketHost(socket.create_connection(("127.0.0.1", port), PATIENCE_S))
+        return SocketHost(socket.create_connection(("127.0.0.1", port), TIME_LIMIT_S))
 
 
 class TcpLineRig(TcpRig):

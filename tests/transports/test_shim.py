@@ -159,29 +159,29 @@ def test_modem_lines_are_up_and_the_driver_s_to_change(driver: Driver) -> None:
     assert driver.do("count") == "ok"
 
 
-def lines_told(driver: Driver) -> list[tuple[bool, bool] | None]:
+def lines_reported(driver: Driver) -> list[tuple[bool, bool] | None]:
     return [received.lines for received in driver.link.receive(0)]
 
 
 @needs_compiler
 def test_the_device_is_told_of_dtr_and_rts(driver: Driver) -> None:
-    assert lines_told(driver) == []
+    assert lines_reported(driver) == []
     driver.do("lines down dtr")
     assert select.select(driver.link.filenos(), [], [], 5)[0]  # it is woken, though no byte has come
-    assert lines_told(driver) == [(False, True)]
-    assert lines_told(driver) == []
+    assert lines_reported(driver) == [(False, True)]
+    assert lines_reported(driver) == []
     driver.do("sicktoolbox 9600")  # tcgetattr, tcsetattr
     driver.do("blind 38400")  # settings made from nothing
-    assert lines_told(driver) == []
+    assert lines_reported(driver) == []
     driver.do("lines up dtr")
     driver.do("lines down rts")
-    assert lines_told(driver) == [(True, False)]
+    assert lines_reported(driver) == [(True, False)]
     driver.do("blind 9600")  # the device's own speed
     driver.do("telegram")
     driver.do("lines up rts")
     assert [(one.lines, len(one.data)) for one in driver.link.receive(0)] == [((True, True), 0), (None, 7)]
     driver.process.communicate(timeout=10)
-    assert lines_told(driver) == [(False, False)]
+    assert lines_reported(driver) == [(False, False)]
     assert read_lines(driver.link._master) is None
 
 

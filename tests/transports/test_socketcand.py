@@ -22,7 +22,7 @@ from protocols.can_frame import EXTENDED
 
 MS = 1_000_000
 SECOND = 1_000_000_000
-PATIENCE_S = 5.0
+TIME_LIMIT_S = 5.0
 
 
 class Rig:
@@ -39,7 +39,7 @@ class Rig:
         self.host, self.port = match[1], int(match[2])
 
     def client(self) -> socket.socket:
-        self.clients.append(socket.create_connection((self.host, self.port), timeout=PATIENCE_S))
+        self.clients.append(socket.create_connection((self.host, self.port), timeout=TIME_LIMIT_S))
         self.step()
         return self.clients[-1]
 
@@ -68,7 +68,7 @@ class Rig:
             self.now_ns += MS
             self.step()
 
-    def told(self, client: socket.socket) -> list[list[str]]:
+    def reported(self, client: socket.socket) -> list[list[str]]:
         """What a client has been told since the last time: identifier and data of each frame."""
         assert client.sendall(b"< echo >") is None
         text = ""
@@ -338,7 +338,7 @@ def test_a_lower_identifier_of_a_host_goes_before_the_sensor_s_next_frame(rig: R
     rig.now_ns = start_ns + 100_000  # the first one is on the bus
     rig.step()
     client.sendall(b"< send 200 0 >< send 7FF 0 >")
-    assert select.select(rig.link.filenos(), [], [], PATIENCE_S)[0]
+    assert select.select(rig.link.filenos(), [], [], TIME_LIMIT_S)[0]
     rig.step()
     rig.now_ns += 50 * MS
     assert [group.split()[2] for group in rig.read(listener, 6)] == ["60B", "200", "60B", "60B", "60B", "7FF"]
@@ -371,15 +371,15 @@ def test_channels_of_one_server_are_separate_buses() -> None:
 def test_after_open_a_client_hears_what_it_has_subscribed_to(rig: Rig) -> None:
     client = rig.bcm_client()
     rig.carry((0x60A, "01"))
-    assert rig.told(client) == []
+    assert rig.reported(client) == []
     assert not rig.link.has_host()
     rig.say(client, "< subscribe 0 0 60A >< subscribe 0 0 00012345 >")
     assert rig.link.has_host()
     rig.carry((0x60A, "02"), (0x60B, "03"), (0x12345 | EXTENDED, "04"), (0x60A, "02"))
-    assert rig.told(client) == [["60A", "02"], ["00012345", "04"], ["60A", "02"]]
+    assert rig.reported(client) == [["60A", "02"], ["00012345", "04"], ["60A", "02"]]
     rig.say(client, "< unsubscribe 60A >")
     rig.carry((0x60A, "05"), (0x12345 | EXTENDED, "06"))
-    assert rig.told(client) == [["00012345", "06"]]
+    assert rig.reported(client) == [["00012345", "06"]]
 
 
 def test_bcm_mode_writes_frames_as_the_real_server_does() -> None:
@@ -392,29 +392,29 @@ def test_a_filter_tells_changes_of_the_bits_it_names(rig: Rig) -> None:
     rig.carry(
         (0x60A, "0110"), (0x60A, "0120"), (0x60A, "0121"), (0x60A, "02210000"), (0x60A, "0221FFFF"), (0x60A, "02")
     )
-    assert [data for _, data in rig.told(client)] == ["0110", "0121", "02210000", "02"]
+    assert [data for _, data in rig.reported(client)] == ["0110", "0121", "02210000", "02"]
 
 
 def test_a_throttle_tells_the_latest_when_its_time_is_over(rig: Rig) -> None:
     client = rig.bcm_client()
     rig.say(client, "< subscribe 0 50000 60A >")
     rig.carry((0x60A, "01"), (0x60A, "02"), (0x60A, "03"))
-    assert [data for _, data in rig.told(client)] == ["01"]
+    assert [data for _, data in rig.reported(client)] == ["01"]
     wake_ns = rig.link.flush(rig.now_ns)
     assert wake_ns is not None
     assert 45 * MS < wake_ns - rig.now_ns < 50 * MS
     rig.now_ns = wake_ns
     rig.step()
-    assert [data for _, data in rig.told(client)] == ["03"]
+    assert [data for _, data in rig.reported(client)] == ["03"]
     rig.carry((0x60A, "04"))
-    assert rig.told(client) == []
+    assert rig.reported(client) == []
     rig.now_ns += 50 * MS
     rig.step()
-    assert [data for _, data in rig.told(client)] == ["04"]
+    assert [data for _, data in rig.reported(client)] == ["04"]
     rig.now_ns += 200 * MS
     rig.step()
     rig.carry((0x60A, "05"))
-    assert [data for _, data in rig.told(client)] == ["05"]
+    assert [data for _, data in rig.reported(client)] == ["05"]
 
 
 def test_a_job_sends_at_once_and_again_until_it_is_deleted(rig: Rig) -> None:
@@ -425,7 +425,7 @@ def test_a_job_sends_at_once_and_again_until_it_is_deleted(rig: Rig) -> None:
     assert heard == [Received(0x123, b"\1\x22")] * 3
     assert 40 * MS <= rig.now_ns - begun_ns < 46 * MS
     assert [group.split()[2] for group in rig.read(other, 3)] == ["123"] * 3
-    assert rig.told(client) == []
+    assert rig.reported(client) == []
     rig.say(client, "< update 123 1 ff >")
     assert rig.hear(2) == [Received(0x123, b"\xff")] * 2
     rig.say(client, "< delete 123 >")
@@ -471,11 +471,11 @@ def test_jobs_end_with_their_client_and_with_bcm_mode(rig: Rig) -> None:
 def test_raw_mode_ends_with_another_mode(rig: Rig) -> None:
     client = rig.raw_client()
     rig.carry((0x60A, "01"))
-    assert rig.told(client) == [["60A", "01"]]
+    assert rig.reported(client) == [["60A", "01"]]
     for mode in ("bcmmode", "controlmode"):
         assert rig.talk(client, f"< {mode} >", "< ok >")
         rig.carry((0x60A, "02"))
-        assert rig.told(client) == []
+        assert rig.reported(client) == []
     assert not rig.link.has_host()
 
 

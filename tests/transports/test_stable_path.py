@@ -140,7 +140,7 @@ def test_a_name_too_long_for_the_file_system_is_said_so(tmp_path: Path) -> None:
         StablePath(str(tmp_path / ("x" * 300)), "/dev/pts/7")
 
 
-def told(place: StablePath, now_ns: int = 0) -> list[str]:
+def reported(place: StablePath, now_ns: int = 0) -> list[str]:
     return [f"{one.kind}: {one.text.removeprefix(place.path + ': ')}" for one in place.tend(now_ns)]
 
 
@@ -152,19 +152,19 @@ def place(port: Path) -> Iterator[StablePath]:
 
 
 def test_a_link_that_stands_is_told_nothing_of(place: StablePath) -> None:
-    assert told(place) == []
+    assert reported(place) == []
 
 
 def test_a_link_that_was_removed_is_put_back_and_told_once(place: StablePath, port: Path) -> None:
     port.unlink()
-    assert told(place) == ["link restored: was removed; restored"]
+    assert reported(place) == ["link restored: was removed; restored"]
     assert os.readlink(port) == GONE
-    assert told(place) == []
+    assert reported(place) == []
 
 
 def test_a_link_that_was_renamed_is_put_back_and_the_other_name_left(place: StablePath, port: Path) -> None:
     port.rename(port.parent / "old")
-    assert told(place) == ["link restored: was removed; restored"]
+    assert reported(place) == ["link restored: was removed; restored"]
     assert os.readlink(port) == os.readlink(port.parent / "old") == GONE
 
 
@@ -174,7 +174,7 @@ def test_a_link_to_nowhere_in_its_place_is_replaced_and_said_where_it_led(
 ) -> None:
     port.unlink()
     port.symlink_to(target)
-    assert told(place) == [f"link restored: a link to {target} was there; restored"]
+    assert reported(place) == [f"link restored: a link to {target} was there; restored"]
     assert os.readlink(port) == GONE
 
 
@@ -200,29 +200,29 @@ def test_what_is_somebody_elses_is_left_alone_until_it_goes(
     port.unlink()
     put(port)
     before = sorted(str(path) for path in port.parent.rglob("*"))
-    assert told(place) == [f"link path taken: {what} exists there; left alone, restored when it is gone"]
-    assert told(place, 5 * SECOND_NS) == []
+    assert reported(place) == [f"link path taken: {what} exists there; left alone, restored when it is gone"]
+    assert reported(place, 5 * SECOND_NS) == []
     assert sorted(str(path) for path in port.parent.rglob("*")) == before
     port.rename(port.parent / "elsewhere")
-    assert told(place, 6 * SECOND_NS) == ["link restored: was removed; restored"]
+    assert reported(place, 6 * SECOND_NS) == ["link restored: was removed; restored"]
 
 
 def test_a_living_terminal_in_its_place_is_left_alone_and_what_is_dead_is_not(place: StablePath, port: Path) -> None:
     master, slave = os.openpty()
     port.unlink()
     port.symlink_to(os.ttyname(slave))
-    assert told(place)[0].startswith("link path taken: a link to /dev/pts/")
+    assert reported(place)[0].startswith("link path taken: a link to /dev/pts/")
     os.close(slave)
     os.close(master)
-    assert told(place, 1)[0].startswith("link restored: a link to /dev/pts/")
+    assert reported(place, 1)[0].startswith("link restored: a link to /dev/pts/")
 
 
 def test_a_link_that_its_mover_puts_back_is_told(place: StablePath, port: Path) -> None:
     port.rename(port.parent / "old")
     port.write_text("for a while")
-    told(place)
+    reported(place)
     (port.parent / "old").replace(port)
-    assert told(place) == ["link restored: points here again"]
+    assert reported(place) == ["link restored: points here again"]
 
 
 def test_of_two_running_owners_the_one_that_came_later_keeps_the_path_until_it_ends(port: Path) -> None:
@@ -231,12 +231,12 @@ def test_of_two_running_owners_the_one_that_came_later_keeps_the_path_until_it_e
     port.parent.mkdir()
     second = StablePath(str(port), "/dev/pts/4000001")  # nothing shows that the path was taken
     for number in range(100):
-        found = told(first, number * SECOND_NS)
+        found = reported(first, number * SECOND_NS)
         assert found[:1] == [] if number else "in use by a running emulator" in found[0], found
-        assert told(second, number * SECOND_NS) == []
+        assert reported(second, number * SECOND_NS) == []
         assert os.readlink(port) == "/dev/pts/4000001"
     second.remove()
-    assert told(first, 100 * SECOND_NS) == ["link restored: was removed; restored"]
+    assert reported(first, 100 * SECOND_NS) == ["link restored: was removed; restored"]
     with pytest.raises(LinkError, match="in use by a running emulator"):
         StablePath(str(port), "/dev/pts/4000001")
     first.remove()
@@ -250,7 +250,7 @@ def test_what_a_later_owner_left_behind_is_taken_over_though_its_terminal_lives_
     master, slave = os.openpty()  # somebody else's terminal, with the number that the later owner's had
     port.symlink_to(os.ttyname(slave))
     (port.parent / ".front.lidaremu").write_text("999999\n")
-    assert told(first)[0].startswith("link restored: a link to /dev/pts/")
+    assert reported(first)[0].startswith("link restored: a link to /dev/pts/")
     first.remove()
     os.close(master)
     os.close(slave)
@@ -258,19 +258,21 @@ def test_what_a_later_owner_left_behind_is_taken_over_though_its_terminal_lives_
 
 def test_a_lock_that_was_removed_is_taken_anew_so_that_no_other_owner_comes(place: StablePath, port: Path) -> None:
     (port.parent / ".front.lidaremu").unlink()
-    assert told(place) == []
+    assert reported(place) == []
     port.unlink()
     with pytest.raises(LinkError, match="in use by a running emulator"):
         StablePath(str(port), "/dev/pts/4000001")
-    assert told(place) == ["link restored: was removed; restored"]
+    assert reported(place) == ["link restored: was removed; restored"]
 
 
 def test_a_folder_that_is_gone_is_told_and_waited_for(place: StablePath, port: Path) -> None:
     shutil.rmtree(port.parent)
-    assert told(place) == [f"link path gone: folder {port.parent} is gone; the link is restored when it exists again"]
-    assert told(place, SECOND_NS) == []
+    assert reported(place) == [
+        f"link path gone: folder {port.parent} is gone; the link is restored when it exists again"
+    ]
+    assert reported(place, SECOND_NS) == []
     port.parent.mkdir()
-    assert told(place, 2 * SECOND_NS) == ["link restored: was removed; restored"]
+    assert reported(place, 2 * SECOND_NS) == ["link restored: was removed; restored"]
     assert sorted(os.listdir(port.parent)) == [".front.lidaremu", "front"]
 
 
@@ -285,9 +287,9 @@ def test_who_is_robbed_again_and_again_waits_longer_each_time(place: StablePath,
     assert gaps[:7] == [1, 2, 4, 8, 16, 32, 60]
     assert set(gaps[7:]) == {60}
     port.unlink(missing_ok=True)
-    assert told(place, 2000 * SECOND_NS) == ["link restored: was removed; restored"]
+    assert reported(place, 2000 * SECOND_NS) == ["link restored: was removed; restored"]
     port.unlink()
-    assert told(place, 2000 * SECOND_NS) == ["link restored: was removed; restored"]  # all is forgiven
+    assert reported(place, 2000 * SECOND_NS) == ["link restored: was removed; restored"]  # all is forgiven
 
 
 def test_a_lock_in_whose_place_stands_something_else_is_refused(port: Path) -> None:
@@ -304,5 +306,5 @@ def test_after_its_end_and_in_a_forked_child_nothing_is_put_back(port: Path) -> 
         os._exit(len(place.tend(0)))
     assert os.waitpid(child, 0)[1] == 0
     place.remove()
-    assert told(place) == []
+    assert reported(place) == []
     assert os.listdir(port.parent) == []

@@ -180,11 +180,11 @@ def test_the_page_comes_with_a_policy_and_is_kept_nowhere() -> None:
 
 
 def test_who_has_the_token_is_told_what_was_opened() -> None:
-    one, told = lock(), []
-    one.refused = told.append
+    one, reported = lock(), []
+    one.refused = reported.append
     assert f"opened for 127.0.0.1:{PORT}" in ask(host="tunnel:9000", by=one).body.decode()
     ask("/", host="evil.example", by=one)
-    assert told == ["tunnel:9000"]
+    assert reported == ["tunnel:9000"]
 
 
 # ---------------------------------------------------------------- other addresses

@@ -29,8 +29,8 @@ def test_the_fog_field_is_metres_of_visibility_and_its_buttons_say_what_they_set
     assert sky.fog_field_m({"visibility_m": 2000.0}) == 2000.0
     for label, metres in sky.FOG_CHOICES.items():
         number, _, unit = label.partition(" ")
-        told = {"m": 1.0, "km": 1000.0}.get(unit, 0.0) * float(number) if unit else sky.CLEAR_M
-        assert told == metres
+        reported = {"m": 1.0, "km": 1000.0}.get(unit, 0.0) * float(number) if unit else sky.CLEAR_M
+        assert reported == metres
 
 
 def test_the_sky_follows_the_sun_and_thick_air_hides_it() -> None:
@@ -84,14 +84,14 @@ def test_a_scenario_of_our_own_begins_again_and_the_old_one_ends_after(monkeypat
     pytest.importorskip("viser", reason="extra `view` is not installed")
     from emulator.view import own
 
-    told: list[str] = []
+    reported: list[str] = []
 
     @contextmanager
     def daemon(name: str, options: list[str], links: Callable[[Path], object], heard: object) -> Iterator[Any]:
-        number = sum(row.startswith("begin") for row in told)
-        told.append(f"begin {number}")
+        number = sum(row.startswith("begin") for row in reported)
+        reported.append(f"begin {number}")
         yield SimpleNamespace(ready={"sensors": []}, control=Path(f"{number}"))
-        told.append(f"end {number}")
+        reported.append(f"end {number}")
 
     class Live:
         title, scenario, failed = "x", None, False
@@ -100,17 +100,17 @@ def test_a_scenario_of_our_own_begins_again_and_the_old_one_ends_after(monkeypat
             self.path = path
 
         def stand_at_end(self) -> None:
-            told.append(f"stand {self.path}")
+            reported.append(f"stand {self.path}")
 
         def order(self, method: str, params: Mapping[str, Any]) -> str:
             return f"{method} {self.path}"
 
     monkeypatch.setattr(own, "own_daemon", daemon)
     monkeypatch.setattr(own, "LiveSource", Live)
-    source = own.OwnSource("x.yaml", told.append)
+    source = own.OwnSource("x.yaml", reported.append)
     assert source.can_restart
     assert source.order("pause", {}) == "pause 0"
     assert source.order("restart", {}) == {"now_s": 0.0}
     assert source.order("pause", {}) == "pause 1"
     source.close()
-    assert told == ["begin 0", "stand 0", "begin 1", "stand 1", "end 0", "end 1"]
+    assert reported == ["begin 0", "stand 0", "begin 1", "stand 1", "end 0", "end 1"]

@@ -12,7 +12,7 @@ from emulator.commands.cli import main
 
 
 @pytest.mark.parametrize(
-    ("arguments", "code", "told"),
+    ("arguments", "code", "reported"),
     [
         (["no/such.sock"], 3, "no daemon answers"),
         (["unix:/no/such"], 3, "no daemon answers"),
@@ -26,14 +26,14 @@ from emulator.commands.cli import main
 def test_what_cannot_be_shown_is_told(
     arguments: list[str],
     code: int,
-    told: str,
+    reported: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["view", *arguments, "--no-browser"]) == code
-    assert told in capsys.readouterr().err
+    assert reported in capsys.readouterr().err
 
 
 def test_a_port_that_is_taken_is_told(capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,7 @@ LMS, LD = Speaker("lms2xx"), Speaker("ld")
 ARS408 = Speaker("can_objects", {"format": "ars408"}, {"sensor_id": 1})
 
 
-def told(found: list[Described]) -> dict[str, tuple[str, str]]:
+def reported(found: list[Described]) -> dict[str, tuple[str, str]]:
     return {one.name: (one.value, one.unit) for one in found}
 
 
@@ -39,7 +39,7 @@ def told(found: list[Described]) -> dict[str, tuple[str, str]]:
     ],
 )
 def test_published_telegrams_of_the_lms2xx(data: str, sent: bool, expected: dict[str, tuple[str, str]]) -> None:
-    found = told(describe(LMS, bytes.fromhex(data), sent=sent))
+    found = reported(describe(LMS, bytes.fromhex(data), sent=sent))
     for name, value in expected.items():
         if name == "command" and value[0] == "31":
             assert found[name][0] == "31"
@@ -50,7 +50,7 @@ def test_published_telegrams_of_the_lms2xx(data: str, sent: bool, expected: dict
 
 def test_measured_values_are_told_with_unit_and_what_gave_none() -> None:
     values = np.array([100, 250, 8191, 3000], np.uint16)
-    found = told(describe(LMS, reply(all_values(values, Header(4, unit=0)), 0x10)))
+    found = reported(describe(LMS, reply(all_values(values, Header(4, unit=0)), 0x10)))
     assert found["response"] == ("B0", "measured values")
     assert found["distances"][0] == "100 250 8191 3000"
     assert found["nearest, farthest"] == ("1.00, 30.00", "m")
@@ -58,7 +58,7 @@ def test_measured_values_are_told_with_unit_and_what_gave_none() -> None:
 
 
 def test_the_answer_about_the_variant_is_told_in_degrees() -> None:
-    found = told(describe(LMS, reply(bytes.fromhex("BB 01 B4 00 32 00"), 0x10)))
+    found = reported(describe(LMS, reply(bytes.fromhex("BB 01 B4 00 32 00"), 0x10)))
     assert (found["result"], found["field"], found["step"]) == (("1", "set"), ("180", "deg"), ("0.5", "deg"))
 
 
@@ -66,8 +66,8 @@ def test_an_ack_and_its_answer_in_one_piece_are_both_told() -> None:
     both = reply(b"\xa0\x00", 0x10) + reply(b"\xba" + b"LMS291", 0x90)
     found = describe(LMS, both)
     assert [one.value for one in found if one.name == "response"] == ["A0", "BA"]
-    assert told(found)["text"] == ("LMS291", "")
-    assert told(found)["status"] == ("90", "no fault, window polluted")
+    assert reported(found)["text"] == ("LMS291", "")
+    assert reported(found)["status"] == ("90", "no fault, window polluted")
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_what_is_none_is_shown_as_hex_with_the_reason(data: str, reason: str) ->
 
 def test_the_vendors_package_of_the_ld_is_told() -> None:
     # COMTEST: GET_CONFIG of the global settings
-    found = told(describe(LD, b"\x021410000400000202" + b"00012BBC\x03", "serial", sent=False))
+    found = reported(describe(LD, b"\x021410000400000202" + b"00012BBC\x03", "serial", sent=False))
     assert found["address"][0] == "1410"
     assert found["service"] == ("0202", "GET_CONFIG")
     assert found["data"][0] == "0001"
@@ -95,13 +95,13 @@ def test_the_vendors_package_of_the_ld_is_told() -> None:
 
 def test_a_profile_of_the_ld_is_told_in_metres_and_degrees() -> None:
     words = (0x8301, 0x21B0, 1, 8, 3, 5752, 2560, 0, 512, 0, 3)
-    found = told(describe(LD, encode_frame(payload_of(*words)), "stream"))
+    found = reported(describe(LD, encode_frame(payload_of(*words)), "stream"))
     assert found["service"] == ("8301", "GET_PROFILE, reply")
     assert found["step"] == ("0.5", "deg")
     assert found["first direction"] == ("359.5", "deg")
     assert found["distances"] == ("10.00 0.00 2.00", "m")
     assert found["sensor status"] == ("0003", "measure, motor ok")
-    cut = told(describe(LD, encode_frame(payload_of(*words[:8])), "stream"))
+    cut = reported(describe(LD, encode_frame(payload_of(*words[:8])), "stream"))
     assert "cut" in cut
 
 

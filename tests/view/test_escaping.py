@@ -71,6 +71,6 @@ def test_hostile_text_is_text(name: str) -> None:
 
 def test_weather_is_told_in_numbers_and_our_own_words() -> None:
     seen = Elements()
-    seen.feed(sky.told({"fog": {"mor_m": 50.0}, EVIL: {"x": EVIL}}))
+    seen.feed(sky.reported({"fog": {"mor_m": 50.0}, EVIL: {"x": EVIL}}))
     assert seen.names == {"div"}
     assert seen.text == "fog 50 m"

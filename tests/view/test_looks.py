@@ -129,9 +129,9 @@ def test_names_cannot_break_out_of_the_page() -> None:
 
 
 def test_the_weather_is_told_in_words() -> None:
-    text = sky.told({"fog": {"visibility_m": 50.0}, "rain": {"rate_mm_h": 10.0}, "sun": {"elevation_deg": 20.0}})
+    text = sky.reported({"fog": {"visibility_m": 50.0}, "rain": {"rate_mm_h": 10.0}, "sun": {"elevation_deg": 20.0}})
     assert "fog 50 m, rain 10 mm/h, sun 20 deg high" in text
-    assert "clear, no sun" in sky.told({})
+    assert "clear, no sun" in sky.reported({})
 
 
 def test_names_of_sensors_beside_each_other_stand_apart() -> None:

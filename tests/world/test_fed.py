@@ -40,7 +40,7 @@ def ranges(scenario: Scenario, at_s: float, world: World = NOTHING) -> np.ndarra
     return np.asarray(found.range_m).reshape(BEAMS, -1)[:, 0]
 
 
-def told(times: list[float], make: object, names: tuple[str, ...] = ("ego", "car"), spawns: bool = False) -> Book:
+def reported(times: list[float], make: object, names: tuple[str, ...] = ("ego", "car"), spawns: bool = False) -> Book:
     slots = ("live_000", "live_001") if spawns else ()
     book = Book(names=names, slots=slots)
     for t in times:
@@ -56,7 +56,7 @@ def test_beams_use_the_pose_at_their_own_instant(rule: str) -> None:
     """A car of the file at 30 m/s, and the same one fed at 20 Hz, are the same ranges, beam by beam."""
     own = scene(CAR.replace("MOTION", "{at_m: [8, -6, 0], velocity_m_s: [0, 30, 0], yaw_deg: 20}"), "", rule)
     fed = scene(CAR.replace("MOTION", "{at_m: [99, 0, 0]}"), "live: {feed: control}\n", rule)
-    book = told(
+    book = reported(
         [0.0, 0.05, 0.1, 0.15, 0.2, 0.25],
         lambda t: [
             {"id": "car", "at_m": [8, -6 + 30 * t, 0.75], "yaw_deg": 20, "velocity_m_s": [0, 30, 0]},
@@ -74,7 +74,7 @@ def test_a_sensor_on_a_fed_ego_moves_while_it_sweeps() -> None:
         WORLD.replace("mode: seed,", "") + "actors: [{id: ego, motion: {velocity_m_s: [20, 0, 0]}}]\n", Path("x")
     )
     fed = loads(WORLD.replace("mode: seed,", "") + "actors: [{id: ego}]\nlive: {feed: control}\n", Path("x"))
-    book = told(
+    book = reported(
         [0.0, 0.1, 0.2],
         lambda t: [{"id": "ego", "at_m": [20 * t, 0, 0], "velocity_m_s": [20, 0, 0], "reference": "origin"}],
     )
@@ -86,7 +86,7 @@ def test_what_comes_is_a_box_of_its_size(size: tuple[float, float, float]) -> No
     shape = CAR.replace("[4.5, 1.8, 1.5]", str(list(size)))
     own = scene(shape.replace("MOTION", "{at_m: [12, 1, 0], yaw_deg: 35}"))
     fed = scene("{id: other}", "live: {feed: control, actors: {spawn: true, pool: 2, material: asphalt}}\n")
-    book = told(
+    book = reported(
         [0.0, 0.1],
         lambda t: [{"id": "77", "at_m": [12, 1, size[2] / 2], "yaw_deg": 35, "size_m": list(size), "class": "van"}],
         spawns=True,

@@ -137,7 +137,7 @@ def test_an_stl_is_read_the_same_whatever_guesses_encodings_here(tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "told"),
+    ("name", "content", "reported"),
     [
         ("a.glb", b"glTF\x02\0\0\0", "cannot be read"),
         ("a.glb", b"", "cannot be read"),
@@ -157,11 +157,11 @@ def test_an_stl_is_read_the_same_whatever_guesses_encodings_here(tmp_path: Path)
         ("a.obj", bytes(range(256)), "no triangles"),
     ],
 )  # fmt: skip
-def test_a_broken_mesh_is_a_scene_error(tmp_path: Path, name: str, content: bytes, told: str) -> None:
+def test_a_broken_mesh_is_a_scene_error(tmp_path: Path, name: str, content: bytes, reported: str) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(SceneError, match=r"^here: ") as caught:
         load(tmp_path / name)
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
@@ -244,7 +244,7 @@ def test_a_sensor_rides_on_its_actor(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("tables", "told"),
+    ("tables", "reported"),
     [
         ("materials: {paint: brick}", "no material for glass; want `material` or `materials` for them"),
         ("", "no material for paint, glass"),
@@ -252,7 +252,7 @@ def test_a_sensor_rides_on_its_actor(tmp_path: Path) -> None:
     ],
 )
 def test_parts_without_a_material_and_materials_without_a_part_are_named(
-    tmp_path: Path, tables: str, told: str
+    tmp_path: Path, tables: str, reported: str
 ) -> None:
     from emulator.world.solids import joined
 
@@ -260,7 +260,7 @@ def test_parts_without_a_material_and_materials_without_a_part_are_named(
     (tmp_path / "c.glb").write_bytes(glb({"car": parts}))
     with pytest.raises(SceneError) as caught:
         built(f"actors:\n  - id: car\n    shape: {{mesh: c.glb}}\n    {tables}\n", tmp_path)
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
     assert str(caught.value).startswith(f"{tmp_path / 'test.yaml'}:")
     assert ": actors.car" in str(caught.value)
 

@@ -71,9 +71,11 @@ class SpinSession(OneWaySession):
         turn["columns"] = columns.reshape(turn["columns"].shape)
         offsets_s = self._turn.fire_offset_s
         for packet, (beams, after_ns) in zip(turn, packets(offsets_s, COLUMNS_A_PACKET * LAYERS), strict=True):
-            told = self.clock.told(scan.plan.start_ns + round(1e9 * scan.plan.fire_offset_s[beams.start]), TICK_NS, 32)
-            packet["time_us"] = told.ticks
-            yield Telegram(after_ns, packet.tobytes(), "columns", told)
+            reported = self.clock.reported(
+                scan.plan.start_ns + round(1e9 * scan.plan.fire_offset_s[beams.start]), TICK_NS, 32
+            )
+            packet["time_us"] = reported.ticks
+            yield Telegram(after_ns, packet.tobytes(), "columns", reported)
 
 
 def new_session(keys: DeviceKeys) -> SpinSession:

@@ -44,7 +44,7 @@ WEATHER: dict[str, tuple[str, tuple[str, ...]]] = {
     "snow_3": ("snow", ("weather.snow.rate_mm_h=3",)),
 }
 "The road in it, and what the scenario is told. Numbers: visibility in m, rate in mm/h."
-PATIENCE = 20.0
+TIME_LIMIT = 20.0
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class Virtual(World):
         self.t = round(self.t + STEP, 6)
         done = self.world.step(self.t, [self.actor(car, jump)])
         self.sent = [self.sent[0] + done["sent"]["front"], *self.sent[:2]]
-        until = time.monotonic() + PATIENCE
+        until = time.monotonic() + TIME_LIMIT
         while self.host.count < self.sent[2]:
             self.waiting += self.host.scans()
             if time.monotonic() > until:
@@ -143,7 +143,7 @@ def running(settings: tuple[str, ...], real: bool) -> Iterator[World]:
                 host.line.close()
             finally:
                 daemon.terminate()
-                daemon.wait(PATIENCE)
+                daemon.wait(TIME_LIMIT)
 
 
 def begin(world: World) -> None:
@@ -214,16 +214,16 @@ def main() -> None:
     parser.add_argument("--weather", choices=WEATHER, action="append", help="default: all")
     parser.add_argument("--speed", type=float, action="append", help=f"km/h; default: {SPEEDS}")
     parser.add_argument("--page", type=Path, default=Path("brake.html"), help="written by the whole sweep")
-    told = parser.parse_args()
+    args = parser.parse_args()
     print(HEAD)
-    with ThreadPoolExecutor(1 if told.real else os.cpu_count()) as pool:
-        many = pool.map(lambda one: drives(one, told.speed or SPEEDS, told.real), told.weather or WEATHER)
+    with ThreadPoolExecutor(1 if args.real else os.cpu_count()) as pool:
+        many = pool.map(lambda one: drives(one, args.speed or SPEEDS, args.real), args.weather or WEATHER)
         found = []
         for rows in many:
             found += rows
             print(*(one.row() for one in rows), sep="\n", flush=True)
-    if not (told.weather or told.speed or told.real):
-        told.page.write_text(page(found), encoding="utf-8")
+    if not (args.weather or args.speed or args.real):
+        args.page.write_text(page(found), encoding="utf-8")
 
 
 if __name__ == "__main__":

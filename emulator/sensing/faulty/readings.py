@@ -127,7 +127,7 @@ READINGS: Mapping[str, Reading] = {
 
 
 def frozen(plan: ScanPlan, faults: tuple[Held, ...]) -> ScanPlan | None:
-    """The sweep that is told instead of this one: at the instant when the picture froze; None: this one."""
+    """The sweep that is reported instead of this one: at the instant when the picture froze; None: this one."""
     one = next((one for one in faults if one.name == "frozen_scan"), None)
     if one is None:
         return None

@@ -56,10 +56,10 @@ class FaultySweeps:
 
         active = held(faults, plan)
         asked = plan
-        told = readings.frozen(plan, active)
-        if told is not None:
+        reported = readings.frozen(plan, active)
+        if reported is not None:
             # what else is wrong is as it was at that instant
-            plan = told
+            plan = reported
             active = tuple(one for one in held(faults, plan) if one.from_ns <= plan.start_ns)
         view, light = look(aims.aimed(plan, active, self._draws), aims.shift_m(active))
         scan = self._received(plan, active, view, light)

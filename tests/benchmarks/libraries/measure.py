@@ -21,7 +21,7 @@ from types import ModuleType
 from typing import Any
 
 ROOT = Path(__file__).parents[3]
-MEMORY_BYTES, PATIENCE_S = 2 << 30, 20.0
+MEMORY_BYTES, TIME_LIMIT_S = 2 << 30, 20.0
 "What a trial in a process of its own may take."
 
 
@@ -81,11 +81,11 @@ def import_cost(module: str, before: str) -> str:
     """Least of five: processor time, memory and modules that importing adds after the statement `before`."""
     costs = []
     for _ in range(5):
-        told = subprocess.run(
+        reported = subprocess.run(
             [sys.executable, "-c", _IMPORT.format(module=module, before=before)],
             capture_output=True, text=True, check=True, cwd=ROOT,
         ).stdout  # fmt: skip
-        costs.append(tuple(map(float, told.split())))
+        costs.append(tuple(map(float, reported.split())))
     ms, megabytes, modules = min(costs)
     return f"{ms:.1f} ms, {megabytes:.1f} MB, {modules:.0f} modules"
 
@@ -134,10 +134,10 @@ def bounded(call: str) -> str:
     text = _BOUNDED.format(memory=MEMORY_BYTES, call=f"__import__({module!r}, fromlist=['x']).{rest}")
     try:
         done = subprocess.run(
-            [sys.executable, "-c", text], capture_output=True, text=True, timeout=PATIENCE_S, cwd=ROOT, check=False
+            [sys.executable, "-c", text], capture_output=True, text=True, timeout=TIME_LIMIT_S, cwd=ROOT, check=False
         )
     except subprocess.TimeoutExpired:
-        return f"not done in {PATIENCE_S:g} s"
+        return f"not done in {TIME_LIMIT_S:g} s"
     if done.returncode:
         return f"ended by signal {-done.returncode}" if done.returncode < 0 else "ended"
     return done.stdout.strip()

@@ -117,11 +117,11 @@ print(1e3 * max(gaps))
 def stall(work: str) -> str:
     """How long a thread that wakes every 0.2 ms is held up while another does `work`: median of three runs."""
     code = _STALL.format(path=sys.path, before=SENDS, work=work)
-    told = sorted(
+    reported = sorted(
         float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT).stdout)
         for _ in range(3)
     )
-    return f"{told[1]:.1f} ms"
+    return f"{reported[1]:.1f} ms"
 
 
 def rows(tests: bool = False) -> list[Row]:

@@ -139,17 +139,17 @@ def test_a_short_payload_is_filled_with_zeros_up_to_its_header() -> None:
 
 
 def test_the_keys_are_told_with_what_they_mean(monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[tuple[str, str, str]] = []
+    reported: list[tuple[str, str, str]] = []
     finish = DeviceKeys.finish
 
     def finished(keys: DeviceKeys) -> None:
-        told.extend((one.name, one.default, one.meaning) for one in keys.known)
+        reported.extend((one.name, one.default, one.meaning) for one in keys.known)
         finish(keys)
 
     monkeypatch.setattr(DeviceKeys, "finish", finished)
     protection({"profile": "p02", "messages": {"Late": {}}})
     protection({"profile": "p01", "messages": {"Late": {}}})
-    assert told == [
+    assert reported == [
         ("profile", "", "AUTOSAR profile"),
         ("messages", "none", "message -> {data_id, offset_bytes}"),
         ("data_id_mode", "both", "how the data id enters the checksum"),
@@ -179,7 +179,7 @@ TABLE = "a table: message name -> {data_id, offset_bytes}"
 
 
 @pytest.mark.parametrize(
-    ("table", "told"),
+    ("table", "reported"),
     [
         ({"profile": "p04", "messages": {}}, f"profile: 'p04'; want {PROFILES}"),
         ({"messages": {"ListTrailer": {}}}, f"profile: None; want {PROFILES}"),
@@ -190,15 +190,15 @@ TABLE = "a table: message name -> {data_id, offset_bytes}"
         ({"profile": "p05", "data_id_mode": "low", "messages": {"ListTrailer": {}}}, "data_id_mode: 'low'; want both"),
     ],
 )  # fmt: skip
-def test_a_table_that_cannot_be_is_refused_with_what_is_allowed(table: Any, told: str) -> None:
+def test_a_table_that_cannot_be_is_refused_with_what_is_allowed(table: Any, reported: str) -> None:
     with pytest.raises(DeviceSettingError) as caught:
         start({"format": "ldmrs", "e2e": table})
-    assert str(caught.value) == f"e2e.{told}"
-    assert caught.value.key == "e2e." + told.partition(":")[0]
+    assert str(caught.value) == f"e2e.{reported}"
+    assert caught.value.key == "e2e." + reported.partition(":")[0]
 
 
 @pytest.mark.parametrize(
-    ("profile", "message", "entry", "told"),
+    ("profile", "message", "entry", "reported"),
     [
         ("p01", "Nothing", {"data_id": 1}, f": {{'data_id': 1}}; want one of {LDMRS}"),
         ("p01", "ListTrailer", 5, ": 5; want a table {data_id, offset_bytes}"),
@@ -215,7 +215,9 @@ def test_a_table_that_cannot_be_is_refused_with_what_is_allowed(table: Any, told
         ("p05", "ListTrailer", {"offset": 4}, ".offset: 4; want no such key; known: data_id, offset_bytes"),
     ],
 )  # fmt: skip
-def test_a_message_that_cannot_be_protected_so_is_refused(profile: str, message: str, entry: Any, told: str) -> None:
+def test_a_message_that_cannot_be_protected_so_is_refused(
+    profile: str, message: str, entry: Any, reported: str
+) -> None:
     with pytest.raises(DeviceSettingError) as caught:
         start({"format": "ldmrs", "e2e": {"profile": profile, "messages": {message: entry}}})
-    assert str(caught.value) == f"e2e.messages.{message}{told}"
+    assert str(caught.value) == f"e2e.messages.{message}{reported}"

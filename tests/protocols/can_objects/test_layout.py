@@ -85,11 +85,11 @@ def test_the_used_bytes_are_those_that_some_signal_changes(file_name: str, name:
 def test_limits_and_used_bytes_of_a_file_read_anew_are_those_that_cantools_tells(file_name: str) -> None:
     layout = Layout(file_name)
     for name, message in layout.messages.items():
-        told = DATABASES[file_name].get_message_by_name(name)
-        bits = [bit for bit, owner in enumerate(owners(told)) if owner]
+        reported = DATABASES[file_name].get_message_by_name(name)
+        bits = [bit for bit, owner in enumerate(owners(reported)) if owner]
         assert message.used_bytes == {bit // 8 for bit in bits}
-        assert set(message.signals) == {signal.name for signal in told.signals}
-        for signal in told.signals:
+        assert set(message.signals) == {signal.name for signal in reported.signals}
+        for signal in reported.signals:
             mine = message.signals[signal.name]
             assert (mine.name, mine.bits) == (signal.name, signal.length)
             assert mine.little_endian is (signal.byte_order == "little_endian")

@@ -88,9 +88,9 @@ def test_signals_are_decoded_as_text_with_their_units(pair: tuple[layouts.Layout
             for one in message.signals
             if one.name in values
         ]
-        told = layout.decoded_signals(message.name, data)
-        assert [(one.name, one.value, one.unit or None) for one in told] == expected
-        assert all(isinstance(one.unit, str) for one in told)
+        reported = layout.decoded_signals(message.name, data)
+        assert [(one.name, one.value, one.unit or None) for one in reported] == expected
+        assert all(isinstance(one.unit, str) for one in reported)
 
 
 def test_messages_with_alternatives_are_packed_in_the_units_of_the_file(pair: tuple[layouts.Layout, Any]) -> None:

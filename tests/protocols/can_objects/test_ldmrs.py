@@ -223,12 +223,12 @@ def test_ntp_time_is_that_of_the_host_from_the_fraction_on() -> None:
     rig.hear("50A 30 00 00 00 78 56 34 12")
     before = decoded(rig, rig.run(0.07), "ListTime")[-1]
     assert before["NtpSeconds"] == 0
-    told_ns = rig.now_ns
+    reported_ns = rig.now_ns
     rig.hear("50A 31 00 00 00 00 00 00 80")
     after = decoded(rig, rig.run(0.2), "ListTime")[-1]
     listed_ns = [e.due_ns for e in rig.sent if e.label == "ListHeader"][-1] - 5 * MS
     assert after["NtpSeconds"] == 0x12345678
-    assert after["NtpFraction"] / 2**32 == pytest.approx(0.5 + (listed_ns - told_ns) / SECOND, abs=1e-9)
+    assert after["NtpFraction"] / 2**32 == pytest.approx(0.5 + (listed_ns - reported_ns) / SECOND, abs=1e-9)
 
 
 def test_any_base_id_moves_sixteen_identifiers_and_the_ego_frames_stay() -> None:

@@ -288,7 +288,7 @@ def test_a_value_out_of_range_is_refused_and_nothing_of_its_frame_is_taken(m16: 
 
 
 @pytest.mark.parametrize(
-    ("frame", "told"),
+    ("frame", "reported"),
     [
         ("740 06 02 65 00 01 00 00 00", "light_power 101; want 0 to 100"),
         ("740 06 03 02 00 00 00 00 00", "units_per_m 2; want 1, 10, 100, 1000"),
@@ -297,12 +297,12 @@ def test_a_value_out_of_range_is_refused_and_nothing_of_its_frame_is_taken(m16: 
         ("740 04 1F 00 00 00 00 00 00", "no input data 31"),
     ],
 )
-def test_a_refusal_is_told_with_what_is_wanted(frame: str, told: str) -> None:
+def test_a_refusal_is_told_with_what_is_wanted(frame: str, reported: str) -> None:
     rig = start({"format": "leddar_vu8"})
     rig.run(0.1)
     rig.hear(frame)
     (drop,) = [event for event in rig.events if isinstance(event, Dropped)]
-    assert told in drop.detail
+    assert reported in drop.detail
 
 
 def test_a_new_rate_holds_at_once_in_a_stream() -> None:

@@ -46,9 +46,9 @@ def test_an_empty_field_and_stlms_are_those_of_recordings() -> None:
     rig = Rig()
     wanted = bytes.fromhex("3f800000 00000000 00001388 fff92230 02 00 0000 0000 0000 0000 0001 0000 0000")
     assert rig.b("sRN field000") == b"sRA field000 " + wanted
-    told = rig.b("sRN STlms")
-    assert told[:16] == b"sRA STlms " + bytes.fromhex("0007 00 0008") + b"0"
-    assert len(told) == 0x2D
+    reported = rig.b("sRN STlms")
+    assert reported[:16] == b"sRA STlms " + bytes.fromhex("0007 00 0008") + b"0"
+    assert len(reported) == 0x2D
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -63,11 +63,11 @@ def test_every_name_is_answered_once_in_every_model_logged_in_or_not(model: str,
             rig.session._listeners = {name: set() for name in EVENTS}
             rig.sent.clear()
             before = dict(rig.session.values)
-            told = rig.a(code).encode() if dialect == "A" else rig.b(code)
-            assert told[:3] in (b"sRA", b"sWA", b"sAN", b"sEA", b"sFA"), code
-            if told[:3] == b"sFA" and code != "sMN mSCloadfacdef":
+            reported = rig.a(code).encode() if dialect == "A" else rig.b(code)
+            assert reported[:3] in (b"sRA", b"sWA", b"sAN", b"sEA", b"sFA"), code
+            if reported[:3] == b"sFA" and code != "sMN mSCloadfacdef":
                 assert rig.session.values == before
-            if code == "sMN mSCreboot" and told[:3] == b"sAN":
+            if code == "sMN mSCreboot" and reported[:3] == b"sAN":
                 rig.run(12 * SECOND)
     ALL.clear()
 
@@ -129,9 +129,9 @@ def test_login_by_challenge(version: int, level: int, password: str) -> None:
     rig = Rig(login=f"challenge {version}")
     if version == 2:
         assert rig.b("sMN GetChallenge") == b"sFA\x00\x08"
-    told = rig.b("sMN GetChallenge", bytes([level]) if version == 2 else b"")
-    drawn, salt = told[18:34], told[34:]
-    assert (told[:18], len(drawn), len(salt)) == (b"sAN GetChallenge \x00", 16, 16 * (version - 1))
+    reported = rig.b("sMN GetChallenge", bytes([level]) if version == 2 else b"")
+    drawn, salt = reported[18:34], reported[34:]
+    assert (reported[:18], len(drawn), len(salt)) == (b"sAN GetChallenge \x00", 16, 16 * (version - 1))
     text = b"%s:SICK Sensor:%s" % ({3: b"AuthorizedClient", 4: b"Service"}[level], password.encode())
     kept = hashlib.sha256(text + (b":" + salt if salt else b"")).digest()
     answer = hashlib.sha256(kept + drawn).digest() + bytes([level])
@@ -191,10 +191,10 @@ def test_a_refusal_has_its_code_and_changes_nothing(asked: str, code: str) -> No
 def test_scan_configurations_are_judged_by_the_pairs_of_the_model(model: str, asked: str, status: int) -> None:
     rig = Rig(model)
     rig.log_in()
-    told = rig.a(f"sMN mLMPsetscancfg {asked} -450000 +2250000").split(" ")
-    assert told[2] == str(status)
+    reported = rig.a(f"sMN mLMPsetscancfg {asked} -450000 +2250000").split(" ")
+    assert reported[2] == str(status)
     frequency, _, step = (int(word) for word in asked.split(" "))
-    assert (int(told[3], 16), int(told[5], 16)) == (frequency, step)
+    assert (int(reported[3], 16), int(reported[5], 16)) == (frequency, step)
 
 
 def test_an_old_lms100_refuses_the_output_range_and_is_busy_after_a_login() -> None:

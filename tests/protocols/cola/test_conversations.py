@@ -40,9 +40,9 @@ def test_clearpath_connects_while_the_device_starts_and_gets_every_scan() -> Non
         ("sWN LMDscandatacfg 01 00 1 1 0 00 00 0 0 0 0 +1", "sWA LMDscandatacfg"),
         ("sMN LMCstartmeas", "sAN LMCstartmeas 0"),
     ]:
-        told = rig.a(asked)
-        assert told == wanted
-        assert len(told) < 100
+        reported = rig.a(asked)
+        assert reported == wanted
+        assert len(reported) < 100
     until_seven(rig, 60 * SECOND)
     assert rig.a("sMN Run") == "sAN Run 1"
     assert rig.a("sEN LMDscandata 1") == "sEA LMDscandata 1"
@@ -98,11 +98,11 @@ XD_LMS1XX = [
 
 def ask_all(rig: Rig, trace: list[tuple[str, str, bytes | None]]) -> None:
     for name, data, wanted in trace:
-        told = rig.b(name, data)
-        assert not told.startswith(b"sFA"), name
-        assert told.split(b" ")[1] == name.split(" ")[1].encode()
+        reported = rig.b(name, data)
+        assert not reported.startswith(b"sFA"), name
+        assert reported.split(b" ")[1] == name.split(" ")[1].encode()
         if wanted is not None:
-            assert told == wanted
+            assert reported == wanted
 
 
 def ready(rig: Rig) -> None:

@@ -77,14 +77,14 @@ def test_half_a_telegram_is_given_up_after_a_second_and_what_it_swallowed_is_rea
 
 @given(st.lists(st.binary(max_size=40), max_size=6))
 def test_whatever_comes_every_byte_is_told_of(parts: list[bytes]) -> None:
-    splitter, told = ColaSplitter(), 0
+    splitter, reported = ColaSplitter(), 0
     for part in parts:
         for one in splitter.feed(part):
-            told += one.count if isinstance(one, Fault) else len(frame(one[:1], one[1:]))
+            reported += one.count if isinstance(one, Fault) else len(frame(one[:1], one[1:]))
     while splitter:
         for one in splitter.expire():
-            told += one.count if isinstance(one, Fault) else len(frame(one[:1], one[1:]))
-    assert told == sum(map(len, parts))
+            reported += one.count if isinstance(one, Fault) else len(frame(one[:1], one[1:]))
+    assert reported == sum(map(len, parts))
 
 
 @given(st.binary(min_size=1, max_size=300))
@@ -117,8 +117,8 @@ def test_an_old_scan_comes_with_the_counters_of_a_fresh_one(scan: tuple[str, Emi
     _, one = scan
     fresh = ColaFraming().with_counter(one, 700)
     assert fresh is not None
-    told = ColaFraming().stale(one, Emission(0, fresh))
-    assert told == fresh
+    reported = ColaFraming().stale(one, Emission(0, fresh))
+    assert reported == fresh
 
 
 def test_check_and_length_are_those_of_cola_b_alone(scan: tuple[str, Emission]) -> None:
@@ -132,10 +132,10 @@ def test_check_and_length_are_those_of_cola_b_alone(scan: tuple[str, Emission]) 
 
 @pytest.mark.parametrize("asked", [ask_a("sRN SCdevicestate"), ask_b("sRN SCdevicestate")])
 def test_a_request_is_made_one_that_the_device_refuses(asked: bytes) -> None:
-    told = ColaFraming().to_be_refused(asked)
-    assert told is not None
+    reported = ColaFraming().to_be_refused(asked)
+    assert reported is not None
     rig = Rig()
-    rig.put(told)
+    rig.put(reported)
     assert rig.next()[1] in (b"sFA 3", b"sFA\x00\x03")
     assert ColaFraming().is_whole(asked)
     assert not ColaFraming().is_whole(asked[:-1])

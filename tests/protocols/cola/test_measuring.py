@@ -92,11 +92,11 @@ def test_an_interlaced_mrs1000_keeps_its_step_and_shifts_its_start(asked: str, s
     start(rig, ONE, f"sMN mLMPsetscancfg {asked} -475000 +2275000")
     scans = [rig.scan() for _ in range(8 * len(starts))]
     assert {(len(scan.mm()), scan.channels["DIST1"][3]) for scan in scans} == {(1101, 2500)}
-    told = [scan.channels["DIST1"][2] for scan in scans]
-    at = next(k for k in range(1, len(told)) if told[k] != told[k - 1])
-    cycle = [told[at + 4 * k] for k in range(len(starts))]
+    reported = [scan.channels["DIST1"][2] for scan in scans]
+    at = next(k for k in range(1, len(reported)) if reported[k] != reported[k - 1])
+    cycle = [reported[at + 4 * k] for k in range(len(starts))]
     assert sorted(cycle) == sorted(starts)
-    assert all(len(set(told[at + 4 * k : at + 4 * k + 4])) == 1 for k in range(len(starts)))
+    assert all(len(set(reported[at + 4 * k : at + 4 * k + 4])) == 1 for k in range(len(starts)))
     assert [two.scan_us - one.scan_us for one, two in pairwise(scans)] == [20_000] * (len(scans) - 1)
 
 
@@ -249,9 +249,9 @@ def test_two_hosts_in_two_dialects_have_subscriptions_of_their_own() -> None:
     rig.run(200 * MS)
     rig.forget()
     rig.run(SECOND)
-    told = {to: [read(*frames(one.payload)[0]) for one in rig.sent if one.address == to] for to in (ONE, TWO)}
-    assert [len(told[to]) for to in (ONE, TWO)] == [50, 50]
-    assert [one.scans for one in told[ONE]] == [one.scans for one in told[TWO]]
+    reported = {to: [read(*frames(one.payload)[0]) for one in rig.sent if one.address == to] for to in (ONE, TWO)}
+    assert [len(reported[to]) for to in (ONE, TWO)] == [50, 50]
+    assert [one.scans for one in reported[ONE]] == [one.scans for one in reported[TWO]]
     assert {frames(one.payload)[0][0] for one in rig.sent if one.address == ONE} == {"A"}
     rig.session.disconnected(rig.now_ns, ONE)
     rig.forget()
@@ -398,21 +398,21 @@ def test_a_single_scan_does_not_infringe_a_field() -> None:
 def test_the_calendar_begins_in_1970_is_set_by_a_host_or_by_the_time_server() -> None:
     rig = Rig()
     start(rig, ONE, "sWN LMDscandatacfg 01 00 0 0 0 00 00 0 0 0 1 +1")
-    told = rig.scan().time
-    assert told is not None
-    assert told[:3] == (1970, 1, 1)
+    reported = rig.scan().time
+    assert reported is not None
+    assert reported[:3] == (1970, 1, 1)
     assert rig.a_last("sMN LSPsetdatetime +2026 +2 +28 +23 +59 +59 +999999") == "sAN LSPsetdatetime 1"
     assert rig.a_last("sMN LSPsetdatetime +2026 +2 +30 0 0 0 0") == "sAN LSPsetdatetime 0"
     rig.forget()
     rig.run(SECOND)
-    told = read(*frames(rig.sent[-1].payload)[0]).time
-    assert told is not None
-    assert told[:3] == (2026, 3, 1)
+    reported = read(*frames(rig.sent[-1].payload)[0]).time
+    assert reported is not None
+    assert reported[:3] == (2026, 3, 1)
     served = Rig(ntp_epoch_s=1_700_000_000)
     start(served, ONE, "sWN TSCRole 1", "sWN LMDscandatacfg 01 00 0 0 0 00 00 0 0 0 1 +1")
-    told = served.scan().time
-    assert told is not None
-    assert told[:5] == (2023, 11, 14, 22, 13)
+    reported = served.scan().time
+    assert reported is not None
+    assert reported[:5] == (2023, 11, 14, 22, 13)
 
 
 @pytest.mark.parametrize("model", MODELS)

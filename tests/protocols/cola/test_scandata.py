@@ -44,8 +44,8 @@ def body(ranges_mm: list[list[int]], **more: object) -> Body:
 def with_rssi(made: Body, words: list[list[int]], dialect: bytes) -> bytes:
     """The telegram with RSSI of the example in place of ours, whose scale is our own choice."""
     values = made.values()
-    for channel, told in zip([*values[17], *values[18]][made.channels :], words, strict=False):
-        channel[5] = np.array(told)
+    for channel, reported in zip([*values[17], *values[18]][made.channels :], words, strict=False):
+        channel[5] = np.array(reported)
     from protocols.cola.scandata import LAYOUT
     from protocols.cola.values import encode
 
@@ -110,13 +110,13 @@ SWITCHES = [
 
 
 @pytest.mark.parametrize("dialect", ["A", "B"])
-@pytest.mark.parametrize(("told", "channels", "wide", "name", "comment", "time"), SWITCHES)
+@pytest.mark.parametrize(("reported", "channels", "wide", "name", "comment", "time"), SWITCHES)
 def test_every_switch_of_the_content_changes_the_telegram(
-    told: str, channels: set[str], wide: list[str], name: str | None, comment: str | None, time: bool, dialect: str
+    reported: str, channels: set[str], wide: list[str], name: str | None, comment: str | None, time: bool, dialect: str
 ) -> None:
     rig = Rig()
     rig.log_in()
-    assert rig.a(f"sWN LMDscandatacfg {told}") == "sWA LMDscandatacfg"
+    assert rig.a(f"sWN LMDscandatacfg {reported}") == "sWA LMDscandatacfg"
     rig.put(b"\x02sEN LMDscandata 1\x03" if dialect == "A" else frame(BINARY, b"sEN LMDscandata \x01"))
     rig.next()
     found = rig.next()
@@ -131,5 +131,5 @@ def test_every_switch_of_the_content_changes_the_telegram(
 
 def test_both_dialects_say_the_same() -> None:
     made = body([[1000, 2000, 0], [1500, 0, 0]], encoders=((7, 9),), name="a b", content=replace(CONTENT, name=True))
-    told = [read(*frames(frame(one, b"sSN LMDscandata " + made.encoded(one)))[0]) for one in (ASCII, BINARY)]
-    assert told[0] == told[1]
+    reported = [read(*frames(frame(one, b"sSN LMDscandata " + made.encoded(one)))[0]) for one in (ASCII, BINARY)]
+    assert reported[0] == reported[1]

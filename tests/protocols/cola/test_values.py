@@ -57,7 +57,7 @@ def test_any_bytes_are_values_or_an_error_code(text: str, dialect: bytes, data: 
 
 
 @pytest.mark.parametrize(
-    ("told", "wanted"),
+    ("reported", "wanted"),
     [
         ("FFF92230", -450_000),
         ("-450000", -450_000),
@@ -67,8 +67,8 @@ def test_any_bytes_are_values_or_an_error_code(text: str, dialect: bytes, data: 
         ("00", 0),
     ],
 )
-def test_hosts_write_numbers_as_drivers_do(told: str, wanted: int) -> None:
-    assert decode("i32", ASCII, told.encode()) == [wanted]
+def test_hosts_write_numbers_as_drivers_do(reported: str, wanted: int) -> None:
+    assert decode("i32", ASCII, reported.encode()) == [wanted]
 
 
 def test_numbers_are_upper_case_hexadecimal_without_leading_zeros_but_where_drivers_read_eight_digits() -> None:

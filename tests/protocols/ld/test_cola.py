@@ -35,8 +35,8 @@ TALK = [
 ]
 
 
-@pytest.mark.parametrize(("asked", "told"), TALK)
-def test_a_telegram_is_answered_on_tcp_and_on_the_line(asked: bytes, told: bytes) -> None:
+@pytest.mark.parametrize(("asked", "reported"), TALK)
+def test_a_telegram_is_answered_on_tcp_and_on_the_line(asked: bytes, reported: bytes) -> None:
     for kind, address in ((LinkKind.STREAM, Address(0, 1)), (LinkKind.SERIAL, Address(0, 0))):
         for chunks in ([frame(asked)], [bytes((byte,)) for byte in frame(asked)]):
             rig = Rig({"delays": "fast"}, kind=kind, address=address)
@@ -45,8 +45,8 @@ def test_a_telegram_is_answered_on_tcp_and_on_the_line(asked: bytes, told: bytes
             for chunk in chunks:
                 rig.put(chunk)
             rig.run(SECOND // 2)
-            assert b"".join(emission.payload for emission in rig.take()) == frame(told)
-            assert (DropReason.REFUSED in rig.dropped()) is (told.startswith(b"sFA") or told.endswith(b"\x00"))
+            assert b"".join(emission.payload for emission in rig.take()) == frame(reported)
+            assert (DropReason.REFUSED in rig.dropped()) is (reported.startswith(b"sFA") or reported.endswith(b"\x00"))
 
 
 def test_both_protocols_share_a_link_in_any_order() -> None:

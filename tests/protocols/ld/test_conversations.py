@@ -75,8 +75,8 @@ class Sicktoolbox:
     def sectors(self) -> list[tuple[int, int]]:
         found = []
         for number in range(8):
-            code, told, function, stop = self.ask(0x020B, number)
-            assert (code, told) == (0x820B, number)
+            code, reported, function, stop = self.ask(0x020B, number)
+            assert (code, reported) == (0x820B, number)
             if function == 0:
                 assert stop == 0
                 break

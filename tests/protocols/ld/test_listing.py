@@ -56,12 +56,12 @@ FRAMES = [
 ]
 
 
-@pytest.mark.parametrize(("mode", "asked", "told"), FRAMES)
-def test_a_frame_of_the_listing_gets_the_listing_s_reply(mode: str, asked: str, told: str) -> None:
+@pytest.mark.parametrize(("mode", "asked", "reported"), FRAMES)
+def test_a_frame_of_the_listing_gets_the_listing_s_reply(mode: str, asked: str, reported: str) -> None:
     rig = Rig({"mode": mode, "delays": "fast"})
     rig.put(frame(asked))
     rig.run(SECOND)
-    assert b"".join(emission.payload for emission in rig.take()) == frame(told)
+    assert b"".join(emission.payload for emission in rig.take()) == frame(reported)
 
 
 CONVERSATIONS = [
@@ -92,10 +92,10 @@ CONVERSATIONS = [
 @pytest.mark.parametrize("talk", CONVERSATIONS)
 def test_a_conversation_of_the_listing_runs_as_printed(talk: list[tuple[str, str]]) -> None:
     rig = wide()
-    for asked, told in talk:
+    for asked, reported in talk:
         rig.put(frame(asked))
         rig.run(20 * MS)
-        assert b"".join(emission.payload for emission in rig.take(TCP)) == frame(told)
+        assert b"".join(emission.payload for emission in rig.take(TCP)) == frame(reported)
 
 
 # --- services by state [46-47] ---
@@ -211,8 +211,8 @@ def test_a_line_that_is_attached_carries_characters_both_ways_and_no_services() 
     rig.put(b"Hi", LINE)
     sent_ns = rig.now_ns
     rig.run(SECOND)
-    (told,) = rig.take(TCP)
-    (payload,) = read_frames(told.payload)
+    (reported,) = rig.take(TCP)
+    (payload,) = read_frames(reported.payload)
     assert words(payload) == [0x0605, 1, sent_ns // MS & 0xFFFF, 0x48, 0x69]
     rig.put(package(0x1410, 3, 0, 0x0102), LINE)
     rig.run(SECOND)
@@ -237,8 +237,13 @@ def test_a_full_buffer_of_characters_is_sent_at_once() -> None:
 def test_com_init_sets_the_line_and_detaching_sets_it_back() -> None:
     rig = wide()
     rig.ask(0x0601, 1)
-    for asked, told in (([1, 2, 0, 1, 8], 0), ([1, 0, 0, 1, 8], 0xFFFF), ([1, 2, 3, 1, 8], 0xFFFF), ([1, 2], 0xFFFF)):
-        assert words(rig.ask(0x0603, *asked)) == [0x8603, 1, told]
+    for asked, reported in (
+        ([1, 2, 0, 1, 8], 0),
+        ([1, 0, 0, 1, 8], 0xFFFF),
+        ([1, 2, 3, 1, 8], 0xFFFF),
+        ([1, 2], 0xFFFF),
+    ):
+        assert words(rig.ask(0x0603, *asked)) == [0x8603, 1, reported]
     assert [emission.line_speed for emission in rig.take(LINE)] == [9600]
     rig.ask(0x0602, 1)
     rig.run(0)

@@ -60,15 +60,15 @@ PUBLISHED = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("device", "asked", "told"), PUBLISHED)
-def test_a_published_request_gets_its_published_reply(device: dict, asked: str, told: str) -> None:
+@pytest.mark.parametrize(("device", "asked", "reported"), PUBLISHED)
+def test_a_published_request_gets_its_published_reply(device: dict, asked: str, reported: str) -> None:
     data = bytes.fromhex(asked)
     for chunks in ([data], [bytes([byte]) for byte in data], [b"USP\x02" + data + b"\xff"]):
         rig = Rig({**device})
         for chunk in chunks:
             rig.put(chunk)
         rig.run(4 * SECOND)
-        assert b"".join(emission.payload for emission in rig.take()) == bytes.fromhex(told)
+        assert b"".join(emission.payload for emission in rig.take()) == bytes.fromhex(reported)
 
 
 def test_signals_set_are_read_back() -> None:
@@ -397,8 +397,8 @@ def test_too_few_words_are_refused_before_anything_is_done() -> None:
         if command.handler and command.words:
             before = state(rig)
             reply = ask(rig, code, *[0] * (command.words - 1))
-            told = (code | 0x8000, *command.too_short) if command.too_short else (0xFF00, 0, 0, 0, 1)
-            assert reply == [*told], f"{code:04X}"
+            reported = (code | 0x8000, *command.too_short) if command.too_short else (0xFF00, 0, 0, 0, 1)
+            assert reply == [*reported], f"{code:04X}"
             assert state(rig) == before
             assert rig.dropped() == [DropReason.BAD_LENGTH]
 

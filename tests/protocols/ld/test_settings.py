@@ -91,12 +91,12 @@ def test_a_value_that_is_allowed_is_taken(key: str, value: Any) -> None:
 
 @pytest.mark.parametrize(("key", "value"), [(key, value) for key, values in BAD.items() for value in values])
 def test_a_value_that_is_not_allowed_is_told_with_what_is(key: str, value: Any) -> None:
-    with pytest.raises(DeviceSettingError) as told:
+    with pytest.raises(DeviceSettingError) as reported:
         FAMILY.new_session({key: value}, FACTS)
-    assert told.value.key == key
-    assert told.value.found is value
+    assert reported.value.key == key
+    assert reported.value.found is value
     (known,) = [entry for entry in KEYS if entry.name == key]
-    assert told.value.allowed == known.allowed
+    assert reported.value.allowed == known.allowed
 
 
 def test_the_default_table_is_itself_allowed_and_measures_a_full_circle() -> None:

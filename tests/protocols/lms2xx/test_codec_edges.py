@@ -20,13 +20,13 @@ def test_addresses_and_lengths_end_where_the_frame_does() -> None:
     assert wire.frame(0, b"\x31")[1] == 0
     assert wire.frame(255, b"\x31")[1] == 255
     assert wire.frame(0, bytes(65_535))[2:4] == b"\xff\xff"
-    for address, payload, told in (
+    for address, payload, reported in (
         (-1, b"1", "address -1, payload of 1 bytes"),
         (256, b"1", "address 256"),
         (0, b"", "payload of 0 bytes"),
         (0, bytes(65_536), "payload of 65536 bytes"),
     ):
-        with pytest.raises(EncodeError, match=told):
+        with pytest.raises(EncodeError, match=reported):
             wire.frame(address, payload)
 
 
@@ -41,7 +41,7 @@ def test_a_sum_is_taken_modulo_256() -> None:
     assert sum8(b"") == 0
 
 
-def told(payload: bytes, indices: bytes = b"", status: int = 0x10) -> wire.MeasuredValues:
+def reported(payload: bytes, indices: bytes = b"", status: int = 0x10) -> wire.MeasuredValues:
     found = wire.open_frame(wire.reply(payload + indices, status))
     assert found is not None
     values = wire.read_values(found)
@@ -69,7 +69,7 @@ HEADER = wire.Header(3, 1)
 def test_every_telegram_of_values_is_read_back_whole(
     payload: bytes, command: int, first: int, scans: int, extra: list[int], indices: bytes
 ) -> None:
-    found = told(payload, indices)
+    found = reported(payload, indices)
     assert (found.command, found.header, found.first, found.scans) == (command, HEADER, first, scans)
     assert found.values.tolist() == WORDS.tolist()
     assert found.extra.tolist() == extra
@@ -79,20 +79,20 @@ def test_every_telegram_of_values_is_read_back_whole(
 
 
 def test_of_several_groups_the_first_is_read() -> None:
-    found = told(wire.range_and_intensity([(4, 6, HEADER, WORDS, MORE), (10, 12, HEADER, MORE, WORDS)]))
+    found = reported(wire.range_and_intensity([(4, 6, HEADER, WORDS, MORE), (10, 12, HEADER, MORE, WORDS)]))
     assert (found.first, found.values.tolist(), found.extra.tolist()) == (4, [100, 200, 300], [7, 8, 9])
 
 
 def test_the_shortest_telegram_of_values_holds_none() -> None:
-    found = told(wire.all_values(WORDS[:0], wire.Header(0)))
+    found = reported(wire.all_values(WORDS[:0], wire.Header(0)))
     assert (found.values.tolist(), found.extra.tolist(), found.status) == ([], [], 0x10)
     assert wire.read_values(wire.Telegram(0x80, 0xB0, b"\x00\x00")) is None
 
 
-@pytest.mark.parametrize(("behind", "told"), [(0, False), (1, True), (2, False), (3, True), (4, False), (7, False)])
-def test_behind_the_values_stand_one_byte_or_three(behind: int, told: bool) -> None:
+@pytest.mark.parametrize(("behind", "reported"), [(0, False), (1, True), (2, False), (3, True), (4, False), (7, False)])
+def test_behind_the_values_stand_one_byte_or_three(behind: int, reported: bool) -> None:
     data = HEADER.encode() + wire.value_bytes(WORDS)
-    assert (wire.read_values(wire.Telegram(0x80, 0xB0, data + bytes(behind))) is not None) is told
+    assert (wire.read_values(wire.Telegram(0x80, 0xB0, data + bytes(behind))) is not None) is reported
     assert wire.read_values(wire.Telegram(0x80, 0xB0, data[:-1])) is None
     assert wire.read_values(wire.Telegram(0x80, 0xA0, data + bytes(behind))) is None
 
@@ -155,16 +155,16 @@ def test_every_telegram_of_values_tells_its_unit_and_its_own_beams(unit: int) ->
         (outputs.REFLECTIVITY, ((2, 4),), [0, 1, 2, 3]),
         (outputs.INTENSITY, ((2, 4),), [1, 2, 3]),
     ):
-        found = told(outputs.encode(outputs.Output(command, 1, groups), measured, form, None))
+        found = reported(outputs.encode(outputs.Output(command, 1, groups), measured, form, None))
         assert found.header == wire.Header(len(beams), unit), hex(command)
         assert found.values.tolist() == centimetres[beams].tolist(), hex(command)
     reflectivity = outputs.encode(outputs.Output(outputs.REFLECTIVITY, 1, ((2, 4),)), measured, form, None)
-    assert told(reflectivity).extra.tolist() == [100, 225, 254]  # 25 R^2 / 100, in per cent
+    assert reported(reflectivity).extra.tolist() == [100, 225, 254]  # 25 R^2 / 100, in per cent
 
 
 def test_modes_with_reflector_bits_tell_them_in_every_telegram() -> None:
     form = outputs.Format(MEASURING_MODES[0x01], 1, False, 100.0)
     measured = outputs.Measured(np.array([1.0, 2.0, 3.0, 4.0]), np.full(4, 100.0), NO_FLAGS)  # 1, 4, 9, 16 x white
-    found = told(outputs.encode(outputs.Output(outputs.ALL), measured, form, None))
+    found = reported(outputs.encode(outputs.Output(outputs.ALL), measured, form, None))
     assert (found.values >> 13).tolist() == [0, 2, 3, 4]
     assert (found.values & 0x1FFF).tolist() == [1000, 2000, 3000, 4000]

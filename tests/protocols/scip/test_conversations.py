@@ -123,10 +123,10 @@ def test_time_stamps_wrap_at_24_bits() -> None:
     rig.session.clock = rig.session.clock.set_to(rig.now_ns, (2**24 - 100) * MS)
     rig.put("MD0000000001000\n")
     rig.run(SECOND)
-    told = [one.told for one in rig.sent if one.told is not None]
-    assert {one.bits for one in told} == {24}
+    reported = [one.reported for one in rig.sent if one.reported is not None]
+    assert {one.bits for one in reported} == {24}
     stamps = [one.stamp for one in rig.take()[1:]]
-    assert [one.ticks for one in told] == stamps
+    assert [one.ticks for one in reported] == stamps
     assert max(stamps) < 2**24
     assert {(other - one) % 2**24 for one, other in pairwise(stamps)} == {25}
     assert any(other < one for one, other in pairwise(stamps))

@@ -51,7 +51,7 @@ def test_another_time_stamp_wraps(scans: list[Emission]) -> None:
 
 def test_a_stale_scan_has_old_data_and_a_new_stamp(scans: list[Emission]) -> None:
     old = scans[1].payload.replace(b"0?X", b"0?Y")
-    changed = FRAMING.stale(Emission(0, old, told=scans[1].told), scans[3])
+    changed = FRAMING.stale(Emission(0, old, reported=scans[1].reported), scans[3])
     assert changed is not None
     lines = changed.split(b"\n")
     assert lines[2] == scans[3].payload.split(b"\n")[2]

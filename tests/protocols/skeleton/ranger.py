@@ -108,7 +108,7 @@ class Ranger(RequestSession):
     def _reset(self, now_ns: int) -> None:
         self._nominal_ns = Fraction(100 * MS, 3)
 
-    def _start_anew(self, request: Request) -> Answer:
+    def _start_again(self, request: Request) -> Answer:
         return Answer(b"", restarts=True)
 
     def _be_quiet(self, request: Request) -> Answer:
@@ -119,7 +119,7 @@ class Ranger(RequestSession):
         b"E": Command("no scans any more", _end, "here"),
         b"R": Command("scans a second", _rate, "here", "1 to 50"),
         b"B": Command("line to 460800 baud", _faster, "here"),
-        b"X": Command("reset", _start_anew, "here"),
+        b"X": Command("reset", _start_again, "here"),
         b"Q": Command("nothing, without a word", _be_quiet, "here"),
         b"\x00": Command("factory", None, "here"),
     }

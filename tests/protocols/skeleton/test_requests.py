@@ -146,8 +146,8 @@ def test_a_host_that_goes_takes_only_its_own_scans_and_replies_along() -> None:
     second = measured(session)
     session.take_events()
     session.disconnected(first.start_ns + 7 * MS, ONE)
-    told = [one for one in session.take_events() if isinstance(one, Dropped)]
-    assert [(one.reason, one.sweeps, one.address) for one in told] == [
+    reported = [one for one in session.take_events() if isinstance(one, Dropped)]
+    assert [(one.reason, one.sweeps, one.address) for one in reported] == [
         (DropReason.STALE, range(second.sweep, second.sweep + 1), ONE)
     ]
     assert {one.address for one in session.take_emissions(BOOT_NS + 99 * MS)} == {TWO}
@@ -163,8 +163,8 @@ def test_a_sweep_whose_only_host_has_gone_is_told_though_another_waits_for_the_n
     session.receive(request(b"E"), BOOT_NS + 2 * MS, ONE)
     session.take_events()
     plan = measured(session)
-    told = [(one.reason, one.sweeps) for one in session.take_events() if isinstance(one, Dropped)]
-    assert told == [(DropReason.STALE, range(plan.sweep, plan.sweep + 1))]
+    reported = [(one.reason, one.sweeps) for one in session.take_events() if isinstance(one, Dropped)]
+    assert reported == [(DropReason.STALE, range(plan.sweep, plan.sweep + 1))]
     measured(session)
     assert {one.address for one in session.take_emissions(BOOT_NS + 99 * MS) if one.label in ("1", "2")} == {TWO}
 
@@ -178,8 +178,8 @@ def test_a_changed_setting_refuses_and_withdraws_what_was_measured_under_the_old
     session.receive(request(b"R", b"\x0a"), BOOT_NS + MS, ONE)
     with pytest.raises(ScanRefused):
         session.submit(Scan.empty(stale))
-    told = [one.sweeps for one in session.take_events() if isinstance(one, Dropped)]
-    assert told == [range(waiting.sweep, waiting.sweep + 1)]
+    reported = [one.sweeps for one in session.take_events() if isinstance(one, Dropped)]
+    assert reported == [range(waiting.sweep, waiting.sweep + 1)]
     plan = session.next_plan()
     assert plan is not None
     assert plan.epoch > stale.epoch

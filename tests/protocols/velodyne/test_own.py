@@ -14,7 +14,7 @@ from emulator.sensors.spec import load_spec_file
 from protocols.errors import DeviceSettingError
 from protocols.velodyne import FAMILY, codec
 from protocols.velodyne.models import MODES, Mode
-from protocols.velodyne.own import LASERS, model_of, read, told
+from protocols.velodyne.own import LASERS, model_of, read, reported
 from tests.protocols.velodyne.rig import WEB, Rig, packets
 
 
@@ -56,9 +56,9 @@ def test_lasers_are_asked_for_as_the_table_says_and_a_host_reads_them(count: int
 
 
 def test_a_model_of_the_maker_is_not_told() -> None:
-    assert told(model_of({"model": "velodyne-vls-128"})) == b""
+    assert reported(model_of({"model": "velodyne-vls-128"})) == b""
     own = model_of(table(64))
-    again = read(b"HTTP/1.1 200 OK\r\n" + told(own))
+    again = read(b"HTTP/1.1 200 OK\r\n" + reported(own))
     assert again is not None
     assert again.elevation_deg == own.elevation_deg
     assert again.laser_ns == own.laser_ns

@@ -198,8 +198,8 @@ def test_position_packets_come_at_their_rate_with_the_sentence_of_the_second() -
     sent = [one for one in rig.run(2.0) if one.address == POSITION]
     assert len(sent) == 2 * SECOND // 6_821_780 + 1
     assert {len(one.payload) for one in sent} == {512}
-    told = {one.payload[206:249] for one in sent}
-    assert told == {f"$GPRMC,08180{second}.00,A,3649.7479,N,00224.4543,W".encode() for second in (2, 3)}
+    reported = {one.payload[206:249] for one in sent}
+    assert reported == {f"$GPRMC,08180{second}.00,A,3649.7479,N,00224.4543,W".encode() for second in (2, 3)}
     for one in sent:
         assert int.from_bytes(one.payload[198:202], "little") == one.due_ns // 1000
 
@@ -266,13 +266,13 @@ def test_forms_of_drivers_are_understood() -> None:
     rig.post("/cgi/setting/phaselock", "enabled=on&offset=9000")
     rig.post("/cgi/setting/host", "addr=10.0.0.2&dport=2369&tport=8309")
     rig.post("/cgi/setting/net", "dhcp=on")
-    told = rig.get("/cgi/snapshot.hdl")
-    assert told["config"]["fov"] == {"start": 290, "end": 70}
-    assert told["config"]["phaselock"] == {"enabled": "On", "offset": 9000}
-    assert told["config"]["host"] == {"addr": "10.0.0.2", "dport": "2369", "tport": "8309"}
-    assert told["config"]["net"]["dhcp"] == "on"
-    assert told["info"]["model"] == "VLP-16"
-    counts = told["diag"]["volt_temp"]["bot"]
+    reported = rig.get("/cgi/snapshot.hdl")
+    assert reported["config"]["fov"] == {"start": 290, "end": 70}
+    assert reported["config"]["phaselock"] == {"enabled": "On", "offset": 9000}
+    assert reported["config"]["host"] == {"addr": "10.0.0.2", "dport": "2369", "tport": "8309"}
+    assert reported["config"]["net"]["dhcp"] == "on"
+    assert reported["info"]["model"] == "VLP-16"
+    counts = reported["diag"]["volt_temp"]["bot"]
     assert -1481.96 + np.sqrt(2.1962e6 + (1.8639 - counts["lm20_temp"] * 5 / 4096) / 3.88e-6) == pytest.approx(
         45.0, abs=0.2
     )

@@ -159,10 +159,10 @@ def test_a_turn_begins_with_a_zero_packet_that_tells_the_speed(model: str, devic
         assert len(read[k].words) == 1
         assert read[k].angle_deg[0] < 1.1 * 360.0 * facts.hz[1] / facts.rates_hz[facts.rate]
         assert read[k - 1].angle_deg[-1] > 358.0
-    told = np.array([(read[k].kind >> 1) / 10.0 + facts.speed_offset for k in zeros])
+    reported = np.array([(read[k].kind >> 1) / 10.0 + facts.speed_offset for k in zeros])
     instants = np.array([sent[k].due_ns for k in zeros]) / 1e9
-    np.testing.assert_allclose(told[:-1], 1.0 / np.diff(instants), rtol=0.02)
-    assert len(set(told)) > 1, "it wobbles"
+    np.testing.assert_allclose(reported[:-1], 1.0 / np.diff(instants), rtol=0.02)
+    assert len(set(reported)) > 1, "it wobbles"
     counts = [sum(len(one.words) for one in read[k:m]) for k, m in pairwise(zeros)]
     np.testing.assert_allclose(counts, facts.rates_hz[facts.rate] * np.diff(instants), atol=1.5)
     for k in range(zeros[0], zeros[-1]):

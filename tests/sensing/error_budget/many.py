@@ -22,8 +22,8 @@ def main() -> None:
             f"{name:16s} {one.beams:7d} beams, {one.differ:4d} differ ({one.share:.2%}); "
             f"{one.plain:6d} plain, {one.plain_differ} of them differ\n"
         )
-    told = ", ".join(f"{seed} ({count})" for count, seed in sorted(worst, reverse=True)[:10])
-    sys.stdout.write(f"scenes with most differing beams: {told or 'none'}\n")
+    reported = ", ".join(f"{seed} ({count})" for count, seed in sorted(worst, reverse=True)[:10])
+    sys.stdout.write(f"scenes with most differing beams: {reported or 'none'}\n")
 
 
 if __name__ == "__main__":

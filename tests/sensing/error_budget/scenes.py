@@ -103,9 +103,9 @@ def plan(beams: int = 61, degrees: float = 55.0, seconds: float = 0.02, sweep: i
 
 def compared(scene: Scene, model: str, plan: ScanPlan, **options: Any) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Beams whose ranges are the same within a step, and beams that were plain."""
-    spared = measure_of(scene, model, leave_out=LeaveOut(closed_form="always"), **options)
+    rays_saved = measure_of(scene, model, leave_out=LeaveOut(closed_form="always"), **options)
     whole = measure_of(scene, model, leave_out=LeaveOut(closed_form="never"), **options)
-    return same(spared, whole, plan)
+    return same(rays_saved, whole, plan)
 
 
 def same(one: Measure, other: Measure, plan: ScanPlan) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -147,9 +147,9 @@ def full_against_pruned(seed: int, **options: Any) -> Tally:
     """One random scene in random weather: every term computed, and every rule on; two sweeps."""
     scene, weather, model = random_scene(seed), random_weather(seed), MODELS[seed % 3]
     rules = LeaveOut(closed_form="auto" if seed % 4 == 0 else "always")
-    spared = measure_of(scene, model, weather, leave_out=rules, **options)
+    rays_saved = measure_of(scene, model, weather, leave_out=rules, **options)
     whole = measure_of(scene, model, weather, full=True, **options)
     total = Tally()
     for sweep in range(2):
-        total += tally(*same(spared, whole, plan(sweep=sweep)))
+        total += tally(*same(rays_saved, whole, plan(sweep=sweep)))
     return total

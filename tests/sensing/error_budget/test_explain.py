@@ -31,7 +31,7 @@ def wall(x_m: float = 20.0, material: str = "asphalt", yaw_deg: float = 0.0) -> 
     return Scene(("world",), ("unknown",), (Steady(),), (material,), (made,))
 
 
-def told(
+def reported(
     world: Scene, model: str = "sick-ld-lrs1000", weather: WeatherConfig | None = None, **options: object
 ) -> dict[str, dict[str, object]]:
     return {row["term"]: row for row in error_budget.explained(measure_of(world, model, weather, **options), plan())}
@@ -81,33 +81,33 @@ def test_every_switch_is_a_key_of_physics() -> None:
 
 
 def test_plain_beams_are_told_with_their_share_and_kept_with_full() -> None:
-    assert told(wall())["footprint sub-rays"]["left_out"]
-    assert not told(wall(), full=True)["footprint sub-rays"]["left_out"]
+    assert reported(wall())["footprint sub-rays"]["left_out"]
+    assert not reported(wall(), full=True)["footprint sub-rays"]["left_out"]
 
 
 def test_surfaces_out_of_reach_are_left_out_and_are_not_seen_either_way() -> None:
-    assert told(wall())["surfaces beyond the gate"]["left_out"]
+    assert reported(wall())["surfaces beyond the gate"]["left_out"]
     far = wall(400.0)
     assert not measure_of(far, "sick-ld-lrs1000")(plan()).actor.max() >= 0
     assert not measure_of(far, "sick-ld-lrs1000", full=True)(plan()).actor.max() >= 0
-    assert not told(far, full=True)["surfaces beyond the gate"]["left_out"]
+    assert not reported(far, full=True)["surfaces beyond the gate"]["left_out"]
 
 
 def test_background_light_and_noise_echoes_are_told_with_bound_and_margin() -> None:
-    found = told(wall(), threshold_to_noise=12.0)
+    found = reported(wall(), threshold_to_noise=12.0)
     assert found["background light"]["left_out"]
     assert found["noise false alarms"]["left_out"]
-    assert not told(wall(), threshold_to_noise=4.0)["noise false alarms"]["left_out"]
+    assert not reported(wall(), threshold_to_noise=4.0)["noise false alarms"]["left_out"]
 
 
 def test_backscatter_of_clear_air_is_out_behind_a_gate_and_in_where_it_could_be_seen() -> None:
-    assert told(wall(), near_gate_m=20.0)["atmospheric backscatter"]["left_out"]
-    assert not told(wall(), full=True)["atmospheric backscatter"]["left_out"]
+    assert reported(wall(), near_gate_m=20.0)["atmospheric backscatter"]["left_out"]
+    assert not reported(wall(), full=True)["atmospheric backscatter"]["left_out"]
 
 
 def test_second_rays_are_kept_where_there_is_glass() -> None:
-    assert told(wall())["secondary rays"]["left_out"]
-    assert not told(wall(material="window_glass"))["secondary rays"]["left_out"]
+    assert reported(wall())["secondary rays"]["left_out"]
+    assert not reported(wall(material="window_glass"))["secondary rays"]["left_out"]
 
 
 # ------------------------------------------------------------------------------- what is told is what is done
@@ -144,13 +144,13 @@ def test_as_many_faint_reflections_are_told_as_the_receiver_drops(
 def test_rain_that_is_seen_less_than_once_in_a_thousand_sweeps_is_told_as_left_out(rain: dict[str, float]) -> None:
     for rate_mm_h, left_out in ((1e-7, True), (20.0, False)):
         weather = WeatherConfig.model_validate({"rain": {"rate_mm_h": rate_mm_h, "echoes": "drops", **rain}})
-        row = told(wall(), "sick-lms291-s05", weather, floor_reflectance="off")["precipitation particles"]
+        row = reported(wall(), "sick-lms291-s05", weather, floor_reflectance="off")["precipitation particles"]
         value, bound = numbers(row)
         assert row["left_out"] is left_out
         assert not row["idle"]
         assert (0.0 < value < bound) is left_out
         assert bound == particles.RARE
-    assert told(wall())["precipitation particles"]["idle"]
+    assert reported(wall())["precipitation particles"]["idle"]
 
 
 def test_the_mean_number_of_drops_that_is_told_is_that_of_those_drawn() -> None:
@@ -176,7 +176,7 @@ def test_whatever_is_left_out_has_a_value_and_a_bound_or_is_exact(
 ) -> None:
     for material in ("asphalt", "window_glass"):
         chosen = WeatherConfig.model_validate(weather)
-        for name, row in told(wall(30.0, material), "sick-ld-lrs1000", chosen, **options).items():
+        for name, row in reported(wall(30.0, material), "sick-ld-lrs1000", chosen, **options).items():
             assert row["exact"] == (row["value"] is None) == (row["bound"] is None)
             if row["left_out"] and not row["idle"]:
                 assert row["exact"] == (name in EXACT)
@@ -186,18 +186,18 @@ def test_whatever_is_left_out_has_a_value_and_a_bound_or_is_exact(
 def test_plane_moments_are_told_by_the_largest_shift_of_beams_that_have_their_echo_from_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    spare, step_m = {"closed_form": "always"}, measure_of(wall(), "sick-ld-lrs1000").model.lsb_m
-    row = told(wall(), leave_out=spare)["sub-ray ranges on planes"]
+    spare_room, step_m = {"closed_form": "always"}, measure_of(wall(), "sick-ld-lrs1000").model.lsb_m
+    row = reported(wall(), leave_out=spare_room)["sub-ray ranges on planes"]
     value, bound = numbers(row)
     assert row["left_out"]
     assert 0.0 < value <= bound == pytest.approx(closed.SHIFT_LSB * step_m)
     monkeypatch.setattr(closed, "SHIFT_LSB", 0.5 * value / step_m)
-    fewer, _ = numbers(told(wall(), leave_out=spare)["sub-ray ranges on planes"])
+    fewer, _ = numbers(reported(wall(), leave_out=spare_room)["sub-ray ranges on planes"])
     assert 0.0 < fewer <= 0.5 * value
 
 
 def test_clusters_are_told_by_the_longest_that_is_not_sampled() -> None:
-    straight, steep = (told(wall(yaw_deg=yaw))["waveform sampling"] for yaw in (0.0, 60.0))
+    straight, steep = (reported(wall(yaw_deg=yaw))["waveform sampling"] for yaw in (0.0, 60.0))
     (short, bound), (long, _) = numbers(straight), numbers(steep)
     assert 0.0 < short < bound
     assert 0.0 < long <= bound
@@ -206,16 +206,16 @@ def test_clusters_are_told_by_the_longest_that_is_not_sampled() -> None:
 
 def test_backscatter_that_is_followed_is_told_by_what_is_left_out_of_it() -> None:
     """The largest share of its bound lies where it is left out first, so it is just below."""
-    row = told(wall(), weather=HAZE)["atmospheric backscatter"]
+    row = reported(wall(), weather=HAZE)["atmospheric backscatter"]
     value, bound = numbers(row)
     assert row["left_out"]
     assert "nearer, it shifts surface echoes" in str(row["saves"])
     assert 0.9 * bound < value <= bound
-    whole = told(wall(), weather=HAZE, pulse="gauss")["atmospheric backscatter"]
+    whole = reported(wall(), weather=HAZE, pulse="gauss")["atmospheric backscatter"]
     value, bound = numbers(whole)
     assert not whole["left_out"]
     assert value > bound
-    shown = told(wall(), "sick-lms291-s05", WeatherConfig.model_validate({"visibility_m": 10.0}),
+    shown = reported(wall(), "sick-lms291-s05", WeatherConfig.model_validate({"visibility_m": 10.0}),
                  floor_reflectance="off")["atmospheric backscatter"]  # fmt: skip
     value, bound = numbers(shown)
     assert not shown["left_out"]
@@ -223,13 +223,13 @@ def test_backscatter_that_is_followed_is_told_by_what_is_left_out_of_it() -> Non
 
 
 def test_second_rays_are_told_by_the_best_surface_behind() -> None:
-    near = told(wall(material="window_glass"))["secondary rays"]
+    near = reported(wall(material="window_glass"))["secondary rays"]
     value, bound = numbers(near)
     assert not near["left_out"]
     assert value > bound
     some = str(near["saves"]).split()
     assert int(some[0]) < int(some[2])
-    weak = told(wall(material="window_glass"), system_constant_m2=1.0)["secondary rays"]
+    weak = reported(wall(material="window_glass"), system_constant_m2=1.0)["secondary rays"]
     value, bound = numbers(weak)
     assert weak["left_out"]
     assert not weak["idle"]
@@ -239,14 +239,14 @@ def test_second_rays_are_told_by_the_best_surface_behind() -> None:
 
 
 def test_surfaces_out_of_reach_are_told_with_the_last_range_of_an_echo() -> None:
-    value, bound = numbers(told(wall())["surfaces beyond the gate"])
+    value, bound = numbers(reported(wall())["surfaces beyond the gate"])
     assert plan().max_range_m < value < bound
 
 
 def test_surfaces_out_of_reach_are_told_as_kept_where_one_more_ray_for_their_light_costs_more() -> None:
     sun = WeatherConfig.model_validate({"sun": {"azimuth_deg": 180.0, "elevation_deg": 30.0}})
     for x_m, left_out in ((20.0, True), (400.0, False)):
-        row = told(wall(x_m), "sick-lms291-s05", sun)["surfaces beyond the gate"]
+        row = reported(wall(x_m), "sick-lms291-s05", sun)["surfaces beyond the gate"]
         assert row["left_out"] is left_out
         assert str(row["saves"]).startswith("0 rays") is not left_out
 
@@ -308,6 +308,6 @@ def test_what_a_kept_term_would_save_stands_in_brackets(capsys: pytest.CaptureFi
 
 def test_a_scenario_without_a_sensor_that_sees_beams_says_so(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explain", "flat_wall", "--set", "sensors=[]"]) == 0
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert "no sensor of this scenario measures with beams" in told.err
+    reported = capsys.readouterr()
+    assert reported.out == ""
+    assert "no sensor of this scenario measures with beams" in reported.err

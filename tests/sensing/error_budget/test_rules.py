@@ -176,8 +176,8 @@ def test_plain_beams_on_a_car_are_those_of_4096_sub_beams() -> None:
     rng = np.random.default_rng(4)
     azimuth = np.sort(rng.uniform(-0.2, 0.2, 120))
     beams = ScanPlan(0, 0, 0, azimuth, rng.uniform(-0.04, 0.04, 120), np.zeros(120))
-    spared = sensor(sub_beams=4096, noise=False, leave_out=LeaveOut(closed_form="always"))
-    equal, plain = same(spared, sensor(sub_beams=4096, noise=False, full=True), beams)
+    rays_saved = sensor(sub_beams=4096, noise=False, leave_out=LeaveOut(closed_form="always"))
+    equal, plain = same(rays_saved, sensor(sub_beams=4096, noise=False, full=True), beams)
     assert np.count_nonzero(plain) > 20
     assert bool(equal[plain].all())
 

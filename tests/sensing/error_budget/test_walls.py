@@ -18,14 +18,14 @@ SPREAD: dict[str, Any] = {"leave_out": {"closed_form": "always"}}
 
 def both(folder: Path, world: list[dict[str, Any]], physics: dict[str, Any], **more: Any) -> tuple[Measure, Measure]:
     """With every rule, and with none."""
-    spared = build(folder, world, physics={**SPREAD, **physics}, **more)
-    return spared, build(folder, world, physics={**physics, "full": True}, **more)
+    rays_saved = build(folder, world, physics={**SPREAD, **physics}, **more)
+    return rays_saved, build(folder, world, physics={**physics, "full": True}, **more)
 
 
-def differing(spared: Measure, whole: Measure, sweeps: int = 2, beams: int = 61) -> int:
+def differing(rays_saved: Measure, whole: Measure, sweeps: int = 2, beams: int = 61) -> int:
     """Beams, of several sweeps, that differ by more than a step."""
     plans = (replace(plan(beams, 20.0, sweep=k), start_ns=30_000_000 * k) for k in range(sweeps))
-    return sum(tally(*same(spared, whole, one)).differ for one in plans)
+    return sum(tally(*same(rays_saved, whole, one)).differ for one in plans)
 
 
 @pytest.mark.parametrize(
@@ -36,8 +36,8 @@ def test_a_near_wall_in_haze_is_first_crossed_by_the_haze(
     tmp_path: Path, model: str, wall_m: float, visibility_m: float
 ) -> None:
     world, haze = [plate(wall_m, "half")], {"visibility_m": visibility_m}
-    spared, whole = both(tmp_path, world, {}, model=model, weather=haze)
-    assert differing(spared, whole) == 0
+    rays_saved, whole = both(tmp_path, world, {}, model=model, weather=haze)
+    assert differing(rays_saved, whole) == 0
     sampled = build(tmp_path, world, physics={"leave_out": {"waveform": False}}, model=model, weather=haze)
     assert differing(sampled, whole) == 0
     clipped = {"full_scale_snr": 60.0}  # the air clips, too

@@ -54,8 +54,8 @@ class Played:
     def __init__(self, scenario: Scenario, recording: Path) -> None:
         """`ScenarioError` where it cannot be read."""
         self.book = book_of(scenario, keep_all=True)
-        for told in read("recording", recording):
-            self.book.take(told.update, told.run_ns, told.again)
+        for reported in read("recording", recording):
+            self.book.take(reported.update, reported.run_ns, reported.again)
 
     def world(self, begin_s: float, end_s: float) -> World:
         """Everything from `begin_s` to `end_s`."""
