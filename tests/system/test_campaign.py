@@ -55,7 +55,11 @@ def campaign(folder: Path, out: str, *words: str) -> subprocess.CompletedProcess
 
 def environment() -> dict[str, str]:
     root = str(Path(__file__).resolve().parents[2])
-    return os.environ | {"PYTHONPATH": root, "LIDAREMU_COMPILED": "0", "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "5s"}
+    return os.environ | {
+        "PYTHONPATH": root,
+        "LIDAREMU_COMPILED": "0",
+        "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "5s",
+    }
 
 
 def rows(folder: Path) -> dict[str, tuple[Any, ...]]:
