@@ -18,7 +18,7 @@ from emulator.campaigns.designs import Plan, chunks, plan_of
 from emulator.campaigns.engines import Engine
 from emulator.campaigns.factors import Factor, Point, factors_of
 from emulator.campaigns.file import CampaignFile, read, thawed
-from emulator.campaigns.naming import Case, Job, cases_of, digest_of, version
+from emulator.campaigns.naming import OF_DRIVER, Case, Job, cases_of, digest_of, version
 from emulator.campaigns.store import Row, Store
 from emulator.config import overrides
 from emulator.config.expressions import ExpressionError, names, parse
@@ -147,6 +147,11 @@ def _check(found: CampaignFile, source: Source, job: Job) -> tuple[str, ...]:
     sensors = [sensor.id for sensor in loaded.sensors]
     actors = ["world", *(actor.id for actor in loaded.actors)]
     for name, text in found.quantities.items():
+        if text.startswith(OF_DRIVER):
+            if not job.driver:
+                place = source.place(("quantities", name))
+                reported.append(f"{place}: quantities.{name}: {text!r} without a driver; want --driver COMMAND")
+            continue
         try:
             for one in names(parse(text)):
                 check_name(one, sensors, actors)

@@ -25,6 +25,9 @@ APART = ("commands", "endurance", "looking", "run_report", "studies", "view")
 "Rooms of emulator/ that no result depends on."
 SUFFIXES = (".py", ".yaml", ".dbc", ".glb", ".gltf", ".bin", ".obj", ".stl", ".ply")
 
+OF_DRIVER = "driver."
+"Quantities of a driver's own: `driver.NAME`."
+
 canonical = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=True).encode
 
 
