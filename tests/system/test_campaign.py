@@ -168,3 +168,22 @@ def test_the_tasks_of_an_array_give_the_same_rows(place: Path, tmp_path: Path) -
     assert rows(place / "slurm") == rows(place / "here")
     told = json.loads(campaign(place, "slurm", "--status", "--json").stdout)
     assert (told["planned"], told["done"]) == (CASES, CASES)
+
+
+def test_a_driver_closes_the_loop_in_every_case(tmp_path: Path) -> None:
+    examples = Path(__file__).resolve().parents[2] / "docs/examples"
+    text = (examples / "campaign/braking.yaml").read_text(encoding="utf-8")
+    for key, value in (("{range: [10, 300], scale: log}", "{values: [15, 300]}"), ("{range: [0.1, 50]}", "{values: [0.1]}"),
+                       ("{range: [0.05, 0.9]}", "{values: [0.5]}"), ("{range: [7, 25]}", "{values: [14]}"),
+                       ("{sobol: 2048}", "grid")):  # fmt: skip
+        assert key in text
+        text = text.replace(key, value)
+    (tmp_path / "c.yaml").write_text(text, encoding="utf-8")
+    (tmp_path / "brake_target.yaml").write_bytes((examples / "campaign/brake_target.yaml").read_bytes())
+    driver = f"{sys.executable} {examples / 'campaign/braking.py'}"
+    done = campaign(tmp_path, "out", "--driver", driver, "--no-report", "--json")
+    assert done.returncode == 1, done.stderr
+    impacts = {row[0]: row[2] for row in rows(tmp_path / "out").values()}
+    assert impacts["passed"]["impact_km_h"] == 0.0
+    assert impacts["passed"]["braked_at_m"] > 25.0
+    assert impacts["failed"]["impact_km_h"] > 20.0
