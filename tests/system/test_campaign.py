@@ -173,9 +173,13 @@ def test_the_tasks_of_an_array_give_the_same_rows(place: Path, tmp_path: Path) -
 def test_a_driver_closes_the_loop_in_every_case(tmp_path: Path) -> None:
     examples = Path(__file__).resolve().parents[2] / "docs/examples"
     text = (examples / "campaign/braking.yaml").read_text(encoding="utf-8")
-    for key, value in (("{range: [10, 300], scale: log}", "{values: [15, 300]}"), ("{range: [0.1, 50]}", "{values: [0.1]}"),
-                       ("{range: [0.05, 0.9]}", "{values: [0.5]}"), ("{range: [7, 25]}", "{values: [14]}"),
-                       ("{sobol: 2048}", "grid")):  # fmt: skip
+    for key, value in (
+        ("{range: [10, 300], scale: log}", "{values: [15, 300]}"),
+        ("{range: [0.1, 50]}", "{values: [0.1]}"),
+        ("{range: [0.05, 0.9]}", "{values: [0.5]}"),
+        ("{range: [7, 25]}", "{values: [14]}"),
+        ("{sobol: 2048}", "grid"),
+    ):
         assert key in text
         text = text.replace(key, value)
     (tmp_path / "c.yaml").write_text(text, encoding="utf-8")
