@@ -18,7 +18,7 @@ from emulator.campaigns.designs import Plan, chunks, plan_of
 from emulator.campaigns.engines import Engine
 from emulator.campaigns.factors import Factor, Point, factors_of
 from emulator.campaigns.file import CampaignFile, read, thawed
-from emulator.campaigns.naming import Case, Job, cases_of, digest_of, version
+from emulator.campaigns.naming import OF_DRIVER, Case, Job, cases_of, digest_of, version
 from emulator.campaigns.store import Row, Store
 from emulator.config import overrides
 from emulator.config.expressions import ExpressionError, names, parse
@@ -147,6 +147,11 @@ def _check(found: CampaignFile, source: Source, job: Job) -> tuple[str, ...]:
     sensors = [sensor.id for sensor in loaded.sensors]
     actors = ["world", *(actor.id for actor in loaded.actors)]
     for name, text in found.quantities.items():
+        if text.startswith(OF_DRIVER):
+            if not job.driver:
+                place = source.place(("quantities", name))
+                reported.append(f"{place}: quantities.{name}: {text!r} without a driver; want --driver COMMAND")
+            continue
         try:
             for one in names(parse(text)):
                 check_name(one, sensors, actors)
@@ -217,6 +222,8 @@ class Runner:
         self._bytes = store.recorded_bytes()
         self._number = 0
         self._searched: set[str] = set()
+        self._planned: set[str] | None = None
+        "Names of the whole plan, once it was gone through."
         if campaign.plan is None and self._shard.of > 1:
             raise EmulatorError(
                 f"--shard: design {campaign.file.design.kind} looks at results as they come; want a design whose points"
@@ -246,7 +253,9 @@ class Runner:
         return None
 
     def _left(self, done: set[str]) -> Iterator[Case]:
+        planned: set[str] = set()
         for case in self.campaign.cases():
+            planned.add(case.name)
             if not self._shard.has(case.name):
                 continue
             if case.name in done:
@@ -254,6 +263,7 @@ class Runner:
                 continue
             done.add(case.name)
             yield case
+        self._planned = planned
 
     def evaluate(self, points: Sequence[Point]) -> list[list[Row]]:
         """The rows of points, those that are done read, the others run."""
@@ -292,7 +302,9 @@ class Runner:
 
     def names(self) -> set[str]:
         """Of the cases that this campaign is made of, as far as known."""
-        return self._searched if self.campaign.plan is None else self.campaign.names()
+        if self.campaign.plan is None:
+            return self._searched
+        return self.campaign.names() if self._planned is None else self._planned
 
     def write_scenario(self, name: str, path: Path) -> Path:
         """The scenario of a case that is done, as a file that `lidaremu test` runs to the same sha256."""

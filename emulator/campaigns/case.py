@@ -8,16 +8,17 @@ from __future__ import annotations
 import errno
 import math
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from emulator.campaigns.driven import Hung, drive
-from emulator.campaigns.naming import Case, Job
+from emulator.campaigns.naming import OF_DRIVER, Case, Job
 from emulator.campaigns.store import Row, Store
 from emulator.config.expressions import ExpressionError, evaluate, parse
 from emulator.errors import EmulatorError
@@ -55,7 +56,7 @@ def run_case(job: Job, case: Case, may_record: bool = True) -> Row:
     at_once = may_record and (job.record == "all" or (job.record == "failed" and bool(job.driver)))
     try:
         loaded = job.changed(case.point, case.seed)
-        found = _once(job, loaded, aside if at_once else None)
+        found = _once(job, case, loaded, aside if at_once else None)
         held = all(item.held for item in found.judgements) and not found.fault
         row |= {"verdict": "passed" if held else "failed", "sha256": found.sha256}
         row["expect"] = {item.name: item.held for item in found.judgements}
@@ -65,7 +66,7 @@ def run_case(job: Job, case: Case, may_record: bool = True) -> Row:
         row["warnings"] = list(found.warnings)
         row["seconds"] = round(clock.now_ns() * 1e-9, 6)
         if not held and may_record and job.record == "failed" and not at_once:
-            again = _once(job, loaded, aside)
+            again = _once(job, case, loaded, aside)
             if again.sha256 != found.sha256:
                 row["verdict"], row["fault"] = "error", f"run again: sha256 {again.sha256}, not {found.sha256}"
         if aside.is_dir() and (job.record == "all" or not held):
@@ -115,10 +116,11 @@ def _store(root: str) -> Store:
     return Store(Path(root))
 
 
-def _once(job: Job, loaded: Scenario, record: Path | None) -> Found:
+def _once(job: Job, case: Case, loaded: Scenario, record: Path | None) -> Found:
     if job.driver:
-        outcome, judged, sha256, warnings, fault = drive(loaded, job.driver, job.seconds, record)
-        return Found(judged, sha256, _numbers(job.quantities, outcome), warnings, fault)
+        done = drive(loaded, job.driver, job.seconds, record, case.columns(job))
+        numbers = _numbers(job.quantities, done.run, done.result)
+        return Found(done.judged, done.sha256, numbers, done.warnings, done.fault)
     trial = Trial(loaded, record=record)
     try:
         verdict = trial.finish()
@@ -129,9 +131,15 @@ def _once(job: Job, loaded: Scenario, record: Path | None) -> Found:
     return Found(verdict.judgements, verdict.sha256, numbers, verdict.warnings)
 
 
-def _numbers(quantities: Sequence[tuple[str, str]], run: Run) -> dict[str, float | None]:
+def _numbers(
+    quantities: Sequence[tuple[str, str]], run: Run, result: Mapping[str, float] = MappingProxyType({})
+) -> dict[str, float | None]:
     found: dict[str, float | None] = {}
     for name, text in quantities:
+        if text.startswith(OF_DRIVER):
+            number = result.get(text.removeprefix(OF_DRIVER), math.nan)
+            found[name] = number if math.isfinite(number) else None
+            continue
         try:
             value: Any = np.asarray(evaluate(parse(text), run.lookup()))
         except ExpressionError as error:

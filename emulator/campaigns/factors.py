@@ -229,8 +229,3 @@ def shown(factors: Sequence[Factor], point: Point) -> dict[str, Any]:
         for factor, values in zip(factors, point, strict=True)
         for column, value in zip(factor.columns, values, strict=True)
     }
-
-
-def changes_of(factors: Sequence[Factor], point: Point) -> list[tuple[str, Any]]:
-    """All keys of the scenario that a point sets."""
-    return [change for factor, values in zip(factors, point, strict=True) for change in factor.changes(values)]

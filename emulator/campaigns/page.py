@@ -15,7 +15,7 @@ import numpy as np
 from emulator.campaigns import figures
 from emulator.campaigns.campaign import Campaign
 from emulator.campaigns.searching import wilson
-from emulator.campaigns.sensitivity import indices
+from emulator.campaigns.sensitivity import MOST_POINTS, indices
 from emulator.campaigns.store import Row, Store
 from emulator.campaigns.table import VERDICTS, Results, shown_value
 from emulator.errors import EmulatorError
@@ -184,7 +184,10 @@ def _sensitivity(campaign: Campaign, effects: Mapping[str, Any]) -> Iterator[Sec
     if campaign.file.design.kind == "saltelli":
         text = "Sobol indices from Saltelli's design: first order, of a factor alone; total, with all interactions."
     else:
-        text = "First-order Sobol indices by RBD-FAST. Total ones need the design `saltelli`."
+        text = (
+            f"First-order Sobol indices by RBD-FAST, from at most {MOST_POINTS} points spread over the design."
+            " Total ones need the design `saltelli`."
+        )
     yield Section("Sensitivity", (text,), tuple(pictures))
 
 
@@ -218,7 +221,8 @@ def _lists(campaign: Campaign, results: Results, link: Callable[[int], str]) -> 
             tables.append(_table(results, name, title, cases.tolist(), link))
     flaky = _flakiest(results)
     if campaign.file.repeats > 1 and flaky:
-        first = {number: at for at, number in reversed(list(enumerate(results.number.tolist())))}
+        numbers, places = np.unique(results.number, return_index=True)
+        first = {number: int(places[np.searchsorted(numbers, number)]) for number, _ in flaky}
         rows: list[tuple[Any, ...]] = [
             (
                 Link(results.names[first[number]].decode()[:12], link(first[number])),

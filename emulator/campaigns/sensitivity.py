@@ -16,6 +16,8 @@ from emulator.campaigns.table import Results
 
 LEAST, LEAST_GIVEN = 64, 256
 "Points below which nothing is said: of Saltelli's design, and of others, whose estimates are noisier."
+MOST_POINTS = 16_384
+"Of other designs than Saltelli's, for which the intervals are found by 100 resamplings."
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,9 @@ def indices(campaign: Campaign, results: Results, of: str) -> list[Index]:
             Index(name, *map(float, (found["S1"][at], found["S1_conf"][at], found["ST"][at], found["ST_conf"][at])))
             for at, name in enumerate(names)
         ]
+    if len(numbers) > MOST_POINTS:
+        chosen = np.linspace(0, len(numbers) - 1, MOST_POINTS).astype(np.int64)
+        numbers, values = numbers[chosen], values[chosen]
     columns = [one.columns[0] for one in campaign.factors]
     first = np.searchsorted(results.number, numbers)
     points = np.column_stack([results.factors[one][first] for one in columns])

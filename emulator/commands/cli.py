@@ -51,7 +51,7 @@ from emulator.commands.view import view
 from emulator.errors import EmulatorError, LinkError
 from emulator.output.lines import note, say
 from emulator.output.sanitizing import guard
-from emulator.process.driver import driver_environment, end_driver, how_it_ended, start_driver
+from emulator.process.driver import FEED, driver_environment, end_driver, how_it_ended, start_driver
 from emulator.runtime.own_daemon import leashed
 
 if TYPE_CHECKING:
@@ -274,6 +274,7 @@ def run(
             if command:
                 linked = [(item.sensor, item.links[0].url) for item in instruments if item.links]
                 environment = driver_environment(environment, linked)
+                environment |= {} if feed_url is None else {FEED: feed_url}
                 environment |= {} if sockets is None else sockets.environment()
                 driver = start_driver(command, environment, as_json)
             daemon.run(ending.until_ns, None if driver is None else lambda: driver.poll() is None)

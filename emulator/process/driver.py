@@ -36,6 +36,10 @@ def start_driver(command: Sequence[str], environment: dict[str, str], as_json: b
         raise EmulatorError(f"cannot start {command[0]}: {error.strerror}") from None
 
 
+FEED = "LIDAREMU_FEED"
+"Variable that shows a driver where a feed of a `live` scenario is taken."
+
+
 def driver_environment(before: Mapping[str, str], links: Sequence[tuple[str, str]]) -> dict[str, str]:
     """Variables for a driver: LIDAREMU_<SENSOR> is the path or address of that sensor's link, its id and URL given."""
     return dict(before) | {variable_of(sensor): place_of(url) for sensor, url in links}

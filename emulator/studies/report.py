@@ -9,13 +9,18 @@ import base64
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from emulator import __version__
 from emulator.errors import EmulatorError
 from emulator.output.csv_tables import Writer
 from emulator.output.sanitizing import visible
+
+if TYPE_CHECKING:
+    import jinja2
 
 Value = str | float | int | bool | None
 
@@ -200,6 +205,11 @@ def write_parts(report: Report, out: Path) -> list[Path]:
 
 def page(report: Report) -> str:
     """The report as one HTML page without references to anything outside it."""
+    return str(_template().render(report=report, version=__version__))
+
+
+@cache
+def _template() -> jinja2.Template:
     import jinja2
 
     source = (files("emulator.studies") / "report.html.j2").read_text(encoding="utf-8")
@@ -208,7 +218,7 @@ def page(report: Report) -> str:
     )
     environment.filters["shown"] = shown
     environment.filters["with_code"] = with_code
-    return environment.from_string(source).render(report=report, version=__version__)
+    return environment.from_string(source)
 
 
 def _tamed(value: object) -> object:

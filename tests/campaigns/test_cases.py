@@ -11,9 +11,11 @@ from emulator.campaigns.campaign import Runner, load, write_scenario
 from emulator.campaigns.engines import InPlace
 from emulator.campaigns.store import Row, Store
 from emulator.commands.cli import main
+from emulator.errors import ScenarioError
 from emulator.judging.trial import run_trial
 from emulator.scenario.scenario import load as load_scenario
 
+VISIBILITY = "weather.fog.visibility_m"
 TEXT = """\
 scenario: flat_wall
 set: {duration_s: 0.3, "sensors.front.device": {resolution_deg: 1, field_deg: 100}}
@@ -86,10 +88,10 @@ def test_a_case_that_cannot_run_is_an_error_and_the_rest_goes_on(
 
     once = cases._once
 
-    def broken(job: object, loaded: object, record: object) -> object:
+    def broken(job: object, case: object, loaded: object, record: object) -> object:
         if loaded.weather.fog.visibility_m == 8:  # type: ignore[attr-defined]
             raise ZeroDivisionError("of ours")
-        return once(job, loaded, record)  # type: ignore[arg-type]
+        return once(job, case, loaded, record)  # type: ignore[arg-type]
 
     monkeypatch.setattr(cases, "_once", broken)
     rows = rows_of(tmp_path, TEXT)
@@ -112,6 +114,49 @@ def test_a_driver_runs_against_each_case_on_a_port_of_its_own(tmp_path: Path, co
     assert {row["verdict"] for row in rows.values()} == {verdict}
     assert all(row["quantities"]["replies"] >= 1 for row in rows.values())
     assert all(("exit code 3" in row["fault"]) is bool(code) for row in rows.values())
+
+
+NUMBERS = """\
+import json, os, pathlib
+found = json.loads(os.environ["LIDAREMU_FACTORS"])
+pathlib.Path(os.environ["LIDAREMU_RESULT"]).write_text({text!r} or json.dumps({{"twice": 2 * found["{key}"]}}))
+"""
+
+
+def numbers(tmp_path: Path, text: str) -> dict[float, Row]:
+    (tmp_path / "host.py").write_text(NUMBERS.format(text=text, key=VISIBILITY), encoding="utf-8")
+    changed = TEXT.replace(
+        "{near: min(front.nearest_m), scans: front.scans_sent}", "{twice: driver.twice, no: driver.no}"
+    )
+    changed = changed.replace("expect: [{that: min(front.points), at_least: 60, name: sees the wall}]", "expect: []")
+    return rows_of(tmp_path, changed, driver=(sys.executable, str(tmp_path / "host.py")))
+
+
+def test_a_driver_gets_its_factors_and_leaves_numbers_of_its_own(tmp_path: Path) -> None:
+    rows = numbers(tmp_path, "")
+    assert rows
+    assert all(row["quantities"] == {"twice": 2 * value, "no": None} for value, row in rows.items())
+
+
+@pytest.mark.parametrize(
+    ("text", "reported"),
+    [
+        ("[1]", "want one JSON object"),
+        ("{", "want one JSON object"),
+        ('{"twice": true}', "twice: True; want a number"),
+        ('{"twice": "1"}', "want a number"),
+        (" " * 70_000, "want one JSON object of at most 65536"),
+    ],
+)
+def test_a_result_that_is_none_is_an_error(text: str, reported: str, tmp_path: Path) -> None:
+    rows = numbers(tmp_path, text)
+    assert all(row["verdict"] == "error" and reported in row["fault"] for row in rows.values())
+
+
+def test_numbers_of_a_driver_want_a_driver(tmp_path: Path) -> None:
+    text = TEXT.replace("{near: min(front.nearest_m), scans: front.scans_sent}", "{twice: driver.twice}")
+    with pytest.raises(ScenarioError, match=r"c\.yaml:\d+: quantities.twice: 'driver.twice' without a driver"):
+        rows_of(tmp_path, text)
 
 
 def test_a_driver_that_hangs_is_counted(tmp_path: Path) -> None:

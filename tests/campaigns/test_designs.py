@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from emulator.campaigns.campaign import Shard, load
+from emulator.campaigns.factors import Factor
+from emulator.campaigns.naming import Job, cases_of
 from emulator.errors import ScenarioError
 
 HEAD = "scenario: flat_wall\nset: {duration_s: 0.2}\n"
@@ -132,3 +140,27 @@ def test_shards_are_a_partition(tmp_path: Path) -> None:
     assert set.union(*parts) == names
     assert sum(map(len, parts)) == 300
     assert min(map(len, parts)) > 60
+
+
+FACTORS = (
+    Factor("a.b", ("a.b",), (("a.b", 'c["d"].é'),), "x:1", (), 1e-9, 4e3),
+    Factor("w", ("w",), (("w",),), "x:2", (), 0.0, 9.0, whole=True),
+    Factor("l", ("l",), (("l",),), "x:3", tuple((one,) for one in (1, 1.0, True, None, 'a"é', [1, 2.5], 1e-7, -0.0))),
+    Factor("t", ("p", "q"), (("p",), ("q",)), "x:4", (("day", 0.5), ("night", 1.0))),
+)
+
+
+@given(st.data())
+def test_a_case_is_named_by_its_canonical_changes(data: st.DataObject) -> None:
+    point = tuple(
+        data.draw(st.sampled_from(one.levels))
+        if one.levels
+        else (one.clean(data.draw(st.floats(one.low, one.high, allow_subnormal=False))),)
+        for one in FACTORS
+    )
+    job = SimpleNamespace(factors=FACTORS, repeats=1, seed=3, salted=False, digest="d")
+    changes = [one for factor, values in zip(FACTORS, point, strict=True) for one in factor.changes(values)]
+    text = json.dumps(changes, separators=(",", ":"))
+    seed = int.from_bytes(hashlib.sha256(f"3|0||{text}".encode()).digest()[:4], "big")
+    (found,) = cases_of(cast(Job, job), 0, [point])
+    assert (found.seed, found.name) == (seed, hashlib.sha256(f"d\n{seed}\n{text}".encode()).hexdigest())
