@@ -81,8 +81,7 @@ def test_a_folder_that_may_not_be_written_to_costs_the_compiled_code_its_place()
     code = (
         "from numba.core import caching\n"
         "caching.CacheImpl._locator_classes = []\n"
-        "from emulator.compiled import clusters, jit\n"
-        "import numpy as np\n"
+        "from emulator.compiled import arithmetic, jit\n"
         "print(jit.compiled(jit.INT)(lambda k: k + 1)(2))\n"
     )
     env = {**os.environ, "LIDAREMU_COMPILED": "1"}
