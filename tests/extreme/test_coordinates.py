@@ -19,7 +19,7 @@ import pytest
 from emulator.casting.raycast import BLOCK, Caster
 from emulator.errors import SceneError
 from emulator.scenario import scenario
-from emulator.world import scene
+from emulator.world import mesh_files, scene
 from emulator.world.scene import Scene
 from tests.casting.builders import brute_force, bumpy_wall, random_rays
 from tests.sensing.rig import QUIET, build, plan, plate
@@ -387,7 +387,8 @@ def test_many_triangles_are_built_in_proportion_and_met_where_they_are(tmp_path:
     cells = round(np.sqrt(triangles / 2))
     points, faces = uneven_wall(cells)
     write_ply(tmp_path / "small.ply", *uneven_wall(2))
-    Caster(scene_from(tmp_path, world=[{"mesh": "small.ply", "material": "asphalt"}]))  # libraries are loaded by need
+    mesh_files.load(tmp_path / "small.ply", None, 1.0, "here")  # libraries are loaded by need: not anew by each reader
+    Caster(scene_from(tmp_path, world=[{"mesh": "small.ply", "material": "asphalt"}]))
     write_ply(tmp_path / "wall.ply", points, faces)
     tracemalloc.start()
     world = scene_from(tmp_path, world=[{"mesh": "wall.ply", "material": "asphalt"}])
