@@ -1,7 +1,8 @@
 """Every command of the pages runs as it stands, in an empty folder; those that cannot have their reason here.
 
-Commands without end get a short one; those that talk to a running sensor find one. All run in few processes, one after
-the other, as a reader would type them. Whether their words are understood is tests/docs/test_commands.py.
+Commands without end get a short one; those that talk to a running sensor find one; figures have few dots. All run in
+few processes, one after the other, as a reader would type them. Whether their words are understood is
+tests/docs/test_commands.py.
 """
 
 from __future__ import annotations
@@ -43,6 +44,8 @@ TALKS = re.compile(r"^lidaremu (?:look|ctl) ")
 CHILD = """
 import json, sys
 from emulator.commands.cli import main
+from emulator.studies import drawing
+drawing.DPI = 30
 for words in json.loads(sys.argv[1]):
     print(json.dumps({"words": words}), flush=True)
     code = main(words)
