@@ -22,6 +22,7 @@ import pytest
 
 from emulator.transports.shim import find_compiler
 from tests.docs import reading
+from tests.system.conftest import favoured
 
 pytestmark = pytest.mark.timeout(900)  # processes, one after the other, perhaps on a busy machine
 ROOT = Path(__file__).resolve().parents[2]
@@ -161,7 +162,7 @@ def test_commands_that_talk_to_a_sensor_run(folder: Path) -> None:
     wanted = [text for text in runnable() if TALKS.search(text)]
     wanted.sort(key=lambda text: text == "lidaremu ctl stop")
     assert len(wanted) > 8
-    command = [sys.executable, "-m", "emulator", "run", "sensors.yaml", "--json", "--duration", "800"]
+    command = [*favoured(), sys.executable, "-m", "emulator", "run", "sensors.yaml", "--json", "--duration", "800"]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, cwd=folder, env=environment(folder), stdout=pipe, text=True) as daemon:
         try:
