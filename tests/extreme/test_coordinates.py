@@ -6,7 +6,6 @@ by one in float64 (`tests.casting.builders.brute_force`).
 
 from __future__ import annotations
 
-import json
 import threading
 import tracemalloc
 from functools import cache
@@ -18,11 +17,10 @@ import pytest
 
 from emulator.casting.raycast import BLOCK, Caster
 from emulator.errors import SceneError
-from emulator.scenario import scenario
 from emulator.world import mesh_files, scene
 from emulator.world.scene import Scene
 from tests.casting.builders import brute_force, bumpy_wall, random_rays
-from tests.sensing.rig import QUIET, build, plan, plate
+from tests.sensing.rig import QUIET, build, plan, plate, scenario_of
 
 OFFSETS_M = [0.0, 1e2, 1e3, 1e4, 1e5, 5e5, 5e6, 1e7]
 "Rows of the table (5e5: UTM easting, 5e6: UTM northing), and the 1e7 m of rule 3."
@@ -40,9 +38,7 @@ def write_obj(path: Path, points: Any, faces: Any, part: str = "wall") -> None:
 
 def scene_from(folder: Path, **keys: Any) -> Scene:
     """The scene of a scenario file with these keys."""
-    path = folder / "scene.yaml"
-    path.write_text(json.dumps({"schema": 1, **keys}), encoding="utf-8")
-    return scene.build(scenario.load(str(path)))
+    return scene.build(scenario_of(folder / "scene.yaml", {"schema": 1, **keys}))
 
 
 # ------------------------------------------------------------------------------- table: offsets; rules 1 to 3
