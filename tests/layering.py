@@ -58,7 +58,9 @@ def statements(path: Path) -> tuple[tuple[str, tuple[str, ...], int, bool], ...]
     while waiting:
         above, head = waiting.pop()
         for node in ast.iter_child_nodes(above):
-            late = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+            if isinstance(node, ast.expr):  # has no statement in it
+                continue
+            late = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
             late = late or (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test))
             if isinstance(node, ast.Import):
                 found += [(alias.name, (), node.lineno, head) for alias in node.names]

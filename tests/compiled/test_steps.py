@@ -33,6 +33,7 @@ from tests.draws import cases
 pytest.importorskip("numba")
 
 FEW = settings(max_examples=cases(60))
+SOLIDS = triangles.box(1.0, 2.0, 1.0), triangles.sphere(1.8, 8)
 
 
 # ------------------------------------------------------------------------------- rays
@@ -52,12 +53,11 @@ def test_rays_meet_the_same(seed: int) -> None:
     rng = np.random.default_rng(seed)
     shapes = [(triangles.plane(80.0, 80.0), Steady((0.0, 0.0, -3.0)))] if rng.random() < 0.5 else []
     for k in range(int(rng.integers(0, 90))):
-        geometry = [triangles.box(1.0, 2.0, 1.0), triangles.sphere(1.8, 8)][k % 2]
         velocity = rng.normal(size=3) * float(rng.choice([0.0, 20.0]))
         # beyond 1000 m resting bodies are another group
         at = rng.normal(size=3) * float(rng.choice([6.0, 6.0, 1500.0]))
         turning = float(rng.choice([0.0, 90.0]))
-        shapes.append((geometry, Steady(tuple(at), *rng.uniform(-90, 90, 3), tuple(velocity), turning)))
+        shapes.append((SOLIDS[k % 2], Steady(tuple(at), *rng.uniform(-90, 90, 3), tuple(velocity), turning)))
     origin, direction = random_rays(int(rng.choice([1, 3, 500, 9000])), seed, 0.5)
     times = float(rng.uniform(-1.0, 1.0)) + np.linspace(0.0, 0.1, len(origin))
     options = {"max_range_m": float(rng.choice([np.inf, 7.0])), "tnear_m": float(rng.choice([0.0, 1.0]))}

@@ -81,8 +81,7 @@ def test_a_folder_that_may_not_be_written_to_costs_the_compiled_code_its_place()
     code = (
         "from numba.core import caching\n"
         "caching.CacheImpl._locator_classes = []\n"
-        "from emulator.compiled import clusters, jit\n"
-        "import numpy as np\n"
+        "from emulator.compiled import arithmetic, jit\n"
         "print(jit.compiled(jit.INT)(lambda k: k + 1)(2))\n"
     )
     env = {**os.environ, "LIDAREMU_COMPILED": "1"}
@@ -110,9 +109,9 @@ def test_the_compiler_is_told_of_once_when_it_runs_and_never_when_loops_come_fro
         "import sys\n"
         "from emulator.compiled import jit\n"
         "tell = lambda text: print(text, end='')\n"
-        "with jit.told_once(tell, 'loaded '):\n"
+        "with jit.reported_once(tell, 'loaded '):\n"
         "    from emulator.compiled import arithmetic, clusters\n"
-        "with jit.told_once(tell, 'compiled '):\n"
+        "with jit.reported_once(tell, 'compiled '):\n"
         "    jit.compiled(jit.INT)(eval('lambda k: k + 1'))\n"
         "    jit.compiled(jit.FLOAT)(eval('lambda k: k + 2'))\n"
     )

@@ -6,9 +6,9 @@ by one in float64 (`tests.casting.builders.brute_force`).
 
 from __future__ import annotations
 
-import json
 import threading
 import tracemalloc
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +17,10 @@ import pytest
 
 from emulator.casting.raycast import BLOCK, Caster
 from emulator.errors import SceneError
-from emulator.scenario import scenario
-from emulator.world import scene
+from emulator.world import mesh_files, scene
 from emulator.world.scene import Scene
 from tests.casting.builders import brute_force, bumpy_wall, random_rays
-from tests.sensing.rig import QUIET, build, plan, plate
+from tests.sensing.rig import QUIET, build, plan, plate, scenario_of
 
 OFFSETS_M = [0.0, 1e2, 1e3, 1e4, 1e5, 5e5, 5e6, 1e7]
 "Rows of the table (5e5: UTM easting, 5e6: UTM northing), and the 1e7 m of rule 3."
@@ -39,12 +38,21 @@ def write_obj(path: Path, points: Any, faces: Any, part: str = "wall") -> None:
 
 def scene_from(folder: Path, **keys: Any) -> Scene:
     """The scene of a scenario file with these keys."""
-    path = folder / "scene.yaml"
-    path.write_text(json.dumps({"schema": 1, **keys}), encoding="utf-8")
-    return scene.build(scenario.load(str(path)))
+    return scene.build(scenario_of(folder / "scene.yaml", {"schema": 1, **keys}))
 
 
 # ------------------------------------------------------------------------------- table: offsets; rules 1 to 3
+@cache
+def met_one_by_one(distance_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Rays at the wall where it stands at the origin: from where, in which direction, range and triangle."""
+    points, faces = bumpy_wall(3)
+    rng = np.random.default_rng(7)
+    origin = np.round(rng.uniform(-1.0, 1.0, (2500, 3)) * 4096.0) / 4096.0 - [distance_m, 0.0, 0.0]
+    target = np.column_stack([np.zeros(2500), rng.uniform(-5.0, 5.0, (2500, 2))])
+    direction = (target - origin) / np.linalg.norm(target - origin, axis=1)[:, None]
+    return origin, direction, *brute_force(points[faces], origin, direction)
+
+
 @pytest.mark.parametrize("offset_m", OFFSETS_M)
 @pytest.mark.parametrize("how", ["placed", "in the mesh", "moving"])
 @pytest.mark.parametrize("distance_m", [10.0, 200.0])
@@ -62,11 +70,7 @@ def test_an_uneven_wall_far_from_the_origin_is_met_as_at_the_origin(
     else:
         keys = {"world": [{**shape, "at_m": at_m, "material": "asphalt"}]}
     caster = Caster(scene_from(tmp_path, **keys))
-    rng = np.random.default_rng(7)
-    origin = np.round(rng.uniform(-1.0, 1.0, (2500, 3)) * 4096.0) / 4096.0 - [distance_m, 0.0, 0.0]
-    target = np.column_stack([np.zeros(2500), rng.uniform(-5.0, 5.0, (2500, 2))])
-    direction = (target - origin) / np.linalg.norm(target - origin, axis=1)[:, None]
-    truth, triangle = brute_force(points[faces], origin, direction)
+    origin, direction, truth, triangle = met_one_by_one(distance_m)
     hits = caster.first_hits(origin + offset, direction, 0.0)
     error = np.abs(hits.range_m - truth)
     # table, last line: 6e-10 m at 5e6, 1e-15 at 0; here origins are exact, so that less than a nanometre is left
@@ -379,7 +383,8 @@ def test_many_triangles_are_built_in_proportion_and_met_where_they_are(tmp_path:
     cells = round(np.sqrt(triangles / 2))
     points, faces = uneven_wall(cells)
     write_ply(tmp_path / "small.ply", *uneven_wall(2))
-    Caster(scene_from(tmp_path, world=[{"mesh": "small.ply", "material": "asphalt"}]))  # libraries are loaded by need
+    mesh_files.load(tmp_path / "small.ply", None, 1.0, "here")  # libraries are loaded by need: not anew by each reader
+    Caster(scene_from(tmp_path, world=[{"mesh": "small.ply", "material": "asphalt"}]))
     write_ply(tmp_path / "wall.ply", points, faces)
     tracemalloc.start()
     world = scene_from(tmp_path, world=[{"mesh": "wall.ply", "material": "asphalt"}])

@@ -93,9 +93,13 @@ def test_the_gap_and_where_rays_end_are_those_of_discs_in_space(law: str, degree
     place, normal = rng.uniform(-half, half, (number, 3)), leaves_thrown(law, number, rng)
     start = rng.uniform(-0.65, 0.65, (rays, 3)) - 0.5 * path_m * along
     end = np.full(rays, np.inf)
+    across = np.array([[0.0, 1.0, 0.0], [-along[2], 0.0, along[0]]])
+    seen, from_here = across @ place.T, start @ across.T
     for one, start_one in enumerate(start):
-        r = np.einsum("ij,ij->i", place - start_one, normal) / (normal @ along)
-        off = start_one + r[:, None] * along - place
+        # no disc is met whose centre is farther from the ray than its radius
+        near = np.flatnonzero(np.square(seen - from_here[one][:, None]).sum(axis=0) < radius**2)
+        r = np.einsum("ij,ij->i", place[near] - start_one, normal[near]) / (normal[near] @ along)
+        off = start_one + r[:, None] * along - place[near]
         met = (r > 0.0) & (r < path_m) & (np.einsum("ij,ij->i", off, off) < radius**2)
         end[one] = r[met].min(initial=np.inf)
     g = float(foliage.projection(law, along[2]))

@@ -79,8 +79,8 @@ def test_a_plate_answers_to_as_many_beams_as_the_closed_form_says(tmp_path: Path
     half = math.degrees(0.6 / range_m) + 4.0 * step
     phases = np.arange(25) / 25.0
     grids = [np.arange(-half, half, step) + phase * step for phase in phases]
-    counts = [np.count_nonzero(np.isfinite(measure(plan(grid)).range_m[:, 0])) for grid in grids]
-    assert np.mean(counts) == pytest.approx(case["expected"]["mean_beams"], abs=0.06)
+    answered = np.count_nonzero(np.isfinite(measure(plan(np.concatenate(grids))).range_m[:, 0]))
+    assert answered / len(grids) == pytest.approx(case["expected"]["mean_beams"], abs=0.06)
 
 
 @pytest.mark.parametrize("edge", [0.5, 1.0])

@@ -1,15 +1,24 @@
-"""What holds for all tests of studies: figures of few dots, which take a fifth of the time."""
+"""What holds for all tests of studies: figures of few dots, references of fewer rays in whole reports, and what several
+tests ask of the same numbers is computed once."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 
 import pytest
+
+from emulator.studies import accuracy_leaving, accuracy_rules, accuracy_targets, drawing, further, measured, mie
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _coarse() -> Iterator[None]:
     """Before anything that tests of a file share is made."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("emulator.studies.drawing.DPI", 30)
+        patch.setattr(drawing, "DPI", 30)
+        patch.setattr(accuracy_rules, "REFERENCE", 1 << 16)
+        patch.setattr(accuracy_targets, "REFERENCE", {**accuracy_targets.REFERENCE, "sub_beams": 1 << 13})
+        patch.setattr(accuracy_leaving, "REFERENCE_SUB_BEAMS", 1 << 10)
+        for module, name in ((further, "all_facts"), (measured, "facts"), (mie.Droplets, "optics")):
+            patch.setattr(module, name, cache(getattr(module, name)))
         yield

@@ -35,6 +35,7 @@ TINY = replace(
     point_counts=(61,),
     scenarios=("bumper",),
     alone=("flat_wall",),
+    repeats=1,
     hard_beams=24,
     hard_turns=1,
 )

@@ -9,7 +9,7 @@ import pytest
 
 from emulator.errors import EmulatorError
 from emulator.studies import drawing, report
-from emulator.studies.report import Column, Picture, Report, Section, Table
+from emulator.studies.report import Column, Picture, Report, Section, Spot, Table
 
 
 def small(text: str = "a & b") -> Report:
@@ -33,6 +33,14 @@ def test_a_page_escapes_what_it_is_given_and_shows_numbers_in_their_form() -> No
     assert report.NOTHING in page
     assert 'href="#one--1"' in page
     assert 'id="one--1"' in page
+
+
+def test_places_of_a_picture_lead_elsewhere() -> None:
+    spot = Spot(0.25, 0.5, "case/index.html", "the <first> case")
+    section = Section("One", (), (Picture("p", "P", b"", spots=(spot,)),), ())
+    page = report.page(Report("small", "Title", (), (section,)))
+    assert 'href="case/index.html" title="the &lt;first&gt; case" aria-label="the &lt;first&gt; case"' in page
+    assert 'style="left:25.00%;top:50.00%"' in page
 
 
 def test_a_csv_file_keeps_all_digits_and_leaves_empty_what_is_not_there(tmp_path: Path) -> None:

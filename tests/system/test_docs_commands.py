@@ -1,7 +1,8 @@
 """Every command of the pages runs as it stands, in an empty folder; those that cannot have their reason here.
 
-Commands without end get a short one; those that talk to a running sensor find one. All run in few processes, one after
-the other, as a reader would type them. Whether their words are understood is tests/docs/test_commands.py.
+Commands without end get a short one; those that talk to a running sensor find one; figures have few dots. All run in
+few processes, one after the other, as a reader would type them. Whether their words are understood is
+tests/docs/test_commands.py.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ import pytest
 
 from emulator.transports.shim import find_compiler
 from tests.docs import reading
+from tests.system.conftest import favoured
+from tests.system.nursery import SWITCH
 
 pytestmark = pytest.mark.timeout(900)  # processes, one after the other, perhaps on a busy machine
 ROOT = Path(__file__).resolve().parents[2]
@@ -43,6 +46,8 @@ TALKS = re.compile(r"^lidaremu (?:look|ctl) ")
 CHILD = """
 import json, sys
 from emulator.commands.cli import main
+from emulator.studies import drawing
+drawing.DPI = 30
 for words in json.loads(sys.argv[1]):
     print(json.dumps({"words": words}), flush=True)
     code = main(words)
@@ -158,9 +163,11 @@ def test_commands_that_talk_to_a_sensor_run(folder: Path) -> None:
     wanted = [text for text in runnable() if TALKS.search(text)]
     wanted.sort(key=lambda text: text == "lidaremu ctl stop")
     assert len(wanted) > 8
-    command = [sys.executable, "-m", "emulator", "run", "sensors.yaml", "--json", "--duration", "800"]
-    pipe = subprocess.PIPE
-    with subprocess.Popen(command, cwd=folder, env=environment(folder), stdout=pipe, text=True) as daemon:
+    command = [*favoured(), sys.executable, "-m", "emulator", "run", "sensors.yaml", "--json", "--duration", "800"]
+    more = {SWITCH: "1"}  # nine sensors: a third of the time
+    with subprocess.Popen(
+        command, cwd=folder, env=environment(folder) | more, stdout=subprocess.PIPE, text=True
+    ) as daemon:
         try:
             assert daemon.stdout is not None
             links = [sensor["links"][0] for sensor in json.loads(daemon.stdout.readline())["sensors"]]
@@ -170,10 +177,10 @@ def test_commands_that_talk_to_a_sensor_run(folder: Path) -> None:
             here = [text.replace("tcp:127.0.0.1:10940", links[4]) for text in here]
             here = [text.replace("tcp:127.0.0.1:8080", links[5]) for text in here]
             codes = run_all([words_of(text) for text in here], folder)
-            daemon.communicate(timeout=60)
+            reported, _ = daemon.communicate(timeout=60)
         finally:
             if daemon.poll() is None:
                 daemon.kill()
                 daemon.communicate()
     assert dict(zip(wanted, codes, strict=True)) == dict.fromkeys(wanted, 0)
-    assert daemon.returncode == 0
+    assert daemon.returncode == 0, reported

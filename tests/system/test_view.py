@@ -72,6 +72,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     found = webdriver.Chrome(options=options, service=Service(DRIVER, popen_kw={"preexec_fn": lambda: os.nice(5)}))
     found.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": FEWER_PICTURES})
+    found.set_script_timeout(TIME_LIMIT_S)  # a page that draws on a busy machine answers late
     yield found
     found.quit()
 
