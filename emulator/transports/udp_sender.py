@@ -23,6 +23,8 @@ DATAGRAM_LIMIT = 65_535
 DATAGRAMS_A_CALL = 256
 DATAGRAM_COST = 64
 "Bytes of the intake that the shortest datagram takes."
+PORTS = 1 << 16
+"A peer from here on is an IPv4 address times this, and a port: where a device was told to send."
 PEERS_KEPT = 64
 "Senders whose address is remembered for a reply; the one unheard longest is forgotten."
 
@@ -178,7 +180,10 @@ class UdpSender(Link):
         return min((wake for wake in (wake_ns, self._intake.next_ns()) if wake is not None), default=None)
 
     def _send(self, payload: bytes, peer: int | None, due_ns: int, now_ns: int) -> None:
-        place = self._there if peer is None else self._senders.get(peer, self._there)
+        if peer is not None and peer >= PORTS:
+            place: tuple[str, int] = (str(ipaddress.IPv4Address(peer // PORTS)), peer % PORTS)
+        else:
+            place = self._there if peer is None else self._senders.get(peer, self._there)
         try:
             self._out.sendto(payload, place)
         except OSError:  # no route, no room, or longer than a datagram can be

@@ -172,27 +172,36 @@ def returns(scan: Scan, name: str, swapped: bool) -> tuple[Floats, Floats]:
     second strongest instead, or the same again if there is only one.
     """
     range_m, strength = scan.range_m, scan.intensity
-    beams = np.arange(len(range_m))
-    first = np.argmax(~np.isnan(range_m), axis=1)
-    last = range_m.shape[1] - 1 - np.argmax(~np.isnan(range_m[:, ::-1]), axis=1)
-    last = np.where(np.isnan(range_m[beams, last]), first, last)
-    order = np.argsort(-np.nan_to_num(strength, nan=-1.0), axis=1, kind="stable")
-    strongest = order[:, 0]
-    second = order[:, 1] if order.shape[1] > 1 else strongest
-    second = np.where(np.isnan(range_m[beams, second]), strongest, second)
+    beams, none = np.arange(len(range_m)), np.isnan(range_m)
+
+    def first() -> Words:
+        return np.argmin(none, axis=1)
+
+    def last() -> Words:
+        return (range_m.shape[1] - 1 - np.argmin(none[:, ::-1], axis=1)) * ~none.all(axis=1)
+
+    def strongest(without: Words | None = None) -> Words:
+        found = np.where(none, -1.0, strength)
+        if without is not None and range_m.shape[1] > 1:
+            only = np.count_nonzero(~none, axis=1) < 2
+            found[beams[~only], without[~only]] = -1.0
+        return np.argmax(found, axis=1)
 
     def other(one: Words) -> Words:
-        return np.where(strongest == one, second, strongest)
+        best = strongest()
+        same = best == one
+        return np.where(same, strongest(best), best) if same.any() else best
 
-    chosen: Sequence[Words] = {
-        "last": (last,),
-        "strongest": (strongest,),
-        "first": (first,),
-        "dual": (other(last), last) if swapped else (last, other(last)),
-        "last_first": (first, last) if swapped else (last, first),
-        "first_strongest": (first, other(first)),
-        "triple": (first, last, strongest),
-    }[name]
+    if name in ("last", "strongest", "first"):
+        chosen: Sequence[Words] = ({"last": last, "strongest": strongest, "first": first}[name](),)
+    elif name == "dual":
+        chosen = (last(), other(last()))[:: -1 if swapped else 1]
+    elif name == "last_first":
+        chosen = (last(), first())[:: -1 if swapped else 1]
+    elif name == "first_strongest":
+        chosen = (first(), other(first()))
+    else:
+        chosen = (first(), last(), strongest())
     places = np.stack(chosen)
     return range_m[beams, places], strength[beams, places]
 
@@ -247,7 +256,15 @@ def decode(data: bytes) -> Read | None:
     azimuth = blocks["azimuth"] / 100.0 + (blocks["fine"] / (100.0 * FINE) if layout.fine else 0.0)
     channels = blocks["channels"]
     words = (channels["distance"].astype(np.int64), channels["reflectivity"].astype(np.int64))
-    return Read(model, mode, azimuth, *words, packets["us"].astype(np.int64), packets["sequence"].astype(np.int64), packets["utc"])
+    return Read(
+        model,
+        mode,
+        azimuth,
+        *words,
+        packets["us"].astype(np.int64),
+        packets["sequence"].astype(np.int64),
+        packets["utc"],
+    )
 
 
 def model_of_packet(data: bytes) -> Model | None:

@@ -190,16 +190,16 @@ def _dithered(fires: tuple[int, ...]) -> tuple[float, ...]:
 
 _N = np.arange(64)
 _XT32 = Layout(
-    1080, 8, _head(6, 1, 0, 32, 8, 4, 1), shutdown=1061, mode=1062, rpm=1063, utc=1065, us=1071, factory=1075, sequence=1076,
-    first_block=1, channel=WITH_FOURTH,
+    1080, 8, _head(6, 1, 0, 32, 8, 4, 1), shutdown=1061, mode=1062, rpm=1063, utc=1065, us=1071, factory=1075,
+    sequence=1076, first_block=1, channel=WITH_FOURTH,
 )  # fmt: skip
 _M2X = Layout(
     820, 6, _head(6, 1, 0, 32, 6, 5, 1), shutdown=801, mode=802, rpm=803, utc=805, us=811, factory=815, sequence=816,
     first_block=1, channel=WITH_FOURTH,
 )  # fmt: skip
 _128 = {
-    "mode": 817, "rpm": 818, "utc": 820, "us": 826, "factory": 830, "sequence": 831, "safety": 788, "states": 814, "imu": 835,
-    "checks": ((12, 784), (789, 801), (805, 857)),
+    "mode": 817, "rpm": 818, "utc": 820, "us": 826, "factory": 830, "sequence": 831,
+    "safety": 788, "states": 814, "imu": 835, "checks": ((12, 784), (789, 801), (805, 857)),
 }  # fmt: skip
 _E3X = Layout(861, 2, _head(1, 4, 0x01, 128, 2, 4, 7), **_128)  # type: ignore[arg-type]
 _OT = Layout(861, 2, _head(1, 4, 0x81, 128, 2, 4, 7), **_128)  # type: ignore[arg-type]
@@ -208,7 +208,18 @@ _AT = Layout(
     utc=1072, us=1066, factory=1071, sequence=1078, year=0, checks=((12, 1042), (1046, 1082)),
 )  # fmt: skip
 _P40 = Layout(
-    1266, 10, b"", b"\xff\xee", shutdown=1245, mode=1254, rpm=1248, utc=1256, us=1250, factory=1255, sequence=1262, year=2000
+    1266,
+    10,
+    b"",
+    b"\xff\xee",
+    shutdown=1245,
+    mode=1254,
+    rpm=1248,
+    utc=1256,
+    us=1250,
+    factory=1255,
+    sequence=1262,
+    year=2000,
 )
 _QT = Layout(
     1072, 4, _head(3, 1, 0, 64, 4, 4, 1), channel=WITH_FOURTH, shutdown=1050, mode=1060, rpm=1054, utc=1062, us=1056,

@@ -1,4 +1,4 @@
-"""Where the rotor or the mirror is at an instant, and what time the device has: its own, or that of a PTP or GPS source.
+"""Where the rotor or the mirror is at an instant, and what time the device has: its own, that of PTP or GPS.
 
 Belongs here: angles and time. Not: who sets the speed, and what fires (device).
 """
