@@ -11,7 +11,7 @@ from protocols.scan import Scan, ScanPlan
 from protocols.session import Address, Dropped, Emission, LinkKind
 
 MS, SECOND = 1_000_000, 1_000_000_000
-LOOK_AHEAD_NS = 250 * MS
+LOOK_AHEAD_NS = 15 * MS
 DATA, GPS, FAULT, PTC = Address(0, 0), Address(1, 0), Address(2, 0), Address(3, 7)
 
 
