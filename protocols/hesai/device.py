@@ -227,7 +227,8 @@ class HesaiDevice(RequestSession):
         for address in list(self._hosts):
             self._unsubscribe(now_ns, address)
         self._change(now_ns, self._slice_ns)
-        self._sequence = self._numbered.get(self._next, self._sequence)
+        later = [number for number in self._numbered if number >= self._next]  # measured, and withdrawn
+        self._sequence = self._numbered[min(later)] if later else self._sequence
         self._numbered = {number: first for number, first in self._numbered.items() if number < self._next}
         for address in self._targets if self.fires else ():
             self._subscribe(now_ns, address)
