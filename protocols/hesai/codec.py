@@ -238,6 +238,10 @@ class Read:
     "(P,)"
     utc: NDArray[np.uint8]
     "(P, 6)"
+    rpm: int
+    states: Words
+    "(P, B)"
+    high: bool
 
 
 def decode(data: bytes) -> Read | None:
@@ -255,16 +259,32 @@ def decode(data: bytes) -> Read | None:
     blocks = packets["blocks"]
     azimuth = blocks["azimuth"] / 100.0 + (blocks["fine"] / (100.0 * FINE) if layout.fine else 0.0)
     channels = blocks["channels"]
-    words = (channels["distance"].astype(np.int64), channels["reflectivity"].astype(np.int64))
+    states, high = np.zeros(azimuth.shape, np.int64), False
+    if layout.states is not None:
+        states = packets["states"].astype(np.int64)[:, None] >> (14 - 2 * np.arange(layout.blocks)) & 3
+        high = int(packets["operation"][0]) == 0
+        states %= len(model.high_ns if high else model.laser_ns)
     return Read(
         model,
         mode,
-        azimuth,
-        *words,
+        np.asarray(azimuth, np.float64),
+        channels["distance"].astype(np.int64),
+        channels["reflectivity"].astype(np.int64),
         packets["us"].astype(np.int64),
         packets["sequence"].astype(np.int64),
         packets["utc"],
+        int(packets["rpm"][0]),
+        states,
+        high,
     )
+
+
+def size_of_packet(data: bytes) -> int | None:
+    """Bytes of the packet that begins so; None: none does."""
+    model = model_of_packet(data)
+    if model is None or (model.layout.head and data[6:8] != model.layout.head[6:8]):
+        return None
+    return model.layout.size + (32 if model.layout.safety is not None and data[11] & SIGNED else 0)
 
 
 def model_of_packet(data: bytes) -> Model | None:

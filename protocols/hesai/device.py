@@ -23,6 +23,7 @@ from protocols.hesai.settings import SLICE_NS, Build, Settings
 from protocols.scan import Floats, Scan
 from protocols.session import Address, DropReason, Emission, LinkKind
 from protocols.skeleton.instants import SECOND_NS, earliest
+from protocols.skeleton.outbox import Outgoing
 from protocols.skeleton.requests import RequestSession
 from protocols.skeleton.sweeps import SHARES, Sweep, Telegram
 
@@ -232,6 +233,11 @@ class HesaiDevice(RequestSession):
         self._numbered = {number: first for number, first in self._numbered.items() if number < self._next}
         for address in self._targets if self.fires else ():
             self._subscribe(now_ns, address)
+
+    def _withdraw(self, now_ns: int, whose: Callable[[Outgoing], bool]) -> None:
+        """Only slices that are still to begin: of the last one packets may leave a little later than it ends."""
+        first = self._raster.first_from(now_ns)
+        super()._withdraw(now_ns, lambda sent: (sent.emissions[0].sweep or 0) >= first and whose(sent))
 
     # where packets go
 

@@ -333,7 +333,7 @@ def test_heat_raises_the_flag_and_stops_it_after_a_minute_until_it_is_cool() -> 
     assert reader.decode(clouds(rig.run(0.3))[-1].payload).shutdown == 1
     rig.session._hot_ns -= 59 * SECOND  # a minute of it is long
     assert clouds(rig.run(0.3))
-    rig.run(0.1)
+    rig.run(0.2)
     assert not clouds(rig.run(2.0))
     assert rig.ok(0x09)
     rig.session.impair(rig.now_ns, "heat", 0.0)
