@@ -91,6 +91,8 @@ class HesaiDevice(RequestSession):
         "Datagram links: point cloud, GPS packets, fault messages."
         self._listeners: list[Address] = []
         "Where the point cloud goes besides: hosts that asked on a connection."
+        self._sends = False
+        "It sends a point cloud, if there is anybody to send it to."
         self._renew_ns: int | None = None
         "When changed settings take effect, or it begins to fire: a slice."
         self._ready_at_ns = 0
@@ -148,7 +150,7 @@ class HesaiDevice(RequestSession):
         self._nominal_ns = self._slice_ns
         self.source.powered_on(now_ns)
         self.rotor = Rotor(now_ns)
-        self._listeners, self._renew_ns, self._pulse_ns = [], None, None
+        self._listeners, self._renew_ns, self._pulse_ns, self._sends = [], None, None, False
         self._sequence = 1
         self._hot_over = False
         self._hot_ns = now_ns
@@ -231,7 +233,8 @@ class HesaiDevice(RequestSession):
         later = [number for number in self._numbered if number >= self._next]  # measured, and withdrawn
         self._sequence = self._numbered[min(later)] if later else self._sequence
         self._numbered = {number: first for number, first in self._numbered.items() if number < self._next}
-        for address in self._targets if self.fires else ():
+        self._sends = self.fires
+        for address in self._targets if self._sends else ():
             self._subscribe(now_ns, address)
 
     def _withdraw(self, now_ns: int, whose: Callable[[Outgoing], bool]) -> None:
@@ -255,7 +258,7 @@ class HesaiDevice(RequestSession):
         """Send the point cloud on a connection too."""
         if address not in self._listeners:
             self._listeners.append(address)
-            if self._hosts:
+            if self._sends:
                 self._subscribe(now_ns, address)
 
     def disconnected(self, now_ns: int, address: Address) -> None:
