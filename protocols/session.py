@@ -28,7 +28,7 @@ class Address(NamedTuple):
     "Index into the sensor's list of links."
     peer: int
     """Number of the connection on a stream, remote port of a datagram (from 65536 on: IPv4 address times 65536 plus
-    port, where the device was told to send to), identifier of a CAN frame (bit 31: extended)."""
+    port, the destination that a host has set), identifier of a CAN frame (bit 31: extended)."""
 
 
 class LinkKind(Enum):

@@ -24,7 +24,7 @@ DATAGRAMS_A_CALL = 256
 DATAGRAM_COST = 64
 "Bytes of the intake that the shortest datagram takes."
 PORTS = 1 << 16
-"A peer from here on is an IPv4 address times this, and a port: where a device was told to send."
+"A peer from here on is an IPv4 address times this, and a port: the destination that a host has set."
 PEERS_KEPT = 64
 "Senders whose address is remembered for a reply; the one unheard longest is forgotten."
 

@@ -139,7 +139,7 @@ class HesaiDevice(RequestSession):
             self._links.append(address)
 
     def power_on(self, now_ns: int) -> None:
-        """Settings survive; time, counters and the motor begin anew."""
+        """Settings survive; time, counters and the motor begin again."""
         self._boot_ns, self._spin_up_ns = self.build.boot_ns, self.build.spin_up_ns
         super().power_on(now_ns)
 

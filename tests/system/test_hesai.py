@@ -1,4 +1,4 @@
-"""A Hesai as a process: PTC by a plain socket, its packets on UDP by the independent decoder, standby, a redirected stream."""
+"""A Hesai as a process: PTC by a plain socket, packets on UDP by the independent decoder, a redirected stream."""
 
 from __future__ import annotations
 
