@@ -21,7 +21,7 @@ from protocols.hesai.calibration import directions
 from protocols.hesai.codec import GPS_BYTES, Read, decode, size_of_packet
 from protocols.hesai.commands import COMMANDS
 
-ASK = b"GET /packets HTTP/1.1\r\n\r\n"
+ASK = b"GET /point_cloud HTTP/1.1\r\n\r\n"
 MARKS = b"\xee\xff", b"\xff\xee"
 HEAD_BYTES = 126
 "By which a packet is known."

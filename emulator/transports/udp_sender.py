@@ -180,10 +180,9 @@ class UdpSender(Link):
         return min((wake for wake in (wake_ns, self._intake.next_ns()) if wake is not None), default=None)
 
     def _send(self, payload: bytes, peer: int | None, due_ns: int, now_ns: int) -> None:
+        place = self._there if peer is None else self._senders.get(peer, self._there)
         if peer is not None and peer >= PORTS:
-            place: tuple[str, int] = (str(ipaddress.IPv4Address(peer // PORTS)), peer % PORTS)
-        else:
-            place = self._there if peer is None else self._senders.get(peer, self._there)
+            place = (str(ipaddress.IPv4Address(peer // PORTS)), peer % PORTS)
         try:
             self._out.sendto(payload, place)
         except OSError:  # no route, no room, or longer than a datagram can be

@@ -29,7 +29,7 @@ class HesaiFamily:
         (LinkKind.STREAM, LinkKind.DATAGRAM),
         lambda kind: HesaiFraming(),
         LinkKind.STREAM,
-        (b"GET /packets HTTP/1.1\r\n\r\n",),
+        (b"GET /point_cloud HTTP/1.1\r\n\r\n",),
         impaired=("no pps", "no ptp", "heat", "calibration", "ptc error"),
     )
 

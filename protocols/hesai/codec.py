@@ -115,8 +115,8 @@ def encode(model: Model, said: Packets) -> list[bytes]:
         for begin, end in layout.checks:
             check = crc32_mpeg2(bytes(view[first + begin : first + end]))
             data[first + end : first + end + 4] = check.to_bytes(4, "little")
-    end = bytes(32) if said.signed else b""
-    return [bytes(view[first : first + layout.size]) + end for first in range(0, len(data), layout.size)]
+    signature = bytes(32) if said.signed else b""
+    return [bytes(view[first : first + layout.size]) + signature for first in range(0, len(data), layout.size)]
 
 
 def _calendar(utc_ns: Words, year: int) -> NDArray[np.uint8]:
@@ -175,17 +175,17 @@ def returns(scan: Scan, name: str, swapped: bool) -> tuple[Floats, Floats]:
     beams, none = np.arange(len(range_m)), np.isnan(range_m)
 
     def first() -> Words:
-        return np.argmin(none, axis=1)
+        return np.asarray(np.argmin(none, axis=1), np.int64)
 
     def last() -> Words:
-        return (range_m.shape[1] - 1 - np.argmin(none[:, ::-1], axis=1)) * ~none.all(axis=1)
+        return np.asarray((range_m.shape[1] - 1 - np.argmin(none[:, ::-1], axis=1)) * ~none.all(axis=1), np.int64)
 
     def strongest(without: Words | None = None) -> Words:
         found = np.where(none, -1.0, strength)
         if without is not None and range_m.shape[1] > 1:
             only = np.count_nonzero(~none, axis=1) < 2
             found[beams[~only], without[~only]] = -1.0
-        return np.argmax(found, axis=1)
+        return np.asarray(np.argmax(found, axis=1), np.int64)
 
     def other(one: Words) -> Words:
         best = strongest()

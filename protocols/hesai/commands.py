@@ -335,6 +335,6 @@ COMMANDS: Mapping[bytes, Command] = {
     b"A9": Command("get fire times", None, SDK, "other models have it"),
     b"FF": Command("firmware upgrade", None, SDK),
     b"GET /pandar.cgi": Command("HTTP: spin rate, sync angle, PTP, monitor", _pandar, NEBULA),
-    b"GET /packets": Command("point cloud on this connection", _packets, "ours", "no real device has it"),
+    b"GET /point_cloud": Command("point cloud on this connection", _packets, "ours", "no real device has it"),
 }
 "Two hexadecimal digits: commands of PTC."

@@ -105,6 +105,8 @@ class HesaiDevice(RequestSession):
         self._made: dict[tuple[int, int], Slice] = {}
         self._grid: dict[int, int] = {}
         "Step of the first firing of slices, where the angle triggers."
+        self.calibration = 0
+        "1: its file is refused, 2: damaged."
         self.transmission, self.hot, self._hot_ns, self._hot_over = 1.0, False, 0, False
 
     # time
@@ -333,7 +335,7 @@ class HesaiDevice(RequestSession):
         sweep = Sweep(
             azimuth[fires],
             elevation[fires],
-            1e-9 * (fire_ns[fires] - start_ns),
+            np.asarray(1e-9 * (fire_ns[fires] - start_ns), np.float64),
             1e-9 * (int(self._raster.period_ns) + 2 * lead_ns),
             max_range_m=0xFFFF * model.unit_mm / 1000.0,
             max_echoes=MOST_ECHOES,

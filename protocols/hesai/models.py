@@ -140,7 +140,7 @@ class Model:
     def dtype(self) -> np.dtype[np.void]:
         """A packet as a structure."""
         one = self.layout
-        block = [("mark", f"V{len(one.mark)}")] if one.mark else []
+        block: list[Any] = [("mark", f"V{len(one.mark)}")] if one.mark else []
         block += [("azimuth", "<u2"), *([("fine", "u1")] if one.fine else ()), ("channels", one.channel, self.lasers)]
         places: dict[str, tuple[Any, int]] = {
             "head": (f"V{len(one.head)}", 0),

@@ -65,8 +65,6 @@ class HesaiSession(HesaiDevice):
 
     def __init__(self, model: Model, settings: Settings, build: Build) -> None:
         super().__init__(model, settings, build)
-        self.calibration = 0
-        "1: its file is refused, 2: damaged."
         self.error_code = 0
         "Answered to every command of PTC; 0: none."
 
@@ -104,7 +102,8 @@ class HesaiSession(HesaiDevice):
 
     def _refusal(self, request: Request, refused: Refused) -> bytes:
         if request.code.startswith(GET):
-            return page(1)
+            known = request.code in self.COMMANDS
+            return page(1) if known else b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\n\r\n"
         if request.code == b"05" and refused.reason is DropReason.REFUSED:
             code = BAD_DATA
         else:

@@ -428,3 +428,9 @@ def test_what_a_model_does_not_have_is_refused_by_name(model: str, key: str, val
         FAMILY.new_session({key: value}, {"model": model})
     assert error.value.key == key
     assert want in str(error.value)
+
+
+def test_a_path_that_it_does_not_have_is_not_found() -> None:
+    rig = Rig(device={"standby": True})
+    assert rig.raw(b"GET /packets HTTP/1.1\r\n\r\n").startswith(b"HTTP/1.1 404 ")
+    assert rig.raw(b"GET /point_cloud HTTP/1.1\r\n\r\n").startswith(b"HTTP/1.1 200 ")
