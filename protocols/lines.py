@@ -63,6 +63,13 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "settings": "settings models tables own",
         "other": "__init__",
     },
+    "hesai": {
+        "codec": "codec framing calibration",
+        "commands": "commands session",
+        "session": "device motor",
+        "settings": "settings models tables",
+        "other": "__init__",
+    },
     "rplidar": {
         "codec": "codec framing",
         "commands": "commands",

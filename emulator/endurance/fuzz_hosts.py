@@ -11,7 +11,7 @@ from concurrent.futures import Future
 from pathlib import Path
 
 from emulator.endurance.scene import soak_text
-from emulator.hosts import ldrobot, ydlidar
+from emulator.hosts import hesai, ldrobot, ydlidar
 from emulator.hosts.lms2xx import TelegramReader
 from emulator.hosts.turns import TurnAssembler
 from emulator.instrument.instrument import Instrument
@@ -46,6 +46,19 @@ ORDER_SEEDS = (
     b'{"jsonrpc": "2.0", "method": "speed", "params": {"x": 2.0}}',
     b'{"id": 3, "method": "step", "params": {"seconds": 0.001}}',
     b'{"id": 4, "method": "pause"}',
+)
+HESAI_SEEDS = tuple(
+    b"HTTP/1.1 200 OK\r\n\r\n" + 2 * packet
+    for packet in (
+        bytes.fromhex("eeff060100002008010401010000").ljust(1062, b"\0")
+        + b"\x38X\2~\1\2\3\4\5".ljust(13, b"\0")
+        + b"B\7\0\0\0",
+        bytes.fromhex("eeff010481008002000401070000").ljust(817, b"\0")
+        + b"\x38".ljust(13, b"\0")
+        + b"B".ljust(31, b"\0"),
+        bytes.fromhex("eeff040300008002000401090000").ljust(1070, b"\0") + b"\x38B".ljust(48, b"\0"),
+        (b"\xff\xee".ljust(124, b"\0") * 10).ljust(1254, b"\0") + b"\x38B".ljust(12, b"\0"),
+    )
 )
 URL_SEEDS = (
     b"pty:./front?speed=strict", b"serial:/dev/ttyUSB0?baud=9600&parity=N&stop=1", b"tcp:127.0.0.1:0",
@@ -160,6 +173,18 @@ def ldrobot_reader() -> Callable[[bytes], None]:
         turns = TurnAssembler()
         for packet in ldrobot.PacketReader().feed(data):
             list(turns.add(packet.angle_deg, packet.range_m, packet.intensity))
+
+    return run
+
+
+def hesai_reader() -> Callable[[bytes], None]:
+    """The same of packets of any model."""
+
+    def run(data: bytes) -> None:
+        reader = hesai.TurnReader()
+        for at in range(0, len(data), 700):
+            for _ in reader.feed(data[at : at + 700]):
+                pass
 
     return run
 

@@ -14,6 +14,7 @@ from protocols.can_frame import EXTENDED
 from protocols.cola.framing import frame
 from protocols.cola.values import ASCII, BINARY
 from protocols.errors import ScanRefused
+from protocols.hesai.session import frame as ptc
 from protocols.ld.packages import encode_packages
 from protocols.ld.segments import encode_segments
 from protocols.ld.telegrams import payload_of
@@ -136,6 +137,19 @@ VELODYNE = tuple(
         b"POST /cgi/setting HTTP/1.1|Content-Length: 9||laser=off", b"POST /cgi/save HTTP/1.1|Content-Length: 0||",
         b"POST /cgi/setting/fov HTTP/1.1|Content-Length: 16||start=290&end=70", b"POST /x|Transfer-Encoding: y||",
         b"POST /cgi/setting/phaselock HTTP/1.1|Content-Length: 22||enabled=on&offset=9000",
+    )
+)  # fmt: skip
+HESAI = tuple(
+    operations([(3, data)])
+    for data in (
+        *(ptc(command) for command in (0x05, 0x07, 0x08, 0x09, 0x10, 0x23, 0x25, 0x26, 0x27, 0x28, 0x3A, 0x59, 0xEE)),
+        ptc(0x06, b"\1"), ptc(0x17, b"\x04\xb0"), ptc(0x18, b"\1\0\x5a"), ptc(0x1C, b"\1"), ptc(0x1E, b"\2"),
+        ptc(0x1F, b"\1"),
+        ptc(0x20, bytes((127, 0, 0, 1, 9, 64, 39, 126))), ptc(0x21, bytes(15)), ptc(0x22, bytes.fromhex("00012c05dc")),
+        ptc(0x22, bytes.fromhex("030200000064070808 34")), ptc(0x24, b"\3\0\1\1"), ptc(0x29, b"\1"), ptc(0x2A, b"\1"),
+        b"GET /point_cloud HTTP/1.1\r\n\r\n", b"GET /pandar.cgi?action=get&object=lidar_monitor HTTP/1.1\r\n\r\n",
+        b'GET /pandar.cgi?action=set&object=lidar_sync&key=sync_angle&value={"sync": 1,"syncAngle": 30} HTTP/1.1'
+        b"\r\n\r\n",
     )
 )  # fmt: skip
 COLA_TEXTS = (

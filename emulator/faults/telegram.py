@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -194,6 +194,20 @@ class AddressKeys(Keys):
     "Instead of the device's own; LMS2xx: one byte, LD: a word."
 
 
+class CodeKeys(Keys):
+    """An error code of Hesai's control channel."""
+
+    code: Annotated[int, Field(ge=1, le=255)] = 6
+    "1 invalid parameter, 3 invalid data, 5 unsupported, 6 FPGA, 7 other."
+
+
+class FileKeys(Keys):
+    """A calibration file that is not served whole."""
+
+    served: Literal["refused", "damaged"] = "refused"
+    "refused: an error code; damaged: without its end, or with a wrong hash."
+
+
 class StaleKeys(Keys):
     """Of an old scan."""
 
@@ -263,12 +277,12 @@ class Refuse(Act):
 class Refusing(Act):
     """The device itself refuses, for as long as the fault lasts."""
 
-    def __init__(self, gear: Gear, what: str) -> None:
+    def __init__(self, gear: Gear, what: str, degree: float = 1.0) -> None:
         super().__init__(gear)
-        self._what = what
+        self._what, self._degree = what, degree
 
     def begin(self, now_ns: int) -> None:
-        impair(self.gear, now_ns, self._what, 1.0)
+        impair(self.gear, now_ns, self._what, self._degree)
         self.gear.hit(now_ns)
 
     def end(self, now_ns: int) -> None:
@@ -446,5 +460,37 @@ KINDS: tuple[Kind, ...] = (
         "The pulses of the GPS receiver do not reach the device; its clock continues by its own quartz.",
         "They arrive again; the device locks to them again.",
         "no pps",
+    ),
+    _refusing(
+        "no_ptp",
+        "The PTP grandmaster is not heard; the device reports it, its clock continues by its own quartz.",
+        "It is heard again; the device locks to it again.",
+        "no ptp",
+    ),
+    _refusing(
+        "overheating",
+        "The device raises its flag of high temperature, and after a minute stops to measure.",
+        "It has cooled, and starts again.",
+        "heat",
+    ),
+    _kind(
+        "ptc_error",
+        "Every command of PTC is answered with an error code and not carried out.",
+        "Commands are carried out.",
+        keys=CodeKeys,
+        act=lambda keys, gear: Refusing(gear, "ptc error", float(keys.code)),
+        directions=(),
+        lasts="state",
+        needs_part="ptc error",
+    ),
+    _kind(
+        "calibration_file",
+        "The calibration file is refused, or ends too early or with a wrong hash.",
+        "The file is served whole.",
+        keys=FileKeys,
+        act=lambda keys, gear: Refusing(gear, "calibration", 1.0 + (keys.served == "damaged")),
+        directions=(),
+        lasts="state",
+        needs_part="calibration",
     ),
 )

@@ -480,7 +480,7 @@ def usual_plan(spec: SensorSpec) -> ScanPlan:
 
     if spec.beams is not None:
         return table_plan(spec, 0)
-    if spec.family == "velodyne":
+    if spec.family in ("velodyne", "hesai"):
         return first_plan(spec)
     usual = {
         "ld": (0.125, 360.0, 0.1),

@@ -23,6 +23,8 @@ DATAGRAM_LIMIT = 65_535
 DATAGRAMS_A_CALL = 256
 DATAGRAM_COST = 64
 "Bytes of the intake that the shortest datagram takes."
+PORTS = 1 << 16
+"A peer from here on is an IPv4 address times this, and a port: the destination that a host has set."
 PEERS_KEPT = 64
 "Senders whose address is remembered for a reply; the one unheard longest is forgotten."
 
@@ -179,6 +181,8 @@ class UdpSender(Link):
 
     def _send(self, payload: bytes, peer: int | None, due_ns: int, now_ns: int) -> None:
         place = self._there if peer is None else self._senders.get(peer, self._there)
+        if peer is not None and peer >= PORTS:
+            place = (str(ipaddress.IPv4Address(peer // PORTS)), peer % PORTS)
         try:
             self._out.sendto(payload, place)
         except OSError:  # no route, no room, or longer than a datagram can be

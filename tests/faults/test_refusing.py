@@ -42,7 +42,7 @@ def test_a_busy_device_gives_no_scan_until_the_fault_ends_and_counts_what_it_ref
     made.close()
 
 
-@pytest.mark.parametrize(("do", "who"), [("device_busy", "cola"), ("refuse_login", "cola"), ("no_pps", "velodyne")])
+@pytest.mark.parametrize(("do", "who"), [("device_busy", "cola"), ("refuse_login", "cola"), ("ptc_error", "hesai")])
 def test_only_families_that_state_it_have_the_fault(do: str, who: str) -> None:
     assert fits(kinds()[do]) == who
     with pytest.raises(ScenarioError, match=f"want a sensor of {who}"):

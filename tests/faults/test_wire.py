@@ -413,6 +413,7 @@ def test_every_fault_of_these_layers_is_tried() -> None:
     tried = {one.values[0].keys["do"] for one in (*TELEGRAMS, *BYTES, *LINKS, *FRAMES)}
     asked = {"lose_reply", "slow_reply", "refuse_command", "lose_input"}  # below: they need a host that asks
     asked |= {"device_busy", "refuse_login", "no_pps"}  # test_refusing
+    asked |= {"no_ptp", "overheating", "ptc_error", "calibration_file"}  # tests/hosts/test_hesai_host.py
     known = {name for name, kind in kinds().items() if kind.layer in ("telegram", "byte", "link", "can")}
     assert tried | asked == known
     assert len(known) >= 40

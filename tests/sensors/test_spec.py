@@ -25,6 +25,7 @@ SHIPPED = {
     "hokuyo-urg-04lx", "hokuyo-ubg-04lx-f01", "hokuyo-uhg-08lx", "hokuyo-utm-30lx", "hokuyo-utm-30lx-ew",
     "hokuyo-ust-10lx", "hokuyo-ust-20lx",
     "velodyne-vlp-16", "velodyne-puck-hi-res", "velodyne-hdl-32e", "velodyne-vlp-32c", "velodyne-vls-128",
+    "hesai-xt32", "hesai-xt32m2x", "hesai-qt64", "hesai-pandar40p", "hesai-pandar128e3x", "hesai-ot128", "hesai-at128",
     "rplidar-a1m8", "rplidar-a2m8", "rplidar-a2m12", "rplidar-a3m1", "rplidar-s1m1", "rplidar-s2m1", "rplidar-s3m1",
     "rplidar-c1m1",
     "ldrobot-ld06", "ldrobot-ld19", "ldrobot-stl-27l",
@@ -67,6 +68,7 @@ def test_sick_numbers_and_the_reference_receiver_follow_the_physics_specificatio
                  "hokuyo-utm": (1000.0, 4e-9), "hokuyo-ust-10": (160.0, 4e-9), "hokuyo-ust-20": (640.0, 4e-9),
                  "hokuyo-urg": (17.8, 4e-9), "hokuyo-ubg": (17.8, 4e-9), "hokuyo-uhg": (71.2, 4e-9),
                  "velodyne-vlp-32": (5e4, 6e-9), "velodyne-vls": (7.5e4, 6e-9), "velodyne": (1.25e4, 6e-9),
+                 "hesai-xt": (64_000.0, 3e-9), "hesai-qt": (4_000.0, 3e-9), "hesai": (400_000.0, 3e-9),
                  "rplidar-a3": (1000.0, 1e-10), "rplidar-a": (160.0, 1e-10), "rplidar-s1": (1778.0, 4e-9),
                  "rplidar-s2": (1000.0, 4e-9), "rplidar-s3": (2286.0, 4e-9), "rplidar-c1": (360.0, 4e-9),
                  "ldrobot-ld": (100.8, 4e-9), "ldrobot-stl": (437.5, 4e-9), "ydlidar-x4": (80.0, 4e-9),
@@ -87,6 +89,15 @@ def test_a_velodyne_knows_how_bright_white_is() -> None:
     for name, model in MODELS.items():
         made = sensor_model(load_spec(name), PhysicsOptions(), "operational")
         assert made.k_m2 / made.threshold == pytest.approx(model.white_m2)
+
+
+def test_a_hesai_knows_how_bright_white_is() -> None:
+    from protocols.hesai.models import MODELS
+
+    for name, model in MODELS.items():
+        made = sensor_model(load_spec(name), PhysicsOptions(), "operational")
+        assert made.k_m2 / made.threshold == pytest.approx(model.white_m2)
+        assert load_spec(name).detection.lsb_mm.value == model.unit_mm
 
 
 def test_the_papers_lidar_has_eleven_beams_in_ten_degrees_and_a_hundred_watts() -> None:

@@ -130,3 +130,16 @@ def test_a_listening_port_in_use_is_said_so_plainly(host: socket.socket) -> None
 def test_an_unknown_host_is_said_so_plainly() -> None:
     with pytest.raises(LinkError, match=r"host 'no-such-host\.invalid' not found"):
         open_link("udp:no-such-host.invalid:9")
+
+
+def test_a_device_can_be_redirected_to_another_address_and_port(host: socket.socket) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.77", 0))
+        other.settimeout(5.0)
+        with opened(f"udp:127.0.0.1:{port_of(host)}") as link:
+            peer = (int.from_bytes(bytes((127, 0, 0, 77)), "big") << 16) + port_of(other)
+            link.send(b"there", 0, peer)
+            link.send(b"here", 0, 0)
+            link.flush(0)
+            assert other.recv(100) == b"there"
+            assert host.recv(100) == b"here"

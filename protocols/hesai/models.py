@@ -1,0 +1,282 @@
+"""What sets Hesai's models apart on the wire: lasers, firing instants, places in a packet, return modes.
+
+A spec's `device` table is `{model: hesai-xt32}`. Belongs here: one row per model. Not: tables of angles and instants
+(tables), optics (the sensor specs), limits of settings that all have (settings).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocols.errors import DeviceSettingError
+from protocols.hesai import tables
+from protocols.scan import Floats
+
+FIELDS = np.dtype([("distance", "<u2"), ("reflectivity", "u1")])
+WITH_FOURTH = np.dtype([*FIELDS.descr, ("fourth", "u1")])
+LAST, STRONGEST, FIRST, DUAL, LAST_FIRST, FIRST_STRONGEST, TRIPLE = range(7)
+"Return modes as command 1E and the configuration have them."
+MODES: Mapping[int, tuple[str, int, int]] = {
+    LAST: ("last", 0x38, 1),
+    STRONGEST: ("strongest", 0x37, 1),
+    DUAL: ("dual", 0x39, 2),
+    FIRST: ("first", 0x33, 1),
+    LAST_FIRST: ("last_first", 0x3B, 2),
+    FIRST_STRONGEST: ("first_strongest", 0x3C, 2),
+    TRIPLE: ("triple", 0x3D, 3),
+}
+"Its name, its byte in a packet, blocks of a firing."
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Where a model's packets have what. All offsets in bytes; little-endian."""
+
+    size: int
+    blocks: int
+    head: bytes = b""
+    "Before the blocks, but for the bytes that change."
+    mark: bytes = b""
+    "Before each block."
+    fine: bool = False
+    "A third byte of the azimuth, 1/256 of 0.01 deg."
+    channel: np.dtype[np.void] = FIELDS
+    shutdown: int | None = None
+    mode: int = 0
+    rpm: int = 0
+    utc: int = 0
+    us: int = 0
+    factory: int = 0
+    "Place of the byte 42."
+    sequence: int = 0
+    year: int = 1900
+    "From which the byte of the year counts; 0: Unix seconds, 5 bytes big-endian."
+    first_block: int = 0
+    "Byte 8 of the header where a firing has one block; where it has more: 1."
+    checks: tuple[tuple[int, int], ...] = ()
+    "First and last byte, exclusive, under a CRC that follows."
+    safety: int | None = None
+    states: int | None = None
+    "Azimuth states of the blocks, and the operational state."
+    imu: int | None = None
+
+
+def _head(major: int, minor: int, version: int, lasers: int, blocks: int, unit_mm: int, flags: int) -> bytes:
+    return bytes((0xEE, 0xFF, major, minor, version, 0, lasers, blocks, 0, unit_mm, 0, flags))
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Facts of one model."""
+
+    model: str
+    "Identifier, as the sensor spec is called."
+    title: str
+    number: int
+    "In the inventory."
+    layout: Layout
+    elevation_deg: tuple[float, ...]
+    offset_deg: tuple[float, ...]
+    "Azimuth offset of each laser, clockwise."
+    period_ns: Fraction
+    "From firing to firing."
+    laser_ns: tuple[tuple[float, ...], ...]
+    "Instant of each laser after the block's, by azimuth state; NaN: it does not fire."
+    stamp_ns: float
+    "From the packet's time stamp to the instant of its last block, or its first (`stamps_first`)."
+    modes: tuple[int, ...]
+    unit_mm: int
+    white_m2: float
+    "Signal of a white plate at 1 m over the detection threshold: system constant over threshold of the model's spec."
+    rpm: tuple[int, ...] = (600, 300, 1200)
+    "The default first."
+    high_ns: tuple[tuple[float, ...], ...] = ()
+    "Instants of the lasers in high resolution, whose firings come twice as often; empty: it has none."
+    calibrated: str = "csv"
+    swapped: bool = False
+    "The strongest return is before the last one in dual mode; of last and first the first one is."
+    stamps_first: bool = False
+    dual_is_first: bool = False
+    "Its mode of code 2 is last and first."
+    grid: bool = True
+    "Firings are triggered by the angle."
+    web_speed: bool = False
+    "Known to drivers as set by HTTP."
+    encoder: float = 1.0
+    "Degrees of beam for a degree of the encoder."
+    temperatures: int = 8
+    inventory: int = 120
+
+    @property
+    def lasers(self) -> int:
+        """How many."""
+        return len(self.elevation_deg)
+
+    def returns(self, mode: int) -> tuple[str, int, int]:
+        """Of a mode: its name, its byte in a packet, blocks of a firing."""
+        return MODES[LAST_FIRST if self.dual_is_first and mode == DUAL else mode]
+
+    def firings(self, mode: int) -> int:
+        """Firings of a packet."""
+        return self.layout.blocks // self.returns(mode)[2]
+
+    def firing_ns(self, high: bool) -> Fraction:
+        """From firing to firing."""
+        return self.period_ns / 2 if high else self.period_ns
+
+    @cached_property
+    def lead_ns(self) -> int:
+        """How long before a block's instant its first laser may fire."""
+        return round(max(0.0, -min(map(min, self.laser_ns))))
+
+    @cached_property
+    def dtype(self) -> np.dtype[np.void]:
+        """A packet as a structure."""
+        one = self.layout
+        block: list[Any] = [("mark", f"V{len(one.mark)}")] if one.mark else []
+        block += [("azimuth", "<u2"), *([("fine", "u1")] if one.fine else ()), ("channels", one.channel, self.lasers)]
+        places: dict[str, tuple[Any, int]] = {
+            "head": (f"V{len(one.head)}", 0),
+            "blocks": ((np.dtype(block), one.blocks), len(one.head)),
+            "mode": ("u1", one.mode),
+            "rpm": ("<i2", one.rpm),
+            "utc": ("6u1", one.utc),
+            "us": ("<u4", one.us),
+            "factory": ("u1", one.factory),
+            "sequence": ("<u4", one.sequence),
+        }
+        more = {"shutdown": ("u1", one.shutdown), "safety": ("17u1", one.safety), "imu": ("22u1", one.imu)}
+        places |= {name: (kind, at) for name, (kind, at) in more.items() if at is not None}
+        if one.states is not None:
+            places |= {"states": ("<u2", one.states), "operation": ("u1", one.states + 2)}
+        if not one.head:
+            del places["head"]
+        kinds, offsets = zip(*places.values(), strict=True)
+        return np.dtype({"names": list(places), "formats": list(kinds), "offsets": list(offsets), "itemsize": one.size})
+
+    def states(self, number: NDArray[np.int64], high: bool) -> NDArray[np.int64]:
+        """Azimuth state of firings by their numbers: it alternates."""
+        return number % len(self.high_ns if high else self.laser_ns)
+
+    def instants(self, high: bool) -> Floats:
+        """(states, lasers) after the block's, NaN: does not fire. [ns]"""
+        return np.array(self.high_ns if high else self.laser_ns)
+
+
+def _states(*rows: tuple[int, ...]) -> tuple[tuple[float, ...], ...]:
+    """0: does not fire."""
+    return tuple(tuple(one or float("nan") for one in row) for row in rows)
+
+
+def _later(row: tuple[int, ...]) -> tuple[float, ...]:
+    late = (18867, 12578, 20520, 16549, 14231, 22838)
+    return tuple(one + 2144.0 * (one in late) for one in row)
+
+
+def _dithered(fires: tuple[int, ...]) -> tuple[float, ...]:
+    """OT128 in high resolution: of eight outer lasers four fire, at the instants of the 3rd, 4th, 7th and 8th."""
+    row = [float(one) for one in tables.OT_STANDARD_0]
+    for at in (*range(24), *range(88, 128)):
+        row[at] = (18867.0, 6289.0, 12578.0, 0.0)[fires.index(at % 8)] if at % 8 in fires else float("nan")
+    return tuple(row)
+
+
+_N = np.arange(64)
+_XT32 = Layout(
+    1080, 8, _head(6, 1, 0, 32, 8, 4, 1), shutdown=1061, mode=1062, rpm=1063, utc=1065, us=1071, factory=1075,
+    sequence=1076, first_block=1, channel=WITH_FOURTH,
+)  # fmt: skip
+_M2X = Layout(
+    820, 6, _head(6, 1, 0, 32, 6, 5, 1), shutdown=801, mode=802, rpm=803, utc=805, us=811, factory=815, sequence=816,
+    first_block=1, channel=WITH_FOURTH,
+)  # fmt: skip
+_128 = {
+    "mode": 817, "rpm": 818, "utc": 820, "us": 826, "factory": 830, "sequence": 831,
+    "safety": 788, "states": 814, "imu": 835, "checks": ((12, 784), (789, 801), (805, 857)),
+}  # fmt: skip
+_E3X = Layout(861, 2, _head(1, 4, 0x01, 128, 2, 4, 7), **_128)  # type: ignore[arg-type]
+_OT = Layout(861, 2, _head(1, 4, 0x81, 128, 2, 4, 7), **_128)  # type: ignore[arg-type]
+_AT = Layout(
+    1118, 2, _head(4, 3, 0, 128, 2, 4, 9), fine=True, channel=WITH_FOURTH, shutdown=1052, mode=1070, rpm=1064,
+    utc=1072, us=1066, factory=1071, sequence=1078, year=0, checks=((12, 1042), (1046, 1082)),
+)  # fmt: skip
+_P40 = Layout(
+    1266,
+    10,
+    b"",
+    b"\xff\xee",
+    shutdown=1245,
+    mode=1254,
+    rpm=1248,
+    utc=1256,
+    us=1250,
+    factory=1255,
+    sequence=1262,
+    year=2000,
+)
+_QT = Layout(
+    1072, 4, _head(3, 1, 0, 64, 4, 4, 1), channel=WITH_FOURTH, shutdown=1050, mode=1060, rpm=1054, utc=1062, us=1056,
+    factory=1061, sequence=1068,
+)  # fmt: skip
+_ALL = (LAST, STRONGEST, DUAL, FIRST, LAST_FIRST, FIRST_STRONGEST)
+_MOST = (LAST, STRONGEST, DUAL)
+_AT_AZIMUTH = tuple((-2.40, 0.65)[c % 2] if c // 16 % 2 == 0 else (2.40, -0.65)[c % 2] for c in range(128))
+
+MODELS: Mapping[str, Model] = {
+    one.model: one
+    for one in (
+        Model(
+            "hesai-xt32", "PandarXT-32", 25, _XT32, tuple(16.0 - n for n in range(1, 33)), (0.0,) * 32,
+            Fraction(50_000), (tuple((368.0 + 1512.0 * _N[:32]).tolist()),), 5632.0, _ALL, 4, 64_000.0, swapped=True,
+        ),
+        Model(
+            "hesai-xt32m2x", "PandarXT-32M2X", 38, _M2X, tables.M2X_ELEVATION, (0.155,) * 32,
+            Fraction(50_000), (tuple((368.0 + 2888.0 * (_N[:32] % 16)).tolist()),), 5632.0, (*_ALL, TRIPLE), 5,
+            64_000.0, swapped=True,
+        ),
+        Model(
+            "hesai-pandar128e3x", "Pandar128E3X", 40, _E3X, tables.E3X_ELEVATION, tables.E3X_OFFSET,
+            Fraction(500_000, 9), _states(tables.E3X_STANDARD_0, tables.E3X_STANDARD_1), 3148.0, _ALL, 4, 400_000.0,
+            (600, 1200), _states(tables.E3X_HIGH_0, tables.E3X_HIGH_1),
+        ),
+        Model(
+            "hesai-ot128", "OT128", 42, _OT, tables.OT_ELEVATION, tables.OT_OFFSET, Fraction(500_000, 9),
+            (tuple(map(float, tables.OT_STANDARD_0)), _later(tables.OT_STANDARD_0)), 0.0, _ALL, 4, 400_000.0,
+            (600, 1200), (_dithered((2, 3, 6, 7)), _dithered((0, 1, 4, 5))), inventory=162,
+        ),
+        Model(
+            "hesai-at128", "AT128", 48, _AT, tuple(12.88 - 0.1992 * c for c in range(128)), _AT_AZIMUTH,
+            Fraction(125_000, 3), (tuple(map(float, tables.AT_NS)),), -50_915.0, _MOST, 4, 400_000.0, (200,),
+            calibrated="at128", encoder=2.0, temperatures=9, inventory=184,
+        ),
+        Model(
+            "hesai-pandar40p", "Pandar40P", 0, _P40, tables.P40_ELEVATION,
+            (-1.042,) * 6 + (3.125, -5.208, -1.042) * 7 + (3.125, -5.208) + (-1.042,) * 11, Fraction(500_000, 9),
+            (tuple(1000.0 * one for one in tables.P40_US),), -28_580.0, _MOST, 4, 400_000.0, (600, 1200), grid=False,
+            web_speed=True,
+        ),
+        Model(
+            "hesai-qt64", "PandarQT", 15, _QT, tables.QT_ELEVATION, tables.QT_OFFSET, Fraction(500_000, 3),
+            (tuple(1000.0 * one for one in tables.QT_US),), 25_710.0, (LAST, FIRST, DUAL), 4, 4_000.0, (600, 1200),
+            swapped=True, stamps_first=True, dual_is_first=True, web_speed=True,
+        ),
+    )
+}  # fmt: skip
+
+
+def model_of(facts: Mapping[str, Any]) -> Model:
+    """The row that a spec's `device` table names; `DeviceSettingError` when there is none."""
+    name = facts.get("model", "hesai-xt32")
+    if not isinstance(name, str) or name not in MODELS:
+        raise DeviceSettingError("model", name, " | ".join(MODELS))
+    for key in facts:
+        if key != "model":
+            raise DeviceSettingError(str(key), facts[key], "model")
+    return MODELS[name]

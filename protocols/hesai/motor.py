@@ -1,0 +1,176 @@
+"""Where the rotor or the mirror is at an instant, and what time the device has: its own, that of PTP or GPS.
+
+Belongs here: angles and time. Not: who sets the speed, and what fires (device).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocols.device_clock import DeviceClock
+from protocols.scan import Floats
+from protocols.skeleton.instants import SECOND_NS
+
+NEAR = 1e-3
+"Share of the speed within which a rotor that holds its phase is at the speed set."
+LOCK_STEP = 0.05
+"Share of the speed by which the phase lock changes it; ours."
+LOCK_SECONDS = 3
+"Full seconds until the clock follows its source; ours."
+FREEZE_NS = 60 * SECOND_NS
+"From the loss of PTP to free run; ours."
+KNOTS_KEPT = 64
+COLD_NS = int(datetime(2017, 1, 1, tzinfo=UTC).timestamp()) * SECOND_NS
+"Date of a clock that was never set, as in public captures."
+FREE, TRACKING, LOCKED, FROZEN = range(4)
+
+
+@dataclass(frozen=True)
+class Knot:
+    """From an instant on, a constant acceleration."""
+
+    at_ns: int
+    turns: float
+    hz: float
+    acceleration: float = 0.0
+    "[Hz/s]"
+    whole: int = 0
+    "Turns before, which `turns` leaves out."
+
+
+class Rotor:
+    """Piecewise: each piece begins at a knot, and is computed from it. Turns clockwise; backwards they are negative."""
+
+    def __init__(self, at_ns: int) -> None:
+        self._knots = [Knot(at_ns, 0.0, 0.0)]
+
+    def _at(self, at_ns: int) -> Knot:
+        return next((one for one in reversed(self._knots) if one.at_ns <= at_ns), self._knots[0])
+
+    def turns(self, at_ns: NDArray[np.int64]) -> Floats:
+        """Turns, modulo whole ones at knots; any shape, after the first knot kept."""
+        begun = np.array([one.at_ns for one in self._knots])
+        pieces = np.maximum(np.searchsorted(begun, at_ns, side="right") - 1, 0)
+        first, last = int(pieces.min()), int(pieces.max())
+        if first == last:
+            return self._on(self._knots[first], at_ns)
+        found = np.zeros(at_ns.shape)
+        for index in range(first, last + 1):
+            found[pieces == index] = self._on(self._knots[index], at_ns[pieces == index])
+        return found
+
+    @staticmethod
+    def _on(knot: Knot, at_ns: NDArray[np.int64]) -> Floats:
+        after_s = np.asarray(1e-9 * (at_ns - knot.at_ns), np.float64)
+        return knot.turns + after_s * (knot.hz + 0.5 * knot.acceleration * after_s)
+
+    def turn(self, at_ns: int) -> int:
+        """Whole turns since the start."""
+        knot = self._at(at_ns)
+        return knot.whole + int(self._on(knot, np.array(at_ns)) // 1.0)
+
+    def speed_hz(self, at_ns: int) -> float:
+        """Turns per second."""
+        knot = self._at(at_ns)
+        return knot.hz + knot.acceleration * 1e-9 * (at_ns - knot.at_ns)
+
+    def is_steady(self, at_ns: int) -> bool:
+        """Whether it does not ramp."""
+        return self._at(at_ns).acceleration == 0.0
+
+    def drive(self, at_ns: int, hz: float, ramp_ns: int) -> None:
+        """To another speed from an instant on; what was foreseen is forgotten."""
+        self._knots = [one for one in self._knots if one.at_ns < at_ns] or self._knots[:1]
+        now_hz = self.speed_hz(at_ns)
+        if ramp_ns and now_hz != hz:
+            self._put(at_ns, now_hz, (hz - now_hz) / (1e-9 * ramp_ns))
+            at_ns += ramp_ns
+        self._put(at_ns, hz, 0.0)
+
+    def correct(self, at_ns: int, hz: float, to_turns: float) -> None:
+        """At a full second: aim at being at `to_turns` at the next one, by going slightly faster or slower."""
+        behind = (to_turns - float(self.turns(np.array(at_ns))) - hz + 0.5) % 1.0 - 0.5
+        most = LOCK_STEP * abs(hz)
+        self._put(at_ns, hz + min(max(behind, -most), most), 0.0)
+
+    def _put(self, at_ns: int, hz: float, acceleration: float) -> None:
+        turns, whole = float(self.turns(np.array(at_ns))) % 1.0, self.turn(at_ns)
+        self._knots = [one for one in self._knots if one.at_ns < at_ns][-KNOTS_KEPT:]
+        self._knots.append(Knot(at_ns, turns, hz, acceleration, whole))
+
+
+@dataclass
+class Source:
+    """A PTP grandmaster or a GPS receiver, and what the device's clock makes of it."""
+
+    utc_ns: int
+    "Since 1970, at the beginning of the run."
+    ptp: bool
+    "There is a grandmaster."
+    pps: bool
+    nmea: bool
+    by_ptp: bool
+    "Which the device follows."
+    true_ns: Callable[[int], int] = field(default=lambda own_ns: own_ns)
+    "From the device's own instants to the run's, and back."
+    own_ns: Callable[[int], int] = field(default=lambda true_ns: true_ns)
+    since_ns: int = 0
+    "As it is now, since then."
+    held: tuple[int, int] | None = None
+    "Of a source that was lost: the last full second, and its UTC; the clock goes on from there."
+
+    @property
+    def there(self) -> bool:
+        """Whether what it follows is there."""
+        return self.ptp if self.by_ptp else self.pps and self.nmea
+
+    def powered_on(self, at_ns: int) -> None:
+        """Nothing is known from before."""
+        self.since_ns, self.held = at_ns, None
+
+    def switch(self, at_ns: int, **what: bool) -> None:
+        """Other sources are there, or another one is followed."""
+        if all(getattr(self, name) == value for name, value in what.items()):
+            return
+        if self.locked(at_ns):
+            self.held = self._last(at_ns)
+        for name, value in what.items():
+            setattr(self, name, value)
+        self.since_ns = at_ns
+
+    def utc(self, at_ns: int) -> int:
+        """True UTC. [ns since 1970]"""
+        return self.utc_ns + self.true_ns(at_ns)
+
+    def _last(self, at_ns: int) -> tuple[int, int]:
+        second_ns = self.utc(at_ns) // SECOND_NS * SECOND_NS
+        return self.own_ns(second_ns - self.utc_ns), second_ns
+
+    def after(self, at_ns: int) -> int:
+        """The first full second later than an instant."""
+        # by a nanosecond, the conversion's rounding, so that the next one is another
+        return self.own_ns((self.utc(at_ns) // SECOND_NS + 1) * SECOND_NS - self.utc_ns) + 1
+
+    def locked(self, at_ns: int) -> bool:
+        """Whether the clock follows it."""
+        return self.there and self.utc(at_ns) // SECOND_NS - self.utc(self.since_ns) // SECOND_NS >= LOCK_SECONDS
+
+    def ptp_state(self, at_ns: int) -> int:
+        """As it is reported."""
+        if not self.by_ptp:
+            return FREE
+        if self.ptp:
+            return LOCKED if self.locked(at_ns) else TRACKING
+        return FROZEN if self.held is not None and at_ns - self.since_ns < FREEZE_NS else FREE
+
+    def shown_ns(self, clock: DeviceClock, at_ns: int) -> tuple[int, int]:
+        """Time of the device since 1970, and what it has when the run begins."""
+        second = self._last(at_ns) if self.locked(at_ns) else self.held
+        if second is None:
+            return COLD_NS + clock.shown_ns(at_ns), COLD_NS
+        return second[1] + clock.shown_ns(at_ns) - clock.shown_ns(second[0]), self.utc_ns

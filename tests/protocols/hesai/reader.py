@@ -1,0 +1,175 @@
+"""A decoder of Hesai's packets, written from the specification alone: struct, one packet at a time, nothing of ours."""
+
+from __future__ import annotations
+
+import csv
+import io
+import struct
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+
+@dataclass
+class Point:
+    """A return; hesai's frame: azimuth clockwise from y."""
+
+    block: int
+    channel: int
+    azimuth_deg: float
+    "Of the block, or the encoder."
+    range_m: float
+    reflectivity: int
+    at_s: float
+    "Of the block, since 1970."
+
+
+@dataclass
+class Packet:
+    """What a packet says."""
+
+    model: str
+    mode: int
+    echoes: int
+    rpm: int
+    t0_s: float
+    sequence: int
+    shutdown: int
+    azimuths: list[float]
+    points: list[Point]
+    safety: bytes = b""
+    state_word: int = 0
+    operation: int = 0
+    imu: tuple[int, ...] = ()
+
+    def state(self, block: int) -> int:
+        """Azimuth state of a block."""
+        return self.state_word >> (14 - 2 * block) & 3 if block < 2 else 0
+
+
+def _entry(byte: int) -> int:
+    value = byte << 24
+    for _ in range(8):
+        value = (value << 1 ^ 0x04C11DB7 if value & 0x80000000 else value << 1) & 0xFFFFFFFF
+    return value
+
+
+TABLE = [_entry(byte) for byte in range(256)]
+
+
+def crc(data: bytes) -> int:
+    """CRC-32/MPEG-2, byte by byte."""
+    value = 0xFFFFFFFF
+    for byte in data:
+        value = (value << 8 ^ TABLE[value >> 24 ^ byte]) & 0xFFFFFFFF
+    return value
+
+
+def _u(data: bytes, at: int, size: int) -> int:
+    return int.from_bytes(data[at : at + size], "little")
+
+
+def _date(six: bytes, base: int) -> float:
+    if base == 0:
+        assert six[0] == 0
+        return float(int.from_bytes(six[1:6], "big"))
+    return datetime(base + six[0], *six[1:6], tzinfo=UTC).timestamp()
+
+
+# model: length, lasers, blocks, first block at, bytes of a channel, unit, shutdown, mode, rpm, utc, us, factory,
+# sequence, base of the year, firing period
+ROWS = {
+    "xt32": (1080, 32, 8, 12, 4, 4, 1061, 1062, 1063, 1065, 1071, 1075, 1076, 1900, 50e-6),
+    "xt32m2x": (820, 32, 6, 12, 4, 5, 801, 802, 803, 805, 811, 815, 816, 1900, 50e-6),
+    "qt64": (1072, 64, 4, 12, 4, 4, 1050, 1060, 1054, 1062, 1056, 1061, 1068, 1900, 500e-6 / 3),
+    "pandar128e3x": (861, 128, 2, 12, 3, 4, None, 817, 818, 820, 826, 830, 831, 1900, 500e-6 / 9),
+    "ot128": (861, 128, 2, 12, 3, 4, None, 817, 818, 820, 826, 830, 831, 1900, 500e-6 / 9),
+    "at128": (1118, 128, 2, 12, 4, 4, 1052, 1070, 1064, 1072, 1066, 1071, 1078, 0, 125e-6 / 3),
+    "pandar40p": (1266, 40, 10, 0, 3, 4, 1245, 1254, 1248, 1256, 1250, 1255, 1262, 2000, 500e-6 / 9),
+}
+
+
+def model_of(data: bytes) -> str:
+    if data[:2] == b"\xff\xee":
+        return "pandar40p"
+    assert data[:2] == b"\xee\xff"
+    kind = data[2], data[3]
+    if kind == (6, 1):
+        return {8: "xt32", 6: "xt32m2x"}[data[7]]
+    if kind == (1, 4):
+        return "ot128" if data[4] >= 128 else "pandar128e3x"
+    return {(3, 1): "qt64", (4, 3): "at128"}[kind]
+
+
+def decode(data: bytes) -> Packet:
+    model = model_of(data)
+    size, lasers, blocks, at, each, unit, hot, mode, rpm, utc, us, factory, sequence, base, period = ROWS[model]
+    signature = 32 * (at == 12 and model in ("ot128", "pandar128e3x") and bool(data[11] & 8))
+    assert len(data) == size + signature
+    assert data[factory] == 0x42
+    if at == 12:
+        assert (data[6], data[7], data[9]) == (lasers, blocks, unit)
+    echoes = {0x37: 1, 0x38: 1, 0x33: 1, 0x39: 2, 0x3B: 2, 0x3C: 2, 0x3D: 3}[data[mode]]
+    if at == 12:
+        assert data[10] == echoes
+    t0 = _date(data[utc : utc + 6], base) + 1e-6 * _u(data, us, 4)
+    head = 4 if model == "pandar40p" else 3 if model == "at128" else 2
+    step = head + lasers * each
+    azimuths, points = [], []
+    for b in range(blocks):
+        begin = at + b * step
+        if model == "pandar40p":
+            assert data[begin : begin + 2] == b"\xff\xee"
+            azimuth = _u(data, begin + 2, 2) / 100
+        else:
+            azimuth = (_u(data, begin, 2) + (data[begin + 2] / 256 if model == "at128" else 0)) / 100
+        azimuths.append(azimuth)
+        later = (blocks - 1 - b) // echoes
+        offset = {
+            "xt32": 5.632e-6 - period * later,
+            "xt32m2x": 5.632e-6 - period * later,
+            "qt64": 25.71e-6 + period * (b // echoes),
+            "pandar128e3x": 3.148e-6 - period * later,
+            "ot128": -period * later,
+            "at128": -9.249e-6 - period * (1 + later),
+            "pandar40p": -28.58e-6 - period * later,
+        }[model]
+        for c in range(lasers):
+            distance, reflectivity = struct.unpack_from("<HB", data, begin + head + c * each)
+            if distance:
+                points.append(Point(b, c, azimuth, distance * unit / 1000, reflectivity, t0 + offset))
+    found = Packet(
+        model,
+        data[mode],
+        echoes,
+        _u(data, rpm, 2),
+        t0,
+        _u(data, sequence, 4),
+        0 if hot is None else data[hot],
+        azimuths,
+        points,
+    )
+    if model in ("ot128", "pandar128e3x"):
+        assert _u(data, 784, 4) == crc(data[12:784])
+        assert _u(data, 801, 4) == crc(data[789:801])
+        assert _u(data, 857, 4) == crc(data[805:857])
+        found.safety, found.state_word, found.operation = data[788:805], _u(data, 814, 2), data[816]
+        found.imu = struct.unpack("<hHHI6h", data[835:857])
+    if model == "at128":
+        assert _u(data, 1042, 4) == crc(data[12:1042])
+        assert _u(data, 1082, 4) == crc(data[1046:1082])
+    return found
+
+
+def csv_angles(text: bytes) -> list[tuple[float, float]]:
+    """Elevation and azimuth offset of a calibration file, as drivers read it."""
+    rows = list(csv.reader(io.StringIO(text.decode("ascii"))))[1:]
+    assert [int(one[0]) for one in rows] == list(range(1, len(rows) + 1))
+    return [(float(one[1]), float(one[2])) for one in rows]
+
+
+def at128_angles(data: bytes) -> tuple[list[float], list[tuple[float, float]]]:
+    """Starts of the fields, elevation and azimuth of the channels."""
+    scale = data[15] * 0.01 / 256
+    starts = [one * scale for one in struct.unpack_from("<3I", data, 16)]
+    azimuth, elevation = struct.unpack_from("<128i", data, 40), struct.unpack_from("<128i", data, 552)
+    return starts, [(e * scale, a * scale) for a, e in zip(azimuth, elevation, strict=True)]
