@@ -58,6 +58,8 @@ def statements(path: Path) -> tuple[tuple[str, tuple[str, ...], int, bool], ...]
     while waiting:
         above, head = waiting.pop()
         for node in ast.iter_child_nodes(above):
+            if isinstance(node, ast.expr):
+                continue  # nothing is imported within one
             late = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
             late = late or (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test))
             if isinstance(node, ast.Import):
