@@ -102,11 +102,12 @@ class DeviceClock:
 
     def ticks(self, at_ns: int, tick_ns: Fraction, bits: int) -> int:
         """The same counted in ticks of `tick_ns`, as wide as the wire has it."""
-        return self.shown_ns(at_ns) * tick_ns.denominator // tick_ns.numerator & ((1 << bits) - 1)
+        return _wrapped(self.shown_ns(at_ns), tick_ns, bits)
 
     def reported(self, at_ns: int, tick_ns: Fraction, bits: int) -> DeviceStamp:
         """The time stamp of a telegram for an instant."""
-        return DeviceStamp(at_ns, self.shown_ns(at_ns), self.ticks(at_ns, tick_ns, bits), float(tick_ns), bits)
+        shown_ns = self.shown_ns(at_ns)
+        return DeviceStamp(at_ns, shown_ns, _wrapped(shown_ns, tick_ns, bits), float(tick_ns), bits)
 
     def powered_on(self, at_ns: int) -> DeviceClock:
         """The device is switched on or restarts: the clock restarts, unless it runs on a battery."""
@@ -148,6 +149,10 @@ class DeviceClock:
             return replace(self, changes=changes)
         done = MOST_CHANGES // 2
         return replace(self, changes=changes[done:], origin=replace(self, changes=changes[:done])._knots[-1])
+
+
+def _wrapped(shown_ns: int, tick_ns: Fraction, bits: int) -> int:
+    return shown_ns * tick_ns.denominator // tick_ns.numerator & ((1 << bits) - 1)
 
 
 def ns_of_ticks(ticks: int, tick_ns: Fraction) -> int:

@@ -1,5 +1,5 @@
-"""What holds for all tests: property tests draw the same cases every time, none has a limit by the clock, and at the
-end of each test every scan of every sensor that it ran is on account."""
+"""What holds for all tests: property tests draw the same cases every time, none has a limit by the clock, arrays
+are compared in one step, and at the end of each test every scan of every sensor that it ran is on account."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from hypothesis import settings
 
 from emulator.instrument.instrument import Instrument
 from emulator.instrument.ledger import faults_of
+from tests import approx
 from tests.draws import cases
 
+approx.install()
 settings.register_profile("lidaremu", deadline=None, derandomize=True, max_examples=cases(100))
 settings.load_profile("lidaremu")
 

@@ -52,7 +52,16 @@ STANDARD_OR = {
 
 NO_ROOMS = {"benchmarks", "docs", "extreme", "hostile", "protocols", "scoreboard", "system"}
 "Folders of tests that belong to no single room of emulator/."
-BESIDE = {"by_loops.py", "conftest.py", "draws.py", "layering.py", "test_layering.py", "test_warnings.py"}
+BESIDE = {
+    "approx.py",
+    "by_loops.py",
+    "conftest.py",
+    "draws.py",
+    "layering.py",
+    "test_approx.py",
+    "test_layering.py",
+    "test_warnings.py",
+}
 
 
 def place_of(path: Path) -> str:

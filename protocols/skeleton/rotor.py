@@ -6,8 +6,9 @@ Belongs here: closed forms of angle and time, numbers of samples. Not: what a de
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import cached_property
 
 import numpy as np
 
@@ -18,6 +19,8 @@ WOBBLES = ((0.7, 1.3), (0.3, 0.37))
 "Share and frequency [Hz] of what the speed of a motor wobbles by; no source has figures, these are ours."
 ROUNDS = 60
 "Of Newton's method; it takes about five."
+KEPT = 8
+"Turns whose first sample is kept: the present one and its neighbours are asked for again and again."
 
 
 @dataclass(frozen=True)
@@ -42,15 +45,22 @@ class Rotor:
     def speed_hz(self, at_ns: int) -> float:
         """Speed at an instant; before `at_ns` that at `at_ns`."""
         t = self._since_s(at_ns)
-        swing = sum(share * math.sin(2.0 * math.pi * hz * t) for share, hz in WOBBLES)
-        return self.hz * (1.0 + self.wobble * swing) + (self.from_hz - self.hz) * math.exp(-t / self.settle_s)
+        swing = 0.0
+        for share, hz in WOBBLES if self.wobble else ():
+            swing += share * math.sin(2.0 * math.pi * hz * t)
+        settled = self.hz * (1.0 + self.wobble * swing)
+        return settled if self.from_hz == self.hz else settled + (self.from_hz - self.hz) * math.exp(-t / self.settle_s)
 
     def turned(self, at_ns: int) -> float:
         """Turns made by an instant; before `at_ns` those at `at_ns`."""
         t = self._since_s(at_ns)
-        swing = sum(share * (1.0 - math.cos(2.0 * math.pi * hz * t)) / (2.0 * math.pi * hz) for share, hz in WOBBLES)
-        settled = self.settle_s * -math.expm1(-t / self.settle_s)
-        return self.turns + self.hz * (t + self.wobble * swing) + (self.from_hz - self.hz) * settled
+        swing = 0.0
+        for share, hz in WOBBLES if self.wobble else ():
+            swing += share * (1.0 - math.cos(2.0 * math.pi * hz * t)) / (2.0 * math.pi * hz)
+        turned = self.turns + self.hz * (t + self.wobble * swing)
+        if self.from_hz == self.hz:
+            return turned
+        return turned + (self.from_hz - self.hz) * (self.settle_s * -math.expm1(-t / self.settle_s))
 
     def turned_at(self, since_s: Floats) -> Floats:
         """The same for times after `at_ns`, any shape."""
@@ -97,13 +107,24 @@ class Turns:
         """Of a turn at the controlled speed."""
         return Fraction(SECOND_NS) / Fraction(self.rotor.hz)
 
-    @property
+    _found: dict[int, int] = field(default_factory=dict, init=False, repr=False, compare=False)
+    "First samples of the turns asked for last."
+
+    @cached_property
     def first(self) -> int:
         """Number of the turn in which the stream begins."""
         return math.floor(self.rotor.turned(self.samples.at(self.since)))
 
     def sample(self, number: int) -> int:
         """Number of the first sample of a turn."""
+        found = self._found.get(number)
+        if found is None:
+            while len(self._found) >= KEPT:
+                self._found.pop(next(iter(self._found)), None)
+            found = self._found[number] = self._first_of(number)
+        return found
+
+    def _first_of(self, number: int) -> int:
         if number <= self.first:
             return self.since
         index = max(self.since, self.samples.first_from(self.rotor.instant_of(number)))

@@ -268,8 +268,9 @@ class SweepSession(TimedSession):
     def _emissions(self, plan: ScanPlan, telegrams: Iterable[Telegram], to: Address | None) -> Iterable[Emission]:
         """The first one carries the sweep, the others (`scans` 0) are further parts."""
         sweep: int | None = plan.sweep
+        slowed = 1 if self._slowed == 1 else self._slowed  # a product of fractions for each packet takes long
         for after_ns, payload, label, reported, link in telegrams:
-            due_ns, where = plan.start_ns + round(after_ns * self._slowed), to if link is None else Address(link, 0)
+            due_ns, where = plan.start_ns + round(after_ns * slowed), to if link is None else Address(link, 0)
             yield Emission(due_ns, payload, where, sweep, None, label, reported, int(sweep is not None))
             sweep = None
 

@@ -111,10 +111,10 @@ def returns(scan: Scan, mode: Mode) -> tuple[Floats, Floats]:
     Where both are one echo, the second is the second strongest, or the same again if there is only one.
     """
     range_m, strength = scan.range_m, scan.intensity
-    strongest, last = _best(range_m, strength, None), _best(range_m, None, None)
     if mode != "dual":
-        chosen = (last if mode == "last" else strongest)[None]
+        chosen = _best(range_m, None if mode == "last" else strength, None)[None]
     else:
+        strongest, last = _best(range_m, strength, None), _best(range_m, None, None)
         second = _best(range_m, strength, strongest)
         second = np.where(np.isnan(range_m[np.arange(len(range_m)), second]), strongest, second)
         chosen = np.stack((last, np.where(strongest == last, second, strongest)))
@@ -126,7 +126,8 @@ def _best(range_m: Floats, strength: Floats | None, without: Words | None) -> Wo
     """Which echo of each beam is the strongest (the last one: no `strength`), or the first where there is none."""
     found, best = np.zeros(len(range_m), np.int64), np.full(len(range_m), -1.0)
     for echo in range(range_m.shape[1]):
-        value = np.full(len(range_m), float(echo)) if strength is None else np.nan_to_num(strength[:, echo])
+        one = np.full(len(range_m), float(echo)) if strength is None else strength[:, echo]
+        value = np.where(np.isnan(one), 0.0, one)
         better = ~np.isnan(range_m[:, echo]) & (value > best)
         if without is not None:
             better &= without != echo
@@ -136,8 +137,8 @@ def _best(range_m: Floats, strength: Floats | None, without: Words | None) -> Wo
 
 def distances(range_m: Floats, unit_mm: int) -> Words:
     """Words of ranges; what the wire cannot say is no return."""
-    words = np.rint(np.nan_to_num(range_m * (1000.0 / unit_mm), nan=0.0))
-    return np.where((words > 0.0) & (words <= 0xFFFF), words, 0.0).astype(np.int64)
+    words = np.rint(range_m * (1000.0 / unit_mm))
+    return np.where((words > 0.0) & (words <= 0xFFFF), words, 0.0).astype(np.int64)  # false for NaN
 
 
 def reflectivities(range_m: Floats, intensity: Floats, white_m2: float) -> Words:
@@ -145,7 +146,8 @@ def reflectivities(range_m: Floats, intensity: Floats, white_m2: float) -> Words
 
     intensity over the threshold; its decrease with the distance is removed, that with air and incidence is not.
     """
-    over_white = np.nan_to_num(intensity * range_m * range_m / white_m2, nan=0.0)
+    light = intensity * range_m * range_m / white_m2
+    over_white = np.where(np.isnan(light), 0.0, light)
     bright = 100.0 + 155.0 * np.log(np.maximum(over_white, 1.0)) / np.log(RETRO)
     words = np.where(over_white <= 1.0, 100.0 * over_white, np.clip(bright, 101.0, 255.0))
     return np.rint(words).astype(np.int64)

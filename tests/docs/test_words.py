@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import click
@@ -57,9 +58,15 @@ ELSEWHERE = {"scoreboard.md"}
 "Pages that a run of tests writes."
 
 
+ANY = re.compile(rf"\b(?:{'|'.join(OURS)})\b")
+"Of a text in small letters: whether it has a home-made word at all; few have."
+
+
 def left(text: str) -> list[str]:
     """Words of ours in a text; what stands in backquotes is a name and stays."""
     plain = re.sub(r"`[^`\n]*`", "", text)
+    if plain.isascii() and not ANY.search(plain.lower()):
+        return []
     return [f"{found[0]!r}; want {want}" for ours, want in OURS.items() for found in _found(ours, plain)]
 
 
@@ -69,26 +76,30 @@ def _found(ours: str, text: str) -> Iterator[re.Match[str]]:
 
 def notes_of(path: Path) -> Iterator[tuple[int, str]]:
     """Line and text of every docstring of a module, and of every string under a field."""
-    for node, inside in nodes(ast.parse(path.read_text(encoding="utf-8")), None):
-        if isinstance(inside, ast.Expr) and isinstance(node, ast.Constant) and isinstance(node.value, str):
-            yield node.lineno, node.value
+    return ((line, text) for line, text, is_note in strings_of(path) if is_note)
 
 
 def texts_of(path: Path, messages_alone: bool) -> Iterator[tuple[int, str]]:
     """Line and text of every string of a module; `messages_alone`: neither docstrings nor single words, as keys are."""
-    for node, inside in nodes(ast.parse(path.read_text(encoding="utf-8")), None):
-        if not isinstance(node, ast.Constant) or not isinstance(node.value, str):
+    for line, text, is_note in strings_of(path):
+        if not messages_alone or (not is_note and " " in text):
+            yield line, text
+
+
+@cache
+def strings_of(path: Path) -> list[tuple[int, str, bool]]:
+    """Line and text of every string of a module, and whether it stands alone, as a docstring does."""
+    found = []
+    below: list[tuple[ast.AST, bool]] = [(ast.parse(path.read_text(encoding="utf-8")), False)]
+    while below:
+        node, alone = below.pop()
+        if isinstance(node, ast.Constant):
+            if isinstance(node.value, str):
+                found.append((node.lineno, node.value, alone))
             continue
-        is_note = isinstance(inside, ast.Expr)
-        if not messages_alone or (not is_note and " " in node.value):
-            yield node.lineno, node.value
-
-
-def nodes(node: ast.AST, inside: ast.AST | None) -> Iterator[tuple[ast.AST, ast.AST | None]]:
-    """Every node with the one that it is in."""
-    yield node, inside
-    for below in ast.iter_child_nodes(node):
-        yield from nodes(below, node)
+        is_statement = isinstance(node, ast.Expr)
+        below += [(one, is_statement) for one in ast.iter_child_nodes(node)]
+    return sorted(found, key=lambda one: one[0])
 
 
 def found_in(folder: str, messages_alone: bool) -> list[str]:

@@ -34,18 +34,20 @@ def refused_scenario(text: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("text", "line"),
+    ("begin", "each", "count", "end", "line"),
     [
-        ("x: [" + "1,1,1,1,1," * 300_000 + "1]", 1),
-        ("x:\n" + "- 1\n" * 900_000, 250_001),
-        ("".join(f"a{n}: 1\r" for n in range(501_000)), 1),
-        ("seed: 1\nx:\n" + ("- " * 31 + "1\n") * 60_000, 15_627),
-        ("x: [" + "[[[[[]]]]]" * 300_000 + "]", 1),
+        ("x: [", "1,1,1,1,1,", 300_000, "1]", 1),
+        ("x:\n", "- 1\n", 900_000, "", 250_001),
+        ("", "a{n}: 1\r", 501_000, "", 1),
+        ("seed: 1\nx:\n", "- " * 31 + "1\n", 60_000, "", 15_627),
+        ("x: [", "[[[[[]]]]]", 300_000, "]", 1),
     ],
 )
 def test_a_scenario_of_nothing_but_values_is_refused_before_it_is_parsed(
-    text: str, line: int, monkeypatch: pytest.MonkeyPatch
+    begin: str, each: str, count: int, end: str, line: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    middle = "".join(each.format(n=n) for n in range(count)) if "{n}" in each else each * count
+    text = begin + middle + end  # made here: texts of megabytes among the parameters are looked at by every worker
     monkeypatch.delattr(yaml_lines, "YAML")
     reported = f"bad.yaml:{line}: more than 500000 commas, brackets, dashes and line ends; want a smaller file"
     assert refused_scenario(text).startswith(reported)
