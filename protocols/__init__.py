@@ -19,6 +19,7 @@ FAMILIES = {
     "can_objects": "protocols.can_objects",
     "scip": "protocols.scip",
     "velodyne": "protocols.velodyne",
+    "ouster": "protocols.ouster",
     "rplidar": "protocols.rplidar",
     "ldrobot": "protocols.ldrobot",
     "ydlidar": "protocols.ydlidar",

@@ -1,6 +1,6 @@
 """Ouster's datagrams: lidar packets of 16 columns in all profiles, and IMU packets, many at once as arrays.
 
-Belongs here: bytes, rounding, and the words for no return. Not: when a column fires and where it looks (models, device).
+Belongs here: bytes, rounding, and the words for no return. Not: when a column fires and where it looks.
 Little-endian. Arrays of P packets, C = 16 P columns, H rows, E returns.
 """
 
@@ -291,9 +291,7 @@ def reflectivities(range_m: Floats, intensity: Floats, white_m2: float) -> Words
 
 
 IMU_LEGACY = struct.Struct("<QQQ6f")
-IMU_RECORD = np.dtype(
-    [("stamp", "<u8"), ("number", "<u2"), ("status", "<u2"), ("force", "<f4", 3), ("rate", "<f4", 3)]
-)
+IMU_RECORD = np.dtype([("stamp", "<u8"), ("number", "<u2"), ("status", "<u2"), ("force", "<f4", 3), ("rate", "<f4", 3)])
 IMU_FIRST, SENTENCE_BYTES = 132, 85
 
 
