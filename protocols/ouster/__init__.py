@@ -1,7 +1,7 @@
 """Ouster's digital lidars: OS0, OS1 and OS2 with 32, 64 or 128 rows, firmware 2.0 to 3.2.
 
 Reading order: `codec` (bytes), `models` (rows and calibration), `config` (parameters), `metadata`, `clocks`, `imu`,
-`device` (states, slices and packets), `api` (HTTP and lines). `settings.read` has the keys of a scenario's `device:` table.
+`device` (states, slices and packets), `api` (HTTP and lines). `settings.read` has the keys of a scenario's `device:`.
 """
 
 from __future__ import annotations

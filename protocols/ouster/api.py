@@ -1,7 +1,7 @@
 """The HTTP interface of an Ouster, and its older command interface of lines on TCP.
 
-Belongs here: the form of requests and replies, what each resource contains. Not: limits of parameters (config), and what
-they do (device). Drivers are ouster-sdk and ouster-ros; what they ask for is in their sources.
+Belongs here: the form of requests and replies, what each resource contains. Not: limits of parameters (config), and
+what they do (device). Drivers are ouster-sdk and ouster-ros; what they ask for is in their sources.
 """
 
 from __future__ import annotations
@@ -454,7 +454,7 @@ _HTTP: Mapping[str, tuple[str, Act | None, str, str, tuple[Firmware, Firmware]]]
     "PUT system/network/ipv4/override": (
         "static address", _override, MANUAL, "stored; the link has the address", ((2, 0), NEWEST)),
     "DELETE system/network/ipv4/override": ("static address", _no_override, MANUAL, "", ((2, 0), NEWEST)),
-    "PUT system/network/speed_override": ("link speed", None, MANUAL, "models of automotive Ethernet", ((2, 0), NEWEST)),
+    "PUT system/network/speed_override": ("link speed", None, MANUAL, "automotive Ethernet", ((2, 0), NEWEST)),
     "GET time": (
         "times", _get(lambda device, now_ns: {name: one(device, now_ns) for name, one in TIMES.items()}), MANUAL, "",
         ((2, 0), NEWEST)),
@@ -492,7 +492,7 @@ COMMANDS: Mapping[bytes, Command] = {
         for code, (name, act, source, note, _) in _HTTP.items()
     },
     **{
-        code.encode(): Command(name, _checked(act), TCP, "TCP, firmware 2.0 to 3.0")
+        code.encode(): Command(name, _checked(act), TCP, "TCP, to 3.0")
         for code, (name, act) in _LINES.items()
     },
     b"GET /packets": Command("lidar packets on this connection", _packets, "ours", "no real device has it"),
