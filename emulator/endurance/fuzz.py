@@ -104,6 +104,7 @@ PARSERS = (
     _session("scip-tcp", "hokuyo-ust-10lx", LinkKind.STREAM, fuzz_sessions.SCIP),
     _session("scip-serial", "hokuyo-urg-04lx", LinkKind.SERIAL, fuzz_sessions.SCIP),
     _session("velodyne", "velodyne-vlp-16", LinkKind.STREAM, fuzz_sessions.VELODYNE),
+    _session("ouster", "ouster-os0-32", LinkKind.STREAM, fuzz_sessions.OUSTER),
     _session("rplidar-serial", "rplidar-a1m8", LinkKind.SERIAL, fuzz_sessions.RPLIDAR),
     _session("rplidar-udp", "rplidar-s2m1", LinkKind.DATAGRAM, fuzz_sessions.RPLIDAR),
     _session("ldrobot", "ldrobot-ld19", LinkKind.SERIAL, fuzz_sessions.LDROBOT),

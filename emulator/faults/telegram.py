@@ -12,6 +12,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from emulator.faults import states
 from emulator.faults.acts import Act, Gear
 from emulator.faults.config import Common
 from emulator.faults.impairments import impair
@@ -447,4 +448,5 @@ KINDS: tuple[Kind, ...] = (
         "They arrive again; the device locks to them again.",
         "no pps",
     ),
+    *states.KINDS,
 )

@@ -44,6 +44,9 @@ BUILT_IN: Mapping[str, Hosts] = {
     "velodyne": Hosts(
         "emulator.hosts.velodyne:VelodyneHost", "emulator.hosts.velodyne:described", "velodyne_street",
         "emulator.hosts.velodyne:velodyne_script"),
+    "ouster": Hosts(
+        "emulator.hosts.ouster:OusterHost", "emulator.hosts.ouster:described", "ouster_street",
+        "emulator.hosts.ouster:ouster_script"),
     "rplidar": Hosts(
         "emulator.hosts.rplidar:RplidarHost", "emulator.hosts.describe:rplidar_reply", "rplidar_room",
         "emulator.hosts.rplidar:rplidar_script"),

@@ -41,7 +41,7 @@ PHOTONS = 15.0
 "Of an echo at the detection threshold; no source."
 NOISE_PHOTONS = 3
 "Where there is no return; recordings have 0 to 8."
-AMBIENT_PHOTONS = 6e-4
+AMBIENT_PHOTONS = 3e-3
 "Reported of those that ambient light sends to the detector in a column: its share of time, filter and efficiency."
 PHOTON_J = 6.62607015e-34 * 299_792_458.0 / 865e-9
 RANGE_RATE = 0.465
