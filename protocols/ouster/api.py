@@ -527,9 +527,8 @@ class OusterSession(OusterDevice):
             self._say(_error(503, "UNAVAILABLE", "the sensor is starting"), "503", host, request.now_ns)
         elif not first <= self.firmware <= last or (b"user/data" in request.code and self.firmware == (3, 0)):
             self._events.drop(request.now_ns, DropReason.UNKNOWN_COMMAND, "not in this firmware", size)
-            unknown = Refused(DropReason.UNKNOWN_COMMAND)
-            if (said := self._refusal(request, unknown)) is not None:
-                self._say(said, "?", host, request.now_ns)
+            unknown = _error(404, "NOT_FOUND", "not in this firmware") if web else b"error: unknown command\n"
+            self._say(unknown, "?", host, request.now_ns)
         else:
             super()._carry_out(request, size, host)
 

@@ -276,7 +276,7 @@ def _sorted(key: Floats, *values: Floats) -> tuple[Floats, Floats]:
 
 def distances(range_m: Floats, offset_m: float, profile: Profile) -> Words:
     """Ranges from the lidar's axis along the beam; what the wire cannot say is no return. [mm]"""
-    words = np.rint(np.nan_to_num((range_m + offset_m) * 1000.0, nan=0.0))
+    words = np.rint(np.nan_to_num((range_m + offset_m) * (1000.0 / profile.unit_mm), nan=0.0)) * profile.unit_mm
     return np.where((words > 0.0) & (words <= profile.longest_mm), words, 0.0).astype(np.int64)
 
 

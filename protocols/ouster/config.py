@@ -46,8 +46,10 @@ def _whole(low: int, high: int) -> Callable[[Any], bool]:
 
 
 def _one_of(*values: Any) -> tuple[Callable[[Any], bool], str]:
-    kinds = {type(one) for one in values}
-    return (lambda value: type(value) in kinds and value in values), " | ".join(map(str, values))
+    kinds = {(type(one), one) for one in values}
+    return (lambda value: isinstance(value, str | int | float) and (type(value), value) in kinds), " | ".join(
+        map(str, values)
+    )
 
 
 def _choice(*values: Any, since: Firmware = (2, 0)) -> Parameter:
