@@ -44,6 +44,7 @@ DEVICES = {
     "lms2xx.md": "sick-lms291-s05",
     "scip.md": "hokuyo-utm-30lx",
     "velodyne.md": "velodyne-vlp-16",
+    "ouster.md": "ouster-os1-128",
     "rplidar.md": "rplidar-a2m8",
     "desk_scanners.md": "ydlidar-g4",
 }
@@ -81,7 +82,8 @@ def test_pieces_of_scenarios_are_accepted(block: Block, tmp_path: Path) -> None:
     if "device" in piece:
         model = DEVICES[block.page.name]
         extra = {"from": ["front"]} if model.startswith("can") else {}
-        usual = {"velodyne": "udp:127.0.0.1:2368"} | dict.fromkeys(("hokuyo", "rplidar", "ydlidar"), "pty:./other")
+        usual = dict.fromkeys(("velodyne", "ouster"), "udp:127.0.0.1:2368")
+        usual |= dict.fromkeys(("hokuyo", "rplidar", "ydlidar"), "pty:./other")
         link = usual.get(model.partition("-")[0], "can:virtual:2")
         piece = {"sensors": [{"id": "other", "model": model, "links": [link], **extra, **piece}]}
     whole = piece if "schema" in piece else laid_over(BASE, piece)
