@@ -14,7 +14,7 @@ from protocols.ouster import config
 from protocols.ouster.config import Firmware, changed
 from protocols.ouster.device import OusterDevice
 from protocols.ouster.metadata import image
-from protocols.session import DropReason, LinkKind
+from protocols.session import Address, DropReason, Emission, LinkKind
 from protocols.skeleton.http import LONGEST, STATUS, HttpRequests, fields_of, page, taken_apart
 from protocols.skeleton.instants import SECOND_NS
 from protocols.skeleton.receiving import Fault
@@ -60,6 +60,9 @@ def reply(found: Any, status: int = 200) -> bytes:
 def _error(status: int, code: str, message: str, parameter: str = "") -> bytes:
     what = {"code": code, "message": message} | ({"param": parameter} if parameter else {})
     return reply({"error": what}, status)
+
+
+STARTING = _error(503, "UNAVAILABLE", "the sensor is starting")
 
 
 # sets of the configuration
@@ -512,6 +515,12 @@ class OusterSession(OusterDevice):
     def _splitter(self, kind: LinkKind | None) -> Requests:
         return Requests(LONGEST)
 
+    def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
+        """Requests come on connections; while the device boots, the web server answers each piece with 503."""
+        super().receive(data, now_ns, address)
+        if not self._running and data.startswith(METHODS) and self._connections.kind(address) is LinkKind.STREAM:
+            self._outbox.send(Emission(now_ns + self.REPLY_NS, STARTING, address, label="503"))
+
     def _parse(self, request: bytes) -> tuple[bytes, bytes]:
         if not request.startswith(METHODS):
             word, _, rest = request.strip().partition(b" ")
@@ -524,7 +533,7 @@ class OusterSession(OusterDevice):
         web = b" " in request.code
         if web and "unavailable" in self.impaired:
             self._events.drop(request.now_ns, DropReason.BUSY, "503", size)
-            self._say(_error(503, "UNAVAILABLE", "the sensor is starting"), "503", host, request.now_ns)
+            self._say(STARTING, "503", host, request.now_ns)
         elif not first <= self.firmware <= last or (b"user/data" in request.code and self.firmware == (3, 0)):
             self._events.drop(request.now_ns, DropReason.UNKNOWN_COMMAND, "not in this firmware", size)
             unknown = _error(404, "NOT_FOUND", "not in this firmware") if web else b"error: unknown command\n"

@@ -30,7 +30,7 @@ sensors:
     model: {model}
     mount: {{at_m: [0, 0, 0]}}
     physics: {{noise: false, rule: axis}}
-    device: {{serial_number: {1001 + index}, boot_s: 0.1, init_s: 0.2, spin_up_s: 0.1, config: {{
+    device: {{serial_number: {1001 + index}, boot_s: 0, init_s: 0.2, spin_up_s: 0.1, config: {{
       lidar_mode: 512x10, azimuth_window: [165000, 195000]}}}}
     links: ["udp:127.0.0.1:{7672 + 10 * index}?listen={host}:0", "udp:127.0.0.1:{7673 + 10 * index}?listen={host}:0",
             "tcp:{host}:80"]

@@ -22,7 +22,8 @@ STATUS = "sensor/metadata/sensor_info"
 
 def test_from_power_on_to_running() -> None:
     rig = Rig({"boot_s": 0.5, "init_s": 1.0, "spin_up_s": 2.0, "warm_up_s": 1.5})
-    assert rig.ask(b"GET / HTTP/1.1\r\n\r\n") == b""
+    assert rig.ask(b"GET / HTTP/1.1\r\n\r\n").startswith(b"HTTP/1.1 503 Service Unavailable\r\n")
+    assert rig.ask(b"get_sensor_info\n", LINE) == b""
     seen = []
     for _ in range(12):
         sent = rig.run(0.5)
