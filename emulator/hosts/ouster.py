@@ -210,6 +210,8 @@ class OusterHost:
             self._first += line.read(min(left_ns / 1e9, ANSWER_S))
             if line.asks and not self._first.startswith(REPLY):
                 break  # it answers at once, or it is none
+            if line.asks and b"\r\n\r\n" in self._first and FIELD not in self._first.partition(b"\r\n\r\n")[0]:
+                break
         if not self._enough(line.asks):
             raise LinkError("no Ouster sends packets there")
         self.title = self._reader.title

@@ -494,10 +494,7 @@ COMMANDS: Mapping[bytes, Command] = {
         code.replace(" ", f" {API.decode()}", 1).encode(): Command(name, act and _checked(act), source, note)
         for code, (name, act, source, note, _) in _HTTP.items()
     },
-    **{
-        code.encode(): Command(name, _checked(act), TCP, "TCP, to 3.0")
-        for code, (name, act) in _LINES.items()
-    },
+    **{code.encode(): Command(name, _checked(act), TCP, "TCP, to 3.0") for code, (name, act) in _LINES.items()},
     b"GET /packets": Command("lidar packets on this connection", _packets, "ours", "no real device has it"),
 }
 SPANS: Mapping[bytes, tuple[Firmware, Firmware]] = {

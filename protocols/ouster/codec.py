@@ -178,6 +178,7 @@ def encode(profile: Profile, head: Head, frames: Words, columns: Columns, turn: 
     cells, shape = packets["columns"], (len(frames), COLUMNS)
     cells["stamp"], cells["number"] = columns.stamp_ns.reshape(shape), columns.number.reshape(shape)
     pixels, grid = cells["pixels"], (len(frames), COLUMNS, rows)
+    names = pixels.dtype.names or ()
     seen = columns.valid[:, None]
     ranges = np.rint(columns.range_mm / profile.unit_mm).astype(np.int64) if profile.unit_mm > 1 else columns.range_mm
     flags = np.broadcast_to(columns.flags, columns.range_mm.shape)
@@ -186,13 +187,13 @@ def encode(profile: Profile, head: Head, frames: Words, columns: Columns, turn: 
         word = ranges[one] | flags[one] << mark if profile.unit_mm == 1 else ranges[one] | (flags[one] & 1) << mark
         pixels[f"range{one}"] = np.where(seen, word, 0).reshape(grid)  # before what shares its bytes
         pixels[f"reflectivity{one}"] = np.where(seen, columns.reflectivity[one], 0).reshape(grid)
-        if f"signal{one}" in pixels.dtype.names:
+        if f"signal{one}" in names:
             pixels[f"signal{one}"] = np.where(seen, columns.signal[one], 0).reshape(grid)
-    if "near_ir8" in pixels.dtype.names:
+    if "near_ir8" in names:
         pixels["near_ir8"] = np.where(seen, np.minimum(columns.near_ir // 16, 255), 0).reshape(grid)
     else:
         pixels["near_ir"] = np.where(seen, columns.near_ir, 0).reshape(grid)
-    if columns.window and "window" in pixels.dtype.names:
+    if columns.window and "window" in names:
         pixels["window"] = np.where(seen, columns.window, 0).reshape(grid)
     if profile.legacy:
         cells["status"] = np.where(columns.valid, 0xFFFFFFFF, 0).reshape(shape)
