@@ -11,6 +11,7 @@ from __future__ import annotations
 import ipaddress
 import socket
 from collections import OrderedDict, deque
+from typing import Any
 
 from emulator.errors import LinkError
 from emulator.transports.intake import STREAM_BURST, STREAM_BYTES_S, Intake
@@ -192,9 +193,11 @@ class UdpSender(Link):
 
     def _send(self, payload: bytes, peer: int | tuple[str, int] | None, due_ns: int, now_ns: int) -> None:
         if isinstance(peer, tuple):
-            place = peer
-        else:
-            place = self._there if peer is None else self._senders.get(peer, self._there)
+            return self._send_to(payload, peer, due_ns, now_ns)
+        place = self._there if peer is None else self._senders.get(peer, self._there)
+        return self._send_to(payload, place, due_ns, now_ns)
+
+    def _send_to(self, payload: bytes, place: Any, due_ns: int, now_ns: int) -> None:
         try:
             self._out.sendto(payload, place)
         except OSError:  # no route, no room, or longer than a datagram can be
