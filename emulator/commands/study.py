@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -48,7 +49,13 @@ def progress(names: list[str]) -> Iterator[str]:
             bar.advance(task)
 
 
-class Speeds(click.ParamType[tuple[float, ...]]):
+if TYPE_CHECKING:
+    SpeedsType = click.ParamType[tuple[float, ...]]
+else:  # click 8.1, which other packages may want, has no such brackets
+    SpeedsType = click.ParamType
+
+
+class Speeds(SpeedsType):
     """Speeds by commas."""
 
     name = "speeds"

@@ -64,11 +64,11 @@ def known_of(found: Mapping[str, Any]) -> Known:
     init_id, serial = int(info.get("initialization_id", 0)), int(info["prod_sn"])
     turned = found["lidar_intrinsics"]["lidar_to_sensor_transform"]
     mark = init_id.to_bytes(3, "little") + (b"" if fusa else serial.to_bytes(5, "little"))
-    angles = [np.radians(np.asarray(beams[f"beam_{name}_angles"], float)) for name in ("altitude", "azimuth")]
-    if angles[0].shape != angles[1].shape or len(angles[0]) not in ROWS:
+    elevation, azimuth = (np.radians(np.asarray(beams[f"beam_{one}_angles"], float)) for one in ("altitude", "azimuth"))
+    if elevation.shape != azimuth.shape or len(elevation) not in ROWS:
         raise ValueError("no angles of 32, 64 or 128 rows")
     return Known(
-        f"Ouster {info['prod_line']}", profile, fusa, int(form["columns_per_frame"]), *angles,
+        f"Ouster {info['prod_line']}", profile, fusa, int(form["columns_per_frame"]), elevation, azimuth,
         float(beams["lidar_origin_to_beam_origin_mm"]) / 1000.0, float(np.arctan2(turned[4], turned[0])),
         b"" if profile.legacy else mark, 1 if fusa else 4,
     )  # fmt: skip
@@ -82,9 +82,10 @@ def guessed(data: bytes) -> Known | None:
         for rows in ROWS:
             if profile.size(rows) == size and not (profile.legacy or profile.fusa):
                 model = MODELS[f"ouster-os1-{rows}"]
-                angles = [np.radians(one) for one in model.angles("U")]
+                elevation, azimuth = (np.radians(one) for one in model.angles("U"))
                 offset_m = model.offset_mm / 1000.0
-                return Known("Ouster, angles of an OS1", profile, False, 1024, *angles, offset_m, np.pi, data[4:12], 4)
+                title, mark = "Ouster, angles of an OS1", data[4:12]
+                return Known(title, profile, False, 1024, elevation, azimuth, offset_m, np.pi, mark, 4)
     return None
 
 

@@ -417,6 +417,10 @@ def _checked(act: Act) -> Act:
     return done
 
 
+def _part(name: str) -> Callable[[Any, int], Any]:
+    return lambda device, _: device.parts()[name]
+
+
 SDK, MANUAL = "ouster-sdk", "maker's manual of the HTTP interface"
 TCP = "ouster-sdk 0.9, TCP manual"
 OLD: tuple[Firmware, Firmware] = ((2, 0), (3, 0))
@@ -475,7 +479,7 @@ _HTTP: Mapping[str, tuple[str, Act | None, str, str, tuple[Firmware, Firmware]]]
     "GET openapi.yaml": ("description of the interface", None, MANUAL, "of firmware 4", ((2, 0), NEWEST)),
 }  # fmt: skip
 _LINES: Mapping[str, tuple[str, Act]] = {
-    **{f"get_{name}": (name, _told(lambda device, _, name=name: device.parts()[name])) for name in OBJECTS},
+    **{f"get_{name}": (name, _told(_part(name))) for name in OBJECTS},
     "get_metadata": ("all of it", _told(lambda device, _: device.parts())),
     "get_config_param": ("configuration", _line(lambda device, _, text: get_parameter(device, text.split()))),
     "get_config_txt": ("configuration", _told(lambda device, _: device.active)),

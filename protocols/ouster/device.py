@@ -223,7 +223,7 @@ class OusterDevice(RequestSession):
 
     def _deliver(self, lidar: bool, host: str, port: int) -> None:
         """The destination of a link is that of the configuration the device comes with."""
-        found = {"udp_port_lidar" if lidar else "udp_port_imu": port}
+        found: dict[str, Any] = {"udp_port_lidar" if lidar else "udp_port_imu": port}
         if lidar:
             found |= {name: host for name in ("udp_dest", "udp_ip") if name in self.factory}
         found = {name: value for name, value in found.items() if name not in self.build.given}
@@ -437,7 +437,7 @@ class OusterDevice(RequestSession):
             grid = np.zeros((len(one), len(piece.number), rows), np.int64)
             grid[:, piece.valid] = one.reshape(len(one), -1, rows)
             grids.append(grid)
-        return codec.Columns(piece.number, stamps, piece.valid & ~lost, *grids[:3], grids[3][0])
+        return codec.Columns(piece.number, stamps, piece.valid & ~lost, grids[0], grids[1], grids[2], grids[3][0])
 
     # phase lock
 
@@ -448,7 +448,7 @@ class OusterDevice(RequestSession):
     def _ahead_ns(self, now_ns: int) -> int:
         """Until column 0 is to pass next, by the phase lock."""
         frame_ns = SECOND_NS // self.mode[1]
-        wanted_ns = self.active["phase_lock_offset"] * frame_ns // config.TURN_MDEG
+        wanted_ns = int(self.active["phase_lock_offset"]) * frame_ns // config.TURN_MDEG
         return (wanted_ns - self.time(now_ns)[0]) % frame_ns
 
     def phase_status(self, now_ns: int) -> str:
