@@ -20,6 +20,7 @@ FAMILIES = {
     "scip": "protocols.scip",
     "velodyne": "protocols.velodyne",
     "hesai": "protocols.hesai",
+    "ouster": "protocols.ouster",
     "rplidar": "protocols.rplidar",
     "ldrobot": "protocols.ldrobot",
     "ydlidar": "protocols.ydlidar",

@@ -63,6 +63,13 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "settings": "settings models tables own",
         "other": "__init__",
     },
+    "ouster": {
+        "codec": "codec framing",
+        "commands": "api metadata alerts",
+        "session": "device clocks imu",
+        "settings": "settings models tables config",
+        "other": "__init__",
+    },
     "hesai": {
         "codec": "codec framing calibration",
         "commands": "commands session",

@@ -54,6 +54,10 @@ class ScanPlan:
     "From scan to scan of the stream; 0: no other follows by itself; None: not known in advance."
     turn: int | None = None
     "Of a slice: the turn since power-on in which it begins; None: the scan is a whole one."
+    origin_m: Floats | None = None
+    "(n, 3) where each beam begins, in the sensor's frame; None: all in its origin. Ranges count from there."
+    wants_ambient: bool = False
+    "`Scan.ambient_w` is reported."
 
     def __len__(self) -> int:
         return len(self.azimuth_rad)
@@ -108,6 +112,8 @@ class Scan:
     actor: Ints
     "(n, k) ground truth: index of the actor hit, -1 none or weather. For recordings and object lists, not for codecs."
     objects: tuple[DetectedObject, ...] = field(default=())
+    ambient_w: Floats | None = None
+    "(n,) background light on the detector, where the plan wants it; None: dark."
 
     @classmethod
     def empty(cls, plan: ScanPlan, echoes: int = 1) -> Scan:

@@ -15,7 +15,7 @@ from fractions import Fraction
 from typing import Any, NamedTuple, Protocol
 
 from protocols.device_clock import DeviceClock, DeviceStamp
-from protocols.scan import Scan, ScanPlan
+from protocols.scan import Floats, Scan, ScanPlan
 
 MAX_EVENTS = 10_000
 "Events that a session keeps for a caller that never takes them; the oldest are discarded first."
@@ -65,6 +65,8 @@ class Emission:
     "Number of bytes to send first, and the earliest instant of the others; serial lines only."
     cuts: bool = False
     "The telegram being sent on the line ends with the byte in transmission at `due_ns`; the payload is empty."
+    place: tuple[str, int] | None = None
+    "Datagrams: sent to this address and port; None: where the link says."
 
 
 class DropReason(Enum):
@@ -192,6 +194,13 @@ class Session(ABC):
 
     def disconnected(self, now_ns: int, address: Address) -> None:
         """A TCP client has disconnected."""
+
+    def placed(self, address: Address, host: str, port: int) -> None:
+        """Before `connected`: where a datagram link sends, or from where a TCP client connects; not by all links."""
+
+    def feel(self, motion: Callable[[int], tuple[Floats, Floats]]) -> None:
+        """For devices with an inertial unit: specific force and rate (3,) in the sensor's frame at an instant.
+        [m/s^2, rad/s]"""
 
     def keep_time(self, true_ns: Callable[[int], int], own_ns: Callable[[int], int]) -> None:
         """It has a quartz of its own from now on: from its instants to the run's, and back; for what it hears of true

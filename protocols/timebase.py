@@ -15,7 +15,7 @@ from typing import Any
 
 from protocols.device_clock import BILLION, SECOND_NS, DeviceClock
 from protocols.quartz import Quartz
-from protocols.scan import Scan, ScanPlan
+from protocols.scan import Floats, Scan, ScanPlan
 from protocols.session import Address, Emission, Event, LinkKind, Session
 
 MOST_PLANS = 64
@@ -62,6 +62,12 @@ class Timebase(Session):
 
     def disconnected(self, now_ns: int, address: Address) -> None:
         self.inner.disconnected(self.quartz.own_ns(now_ns), address)
+
+    def placed(self, address: Address, host: str, port: int) -> None:
+        self.inner.placed(address, host, port)
+
+    def feel(self, motion: Callable[[int], tuple[Floats, Floats]]) -> None:
+        self.inner.feel(lambda own_ns: motion(self.quartz.true_ns(own_ns)))
 
     def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
         self.inner.receive(data, self.quartz.own_ns(now_ns), address)

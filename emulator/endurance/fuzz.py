@@ -107,6 +107,7 @@ PARSERS = (
     _session("hesai-xt32", "hesai-xt32", LinkKind.STREAM, fuzz_sessions.HESAI),
     _session("hesai-ot128", "hesai-ot128", LinkKind.STREAM, fuzz_sessions.HESAI),
     Parser("host-hesai", fuzz_hosts.hesai_reader, lambda: fuzz_hosts.HESAI_SEEDS),
+    _session("ouster", "ouster-os0-32", LinkKind.STREAM, fuzz_sessions.OUSTER),
     _session("rplidar-serial", "rplidar-a1m8", LinkKind.SERIAL, fuzz_sessions.RPLIDAR),
     _session("rplidar-udp", "rplidar-s2m1", LinkKind.DATAGRAM, fuzz_sessions.RPLIDAR),
     _session("ldrobot", "ldrobot-ld19", LinkKind.SERIAL, fuzz_sessions.LDROBOT),

@@ -152,6 +152,21 @@ HESAI = tuple(
         b"\r\n\r\n",
     )
 )  # fmt: skip
+OUSTER = tuple(
+    operations([(6, text.replace(b"|", b"\r\n").replace(b"~", b" /api/v1/"))])
+    for text in (
+        b"GET~sensor/metadata HTTP/1.1||", b"GET~sensor/config?staging=true HTTP/1.1||", b"GET~time HTTP/1.1||",
+        b'POST~sensor/config?reinit=False&persist=False HTTP/1.1|Content-Length: 20||{"udp_dest":"@auto"}',
+        b'POST~sensor/config HTTP/1.1|Content-Length: 24||{"lidar_mode":"4096x5"} ', b"GET~sensor/telemetry HTTP/1.1||",
+        b'POST~sensor/config HTTP/1.1|Content-Length: 32||{"azimuth_window":[270000,90000]}',
+        b"GET /packets HTTP/1.1||",
+        b'POST~sensor/config HTTP/1.1|Content-Length: 30||{"operating_mode":  "STANDBY"}',
+        b"DELETE~user/data HTTP/1.1||", b"DELETE~sensor/config HTTP/1.1||",
+        b'PUT~user/data?policy=keep_on_config_delete HTTP/1.1|Content-Length: 5||"abc"',
+        b"GET~sensor/alerts?cursor=3&mode=summary HTTP/1.1||", b"POST~system/restart HTTP/1.1|Content-Length: 0||",
+        b"get_config_param active udp_dest\n", b"set_config_param udp_port_lidar 7502 \n", b"reinitialize \n",
+    )
+)  # fmt: skip
 COLA_TEXTS = (
     "sMN SetAccessMode 03 F4724744", "sRN LMPscancfg", "sMN mLMPsetscancfg +2500 +1 +2500 -450000 +2250000",
     "sWN LMPoutputRange 1 1388 FFF92230 225510", "sWN LMDscandatacfg 1F 00 3 1 0 01 00 1 1 1 1 +1", "sRN LMDscandata",

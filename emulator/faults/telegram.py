@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
+from emulator.faults import states
 from emulator.faults.acts import Act, Gear
 from emulator.faults.config import Common
-from emulator.faults.impairments import impair
 from emulator.faults.kinds import FROM_HOST, TO_HOST, Keys, Kind, Target
 from emulator.transports.link import Received
 from protocols.framing import Framing
@@ -194,20 +194,6 @@ class AddressKeys(Keys):
     "Instead of the device's own; LMS2xx: one byte, LD: a word."
 
 
-class CodeKeys(Keys):
-    """An error code of Hesai's control channel."""
-
-    code: Annotated[int, Field(ge=1, le=255)] = 6
-    "1 invalid parameter, 3 invalid data, 5 unsupported, 6 FPGA, 7 other."
-
-
-class FileKeys(Keys):
-    """A calibration file that is not served whole."""
-
-    served: Literal["refused", "damaged"] = "refused"
-    "refused: an error code; damaged: without its end, or with a wrong hash."
-
-
 class StaleKeys(Keys):
     """Of an old scan."""
 
@@ -274,21 +260,6 @@ class Refuse(Act):
         self._held.clear()
 
 
-class Refusing(Act):
-    """The device itself refuses, for as long as the fault lasts."""
-
-    def __init__(self, gear: Gear, what: str, degree: float = 1.0) -> None:
-        super().__init__(gear)
-        self._what, self._degree = what, degree
-
-    def begin(self, now_ns: int) -> None:
-        impair(self.gear, now_ns, self._what, self._degree)
-        self.gear.hit(now_ns)
-
-    def end(self, now_ns: int) -> None:
-        impair(self.gear, now_ns, self._what, None)
-
-
 def _has(method: str) -> Callable[[Keys, Common, Target], str | None]:
     """A check: whether the family's framing on the target's links has such a field."""
 
@@ -332,8 +303,9 @@ def _kind(name: str, summary: str, ends: str = NEXT_ONE, **more: object) -> Kind
 def _refusing(name: str, summary: str, ends: str, part: str) -> Kind:
     """A state of the device itself, of families that have that part."""
     return _kind(
-        name, summary, ends, act=lambda keys, gear: Refusing(gear, part), directions=(), lasts="state", needs_part=part
-    )
+        name, summary, ends, act=lambda keys, gear: states.Impairing(gear, part, 1.0), directions=(), lasts="state",
+        needs_part=part,
+    )  # fmt: skip
 
 
 KINDS: tuple[Kind, ...] = (
@@ -461,36 +433,5 @@ KINDS: tuple[Kind, ...] = (
         "They arrive again; the device locks to them again.",
         "no pps",
     ),
-    _refusing(
-        "no_ptp",
-        "The PTP grandmaster is not heard; the device reports it, its clock continues by its own quartz.",
-        "It is heard again; the device locks to it again.",
-        "no ptp",
-    ),
-    _refusing(
-        "overheating",
-        "The device raises its flag of high temperature, and after a minute stops to measure.",
-        "It has cooled, and starts again.",
-        "heat",
-    ),
-    _kind(
-        "ptc_error",
-        "Every command of PTC is answered with an error code and not carried out.",
-        "Commands are carried out.",
-        keys=CodeKeys,
-        act=lambda keys, gear: Refusing(gear, "ptc error", float(keys.code)),
-        directions=(),
-        lasts="state",
-        needs_part="ptc error",
-    ),
-    _kind(
-        "calibration_file",
-        "The calibration file is refused, or ends too early or with a wrong hash.",
-        "The file is served whole.",
-        keys=FileKeys,
-        act=lambda keys, gear: Refusing(gear, "calibration", 1.0 + (keys.served == "damaged")),
-        directions=(),
-        lasts="state",
-        needs_part="calibration",
-    ),
+    *states.KINDS,
 )

@@ -47,6 +47,9 @@ BUILT_IN: Mapping[str, Hosts] = {
     "hesai": Hosts(
         "emulator.hosts.hesai:HesaiHost", "emulator.hosts.hesai:described", "hesai_street",
         "emulator.hosts.hesai:hesai_script"),
+    "ouster": Hosts(
+        "emulator.hosts.ouster:OusterHost", "emulator.hosts.ouster:described", "ouster_street",
+        "emulator.hosts.ouster:ouster_script"),
     "rplidar": Hosts(
         "emulator.hosts.rplidar:RplidarHost", "emulator.hosts.describe:rplidar_reply", "rplidar_room",
         "emulator.hosts.rplidar:rplidar_script"),

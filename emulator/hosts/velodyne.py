@@ -124,6 +124,8 @@ class VelodyneHost:
             self._first += line.read(min(left_ns / 1e9, ANSWER_S))
             if line.asks and not self._first.startswith(b"HTTP/"):
                 break  # it answers at once, or it is none
+            if b"\r\nX-Metadata: " in self._first:
+                raise LinkError("an Ouster sends packets there")
         if MARK not in self._first or (line.asks and not self._first.startswith(b"HTTP/1.1 200")):
             raise LinkError("no Velodyne sends packets there")
         self.title = self._reader.title

@@ -156,6 +156,8 @@ class Instrument:
         """Tell the session of its fixed links and switch the device on."""
         for index, link in enumerate(self.links):
             if link.kind is not LinkKind.STREAM:
+                if (place := link.place) is not None:
+                    self.session.placed(Address(index, 0), *place)
                 self.session.connected(now_ns, Address(index, 0), link.kind)
         self._switched_ns = now_ns
         self.session.power_on(now_ns)
@@ -345,6 +347,8 @@ class Instrument:
             self.owed.heard(now_ns)
         if received.opened:
             self._peers.add(address)
+            if received.host is not None:
+                self.session.placed(address, *received.host)
             self.session.connected(now_ns, address, link.kind)
         if received.lines is not None:
             self.session.modem_lines(*received.lines, now_ns, address)
@@ -505,6 +509,8 @@ class Instrument:
                 self._handed.extend(replace(emission, payload=part) for part in (begin, rest))  # one may be given up
                 link.send(begin, emission.due_ns, peer)
                 link.send(rest, resume_ns, peer, emission.line_speed)
+            elif emission.place is not None:
+                link.send_to(emission.payload, emission.due_ns, emission.place)
             else:
                 link.send(emission.payload, emission.due_ns, peer, emission.line_speed)
             if link.stats.payloads_dropped == refused:

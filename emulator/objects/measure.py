@@ -127,7 +127,7 @@ class ObjectMeasure:
         truth = self._truth(t_s, shares)
         self._memories.append(_Memory(plan.start_ns, self._tracker.snapshot(), looked_ns, sweeps, shares))
         empty = Scan.empty(plan)
-        self._last = ListedScan(plan, empty.range_m, empty.intensity, empty.flags, empty.actor, objects, truth)
+        self._last = ListedScan(plan, empty.range_m, empty.intensity, empty.flags, empty.actor, objects, truth=truth)
         return self._last
 
     def _nothing(self) -> _Memory:

@@ -24,6 +24,7 @@ from emulator.transports.can_link import CanPorts
 from emulator.transports.link import Link
 from emulator.transports.loopback import Loops
 from emulator.transports.schemes import open_link
+from emulator.world.felt import MountMotion
 from protocols import family
 from protocols.can_objects.layout import database_of
 from protocols.errors import DeviceSettingError
@@ -89,6 +90,7 @@ def new_session(scenario: Scenario, index: int) -> Session:
         session = family_of(scenario, index).new_session(sensor.device, load_spec(sensor.model).device)
     except DeviceSettingError as error:
         raise scenario.fault(f"sensors.{index}.device.{error.key}", error.found, error.allowed) from None
+    session.feel(MountMotion(scenario, index).at)
     try:
         return with_clock(session, sensor.clock)
     except DeviceSettingError as error:

@@ -125,14 +125,15 @@ def _filling_w(radiance: float, model: SensorModel) -> float:
 
 
 def daylight(
-    sun: Sun | None, rays: Rays, found: Seen, surfaces: Surfaces, caster: Caster, model: SensorModel
-) -> Daylight:
-    """Background of every beam, from what its first sub-beam looks at."""
+    sun: Sun | None, rays: Rays, found: Seen, surfaces: Surfaces, caster: Caster, model: SensorModel,
+    reported: bool = False,
+) -> Daylight:  # fmt: skip
+    """Background of every beam, from what its first sub-beam looks at; `reported`: however little it is."""
     if sun is None or not _shines(sun, model):
         return NIGHT
-    limit_w = _limit_w(model)
+    limit_w = 0.0 if reported else _limit_w(model)
     power = np.zeros(len(rays.axis))
-    if surfaces_show(sun, model):
+    if reported or surfaces_show(sun, model):
         power += _diffuse_w(sun, found, surfaces, model)
     power += _SunInView(sun, rays, model).power_w(found, caster, limit_w)
     if not bool((power > limit_w).any()):

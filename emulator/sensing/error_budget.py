@@ -150,7 +150,7 @@ def _plane_moments(measure: Measure, plan: ScanPlan) -> Finding:
     view, step_m = measure.view(plan), measure.model.lsb_m
     t_s = 1e-9 * plan.start_ns + plan.fire_offset_s
     with np.errstate(under="ignore"):
-        rays_saved = measure._pruned_by_bundles(plan, measure._pose(t_s), t_s, view.surfaces, view.air)
+        rays_saved = measure._pruned_by_bundles(plan, measure._pose(t_s, plan.origin_m), t_s, view.surfaces, view.air)
     if rays_saved is None or not bool(rays_saved.plain.any()):
         return Finding(False, None, None, "0 beams", idle=True)
     shifts, plain = rays_saved.shifts, int(rays_saved.plain.sum())
@@ -347,7 +347,8 @@ def _bounces(measure: Measure, plan: ScanPlan) -> Finding:
     t_s = 1e-9 * plan.start_ns + plan.fire_offset_s
     with np.errstate(under="ignore"):
         # of the axes alone nothing goes on: beams that are plain see no mirror and no pane
-        rays = view.rays if view.plain is None else cast_rays(measure._bundles.of(plan), measure._pose(t_s), t_s)
+        pose = measure._pose(t_s, plan.origin_m)
+        rays = view.rays if view.plain is None else cast_rays(measure._bundles.of(plan), pose, t_s)
         hits = measure._caster.first_hits(rays.origin_m, rays.direction, rays.t_s)
         best = best_behind(hits, rays, view.surfaces, view.air, model, plan.gain, plan.max_range_m)
     gone = int(np.count_nonzero(best <= bound)) if model.leave_out.second_rays else 0
@@ -480,7 +481,7 @@ def usual_plan(spec: SensorSpec) -> ScanPlan:
 
     if spec.beams is not None:
         return table_plan(spec, 0)
-    if spec.family in ("velodyne", "hesai"):
+    if spec.family in ("velodyne", "ouster", "hesai"):
         return first_plan(spec)
     usual = {
         "ld": (0.125, 360.0, 0.1),
@@ -499,7 +500,9 @@ def usual_plan(spec: SensorSpec) -> ScanPlan:
 
 def first_plan(spec: SensorSpec) -> ScanPlan:
     """The first sweep that a device of this model asks for, with its motor at speed."""
-    session = family(spec.family or "").new_session({"boot_s": 0.0, "spin_up_s": 0.0}, spec.device)
+    session = family(spec.family or "").new_session(
+        {"boot_s": 0.0, "spin_up_s": 0.0} | ({"init_s": 0.0} if spec.family == "ouster" else {}), spec.device
+    )
     session.connected(0, Address(0, 0), LinkKind.DATAGRAM)
     session.power_on(0)
     session.advance(0)

@@ -150,7 +150,9 @@ class Measure:
             self._beside.air, self._beside.shift_m = self.air, shift_m
             return self._beside._look(plan, None)
         view = self._view(plan)
-        return view, daylight(view.air.sun, view.rays, view.seen, view.surfaces, self._caster, self.model)
+        return view, daylight(
+            view.air.sun, view.rays, view.seen, view.surfaces, self._caster, self.model, plan.wants_ambient
+        )
 
     def refuses(self, weather: WeatherConfig) -> str:
         """Why this sensor cannot compute such weather; empty: it can."""
@@ -191,7 +193,7 @@ class Measure:
 
     def _view(self, plan: ScanPlan) -> View:
         t_s = 1e-9 * plan.start_ns + plan.fire_offset_s
-        pose = self._pose(t_s)
+        pose = self._pose(t_s, plan.origin_m)
         air, gain = self.air.at(float(t_s[0])), plan.gain
         if air.volumes and self.model.prune_far:
             place, reach = pose.position_m, reach_of(self.model, plan.max_range_m)
@@ -288,15 +290,17 @@ class Measure:
         material[beams], normal[beams] = hits.material, hits.normal
         return replace(seen, axis_material=material, axis_normal=normal)
 
-    def _pose(self, t_s: Floats) -> Pose:
+    def _pose(self, t_s: Floats, origin_m: Floats | None = None) -> Pose:
+        """Where beams begin at their instants; `origin_m` (n, 3) in the sensor's frame."""
         still = self._still_pose
         if still is None:
             pose = self._scene.sensor_pose(self._mount, t_s)
-            if self.shift_m is None:
-                return pose
-            return Pose(pose.position_m + pose.rotation @ self.shift_m, pose.rotation)
-        n = len(t_s)
-        return Pose(np.broadcast_to(still.position_m, (n, 3)), np.broadcast_to(still.rotation, (n, 3, 3)))
+            if self.shift_m is not None:
+                pose = Pose(pose.position_m + pose.rotation @ self.shift_m, pose.rotation)
+        else:
+            n = len(t_s)
+            pose = Pose(np.broadcast_to(still.position_m, (n, 3)), np.broadcast_to(still.rotation, (n, 3, 3)))
+        return pose if origin_m is None else Pose(pose.to_world(origin_m), pose.rotation)
 
 
 def build(scenario: Scenario, scene: Scene, caster: FacedCaster, sensor_id: str) -> Measure:

@@ -210,4 +210,5 @@ class Receiver:
         if daylight.dazzled is not None:
             flags[daylight.dazzled] |= DAZZLED
         intensity = np.maximum(amplitude / (model.threshold * rms), 1.0)
-        return Scan(plan, range_m, intensity, flags, echoes.source.astype(np.int32))
+        ambient_w = daylight.power_w if plan.wants_ambient else None
+        return Scan(plan, range_m, intensity, flags, echoes.source.astype(np.int32), ambient_w=ambient_w)

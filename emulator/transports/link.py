@@ -30,6 +30,8 @@ class Received:
     "A stream's host has connected."
     closed: bool = False
     "A stream's host has gone."
+    host: tuple[str, int] | None = field(default=None, compare=False)
+    "With `opened`: address and port of the host, where the link knows it."
     lines: tuple[bool, bool] | None = None
     "DTR and RTS of a serial line have changed to this; the device sees them where it has such inputs."
 
@@ -104,6 +106,15 @@ class Link(ABC):
     @abstractmethod
     def send(self, payload: bytes, due_ns: int, peer: int | None = None, line_speed: int | None = None) -> None:
         """Queue a payload for `peer` (None: all). `line_speed`: the speed of the line once it has left."""
+
+    def send_to(self, payload: bytes, due_ns: int, place: tuple[str, int]) -> None:
+        """Queue a datagram for an address and port; links without addresses send it where they always do."""
+        self.send(payload, due_ns)
+
+    @property
+    def place(self) -> tuple[str, int] | None:
+        """Address and port that datagrams are sent to; None: it has none."""
+        return None
 
     def cut(self, now_ns: int) -> None:
         """End what is leaving on a line with the byte that is on its way."""

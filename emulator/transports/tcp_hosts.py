@@ -244,7 +244,7 @@ class Hosts:
         """Take in who waits; what that takes of the intake."""
         for number in range(ACCEPTS_A_CALL):
             try:
-                connection, _address = self._listener.accept()
+                connection, address = self._listener.accept()
             except OSError as error:
                 if error.errno in (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM):
                     self._stats.hosts_refused += 1
@@ -261,7 +261,7 @@ class Hosts:
             host = Host(self._accepted, connection)
             self._hosts[host.number] = self._by_fd[connection.fileno()] = host
             self._epoll.register(connection, host.mask)
-            events.append(Received(host.number, opened=True))
+            events.append(Received(host.number, opened=True, host=(str(address[0]), int(address[1]))))
         return ACCEPTS_A_CALL * ACCEPT_BYTES
 
     def _make_room(self, now_ns: int, events: list[Received]) -> bool:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import ipaddress
 import socket
 from collections import OrderedDict, deque
+from typing import Any
 
 from emulator.errors import LinkError
 from emulator.transports.intake import STREAM_BURST, STREAM_BYTES_S, Intake
@@ -74,7 +75,7 @@ class UdpSender(Link):
         super().__init__()
         self.kind = LinkKind.SERIAL if serial_line else LinkKind.DATAGRAM
         self._line = PacedLine(whole=True) if serial_line else None
-        self._queue: deque[tuple[int, bytes, int | None]] = deque()
+        self._queue: deque[tuple[int, bytes, int | tuple[str, int] | None]] = deque()
         self._queued = 0
         self._intake = Intake(STREAM_BYTES_S, STREAM_BURST)
         self._senders: OrderedDict[int, tuple[str, int]] = OrderedDict()
@@ -163,6 +164,19 @@ class UdpSender(Link):
             self._queue.append((due_ns, payload, peer))
             self._queued += len(payload)
 
+    def send_to(self, payload: bytes, due_ns: int, place: tuple[str, int]) -> None:
+        if not self._open:
+            return
+        if self._line is not None or (self._queued and self._queued + len(payload) > QUEUE_LIMIT):
+            self.stats.payloads_dropped += 1
+        else:
+            self._queue.append((due_ns, payload, place))
+            self._queued += len(payload)
+
+    @property
+    def place(self) -> tuple[str, int]:
+        return str(self._there[0]), int(self._there[1])
+
     def flush(self, now_ns: int) -> int | None:
         if not self._open:
             return None
@@ -179,10 +193,15 @@ class UdpSender(Link):
     def _earliest(self, wake_ns: int | None) -> int | None:
         return min((wake for wake in (wake_ns, self._intake.next_ns()) if wake is not None), default=None)
 
-    def _send(self, payload: bytes, peer: int | None, due_ns: int, now_ns: int) -> None:
+    def _send(self, payload: bytes, peer: int | tuple[str, int] | None, due_ns: int, now_ns: int) -> None:
+        if isinstance(peer, tuple):
+            return self._send_to(payload, peer, due_ns, now_ns)
         place = self._there if peer is None else self._senders.get(peer, self._there)
         if peer is not None and peer >= PORTS:
             place = (str(ipaddress.IPv4Address(peer // PORTS)), peer % PORTS)
+        return self._send_to(payload, place, due_ns, now_ns)
+
+    def _send_to(self, payload: bytes, place: Any, due_ns: int, now_ns: int) -> None:
         try:
             self._out.sendto(payload, place)
         except OSError:  # no route, no room, or longer than a datagram can be

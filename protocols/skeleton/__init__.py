@@ -10,6 +10,8 @@ session     a session of these parts, for families with a schedule of their own
 sweeps      a device that measures one sweep after the other, and its subscribers
 one_way     a device that only sends: datagrams of sweeps, and periodic ones
 requests    a device with a command table
+http        requests and replies of a web interface
+nmea        sentences of a satellite receiver
 rotor       angle of a rotor that turns freely, and the turns that its samples make
 turning     a device with such a rotor: sweeps are turns with as many samples as fall into them
 family      `FAMILY` of a session, its keys and its commands

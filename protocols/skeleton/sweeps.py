@@ -48,6 +48,9 @@ class Sweep:
     wants_intensity: bool = False
     turn: int | None = None
     "Of a slice: the turn in which it begins."
+    origin_m: Floats | None = None
+    "(n, 3) where beams begin; None: in the sensor's origin."
+    wants_ambient: bool = False
 
 
 class Telegram(NamedTuple):
@@ -245,6 +248,8 @@ class SweepSession(TimedSession):
             gain=sweep.gain,
             wants_intensity=sweep.wants_intensity,
             turn=sweep.turn,
+            origin_m=sweep.origin_m,
+            wants_ambient=sweep.wants_ambient,
             stream=self._stream,
             period_ns=round(raster.period_ns),
         )

@@ -18,6 +18,7 @@ from protocols.device_clock import DeviceStamp
 from protocols.scan import Scan
 from protocols.session import Address, DropReason, Emission, LinkKind
 from protocols.skeleton.instants import SECOND_NS, earliest
+from protocols.skeleton.nmea import gprmc
 from protocols.skeleton.outbox import Outgoing
 from protocols.skeleton.requests import RequestSession
 from protocols.skeleton.sweeps import SHARES, Sweep, Telegram
@@ -295,7 +296,7 @@ class VelodyneDevice(RequestSession):
         """$GPRMC of the second; empty without a receiver."""
         if not self.build.nmea:
             return b""
-        return codec.gprmc(self.gps.utc(now_ns) // SECOND_NS * SECOND_NS, *self.build.place_deg)
+        return gprmc(self.gps.utc(now_ns) // SECOND_NS * SECOND_NS, *self.build.place_deg)
 
     def _tell_position(self, now_ns: int) -> None:
         stamp = self.reported(now_ns).ticks

@@ -9,47 +9,22 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
-from urllib.parse import parse_qsl
 
 import numpy as np
 
 from protocols.session import DropReason, LinkKind
-from protocols.skeleton.receiving import Fault, Splitter
+from protocols.skeleton.http import LONGEST, HttpRequests, fields_of, page, taken_apart
+from protocols.skeleton.receiving import Fault
 from protocols.skeleton.requests import Answer, Command, Refused, Request
 from protocols.velodyne.codec import TURN_CDEG
 from protocols.velodyne.device import VelodyneDevice
 from protocols.velodyne.own import reported
 from protocols.velodyne.settings import changed
 
-LONGEST = 8192
-"Of a request, with its body."
 PPS = ("Absent", "Synchronizing", "Locked", "Error")
 RESET_NS = 100_000_000
 VOLT = 4096 / 5.0
 "Counts; the scale of the maker's own page."
-
-
-class HttpRequests(Splitter[bytes]):
-    """Requests with a body of a stated length."""
-
-    def _next(self) -> bytes | Fault | None:
-        held = self._buffer.peek(len(self._buffer)) or b""
-        head, end, _ = held.partition(b"\r\n\r\n")
-        if not end:
-            return None
-        fields = dict(line.lower().partition(b":")[::2] for line in head.split(b"\r\n")[1:])
-        length = fields.get(b"content-length", b"0").strip()
-        if b"transfer-encoding" in fields or not (length.isdigit() and len(length) < 5):
-            return Fault(DropReason.BAD_LENGTH, len(self._buffer.take(len(head) + 4)), "no usable length", whole=True)
-        size = len(head) + 4 + int(length)
-        if size > LONGEST:
-            return Fault(DropReason.OVERLONG, len(self._buffer.take(len(held))), "", whole=True)
-        return self._buffer.take(size) if len(held) >= size else None
-
-
-def page(status: str, body: bytes, kind: str = "text/html") -> bytes:
-    """A reply; drivers want a length and a body."""
-    return f"HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {len(body)}\r\n\r\n".encode() + body
 
 
 def _info(device: VelodyneDevice) -> dict[str, Any]:
@@ -109,7 +84,7 @@ def _snapshot(device: VelodyneDevice, now_ns: int) -> dict[str, Any]:
 def _form(path: str) -> Callable[[VelodyneDevice, Request], bytes | Refused]:
     def act(device: VelodyneDevice, request: Request) -> bytes | Refused:
         try:
-            fields = dict(parse_qsl(request.data.decode("ascii"), keep_blank_values=True, max_num_fields=32))
+            fields = fields_of(request.data)
         except ValueError:
             return Refused(DropReason.BAD_ARGUMENT, "no form")
         found = changed(device.settings, path, fields)
@@ -167,9 +142,8 @@ class VelodyneSession(VelodyneDevice):
         return HttpRequests(LONGEST)
 
     def _parse(self, request: bytes) -> tuple[bytes, bytes]:
-        head, _, body = request.partition(b"\r\n\r\n")
-        method, _, rest = head.partition(b"\r\n")[0].partition(b" ")
-        return method + b" " + rest.partition(b" ")[0].partition(b"?")[0], body
+        code, _, body = taken_apart(request)
+        return code, body
 
     def _reply(self, request: Request, payload: bytes) -> bytes:
         return payload

@@ -45,6 +45,7 @@ DEVICES = {
     "scip.md": "hokuyo-utm-30lx",
     "velodyne.md": "velodyne-vlp-16",
     "hesai.md": "hesai-xt32",
+    "ouster.md": "ouster-os1-128",
     "rplidar.md": "rplidar-a2m8",
     "desk_scanners.md": "ydlidar-g4",
 }
@@ -82,7 +83,7 @@ def test_pieces_of_scenarios_are_accepted(block: Block, tmp_path: Path) -> None:
     if "device" in piece:
         model = DEVICES[block.page.name]
         extra = {"from": ["front"]} if model.startswith("can") else {}
-        usual = dict.fromkeys(("velodyne", "hesai"), "udp:127.0.0.1:2368")
+        usual = dict.fromkeys(("velodyne", "ouster", "hesai"), "udp:127.0.0.1:2368")
         usual |= dict.fromkeys(("hokuyo", "rplidar", "ydlidar"), "pty:./other")
         link = usual.get(model.partition("-")[0], "can:virtual:2")
         piece = {"sensors": [{"id": "other", "model": model, "links": [link], **extra, **piece}]}

@@ -42,7 +42,16 @@ def test_a_busy_device_gives_no_scan_until_the_fault_ends_and_counts_what_it_ref
     made.close()
 
 
-@pytest.mark.parametrize(("do", "who"), [("device_busy", "cola"), ("refuse_login", "cola"), ("ptc_error", "hesai")])
+OUSTER = "http_unavailable", "lost_columns", "shot_limiting", "thermal_shutdown", "calibration_served_wrong", "no_ptp"
+
+
+@pytest.mark.parametrize(
+    ("do", "who"),
+    [
+        ("device_busy", "cola"), ("refuse_login", "cola"), ("ptc_error", "hesai"), ("no_pps", "velodyne"),
+        *((do, "ouster") for do in OUSTER),
+    ],
+)  # fmt: skip
 def test_only_families_that_state_it_have_the_fault(do: str, who: str) -> None:
     assert fits(kinds()[do]) == who
     with pytest.raises(ScenarioError, match=f"want a sensor of {who}"):
@@ -98,4 +107,19 @@ def test_pulses_that_do_not_come_unlock_the_clock_of_a_velodyne_until_the_fault_
         made.run.advance(round(until_s * 1e9))
         states.append(instrument.session.gps.state(made.run.clock.now_ns()))  # type: ignore[attr-defined]
     assert states == [2, 0, 2]
+    made.close()
+
+
+@pytest.mark.parametrize("do", OUSTER)
+def test_an_ouster_is_impaired_until_the_fault_ends(do: str) -> None:
+    made = trial(do, "ouster-os1-32")
+    (instrument,) = made.instruments
+    session = instrument.session
+    made.run.advance(600_000_000)
+    if do == "no_ptp":
+        assert list(instrument.impairments["no ptp"].values()) == [1.0]
+    else:
+        assert next(iter(session.impaired.values())) > 0.0  # type: ignore[attr-defined]
+    made.run.advance(1_400_000_000)
+    assert session.impaired == {}  # type: ignore[attr-defined]
     made.close()

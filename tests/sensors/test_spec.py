@@ -26,6 +26,7 @@ SHIPPED = {
     "hokuyo-ust-10lx", "hokuyo-ust-20lx",
     "velodyne-vlp-16", "velodyne-puck-hi-res", "velodyne-hdl-32e", "velodyne-vlp-32c", "velodyne-vls-128",
     "hesai-xt32", "hesai-xt32m2x", "hesai-qt64", "hesai-pandar40p", "hesai-pandar128e3x", "hesai-ot128", "hesai-at128",
+    *(f"ouster-os{kind}-{rows}" for kind in (0, 1, 2) for rows in (32, 64, 128)),
     "rplidar-a1m8", "rplidar-a2m8", "rplidar-a2m12", "rplidar-a3m1", "rplidar-s1m1", "rplidar-s2m1", "rplidar-s3m1",
     "rplidar-c1m1",
     "ldrobot-ld06", "ldrobot-ld19", "ldrobot-stl-27l",
@@ -69,6 +70,7 @@ def test_sick_numbers_and_the_reference_receiver_follow_the_physics_specificatio
                  "hokuyo-urg": (17.8, 4e-9), "hokuyo-ubg": (17.8, 4e-9), "hokuyo-uhg": (71.2, 4e-9),
                  "velodyne-vlp-32": (5e4, 6e-9), "velodyne-vls": (7.5e4, 6e-9), "velodyne": (1.25e4, 6e-9),
                  "hesai-xt": (64_000.0, 3e-9), "hesai-qt": (4_000.0, 3e-9), "hesai": (400_000.0, 3e-9),
+                 "ouster-os0": (7031.25, 5e-9), "ouster-os1": (36125.0, 5e-9), "ouster-os2": (153125.0, 5e-9),
                  "rplidar-a3": (1000.0, 1e-10), "rplidar-a": (160.0, 1e-10), "rplidar-s1": (1778.0, 4e-9),
                  "rplidar-s2": (1000.0, 4e-9), "rplidar-s3": (2286.0, 4e-9), "rplidar-c1": (360.0, 4e-9),
                  "ldrobot-ld": (100.8, 4e-9), "ldrobot-stl": (437.5, 4e-9), "ydlidar-x4": (80.0, 4e-9),
@@ -83,10 +85,11 @@ def test_sick_numbers_and_the_reference_receiver_follow_the_physics_specificatio
     assert least_w < made.peak_w < 200.0, "peak power of a class 1 laser"
 
 
-def test_a_velodyne_knows_how_bright_white_is() -> None:
+def test_a_velodyne_and_an_ouster_know_how_bright_white_is() -> None:
+    from protocols.ouster.models import MODELS as OUSTERS
     from protocols.velodyne.models import MODELS
 
-    for name, model in MODELS.items():
+    for name, model in (*MODELS.items(), *OUSTERS.items()):
         made = sensor_model(load_spec(name), PhysicsOptions(), "operational")
         assert made.k_m2 / made.threshold == pytest.approx(model.white_m2)
 

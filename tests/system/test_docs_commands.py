@@ -69,6 +69,8 @@ sensors:
        "tcp:127.0.0.1:0"]}
   - {id: corner, model: hesai-xt32, mount: {at_m: [0, 0, 1]}, device: {boot_s: 0, spin_up_s: 0, range_deg: [350, 10]},
      links: ["tcp:127.0.0.1:0"]}
+  - {id: os1, model: ouster-os1-32, mount: {at_m: [0, 0, 1]}, device: {boot_s: 0, init_s: 0, spin_up_s: 0, config: {
+       lidar_mode: 512x10, azimuth_window: [150000, 210000]}}, links: ["tcp:127.0.0.1:0"]}
   - {id: a1, model: rplidar-a1m8, mount: {at_m: [0, 0, 1]}, links: ["pty:./rplidar_a1"]}
   - {id: ld19, model: ldrobot-ld19, mount: {at_m: [0, 0, 1]}, links: ["pty:./ld19"]}
   - {id: x4, model: ydlidar-x4, mount: {at_m: [0, 0, 1]}, links: ["pty:./x4"]}

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from protocols.scan import Scan, ScanPlan
+from protocols.skeleton.nmea import gprmc
 from protocols.velodyne import codec
 from protocols.velodyne.models import MODELS, MODES, Mode, Model
 
@@ -82,9 +83,9 @@ def test_the_worked_position_packet() -> None:
 
 
 def test_a_sentence_has_the_time_the_place_and_its_sum() -> None:
-    text = codec.gprmc(1_453_364_282_000_000_000, 36.829131, -2.407572)
+    text = gprmc(1_453_364_282_000_000_000, 36.829131, -2.407572)
     assert text == b"$GPRMC,081802.00,A,3649.7479,N,00224.4543,W,0.000,0.0,210116,0.0,E,A*26\r\n"
-    assert b"5959.9999" not in codec.gprmc(0, 59.99999999, 0.0)  # carried, no 60.0000 minutes
+    assert b"5959.9999" not in gprmc(0, 59.99999999, 0.0)  # carried, no 60.0000 minutes
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -9,6 +9,7 @@ import pytest
 import velodyne_decoder as stranger
 
 from protocols.scan import Floats
+from protocols.skeleton.nmea import gprmc
 from protocols.velodyne import codec
 from protocols.velodyne.models import MODELS, MODES, Mode, Model
 
@@ -82,7 +83,7 @@ def test_it_finds_every_beam_within_two_millimetres_where_it_was(name: str, mode
 
 
 def test_it_reads_the_position_packet() -> None:
-    sentence = codec.gprmc(1_453_364_282_000_000_000, 36.829131, -2.407572)
+    sentence = gprmc(1_453_364_282_000_000_000, 36.829131, -2.407572)
     said = stranger.TelemetryPacket(codec.encode_position(123_456_789, 2, sentence, 41, 39))
     assert said.usec_since_toh == 123_456_789
     assert said.pps_status.name == "LOCKED"

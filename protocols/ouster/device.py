@@ -1,0 +1,569 @@
+"""An Ouster between requests: its states, slices of its frames, the packets that they leave in, IMU packets.
+
+A slice is a few packets: it is measured as a whole, and its packets leave each at its own instant. Belongs here: what
+fires when, and where packets go. Not: what a request says (api), bytes (codec).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from ipaddress import ip_address
+from typing import Any
+
+import numpy as np
+
+from protocols.device_clock import DeviceStamp
+from protocols.ouster import alerts, codec, config, metadata
+from protocols.ouster.clocks import Sources
+from protocols.ouster.imu import Felt, G, at_rest, measured
+from protocols.ouster.models import Unit
+from protocols.ouster.settings import Build
+from protocols.scan import Floats, Scan
+from protocols.session import Address, DropReason, Emission, LinkKind
+from protocols.skeleton.instants import SECOND_NS, Raster, earliest
+from protocols.skeleton.nmea import gprmc
+from protocols.skeleton.requests import RequestSession
+from protocols.skeleton.sweeps import Sweep, Telegram
+
+SLICE_NS = 5_000_000
+"How long a slice is at least."
+MOST_ECHOES = 4
+"Of a beam, out of which the returns are chosen."
+MOST_KEPT = 1000
+"Slices outside of the azimuth window that are skipped at once."
+IMU_NS = 10_000_000
+"From packet to packet of the LEGACY profile."
+IMU_LATENCY_NS = 2_000_000
+PHOTONS = 15.0
+"Of an echo at the detection threshold; no source."
+NOISE_PHOTONS = 3
+"Where there is no return; recordings have 0 to 8."
+AMBIENT_PHOTONS = 3e-3
+"Reported of those that ambient light sends to the detector in a column: its share of time, filter and efficiency."
+PHOTON_J = 6.62607015e-34 * 299_792_458.0 / 865e-9
+RANGE_RATE = 0.465
+"Half the columns a second: a range 17.5 per cent longer, and so the light by this power of the rate."
+STANDARD_RATE = 10_240
+"Columns a second at which the optics of the spec hold."
+COUNTDOWN_NS = 30 * SECOND_NS
+"Of warnings before laser power is reduced, and before the shutdown."
+PHASE_STEP_NS = 20_000_000
+"By which the phase lock moves a frame in a second, at most."
+PHASE_OFF_NS = 1_000_000
+"Farther off, it is not locked."
+
+
+@dataclass(frozen=True, eq=False)
+class Slice:
+    """What a slice measures."""
+
+    frame: int
+    number: codec.Words
+    "(C,) columns of the frame."
+    valid: codec.Bools
+    "(C,) inside of the azimuth window."
+    sweep: Sweep
+
+
+class OusterDevice(RequestSession):
+    """The device without its requests."""
+
+    clock_tick_ns = Fraction(1)
+    clock_bits = 64
+
+    def __init__(self, unit: Unit, build: Build) -> None:
+        self.unit, self.build, self.firmware = unit, build, build.firmware
+        self.factory = dict(build.config)
+        self.persisted = dict(self.factory)
+        self.active = dict(self.factory)
+        self.staged = dict(self.factory)
+        self.user_data: tuple[str, bool] = ("", False)
+        "Text, and whether it stays when the configuration is deleted."
+        self.override: str | None = None
+        "Static address that a host has set; stored."
+        self.ptp_profile = "default"
+        self.status = "INITIALIZING"
+        self.init_id = 0
+        self.alerts = alerts.Alerts()
+        self.sources = Sources(build.utc_ns, build.ptp, build.ptp_lock_ns, build.pulses, build.sentences)
+        self._links: list[Address] = []
+        "Datagram links: by turns for lidar and for IMU packets."
+        self._links_at: dict[int, tuple[str, int]] = {}
+        "Where they send by themselves, as far as known."
+        self.peers: dict[Address, str] = {}
+        "From where TCP clients connect."
+        self._listeners: list[Address] = []
+        "Where lidar packets go besides: hosts that asked on a connection."
+        self._until_ns: int | None = None
+        "When the present state ends by itself."
+        self._begun = 0
+        "Number of the first slice of the first frame."
+        self._made: dict[tuple[int, int], Slice] = {}
+        self._felt: Felt = at_rest
+        self._samples = 0
+        "Measurements of the IMU since power-on."
+        self._lives = 0
+        self.impaired: dict[str, float] = {}
+        self._hot_ns: dict[str, int] = {}
+        "Since when it warns of what is in `impaired`."
+        super().__init__(build.boot_ns, self._slice_ns)
+
+    # time
+
+    def keep_time(self, true_ns: Callable[[int], int], own_ns: Callable[[int], int]) -> None:
+        """Pulses and PTP are the run's, not those of a quartz of its own."""
+        self.sources.true_ns, self.sources.own_ns = true_ns, own_ns
+
+    def feel(self, motion: Felt) -> None:
+        """What its inertial unit feels."""
+        self._felt = motion
+
+    def time(self, at_ns: int, mode: str | None = None) -> tuple[int, int]:
+        """Time on its clock, and what that shows when the run begins. [ns]"""
+        used, leap = self.active, self.active["nmea_leap_seconds"]
+        nmea = used["multipurpose_io_mode"] == "INPUT_NMEA_UART"
+        return self.sources.shown_ns(mode or used["timestamp_mode"], nmea, leap, self.clock, at_ns)
+
+    def stamp(self, at_ns: int) -> int:
+        """As in packets: in steps of its timer, but for PTP."""
+        shown_ns, mode = self.time(at_ns)[0], self.active["timestamp_mode"]
+        step = 1 if mode == config.PTP else 8 if self.firmware >= (3, 0) else 10
+        return shown_ns // step * step
+
+    def reported(self, at_ns: int) -> DeviceStamp:
+        """The stamp of a packet's first column."""
+        shown_ns, since_ns = self.time(at_ns)
+        return DeviceStamp(at_ns, shown_ns - since_ns, self.stamp(at_ns), 1.0, self.clock_bits)
+
+    # what follows from the configuration
+
+    @property
+    def mode(self) -> tuple[int, int]:
+        """Columns of a frame, frames a second."""
+        return config.MODES[self.active["lidar_mode"]]
+
+    @property
+    def profile(self) -> codec.Profile:
+        """Of lidar packets."""
+        return codec.PROFILES[config.profile_of(self.active)]
+
+    @property
+    def fusa(self) -> bool:
+        """Whether headers are those for functional safety."""
+        return self.profile.fusa or self.active.get("header_type") == "FUSA"
+
+    @property
+    def _column_ns(self) -> Fraction:
+        return Fraction(SECOND_NS, self.mode[0] * self.mode[1])
+
+    @property
+    def _packets(self) -> int:
+        """Of a slice: a power of two, which a frame consists of."""
+        wanted = SLICE_NS / (codec.COLUMNS * self._column_ns)
+        return 1 << max(0, math.ceil(math.log2(wanted)))
+
+    @property
+    def _slice_ns(self) -> Fraction:
+        return self._packets * codec.COLUMNS * self._column_ns
+
+    @property
+    def _per_frame(self) -> int:
+        return self.mode[0] // (self._packets * codec.COLUMNS)
+
+    def parts(self) -> Any:
+        """Metadata, by name."""
+        found = dict(metadata.parts(self.unit, self.build.version, self.init_id, self.status, self.active))
+        if wrong := self.impaired.get("wrong calibration served"):
+            beams = dict(found["beam_intrinsics"])
+            beams["beam_altitude_angles"] = [round(one + wrong, 2) for one in beams["beam_altitude_angles"]]
+            found["beam_intrinsics"] = beams
+        return found
+
+    def head(self, at_ns: int) -> codec.Head:
+        """Of a packet that is sent then."""
+        limits, shuts = (self._left_s(name, at_ns) for name in ("shot limiting", "thermal shutdown"))
+        share = self.impaired.get("shot limiting", 0.0)
+        limiting = 0 if limits is None else 1 if limits else min(9, 2 + int(share * 10.0 + 1e-9))
+        return codec.Head(
+            self.unit.serial, self.init_id, self.firmware, self.fusa, self.alerts.flags, shuts or 0, limits or 0,
+            int(shuts is not None), limiting,
+        )  # fmt: skip
+
+    def _left_s(self, name: str, at_ns: int) -> int | None:
+        """Seconds until something takes effect of which it warns; None: nothing is the matter."""
+        if name not in self._hot_ns:
+            return None
+        return max(0, math.ceil((self._hot_ns[name] + COUNTDOWN_NS - at_ns) / SECOND_NS))
+
+    def _gain(self, at_ns: int) -> float:
+        """Light of an echo, over that at the standard rate of columns."""
+        rate = self.mode[0] * self.mode[1]
+        limited = self._left_s("shot limiting", at_ns) == 0
+        power = 1.0 - self.impaired.get("shot limiting", 0.0) if limited else 1.0
+        return float(self.active.get("signal_multiplier", 1) * (STANDARD_RATE / rate) ** RANGE_RATE * power)
+
+    # power and states
+
+    def placed(self, address: Address, host: str, port: int) -> None:
+        """Where a link sends by itself is the destination until a host says otherwise."""
+        self._links_at[address.link] = host, port
+        self.peers[address] = host
+
+    def connected(self, now_ns: int, address: Address, kind: LinkKind) -> None:
+        """A link is open, or a client has connected."""
+        super().connected(now_ns, address, kind)
+        if kind is LinkKind.DATAGRAM and address not in self._links:
+            self._links.append(address)
+            host, port = self._links_at.get(address.link, ("127.0.0.1", 7501 + len(self._links)))
+            if len(self._links) <= 2:
+                self._deliver(len(self._links) == 1, host, port)
+
+    def _deliver(self, lidar: bool, host: str, port: int) -> None:
+        """The destination of a link is that of the configuration the device comes with."""
+        found: dict[str, Any] = {"udp_port_lidar" if lidar else "udp_port_imu": port}
+        if lidar:
+            found |= {name: host for name in ("udp_dest", "udp_ip") if name in self.factory}
+        found = {name: value for name, value in found.items() if name not in self.build.given}
+        for one in (self.factory, self.persisted, self.active, self.staged):
+            one |= found
+
+    def disconnected(self, now_ns: int, address: Address) -> None:
+        """A client has disconnected."""
+        super().disconnected(now_ns, address)
+        self.peers.pop(address, None)
+        self._listeners = [one for one in self._listeners if one != address]
+
+    def _reset(self, now_ns: int) -> None:
+        self.active, self.staged = dict(self.persisted), dict(self.persisted)
+        self._nominal_ns = self._slice_ns
+        self.alerts, self.sources.on_ns = alerts.Alerts(), now_ns
+        self._listeners, self._until_ns, self._samples = [], None, 0
+        self._made.clear()
+        self._begin(now_ns)
+
+    def _begin(self, now_ns: int) -> None:
+        self._lives += 1
+        # a life's number, spread over 24 bits; 0 means "not checked"
+        self.init_id = 1 + (self.unit.serial + 7_919_113 * self._lives) % ((1 << 24) - 1)
+        self._enter(now_ns, "INITIALIZING")
+
+    def _enter(self, now_ns: int, status: str) -> None:
+        self.status = status
+        self._events.mode(now_ns, status)
+
+    def _start(self, now_ns: int) -> None:
+        self._until_ns = now_ns + self.build.init_ns + self.build.spin_up_ns
+
+    def reinitialise(self, now_ns: int) -> None:
+        """Staged becomes active; streams stop until it is initialised."""
+        motor = any(self.staged.get(name) != self.active.get(name) for name in config.MOTOR)
+        motor |= self.status == "ERROR"
+        self.active = dict(self.staged)
+        self._silence(now_ns)
+        self._hot_ns.pop("thermal shutdown", None)
+        self._begin(now_ns)
+        self._until_ns = now_ns + self.build.init_ns + (self.build.spin_up_ns if motor else 0)
+
+    def _silence(self, now_ns: int) -> None:
+        self._timers.clear()
+        self._withdraw_all(now_ns)
+        self._outbox.withdraw(lambda sent: sent.emissions[0].label in ("imu", "lidar"))
+        self._change(now_ns, self._slice_ns)
+        self._made.clear()
+
+    def _next_instant(self) -> int | None:
+        own = (self._until_ns,) if self._running else ()
+        return earliest((super()._next_instant(), *own))
+
+    def _happen(self, now_ns: int) -> None:
+        if self._running and self._until_ns is not None and self._until_ns <= now_ns:
+            self._until_ns = None
+            self._go_on(now_ns)
+        else:
+            super()._happen(now_ns)
+
+    def _go_on(self, now_ns: int) -> None:
+        """The state that has ended is followed by the next one."""
+        if self.status == "INITIALIZING" and self._lives == 1 and self.build.warm_up_ns:
+            self._enter(now_ns, "WARMUP")
+            self._until_ns = now_ns + self.build.warm_up_ns
+        elif self.active["operating_mode"] == "STANDBY":
+            self._enter(now_ns, "STANDBY")
+        else:
+            self._run(now_ns)
+
+    def _run(self, now_ns: int) -> None:
+        self._enter(now_ns, "RUNNING")
+        zero_ns = now_ns
+        if self.active["phase_lock_enable"] and self.locked(now_ns):
+            zero_ns += self._ahead_ns(now_ns)
+        self._change(now_ns, self._slice_ns)
+        self._begun = self._next
+        self._raster = Raster(zero_ns, self._nominal_ns * self._slowed, self._begun)
+        self._made.clear()
+        for address in (*self._lidar_links(), *self._listeners):
+            self._subscribe(now_ns, address)
+        if self._imu_links():
+            self._begin_imu(zero_ns)
+        self._timers.add(now_ns + SECOND_NS, SECOND_NS, self._each_second)
+
+    def listen(self, now_ns: int, address: Address) -> None:
+        """Send lidar packets on a connection too."""
+        if address not in self._listeners:
+            self._listeners.append(address)
+            if self.status == "RUNNING":
+                self._subscribe(now_ns, address)
+
+    # where packets go
+
+    def _goes(self, lidar: bool) -> tuple[str, int] | None:
+        """Address and port; None: nowhere."""
+        place = self.active["udp_dest"]
+        place = "127.0.0.1" if place == "localhost" else place
+        port = self.active["udp_port_lidar" if lidar else "udp_port_imu"]
+        try:
+            ip_address(place.partition("%")[0])
+        except ValueError:
+            if place:
+                self.alerts.set(alerts.NO_NAME, True, self.sources.utc(self._now_ns), place)
+            return None
+        self.alerts.set(alerts.NO_NAME, False, self.sources.utc(self._now_ns))
+        return (place, port) if port else None
+
+    def _lidar_links(self) -> list[Address]:
+        return self._links[::2] if self._goes(True) else []
+
+    def _imu_links(self) -> list[Address]:
+        if self.active.get("udp_profile_imu") == config.OFF or not self._goes(False):
+            return []
+        return self._links[1::2] or self._links[:1]
+
+    def _place(self, address: Address, lidar: bool) -> tuple[str, int] | None:
+        """Where a link sends; None: as it does by itself. Further pairs of links keep their own places."""
+        goes = self._goes(lidar)
+        if address not in self._links[:2] or goes == self._links_at.get(address.link):
+            return None
+        return goes
+
+    # slices
+
+    def _slice(self, number: int) -> Slice:
+        key = self._stream, number
+        if (made := self._made.get(key)) is None:
+            while len(self._made) > 1:
+                self._made.pop(next(iter(self._made)))
+            made = self._made[key] = self._make(number)
+        return made
+
+    def _make(self, number: int) -> Slice:
+        columns = self._packets * codec.COLUMNS
+        frame, part = divmod(number - self._begun, self._per_frame)
+        numbers = part * columns + np.arange(columns)
+        valid = config.columns_in(self.active)[numbers]
+        turn = self.active.get("lidar_frame_azimuth_offset", 0) / config.TURN_MDEG + 0.5
+        encoder = 2.0 * np.pi * (turn + 1.0 - numbers[valid] / self.mode[0])
+        azimuth, elevation, origin = self.unit.directions(encoder)
+        fires_s = 1e-9 * float(self._column_ns) * np.flatnonzero(valid)
+        sweep = Sweep(
+            azimuth,
+            elevation,
+            np.repeat(fires_s, self.unit.rows),
+            1e-9 * float(self._slice_ns),
+            max_range_m=self.profile.longest_mm / 1000.0 - self.unit.origin_m,
+            max_echoes=MOST_ECHOES,
+            gain=self._gain(self._raster.at(number)),
+            wants_intensity=True,
+            turn=frame,
+            origin_m=origin,
+            wants_ambient=True,
+        )
+        return Slice(frame, numbers, valid, sweep)
+
+    def _sweep(self, number: int) -> Sweep:
+        return self._slice(number).sweep
+
+    def _passed_over(self, number: int) -> int:
+        passed = 0
+        while passed < MOST_KEPT and not self._slice(number + passed).valid.any():
+            passed += 1
+        return passed
+
+    def _telegrams(self, scan: Scan) -> Iterator[Telegram]:
+        piece, start_ns = self._slice(scan.plan.sweep), scan.plan.start_ns
+        packets, profile = self._packets, self.profile
+        lost = self._lost(piece)
+        first = [start_ns + round(self._slowed * self._column_ns * at) for at in range(packets * codec.COLUMNS)]
+        columns = self._columns(scan, piece, np.array([self.stamp(at) for at in first]), lost)
+        frames = np.full(packets, piece.frame % (1 << 32 if self.fusa else 1 << 16))
+        made = codec.encode(profile, self.head(start_ns), frames, columns, self.mode[0])
+        packet_ns = self._column_ns * codec.COLUMNS
+        for at in np.flatnonzero(piece.valid.reshape(packets, -1).any(axis=1)).tolist():
+            after_ns = round((at + 1) * packet_ns) + self.build.latency_ns
+            yield Telegram(after_ns, made[at], "lidar", self.reported(first[at * codec.COLUMNS]))
+
+    def _emissions(self, plan: Any, telegrams: Any, to: Address | None) -> Iterator[Emission]:
+        place = None if to is None or to in self._listeners else self._place(to, True)
+        for one in super()._emissions(plan, telegrams, to):
+            yield one if place is None else replace(one, place=place)
+
+    def _lost(self, piece: Slice) -> codec.Bools:
+        """(C,) columns that a fault loses: of each frame others."""
+        share = self.impaired.get("lost columns", 0.0)
+        if not share:
+            return np.zeros(len(piece.number), bool)
+        spread = (piece.number * 2_654_435_761 + piece.frame * 40_503 + self.unit.serial) % (1 << 32)
+        return np.asarray((spread * 2_246_822_519 >> 7) % 10_007 < share * 10_007)
+
+    def _columns(self, scan: Scan, piece: Slice, stamps: codec.Words, lost: codec.Bools) -> codec.Columns:
+        used, profile, rows = self.active, self.profile, self.unit.rows
+        near_m = 0.01 * used.get("min_range_threshold_cm", 50)
+        order = used.get("return_order", "STRONGEST_TO_WEAKEST")
+        range_m, strength = codec.returns(scan, profile.returns, order, near_m)
+        bright = codec.reflectivities(range_m, strength / scan.plan.gain, self.unit.model.white_m2)
+        photons = np.rint(np.nan_to_num(strength * PHOTONS, nan=0.0 if profile.legacy else NOISE_PHOTONS))
+        ambient = np.zeros(len(scan.range_m)) if scan.ambient_w is None else scan.ambient_w
+        near_ir = np.rint(ambient * 1e-9 * float(self._column_ns) * AMBIENT_PHOTONS / PHOTON_J)
+        words = (
+            codec.distances(range_m, self.unit.origin_m, profile),
+            bright,
+            np.minimum(photons, 0xFFFF).astype(np.int64),
+            np.minimum(near_ir, 0xFFFF).astype(np.int64)[None],
+        )
+        grids = []
+        for one in words:
+            grid = np.zeros((len(one), len(piece.number), rows), np.int64)
+            grid[:, piece.valid] = one.reshape(len(one), -1, rows)
+            grids.append(grid)
+        return codec.Columns(piece.number, stamps, piece.valid & ~lost, grids[0], grids[1], grids[2], grids[3][0])
+
+    # phase lock
+
+    def locked(self, now_ns: int) -> bool:
+        """Whether its time comes from outside, which the phase lock needs."""
+        return self.sources.locked(self.active["timestamp_mode"], now_ns)
+
+    def _ahead_ns(self, now_ns: int) -> int:
+        """Until column 0 is to pass next, by the phase lock."""
+        frame_ns = SECOND_NS // self.mode[1]
+        wanted_ns = int(self.active["phase_lock_offset"]) * frame_ns // config.TURN_MDEG
+        return (wanted_ns - self.time(now_ns)[0]) % frame_ns
+
+    def phase_status(self, now_ns: int) -> str:
+        """As telemetry has it."""
+        if not self.active["phase_lock_enable"]:
+            return "DISABLED"
+        return "LOCKED" if self.locked(now_ns) and abs(self._off_ns()) <= PHASE_OFF_NS else "LOST"
+
+    def _off_ns(self) -> int:
+        """How late the next frame's column 0 is wanted."""
+        whole = -(-(self._next + 1 - self._begun) // self._per_frame)
+        begins_ns = self._raster.at(self._begun + whole * self._per_frame)
+        frame_ns = SECOND_NS // self.mode[1]
+        return (self._ahead_ns(begins_ns) + frame_ns // 2) % frame_ns - frame_ns // 2
+
+    def _each_second(self, now_ns: int) -> None:
+        """The phase lock corrects the frames not measured yet; what the device warns of takes effect."""
+        for name in tuple(self._hot_ns):
+            if self._left_s(name, now_ns) == 0:
+                self._too_hot(now_ns, name)
+        if self.status != "RUNNING" or not self.active["phase_lock_enable"]:
+            return
+        lost = self.phase_status(now_ns) == "LOST"
+        self.alerts.set(alerts.PHASE, lost, self.sources.utc(now_ns))
+        if self.locked(now_ns) and (off_ns := self._off_ns()):
+            number = self._next + 1
+            shift_ns = min(max(off_ns, -PHASE_STEP_NS), PHASE_STEP_NS)
+            at_ns = self._raster.at(number) + shift_ns
+            if at_ns > now_ns:
+                self._raster = Raster(at_ns, self._raster.period_ns, number)
+
+    # faults
+
+    def impair(self, now_ns: int, what: str, degree: float) -> bool:
+        """Besides the motor's speed: see `Wire.impaired` of the family."""
+        self.advance(now_ns)
+        if what == "no ptp":
+            self.sources.lose_ptp(now_ns, self.clock, degree > 0.0)
+            return True
+        if what not in ("unavailable", "shot limiting", "thermal shutdown", "lost columns", "wrong calibration served"):
+            return super().impair(now_ns, what, degree)
+        if degree:
+            self.impaired[what] = degree
+        else:
+            self.impaired.pop(what, None)
+        if what in ("shot limiting", "thermal shutdown"):
+            number = alerts.HOT if what == "shot limiting" else alerts.TOO_HOT
+            self.alerts.set(number, degree > 0.0, self.sources.utc(now_ns))
+            if degree:
+                self._hot_ns.setdefault(what, now_ns)
+            else:
+                self._hot_ns.pop(what, None)
+                self._made.clear()
+        return True
+
+    def _too_hot(self, now_ns: int, name: str) -> None:
+        if name == "shot limiting":
+            self._made.clear()
+        elif self.status == "RUNNING":
+            self._silence(now_ns)
+            self._enter(now_ns, "ERROR")
+
+    # inertial unit
+
+    def _begin_imu(self, from_ns: int) -> None:
+        if self.active.get("udp_profile_imu", config.IMU_LEGACY) == config.IMU_LEGACY:
+            self._timers.add(from_ns, IMU_NS, self._tell_imu)
+            return
+        period_ns = SECOND_NS // (self.mode[1] * self.active["imu_packets_per_frame"])
+        self._timers.add(from_ns + period_ns, period_ns, lambda at_ns: self._tell_imus(at_ns, from_ns, period_ns))
+
+    def _measure_imu(self, at_ns: int, rate_hz: float) -> Floats:
+        self._samples += 1
+        ranges = self.active.get("accel_fsr", "NORMAL"), self.active.get("gyro_fsr", "NORMAL")
+        return measured(self._felt(at_ns), self.build.errors, self._samples, rate_hz, ranges)
+
+    def _tell_imu(self, now_ns: int) -> None:
+        values = self._measure_imu(now_ns, 100.0)
+        gyro_ns = now_ns + 214_400 + (222_400 if self.firmware < (3, 0) else 215_000)
+        stamps = self.clock.shown_ns(now_ns), self.stamp(now_ns + 214_400), self.stamp(gyro_ns)
+        self._send_imu(now_ns, codec.IMU_LEGACY.pack(*stamps, *values.tolist()))
+
+    def _tell_imus(self, now_ns: int, from_ns: int, period_ns: int) -> None:
+        """A packet of measurements up to now; the last one at the last column of its part of the frame."""
+        count, (columns, fps) = metadata.imu_records(self.active), self.mode
+        records = np.zeros(count, codec.IMU_RECORD)
+        packet = (now_ns - from_ns) // period_ns - 1
+        frame, part = divmod(packet, self.active["imu_packets_per_frame"])
+        step_ns = SECOND_NS // config.RATE_HZ
+        for at in range(count):
+            taken_ns = now_ns - (count - 1 - at) * step_ns
+            values = self._measure_imu(taken_ns, config.RATE_HZ)
+            number = columns * (part * count + at + 1) // (config.RATE_HZ // fps) - 1
+            records[at] = (self.stamp(taken_ns), number, 1, values[:3] * G, np.radians(values[3:]))
+        nmea_ns, sentence = 0, b""
+        if self.build.sentences and self.active["multipurpose_io_mode"] == "INPUT_NMEA_UART":
+            nmea_ns, sentence = self.time(now_ns)[0] // SECOND_NS * SECOND_NS, self.sentence(now_ns)
+        data = codec.encode_imu(self.head(now_ns), frame, nmea_ns, sentence, records)
+        self._send_imu(now_ns, data)
+
+    def sentence(self, now_ns: int) -> bytes:
+        """$GPRMC of the second, without its line end; empty without a receiver."""
+        if not self.build.sentences:
+            return b""
+        return gprmc(self.sources.utc(now_ns) // SECOND_NS * SECOND_NS, *self.build.place_deg).strip()
+
+    def _send_imu(self, now_ns: int, data: bytes) -> None:
+        for address in self._imu_links():
+            due_ns = now_ns + IMU_LATENCY_NS
+            self._outbox.send(Emission(due_ns, data, address, label="imu", place=self._place(address, False)))
+
+    def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
+        """Requests come on connections; datagrams are ignored. Never raises."""
+        if data and self._connections.kind(address) is LinkKind.DATAGRAM:
+            self.advance(now_ns)
+            self._events.drop(now_ns, DropReason.UNKNOWN_COMMAND, "it takes no datagrams", len(data))
+            return
+        super().receive(data, now_ns, address)

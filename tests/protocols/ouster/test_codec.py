@@ -1,0 +1,148 @@
+"""Packets of Ouster byte by byte. Lengths and digests of worked packets: decoded by ouster-sdk to these values."""
+
+from __future__ import annotations
+
+from hashlib import sha256
+
+import numpy as np
+import pytest
+
+from protocols import checksums
+from protocols.ouster import codec
+from protocols.ouster.codec import PROFILES, Columns, Head
+from protocols.scan import Scan, ScanPlan
+
+SERIAL, INIT_ID = 122322000614, 0x05F3BC
+WORKED = [
+    ("LEGACY", 6464, "4d824a8462a4bccf682be19b5c90509b5f284ad589187c465b0c122aaa803b1a"),
+    ("RNG19_RFL8_SIG16_NIR16", 6400, "e10f0aa099a7d2380a3d77e69426eb509a4e05e6be33cf752a404fa67c4b0a45"),
+    ("RNG19_RFL8_SIG16_NIR16_DUAL", 8448, "c007c57130ddd1ed82d11c8822b6357c26d98fe3bbe46952deba019c94066853"),
+    ("RNG15_RFL8_NIR8", 2304, "1e174a18ccca8e1b3cb4c8a97e8565245c98c9186de7d2449bb69b39c4bf65a0"),
+    ("RNG15_RFL8_NIR8_DUAL", 4352, "9f0c855563c3d9e049ef77cd3bc23c5522366ada968cc45d6c243b71f60fb2aa"),
+    ("FUSA_RNG15_RFL8_NIR8_DUAL", 4352, "8e88bca591b044223a6f07209fc0fcb44fb012b9467e077d4ca1a8467430781d"),
+]
+
+
+def worked() -> Columns:
+    m, r = np.arange(16)[:, None], np.arange(32)
+    first = 1000 + 16 * r + 8 * m
+    shape = (2, 16, 32)
+    return Columns(
+        np.arange(16),
+        1_000_000_000 + 97_656 * np.arange(16),
+        np.full(16, True),
+        np.stack((first, first + 2000)),
+        np.stack((r + m, r + m + 100)),
+        np.stack(np.broadcast_arrays(100 + r + 0 * m, 50 + r + 0 * m)).reshape(shape),
+        np.broadcast_to(160 + 16 * m, (16, 32)),
+    )
+
+
+@pytest.mark.parametrize(("name", "size", "digest"), WORKED)
+def test_the_worked_packets(name: str, size: int, digest: str) -> None:
+    profile = PROFILES[name]
+    head = Head(SERIAL, INIT_ID, (3, 1), profile.fusa)
+    (data,) = codec.encode(profile, head, np.array([7]), worked(), 1024)
+    assert (len(data), profile.size(32)) == (size, size)
+    assert sha256(data).hexdigest() == digest
+
+
+def test_the_worked_imu_packets() -> None:
+    values = (0.01, -0.02, 1.0, 0.1, -0.2, 0.3)
+    data = codec.IMU_LEGACY.pack(10**9, 10**9 + 214_400, 10**9 + 436_800, *values)
+    assert sha256(data).hexdigest() == "9da39d67456b9ee0ac44e743ab1954b53e23d70aa0366765908276e37035abb7"
+    records = np.zeros(8, codec.IMU_RECORD)
+    k = np.arange(8)
+    records["stamp"], records["number"], records["status"] = 10**9 + 1_562_500 * k, 16 * (k + 1) - 1, 1
+    records["force"], records["rate"] = (0.5, -0.25, 9.75), (0.125, -0.0625, 0.03125)
+    sentence = b"$GPRMC,123519,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W*6A"
+    data = codec.encode_imu(Head(SERIAL, INIT_ID), 7, 999_000_000, sentence, records)
+    assert (len(data), sha256(data).hexdigest()) == (
+        452, "646319cc8d101057e92d192409d8ea819329b083b209696a69da32be92dd9f45",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_what_is_encoded_is_decoded(name: str) -> None:
+    profile, columns = PROFILES[name], worked()
+    columns.valid[3] = False
+    (data,) = codec.encode(profile, Head(SERIAL, INIT_ID, (3, 1), profile.fusa), np.array([7]), columns, 1024)
+    said = codec.decode(profile, 32, data)
+    assert said.frame.tolist() == [7]
+    np.testing.assert_array_equal(said.columns.number, columns.number)
+    np.testing.assert_array_equal(said.columns.valid, columns.valid)
+    for e in range(profile.returns):
+        truth = np.where(columns.valid[:, None], columns.range_mm[e], 0)
+        np.testing.assert_array_equal(said.columns.range_mm[e], np.rint(truth / profile.unit_mm) * profile.unit_mm)
+        assert not said.columns.range_mm[e, 3].any()
+        assert not said.columns.reflectivity[e, 3].any()
+    assert not said.columns.near_ir[3].any()
+    if not profile.legacy:
+        assert (said.serial, said.init_id) == (SERIAL, INIT_ID)
+
+
+@pytest.mark.parametrize(
+    ("firmware", "end"),
+    [((2, 2), bytes(8)), ((2, 3), codec.PLACEHOLDER), ((3, 0), codec.PLACEHOLDER)],
+)
+def test_older_firmware_has_no_checksum(firmware: tuple[int, int], end: bytes) -> None:
+    profile = PROFILES["RNG15_RFL8_NIR8"]
+    (data,) = codec.encode(profile, Head(SERIAL, INIT_ID, firmware), np.array([7]), worked(), 1024)
+    assert data[-8:] == end
+    assert data[-32:-8] == bytes(24)
+
+
+def test_headers_of_warnings() -> None:
+    head = Head(SERIAL, INIT_ID, (3, 1), alert_flags=0x90, shutdown_s=30, limiting_s=12, shutdown=1, limiting=5)
+    assert head.header(1, 65_536 + 3)[:4] == bytes((1, 0, 3, 0))
+    assert head.header(1, 3)[12:20] == bytes((0x90, 0, 0, 0, 30, 12, 1, 5))
+    assert Head(SERIAL, INIT_ID, (2, 4), alert_flags=0x90, limiting=5).header(1, 3)[12:] == bytes(20)
+    safe = Head(SERIAL, INIT_ID, (3, 2), fusa=True, alert_flags=0x8C, limiting=5).header(1, 65_536 + 3)
+    assert safe[:9] == bytes((1, 0xBC, 0xF3, 0x05, 3, 0, 1, 0, 0x8C))
+    assert (safe[11:16], safe[19]) == (SERIAL.to_bytes(5, "little"), 5)
+
+
+def test_the_checksum_without_the_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert checksums.crc64_xz(b"123456789") == 0x995DC9BBDF1939FA
+    monkeypatch.setattr(checksums, "calculate_crc64", None)
+    assert checksums.crc64_xz(b"123456789") == 0x995DC9BBDF1939FA
+
+
+def scan_of(range_m: list[float], intensity: list[float]) -> Scan:
+    angles = np.zeros(1)
+    scan = Scan.empty(ScanPlan(0, 0, 0, angles, angles, angles), len(range_m))
+    scan.range_m[0], scan.intensity[0] = range_m, intensity
+    return scan
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("order", "count", "said"),
+    [
+        ("STRONGEST_TO_WEAKEST", 1, [20.0]),
+        ("NEAREST_TO_FARTHEST", 1, [5.0]),
+        ("FARTHEST_TO_NEAREST", 1, [30.0]),
+        ("STRONGEST_TO_WEAKEST", 2, [20.0, 30.0]),
+        ("NEAREST_TO_FARTHEST", 2, [20.0, 30.0]),
+        ("FARTHEST_TO_NEAREST", 2, [30.0, 20.0]),
+    ],
+)
+def test_which_returns_are_reported_in_which_order(order: str, count: int, said: list[float]) -> None:
+    scan = scan_of([5.0, 20.0, 30.0, NAN], [2.0, 9.0, 5.0, NAN])
+    ranges, strengths = codec.returns(scan, count, order, 0.0)
+    assert ranges[:, 0].tolist() == said
+    assert strengths[0, 0] == {5.0: 2.0, 20.0: 9.0, 30.0: 5.0}[said[0]]
+    near, _ = codec.returns(scan, 2, order, 25.0)
+    assert near[0, 0] == 30.0
+    assert np.isnan(near[1, 0])
+
+
+def test_what_a_range_is_on_the_wire() -> None:
+    wide, low = PROFILES["RNG19_RFL8_SIG16_NIR16"], PROFILES["RNG15_RFL8_NIR8"]
+    ranges = np.array([9.9728, NAN, 524.25, 524.3, 262.13])
+    assert codec.distances(ranges, 0.0276, wide).tolist() == [10_000, 0, 524_278, 0, 262_158]
+    assert codec.distances(ranges, 0.0, low).tolist()[2:] == [0, 0, 262_128]
+    plate = codec.reflectivities(np.array([10.0, 10.0, 10.0, NAN]), np.array([180.6, 36.1, 361e3, NAN]), 36_125.0)
+    assert plate.tolist() == [50, 10, 255, 0]
