@@ -1,11 +1,9 @@
-"""A device of any family on a line in memory, with hosts of their own speed: they hear each other bit by bit."""
+"""A device of any family on a link in memory. On a line hosts have a speed of their own: both ends hear bit by bit."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from typing import Any
-
-import numpy as np
 
 from emulator.transports.loopback import LoopHost, LoopLink
 from protocols import family
@@ -28,11 +26,17 @@ class LineRig:
     """One session on one line, switched on at 0."""
 
     def __init__(
-        self, name: str, model: str, device: Mapping[str, Any] | None = None, world: Callable[[ScanPlan], Scan] = wall
+        self,
+        name: str,
+        model: str,
+        device: Mapping[str, Any] | None = None,
+        world: Callable[[ScanPlan], Scan] = wall,
+        serial: bool = True,
     ) -> None:
         self.session: Any = family(name).new_session(device or {}, {"model": model})
-        self.link, self.world, self.now_ns = LoopLink("line"), world, 0
-        self.session.connected(0, LINE, self.link.kind)
+        self.link, self.world, self.now_ns, self.serial = LoopLink("line", serial), world, 0, serial
+        if serial:
+            self.session.connected(0, LINE, self.link.kind)
         self.session.power_on(0)
 
     def host(self, baud: int | None = None) -> LoopHost:
@@ -42,14 +46,20 @@ class LineRig:
     def _step(self) -> None:
         session, link, now_ns = self.session, self.link, self.now_ns
         for received in link.receive(now_ns):
-            session.receive(received.data, now_ns, LINE)
+            address = Address(0, received.peer)
+            if received.opened:
+                session.connected(now_ns, address, link.kind)
+            session.receive(received.data, now_ns, address)
             if received.foreign is not None:
-                session.other_speed(*received.foreign, now_ns, LINE)
+                session.other_speed(*received.foreign, now_ns, address)
+            if received.closed:
+                session.disconnected(now_ns, address)
         session.advance(now_ns)
         while (plan := session.next_plan()) is not None and plan.start_ns <= now_ns + LOOK_AHEAD_NS:
             session.submit(self.world(plan))
         for one in session.take_emissions(now_ns):
-            link.send(one.payload, one.due_ns, line_speed=one.line_speed)
+            peer = None if self.serial or one.address is None else one.address.peer
+            link.send(one.payload, one.due_ns, peer, one.line_speed)
         link.flush(now_ns)
 
     def run(self, duration_ns: int, step_ns: int = MS) -> None:
@@ -67,7 +77,3 @@ class LineRig:
         self.run(within_ns)
         return host.read()
 
-
-def wrong_wall_share(mm: np.ndarray) -> float:
-    """Share of distances that are not the wall's."""
-    return float(np.mean(np.abs(mm - 2000.0) > 20.0))
