@@ -7,8 +7,10 @@ hours on rays. What happens to scans on their way is the same for a repeated one
 from __future__ import annotations
 
 from collections import OrderedDict, deque
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import replace
+
+import numpy as np
 
 from emulator.measuring.conditions import NORMAL, Conditions
 from emulator.measuring.measuring import Measure
@@ -23,16 +25,22 @@ KINDS_KEPT, SCANS_KEPT = 8, 8
 class Repeated:
     """A measuring function that is asked for a share of the sweeps, in runs."""
 
-    def __init__(self, inner: Measure) -> None:
+    def __init__(self, inner: Measure, rough: bool = False) -> None:
+        """`rough`: turns of a free rotor, no two alike: those with as many beams, from about the same angle, are."""
         self._inner = inner
+        self._rough = rough
         self._kept: OrderedDict[tuple[object, ...], deque[Scan]] = OrderedDict()
         self._turn: dict[tuple[object, ...], int] = {}
         self.measured = self.repeated = 0
 
     def __call__(self, plan: ScanPlan, conditions: Conditions = NORMAL) -> Scan:
         """The sweep, measured or repeated under its own plan; a soak changes no conditions."""
+        directions: tuple[object, ...] = (plan.azimuth_rad.tobytes(), plan.fire_offset_s.tobytes())
+        if self._rough:
+            ends = plan.azimuth_rad[[0, -1]]
+            directions = len(plan), np.round(np.concatenate([np.cos(ends), np.sin(ends)]), 1).tobytes()
         kind = (
-            plan.azimuth_rad.tobytes(), plan.fire_offset_s.tobytes(), plan.max_echoes, plan.max_range_m, plan.gain,
+            *directions, plan.max_echoes, plan.max_range_m, plan.gain,
             plan.wants_intensity, plan.wants_objects,
         )  # fmt: skip
         kept = self._kept.setdefault(kind, deque(maxlen=SCANS_KEPT))
@@ -55,6 +63,9 @@ class Repeated:
         self._turn = dict.fromkeys(self._turn, 0)
 
 
-def repeating(measures: Mapping[str, Measure]) -> dict[str, Repeated]:
-    """The same for every sensor; a list of objects that must be made again measures its sources itself."""
-    return {name: Repeated(measure) for name, measure in measures.items()}
+def repeating(measures: Mapping[str, Measure], rough: Container[str] = ()) -> dict[str, Repeated]:
+    """The same for every sensor; a list of objects that must be made again measures its sources itself.
+
+    `rough`: sensors whose rotor turns freely.
+    """
+    return {name: Repeated(measure, name in rough) for name, measure in measures.items()}

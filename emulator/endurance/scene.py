@@ -1,4 +1,4 @@
-"""The scenario of a soak: LMS291 at 37.5 scans per second, LD-LRS, TiM551, an object list on CAN; cheap to measure."""
+"""The scenario of a soak: LMS291 at 37.5 scans per second, LD-LRS, TiM551, four desk scanners, a list on CAN; cheap."""
 
 from __future__ import annotations
 
@@ -9,6 +9,13 @@ from emulator.scenario.scenario import Scenario
 
 LMS_RATE_HZ, LD_RATE_HZ, COLA_RATE_HZ, LIST_RATE_HZ = 37.5, 5.0, 15.0, 1e3 / 75.0
 LMS_BEAMS, LD_BEAMS, COLA_BEAMS = 361, 360, 271
+DESK: dict[str, tuple[str, str]] = {
+    "urg": ("hokuyo-uhg-08lx", "{}"),
+    "slam": ("rplidar-a1m8", "{wobble: 0}"),
+    "ld": ("ldrobot-ld19", "{speed_wobble: 0}"),
+    "eai": ("ydlidar-t-mini", "{speed_wobble: 0}"),
+}
+"Scanner -> model and its device: the four families that people have on their desks, on a line each."
 WALL_M = 8.0
 "What the middle beam of the scanners sees."
 
@@ -47,6 +54,14 @@ sensors:
     mount: {{at_m: [0, 0, 1]}}
     links: ["{objects}"]
 """
+_DESK = """\
+  - id: {name}
+    model: {model}
+    mount: {{at_m: [0, 0, 1]}}
+    device: {device}
+    physics: {physics}
+    links: ["{link}"]
+"""
 _PHYSICS = "{rule: axis, sub_beams: 1, background: false, weather_echoes: false}"
 
 
@@ -56,9 +71,13 @@ def soak_text(
     top: str = "loop:top",
     objects: str = "can:virtual:soak",
     gate: str = "loop:gate",
+    desk: str = "loop:",
 ) -> str:
-    """The scenario with these links."""
-    return _TEXT.format(seed=seed, physics=_PHYSICS, front=front, top=top, objects=objects, gate=gate)
+    """The scenario with these links; those of desk scanners are `desk` and their names."""
+    text = _TEXT.format(seed=seed, physics=_PHYSICS, front=front, top=top, objects=objects, gate=gate)
+    for name, (model, device) in DESK.items():
+        text += _DESK.format(name=name, model=model, device=device, physics=_PHYSICS, link=desk + name)
+    return text
 
 
 def soak_scenario(seed: int) -> Scenario:

@@ -1,4 +1,4 @@
-"""A day in virtual time: four sensors, hosts that come, go and misbehave, and the account at the end.
+"""A day in virtual time: eight sensors, hosts that come, go and misbehave, and the account at the end.
 
 Belongs here: putting the run together, sampling, the verdict. Not: the hosts (guests), the real-time soak (real_soak).
 """
@@ -15,9 +15,9 @@ import numpy as np
 
 from emulator.endurance.bus_guests import GuestBus
 from emulator.endurance.growth import Growth, look
-from emulator.endurance.guests import COLA_TONGUE, Guestbook, LineGuests, StreamGuests
+from emulator.endurance.guests import COLA_TONGUE, DESK_TONGUES, Guestbook, LineGuests, StreamGuests
 from emulator.endurance.repeats import repeating
-from emulator.endurance.scene import soak_scenario
+from emulator.endurance.scene import DESK, soak_scenario
 from emulator.hosts.families import is_on_can
 from emulator.instrument.instrument import Instrument
 from emulator.measuring.measuring import InPlace
@@ -87,7 +87,7 @@ class Soak:
         names = [sensor.id for sensor in scenario.sensors]
         self.books = {name: Guestbook() for name in names}
         draws = {name: np.random.default_rng((seed, number)) for number, name in enumerate(names)}
-        self.measures = repeating(assembly.build_measures(scenario))
+        self.measures = repeating(assembly.build_measures(scenario), rough=DESK)
         measuring = InPlace(self.measures)
         loops, buses = Loops(), CanPorts()
         self.instruments: list[Instrument] = []
@@ -98,14 +98,17 @@ class Soak:
                 bus = GuestBus(draws[name], self.books[name])
                 link = buses.link(f"can:{name}", lambda bus=bus: (CanWire(BITRATE), bus))  # type: ignore[misc]
             else:
-                link = LoopLink(name, assembly.family_of(scenario, index).tcp_is_line, group_ns=GROUP_NS)
+                on_line = name in DESK or assembly.family_of(scenario, index).tcp_is_line
+                link = LoopLink(name, on_line, group_ns=GROUP_NS)
                 loops.add(link)
             self.instruments.append(Instrument(name, session, [link], measuring))
         hosts: list[VirtualHost] = [
             LineGuests(loops["front"], draws["front"], self.books["front"], stay_s),
             StreamGuests(loops["top"], draws["top"], self.books["top"]),
             StreamGuests(loops["gate"], draws["gate"], self.books["gate"], tongue=COLA_TONGUE),
-        ]
+            *(LineGuests(loops[name], draws[name], self.books[name], stay_s, tongue=tongue)
+              for name, tongue in DESK_TONGUES.items()),
+        ]  # fmt: skip
         self._run = VirtualRun(self.instruments, hosts)
         self._run.power_on()
         self.now_ns = 0

@@ -76,4 +76,3 @@ class LineRig:
         host.write(data, self.now_ns)
         self.run(within_ns)
         return host.read()
-
