@@ -17,6 +17,7 @@ from emulator.endurance.scene import (
     COLA_BEAMS,
     COLA_RATE_HZ,
     DESK,
+    DESK_WALL_M,
     LD_BEAMS,
     LD_RATE_HZ,
     LMS_BEAMS,
@@ -74,16 +75,14 @@ class Judge:
     """Looks at every scan of one visit: its beams, its ranges, the time since the one before."""
 
     def __init__(
-        self, book: Guestbook, beams: int, period_ns: float, came_ns: int, slack: tuple[float, float] = (0.0, 0.02)
+        self, book: Guestbook, beams: int, period_ns: float, came_ns: int, tongue: LineTongue | None = None
     ) -> None:
-        """`period_ns`: between two scans; infinite where hosts read when they get round to it.
-
-        `slack`: shares by which beams and period may differ.
-        """
+        """`period_ns`: between two scans, to 2 % or as `tongue` has it; infinite where hosts read when they get round."""
         self._book = book
-        self._beams = beams
+        self._beams = (beams,) if tongue is None else tongue.beams
         self._period_ns = period_ns
-        self._slack = slack
+        self._slack = (0.0, 0.02) if tongue is None else tongue.slack
+        self._wall_m = WALL_M if tongue is None else tongue.wall_m
         self._came_ns = came_ns
         self._last_ns: int | None = None
         self.first_ns: int | None = None
@@ -92,13 +91,13 @@ class Judge:
     def __call__(self, now_ns: int, scan: HostScan) -> None:
         book = self._book
         range_m = scan.range_m
-        if abs(len(range_m) - self._beams) > self._slack[0] * self._beams:
+        if not any(abs(len(range_m) - beams) <= self._slack[0] * beams for beams in self._beams):
             book.faults[f"scan of {len(range_m)} beams"] += 1
             return
         # of five beams: one of 160 000 has an echo of noise alone before the wall's, as the device would have
         first = max(0, int(np.argmin(np.abs(scan.azimuth_rad))) - 2)
         ahead = np.sort(range_m[first : first + 5])[2]
-        if not abs(ahead - WALL_M) < RANGE_TOLERANCE_M:
+        if not abs(ahead - self._wall_m) < RANGE_TOLERANCE_M:
             book.faults["wrong range"] += 1
         if self._last_ns is None:
             self.first_ns = now_ns
@@ -127,7 +126,8 @@ class LineTongue:
 
     script: Callable[[HostEnd, Judge], Script]
     "The well-behaved one."
-    beams: int
+    beams: tuple[int, ...]
+    "Any of them: a host may ask for another mode."
     rate_hz: float
     request: bytes
     "A whole one that costs the device a reply."
@@ -137,13 +137,14 @@ class LineTongue:
     "Of hosts at a wrong speed; one of them may be the right one."
     slack: tuple[float, float] = (0.0, 0.02)
     "Shares by which beams and period may differ: a rotor turns freely, a turn ends with a packet."
+    wall_m: float = WALL_M
 
 
-LMS_TONGUE = LineTongue(Lms2xxScript, LMS_BEAMS, LMS_RATE_HZ, STATUS, STATUS[:-1] + b"\xff")
+LMS_TONGUE = LineTongue(Lms2xxScript, (LMS_BEAMS,), LMS_RATE_HZ, STATUS, STATUS[:-1] + b"\xff")
 _FAST = (9600, 38_400, 115_200, 230_400, 500_000)
 
 
-def _desk(name: str, beams: int, rate_hz: float, request: bytes, bad: bytes) -> LineTongue:
+def _desk(name: str, beams: tuple[int, ...], rate_hz: float, request: bytes, bad: bytes) -> LineTongue:
     def script(line: HostEnd, judge: Judge) -> Script:
         line.baud = BAUD.get(name)
         made: Script = found_at(BUILT_IN[DESK[name][0].partition("-")[0].replace("hokuyo", "scip")].script or "")(
@@ -151,15 +152,15 @@ def _desk(name: str, beams: int, rate_hz: float, request: bytes, bad: bytes) -> 
         )
         return made
 
-    return LineTongue(script, beams, rate_hz, request, bad, _FAST, (0.0 if name == "urg" else 0.03, 0.2))
+    return LineTongue(script, beams, rate_hz, request, bad, _FAST, (0.0 if name == "urg" else 0.05, 0.2), DESK_WALL_M)
 
 
 BAUD = {"slam": 115_200, "ld": 230_400, "eai": 230_400}
 DESK_TONGUES = {
-    "urg": _desk("urg", 769, 15.0, b"VV\n", b"VX\n"),
-    "slam": _desk("slam", 1125, 7.0, b"\xa5\x50", b"\xa5\x84\x04\x7c\0\0\0\0"),
-    "ld": _desk("ld", 450, 10.0, b"\x54\xa0\x04\0\0\0\0\x5e", b"\x54"),
-    "eai": _desk("eai", 400, 10.0, b"\xa5\x90", b"\xa5\xa5"),
+    "urg": _desk("urg", (769,), 15.0, b"VV\n", b"VX\n"),
+    "slam": _desk("slam", (281, 1125), 7.0, b"\xa5\x50", b"\xa5\x84\x04\x7c\0\0\0\0"),
+    "ld": _desk("ld", (450,), 10.0, b"\x54\xa0\x04\0\0\0\0\x5e", b"\x54"),
+    "eai": _desk("eai", (400,), 10.0, b"\xa5\x90", b"\xa5\xa5"),
 }
 
 
@@ -235,7 +236,7 @@ class LineGuests:
         self._book.visits["well-behaved"] += 1
         self._came_ns, self._stay_ns = now_ns, round(self._rng.uniform(*self._stay_s) * SECOND_NS)
         tongue = self._tongue
-        self._judge = Judge(self._book, tongue.beams, self._period_ns, now_ns, tongue.slack)
+        self._judge = Judge(self._book, tongue.beams[0], self._period_ns, now_ns, tongue)
         self._host = self._link.connect(now_ns)
         self._good = tongue.script(self._host, self._judge)
         self._until_ns = now_ns + TIME_LIMIT_NS

@@ -21,8 +21,6 @@ SPEEDS = {
     9_600: termios.B9600,
     19_200: termios.B19200,
     38_400: termios.B38400,
-    115_200: termios.B115200,
-    230_400: termios.B230400,
     500_000: termios.B500000,
 }
 READ_SIZE = 262_144

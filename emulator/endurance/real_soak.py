@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from emulator.endurance.growth import Growth, cpu_s, look
-from emulator.endurance.guests import COLA_TONGUE, DESK_TONGUES, Guestbook, LineGuests, StreamGuests
+from emulator.endurance.guests import COLA_TONGUE, Guestbook, LineGuests, StreamGuests
 from emulator.endurance.process_guests import Saboteur
 from emulator.endurance.real_guests import Endpoint, Intruders, ListReader, Terminal
 from emulator.endurance.scene import soak_text
@@ -51,8 +51,7 @@ def run_real(seconds: float, seed: int, progress: Callable[[float], None] = lamb
 
 
 def _run_in(folder: Path, seconds: float, seed: int, progress: Callable[[float], None]) -> Soaked:
-    text = soak_text(seed, f"pty:{folder}/front", "tcp:127.0.0.1:0", "socketcand:127.0.0.1:0/can0", "tcp:127.0.0.1:0",
-                     f"pty:{folder}/")  # fmt: skip
+    text = soak_text(seed, f"pty:{folder}/front", "tcp:127.0.0.1:0", "socketcand:127.0.0.1:0/can0", "tcp:127.0.0.1:0")
     (folder / "soak.yaml").write_text(text, encoding="utf-8")
     control = folder / "control.sock"
     daemon = subprocess.Popen(
@@ -97,24 +96,23 @@ def _soak(
     draws.append(np.random.default_rng((seed, 6)))
     names = ("top", "objects", "gate")
     places = [*(Endpoint(_address(links[name])) for name in names), Endpoint(control)]
-    terminals = {name: Terminal(links[name].partition(":")[2]) for name in ("front", *DESK_TONGUES)}
+    terminal = Terminal(links["front"].partition(":")[2])
     top, can, gate, orders = places
     stay_s = (min(3.0, seconds / 12.0), min(60.0, seconds / 8.0))
     hosts: list[Any] = [
-        LineGuests(terminals["front"], draws[0], books["front"], stay_s, np.inf),
-        *(LineGuests(terminals[name], np.random.default_rng((seed, 7 + number)), books[name], stay_s, np.inf, tongue)
-          for number, (name, tongue) in enumerate(DESK_TONGUES.items())),
+        LineGuests(terminal, draws[0], books["front"], stay_s, np.inf),
         StreamGuests(top, draws[1], books["top"], np.inf),
         StreamGuests(gate, draws[4], books["gate"], np.inf, COLA_TONGUE),
         ListReader(can, links["objects"].rpartition("/")[2], books["objects"]),
         Intruders(can, draws[2], books["objects"].visits, CAN_WORDS),
         Intruders(orders, draws[3], books["control"].visits, ORDERS),
         saboteur,
-    ]  # fmt: skip
+    ]
     growth, every_s = Growth(), max(LEAST_SAMPLE_S, seconds / SAMPLES)
     before = look(0.0, pid).descriptors
     with contextlib.ExitStack() as stack:
-        for place in (*terminals.values(), *places):
+        stack.callback(terminal.close)
+        for place in places:
             stack.callback(place.close)
         _drive(hosts, clock, seconds, every_s, growth, pid, progress)
     taken_s = clock.now_ns() * 1e-9

@@ -1,4 +1,4 @@
-"""Hosts at a wrong speed of the line: garbage both ways, the search of each driver for the speed, and its negotiation."""
+"""Hosts at a wrong speed of the line: garbage both ways, each driver's search for the speed, and its negotiation."""
 
 from __future__ import annotations
 
