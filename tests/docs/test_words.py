@@ -49,7 +49,9 @@ OURS = {
     r"turns? a second|scans? a second|bytes? a second": "per",
 }
 """Home-made word, and what to write instead."""
-PLAIN = re.compile(r"'(?:of ours|our own|nobody|whoever|pass(?:es|ed)? over|st(?:ands?|ood) still|gone with)'", re.IGNORECASE)
+PLAIN = re.compile(
+    r"'(?:of ours|our own|nobody|whoever|pass(?:es|ed)? over|st(?:ands?|ood) still|gone with)'", re.IGNORECASE
+)
 "Plain English for a docstring, where it is no term."
 ELSEWHERE = {"scoreboard.md"}
 "Pages that a run of tests writes."

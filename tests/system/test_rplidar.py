@@ -147,12 +147,13 @@ def test_a_client_in_python_that_switches_dtr_reads_the_room_under_the_shim(tmp_
     assert done.returncode == 0, done.stdout[-1000:] + done.stderr[-2000:]
     found = json.loads(next(line for line in (done.stdout + done.stderr).splitlines() if line.startswith("{")))
     assert (found["info"]["model"], found["health"]) == (24, ["Good", 0])
-    for kind, least in (("normal", 180), ("express", 360)):
+    step_deg = 360.0 * 7.0 * 254e-6  # of express capsules it gives each sample the angle of the next one
+    for kind, least, late_deg in (("normal", 180, 0.0), ("express", 360, step_deg)):
         for turn in found["turns"][kind]:
             angle, mm = np.array(turn).T
             seen = mm > 0
             assert seen.sum() > least
-            ray = np.radians(angle[seen])
+            ray = np.radians(angle[seen] - late_deg)
             true = HALF_M / np.maximum(np.maximum(np.abs(np.cos(ray)), -np.sin(ray)), 1e-9)
             off = np.abs(mm[seen] / 1000.0 - true)
             assert np.median(off) < 0.012
