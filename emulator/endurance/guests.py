@@ -77,7 +77,7 @@ class Judge:
     def __init__(
         self, book: Guestbook, beams: int, period_ns: float, came_ns: int, tongue: LineTongue | None = None
     ) -> None:
-        """`period_ns`: between two scans, to 2 % or as `tongue` has it; infinite where hosts read when they get round."""
+        """`period_ns`: between two scans, to 2 % or as `tongue` has it; infinite where hosts read late."""
         self._book = book
         self._beams = (beams,) if tongue is None else tongue.beams
         self._period_ns = period_ns

@@ -84,7 +84,7 @@ class Heard(Observer):
 
 
 class Bench:
-    """One sensor of a kind: `line` (LMS291), `tcp` (LD), `cola` (LMS111) or `can` (object lists), and a host of ours."""
+    """One sensor of a kind: `line` (LMS291), `tcp` (LD), `cola` (LMS111) or `can` (object lists), a host of ours."""
 
     def __init__(
         self,

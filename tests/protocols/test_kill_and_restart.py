@@ -1,4 +1,4 @@
-"""Killed at any byte and instant of its start-up, a driver that is started again gets its scans: desk families and CoLa.
+"""Killed at any byte and instant of its start-up, a driver started again gets its scans: desk families and CoLa.
 
 What a killed host left on a line stays in the device: if that was half a request, the first attempt may be lost in it.
 On TCP nothing of a dead connection may cost the next one anything.

@@ -440,16 +440,16 @@ class Device:
     def sleep(self, seconds: float) -> None:
         self._let(round(seconds * 1e9))
 
-    def inWaiting(self) -> int:  # noqa: N802: pyserial's name
+    def inWaiting(self) -> int:
         if not self._held:
             self._let(MS)
         return len(self._held)
 
-    def flushInput(self) -> None:  # noqa: N802
+    def flushInput(self) -> None:
         self._let(0)
         self._held = b""
 
-    def setDTR(self, level: bool) -> None:  # noqa: N802
+    def setDTR(self, level: bool) -> None:
         self.rig.session.modem_lines(level, False, self.rig.now_ns, LINE)
 
     def close(self) -> None:
