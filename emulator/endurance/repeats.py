@@ -50,7 +50,7 @@ class Repeated:
         if len(self._kept) > KINDS_KEPT:
             forgotten, _ = self._kept.popitem(last=False)
             del self._turn[forgotten]
-        if turn >= FRESH:
+        if turn >= (SCANS_KEPT if self._rough else FRESH):
             self.repeated += 1
             return replace(kept[turn % len(kept)], plan=plan)
         self.measured += 1
