@@ -10,8 +10,6 @@ from collections import OrderedDict, deque
 from collections.abc import Container, Mapping
 from dataclasses import replace
 
-import numpy as np
-
 from emulator.measuring.conditions import NORMAL, Conditions
 from emulator.measuring.measuring import Measure
 from protocols.scan import Scan, ScanPlan
@@ -20,15 +18,18 @@ FRESH, CYCLE = 40, 2000
 "Of so many sweeps of one kind in a row the first so many are measured: long enough for a tracker to know its objects."
 KINDS_KEPT, SCANS_KEPT = 8, 8
 "Kinds of sweeps kept apart, and scans of each that are repeated in turn."
+ROUGH_KEPT = 2
+"Scans measured and kept of turns that are taken for alike: no tracker looks at them."
 
 
 class Repeated:
     """A measuring function that is asked for a share of the sweeps, in runs."""
 
     def __init__(self, inner: Measure, rough: bool = False) -> None:
-        """`rough`: turns of a free rotor, no two alike: those with as many beams, from about the same angle, are."""
+        """`rough`: turns of a free rotor, no two alike: those with as many beams are taken for alike."""
         self._inner = inner
         self._rough = rough
+        self._fresh, self._most = (ROUGH_KEPT, ROUGH_KEPT) if rough else (FRESH, SCANS_KEPT)
         self._kept: OrderedDict[tuple[object, ...], deque[Scan]] = OrderedDict()
         self._turn: dict[tuple[object, ...], int] = {}
         self.measured = self.repeated = 0
@@ -37,20 +38,19 @@ class Repeated:
         """The sweep, measured or repeated under its own plan; a soak changes no conditions."""
         directions: tuple[object, ...] = (plan.azimuth_rad.tobytes(), plan.fire_offset_s.tobytes())
         if self._rough:
-            ends = plan.azimuth_rad[[0, -1]]
-            directions = len(plan), np.round(np.concatenate([np.cos(ends), np.sin(ends)]), 1).tobytes()
+            directions = (len(plan),)
         kind = (
             *directions, plan.max_echoes, plan.max_range_m, plan.gain,
             plan.wants_intensity, plan.wants_objects,
         )  # fmt: skip
-        kept = self._kept.setdefault(kind, deque(maxlen=SCANS_KEPT))
+        kept = self._kept.setdefault(kind, deque(maxlen=self._most))
         self._kept.move_to_end(kind)
         turn = self._turn.get(kind, 0)
         self._turn[kind] = (turn + 1) % CYCLE
         if len(self._kept) > KINDS_KEPT:
             forgotten, _ = self._kept.popitem(last=False)
             del self._turn[forgotten]
-        if turn >= (SCANS_KEPT if self._rough else FRESH):
+        if turn >= self._fresh:
             self.repeated += 1
             return replace(kept[turn % len(kept)], plan=plan)
         self.measured += 1
