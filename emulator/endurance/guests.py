@@ -155,12 +155,12 @@ def _desk(name: str, beams: tuple[int, ...], rate_hz: float, request: bytes, bad
     return LineTongue(script, beams, rate_hz, request, bad, _FAST, (0.0 if name == "urg" else 0.05, 0.2), DESK_WALL_M)
 
 
-BAUD = {"slam": 115_200, "ld": 230_400, "eai": 230_400}
+BAUD = {"slam": 115_200, "ld": 230_400, "eai": 128_000}
 DESK_TONGUES = {
     "urg": _desk("urg", (769,), 15.0, b"VV\n", b"VX\n"),
     "slam": _desk("slam", (281, 1125), 7.0, b"\xa5\x50", b"\xa5\x84\x04\x7c\0\0\0\0"),
     "ld": _desk("ld", (450,), 10.0, b"\x54\xa0\x04\0\0\0\0\x5e", b"\x54"),
-    "eai": _desk("eai", (400,), 10.0, b"\xa5\x90", b"\xa5\xa5"),
+    "eai": _desk("eai", (714,), 7.0, b"\xa5\x90", b"\xa5\xa5"),
 }
 
 

@@ -16,7 +16,7 @@ DESK: dict[str, tuple[str, str]] = {
     "urg": ("hokuyo-uhg-08lx", "{}"),
     "slam": ("rplidar-a1m8", "{wobble: 0}"),
     "ld": ("ldrobot-ld19", "{speed_wobble: 0}"),
-    "eai": ("ydlidar-t-mini", "{speed_wobble: 0}"),
+    "eai": ("ydlidar-x4", "{speed_wobble: 0}"),
 }
 "Scanner -> model and its device: the four families that people have on their desks, on a line each."
 DESK_WALL_M = 4.0
