@@ -213,6 +213,12 @@ class Session(ABC):
     def modem_lines(self, dtr: bool, rts: bool, now_ns: int, address: Address) -> None:
         """A host has set DTR and RTS of a serial line; ignored by devices without such inputs."""
 
+    def other_speed(self, baud: int, sent: bytes, now_ns: int, address: Address) -> None:
+        """A host sent these bytes at another speed than the line's; `receive` has had what became of them.
+
+        For devices that measure a host's speed, or give up a line with framing errors; ignored by all others.
+        """
+
     @abstractmethod
     def advance(self, now_ns: int) -> None:
         """Let time-outs, warm-up and modes that end by themselves take effect up to `now_ns`."""

@@ -16,6 +16,8 @@ import numpy as np
 from emulator.endurance.scene import (
     COLA_BEAMS,
     COLA_RATE_HZ,
+    DESK,
+    DESK_WALL_M,
     LD_BEAMS,
     LD_RATE_HZ,
     LMS_BEAMS,
@@ -23,6 +25,7 @@ from emulator.endurance.scene import (
     WALL_M,
 )
 from emulator.hosts.cola import ColaScript
+from emulator.hosts.families import BUILT_IN, found_at
 from emulator.hosts.scans import HostScan
 from emulator.hosts.scripted import LdScript, Lms2xxScript, Script
 from protocols.cola.framing import frame
@@ -71,11 +74,15 @@ class Reachable(Protocol):
 class Judge:
     """Looks at every scan of one visit: its beams, its ranges, the time since the one before."""
 
-    def __init__(self, book: Guestbook, beams: int, period_ns: float, came_ns: int) -> None:
-        """`period_ns`: between two scans, to 2 %; infinite where hosts read when they get round to it."""
+    def __init__(
+        self, book: Guestbook, beams: int, period_ns: float, came_ns: int, tongue: LineTongue | None = None
+    ) -> None:
+        """`period_ns`: between two scans, to 2 % or as `tongue` has it; infinite where hosts read late."""
         self._book = book
-        self._beams = beams
+        self._beams = (beams,) if tongue is None else tongue.beams
         self._period_ns = period_ns
+        self._slack = (0.0, 0.02) if tongue is None else tongue.slack
+        self._wall_m = WALL_M if tongue is None else tongue.wall_m
         self._came_ns = came_ns
         self._last_ns: int | None = None
         self.first_ns: int | None = None
@@ -84,21 +91,24 @@ class Judge:
     def __call__(self, now_ns: int, scan: HostScan) -> None:
         book = self._book
         range_m = scan.range_m
-        if len(range_m) != self._beams:
+        if not any(abs(len(range_m) - beams) <= self._slack[0] * beams for beams in self._beams):
             book.faults[f"scan of {len(range_m)} beams"] += 1
             return
         # of five beams: one of 160 000 has an echo of noise alone before the wall's, as the device would have
         first = max(0, int(np.argmin(np.abs(scan.azimuth_rad))) - 2)
         ahead = np.sort(range_m[first : first + 5])[2]
-        if not abs(ahead - WALL_M) < RANGE_TOLERANCE_M:
+        if not abs(ahead - self._wall_m) < RANGE_TOLERANCE_M:
             book.faults["wrong range"] += 1
         if self._last_ns is None:
             self.first_ns = now_ns
             book.slowest_first_scan_s = max(book.slowest_first_scan_s, (now_ns - self._came_ns) / 1e9)
-        elif self._period_ns < np.inf and abs(now_ns - self._last_ns - self._period_ns) > 0.02 * self._period_ns:
+        elif self._period_ns < np.inf and self._is_off(now_ns - self._last_ns):
             book.faults["gap between scans"] += 1
         self._last_ns = now_ns
         book.clean_scans += 1
+
+    def _is_off(self, gap_ns: int) -> bool:
+        return abs(gap_ns - self._period_ns) > self._slack[1] * self._period_ns
 
 
 def noise(rng: np.random.Generator, size: int) -> bytes:
@@ -108,6 +118,50 @@ def noise(rng: np.random.Generator, size: int) -> bytes:
 
 STATUS = request(b"\x31")
 LD_IDENT = encode_frame(payload_of(0x0101, 0))
+
+
+@dataclass(frozen=True)
+class LineTongue:
+    """What hosts of a family say on a serial line."""
+
+    script: Callable[[HostEnd, Judge], Script]
+    "The well-behaved one."
+    beams: tuple[int, ...]
+    "Any of them: a host may ask for another mode."
+    rate_hz: float
+    request: bytes
+    "A whole one that costs the device a reply."
+    bad: bytes
+    "The same, damaged."
+    speeds: tuple[int, ...] = (9600, 19_200, 38_400, 500_000)
+    "Of hosts at a wrong speed; one of them may be the right one."
+    slack: tuple[float, float] = (0.0, 0.02)
+    "Shares by which beams and period may differ: a rotor turns freely, a turn ends with a packet."
+    wall_m: float = WALL_M
+
+
+LMS_TONGUE = LineTongue(Lms2xxScript, (LMS_BEAMS,), LMS_RATE_HZ, STATUS, STATUS[:-1] + b"\xff")
+_FAST = (9600, 38_400, 115_200, 230_400, 500_000)
+
+
+def _desk(name: str, beams: tuple[int, ...], rate_hz: float, request: bytes, bad: bytes) -> LineTongue:
+    def script(line: HostEnd, judge: Judge) -> Script:
+        line.baud = BAUD.get(name)
+        made: Script = found_at(BUILT_IN[DESK[name][0].partition("-")[0].replace("hokuyo", "scip")].script or "")(
+            line, judge, {}
+        )
+        return made
+
+    return LineTongue(script, beams, rate_hz, request, bad, _FAST, (0.0 if name == "urg" else 0.05, 0.2), DESK_WALL_M)
+
+
+BAUD = {"slam": 115_200, "ld": 230_400, "eai": 128_000}
+DESK_TONGUES = {
+    "urg": _desk("urg", (769,), 15.0, b"VV\n", b"VX\n"),
+    "slam": _desk("slam", (281, 1125), 7.0, b"\xa5\x50", b"\xa5\x84\x04\x7c\0\0\0\0"),
+    "ld": _desk("ld", (450,), 10.0, b"\x54\xa0\x04\0\0\0\0\x5e", b"\x54"),
+    "eai": _desk("eai", (714,), 7.0, b"\xa5\x90", b"\xa5\xa5"),
+}
 
 
 class LineGuests:
@@ -122,15 +176,20 @@ class LineGuests:
         rng: np.random.Generator,
         book: Guestbook,
         stay_s: tuple[float, float],
-        period_ns: float = SECOND_NS / LMS_RATE_HZ,
+        period_ns: float | None = None,
+        tongue: LineTongue = LMS_TONGUE,
     ) -> None:
-        """`stay_s`: shortest and longest visit of a well-behaved host, beyond the time it may take to be served."""
-        self._period_ns = period_ns
+        """`stay_s`: shortest and longest visit of a well-behaved host, beyond the time it may take to be served.
+
+        `period_ns`: between two scans, None: that of the device.
+        """
+        self._tongue = tongue
+        self._period_ns = SECOND_NS / tongue.rate_hz if period_ns is None else period_ns
         self._link = link
         self._rng = rng
         self._book = book
         self._stay_s = stay_s
-        self._good: Lms2xxScript | None = None
+        self._good: Script | None = None
         self._judge: Judge | None = None
         self._host: HostEnd | None = None
         self._until_ns = 0
@@ -176,9 +235,10 @@ class LineGuests:
     def _come(self, now_ns: int) -> None:
         self._book.visits["well-behaved"] += 1
         self._came_ns, self._stay_ns = now_ns, round(self._rng.uniform(*self._stay_s) * SECOND_NS)
-        self._judge = Judge(self._book, LMS_BEAMS, self._period_ns, now_ns)
+        tongue = self._tongue
+        self._judge = Judge(self._book, tongue.beams[0], self._period_ns, now_ns, tongue)
         self._host = self._link.connect(now_ns)
-        self._good = Lms2xxScript(self._host, self._judge)
+        self._good = tongue.script(self._host, self._judge)
         self._until_ns = now_ns + TIME_LIMIT_NS
 
     def _leave(self, now_ns: int) -> None:
@@ -191,24 +251,24 @@ class LineGuests:
         self._book.visits[kind] += 1
         self._until_ns = now_ns + round(self._rng.uniform(0.5, min(10.0, self._stay_s[1])) * SECOND_NS)
         self._next_ns = now_ns
-        baud = int(self._rng.choice([9600, 19_200, 38_400, 500_000])) if kind == "wrong speed" else None
+        baud = int(self._rng.choice(self._tongue.speeds)) if kind == "wrong speed" else None
         host = self._host = None if kind == "nobody" else self._link.connect(now_ns, baud)
-        rng = self._rng
+        rng, request, bad = self._rng, self._tongue.request, self._tongue.bad
 
         def act(at_ns: int) -> int:
             pause_ns = 20_000_000
             if host is None or kind == "never reads":
                 return at_ns + 10 * SECOND_NS
             if kind in ("half a telegram", "breaks off in a telegram"):
-                host.write(STATUS[: int(rng.integers(1, len(STATUS)))], at_ns)
+                host.write(request[: int(rng.integers(1, len(request)))], at_ns)
                 return at_ns + round(rng.uniform(0.001, 0.1) * SECOND_NS)
             if kind == "wrong speed":
-                host.write(STATUS + noise(rng, 8), at_ns)
+                host.write(request + noise(rng, 8), at_ns)
                 return at_ns + SECOND_NS // 2
             if kind == "flood of requests":
-                host.write(STATUS * 100, at_ns)  # 50 000 bytes per second, as fast as the line can be
+                host.write(request * 100, at_ns)  # 50 000 bytes per second, as fast as the line can be
             elif kind == "flood of bad checksums":
-                host.write((STATUS[:-1] + b"\xff") * 100, at_ns)
+                host.write(bad * 100, at_ns)
             else:
                 host.write(noise(rng, 1000), at_ns)
             return at_ns + pause_ns

@@ -1,4 +1,7 @@
-"""The scenario of a soak: LMS291 at 37.5 scans per second, LD-LRS, TiM551, an object list on CAN; cheap to measure."""
+"""The scenarios of a soak, cheap to measure.
+
+The usual one: LMS291 at 37.5 scans per second, LD-LRS, TiM551, an object list on CAN. The other: four desk scanners.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,14 @@ from emulator.scenario.scenario import Scenario
 
 LMS_RATE_HZ, LD_RATE_HZ, COLA_RATE_HZ, LIST_RATE_HZ = 37.5, 5.0, 15.0, 1e3 / 75.0
 LMS_BEAMS, LD_BEAMS, COLA_BEAMS = 361, 360, 271
+DESK: dict[str, tuple[str, str]] = {
+    "urg": ("hokuyo-uhg-08lx", "{}"),
+    "slam": ("rplidar-a1m8", "{wobble: 0}"),
+    "ld": ("ldrobot-ld19", "{speed_wobble: 0}"),
+    "eai": ("ydlidar-x4", "{speed_wobble: 0}"),
+}
+"Scanner -> model and its device: the four families that people have on their desks, on a line each."
+DESK_WALL_M = 4.0
 WALL_M = 8.0
 "What the middle beam of the scanners sees."
 
@@ -47,6 +58,21 @@ sensors:
     mount: {{at_m: [0, 0, 1]}}
     links: ["{objects}"]
 """
+_DESK_WORLD = """\
+schema: 1
+seed: {seed}
+world:
+  - {{plane: {{size_m: [6, 60]}}, at_m: [{wall_m}, 0, 1], pitch_deg: -90, material: white_plaster}}
+sensors:
+"""
+_DESK = """\
+  - id: {name}
+    model: {model}
+    mount: {{at_m: [0, 0, 1]}}
+    device: {device}
+    physics: {physics}
+    links: ["{link}"]
+"""
 _PHYSICS = "{rule: axis, sub_beams: 1, background: false, weather_echoes: false}"
 
 
@@ -61,6 +87,15 @@ def soak_text(
     return _TEXT.format(seed=seed, physics=_PHYSICS, front=front, top=top, objects=objects, gate=gate)
 
 
-def soak_scenario(seed: int) -> Scenario:
+def desk_text(seed: int, link: str = "loop:") -> str:
+    """That of the desk scanners; their links are `link` and their names."""
+    sensors = (
+        _DESK.format(name=name, model=model, device=device, physics=_PHYSICS, link=link + name)
+        for name, (model, device) in DESK.items()
+    )
+    return _DESK_WORLD.format(seed=seed, wall_m=DESK_WALL_M) + "".join(sensors)
+
+
+def soak_scenario(seed: int, desk: bool = False) -> Scenario:
     """The scenario, judged."""
-    return scenario.loads(soak_text(seed), Path("soak.yaml"))
+    return scenario.loads(desk_text(seed) if desk else soak_text(seed), Path("soak.yaml"))

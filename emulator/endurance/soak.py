@@ -15,9 +15,9 @@ import numpy as np
 
 from emulator.endurance.bus_guests import GuestBus
 from emulator.endurance.growth import Growth, look
-from emulator.endurance.guests import COLA_TONGUE, Guestbook, LineGuests, StreamGuests
+from emulator.endurance.guests import COLA_TONGUE, DESK_TONGUES, Guestbook, LineGuests, StreamGuests
 from emulator.endurance.repeats import repeating
-from emulator.endurance.scene import soak_scenario
+from emulator.endurance.scene import DESK, soak_scenario
 from emulator.hosts.families import is_on_can
 from emulator.instrument.instrument import Instrument
 from emulator.measuring.measuring import InPlace
@@ -82,12 +82,12 @@ class Soaked:
 class Soak:
     """The run: `advance` it, then `verdict`."""
 
-    def __init__(self, seed: int, stay_s: tuple[float, float] = (20.0, 600.0)) -> None:
-        scenario = soak_scenario(seed)
+    def __init__(self, seed: int, stay_s: tuple[float, float] = (20.0, 600.0), desk: bool = False) -> None:
+        scenario = soak_scenario(seed, desk)
         names = [sensor.id for sensor in scenario.sensors]
         self.books = {name: Guestbook() for name in names}
         draws = {name: np.random.default_rng((seed, number)) for number, name in enumerate(names)}
-        self.measures = repeating(assembly.build_measures(scenario))
+        self.measures = repeating(assembly.build_measures(scenario), rough=DESK)
         measuring = InPlace(self.measures)
         loops, buses = Loops(), CanPorts()
         self.instruments: list[Instrument] = []
@@ -98,14 +98,22 @@ class Soak:
                 bus = GuestBus(draws[name], self.books[name])
                 link = buses.link(f"can:{name}", lambda bus=bus: (CanWire(BITRATE), bus))  # type: ignore[misc]
             else:
-                link = LoopLink(name, assembly.family_of(scenario, index).tcp_is_line, group_ns=GROUP_NS)
+                on_line = name in DESK or assembly.family_of(scenario, index).tcp_is_line
+                link = LoopLink(name, on_line, group_ns=GROUP_NS)
                 loops.add(link)
             self.instruments.append(Instrument(name, session, [link], measuring))
-        hosts: list[VirtualHost] = [
-            LineGuests(loops["front"], draws["front"], self.books["front"], stay_s),
-            StreamGuests(loops["top"], draws["top"], self.books["top"]),
-            StreamGuests(loops["gate"], draws["gate"], self.books["gate"], tongue=COLA_TONGUE),
-        ]
+        hosts: list[VirtualHost]
+        if desk:
+            hosts = [
+                LineGuests(loops[name], draws[name], self.books[name], stay_s, tongue=tongue)
+                for name, tongue in DESK_TONGUES.items()
+            ]
+        else:
+            hosts = [
+                LineGuests(loops["front"], draws["front"], self.books["front"], stay_s),
+                StreamGuests(loops["top"], draws["top"], self.books["top"]),
+                StreamGuests(loops["gate"], draws["gate"], self.books["gate"], tongue=COLA_TONGUE),
+            ]
         self._run = VirtualRun(self.instruments, hosts)
         self._run.power_on()
         self.now_ns = 0
@@ -151,11 +159,13 @@ class Soak:
         }
 
 
-def run_virtual(hours: float, seed: int, progress: Callable[[float], None] = lambda share: None) -> Soaked:
-    """A soak of that many virtual hours; `progress` hears the share that is done."""
+def run_virtual(
+    hours: float, seed: int, progress: Callable[[float], None] = lambda share: None, desk: bool = False
+) -> Soaked:
+    """A soak of that many virtual hours; `progress` hears the share that is done. `desk`: of the desk scanners."""
     clock = SystemClock()
     total_s = hours * 3600.0
-    soak = Soak(seed, (20.0, min(600.0, max(30.0, total_s / 10.0))))
+    soak = Soak(seed, (20.0, min(600.0, max(30.0, total_s / 10.0))), desk)
     growth, traced = Growth(), [0, 0]
     samples = round(min(MOST_SAMPLES, max(LEAST_SAMPLES, total_s / SAMPLE_S)))
     traced_from = samples - max(4, round(samples * min(TRACED_SHARE, TRACED_MOST_S / total_s)))

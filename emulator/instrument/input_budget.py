@@ -57,7 +57,7 @@ class InputBudget:
         flows = self._links[index].kind in (LinkKind.SERIAL, LinkKind.STREAM)
         if self.turn.clock_ns is None or not flows or len(received.data) <= PIECE:
             return index, received
-        self._waiting.appendleft((index, replace(received, data=received.data[PIECE:], opened=False)))
+        self._waiting.appendleft((index, replace(received, data=received.data[PIECE:], opened=False, foreign=None)))
         return index, replace(received, data=received.data[:PIECE], closed=False)
 
     def settle(self, now_ns: int) -> None:

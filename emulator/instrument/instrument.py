@@ -355,6 +355,8 @@ class Instrument:
         if received.data:
             self.observers.heard(index, received, now_ns)
             self.session.receive(received.data, now_ns, address)
+        if received.data and received.foreign is not None:
+            self.session.other_speed(*received.foreign, now_ns, address)
         if received.closed:
             self._peers.discard(address)
             self.session.disconnected(now_ns, address)

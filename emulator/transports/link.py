@@ -34,6 +34,8 @@ class Received:
     "With `opened`: address and port of the host, where the link knows it."
     lines: tuple[bool, bool] | None = None
     "DTR and RTS of a serial line have changed to this; the device sees them where it has such inputs."
+    foreign: tuple[int, bytes] | None = None
+    "Speed of a host that is not the line's, and what it sent; `data` is what the device's receiver makes of that."
 
 
 @dataclass(frozen=True)

@@ -247,7 +247,7 @@ class LoopLink(Link):
             self.stats.bytes_in += len(entry.event.data)
             event = self._as_heard(entry)
             if event.data and events and events[-1].data and events[-1].peer == event.peer:
-                events[-1] = Received(event.peer, events[-1].data + event.data)
+                events[-1] = Received(event.peer, events[-1].data + event.data, foreign=_joined(events[-1], event))
             elif event.data or event.opened or event.closed:
                 events.append(event)
         return events
@@ -257,7 +257,8 @@ class LoopLink(Link):
         if device is None or host is None or same_speed(device, host):
             return entry.event
         self.stats.bytes_garbled += len(entry.event.data)
-        return Received(entry.event.peer, resample(entry.event.data, host, device).values.tobytes())
+        sent = entry.event.data
+        return Received(entry.event.peer, resample(sent, host, device).values.tobytes(), foreign=(host, sent))
 
     def send(self, payload: bytes, due_ns: int, peer: int | None = None, line_speed: int | None = None) -> None:
         if not self.is_open:
@@ -320,3 +321,10 @@ class LoopLink(Link):
         self.is_open = False
         self._input.clear()
         self.clear()
+
+
+def _joined(one: Received, other: Received) -> tuple[int, bytes] | None:
+    """What both were sent as; of two speeds the later one's."""
+    if one.foreign is None or other.foreign is None or one.foreign[0] != other.foreign[0]:
+        return other.foreign
+    return one.foreign[0], one.foreign[1] + other.foreign[1]

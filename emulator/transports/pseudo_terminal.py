@@ -172,11 +172,12 @@ class PseudoTerminal(Link):
         self._intake.take(len(data))
         self.stats.bytes_in += len(data)
         modes = self.host_modes()
-        device = self._line.speed
+        device, foreign = self._line.speed, None
         if device is not None and not self._hear_each_other(modes.sends_baud, device):
             self.stats.bytes_garbled += len(data)
+            foreign = modes.sends_baud, data
             data = resample(data, modes.sends_baud, device).values.tobytes() if modes.sends_baud else b""
-        return [*reported, Received(0, data)] if data else reported
+        return [*reported, Received(0, data, foreign=foreign)] if data else reported
 
     def _read(self, most: int) -> bytes:
         chunks, size = [], 0

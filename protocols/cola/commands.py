@@ -261,7 +261,7 @@ VARIABLES: Mapping[str, Variable] = {
     "ODoprh": Variable("u32", None, "recorded", lambda device, now: [device.hours(now)], None),
     "ODpwrc": Variable("u32", None, "recorded", lambda device, now: [device.power_ups], None),
     "LCMstate": Variable("u8", None, MANUAL, lambda device, now: _optics(device, now), None,
-                         on=_series("lms1", "lms5"), note="as mm per tick"),
+                         on=_series("lms1", "lms5")),
     "ContaminationResult": Variable(
         "u8 u8", None, "vendor's driver", lambda device, now: device.contamination(), None, on=_series("mrs")),
     "OPcurtmpdev": Variable("f32", None, MEMORY, lambda device, now: [device.celsius(now)], None,

@@ -36,7 +36,11 @@ GOOD, ERROR = 0, 2
 FORCED_TURN_NS = SECOND_NS // 10
 "Samples of a motor that stands are measured so long at once."
 CONFIRM_NS = SECOND_NS // 2
-"A detected speed that is not confirmed by then is forgotten."
+"A detected speed that is not confirmed by then is left again."
+BLOCK, BLOCKS = 0x41, 64
+"The byte by which a host shows its speed, and how many of them a device measures."
+DETECTS_BAUD = 115_200, 512_000
+"Least and most speed that it finds so."
 FOLLOWS = 0.5
 "Of the speed that is set: above, samples go on while the motor changes its speed."
 BITS = 10
@@ -83,6 +87,11 @@ class RplidarDevice(RequestSession):
         self._left: Samples | None = None
         "Samples of no whole group yet."
         self._detected_ns: int | None = None
+        "When a host's speed was found that is not confirmed yet."
+        self._before = model.baud
+        "Speed before that."
+        self._blocks = 0
+        "Of a run at another speed than the line's."
         self._follows: int | None = None
         "The sweep that continues the groups."
 
@@ -160,7 +169,7 @@ class RplidarDevice(RequestSession):
             self._outbox.send(Emission(now_ns, text.encode(), label="boot"))
 
     def _next_instant(self) -> int | None:
-        own = (self._begin_ns, self._stall_ns) if self._running else ()
+        own = (self._begin_ns, self._stall_ns, self._reverts_ns) if self._running else ()
         return earliest((super()._next_instant(), *own))
 
     def _happen(self, now_ns: int) -> None:
@@ -171,6 +180,9 @@ class RplidarDevice(RequestSession):
             self._stall_ns = None
             self.health, self.error_code = ERROR, STALLED
             self.stop(now_ns)
+        if self._running and self._reverts_ns is not None and self._reverts_ns <= now_ns:
+            self._detected_ns = None
+            self._run_at(now_ns, self._before, "41 not confirmed")
         super()._happen(now_ns)
 
     # scans
@@ -324,23 +336,44 @@ class RplidarDevice(RequestSession):
 
     # speed of the line
 
-    def detect(self, now_ns: int) -> None:
-        """A run of 41 has come at the speed of the line: it is reported, and may be confirmed."""
-        if self.model.byte < 0x40 or self.stream is not None:
+    def other_speed(self, baud: int, sent: bytes, now_ns: int, address: Address) -> None:
+        """A run of 41 is measured, at whatever speed it comes."""
+        self.advance(now_ns)
+        for byte in sent:
+            self._blocks = self._blocks + 1 if byte == BLOCK else 0
+            if self._blocks == BLOCKS:
+                self.detect(now_ns, baud)
+
+    def detect(self, now_ns: int, baud: int | None = None) -> None:
+        """A run of 41 has come, None: at the speed of the line. That is reported, at it, and may be confirmed."""
+        self._blocks = 0
+        least, most = DETECTS_BAUD
+        if not self.model.detects_baud or self.stream is not None or self._detected_ns is not None or not self._running:
             return
-        self._detected_ns = now_ns
-        said = struct.pack("<I", self.baud)
-        self._outbox.send(Emission(now_ns + self.REPLY_NS, said, label="41"))
+        if baud is not None and not least <= baud <= most:
+            return
+        self._detected_ns, self._before = now_ns, self.baud
+        self._run_at(now_ns, self.baud if baud is None else baud, "41")
+        self._outbox.send(Emission(now_ns + self.REPLY_NS, struct.pack("<I", self.baud), label="41"))
 
     @property
     def detected(self) -> bool:
         """Whether a host may confirm a speed now."""
-        return self._detected_ns is not None and self._now_ns - self._detected_ns <= CONFIRM_NS
+        return self._detected_ns is not None
+
+    @property
+    def _reverts_ns(self) -> int | None:
+        return None if self._detected_ns is None else self._detected_ns + CONFIRM_NS
 
     def change_speed(self, now_ns: int, baud: int) -> None:
         """The line has another speed until the next power-on."""
-        self.baud, self._detected_ns = baud, None
-        self._outbox.send(Emission(now_ns + self.REPLY_NS, b"", line_speed=baud, label="90"))
+        self._detected_ns = None
+        self._run_at(now_ns + self.REPLY_NS, baud, "90")
+
+    def _run_at(self, due_ns: int, baud: int, label: str) -> None:
+        if baud != self.baud:
+            self.baud = baud
+            self._outbox.send(Emission(due_ns, b"", line_speed=baud, label=label))
 
 
 def _nearest(known: np.ndarray, wanted: np.ndarray, closed: bool) -> np.ndarray:

@@ -71,6 +71,11 @@ class Model:
         """Whether GET_LIDAR_CONF is known."""
         return self.byte >= 0x40 or self.firmware >= (1, 24)
 
+    @property
+    def detects_baud(self) -> bool:
+        """Whether a run of 41 is measured."""
+        return self.byte >= 0x40 or self.firmware >= (1, 30)
+
 
 _A1 = Model(
     "rplidar-a1m8", 0x18, (1, 29), 7, 115_200, "dtr", _modes((508, 254, 127, 127), 12), 3, True, 7.0, 1.0, 10.0, 150, 15

@@ -10,14 +10,12 @@ from typing import ClassVar
 
 from protocols.rplidar import commands
 from protocols.rplidar.codec import SYNC, xor
-from protocols.rplidar.device import RplidarDevice
+from protocols.rplidar.device import BLOCK, BLOCKS, RplidarDevice
 from protocols.session import DropReason, LinkKind
 from protocols.skeleton.receiving import Fault, Splitter
 from protocols.skeleton.requests import Command, Host, Request
 
 LONGEST = 3 + 255 + 1
-BLOCK, BLOCKS = 0x41, 64
-"The byte by which a host shows its speed, and how many of them a device measures."
 DETECT = b"\x41"
 
 

@@ -21,6 +21,7 @@ from protocols.scip.settings import Settings
 from protocols.session import Address, DropReason, Emission, LinkKind
 from protocols.skeleton.instants import SECOND_NS, Raster, earliest
 from protocols.skeleton.outbox import Outgoing
+from protocols.skeleton.receiving import Fault
 from protocols.skeleton.requests import RequestSession
 from protocols.skeleton.sweeps import SHARES, Sweep, Telegram
 
@@ -386,3 +387,9 @@ class ScipDevice(RequestSession):
                 self._events.drop(now_ns, DropReason.BUSY, "another client is served", lost)
             return
         super().receive(data, now_ns, address)
+
+    def other_speed(self, baud: int, sent: bytes, now_ns: int, address: Address) -> None:
+        """Framing errors: the line that was being received is given up, so that the next one is understood."""
+        for fault in self._connections.of(address).receiver.end():
+            if isinstance(fault, Fault):
+                self._events.drop(now_ns, fault.reason, "framing errors", fault.count)

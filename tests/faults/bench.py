@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from emulator.faults.events import FaultEvent
+from emulator.hosts.cola import ColaScript
 from emulator.hosts.scans import HostScan
 from emulator.hosts.scripted import LdScript, Lms2xxScript
 from emulator.injection.run import FaultRun
@@ -29,11 +30,12 @@ from protocols.scan import DetectedObject, Scan, ScanPlan
 from protocols.session import Event
 
 RANGE_M = 5.0
-MODELS = {"line": "sick-lms291-s05", "tcp": "sick-ld-lrs1000", "can": "can-ars408"}
+MODELS = {"line": "sick-lms291-s05", "tcp": "sick-ld-lrs1000", "can": "can-ars408", "cola": "sick-lms111"}
 E2E = {"profile": "p05", "messages": {"ObjListHeader": {"data_id": 0x1234, "offset_bytes": 4}}}
 DEVICES: dict[str, dict[str, Any]] = {
     "line": {"real_time_indices": True},
     "tcp": {"step_deg": 1.0},
+    "cola": {"ready_s": 1},
     "can": {"e2e": E2E, "counter_step": 1},
 }
 OBJECTS = tuple(
@@ -82,7 +84,7 @@ class Heard(Observer):
 
 
 class Bench:
-    """One sensor of a kind: `line` (LMS291), `tcp` (LD) or `can` (object lists), and a host of ours."""
+    """One sensor of a kind: `line` (LMS291), `tcp` (LD), `cola` (LMS111) or `can` (object lists), a host of ours."""
 
     def __init__(
         self,
@@ -128,7 +130,8 @@ class Bench:
             return data
 
         end.read = log  # type: ignore[method-assign]
-        return [Lms2xxScript(end, self._scan) if kind == "line" else LdScript(end, self._scan)]
+        script = {"line": Lms2xxScript, "tcp": LdScript, "cola": ColaScript}[kind]
+        return [script(end, self._scan)]
 
     def _scan(self, now_ns: int, scan: HostScan) -> None:
         self.scans.append((now_ns, scan))

@@ -73,9 +73,9 @@ def test_sick_numbers_and_the_reference_receiver_follow_the_physics_specificatio
                  "ouster-os0": (7031.25, 5e-9), "ouster-os1": (36125.0, 5e-9), "ouster-os2": (153125.0, 5e-9),
                  "rplidar-a3": (1000.0, 1e-10), "rplidar-a": (160.0, 1e-10), "rplidar-s1": (1778.0, 4e-9),
                  "rplidar-s2": (1000.0, 4e-9), "rplidar-s3": (2286.0, 4e-9), "rplidar-c1": (360.0, 4e-9),
-                 "ldrobot-ld": (100.8, 4e-9), "ldrobot-stl": (437.5, 4e-9), "ydlidar-x4": (80.0, 4e-9),
-                 "ydlidar-x2": (51.2, 4e-9), "ydlidar-g4": (204.8, 4e-9), "ydlidar-tg": (180.0, 4e-9),
-                 "ydlidar-t-m": (115.2, 4e-9)}  # fmt: skip
+                 "ldrobot-ld": (144 / 0.7, 4e-9), "ldrobot-stl": (625 / 0.7, 4e-9), "ydlidar-x4": (125.0, 1e-10),
+                 "ydlidar-x2": (80.0, 1e-10), "ydlidar-g4": (320.0, 1e-10), "ydlidar-tg": (225 / 0.8, 4e-9),
+                 "ydlidar-t-m": (180.0, 4e-9)}  # fmt: skip
     k_m2, fwhm_s = next((value for name, value in constants.items() if model.startswith(name)), (9000.0, 4e-9))
     assert made.k_m2 / made.threshold == pytest.approx(k_m2, rel=2e-4)
     assert made.pulse.fwhm_s == pytest.approx(fwhm_s)

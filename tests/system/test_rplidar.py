@@ -1,18 +1,23 @@
-"""Strangers as judges of RPLIDAR: pyrplidarsdk (PyPI, with the maker's SDK), unmodified, on pty and UDP."""
+"""Strangers as judges of RPLIDAR, unmodified: pyrplidarsdk (PyPI, with the maker's SDK) on pty and UDP, and
+rplidar-roboticia, a client in Python that switches the motor by DTR, under the shim."""
 
 from __future__ import annotations
 
 import json
+import os
 import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from emulator.transports.shim import find_compiler
 from tests.system.conftest import TIME_LIMIT_S, RunningDaemon, daemons
+from tests.system.nursery import ran
 
 HALF_M = 2.0
 SCENE = """\
@@ -102,3 +107,54 @@ def reads_the_room(found: dict[str, Any], model: int, points: tuple[int, int], m
 def test_the_maker_s_sdk_reads_the_room_over_udp(running: RunningDaemon) -> None:
     words = {"ip_address": "127.0.0.1", "udp_port": int(running.link("net").rpartition(":")[2])}
     reads_the_room(judged(words), 113, (2500, 2950), 0.06)
+
+
+CLIENT = """\
+import json, sys, time
+from rplidar import RPLidar, RPLidarException
+lidar = RPLidar(sys.argv[1])
+for _ in range(50):  # its boot text comes first
+    try:
+        info, health = lidar.get_info(), lidar.get_health()
+        if isinstance(info, dict) and not isinstance(health, str):
+            break
+    except RPLidarException:
+        pass
+    time.sleep(0.2)
+    lidar.clean_input()
+turns = {}
+for kind in ("normal", "express"):
+    found = []
+    for turn in lidar.iter_scans(kind, max_buf_meas=False, min_len=50):
+        found.append([[angle, mm] for _, angle, mm in turn])
+        if len(found) == 4:
+            break
+    turns[kind] = found[2:]
+    lidar.stop()
+    lidar.clean_input()
+lidar.stop_motor()
+lidar.disconnect()
+print(json.dumps({"info": info, "health": health, "turns": turns}))
+"""
+
+
+@pytest.mark.skipif(find_compiler(os.environ) is None, reason="no C compiler here")
+def test_a_client_in_python_that_switches_dtr_reads_the_room_under_the_shim(tmp_path: Path) -> None:
+    (tmp_path / "room.yaml").write_text(SCENE + SENSOR % ("a1", "rplidar-a1m8", "pty:./a1"), encoding="utf-8")
+    (tmp_path / "client.py").write_text(CLIENT, encoding="utf-8")
+    words = ["run", "room.yaml", "--shim", "--", sys.executable, "client.py", "./a1"]
+    done = ran(*words, cwd=tmp_path, seconds=120)
+    assert done.returncode == 0, done.stdout[-1000:] + done.stderr[-2000:]
+    found = json.loads(next(line for line in (done.stdout + done.stderr).splitlines() if line.startswith("{")))
+    assert (found["info"]["model"], found["health"]) == (24, ["Good", 0])
+    step_deg = 360.0 * 7.0 * 254e-6  # of express capsules it gives each sample the angle of the next one
+    for kind, least, late_deg in (("normal", 180, 0.0), ("express", 360, step_deg)):
+        for turn in found["turns"][kind]:
+            angle, mm = np.array(turn).T
+            seen = mm > 0
+            assert seen.sum() > least
+            ray = np.radians(angle[seen] - late_deg)
+            true = HALF_M / np.maximum(np.maximum(np.abs(np.cos(ray)), -np.sin(ray)), 1e-9)
+            off = np.abs(mm[seen] / 1000.0 - true)
+            assert np.median(off) < 0.012
+            assert np.percentile(off, 95) < 0.06

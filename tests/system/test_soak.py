@@ -24,6 +24,16 @@ def test_a_short_soak_in_virtual_time_holds(tmp_path: Path, capsys: pytest.Captu
         assert not reported["hosts"][name]["faults"]
 
 
+def test_a_short_soak_of_the_desk_scanners_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["study", "soak", "--desk", "--hours", "0.012", "--seed", "2", "--out", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "held"
+    reported = json.loads((tmp_path / "soak.json").read_text())
+    assert set(reported["sensors"]) == {"urg", "slam", "ld", "eai"}
+    for name, account in reported["sensors"].items():
+        assert account["unaccounted"] == 0
+        assert reported["hosts"][name]["clean_scans"] > 100
+
+
 def test_a_short_soak_on_real_links_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code = main(["study", "soak", "--real", "12", "--seed", "1", "--out", str(tmp_path), "--json"])
     reported = json.loads(capsys.readouterr().out)

@@ -50,6 +50,7 @@ def test_at_another_speed_both_get_garbage_until_the_host_follows() -> None:
     host.write(b"\x02", 10 * MS)
     (received,) = link.receive(20 * MS)
     assert received.data == resample(b"\x02", 38_400, 9600).values.tobytes()
+    assert received.foreign == (38_400, b"\x02")
     host.baud = 9600
     host.write(b"\x02", 20 * MS)
     assert link.receive(30 * MS) == [Received(0, b"\x02")]

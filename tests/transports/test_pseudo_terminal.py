@@ -112,6 +112,17 @@ def test_at_another_speed_both_get_what_a_uart_would(port: Path, device: int, ho
         assert link.stats.bytes_garbled == 2 * len(TELEGRAM)
 
 
+def test_what_a_host_sent_at_another_speed_is_known_beside_what_was_heard(port: Path) -> None:
+    with opened(f"pty:{port}", 460_800) as link, host_at(port, 512_000) as end:
+        end.write(b"\x41" * 64)
+        (received,) = link.receive(0)
+        assert received.foreign == (512_000, b"\x41" * 64)
+        assert received.data == resample(b"\x41" * 64, 512_000, 460_800).values.tobytes()
+    with opened(f"pty:{port}", 460_800) as link, host_at(port, 460_800) as end:
+        end.write(b"\x41")
+        assert link.receive(0)[0].foreign is None
+
+
 def test_a_host_with_inpck_reads_framing_errors_as_zero(port: Path) -> None:
     with opened(f"pty:{port}", 9600) as link, host_at(port, 19_200) as end:
         modes = termios.tcgetattr(end.fileno())

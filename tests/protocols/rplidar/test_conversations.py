@@ -15,6 +15,7 @@ from protocols.rplidar import FAMILY
 from protocols.rplidar.commands import COMMANDS
 from protocols.rplidar.models import MODELS
 from protocols.session import Address, DropReason, LinkKind
+from tests.protocols.lds2d_reader import turns
 from tests.protocols.rplidar.rig import (
     LINE,
     MS,
@@ -396,3 +397,90 @@ def test_settings_that_no_device_has_are_refused(key: str, value: object) -> Non
 def test_a_model_that_is_not_in_the_table_is_refused() -> None:
     with pytest.raises(DeviceSettingError, match="rplidar-a1m8"):
         FAMILY.new_session({}, {"model": "rplidar-z9"})
+
+
+@pytest.mark.parametrize(
+    ("model", "theirs", "us"), [("rplidar-a1m8", "RPLIDAR-A1", 508), ("rplidar-c1m1", "RPLIDAR-C1", 200)]
+)
+def test_lds2d_reads_turns_of_the_world(model: str, theirs: str, us: int) -> None:
+    rig = turning(model)
+    found = turns(theirs, rig.ask(SCAN, 2 * SECOND))
+    hz = 7.0 if "a1" in model else 10.0
+    assert len(found) >= 2 * hz - 4
+    for angle, mm, quality in found[1:]:
+        assert len(angle) == pytest.approx(1e6 / us / hz, rel=0.02)
+        seen = (angle < 299.0) & (angle > 1.0)
+        np.testing.assert_allclose(mm[seen], 1000.0 + 10.0 * angle[seen], atol=1.0)
+        assert (mm[angle > 301.0] == 0).all()
+        assert (quality[seen] > 0).all()
+
+
+class Device:
+    """A device in virtual time as the serial port of a client in Python: time passes while it reads, or sleeps."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig, self._held = rig, b""
+
+    def _let(self, duration_ns: int) -> None:
+        self.rig.run(duration_ns)
+        self._held += self.rig.raw()
+
+    def read(self, size: int = 1) -> bytes:
+        for _ in range(2000):
+            if len(self._held) >= size:
+                break
+            self._let(MS)
+        found, self._held = self._held[:size], self._held[size:]
+        return found
+
+    def write(self, data: bytes) -> int:
+        self.rig.put(data)
+        return len(data)
+
+    def sleep(self, seconds: float) -> None:
+        self._let(round(seconds * 1e9))
+
+    def inWaiting(self) -> int:
+        if not self._held:
+            self._let(MS)
+        return len(self._held)
+
+    def flushInput(self) -> None:
+        self._let(0)
+        self._held = b""
+
+    def setDTR(self, level: bool) -> None:
+        self.rig.session.modem_lines(level, False, self.rig.now_ns, LINE)
+
+    def close(self) -> None:
+        pass
+
+
+def test_roboticia_scans_recovers_from_health_2_and_switches_the_motor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """rplidar-roboticia, unmodified, in virtual time: its waits, its DTR, its RESET."""
+    import rplidar
+
+    rig = Rig(device={"health": "error", "boot_s": 0.8, "spin_up_s": 1.0}, ready=False)
+    rig.run(3 * SECOND)
+    rig.raw()
+    port = Device(rig)
+    monkeypatch.setattr(rplidar.serial, "Serial", lambda *_, **__: port)
+    monkeypatch.setattr(rplidar.time, "sleep", port.sleep)
+    lidar = rplidar.RPLidar("x")
+    assert lidar.get_info()["model"] == 24
+    assert lidar.get_health()[0] == "Error"
+    for kind, count, step_deg in (("normal", 281, 0.0), ("express", 562, 360.0 * 7.0 * 254e-6)):
+        scans = lidar.iter_scans(kind, max_buf_meas=False, min_len=20)
+        found = [next(scans) for _ in range(5)][2:]
+        for turn in found:
+            angle, mm = np.array([one[1:] for one in turn]).T
+            assert len(angle) == pytest.approx(count, rel=0.2), "it keeps those with an echo: 300 degrees of 360"
+            seen = (angle > 2.0) & (angle < 298.0) & (mm > 0)
+            np.testing.assert_allclose(mm[seen], 1000.0 + 10.0 * (angle[seen] - step_deg), atol=4.0)
+        lidar.stop()
+        lidar.clean_input()
+    assert lidar.get_health()[0] == "Good"
+    lidar.stop_motor()
+    rig.run(10 * SECOND)
+    rig.raw()
+    assert len(rig.ask(SCAN, SECOND)) == 7, "DTR is set: it stands"

@@ -180,6 +180,22 @@ def test_a_turn_begins_with_a_zero_packet_that_tells_the_speed(model: str, devic
     assert rig.dropped() == []
 
 
+@pytest.mark.parametrize("model", sorted(MODELS))
+def test_the_check_of_the_maker_s_sdk_after_a_start(model: str) -> None:
+    """Of five turns the samples times the speed must round to a rate of the model; none may take longer than 2 s."""
+    facts = MODELS[model]
+    rig = rig_of(model)
+    rig.put(b"\xa5\x60")
+    rig.run(int(7 * SECOND / facts.hz[1]) + SECOND)
+    read = packets(rig.raw(), 3 if "mini" in model else 2)
+    zeros = [k for k, one in enumerate(read) if one.kind & 1][:6]
+    assert len(zeros) == 6
+    for k, m in pairwise(zeros):
+        hz = (read[k].kind >> 1) / 10.0 + facts.speed_offset
+        count = sum(len(one.words) for one in read[k:m])
+        assert round(count * hz / 1000.0) == round(facts.rates_hz[facts.rate] / 1000.0)
+
+
 def test_too_near_and_too_far_are_no_return() -> None:
     rig = rig_of("ydlidar-g4", range_at=lambda angle: np.where(angle < 180.0, 0.2, 15.9))
     rig.put(b"\xa5\x60")
