@@ -146,6 +146,8 @@ class MovingCast:
         self._slices = [Slices(frames, centre) for frames, centre in layout.frames]
         self._broad_phase = BroadPhase(self._all.batched.motions, self._all.reach + self._all.arm)
         self._kept: tuple[tuple[Longs, Movers], ...] = ()
+        self._chosen: dict[tuple[int, ...], Movers] = {}
+        "Of fed scenes: what has been there lately, the newest last."
         motions = self._all.batched.motions
         self._fed: FedNow | None = next((one.now for one in motions if isinstance(one, Fed)), None)
         "None: nobody moves any of them from outside."
@@ -320,9 +322,19 @@ class MovingCast:
         wanted[which] = True
         found = [row for row in (*self._lasting, *come) if wanted[row]]
         found = sorted(row for row in found if not isinstance(each := motions[row], Fed) or each.there)
-        movers = _as_fed(self._all.chosen(np.array(found, np.int64))) if found else self._all.chosen(which[:0])
+        movers = _as_fed(self._of(tuple(found)))
         self._kept = ((which, movers), *self._kept[: KEPT - 1])
         return movers
+
+    def _of(self, rows_: tuple[int, ...]) -> Movers:
+        """Some of them, the same again as long as the same ones are there."""
+        found = self._chosen.pop(rows_, None)
+        if found is None:
+            while len(self._chosen) >= KEPT:
+                del self._chosen[next(iter(self._chosen))]
+            found = self._all.chosen(np.array(rows_, np.int64))
+        self._chosen[rows_] = found
+        return found
 
     def _looked(self, movers: Movers, times: Floats) -> tuple[Near, Longs] | None:
         """What is known of fed ones at these times, and the number of each time; None: they are too many."""

@@ -7,6 +7,7 @@ are. Not: formats, sockets, the feeder's clock (playout). Nothing here reads a c
 from __future__ import annotations
 
 import heapq
+import math
 from bisect import bisect_right
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -21,7 +22,7 @@ from emulator.live.tracks import BLEND_S, Between, Track, World
 
 MOST_KEPT = 10_000
 "Samples of one actor; the oldest go, first those that no sweep can want."
-NONE = (np.nan, np.nan, np.nan)
+NONE = (math.nan, math.nan, math.nan)
 LONGEST_S = 10.0
 "Nothing is asked for that lies so long before the newest sample."
 KEEP_S = 2.0
@@ -36,8 +37,11 @@ MOST_LIVES = 8
 "Lives of one id that are kept."
 EGO_NAMES = ("ego", "hero")
 "Of the host vehicle where the feeder has not said which one it is."
-JUMP_RAD_S = 2.0 * np.pi
+JUMP_RAD_S = 2.0 * math.pi
 MOST_EVENTS = 1000
+ROW = {"at_m": slice(0, 3), "quaternion": slice(3, 7), "velocity_m_s": slice(7, 10), "spin_rad_s": slice(10, 13)}
+"What is kept of a sample; NaN where the feeder gave none. Then whether it is a jump, and whether its feed returns."
+JUMP, RETURNS = 13, 14
 
 
 @dataclass(frozen=True)
@@ -63,7 +67,8 @@ class _Known:
 
     first: ActorSample
     t_s: list[float] = field(default_factory=list)
-    rows: list[tuple[Vector, Quaternion, Vector | None, Vector | None, bool, bool]] = field(default_factory=list)
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+    "See `ROW`."
     gone_s: float = np.inf
     forgot: bool = False
     "Its first samples are not kept any more."
@@ -255,11 +260,11 @@ class Book:
                 self.counts["duplicate"] += 1
                 return
             del known.t_s[-1], known.rows[-1]
-        jump, returns = one.jump, False
+        jump, returns, turned = one.jump, False, _unit(one.quaternion)
         if known.t_s:
             step = t_s - known.t_s[-1]
             returns = not jump and step > self.rules.silent_after_s
-            jump = jump or name in self._fresh or self._is_jump(known, one, step)
+            jump = jump or name in self._fresh or self._is_jump(known, one, turned, step)
             returns = returns and not jump
             if not jump:
                 self._judge(known, one, t_s)
@@ -268,7 +273,7 @@ class Book:
                 self._tell(t_s, f"{name}: poses come again after {step:.3g} s", f"returns {name} {t_s}")
         self._fresh.discard(name)
         known.t_s.append(t_s)
-        known.rows.append((one.at_m, _unit(one.quaternion), one.velocity_m_s, one.spin_rad_s, jump, returns))
+        known.rows.append((*one.at_m, *turned, *(one.velocity_m_s or NONE), *(one.spin_rad_s or NONE), jump, returns))
         if returns:
             known.returned_s = t_s
         if not self.rules.keep_all and len(known.t_s) > 64:
@@ -278,26 +283,28 @@ class Book:
                 del known.t_s[:excess], known.rows[:excess]
                 known.forgot = True
 
-    def _is_jump(self, known: _Known, one: ActorSample, step: float) -> bool:
-        at, turned, velocity = known.rows[-1][:3]
-        stated = max(_length(velocity), _length(one.velocity_m_s))
-        away = _length((one.at_m[0] - at[0], one.at_m[1] - at[1], one.at_m[2] - at[2]))
-        if velocity is None or one.velocity_m_s is None:
+    def _is_jump(self, known: _Known, one: ActorSample, turned: Quaternion, step: float) -> bool:
+        x, y, z, w, i, j, k, *velocity = known.rows[-1][:10]
+        if one.velocity_m_s is None or velocity[0] != velocity[0]:
             limit = self._usual(known)
         else:
-            limit = JUMP_FACTOR * stated + self.rules.jump_m_s
-        if away > limit * step:
+            limit = JUMP_FACTOR * max(math.hypot(*velocity), math.hypot(*one.velocity_m_s)) + self.rules.jump_m_s
+        to = one.at_m
+        if math.hypot(to[0] - x, to[1] - y, to[2] - z) > limit * step:
             return True
-        dot = abs(sum(a * b for a, b in zip(turned, _unit(one.quaternion), strict=True)))
-        angle = 2.0 * float(np.arccos(min(1.0, dot)))
-        return angle > max(JUMP_RAD_S, 2.0 * _length(one.spin_rad_s)) * step
+        dot = abs(w * turned[0] + i * turned[1] + j * turned[2] + k * turned[3])
+        if dot >= 1.0 or step > 0.5:  # no turn at all, or time for a whole one
+            return False
+        rate = 0.0 if one.spin_rad_s is None else math.hypot(*one.spin_rad_s)
+        return 2.0 * math.acos(dot) > max(JUMP_RAD_S, 2.0 * rate) * step
 
     def _usual(self, known: _Known) -> float:
         """Speed that is no jump of an actor whose feeder states none: by its last step, jump or not. [m/s]"""
         if len(known.t_s) < 2:
             return FASTEST_M_S
-        (one, *_), (other, *_) = known.rows[-2:]
-        speed = _length((other[0] - one[0], other[1] - one[1], other[2] - one[2])) / (known.t_s[-1] - known.t_s[-2])
+        one, other = known.rows[-2:]
+        way = math.hypot(other[0] - one[0], other[1] - one[1], other[2] - one[2])
+        speed = way / (known.t_s[-1] - known.t_s[-2])
         return min(JUMP_FACTOR * speed + self.rules.jump_m_s, FASTEST_M_S)
 
     def _judge(self, known: _Known, one: ActorSample, t_s: float) -> None:
@@ -366,16 +373,12 @@ class Book:
         if known.returned_s > begin_s - BLEND_S:
             first = max(0, bisect_right(times, begin_s - BLEND_S) - 2)
         until = min(len(times), bisect_right(times, end_s) + 1)
-        rows = known.rows[first:until]
-        at, turned, velocity, spin, jump, returns = zip(*rows, strict=True)
+        rows = np.array(known.rows[first:until])
         return Track(
             np.array(times[first:until]),
-            np.array(at, np.float64),
-            np.array(turned, np.float64),
-            np.array([NONE if each is None else each for each in velocity], np.float64),
-            np.array([NONE if each is None else each for each in spin], np.float64),
-            np.array(jump, bool),
-            np.array(returns, bool),
+            *(rows[:, columns] for columns in ROW.values()),
+            rows[:, JUMP] > 0.0,
+            rows[:, RETURNS] > 0.0,
             not known.forgot and first == 0,
             known.gone_s,
             rules.between,
@@ -434,11 +437,7 @@ def _called(name: str, one: ActorSample) -> str:
     return name if name == one.id else f"{one.id} ({name})"
 
 
-def _length(vector: Vector | None) -> float:
-    return 0.0 if vector is None else float(np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2))
-
-
 def _unit(quaternion: Quaternion) -> Quaternion:
-    norm = float(np.sqrt(sum(value * value for value in quaternion)))
     w, x, y, z = quaternion
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
     return (w / norm, x / norm, y / norm, z / norm) if norm > 0.0 else (1.0, 0.0, 0.0, 0.0)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -75,6 +76,27 @@ class Track:
         """It is there until then."""
         return min(self.gone_s, self.last_s + self.vanish_after_s)
 
+    @cached_property
+    def comes_back(self) -> bool:
+        """Its feed had been silent before one of these samples."""
+        return bool(self.returns.any())
+
+    @cached_property
+    def turns(self) -> bool:
+        """It may be turned otherwise at some instant than at another."""
+        spins = np.abs(self.spin_rad_s) > 0.0  # NaN is not
+        return bool(spins.any() or (self.quaternion[1:] != self.quaternion[:-1]).any())
+
+    @cached_property
+    def rests(self) -> bool:
+        """It neither moves nor turns."""
+        moves = (np.abs(self.velocity_m_s) > 0.0).any() or (self.at_m[1:] != self.at_m[:-1]).any()
+        return not moves and not self.turns
+
+    def is_there(self, begin_s: float, end_s: float) -> bool:
+        """It is, all the time."""
+        return end_s < self.lasts_s and (not self.begins or begin_s >= float(self.t_s[0]))
+
     def there(self, t_s: Floats) -> NDArray[np.bool_]:
         """(n,) whether it is there."""
         until = t_s < self.lasts_s
@@ -83,7 +105,7 @@ class Track:
     def pose(self, t_s: Floats) -> tuple[Floats, Floats]:
         """Positions (n, 3) of the reference point and orientations (n, 4) at instants (n,)."""
         at, quaternion = self._on_track(t_s)
-        if not self.returns.any():
+        if not self.comes_back:
             return at, quaternion
         back = np.flatnonzero(self.returns)
         latest = np.searchsorted(self.t_s[back], t_s, side="right") - 1

@@ -9,7 +9,7 @@ All motions of one scene read one `FedNow`, which is set before each sweep.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -88,6 +88,14 @@ class FedNow:
         return found, index
 
 
+def around(motions: Sequence[Fed], times: Floats) -> tuple[Floats, Floats]:
+    """Centres (3, k) and radii (k,) of spheres that hold their origins at all instants; infinite: it is not known."""
+    found = motions[0].now.placings(times) if motions else None
+    if found is None:
+        return np.zeros((3, len(motions))), np.full(len(motions), np.inf)
+    return found[0].around(motions)
+
+
 @dataclass(frozen=True, eq=False)
 class Box:
     """The box of an actor's shape about its own origin: from which points of it feeders count."""
@@ -162,9 +170,9 @@ class Fed(Motion):
     def whole_track(self, times: Floats) -> Track | None:
         """The only one that it has at all of these instants, ascending; None: there is more to it."""
         tracks = self._mine()
-        if len(tracks) != 1 or not len(times) or bool(tracks[0].returns.any()):
+        if len(tracks) != 1 or not len(times) or tracks[0].comes_back:
             return None
-        return tracks[0] if bool(tracks[0].there(times[[0, -1]]).all()) else None
+        return tracks[0] if tracks[0].is_there(float(times[0]), float(times[-1])) else None
 
     def _mine(self) -> list[Track]:
         if self._known is None or self._known[0] is not self.now.world:
