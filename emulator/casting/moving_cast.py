@@ -173,10 +173,11 @@ class MovingCast:
             return np.zeros((3, 1)), 0.0
         _, place, swept, curved = _whereabouts(movers, begin_s, end_s)
         if self._fed is not None and len(curved):
-            near = self._looked(movers, times)
-            if near is None:
+            near = self._looked(movers, times, curved)
+            if near is not None:
+                near[0].fill(place, swept)
+            elif any(isinstance(movers.batched.motions[row], Fed) for row in curved):
                 return place[:, :1], np.inf
-            near[0].fill(place, swept)
         low = place.min(axis=1, keepdims=True)
         centre = low + (place.max(axis=1, keepdims=True) - low) / 2.0
         away = np.sqrt(((place - centre) ** 2).sum(axis=0))
@@ -198,7 +199,7 @@ class MovingCast:
         if not len(movers.body):
             return None
         now, place, swept, curved = _whereabouts(movers, begin, end)
-        near = None if self._fed is None or not len(curved) else self._looked(movers, times)
+        near = None if self._fed is None or not len(curved) else self._looked(movers, times, curved)
         if near is not None:
             near[0].fill(place, swept)
         which, rays = may_meet(place, movers.reach + swept, box, aim.ray, far, known_m, lambda: aim.cones)
@@ -336,19 +337,20 @@ class MovingCast:
         self._chosen[rows_] = found
         return found
 
-    def _looked(self, movers: Movers, times: Floats) -> tuple[Near, Longs] | None:
-        """What is known of fed ones at these times, and the number of each time; None: they are too many."""
+    def _looked(self, movers: Movers, times: Floats, curved: Longs) -> tuple[Near, Longs] | None:
+        """What is known of fed ones at these times, of those that do not move straight, and the number of each time;
+        None: they are too many, or there is none."""
         assert self._fed is not None
-        found = self._fed.placings(times)
+        motions = movers.batched.motions
+        fed = np.array([row for row in curved if isinstance(motions[row], Fed)], np.int64)
+        found = self._fed.placings(times) if len(fed) else None
         if found is None:
             return None
         placings, instant = found
         for known in self._nears:
-            if known[0] is movers and known[1].placings is placings:
+            if known[0] is movers and known[1].placings is placings and np.array_equal(known[1].fed, fed):
                 return known[1], instant
-        motions = movers.batched.motions
-        fed = np.array([row for row, motion in enumerate(motions) if isinstance(motion, Fed)], np.int64)
-        mine = [motion for motion in motions if isinstance(motion, Fed)]
+        mine = [motion for row in fed if isinstance(motion := motions[row], Fed)]
         place, radius = placings.around(mine)
         none = np.zeros(len(fed), bool)
         near = Near(placings, fed, mine, place, radius + movers.arm[fed], none, np.full(len(motions), -1))

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from emulator.live.ages import Ages
-from emulator.live.rotations import Floats, Quaternion, Vector
+from emulator.live.rotations import Floats, Quaternion
 from emulator.live.samples import ActorSample, BadSample, Update, checked
 from emulator.live.tracks import BLEND_S, Between, Track, World
 

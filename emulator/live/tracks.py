@@ -27,6 +27,8 @@ from emulator.live.rotations import (
 )
 
 Between = Literal["interpolate", "extrapolate", "hold"]
+STRAIGHT_M = 1e-9
+"A track that is nowhere farther from a straight line, evenly passed, is one."
 BLEND_S = 0.2
 "Over so long an actor comes back to its track when its feed returns."
 
@@ -92,6 +94,36 @@ class Track:
         """It neither moves nor turns."""
         moves = (np.abs(self.velocity_m_s) > 0.0).any() or (self.at_m[1:] != self.at_m[:-1]).any()
         return not moves and not self.turns
+
+    @cached_property
+    def straight_m_s(self) -> Floats | None:
+        """(3,) its velocity where it moves straight and evenly and does not turn; None: it does otherwise."""
+        if self.turns or self.comes_back:
+            return None
+        if self.rests:
+            return np.zeros(3)
+        if self.between != "interpolate" or self.jump[1:].any():
+            return None
+        since = (self.t_s - self.t_s[0])[:, None]
+        given = self.velocity_m_s
+        if np.isnan(given).any():
+            if not np.isnan(given).all() or len(since) < 2:
+                return None
+            velocity = (self.at_m[-1] - self.at_m[0]) / since[-1]
+        else:
+            velocity = given[0]
+            if float(np.abs(given - velocity).max()) * float(since[-1, 0]) > STRAIGHT_M:
+                return None
+        off = float(np.abs(self.at_m - (self.at_m[0] + since * velocity)).max())
+        return velocity if off <= STRAIGHT_M else None
+
+    @property
+    def straight_s(self) -> tuple[float, float]:
+        """From when, and until when, `straight_m_s` holds."""
+        if self.rests:
+            return float(self.t_s[0]) if self.begins else -np.inf, self.lasts_s
+        beyond = 0.0 if np.isnan(self.velocity_m_s[-1, 0]) else self.hold_after_s
+        return float(self.t_s[0]), min(self.last_s + beyond, self.lasts_s)
 
     def is_there(self, begin_s: float, end_s: float) -> bool:
         """It is, all the time."""
