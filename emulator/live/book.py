@@ -39,6 +39,8 @@ EGO_NAMES = ("ego", "hero")
 "Of the host vehicle where the feeder has not said which one it is."
 JUMP_RAD_S = 2.0 * math.pi
 MOST_EVENTS = 1000
+MOST_TOLD = 20
+"Of one sort are reported; more are counted, so that a flood of one hides no other."
 ROW = {"at_m": slice(0, 3), "quaternion": slice(3, 7), "velocity_m_s": slice(7, 10), "spin_rad_s": slice(10, 13)}
 "What is kept of a sample; NaN where the feeder gave none. Then whether it is a jump, and whether its feed returns."
 JUMP, RETURNS = 13, 14
@@ -114,6 +116,7 @@ class Book:
         self.events: deque[tuple[float, str]] = deque(maxlen=MOST_EVENTS)
         "Instant and text, once each."
         self._reported: set[str] = set()
+        self._told: Counter[str] = Counter()
         self.newest_s = -np.inf
         "Instant of the newest sample."
         self._times: deque[float] = deque(maxlen=LOOKED_AT)
@@ -139,7 +142,7 @@ class Book:
             self.refuse(str(error), t_s)
             return False
         for key in update.unknown:
-            self._tell(t_s, f"key {key!r} is not known and not used")
+            self._tell(t_s, f"key {key!r} is not known and not used", sort="keys")
         if not self._in_order(update, t_s):
             return False
         if update.host is not None:
@@ -170,7 +173,7 @@ class Book:
     def refuse(self, why: str, t_s: float) -> None:
         """An update that cannot be used."""
         self.counts["dropped"] += 1
-        self._tell(t_s, f"an update is not used: {why}", why.partition(":")[0])
+        self._tell(t_s, f"an update is not used: {why}", why.partition(":")[0], "updates")
 
     def _in_order(self, update: Update, t_s: float) -> bool:
         if update.seq is not None:
@@ -216,7 +219,8 @@ class Book:
             return self._static_slot(one)
         if not self._slots - self._static_slots:
             self.counts["not wanted"] += 1
-            self._tell(0.0, f"actor {one.id!r} is not in the scenario; want live.actors.spawn to let it come", one.id)
+            text = f"actor {one.id!r} is not in the scenario; want live.actors.spawn to let it come"
+            self._tell(0.0, text, one.id, "actors")
             return None
         if not self._free:
             self.counts["too many actors"] += 1
@@ -270,7 +274,7 @@ class Book:
                 self._judge(known, one, t_s)
             self.counts["jumps"] += jump
             if returns:
-                self._tell(t_s, f"{name}: poses come again after {step:.3g} s", f"returns {name} {t_s}")
+                self._tell(t_s, f"{name}: poses come again after {step:.3g} s", f"returns {name} {t_s}", "returns")
         self._fresh.discard(name)
         known.t_s.append(t_s)
         known.rows.append((*one.at_m, *turned, *(one.velocity_m_s or NONE), *(one.spin_rad_s or NONE), jump, returns))
@@ -334,7 +338,7 @@ class Book:
     def restart(self, now_s: float, why: str) -> None:
         """The feeder's clock began again, or jumped: what is known holds until the next sample, which is a jump."""
         self.counts[why] += 1
-        self._tell(now_s, f"the feeder's clock: {why}", f"{why} {now_s}")
+        self._tell(now_s, f"the feeder's clock: {why}", f"{why} {now_s}", why)
         for name, lives in self._known.items():
             known = lives[-1]
             keep = max(1, bisect_right(known.t_s, now_s))
@@ -349,11 +353,16 @@ class Book:
         if why == "restart":
             self.host = None  # ids are other ones
 
-    def _tell(self, t_s: float, text: str, key: str | None = None) -> None:
-        """Once."""
+    def _tell(self, t_s: float, text: str, key: str | None = None, sort: str = "") -> None:
+        """Once; of one sort, the first ones."""
         key = text if key is None else key
         if key in self._reported or len(self._reported) >= MOST_EVENTS:
             return
+        if sort:
+            self._told[sort] += 1
+            if self._told[sort] > MOST_TOLD:
+                return
+            text += "; others are counted" if self._told[sort] == MOST_TOLD else ""
         self._reported.add(key)
         self._note(t_s, text)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from emulator.live.book import Book, Rules
+from emulator.live.json_lines import update_of
 from emulator.live.samples import ActorSample, Update
 
 MS = 1_000_000
@@ -186,3 +187,16 @@ def test_a_host_that_is_told_later_is_the_ego_from_then_on() -> None:
     assert book.host == "5"
     book.take(Update(None, (at(1.0, "5"), at(2.0, "7")), host="7"), 10_000_000)
     assert book.host == "7"
+
+
+def test_a_flood_of_one_sort_of_news_hides_no_other() -> None:
+    book = Book(names=("car",))
+    for k in range(3000):
+        book.take(update_of({"actors": [{"id": f"stranger {k}", "at_m": [0, 0, 0]}], f"key {k}": 1}), k * 1_000_000)
+        book.refuse(f"actors.{k}.at_m: none; want [x, y, z]", k * 1e-3)
+    book.restart(3.0, "restart")
+    told = [text for _, text in book.events]
+    assert len(told) == 61
+    assert sum(text.endswith("; others are counted") for text in told) == 3
+    assert told[-1] == "the feeder's clock: restart"
+    assert (book.counts["not wanted"], book.counts["dropped"]) == (3000, 3000)
