@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from emulator.live.ages import Ages
-from emulator.live.rotations import Floats, Quaternion
+from emulator.live.rotations import Floats, Quaternion, Vector
 from emulator.live.samples import ActorSample, BadSample, Update, checked
 from emulator.live.tracks import BLEND_S, Between, Track, World
 
@@ -271,7 +271,7 @@ class Book:
             jump = jump or name in self._fresh or self._is_jump(known, one, turned, step)
             returns = returns and not jump
             if not jump:
-                self._judge(known, one, t_s)
+                self._judge(known, one, turned, t_s)
             self.counts["jumps"] += jump
             if returns:
                 self._tell(t_s, f"{name}: poses come again after {step:.3g} s", f"returns {name} {t_s}", "returns")
@@ -311,18 +311,47 @@ class Book:
         speed = way / (known.t_s[-1] - known.t_s[-2])
         return min(JUMP_FACTOR * speed + self.rules.jump_m_s, FASTEST_M_S)
 
-    def _judge(self, known: _Known, one: ActorSample, t_s: float) -> None:
+    def _judge(self, known: _Known, one: ActorSample, turned: Quaternion, t_s: float) -> None:
         """How wrong beams were that were asked for beyond the newest sample, now that the truth has come."""
         if known.t_s[-1] >= self._asked_s:
+            return
+        ahead = self._ahead(known, t_s)
+        if ahead is not None:
+            x, y, z = one.at_m
+            w, i, j, k = known.rows[-1][3:7]
+            dot = abs(w * turned[0] + i * turned[1] + j * turned[2] + k * turned[3])
+            off = math.hypot(ahead[0] - x, ahead[1] - y, ahead[2] - z)
+            self.ages.truth_came(off, 2.0 * math.acos(min(1.0, dot)))
             return
         was = self._track(known, known.t_s[-1])
         if was is None:
             return
         when = np.array([t_s])
-        at, turned = was.pose(when)
+        at, turned_to = was.pose(when)
         off = float(np.sqrt(((at[0] - np.array(one.at_m)) ** 2).sum()))
-        dot = abs(float(turned[0] @ np.array(_unit(one.quaternion))))
+        dot = abs(float(turned_to[0] @ np.array(turned)))
         self.ages.truth_came(off, 2.0 * float(np.arccos(min(1.0, dot))))
+
+    def _ahead(self, known: _Known, t_s: float) -> Vector | None:
+        """Where one is at constant velocity beyond its newest sample; None: there is more to it, see `Track.pose`.
+
+        This is asked of each actor of each update in a run that is short of time.
+        """
+        last, since = known.rows[-1], t_s - known.t_s[-1]
+        if len(known.rows) < 2 or self.rules.between == "hold" or last[RETURNS] or since > self.rules.silent_after_s:
+            return None
+        before, spin = known.rows[-2], last[10:13]
+        if spin != (0.0, 0.0, 0.0) and (spin[0] == spin[0] or last[JUMP] or last[3:7] != before[3:7]):
+            return None
+        velocity = last[7:10]
+        if velocity[0] != velocity[0]:
+            if last[JUMP]:
+                return None
+            step = known.t_s[-1] - known.t_s[-2]
+            velocity = ((last[0] - before[0]) / step, (last[1] - before[1]) / step, (last[2] - before[2]) / step)
+        if known.returned_s > known.t_s[-1] - BLEND_S:
+            return None
+        return (last[0] + since * velocity[0], last[1] + since * velocity[1], last[2] + since * velocity[2])
 
     def _remove(self, name: str, t_s: float) -> None:
         lives = self._known.get(name)

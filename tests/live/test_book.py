@@ -200,3 +200,25 @@ def test_a_flood_of_one_sort_of_news_hides_no_other() -> None:
     assert sum(text.endswith("; others are counted") for text in told) == 3
     assert told[-1] == "the feeder's clock: restart"
     assert (book.counts["not wanted"], book.counts["dropped"]) == (3000, 3000)
+
+
+@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize("turn_deg", [0.0, 2.0])
+def test_how_wrong_an_extrapolation_was_is_that_of_its_track(stated: bool, turn_deg: float) -> None:
+    """However it is computed: the quick way for what does not turn, and the track for the rest."""
+    rng = np.random.default_rng(4)
+    book, wrong = Book(names=("car",)), []
+    for k in range(60):
+        at = [0.1 * k + rng.normal(0.0, 0.004), rng.normal(0.0, 0.004), 0.0]
+        row = {"id": "car", "at_m": at, "yaw_deg": turn_deg * k}
+        row |= {"velocity_m_s": [10.0, 0.1, 0.0]} if stated else {}
+        if k > 2:
+            track = book.world(0.01 * k - 0.01, 0.01 * k).tracks[0][1]
+            wrong.append(float(np.linalg.norm(track.pose(np.array([0.01 * k]))[0][0] - at)))
+        book.take(update_of({"actors": [row]}), 10_000_000 * k)
+        if k > 1:
+            book.asked(np.array([0.01 * k + 0.005]))
+    found = book.ages.report()["error_mm"]
+    assert isinstance(found, dict)
+    assert found["worst"] == pytest.approx(1e3 * max(wrong), abs=1e-3)
+    assert found["median"] == pytest.approx(1e3 * np.median(wrong), rel=0.1)
