@@ -34,6 +34,16 @@ BLEND_S = 0.2
 
 
 @dataclass(frozen=True, eq=False)
+class Nature:
+    """What kind of motion a track is."""
+
+    comes_back: bool
+    turns: bool
+    rests: bool
+    straight_m_s: Floats | None
+
+
+@dataclass(frozen=True, eq=False)
 class Track:
     """Samples of one actor, ascending in time: k of them, of which n instants are asked."""
 
@@ -79,43 +89,29 @@ class Track:
         return min(self.gone_s, self.last_s + self.vanish_after_s)
 
     @cached_property
+    def nature(self) -> Nature:
+        """What kind of motion it is; of many tracks `look_at` finds that at once."""
+        return _natures([self])[0]
+
+    @property
     def comes_back(self) -> bool:
         """Its feed had been silent before one of these samples."""
-        return bool(self.returns.any())
+        return self.nature.comes_back
 
-    @cached_property
+    @property
     def turns(self) -> bool:
         """It may be turned otherwise at some instant than at another."""
-        spins = np.abs(self.spin_rad_s) > 0.0  # NaN is not
-        return bool(spins.any() or (self.quaternion[1:] != self.quaternion[:-1]).any())
+        return self.nature.turns
 
-    @cached_property
+    @property
     def rests(self) -> bool:
         """It neither moves nor turns."""
-        moves = (np.abs(self.velocity_m_s) > 0.0).any() or (self.at_m[1:] != self.at_m[:-1]).any()
-        return not moves and not self.turns
+        return self.nature.rests
 
-    @cached_property
+    @property
     def straight_m_s(self) -> Floats | None:
         """(3,) its velocity where it moves straight and evenly and does not turn; None: it does otherwise."""
-        if self.turns or self.comes_back:
-            return None
-        if self.rests:
-            return np.zeros(3)
-        if self.between != "interpolate" or self.jump[1:].any():
-            return None
-        since = (self.t_s - self.t_s[0])[:, None]
-        given = self.velocity_m_s
-        if np.isnan(given).any():
-            if not np.isnan(given).all() or len(since) < 2:
-                return None
-            velocity = (self.at_m[-1] - self.at_m[0]) / since[-1]
-        else:
-            velocity = given[0]
-            if float(np.abs(given - velocity).max()) * float(since[-1, 0]) > STRAIGHT_M:
-                return None
-        off = float(np.abs(self.at_m - (self.at_m[0] + since * velocity)).max())
-        return velocity if off <= STRAIGHT_M else None
+        return self.nature.straight_m_s
 
     @property
     def straight_s(self) -> tuple[float, float]:
@@ -182,6 +178,45 @@ class Track:
 
 
 COLUMNS = ("t_s", "at_m", "quaternion", "velocity_m_s", "spin_rad_s", "jump", "returns")
+
+
+def look_at(tracks: Sequence[Track]) -> None:
+    """Find out at once what kind of motion each of them is."""
+    fresh = [track for track in tracks if "nature" not in vars(track)]
+    for track, nature in zip(fresh, _natures(fresh) if fresh else (), strict=True):
+        vars(track)["nature"] = nature  # where cached_property keeps it
+
+
+def _natures(tracks: Sequence[Track]) -> list[Nature]:
+    t_s, at, quaternion, velocity, spin, jump, returns = (
+        np.concatenate([getattr(track, name) for track in tracks]) for name in COLUMNS
+    )
+    sizes = np.array([len(track.t_s) for track in tracks])
+    ends = np.cumsum(sizes)
+    firsts = ends - sizes
+    first = firsts.repeat(sizes)
+
+    def any_of(rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        return np.logical_or.reduceat(rows if rows.ndim == 1 else rows.any(axis=1), firsts)
+
+    back, unknown = any_of(returns), np.isnan(velocity)
+    turns = any_of(np.abs(spin) > 0.0) | any_of(quaternion != quaternion[first])  # NaN is not
+    rests = ~turns & ~any_of(np.abs(velocity) > 0.0) & ~any_of(at != at[first])
+    some, all_ = any_of(unknown), ~any_of(~unknown)
+    since, span = t_s - t_s[first], (t_s[ends - 1] - t_s[firsts])[:, None]
+    mean = (at[ends - 1] - at[firsts]) / np.where(span > 0.0, span, 1.0)
+    even = np.where(some[:, None], mean, velocity[firsts])
+    off = np.abs(at - (at[first] + since[:, None] * even.repeat(sizes, axis=0))).max(axis=1)
+    other = np.abs(velocity - even.repeat(sizes, axis=0)).max(axis=1) * span[:, 0].repeat(sizes)
+    wrong = (off > STRAIGHT_M) | (other > STRAIGHT_M) | (jump & (np.arange(len(t_s)) != first))
+    straight = ~any_of(wrong) & (~some | all_ & (sizes > 1)) & ~turns
+    straight &= np.array([track.between == "interpolate" for track in tracks])
+    return [
+        Nature(b, t, r, np.zeros(3) if r and not b else even[k] if s and not b else None)
+        for k, (b, t, r, s) in enumerate(
+            zip(back.tolist(), turns.tolist(), rests.tolist(), straight.tolist(), strict=True)
+        )
+    ]
 
 
 def together(tracks: Sequence[Track], t_s: Floats) -> tuple[Floats, Floats]:

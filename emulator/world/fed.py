@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from emulator.live.tracks import NOTHING, Track, World
+from emulator.live.tracks import NOTHING, Track, World, look_at
 from emulator.world.motion import Floats, Motion, Pose, Steady, Vector, matrix_of
 from emulator.world.placings import MARGIN_M, Bounds, Longs, Placings
 
@@ -38,14 +38,30 @@ class FedNow:
     _placings: list[Placings] = field(default_factory=list)
     "The one used last first."
     _bounds: Bounds | None = None
+    _turns: dict[int, Floats] | None = None
 
     def use(self, world: World) -> None:
         """From now on these."""
         if world is self.world:
             return
         self.world, self._tracks, self._placings, self._bounds = world, {}, [], None
+        self._turns = None
         for name, track in world.tracks:
             self._tracks.setdefault(name, []).append(track)
+
+    def look(self) -> None:
+        """Find out at once what kind of motions these are."""
+        if self._turns is None:
+            tracks = [track for _, track in self.world.tracks]
+            look_at(tracks)
+            first = matrix_of(np.array([track.quaternion[0] for track in tracks]).reshape(-1, 4))
+            self._turns = {id(track): matrix for track, matrix in zip(tracks, first, strict=True)}
+
+    def first_turn(self, track: Track) -> Floats:
+        """(3, 3) how one of these tracks is turned at its first sample."""
+        self.look()
+        assert self._turns is not None
+        return self._turns[id(track)]
 
     @property
     def has_spawned(self) -> bool:
@@ -223,11 +239,12 @@ class Fed(Motion):
             zero, own = np.zeros(1), self._own
             placed = own.position(zero)[0], own.velocity(zero)[0], 0.0, own.rotation(zero)[0]
             return Straight(*placed, -math.inf, math.inf)
+        self.now.look()
         velocity = tracks[0].straight_m_s if len(tracks) == 1 else None
         if velocity is None:
             return None
         track, (begin, end) = tracks[0], tracks[0].straight_s
-        rotation = matrix_of(track.quaternion[:1])[0]
+        rotation = self.now.first_turn(track)
         at = track.at_m[0] + rotation @ np.array(self._offset(track))
         return Straight(at, velocity, float(track.t_s[0]), rotation, begin, end)
 
