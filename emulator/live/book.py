@@ -41,9 +41,9 @@ JUMP_RAD_S = 2.0 * math.pi
 MOST_EVENTS = 1000
 MOST_TOLD = 20
 "Of one sort are reported; more are counted, so that a flood of one hides no other."
-ROW = {"at_m": slice(0, 3), "quaternion": slice(3, 7), "velocity_m_s": slice(7, 10), "spin_rad_s": slice(10, 13)}
-"What is kept of a sample; NaN where the feeder gave none. Then whether it is a jump, and whether its feed returns."
+AT, TURNED, VELOCITY, SPIN = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
 JUMP, RETURNS = 13, 14
+"Columns of what is kept of a sample; NaN where the feeder gave none."
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class _Known:
     first: ActorSample
     t_s: list[float] = field(default_factory=list)
     rows: list[tuple[float, ...]] = field(default_factory=list)
-    "See `ROW`."
+    "By the columns `AT` to `RETURNS`."
     gone_s: float = np.inf
     forgot: bool = False
     "Its first samples are not kept any more."
@@ -414,7 +414,10 @@ class Book:
         rows = np.array(known.rows[first:until])
         return Track(
             np.array(times[first:until]),
-            *(rows[:, columns] for columns in ROW.values()),
+            rows[:, AT],
+            rows[:, TURNED],
+            rows[:, VELOCITY],
+            rows[:, SPIN],
             rows[:, JUMP] > 0.0,
             rows[:, RETURNS] > 0.0,
             not known.forgot and first == 0,
