@@ -90,7 +90,7 @@ def builtin_dbcs() -> list[str]:
 
 
 def vehicle_target(table: Mapping[str, Any], folder: Path) -> Target:
-    """What faults are told of this sender; of a DBC file that cannot be read, and messages that it lacks, nothing."""
+    """This sender as faults know it; without messages that its DBC file lacks, or all where it cannot be read."""
     name, entries = table.get("dbc"), table.get("messages")
     messages: dict[str, tuple[str, ...]] = {}
     counted = []
