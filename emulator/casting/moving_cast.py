@@ -146,6 +146,8 @@ class MovingCast:
         self._slices = [Slices(frames, centre) for frames, centre in layout.frames]
         self._broad_phase = BroadPhase(self._all.batched.motions, self._all.reach + self._all.arm)
         self._kept: tuple[tuple[Longs, Movers], ...] = ()
+        self._chosen: dict[tuple[int, ...], Movers] = {}
+        "Of fed scenes: what has been there lately, the newest last."
         motions = self._all.batched.motions
         self._fed: FedNow | None = next((one.now for one in motions if isinstance(one, Fed)), None)
         "None: nobody moves any of them from outside."
@@ -171,10 +173,11 @@ class MovingCast:
             return np.zeros((3, 1)), 0.0
         _, place, swept, curved = _whereabouts(movers, begin_s, end_s)
         if self._fed is not None and len(curved):
-            near = self._looked(movers, times)
-            if near is None:
+            near = self._looked(movers, times, curved)
+            if near is not None:
+                near[0].fill(place, swept)
+            elif any(isinstance(movers.batched.motions[row], Fed) for row in curved):
                 return place[:, :1], np.inf
-            near[0].fill(place, swept)
         low = place.min(axis=1, keepdims=True)
         centre = low + (place.max(axis=1, keepdims=True) - low) / 2.0
         away = np.sqrt(((place - centre) ** 2).sum(axis=0))
@@ -196,7 +199,7 @@ class MovingCast:
         if not len(movers.body):
             return None
         now, place, swept, curved = _whereabouts(movers, begin, end)
-        near = None if self._fed is None or not len(curved) else self._looked(movers, times)
+        near = None if self._fed is None or not len(curved) else self._looked(movers, times, curved)
         if near is not None:
             near[0].fill(place, swept)
         which, rays = may_meet(place, movers.reach + swept, box, aim.ray, far, known_m, lambda: aim.cones)
@@ -320,23 +323,34 @@ class MovingCast:
         wanted[which] = True
         found = [row for row in (*self._lasting, *come) if wanted[row]]
         found = sorted(row for row in found if not isinstance(each := motions[row], Fed) or each.there)
-        movers = _as_fed(self._all.chosen(np.array(found, np.int64))) if found else self._all.chosen(which[:0])
+        movers = _as_fed(self._of(tuple(found)))
         self._kept = ((which, movers), *self._kept[: KEPT - 1])
         return movers
 
-    def _looked(self, movers: Movers, times: Floats) -> tuple[Near, Longs] | None:
-        """What is known of fed ones at these times, and the number of each time; None: they are too many."""
+    def _of(self, rows_: tuple[int, ...]) -> Movers:
+        """Some of them, the same again as long as the same ones are there."""
+        found = self._chosen.pop(rows_, None)
+        if found is None:
+            while len(self._chosen) >= KEPT:
+                del self._chosen[next(iter(self._chosen))]
+            found = self._all.chosen(np.array(rows_, np.int64))
+        self._chosen[rows_] = found
+        return found
+
+    def _looked(self, movers: Movers, times: Floats, curved: Longs) -> tuple[Near, Longs] | None:
+        """What is known of fed ones at these times, of those that do not move straight, and the number of each time;
+        None: they are too many, or there is none."""
         assert self._fed is not None
-        found = self._fed.placings(times)
+        motions = movers.batched.motions
+        fed = np.array([row for row in curved if isinstance(motions[row], Fed)], np.int64)
+        found = self._fed.placings(times) if len(fed) else None
         if found is None:
             return None
         placings, instant = found
         for known in self._nears:
-            if known[0] is movers and known[1].placings is placings:
+            if known[0] is movers and known[1].placings is placings and np.array_equal(known[1].fed, fed):
                 return known[1], instant
-        motions = movers.batched.motions
-        fed = np.array([row for row, motion in enumerate(motions) if isinstance(motion, Fed)], np.int64)
-        mine = [motion for motion in motions if isinstance(motion, Fed)]
+        mine = [motion for row in fed if isinstance(motion := motions[row], Fed)]
         place, radius = placings.around(mine)
         none = np.zeros(len(fed), bool)
         near = Near(placings, fed, mine, place, radius + movers.arm[fed], none, np.full(len(motions), -1))

@@ -326,6 +326,8 @@ def _layout(target: Target) -> Any:
 
 def unknown_message(label: str, target: Target) -> str | None:
     """`found; want allowed` for a label that no message of an object list's format has."""
+    if target.messages is not None:
+        return None if label in target.messages else f"message {label!r}; want {nearest(label, target.messages)}"
     layout = _layout(target) if target.family == "can_objects" else None
     if layout is None or label in layout.messages:
         return None
@@ -333,6 +335,11 @@ def unknown_message(label: str, target: Target) -> str | None:
 
 
 def _known_signal(keys: Any, common: Common, target: Target) -> str | None:
+    if target.messages is not None:
+        sent = [target.messages.get(common.label, ())] if common.label else target.messages.values()
+        known = list(dict.fromkeys(name for names in sent for name in names))
+        is_known = keys.signal in known or not known
+        return None if is_known else f"signal {keys.signal!r}; want {nearest(keys.signal, known)}"
     layout = _layout(target)
     if layout is None or (common.label is not None and common.label not in layout.messages):
         return None  # a wrong label is informed of every fault

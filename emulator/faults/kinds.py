@@ -26,6 +26,16 @@ class Keys(DescribedTable):
     """Keys of one kind of fault; none by itself."""
 
 
+VEHICLE = "vehicle_bus"
+"In place of a family: who sends the ego's motion on CAN."
+ON_VEHICLE = (
+    "drop_telegram", "repeat_telegram", "reorder_telegrams", "delay_telegram", "wrong_counter", "stale_scan",
+    "flip_bits", "replace_bytes", "unplug", "hang", "bus_off", "error_passive", "wrong_dlc", "missing_message",
+    "shifted_identifier", "frame_burst", "invalid_signal", "babbling_node",
+)  # fmt: skip
+"Kinds that it can have. `stale_scan`: frames with the values of an earlier one, and counters that go on."
+
+
 @dataclass(frozen=True)
 class Target:
     """The sensor that a fault is on, as far as it is known before a run."""
@@ -45,6 +55,10 @@ class Target:
     "Texts of its links."
     actors: tuple[str, ...] | None = None
     "Of the scene; None: not known."
+    messages: Mapping[str, tuple[str, ...]] | None = None
+    "Of a vehicle bus: the messages that it sends -> their signals."
+    counted: tuple[str, ...] = ()
+    "Those of these messages that have a counter."
 
 
 @dataclass(frozen=True)
@@ -112,6 +126,8 @@ class Kind:
 
     def unfit(self, target: Target) -> str | None:
         """Why it does not exist on that sensor, `found; want allowed`; None when it does."""
+        if target.family == VEHICLE:
+            return None if self.name in ON_VEHICLE else f"{VEHICLE} is no sensor; want {_or(ON_VEHICLE)}"
         if not self.is_for(target.family):
             found = _or(self.known_families()) if self.known_families() else "a family"
             return f"{target.model} speaks {target.family or 'no protocol'}; want a sensor of {found}"

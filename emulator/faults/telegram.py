@@ -282,6 +282,13 @@ def _framings(target: Target, link: int | None) -> list[Framing]:
     return [wire.framing(kind) for kind in links or (wire.usual,)]
 
 
+def _has_counter(keys: Keys, common: Common, target: Target) -> str | None:
+    if target.messages is None or (common.label in target.counted if common.label else target.counted):
+        return None
+    found = f"{common.label} has no counter" if common.label else "no message has a counter"
+    return f"{found}; want {' or '.join(target.counted) or 'a signal that is `counter`'}"
+
+
 def _changes_check(keys: LengthKeys | CounterKeys, common: Common, target: Target) -> str | None:
     return "change 0 changes nothing; want another number" if keys.change == 0 else None
 
@@ -363,7 +370,7 @@ KINDS: tuple[Kind, ...] = (
         "The counter continues as without the fault.",
         keys=CounterKeys,
         act=lambda keys, gear: Changed(gear, lambda framing, one: framing.with_counter(one, keys.change), False),
-        check=_all(_changes_check, _has("with_counter")),
+        check=_all(_changes_check, _has("with_counter"), _has_counter),
     ),
     _kind(
         "wrong_type",

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from emulator.config.expressions import evaluate, names, truth
 from emulator.faults.events import FaultEvent
+from emulator.faults.kinds import VEHICLE, Target
 from emulator.faults.reading import FaultError, read, target_of
 from emulator.injection.late import LateTelegrams
 from emulator.injection.running import Running
@@ -20,6 +21,7 @@ from emulator.instrument.fault_hooks import Made, Passed
 from emulator.instrument.instrument import SWITCHED_OFF, Instrument
 from emulator.measuring.conditions import ActiveFault
 from emulator.scenario.quantities import check_expression
+from emulator.scenario.vehicle_options import vehicle_target
 from emulator.transports.link import Received
 from protocols.scan import ScanPlan
 from protocols.session import CommandHandled, Emission, Event
@@ -220,9 +222,7 @@ class FaultRun:
             from emulator.config.names import nearest
 
             raise FaultError(f"on: {sensor!r}; want {nearest(sensor, self._instruments)}")
-        config = next(one for one in self._scenario.sensors if one.id == sensor)
-        actors = [actor.id for actor in self._scenario.actors]
-        target = target_of(config.id, config.model, config.links, config.device, actors)
+        target = self._target(str(sensor))
         target = replace(target, links=tuple(link.kind for link in instrument.links) if live else target.links)
         fault = read(entry, target, self._check, live)
         self._make_room()
@@ -230,6 +230,7 @@ class FaultRun:
         number = self._numbers
         if str(sensor) not in self._of:
             instrument.faults = self._of[str(sensor)] = SensorFaults(self, instrument)
+            instrument.faults.scan_labels |= set(target.messages or ())  # what a vehicle sends are its values
         at_ns = now_ns if fault.common.at_s is None else round(fault.common.at_s * 1e9)
         self._faults[number] = running = Running(number, fault, self._of[str(sensor)], self.seed, at_ns)
         running.of.add(running)
@@ -237,6 +238,13 @@ class FaultRun:
             self._watch_scans({name.parts[0] for name in names(running.tree)})
         instrument.poked = True
         return number
+
+    def _target(self, sensor: str) -> Target:
+        if sensor == VEHICLE and self._scenario.vehicle_bus is not None:
+            return vehicle_target(self._scenario.vehicle_bus.model_dump(), self._scenario.folder)
+        config = next(one for one in self._scenario.sensors if one.id == sensor)
+        actors = [actor.id for actor in self._scenario.actors]
+        return target_of(config.id, config.model, config.links, config.device, actors)
 
     def _make_room(self) -> None:
         if len(self._faults) < MOST_FAULTS:
@@ -287,7 +295,7 @@ class FaultRun:
     # expressions
 
     def _check(self, text: str) -> None:
-        check_expression(text, list(self._instruments), self._actors)
+        check_expression(text, [name for name in self._instruments if name != VEHICLE], self._actors)
 
     def _watch_scans(self, sensors: set[str]) -> None:
         if self._last is None:

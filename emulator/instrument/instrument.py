@@ -300,7 +300,8 @@ class Instrument:
 
     def framing(self, kind: LinkKind) -> Framing | None:
         """How its telegrams are framed on such a link; None where its family does not tell."""
-        return self.family.framing(self.session, kind) if isinstance(self.family, Frames) else None
+        frames = self.family if self.family is not None else self.session
+        return frames.framing(self.session, kind) if isinstance(frames, Frames) else None
 
     def tell_fault(self, event: FaultEvent) -> None:
         """Something a fault did, for observers."""

@@ -16,6 +16,7 @@ from typing import Any
 from emulator.scenario.vehicle_options import NAME, VehicleBus
 from emulator.world.ego import EgoMotion, EgoState
 from protocols.can_frame import EXTENDED
+from protocols.can_objects.framing import CanFraming
 from protocols.can_objects.layout import MessageLayout, SignalLayout, layout_of
 from protocols.errors import ScanRefused
 from protocols.scan import Scan, ScanPlan
@@ -119,6 +120,15 @@ class VehicleSession(EventSession):
         cycle_ms = float(chosen.cycle_ms or message.cycle_time)
         peer = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
         return _Cyclic(layout, peer, cycle_ms * 1e6, round(chosen.offset_ms * 1e6), fixed, sources, tuple(counters))
+
+    @property
+    def messages(self) -> Mapping[str, MessageLayout]:
+        """Those that it sends, by their names."""
+        return {one.layout.name: one.layout for one in self._messages}
+
+    def framing(self, session: object, kind: object) -> CanFraming:
+        """Of its frames, for faults that change them."""
+        return CanFraming(self, None, {name for one in self._messages for name in one.counters})
 
     # ------------------------------------------------------------ a session
 

@@ -136,11 +136,11 @@ class Trial:
             self.instruments.append(instrument)
             host = self._host_of(index, family, loops)
             hosts += [] if host is None else [host]
-        self.faults = FaultRun(scenario, self.instruments)
         for vehicle in assembly.open_vehicle(scenario, measuring, partial(_bus_of, buses)):
             for watcher in (self.transcript, *watchers):
                 vehicle.watch(watcher)
             self.instruments.append(vehicle)
+        self.faults = FaultRun(scenario, self.instruments)
         self.feeding = assembly.feeding_of(scenario, self.instruments, None)
         assembly.tell_vehicle(self.instruments, self.incidents)
         "Who moves the world from outside: a file, here; of others nothing comes."

@@ -5,6 +5,8 @@ Belongs here: histograms of bounded size. Not: whose beams (runtime).
 
 from __future__ import annotations
 
+from bisect import bisect_right
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +14,7 @@ from emulator.live.rotations import Floats
 
 EDGES_S = np.concatenate([[0.0], np.geomspace(1e-5, 100.0, 561)])
 "8 % from one to the next: what a median says is within half of that."
-MOST_ERRORS = 100_000
+_EDGES = EDGES_S.tolist()
 
 
 class Histogram:
@@ -30,6 +32,11 @@ class Histogram:
             np.maximum(np.searchsorted(EDGES_S, np.maximum(values, 0.0), side="right") - 1, 0), minlength=len(EDGES_S)
         )
         self.worst = max(self.worst, float(values.max()))
+
+    def add_one(self, value: float) -> None:
+        """The same of one."""
+        self._counts[max(bisect_right(_EDGES, max(value, 0.0)) - 1, 0)] += 1
+        self.worst = max(self.worst, value)
 
     @property
     def count(self) -> int:
@@ -63,8 +70,8 @@ class Ages:
 
     def truth_came(self, off_m: float, off_rad: float) -> None:
         """A sample has come for an instant that beams were extrapolated to."""
-        self.error_m.add(np.array([off_m]))
-        self.error_rad.add(np.array([off_rad]))
+        self.error_m.add_one(off_m)
+        self.error_rad.add_one(off_rad)
 
     def report(self) -> dict[str, object]:
         """Milliseconds, millimetres, milliradians; None where nothing was measured."""

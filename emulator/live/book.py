@@ -7,6 +7,7 @@ are. Not: formats, sockets, the feeder's clock (playout). Nothing here reads a c
 from __future__ import annotations
 
 import heapq
+import math
 from bisect import bisect_right
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -21,7 +22,7 @@ from emulator.live.tracks import BLEND_S, Between, Track, World
 
 MOST_KEPT = 10_000
 "Samples of one actor; the oldest go, first those that no sweep can want."
-NONE = (np.nan, np.nan, np.nan)
+NONE = (math.nan, math.nan, math.nan)
 LONGEST_S = 10.0
 "Nothing is asked for that lies so long before the newest sample."
 KEEP_S = 2.0
@@ -36,8 +37,13 @@ MOST_LIVES = 8
 "Lives of one id that are kept."
 EGO_NAMES = ("ego", "hero")
 "Of the host vehicle where the feeder has not said which one it is."
-JUMP_RAD_S = 2.0 * np.pi
+JUMP_RAD_S = 2.0 * math.pi
 MOST_EVENTS = 1000
+MOST_TOLD = 20
+"Of one sort are reported; more are counted, so that a flood of one hides no other."
+AT, TURNED, VELOCITY, SPIN = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
+JUMP, RETURNS = 13, 14
+"Columns of what is kept of a sample; NaN where the feeder gave none."
 
 
 @dataclass(frozen=True)
@@ -63,7 +69,8 @@ class _Known:
 
     first: ActorSample
     t_s: list[float] = field(default_factory=list)
-    rows: list[tuple[Vector, Quaternion, Vector | None, Vector | None, bool, bool]] = field(default_factory=list)
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+    "By the columns `AT` to `RETURNS`."
     gone_s: float = np.inf
     forgot: bool = False
     "Its first samples are not kept any more."
@@ -109,6 +116,7 @@ class Book:
         self.events: deque[tuple[float, str]] = deque(maxlen=MOST_EVENTS)
         "Instant and text, once each."
         self._reported: set[str] = set()
+        self._told: Counter[str] = Counter()
         self.newest_s = -np.inf
         "Instant of the newest sample."
         self._times: deque[float] = deque(maxlen=LOOKED_AT)
@@ -134,7 +142,7 @@ class Book:
             self.refuse(str(error), t_s)
             return False
         for key in update.unknown:
-            self._tell(t_s, f"key {key!r} is not known and not used")
+            self._tell(t_s, f"key {key!r} is not known and not used", sort="keys")
         if not self._in_order(update, t_s):
             return False
         if update.host is not None:
@@ -165,7 +173,7 @@ class Book:
     def refuse(self, why: str, t_s: float) -> None:
         """An update that cannot be used."""
         self.counts["dropped"] += 1
-        self._tell(t_s, f"an update is not used: {why}", why.partition(":")[0])
+        self._tell(t_s, f"an update is not used: {why}", why.partition(":")[0], "updates")
 
     def _in_order(self, update: Update, t_s: float) -> bool:
         if update.seq is not None:
@@ -211,7 +219,8 @@ class Book:
             return self._static_slot(one)
         if not self._slots - self._static_slots:
             self.counts["not wanted"] += 1
-            self._tell(0.0, f"actor {one.id!r} is not in the scenario; want live.actors.spawn to let it come", one.id)
+            text = f"actor {one.id!r} is not in the scenario; want live.actors.spawn to let it come"
+            self._tell(0.0, text, one.id, "actors")
             return None
         if not self._free:
             self.counts["too many actors"] += 1
@@ -255,20 +264,20 @@ class Book:
                 self.counts["duplicate"] += 1
                 return
             del known.t_s[-1], known.rows[-1]
-        jump, returns = one.jump, False
+        jump, returns, turned = one.jump, False, _unit(one.quaternion)
         if known.t_s:
             step = t_s - known.t_s[-1]
             returns = not jump and step > self.rules.silent_after_s
-            jump = jump or name in self._fresh or self._is_jump(known, one, step)
+            jump = jump or name in self._fresh or self._is_jump(known, one, turned, step)
             returns = returns and not jump
             if not jump:
-                self._judge(known, one, t_s)
+                self._judge(known, one, turned, t_s)
             self.counts["jumps"] += jump
             if returns:
-                self._tell(t_s, f"{name}: poses come again after {step:.3g} s", f"returns {name} {t_s}")
+                self._tell(t_s, f"{name}: poses come again after {step:.3g} s", f"returns {name} {t_s}", "returns")
         self._fresh.discard(name)
         known.t_s.append(t_s)
-        known.rows.append((one.at_m, _unit(one.quaternion), one.velocity_m_s, one.spin_rad_s, jump, returns))
+        known.rows.append((*one.at_m, *turned, *(one.velocity_m_s or NONE), *(one.spin_rad_s or NONE), jump, returns))
         if returns:
             known.returned_s = t_s
         if not self.rules.keep_all and len(known.t_s) > 64:
@@ -278,40 +287,71 @@ class Book:
                 del known.t_s[:excess], known.rows[:excess]
                 known.forgot = True
 
-    def _is_jump(self, known: _Known, one: ActorSample, step: float) -> bool:
-        at, turned, velocity = known.rows[-1][:3]
-        stated = max(_length(velocity), _length(one.velocity_m_s))
-        away = _length((one.at_m[0] - at[0], one.at_m[1] - at[1], one.at_m[2] - at[2]))
-        if velocity is None or one.velocity_m_s is None:
+    def _is_jump(self, known: _Known, one: ActorSample, turned: Quaternion, step: float) -> bool:
+        x, y, z, w, i, j, k, *velocity = known.rows[-1][:10]
+        if one.velocity_m_s is None or velocity[0] != velocity[0]:
             limit = self._usual(known)
         else:
-            limit = JUMP_FACTOR * stated + self.rules.jump_m_s
-        if away > limit * step:
+            limit = JUMP_FACTOR * max(math.hypot(*velocity), math.hypot(*one.velocity_m_s)) + self.rules.jump_m_s
+        to = one.at_m
+        if math.hypot(to[0] - x, to[1] - y, to[2] - z) > limit * step:
             return True
-        dot = abs(sum(a * b for a, b in zip(turned, _unit(one.quaternion), strict=True)))
-        angle = 2.0 * float(np.arccos(min(1.0, dot)))
-        return angle > max(JUMP_RAD_S, 2.0 * _length(one.spin_rad_s)) * step
+        dot = abs(w * turned[0] + i * turned[1] + j * turned[2] + k * turned[3])
+        if dot >= 1.0 or step > 0.5:  # no turn at all, or time for a whole one
+            return False
+        rate = 0.0 if one.spin_rad_s is None else math.hypot(*one.spin_rad_s)
+        return 2.0 * math.acos(dot) > max(JUMP_RAD_S, 2.0 * rate) * step
 
     def _usual(self, known: _Known) -> float:
         """Speed that is no jump of an actor whose feeder states none: by its last step, jump or not. [m/s]"""
         if len(known.t_s) < 2:
             return FASTEST_M_S
-        (one, *_), (other, *_) = known.rows[-2:]
-        speed = _length((other[0] - one[0], other[1] - one[1], other[2] - one[2])) / (known.t_s[-1] - known.t_s[-2])
+        one, other = known.rows[-2:]
+        way = math.hypot(other[0] - one[0], other[1] - one[1], other[2] - one[2])
+        speed = way / (known.t_s[-1] - known.t_s[-2])
         return min(JUMP_FACTOR * speed + self.rules.jump_m_s, FASTEST_M_S)
 
-    def _judge(self, known: _Known, one: ActorSample, t_s: float) -> None:
+    def _judge(self, known: _Known, one: ActorSample, turned: Quaternion, t_s: float) -> None:
         """How wrong beams were that were asked for beyond the newest sample, now that the truth has come."""
         if known.t_s[-1] >= self._asked_s:
+            return
+        ahead = self._ahead(known, t_s)
+        if ahead is not None:
+            x, y, z = one.at_m
+            w, i, j, k = known.rows[-1][3:7]
+            dot = abs(w * turned[0] + i * turned[1] + j * turned[2] + k * turned[3])
+            off = math.hypot(ahead[0] - x, ahead[1] - y, ahead[2] - z)
+            self.ages.truth_came(off, 2.0 * math.acos(min(1.0, dot)))
             return
         was = self._track(known, known.t_s[-1])
         if was is None:
             return
         when = np.array([t_s])
-        at, turned = was.pose(when)
+        at, turned_to = was.pose(when)
         off = float(np.sqrt(((at[0] - np.array(one.at_m)) ** 2).sum()))
-        dot = abs(float(turned[0] @ np.array(_unit(one.quaternion))))
+        dot = abs(float(turned_to[0] @ np.array(turned)))
         self.ages.truth_came(off, 2.0 * float(np.arccos(min(1.0, dot))))
+
+    def _ahead(self, known: _Known, t_s: float) -> Vector | None:
+        """Where one is at constant velocity beyond its newest sample; None: there is more to it, see `Track.pose`.
+
+        This is asked of each actor of each update in a run that is short of time.
+        """
+        last, since = known.rows[-1], t_s - known.t_s[-1]
+        if len(known.rows) < 2 or self.rules.between == "hold" or last[RETURNS] or since > self.rules.silent_after_s:
+            return None
+        before, spin = known.rows[-2], last[10:13]
+        if spin != (0.0, 0.0, 0.0) and (spin[0] == spin[0] or last[JUMP] or last[3:7] != before[3:7]):
+            return None
+        velocity = last[7:10]
+        if velocity[0] != velocity[0]:
+            if last[JUMP]:
+                return None
+            step = known.t_s[-1] - known.t_s[-2]
+            velocity = ((last[0] - before[0]) / step, (last[1] - before[1]) / step, (last[2] - before[2]) / step)
+        if known.returned_s > known.t_s[-1] - BLEND_S:
+            return None
+        return (last[0] + since * velocity[0], last[1] + since * velocity[1], last[2] + since * velocity[2])
 
     def _remove(self, name: str, t_s: float) -> None:
         lives = self._known.get(name)
@@ -327,7 +367,7 @@ class Book:
     def restart(self, now_s: float, why: str) -> None:
         """The feeder's clock began again, or jumped: what is known holds until the next sample, which is a jump."""
         self.counts[why] += 1
-        self._tell(now_s, f"the feeder's clock: {why}", f"{why} {now_s}")
+        self._tell(now_s, f"the feeder's clock: {why}", f"{why} {now_s}", why)
         for name, lives in self._known.items():
             known = lives[-1]
             keep = max(1, bisect_right(known.t_s, now_s))
@@ -342,11 +382,16 @@ class Book:
         if why == "restart":
             self.host = None  # ids are other ones
 
-    def _tell(self, t_s: float, text: str, key: str | None = None) -> None:
-        """Once."""
+    def _tell(self, t_s: float, text: str, key: str | None = None, sort: str = "") -> None:
+        """Once; of one sort, the first ones."""
         key = text if key is None else key
         if key in self._reported or len(self._reported) >= MOST_EVENTS:
             return
+        if sort:
+            self._told[sort] += 1
+            if self._told[sort] > MOST_TOLD:
+                return
+            text += "; others are counted" if self._told[sort] == MOST_TOLD else ""
         self._reported.add(key)
         self._note(t_s, text)
 
@@ -366,16 +411,15 @@ class Book:
         if known.returned_s > begin_s - BLEND_S:
             first = max(0, bisect_right(times, begin_s - BLEND_S) - 2)
         until = min(len(times), bisect_right(times, end_s) + 1)
-        rows = known.rows[first:until]
-        at, turned, velocity, spin, jump, returns = zip(*rows, strict=True)
+        rows = np.array(known.rows[first:until])
         return Track(
             np.array(times[first:until]),
-            np.array(at, np.float64),
-            np.array(turned, np.float64),
-            np.array([NONE if each is None else each for each in velocity], np.float64),
-            np.array([NONE if each is None else each for each in spin], np.float64),
-            np.array(jump, bool),
-            np.array(returns, bool),
+            rows[:, AT],
+            rows[:, TURNED],
+            rows[:, VELOCITY],
+            rows[:, SPIN],
+            rows[:, JUMP] > 0.0,
+            rows[:, RETURNS] > 0.0,
             not known.forgot and first == 0,
             known.gone_s,
             rules.between,
@@ -434,11 +478,7 @@ def _called(name: str, one: ActorSample) -> str:
     return name if name == one.id else f"{one.id} ({name})"
 
 
-def _length(vector: Vector | None) -> float:
-    return 0.0 if vector is None else float(np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2))
-
-
 def _unit(quaternion: Quaternion) -> Quaternion:
-    norm = float(np.sqrt(sum(value * value for value in quaternion)))
     w, x, y, z = quaternion
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
     return (w / norm, x / norm, y / norm, z / norm) if norm > 0.0 else (1.0, 0.0, 0.0, 0.0)

@@ -24,6 +24,8 @@ ACTOR_KEYS = (
 )  # fmt: skip
 UNUSED = ("weather", "material", "shape")
 "Keys of the schema that are read and not used yet; reported like those that are not known."
+USED = frozenset(KEYS) - frozenset(UNUSED)
+ACTOR_USED = frozenset(ACTOR_KEYS) - frozenset(UNUSED)
 
 
 def decoded(text: bytes | str) -> Update:
@@ -48,11 +50,12 @@ def update_of(data: object) -> Update:
     removed = data.get("removed", ())
     if not isinstance(removed, list | tuple) or len(removed) > MOST_ACTORS:
         raise BadSample(f"removed: {removed!r:.60}; want a list of ids")
-    unknown = [str(key)[:60] for key in data if key not in KEYS or key in UNUSED]
+    unknown = [str(key)[:60] for key in data if key not in USED]
     samples = []
     for number, entry in enumerate(actors):
         samples.append(_actor(entry, f"actors.{number}"))
-        unknown += [f"actors.{str(key)[:60]}" for key in entry if key not in ACTOR_KEYS or key in UNUSED]
+        if not ACTOR_USED.issuperset(entry):
+            unknown += [f"actors.{str(key)[:60]}" for key in entry if key not in ACTOR_USED]
     return checked(
         Update(
             _time(data),
@@ -63,6 +66,12 @@ def update_of(data: object) -> Update:
             unknown=tuple(dict.fromkeys(unknown))[:MOST_UNKNOWN],
         )
     )
+
+
+PLAIN = frozenset(
+    ("id", "at_m", "yaw_deg", "pitch_deg", "roll_deg", "quaternion_xyzw", "velocity_m_s", "reference", *UNUSED)
+)
+"Keys of an actor that has nothing but a place and a velocity."
 
 
 def _time(data: Mapping[str, Any]) -> int | None:
@@ -113,14 +122,12 @@ def _vector(entry: Mapping[str, Any], key: str, where: str, least: int = 3) -> V
         return None
     if not isinstance(value, list | tuple) or not least <= len(value) <= 3:
         raise BadSample(f"{where}.{key}: {value!r:.60}; want a list of 3 numbers")
-    if len(value) == 3 and type(value[0]) is type(value[1]) is type(value[2]) is float and _are_small(value):
-        return (value[0], value[1], value[2])
+    if len(value) == 3:
+        x, y, z = value
+        if type(x) is type(y) is type(z) is float and abs(x) + abs(y) + abs(z) <= 1e300:
+            return (x, y, z)
     x, y, z = [*(_number(one, f"{where}.{key}") for one in value), 0.0][:3]
     return (x, y, z)
-
-
-def _are_small(values: Sequence[float]) -> bool:
-    return -1e300 <= min(values) and max(values) <= 1e300 and sum(values) == sum(values)
 
 
 def _actor(entry: object, where: str) -> ActorSample:
@@ -131,17 +138,21 @@ def _actor(entry: object, where: str) -> ActorSample:
     at_m = _vector(entry, "at_m", where, 2)
     if at_m is None:
         raise BadSample(f"{where}.at_m: none; want [x, y, z]")
-    spin = _vector(entry, "angular_velocity_deg_s", where)
-    if spin is None and entry.get("turn_rate_deg_s") is not None:
-        spin = (0.0, 0.0, _number(entry["turn_rate_deg_s"], f"{where}.turn_rate_deg_s"))
+    id_ = _id(entry["id"], f"{where}.id")
     reference = _text(entry, "reference", where) or "box_centre"
     if reference not in REFERENCES:
         raise BadSample(f"{where}.reference: {reference!r:.60}; want one of {', '.join(REFERENCES)}")
+    quaternion, velocity = _orientation(entry, where), _vector(entry, "velocity_m_s", where)
+    if PLAIN.issuperset(entry):  # by far the most
+        return ActorSample(id_, at_m, quaternion, velocity, reference=reference)
+    spin = _vector(entry, "angular_velocity_deg_s", where)
+    if spin is None and entry.get("turn_rate_deg_s") is not None:
+        spin = (0.0, 0.0, _number(entry["turn_rate_deg_s"], f"{where}.turn_rate_deg_s"))
     return ActorSample(
-        id=_id(entry["id"], f"{where}.id"),
+        id=id_,
         at_m=at_m,
-        quaternion=_orientation(entry, where),
-        velocity_m_s=_vector(entry, "velocity_m_s", where),
+        quaternion=quaternion,
+        velocity_m_s=velocity,
         spin_rad_s=None if spin is None else (math.radians(spin[0]), math.radians(spin[1]), math.radians(spin[2])),
         size_m=_vector(entry, "size_m", where),
         class_=_text(entry, "class", where),
@@ -155,14 +166,14 @@ def _actor(entry: object, where: str) -> ActorSample:
 
 def _orientation(entry: Mapping[str, Any], where: str) -> Quaternion:
     value = entry.get("quaternion_xyzw")
-    angles = [entry[key] for key in ("yaw_deg", "pitch_deg", "roll_deg") if entry.get(key) is not None]
+    yaw, pitch, roll = entry.get("yaw_deg"), entry.get("pitch_deg"), entry.get("roll_deg")
     if value is None:
-        yaw, pitch, roll = (
-            math.radians(_number(entry.get(key) or 0.0, f"{where}.{key}", 1e6))
-            for key in ("yaw_deg", "pitch_deg", "roll_deg")
+        return from_angles(
+            math.radians(_number(yaw or 0.0, f"{where}.yaw_deg", 1e6)),
+            math.radians(_number(pitch or 0.0, f"{where}.pitch_deg", 1e6)) if pitch else 0.0,
+            math.radians(_number(roll or 0.0, f"{where}.roll_deg", 1e6)) if roll else 0.0,
         )
-        return from_angles(yaw, pitch, roll)
-    if angles:
+    if not yaw is pitch is roll is None:
         raise BadSample(f"{where}: quaternion_xyzw and angles; want one of both")
     if not isinstance(value, list | tuple) or len(value) != 4:
         raise BadSample(f"{where}.quaternion_xyzw: {value!r:.60}; want a list of 4 numbers")

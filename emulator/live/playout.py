@@ -11,8 +11,11 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+
+from emulator.live.rotations import Floats
 
 WINDOW_NS = 5_000_000_000
 "The play-out delay is of the samples of so long."
@@ -146,9 +149,7 @@ class PlayoutClock:
         base = least.min()
         if len(when) < 4:
             return float(base), 0.0
-        middle = when.mean()
-        slope = float(((when - middle) * (least - least.mean())).sum() / ((when - middle) ** 2).sum())
-        slope = min(max(slope, -DRIFT), DRIFT)
+        slope = min(max(_lower_slope(when, least), -DRIFT), DRIFT)
         return float((least - slope * when).min()), slope
 
     def _delay(self, offset: float) -> float:
@@ -178,6 +179,23 @@ class PlayoutClock:
             _towards(old, new, most) for old, new in zip(self._used[1:], (offset, self._wanted_delay), strict=True)
         )
         self._used = (now_ns, *moved)  # type: ignore[assignment]
+
+
+def _lower_slope(when: Floats, least: Floats) -> float:
+    """Of the line below all points that is nearest to them in the mean: that side of their hull below the middle."""
+    hull: list[tuple[float, float]] = []
+    for x, y in zip(when.tolist(), least.tolist(), strict=True):
+        while len(hull) > 1 and _turns_down(hull[-2], hull[-1], (x, y)):
+            hull.pop()
+        hull.append((x, y))
+    middle = float(when.mean())
+    (x0, y0), (x1, y1) = next(pair for pair in pairwise(hull) if pair[1][0] >= middle)
+    return (y1 - y0) / (x1 - x0)
+
+
+def _turns_down(one: tuple[float, float], other: tuple[float, float], last: tuple[float, float]) -> bool:
+    """`other` is not below the line from `one` to `last`."""
+    return (other[0] - one[0]) * (last[1] - one[1]) <= (last[0] - one[0]) * (other[1] - one[1])
 
 
 def _towards(old: float, new: float, most: float) -> float:

@@ -20,7 +20,9 @@ SMALL = 1e-8
 
 def from_angles(yaw_rad: float, pitch_rad: float = 0.0, roll_rad: float = 0.0) -> Quaternion:
     """Of yaw, then pitch, then roll, each about its own turned axis (ISO 8855). [rad]"""
-    (cy, sy), (cp, sp), (cr, sr) = ((math.cos(a / 2.0), math.sin(a / 2.0)) for a in (yaw_rad, pitch_rad, roll_rad))
+    cy, sy = math.cos(yaw_rad / 2.0), math.sin(yaw_rad / 2.0)
+    cp, sp = math.cos(pitch_rad / 2.0), math.sin(pitch_rad / 2.0)
+    cr, sr = math.cos(roll_rad / 2.0), math.sin(roll_rad / 2.0)
     return (
         cy * cp * cr + sy * sp * sr,
         cy * cp * sr - sy * sp * cr,

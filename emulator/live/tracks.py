@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -26,8 +27,20 @@ from emulator.live.rotations import (
 )
 
 Between = Literal["interpolate", "extrapolate", "hold"]
+STRAIGHT_M = 1e-9
+"A track that is nowhere farther from a straight line, evenly passed, is one."
 BLEND_S = 0.2
 "Over so long an actor comes back to its track when its feed returns."
+
+
+@dataclass(frozen=True, eq=False)
+class Nature:
+    """What kind of motion a track is."""
+
+    comes_back: bool
+    turns: bool
+    rests: bool
+    straight_m_s: Floats | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +88,43 @@ class Track:
         """It is there until then."""
         return min(self.gone_s, self.last_s + self.vanish_after_s)
 
+    @cached_property
+    def nature(self) -> Nature:
+        """What kind of motion it is; of many tracks `look_at` finds that at once."""
+        return _natures([self])[0]
+
+    @property
+    def comes_back(self) -> bool:
+        """Its feed had been silent before one of these samples."""
+        return self.nature.comes_back
+
+    @property
+    def turns(self) -> bool:
+        """It may be turned otherwise at some instant than at another."""
+        return self.nature.turns
+
+    @property
+    def rests(self) -> bool:
+        """It neither moves nor turns."""
+        return self.nature.rests
+
+    @property
+    def straight_m_s(self) -> Floats | None:
+        """(3,) its velocity where it moves straight and evenly and does not turn; None: it does otherwise."""
+        return self.nature.straight_m_s
+
+    @property
+    def straight_s(self) -> tuple[float, float]:
+        """From when, and until when, `straight_m_s` holds."""
+        if self.rests:
+            return float(self.t_s[0]) if self.begins else -np.inf, self.lasts_s
+        beyond = 0.0 if np.isnan(self.velocity_m_s[-1, 0]) else self.hold_after_s
+        return float(self.t_s[0]), min(self.last_s + beyond, self.lasts_s)
+
+    def is_there(self, begin_s: float, end_s: float) -> bool:
+        """It is, all the time."""
+        return end_s < self.lasts_s and (not self.begins or begin_s >= float(self.t_s[0]))
+
     def there(self, t_s: Floats) -> NDArray[np.bool_]:
         """(n,) whether it is there."""
         until = t_s < self.lasts_s
@@ -83,7 +133,7 @@ class Track:
     def pose(self, t_s: Floats) -> tuple[Floats, Floats]:
         """Positions (n, 3) of the reference point and orientations (n, 4) at instants (n,)."""
         at, quaternion = self._on_track(t_s)
-        if not self.returns.any():
+        if not self.comes_back:
             return at, quaternion
         back = np.flatnonzero(self.returns)
         latest = np.searchsorted(self.t_s[back], t_s, side="right") - 1
@@ -128,6 +178,45 @@ class Track:
 
 
 COLUMNS = ("t_s", "at_m", "quaternion", "velocity_m_s", "spin_rad_s", "jump", "returns")
+
+
+def look_at(tracks: Sequence[Track]) -> None:
+    """Find out at once what kind of motion each of them is."""
+    fresh = [track for track in tracks if "nature" not in vars(track)]
+    for track, nature in zip(fresh, _natures(fresh) if fresh else (), strict=True):
+        vars(track)["nature"] = nature  # where cached_property keeps it
+
+
+def _natures(tracks: Sequence[Track]) -> list[Nature]:
+    t_s, at, quaternion, velocity, spin, jump, returns = (
+        np.concatenate([getattr(track, name) for track in tracks]) for name in COLUMNS
+    )
+    sizes = np.array([len(track.t_s) for track in tracks])
+    ends = np.cumsum(sizes)
+    firsts = ends - sizes
+    first = firsts.repeat(sizes)
+
+    def any_of(rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        return np.logical_or.reduceat(rows if rows.ndim == 1 else rows.any(axis=1), firsts)
+
+    back, unknown = any_of(returns), np.isnan(velocity)
+    turns = any_of(np.abs(spin) > 0.0) | any_of(quaternion != quaternion[first])  # NaN is not
+    rests = ~turns & ~any_of(np.abs(velocity) > 0.0) & ~any_of(at != at[first])
+    some, all_ = any_of(unknown), ~any_of(~unknown)
+    since, span = t_s - t_s[first], (t_s[ends - 1] - t_s[firsts])[:, None]
+    mean = (at[ends - 1] - at[firsts]) / np.where(span > 0.0, span, 1.0)
+    even = np.where(some[:, None], mean, velocity[firsts])
+    off = np.abs(at - (at[first] + since[:, None] * even.repeat(sizes, axis=0))).max(axis=1)
+    other = np.abs(velocity - even.repeat(sizes, axis=0)).max(axis=1) * span[:, 0].repeat(sizes)
+    wrong = (off > STRAIGHT_M) | (other > STRAIGHT_M) | (jump & (np.arange(len(t_s)) != first))
+    straight = ~any_of(wrong) & (~some | all_ & (sizes > 1)) & ~turns
+    straight &= np.array([track.between == "interpolate" for track in tracks])
+    return [
+        Nature(b, t, r, np.zeros(3) if r and not b else even[k] if s and not b else None)
+        for k, (b, t, r, s) in enumerate(
+            zip(back.tolist(), turns.tolist(), rests.tolist(), straight.tolist(), strict=True)
+        )
+    ]
 
 
 def together(tracks: Sequence[Track], t_s: Floats) -> tuple[Floats, Floats]:

@@ -195,7 +195,7 @@ def start(
         measuring.close()
         raise
     daemon = Daemon(instruments, clock, measuring)
-    daemon.faults = FaultRun(scenario, instruments[: len(scenario.sensors)])
+    daemon.faults = FaultRun(scenario, instruments)
     daemon.feeding = feeding_of(scenario, instruments, clock.now_ns)
     tell_vehicle(instruments, daemon.incidents)
     if daemon.feeding is not None:
@@ -225,7 +225,7 @@ def start_virtual(
             pool.close()
         raise
     daemon = VirtualDaemon(instruments, pool, speed, warnings=measuring.warnings)
-    daemon.faults = FaultRun(scenario, instruments[: len(scenario.sensors)])
+    daemon.faults = FaultRun(scenario, instruments)
     daemon.feeding = feeding_of(scenario, instruments, None)
     tell_vehicle(instruments, daemon.incidents)
     if daemon.feeding is not None:

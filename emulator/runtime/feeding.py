@@ -79,7 +79,7 @@ class Feeding:
         self._asked_ns: dict[str, deque[int]] = {}
         self._took: dict[str, float] = {}
         "The longest that measuring has taken lately, by sensor. [ns]"
-        self.on_update: Callable[[int, dict[str, object]], None] = lambda now_ns, row: None
+        self.on_update: Callable[[int, dict[str, object]], None] | None = None
         "Informed of everything that is used of the feed: for a recording."
         self._file: Iterator[Reported] | None = None
         self._next: Reported | None = None
@@ -140,7 +140,8 @@ class Feeding:
         run_ns = self.run_ns(update, now_ns)
         used = self.book.take(update, run_ns, again)
         if used:
-            self.on_update(now_ns, report_row(now_ns, run_ns, update, again))
+            if self.on_update is not None:
+                self.on_update(now_ns, report_row(now_ns, run_ns, update, again))
             self._wake(run_ns)
         return used
 
@@ -218,7 +219,8 @@ class Feeding:
             reported = self._next
             assert self._file is not None
             self._next = next(self._file, None)
-            if self.book.take(reported.update, reported.run_ns, reported.again):
+            used = self.book.take(reported.update, reported.run_ns, reported.again)
+            if used and self.on_update is not None:
                 self.on_update(
                     max(0, reported.known_ns),
                     report_row(reported.known_ns, reported.run_ns, reported.update, reported.again),

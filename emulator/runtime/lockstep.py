@@ -16,6 +16,7 @@ import select
 import socket
 import threading
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -124,11 +125,11 @@ class Conversation:
         return self._daemon.now_ns * 1e-9
 
     def _take(self, update: Update, t_ns: int) -> None:
-        stamped = Update(t_ns, update.actors, update.removed, update.snapshot, update.seq, update.host, update.unknown)
+        stamped = replace(update, t_ns=t_ns)
         self._call(lambda: self._feeding.take(stamped, self._daemon.now_ns, again=True))
 
     def _step(self, update: Update, t_ns: int) -> dict[str, object]:
-        stamped = Update(t_ns, update.actors, update.removed, update.snapshot, update.seq, update.host, update.unknown)
+        stamped = replace(update, t_ns=t_ns)
         instruments = [one for one in self._daemon.instruments if one.sensor != VEHICLE_BUS]
 
         def step() -> dict[str, object]:

@@ -18,6 +18,7 @@ from typing import Any
 
 from emulator.config.names import nearest
 from emulator.config.yaml_lines import Loc, Source
+from emulator.faults.kinds import VEHICLE as VEHICLE_BUS
 
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 BUILTIN = "builtin:"
@@ -427,10 +428,11 @@ def _families(data: dict[str, Any]) -> dict[str, str]:
 
 def _names_of_actors_and_sensors(data: dict[str, Any], folder: Path) -> Iterator[Found]:
     sensors, actors = _ids(data, "sensors"), _ids(data, "actors")
+    senders = [*sensors, VEHICLE_BUS] if _table(data, VEHICLE_BUS) else sensors
     for loc, fault in _tables(data, "faults"):
         name = fault.get("on")
-        if isinstance(name, str) and name not in sensors:
-            yield (*loc, "on"), repr(name), nearest(name, sensors)
+        if isinstance(name, str) and name not in senders:
+            yield (*loc, "on"), repr(name), nearest(name, senders)
     weather = _table(data, "weather")
     yield from names_in_weather(weather, ("weather",), actors)
     for loc, entry in _tables(weather, "changes"):
@@ -486,6 +488,7 @@ def _faults(data: dict[str, Any], folder: Path) -> Iterator[Found]:
         return
     from emulator.faults.reading import problems, target_of
     from emulator.scenario.quantities import check_expression
+    from emulator.scenario.vehicle_options import vehicle_target
 
     sensors, actors = _ids(data, "sensors"), ["world", *_ids(data, "actors")]
     targets = {}
@@ -495,6 +498,8 @@ def _faults(data: dict[str, Any], folder: Path) -> Iterator[Found]:
             urls = [url for url in links if isinstance(url, str)] if isinstance(links, list) else []
             name = str(sensor.get("id"))
             targets[name] = target_of(name, sensor["model"], urls, _table(sensor, "device"), actors[1:])
+    if vehicle := _table(data, VEHICLE_BUS):
+        targets[VEHICLE_BUS] = vehicle_target(vehicle, folder)
     for loc, entry in _tables(data, "faults"):
         reported = problems(
             entry, targets.get(str(entry.get("on"))), lambda text: check_expression(text, sensors, actors)

@@ -6,6 +6,7 @@ leave (instrument).
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Iterator, Mapping
 from importlib.resources import files
@@ -17,11 +18,13 @@ from pydantic import Field
 from emulator.config.names import nearest
 from emulator.config.tables import DescribedTable, Positive
 from emulator.config.yaml_lines import Loc
+from emulator.faults.kinds import VEHICLE, Target
 from emulator.scenario.tables import Id
 from protocols.can_frame import LONGEST_FRAME_BITS, MAX_DATA_BYTES
 from protocols.can_objects.layout import database_of, layout_of
+from protocols.session import LinkKind
 
-NAME = "vehicle_bus"
+NAME = VEHICLE
 "Of the sender, where sensors have their ids."
 BUILTIN = "builtin:"
 CAN_LINKS = ("socketcand", "slcan", "can")
@@ -84,6 +87,23 @@ def _dbc_names(package: str) -> list[str]:
 def builtin_dbcs() -> list[str]:
     """Names of the DBC files that come with the package."""
     return [BUILTIN + name for package in ("scenarios", "protocols.can_objects") for name in _dbc_names(package)]
+
+
+def vehicle_target(table: Mapping[str, Any], folder: Path) -> Target:
+    """This sender as faults know it; without messages that its DBC file lacks, or all where it cannot be read."""
+    name, entries = table.get("dbc"), table.get("messages")
+    messages: dict[str, tuple[str, ...]] = {}
+    counted = []
+    with contextlib.suppress(ValueError, OSError):
+        known = {one.name: one for one in database_of(dbc_path(str(name), folder)).messages}
+        for key, entry in entries.items() if isinstance(entries, dict) else ():
+            signals = entry.get("signals") if isinstance(entry, dict) else None
+            if key in known:
+                messages[key] = tuple(signal.name for signal in known[key].signals)
+                counted += [key] if isinstance(signals, dict) and "counter" in signals.values() else []
+    url = table.get("link")
+    urls = (url,) if isinstance(url, str) else ()
+    return Target(NAME, NAME, VEHICLE, (LinkKind.CAN,), "motion", urls=urls, messages=messages, counted=tuple(counted))
 
 
 def faults(data: Mapping[str, Any], folder: Path) -> Iterator[tuple[Loc, str, str]]:

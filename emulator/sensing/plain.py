@@ -175,7 +175,7 @@ class Edges:
         velocity, turned = now.velocity.T.copy(), now.turned.transpose(2, 0, 1).copy()
         slack = np.zeros(len(at))
         curved = indexes(~now.straight)
-        fed = known.fed if len(curved) else curved
+        fed = np.intersect1d(known.fed, curved)
         if len(fed):
             self._as_fed(known, fed, sights, reach_m, at, velocity, turned, slack)
             curved = np.setdiff1d(curved, fed)
@@ -200,7 +200,7 @@ class Edges:
         at: Floats, velocity: Floats, turned: Floats, slack: Floats,
     ) -> None:  # fmt: skip
         """Fed bodies as if they moved straight, and how far off that is."""
-        motions = [motion for motion in known.batched.motions if isinstance(motion, Fed)]
+        motions = [motion for number in fed if isinstance(motion := known.batched.motions[number], Fed)]
         found = motions[0].now.placings(sights.t_s)
         if found is None:
             slack[fed] = np.inf

@@ -18,6 +18,7 @@ from emulator.physics.arrays import Bools, Floats, Ints, group_starts, indexes, 
 from emulator.physics.beams import NO_WIDTH, BeamShape
 from emulator.physics.materials import SurfaceTable
 from emulator.world.connected import pieces_of
+from emulator.world.fed import Fed, around
 from emulator.world.motion import Pose
 
 if TYPE_CHECKING:
@@ -138,6 +139,13 @@ class Sheets:
         for k, number in enumerate(self._body.tolist()):
             if number in self._fixed:
                 self._arm_m[k] = self._fixed[number][1] @ self._middle_m[k]
+        fed = {number: scene.bodies[number].motion for number in dict.fromkeys(self._body.tolist())}
+        mine = {number: motion for number, motion in fed.items() if isinstance(motion, Fed)}
+        self._fed_motions = list(mine.values())
+        self._fed = np.array([k for k, number in enumerate(self._body.tolist()) if number in mine], np.int64)
+        "Sheets of bodies that somebody else moves; which of these motions each has, and how far from its origin it is."
+        self._fed_motion = np.array([list(mine).index(number) for number in self._body[self._fed].tolist()], np.int64)
+        self._fed_arm_m = np.linalg.norm(self._middle_m[self._fed], axis=1)
         self._radius_m = np.array([one.radius_m for one in sheets])
         self._faces = np.array([len(one.material) for one in sheets], np.int64)
         self._first = self._faces.cumsum() - self._faces
@@ -180,6 +188,8 @@ class Sheets:
         for begin, end in _runs(self._body):
             motion, mine = self._bodies[self._body[begin]].motion, slice(begin, end)
             fixed = self._fixed.get(int(self._body[begin]))
+            if isinstance(motion, Fed):
+                continue
             if fixed is None:
                 centre[mine] = motion.position(when)[0]
                 size[mine] += np.linalg.norm(self._middle_m[mine], axis=1)
@@ -187,6 +197,10 @@ class Sheets:
                 centre[mine] = (fixed[0] if fixed[2] else motion.position(when)[0]) + self._arm_m[mine]
             if last > first and (fixed is None or not fixed[2]):
                 size[mine] += motion.speed_bound_m_s * 0.5 * (last - first)
+        if len(self._fed):
+            where, far = around(self._fed_motions, t_s)
+            centre[self._fed] = where[:, self._fed_motion].T
+            size[self._fed] += self._fed_arm_m + far[self._fed_motion]
         away = centre - eye
         distance = np.linalg.norm(away, axis=1)
         nearest = np.maximum(distance - size, 0.0)

@@ -76,9 +76,16 @@ class BatchedPoses:
         "From when to when the stretch last found holds."
         if bool((self._sizes == 1).all()):
             self._last = (-np.inf, np.inf, self._last[2])
+        fed = [number for number, motion in enumerate(self.motions) if isinstance(motion, Fed)]
+        self._fed = _FedNow(self.motions, fed) if fed else None
 
     def during(self, begin_s: float, end_s: float) -> Stretch:
-        """All motions from `begin_s` to `end_s`."""
+        """All motions from `begin_s` to `end_s`; of those that are fed as the present sweep has them."""
+        found = self.lasting(begin_s, end_s)
+        return found if self._fed is None else self._fed.shown(found, begin_s, end_s)
+
+    def lasting(self, begin_s: float, end_s: float) -> Stretch:
+        """The same of what holds in any sweep: those that are fed may be anywhere."""
         valid_from, valid_until, known = self._last
         if valid_from <= begin_s and end_s < valid_until:
             return known
@@ -102,6 +109,48 @@ class BatchedPoses:
         if end_s < until:
             self._last = (begin_s, until, found)
         return found
+
+
+class _FedNow:
+    """Those of the motions that are fed and move straight in the present sweep."""
+
+    def __init__(self, motions: Sequence[Motion], fed: Sequence[int]) -> None:
+        self._motions = [(number, motion) for number in fed if isinstance(motion := motions[number], Fed)]
+        self._world: object = None
+        self._last: tuple[Stretch | None, float, float, Stretch | None] = (None, np.inf, -np.inf, None)
+        "What was shown last, and of what and from when to when that holds."
+
+    def shown(self, base: Stretch, begin_s: float, end_s: float) -> Stretch:
+        """All motions, these as they are now."""
+        world = self._motions[0][1].now.world
+        if world is not self._world:
+            self._look(world)
+        if not len(self._rows):
+            return base
+        known, valid_from, valid_until, made = self._last
+        if made is not None and known is base and valid_from <= begin_s and end_s < valid_until:
+            return made
+        holds = (self._from <= begin_s) & (end_s < self._until)
+        rows, mine = self._rows[holds], indexes(holds)
+        at, velocity, since = base.at.copy(), base.velocity.copy(), base.since.copy()
+        turned, straight, linear = base.turned.copy(), base.straight.copy(), base.linear.copy()
+        at[:, rows], velocity[:, rows], since[rows] = self._at[:, mine], self._velocity[:, mine], self._since[mine]
+        turned[:, :, rows], straight[rows], linear[rows] = self._turned[:, :, mine], True, True
+        made = Stretch(at, velocity, since, turned, straight, linear)
+        if bool(holds.all()):
+            self._last = (base, float(self._from.max()), float(self._until.min()), made)
+        return made
+
+    def _look(self, world: object) -> None:
+        found = [(number, one) for number, motion in self._motions if (one := motion.straight) is not None]
+        self._world, self._last = world, (None, np.inf, -np.inf, None)
+        self._rows = np.array([number for number, _ in found], np.int64)
+        self._at = np.array([one.at_m for _, one in found]).reshape(-1, 3).T
+        self._velocity = np.array([one.velocity_m_s for _, one in found]).reshape(-1, 3).T
+        self._turned = np.array([one.rotation for _, one in found]).reshape(-1, 3, 3).transpose(1, 2, 0)
+        self._since = np.array([one.since_s for _, one in found])
+        self._from = np.array([one.from_s for _, one in found])
+        self._until = np.array([one.until_s for _, one in found])
 
 
 @dataclass(frozen=True, eq=False)

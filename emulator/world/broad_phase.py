@@ -63,7 +63,7 @@ class BroadPhase:
     def _chosen(self, low: Floats, high: Floats, reach_m: float, begin_s: float, end_s: float) -> Longs:
         spare_room = MARGIN * (1.0 + max(abs(begin_s), abs(end_s)))
         begin, end = begin_s - spare_room, end_s + spare_room
-        now = self._batched.during(begin, end)
+        now = self._batched.lasting(begin, end)
         start = now.at + (begin - now.since) * now.velocity
         half = now.velocity * ((end - begin) / 2.0)
         along = np.sqrt(np.einsum("ib,ib->b", half, half))

@@ -9,14 +9,14 @@ All motions of one scene read one `FedNow`, which is set before each sweep.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from emulator.live.tracks import NOTHING, Track, World
-from emulator.world.motion import Floats, Motion, Pose, Vector, matrix_of
-from emulator.world.placings import Bounds, Longs, Placings
+from emulator.live.tracks import NOTHING, Track, World, look_at
+from emulator.world.motion import Floats, Motion, Pose, Steady, Vector, matrix_of
+from emulator.world.placings import MARGIN_M, Bounds, Longs, Placings
 
 NOWHERE_M = 1e8
 "Where something is that is not there: beyond the reach of any beam."
@@ -38,14 +38,30 @@ class FedNow:
     _placings: list[Placings] = field(default_factory=list)
     "The one used last first."
     _bounds: Bounds | None = None
+    _turns: dict[int, Floats] | None = None
 
     def use(self, world: World) -> None:
         """From now on these."""
         if world is self.world:
             return
         self.world, self._tracks, self._placings, self._bounds = world, {}, [], None
+        self._turns = None
         for name, track in world.tracks:
             self._tracks.setdefault(name, []).append(track)
+
+    def look(self) -> None:
+        """Find out at once what kind of motions these are."""
+        if self._turns is None:
+            tracks = [track for _, track in self.world.tracks]
+            look_at(tracks)
+            first = matrix_of(np.array([track.quaternion[0] for track in tracks]).reshape(-1, 4))
+            self._turns = {id(track): matrix for track, matrix in zip(tracks, first, strict=True)}
+
+    def first_turn(self, track: Track) -> Floats:
+        """(3, 3) how one of these tracks is turned at its first sample."""
+        self.look()
+        assert self._turns is not None
+        return self._turns[id(track)]
 
     @property
     def has_spawned(self) -> bool:
@@ -88,6 +104,24 @@ class FedNow:
         return found, index
 
 
+def around(motions: Sequence[Fed], times: Floats) -> tuple[Floats, Floats]:
+    """Centres (3, k) and radii (k,) of spheres that hold their origins at all instants; infinite: it is not known."""
+    begin, end = float(times.min()), float(times.max())
+    middle, radius = np.zeros((3, len(motions))), np.full(len(motions), np.inf)
+    others = []
+    for number, motion in enumerate(motions):
+        one = motion.straight
+        if one is None or not one.holds(begin, end):
+            others.append(number)
+            continue
+        middle[:, number] = one.at_m + (0.5 * (begin + end) - one.since_s) * one.velocity_m_s
+        radius[number] = math.hypot(*one.velocity_m_s) * 0.5 * (end - begin) * (1.0 + MARGIN_M) + MARGIN_M
+    found = motions[others[0]].now.placings(times) if others else None
+    if found is not None:
+        middle[:, others], radius[others] = found[0].around([motions[number] for number in others])
+    return middle, radius
+
+
 @dataclass(frozen=True, eq=False)
 class Box:
     """The box of an actor's shape about its own origin: from which points of it feeders count."""
@@ -100,6 +134,29 @@ class Box:
         """Of points (v, 3)."""
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         return cls(tuple((low + (high - low) / 2.0).tolist()), tuple(((high - low) / 2.0).tolist()))
+
+
+@dataclass(frozen=True, eq=False)
+class Straight:
+    """A motion without turns, straight and even: position = at + velocity (t - since)."""
+
+    at_m: Floats
+    "(3,)"
+    velocity_m_s: Floats
+    "(3,)"
+    since_s: float
+    rotation: Floats
+    "(3, 3)"
+    from_s: float
+    until_s: float
+
+    def holds(self, begin_s: float, end_s: float) -> bool:
+        """All the time."""
+        return self.from_s <= begin_s and end_s < self.until_s
+
+    def position(self, t_s: Floats) -> Floats:
+        """(n, 3)"""
+        return np.asarray(self.at_m + (t_s - self.since_s)[:, None] * self.velocity_m_s)
 
 
 class Fed(Motion):
@@ -117,6 +174,7 @@ class Fed(Motion):
         self._shape, self._mount = shape, mount
         self._known: tuple[World, list[Track]] | None = None
         "Of the present sweep."
+        self._straight: tuple[World | None, Straight | None] = (None, None)
         self._offsets: tuple[Track | None, Vector] = (None, (0.0, 0.0, 0.0))
 
     @property
@@ -159,12 +217,43 @@ class Fed(Motion):
         """From the feeder's reference point to the origin, in the body's axes, where one track is all it has."""
         return self._offset(self._mine()[0])
 
+    @property
+    def straight(self) -> Straight | None:
+        """How it moves in the present sweep; None: not straight, or there is more to it."""
+        if self._straight[0] is not self.now.world:
+            self._straight = self.now.world, self._straight_of(self._mine())
+        return self._straight[1]
+
+    def straight_at(self, times: Floats) -> Straight | None:
+        """The same if it holds at all of these instants."""
+        one = self.straight
+        return one if one is not None and len(times) and one.holds(float(times.min()), float(times.max())) else None
+
+    def _straight_of(self, tracks: list[Track]) -> Straight | None:
+        if (
+            not tracks
+            and isinstance(self._own, Steady)
+            and not self._own.turns
+            and self.name not in self.now.world.gone
+        ):
+            zero, own = np.zeros(1), self._own
+            placed = own.position(zero)[0], own.velocity(zero)[0], 0.0, own.rotation(zero)[0]
+            return Straight(*placed, -math.inf, math.inf)
+        self.now.look()
+        velocity = tracks[0].straight_m_s if len(tracks) == 1 else None
+        if velocity is None:
+            return None
+        track, (begin, end) = tracks[0], tracks[0].straight_s
+        rotation = self.now.first_turn(track)
+        at = track.at_m[0] + rotation @ np.array(self._offset(track))
+        return Straight(at, velocity, float(track.t_s[0]), rotation, begin, end)
+
     def whole_track(self, times: Floats) -> Track | None:
         """The only one that it has at all of these instants, ascending; None: there is more to it."""
         tracks = self._mine()
-        if len(tracks) != 1 or not len(times) or bool(tracks[0].returns.any()):
+        if len(tracks) != 1 or not len(times) or tracks[0].comes_back:
             return None
-        return tracks[0] if bool(tracks[0].there(times[[0, -1]]).all()) else None
+        return tracks[0] if tracks[0].is_there(float(times[0]), float(times[-1])) else None
 
     def _mine(self) -> list[Track]:
         if self._known is None or self._known[0] is not self.now.world:
@@ -204,6 +293,8 @@ class Fed(Motion):
     def _at(self, t_s: Floats) -> tuple[Floats, Floats]:
         """Positions (n, 3) and rotations (n, 3, 3)."""
         times = np.asarray(t_s, dtype=np.float64)
+        if (one := self.straight_at(times)) is not None:
+            return one.position(times), np.broadcast_to(one.rotation, (len(times), 3, 3))
         found = self.now.placings(times) if len(times) > 1 else None
         if found is None:
             return self.found(times)

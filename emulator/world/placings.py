@@ -6,6 +6,7 @@ single poses (fed), tracks (live).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emulator.live.tracks import Track, World, together
+from emulator.physics.arrays import indexes
 from emulator.world.motion import Floats, Vector, matrix_of
 
 Longs = NDArray[np.int64]
@@ -32,6 +34,26 @@ class Body(Protocol):
 
     def found(self, times: Floats) -> tuple[Floats, Floats]:
         """Positions (n, 3) and rotations (n, 3, 3)."""
+
+
+def _poses(tracks: Sequence[Track], t_s: Floats) -> tuple[Floats, Floats]:
+    """Reference points (3, m, n) and rotations (3, 3, m, n); what does not turn is turned once."""
+    n = len(t_s)
+    place, rotation = np.zeros((3, len(tracks), n)), np.zeros((3, 3, len(tracks), n))
+    first = matrix_of(np.array([track.quaternion[0] for track in tracks])).transpose(1, 2, 0)
+    rotation[:] = first[..., None]
+    place[:] = np.array([track.at_m[0] for track in tracks]).T[..., None]
+    moving = [number for number, track in enumerate(tracks) if not track.rests]
+    if not moving:
+        return place, rotation
+    at, quaternion = together([tracks[number] for number in moving], t_s)
+    place[:, moving] = at.reshape(-1, n, 3).transpose(2, 0, 1)
+    turning = [row for row, number in enumerate(moving) if tracks[number].turns]
+    if turning:
+        mine = quaternion.reshape(-1, n, 4)[turning].reshape(-1, 4)
+        numbers = [moving[row] for row in turning]
+        rotation[:, :, numbers] = matrix_of(mine).reshape(-1, n, 3, 3).transpose(2, 3, 0, 1)
+    return place, rotation
 
 
 class Bounds:
@@ -57,7 +79,7 @@ class Bounds:
         self._half = np.linalg.norm(high - low, axis=1) / 2.0
         self._last = t_s[firsts + sizes - 1]
         self._hold = np.array([track.hold_after_s for track in tracks])
-        self._half[[bool(track.returns.any()) for track in tracks]] = np.inf
+        self._half[[track.comes_back for track in tracks]] = np.inf
 
     def spheres(self, tracks: Sequence[Track], end_s: float) -> tuple[Floats, Floats]:
         """Centres (k, 3) and radii (k,) that hold the reference points of tracks until `end_s`."""
@@ -113,12 +135,13 @@ class Placings:
             whole.append(number)
             whose.append(tracks.setdefault(id(track), (len(tracks), track))[0])
         if tracks:
-            place, quaternion = together([track for _, track in tracks.values()], self.t_s)
-            place = place.reshape(-1, n, 3).transpose(2, 0, 1)
-            rotation = matrix_of(quaternion).reshape(-1, n, 3, 3).transpose(2, 3, 0, 1)
+            place, rotation = _poses([track for _, track in tracks.values()], self.t_s)
+            turned[:, :, whole], at[:, whole] = rotation[:, :, whose], place[:, whose]
             offset = np.array([motions[number].offset for number in whole]).T
-            turned[:, :, whole] = rotation[:, :, whose]
-            at[:, whole] = place[:, whose] + np.einsum("ijkn,jk->ikn", turned[:, :, whole], offset)
+            apart = indexes((offset != 0.0).any(axis=0))
+            if len(apart):
+                rows = np.array(whole)[apart]
+                at[:, rows] += np.einsum("ijkn,jk->ikn", turned[:, :, rows], offset[:, apart])
         self.at = np.concatenate([self.at, at], axis=1) if first else at
         self.turned = np.concatenate([self.turned, turned], axis=2) if first else turned
         self._rows.update((id(one), first + number) for number, one in enumerate(motions))
@@ -141,7 +164,7 @@ class Placings:
             where, far = self._bounds.spheres([track for _, track in whole], float(self.t_s[-1]))
             numbers = [number for number, _ in whole]
             middle[:, numbers] = where.T
-            radius[numbers] = far + np.array([np.linalg.norm(motions[number].offset) for number in numbers])
+            radius[numbers] = far + np.array([math.hypot(*motions[number].offset) for number in numbers])
         for number in np.flatnonzero(np.isinf(radius)).tolist():
             where, far = self.spheres([motions[number]], np.zeros((3, 1)))
             middle[:, number], radius[number] = where[:, 0], far[0]

@@ -145,6 +145,11 @@ class Scene:
         if mount.actor is None:
             return place.pose(times)
         carrier = self.motions[self.index[mount.actor]]
+        if isinstance(carrier, Fed) and (one := carrier.straight_at(times)) is not None:
+            way = Pose(np.zeros((1, 3)), one.rotation[None])
+            there = place.pose(np.zeros(1)).after(way)
+            position = one.position(times) + there.position_m[0]
+            return Pose(position, np.broadcast_to(there.rotation[0], (len(times), 3, 3)))
         if carrier.turns:
             return place.pose(times).after(carrier.pose(times))
         offset_m, rotation = _carried(place, carrier)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
+from typing import Protocol
+
 from protocols.can_objects.e2e import Protection
-from protocols.can_objects.layout import Layout, MessageLayout, SignalLayout
+from protocols.can_objects.layout import MessageLayout, SignalLayout
 from protocols.framing import Framing
 from protocols.session import Emission
 
@@ -19,15 +22,27 @@ COUNTERS = (
 "Signals that count lists or frames, by their names in the DBC files."
 
 
+class HasMessages(Protocol):
+    """What is known of the frames of a sender."""
+
+    @property
+    def messages(self) -> Mapping[str, MessageLayout]:
+        """By their names in the DBC."""
+
+
 class CanFraming(Framing):
     """One frame an emission; its label is the message's name in the DBC."""
 
-    def __init__(self, layout: Layout, protection: Protection | None) -> None:
-        self._layout = layout
+    def __init__(
+        self, layout: HasMessages, protection: Protection | None, counters: Collection[str] = COUNTERS
+    ) -> None:
+        """`counters`: names of signals that count."""
+        self._messages = layout.messages
         self._protection = protection
+        self._counters = counters
 
     def _message(self, label: str) -> MessageLayout | None:
-        return self._layout.messages.get(label)
+        return self._messages.get(label)
 
     def _of(self, one: Emission) -> MessageLayout | None:
         """The message of a whole frame; one that another fault has cut has no fields any more."""
@@ -50,7 +65,7 @@ class CanFraming(Framing):
 
     def with_counter(self, one: Emission, change: int) -> bytes | None:
         message = self._of(one)
-        name = next((name for name in COUNTERS if message is not None and name in message.signals), None)
+        name = next((name for name in self._counters if message is not None and name in message.signals), None)
         if message is None or name is None:
             return None
         signal = message.signals[name]
@@ -65,7 +80,7 @@ class CanFraming(Framing):
         if message is None:
             return None
         payload = old.payload
-        for name in COUNTERS:
+        for name in self._counters:
             if name in message.signals:
                 signal = message.signals[name]
                 payload = _put(payload, message, signal, _get(fresh.payload, message, signal))

@@ -9,6 +9,7 @@ Aim: a virtual LMS291 and a street with 20 fed actors, steps of 10 ms, five time
 from __future__ import annotations
 
 import os
+import re
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
@@ -29,8 +30,8 @@ STEP_S = 0.01
 SPAWNED = "{pool: 8, classes: {car: {mesh: 'builtin:car.glb', material: car_paint_grey}}, fed: [%s]}"
 
 
-def street(fed: int, spawned: int = 0) -> Scenario:
-    """The street, of whose actors so many are fed and beside which so many cars come."""
+def street(fed: int, spawned: int = 0, alone: bool = False) -> Scenario:
+    """The street, of whose actors so many are fed and beside which so many cars come; `alone`: it has no others."""
     names = [actor.id for actor in load(str(STREET)).actors][:fed]
     if not names:
         return load(str(STREET))
@@ -38,6 +39,14 @@ def street(fed: int, spawned: int = 0) -> Scenario:
     actors = SPAWNED % ", ".join(names) + "\n"
     if spawned:
         actors = actors.replace("{pool", "{spawn: true, pool")
+    if alone:
+        first, others = (
+            text.index("actors:\n"),
+            [part.start() for part in re.finditer(r"^  - id: ", text, re.MULTILINE)],
+        )
+        of_actors = [place for place in others if first < place < text.index("sensors:")]
+        if len(of_actors) > fed:
+            text = text[: of_actors[fed]] + text[text.index("sensors:") :]
     live = f"\nlive: {{feed: control, ego: ego, actors: {actors.strip()}}}\n"
     return loads(text + live, STREET.with_name("fed.yaml"))
 
@@ -72,9 +81,9 @@ def lines(scenario: Scenario, fed: int, spawned: int, t_s: float) -> list[dict[s
     return found
 
 
-def stepped(fed: int, spawned: int, seconds: float) -> tuple[float, int]:
+def stepped(fed: int, spawned: int, seconds: float, alone: bool = False) -> tuple[float, int]:
     """Processor time and sweeps of so many seconds."""
-    trial = Trial(street(fed, spawned))
+    trial = Trial(street(fed, spawned, alone))
     try:
         steps = round(seconds / STEP_S)
         reported = [lines(trial.scenario, fed, spawned, STEP_S * k) for k in range(steps + 1)]
@@ -98,13 +107,14 @@ def _step(trial: Trial, k: int, actors: list[dict[str, object]]) -> None:
 def main() -> None:
     """Print one line a scene."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 2.0
-    for name, fed, spawned in (
-        ("nobody fed", 0, 0),
-        ("20 fed", 20, 0),
-        ("16 fed, 4 spawned", 16, 4),
-        ("all 36 fed", 36, 0),
+    for name, fed, spawned, alone in (
+        ("nobody fed", 0, 0, False),
+        ("20 fed", 20, 0, False),
+        ("20 fed, no others", 20, 0, True),
+        ("16 fed, 4 spawned", 16, 4, False),
+        ("all 36 fed", 36, 0, False),
     ):
-        share, sweeps = stepped(fed, spawned, seconds)
+        share, sweeps = stepped(fed, spawned, seconds, alone)
         each_ms = 1e3 * share * (seconds - 0.2) / max(1, sweeps)
         print(f"{name:18s} {each_ms:6.1f} ms a sweep, {1.0 / share:5.1f} times faster than real time")
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from emulator.live.book import Book, Rules
+from emulator.live.json_lines import update_of
 from emulator.live.samples import ActorSample, Update
 
 MS = 1_000_000
@@ -186,3 +187,38 @@ def test_a_host_that_is_told_later_is_the_ego_from_then_on() -> None:
     assert book.host == "5"
     book.take(Update(None, (at(1.0, "5"), at(2.0, "7")), host="7"), 10_000_000)
     assert book.host == "7"
+
+
+def test_a_flood_of_one_sort_of_news_hides_no_other() -> None:
+    book = Book(names=("car",))
+    for k in range(3000):
+        book.take(update_of({"actors": [{"id": f"stranger {k}", "at_m": [0, 0, 0]}], f"key {k}": 1}), k * 1_000_000)
+        book.refuse(f"actors.{k}.at_m: none; want [x, y, z]", k * 1e-3)
+    book.restart(3.0, "restart")
+    told = [text for _, text in book.events]
+    assert len(told) == 61
+    assert sum(text.endswith("; others are counted") for text in told) == 3
+    assert told[-1] == "the feeder's clock: restart"
+    assert (book.counts["not wanted"], book.counts["dropped"]) == (3000, 3000)
+
+
+@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize("turn_deg", [0.0, 2.0])
+def test_how_wrong_an_extrapolation_was_is_that_of_its_track(stated: bool, turn_deg: float) -> None:
+    """However it is computed: the quick way for what does not turn, and the track for the rest."""
+    rng = np.random.default_rng(4)
+    book, wrong = Book(names=("car",)), []
+    for k in range(60):
+        at = [0.1 * k + rng.normal(0.0, 0.004), rng.normal(0.0, 0.004), 0.0]
+        row = {"id": "car", "at_m": at, "yaw_deg": turn_deg * k}
+        row |= {"velocity_m_s": [10.0, 0.1, 0.0]} if stated else {}
+        if k > 2:
+            track = book.world(0.01 * k - 0.01, 0.01 * k).tracks[0][1]
+            wrong.append(float(np.linalg.norm(track.pose(np.array([0.01 * k]))[0][0] - at)))
+        book.take(update_of({"actors": [row]}), 10_000_000 * k)
+        if k > 1:
+            book.asked(np.array([0.01 * k + 0.005]))
+    found = book.ages.report()["error_mm"]
+    assert isinstance(found, dict)
+    assert found["worst"] == pytest.approx(1e3 * max(wrong), abs=1e-3)
+    assert found["median"] == pytest.approx(1e3 * np.median(wrong), rel=0.1)

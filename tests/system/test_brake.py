@@ -45,6 +45,14 @@ def test_what_is_driven_in_virtual_time_is_what_the_page_says(tmp_path: Path) ->
     assert found["fog_15", "50"][2] > 10
 
 
+def test_it_stops_on_what_mrpts_driver_reads(tmp_path: Path, mrpt: Path) -> None:
+    words = ("--weather", "clear", "--speed", "30", "--real", "--mrpt", str(mrpt / "mrpt_host"))
+    braked_at, left, impact = driven(tmp_path, *words)["clear", "30"]
+    assert impact == 0
+    assert 15 < braked_at < 25
+    assert left > 3
+
+
 def test_it_stops_in_real_time_too(tmp_path: Path) -> None:
     braked_at, left, impact = driven(tmp_path, "--weather", "clear", "--speed", "30", "--real")["clear", "30"]
     assert impact == 0

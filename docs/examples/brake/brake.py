@@ -2,6 +2,7 @@
 
 python docs/examples/brake/brake.py                                the sweep, in virtual time: table, brake.html
 python docs/examples/brake/brake.py --real --weather fog_40 --speed 50   one drive in real time
+python docs/examples/brake/brake.py --real --speed 50 --mrpt FOLDER/mrpt_host   the same on the ranges of MRPT's driver
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent))
 from car import FRICTION, Brake, Car
 from lms_host import LmsHost
+from mrpt_host import MrptHost
 
 from emulator.live.client import Feeder, Lockstep
 
@@ -45,6 +47,7 @@ WEATHER: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 "The road in it, and what the scenario is told. Numbers: visibility in m, rate in mm/h."
 TIME_LIMIT = 20.0
+Host = LmsHost | MrptHost
 
 
 @dataclass(frozen=True)
@@ -74,7 +77,7 @@ HEAD = "| weather | speed (km/h) | braked at (m) | left (m) | speed at impact (k
 class World:
     """A run of the scenario, and time in it."""
 
-    def __init__(self, host: LmsHost) -> None:
+    def __init__(self, host: Host) -> None:
         self.host, self.t, self.waiting = host, 0.0, []
 
     def actor(self, car: Car, jump: bool = False) -> dict[str, object]:
@@ -86,7 +89,7 @@ class World:
 class Virtual(World):
     """By lock-step; a scan acts two steps after it was measured, when its last byte is there, in every run."""
 
-    def __init__(self, host: LmsHost, feed: str) -> None:
+    def __init__(self, host: Host, feed: str) -> None:
         super().__init__(host)
         self.world = Lockstep(feed)
         self.sent = [0, 0, 0]
@@ -110,7 +113,7 @@ class Virtual(World):
 class Real(World):
     """By the clock, poses by UDP."""
 
-    def __init__(self, host: LmsHost, feed: str) -> None:
+    def __init__(self, host: Host, feed: str) -> None:
         super().__init__(host)
         self.feeder = Feeder(feed)
         self.began = time.monotonic()
@@ -124,7 +127,7 @@ class Real(World):
 
 
 @contextmanager
-def running(settings: tuple[str, ...], real: bool) -> Iterator[World]:
+def running(settings: tuple[str, ...], real: bool, mrpt: Path | None = None) -> Iterator[World]:
     """The daemon, a host on its pseudo-terminal, and the feed."""
     with tempfile.TemporaryDirectory() as folder:
         feed = "json-udp://127.0.0.1:0" if real else f"lockstep:unix:{folder}/feed"
@@ -138,9 +141,12 @@ def running(settings: tuple[str, ...], real: bool) -> Iterator[World]:
                 ready = next((one for one in map(json.loads, daemon.stdout) if "ready" in json.dumps(one)), None)
                 if ready is None:
                     raise SystemExit("the run has ended")
-                host = LmsHost(f"{folder}/lms291", 100, 0.5)
-                yield (Real if real else Virtual)(host, str(ready["feed"]))
-                host.line.close()
+                port = f"{folder}/lms291"
+                host = LmsHost(port, 100, 0.5) if mrpt is None else MrptHost(mrpt, port, 100, 0.5)
+                try:
+                    yield (Real if real else Virtual)(host, str(ready["feed"]))
+                finally:
+                    host.close()
             finally:
                 daemon.terminate()
                 daemon.wait(TIME_LIMIT)
@@ -152,7 +158,7 @@ def begin(world: World) -> None:
     time.sleep(0.1)  # in virtual time the request must be there before time moves
     car = Car(0.0, 1.0)
     while not world.step(car):
-        if world.t > 5.0:
+        if world.t > TIME_LIMIT:
             raise SystemExit("the scanner does not stream")
 
 
@@ -172,9 +178,9 @@ def drive(world: World, weather: str, km_h: float) -> Drive:
     return Drive(weather, km_h, brake.at, car.speed * 3.6 if hit else 0.0, 0.0 if hit else STOPPED_X - car.x)
 
 
-def drives(weather: str, speeds: Sequence[float] = SPEEDS, real: bool = False) -> list[Drive]:
+def drives(weather: str, speeds: Sequence[float] = SPEEDS, real: bool = False, mrpt: Path | None = None) -> list[Drive]:
     """At these speeds, one after the other in one run."""
-    with running(WEATHER[weather][1], real) as world:
+    with running(WEATHER[weather][1], real, mrpt) as world:
         begin(world)
         return [drive(world, weather, one) for one in speeds]
 
@@ -213,15 +219,20 @@ def main() -> None:
     parser.add_argument("--real", action="store_true", help="in real time")
     parser.add_argument("--weather", choices=WEATHER, action="append", help="default: all")
     parser.add_argument("--speed", type=float, action="append", help=f"km/h; default: {SPEEDS}")
+    parser.add_argument("--mrpt", type=Path, help="program mrpt_host, as host in place of pyserial; with --real")
     parser.add_argument("--page", type=Path, default=Path("brake.html"), help="written by the whole sweep")
     args = parser.parse_args()
+    if args.mrpt and not args.real:
+        parser.error("--mrpt: without --real; want both: MRPT's driver has time limits of its own clock")
+    began = time.monotonic()
     print(HEAD)
     with ThreadPoolExecutor(1 if args.real else os.cpu_count()) as pool:
-        many = pool.map(lambda one: drives(one, args.speed or SPEEDS, args.real), args.weather or WEATHER)
+        many = pool.map(lambda one: drives(one, args.speed or SPEEDS, args.real, args.mrpt), args.weather or WEATHER)
         found = []
         for rows in many:
             found += rows
             print(*(one.row() for one in rows), sep="\n", flush=True)
+    print(f"{len(found)} drives in {time.monotonic() - began:.0f} s", file=sys.stderr)
     if not (args.weather or args.speed or args.real):
         args.page.write_text(page(found), encoding="utf-8")
 

@@ -29,6 +29,10 @@ class LmsHost:
         self.count = 0
         "Scans so far."
 
+    def close(self) -> None:
+        """Leave the port."""
+        self.line.close()
+
     def start(self) -> None:
         """Ask for all scans; the reply comes before the first of them."""
         frame = b"\x02\x00" + len(START_STREAM).to_bytes(2, "little") + START_STREAM

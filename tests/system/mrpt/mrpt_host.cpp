@@ -75,6 +75,7 @@ int main(int argc, char** argv)
 			for (size_t i = 0; i < n; ++i)
 				std::printf(" %.4f", scan.getScanRangeValidity(i) ? double(scan.getScanRange(i)) : -1.0);
 			std::printf("\n");
+			std::fflush(stdout);
 		}
 		std::printf("end %d %.6f\n", scans, last - first);
 		return scans == wanted ? 0 : 1;
