@@ -30,7 +30,6 @@ from emulator.world.motion import Motion
 from emulator.world.placings import Placings
 from emulator.world.triangles import Floats, Ints
 
-
 NEARBY_M = 0.1
 "A sphere that is passed at this distance is looked at: no lens is larger."
 

@@ -203,10 +203,11 @@ class Probing:
             closed_.repeat(2), made[:2, closed_].T.ravel(), made[2, closed_].repeat(2), np.full(2 * len(closed_), 0.5),
             actor[closed_].astype(np.int64).repeat(2),
         )  # fmt: skip
-        nearest = made[3]
+        nearest, others = made[3], SubEchoes.none()
         for chosen, seen in parts:
             nearest[chosen] = seen.nearest_m
-            found = SubEchoes.joined(found, replace(seen.echoes, beam=chosen[seen.echoes.beam]))
+            others = SubEchoes.joined(others, replace(seen.echoes, beam=chosen[seen.echoes.beam]))
+        found = SubEchoes.joined(found, others)
         none, each = np.full(n, np.nan), np.arange(n)
         axis = beams_.frame[0].T
         axes = Rays(pose.position_m, axis, t_s, each, np.ones(n), each, pose.position_m, axis, beams_.own_axis)
