@@ -1,8 +1,8 @@
 """Narrow beams on what rests: their probes cast, and what becomes of each beam, in one pass.
 
-Belongs here: what `probing._judged` does with arrays, of beams that meet nothing, or one smooth surface, or several. All
-others are left: those that may meet a moving body or a bright one, insides of shells, surfaces that need their rays. Not:
-the search (packets).
+Belongs here: what `probing._judged` does with arrays, of beams that meet nothing, or one smooth surface, or several.
+All others are left: those that may meet a moving body, insides of shells, surfaces that need their rays. Not: the
+search (packets).
 """
 
 # mypy: disable-error-code="no-untyped-def"

@@ -2,10 +2,10 @@
 
     python tests/benchmarks/bench_layers.py [SLICES]
 
-Scenario `velodyne_street`, everything moving, clear and in fog and rain with sun, and clear with one ray a beam. Processor
+Scenario `velodyne_street`, everything moving, clear, in fog and rain with sun, and clear with one ray a beam. Processor
 time of this process, the best of five runs of each slice: it bears a machine with other work on it. Arrays alone are
-measured in clear air. The cast is our caster's, of rays along the axes: not Embree's own. The receiver is what is left
-of the whole without what comes back (`Measure.view`).
+measured in clear air. The cast is that of `Caster`, of rays along the axes: not Embree's own. The receiver is what is
+left of the whole without what comes back (`Measure.view`).
 """
 
 from __future__ import annotations
