@@ -138,7 +138,7 @@ def scenes(folder: Path) -> dict[str, Any]:
 def layers() -> ScanPlan:
     """5 ms of sixteen layers, 1536 beams."""
     azimuth, elevation = np.radians(np.arange(96) * 0.2 - 10.0), np.radians(np.arange(-15.0, 17.0, 2.0))
-    fired = np.arange(1536) * 3.4e-6
+    fired = np.arange(1536, dtype=np.float64) * 3.4e-6
     return ScanPlan(
         0, 0, 0, azimuth.repeat(16), np.tile(elevation, 96), fired, 0.0053, max_range_m=131.0, wants_intensity=True
     )
