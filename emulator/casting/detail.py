@@ -12,7 +12,7 @@ from typing import TypeVar, cast
 
 import numpy as np
 
-from emulator.casting.hits import Hits, LateHits, Renewed
+from emulator.casting.hits import Around, Hits, LateHits, Renewed
 from emulator.casting.raycast import Caster
 from emulator.physics import foliage
 from emulator.physics.arrays import indexes
@@ -80,6 +80,10 @@ class DetailedCaster:
     def may_lie_beyond(self, origin_m: Floats, direction: Floats, t_s: Floats, beyond_m: float) -> Flags:
         """As of the bare one."""
         return self.bare.may_lie_beyond(origin_m, direction, t_s, beyond_m)
+
+    def around(self, origin_m: Floats, t_s: Floats, far: float) -> Around | None:
+        """None: hits are not all that is to be known of faces."""
+        return None
 
     def first_hits(
         self, origin_m: Floats, direction: Floats, t_s: Floats | float, *, max_range_m: float = np.inf,

@@ -314,6 +314,30 @@ class Fan:
         return self.origin_m is origin_m and self.direction is direction and self.far == far
 
 
+@dataclass(frozen=True, eq=False)
+class Around:
+    """All that a search for many rays needs which begin among resting bodies of one structure."""
+
+    how: tuple[int, int, int, int]
+    "As of `compiled.packets`."
+    centre: Floats
+    "(3,) of the structure."
+    offset: int
+    "Global number of its first triangle."
+    plane: Floats
+    "(F, 4) of triangles, as in `structures.Table`."
+    body: Longs
+    closed: Flags
+    actor_of: Ints
+    "(bodies,)"
+    material: Ints
+    "(F,) of the structure's triangles."
+    movers: Floats
+    "(4, b) centres and radii of spheres that hold the moving bodies within reach, as long as the rays are cast."
+    suspicious: float
+    counters: Counters
+
+
 def all_met(parts: list[Met]) -> Met | None:
     if len(parts) < 2:
         return parts[0] if parts else None

@@ -30,6 +30,9 @@ from emulator.world.motion import Motion
 from emulator.world.placings import Placings
 from emulator.world.triangles import Floats, Ints
 
+NEARBY_M = 0.1
+"A sphere that is passed at this distance is looked at: no lens is larger."
+
 
 @dataclass(eq=False)
 class Near:
@@ -182,6 +185,21 @@ class MovingCast:
         centre = low + (place.max(axis=1, keepdims=True) - low) / 2.0
         away = np.sqrt(((place - centre) ** 2).sum(axis=0))
         return centre, float((away + movers.reach + swept).max())
+
+    def spheres(self, origin: Floats, times: Floats, far: float) -> Floats:
+        """Centres and radii (4, b) of spheres that hold all that may come within reach of (3, m) at these instants."""
+        begin, end = float(times.min()), float(times.max())
+        movers = self._near(*extent(origin), begin, end, far + NEARBY_M)
+        if not len(movers.body):
+            return np.zeros((4, 0))
+        _, place, swept, curved = _whereabouts(movers, begin, end)
+        if self._fed is not None and len(curved):
+            near = self._looked(movers, times)
+            if near is None:
+                swept[curved] = np.inf
+            else:
+                near[0].fill(place, swept)
+        return np.concatenate([place, (movers.reach + swept + NEARBY_M)[None]])
 
     def met(
         self,

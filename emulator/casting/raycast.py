@@ -20,6 +20,7 @@ import numpy as np
 from emulator.casting import embree
 from emulator.casting.hits import (
     Aim,
+    Around,
     Block,
     Counters,
     Fan,
@@ -177,6 +178,20 @@ class Caster:
                 kept.pop(0)
             self._aimed = tuple(kept)
         return known
+
+    def around(self, origin_m: Floats, t_s: Floats, far: float) -> Around | None:
+        """What a single pass over rays from (m, 3) at `t_s` (m,) needs; None: they are not among one structure."""
+        if not self._packets or len(self._groups) != 1:
+            return None
+        group, table = self._groups[0], self._table
+        origin = origin_m.T
+        if not _norm(origin[:, :1] - group.centre) < group.radius:
+            return None
+        movers = self._moving.spheres(origin, t_s, far) if self.moves else np.zeros((4, 0))
+        return Around(
+            self._built[0].how, group.centre[:, 0], group.offset, table.plane, table.body, table.closed,
+            self._actor_of, self._material, movers, embree.SUSPICIOUS, self.counters,
+        )  # fmt: skip
 
     @property
     def bare(self) -> Caster:

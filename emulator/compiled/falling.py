@@ -76,7 +76,7 @@ def falling(
 ):  # fmt: skip
     """Number of particles found, see `world_particles.in_boxes`; written are as many as there is room for."""
     total, room = 0, len(out_beam)
-    corner_x, corner_y = np.zeros(4), np.zeros(4)
+    corner_x, corner_y, corner_z = np.zeros(4), np.zeros(4), np.zeros(4)
     zero = np.uint64(0)
     key_word = np.uint64(key)
     cx, cy, cz = cell_m[0], cell_m[1], cell_m[2]
@@ -105,12 +105,22 @@ def falling(
                 i = g if j else f
                 corner_x[2 * k + j] = origin[i, 0] + r * axis[i, 0]
                 corner_y[2 * k + j] = origin[i, 1] + r * axis[i, 1]
+                corner_z[2 * k + j] = origin[i, 2] + r * axis[i, 2]
         beside = 1.01 * (reach_m[b] + 0.5 * math.sqrt(bulge))
         for iz in range(low[b, 2], low[b, 2] + size[b, 2]):
-            for iy in range(low[b, 1], low[b, 1] + size[b, 1]):
+            # what of the fan is as high as these cells
+            below, above = iz * cz - beside, (iz + 1) * cz + beside
+            x_low, x_high = row(corner_x, corner_z, below, above)
+            if x_low > x_high:
+                continue
+            y_low, y_high = row(corner_y, corner_z, below, above)
+            iy_low = max(low[b, 1], math.floor((y_low - beside) / cy))
+            iy_high = min(low[b, 1] + size[b, 1], math.floor((y_high + beside) / cy) + 1)
+            for iy in range(iy_low, iy_high):
                 row_low, row_high = row(corner_x, corner_y, iy * cy - beside, (iy + 1) * cy + beside)
                 if row_low > row_high:
                     continue
+                row_low, row_high = max(row_low, x_low), min(row_high, x_high)
                 ix_low = max(low[b, 0], math.floor((row_low - beside) / cx))
                 ix_high = min(low[b, 0] + size[b, 0], math.floor((row_high + beside) / cx) + 1)
                 for ix in range(ix_low, ix_high):
@@ -131,11 +141,8 @@ def falling(
                         px = (ix + (np.float64(own & _MASK) + 0.5) * 2.0**-21) * cx
                         py = (iy + (np.float64((own >> _21) & _MASK) + 0.5) * 2.0**-21) * cy
                         pz = (iz + (np.float64((own >> _42) & _MASK) + 0.5) * 2.0**-21) * cz
-                        r = (
-                            (px - origin[m, 0]) * axis[m, 0]
-                            + (py - origin[m, 1]) * axis[m, 1]
-                            + (pz - origin[m, 2]) * axis[m, 2]
-                        )
+                        bx, by, bz = px - origin[m, 0], py - origin[m, 1], pz - origin[m, 2]
+                        r = math.sqrt(bx * bx + by * by + bz * bz)
                         bx, by, bz = (
                             origin[f, 0] + r * axis[f, 0],
                             origin[f, 1] + r * axis[f, 1],

@@ -8,6 +8,7 @@ from emulator.compiled.leaves import leaves
 from emulator.compiled.maxima import edges, maxima
 from emulator.compiled.media import crossed_under, ended_under
 from emulator.compiled.moving import moving, near, pairs
+from emulator.compiled.narrow import narrow
 from emulator.compiled.packets import Packets, library
 from emulator.compiled.surfaces import in_order, special, strengths
 from emulator.compiled.waves import sampled
@@ -26,6 +27,7 @@ __all__ = [
     "library",
     "maxima",
     "moving",
+    "narrow",
     "near",
     "pairs",
     "ranks",

@@ -343,19 +343,43 @@ def _measure(signals: Signals, detector: Detector, normals: Numbers | None, timi
 
 
 def report(found: Found, beams: int, detector: Detector, dazzled: Bools | None) -> Echoes:
+    """The echoes of each beam that the device reports, in the order of their ranges."""
     k = detector.max_echoes
-    blind_m = 0.5 * SPEED_OF_LIGHT_M_S * detector.recovery_s
     kept = (found.range_m >= detector.near_gate_m) & (found.range_m <= detector.far_gate_m) & np.isfinite(found.range_m)
     if dazzled is not None:
         kept &= ~dazzled[found.beam]
-    order = indexes(kept)
+    result = Echoes(
+        np.full((beams, k), np.nan),
+        np.full((beams, k), np.nan),
+        np.zeros((beams, k), np.bool_),
+        np.full((beams, k), NO_SOURCE, np.int64),
+    )
+    at = indexes(kept) if k else indexes(kept)[:0]
+    alone = np.bincount(found.beam[at], minlength=beams)[found.beam[at]] == 1
+    _put(result, found, at[alone], 0)
+    if not bool(alone.all()):
+        _put(result, found, *_chosen(found, at[~alone], beams, detector))
+    return result
+
+
+def _put(result: Echoes, found: Found, at: Ints, column: Ints | int) -> None:
+    """Some of what was found into columns of the result."""
+    row = found.beam[at]
+    result.range_m[row, column] = found.range_m[at]
+    result.amplitude[row, column] = found.amplitude[at]
+    result.saturated[row, column] = found.saturated[at]
+    result.source[row, column] = found.source[at]
+
+
+def _chosen(found: Found, order: Ints, beams: int, detector: Detector) -> tuple[Ints, Ints]:
+    """Of several echoes of a beam those that are reported, and the column of each."""
+    k, blind_m = detector.max_echoes, 0.5 * SPEED_OF_LIGHT_M_S * detector.recovery_s
     order = order[np.lexsort((found.range_m[order], found.beam[order]))]
     beam, range_m, amplitude = found.beam[order], found.range_m[order], found.amplitude[order]
     saturated = found.saturated[order]
     if detector.recovery_s > 0.0 and bool(saturated.any()):
         blind = _blinded(beam, range_m, saturated, blind_m)
         order, beam, range_m, amplitude = order[~blind], beam[~blind], range_m[~blind], amplitude[~blind]
-        saturated = saturated[~blind]
     sizes = np.bincount(beam, minlength=beams)
     rank = ramp(sizes)
     column = rank
@@ -369,18 +393,7 @@ def report(found: Found, beams: int, detector: Detector, dazzled: Bools | None) 
         column = np.full(beam.size, -1, np.int64)
         column[strong] = ramp(np.bincount(beam[strong], minlength=beams))
     shown = (column >= 0) & (column < k)
-    result = Echoes(
-        np.full((beams, k), np.nan),
-        np.full((beams, k), np.nan),
-        np.zeros((beams, k), np.bool_),
-        np.full((beams, k), NO_SOURCE, np.int64),
-    )
-    row, col, at = beam[shown], column[shown], order[shown]
-    result.range_m[row, col] = found.range_m[at]
-    result.amplitude[row, col] = found.amplitude[at]
-    result.saturated[row, col] = found.saturated[at]
-    result.source[row, col] = found.source[at]
-    return result
+    return order[shown], column[shown]
 
 
 def _blinded(beam: Ints, range_m: Floats, saturated: Bools, reach_m: float) -> Bools:

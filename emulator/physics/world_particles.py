@@ -64,6 +64,11 @@ class Lines:
     far_m: Floats
     "(n,) first surface."
 
+    def taken(self, order: Ints) -> Lines:
+        """The same beams in another order."""
+        across = None if self.across is None else self.across[order]
+        return Lines(self.centre_m[order], self.axis[order], across, self.t_s[order], self.far_m[order])
+
 
 @dataclass(frozen=True)
 class _Class:
@@ -336,7 +341,7 @@ class _Search:
         axis, origin, reach = self.lines.axis, self.origin, self.boxes.reach_m[box]
         middle = (first + last) // 2
         to = place - origin[middle]
-        r = np.einsum("ij,ij->i", to, axis[middle])
+        r = np.sqrt(np.einsum("ij,ij->i", to, to))
         begin = origin[first] + r[:, None] * axis[first]
         chord = origin[last] + r[:, None] * axis[last] - begin
         square = np.einsum("ij,ij->i", chord, chord)

@@ -88,6 +88,9 @@ class FacedCaster(Protocol):
         aimed: bool = False, order: Ints | None = None,
     ) -> FacedHits: ...  # fmt: skip
 
+    def around(self, origin_m: Floats, t_s: Floats, far: float) -> Any:
+        """What a single pass over rays needs; None: there is no such pass."""
+
     def renewed(self, origin_m: Floats, direction: Floats, t_s: Floats, max_range_m: float) -> Renewed: ...
 
 

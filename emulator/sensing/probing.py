@@ -26,7 +26,8 @@ from emulator.sensing.air import AirNow
 from emulator.sensing.contracts import FacedCaster, Hits
 from emulator.sensing.daylight import surfaces_show
 from emulator.sensing.model import SensorModel
-from emulator.sensing.paths import Seen, Surfaces, reach_of, returned, windows
+from emulator.sensing.narrow import LEFT, Beams, settled
+from emulator.sensing.paths import Seen, Surfaces, reach_of, returned, window_factors
 from emulator.sensing.pruning import Pruned
 from emulator.sensing.rays import BundleCache, Rays, cast_rays, pose_at, turned
 from emulator.sensing.sheets import bright_of
@@ -159,76 +160,112 @@ class Probing:
 
     def sweep(self, plan: ScanPlan, pose: Pose, t_s: Floats, surfaces: Surfaces, air: AirNow) -> Pruned:
         """Everything that comes back from surfaces in a sweep."""
-        model, gain = self._model, plan.gain
+        model, gain, n = self._model, plan.gain, len(plan)
         reach = reach_of(model, plan.max_range_m)
         far = np.inf if surfaces_show(air.sun, model) or not model.prune_far else reach
-        rays = self._rays(plan, pose, t_s)
-        hits = self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=far)
-        n, count = len(plan), len(self.nodes)
+        beams_ = self._beams(plan, pose, t_s)
         weight = np.ones(n)
         if gain != 1.0 or model.windscreen is not None:
-            weight = windows(rays, model, gain)
-        kinds, made = _judged(
-            hits, weight, self._places, self.nodes.share, _treated(surfaces, air, model), reach, surfaces, air, model
+            weight = window_factors(beams_.own_axis, model, gain)
+        treated, spheres = _treated(surfaces, air, model), self._spheres(t_s)
+        first = settled(
+            beams_, self._caster, far, reach, treated, surfaces.table.factors, weight, spheres, self._law(air)
         )
-        for one in self._bright or ():
-            kinds[(kinds != BUNDLE) & self._looks_at(one, rays, t_s)] = BUNDLE
-        at = np.arange(n) * count
+        kinds, made, material, actor, normal = first.kinds, first.made, first.material, first.actor, first.normal
+        what, cast = (self._caster, surfaces, air, model, gain, plan.max_range_m), first.cast
+        parts, count = [], len(self.nodes)
+        left = indexes(kinds == LEFT)
+        if len(left):
+            some = beams_ if len(left) == n else beams_.taken(left)
+            rays = _probes(some)
+            hits = self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=far)
+            sort, made[:, left] = _judged(
+                hits, weight[left], self._places, self.nodes.share, treated, reach, surfaces, air, model
+            )
+            for k in range(spheres.shape[1]):
+                sort[(sort != BUNDLE) & self._looks_at(spheres[:, k], rays)] = BUNDLE
+            at = np.arange(len(left)) * count
+            kinds[left], material[left], actor[left] = sort, hits.material[at], hits.actor[at]
+            normal[left], cast = hits.normals(at), cast + len(rays.beam)
+            chosen = indexes(sort == PROBED)
+            if len(chosen):
+                own = (at[chosen][:, None] + np.arange(count)).ravel()
+                parts.append((left[chosen], returned(_Picked.of(hits, own), _rays_at(rays, chosen, own), *what)))
+        chosen = indexes(kinds == BUNDLE)
+        if len(chosen):
+            part = cast_rays(self._bundles.part(plan, chosen), pose_at(pose, chosen), t_s[chosen])
+            hits = self._caster.first_hits(part.origin_m, part.direction, part.t_s, max_range_m=far)
+            seen, cast = returned(hits, part, *what), cast + len(part.beam)
+            material[chosen], normal[chosen] = seen.axis_material, seen.axis_normal
+            parts.append((chosen, seen))
         closed_ = indexes(kinds == CLOSED)
         found = SubEchoes(
             closed_.repeat(2), made[:2, closed_].T.ravel(), made[2, closed_].repeat(2), np.full(2 * len(closed_), 0.5),
-            hits.actor[at[closed_]].astype(np.int64).repeat(2),
+            actor[closed_].astype(np.int64).repeat(2),
         )  # fmt: skip
-        nearest, material, normal = made[3], hits.material[at], hits.normals(at)
-        what, cast = (self._caster, surfaces, air, model, gain, plan.max_range_m), len(rays.beam)
-        for kind in (PROBED, BUNDLE):
-            chosen = indexes(kinds == kind)
-            if not len(chosen):
-                continue
-            if kind == PROBED:
-                own = (at[chosen][:, None] + np.arange(count)).ravel()
-                seen = returned(_Picked.of(hits, own), _rays_at(rays, chosen, own), *what)
-            else:
-                part = cast_rays(self._bundles.part(plan, chosen), pose_at(pose, chosen), t_s[chosen])
-                first = self._caster.first_hits(part.origin_m, part.direction, part.t_s, max_range_m=far)
-                seen, cast = returned(first, part, *what), cast + len(part.beam)
-                material[chosen], normal[chosen] = seen.axis_material, seen.axis_normal
+        nearest, others = made[3], SubEchoes.none()
+        for chosen, seen in parts:
             nearest[chosen] = seen.nearest_m
-            found = SubEchoes.joined(found, replace(seen.echoes, beam=chosen[seen.echoes.beam]))
-        none = np.full(n, np.nan)
-        axes = _axes(rays, n, count)
+            others = SubEchoes.joined(others, replace(seen.echoes, beam=chosen[seen.echoes.beam]))
+        found = SubEchoes.joined(found, others)
+        none, each = np.full(n, np.nan), np.arange(n)
+        axis = beams_.frame[0].T
+        axes = Rays(pose.position_m, axis, t_s, each, np.ones(n), each, pose.position_m, axis, beams_.own_axis)
         return Pruned(axes, Seen(found, nearest, material, normal), kinds != BUNDLE, cast, closed.Shifts(none, none))
 
-    def _looks_at(self, one: _Bright, rays: Rays, t_s: Floats) -> Bools:
+    def _law(self, air: AirNow) -> Floats:
+        """Numbers by which a beam is judged, in the order of `compiled.narrow`."""
+        model = self._model
+        return np.array([
+            *self._rim, float((self._places[1] ** 2).sum()), OFF_PLANE_LSB * model.lsb_m, model.k_m2,
+            model.aperture_radius_m**2, air.extinction_per_m, model.overlap_start_m, model.overlap_full_m,
+            _foot_m2(model), WIDEST * model.pulse.fwhm_m,
+        ])  # fmt: skip
+
+    def _spheres(self, t_s: Floats) -> Floats:
+        """(4, b) around bright faces during a sweep."""
+        bright = self._bright or ()
+        found, times = np.zeros((4, len(bright))), np.array([0.5 * (t_s.min() + t_s.max()), t_s.min(), t_s.max()])
+        for k, one in enumerate(bright):
+            places = one.body.motion.pose(times).to_world(one.centre_m)
+            found[:3, k] = places[0]
+            found[3, k] = one.radius_m + 2.0 * float(np.linalg.norm(places - places[0], axis=1).max())
+        return found
+
+    def _looks_at(self, sphere: Floats, rays: Rays) -> Bools:
         """(n,) beams whose cone comes into that sphere."""
-        times = np.array([0.5 * (t_s.min() + t_s.max()), t_s.min(), t_s.max()])
-        places = one.body.motion.pose(times).to_world(one.centre_m)
-        slack = 2.0 * float(np.linalg.norm(places - places[0], axis=1).max())
-        to = places[0] - rays.centre_m
+        to = sphere[:3] - rays.centre_m
         along = np.einsum("ij,ij->i", to, rays.axis)
         across = np.einsum("ij,ij->i", to, to) - along * along
-        room = one.radius_m + slack + self._rim[1] + self._rim[0] * np.maximum(along, 0.0)
+        room = sphere[3] + self._rim[1] + self._rim[0] * np.maximum(along, 0.0)
         return np.asarray((across <= room * room) & (along > -room))
 
-    def _rays(self, plan: ScanPlan, pose: Pose, t_s: Floats) -> Rays:
-        """The probes of all beams in the world."""
-        n, count = len(plan), len(self.nodes)
+    def _beams(self, plan: ScanPlan, pose: Pose, t_s: Floats) -> Beams:
+        """All beams in the world."""
+        n = len(plan)
         ca, sa = np.cos(plan.azimuth_rad), np.sin(plan.azimuth_rad)
         ce, se = np.cos(plan.elevation_rad), np.sin(plan.elevation_rad)
         own = np.array([[ce * ca, ce * sa, se], [-sa, ca, np.zeros(n)], [-se * ca, -se * sa, ce]])
         frame = turned(pose.rotation, own.transpose(2, 0, 1)).transpose(1, 2, 0)
-        origin, direction = _aimed(frame, pose.position_m.T, self._aim)
-        return Rays(
-            origin_m=origin.T,
-            direction=direction.T,
-            t_s=t_s.repeat(count),
-            beam=np.arange(n).repeat(count),
-            share=np.tile(self.nodes.share, n),
-            nearest_axis=np.arange(n) * count,
-            centre_m=pose.position_m,
-            axis=frame[0].T,
-            own_axis=own[0].T,
-        )
+        place = np.ascontiguousarray(pose.position_m.T)
+        return Beams(place, np.ascontiguousarray(frame), own[0].T, t_s, self._aim, self._places, self.nodes.share)
+
+
+def _probes(beams_: Beams) -> Rays:
+    """The probes of these beams."""
+    n, count = len(beams_.t_s), len(beams_.share)
+    origin, direction = _aimed(beams_.frame, beams_.place, beams_.aim)
+    return Rays(
+        origin_m=origin.T,
+        direction=direction.T,
+        t_s=beams_.t_s.repeat(count),
+        beam=np.arange(n).repeat(count),
+        share=np.tile(beams_.share, n),
+        nearest_axis=np.arange(n) * count,
+        centre_m=beams_.place.T,
+        axis=beams_.frame[0].T,
+        own_axis=beams_.own_axis,
+    )
 
 
 def _aimed(frame: Floats, place: Floats, aim: Floats) -> Floats:
@@ -332,13 +369,4 @@ def _rays_at(rays: Rays, at: Ints, own: Ints) -> Rays:
     return Rays(
         rays.origin_m[own], rays.direction[own], rays.t_s[own], np.arange(len(at)).repeat(count), rays.share[own],
         np.arange(len(at)) * count, rays.centre_m[at], rays.axis[at], rays.own_axis[at],
-    )  # fmt: skip
-
-
-def _axes(rays: Rays, n: int, count: int) -> Rays:
-    """The middle ray of each beam, for those who look along beams."""
-    each, at = np.arange(n), np.arange(n) * count
-    return Rays(
-        rays.origin_m[at], rays.direction[at], rays.t_s[at], each, np.ones(n), each, rays.centre_m, rays.axis,
-        rays.own_axis,
     )  # fmt: skip

@@ -202,8 +202,9 @@ class Receiver:
         if model.systematic_m:
             range_m = range_m + model.systematic_m
         if model.noise and model.range_noise_m > 0.0:
-            spread = self._draws.normal("range", plan.sweep, n, range_m.shape[1])
-            range_m = np.maximum(range_m + model.range_noise_m * spread, 0.0)
+            spread, seen = self._draws.normals("range", plan.sweep, n, range_m.shape[1]), np.isfinite(range_m)
+            range_m = range_m.copy()
+            range_m[seen] = np.maximum(range_m[seen] + model.range_noise_m * spread[seen], 0.0)
         flags: NDArray[np.uint8] = np.zeros(n, np.uint8)
         if bool(echoes.saturated.any()):
             flags[echoes.saturated.any(axis=1)] |= SATURATED

@@ -2,9 +2,10 @@
 
     python tests/benchmarks/bench_layers.py [SLICES]
 
-Scenario `velodyne_street`, everything moving, clear and in fog and rain with sun. Processor time of this process, the
-better of two runs of each slice: it bears a machine with other work on it. The cast is our
-caster's, of rays along the axes: not Embree's own.
+Scenario `velodyne_street`, everything moving, clear, in fog and rain with sun, and clear with one ray a beam. Processor
+time of this process, the best of five runs of each slice: it bears a machine with other work on it. Arrays alone are
+measured in clear air. The cast is that of `Caster`, of rays along the axes: not Embree's own. The receiver is what is
+left of the whole without what comes back (`Measure.view`).
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from protocols.session import Address, LinkKind  # noqa: E402
 
 MODELS = "velodyne-vlp-16", "velodyne-hdl-32e", "velodyne-vlp-32c", "velodyne-vls-128"
 WET = "weather: {fog: {visibility_m: 500}, rain: {rate_mm_h: 10}, sun: {azimuth_deg: 60, elevation_deg: 30}}\n"
+ONE_RAY = "    physics: {rule: axis}\n"
 STREET = ROOT / "scenarios" / "velodyne_street.yaml"
 
 
@@ -52,9 +54,9 @@ def plans_of(model: str, count: int) -> list[ScanPlan]:
 
 
 def best_s(action: object, *given: object) -> float:
-    """Processor time, the better of two."""
+    """Processor time, the best of five."""
     took = []
-    for _ in range(2):
+    for _ in range(5):
         begin = time.process_time()
         action(*given)  # type: ignore[operator]
         took.append(time.process_time() - begin)
@@ -69,29 +71,35 @@ def cast_again(caster: Caster, view: View) -> None:
 
 def main() -> None:
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 20
-    print("model; weather; form; beams/s measured; share of real time; rays/beam; us/beam; raw cast us/beam; whole/raw")
+    print(
+        "model; case; form; beams/s measured; share of real time; rays/beam; us/beam; receiver us/beam;"
+        " raw cast us/beam; whole/raw"
+    )
     for model in MODELS:
         plans = plans_of(model, count)
         period_s = 1e-9 * (plans[-1].start_ns - plans[0].start_ns) / (count - 1)
-        for wet in ("", WET):
-            text = STREET.read_text(encoding="utf-8").replace("velodyne-vlp-16", model) + wet
+        for case in ("clear", "fog, rain, sun", "one ray, clear"):
+            text = STREET.read_text(encoding="utf-8").replace("velodyne-vlp-16", model)
+            text = text + WET if case.startswith("fog") else text
+            text = text.replace("    mount:", ONE_RAY + "    mount:") if case.startswith("one") else text
             loaded = scenario.loads(text, STREET, [])
             caster = Caster(scene.build(loaded))
-            for loops in (False, True) if switch.kernels() is not None else (False,):
+            arrays = (False,) if case == "clear" or switch.kernels() is None else ()
+            for loops in (*arrays, True) if switch.kernels() is not None else arrays:
                 with switch.switched(loops):
                     measure = assembly.build_measures(loaded)["roof"]
                     measure(plans[0])
                     whole = [best_s(measure, plan) for plan in plans]
+                    seen = [best_s(measure.view, plan) for plan in plans]
                     views = [measure.view(plan) for plan in plans[::4]]
                     raw = [best_s(cast_again, caster, view) for view in views]
                 beams = len(plans[0])
                 each, cast = float(np.mean(whole)) / beams, float(np.mean(raw)) / beams
                 rays = float(np.mean([view.cast for view in views])) / beams
                 print(
-                    f"{model}; {'fog, rain, sun' if wet else 'clear'};"
-                    f" {'loops' if loops else 'arrays'}; {1 / each:.3g};"
+                    f"{model}; {case}; {'loops' if loops else 'arrays'}; {1 / each:.3g};"
                     f" {period_s / (each * beams):.2f}; {rays:.1f}; {1e6 * each:.2f};"
-                    f" {1e6 * cast:.2f}; {each / cast:.1f}",
+                    f" {1e6 * (each - float(np.mean(seen)) / beams):.2f}; {1e6 * cast:.2f}; {each / cast:.1f}",
                     flush=True,
                 )
 

@@ -28,8 +28,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from emulator.casting.raycast import Caster
 from emulator.compiled.pair import Pair
+from emulator.scenario import scenario
+from protocols.scan import ScanPlan
 from tests.benchmarks import bench_scan
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -99,9 +103,9 @@ def row(name: str, pair: Pair, at: Mapping[str, tuple[str, int]]) -> tuple[str, 
     return f"`{step or pair.array.__qualname__}`", f"{module}, {_lines_of(pair.array)}", f"{where}, {lines}"
 
 
-def saved(pair: Pair, measures: Sequence[Any], repeats: int) -> float:
+def saved(pair: Pair, measures: Sequence[Any], repeats: int, plan: ScanPlan) -> float:
     """By the loops of a step. `measures`: with all loops, and with those of the step left out. [%]"""
-    plan, took = bench_scan.sweep(0.5), ([], [])  # type: ignore[var-annotated]
+    took: tuple[list[float], list[float]] = [], []
     for number in range(repeats + 2):
         times: tuple[list[float], list[float]] = ([], [])
         for _ in range(2):
@@ -128,7 +132,16 @@ def scenes(folder: Path) -> dict[str, Any]:
     }
     found["snow, at rest"] = bench_scan.street(folder, SNOW, True)
     hedges = bench_scan.street(folder, {}, False, HEDGES)
-    return {**found, "hedges, driving": hedges}
+    return {**found, "hedges, driving": hedges, "VLP-16, driving": scenario.load("velodyne_street")}
+
+
+def layers() -> ScanPlan:
+    """5 ms of sixteen layers, 1536 beams."""
+    azimuth, elevation = np.radians(np.arange(96) * 0.2 - 10.0), np.radians(np.arange(-15.0, 17.0, 2.0))
+    fired = np.arange(1536, dtype=np.float64) * 3.4e-6
+    return ScanPlan(
+        0, 0, 0, azimuth.repeat(16), np.tile(elevation, 96), fired, 0.0053, max_range_m=131.0, wants_intensity=True
+    )
 
 
 def main(repeats: int) -> None:
@@ -145,7 +158,10 @@ def main(repeats: int) -> None:
                 without = [bench_scan.of(one)[0] for one in found.values()]
                 assert all(isinstance(one._caster, Caster) for one in without)
                 pair.on = True
-            figures = [f"{saved(pair, each, repeats):.1f}" for each in zip(whole, without, strict=True)]
+            figures = [
+                f"{saved(pair, each, repeats, layers() if column.startswith('VLP') else bench_scan.sweep(0.5)):.1f}"
+                for column, *each in zip(found, whole, without, strict=True)
+            ]
             sys.stdout.write(f"| {' | '.join((*row(step, pair, at), *figures))} |\n")
             sys.stdout.flush()
 

@@ -19,6 +19,7 @@ from emulator.physics import world_particles
 from emulator.physics.random_streams import RandomStreams
 from emulator.physics.world_particles import Lines, WorldParticles, in_boxes
 from emulator.sensing.measure import Measure
+from emulator.sensing.particles import by_layers
 from tests.sensing import particle_cases as cases
 from tests.sensing.one_particle_at_a_time import Rig, first_echoes
 from tests.sensing.particle_cases import Case, firsts, named, particle_light, sensor
@@ -231,6 +232,44 @@ def test_beams_of_a_sensor_that_drives_see_what_each_of_them_sees_alone(name: st
     together = sorted((int(b), float(r), float(s)) for b, r, s in zip(*drawn, strict=True) if b % 4 == 0)
     assert len(together) > 20
     np.testing.assert_allclose(together, one_by_one(of, light, lines), rtol=1e-9)
+
+
+def lasers(each: int = 40) -> Lines:
+    """Eight layers of which neighbours fire far apart, as in a Velodyne."""
+    elevation = np.radians(np.tile([-15.0, 1.0, -13.0, 3.0, -11.0, 5.0, -9.0, 7.0], each))
+    azimuth = 0.0035 * np.arange(each).repeat(8)
+    level = np.cos(elevation)
+    axis = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
+    late = 2.3e-6 * np.arange(8 * each)
+    centre = np.stack([3.0 + 20.0 * late, np.full(8 * each, -2.0), np.full(8 * each, 4.0)], axis=1)
+    return Lines(centre, axis, None, 5.0 + late, np.full(8 * each, 12.0))
+
+
+@pytest.mark.parametrize("sorted_", [False, True])
+def test_lasers_that_look_far_apart_see_what_each_of_them_sees_alone(sorted_: bool) -> None:
+    measure = sensor(named("particles_sum", "lms291-s05 w0 5 mm gauss floor 0.004, dry snow 5")[0])
+    now, light, lines = measure.air.at(0.0), particle_light(measure), lasers()
+    if sorted_:
+        order = by_layers(lines.axis)
+        assert order is not None
+        lines = lines.taken(order)
+    of = WorldParticles(1, "snow", light.sizes, now.particles[0].fall_m_s, (2.0, -1.0, 0.0))
+    drawn = of.in_beams(light, lines)
+    assert drawn is not None
+    together = sorted((int(b), float(r), float(s)) for b, r, s in zip(*drawn, strict=True) if b % 4 == 0)
+    assert len(together) > 20
+    np.testing.assert_allclose(together, one_by_one(of, light, lines), rtol=1e-9)
+
+
+def test_beams_are_looked_at_by_layers_where_these_are_fired_by_turns() -> None:
+    axis = lasers().axis
+    order = by_layers(axis)
+    assert order is not None
+    layer = np.round(axis[order, 2], 6)
+    assert np.count_nonzero(np.diff(layer)) == 7
+    assert by_layers(axis[order]) is None
+    assert by_layers(fan(0.0).axis) is None
+    assert by_layers(axis[:1]) is None
 
 
 def test_a_sweep_that_was_seen_from_elsewhere_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
