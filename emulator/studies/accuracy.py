@@ -486,8 +486,8 @@ def chosen_text(curves: Curves, runs: dict[str, list[Run]], advised: Table) -> t
         f"{spiral:.0f}, and {DEFAULT} leave a margin. Rings with every other one turned and Gauss-Legendre rings lie "
         "within a few per cent of the spiral, which takes any number and favours no direction. So the product's "
         f"defaults follow: rule spiral, {DEFAULT} sub-beams (LMS2xx, LD-LRS1000); 256 where a sensor has "
-        f"few beams. `adaptive` needs fewer rays for small errors on edges, but more time a ray: {overtakes(runs)}. A wire "
-        "between its first cells is missed. `laguerre` is for smooth surfaces only."
+        f"few beams. `adaptive` needs fewer rays for small errors on edges, but more time a ray: {overtakes(runs)}. "
+        "A wire between its first cells is missed. `laguerre` is for smooth surfaces only."
     )
     split = [(rays, error) for rays, error in zip(*product_curve(runs["adaptive"]), strict=True) if rays <= 1000.0][-1]
     cells = (

@@ -202,9 +202,10 @@ def test_at_least_ten_values_of_four_papers_are_measured_and_each_says_how_its_p
         ("largest count rate", 1e3 / 28.5, 0.1),
         ("best width", 0.56, 0.021),
         ("error of the range there", 0.46, 0.01),
-        # 140 of type II times 30/70 of type I at both angles, and what is left of that at 30 degrees
+        # 140 of type II times 30/70 of type I at both angles, times 15/70 at both together
         ("R_A of white sheeting, 0.5 deg of observation, 4 of", 60.0, 0.5),
-        ("R_A of white sheeting, 0.2 deg of observation, 30 of", 60.0 * math.cos(math.radians(30.0)), 0.1),
+        ("R_A of white sheeting, 0.2 deg of observation, 30 of", 60.0, 0.1),
+        ("R_A of white sheeting, 0.5 deg of observation, 30 of", 30.0, 0.1),
         (
             "minus ln of the gaps over the leaf area index at 57.5 deg, spherical",
             0.5 / math.cos(math.radians(57.5)),
