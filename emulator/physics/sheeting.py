@@ -47,10 +47,10 @@ class Sheeting:
         return np.where(floats(entrance_deg) < 90.0, exp_or_zero((1.0 - part) * near + part * far), 0.0)
 
     def share(self, observation_rad: Values, cosine: Values) -> Floats:
-        """Light sent back per solid angle and power received, over R_A of the reference: R_A over the cosine of entrance.
+        """Light sent back per solid angle and power received, over R_A of the reference: R_A over cos of entrance.
 
         R_A is intensity over illuminance across the beam and over area of the sheet. A beam of power P covers P/(E cos)
-        of the sheet, so I = R_A E area = R_A P / cos. Beyond the largest angle of the table the cosine stays that of it.
+        of the sheet, so I = R_A E area = R_A P / cos. Beyond the table's largest angle cos stays that of it.
         """
         c = np.clip(floats(cosine), 0.0, 1.0)
         entrance = np.degrees(np.arccos(c))

@@ -86,9 +86,9 @@ def _bent(wave: Waveform, found: Candidates, level: Floats, crossing: Floats) ->
 def _out_of_valleys(wave: Waveform, found: Candidates, level: Floats, crossing: Floats) -> Floats:
     """The same crossings where an echo rises from a valley whose samples are over its level.
 
-    Where the valley itself is below, it is crossed behind. Where it is not, an echo keeps the place of a single one only
-    if the valley is a whole noise unit above: in between the place goes from the one to the other. With a step there,
-    1e-3 of noise would decide on a tenth of a pulse.
+    Where the valley itself is below, it is crossed behind. Where it is not, an echo keeps the place of a single one
+    only if the valley is a whole noise unit above: in between the place goes from the one to the other. With a step
+    there, 1e-3 of noise would decide on a tenth of a pulse.
     """
     at = indexes(
         (wave.value[found.begin] >= level) & (wave.soft[found.begin] > FAINT * level) & (found.index > found.begin)

@@ -68,6 +68,8 @@ class Seen:
     "(n,) first surface of any sub-beam, infinite where there is none."
     axis_material: NDArray[np.int32]
     "(n,) material of the surface that the sub-beam nearest the axis meets, -1 none."
+    axis_m: Floats
+    "(n,) how far along the axis it is; NaN or infinite: none."
     axis_normal: Floats
     "(n, 3)"
     kept: Kept | None = None
@@ -133,7 +135,7 @@ def returned(
     else:
         echoes = in_order(*joined(first + parts))
     at_axis = rays.nearest_axis
-    return Seen(echoes, nearest, hits.material[at_axis], hits.normals(at_axis))
+    return Seen(echoes, nearest, hits.material[at_axis], hits.range_m[at_axis], hits.normals(at_axis))
 
 
 def _first(rays: Rays, model: SensorModel, gain: float) -> _Front:

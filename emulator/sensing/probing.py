@@ -197,7 +197,8 @@ class Probing:
             found = SubEchoes.joined(found, replace(seen.echoes, beam=chosen[seen.echoes.beam]))
         none = np.full(n, np.nan)
         axes = _axes(rays, n, count)
-        return Pruned(axes, Seen(found, nearest, material, normal), kinds != BUNDLE, cast, closed.Shifts(none, none))
+        seen = Seen(found, nearest, material, hits.range_m[at], normal)
+        return Pruned(axes, seen, kinds != BUNDLE, cast, closed.Shifts(none, none))
 
     def _looks_at(self, one: _Bright, rays: Rays, t_s: Floats) -> Bools:
         """(n,) beams whose cone comes into that sphere."""
