@@ -15,6 +15,7 @@ import pytest
 
 from emulator.sensing import daylight
 from emulator.sensing.measure import Measure
+from emulator.sensing.photon_receiver import PhotonReceiver
 from tests.sensing.rig import QUIET, Floats, build, plan, plate
 
 LMS, PAPER = "sick-lms291-s05", "paper-905nm"
@@ -171,3 +172,53 @@ def test_two_panes_at_opposite_slants(tmp_path: Path, slant_deg: float, thick_m:
     i = math.radians(slant_deg)
     delay_m = 2.0 * thick_m * (math.sqrt(1.5**2 - math.sin(i) ** 2) - math.cos(i))
     assert behind[1] - alone[1] == pytest.approx(delay_m, abs=1e-6)
+
+
+def counted_one_by_one(rate_per_ns: Floats, shots: int, dead_ns: float, filled: float, trap_ns: float) -> Floats:
+    """Histogram of a photon counter, event by event: photons, dead time, traps that free a carrier once, by ns."""
+    rng, last = np.random.default_rng(8), len(rate_per_ns)
+    below = np.concatenate([[0.0], rate_per_ns.cumsum()])
+    counts = np.zeros(last)
+    for _ in range(shots):
+        photons = np.sort(np.interp(below[-1] * rng.random(rng.poisson(below[-1])), below, np.arange(last + 1.0)))
+        ready_ns, freed_ns, at = 0.0, math.inf, 0
+        while True:
+            at += int(np.searchsorted(photons[at:], ready_ns))
+            photon_ns = photons[at] if at < len(photons) else math.inf
+            now_ns = min(photon_ns, freed_ns)
+            if now_ns >= last:
+                break
+            counts[int(now_ns)] += 1.0
+            if freed_ns <= now_ns:
+                freed_ns = math.inf
+            ready_ns = now_ns + dead_ns
+            if rng.random() < filled:
+                freed_ns = min(freed_ns, now_ns + rng.exponential(trap_ns))
+            if freed_ns < ready_ns:  # released while blind: lost
+                freed_ns = math.inf
+    return counts
+
+
+def test_afterpulses_of_the_fog_behind_a_pane(tmp_path: Path) -> None:
+    """A counter with dead time and traps looks through a pane into fog: its histogram, against one event by event."""
+    shots, dead_ns, filled, trap_ns = 12_000, 25.3, 0.3, 40.0
+    photons = {
+        "shots": shots, "bin_ns": 1.0, "dead_time_ns": dead_ns, "afterpulse_probability": filled,
+        "trap_time_ns": trap_ns, "dark_count_hz": 2e5,
+    }  # fmt: skip
+    physics = {**QUIET, "near_gate_m": 0.0, "gate_m": 60.0, "photons": photons, "system_constant_m2": 12.0}
+    world = [pane(0.5), plate(18.0, "white")]
+    fog = {"fog": {"visibility_m": 60.0}}
+    measure = build(tmp_path, world, model=PAPER, weather=fog, materials=glass(0.7), physics=physics)
+    view, receiver = measure.view(plan()), measure._receiver
+    assert isinstance(receiver, PhotonReceiver)
+    soft = measure._soft.everywhere(view.air, 1.0)
+    signal, hertz = receiver.mean_counts(view.echoes, 0, 1, soft, daylight.NIGHT)
+    generator = np.random.default_rng(1)
+    found = receiver._histogram(view.echoes, 0, 1, soft, daylight.NIGHT, generator)[0][0]
+    expected = counted_one_by_one(signal[0] + 1e-9 * float(hertz[0]), shots, dead_ns, filled, trap_ns)
+    assert 0.5 < signal.sum() < 20.0
+    blocks = np.arange(0, len(found) - 20, 20)
+    ours, theirs = np.add.reduceat(found, blocks), np.add.reduceat(expected, blocks)
+    assert np.abs(ours - theirs).max() < 4.5 * np.sqrt(theirs.max())
+    assert (np.abs(ours - theirs) < 4.5 * np.sqrt(np.maximum(theirs, 10.0)) + 0.03 * theirs).all()
