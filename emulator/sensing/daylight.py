@@ -77,7 +77,7 @@ class Shadows:
             towards = np.broadcast_to(_direction(sun), place.shape).copy()
             hits = caster.first_hits(place, towards, rays.t_s[ray])
             dark = indexes(np.isfinite(hits.range_m))
-            share[at[dark]] = surfaces.table.transmission(hits.material[dark], hits.cosine[dark])
+            share[at[dark]] = surfaces.table.transmission(hits.material[dark].astype(np.int64), hits.cosine[dark])
         self._kept = None if moves else (sun, surfaces, found.axis_m, limit_w, share)
         return share
 

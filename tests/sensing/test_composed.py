@@ -16,6 +16,9 @@ import pytest
 from emulator.sensing import daylight
 from emulator.sensing.measure import Measure
 from emulator.sensing.photon_receiver import PhotonReceiver
+from protocols.scan import ScanPlan
+from tests.sensing.one_particle_at_a_time import Rig, first_echoes
+from tests.sensing.particle_cases import named
 from tests.sensing.rig import QUIET, Floats, build, plan, plate
 
 LMS, PAPER = "sick-lms291-s05", "paper-905nm"
@@ -222,3 +225,37 @@ def test_afterpulses_of_the_fog_behind_a_pane(tmp_path: Path) -> None:
     ours, theirs = np.add.reduceat(found, blocks), np.add.reduceat(expected, blocks)
     assert np.abs(ours - theirs).max() < 4.5 * np.sqrt(theirs.max())
     assert (np.abs(ours - theirs) < 4.5 * np.sqrt(np.maximum(theirs, 10.0)) + 0.03 * theirs).all()
+
+
+def test_flakes_in_an_elliptical_beam_of_four_layers_behind_a_near_gate(tmp_path: Path) -> None:
+    """An MRS1104 with a window of 16 mm: as many answers as flakes one at a time in a round beam of the same area."""
+    near_m = 2.0
+    physics = {**QUIET, "floor_reflectance": 0.004, "near_gate_m": near_m, "exit_diameter_mm": 16.0, "echoes": "first"}
+    snow = {"snow": {"rate_mm_h": 5.0, "kind": "dry"}}
+    measure = build(tmp_path, model="sick-mrs1104", weather=snow, physics=physics)
+    model = measure.model
+    azimuth, elevation = (
+        one.ravel()
+        for one in np.meshgrid(np.radians(np.arange(-100.0, 100.0, 2.0)), np.radians([-3.0, -1.0, 1.0, 3.0]))
+    )
+    found = []
+    for number in range(3):
+        zero = np.zeros(len(azimuth))
+        sweep = ScanPlan(0, number, number * 20 * 10**9, azimuth, elevation, zero, max_echoes=1)
+        found.append(measure(sweep).range_m[:, 0])
+    flakes = named("particles_sum", "sick-ld-lrs1000 w0 10 mm gauss floor 0.004, dry snow 5")[0]["setup"]
+
+    class Elliptical(Rig):
+        def width(self, r: Floats) -> Floats:
+            return np.asarray(np.sqrt((7.4e-3 * r + 8e-3) * (5.2e-3 * r + 8e-3)))
+
+    rig = Elliptical(
+        model.k_m2, 0.0, 0.0, True, 5.0, 0.004, model.overlap_start_m, model.overlap_full_m, near_m,
+        299792458.0 * model.pulse.fwhm_s, flakes["n0_m3_mm"], flakes["slope_mm"], flakes["kappa_sr"],
+        flakes["extinction_per_m"],
+    )  # fmt: skip
+    ours, theirs = np.isfinite(found), np.isfinite(first_echoes(rig, 1000, 10.0, seed=5))
+    p = float(theirs.mean())
+    spread = math.sqrt(p * (1.0 - p) * (1.0 / ours.size + 1.0 / theirs.size))
+    assert 0.05 < p < 0.2
+    assert ours.mean() == pytest.approx(p, abs=4.0 * spread)
