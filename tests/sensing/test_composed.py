@@ -47,7 +47,7 @@ def passed(degrees: float, internal: float, index: float = 1.5) -> float:
     s = ((math.cos(i) - index * math.cos(t)) / (math.cos(i) + index * math.cos(t))) ** 2
     p = ((math.cos(t) - index * math.cos(i)) / (math.cos(t) + index * math.cos(i))) ** 2
     inner = internal ** (1.0 / math.cos(t))
-    return sum(0.5 * (1.0 - r) ** 2 * inner / (1.0 - (r * inner) ** 2) for r in (s, p))
+    return float(sum(0.5 * (1.0 - r) ** 2 * inner / (1.0 - (r * inner) ** 2) for r in (s, p)))
 
 
 def echo(measure: Measure, near_m: float, far_m: float) -> tuple[float, float]:
@@ -115,6 +115,7 @@ def test_photons_of_fog_behind_a_pane_and_beside_a_wire(tmp_path: Path) -> None:
         view, receiver = measure.view(plan()), measure._receiver
         soft = measure._soft.everywhere(view.air, 1.0)
         assert soft is not None
+        assert isinstance(receiver, PhotonReceiver)
         return np.asarray(receiver.mean_counts(view.echoes, 0, 1, soft, daylight.NIGHT)[0][0], np.float64)
 
     clear, paned, wired = counts(), counts(pane(0.5)), counts(wire)
