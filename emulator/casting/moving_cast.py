@@ -194,7 +194,7 @@ class MovingCast:
             return np.zeros((4, 0))
         _, place, swept, curved = _whereabouts(movers, begin, end)
         if self._fed is not None and len(curved):
-            near = self._looked(movers, times)
+            near = self._looked(movers, times, curved)
             if near is None:
                 swept[curved] = np.inf
             else:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from emulator.commands.common import FAILED, OK, Finite
-from emulator.output.lines import say
+from emulator.output.lines import note, say
 from emulator.output.sanitizing import raw, visible
 from emulator.process.clock import SystemClock
 
@@ -30,22 +30,28 @@ out_option = click.option(
     metavar="DIR",
     help="Folder of the report; created if missing.",
 )
-quick_option = click.option("--quick", is_flag=True, help="Fewer points and ranges; seconds instead of a minute.")
+quick_option = click.option("--quick", is_flag=True, help="Fewer points and ranges; half a minute instead of minutes.")
 json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object on standard output.")
 
 
 def progress(names: list[str]) -> Iterator[str]:
-    """The names one by one, with a bar on standard error where that is a terminal."""
+    """The names one by one: a bar on standard error, or where that is no terminal a line for each that is done."""
     from rich.console import Console
     from rich.markup import escape
-    from rich.progress import Progress
+    from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
 
-    console = Console(file=raw(sys.stderr))
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+    console, clock = Console(file=raw(sys.stderr)), SystemClock()
+    with Progress(
+        *Progress.get_default_columns()[:3], MofNCompleteColumn(), TimeElapsedColumn(),
+        console=console, transient=True, disable=not console.is_terminal,
+    ) as bar:  # fmt: skip
         task = bar.add_task("", total=len(names))
-        for name in names:
+        for done, name in enumerate(names, start=1):
             bar.update(task, description=escape(visible(name)))
+            begun_ns = clock.now_ns()
             yield name
+            if not console.is_terminal:
+                note(f"{name}: {1e-9 * (clock.now_ns() - begun_ns):.1f} s, {done} of {len(names)}")
             bar.advance(task)
 
 
@@ -129,7 +135,11 @@ def published(
         }
         say(json.dumps(reported))
     else:
-        say(f"{written[0]}: {len(written)} files; table 2 within {worst:.1f} % in every row")
+        seconds, (agreed, values) = 1e-9 * clock.now_ns(), whole.agreed(made)
+        say(
+            f"{written[0]}: {len(written)} files in {seconds:.0f} s; table 2 within {worst:.1f} % in every row; "
+            f"{agreed} of {values} other values agree, the reasons of the rest are on the page"
+        )
     return OK if held else FAILED
 
 
@@ -160,7 +170,9 @@ def accuracy(out: Path, quick: bool, as_json: bool) -> int:
         }
         say(json.dumps(reported))
     else:
-        say(f"{written[0]}: {len(written)} files; {len(rows) - len(missed)} of {len(rows)} numbers met")
+        seconds = 1e-9 * clock.now_ns()
+        met = f"{len(rows) - len(missed)} of {len(rows)} numbers met"
+        say(f"{written[0]}: {len(written)} files in {seconds:.0f} s; {met}")
         for item in missed:
             say(f"missed: {item}")
         say(made.summary[1])

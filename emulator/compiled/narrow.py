@@ -43,8 +43,8 @@ def narrow(
     function, width, scene, arguments, place, frame, order, aim, places, share, centre, far, reach, suspicious,
     plane, body_of, offset, closed, actor_of, material_of, treated, factors, weight, movers, bright, law,
 ):  # fmt: skip
-    """What becomes of n beams: kinds (n,), numbers (4, n) as of `_judged`, material and actor at the axis (2, n),
-    normals (3, n) there, how many rays were cast and how many distances were suspicious.
+    """What becomes of n beams: kinds (n,), numbers (5, n), as of `_judged` and ranges along the axis, material
+    and actor at the axis (2, n), normals (3, n) there, how many rays were cast, how many distances were suspicious.
 
     `place` : (3, n) and `frame` : (3, 3, n) axis, left and up of each beam; `order` : (n,) in which they are done;
     `aim` : (5, k) and `places` : (3, k) of the probes; `movers`, `bright` : (4, .) spheres; `law` : (11,) as of
@@ -54,7 +54,7 @@ def narrow(
     spread, pupil, square, step, k_m2, area, extinction, start, full, foot, widest = (
         law[0], law[1], law[2], law[3], law[4], law[5], law[6], law[7], law[8], law[9], law[10]
     )  # fmt: skip
-    kinds, made = np.empty(n, np.int64), np.zeros((4, n))
+    kinds, made = np.empty(n, np.int64), np.zeros((5, n))
     what, normal = np.empty((2, n), np.int32), np.zeros((3, n))
     packet, flags, lanes = room(width)
     most = TOGETHER * k
@@ -127,7 +127,7 @@ def narrow(
                 met += r <= reach
                 inner |= facing[base + p] > 0.0 and closed[at]
                 same = same and material_of[at] == what[0, i] and actor_of[body_of[at]] == what[1, i]
-            made[3, i] = nearest if met else np.inf
+            made[3, i], made[4, i] = nearest if met else np.inf, range_m[base]
             if inner or _touched(ox, oy, oz, ax, ay, az, movers, spread, pupil, farthest):
                 kinds[i] = LEFT
                 continue

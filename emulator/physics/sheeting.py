@@ -6,6 +6,7 @@ becomes of it at a surface (materials).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -46,9 +47,15 @@ class Sheeting:
         return np.where(floats(entrance_deg) < 90.0, exp_or_zero((1.0 - part) * near + part * far), 0.0)
 
     def share(self, observation_rad: Values, cosine: Values) -> Floats:
-        """R_A over that of the reference geometry; `cosine` of the entrance angle."""
-        entrance = np.degrees(np.arccos(np.clip(floats(cosine), 0.0, 1.0)))
-        return self.coefficient(np.degrees(floats(observation_rad)), entrance) / self.reference_cd_lx_m2
+        """Light sent back per solid angle and power received, over R_A of the reference: R_A over cos of entrance.
+
+        R_A is intensity over illuminance across the beam and over area of the sheet. A beam of power P covers P/(E cos)
+        of the sheet, so I = R_A E area = R_A P / cos. Beyond the table's largest angle cos stays that of it.
+        """
+        c = np.clip(floats(cosine), 0.0, 1.0)
+        entrance = np.degrees(np.arccos(c))
+        slant = np.maximum(c, math.cos(math.radians(float(self.entrance_deg[-1]))))
+        return self.coefficient(np.degrees(floats(observation_rad)), entrance) / (self.reference_cd_lx_m2 * slant)
 
 
 def _place(knots: Floats, at: Values) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.int64]], Floats]:

@@ -46,6 +46,40 @@ class Daylight:
 
 
 NIGHT = Daylight(None, None)
+LIFT_M, LIFT_PER_M = 1e-3, 1e-4
+"Above its surface begins a ray to the sun: at the sensor, and for each metre from it."
+
+
+class Shadows:
+    """Which surfaces that beams look at stand in the sun; where nothing moves, those of the last sweep."""
+
+    def __init__(self) -> None:
+        self._kept: tuple[Sun, Surfaces, Floats, float, Floats] | None = None
+
+    def share(
+        self, sun: Sun, rays: Rays, found: Seen, lit_w: Floats, limit_w: float, surfaces: Surfaces, caster: Caster
+    ) -> Floats:
+        """(n,) share of the sun's light that reaches each surface; 1 where its background `lit_w` is unseen anyhow.
+
+        One ray to the middle of the disc. What it meets hides the sun, but for panes, which pass their share.
+        """
+        kept, moves = self._kept, bool(getattr(caster, "moves", True))
+        if kept is not None and not moves:
+            same = kept[0] is sun and kept[1] is surfaces and kept[2] is found.axis_m and kept[3] == limit_w
+            if same and bool((rays.centre_m == rays.centre_m[0]).all()):
+                return kept[4]
+        share = np.ones(len(lit_w))
+        at = indexes((lit_w > limit_w) & np.isfinite(found.axis_m))
+        if len(at):
+            ray, far = rays.nearest_axis[at], found.axis_m[at]
+            lift = LIFT_M + LIFT_PER_M * far
+            place = rays.origin_m[ray] + far[:, None] * rays.direction[ray] + lift[:, None] * found.axis_normal[at]
+            towards = np.broadcast_to(_direction(sun), place.shape).copy()
+            hits = caster.first_hits(place, towards, rays.t_s[ray])
+            dark = indexes(np.isfinite(hits.range_m))
+            share[at[dark]] = surfaces.table.transmission(hits.material[dark].astype(np.int64), hits.cosine[dark])
+        self._kept = None if moves else (sun, surfaces, found.axis_m, limit_w, share)
+        return share
 
 
 def unseen_w(model: SensorModel) -> float:
@@ -126,15 +160,18 @@ def _filling_w(radiance: float, model: SensorModel) -> float:
 
 def daylight(
     sun: Sun | None, rays: Rays, found: Seen, surfaces: Surfaces, caster: Caster, model: SensorModel,
-    reported: bool = False,
+    shadows: Shadows | None = None, reported: bool = False,
 ) -> Daylight:  # fmt: skip
-    """Background of every beam, from what its first sub-beam looks at; `reported`: however little it is."""
+    """Background of every beam, from what its first sub-beam looks at.
+
+    `shadows` : those of the sweep before; `reported`: however little it is.
+    """
     if sun is None or not _shines(sun, model):
         return NIGHT
     limit_w = 0.0 if reported else _limit_w(model)
     power = np.zeros(len(rays.axis))
     if reported or surfaces_show(sun, model):
-        power += _diffuse_w(sun, found, surfaces, model)
+        power += _diffuse_w(sun, rays, found, surfaces, caster, model, shadows or Shadows(), limit_w)
     power += _SunInView(sun, rays, model).power_w(found, caster, limit_w)
     if not bool((power > limit_w).any()):
         return NIGHT
@@ -174,15 +211,20 @@ def _direction(sun: Sun) -> Floats:
     return np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
 
 
-def _diffuse_w(sun: Sun, found: Seen, surfaces: Surfaces, model: SensorModel) -> Floats:
+def _diffuse_w(
+    sun: Sun, rays: Rays, found: Seen, surfaces: Surfaces, caster: Caster, model: SensorModel, shadows: Shadows,
+    limit_w: float,
+) -> Floats:  # fmt: skip
     sky = _clear_sky(sun, model.wavelength_m)
     met = found.axis_material >= 0
     rho = np.zeros(len(met))
     rho[met] = surfaces.table.rho[found.axis_material[met]]
-    lit = sunlight.lit_radiance(
-        sky.direct, sky.radiance, rho, found.axis_normal @ _direction(sun), found.axis_normal[:, 2]
-    )
-    return _filling_w(1.0, model) * np.where(met, lit, sky.radiance)
+    per_radiance, cosine = _filling_w(1.0, model), found.axis_normal @ _direction(sun)
+    lit = per_radiance * sunlight.lit_radiance(sky.direct, 0.0, rho, cosine, 0.0)
+    under_sky = per_radiance * sunlight.lit_radiance(0.0, sky.radiance, rho, 0.0, found.axis_normal[:, 2])
+    if bool((lit > 0.0).any()):
+        lit = lit * shadows.share(sun, rays, found, lit, limit_w, surfaces, caster)
+    return np.where(met, lit + under_sky, per_radiance * sky.radiance)
 
 
 class _SunInView:

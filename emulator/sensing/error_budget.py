@@ -255,7 +255,8 @@ def _sun(measure: Measure, plan: ScanPlan) -> Finding:
         return Finding(True, 0.0, unseen_w(model), saves, idle=True, unit=unit)
     value = largest_diffuse_w(sun, model)
     out = value <= unseen_w(model) and model.leave_out.background_light
-    return Finding(out, value, unseen_w(model), "background noise of every beam", unit=unit)
+    saves = "background noise of every beam, a ray to the sun from each lit surface"
+    return Finding(out, value, unseen_w(model), saves, unit=unit)
 
 
 def _sun_in_view(measure: Measure, plan: ScanPlan) -> Finding:

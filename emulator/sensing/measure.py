@@ -25,7 +25,7 @@ from emulator.sensing.air import Air, AirNow
 from emulator.sensing.bright import BrightEdges
 from emulator.sensing.bright import wanted as bright_wanted
 from emulator.sensing.contracts import FacedCaster
-from emulator.sensing.daylight import Daylight, daylight, surfaces_show
+from emulator.sensing.daylight import Daylight, Shadows, daylight, surfaces_show
 from emulator.sensing.model import SensorModel, sensor_model
 from emulator.sensing.others import Others, others_of
 from emulator.sensing.particles import Falling
@@ -91,6 +91,7 @@ class Measure:
         self._bundles = BundleCache(model)
         self._receiver = receiver
         self._deepest = 0.0
+        self._shadows = Shadows()
         self._looks_far = False
         "In daylight all rays look out of reach at once: one more for each beam that met nothing would cost more."
         self._at_rest: tuple[Resting, ...] = ()
@@ -151,8 +152,9 @@ class Measure:
             return self._beside._look(plan, None)
         view = self._view(plan)
         return view, daylight(
-            view.air.sun, view.rays, view.seen, view.surfaces, self._caster, self.model, plan.wants_ambient
-        )
+            view.air.sun, view.rays, view.seen, view.surfaces, self._caster, self.model, self._shadows,
+            plan.wants_ambient,
+        )  # fmt: skip
 
     def refuses(self, weather: WeatherConfig) -> str:
         """Why this sensor cannot compute such weather; empty: it can."""
@@ -286,9 +288,9 @@ class Measure:
         beams, at = beams[beyond], at[beyond]
         self._looks_far = len(beams) > MANY_BEYOND * len(seen.axis_material) and self._caster.movers <= FEW_MOVERS
         hits = self._caster.first_hits(rays.origin_m[at], rays.direction[at], rays.t_s[at])
-        material, normal = seen.axis_material.copy(), seen.axis_normal.copy()
-        material[beams], normal[beams] = hits.material, hits.normal
-        return replace(seen, axis_material=material, axis_normal=normal)
+        material, axis_m, normal = seen.axis_material.copy(), seen.axis_m.copy(), seen.axis_normal.copy()
+        material[beams], axis_m[beams], normal[beams] = hits.material, hits.range_m, hits.normal
+        return replace(seen, axis_material=material, axis_m=axis_m, axis_normal=normal)
 
     def _pose(self, t_s: Floats, origin_m: Floats | None = None) -> Pose:
         """Where beams begin at their instants; `origin_m` (n, 3) in the sensor's frame."""

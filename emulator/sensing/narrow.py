@@ -51,7 +51,7 @@ class Settled:
     kinds: Ints
     "(n,)"
     made: Floats
-    "(4, n) two ranges and an amplitude of closed ones, nearest ranges."
+    "(5, n) two ranges and an amplitude of closed ones, nearest ranges, ranges along the axis."
     material: NDArray[np.int32]
     "(n,) that the axis meets."
     actor: NDArray[np.int32]
@@ -93,4 +93,4 @@ def settled(
     """
     n = len(beams.t_s)
     none = np.full(n, -1, np.int32)
-    return Settled(np.full(n, LEFT), np.zeros((4, n)), none, none.copy(), np.zeros((n, 3)), 0)
+    return Settled(np.full(n, LEFT), np.zeros((5, n)), none, none.copy(), np.zeros((n, 3)), 0)

@@ -68,6 +68,8 @@ class Seen:
     "(n,) first surface of any sub-beam, infinite where there is none."
     axis_material: NDArray[np.int32]
     "(n,) material of the surface that the sub-beam nearest the axis meets, -1 none."
+    axis_m: Floats
+    "(n,) how far along the axis it is; NaN or infinite: none."
     axis_normal: Floats
     "(n, 3)"
     kept: Kept | None = None
@@ -97,6 +99,8 @@ class _Front:
     "(m, 3) its direction in there."
     index: Floats | None = None
     "Of refraction there."
+    air: Floats | None = None
+    "Share of the beam whose light on the air is theirs: of rays that came straight, or through panes."
 
 
 def trace(
@@ -133,14 +137,14 @@ def returned(
     else:
         echoes = in_order(*joined(first + parts))
     at_axis = rays.nearest_axis
-    return Seen(echoes, nearest, hits.material[at_axis], hits.normals(at_axis))
+    return Seen(echoes, nearest, hits.material[at_axis], hits.range_m[at_axis], hits.normals(at_axis))
 
 
 def _first(rays: Rays, model: SensorModel, gain: float) -> _Front:
     weight = rays.share
     if gain != 1.0 or model.windscreen is not None:
         weight = weight * windows(rays, model, gain)[rays.beam]
-    return _Front(rays.origin_m, rays.direction, rays.t_s, rays.beam, weight, 0.0, 0.0)
+    return _Front(rays.origin_m, rays.direction, rays.t_s, rays.beam, weight, 0.0, 0.0, air=rays.share)
 
 
 def best_behind(
@@ -196,6 +200,8 @@ class _Onward:
     bent: Floats
     refraction: Floats
     "Of the three see the front."
+    through: bool = False
+    "A pane: the way goes on as it came."
 
     @classmethod
     def straight(cls, index: Ints, direction: Floats, share: Floats, length_m: Floats, depth: Floats) -> _Onward:
@@ -271,13 +277,14 @@ def _first_met_by_loops(
         scene.table.factors, alpha, model.clear_depth if model.leave_out.clear_air else 0.0, model.k_m2,
         model.aperture_radius_m, model.overlap_start_m, model.overlap_full_m, index, more,
     )  # fmt: skip
+    stopped = _stopped(front, onward)
     if seen and not len(keys):  # bundles of very different sizes
         at = indexes(hits.range_m <= reach_m)
-        found = in_order(front.beam[at], hits.range_m[at], amplitude[at], rays.share[at], hits.actor[at])
+        found = in_order(front.beam[at], hits.range_m[at], amplitude[at], stopped[at], hits.actor[at])
         return found, onward, nearest
     keys.sort(axis=1)
     (beam, source), (range_m, amplitude, blocked) = loops.in_order(
-        keys, front.beam, hits.range_m, amplitude, rays.share, hits.actor
+        keys, front.beam, hits.range_m, amplitude, stopped, hits.actor
     )
     return SubEchoes(beam, range_m, amplitude, blocked, source), onward, nearest
 
@@ -296,8 +303,24 @@ def _first_met(
     starts = rays.beam.searchsorted(np.arange(len(rays.axis)))
     nearest = np.fmin.reduceat(hits.range_m, starts)
     nearest[np.isnan(nearest)] = np.inf
-    share, actor = (rays.share, hits.actor) if every else (rays.share[index], hits.actor[index])
+    share = _stopped(front, onward)
+    share, actor = (share, hits.actor) if every else (share[index], hits.actor[index])
     return [(*found, share, actor)], onward, nearest
+
+
+def _stopped(front: _Front, onward: list[_Onward]) -> Floats:
+    """Share of the light on the air before them that surfaces met by a front stop: all, or what a pane takes.
+
+    Also behind panes of which no ray goes on: no surface is seen there, and the air sends back less than one.
+    """
+    assert front.air is not None
+    if not onward:
+        return front.air
+    stopped = front.air.copy()
+    for one in onward:
+        if one.through:
+            stopped[one.index] -= front.air[one.index] * one.share**2
+    return stopped
 
 
 def _sent_on(
@@ -326,6 +349,7 @@ def _sent_on(
     if len(at):
         index, rows = glossy[at], row[at]
         one = _Onward.straight(rows, front.direction[rows], through[at], length[index], depth(index))
+        one.through = True
         if scene.solid is not None:
             _enter(one, hits, cosine[index], scene.table.refraction[kind[at]], scene.solid)
         onward.append(one)
@@ -387,8 +411,9 @@ def _continue(
     """Ghost points and what lies behind glass: rays continued up to the allowed number of bounces."""
     # the first fronts carry their share of the beam: the bound is for a beam whose sub-rays all go the same way
     whole = len(rays.beam) / len(rays.axis)
-    parts = []
-    for _ in range(model.bounces):
+    parts: list[Part] = []
+    for bounce in range(model.bounces):
+        assert front.air is not None
         fronts = []
         for one in onward:
             weight = front.weight[one.index] * one.share**2
@@ -411,6 +436,7 @@ def _continue(
                     one.entered[kept],
                     one.bent[kept],
                     one.refraction[kept],
+                    front.air[index] * one.share[kept] ** 2 if one.through else np.zeros(len(index)),
                 )
             )
         if not fronts:
@@ -424,7 +450,8 @@ def _continue(
         if not len(met):
             break
         found, onward = _meet(front, hits, met, rays, scene, air, model)
-        parts.append((*found, np.zeros(len(met)), hits.actor[met]))
+        stopped = _stopped(front, onward if bounce < model.bounces - 1 else [])
+        parts.append((*found, stopped[met], hits.actor[met]))
     return parts
 
 
@@ -440,7 +467,7 @@ def _merged(fronts: list[_Front]) -> _Front:
     return _Front(*(np.concatenate([getattr(one, name) for one in fronts]) for name in _COLUMNS))
 
 
-_COLUMNS = ("origin_m", "direction", "t_s", "beam", "weight", "length_m", "depth", "entered", "bent", "index")
+_COLUMNS = ("origin_m", "direction", "t_s", "beam", "weight", "length_m", "depth", "entered", "bent", "index", "air")
 
 
 def _come_out(front: _Front, caster: Caster) -> _Front:
@@ -470,7 +497,7 @@ def _come_out(front: _Front, caster: Caster) -> _Front:
     columns[2][at] *= ~lost
     length[at] += front.index[at] * way + step
     origin, turned, weight = columns
-    return _Front(origin, turned, front.t_s, front.beam, weight, length, front.depth)
+    return _Front(origin, turned, front.t_s, front.beam, weight, length, front.depth, air=front.air)
 
 
 def _part(column: Any, index: Ints) -> Any:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emulator.physics import dead_time, photons
-from emulator.physics.arrays import Floats, Ints, ramp
+from emulator.physics.arrays import Floats, Ints, clamped, indexes, ramp
 from emulator.physics.constants import PLANCK_J_S, SPEED_OF_LIGHT_M_S
 from emulator.physics.random_streams import RandomStreams
 from emulator.physics.softprofile import SoftProfile
@@ -116,10 +116,12 @@ class PhotonReceiver:
         if len(self._pulse) > 1:
             signal = np.maximum(_correlated(signal, self._pulse), 0.0)
         if soft is not None:
-            first = np.full(beams, np.inf)
-            np.minimum.at(first, found.beam[mine] - begin, np.where(found.blocked[mine] > 0.0, place, np.inf))
+            behind = row + np.ceil(place).astype(np.int64)
+            at = indexes((place > -1.0) & (place <= self._bins - 1))
+            stopped = np.bincount(behind[at], found.blocked[mine][at], beams * self._bins).reshape(beams, -1)
+            open_ = clamped(1.0 - stopped.cumsum(axis=1), 0.0, 1.0)
             wave = soft.wave(self.bin_m * np.arange(self._bins, dtype=np.float64)) * self.bin_m / model.pulse.fwhm_m
-            signal = signal + per_amplitude * np.where(np.arange(self._bins) < first[:, None], wave, 0.0)
+            signal = signal + per_amplitude * open_ * wave
         background_w = np.zeros(beams) if daylight.power_w is None else daylight.power_w[begin:end]
         hertz = options.quantum_efficiency * background_w * model.wavelength_m / (PLANCK_J_S * SPEED_OF_LIGHT_M_S)
         return signal, hertz + options.dark_count_hz

@@ -179,13 +179,14 @@ class Probing:
             some = beams_ if len(left) == n else beams_.taken(left)
             rays = _probes(some)
             hits = self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=far)
-            sort, made[:, left] = _judged(
+            sort, made[:4, left] = _judged(
                 hits, weight[left], self._places, self.nodes.share, treated, reach, surfaces, air, model
             )
             for k in range(spheres.shape[1]):
                 sort[(sort != BUNDLE) & self._looks_at(spheres[:, k], rays)] = BUNDLE
             at = np.arange(len(left)) * count
             kinds[left], material[left], actor[left] = sort, hits.material[at], hits.actor[at]
+            made[4, left] = hits.range_m[at]
             normal[left], cast = hits.normals(at), cast + len(rays.beam)
             chosen = indexes(sort == PROBED)
             if len(chosen):
@@ -211,7 +212,8 @@ class Probing:
         none, each = np.full(n, np.nan), np.arange(n)
         axis = beams_.frame[0].T
         axes = Rays(pose.position_m, axis, t_s, each, np.ones(n), each, pose.position_m, axis, beams_.own_axis)
-        return Pruned(axes, Seen(found, nearest, material, normal), kinds != BUNDLE, cast, closed.Shifts(none, none))
+        whole = Seen(found, nearest, material, made[4], normal)
+        return Pruned(axes, whole, kinds != BUNDLE, cast, closed.Shifts(none, none))
 
     def _law(self, air: AirNow) -> Floats:
         """Numbers by which a beam is judged, in the order of `compiled.narrow`."""

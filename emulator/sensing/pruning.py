@@ -170,7 +170,7 @@ class Pruning:
         if air.particles and bool(short.any()):
             self._exact_nearest(nearest, indexes(short), bundles, pose, t_s, looked)
         shifts = closed.Shifts(np.where(np.isnan(crossings), np.nan, leans), crossings)
-        return Pruned(rays, Seen(found, nearest, material, normal), plain, cast, shifts)
+        return Pruned(rays, Seen(found, nearest, material, hits.range_m, normal), plain, cast, shifts)
 
     def _bundle_part(
         self, bundles: Bundles, pose: Pose, t_s: Floats, group: Ints, plain: Bools, looked: Looked,

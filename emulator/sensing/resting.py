@@ -59,8 +59,10 @@ class Resting:
         part = returned(now, _part(rays, beams, index), caster, surfaces, air, model, gain, farthest_m)
         nearest, material, normal = base.nearest_m.copy(), base.axis_material.copy(), base.axis_normal.copy()
         nearest[beams], material[beams], normal[beams] = part.nearest_m, part.axis_material, part.axis_normal
+        axis_m = base.axis_m.copy()
+        axis_m[beams] = part.axis_m
         found = replace(part.found, beam=beams[part.found.beam])
-        return Seen(found, nearest, material, normal, Kept(base.found, changed))
+        return Seen(found, nearest, material, axis_m, normal, Kept(base.found, changed))
 
     def _at_rest(
         self, hits: AgainHits, rays: Rays, caster: FacedCaster, surfaces: Surfaces, air: Medium, model: SensorModel,

@@ -231,12 +231,11 @@ def sky_facts() -> list[Fact]:
 
 def sheeting_facts() -> list[Fact]:
     """Sheeting of one class from the angles of another, as a photometer reads it from the echo of a turned plate."""
-    why = "our echo leaves out that a turned plate has 1/cos more area in the beam"
     return [
         Fact(f"R_A of white sheeting, {observation:g} deg of observation, {entrance:g} of entrance", "cd/lx/m²",
              "ASTM D4956-01, type II", "read, copy", printed, retro_cd_lx_m2(140.0, observation, entrance), "computed",
-             "140 at 0.2 and 4 deg, falling as type I does; from echo, range and K", why=why if entrance > 20.0 else
-             "type II falls faster from 0.2 to 0.5 deg than type I")
+             "140 at 0.2 and 4 deg, falling as type I does; from echo, range, K and the plate's area in the beam",
+             why="type II falls faster from 0.2 to 0.5 deg than type I")
         for observation, entrance, printed in ((0.2, 30.0, 60.0), (0.5, 4.0, 50.0), (0.5, 30.0, 28.0))
     ]  # fmt: skip
 

@@ -58,3 +58,9 @@ def run(driving: Driving, effort: Effort, steps: Callable[[list[str]], Iterator[
 def worst_of_table_2(report: Report) -> float:
     """Largest deviation of a measured row from its print. [%]"""
     return max(abs(value) for value in report.table("table_2").numbers("measured_off_percent"))
+
+
+def agreed(report: Report) -> tuple[int, int]:
+    """How many of the further values agree with their print, and of how many."""
+    verdicts = report.table("further_values").column("verdict")
+    return sum(one == "agrees" for one in verdicts), len(verdicts)

@@ -108,3 +108,29 @@ def test_an_echo_at_its_threshold_in_60_m_of_fog_is_the_same_in_full(seed: int, 
         )
     assert np.isfinite(full).all()
     assert rays_saved == pytest.approx(full, abs=1e-3)
+
+
+def test_a_valley_at_the_level_decides_on_no_more_than_the_spread_of_the_planes_ranges() -> None:
+    """LD, seed 963: the valley before the echo was 2.7e-3 of noise below the level, in full 1.7e-3 above: 188 mm.
+
+    Above the level there is no crossing: an echo kept the place of a single one at once, now a noise unit above.
+    """
+    fog = WeatherConfig.model_validate({"fog": {"visibility_m": 60.0}})
+    scene, beams = random_scene(963), wide_plan(181, sweep=1)
+    full, rays_saved = (
+        measure_of(scene, LD, fog, **one)(beams).range_m[81, 0]
+        for one in ({"full": True}, {"leave_out": {"closed_form": "always"}})
+    )
+    assert rays_saved == pytest.approx(full, abs=0.01)
+
+
+def test_ranges_behind_a_valley_in_fog_change_by_little_as_the_level_passes_it(tmp_path: Path) -> None:
+    """Levels so close together that no step between two ranges is a jump: a step of 190 mm before."""
+    found = []
+    for level in np.arange(4.5, 6.5, 0.05):
+        measure = measured(
+            tmp_path, LD, [plate(13.41, "dark")], 60.0, threshold_to_noise=round(float(level), 2), walk_table=False
+        )
+        found.append(measure(plan()).range_m[0, 1])
+    assert np.ptp(found) > 0.1
+    assert np.abs(np.diff(found)).max() < 0.035

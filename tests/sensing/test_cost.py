@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from emulator.casting import hits, raycast
+from emulator.sensing.daylight import Shadows
 from protocols.scan import Scan
 from tests.sensing.rig import QUIET, build, plan, plate
 
@@ -113,6 +114,17 @@ def test_in_the_sun_a_single_ray_a_beam_looks_beyond_reach(tmp_path: Path) -> No
     assert (seen >= 0).sum() > 60
 
 
+@pytest.fixture
+def no_shadows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No ray of what beams look at to the sun: others are counted."""
+
+    def all_lit(self: Shadows, sun: Any, rays: Any, found: Any, lit_w: Any, *_: Any) -> Any:
+        return np.ones(len(lit_w))
+
+    monkeypatch.setattr(Shadows, "share", all_lit)
+
+
+@pytest.mark.usefixtures("no_shadows")
 @pytest.mark.parametrize("movers", [1, 40])
 def test_in_the_sun_all_rays_look_beyond_reach_where_one_more_for_many_beams_costs_more(
     tmp_path: Path, movers: int
@@ -138,6 +150,7 @@ def test_in_the_sun_all_rays_look_beyond_reach_where_one_more_for_many_beams_cos
         same(build(tmp_path, world, **settings)(plan(AZIMUTH, sweep=sweep, start_s=0.1 * sweep)), scans[sweep])
 
 
+@pytest.mark.usefixtures("no_shadows")
 def test_in_the_sun_no_ray_looks_beyond_reach_where_nothing_is(tmp_path: Path) -> None:
     near = [{"id": "near", "shape": {"box": {"size_m": [2.0, 2.0, 2.0]}}, "material": "white",
              "motion": {"at_m": [20.0, 9.0, -1.0], "velocity_m_s": [0.0, 0.5, 0.0]}}]  # fmt: skip

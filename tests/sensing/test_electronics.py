@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -180,4 +181,4 @@ def test_sheeting_at_a_slant_is_dimmer_in_a_scan(tmp_path: Path) -> None:
         made = {"chosen": {"rho": 0.0, "model": "retro", "retro_class": "ra1"}}
         physics = {**QUIET, "rule": "laguerre", "full_scale_snr": "off"}
         bright.append(build(tmp_path, world, weather=CLEAR, materials=made, physics=physics)(plan()).intensity[0, 0])
-    assert bright[1] / bright[0] == pytest.approx(10.0 / 70.0, rel=0.02)
+    assert bright[1] / bright[0] == pytest.approx(10.0 / 70.0 / math.cos(math.radians(40.0)), rel=0.02)

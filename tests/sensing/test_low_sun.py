@@ -163,3 +163,80 @@ def test_the_shipped_scenarios_end_as_they_say(name: str) -> None:
     verdict = trial.finish()
     trial.close()
     assert verdict.held, str(verdict)
+
+
+# ------------------------------------------------------------------------------- shadows on what beams look at
+ROOF = {"plane": {"size_m": [4.0, 60.0]}, "at_m": [8.0, 0.0, 5.0], "material": "white"}
+BEHIND: dict[str, Any] = {"sun": {"azimuth_deg": 180.0, "elevation_deg": 45.0}}
+"Behind the sensor: it shines on a wall 10 m ahead, and past a roof from 6 to 10 m at a height of 5 m."
+
+
+def shaded(tmp_path: Path, *more: dict[str, Any], **physics: Any) -> Measure:
+    world = [plate(10.0, "white", 60.0, 0.0, 60.0), *more]
+    return build(tmp_path, world, weather=BEHIND, model=LMS, physics={**PHYSICS, **physics})
+
+
+def test_a_surface_in_the_shadow_of_another_body_has_the_light_of_the_sky_alone(tmp_path: Path) -> None:
+    """The roof shades the wall from 1 to 5 m of height; both sides of the edge are the closed forms."""
+    open_, under = shaded(tmp_path), shaded(tmp_path, ROOF)
+    model, sky = open_.model, daylight._clear_sky(open_.air.at(0.0).sun, open_.model.wavelength_m)
+    direct = sky.direct * math.cos(math.radians(45.0)) / math.pi
+    for height_m, part in ((0.5, 1.0), (0.95, 1.0), (1.05, 0.0), (2.0, 0.0), (4.5, 0.0)):
+        up = math.degrees(math.atan2(height_m, 10.0))
+        wanted = daylight._filling_w(part * direct + 0.5 * sky.radiance, model)
+        assert background_w(under, elevation_deg=up)[0] == pytest.approx(wanted, rel=1e-9)
+        assert background_w(open_, elevation_deg=up)[0] == pytest.approx(background_w(under)[0], rel=1e-9)
+
+
+def test_a_pane_before_the_sun_takes_its_share_of_the_light(tmp_path: Path) -> None:
+    glass = {**ROOF, "material": "window_glass"}
+    lit, behind, dark = (background_w(shaded(tmp_path, *one), elevation_deg=11.0)[0] for one in ((), (glass,), (ROOF,)))
+    assert 0.75 < (behind - dark) / (lit - dark) < 0.92
+
+
+def test_a_shadow_costs_one_ray_for_each_lit_beam_once_where_nothing_moves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cast: list[int] = []
+
+    def counted(self: Any, origin_m: Floats, *rest: Any, **keys: Any) -> Any:
+        cast.append(len(origin_m))
+        return first_hits(self, origin_m, *rest, **keys)
+
+    measure = shaded(tmp_path, ROOF)
+    first_hits = type(measure._caster).first_hits
+    monkeypatch.setattr(type(measure._caster), "first_hits", counted)
+    sweep = plan(np.linspace(-30.0, 30.0, 61))
+    one = measure(sweep)
+    at_first = sum(cast)
+    cast.clear()
+    two = measure(plan(np.linspace(-30.0, 30.0, 61), sweep=1))
+    assert at_first <= 2 * 61 + 1
+    assert sum(cast) <= 1
+    assert np.array_equal(one.range_m, two.range_m)
+
+
+def test_no_ray_looks_for_shadows_where_the_sun_does_not_show_or_the_surface_turns_away(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: Any) -> Any:
+        raise AssertionError("a ray to the sun")
+
+    monkeypatch.setattr(daylight.Shadows, "share", never)
+    black = build(tmp_path, [plate(10.0, "white")], weather=towards(45.0), model=LMS, physics=PHYSICS)
+    assert background_w(black)[0] > 0.0  # the sun is behind the wall: light of the sky alone
+    night = build(tmp_path, [plate(10.0, "white")], weather=towards(-20.0), model=LMS, physics=PHYSICS)
+    assert background_w(night)[0] == 0.0
+
+
+def test_a_car_that_drives_by_casts_its_shadow_when_it_is_there(tmp_path: Path) -> None:
+    truck = {
+        "id": "truck", "shape": {"box": {"size_m": [2.0, 6.0, 8.0]}}, "material": "white",
+        "motion": {"at_m": [-4.0, -13.0, 0.0], "velocity_m_s": [0.0, 10.0, 0.0]},
+    }  # fmt: skip
+    weather = {"sun": {"azimuth_deg": 180.0, "elevation_deg": 20.0}}
+    world = [plate(10.0, "white", 60.0, 0.0, 60.0)]
+    measure = build(tmp_path, world, actors=[truck], weather=weather, model=LMS, physics=PHYSICS)
+    power = [background_w(measure, elevation_deg=1.0, t_s=t)[0] for t in (0.0, 1.0, 1.3, 2.5)]
+    assert power[1] == power[2] < 0.5 * power[0]
+    assert power[3] == power[0]

@@ -311,6 +311,14 @@ def test_only_a_rule_that_wins_nine_turns_of_ten_is_recommended_for_its_time() -
     assert accuracy.in_every_turn(runs, 1e-4) == (None, None)
 
 
+def test_adaptive_overtakes_where_its_time_falls_below_the_extended_order_of_the_spiral() -> None:
+    spiral = [run_of("spiral", (1e-6 * n,), 1.0 / n) for n in (16, 256, 4096)]
+    slow = [run_of("adaptive", (1e-3,), 1e-2), run_of("adaptive", (1e-2,), 2e-5)]
+    assert "from 2e-05 on" in accuracy.overtakes({"spiral": spiral, "adaptive": slow})
+    never = accuracy.overtakes({"spiral": spiral, "adaptive": slow[:1]})
+    assert never == "the spiral is faster at every error that was run"
+
+
 def test_settings_take_turns_and_each_group_begins_with_another_one(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[tuple[str, int, int]] = []
 

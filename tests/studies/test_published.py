@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import html
 import json
 import math
 import re
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from emulator.commands.cli import main
+from emulator.commands.study import progress
 from emulator.studies import braking, figures, further, measured, points, ranges, stage
 from emulator.studies.braking import Driving
 from emulator.studies.effort import QUICK, Effort
@@ -202,9 +204,10 @@ def test_at_least_ten_values_of_four_papers_are_measured_and_each_says_how_its_p
         ("largest count rate", 1e3 / 28.5, 0.1),
         ("best width", 0.56, 0.021),
         ("error of the range there", 0.46, 0.01),
-        # 140 of type II times 30/70 of type I at both angles, and what is left of that at 30 degrees
+        # 140 of type II times 30/70 of type I at both angles, times 15/70 at both together
         ("R_A of white sheeting, 0.5 deg of observation, 4 of", 60.0, 0.5),
-        ("R_A of white sheeting, 0.2 deg of observation, 30 of", 60.0 * math.cos(math.radians(30.0)), 0.1),
+        ("R_A of white sheeting, 0.2 deg of observation, 30 of", 60.0, 0.1),
+        ("R_A of white sheeting, 0.5 deg of observation, 30 of", 30.0, 0.1),
         (
             "minus ln of the gaps over the leaf area index at 57.5 deg, spherical",
             0.5 / math.cos(math.radians(57.5)),
@@ -315,6 +318,26 @@ def test_table_2_of_the_run_is_within_ten_per_cent_in_all_seven_rows(out: Path) 
         assert abs(float(row["measured_off_percent"])) <= 10.0
         deviation = 100.0 * (float(row["measured_m"]) / float(row["printed_m"]) - 1.0)
         assert float(row["measured_off_percent"]) == pytest.approx(deviation, abs=1e-6)
+
+
+def test_the_page_has_the_verdict_of_every_further_value(out: Path) -> None:
+    with (out / "further_values.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    page = html.unescape((out / "published.html").read_text(encoding="utf-8"))
+    assert len(rows) > 40
+    for row in rows:
+        assert row["verdict"] == "agrees" or len(row["verdict"]) > len("differs: ")
+        assert row["verdict"] in page
+
+
+def test_a_study_reports_each_part_and_its_time_where_no_terminal_shows_a_bar(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert list(progress(["table 2", "figure 3"])) == ["table 2", "figure 3"]
+    lines = capsys.readouterr().err.splitlines()
+    assert [re.sub(r"\d+\.\d s", "T", line) for line in lines] == [
+        "lidaremu: table 2: T, 1 of 2", "lidaremu: figure 3: T, 2 of 2",
+    ]  # fmt: skip
 
 
 def test_speeds_and_frictions_of_the_command_are_those_of_the_table(out: Path) -> None:
