@@ -36,6 +36,7 @@ NOT_RUN = {
     r"^python3? -m venv|^pip install|^\.venv/bin/pip|^\. \.venv": "installs: test_wheel.py",
     r"^bash \.ci/": "runs these tests",
     r"^docker ": "containers",
+    r"-- python client\.py ": "needs a client of others: test_rplidar.py",
     r"-- candump ": "never ends, and needs can-utils: test_can_clients.py",
     r"^python -m can\.": "never end: test_can_clients.py",
     r"^python -m tests\.": "measures for minutes; the module is there: tests/docs/test_pages.py",
@@ -179,7 +180,9 @@ def test_commands_that_talk_to_a_sensor_run(folder: Path) -> None:
             here = [text.replace("socketcand:127.0.0.1:29536/can0", links[2]) for text in here]
             here = [text.replace("tcp:127.0.0.1:2112", links[3]) for text in here]
             here = [text.replace("tcp:127.0.0.1:10940", links[4]) for text in here]
+            here = [text.replace("tcp:127.0.0.1:8080 --family ouster", f"{links[7]} --family ouster") for text in here]
             here = [text.replace("tcp:127.0.0.1:8080", links[5]) for text in here]
+            here = [text.replace("tcp:127.0.0.11:9347", links[6]) for text in here]
             codes = run_all([words_of(text) for text in here], folder)
             reported, _ = daemon.communicate(timeout=60)
         finally:
