@@ -42,14 +42,15 @@ def test_a_busy_device_gives_no_scan_until_the_fault_ends_and_counts_what_it_ref
     made.close()
 
 
-OUSTER = "http_unavailable", "lost_columns", "shot_limiting", "thermal_shutdown", "calibration_served_wrong", "no_ptp"
+OUSTER = "http_unavailable", "lost_columns", "shot_limiting", "thermal_shutdown", "calibration_served_wrong"
+HESAI = "ptc_error", "overheating", "calibration_file"
 
 
 @pytest.mark.parametrize(
     ("do", "who"),
     [
-        ("device_busy", "cola"), ("refuse_login", "cola"), ("ptc_error", "hesai"), ("no_pps", "velodyne"),
-        *((do, "ouster") for do in OUSTER),
+        ("device_busy", "cola"), ("refuse_login", "cola"), ("no_pps", "velodyne, hesai"), ("no_ptp", "hesai, ouster"),
+        *((do, "ouster") for do in OUSTER), *((do, "hesai") for do in HESAI),
     ],
 )  # fmt: skip
 def test_only_families_that_state_it_have_the_fault(do: str, who: str) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from emulator.compiled import switch
 from emulator.sensing import narrow
 from emulator.sensing.measure import Measure
 from emulator.sensing.narrow import LEFT, Settled
@@ -30,7 +31,9 @@ def by_pass(on: bool) -> Iterator[None]:
     pair = narrow.settled.pair  # type: ignore[attr-defined]
     before, pair.on = pair.on, on
     try:
-        yield
+        with switch.switched(True):
+            assert switch.kernels() is not None
+            yield
     finally:
         pair.on = before
 

@@ -62,7 +62,7 @@ def test_a_package_brings_a_family_and_cannot_take_a_name_of_ours(monkeypatch: p
     try:
         assert protocols.family("acme") is module.FAMILY
         assert protocols.families()["lms2xx"] == "protocols.lms2xx"
-        with pytest.raises(KeyError, match="unknown family 'acne'; known: acme, can_objects, cola, ld, ldrobot"):
+        with pytest.raises(KeyError, match="unknown family 'acne'; known: acme, can_objects, cola, hesai, ld, ldrobot"):
             protocols.family("acne")
     finally:
         protocols.families.cache_clear()
