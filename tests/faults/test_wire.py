@@ -413,14 +413,9 @@ def test_every_fault_of_these_layers_is_tried() -> None:
     tried = {one.values[0].keys["do"] for one in (*TELEGRAMS, *BYTES, *LINKS, *FRAMES)}
     asked = {"lose_reply", "slow_reply", "refuse_command", "lose_input"}  # below: they need a host that asks
     asked |= {"device_busy", "refuse_login", "no_pps"}  # test_refusing
-    asked |= {"no_ptp", "overheating", "ptc_error", "calibration_file"}  # tests/hosts/test_hesai_host.py
-    asked |= {
-        "http_unavailable",
-        "lost_columns",
-        "shot_limiting",
-        "thermal_shutdown",
-    }  # protocols/ouster/test_session.py
-    asked |= {"calibration_served_wrong"}  # the same
+    asked |= {"no_ptp", "overheating", "ptc_error", "calibration_file"}  # test_hesai_faults
+    # test_refusing
+    asked |= {"http_unavailable", "lost_columns", "shot_limiting", "thermal_shutdown", "calibration_served_wrong"}
     known = {name for name, kind in kinds().items() if kind.layer in ("telegram", "byte", "link", "can")}
     assert tried | asked == known
     assert len(known) >= 40
