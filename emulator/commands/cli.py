@@ -29,6 +29,7 @@ from emulator.commands.common import (
     Finite,
     complain,
     complain_of_use,
+    links_of,
     load_scenario,
     scenario_options,
 )
@@ -48,7 +49,7 @@ from emulator.commands.study import study
 from emulator.commands.test import test
 from emulator.commands.transcript import transcript as print_transcript
 from emulator.commands.view import view
-from emulator.errors import EmulatorError, LinkError
+from emulator.errors import EmulatorError, LinkError, ScenarioError
 from emulator.output.lines import note, say
 from emulator.output.sanitizing import guard
 from emulator.process.driver import FEED, driver_environment, end_driver, how_it_ended, start_driver
@@ -111,7 +112,6 @@ def check(
     scenarios: Sequence[str], overrides: Sequence[str], seed: int | None, links: Sequence[str], as_json: bool
 ) -> int:
     """Validate scenario files, their meshes and their devices' settings."""
-    from emulator.judging.trial import rehearse
     from emulator.measuring.measuring import Measures, warnings_of
     from emulator.runtime.assembly import measures_of
     from emulator.world import scene
@@ -119,8 +119,7 @@ def check(
     code = OK
     for name in scenarios:
         try:
-            loaded = load_scenario(name, overrides, seed, links)
-            rehearse(loaded)
+            loaded = _rehearsed(name, overrides, seed, links)
             world = scene.build(loaded)
             warnings = warnings_of(Measures(measures_of(loaded, world), world.warnings))
         except EmulatorError as error:
@@ -139,6 +138,24 @@ def check(
                 note(f"{name}: warning: {text}")
             say(f"{name}: ok: {len(loaded.sensors)} sensors, {len(world.actors)} actors, {triangles} triangles")
     return code
+
+
+def _rehearsed(name: str, overrides: Sequence[str], seed: int | None, links: Sequence[str]) -> Scenario:
+    """The scenario; `ScenarioError` with its own faults and those of its expectations together."""
+    from emulator.judging.expectations import understand
+    from emulator.judging.trial import rehearse
+    from emulator.scenario.scenario import examine, in_file_order
+
+    found, reported = examine(name, overrides, seed, links_of(links))
+    if found is not None and not reported:
+        rehearse(found)
+        return found
+    if found is not None:
+        try:
+            understand(found)
+        except ScenarioError as error:
+            reported += error.lines
+    raise ScenarioError.of(in_file_order(reported))
 
 
 # ---------------------------------------------------------------- run

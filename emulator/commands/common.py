@@ -107,10 +107,15 @@ def load_scenario(name: str, overrides: Sequence[str], seed: int | None, links: 
     """The scenario of that path or built-in name, with the command line's changes."""
     from emulator.scenario import scenario
 
+    return scenario.load(name, overrides, seed, links_of(links))
+
+
+def links_of(links: Sequence[str]) -> dict[str, list[str]]:
+    """Sensor -> its links, of `--link SENSOR=URL`; `click.BadParameter` for other forms."""
     replaced: dict[str, list[str]] = {}
     for text in links:
         sensor, separator, url = text.partition("=")
         if not separator or not sensor or not url:
             raise click.BadParameter(f"{text!r}; want SENSOR=URL", param_hint="--link")
         replaced.setdefault(sensor, []).append(url)
-    return scenario.load(name, overrides, seed, replaced)
+    return replaced

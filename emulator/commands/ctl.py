@@ -93,7 +93,10 @@ def ctl(order: str, parameters: tuple[str, ...], path: Path | None, as_json: boo
         found = control.running()
         if len(found) != 1:
             if not found:
-                raise LinkError("no daemon of this user is running; want lidaremu run SCENARIO first, or --socket PATH")
+                raise LinkError(
+                    "no daemon of this user is running at the usual place; want lidaremu run SCENARIO first, "
+                    "or --socket PATH of one with --control PATH"
+                )
             reported = "; ".join(f"{scenario_of(one)} at {one}" for one in found)
             raise LinkError(f"which daemon? {reported}; want --socket PATH")
         path = found[0]

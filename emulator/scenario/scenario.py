@@ -208,6 +208,16 @@ def load(
     return _judged(read_source(path_or_builtin_name), overrides, seed, links)
 
 
+def examine(
+    path_or_builtin_name: str,
+    overrides: Sequence[str] = (),
+    seed: int | None = None,
+    links: Mapping[str, Sequence[str]] | None = None,
+) -> tuple[Scenario | None, list[str]]:
+    """As `load`, but faults do not end it: the scenario, None when it cannot be read, and a line a fault."""
+    return _examined(read_source(path_or_builtin_name), overrides, seed, links)
+
+
 def loads(text: str, path: Path, overrides: Sequence[str] = ()) -> Scenario:
     """The same from a text, as if it stood in `path`."""
     return _judged(yaml_lines.parse(text, path, ScenarioError), overrides, None, None)
@@ -230,20 +240,30 @@ def _judged(
     seed: int | None,
     links: Mapping[str, Sequence[str]] | None,
 ) -> Scenario:
+    scenario, reported = _examined(source, overrides, seed, links)
+    if scenario is None or reported:
+        raise ScenarioError.of(reported)
+    return scenario
+
+
+def _examined(
+    source: yaml_lines.Source,
+    overrides: Sequence[str],
+    seed: int | None,
+    links: Mapping[str, Sequence[str]] | None,
+) -> tuple[Scenario | None, list[str]]:
     if source.data is None:
         raise ScenarioError(f"{source.path}:1: file: empty; want a scenario, beginning with schema: 1")
     source = changes.changed(source, overrides, seed, links)
     _find_models(source)
-    reported = list(source.faults)
+    reported, scenario = list(source.faults), None
     try:
         scenario = Scenario.model_validate(_frozen(source.data))
+        scenario._source = source
     except ValidationError as exc:
         reported += fault_lines(source, Scenario, exc)
     reported += checks.faults(source)
-    if reported:
-        raise ScenarioError.of(_in_file_order(reported))
-    scenario._source = source
-    return scenario
+    return scenario, in_file_order(reported)
 
 
 def _find_models(source: yaml_lines.Source) -> None:
@@ -254,7 +274,7 @@ def _find_models(source: yaml_lines.Source) -> None:
             sensor["model"] = str((source.path.parent / sensor["model"]).absolute())
 
 
-def _in_file_order(reported: Sequence[str]) -> list[str]:
+def in_file_order(reported: Sequence[str]) -> list[str]:
     """Faults by line, one for each key: what comes first in `told` explains what follows from it."""
     first: dict[tuple[str, ...], str] = {}
     for text in reported:

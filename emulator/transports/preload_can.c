@@ -813,6 +813,7 @@ INSTEAD(int, can_socket_call, "socket", int domain, int type, int protocol)
     pthread_mutex_lock(&guard);
     keep(fd, made);
     pthread_mutex_unlock(&guard);
+    say_active();
     errno = saved;
     return fd;
 }

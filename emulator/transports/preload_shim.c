@@ -27,6 +27,7 @@
 #include <stdarg.h>
 #include <stdint.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/ioctl.h>
 #include <sys/stat.h>
@@ -81,6 +82,8 @@ static struct line lines[MAX_LINES];
 static int line_count;
 static pthread_mutex_t guard = PTHREAD_MUTEX_INITIALIZER;
 
+#define SAID "LIDAREMU__SHIM"
+
 typedef int (*ioctl_function)(int, unsigned long, ...);
 typedef int (*set_function)(int, int, const struct termios *);
 typedef int (*get_function)(int, struct termios *);
@@ -107,6 +110,27 @@ HIDDEN int next_ioctl(int fd, unsigned long request, void *argument)
     return function != NULL ? function(fd, request, argument) : kernel_ioctl(fd, request, argument);
 }
 
+/* Standard error as it was at the start: later its number may be a port. */
+static struct stat errors_at_start;
+static int has_errors;
+
+void say_active(void)
+{
+    static int said;
+    struct stat now;
+    int saved = errno;
+
+    if (!said && has_errors && fstat(2, &now) == 0 && now.st_dev == errors_at_start.st_dev &&
+        now.st_ino == errors_at_start.st_ino) {
+        said = 1;
+        dprintf(2,
+                "lidaremu shim: ACTIVE in process %ld (%s): pseudo-terminals accept TIOCSSERIAL, B38400 with a custom "
+                "divisor becomes its real speed%s%s\n",
+                (long)getpid(), program_invocation_short_name, *can_names() ? "; CAN:" : "", can_names());
+    }
+    errno = saved;
+}
+
 /* The terminal's line, made at the first TIOCxSERIAL; NULL: not a pseudo-terminal, or none known yet. */
 static struct line *find_line(int fd, int make)
 {
@@ -124,6 +148,7 @@ static struct line *find_line(int fd, int make)
     if (!make || line_count == MAX_LINES)
         return NULL;
     lines[line_count].terminal = status.st_rdev;
+    say_active();
     return &lines[line_count++];
 }
 
@@ -446,11 +471,13 @@ int tcgetattr(int fd, struct termios *modes)
     return result;
 }
 
+/* The first program under the shim says so at its start; a script's many others only when they need it. */
 __attribute__((constructor)) static void announce(void)
 {
+    has_errors = fstat(2, &errors_at_start) == 0;
     can_start();
-    fprintf(stderr,
-            "lidaremu shim: ACTIVE in process %ld (%s): pseudo-terminals accept TIOCSSERIAL, B38400 with a custom divisor "
-            "becomes its real speed%s%s\n",
-            (long)getpid(), program_invocation_short_name, *can_names() ? "; CAN:" : "", can_names());
+    if (getenv(SAID) == NULL) {
+        say_active();
+        setenv(SAID, "1", 1);
+    }
 }

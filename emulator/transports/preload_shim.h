@@ -10,6 +10,9 @@ HIDDEN void *next_symbol(void **kept, const char *name);
 /* ioctl of the C library, or of what else is preloaded. */
 HIDDEN int next_ioctl(int fd, unsigned long request, void *argument);
 
+/* Says on standard error, once in a program, that the shim is there. */
+HIDDEN void say_active(void);
+
 /* Answers a call about a CAN socket or one of our CAN interfaces; 0: it is about neither. */
 HIDDEN int can_ioctl(int fd, unsigned long request, void *argument, int *result);
 

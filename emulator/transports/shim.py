@@ -24,6 +24,8 @@ COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-shared", "-fPIC", "-O2", "-Wall", "-Wextra")
 LIBRARIES = ("-ldl", "-lpthread")
 BUILD_LIMIT_S = 120.0
+SAID = "LIDAREMU__SHIM"
+"Set by the first program under the shim; the source has it too."
 
 
 def find_compiler(environment: Mapping[str, str]) -> str | None:
@@ -83,4 +85,5 @@ def shim_environment(environment: Mapping[str, str]) -> dict[str, str]:
     """`environment` with the shim preloaded in front of what is preloaded already; raises EmulatorError."""
     present = environment.get("LD_PRELOAD", "")
     library = str(build_shim(environment))
-    return {**environment, "LD_PRELOAD": f"{library}:{present}" if present else library}
+    rest = {name: value for name, value in environment.items() if name != SAID}
+    return {**rest, "LD_PRELOAD": f"{library}:{present}" if present else library}

@@ -28,8 +28,8 @@ CRC_BYTES = 2
 OVERHEAD_BYTES = HEADER_BYTES + CRC_BYTES
 MAX_REPLY_PAYLOAD = 806
 "Payload of the largest ordinary telegram, 812 bytes (listing 4.2, p. 22)."
-MAX_REQUEST_PAYLOAD = 807
-"Of 20 2C with its 201 segments."
+MAX_REQUEST_PAYLOAD = 817
+"Of 40 with a field of 400 segments (FF) and the six reserved bytes of its table; 20 2C has 807 at most."
 MAX_GROUPS = 5
 "Sub-ranges of F5 (listing via Gepruft_Lidar)."
 

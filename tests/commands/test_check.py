@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,20 @@ def test_faults_in_expect_and_elsewhere_are_told_together(tmp_path: Path, capsys
     err = refused(text, tmp_path, capsys)
     assert "sensor 'frnt'" in err
     assert "field_deg" in err
+
+
+def test_faults_in_expect_are_told_beside_wrong_links_and_models(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = HEAD + LD % ("a", "tcp:127.0.0.1:2111") + LD % ("b", "tcp::2111") + "  - {id: c, model: sick-lms2x1}\n"
+    text += "expect:\n  - {that: a.pionts, at_least: 1}\n  - {that: b.points, below: 1}\n"
+    err = refused(text, tmp_path, capsys)
+    reported = ["also a link of a", "sick-lms2x1", "a.pionts; want points", "below: 1; want that"]
+    places = [err.index(one) for one in reported]
+    assert places == sorted(places)
+    assert "\n5 errors" not in err
+    assert main(["check", str(tmp_path / "case.yaml"), "--json"]) == 2
+    assert len(json.loads(capsys.readouterr().out)["faults"]) == 4
 
 
 @pytest.mark.parametrize(

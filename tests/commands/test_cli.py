@@ -196,4 +196,6 @@ def test_ctl_without_a_daemon_says_what_to_start(
 
     monkeypatch.setattr(control, "running", lambda: [])
     assert main(["ctl", "status"]) == 3
-    assert "no daemon of this user is running; want lidaremu run SCENARIO first" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "no daemon of this user is running at the usual place; want lidaremu run SCENARIO first" in err
+    assert "or --socket PATH of one with --control PATH" in err

@@ -214,6 +214,38 @@ def test_it_says_loudly_that_it_is_there(built: tuple[Path, dict[str, str]], tmp
 
 
 @needs_compiler
+def test_of_a_script_the_first_program_says_it_and_others_when_they_need_it(
+    built: tuple[Path, dict[str, str]], tmp_path: Path
+) -> None:
+    """`roslaunch` starts a dozen programs before the driver, a shell script one for each of its lines."""
+    link = open_link(f"pty:{tmp_path / 'front'}")
+    script = (
+        f"ls / >/dev/null; cat /dev/null; echo 'sicktoolbox 500000' | {built[0]} {tmp_path / 'front'}; ls / >/dev/null"
+    )
+    done = subprocess.run(
+        ["/bin/sh", "-c", script], env=built[1], capture_output=True, text=True, timeout=30, check=True
+    )
+    link.close()
+    assert done.stdout.strip() == "ok"
+    first, driver = done.stderr.splitlines()
+    assert "ACTIVE in process " in first
+    assert "(sh): " in first
+    assert "(custom_speed): " in driver
+    assert shim.SAID not in shim_environment({**os.environ, shim.SAID: "1"})
+
+
+@needs_compiler
+def test_a_port_that_has_the_number_of_standard_error_gets_none_of_it(
+    built: tuple[Path, dict[str, str]], tmp_path: Path
+) -> None:
+    link = open_link(f"pty:{tmp_path / 'front'}")
+    script = f"echo 'sicktoolbox 500000' | {built[0]} {tmp_path / 'front'} 2>&-"
+    subprocess.run(["/bin/sh", "-c", script], env=built[1], capture_output=True, timeout=30, check=True)
+    assert b"".join(one.data for one in link.receive(0)) == b""
+    link.close()
+
+
+@needs_compiler
 def test_without_the_shim_the_same_driver_fails(built: tuple[Path, dict[str, str]], tmp_path: Path) -> None:
     driver = Driver(built[0], dict(os.environ), tmp_path)
     assert driver.do("sicktoolbox 500000") == "failed Inappropriate ioctl for device"

@@ -92,10 +92,11 @@ def test_a_field_is_read_with_one_reserved_byte_or_with_six(reserved: str, shape
 def test_the_largest_numbers_of_segments_have_their_own_codes(angle: str, code: int, count: int) -> None:
     rig = with_field(wall())
     rig.reply_to(INSTALL)
-    body = f"01 40 {angle} 32 00 02 00 {code:02X}" + " 05 00" * (count + 1)
-    if 1 + len(bytes.fromhex(body)) <= 807:
-        assert rig.reply_to("40 " + body, 8.0)[1:3] == b"\xc0\x01"
-        assert rig.reply_to("45 01 00")[1 + 1 + 8] == code
+    radii = "".join(f" {5 + place % 7:02X} 00" for place in range(count + 1))
+    for reserved in ("00", "00 00 00 00 00 00"):
+        body = f"01 40 {angle} 32 00 02 {reserved} {code:02X}" + radii
+        assert rig.reply_to("40 " + body, 8.0) == b"\x06\xc0\x01" + bytes.fromhex(body) + b"\x10"
+    assert rig.reply_to("45 01 00")[1 + 1 + 8 :] == bytes.fromhex(f"{code:02X}{radii} 10")
 
 
 @pytest.mark.parametrize(

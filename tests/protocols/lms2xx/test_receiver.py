@@ -62,7 +62,7 @@ def test_a_wrong_crc_is_told_once_and_takes_the_whole_telegram_with_it() -> None
         assert telegrams(taker.feed(STATUS, 6, 0)) == [b"\x31"]
 
 
-@pytest.mark.parametrize(("length", "reason"), [(0, DropReason.BAD_LENGTH), (808, DropReason.OVERLONG)])
+@pytest.mark.parametrize(("length", "reason"), [(0, DropReason.BAD_LENGTH), (818, DropReason.OVERLONG)])
 def test_an_impossible_length_makes_the_stx_noise(length: int, reason: DropReason) -> None:
     data = b"\x02\x00" + length.to_bytes(2, "little") + b"\x31"
     found = receiver().feed(data + STATUS, 5, 0)
@@ -71,8 +71,8 @@ def test_an_impossible_length_makes_the_stx_noise(length: int, reason: DropReaso
 
 
 def test_the_longest_telegram_is_taken() -> None:
-    longest = request(b"\x77" + bytes(805))
-    assert telegrams(receiver().feed(longest, 5, 0)) == [b"\x77" + bytes(805)]
+    longest = request(b"\x77" + bytes(816))
+    assert telegrams(receiver().feed(longest, 5, 0)) == [b"\x77" + bytes(816)]
 
 
 def test_the_own_and_the_universal_address_are_heard_and_no_other() -> None:
