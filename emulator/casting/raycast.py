@@ -89,8 +89,8 @@ def _reported_by_loops(loops: ModuleType, caster: Caster, found: Nearest, inner:
 @cache
 def _keep_freed_memory() -> None:
     """Once a process, for its casters: page faults were half the time of a large cast. Made again, it is all cleared,
-    which takes as long as a quarter of a run of one second."""
-    np.empty(KEEP_NUMBERS)
+    which takes a sixth of a run of one second."""
+    np.zeros(KEEP_NUMBERS)
 
 
 class Caster:
