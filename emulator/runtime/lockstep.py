@@ -182,7 +182,7 @@ class LockstepServer:
             raise LinkError(f"{feeding.live.feed}: {error.strerror or error}; want a free address") from None
         self._over = threading.Event()
         self._bell, self._ring = os.pipe()
-        "Readable once all is over: nobody waits for a look that tells it."
+        "Readable once all is over."
         self._thread = threading.Thread(target=self._serve, name="lidaremu-lockstep", daemon=True)
         self._thread.start()
 
