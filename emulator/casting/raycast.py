@@ -12,7 +12,7 @@ rays begin where they enter a bounding sphere.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import partial
+from functools import cache, partial
 from types import ModuleType
 
 import numpy as np
@@ -86,6 +86,13 @@ def _reported_by_loops(loops: ModuleType, caster: Caster, found: Nearest, inner:
     return LateHits(found.range_m, actor, material, inner, cosine, ((found, later),))
 
 
+@cache
+def _keep_freed_memory() -> None:
+    """Once a process, for its casters: page faults were half the time of a large cast. Made again, it is all cleared,
+    which takes a sixth of a run of one second."""
+    np.zeros(KEEP_NUMBERS)
+
+
 class Caster:
     """Casts rays on a scene. Builds everything once; afterwards several threads may cast at the same time."""
 
@@ -111,7 +118,7 @@ class Caster:
         "The latest last."
         self._aimed: tuple[tuple[Floats, tuple[Aim, ...]], ...] = ()
         "The latest last."
-        np.zeros(KEEP_NUMBERS)  # page faults were half the time of a large cast
+        _keep_freed_memory()
 
     def first_hits(
         self,

@@ -18,9 +18,23 @@ from types import TracebackType
 from typing import Any
 
 from emulator.errors import LinkError
-from emulator.live.json_lines import encoded
 
 TIME_LIMIT_S = 10.0
+
+
+def encoded(
+    actors: Sequence[Mapping[str, object]],
+    t_s: float | None = None,
+    seq: int | None = None,
+    removed: Sequence[str] = (),
+    snapshot: bool = False,
+) -> bytes:
+    """One update as a line, without its end."""
+    data: dict[str, object] = {} if t_s is None else {"t_s": t_s}
+    data |= {} if seq is None else {"seq": seq}
+    data |= {"removed": list(removed)} if removed else {}
+    data |= {"snapshot": True} if snapshot else {}
+    return json.dumps(data | {"actors": [dict(one) for one in actors]}, separators=(",", ":"), allow_nan=False).encode()
 
 
 def _address(url: str, kinds: Sequence[str]) -> tuple[str, str, int, str]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from emulator.live.rotations import Quaternion, Vector, from_angles
@@ -182,21 +182,6 @@ def _orientation(entry: Mapping[str, Any], where: str) -> Quaternion:
     if not 1e-6 < norm < 1e6:
         raise BadSample(f"{where}.quaternion_xyzw: of length {norm:g}; want one of length 1")
     return (w / norm, x / norm, y / norm, z / norm)
-
-
-def encoded(
-    actors: Sequence[Mapping[str, object]],
-    t_s: float | None = None,
-    seq: int | None = None,
-    removed: Sequence[str] = (),
-    snapshot: bool = False,
-) -> bytes:
-    """One update as a line, without its end."""
-    data: dict[str, object] = {} if t_s is None else {"t_s": t_s}
-    data |= {} if seq is None else {"seq": seq}
-    data |= {"removed": list(removed)} if removed else {}
-    data |= {"snapshot": True} if snapshot else {}
-    return json.dumps(data | {"actors": [dict(one) for one in actors]}, separators=(",", ":"), allow_nan=False).encode()
 
 
 def as_json(update: Update) -> dict[str, object]:

@@ -181,6 +181,8 @@ class LockstepServer:
             self._socket.close()
             raise LinkError(f"{feeding.live.feed}: {error.strerror or error}; want a free address") from None
         self._over = threading.Event()
+        self._bell, self._ring = os.pipe()
+        "Readable once all is over."
         self._thread = threading.Thread(target=self._serve, name="lidaremu-lockstep", daemon=True)
         self._thread.start()
 
@@ -192,7 +194,10 @@ class LockstepServer:
     def close(self) -> None:
         """Listen no more."""
         self._over.set()
+        os.close(self._ring)
         self._thread.join(2.0)
+        if not self._thread.is_alive():  # it may still hang in a feeder that does not read
+            os.close(self._bell)
         self._socket.close()
         if self._path is not None:
             with contextlib.suppress(OSError):
@@ -207,7 +212,7 @@ class LockstepServer:
 
     def _serve(self) -> None:
         while not self._over.is_set():
-            if not select.select([self._socket], [], [], LOOK_S)[0]:
+            if not self._readable(self._socket):
                 continue
             with contextlib.suppress(OSError):
                 found, _ = self._socket.accept()
@@ -240,6 +245,13 @@ class LockstepServer:
                 self._over.wait(max(0.0, late_s - (self._real.now_ns() - began_ns) * 1e-9))
             feeder.sendall(json.dumps(answer).encode() + b"\n" + self._talk.more)
 
+    def _readable(self, found: socket.socket) -> bool:
+        """Whether something is there, or it has gone; waits for that or for the end of all."""
+        waiting = select.poll()
+        for one in (found.fileno(), self._bell):
+            waiting.register(one, select.POLLIN)
+        return any(number != self._bell for number, _ in waiting.poll())
+
     def _line(self, feeder: socket.socket, held: bytearray) -> bytes | None:
         """None: the feeder has gone, or sends no lines."""
         while (end := held.find(b"\n")) < 0:
@@ -262,7 +274,7 @@ class LockstepServer:
 
     def _more(self, feeder: socket.socket, held: bytearray) -> bool:
         while not self._over.is_set():
-            if select.select([feeder], [], [], LOOK_S)[0]:
+            if self._readable(feeder):
                 data = feeder.recv(READ_BYTES)
                 held += data
                 return bool(data)

@@ -567,3 +567,13 @@ def test_a_cast_needs_no_more_memory_than_a_few_numbers_a_ray() -> None:
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 15e6  # 30 060 rays: 57 bytes of hits each, the rest by blocks
+
+
+def test_another_caster_clears_no_memory_that_is_kept() -> None:
+    scene = scene_of((triangles.plane(60.0, 60.0), WALL))
+    Caster(scene)
+    tracemalloc.start()
+    Caster(scene)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1e6

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -87,3 +88,12 @@ def test_the_host_reads_scans_in_any_pieces(host: ModuleType, monkeypatch: pytes
     assert len(scans) == mine.count == 2
     assert [round(math.hypot(*point), 6) for point in scans[0]] == [8.0, 9.0, 0.01, 0.02]
     assert math.degrees(math.atan2(*scans[0][0][::-1])) == pytest.approx(-50)
+
+
+def test_a_campaigns_driver_starts_without_numpy() -> None:
+    # a process for every case: numpy alone takes as long as a second of the scanner
+    driver = FOLDER.parent / "campaign/braking.py"
+    heavy = "{'numpy', 'argparse', 'tempfile', 'concurrent.futures', 'emulator.live.json_lines'}"
+    code = f"import runpy, sys; runpy.run_path({str(driver)!r}); print(sorted({heavy} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.stdout == "[]\n", done.stderr

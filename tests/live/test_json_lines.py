@@ -7,7 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from emulator.live.json_lines import as_json, decoded, encoded, of_json
+from emulator.live.client import encoded
+from emulator.live.json_lines import as_json, decoded, of_json
 from emulator.live.rotations import from_angles
 from emulator.live.samples import BadSample
 

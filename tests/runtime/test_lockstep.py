@@ -8,7 +8,7 @@ import select
 import tty
 from collections.abc import Callable
 from pathlib import Path
-from threading import Event, Thread
+from threading import Event, Thread, current_thread
 
 import pytest
 from click.testing import CliRunner
@@ -19,6 +19,7 @@ from emulator.judging.rig import Rig
 from emulator.judging.trial import Trial
 from emulator.live.client import Lockstep
 from emulator.live.json_lines import update_of
+from emulator.runtime import lockstep
 from emulator.scenario.scenario import load
 from protocols.lms2xx.telegrams import request
 
@@ -139,6 +140,39 @@ def test_a_wrong_line_is_told_and_changes_nothing(
         assert why in answer["why"]
         assert rig.now_s == pytest.approx(0.02)
         world.step(0.03)
+
+
+@pytest.mark.parametrize("talks", [True, False])
+def test_the_end_waits_for_no_look(
+    talks: bool, scene: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    limits: list[object] = []
+    real = select.poll
+
+    class Poll:
+        def __init__(self) -> None:
+            self.poll_ = real()
+            self.register = self.poll_.register
+
+        def poll(self, *limit: object) -> object:
+            if current_thread().name == "lidaremu-lockstep":
+                limits.extend(limit)
+            return self.poll_.poll(*limit)
+
+    monkeypatch.setattr(lockstep.select, "poll", Poll)
+    monkeypatch.delattr(lockstep.select, "select")  # nor that one, which has a limit in each use of it here
+    with Rig(scene("lockstep://127.0.0.1:0"), tmp_path) as rig:
+        server = rig._lockstep
+        assert server is not None
+        if talks:
+            world = Lockstep(str(rig.feed_url))
+            world.step(0.02)
+        server.close()
+        assert not server._thread.is_alive()
+        if talks:
+            world.close()
+        rig._lockstep = None
+    assert limits == []
 
 
 def test_nobody_listens_where_nobody_runs() -> None:

@@ -26,15 +26,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 from car import FRICTION, Brake, Car
 from lms_host import LmsHost
 from mrpt_host import MrptHost
+from stepping import AHEAD, STEP, TIME_LIMIT, Virtual, World, begin
 
-from emulator.live.client import Feeder, Lockstep
+from emulator.live.client import Feeder
 
-STEP = 0.02
-"Of the vehicle model. [s]"
 STOPPED_X = 122.0 - 2.26 - 3.6
 "Rear bumper of the stopped car, less the front of ours before its rear axle. [m]"
-AHEAD = 3.3
-"Drives begin so far from it in time at their speed, before the brake may act; and 5 m. [s]"
 SPEEDS = (30, 50, 70, 90)
 "[km/h]"
 FOGS = (200, 100, 70, 50, 40, 30, 20, 15, 10)
@@ -46,8 +43,6 @@ WEATHER: dict[str, tuple[str, tuple[str, ...]]] = {
     "snow_3": ("snow", ("weather.snow.rate_mm_h=3",)),
 }
 "The road in it, and what the scenario is told. Numbers: visibility in m, rate in mm/h."
-TIME_LIMIT = 20.0
-Host = LmsHost | MrptHost
 
 
 @dataclass(frozen=True)
@@ -74,46 +69,10 @@ class Drive:
 HEAD = "| weather | speed (km/h) | braked at (m) | left (m) | speed at impact (km/h) |\n|---|---|---|---|---|"
 
 
-class World:
-    """A run of the scenario, and time in it."""
-
-    def __init__(self, host: Host) -> None:
-        self.host, self.t, self.waiting = host, 0.0, []
-
-    def actor(self, car: Car, jump: bool = False) -> dict[str, object]:
-        """The ego for the feed."""
-        at = {"id": "ego", "at_m": [car.x, 0.0, 0.0], "velocity_m_s": [car.speed, 0.0, 0.0], "reference": "origin"}
-        return at | ({"jump": True} if jump else {})
-
-
-class Virtual(World):
-    """By lock-step; a scan acts two steps after it was measured, when its last byte is there, in every run."""
-
-    def __init__(self, host: Host, feed: str) -> None:
-        super().__init__(host)
-        self.world = Lockstep(feed)
-        self.sent = [0, 0, 0]
-        "Scans up to now, up to the step before, up to the one before that."
-
-    def step(self, car: Car, jump: bool = False) -> list[list[tuple[float, float]]]:
-        """Time goes on; the scans that have come."""
-        self.t = round(self.t + STEP, 6)
-        done = self.world.step(self.t, [self.actor(car, jump)])
-        self.sent = [self.sent[0] + done["sent"]["front"], *self.sent[:2]]
-        until = time.monotonic() + TIME_LIMIT
-        while self.host.count < self.sent[2]:
-            self.waiting += self.host.scans()
-            if time.monotonic() > until:
-                raise SystemExit("no scans")
-        count = len(self.waiting) - (self.host.count - self.sent[2])
-        found, self.waiting = self.waiting[:count], self.waiting[count:]
-        return found
-
-
 class Real(World):
     """By the clock, poses by UDP."""
 
-    def __init__(self, host: Host, feed: str) -> None:
+    def __init__(self, host: LmsHost | MrptHost, feed: str) -> None:
         super().__init__(host)
         self.feeder = Feeder(feed)
         self.began = time.monotonic()
@@ -150,16 +109,6 @@ def running(settings: tuple[str, ...], real: bool, mrpt: Path | None = None) -> 
             finally:
                 daemon.terminate()
                 daemon.wait(TIME_LIMIT)
-
-
-def begin(world: World) -> None:
-    """The scanner streams, seen from the start."""
-    world.host.start()
-    time.sleep(0.1)  # in virtual time the request must be there before time moves
-    car = Car(0.0, 1.0)
-    while not world.step(car):
-        if world.t > TIME_LIMIT:
-            raise SystemExit("the scanner does not stream")
 
 
 def drive(world: World, weather: str, km_h: float) -> Drive:

@@ -13,9 +13,9 @@ import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "brake"))
-from brake import AHEAD, STEP, Virtual, begin
 from car import FRICTION, Brake, Car
 from lms_host import LmsHost
+from stepping import AHEAD, STEP, Virtual, begin
 
 STOPPED_X = 122.0 - 0.1 - 3.6
 "Face of the board, less the front of the car before its rear axle. [m]"
