@@ -29,6 +29,8 @@ UNSEEN = 0.05
 "A ray is not continued when the best surface, met by the whole beam, would return less than this of the threshold."
 BEHIND_M = 1e-4
 "A second ray starts this far behind the surface, and a thousandth of it more per metre: the caster works in float32."
+MOST_FACES = 12
+"Of bodies of glass that lie one in the other, met on one way."
 
 
 @dataclass(frozen=True, eq=False)
@@ -443,7 +445,7 @@ def _continue(
             break
         front = _merged(fronts)
         if scene.solid is not None:
-            front = _come_out(front, caster)
+            front = _come_out(front, caster, scene.solid)
         left = max(reach_m - float(np.min(front.length_m)), 0.0)
         hits = caster.first_hits(front.origin_m, front.direction, front.t_s, max_range_m=left)
         met = indexes(front.length_m + hits.range_m <= reach_m)
@@ -470,12 +472,12 @@ def _merged(fronts: list[_Front]) -> _Front:
 _COLUMNS = ("origin_m", "direction", "t_s", "beam", "weight", "length_m", "depth", "entered", "bent", "index", "air")
 
 
-def _come_out(front: _Front, caster: Caster) -> _Front:
+def _come_out(front: _Front, caster: Caster, solid: NDArray[np.bool_]) -> _Front:
     """Rays in bodies of glass, where they leave them: later by the index, beside where they would have been.
 
-    All losses of the pane, both its faces, were taken where it was entered. What is reflected wholly is lost. A ray
-    that does not meet the body's inside goes straight on: the body is thinner than the step behind its face, or
-    something stands in it.
+    All losses of the pane, both its faces, were taken where it was entered. What is reflected wholly is lost. Bodies of
+    glass that lie one in the other are one body. A ray that does not meet the body's inside goes straight on: the body
+    is thinner than the step behind its face, or something stands in it.
     """
     assert front.entered is not None
     assert front.bent is not None
@@ -483,10 +485,9 @@ def _come_out(front: _Front, caster: Caster) -> _Front:
     inside = indexes(front.entered >= 0)
     if not len(inside):
         return front
-    hits = caster.first_hits(front.origin_m[inside], front.bent[inside], front.t_s[inside])
-    out = indexes((hits.body == front.entered[inside]) & hits.inner)
-    at, way, bent = inside[out], hits.range_m[out], front.bent[inside[out]]
-    direction = brdf.refracted(bent, hits.normals(out), hits.cosine[out], front.index[at])
+    out, way, normal, cosine = _left(front, inside, caster, solid)
+    at, bent = inside[out], front.bent[inside[out]]
+    direction = brdf.refracted(bent, normal, cosine, front.index[at])
     lost = np.isnan(direction[:, 0])
     direction[lost] = bent[lost]
     length = np.array(front.length_m, np.float64)
@@ -498,6 +499,36 @@ def _come_out(front: _Front, caster: Caster) -> _Front:
     length[at] += front.index[at] * way + step
     origin, turned, weight = columns
     return _Front(origin, turned, front.t_s, front.beam, weight, length, front.depth, air=front.air)
+
+
+def _left(front: _Front, inside: Ints, caster: Caster, solid: NDArray[np.bool_]) -> tuple[Ints, Floats, Floats, Floats]:
+    """Which of the rays in glass come out, how far on, and normal and cosine of the face there."""
+    assert front.entered is not None
+    assert front.bent is not None
+    origin, bent, t_s = front.origin_m[inside], front.bent[inside], front.t_s[inside]
+    way = np.zeros(len(inside))
+    within = np.full((len(inside), MOST_FACES), -1, np.int64)  # bodies that each is in
+    within[:, 0] = front.entered[inside]
+    going, found = np.arange(len(inside)), []
+    for face in range(1, MOST_FACES):
+        hits = caster.first_hits(origin[going] + way[going, None] * bent[going], bent[going], t_s[going])
+        body = hits.body.astype(np.int64)
+        glass = np.isfinite(hits.range_m) & (body >= 0) & solid[body]
+        same = (within[going] == body[:, None]) & (glass & hits.inner)[:, None]
+        within[going] = np.where(same, -1, within[going])
+        out = indexes(same.any(axis=1) & (within[going] < 0).all(axis=1))
+        found.append((going[out], way[going[out]] + hits.range_m[out], hits.normals(out), hits.cosine[out]))
+        glass[out] = False
+        on = indexes(glass)
+        if not len(on):
+            break
+        row = going[on]
+        within[row, face] = np.where(hits.inner[on], -1, body[on])
+        way[row] += hits.range_m[on] + BEHIND_M
+        going = row
+    rows, ways, normals, cosines = (np.concatenate(column) for column in zip(*found, strict=True))
+    order = np.argsort(rows)
+    return rows[order], ways[order], normals[order], cosines[order]
 
 
 def _part(column: Any, index: Ints) -> Any:

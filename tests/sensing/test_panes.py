@@ -53,6 +53,26 @@ def test_a_closed_box_is_one_pane(tmp_path: Path, case: dict[str, Any], physics:
     assert share == pytest.approx(case["expected"]["two_way"] * slant, rel=0.01)
 
 
+@pytest.mark.parametrize("rule", ["axis", "spiral"])
+@pytest.mark.parametrize(
+    ("bodies", "glass_m"),
+    [([(6.0, 0.01), (6.005, 0.01)], 0.015), ([(6.0, 0.1), (6.0, 0.02)], 0.1),
+     ([(6.0, 0.1), (6.0, 0.08), (6.0, 0.02)], 0.1)],
+    ids=["overlapping", "one in the other", "three"],
+)  # fmt: skip
+def test_bodies_of_glass_that_lie_one_in_the_other_are_one_pane(
+    tmp_path: Path, rule: str, bodies: list[tuple[float, float]], glass_m: float
+) -> None:
+    """All light behind them was lost: their faces were more than a ray is continued at."""
+    physics = {**AXIS, "rule": rule}
+    alone = build(tmp_path, [plate(20.0, "white")], weather=CLEAR, physics=physics)
+    world = [*(_box(*one) for one in bodies), plate(20.0, "white")]
+    behind = build(tmp_path, world, weather=CLEAR, physics=physics, materials=_glass(1.0))
+    range_m, light = _behind(behind, 19.5)
+    assert light / _behind(alone, 19.5)[1] == pytest.approx(0.852 * (20.0 / (20.0 + 0.5 * glass_m)) ** 2, abs=0.002)
+    assert range_m == pytest.approx(_behind(alone, 19.5)[0] + 0.5 * glass_m, abs=1e-3)
+
+
 @pytest.mark.parametrize("sheet", [True, False])
 def test_the_way_in_the_glass_is_longer_at_a_slant(tmp_path: Path, sheet: bool) -> None:
     """Index 1.5, 0.8 straight through, 60 degrees: 0.412 there and back; 0.456 if the slant were left out."""
