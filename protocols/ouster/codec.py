@@ -138,14 +138,11 @@ class Head:
         counts = (self.shutdown_s, self.limiting_s, self.shutdown, self.limiting) if self.firmware >= (3, 0) else ()
         return (first + bytes(counts)).ljust(END, b"\0")
 
-    def footer(self, before: bytes) -> bytes:
-        """32 bytes; of firmware from 3.1 on with the checksum of all before its last 8."""
+    def check(self, before: bytes | memoryview) -> bytes:
+        """The last 8 bytes of a footer; of firmware from 3.1 on the checksum of all `before` them."""
         if self.fusa or self.firmware < (2, 3):
-            return bytes(END)
-        if self.firmware < (3, 1):
-            return bytes(END - 8) + PLACEHOLDER
-        rest = bytes(END - 8)
-        return rest + crc64_xz(before + rest).to_bytes(8, "little")
+            return bytes(8)
+        return PLACEHOLDER if self.firmware < (3, 1) else crc64_xz(before).to_bytes(8, "little")
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,22 +176,23 @@ def encode(profile: Profile, head: Head, frames: Words, columns: Columns, turn: 
     cells["stamp"], cells["number"] = columns.stamp_ns.reshape(shape), columns.number.reshape(shape)
     pixels, grid = cells["pixels"], (len(frames), COLUMNS, rows)
     names = pixels.dtype.names or ()
-    seen = columns.valid[:, None]
     ranges = np.rint(columns.range_mm / profile.unit_mm).astype(np.int64) if profile.unit_mm > 1 else columns.range_mm
-    flags = np.broadcast_to(columns.flags, columns.range_mm.shape)
-    mark = 28 if profile.legacy else profile.range_bits
+    if columns.flags.any():
+        flags = np.broadcast_to(columns.flags, columns.range_mm.shape)
+        ranges = ranges | (flags if profile.unit_mm == 1 else flags & 1) << (28 if profile.legacy else profile.range_bits)
     for one in range(profile.returns):
-        word = ranges[one] | flags[one] << mark if profile.unit_mm == 1 else ranges[one] | (flags[one] & 1) << mark
-        pixels[f"range{one}"] = np.where(seen, word, 0).reshape(grid)  # before what shares its bytes
-        pixels[f"reflectivity{one}"] = np.where(seen, columns.reflectivity[one], 0).reshape(grid)
+        pixels[f"range{one}"] = ranges[one].reshape(grid)  # before what shares its bytes
+        pixels[f"reflectivity{one}"] = columns.reflectivity[one].reshape(grid)
         if f"signal{one}" in names:
-            pixels[f"signal{one}"] = np.where(seen, columns.signal[one], 0).reshape(grid)
+            pixels[f"signal{one}"] = columns.signal[one].reshape(grid)
     if "near_ir8" in names:
-        pixels["near_ir8"] = np.where(seen, np.minimum(columns.near_ir // 16, 255), 0).reshape(grid)
+        pixels["near_ir8"] = np.minimum(columns.near_ir // 16, 255).reshape(grid)
     else:
-        pixels["near_ir"] = np.where(seen, columns.near_ir, 0).reshape(grid)
+        pixels["near_ir"] = columns.near_ir.reshape(grid)
     if columns.window and "window" in names:
-        pixels["window"] = np.where(seen, columns.window, 0).reshape(grid)
+        pixels["window"] = columns.window
+    if not columns.valid.all():
+        pixels[~columns.valid.reshape(shape)] = np.zeros((), pixels.dtype)
     if profile.legacy:
         cells["status"] = np.where(columns.valid, 0xFFFFFFFF, 0).reshape(shape)
         cells["frame"] = frames[:, None] & 0xFFFF
@@ -202,9 +200,10 @@ def encode(profile: Profile, head: Head, frames: Words, columns: Columns, turn: 
         return [one.tobytes() for one in packets]
     cells["status"] = columns.valid.reshape(shape)
     made = []
-    for packet, frame in zip(packets, frames.tolist(), strict=True):
-        before = head.header(LIDAR, frame) + packet.tobytes()[END:-END]
-        made.append(before + head.footer(before))
+    for packet, frame in zip(packets.view(np.uint8).reshape(len(frames), -1), frames.tolist(), strict=True):
+        packet[:END] = np.frombuffer(head.header(LIDAR, frame), np.uint8)
+        packet[-8:] = np.frombuffer(head.check(packet[:-8].data), np.uint8)
+        made.append(packet.tobytes())
     return made
 
 
@@ -299,5 +298,5 @@ IMU_FIRST, SENTENCE_BYTES = 132, 85
 def encode_imu(head: Head, frame: int, nmea_ns: int, sentence: bytes, records: NDArray[np.void]) -> bytes:
     """A packet of ACCEL32_GYRO32_NMEA."""
     middle = struct.pack("<Q", nmea_ns) + sentence[:SENTENCE_BYTES].ljust(IMU_FIRST - END - 8, b"\0")
-    before = head.header(IMU, frame) + middle + records.tobytes()
-    return before + head.footer(before)
+    before = head.header(IMU, frame) + middle + records.tobytes() + bytes(END - 8)
+    return before + head.check(before)
