@@ -179,7 +179,8 @@ def encode(profile: Profile, head: Head, frames: Words, columns: Columns, turn: 
     ranges = np.rint(columns.range_mm / profile.unit_mm).astype(np.int64) if profile.unit_mm > 1 else columns.range_mm
     if columns.flags.any():
         flags = np.broadcast_to(columns.flags, columns.range_mm.shape)
-        ranges = ranges | (flags if profile.unit_mm == 1 else flags & 1) << (28 if profile.legacy else profile.range_bits)
+        mark = 28 if profile.legacy else profile.range_bits
+        ranges = ranges | (flags if profile.unit_mm == 1 else flags & 1) << mark
     for one in range(profile.returns):
         pixels[f"range{one}"] = ranges[one].reshape(grid)  # before what shares its bytes
         pixels[f"reflectivity{one}"] = columns.reflectivity[one].reshape(grid)
@@ -249,23 +250,30 @@ def returns(scan: Scan, count: int, order: str, near_m: float) -> tuple[Floats, 
 
     Of more echoes than `count` the strongest; of one return that which `order` puts first. Nearer than `near_m`: none.
     """
-    range_m, strength = scan.range_m, scan.intensity
-    if near_m > 0.0:
-        gone = ~(range_m >= near_m)
-        range_m, strength = np.where(gone, np.nan, range_m), np.where(gone, np.nan, strength)
-    keys = {"NEAREST_TO_FARTHEST": range_m, "FARTHEST_TO_NEAREST": -range_m}
-    if range_m.shape[1] > 1:
-        if order not in keys or range_m.shape[1] > count > 1:
-            range_m, strength = _sorted(-strength, range_m, strength)
-        if count > 1:
-            range_m, strength = range_m[:, :count], strength[:, :count]
-        if order in keys:
-            key = range_m if order == "NEAREST_TO_FARTHEST" else -range_m
-            range_m, strength = _sorted(key, range_m, strength)
+    gone = ~(scan.range_m >= near_m)
+    some = ~gone.all(axis=0)
+    range_m, strength = (np.where(gone, np.nan, one)[:, some] for one in (scan.range_m, scan.intensity))
     found = np.full((2, count, len(range_m)), np.nan)
-    some = min(count, range_m.shape[1])
-    found[0, :some], found[1, :some] = range_m.T[:some], strength.T[:some]
+    if not some.any():
+        return found[0], found[1]
+    found[0, 0], found[1, 0] = range_m[:, 0], strength[:, 0]
+    several = np.flatnonzero(~gone[:, some][:, 1:].all(axis=1))  # the others have at most the echo in front
+    range_m, strength = _chosen(range_m[several], strength[several], count, order)
+    found[0][: range_m.shape[1], several], found[1][: range_m.shape[1], several] = range_m.T, strength.T
     return found[0], found[1]
+
+
+def _chosen(range_m: Floats, strength: Floats, count: int, order: str) -> tuple[Floats, Floats]:
+    """(m, at most `count`) of beams with several echoes."""
+    ordered = order in ("NEAREST_TO_FARTHEST", "FARTHEST_TO_NEAREST")
+    if not ordered or range_m.shape[1] > count > 1:
+        range_m, strength = _sorted(-strength, range_m, strength)
+    if count > 1:
+        range_m, strength = range_m[:, :count], strength[:, :count]
+    if ordered:
+        key = range_m if order == "NEAREST_TO_FARTHEST" else -range_m
+        range_m, strength = _sorted(key, range_m, strength)
+    return range_m[:, :count], strength[:, :count]
 
 
 def _sorted(key: Floats, *values: Floats) -> tuple[Floats, Floats]:
@@ -276,7 +284,7 @@ def _sorted(key: Floats, *values: Floats) -> tuple[Floats, Floats]:
 
 def distances(range_m: Floats, offset_m: float, profile: Profile) -> Words:
     """Ranges from the lidar's axis along the beam; what the wire cannot say is no return. [mm]"""
-    words = np.rint(np.nan_to_num((range_m + offset_m) * (1000.0 / profile.unit_mm), nan=0.0)) * profile.unit_mm
+    words = np.rint((range_m + offset_m) * (1000.0 / profile.unit_mm)) * profile.unit_mm
     return np.where((words > 0.0) & (words <= profile.longest_mm), words, 0.0).astype(np.int64)
 
 
@@ -285,9 +293,11 @@ def reflectivities(range_m: Floats, intensity: Floats, white_m2: float) -> Words
 
     intensity over the threshold; its decrease with the distance is removed, that with air and incidence is not.
     """
-    over_white = np.nan_to_num(intensity * range_m * range_m / white_m2, nan=0.0)
-    bright = 100.0 + 155.0 * np.log(np.maximum(over_white, 1.0)) / np.log(RETRO)
-    return np.rint(np.where(over_white <= 1.0, 100.0 * over_white, np.clip(bright, 101.0, 255.0))).astype(np.int64)
+    over_white = intensity * range_m * range_m / white_m2
+    bright = 100.0 * over_white
+    beyond = np.nonzero(over_white > 1.0)
+    bright[beyond] = np.clip(100.0 + 155.0 * np.log(over_white[beyond]) / np.log(RETRO), 101.0, 255.0)
+    return np.where(np.isnan(bright), 0.0, np.rint(bright)).astype(np.int64)
 
 
 IMU_LEGACY = struct.Struct("<QQQ6f")

@@ -23,7 +23,7 @@ from protocols.ouster.models import Unit
 from protocols.ouster.settings import Build
 from protocols.scan import Floats, Scan
 from protocols.session import Address, DropReason, Emission, LinkKind
-from protocols.skeleton.instants import SECOND_NS, Raster, earliest
+from protocols.skeleton.instants import SECOND_NS, Raster, earliest, rounded
 from protocols.skeleton.nmea import gprmc
 from protocols.skeleton.requests import RequestSession
 from protocols.skeleton.sweeps import Sweep, Telegram
@@ -395,7 +395,7 @@ class OusterDevice(RequestSession):
         piece, start_ns = self._slice(scan.plan.sweep), scan.plan.start_ns
         packets, profile = self._packets, self.profile
         lost = self._lost(piece)
-        first = [start_ns + round(self._slowed * self._column_ns * at) for at in range(packets * codec.COLUMNS)]
+        first = [start_ns + at for at in rounded(self._slowed * self._column_ns, packets * codec.COLUMNS)]
         columns = self._columns(scan, piece, np.array([self.stamp(at) for at in first]), lost)
         frames = np.full(packets, piece.frame % (1 << 32 if self.fusa else 1 << 16))
         made = codec.encode(profile, self.head(start_ns), frames, columns, self.mode[0])
@@ -423,7 +423,8 @@ class OusterDevice(RequestSession):
         order = used.get("return_order", "STRONGEST_TO_WEAKEST")
         range_m, strength = codec.returns(scan, profile.returns, order, near_m)
         bright = codec.reflectivities(range_m, strength / scan.plan.gain, self.unit.model.white_m2)
-        photons = np.rint(np.nan_to_num(strength * PHOTONS, nan=0.0 if profile.legacy else NOISE_PHOTONS))
+        dark = 0.0 if profile.legacy else NOISE_PHOTONS
+        photons = np.where(np.isnan(strength), dark, np.rint(strength * PHOTONS))
         ambient = np.zeros(len(scan.range_m)) if scan.ambient_w is None else scan.ambient_w
         near_ir = np.rint(ambient * 1e-9 * float(self._column_ns) * AMBIENT_PHOTONS / PHOTON_J)
         words = (
@@ -434,8 +435,10 @@ class OusterDevice(RequestSession):
         )
         grids = []
         for one in words:
-            grid = np.zeros((len(one), len(piece.number), rows), np.int64)
-            grid[:, piece.valid] = one.reshape(len(one), -1, rows)
+            grid = one.reshape(len(one), -1, rows)
+            if grid.shape[1] < len(piece.number):
+                grid = np.zeros((len(one), len(piece.number), rows), np.int64)
+                grid[:, piece.valid] = one.reshape(len(one), -1, rows)
             grids.append(grid)
         return codec.Columns(piece.number, stamps, piece.valid & ~lost, grids[0], grids[1], grids[2], grids[3][0])
 
