@@ -250,16 +250,21 @@ def returns(scan: Scan, count: int, order: str, near_m: float) -> tuple[Floats, 
 
     Of more echoes than `count` the strongest; of one return that which `order` puts first. Nearer than `near_m`: none.
     """
-    gone = ~(scan.range_m >= near_m)
-    some = ~gone.all(axis=0)
-    range_m, strength = (np.where(gone, np.nan, one)[:, some] for one in (scan.range_m, scan.intensity))
-    found = np.full((2, count, len(range_m)), np.nan)
-    if not some.any():
+    there = np.ascontiguousarray(
+        scan.range_m.T >= near_m
+    )  # (echoes, n): sums over rows of four cost more than all else
+    some = np.flatnonzero(there.any(axis=1))
+    found = np.full((2, count, len(scan.range_m)), np.nan)
+    if not len(some):
         return found[0], found[1]
-    found[0, 0], found[1, 0] = range_m[:, 0], strength[:, 0]
-    several = np.flatnonzero(~gone[:, some][:, 1:].all(axis=1))  # the others have at most the echo in front
-    range_m, strength = _chosen(range_m[several], strength[several], count, order)
-    found[0][: range_m.shape[1], several], found[1][: range_m.shape[1], several] = range_m.T, strength.T
+    for words, said in zip(found, (scan.range_m, scan.intensity), strict=True):
+        np.copyto(words[0], said[:, some[0]], where=there[some[0]])
+    several = np.flatnonzero(there[some[1:]].any(axis=0))  # the others have at most the echo in front
+    if len(several):
+        at = several[:, None], some
+        parts = (np.where(there.T[at], one[at], np.nan) for one in (scan.range_m, scan.intensity))
+        range_m, strength = _chosen(*parts, count, order)
+        found[0][: range_m.shape[1], several], found[1][: range_m.shape[1], several] = range_m.T, strength.T
     return found[0], found[1]
 
 

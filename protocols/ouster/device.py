@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from ipaddress import ip_address
 from typing import Any
@@ -404,10 +404,8 @@ class OusterDevice(RequestSession):
             after_ns = round((at + 1) * packet_ns) + self.build.latency_ns
             yield Telegram(after_ns, made[at], "lidar", self.reported(first[at * codec.COLUMNS]))
 
-    def _emissions(self, plan: Any, telegrams: Any, to: Address | None) -> Iterator[Emission]:
-        place = None if to is None or to in self._listeners else self._place(to, True)
-        for one in super()._emissions(plan, telegrams, to):
-            yield one if place is None else replace(one, place=place)
+    def _goes_to(self, to: Address | None) -> tuple[str, int] | None:
+        return None if to is None or to in self._listeners else self._place(to, True)
 
     def _lost(self, piece: Slice) -> codec.Bools:
         """(C,) columns that a fault loses: of each frame others."""
@@ -422,25 +420,39 @@ class OusterDevice(RequestSession):
         near_m = 0.01 * used.get("min_range_threshold_cm", 50)
         order = used.get("return_order", "STRONGEST_TO_WEAKEST")
         range_m, strength = codec.returns(scan, profile.returns, order, near_m)
-        bright = codec.reflectivities(range_m, strength / scan.plan.gain, self.unit.model.white_m2)
-        dark = 0.0 if profile.legacy else NOISE_PHOTONS
-        photons = np.where(np.isnan(strength), dark, np.rint(strength * PHOTONS))
-        ambient = np.zeros(len(scan.range_m)) if scan.ambient_w is None else scan.ambient_w
-        near_ir = np.rint(ambient * 1e-9 * float(self._column_ns) * AMBIENT_PHOTONS / PHOTON_J)
-        words = (
-            codec.distances(range_m, self.unit.origin_m, profile),
-            bright,
-            np.minimum(photons, 0xFFFF).astype(np.int64),
-            np.minimum(near_ir, 0xFFFF).astype(np.int64)[None],
+        hit = np.flatnonzero(~np.isnan(range_m))
+        range_m, strength, size = range_m.ravel()[hit], strength.ravel()[hit], range_m.shape
+        dark = 0 if profile.legacy else NOISE_PHOTONS
+        photons = np.where(np.isnan(strength), dark, np.minimum(np.rint(strength * PHOTONS), 0xFFFF))
+
+        def grid(values: Any, without: int = 0) -> codec.Words:
+            """(E, C, H) of what has returned."""
+            every = np.full(size, without, np.int64)
+            every.reshape(-1)[hit] = values
+            return self._placed(every, piece)
+
+        near_ir = np.zeros((len(piece.number), rows), np.int64)
+        if scan.ambient_w is not None:
+            counted = np.rint(scan.ambient_w * 1e-9 * float(self._column_ns) * AMBIENT_PHOTONS / PHOTON_J)
+            near_ir = self._placed(np.minimum(counted, 0xFFFF).astype(np.int64)[None], piece)[0]
+        return codec.Columns(
+            piece.number,
+            stamps,
+            piece.valid & ~lost,
+            grid(codec.distances(range_m, self.unit.origin_m, profile)),
+            grid(codec.reflectivities(range_m, strength / scan.plan.gain, self.unit.model.white_m2)),
+            grid(photons, dark),
+            near_ir,
         )
-        grids = []
-        for one in words:
-            grid = one.reshape(len(one), -1, rows)
-            if grid.shape[1] < len(piece.number):
-                grid = np.zeros((len(one), len(piece.number), rows), np.int64)
-                grid[:, piece.valid] = one.reshape(len(one), -1, rows)
-            grids.append(grid)
-        return codec.Columns(piece.number, stamps, piece.valid & ~lost, grids[0], grids[1], grids[2], grids[3][0])
+
+    def _placed(self, words: codec.Words, piece: Slice) -> codec.Words:
+        """(E, C, H) of the columns in the window; the others 0."""
+        words = words.reshape(len(words), -1, self.unit.rows)
+        if words.shape[1] == len(piece.number):
+            return words
+        grid = np.zeros((len(words), len(piece.number), self.unit.rows), np.int64)
+        grid[:, piece.valid] = words
+        return grid
 
     # phase lock
 
