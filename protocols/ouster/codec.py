@@ -250,9 +250,7 @@ def returns(scan: Scan, count: int, order: str, near_m: float) -> tuple[Floats, 
 
     Of more echoes than `count` the strongest; of one return that which `order` puts first. Nearer than `near_m`: none.
     """
-    there = np.ascontiguousarray(
-        scan.range_m.T >= near_m
-    )  # (echoes, n): sums over rows of four cost more than all else
+    there = np.ascontiguousarray(scan.range_m.T >= near_m)  # (echoes, n): sums over rows of four are slow
     some = np.flatnonzero(there.any(axis=1))
     found = np.full((2, count, len(scan.range_m)), np.nan)
     if not len(some):

@@ -4,8 +4,8 @@
 
 Measuring: scenario `velodyne_street`, everything moving, clear, in fog and rain with sun, and clear with one ray a
 beam. Processor time of this process, the best of five runs of each slice: it bears a machine with other work on it.
-Arrays alone are measured in clear air. The cast is that of `Caster`, of rays along the axes: not Embree's own. The receiver is
-what is left of the whole without what comes back (`Measure.view`).
+Arrays alone are measured in clear air. The cast is that of `Caster`, of rays along the axes: not Embree's own. The
+receiver is what is left of the whole without what comes back (`Measure.view`).
 
 Packets: of what one ray a beam has measured, by profile or return mode. Encoding is all that a session does between a
 scan and its emissions: choosing returns, units, packing, checks, instants; the best slice. Sending is that of the UDP
