@@ -8,8 +8,8 @@ Arrays alone are measured in clear air. The cast is that of `Caster`, of rays al
 receiver is what is left of the whole without what comes back (`Measure.view`).
 
 Packets: of what one ray a beam has measured, by profile or return mode. Encoding is all that a session does between a
-scan and its emissions: choosing returns, units, packing, checks, instants; the best slice. Sending is that of the UDP
-link, to a socket of this machine.
+scan and its emissions: choosing returns, units, instants, and packing: bytes and checks; the best slice. Sending is
+that of the UDP link, to a socket of this machine.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import socket
 import sys
 import time
 from collections.abc import Iterator, Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -116,6 +117,16 @@ def plans_of(model: str, count: int) -> list[ScanPlan]:
 def packets(model: str) -> None:
     """Print what a packet costs, by profile."""
     measure = assembly.build_measures(street(model, ONE_RAY))["roof"]
+    codec, packing = import_module(f"protocols.{model.partition('-')[0]}.codec"), [0.0]
+    encode = codec.encode
+
+    def timed(*given: Any) -> Any:
+        begin = time.process_time()
+        made = encode(*given)
+        packing[0] = time.process_time() - begin
+        return made
+
+    codec.encode = timed
     for name, device in forms(model):
         session, took = powered(model, device), []
         for _ in range(OFTEN):
@@ -126,13 +137,16 @@ def packets(model: str) -> None:
             spent = time.process_time() - begin
             session.advance(plan.start_ns)
             made = [one.payload for one in session.take_emissions(session.next_plan().start_ns) if one.label in DATA]
-            took.append((spent / max(1, len(made)), len(made), len(made[-1]) if made else 0))
-        best_s, count, size = min(one for one in took if one[1])
+            if made:
+                took.append((spent / len(made), packing[0] / len(made), len(made), len(made[-1])))
+        best_s, _, count, size = min(took)
+        packed_s = min(one[1] for one in took)
         print(
-            f"{model}; {name}; {size} bytes; {count} packets; encode {1e6 * best_s:.0f} us;"
-            f" send {1e6 * sending_s(bytes(size)):.0f} us",
+            f"{model}; {name}; {size} bytes; {count} packets; encode {1e6 * best_s:.0f} us,"
+            f" of it packing {1e6 * packed_s:.0f} us; send {1e6 * sending_s(bytes(size)):.0f} us",
             flush=True,
         )
+    codec.encode = encode
 
 
 def sending_s(payload: bytes) -> float:
