@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-calculate_crc64: Callable[[bytes], int] | None
+calculate_crc64: Callable[..., int] | None
 try:  # an environment from before this dependency
     from fastcrc.crc64 import xz as calculate_crc64
 except ImportError:  # pragma: no cover

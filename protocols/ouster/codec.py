@@ -260,8 +260,8 @@ def returns(scan: Scan, count: int, order: str, near_m: float) -> tuple[Floats, 
     several = np.flatnonzero(there[some[1:]].any(axis=0))  # the others have at most the echo in front
     if len(several):
         at = several[:, None], some
-        parts = (np.where(there.T[at], one[at], np.nan) for one in (scan.range_m, scan.intensity))
-        range_m, strength = _chosen(*parts, count, order)
+        range_m, strength = (np.where(there.T[at], one[at], np.nan) for one in (scan.range_m, scan.intensity))
+        range_m, strength = _chosen(range_m, strength, count, order)
         found[0][: range_m.shape[1], several], found[1][: range_m.shape[1], several] = range_m.T, strength.T
     return found[0], found[1]
 
