@@ -36,7 +36,7 @@ def test_a_short_soak_of_the_desk_scanners_holds(tmp_path: Path, capsys: pytest.
 
 def test_a_short_soak_of_lidars_of_many_layers_loses_nothing(tmp_path: Path) -> None:
     """Too short to judge memory, which settles for a minute."""
-    main(["study", "soak", "--street", "--hours", "0.005", "--seed", "2", "--out", str(tmp_path)])
+    main(["study", "soak", "--street", "--hours", "0.005", "--seed", "1", "--out", str(tmp_path)])
     reported = json.loads((tmp_path / "soak.json").read_text())
     assert [text for text in reported["faults"] if not text.startswith("memory: ")] == []
     assert set(reported["sensors"]) == {"velo", "oust", "hesa"}
