@@ -65,8 +65,8 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     },
     "ouster": {
         "codec": "codec framing",
-        "commands": "api metadata alerts",
-        "session": "device clocks imu",
+        "commands": "api reports metadata alerts",
+        "session": "device slices clocks imu",
         "settings": "settings models tables config",
         "other": "__init__",
     },

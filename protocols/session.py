@@ -27,8 +27,7 @@ class Address(NamedTuple):
     link: int
     "Index into the sensor's list of links."
     peer: int
-    """Number of the connection on a stream, remote port of a datagram (from 65536 on: IPv4 address times 65536 plus
-    port, the destination that a host has set), identifier of a CAN frame (bit 31: extended)."""
+    "Number of the connection on a stream, remote port of a datagram, identifier of a CAN frame (bit 31: extended)."
 
 
 class LinkKind(Enum):

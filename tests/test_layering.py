@@ -35,6 +35,7 @@ ONLY_IN = {
     "can": {"emulator/transports/can_bus.py", "emulator/recording/can_logs.py", "emulator/hosts/can_lines.py"},
     "mcap": {"emulator/recording/", "emulator/live/files.py"},
     "cantools": {"protocols/can_objects/"},
+    "fastcrc": {"protocols/checksums.py"},
     "viser": {"emulator/view/"},
     "websockets": {"emulator/view/"},
     "numba": {"emulator/compiled/"},
@@ -43,7 +44,7 @@ ONLY_IN = {
 "Library -> the only files (or folders, ending in /) that import it."
 
 STANDARD_OR = {
-    "protocols/": {"numpy", "protocols", "cantools", "e2e"},
+    "protocols/": {"numpy", "protocols", "cantools", "e2e", "fastcrc"},
     "emulator/physics/": {"numpy", "scipy", "emulator", "ruamel"},
     "emulator/compiled/": {"numpy", "numba", "llvmlite", "emulator", "embreex"},
 }

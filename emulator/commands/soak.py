@@ -36,19 +36,24 @@ MOST_HOURS, MOST_REAL_S = 24.0 * 14, 86_400.0 * 7
 @click.option(
     "--desk", is_flag=True, help="The desk scanners instead, in virtual time: Hokuyo, RPLIDAR, LDROBOT, YDLIDAR."
 )
+@click.option("--street", is_flag=True, help="Velodyne, Ouster and Hesai instead, on TCP, in virtual time.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the hosts' script.")
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path), metavar="DIR", help="Write soak.json into DIR."
 )
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on standard output.")
-def soak(hours: float | None, real_s: float | None, desk: bool, seed: int, out: Path | None, as_json: bool) -> int:
+def soak(
+    hours: float | None, real_s: float | None, desk: bool, street: bool, seed: int, out: Path | None, as_json: bool
+) -> int:
     """LMS291, LD-LRS, TiM551 and an object list while hosts come, go and misbehave: no leak, no scan lost unaccounted,
     clean data for every host that behaves. In virtual time, or with --real as a daemon with real links.
     """
     if hours is not None and real_s is not None:
         raise click.UsageError("--hours is virtual time, --real is real time; want one of them")
-    if desk and real_s is not None:
-        raise click.UsageError("--desk is in virtual time; want --hours")
+    if desk and street:
+        raise click.UsageError("--desk and --street are different sensors; want one of them")
+    if (desk or street) and real_s is not None:
+        raise click.UsageError(f"--{'desk' if desk else 'street'} is in virtual time; want --hours")
     if out is not None:
         prepare(out)
     with bar("soak") as progress:
@@ -59,7 +64,9 @@ def soak(hours: float | None, real_s: float | None, desk: bool, seed: int, out: 
         else:
             from emulator.endurance.soak import run_virtual
 
-            soaked = run_virtual(24.0 if hours is None else hours, seed, progress, desk)
+            soaked = run_virtual(
+                24.0 if hours is None else hours, seed, progress, "desk" if desk else "street" if street else ""
+            )
     reported = soaked.as_json()
     if out is not None:
         (out / "soak.json").write_text(json.dumps(reported, indent=1) + "\n", encoding="utf-8")

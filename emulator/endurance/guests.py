@@ -22,6 +22,7 @@ from emulator.endurance.scene import (
     LD_RATE_HZ,
     LMS_BEAMS,
     LMS_RATE_HZ,
+    STREET,
     WALL_M,
 )
 from emulator.hosts.cola import ColaScript
@@ -75,11 +76,11 @@ class Judge:
     """Looks at every scan of one visit: its beams, its ranges, the time since the one before."""
 
     def __init__(
-        self, book: Guestbook, beams: int, period_ns: float, came_ns: int, tongue: LineTongue | None = None
+        self, book: Guestbook, beams: int, period_ns: float, came_ns: int, tongue: LineTongue | Tongue | None = None
     ) -> None:
         """`period_ns`: between two scans, to 2 % or as `tongue` has it; infinite where hosts read late."""
         self._book = book
-        self._beams = (beams,) if tongue is None else tongue.beams
+        self._beams = tongue.beams if isinstance(tongue, LineTongue) else (beams,)
         self._period_ns = period_ns
         self._slack = (0.0, 0.02) if tongue is None else tongue.slack
         self._wall_m = WALL_M if tongue is None else tongue.wall_m
@@ -290,6 +291,9 @@ class Tongue:
     "Asked by a host that goes at once."
     huge: bytes
     "The beginning of a telegram whose length field is absurd."
+    slack: tuple[float, float] = (0.0, 0.02)
+    "Shares by which beams and period may differ: a turn ends with a packet."
+    wall_m: float = WALL_M
 
 
 LD_TONGUE = Tongue(
@@ -299,6 +303,27 @@ COLA_TONGUE = Tongue(
     ColaScript, COLA_BEAMS, COLA_RATE_HZ, frame(BINARY, b"sRN DeviceIdent"), frame(ASCII, b"sEN LMDscandata 1"),
     b"\x02\x02\x02\x02\xff\xff\xff\xff",
 )  # fmt: skip
+
+
+def _street(name: str, beams: int, request: bytes, stream: bytes, huge: bytes) -> Tongue:
+    def script(line: HostEnd, judge: Judge) -> Script:
+        def turned(now_ns: int, scan: HostScan) -> None:
+            if scan.number:  # it joins in the middle of a turn
+                judge(now_ns, scan)
+
+        made: Script = found_at(BUILT_IN[STREET[name][0].partition("-")[0]].script or "")(line, turned, {})
+        return made
+
+    return Tongue(script, beams, 10.0, request, b"GET " + stream + b" HTTP/1.1\r\n\r\n", huge, (0.05, 0.3))
+
+
+_HUGE = b"POST /cgi/setting HTTP/1.1\r\nContent-Length: 4294967295\r\n\r\n"
+STREET_TONGUES = {
+    "velo": _street("velo", 1808, b"GET /cgi/status.json HTTP/1.1\r\n\r\n", b"/packets", _HUGE),
+    "oust": _street("oust", 512, b"GET /api/v1/sensor/telemetry HTTP/1.1\r\n\r\n", b"/packets",
+                    _HUGE.replace(b"cgi/setting", b"api/v1/sensor/config")),
+    "hesa": _street("hesa", 2000, b"\x47\x74\x07\0\0\0\0\0", b"/point_cloud", b"\x47\x74\x20\0\xff\xff\xff\xff"),
+}  # fmt: skip
 
 
 class StreamGuests:
@@ -321,7 +346,7 @@ class StreamGuests:
         self._rng = rng
         self._book = book
         period_ns = SECOND_NS / tongue.rate_hz if period_ns is None else period_ns
-        self._judge = Judge(book, tongue.beams, period_ns, 0)
+        self._judge = Judge(book, tongue.beams, period_ns, 0, tongue)
         self._good = tongue.script(link.connect(0), self._judge)
         book.visits["well-behaved"] += 1
         self._other: HostEnd | None = None

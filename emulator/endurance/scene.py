@@ -1,10 +1,12 @@
 """The scenarios of a soak, cheap to measure.
 
-The usual one: LMS291 at 37.5 scans per second, LD-LRS, TiM551, an object list on CAN. The other: four desk scanners.
+The usual one: LMS291 at 37.5 scans per second, LD-LRS, TiM551, an object list on CAN. The others: four desk scanners;
+three lidars of many layers on a street, whose world is a sphere: every slice of a turn may be repeated for any other.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from emulator.scenario import scenario
@@ -19,6 +21,12 @@ DESK: dict[str, tuple[str, str]] = {
     "eai": ("ydlidar-x4", "{speed_wobble: 0}"),
 }
 "Scanner -> model and its device: the four families that people have on their desks, on a line each."
+STREET: dict[str, tuple[str, str]] = {
+    "velo": ("velodyne-vlp-16", "{boot_s: 1, spin_up_s: 1}"),
+    "oust": ("ouster-os0-32", "{config: {lidar_mode: 512x10, udp_profile_lidar: RNG15_RFL8_NIR8}}"),
+    "hesa": ("hesai-xt32", "{boot_s: 1, spin_up_s: 1}"),
+}
+"Lidar -> model and its device: the families that measure turns in slices, on TCP."
 DESK_WALL_M = 4.0
 WALL_M = 8.0
 "What the middle beam of the scanners sees."
@@ -65,6 +73,13 @@ world:
   - {{plane: {{size_m: [6, 60]}}, at_m: [{wall_m}, 0, 1], pitch_deg: -90, material: white_plaster}}
 sensors:
 """
+_STREET_WORLD = """\
+schema: 1
+seed: {seed}
+world:
+  - {{sphere: {{radius_m: {wall_m}}}, at_m: [0, 0, -{wall_m}], material: white_plaster}}
+sensors:
+"""
 _DESK = """\
   - id: {name}
     model: {model}
@@ -72,6 +87,9 @@ _DESK = """\
     device: {device}
     physics: {physics}
     links: ["{link}"]
+"""
+_STREET = """\
+  - {{id: {name}, model: {model}, device: {device}, physics: {physics}, links: ["{link}"]}}
 """
 _PHYSICS = "{rule: axis, sub_beams: 1, background: false, weather_echoes: false}"
 
@@ -96,6 +114,19 @@ def desk_text(seed: int, link: str = "loop:") -> str:
     return _DESK_WORLD.format(seed=seed, wall_m=DESK_WALL_M) + "".join(sensors)
 
 
-def soak_scenario(seed: int, desk: bool = False) -> Scenario:
-    """The scenario, judged."""
-    return scenario.loads(desk_text(seed) if desk else soak_text(seed), Path("soak.yaml"))
+def street_text(seed: int, link: str = "loop:") -> str:
+    """That of the lidars of a street; their links are `link` and their names."""
+    sensors = (
+        _STREET.format(name=name, model=model, device=device, physics=_PHYSICS, link=link + name)
+        for name, (model, device) in STREET.items()
+    )
+    return _STREET_WORLD.format(seed=seed, wall_m=WALL_M) + "".join(sensors)
+
+
+TEXTS: Mapping[str, Callable[[int], str]] = {"": soak_text, "desk": desk_text, "street": street_text}
+"By the sensors that a soak is of."
+
+
+def soak_scenario(seed: int, sensors: str = "") -> Scenario:
+    """The scenario, judged. `sensors`: one of `TEXTS`."""
+    return scenario.loads(TEXTS[sensors](seed), Path("soak.yaml"))

@@ -15,9 +15,9 @@ import numpy as np
 
 from emulator.endurance.bus_guests import GuestBus
 from emulator.endurance.growth import Growth, look
-from emulator.endurance.guests import COLA_TONGUE, DESK_TONGUES, Guestbook, LineGuests, StreamGuests
+from emulator.endurance.guests import COLA_TONGUE, DESK_TONGUES, STREET_TONGUES, Guestbook, LineGuests, StreamGuests
 from emulator.endurance.repeats import repeating
-from emulator.endurance.scene import DESK, soak_scenario
+from emulator.endurance.scene import DESK, STREET, soak_scenario
 from emulator.hosts.families import is_on_can
 from emulator.instrument.instrument import Instrument
 from emulator.measuring.measuring import InPlace
@@ -82,12 +82,13 @@ class Soaked:
 class Soak:
     """The run: `advance` it, then `verdict`."""
 
-    def __init__(self, seed: int, stay_s: tuple[float, float] = (20.0, 600.0), desk: bool = False) -> None:
-        scenario = soak_scenario(seed, desk)
+    def __init__(self, seed: int, stay_s: tuple[float, float] = (20.0, 600.0), sensors: str = "") -> None:
+        """`sensors`: see `run_virtual`."""
+        scenario = soak_scenario(seed, sensors)
         names = [sensor.id for sensor in scenario.sensors]
         self.books = {name: Guestbook() for name in names}
         draws = {name: np.random.default_rng((seed, number)) for number, name in enumerate(names)}
-        self.measures = repeating(assembly.build_measures(scenario), rough=DESK)
+        self.measures = repeating(assembly.build_measures(scenario), rough={*DESK, *STREET})
         measuring = InPlace(self.measures)
         loops, buses = Loops(), CanPorts()
         self.instruments: list[Instrument] = []
@@ -103,10 +104,15 @@ class Soak:
                 loops.add(link)
             self.instruments.append(Instrument(name, session, [link], measuring))
         hosts: list[VirtualHost]
-        if desk:
+        if sensors == "desk":
             hosts = [
                 LineGuests(loops[name], draws[name], self.books[name], stay_s, tongue=tongue)
                 for name, tongue in DESK_TONGUES.items()
+            ]
+        elif sensors == "street":
+            hosts = [
+                StreamGuests(loops[name], draws[name], self.books[name], tongue=tongue)
+                for name, tongue in STREET_TONGUES.items()
             ]
         else:
             hosts = [
@@ -160,12 +166,12 @@ class Soak:
 
 
 def run_virtual(
-    hours: float, seed: int, progress: Callable[[float], None] = lambda share: None, desk: bool = False
+    hours: float, seed: int, progress: Callable[[float], None] = lambda share: None, sensors: str = ""
 ) -> Soaked:
-    """A soak of that many virtual hours; `progress` hears the share that is done. `desk`: of the desk scanners."""
+    """A soak of that many virtual hours; `progress` hears the share that is done. `sensors`: "", desk, street."""
     clock = SystemClock()
     total_s = hours * 3600.0
-    soak = Soak(seed, (20.0, min(600.0, max(30.0, total_s / 10.0))), desk)
+    soak = Soak(seed, (20.0, min(600.0, max(30.0, total_s / 10.0))), sensors)
     growth, traced = Growth(), [0, 0]
     samples = round(min(MOST_SAMPLES, max(LEAST_SAMPLES, total_s / SAMPLE_S)))
     traced_from = samples - max(4, round(samples * min(TRACED_SHARE, TRACED_MOST_S / total_s)))
@@ -189,9 +195,9 @@ def run_virtual(
     memory = growth.reported()
     # what is made again and replaces something older counts as growth until it is settled: the last half is judged
     memory["traced_kb_rise"] = round((traced[-1] - traced[2 + (len(traced) - 2) // 2]) / 1024, 1)
-    sensors, hosts = soak.accounts(), soak.reported()
-    faults = judged(sensors, hosts, memory)
-    return Soaked("virtual", total_s, clock.now_ns() * 1e-9, seed, sensors, hosts, memory, faults)
+    accounts, hosts = soak.accounts(), soak.reported()
+    faults = judged(accounts, hosts, memory)
+    return Soaked("virtual", total_s, clock.now_ns() * 1e-9, seed, accounts, hosts, memory, faults)
 
 
 def judged(sensors: dict[str, Any], hosts: dict[str, Any], memory: dict[str, Any]) -> tuple[str, ...]:

@@ -24,8 +24,6 @@ DATAGRAM_LIMIT = 65_535
 DATAGRAMS_A_CALL = 256
 DATAGRAM_COST = 64
 "Bytes of the intake that the shortest datagram takes."
-PORTS = 1 << 16
-"A peer from here on is an IPv4 address times this, and a port: the destination that a host has set."
 PEERS_KEPT = 64
 "Senders whose address is remembered for a reply; the one unheard longest is forgotten."
 
@@ -197,8 +195,6 @@ class UdpSender(Link):
         if isinstance(peer, tuple):
             return self._send_to(payload, peer, due_ns, now_ns)
         place = self._there if peer is None else self._senders.get(peer, self._there)
-        if peer is not None and peer >= PORTS:
-            place = (str(ipaddress.IPv4Address(peer // PORTS)), peer % PORTS)
         return self._send_to(payload, place, due_ns, now_ns)
 
     def _send_to(self, payload: bytes, place: Any, due_ns: int, now_ns: int) -> None:

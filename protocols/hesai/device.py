@@ -6,7 +6,6 @@ fires when, and where packets go. Not: what a request says (commands), bytes (co
 
 from __future__ import annotations
 
-import ipaddress
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -40,7 +39,6 @@ NEXT_STEP = 0.8
 "Of a step: so far the grid may be from where it would be nearest."
 MOST_KEPT = 1000
 "Slices outside of the range that are skipped at once; a turn has less."
-PORTS = 1 << 16
 DIRTY, BLOCKED = 0.9, 0.5
 "Transmission of the window below which it is reported as dirty, and as blocked; ours."
 NORMAL, WARNING, DEGRADED, UNTRUSTED = 1, 2, 4, 6
@@ -248,13 +246,15 @@ class HesaiDevice(RequestSession):
 
     @property
     def _targets(self) -> list[Address]:
-        return [self._sent_to(one, 1) for one in self._links[:1]] + self._listeners
+        return self._links[:1] + self._listeners
 
-    def _sent_to(self, link: Address, place: int) -> Address:
-        there = self.settings.destination
-        if there is None:
-            return link
-        return Address(link.link, int(ipaddress.IPv4Address(there[0])) * PORTS + int(there[place]))
+    def _place(self, settings: Settings, which: int) -> tuple[str, int] | None:
+        """Where a host has sent the point cloud (1) or GPS packets (2) to; None: where the link says."""
+        there = settings.destination
+        return None if there is None else (there[0], int(there[which]))
+
+    def _goes_to(self, to: Address | None) -> tuple[str, int] | None:
+        return None if to in self._listeners else self._place(self._used, 1)
 
     def listen(self, now_ns: int, address: Address) -> None:
         """Send the point cloud on a connection too."""
@@ -472,8 +472,8 @@ class HesaiDevice(RequestSession):
         payload = codec.encode_gps(
             shown_ns, us, self.sentence(now_ns), status, self.source.pps and self.source.locked(now_ns), wide
         )
-        to = self._sent_to(self._links[1], 2)
-        self._outbox.send(Emission(now_ns, payload, to, label="gps"))
+        place = self._place(self.settings, 2)
+        self._outbox.send(Emission(now_ns, payload, self._links[1], label="gps", place=place))
 
     def _tell_fault(self, now_ns: int) -> None:
         state, codes = self.health

@@ -138,14 +138,11 @@ class Head:
         counts = (self.shutdown_s, self.limiting_s, self.shutdown, self.limiting) if self.firmware >= (3, 0) else ()
         return (first + bytes(counts)).ljust(END, b"\0")
 
-    def footer(self, before: bytes) -> bytes:
-        """32 bytes; of firmware from 3.1 on with the checksum of all before its last 8."""
+    def check(self, before: bytes | memoryview) -> bytes:
+        """The last 8 bytes of a footer; of firmware from 3.1 on the checksum of all `before` them."""
         if self.fusa or self.firmware < (2, 3):
-            return bytes(END)
-        if self.firmware < (3, 1):
-            return bytes(END - 8) + PLACEHOLDER
-        rest = bytes(END - 8)
-        return rest + crc64_xz(before + rest).to_bytes(8, "little")
+            return bytes(8)
+        return PLACEHOLDER if self.firmware < (3, 1) else crc64_xz(before).to_bytes(8, "little")
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,22 +176,24 @@ def encode(profile: Profile, head: Head, frames: Words, columns: Columns, turn: 
     cells["stamp"], cells["number"] = columns.stamp_ns.reshape(shape), columns.number.reshape(shape)
     pixels, grid = cells["pixels"], (len(frames), COLUMNS, rows)
     names = pixels.dtype.names or ()
-    seen = columns.valid[:, None]
     ranges = np.rint(columns.range_mm / profile.unit_mm).astype(np.int64) if profile.unit_mm > 1 else columns.range_mm
-    flags = np.broadcast_to(columns.flags, columns.range_mm.shape)
-    mark = 28 if profile.legacy else profile.range_bits
+    if columns.flags.any():
+        flags = np.broadcast_to(columns.flags, columns.range_mm.shape)
+        mark = 28 if profile.legacy else profile.range_bits
+        ranges = ranges | (flags if profile.unit_mm == 1 else flags & 1) << mark
     for one in range(profile.returns):
-        word = ranges[one] | flags[one] << mark if profile.unit_mm == 1 else ranges[one] | (flags[one] & 1) << mark
-        pixels[f"range{one}"] = np.where(seen, word, 0).reshape(grid)  # before what shares its bytes
-        pixels[f"reflectivity{one}"] = np.where(seen, columns.reflectivity[one], 0).reshape(grid)
+        pixels[f"range{one}"] = ranges[one].reshape(grid)  # before what shares its bytes
+        pixels[f"reflectivity{one}"] = columns.reflectivity[one].reshape(grid)
         if f"signal{one}" in names:
-            pixels[f"signal{one}"] = np.where(seen, columns.signal[one], 0).reshape(grid)
+            pixels[f"signal{one}"] = columns.signal[one].reshape(grid)
     if "near_ir8" in names:
-        pixels["near_ir8"] = np.where(seen, np.minimum(columns.near_ir // 16, 255), 0).reshape(grid)
+        pixels["near_ir8"] = np.minimum(columns.near_ir // 16, 255).reshape(grid)
     else:
-        pixels["near_ir"] = np.where(seen, columns.near_ir, 0).reshape(grid)
+        pixels["near_ir"] = columns.near_ir.reshape(grid)
     if columns.window and "window" in names:
-        pixels["window"] = np.where(seen, columns.window, 0).reshape(grid)
+        pixels["window"] = columns.window
+    if not columns.valid.all():
+        pixels[~columns.valid.reshape(shape)] = np.zeros((), pixels.dtype)
     if profile.legacy:
         cells["status"] = np.where(columns.valid, 0xFFFFFFFF, 0).reshape(shape)
         cells["frame"] = frames[:, None] & 0xFFFF
@@ -202,9 +201,10 @@ def encode(profile: Profile, head: Head, frames: Words, columns: Columns, turn: 
         return [one.tobytes() for one in packets]
     cells["status"] = columns.valid.reshape(shape)
     made = []
-    for packet, frame in zip(packets, frames.tolist(), strict=True):
-        before = head.header(LIDAR, frame) + packet.tobytes()[END:-END]
-        made.append(before + head.footer(before))
+    for packet, frame in zip(packets.view(np.uint8).reshape(len(frames), -1), frames.tolist(), strict=True):
+        packet[:END] = np.frombuffer(head.header(LIDAR, frame), np.uint8)
+        packet[-8:] = np.frombuffer(head.check(packet[:-8].data), np.uint8)
+        made.append(packet.tobytes())
     return made
 
 
@@ -250,23 +250,33 @@ def returns(scan: Scan, count: int, order: str, near_m: float) -> tuple[Floats, 
 
     Of more echoes than `count` the strongest; of one return that which `order` puts first. Nearer than `near_m`: none.
     """
-    range_m, strength = scan.range_m, scan.intensity
-    if near_m > 0.0:
-        gone = ~(range_m >= near_m)
-        range_m, strength = np.where(gone, np.nan, range_m), np.where(gone, np.nan, strength)
-    keys = {"NEAREST_TO_FARTHEST": range_m, "FARTHEST_TO_NEAREST": -range_m}
-    if range_m.shape[1] > 1:
-        if order not in keys or range_m.shape[1] > count > 1:
-            range_m, strength = _sorted(-strength, range_m, strength)
-        if count > 1:
-            range_m, strength = range_m[:, :count], strength[:, :count]
-        if order in keys:
-            key = range_m if order == "NEAREST_TO_FARTHEST" else -range_m
-            range_m, strength = _sorted(key, range_m, strength)
-    found = np.full((2, count, len(range_m)), np.nan)
-    some = min(count, range_m.shape[1])
-    found[0, :some], found[1, :some] = range_m.T[:some], strength.T[:some]
+    there = np.ascontiguousarray(scan.range_m.T >= near_m)  # (echoes, n): sums over rows of four are slow
+    some = np.flatnonzero(there.any(axis=1))
+    found = np.full((2, count, len(scan.range_m)), np.nan)
+    if not len(some):
+        return found[0], found[1]
+    for words, said in zip(found, (scan.range_m, scan.intensity), strict=True):
+        np.copyto(words[0], said[:, some[0]], where=there[some[0]])
+    several = np.flatnonzero(there[some[1:]].any(axis=0))  # the others have at most the echo in front
+    if len(several):
+        at = several[:, None], some
+        range_m, strength = (np.where(there.T[at], one[at], np.nan) for one in (scan.range_m, scan.intensity))
+        range_m, strength = _chosen(range_m, strength, count, order)
+        found[0][: range_m.shape[1], several], found[1][: range_m.shape[1], several] = range_m.T, strength.T
     return found[0], found[1]
+
+
+def _chosen(range_m: Floats, strength: Floats, count: int, order: str) -> tuple[Floats, Floats]:
+    """(m, at most `count`) of beams with several echoes."""
+    ordered = order in ("NEAREST_TO_FARTHEST", "FARTHEST_TO_NEAREST")
+    if not ordered or range_m.shape[1] > count > 1:
+        range_m, strength = _sorted(-strength, range_m, strength)
+    if count > 1:
+        range_m, strength = range_m[:, :count], strength[:, :count]
+    if ordered:
+        key = range_m if order == "NEAREST_TO_FARTHEST" else -range_m
+        range_m, strength = _sorted(key, range_m, strength)
+    return range_m[:, :count], strength[:, :count]
 
 
 def _sorted(key: Floats, *values: Floats) -> tuple[Floats, Floats]:
@@ -277,7 +287,7 @@ def _sorted(key: Floats, *values: Floats) -> tuple[Floats, Floats]:
 
 def distances(range_m: Floats, offset_m: float, profile: Profile) -> Words:
     """Ranges from the lidar's axis along the beam; what the wire cannot say is no return. [mm]"""
-    words = np.rint(np.nan_to_num((range_m + offset_m) * (1000.0 / profile.unit_mm), nan=0.0)) * profile.unit_mm
+    words = np.rint((range_m + offset_m) * (1000.0 / profile.unit_mm)) * profile.unit_mm
     return np.where((words > 0.0) & (words <= profile.longest_mm), words, 0.0).astype(np.int64)
 
 
@@ -286,9 +296,11 @@ def reflectivities(range_m: Floats, intensity: Floats, white_m2: float) -> Words
 
     intensity over the threshold; its decrease with the distance is removed, that with air and incidence is not.
     """
-    over_white = np.nan_to_num(intensity * range_m * range_m / white_m2, nan=0.0)
-    bright = 100.0 + 155.0 * np.log(np.maximum(over_white, 1.0)) / np.log(RETRO)
-    return np.rint(np.where(over_white <= 1.0, 100.0 * over_white, np.clip(bright, 101.0, 255.0))).astype(np.int64)
+    over_white = intensity * range_m * range_m / white_m2
+    bright = 100.0 * over_white
+    beyond = np.nonzero(over_white > 1.0)
+    bright[beyond] = np.clip(100.0 + 155.0 * np.log(over_white[beyond]) / np.log(RETRO), 101.0, 255.0)
+    return np.where(np.isnan(bright), 0.0, np.rint(bright)).astype(np.int64)
 
 
 IMU_LEGACY = struct.Struct("<QQQ6f")
@@ -299,5 +311,5 @@ IMU_FIRST, SENTENCE_BYTES = 132, 85
 def encode_imu(head: Head, frame: int, nmea_ns: int, sentence: bytes, records: NDArray[np.void]) -> bytes:
     """A packet of ACCEL32_GYRO32_NMEA."""
     middle = struct.pack("<Q", nmea_ns) + sentence[:SENTENCE_BYTES].ljust(IMU_FIRST - END - 8, b"\0")
-    before = head.header(IMU, frame) + middle + records.tobytes()
-    return before + head.footer(before)
+    before = head.header(IMU, frame) + middle + records.tobytes() + bytes(END - 8)
+    return before + head.check(before)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
 from fractions import Fraction
 from ipaddress import ip_address
 from typing import Any
@@ -21,29 +20,21 @@ from protocols.ouster.clocks import Sources
 from protocols.ouster.imu import Felt, G, at_rest, measured
 from protocols.ouster.models import Unit
 from protocols.ouster.settings import Build
+from protocols.ouster.slices import Slice, columns_of, lost, slice_of
 from protocols.scan import Floats, Scan
 from protocols.session import Address, DropReason, Emission, LinkKind
-from protocols.skeleton.instants import SECOND_NS, Raster, earliest
+from protocols.skeleton.instants import SECOND_NS, Raster, earliest, rounded
 from protocols.skeleton.nmea import gprmc
 from protocols.skeleton.requests import RequestSession
 from protocols.skeleton.sweeps import Sweep, Telegram
 
 SLICE_NS = 5_000_000
 "How long a slice is at least."
-MOST_ECHOES = 4
-"Of a beam, out of which the returns are chosen."
 MOST_KEPT = 1000
 "Slices outside of the azimuth window that are skipped at once."
 IMU_NS = 10_000_000
 "From packet to packet of the LEGACY profile."
 IMU_LATENCY_NS = 2_000_000
-PHOTONS = 15.0
-"Of an echo at the detection threshold; no source."
-NOISE_PHOTONS = 3
-"Where there is no return; recordings have 0 to 8."
-AMBIENT_PHOTONS = 3e-3
-"Reported of those that ambient light sends to the detector in a column: its share of time, filter and efficiency."
-PHOTON_J = 6.62607015e-34 * 299_792_458.0 / 865e-9
 RANGE_RATE = 0.465
 "Half the columns a second: a range 17.5 per cent longer, and so the light by this power of the rate."
 STANDARD_RATE = 10_240
@@ -54,18 +45,6 @@ PHASE_STEP_NS = 20_000_000
 "By which the phase lock moves a frame in a second, at most."
 PHASE_OFF_NS = 1_000_000
 "Farther off, it is not locked."
-
-
-@dataclass(frozen=True, eq=False)
-class Slice:
-    """What a slice measures."""
-
-    frame: int
-    number: codec.Words
-    "(C,) columns of the frame."
-    valid: codec.Bools
-    "(C,) inside of the azimuth window."
-    sweep: Sweep
 
 
 class OusterDevice(RequestSession):
@@ -361,26 +340,8 @@ class OusterDevice(RequestSession):
     def _make(self, number: int) -> Slice:
         columns = self._packets * codec.COLUMNS
         frame, part = divmod(number - self._begun, self._per_frame)
-        numbers = part * columns + np.arange(columns)
-        valid = config.columns_in(self.active)[numbers]
-        turn = self.active.get("lidar_frame_azimuth_offset", 0) / config.TURN_MDEG + 0.5
-        encoder = 2.0 * np.pi * (turn + 1.0 - numbers[valid] / self.mode[0])
-        azimuth, elevation, origin = self.unit.directions(encoder)
-        fires_s = 1e-9 * float(self._column_ns) * np.flatnonzero(valid)
-        sweep = Sweep(
-            azimuth,
-            elevation,
-            np.repeat(fires_s, self.unit.rows),
-            1e-9 * float(self._slice_ns),
-            max_range_m=self.profile.longest_mm / 1000.0 - self.unit.origin_m,
-            max_echoes=MOST_ECHOES,
-            gain=self._gain(self._raster.at(number)),
-            wants_intensity=True,
-            turn=frame,
-            origin_m=origin,
-            wants_ambient=True,
-        )
-        return Slice(frame, numbers, valid, sweep)
+        numbers, column_s = part * columns + np.arange(columns), 1e-9 * float(self._column_ns)
+        return slice_of(self.unit, self.active, frame, numbers, column_s, self._gain(self._raster.at(number)))
 
     def _sweep(self, number: int) -> Sweep:
         return self._slice(number).sweep
@@ -394,9 +355,11 @@ class OusterDevice(RequestSession):
     def _telegrams(self, scan: Scan) -> Iterator[Telegram]:
         piece, start_ns = self._slice(scan.plan.sweep), scan.plan.start_ns
         packets, profile = self._packets, self.profile
-        lost = self._lost(piece)
-        first = [start_ns + round(self._slowed * self._column_ns * at) for at in range(packets * codec.COLUMNS)]
-        columns = self._columns(scan, piece, np.array([self.stamp(at) for at in first]), lost)
+        used, share = self.active, self.impaired.get("lost columns", 0.0)
+        seen = piece.valid & ~lost(piece, share, self.unit.serial)
+        first = [start_ns + at for at in rounded(self._slowed * self._column_ns, packets * codec.COLUMNS)]
+        stamps = np.array([self.stamp(at) for at in first])
+        columns = columns_of(scan, piece, seen, stamps, self.unit, profile, used, 1e-9 * float(self._column_ns))
         frames = np.full(packets, piece.frame % (1 << 32 if self.fusa else 1 << 16))
         made = codec.encode(profile, self.head(start_ns), frames, columns, self.mode[0])
         packet_ns = self._column_ns * codec.COLUMNS
@@ -404,40 +367,8 @@ class OusterDevice(RequestSession):
             after_ns = round((at + 1) * packet_ns) + self.build.latency_ns
             yield Telegram(after_ns, made[at], "lidar", self.reported(first[at * codec.COLUMNS]))
 
-    def _emissions(self, plan: Any, telegrams: Any, to: Address | None) -> Iterator[Emission]:
-        place = None if to is None or to in self._listeners else self._place(to, True)
-        for one in super()._emissions(plan, telegrams, to):
-            yield one if place is None else replace(one, place=place)
-
-    def _lost(self, piece: Slice) -> codec.Bools:
-        """(C,) columns that a fault loses: of each frame others."""
-        share = self.impaired.get("lost columns", 0.0)
-        if not share:
-            return np.zeros(len(piece.number), bool)
-        spread = (piece.number * 2_654_435_761 + piece.frame * 40_503 + self.unit.serial) % (1 << 32)
-        return np.asarray((spread * 2_246_822_519 >> 7) % 10_007 < share * 10_007)
-
-    def _columns(self, scan: Scan, piece: Slice, stamps: codec.Words, lost: codec.Bools) -> codec.Columns:
-        used, profile, rows = self.active, self.profile, self.unit.rows
-        near_m = 0.01 * used.get("min_range_threshold_cm", 50)
-        order = used.get("return_order", "STRONGEST_TO_WEAKEST")
-        range_m, strength = codec.returns(scan, profile.returns, order, near_m)
-        bright = codec.reflectivities(range_m, strength / scan.plan.gain, self.unit.model.white_m2)
-        photons = np.rint(np.nan_to_num(strength * PHOTONS, nan=0.0 if profile.legacy else NOISE_PHOTONS))
-        ambient = np.zeros(len(scan.range_m)) if scan.ambient_w is None else scan.ambient_w
-        near_ir = np.rint(ambient * 1e-9 * float(self._column_ns) * AMBIENT_PHOTONS / PHOTON_J)
-        words = (
-            codec.distances(range_m, self.unit.origin_m, profile),
-            bright,
-            np.minimum(photons, 0xFFFF).astype(np.int64),
-            np.minimum(near_ir, 0xFFFF).astype(np.int64)[None],
-        )
-        grids = []
-        for one in words:
-            grid = np.zeros((len(one), len(piece.number), rows), np.int64)
-            grid[:, piece.valid] = one.reshape(len(one), -1, rows)
-            grids.append(grid)
-        return codec.Columns(piece.number, stamps, piece.valid & ~lost, grids[0], grids[1], grids[2], grids[3][0])
+    def _goes_to(self, to: Address | None) -> tuple[str, int] | None:
+        return None if to is None or to in self._listeners else self._place(to, True)
 
     # phase lock
 

@@ -74,6 +74,16 @@ class Raster:
         return Raster(self.at(number), period_ns, number)
 
 
+def rounded(period_ns: Fraction, count: int) -> list[int]:
+    """`round(at * period_ns)` of the numbers from 0 on, without a fraction for each."""
+    above, below = period_ns.numerator, period_ns.denominator
+    found = []
+    for at in range(count):
+        whole, rest = divmod(at * above, below)
+        found.append(whole + (2 * rest > below or (2 * rest == below and whole & 1)))
+    return found
+
+
 @dataclass
 class Timer:
     """A periodic action."""

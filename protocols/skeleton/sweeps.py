@@ -110,6 +110,10 @@ class SweepSession(TimedSession):
     def _start(self, now_ns: int) -> None:
         """Called at the end of the boot: first subscribers, and timers."""
 
+    def _goes_to(self, to: Address | None) -> tuple[str, int] | None:
+        """Address and port that a subscriber's datagrams are sent to; None: those of its link."""
+        return None
+
     def _passed_over(self, number: int) -> int:
         """How many sweeps from that number on the device keeps to itself; they need not be measured."""
         return 0
@@ -274,9 +278,10 @@ class SweepSession(TimedSession):
         """The first one carries the sweep, the others (`scans` 0) are further parts."""
         sweep: int | None = plan.sweep
         slowed = 1 if self._slowed == 1 else self._slowed  # a product of fractions for each packet takes long
+        place = self._goes_to(to)
         for after_ns, payload, label, reported, link in telegrams:
             due_ns, where = plan.start_ns + round(after_ns * slowed), to if link is None else Address(link, 0)
-            yield Emission(due_ns, payload, where, sweep, None, label, reported, int(sweep is not None))
+            yield Emission(due_ns, payload, where, sweep, None, label, reported, int(sweep is not None), place=place)
             sweep = None
 
     def missed(self, plan: ScanPlan, now_ns: int) -> bool:

@@ -1,18 +1,26 @@
-"""What a slice of each Velodyne costs to measure: processor time a beam, and beside it the cast of as many rays alone.
+"""What a slice of a lidar of many layers costs: to measure, processor time a beam, and to encode and send, a packet.
 
-    python tests/benchmarks/bench_layers.py [SLICES]
+    python tests/benchmarks/bench_layers.py [SLICES [MODEL ...]]
 
-Scenario `velodyne_street`, everything moving, clear, in fog and rain with sun, and clear with one ray a beam. Processor
-time of this process, the best of five runs of each slice: it bears a machine with other work on it. Arrays alone are
-measured in clear air. The cast is that of `Caster`, of rays along the axes: not Embree's own. The receiver is what is
-left of the whole without what comes back (`Measure.view`).
+Measuring: scenario `velodyne_street`, everything moving, clear, in fog and rain with sun, and clear with one ray a
+beam. Processor time of this process, the best of five runs of each slice: it bears a machine with other work on it.
+Arrays alone are measured in clear air. The cast is that of `Caster`, of rays along the axes: not Embree's own. The
+receiver is what is left of the whole without what comes back (`Measure.view`).
+
+Packets: of what one ray a beam has measured, by profile or return mode. Encoding is all that a session does between a
+scan and its emissions: choosing returns, units, instants, and packing: bytes and checks; the best slice. Sending is
+that of the UDP link, to a socket of this machine.
 """
 
 from __future__ import annotations
 
+import socket
 import sys
 import time
+from collections.abc import Iterator, Mapping
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,32 +33,136 @@ from emulator.runtime import assembly  # noqa: E402
 from emulator.scenario import scenario  # noqa: E402
 from emulator.sensing.view import View  # noqa: E402
 from emulator.sensors.spec import load_spec  # noqa: E402
+from emulator.transports.udp_sender import open_link_udp  # noqa: E402
 from emulator.world import scene  # noqa: E402
 from protocols import family  # noqa: E402
+from protocols.ouster.codec import PROFILES  # noqa: E402
 from protocols.scan import Scan, ScanPlan  # noqa: E402
 from protocols.session import Address, LinkKind  # noqa: E402
 
-MODELS = "velodyne-vlp-16", "velodyne-hdl-32e", "velodyne-vlp-32c", "velodyne-vls-128"
+MODELS: Mapping[str, str] = {
+    "velodyne-vlp-16": "{boot_s: 0.0, spin_up_s: 0.0}",
+    "velodyne-hdl-32e": "{boot_s: 0.0, spin_up_s: 0.0}",
+    "velodyne-vlp-32c": "{boot_s: 0.0, spin_up_s: 0.0}",
+    "velodyne-vls-128": "{boot_s: 0.0, spin_up_s: 0.0}",
+    "ouster-os1-128": "{boot_s: 0.0, init_s: 0.0, spin_up_s: 0.0, config: {lidar_mode: 1024x10}}",
+    "hesai-ot128": "{boot_s: 0.0, spin_up_s: 0.0}",
+}
+"Model -> its device table."
 WET = "weather: {fog: {visibility_m: 500}, rain: {rate_mm_h: 10}, sun: {azimuth_deg: 60, elevation_deg: 30}}\n"
-ONE_RAY = "    physics: {rule: axis}\n"
+CASES = CLEAR, WETTEST, ONE_RAY = "clear", "fog, rain, sun", "one ray, clear"
 STREET = ROOT / "scenarios" / "velodyne_street.yaml"
+THEIRS = "device: {boot_s: 0.2, spin_up_s: 0.5, pps: true, nmea: true}"
+DATA = ("lidar", "data")
+"Labels of packets that carry measurements."
+OFTEN = 20
+"Slices that are encoded, of each profile."
+
+
+def street(model: str, case: str) -> scenario.Scenario:
+    """The street, with a model on the roof; the case: see `CASES`."""
+    text = STREET.read_text(encoding="utf-8").replace("velodyne-vlp-16", model)
+    text = text.replace(THEIRS, "device: " + MODELS[model])
+    if case == WETTEST:
+        text += WET
+    elif case == ONE_RAY:
+        text = text.replace("    mount:", "    physics: {rule: axis}\n    mount:")
+    return scenario.loads(text, STREET, [])
+
+
+def forms(model: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Profiles or return modes, and what of the device table gives them."""
+    quick: dict[str, Any] = {"boot_s": 0.0, "spin_up_s": 0.0}
+    if model.startswith("ouster"):
+        for name in PROFILES:
+            config = {"lidar_mode": "1024x10", "udp_profile_lidar": name}
+            yield name, quick | {"init_s": 0.0, "config": config}
+    elif model.startswith("hesai"):
+        for returns in ("last", "dual"):
+            for high in (False, True):
+                yield f"{returns}{', high resolution' if high else ''}", quick | {
+                    "returns": returns, "high_resolution": high,
+                }  # fmt: skip
+    else:
+        for returns in ("strongest", "dual"):
+            yield returns, quick | {"returns": returns}
+
+
+def powered(model: str, device: dict[str, Any]) -> Any:
+    """A session that asks for slices."""
+    session = family(model.partition("-")[0]).new_session(device, load_spec(model).device)
+    session.connected(0, Address(0, 0), LinkKind.DATAGRAM)
+    session.power_on(0)
+    return session
+
+
+def planned(session: Any) -> ScanPlan:
+    """The slice that it asks for next."""
+    while (plan := session.next_plan()) is None:
+        session.advance(session.next_deadline())
+    return plan  # type: ignore[no-any-return]
 
 
 def plans_of(model: str, count: int) -> list[ScanPlan]:
     """Slices that a device asks for, one after another, and the turn that they are part of."""
-    session = family("velodyne").new_session({"boot_s": 0.0, "spin_up_s": 0.0}, load_spec(model).device)
-    session.connected(0, Address(0, 0), LinkKind.DATAGRAM)
-    session.power_on(0)
+    session = powered(model, next(forms(model))[1])
     plans: list[ScanPlan] = []
     while len(plans) < count:
-        session.advance(plans[-1].start_ns if plans else 0)
-        plan = session.next_plan()
-        assert plan is not None
-        n = len(plan)
-        nothing = np.full((n, 1), np.nan), np.ones((n, 1)), np.zeros(n, np.uint8), np.full((n, 1), -1, np.int32)
-        session.submit(Scan(plan, *nothing))
-        plans.append(plan)
+        plans.append(planned(session))
+        session.submit(Scan.empty(plans[-1]))
+        session.advance(plans[-1].start_ns)
     return plans
+
+
+def packets(model: str) -> None:
+    """Print what a packet costs, by profile."""
+    measure = assembly.build_measures(street(model, ONE_RAY))["roof"]
+    codec, packing = import_module(f"protocols.{model.partition('-')[0]}.codec"), [0.0]
+    encode = codec.encode
+
+    def timed(*given: Any) -> Any:
+        begin = time.process_time()
+        made = encode(*given)
+        packing[0] = time.process_time() - begin
+        return made
+
+    codec.encode = timed
+    for name, device in forms(model):
+        session, took = powered(model, device), []
+        for _ in range(OFTEN):
+            plan = planned(session)
+            scan = measure(plan)
+            begin = time.process_time()
+            session.submit(scan)
+            spent = time.process_time() - begin
+            session.advance(plan.start_ns)
+            made = [one.payload for one in session.take_emissions(session.next_plan().start_ns) if one.label in DATA]
+            if made:
+                took.append((spent / len(made), packing[0] / len(made), len(made), len(made[-1])))
+        best_s, _, count, size = min(took)
+        packed_s = min(one[1] for one in took)
+        print(
+            f"{model}; {name}; {size} bytes; {count} packets; encode {1e6 * best_s:.0f} us,"
+            f" of it packing {1e6 * packed_s:.0f} us; send {1e6 * sending_s(bytes(size)):.0f} us",
+            flush=True,
+        )
+    codec.encode = encode
+
+
+def sending_s(payload: bytes) -> float:
+    """Processor time of a datagram, the best of many."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host:
+        host.bind(("127.0.0.1", 0))
+        link = open_link_udp(f"udp:127.0.0.1:{host.getsockname()[1]}", serial_line=False)
+        took = []
+        for _ in range(200):
+            begin = time.process_time()
+            link.send(payload, 0)
+            link.flush(0)
+            took.append(time.process_time() - begin)
+            host.recv(65_535)
+        link.close()
+    return min(took)
 
 
 def best_s(action: object, *given: object) -> float:
@@ -69,39 +181,45 @@ def cast_again(caster: Caster, view: View) -> None:
     caster.first_hits(*(one.repeat(times, axis=0) for one in (view.rays.origin_m, view.rays.direction, view.rays.t_s)))
 
 
+def measuring(model: str, count: int) -> None:
+    """Print what a beam costs, by case."""
+    plans = plans_of(model, count)
+    period_s = 1e-9 * (plans[-1].start_ns - plans[0].start_ns) / (count - 1)
+    for case in CASES:
+        loaded = street(model, case)
+        caster = Caster(scene.build(loaded))
+        arrays = (False,) if case == CLEAR or switch.kernels() is None else ()
+        for loops in (*arrays, True) if switch.kernels() is not None else arrays:
+            with switch.switched(loops):
+                measure = assembly.build_measures(loaded)["roof"]
+                measure(plans[0])
+                whole = [best_s(measure, plan) for plan in plans]
+                seen = [best_s(measure.view, plan) for plan in plans]
+                views = [measure.view(plan) for plan in plans[::4]]
+                raw = [best_s(cast_again, caster, view) for view in views]
+            beams = len(plans[0])
+            each, cast = float(np.mean(whole)) / beams, float(np.mean(raw)) / beams
+            rays = float(np.mean([view.cast for view in views])) / beams
+            print(
+                f"{model}; {case}; {'loops' if loops else 'arrays'}; {1 / each:.3g};"
+                f" {period_s / (each * beams):.2f}; {rays:.1f}; {1e6 * each:.2f};"
+                f" {1e6 * (each - float(np.mean(seen)) / beams):.2f}; {1e6 * cast:.2f}; {each / cast:.1f}",
+                flush=True,
+            )
+
+
 def main() -> None:
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 20
+    models = sys.argv[2:] or list(MODELS)
+    print("packets: model; profile or return mode; size; packets; processor time of a packet, the best")
+    for model in models:
+        packets(model)
     print(
-        "model; case; form; beams/s measured; share of real time; rays/beam; us/beam; receiver us/beam;"
+        "beams: model; case; form; beams/s measured; share of real time; rays/beam; us/beam; receiver us/beam;"
         " raw cast us/beam; whole/raw"
     )
-    for model in MODELS:
-        plans = plans_of(model, count)
-        period_s = 1e-9 * (plans[-1].start_ns - plans[0].start_ns) / (count - 1)
-        for case in ("clear", "fog, rain, sun", "one ray, clear"):
-            text = STREET.read_text(encoding="utf-8").replace("velodyne-vlp-16", model)
-            text = text + WET if case.startswith("fog") else text
-            text = text.replace("    mount:", ONE_RAY + "    mount:") if case.startswith("one") else text
-            loaded = scenario.loads(text, STREET, [])
-            caster = Caster(scene.build(loaded))
-            arrays = (False,) if case == "clear" or switch.kernels() is None else ()
-            for loops in (*arrays, True) if switch.kernels() is not None else arrays:
-                with switch.switched(loops):
-                    measure = assembly.build_measures(loaded)["roof"]
-                    measure(plans[0])
-                    whole = [best_s(measure, plan) for plan in plans]
-                    seen = [best_s(measure.view, plan) for plan in plans]
-                    views = [measure.view(plan) for plan in plans[::4]]
-                    raw = [best_s(cast_again, caster, view) for view in views]
-                beams = len(plans[0])
-                each, cast = float(np.mean(whole)) / beams, float(np.mean(raw)) / beams
-                rays = float(np.mean([view.cast for view in views])) / beams
-                print(
-                    f"{model}; {case}; {'loops' if loops else 'arrays'}; {1 / each:.3g};"
-                    f" {period_s / (each * beams):.2f}; {rays:.1f}; {1e6 * each:.2f};"
-                    f" {1e6 * (each - float(np.mean(seen)) / beams):.2f}; {1e6 * cast:.2f}; {each / cast:.1f}",
-                    flush=True,
-                )
+    for model in models:
+        measuring(model, count)
 
 
 if __name__ == "__main__":

@@ -137,8 +137,7 @@ def test_a_device_can_be_redirected_to_another_address_and_port(host: socket.soc
         other.bind(("127.0.0.77", 0))
         other.settimeout(5.0)
         with opened(f"udp:127.0.0.1:{port_of(host)}") as link:
-            peer = (int.from_bytes(bytes((127, 0, 0, 77)), "big") << 16) + port_of(other)
-            link.send(b"there", 0, peer)
+            link.send_to(b"there", 0, ("127.0.0.77", port_of(other)))
             link.send(b"here", 0, 0)
             link.flush(0)
             assert other.recv(100) == b"there"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import json
 import struct
 from datetime import UTC, datetime
@@ -239,13 +238,14 @@ def test_a_range_leaves_out_packets_and_the_rest_of_those_at_its_edges() -> None
 
 def test_a_destination_redirects_the_point_cloud_and_gps_packets_at_once() -> None:
     rig = Rig(device={"nmea": True, "pps": True, **QUIET})
-    assert {one.address for one in clouds(rig.run(0.3))} == {DATA}
+    assert {(one.address, one.place) for one in clouds(rig.run(0.3))} == {(DATA, None)}
     rig.ok(0x20, bytes((127, 0, 0, 9)) + struct.pack(">HH", 5000, 5001))
     rig.run(0.02)
-    there = int(ipaddress.IPv4Address("127.0.0.9")) << 16
     sent = rig.run(1.3)
-    assert {one.address for one in clouds(sent)} == {(0, there + 5000)}
-    assert {one.address for one in sent if one.label == "gps"} == {(1, there + 5001)}
+    assert {(one.address, one.place) for one in clouds(sent)} == {(DATA, ("127.0.0.9", 5000))}
+    assert {(one.address, one.place) for one in sent if one.label == "gps"} == {(GPS, ("127.0.0.9", 5001))}
+    rig.session.power_on(rig.now_ns)
+    assert {one.place for one in clouds(rig.run(0.3))} == {("127.0.0.9", 5000)}
 
 
 def test_reboot_answers_then_restarts_from_one_and_a_reset_is_quicker() -> None:

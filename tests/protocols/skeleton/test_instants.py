@@ -8,7 +8,7 @@ from fractions import Fraction
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols.skeleton.instants import FAR_BEHIND, Raster, Timers, earliest, run_until
+from protocols.skeleton.instants import FAR_BEHIND, Raster, Timers, earliest, rounded, run_until
 
 RASTERS = st.builds(
     Raster,
@@ -105,3 +105,9 @@ def test_a_timer_that_nobody_called_for_long_happens_once_and_keeps_its_raster()
     timers.run(1_000_003)
     assert happened[FAR_BEHIND + 1 :] == [999_997]
     assert timers.next_ns() == 1_000_007
+
+
+@given(st.fractions(Fraction(1, 1000), Fraction(10**10), max_denominator=1 << 30), st.sampled_from((1, 2, 300)))
+def test_many_instants_are_rounded_as_one_is(period_ns: Fraction, count: int) -> None:
+    assert rounded(period_ns, count) == [round(at * period_ns) for at in range(count)]
+    assert rounded(Fraction(5, 2), 4) == [0, 2, 5, 8]

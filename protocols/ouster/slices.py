@@ -1,0 +1,127 @@
+"""Slices of a frame: what one measures, and from its scan what its columns say.
+
+Belongs here: directions and instants of a slice, photons, near-infrared, lost columns. Not: rules of a single value
+(codec), when slices begin (device).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from protocols.ouster import codec, config
+from protocols.ouster.models import Unit
+from protocols.scan import Scan
+from protocols.skeleton.sweeps import Sweep
+
+MOST_ECHOES = 4
+"Of a beam, out of which the returns are chosen."
+PHOTONS = 15.0
+"Of an echo at the detection threshold; no source."
+NOISE_PHOTONS = 3
+"Where there is no return; recordings have 0 to 8."
+AMBIENT_PHOTONS = 3e-3
+"Reported of those that ambient light sends to the detector in a column: its share of time, filter and efficiency."
+PHOTON_J = 6.62607015e-34 * 299_792_458.0 / 865e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Slice:
+    """What a slice measures."""
+
+    frame: int
+    number: codec.Words
+    "(C,) columns of the frame."
+    valid: codec.Bools
+    "(C,) inside of the azimuth window."
+    sweep: Sweep
+
+
+def slice_of(
+    unit: Unit,
+    used: Mapping[str, Any],
+    frame: int,
+    number: codec.Words,
+    column_s: float,
+    gain: float,
+) -> Slice:
+    """Columns `number` of a frame. `used`: the configuration; [s] from column to column; light over the nominal."""
+    valid = config.columns_in(used)[number]
+    turn = used.get("lidar_frame_azimuth_offset", 0) / config.TURN_MDEG + 0.5
+    encoder = 2.0 * np.pi * (turn + 1.0 - number[valid] / config.MODES[used["lidar_mode"]][0])
+    azimuth, elevation, origin = unit.directions(encoder)
+    sweep = Sweep(
+        azimuth,
+        elevation,
+        np.repeat(column_s * np.flatnonzero(valid), unit.rows),
+        column_s * len(number),
+        max_range_m=codec.PROFILES[config.profile_of(used)].longest_mm / 1000.0 - unit.origin_m,
+        max_echoes=MOST_ECHOES,
+        gain=gain,
+        wants_intensity=True,
+        turn=frame,
+        origin_m=origin,
+        wants_ambient=True,
+    )
+    return Slice(frame, number, valid, sweep)
+
+
+def lost(piece: Slice, share: float, serial: int) -> codec.Bools:
+    """(C,) columns that a fault loses, a share of them: of each frame others."""
+    if not share:
+        return np.zeros(len(piece.number), bool)
+    spread = (piece.number * 2_654_435_761 + piece.frame * 40_503 + serial) % (1 << 32)
+    return np.asarray((spread * 2_246_822_519 >> 7) % 10_007 < share * 10_007)
+
+
+def columns_of(
+    scan: Scan,
+    piece: Slice,
+    seen: codec.Bools,
+    stamps: codec.Words,
+    unit: Unit,
+    profile: codec.Profile,
+    used: Mapping[str, Any],
+    column_s: float,
+) -> codec.Columns:
+    """Columns of a slice. `seen` (C,): valid ones, `used`: the configuration; [s] from column to column."""
+    near_m = 0.01 * used.get("min_range_threshold_cm", 50)
+    order = used.get("return_order", "STRONGEST_TO_WEAKEST")
+    range_m, strength = codec.returns(scan, profile.returns, order, near_m)
+    hit = np.flatnonzero(~np.isnan(range_m))
+    range_m, strength, size = range_m.ravel()[hit], strength.ravel()[hit], range_m.shape
+    dark = 0 if profile.legacy else NOISE_PHOTONS
+    photons = np.where(np.isnan(strength), dark, np.minimum(np.rint(strength * PHOTONS), 0xFFFF))
+
+    def grid(values: Any, without: int = 0) -> codec.Words:
+        """(E, C, H) of what has returned."""
+        every = np.full(size, without, np.int64)
+        every.reshape(-1)[hit] = values
+        return _placed(every, piece, unit.rows)
+
+    near_ir = np.zeros((len(piece.number), unit.rows), np.int64)
+    if scan.ambient_w is not None:
+        counted = np.rint(scan.ambient_w * column_s * AMBIENT_PHOTONS / PHOTON_J)
+        near_ir = _placed(np.minimum(counted, 0xFFFF).astype(np.int64)[None], piece, unit.rows)[0]
+    return codec.Columns(
+        piece.number,
+        stamps,
+        seen,
+        grid(codec.distances(range_m, unit.origin_m, profile)),
+        grid(codec.reflectivities(range_m, strength / scan.plan.gain, unit.model.white_m2)),
+        grid(photons, dark),
+        near_ir,
+    )
+
+
+def _placed(words: codec.Words, piece: Slice, rows: int) -> codec.Words:
+    """(E, C, H) of the columns in the window; the others 0."""
+    words = words.reshape(len(words), -1, rows)
+    if words.shape[1] == len(piece.number):
+        return words
+    grid = np.zeros((len(words), len(piece.number), rows), np.int64)
+    grid[:, piece.valid] = words
+    return grid
