@@ -14,9 +14,9 @@ import numpy as np
 from emulator.errors import LinkError
 from emulator.hosts.describe import Described, Speaker, row_of, unknown
 from emulator.hosts.lines import Line
+from emulator.hosts.packets import PacketHost, PacketScript
 from emulator.hosts.scans import HostCloud, HostScan
-from emulator.hosts.scripted import AGAIN_NS, SILENCE_NS, Connection, HostEnd
-from emulator.process.clock import SystemClock
+from emulator.hosts.scripted import HostEnd
 from protocols.hesai.calibration import directions
 from protocols.hesai.codec import GPS_BYTES, Read, decode, size_of_packet
 from protocols.hesai.commands import COMMANDS
@@ -27,7 +27,6 @@ HEAD_BYTES = 126
 "By which a packet is known."
 START_S = 20.0
 "A device starts its motor for ten seconds before it sends."
-ANSWER_S = 1.0
 MOST_PACKETS = 8000
 "Of a turn: an OT128 in high resolution and dual mode has 3600."
 JUMP_DEG = 10.0
@@ -117,44 +116,14 @@ def _directions(read: Read, echoes: int) -> tuple[np.ndarray[Any, Any], np.ndarr
     return np.asarray(np.pi - (np.pi - azimuth) % (2.0 * np.pi)), elevation
 
 
-class HesaiHost:
+class HesaiHost(PacketHost):
     """Asks for packets on a TCP connection; raises `LinkError` when none come."""
 
     def __init__(self, line: Line, baud: int | None) -> None:
         """`baud`: of no meaning; None: the device is left as it is, which a request for packets does too."""
-        self._line, self._reader = line, TurnReader()
-        self.listens = False
-        self.found_baud: int | None = None
-        line.write(ASK)
-        clock, self._first = SystemClock(), b""
-        end_ns = clock.now_ns() + round(1e9 * START_S)
-        while not _begun(self._first) and (left_ns := end_ns - clock.now_ns()) > 0:
-            self._first += line.read(min(left_ns / 1e9, ANSWER_S))
-            if line.asks and not self._first.startswith(b"HTTP/1.1 200"):
-                break  # it answers at once, or it is none
+        super().__init__(line, TurnReader(), ASK, START_S, _begun)
         if not _begun(self._first):
             raise LinkError("no Hesai sends packets there")
-        self.title = self._reader.title
-
-    @property
-    def errors(self) -> int:
-        """Damaged packets so far."""
-        return self._reader.errors
-
-    def scans(self, timeout_s: float) -> Iterator[HostScan | None]:
-        """Turns as they arrive; None when nothing came for `timeout_s`."""
-        data = self._first
-        while True:
-            for scan in self._reader.feed(data):
-                self.title = self._reader.title
-                yield scan
-            if not data:
-                yield None
-            data = self._line.read(timeout_s)
-
-    def close(self) -> None:
-        """Hang up."""
-        self._line.close()
 
 
 def _begun(data: bytes) -> bool:
@@ -163,32 +132,9 @@ def _begun(data: bytes) -> bool:
     return len(head) >= HEAD_BYTES and size_of_packet(head) is not None
 
 
-class HesaiScript:
-    """A host in virtual time; it asks again when nothing comes."""
-
-    def __init__(self, line: HostEnd, on_scan: Callable[[int, HostScan], None]) -> None:
-        self._line, self._on_scan, self._reader = line, on_scan, TurnReader()
-        self._connection = line if isinstance(line, Connection) else None
-        self._again_ns = 0
-
-    def step(self, now_ns: int) -> int | None:
-        """Read, decode, ask; when to be called again."""
-        if data := self._line.read():
-            self._again_ns = max(self._again_ns, now_ns + SILENCE_NS)
-            for scan in self._reader.feed(data):
-                self._on_scan(now_ns, scan)
-        if now_ns >= self._again_ns:
-            if self._connection is not None:
-                self._connection.reconnect(now_ns)
-            self._reader = TurnReader()
-            self._line.write(ASK, now_ns)
-            self._again_ns = now_ns + AGAIN_NS
-        return self._again_ns
-
-
-def hesai_script(line: HostEnd, on_scan: Callable[[int, HostScan], None], device: Mapping[str, Any]) -> HesaiScript:
+def hesai_script(line: HostEnd, on_scan: Callable[[int, HostScan], None], device: Mapping[str, Any]) -> PacketScript:
     """For `lidaremu test`."""
-    return HesaiScript(line, on_scan)
+    return PacketScript(line, on_scan, TurnReader, ASK)
 
 
 def described(speaker: Speaker, data: bytes, kind: str, peer: int, sent: bool) -> list[Described]:

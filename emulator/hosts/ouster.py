@@ -16,16 +16,16 @@ import numpy as np
 from emulator.errors import LinkError
 from emulator.hosts.describe import Described, Speaker, row_of, unknown
 from emulator.hosts.lines import Line
+from emulator.hosts.packets import PacketHost, PacketScript
 from emulator.hosts.scans import HostCloud, HostScan
-from emulator.hosts.scripted import AGAIN_NS, SILENCE_NS, Connection, HostEnd
-from emulator.process.clock import SystemClock
+from emulator.hosts.scripted import HostEnd
 from protocols.ouster.codec import IMU_LEGACY, PROFILES, Columns, Profile, decode
 from protocols.ouster.models import MODELS
 from protocols.scan import Floats
 
 ASK = b"GET /packets HTTP/1.1\r\n\r\n"
 REPLY = b"HTTP/1.1 "
-START_S, ANSWER_S = 5.0, 1.0
+START_S = 5.0
 FIELD = b"X-Metadata: "
 MOST_PACKETS = 512
 "Of a frame: 4096 columns have 256."
@@ -196,80 +196,33 @@ def _cloud(known: Known, columns: Columns, head: Floats) -> HostCloud:
     )
 
 
-class OusterHost:
+class OusterHost(PacketHost):
     """Asks for packets on a TCP connection; raises `LinkError` when none come."""
+
+    asks_after_errors = True  # another configuration, perhaps
 
     def __init__(self, line: Line, baud: int | None) -> None:
         """`baud`: of no meaning; None: the device is left as it is, which a request for packets does too."""
-        self._line, self._reader = line, FrameReader()
-        self.listens = False
-        self.found_baud: int | None = None
-        line.write(ASK)
-        clock, self._first = SystemClock(), b""
-        end_ns = clock.now_ns() + round(1e9 * START_S)
-        while not self._enough(line.asks) and (left_ns := end_ns - clock.now_ns()) > 0:
-            self._first += line.read(min(left_ns / 1e9, ANSWER_S))
-            if line.asks and not self._first.startswith(REPLY):
-                break  # it answers at once, or it is none
-            if line.asks and b"\r\n\r\n" in self._first and FIELD not in self._first.partition(b"\r\n\r\n")[0]:
-                break
-        if not self._enough(line.asks):
+        super().__init__(line, FrameReader(), ASK, START_S, lambda first: _begun(first, line.asks) is not None)
+        if not _begun(self._first, line.asks):
             raise LinkError("no Ouster sends packets there")
-        self.title = self._reader.title
-
-    def _enough(self, asks: bool) -> bool:
-        if asks:
-            return self._first.startswith(b"HTTP/1.1 200") and FIELD in self._first
-        return guessed(self._first) is not None
-
-    @property
-    def errors(self) -> int:
-        """Damaged packets so far."""
-        return self._reader.errors
-
-    def scans(self, timeout_s: float) -> Iterator[HostScan | None]:
-        """Frames as they arrive; None when nothing came for `timeout_s`."""
-        data, errors = self._first, 0
-        while True:
-            for scan in self._reader.feed(data):
-                self.title = self._reader.title
-                yield scan
-            if not data:
-                yield None
-            if self._reader.errors > errors:  # another configuration, perhaps
-                errors = self._reader.errors
-                self._line.write(ASK)
-            data = self._line.read(timeout_s)
-
-    def close(self) -> None:
-        """Hang up."""
-        self._line.close()
 
 
-class OusterScript:
-    """A host in virtual time; it asks again when nothing comes, or what comes is not understood."""
+def _begun(first: bytes, asks: bool) -> bool | None:
+    """Whether packets come; None: not known yet."""
+    if not asks:
+        return True if guessed(first) is not None else None
+    head, whole, _ = first.partition(b"\r\n\r\n")
+    if first.startswith(b"HTTP/1.1 200") and FIELD in first:
+        return True
+    return False if whole and FIELD not in head else None
+
+
+class OusterScript(PacketScript):
+    """A host in virtual time."""
 
     def __init__(self, line: HostEnd, on_scan: Callable[[int, HostScan], None]) -> None:
-        self._line, self._on_scan, self._reader = line, on_scan, FrameReader()
-        self._connection = line if isinstance(line, Connection) else None
-        self._again_ns = 0
-
-    def step(self, now_ns: int) -> int | None:
-        """Read, decode, ask; when to be called again."""
-        errors = self._reader.errors
-        if data := self._line.read():
-            self._again_ns = max(self._again_ns, now_ns + SILENCE_NS)
-            for scan in self._reader.feed(data):
-                self._on_scan(now_ns, scan)
-            if self._reader.errors > errors:
-                self._line.write(ASK, now_ns)
-        if now_ns >= self._again_ns:
-            if self._connection is not None:
-                self._connection.reconnect(now_ns)
-            self._reader = FrameReader()
-            self._line.write(ASK, now_ns)
-            self._again_ns = now_ns + AGAIN_NS
-        return self._again_ns
+        super().__init__(line, on_scan, FrameReader, ASK, asks_after_errors=True)
 
 
 def ouster_script(line: HostEnd, on_scan: Callable[[int, HostScan], None], device: Mapping[str, Any]) -> OusterScript:

@@ -14,9 +14,9 @@ import numpy as np
 from emulator.errors import LinkError
 from emulator.hosts.describe import Described, Speaker, row_of, unknown
 from emulator.hosts.lines import Line
+from emulator.hosts.packets import PacketHost, PacketScript
 from emulator.hosts.scans import HostCloud, HostScan
-from emulator.hosts.scripted import AGAIN_NS, SILENCE_NS, Connection, HostEnd
-from emulator.process.clock import SystemClock
+from emulator.hosts.scripted import HostEnd
 from protocols.scan import Floats
 from protocols.velodyne import own as own_lasers
 from protocols.velodyne.codec import DATA_BYTES, PACKET, POSITION, POSITION_BYTES, TURN_CDEG, Firings, decode
@@ -28,7 +28,8 @@ ENDS = frozenset(bytes((mode, model.product)) for mode in MODES.values() for mod
 "Return mode and model, the last bytes of a packet."
 START_S = 5.0
 "A device whose motor starts sends dark packets, but sends."
-ANSWER_S = 1.0
+OUSTERS = b"\r\nX-Metadata: "
+"In the head of an Ouster's reply to the same request."
 MOST_PACKETS = 8000
 "Of a turn: 300/min of a VLS-128 in dual mode have 3752."
 
@@ -109,69 +110,23 @@ def _cloud(model: Model, said: Firings, heads: Floats, rate: float) -> HostCloud
     )
 
 
-class VelodyneHost:
+class VelodyneHost(PacketHost):
     """Asks for packets on a TCP connection; raises `LinkError` when none come."""
 
     def __init__(self, line: Line, baud: int | None) -> None:
         """`baud`: of no meaning; None: the device is left as it is, which a request for packets does too."""
-        self._line, self._reader = line, TurnReader()
-        self.listens = False
-        self.found_baud: int | None = None
-        line.write(ASK)
-        clock, self._first = SystemClock(), b""
-        end_ns = clock.now_ns() + round(1e9 * START_S)
-        while MARK not in self._first and (left_ns := end_ns - clock.now_ns()) > 0:
-            self._first += line.read(min(left_ns / 1e9, ANSWER_S))
-            if line.asks and not self._first.startswith(b"HTTP/"):
-                break  # it answers at once, or it is none
-            if b"\r\nX-Metadata: " in self._first:
-                raise LinkError("an Ouster sends packets there")
+        super().__init__(line, TurnReader(), ASK, START_S, lambda first: MARK in first or OUSTERS in first)
+        if OUSTERS in self._first:
+            raise LinkError("an Ouster sends packets there")
         if MARK not in self._first or (line.asks and not self._first.startswith(b"HTTP/1.1 200")):
             raise LinkError("no Velodyne sends packets there")
-        self.title = self._reader.title
-
-    @property
-    def errors(self) -> int:
-        """Damaged packets so far."""
-        return self._reader.errors
-
-    def scans(self, timeout_s: float) -> Iterator[HostScan | None]:
-        """Turns as they arrive; None when nothing came for `timeout_s`."""
-        data = self._first
-        while True:
-            for scan in self._reader.feed(data):
-                self.title = self._reader.title
-                yield scan
-            if not data:
-                yield None
-            data = self._line.read(timeout_s)
-
-    def close(self) -> None:
-        """Hang up."""
-        self._line.close()
 
 
-class VelodyneScript:
-    """A host in virtual time; it asks again when nothing comes."""
+class VelodyneScript(PacketScript):
+    """A host in virtual time."""
 
     def __init__(self, line: HostEnd, on_scan: Callable[[int, HostScan], None]) -> None:
-        self._line, self._on_scan, self._reader = line, on_scan, TurnReader()
-        self._connection = line if isinstance(line, Connection) else None
-        self._again_ns = 0
-
-    def step(self, now_ns: int) -> int | None:
-        """Read, decode, ask; when to be called again."""
-        if data := self._line.read():
-            self._again_ns = max(self._again_ns, now_ns + SILENCE_NS)
-            for scan in self._reader.feed(data):
-                self._on_scan(now_ns, scan)
-        if now_ns >= self._again_ns:
-            if self._connection is not None:
-                self._connection.reconnect(now_ns)
-            self._reader = TurnReader()
-            self._line.write(ASK, now_ns)
-            self._again_ns = now_ns + AGAIN_NS
-        return self._again_ns
+        super().__init__(line, on_scan, TurnReader, ASK)
 
 
 def velodyne_script(
