@@ -10,11 +10,10 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
 from protocols.device_clock import DeviceClock
-from protocols.scan import Floats
 from protocols.skeleton.instants import SECOND_NS
+from protocols.skeleton.ramping import Ramping
 
 NEAR = 1e-3
 "Share of the speed within which a rotor that holds its phase is at the speed set."
@@ -24,64 +23,13 @@ LOCK_SECONDS = 3
 "Full seconds until the clock follows its source; ours."
 FREEZE_NS = 60 * SECOND_NS
 "From the loss of PTP to free run; ours."
-KNOTS_KEPT = 64
 COLD_NS = int(datetime(2017, 1, 1, tzinfo=UTC).timestamp()) * SECOND_NS
 "Date of a clock that was never set, as in public captures."
 FREE, TRACKING, LOCKED, FROZEN = range(4)
 
 
-@dataclass(frozen=True)
-class Knot:
-    """From an instant on, a constant acceleration."""
-
-    at_ns: int
-    turns: float
-    hz: float
-    acceleration: float = 0.0
-    "[Hz/s]"
-    whole: int = 0
-    "Turns before, which `turns` leaves out."
-
-
-class Rotor:
-    """Piecewise: each piece begins at a knot, and is computed from it. Turns clockwise; backwards they are negative."""
-
-    def __init__(self, at_ns: int) -> None:
-        self._knots = [Knot(at_ns, 0.0, 0.0)]
-
-    def _at(self, at_ns: int) -> Knot:
-        return next((one for one in reversed(self._knots) if one.at_ns <= at_ns), self._knots[0])
-
-    def turns(self, at_ns: NDArray[np.int64]) -> Floats:
-        """Turns, modulo whole ones at knots; any shape, after the first knot kept."""
-        begun = np.array([one.at_ns for one in self._knots])
-        pieces = np.maximum(np.searchsorted(begun, at_ns, side="right") - 1, 0)
-        first, last = int(pieces.min()), int(pieces.max())
-        if first == last:
-            return self._on(self._knots[first], at_ns)
-        found = np.zeros(at_ns.shape)
-        for index in range(first, last + 1):
-            found[pieces == index] = self._on(self._knots[index], at_ns[pieces == index])
-        return found
-
-    @staticmethod
-    def _on(knot: Knot, at_ns: NDArray[np.int64]) -> Floats:
-        after_s = np.asarray(1e-9 * (at_ns - knot.at_ns), np.float64)
-        return knot.turns + after_s * (knot.hz + 0.5 * knot.acceleration * after_s)
-
-    def turn(self, at_ns: int) -> int:
-        """Whole turns since the start."""
-        knot = self._at(at_ns)
-        return knot.whole + int(self._on(knot, np.array(at_ns)) // 1.0)
-
-    def speed_hz(self, at_ns: int) -> float:
-        """Turns per second."""
-        knot = self._at(at_ns)
-        return knot.hz + knot.acceleration * 1e-9 * (at_ns - knot.at_ns)
-
-    def is_steady(self, at_ns: int) -> bool:
-        """Whether it does not ramp."""
-        return self._at(at_ns).acceleration == 0.0
+class Rotor(Ramping):
+    """Turns clockwise; backwards turns are negative."""
 
     def drive(self, at_ns: int, hz: float, ramp_ns: int) -> None:
         """To another speed from an instant on; what was foreseen is forgotten."""
@@ -97,11 +45,6 @@ class Rotor:
         behind = (to_turns - float(self.turns(np.array(at_ns))) - hz + 0.5) % 1.0 - 0.5
         most = LOCK_STEP * abs(hz)
         self._put(at_ns, hz + min(max(behind, -most), most), 0.0)
-
-    def _put(self, at_ns: int, hz: float, acceleration: float) -> None:
-        turns, whole = float(self.turns(np.array(at_ns))) % 1.0, self.turn(at_ns)
-        self._knots = [one for one in self._knots if one.at_ns < at_ns][-KNOTS_KEPT:]
-        self._knots.append(Knot(at_ns, turns, hz, acceleration, whole))
 
 
 @dataclass

@@ -13,6 +13,7 @@ requests    a device with a command table
 http        requests and replies of a web interface
 nmea        sentences of a satellite receiver
 rotor       angle of a rotor that turns freely, and the turns that its samples make
+ramping     angle of a head that ramps to a speed, piece by piece
 turning     a device with such a rotor: sweeps are turns with as many samples as fall into them
 family      `FAMILY` of a session, its keys and its commands
 

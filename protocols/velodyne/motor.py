@@ -9,11 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from protocols.device_clock import DeviceClock
-from protocols.scan import Floats
 from protocols.skeleton.instants import SECOND_NS
+from protocols.skeleton.ramping import Ramping
 
 SAFE_HZ = 4.5
 "Slower than that no laser fires: a little under 300 revolutions a minute."
@@ -21,66 +20,18 @@ LOCK_STEP = 0.05
 "Share of the speed by which the phase lock changes it."
 LOCK_PULSES = 3
 "Pulses until the clock follows them; ours, the maker states none."
-KNOTS_KEPT = 64
 
 
-@dataclass(frozen=True)
-class Knot:
-    """From an instant on, a constant acceleration."""
-
-    at_ns: int
-    turns: float
-    hz: float
-    acceleration: float = 0.0
-    "[Hz/s]"
-    whole: int = 0
-    "Turns before, which `turns` leaves out."
-
-
-class Motor:
-    """Piecewise: each piece begins at a knot, and is computed from it."""
+class Motor(Ramping):
+    """It ramps by one acceleration, and holds its phase."""
 
     def __init__(self, at_ns: int, hz: float, spin_up_ns: int) -> None:
         """At rest at azimuth 0; it takes `spin_up_ns` to reach `hz`."""
-        self._knots = [Knot(at_ns, 0.0, 0.0)]
+        super().__init__(at_ns)
         self._acceleration = hz / (spin_up_ns * 1e-9) if spin_up_ns else float("inf")
         self.hz = hz
         "What it is set to."
         self.set_speed(at_ns, hz)
-
-    def turns(self, at_ns: NDArray[np.int64]) -> Floats:
-        """Turns of the head since its start, modulo whole ones at knots; any shape, after the first knot kept."""
-        knots = self._knots
-        begun = np.array([one.at_ns for one in knots])
-        place = np.maximum(np.searchsorted(begun, (at_ns.min(), at_ns.max()), side="right") - 1, 0)
-        if place[0] == place[1]:  # as nearly always: one piece
-            return self._on(knots[place[0]], at_ns)
-        pieces = np.maximum(np.searchsorted(begun, at_ns, side="right") - 1, 0)
-        found = np.zeros(at_ns.shape)
-        for index in range(place[0], place[1] + 1):
-            found[pieces == index] = self._on(knots[index], at_ns[pieces == index])
-        return found
-
-    def turn(self, at_ns: int) -> int:
-        """Whole turns of the head since its start."""
-        knot = next((one for one in reversed(self._knots) if one.at_ns <= at_ns), self._knots[0])
-        return knot.whole + int(self._on(knot, np.array(at_ns)) // 1.0)
-
-    @staticmethod
-    def _on(knot: Knot, at_ns: NDArray[np.int64]) -> Floats:
-        after_s = np.asarray(1e-9 * (at_ns - knot.at_ns), np.float64)
-        if knot.acceleration == 0.0:
-            return knot.turns + knot.hz * after_s
-        return knot.turns + after_s * (knot.hz + 0.5 * knot.acceleration * after_s)
-
-    def speed_hz(self, at_ns: int) -> float:
-        """Turns per second."""
-        knot = next((one for one in reversed(self._knots) if one.at_ns <= at_ns), self._knots[0])
-        return knot.hz + knot.acceleration * 1e-9 * (at_ns - knot.at_ns)
-
-    def is_steady(self, at_ns: int) -> bool:
-        """Whether it does not ramp."""
-        return next((one for one in reversed(self._knots) if one.at_ns <= at_ns), self._knots[0]).acceleration == 0.0
 
     def set_speed(self, at_ns: int, hz: float) -> None:
         """Ramp to another speed from an instant on."""
@@ -113,11 +64,6 @@ class Motor:
                 passes_ns = one.at_ns + round(1e9 * (SAFE_HZ - one.hz) / one.acceleration)
                 return passes_ns + 1 if passes_ns >= at_ns else None
         return None
-
-    def _put(self, at_ns: int, hz: float, acceleration: float) -> None:
-        turns, whole = float(self.turns(np.array(at_ns))) % 1.0, self.turn(at_ns)
-        self._knots = [one for one in self._knots if one.at_ns < at_ns][-KNOTS_KEPT:]
-        self._knots.append(Knot(at_ns, turns, hz, acceleration, whole))
 
 
 @dataclass
