@@ -1,9 +1,9 @@
 """Real time in a fed street: age of poses at the beams and lateness, beside the same run without a feed.
 
 Run it on an idle machine: `python -m tests.benchmarks.bench_latency [SECONDS]`.
-An LMS291 at 37.5 Hz (0.5 degrees) sends to a host that reads its pseudo-terminal; all actors of the street are fed at 100 Hz
-by JSON lines over UDP, from a process of its own. Aim on two idle cores: age 10 ms at the median, no scan dropped, lateness
-as without a feed.
+An LMS291 at 37.5 Hz (0.5 degrees) sends to a host that reads its pseudo-terminal; all actors of the street are fed at
+100 Hz by JSON lines over UDP, from a process of its own. Aim on two idle cores: age 10 ms at the median, no scan
+dropped, lateness as without a feed.
 """
 
 from __future__ import annotations
