@@ -55,6 +55,19 @@ def test_what_is_never_seen_has_no_range() -> None:
     assert here.farthest_m(10.0) == 0.0
 
 
+def test_a_search_among_flakes_ends_at_even_odds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Flakes hide the target at single ranges, also in the first cell of every window that holds the edge."""
+    here, calls = ranges.seed_stage(CAR.target), [0]
+
+    def seen(range_m: np.ndarray, gain: float = 1.0) -> np.ndarray:
+        calls[0] += 1
+        assert calls[0] < 100  # it has gone on for ever
+        return (range_m < 84.0) & ((len(range_m) < 3) | (np.arange(len(range_m)) > 0))
+
+    monkeypatch.setattr(here, "seen", seen)
+    assert here.farthest_m(90.0) == pytest.approx(84.0, rel=1e-2)
+
+
 def test_range_grows_with_power_and_with_a_thinner_beam_as_the_size_of_the_target_says() -> None:
     table = ranges.exponent_table(WIRES)
     assert table.numbers("by_power") == pytest.approx([1 / 2, 1 / 3, 1 / 4], abs=0.01)
