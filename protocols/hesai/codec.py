@@ -7,15 +7,14 @@ marked.
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
+from fastcrc import crc32
 from numpy.typing import NDArray
 
-from protocols.checksums import xor8
 from protocols.hesai.models import MODELS, MODES, Model
 from protocols.scan import Floats, Scan
 
@@ -32,16 +31,7 @@ REFRESH_NS = 5_000_000
 SIGNED = 8
 "Flag of a header."
 IMU_TICK_NS = 25_000
-_REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
-
-
-def crc32_mpeg2(data: bytes) -> int:
-    """CRC-32/MPEG-2. Check: 0376E6E7 for `123456789`.
-
-    The CRC-32 of zlib has the same polynomial with bits reversed, and inverts its result.
-    """
-    turned = zlib.crc32(data.translate(_REVERSED)) ^ 0xFFFFFFFF
-    return int.from_bytes(turned.to_bytes(4, "little").translate(_REVERSED), "big")
+crc32_mpeg2 = crc32.mpeg_2
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +56,10 @@ class Packets:
     operation: int = 0
     safety: NDArray[np.uint8] | None = None
     "(P, 17)"
-    temperature: int = 3500
-    "Of the IMU, 0.01 C."
+    felt: tuple[Floats, Floats] | None = None
+    "Specific force and rate (3,) in the sensor's frame, ISO 8855; None: at rest and level. [m/s^2, rad/s]"
+    felt_ns: int = 0
+    "When, by the device's clock."
     shutdown: bool = False
     signed: bool = False
     "With a signature, of zeros; models of 128 lasers."
@@ -77,8 +69,7 @@ class Packets:
 
 def encode(model: Model, said: Packets) -> list[bytes]:
     """Point-cloud packets."""
-    layout, (name, code, echoes) = model.layout, model.returns(said.mode)
-    del name
+    layout, (_, code, echoes) = model.layout, model.returns(said.mode)
     packets = np.zeros(len(said.sequence), model.dtype)
     if layout.head:
         head = bytearray(layout.head)
@@ -138,15 +129,23 @@ def moment(utc_ns: int) -> datetime:
 IMU = np.dtype([("temperature", "<i2"), ("units", "<u2", 2), ("ticks", "<u4"), ("force", "<i2", 3), ("rate", "<i2", 3)])
 IMU_UNITS = 122, 305
 "Micro-g and 1e-5 deg/s of a count."
+IMU_CDEG = 3500
+"Its temperature, 0.01 C."
+G = 9.80665
 
 
 def _imu(said: Packets) -> NDArray[np.uint8]:
-    """(P, 22) of a unit at rest and upright: a session does not know how its sensor moves."""
-    found = np.zeros(len(said.sequence), IMU)
-    found["temperature"], found["units"] = said.temperature, IMU_UNITS
-    found["ticks"] = said.utc_ns // IMU_TICK_NS % (1 << 32) if said.utc_ns.size else 0
-    found["force"][:, 2] = 8196
-    return np.frombuffer(found.tobytes(), np.uint8).reshape(-1, IMU.itemsize)
+    """(22,) of the unit in the sensor; without noise, as no figures are published."""
+    found = np.zeros(1, IMU)
+    force, rate = said.felt if said.felt is not None else (np.array((0.0, 0.0, G)), np.zeros(3))
+    found["temperature"], found["units"], found["ticks"] = IMU_CDEG, IMU_UNITS, said.felt_ns // IMU_TICK_NS % (1 << 32)
+    for name, value, unit in (
+        ("force", force / G, 1e-6 * IMU_UNITS[0]),
+        ("rate", np.degrees(rate), 1e-5 * IMU_UNITS[1]),
+    ):
+        turned = np.array((-value[1], value[0], value[2]))  # the maker's x is to the right, y ahead
+        found[name] = np.clip(np.rint(turned / unit), -0x8000, 0x7FFF)
+    return found.view(np.uint8)
 
 
 def safety(own_ns: Words, state: int, codes: Sequence[int] = (), past: bool = False) -> NDArray[np.uint8]:
@@ -165,44 +164,29 @@ def _safety(refresh: int, state: int, codes: Sequence[int], past: bool) -> bytes
     return b"\x01" + body + crc32_mpeg2(body).to_bytes(4, "little")
 
 
-def returns(scan: Scan, name: str, swapped: bool) -> tuple[Floats, Floats]:
-    """Range and intensity (E, n) of the returns of a mode, in the order of the blocks; NaN: none.
+def returns(scan: Scan, picks: tuple[str, ...]) -> tuple[Floats, Floats]:
+    """Range and intensity (E, n) of these returns: `first`, `last`, `strongest`; NaN: none.
 
-    `swapped`: strongest before last, first before last. Where both returns of a pair are one echo, the strongest is the
-    second strongest instead, or the same again if there is only one.
+    Where both of a pair are one echo, the strongest is the second strongest instead, or the same again if there is
+    only one.
     """
     range_m, strength = scan.range_m, scan.intensity
-    beams, none = np.arange(len(range_m)), np.isnan(range_m)
-
-    def first() -> Words:
-        return np.asarray(np.argmin(none, axis=1), np.int64)
-
-    def last() -> Words:
-        return np.asarray((range_m.shape[1] - 1 - np.argmin(none[:, ::-1], axis=1)) * ~none.all(axis=1), np.int64)
-
-    def strongest(without: Words | None = None) -> Words:
-        found = np.where(none, -1.0, strength)
-        if without is not None and range_m.shape[1] > 1:
-            only = np.count_nonzero(~none, axis=1) < 2
-            found[beams[~only], without[~only]] = -1.0
-        return np.asarray(np.argmax(found, axis=1), np.int64)
-
-    def other(one: Words) -> Words:
-        best = strongest()
-        same = best == one
-        return np.where(same, strongest(best), best) if same.any() else best
-
-    if name in ("last", "strongest", "first"):
-        chosen: Sequence[Words] = ({"last": last, "strongest": strongest, "first": first}[name](),)
-    elif name == "dual":
-        chosen = (last(), other(last()))[:: -1 if swapped else 1]
-    elif name == "last_first":
-        chosen = (last(), first())[:: -1 if swapped else 1]
-    elif name == "first_strongest":
-        chosen = (first(), other(first()))
-    else:
-        chosen = (first(), last(), strongest())
-    places = np.stack(chosen)
+    none = np.isnan(range_m)
+    beams, most = np.arange(len(range_m)), none.shape[1]
+    found: dict[str, Words] = {}
+    if "first" in picks:
+        found["first"] = np.argmin(none, axis=1)
+    if "last" in picks:
+        found["last"] = (most - 1 - np.argmin(none[:, ::-1], axis=1)) * ~none.all(axis=1)
+    if "strongest" in picks:
+        power = np.where(none, -1.0, strength)
+        found["strongest"] = best = np.argmax(power, axis=1)
+        if len(picks) == 2:
+            other = next(found[one] for one in picks if one != "strongest")
+            same = np.flatnonzero((best == other) & (np.count_nonzero(~none, axis=1) > 1))
+            power[same, best[same]] = -1.0
+            best[same] = np.argmax(power[same], axis=1)
+    places = np.stack([found[one] for one in picks])
     return range_m[beams, places], strength[beams, places]
 
 
@@ -305,17 +289,6 @@ def encode_gps(utc_ns: int, us: int, sentence: bytes, status: bytes, locked: boo
     text = "".join(date[at : at + 2][::-1] for at in (0, 2, 4)) + "".join(time[at : at + 2][::-1] for at in (4, 2, 0))
     data = b"\xff\xee" + text.encode() + us.to_bytes(4, "little") + sentence.ljust(100 if wide else 84, b"\0")
     return data.ljust(506, b"\xdf") + status[:1].ljust(1, b"\0") + bytes((locked,)) + bytes(4)
-
-
-def gprmc(utc_ns: int, latitude_deg: float, longitude_deg: float) -> bytes:
-    """A $GPRMC sentence with CR LF of a receiver at rest."""
-    places = []
-    for degrees, width, signs in ((latitude_deg, 2, "NS"), (longitude_deg, 3, "EW")):
-        minutes = round(abs(degrees) * 600_000.0)
-        places.append(f"{minutes // 600_000:0{width}d}{minutes % 600_000 / 1e4:07.4f},{signs[degrees < 0.0]}")
-    when = moment(utc_ns)
-    text = f"GPRMC,{when:%H%M%S}.00,A,{','.join(places)},0.000,0.0,{when:%d%m%y},0.0,E,A"
-    return f"${text}*{xor8(text.encode()):02X}\r\n".encode()
 
 
 def encode_fault(utc_ns: int, operate: int, state: int, code: int, counter: int, dirt: int, hot: bool) -> bytes:

@@ -115,7 +115,8 @@ def _config(device: HesaiDevice, now_ns: int) -> bytes:
         + struct.pack(">HHHBHHH", port, gps_port, one.rpm, one.sync, 100 * one.sync_deg, first // 10, last // 10)
         + bytes((one.by_ptp, 1, one.trigger, one.mode, one.standby, _turns_back(device.model) << 4 | one.backwards))
         + one.network[12:15]
-        + bytes(9)
+        + bytes((device.build.gpgga,))
+        + bytes(8)
     )
 
 
@@ -292,6 +293,7 @@ def _has_range(model: Model) -> bool:
     return model.number != 48
 
 
+PTC_2 = b"PTC 2.0"
 SDK, NEBULA, BOTH = "SDK 2.0.11", "nebula", "SDK 2.0.11, nebula"
 COMMANDS: Mapping[bytes, Command] = {
     b"05": Command("get calibration", _calibration, BOTH, "CSV; of an AT128 binary with SHA-256"),
@@ -334,6 +336,7 @@ COMMANDS: Mapping[bytes, Command] = {
     b"A8": Command("get channel configuration", None, SDK, "other models have it"),
     b"A9": Command("get fire times", None, SDK, "other models have it"),
     b"FF": Command("firmware upgrade", None, SDK),
+    PTC_2: Command("any command", None, SDK, "the maker's drivers do not use it"),
     b"GET /pandar.cgi": Command("HTTP: spin rate, sync angle, PTP, monitor", _pandar, NEBULA),
     b"GET /point_cloud": Command("point cloud on this connection", _packets, "ours", "no real device has it"),
 }

@@ -21,6 +21,7 @@ from protocols.hesai.motor import NEAR, Rotor, Source
 from protocols.hesai.settings import SLICE_NS, Build, Settings
 from protocols.scan import Floats, Scan
 from protocols.session import Address, DropReason, Emission, LinkKind
+from protocols.skeleton import nmea
 from protocols.skeleton.instants import SECOND_NS, earliest
 from protocols.skeleton.outbox import Outgoing
 from protocols.skeleton.requests import RequestSession
@@ -41,7 +42,7 @@ MOST_KEPT = 1000
 "Slices outside of the range that are skipped at once; a turn has less."
 DIRTY, BLOCKED = 0.9, 0.5
 "Transmission of the window below which it is reported as dirty, and as blocked; ours."
-NORMAL, WARNING, DEGRADED, UNTRUSTED = 1, 2, 4, 6
+NORMAL, WARNING, DEGRADED, TO_STOP, UNTRUSTED = 1, 2, 4, 5, 6
 "States of functional safety."
 CODE_WINDOW, CODE_HOT, CODE_MOTOR = 0x0101, 0x0201, 0x0301
 "Fault codes; the maker's list is not public, these are ours."
@@ -105,6 +106,7 @@ class HesaiDevice(RequestSession):
         "Step of the first firing of slices, where the angle triggers."
         self.calibration = 0
         "1: its file is refused, 2: damaged."
+        self._felt: Callable[[int], tuple[Floats, Floats] | None] = lambda at_ns: None
         self.transmission, self.hot, self._hot_ns, self._hot_over = 1.0, False, 0, False
 
     # time
@@ -117,6 +119,10 @@ class HesaiDevice(RequestSession):
         """Date and time, as in a packet."""
         shown_ns, since_ns = self.source.shown_ns(self.clock, at_ns)
         return DeviceStamp(at_ns, shown_ns - since_ns, shown_ns // 1000, float(TICK_NS), self.clock_bits)
+
+    def feel(self, motion: Callable[[int], tuple[Floats, Floats]]) -> None:
+        """What the inertial unit of 128 lasers feels."""
+        self._felt = motion
 
     @property
     def _packet_ns(self) -> Fraction:
@@ -302,7 +308,7 @@ class HesaiDevice(RequestSession):
     def health(self) -> tuple[int, tuple[int, ...]]:
         """State of functional safety, and fault codes."""
         found = [(WARNING, CODE_WINDOW)] if self.dirt == 1 else [(DEGRADED, CODE_WINDOW)] if self.dirt else []
-        found += [(WARNING, CODE_HOT)] if self.hot else []
+        found += [(TO_STOP, CODE_HOT)] if self.hot else []
         found += [(UNTRUSTED, CODE_MOTOR)] if abs(self._factor - 1.0) > 0.1 else []
         return max((one[0] for one in found), default=NORMAL), tuple(one[1] for one in found)
 
@@ -341,6 +347,7 @@ class HesaiDevice(RequestSession):
             max_echoes=MOST_ECHOES,
             wants_intensity=True,
             turn=self.rotor.turn(start_ns),
+            origin_m=None if (origin := calibration.origins(model, at_turns)) is None else origin[fires],
         )
         return Slice(block_ns, angle, sees, fires, states, sweep)
 
@@ -352,7 +359,7 @@ class HesaiDevice(RequestSession):
         first_ns, last_ns = int(block_ns[0]), int(block_ns[-1])
         hz = self.rotor.speed_hz(first_ns)
         steady = self.rotor.is_steady(first_ns) and self.rotor.is_steady(last_ns)
-        if not self.model.grid or self._used.trigger or not hz or not steady:
+        if self._used.trigger or not hz or not steady:
             return block_ns, turns
         nominal = math.copysign(self._used.rpm / 60.0, hz)
         step = (nominal if abs(hz / nominal - 1.0) < NEAR else hz) * 1e-9 * period_ns
@@ -406,9 +413,11 @@ class HesaiDevice(RequestSession):
 
     def _telegrams(self, scan: Scan) -> Iterator[Telegram]:
         piece, model, used = self._slice(scan.plan.sweep), self.model, self._used
-        name, _, echoes = model.returns(used.mode)
-        range_m, intensity = codec.returns(scan, name, model.swapped)
-        words = [codec.distances(range_m, model.unit_mm), codec.reflectivities(range_m, intensity, model.white_m2)]
+        echoes = model.returns(used.mode)[2]
+        range_m, intensity = codec.returns(scan, model.picks(used.mode))
+        lead_m, apart_m2 = calibration.leads(model)
+        away_m = calibration.from_axis(range_m, np.broadcast_to(lead_m, piece.fires.shape)[piece.fires], apart_m2)
+        words = [codec.distances(away_m, model.unit_mm), codec.reflectivities(range_m, intensity, model.white_m2)]
         if used.blockage and model.number == 42:
             words[0][words[0] == 0] = codec.BLOCKED if self.dirt > 1 else codec.NOTHING
         if self.health[0] >= UNTRUSTED and model.layout.safety is not None:
@@ -439,6 +448,8 @@ class HesaiDevice(RequestSession):
                 np.repeat(piece.states.reshape(count, firings), echoes, axis=1)[sent],
                 0 if used.high else 2,
                 codec.safety(stamp_ns, *self.health) if model.layout.safety is not None else None,
+                felt=self._felt(scan.plan.start_ns),
+                felt_ns=reported[0].ticks * 1000 if reported else 0,
                 shutdown=self.hot,
                 signed=self.build.signed,
                 fourth=63 if model.layout.fine else 0xFF,
@@ -458,16 +469,18 @@ class HesaiDevice(RequestSession):
     # what is sent besides
 
     def sentence(self, now_ns: int) -> bytes:
-        """$GPRMC of the second; empty without a receiver."""
+        """$GPRMC or $GPGGA of the second; empty without a receiver."""
         if not self.source.nmea:
             return b""
-        return codec.gprmc(self.source.utc(now_ns) // SECOND_NS * SECOND_NS, *self.build.place_deg)
+        form = nmea.gpgga if self.build.gpgga else nmea.gprmc
+        return form(self.source.utc(now_ns) // SECOND_NS * SECOND_NS, *self.build.place_deg)
 
     def _tell_gps(self, now_ns: int) -> None:
         if self.settings.by_ptp:
             return
         shown_ns = 1000 * self.reported(now_ns).ticks
-        wide, status = self.model.number in (25, 38), b"A" if self.source.nmea else b"\0"
+        good = b"1" if self.build.gpgga else b"A"
+        wide, status = self.model.number in (25, 38), good if self.source.nmea else b"\0"
         us = 0 if wide else shown_ns // 1000 % 1_000_000
         payload = codec.encode_gps(
             shown_ns, us, self.sentence(now_ns), status, self.source.pps and self.source.locked(now_ns), wide

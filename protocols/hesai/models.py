@@ -23,16 +23,16 @@ FIELDS = np.dtype([("distance", "<u2"), ("reflectivity", "u1")])
 WITH_FOURTH = np.dtype([*FIELDS.descr, ("fourth", "u1")])
 LAST, STRONGEST, FIRST, DUAL, LAST_FIRST, FIRST_STRONGEST, TRIPLE = range(7)
 "Return modes as command 1E and the configuration have them."
-MODES: Mapping[int, tuple[str, int, int]] = {
-    LAST: ("last", 0x38, 1),
-    STRONGEST: ("strongest", 0x37, 1),
-    DUAL: ("dual", 0x39, 2),
-    FIRST: ("first", 0x33, 1),
-    LAST_FIRST: ("last_first", 0x3B, 2),
-    FIRST_STRONGEST: ("first_strongest", 0x3C, 2),
-    TRIPLE: ("triple", 0x3D, 3),
+MODES: Mapping[int, tuple[str, int, tuple[str, ...]]] = {
+    LAST: ("last", 0x38, ("last",)),
+    STRONGEST: ("strongest", 0x37, ("strongest",)),
+    DUAL: ("dual", 0x39, ("last", "strongest")),
+    FIRST: ("first", 0x33, ("first",)),
+    LAST_FIRST: ("last_first", 0x3B, ("last", "first")),
+    FIRST_STRONGEST: ("first_strongest", 0x3C, ("first", "strongest")),
+    TRIPLE: ("triple", 0x3D, ("first", "last", "strongest")),
 }
-"Its name, its byte in a packet, blocks of a firing."
+"Its name, its byte in a packet, the returns of a firing's blocks."
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,15 +100,15 @@ class Model:
     high_ns: tuple[tuple[float, ...], ...] = ()
     "Instants of the lasers in high resolution, whose firings come twice as often; empty: it has none."
     calibrated: str = "csv"
-    swapped: bool = False
-    "The strongest return is before the last one in dual mode; of last and first the first one is."
+    centre_m: tuple[float, float] = (0.0, 0.0)
+    "Where its beams begin, right of the axis and along the head; ranges on the wire are from the axis."
+    other_order: str = ""
+    "Return mode whose two blocks come in the other order."
     stamps_first: bool = False
     dual_is_first: bool = False
     "Its mode of code 2 is last and first."
-    grid: bool = True
-    "Firings are triggered by the angle."
-    web_speed: bool = False
-    "Known to drivers as set by HTTP."
+    trigger: int = 0
+    "Of firings, as delivered: 0 by angle, 1 by time."
     encoder: float = 1.0
     "Degrees of beam for a degree of the encoder."
     temperatures: int = 8
@@ -121,7 +121,13 @@ class Model:
 
     def returns(self, mode: int) -> tuple[str, int, int]:
         """Of a mode: its name, its byte in a packet, blocks of a firing."""
-        return MODES[LAST_FIRST if self.dual_is_first and mode == DUAL else mode]
+        name, byte, picks = MODES[LAST_FIRST if self.dual_is_first and mode == DUAL else mode]
+        return name, byte, len(picks)
+
+    def picks(self, mode: int) -> tuple[str, ...]:
+        """Which returns its blocks are, in their order."""
+        name, _, picks = MODES[LAST_FIRST if self.dual_is_first and mode == DUAL else mode]
+        return picks[::-1] if name == self.other_order else picks
 
     def firings(self, mode: int) -> int:
         """Firings of a packet."""
@@ -234,22 +240,23 @@ MODELS: Mapping[str, Model] = {
     for one in (
         Model(
             "hesai-xt32", "PandarXT-32", 25, _XT32, tuple(16.0 - n for n in range(1, 33)), (0.0,) * 32,
-            Fraction(50_000), (tuple((368.0 + 1512.0 * _N[:32]).tolist()),), 5632.0, _ALL, 4, 64_000.0, swapped=True,
+            Fraction(50_000), (tuple((368.0 + 1512.0 * _N[:32]).tolist()),), 5632.0, _ALL, 4, 64_000.0,
+            centre_m=(-0.013, 0.0315), other_order="dual",
         ),
         Model(
             "hesai-xt32m2x", "PandarXT-32M2X", 38, _M2X, tables.M2X_ELEVATION, (0.155,) * 32,
             Fraction(50_000), (tuple((368.0 + 2888.0 * (_N[:32] % 16)).tolist()),), 5632.0, (*_ALL, TRIPLE), 5,
-            64_000.0, swapped=True,
+            64_000.0, centre_m=(-0.013, 0.0305), other_order="dual",
         ),
         Model(
             "hesai-pandar128e3x", "Pandar128E3X", 40, _E3X, tables.E3X_ELEVATION, tables.E3X_OFFSET,
             Fraction(500_000, 9), _states(tables.E3X_STANDARD_0, tables.E3X_STANDARD_1), 3148.0, _ALL, 4, 400_000.0,
-            (600, 1200), _states(tables.E3X_HIGH_0, tables.E3X_HIGH_1),
+            high_ns=_states(tables.E3X_HIGH_0, tables.E3X_HIGH_1), centre_m=(-0.012, 0.04356),
         ),
         Model(
             "hesai-ot128", "OT128", 42, _OT, tables.OT_ELEVATION, tables.OT_OFFSET, Fraction(500_000, 9),
             (tuple(map(float, tables.OT_STANDARD_0)), _later(tables.OT_STANDARD_0)), 0.0, _ALL, 4, 400_000.0,
-            (600, 1200), (_dithered((2, 3, 6, 7)), _dithered((0, 1, 4, 5))), inventory=162,
+            high_ns=(_dithered((2, 3, 6, 7)), _dithered((0, 1, 4, 5))), centre_m=(-0.01, 0.045), inventory=162,
         ),
         Model(
             "hesai-at128", "AT128", 48, _AT, tuple(12.88 - 0.1992 * c for c in range(128)), _AT_AZIMUTH,
@@ -259,13 +266,13 @@ MODELS: Mapping[str, Model] = {
         Model(
             "hesai-pandar40p", "Pandar40P", 0, _P40, tables.P40_ELEVATION,
             (-1.042,) * 6 + (3.125, -5.208, -1.042) * 7 + (3.125, -5.208) + (-1.042,) * 11, Fraction(500_000, 9),
-            (tuple(1000.0 * one for one in tables.P40_US),), -28_580.0, _MOST, 4, 400_000.0, (600, 1200), grid=False,
-            web_speed=True,
+            (tuple(1000.0 * one for one in tables.P40_US),), -28_580.0, _MOST, 4, 400_000.0,
+            centre_m=(-0.012, 0.03873), trigger=1,
         ),
         Model(
             "hesai-qt64", "PandarQT", 15, _QT, tables.QT_ELEVATION, tables.QT_OFFSET, Fraction(500_000, 3),
-            (tuple(1000.0 * one for one in tables.QT_US),), 25_710.0, (LAST, FIRST, DUAL), 4, 4_000.0, (600, 1200),
-            swapped=True, stamps_first=True, dual_is_first=True, web_speed=True,
+            (tuple(1000.0 * one for one in tables.QT_US),), 25_710.0, (LAST, FIRST, DUAL), 4, 4_000.0,
+            centre_m=(-0.0072, 0.0298), other_order="last_first", stamps_first=True, dual_is_first=True,
         ),
     )
 }  # fmt: skip
