@@ -21,7 +21,7 @@ from protocols.scan import Floats
 
 FIELDS = np.dtype([("distance", "<u2"), ("reflectivity", "u1")])
 WITH_FOURTH = np.dtype([*FIELDS.descr, ("fourth", "u1")])
-LAST, STRONGEST, FIRST, DUAL, LAST_FIRST, FIRST_STRONGEST, TRIPLE = range(7)
+LAST, STRONGEST, DUAL, FIRST, LAST_FIRST, FIRST_STRONGEST, TRIPLE = range(7)
 "Return modes as command 1E and the configuration have them."
 MODES: Mapping[int, tuple[str, int, tuple[str, ...]]] = {
     LAST: ("last", 0x38, ("last",)),
