@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
-from fastcrc import crc32
 from numpy.typing import NDArray
 
+from protocols.checksums import crc32_mpeg2
 from protocols.hesai.models import MODELS, MODES, Model
 from protocols.scan import Floats, Scan
 
@@ -31,7 +31,6 @@ REFRESH_NS = 5_000_000
 SIGNED = 8
 "Flag of a header."
 IMU_TICK_NS = 25_000
-crc32_mpeg2 = crc32.mpeg_2
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +103,7 @@ def encode(model: Model, said: Packets) -> list[bytes]:
     view = memoryview(data)
     for first in range(0, len(data), layout.size):
         for begin, end in layout.checks:
-            check = crc32_mpeg2(bytes(view[first + begin : first + end]))
+            check = crc32_mpeg2(view[first + begin : first + end])
             data[first + end : first + end + 4] = check.to_bytes(4, "little")
     signature = bytes(32) if said.signed else b""
     return [bytes(view[first : first + layout.size]) + signature for first in range(0, len(data), layout.size)]
@@ -170,29 +169,29 @@ def returns(scan: Scan, picks: tuple[str, ...]) -> tuple[Floats, Floats]:
     Where both of a pair are one echo, the strongest is the second strongest instead, or the same again if there is
     only one.
     """
-    range_m, strength = scan.range_m, scan.intensity
-    none = np.isnan(range_m)
-    beams, most = np.arange(len(range_m)), none.shape[1]
+    there, beams = ~np.isnan(scan.range_m), np.arange(len(scan.range_m))
+    power = np.where(there, scan.intensity, -1.0) if "strongest" in picks else there
     found: dict[str, Words] = {}
-    if "first" in picks:
-        found["first"] = np.argmin(none, axis=1)
-    if "last" in picks:
-        found["last"] = (most - 1 - np.argmin(none[:, ::-1], axis=1)) * ~none.all(axis=1)
-    if "strongest" in picks:
-        power = np.where(none, -1.0, strength)
-        found["strongest"] = best = np.argmax(power, axis=1)
-        if len(picks) == 2:
-            other = next(found[one] for one in picks if one != "strongest")
-            same = np.flatnonzero((best == other) & (np.count_nonzero(~none, axis=1) > 1))
-            power[same, best[same]] = -1.0
-            best[same] = np.argmax(power[same], axis=1)
+    for pick in sorted(picks):  # the strongest after the other one of a pair
+        place = np.zeros(len(beams), np.int64)
+        if pick == "strongest" and len(picks) == 2:
+            other, several = next(iter(found.values())), np.count_nonzero(there, axis=1) > 1
+            alone = several & (np.argmax(power, axis=1) == other)
+            power[beams[alone], other[alone]] = -1.0
+        for echo in range(there.shape[1]):  # by columns: the few echoes of many beams
+            if pick == "strongest":
+                better = power[:, echo] > power[beams, place]
+            else:
+                better = there[:, echo] & (True if pick == "last" else ~there[beams, place])
+            place[better] = echo
+        found[pick] = place
     places = np.stack([found[one] for one in picks])
-    return range_m[beams, places], strength[beams, places]
+    return scan.range_m[beams, places], scan.intensity[beams, places]
 
 
 def distances(range_m: Floats, unit_mm: int) -> Words:
     """Words of ranges; what the wire cannot say is no return."""
-    words = np.rint(np.nan_to_num(range_m * (1000.0 / unit_mm), nan=0.0))
+    words = np.rint(range_m * (1000.0 / unit_mm))
     return np.where((words > 0.0) & (words <= 0xFFFF), words, 0.0).astype(np.int64)
 
 

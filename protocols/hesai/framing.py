@@ -5,8 +5,9 @@ Belongs here: places in a packet. Not: when something is changed.
 
 from __future__ import annotations
 
+from protocols.checksums import crc32_mpeg2
 from protocols.framing import Framing
-from protocols.hesai.codec import crc32_mpeg2, model_of_packet
+from protocols.hesai.codec import model_of_packet
 from protocols.hesai.models import Model
 from protocols.session import Emission
 
