@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols.checksums import crc32_mpeg2
-from protocols.hesai.models import MODELS, MODES, Model
+from protocols.hesai.models import MODELS, Model
 from protocols.scan import Floats, Scan
 
 Words = NDArray[np.int64]
@@ -219,8 +219,6 @@ class Read:
     "(P,)"
     sequence: Words
     "(P,)"
-    utc: NDArray[np.uint8]
-    "(P, 6)"
     rpm: int
     states: Words
     "(P, B)"
@@ -255,7 +253,6 @@ def decode(data: bytes) -> Read | None:
         channels["reflectivity"].astype(np.int64),
         packets["us"].astype(np.int64),
         packets["sequence"].astype(np.int64),
-        packets["utc"],
         int(packets["rpm"][0]),
         states,
         high,
@@ -290,15 +287,15 @@ def encode_gps(utc_ns: int, us: int, sentence: bytes, status: bytes, locked: boo
     return data.ljust(506, b"\xdf") + status[:1].ljust(1, b"\0") + bytes((locked,)) + bytes(4)
 
 
-def encode_fault(utc_ns: int, operate: int, state: int, code: int, counter: int, dirt: int, hot: bool) -> bytes:
-    """A fault message of an AT128; `dirt` of the lens: 0 clean, 1 passable, 3 blocked."""
+def encode_fault(
+    utc_ns: int, operate: int, state: int, codes: Sequence[int], counter: int, dirt: int, hot: bool
+) -> bytes:
+    """A fault message of an AT128, with the next fault code; `dirt` of the lens: 0 clean, 1 passable, 3 blocked."""
+    at = counter % len(codes) if codes else 0
     body = b"\xcd\xdc\x04\0\0" + (utc_ns // 10**9 & 0xFFFFFFFF).to_bytes(4, "big")
     body += (utc_ns // 1000 % 10**6).to_bytes(4, "big")
-    body += bytes((operate, state, bool(code), counter & 0xFF, bool(code), bool(code))) + code.to_bytes(4, "big")
+    body += bytes((operate, state, bool(codes), counter & 0xFF, len(codes), at + 1 if codes else 0))
+    body += (codes[at] if codes else 0).to_bytes(4, "big")
     areas = sum(dirt << 2 * at for at in range(8)).to_bytes(2, "little")
     body += b"\x01" + (350).to_bytes(2, "little") + areas * 12 + bytes(8) + bytes((0, hot)) + bytes(3)
     return body + crc32_mpeg2(body[2:]).to_bytes(4, "little") + bytes(32)
-
-
-NAMES = {code: name for code, (name, _, _) in MODES.items()}
-"Of return modes by their codes."

@@ -492,7 +492,7 @@ class HesaiDevice(RequestSession):
         state, codes = self.health
         operate = 4 if self._used.standby else 5 if self._hot_over else 2
         payload = codec.encode_fault(
-            1000 * self.reported(now_ns).ticks, operate, state, codes[0] if codes else 0, now_ns // FAULT_NS,
+            1000 * self.reported(now_ns).ticks, operate, state, codes, now_ns // FAULT_NS,
             self.dirt, self.hot,
         )  # fmt: skip
         self._outbox.send(Emission(now_ns, payload, self._links[2], label="fault"))

@@ -372,6 +372,12 @@ def test_an_at128_reports_a_dirty_lens_in_its_fault_messages() -> None:
     dirty = [one for one in rig.run(0.3) if one.address == FAULT][-1].payload
     assert dirty[26:50] == b"\xff" * 24
     assert dirty[14] == 4
+    assert dirty[15:19] == bytes((1, dirty[16], 1, 1))
+    rig.session.impair(rig.now_ns, "heat", 1.0)
+    both = [one.payload for one in rig.run(0.5) if one.address == FAULT]
+    assert {(one[17], one[18]) for one in both} == {(2, 1), (2, 2)}
+    assert len({one[19:23] for one in both}) == 2, "fault codes by turns"
+    assert both[-1][59] == 1
 
 
 def test_an_ot128_that_watches_for_blockage_says_why_there_is_no_return() -> None:
