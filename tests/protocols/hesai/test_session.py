@@ -391,6 +391,12 @@ def test_an_ot128_that_watches_for_blockage_says_why_there_is_no_return() -> Non
     rig.run(0.03)
     words = {round(one.range_m * 250) for e in clouds(rig.run(0.11))[-9:] for one in reader.decode(e.payload).points}
     assert words == {codec.BLOCKED}
+    rig.ok(0x29, b"\1")
+    rig.run(0.03)
+    packet = reader.decode(clouds(rig.run(0.12))[-9].payload)
+    fired = [{one.channel for one in packet.points if one.block == b} for b in (0, 1)]
+    assert len(fired[0] | fired[1]) == 128
+    assert len(fired[0] & fired[1]) == 64, "a laser that does not fire says nothing"
 
 
 def test_a_stopped_motor_sends_nothing_and_a_free_one_again() -> None:
