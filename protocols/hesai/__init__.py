@@ -1,8 +1,8 @@
 """Hesai's lidars: PandarXT-32, XT32M2X, QT64, Pandar40P, Pandar128E3X, OT128, AT128.
 
 Reading order: `tables`, `models` (facts of each), `codec` (bytes), `calibration`, `motor` (angles and time), `slices`
-(what is measured), `device` (power, packets), `commands` and `session` (PTC and HTTP). `settings.read` has the keys of a
-scenario's `device:`.
+(what is measured), `device` (power, packets), `commands` and `session` (PTC and HTTP). `settings.read` has the keys of
+a scenario's `device:`.
 """
 
 from __future__ import annotations

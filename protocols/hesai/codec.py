@@ -86,19 +86,16 @@ def encode(model: Model, said: Packets) -> list[bytes]:
     blocks["channels"]["reflectivity"] = said.reflectivity
     if "fourth" in (layout.channel.names or ()):
         blocks["channels"]["fourth"] = said.fourth
-    packets["mode"], packets["rpm"], packets["factory"] = code, said.rpm, FACTORY
-    packets["utc"] = _calendar(said.utc_ns, layout.year)
-    packets["us"] = said.utc_ns // 1000 % 1_000_000
-    packets["sequence"] = said.sequence & 0xFFFFFFFF
-    if layout.shutdown is not None:
-        packets["shutdown"] = said.shutdown
-    if layout.states is not None and said.states is not None:
-        packets["states"] = (said.states << (14 - 2 * np.arange(layout.blocks))).sum(axis=1)
-        packets["operation"] = said.operation
-    if layout.safety is not None and said.safety is not None:
-        packets["safety"] = said.safety
-    if layout.imu is not None:
-        packets["imu"] = _imu(said)
+    told = {
+        "mode": code, "rpm": said.rpm, "factory": FACTORY, "utc": _calendar(said.utc_ns, layout.year),
+        "us": said.utc_ns // 1000 % 1_000_000, "sequence": said.sequence & 0xFFFFFFFF, "shutdown": said.shutdown,
+        "operation": said.operation, "safety": said.safety,
+        "states": None if said.states is None else (said.states << (14 - 2 * np.arange(layout.blocks))).sum(axis=1),
+        "imu": _imu(said) if "imu" in layout.places else None,
+    }  # fmt: skip
+    for name in layout.places:
+        if told[name] is not None:
+            packets[name] = told[name]
     data = bytearray(packets.tobytes())
     view = memoryview(data)
     for first in range(0, len(data), layout.size):
@@ -241,7 +238,7 @@ def decode(data: bytes) -> Read | None:
     azimuth = blocks["azimuth"] / 100.0 + (blocks["fine"] / (100.0 * FINE) if layout.fine else 0.0)
     channels = blocks["channels"]
     states, high = np.zeros(azimuth.shape, np.int64), False
-    if layout.states is not None:
+    if "states" in layout.places:
         states = packets["states"].astype(np.int64)[:, None] >> (14 - 2 * np.arange(layout.blocks)) & 3
         high = int(packets["operation"][0]) == 0
         states %= len(model.high_ns if high else model.laser_ns)
@@ -264,7 +261,7 @@ def size_of_packet(data: bytes) -> int | None:
     model = model_of_packet(data)
     if model is None or (model.layout.head and data[6:8] != model.layout.head[6:8]):
         return None
-    return model.layout.size + (32 if model.layout.safety is not None and data[11] & SIGNED else 0)
+    return model.layout.size + (32 if "safety" in model.layout.places and data[11] & SIGNED else 0)
 
 
 def model_of_packet(data: bytes) -> Model | None:

@@ -316,7 +316,7 @@ class HesaiDevice(RequestSession):
     def _telegrams(self, scan: Scan) -> Iterator[Telegram]:
         piece, model, used = self._slice(scan.plan.sweep), self.model, self._used
         distance, reflectivity = words(scan, piece, model, used.mode)
-        safe = model.layout.safety is not None
+        safe = "safety" in model.layout.places
         if used.blockage and model.number == 42:
             silent = (distance == 0) & np.repeat(piece.fires.reshape(*piece.sees.shape, -1), self._echoes, axis=1)
             distance[silent] = codec.BLOCKED if self.dirt > 1 else codec.NOTHING

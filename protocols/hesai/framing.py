@@ -42,7 +42,7 @@ class HesaiFraming(Framing):
         """The sequence number."""
         if (model := _model(one.payload)) is None:
             return None
-        data, at = bytearray(one.payload), model.layout.sequence
+        data, at = bytearray(one.payload), model.layout.places["sequence"]
         number = int.from_bytes(data[at : at + 4], "little") + change & 0xFFFFFFFF
         data[at : at + 4] = number.to_bytes(4, "little")
         return _checked(model, data)

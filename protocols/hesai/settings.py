@@ -132,7 +132,7 @@ def read(keys: DeviceKeys, model: Model) -> tuple[Settings, Build]:
     )
     if build.slice_packets == 1:
         raise DeviceSettingError("slice_packets", 1, "0, or an integer from 2 to 1000")
-    if build.signed and model.layout.safety is None:
+    if build.signed and "safety" not in model.layout.places:
         raise DeviceSettingError("signature", True, f"false, for a {model.title}")
     return settings, build
 
