@@ -30,6 +30,8 @@ SPEED_RAMP_NS, STOP_NS, BACK_NS = 5 * SECOND_NS, 5 * SECOND_NS, 10 * SECOND_NS
 "From speed to speed, into standby and out of it: guesses of the specification."
 FAULT_NS = 100_000_000
 "From fault message to fault message; a guess too."
+CLOSE_NS = 100_000_000
+"From the reply to a reboot until connections are closed."
 HOT_NS = 60 * SECOND_NS
 "From the flag of high temperature until it stops."
 DIRTY, BLOCKED = 0.9, 0.5
@@ -189,6 +191,9 @@ class HesaiDevice(RequestSession):
         elif (before.sync, before.sync_deg) != (settings.sync, settings.sync_deg) and self.rotor.is_steady(now_ns):
             self._drive(now_ns, 0)
         self._renew_ns = max(self._ready_at_ns, self._raster.at(self._raster.first_from(now_ns + 1)))
+
+    def _restart(self, at_ns: int) -> None:
+        super()._restart(at_ns + CLOSE_NS)
 
     def quick_restart(self) -> None:
         """The next restart takes five seconds."""

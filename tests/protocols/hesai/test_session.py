@@ -255,13 +255,15 @@ def test_reboot_answers_then_restarts_from_one_and_a_reset_is_quicker() -> None:
     rig.run(11.5)
     assert clouds(rig.sent)
     rig.ok(0x10)
+    assert rig.ok(0x08), "connections are closed 0.1 s later"
+    rig.run(0.1)
     assert rig.raw(frame(0x08)) == b""
     assert not clouds(rig.run(10.5))
     rig.session.connected(rig.now_ns, PTC, LinkKind.STREAM)
     sent = clouds(rig.run(1.0))
     assert int.from_bytes(sent[0].payload[1076:1080], "little") == 1
     rig.ok(0x25)
-    rig.run(4.8)
+    rig.run(4.9)
     assert clouds(rig.run(0.5))
 
 
