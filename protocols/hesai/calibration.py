@@ -63,7 +63,7 @@ def adjustments(model: Model) -> tuple[NDArray[np.int8], NDArray[np.int8]]:
     Along the sweep as one published unit has them for its uppermost channel: +0.52 to -0.94 deg, and 0.04 deg in the
     middle to 0.12 at the ends; zero outside of 11 to 79 deg. For other channels, and from mirror to mirror: ours.
     """
-    encoder = ADJUST_STEP_DEG * np.arange(180)
+    encoder = np.asarray(ADJUST_STEP_DEG * np.arange(180), np.float64)
     since, mirror = after_start(encoder), ((encoder - STARTS_DEG[0]) % 360.0 // 120.0).astype(int)
     along = (since - 45.0) / 34.0
     height = np.asarray(model.elevation_deg)[:, None] / model.elevation_deg[0]
