@@ -591,3 +591,17 @@ def test_codes_of_return_modes_are_those_of_the_maker(name: str) -> None:
             tail = 0x3B if (name, code) == ("hesai-qt64", 2) else TAIL[code]
             assert {reader.decode(one.payload).mode for one in clouds(rig.run(0.12))} == {tail}
             assert rig.ok(0x08)[32] == code
+
+
+@pytest.mark.parametrize("name", sorted(MODELS))
+def test_the_start_of_the_makers_sdk_is_answered_within_three_seconds_and_in_standby_too(name: str) -> None:
+    rig = Rig(name, {"standby": True} if name == "hesai-at128" else {"standby": True, **QUIET})
+    rpm = struct.pack(">H", MODELS[name].rpm[-1])
+    for command, payload, length in (
+        (0x1C, b"\0", 0), (0x17, rpm, 0), (0x05, b"", None), (0x06, b"\1", 16), (0x3A, b"", 1),
+    ):  # fmt: skip
+        said = rig.ok(command, payload)
+        assert len(said) == length if length is not None else len(said) > 300
+    assert not clouds(rig.run(9.8))
+    sent = clouds(rig.run(0.5))
+    assert reader.decode(sent[0].payload).rpm == MODELS[name].rpm[-1]
