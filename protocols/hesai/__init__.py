@@ -31,7 +31,7 @@ class HesaiFamily:
         lambda kind: HesaiFraming(),
         LinkKind.STREAM,
         (b"GET /point_cloud HTTP/1.1\r\n\r\n",),
-        impaired=("no pps", "no ptp", "heat", "calibration", "ptc error"),
+        impaired=("no pps", "no ptp", "heat", "calibration", "wrong calibration served", "ptc error"),
     )
 
     def new_session(self, device: Mapping[str, Any], facts: Mapping[str, Any]) -> HesaiSession:

@@ -6,6 +6,7 @@ Belongs here: files, and what an angle of the AT128's encoder means. Not: the an
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -29,9 +30,10 @@ ADJUST_DEG = 0.01 * RESOLUTION
 "Their unit."
 
 
-def served(model: Model) -> bytes:
-    """The file that command 05 has."""
-    return at128(model, *adjustments(model)) if model.calibrated == "at128" else csv(model)
+def served(model: Model, wrong_deg: float = 0.0) -> bytes:
+    """The file that command 05 has; `wrong_deg` is added to all elevations in it."""
+    told = replace(model, elevation_deg=tuple(one + wrong_deg for one in model.elevation_deg))
+    return at128(told, *adjustments(model)) if model.calibrated == "at128" else csv(told)
 
 
 def csv(model: Model) -> bytes:

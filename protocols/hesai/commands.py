@@ -84,7 +84,7 @@ def _switch(field: str, most: int = 1) -> Act:
 def _calibration(device: HesaiDevice, request: Request) -> bytes | Refused:
     if device.calibration == 1:
         return Refused(DropReason.REFUSED, "fault")
-    made = calibration.served(device.model)
+    made = calibration.served(device.model, device.wrong_deg)
     return calibration.damaged(made) if device.calibration else made
 
 

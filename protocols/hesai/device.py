@@ -81,6 +81,8 @@ class HesaiDevice(RequestSession):
         self._slices = Slices(model)
         self.calibration = 0
         "1: its file is refused, 2: damaged."
+        self.wrong_deg = 0.0
+        "Added to elevations in the file."
         self._felt: Callable[[int], tuple[Floats, Floats] | None] = lambda at_ns: None
         self.transmission, self.hot, self._hot_ns, self._hot_over = 1.0, False, 0, False
 

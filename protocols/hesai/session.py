@@ -86,6 +86,8 @@ class HesaiSession(HesaiDevice):
         """And what it answers."""
         if what == "calibration":
             self.calibration = round(degree)
+        elif what == "wrong calibration served":
+            self.wrong_deg = degree
         elif what == "ptc error":
             self.error_code = round(degree)
         else:

@@ -122,3 +122,16 @@ def test_words_of_a_damaged_file_are_seen_by_its_hash() -> None:
     with pytest.raises(AssertionError):
         reader.Mirrors(calibration.damaged(whole))
     assert struct.unpack_from("<3I", whole, 16) == (256000, 1792000, 3328000)
+
+
+@pytest.mark.parametrize("name", ["hesai-xt32", "hesai-at128"])
+def test_a_whole_file_of_another_unit_is_served_as_a_fault(name: str) -> None:
+    rig = Rig(name, {"standby": True})
+    own = angles(rig, name)
+    rig.session.impair(rig.now_ns, "wrong calibration served", 0.5)
+    other = angles(rig, name)
+    for channel in (0, 17, 31):
+        before, after = (one.direction(65.0, channel, 0.0) for one in (own, other))
+        assert (after[0], after[1]) == pytest.approx((before[0], before[1] + 0.5), abs=1e-4)
+    rig.session.impair(rig.now_ns, "wrong calibration served", 0.0)
+    assert angles(rig, name).direction(65.0, 3, 0.0) == own.direction(65.0, 3, 0.0)
