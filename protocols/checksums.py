@@ -5,6 +5,7 @@ A check that one other family alone has (CRC of the LD family, CAN end-to-end pr
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 from functools import lru_cache
 
@@ -12,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 calculate_crc64: Callable[..., int] | None
+calculate_crc32: Callable[..., int] | None
 try:  # an environment from before this dependency
+    from fastcrc.crc32 import mpeg_2 as calculate_crc32
     from fastcrc.crc64 import xz as calculate_crc64
 except ImportError:  # pragma: no cover
-    calculate_crc64 = None
+    calculate_crc32 = calculate_crc64 = None
 
 LMS_POLYNOMIAL = 0x8005
 TABLE_BYTES = 1024
@@ -88,6 +91,15 @@ def xor8(data: bytes | bytearray | memoryview) -> int:
 def sum8(data: bytes | bytearray | memoryview) -> int:
     """Sum of all bytes, mod 256. Check: all bytes of an Intel HEX record sum to 0."""
     return sum(bytes(data)) & 0xFF
+
+
+def crc32_mpeg2(data: bytes | memoryview) -> int:
+    """CRC-32/MPEG-2. Check: `123456789` gives 0376E6E7. By the library fastcrc where it is installed."""
+    if calculate_crc32 is not None:
+        return int(calculate_crc32(data))
+    reversed_bits = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
+    turned = zlib.crc32(bytes(data).translate(reversed_bits)) ^ 0xFFFFFFFF  # the same polynomial, bits reversed
+    return int.from_bytes(turned.to_bytes(4, "little").translate(reversed_bits), "big")
 
 
 def crc64_xz(data: bytes | memoryview) -> int:

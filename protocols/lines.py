@@ -73,7 +73,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "hesai": {
         "codec": "codec framing calibration",
         "commands": "commands session",
-        "session": "device motor",
+        "session": "device slices motor",
         "settings": "settings models tables",
         "other": "__init__",
     },

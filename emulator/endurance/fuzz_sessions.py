@@ -146,6 +146,7 @@ HESAI = tuple(
         ptc(0x06, b"\1"), ptc(0x17, b"\x04\xb0"), ptc(0x18, b"\1\0\x5a"), ptc(0x1C, b"\1"), ptc(0x1E, b"\2"),
         ptc(0x1F, b"\1"),
         ptc(0x20, bytes((127, 0, 0, 1, 9, 64, 39, 126))), ptc(0x21, bytes(15)), ptc(0x22, bytes.fromhex("00012c05dc")),
+        b"\x47\x74\x17\0\xff\xff\xff\xff", b"\x57\x75\1\1" + bytes(7) + b"\3abc",
         ptc(0x22, bytes.fromhex("030200000064070808 34")), ptc(0x24, b"\3\0\1\1"), ptc(0x29, b"\1"), ptc(0x2A, b"\1"),
         b"GET /point_cloud HTTP/1.1\r\n\r\n", b"GET /pandar.cgi?action=get&object=lidar_monitor HTTP/1.1\r\n\r\n",
         b'GET /pandar.cgi?action=set&object=lidar_sync&key=sync_angle&value={"sync": 1,"syncAngle": 30} HTTP/1.1'

@@ -30,7 +30,7 @@ class LostKeys(Keys):
 
 
 class ServedKeys(Keys):
-    """Metadata is that of another unit."""
+    """Metadata, or a calibration file, of another unit."""
 
     elevation_deg: Annotated[float, Field(ge=-5.0, le=5.0)] = 0.5
     "Added to all elevations that are served; the beams stay where they are."
@@ -117,8 +117,8 @@ KINDS: tuple[Kind, ...] = (
     _kind(
         "calibration_served_wrong",
         "wrong calibration served",
-        "Metadata has other elevations than the device's beams: points are at wrong heights.",
-        "Metadata is right; drivers that read it before keep the wrong one.",
+        "What it serves has other elevations than its beams: points are at wrong heights.",
+        "What it serves is right; drivers that read it before keep the wrong one.",
         ServedKeys,
         lambda keys: keys.elevation_deg,
     ),

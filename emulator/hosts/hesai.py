@@ -17,7 +17,7 @@ from emulator.hosts.lines import Line
 from emulator.hosts.packets import PacketHost, PacketScript
 from emulator.hosts.scans import HostCloud, HostScan
 from emulator.hosts.scripted import HostEnd
-from protocols.hesai.calibration import directions
+from protocols.hesai.calibration import along_beam, directions, leads
 from protocols.hesai.codec import GPS_BYTES, Read, decode, size_of_packet
 from protocols.hesai.commands import COMMANDS
 
@@ -85,6 +85,7 @@ class TurnReader:
         azimuth, elevation = _directions(read, echoes)
         words = read.distance[:, ::echoes].reshape(azimuth.shape)
         bright = read.reflectivity[:, ::echoes].reshape(azimuth.shape)
+        range_m = along_beam(words * (model.unit_mm / 1000.0), *leads(model))
         laser = int(np.argmin(np.abs(model.elevation_deg)))
         own = words[:, laser] > 0
         self._scans += 1
@@ -93,13 +94,13 @@ class TurnReader:
         cloud = HostCloud(
             azimuth[firing, hit],
             elevation[firing, hit],
-            words[firing, hit] * model.unit_mm / 1000.0,
+            range_m[firing, hit],
             bright[firing, hit].astype(np.float64),
         )
         return HostScan(
             self._scans - 1,
             azimuth[:, laser],
-            np.where(own, words[:, laser] * model.unit_mm / 1000.0, np.nan),
+            np.where(own, range_m[:, laser], np.nan),
             detail,
             np.where(own, bright[:, laser], np.nan),
             cloud,

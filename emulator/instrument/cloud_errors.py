@@ -16,6 +16,8 @@ from protocols.scan import Floats
 SAME_LAYER_RAD = 1e-4
 LAYER_DEG = 1000.0
 "Layers are so far apart on the axis on which beams are matched; azimuths are within 360."
+NEIGHBOURS = 2
+"On each side: slices overlap, and mirrors differ, so that a few beams have nearly the same azimuth."
 
 
 class Beams(Protocol):
@@ -49,18 +51,19 @@ def _differences(cloud: HostCloud, slices: Sequence[Beams], within_rad: float) -
     keys = _keys(np.concatenate([one.azimuth_rad for one in slices]), elevation, layers)
     order = np.argsort(keys, kind="stable")
     keys, wanted = keys[order], _keys(cloud.azimuth_rad, cloud.elevation_rad, layers)
-    right = np.clip(np.searchsorted(keys, wanted), 0, len(keys) - 1)
-    left = np.maximum(right - 1, 0)
-    nearest = np.where(np.abs(keys[left] - wanted) < np.abs(keys[right] - wanted), left, right)
+    right = np.searchsorted(keys, wanted)
     width = max(one.echoes.shape[1] for one in slices)
     echoes = np.full((len(keys), width), np.nan)
     first = 0
     for one in slices:
         echoes[first : first + len(one.echoes), : one.echoes.shape[1]] = one.echoes
         first += len(one.echoes)
-    apart = np.abs(echoes[order][nearest] - cloud.range_m[:, None])
-    found = np.fmin.reduce(apart, axis=1)
-    return np.where(np.abs(keys[nearest] - wanted) < np.degrees(within_rad), found, np.nan)
+    found = np.full(len(wanted), np.nan)
+    for step in range(-NEIGHBOURS, NEIGHBOURS):
+        beside = np.clip(right + step, 0, len(keys) - 1)
+        apart = np.fmin.reduce(np.abs(echoes[order][beside] - cloud.range_m[:, None]), axis=1)
+        found = np.fmin(found, np.where(np.abs(keys[beside] - wanted) < np.degrees(within_rad), apart, np.nan))
+    return found
 
 
 def largest(cloud: HostCloud, slices: Sequence[Beams], within_rad: float) -> float:

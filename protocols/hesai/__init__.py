@@ -1,7 +1,8 @@
 """Hesai's lidars: PandarXT-32, XT32M2X, QT64, Pandar40P, Pandar128E3X, OT128, AT128.
 
-Reading order: `tables`, `models` (facts of each), `codec` (bytes), `calibration`, `motor` (angles and time), `device`
-(slices and packets), `commands` and `session` (PTC and HTTP). `settings.read` has the keys of a scenario's `device:`.
+Reading order: `tables`, `models` (facts of each), `codec` (bytes), `calibration`, `motor` (angles and time), `slices`
+(what is measured), `device` (power, packets), `commands` and `session` (PTC and HTTP). `settings.read` has the keys of
+a scenario's `device:`.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class HesaiFamily:
         lambda kind: HesaiFraming(),
         LinkKind.STREAM,
         (b"GET /point_cloud HTTP/1.1\r\n\r\n",),
-        impaired=("no pps", "no ptp", "heat", "calibration", "ptc error"),
+        impaired=("no pps", "no ptp", "heat", "calibration", "wrong calibration served", "ptc error"),
     )
 
     def new_session(self, device: Mapping[str, Any], facts: Mapping[str, Any]) -> HesaiSession:

@@ -7,7 +7,6 @@ marked.
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -15,8 +14,8 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
-from protocols.checksums import xor8
-from protocols.hesai.models import MODELS, MODES, Model
+from protocols.checksums import crc32_mpeg2
+from protocols.hesai.models import MODELS, Model
 from protocols.scan import Floats, Scan
 
 Words = NDArray[np.int64]
@@ -32,16 +31,6 @@ REFRESH_NS = 5_000_000
 SIGNED = 8
 "Flag of a header."
 IMU_TICK_NS = 25_000
-_REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
-
-
-def crc32_mpeg2(data: bytes) -> int:
-    """CRC-32/MPEG-2. Check: 0376E6E7 for `123456789`.
-
-    The CRC-32 of zlib has the same polynomial with bits reversed, and inverts its result.
-    """
-    turned = zlib.crc32(data.translate(_REVERSED)) ^ 0xFFFFFFFF
-    return int.from_bytes(turned.to_bytes(4, "little").translate(_REVERSED), "big")
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +55,10 @@ class Packets:
     operation: int = 0
     safety: NDArray[np.uint8] | None = None
     "(P, 17)"
-    temperature: int = 3500
-    "Of the IMU, 0.01 C."
+    felt: tuple[Floats, Floats] | None = None
+    "Specific force and rate (3,) in the sensor's frame, ISO 8855; None: at rest and level. [m/s^2, rad/s]"
+    felt_ns: int = 0
+    "When, by the device's clock."
     shutdown: bool = False
     signed: bool = False
     "With a signature, of zeros; models of 128 lasers."
@@ -77,8 +68,7 @@ class Packets:
 
 def encode(model: Model, said: Packets) -> list[bytes]:
     """Point-cloud packets."""
-    layout, (name, code, echoes) = model.layout, model.returns(said.mode)
-    del name
+    layout, (_, code, echoes) = model.layout, model.returns(said.mode)
     packets = np.zeros(len(said.sequence), model.dtype)
     if layout.head:
         head = bytearray(layout.head)
@@ -96,24 +86,21 @@ def encode(model: Model, said: Packets) -> list[bytes]:
     blocks["channels"]["reflectivity"] = said.reflectivity
     if "fourth" in (layout.channel.names or ()):
         blocks["channels"]["fourth"] = said.fourth
-    packets["mode"], packets["rpm"], packets["factory"] = code, said.rpm, FACTORY
-    packets["utc"] = _calendar(said.utc_ns, layout.year)
-    packets["us"] = said.utc_ns // 1000 % 1_000_000
-    packets["sequence"] = said.sequence & 0xFFFFFFFF
-    if layout.shutdown is not None:
-        packets["shutdown"] = said.shutdown
-    if layout.states is not None and said.states is not None:
-        packets["states"] = (said.states << (14 - 2 * np.arange(layout.blocks))).sum(axis=1)
-        packets["operation"] = said.operation
-    if layout.safety is not None and said.safety is not None:
-        packets["safety"] = said.safety
-    if layout.imu is not None:
-        packets["imu"] = _imu(said)
+    told = {
+        "mode": code, "rpm": said.rpm, "factory": FACTORY, "utc": _calendar(said.utc_ns, layout.year),
+        "us": said.utc_ns // 1000 % 1_000_000, "sequence": said.sequence & 0xFFFFFFFF, "shutdown": said.shutdown,
+        "operation": said.operation, "safety": said.safety,
+        "states": None if said.states is None else (said.states << (14 - 2 * np.arange(layout.blocks))).sum(axis=1),
+        "imu": _imu(said) if "imu" in layout.places else None,
+    }  # fmt: skip
+    for name in layout.places:
+        if told[name] is not None:
+            packets[name] = told[name]
     data = bytearray(packets.tobytes())
     view = memoryview(data)
     for first in range(0, len(data), layout.size):
         for begin, end in layout.checks:
-            check = crc32_mpeg2(bytes(view[first + begin : first + end]))
+            check = crc32_mpeg2(view[first + begin : first + end])
             data[first + end : first + end + 4] = check.to_bytes(4, "little")
     signature = bytes(32) if said.signed else b""
     return [bytes(view[first : first + layout.size]) + signature for first in range(0, len(data), layout.size)]
@@ -138,15 +125,23 @@ def moment(utc_ns: int) -> datetime:
 IMU = np.dtype([("temperature", "<i2"), ("units", "<u2", 2), ("ticks", "<u4"), ("force", "<i2", 3), ("rate", "<i2", 3)])
 IMU_UNITS = 122, 305
 "Micro-g and 1e-5 deg/s of a count."
+IMU_CDEG = 3500
+"Its temperature, 0.01 C."
+G = 9.80665
 
 
 def _imu(said: Packets) -> NDArray[np.uint8]:
-    """(P, 22) of a unit at rest and upright: a session does not know how its sensor moves."""
-    found = np.zeros(len(said.sequence), IMU)
-    found["temperature"], found["units"] = said.temperature, IMU_UNITS
-    found["ticks"] = said.utc_ns // IMU_TICK_NS % (1 << 32) if said.utc_ns.size else 0
-    found["force"][:, 2] = 8196
-    return np.frombuffer(found.tobytes(), np.uint8).reshape(-1, IMU.itemsize)
+    """(22,) of the unit in the sensor; without noise, as no figures are published."""
+    found = np.zeros(1, IMU)
+    force, rate = said.felt if said.felt is not None else (np.array((0.0, 0.0, G)), np.zeros(3))
+    found["temperature"], found["units"], found["ticks"] = IMU_CDEG, IMU_UNITS, said.felt_ns // IMU_TICK_NS % (1 << 32)
+    for name, value, unit in (
+        ("force", force / G, 1e-6 * IMU_UNITS[0]),
+        ("rate", np.degrees(rate), 1e-5 * IMU_UNITS[1]),
+    ):
+        turned = np.array((-value[1], value[0], value[2]))  # the maker's x is to the right, y ahead
+        found[name] = np.clip(np.rint(turned / unit), -0x8000, 0x7FFF)
+    return found.view(np.uint8)
 
 
 def safety(own_ns: Words, state: int, codes: Sequence[int] = (), past: bool = False) -> NDArray[np.uint8]:
@@ -165,50 +160,35 @@ def _safety(refresh: int, state: int, codes: Sequence[int], past: bool) -> bytes
     return b"\x01" + body + crc32_mpeg2(body).to_bytes(4, "little")
 
 
-def returns(scan: Scan, name: str, swapped: bool) -> tuple[Floats, Floats]:
-    """Range and intensity (E, n) of the returns of a mode, in the order of the blocks; NaN: none.
+def returns(scan: Scan, picks: tuple[str, ...]) -> tuple[Floats, Floats]:
+    """Range and intensity (E, n) of these returns: `first`, `last`, `strongest`; NaN: none.
 
-    `swapped`: strongest before last, first before last. Where both returns of a pair are one echo, the strongest is the
-    second strongest instead, or the same again if there is only one.
+    Where both of a pair are one echo, the strongest is the second strongest instead, or the same again if there is
+    only one.
     """
-    range_m, strength = scan.range_m, scan.intensity
-    beams, none = np.arange(len(range_m)), np.isnan(range_m)
-
-    def first() -> Words:
-        return np.asarray(np.argmin(none, axis=1), np.int64)
-
-    def last() -> Words:
-        return np.asarray((range_m.shape[1] - 1 - np.argmin(none[:, ::-1], axis=1)) * ~none.all(axis=1), np.int64)
-
-    def strongest(without: Words | None = None) -> Words:
-        found = np.where(none, -1.0, strength)
-        if without is not None and range_m.shape[1] > 1:
-            only = np.count_nonzero(~none, axis=1) < 2
-            found[beams[~only], without[~only]] = -1.0
-        return np.asarray(np.argmax(found, axis=1), np.int64)
-
-    def other(one: Words) -> Words:
-        best = strongest()
-        same = best == one
-        return np.where(same, strongest(best), best) if same.any() else best
-
-    if name in ("last", "strongest", "first"):
-        chosen: Sequence[Words] = ({"last": last, "strongest": strongest, "first": first}[name](),)
-    elif name == "dual":
-        chosen = (last(), other(last()))[:: -1 if swapped else 1]
-    elif name == "last_first":
-        chosen = (last(), first())[:: -1 if swapped else 1]
-    elif name == "first_strongest":
-        chosen = (first(), other(first()))
-    else:
-        chosen = (first(), last(), strongest())
-    places = np.stack(chosen)
-    return range_m[beams, places], strength[beams, places]
+    there, beams = ~np.isnan(scan.range_m), np.arange(len(scan.range_m))
+    power = np.where(there, scan.intensity, -1.0) if "strongest" in picks else there
+    found: dict[str, Words] = {}
+    for pick in sorted(picks):  # the strongest after the other one of a pair
+        place = np.zeros(len(beams), np.int64)
+        if pick == "strongest" and len(picks) == 2:
+            other, several = next(iter(found.values())), np.count_nonzero(there, axis=1) > 1
+            alone = several & (np.argmax(power, axis=1) == other)
+            power[beams[alone], other[alone]] = -1.0
+        for echo in range(there.shape[1]):  # by columns: the few echoes of many beams
+            if pick == "strongest":
+                better = power[:, echo] > power[beams, place]
+            else:
+                better = there[:, echo] & (True if pick == "last" else ~there[beams, place])
+            place[better] = echo
+        found[pick] = place
+    places = np.stack([found[one] for one in picks])
+    return scan.range_m[beams, places], scan.intensity[beams, places]
 
 
 def distances(range_m: Floats, unit_mm: int) -> Words:
     """Words of ranges; what the wire cannot say is no return."""
-    words = np.rint(np.nan_to_num(range_m * (1000.0 / unit_mm), nan=0.0))
+    words = np.rint(range_m * (1000.0 / unit_mm))
     return np.where((words > 0.0) & (words <= 0xFFFF), words, 0.0).astype(np.int64)
 
 
@@ -236,8 +216,6 @@ class Read:
     "(P,)"
     sequence: Words
     "(P,)"
-    utc: NDArray[np.uint8]
-    "(P, 6)"
     rpm: int
     states: Words
     "(P, B)"
@@ -260,7 +238,7 @@ def decode(data: bytes) -> Read | None:
     azimuth = blocks["azimuth"] / 100.0 + (blocks["fine"] / (100.0 * FINE) if layout.fine else 0.0)
     channels = blocks["channels"]
     states, high = np.zeros(azimuth.shape, np.int64), False
-    if layout.states is not None:
+    if "states" in layout.places:
         states = packets["states"].astype(np.int64)[:, None] >> (14 - 2 * np.arange(layout.blocks)) & 3
         high = int(packets["operation"][0]) == 0
         states %= len(model.high_ns if high else model.laser_ns)
@@ -272,7 +250,6 @@ def decode(data: bytes) -> Read | None:
         channels["reflectivity"].astype(np.int64),
         packets["us"].astype(np.int64),
         packets["sequence"].astype(np.int64),
-        packets["utc"],
         int(packets["rpm"][0]),
         states,
         high,
@@ -284,7 +261,7 @@ def size_of_packet(data: bytes) -> int | None:
     model = model_of_packet(data)
     if model is None or (model.layout.head and data[6:8] != model.layout.head[6:8]):
         return None
-    return model.layout.size + (32 if model.layout.safety is not None and data[11] & SIGNED else 0)
+    return model.layout.size + (32 if "safety" in model.layout.places and data[11] & SIGNED else 0)
 
 
 def model_of_packet(data: bytes) -> Model | None:
@@ -307,26 +284,15 @@ def encode_gps(utc_ns: int, us: int, sentence: bytes, status: bytes, locked: boo
     return data.ljust(506, b"\xdf") + status[:1].ljust(1, b"\0") + bytes((locked,)) + bytes(4)
 
 
-def gprmc(utc_ns: int, latitude_deg: float, longitude_deg: float) -> bytes:
-    """A $GPRMC sentence with CR LF of a receiver at rest."""
-    places = []
-    for degrees, width, signs in ((latitude_deg, 2, "NS"), (longitude_deg, 3, "EW")):
-        minutes = round(abs(degrees) * 600_000.0)
-        places.append(f"{minutes // 600_000:0{width}d}{minutes % 600_000 / 1e4:07.4f},{signs[degrees < 0.0]}")
-    when = moment(utc_ns)
-    text = f"GPRMC,{when:%H%M%S}.00,A,{','.join(places)},0.000,0.0,{when:%d%m%y},0.0,E,A"
-    return f"${text}*{xor8(text.encode()):02X}\r\n".encode()
-
-
-def encode_fault(utc_ns: int, operate: int, state: int, code: int, counter: int, dirt: int, hot: bool) -> bytes:
-    """A fault message of an AT128; `dirt` of the lens: 0 clean, 1 passable, 3 blocked."""
+def encode_fault(
+    utc_ns: int, operate: int, state: int, codes: Sequence[int], counter: int, dirt: int, hot: bool
+) -> bytes:
+    """A fault message of an AT128, with the next fault code; `dirt` of the lens: 0 clean, 1 passable, 3 blocked."""
+    at = counter % len(codes) if codes else 0
     body = b"\xcd\xdc\x04\0\0" + (utc_ns // 10**9 & 0xFFFFFFFF).to_bytes(4, "big")
     body += (utc_ns // 1000 % 10**6).to_bytes(4, "big")
-    body += bytes((operate, state, bool(code), counter & 0xFF, bool(code), bool(code))) + code.to_bytes(4, "big")
+    body += bytes((operate, state, bool(codes), counter & 0xFF, len(codes), at + 1 if codes else 0))
+    body += (codes[at] if codes else 0).to_bytes(4, "big")
     areas = sum(dirt << 2 * at for at in range(8)).to_bytes(2, "little")
     body += b"\x01" + (350).to_bytes(2, "little") + areas * 12 + bytes(8) + bytes((0, hot)) + bytes(3)
     return body + crc32_mpeg2(body[2:]).to_bytes(4, "little") + bytes(32)
-
-
-NAMES = {code: name for code, (name, _, _) in MODES.items()}
-"Of return modes by their codes."

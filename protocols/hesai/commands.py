@@ -10,7 +10,6 @@ import struct
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
-from urllib.parse import parse_qsl
 
 from protocols.hesai import calibration
 from protocols.hesai.device import HesaiDevice
@@ -18,6 +17,7 @@ from protocols.hesai.models import Model
 from protocols.hesai.motor import LOCKED, TRACKING
 from protocols.hesai.settings import WHOLE, Settings, ptp_length
 from protocols.session import DropReason
+from protocols.skeleton import http
 from protocols.skeleton.requests import Answer, Command, Refused, Request
 
 MAC = bytes.fromhex("ec9f0d010203")
@@ -32,23 +32,26 @@ Act = Callable[[HesaiDevice, Request], bytes | Answer | Refused]
 BAD = Refused(DropReason.BAD_ARGUMENT, "out of range")
 
 
-def _get(make: Callable[[HesaiDevice, int], bytes]) -> Act:
-    """A command without a payload."""
+def _sized(size: int, act: Act) -> Act:
+    """A command with so many bytes of payload."""
 
-    def act(device: HesaiDevice, request: Request) -> bytes | Refused:
-        if request.data:
-            return Refused(DropReason.BAD_LENGTH, f"{len(request.data)} bytes; want 0")
-        return make(device, request.now_ns)
-
-    return act
-
-
-def _set(size: int | None, change: Callable[[Model, Settings, bytes], Settings | None]) -> Act:
-    """A command that changes settings; None of `change`: refused. `size` None: `change` judges the length."""
-
-    def act(device: HesaiDevice, request: Request) -> bytes | Refused:
-        if size is not None and len(request.data) != size:
+    def found(device: HesaiDevice, request: Request) -> bytes | Answer | Refused:
+        if len(request.data) != size:
             return Refused(DropReason.BAD_LENGTH, f"{len(request.data)} bytes; want {size}")
+        return act(device, request)
+
+    return found
+
+
+def _get(make: Callable[[HesaiDevice, int], bytes]) -> Act:
+    """A command without a payload, answered from the state at an instant."""
+    return _sized(0, lambda device, request: make(device, request.now_ns))
+
+
+def _set(change: Callable[[Model, Settings, bytes], Settings | None]) -> Act:
+    """A command that changes settings; None of `change`: refused."""
+
+    def act(device: HesaiDevice, request: Request) -> bytes | Refused:
         found = change(device.model, device.settings, request.data)
         if found is None:
             return BAD
@@ -75,15 +78,13 @@ def _switch(field: str, most: int = 1) -> Act:
         kind = type(getattr(old, field))
         return replace(old, **{field: kind(data[0])}) if data[0] <= most else None
 
-    return _set(1, change)
+    return _sized(1, _set(change))
 
 
 def _calibration(device: HesaiDevice, request: Request) -> bytes | Refused:
-    if request.data:
-        return Refused(DropReason.BAD_LENGTH, f"{len(request.data)} bytes; want 0")
     if device.calibration == 1:
         return Refused(DropReason.REFUSED, "fault")
-    made = calibration.served(device.model)
+    made = calibration.served(device.model, device.wrong_deg)
     return calibration.damaged(made) if device.calibration else made
 
 
@@ -115,7 +116,8 @@ def _config(device: HesaiDevice, now_ns: int) -> bytes:
         + struct.pack(">HHHBHHH", port, gps_port, one.rpm, one.sync, 100 * one.sync_deg, first // 10, last // 10)
         + bytes((one.by_ptp, 1, one.trigger, one.mode, one.standby, _turns_back(device.model) << 4 | one.backwards))
         + one.network[12:15]
-        + bytes(9)
+        + bytes((device.build.gpgga,))
+        + bytes(8)
     )
 
 
@@ -132,8 +134,6 @@ def _status(device: HesaiDevice, now_ns: int) -> bytes:
 
 
 def _diagnostics(device: HesaiDevice, request: Request) -> bytes | Refused:
-    if len(request.data) != 1:
-        return Refused(DropReason.BAD_LENGTH, f"{len(request.data)} bytes; want 1")
     now_ns, query, source = request.now_ns, request.data[0], device.source
     state = source.ptp_state(now_ns)
     hears = state in (TRACKING, LOCKED)
@@ -215,9 +215,7 @@ def _ptp(model: Model, old: Settings, data: bytes) -> Settings | None:
     return replace(old, ptp=data) if good else None
 
 
-def _reset(device: HesaiDevice, request: Request) -> Answer | Refused:
-    if request.data:
-        return Refused(DropReason.BAD_LENGTH, f"{len(request.data)} bytes; want 0")
+def _reset(device: HesaiDevice, request: Request) -> Answer:
     if request.code == b"25":
         device.quick_restart()
     return Answer(b"", restarts=True)
@@ -230,12 +228,12 @@ def page(error: int, body: Mapping[str, Any] | None = None) -> bytes:
     """A page of JSON; drivers want a length."""
     head = {"ErrorCode": str(error), "Message": "Success" if error == 0 else "Failed"}
     data = json.dumps({"Head": head, "Body": dict(body or {})}, separators=(",", ":")).encode()
-    return b"HTTP/1.1 200 OK\r\nContent-Type: application/json\r\nContent-Length: %d\r\n\r\n" % len(data) + data
+    return http.page("200 OK", data, "application/json")
 
 
 def _pandar(device: HesaiDevice, request: Request) -> bytes:
     try:
-        fields = dict(parse_qsl(request.data.decode("ascii"), keep_blank_values=True, max_num_fields=16))
+        fields = http.fields_of(request.data)
     except ValueError:
         return page(1)
     what = fields.get("action"), fields.get("object"), fields.get("key")
@@ -292,30 +290,29 @@ def _has_range(model: Model) -> bool:
     return model.number != 48
 
 
+PTC_2 = b"PTC 2.0"
 SDK, NEBULA, BOTH = "SDK 2.0.11", "nebula", "SDK 2.0.11, nebula"
 COMMANDS: Mapping[bytes, Command] = {
-    b"05": Command("get calibration", _calibration, BOTH, "CSV; of an AT128 binary with SHA-256"),
-    b"06": Command("PTP diagnostics", _diagnostics, BOTH, "queries 1 to 4"),
+    b"05": Command("get calibration", _sized(0, _calibration), BOTH, "CSV; of an AT128 binary with SHA-256"),
+    b"06": Command("PTP diagnostics", _sized(1, _diagnostics), BOTH, "queries 1 to 4"),
     b"07": Command("get inventory", _get(_inventory), NEBULA),
     b"08": Command("get configuration", _get(_config), NEBULA),
     b"09": Command("get status", _get(_status), BOTH),
     b"0C": Command("read register", None, SDK),
     b"0D": Command("write register", None, SDK),
-    b"10": Command("reboot", _reset, SDK),
-    b"17": Command("set spin rate", _set(2, _rpm), BOTH, "the motor ramps at once"),
-    b"18": Command("set sync angle", _set(3, _sync), BOTH, "whole degrees"),
+    b"10": Command("reboot", _sized(0, _reset), SDK),
+    b"17": Command("set spin rate", _sized(2, _set(_rpm)), BOTH, "the motor ramps at once"),
+    b"18": Command("set sync angle", _sized(3, _set(_sync)), BOTH, "whole degrees"),
     b"1B": Command("set trigger", _switch("trigger"), NEBULA, "0 angle, 1 time"),
     b"1C": Command("set standby", _switch("standby"), BOTH),
-    b"1E": Command("set return mode", _set(1, _mode), BOTH, "takes effect with the next slice"),
+    b"1E": Command("set return mode", _sized(1, _set(_mode)), BOTH, "takes effect with the next slice"),
     b"1F": Command("set clock source", _switch("by_ptp"), NEBULA, "0 GPS, 1 PTP"),
-    b"20": Command("set destination", _set(8, _destination), BOTH, "UDP links are redirected"),
-    b"21": Command("set network", _set(15, _network), BOTH, "stored, not used"),
-    b"22": Command(
-        "set range", _only(_has_range, _set(None, _range)), BOTH, "all channels or sections; not per channel"
-    ),
+    b"20": Command("set destination", _sized(8, _set(_destination)), BOTH, "UDP links are redirected"),
+    b"21": Command("set network", _sized(15, _set(_network)), BOTH, "stored, not used"),
+    b"22": Command("set range", _only(_has_range, _set(_range)), BOTH, "all channels or sections; not per channel"),
     b"23": Command("get range", _only(_has_range, _get(lambda device, _: device.settings.range_said)), BOTH),
-    b"24": Command("set PTP configuration", _set(None, _ptp), NEBULA),
-    b"25": Command("reset", _reset, NEBULA),
+    b"24": Command("set PTP configuration", _set(_ptp), NEBULA),
+    b"25": Command("reset", _sized(0, _reset), NEBULA),
     b"26": Command("get PTP configuration", _get(lambda device, _: b"\1" + device.settings.ptp), NEBULA),
     b"27": Command("monitor", _get(_monitor), NEBULA, "current, voltage and power are fixed"),
     b"28": Command("get high resolution", _only(_high, _get(lambda one, _: bytes((one.settings.high,)))), NEBULA),
@@ -334,6 +331,7 @@ COMMANDS: Mapping[bytes, Command] = {
     b"A8": Command("get channel configuration", None, SDK, "other models have it"),
     b"A9": Command("get fire times", None, SDK, "other models have it"),
     b"FF": Command("firmware upgrade", None, SDK),
+    PTC_2: Command("any command", None, SDK, "the maker's drivers do not use it"),
     b"GET /pandar.cgi": Command("HTTP: spin rate, sync angle, PTP, monitor", _pandar, NEBULA),
     b"GET /point_cloud": Command("point cloud on this connection", _packets, "ours", "no real device has it"),
 }

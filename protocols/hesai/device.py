@@ -1,26 +1,25 @@
-"""A Hesai between requests: slices of its turn, the packets that they leave in, GPS packets, fault messages, standby.
+"""A Hesai between requests: power, standby, faults, where its packets, GPS packets and fault messages go, and when.
 
-A slice is a few packets: it is measured as a whole, and its packets leave each at its own instant. Belongs here: what
-fires when, and where packets go. Not: what a request says (commands), bytes (codec).
+Belongs here: what changes with time. Not: what a request says (commands), a slice's firings (slices), bytes (codec).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
 from protocols.device_clock import DeviceStamp
-from protocols.hesai import calibration, codec
+from protocols.hesai import codec
 from protocols.hesai.models import Model
-from protocols.hesai.motor import NEAR, Rotor, Source
+from protocols.hesai.motor import Rotor, Source
 from protocols.hesai.settings import SLICE_NS, Build, Settings
+from protocols.hesai.slices import MOST_KEPT, Slice, Slices, words
 from protocols.scan import Floats, Scan
 from protocols.session import Address, DropReason, Emission, LinkKind
+from protocols.skeleton import nmea
 from protocols.skeleton.instants import SECOND_NS, earliest
 from protocols.skeleton.outbox import Outgoing
 from protocols.skeleton.requests import RequestSession
@@ -31,37 +30,16 @@ SPEED_RAMP_NS, STOP_NS, BACK_NS = 5 * SECOND_NS, 5 * SECOND_NS, 10 * SECOND_NS
 "From speed to speed, into standby and out of it: guesses of the specification."
 FAULT_NS = 100_000_000
 "From fault message to fault message; a guess too."
+CLOSE_NS = 100_000_000
+"From the reply to a reboot until connections are closed."
 HOT_NS = 60 * SECOND_NS
 "From the flag of high temperature until it stops."
-MOST_ECHOES = 4
-"Of a beam, out of which the returns are chosen."
-NEXT_STEP = 0.8
-"Of a step: so far the grid may be from where it would be nearest."
-MOST_KEPT = 1000
-"Slices outside of the range that are skipped at once; a turn has less."
 DIRTY, BLOCKED = 0.9, 0.5
 "Transmission of the window below which it is reported as dirty, and as blocked; ours."
-NORMAL, WARNING, DEGRADED, UNTRUSTED = 1, 2, 4, 6
+NORMAL, WARNING, DEGRADED, TO_STOP, UNTRUSTED = 1, 2, 4, 5, 6
 "States of functional safety."
 CODE_WINDOW, CODE_HOT, CODE_MOTOR = 0x0101, 0x0201, 0x0301
 "Fault codes; the maker's list is not public, these are ours."
-
-
-@dataclass(frozen=True, eq=False)
-class Slice:
-    """What a slice measures; F firings of L lasers."""
-
-    block_ns: NDArray[np.int64]
-    "(F,) instant of each firing's block."
-    angle: codec.Words
-    "(F,) of the rotor or the encoder then, 1/256 of 0.01 deg."
-    sees: NDArray[np.bool_]
-    "(F,) whether it is in the range."
-    fires: NDArray[np.bool_]
-    "(F, L)"
-    states: codec.Words
-    "(F,)"
-    sweep: Sweep
 
 
 class HesaiDevice(RequestSession):
@@ -100,11 +78,12 @@ class HesaiDevice(RequestSession):
         self._sequence = 1
         self._numbered: dict[int, int] = {}
         "Number of the first packet of slices that have been measured."
-        self._made: dict[tuple[int, int], Slice] = {}
-        self._grid: dict[int, int] = {}
-        "Step of the first firing of slices, where the angle triggers."
+        self._slices = Slices(model)
         self.calibration = 0
         "1: its file is refused, 2: damaged."
+        self.wrong_deg = 0.0
+        "Added to elevations in the file."
+        self._felt: Callable[[int], tuple[Floats, Floats] | None] = lambda at_ns: None
         self.transmission, self.hot, self._hot_ns, self._hot_over = 1.0, False, 0, False
 
     # time
@@ -117,6 +96,10 @@ class HesaiDevice(RequestSession):
         """Date and time, as in a packet."""
         shown_ns, since_ns = self.source.shown_ns(self.clock, at_ns)
         return DeviceStamp(at_ns, shown_ns - since_ns, shown_ns // 1000, float(TICK_NS), self.clock_bits)
+
+    def feel(self, motion: Callable[[int], tuple[Floats, Floats]]) -> None:
+        """What the inertial unit of 128 lasers feels."""
+        self._felt = motion
 
     @property
     def _packet_ns(self) -> Fraction:
@@ -155,8 +138,7 @@ class HesaiDevice(RequestSession):
         self._hot_over = False
         self._hot_ns = now_ns
         self._numbered.clear()
-        self._made.clear()
-        self._grid.clear()
+        self._slices.clear()
 
     def _start(self, now_ns: int) -> None:
         self._wake(now_ns, self._spin_up_ns)
@@ -212,6 +194,9 @@ class HesaiDevice(RequestSession):
             self._drive(now_ns, 0)
         self._renew_ns = max(self._ready_at_ns, self._raster.at(self._raster.first_from(now_ns + 1)))
 
+    def _restart(self, at_ns: int) -> None:
+        super()._restart(at_ns + CLOSE_NS)
+
     def quick_restart(self) -> None:
         """The next restart takes five seconds."""
         self._boot_ns = min(self.build.boot_ns, SECOND_NS)
@@ -225,8 +210,7 @@ class HesaiDevice(RequestSession):
     def _renew(self, now_ns: int) -> None:
         """From here on slices are those of the present settings, or there are none."""
         self._used, self._renew_ns = self.settings, None
-        self._made.clear()
-        self._grid.clear()
+        self._slices.clear()
         for address in list(self._hosts):
             self._unsubscribe(now_ns, address)
         self._change(now_ns, self._slice_ns)
@@ -302,83 +286,15 @@ class HesaiDevice(RequestSession):
     def health(self) -> tuple[int, tuple[int, ...]]:
         """State of functional safety, and fault codes."""
         found = [(WARNING, CODE_WINDOW)] if self.dirt == 1 else [(DEGRADED, CODE_WINDOW)] if self.dirt else []
-        found += [(WARNING, CODE_HOT)] if self.hot else []
+        found += [(TO_STOP, CODE_HOT)] if self.hot else []
         found += [(UNTRUSTED, CODE_MOTOR)] if abs(self._factor - 1.0) > 0.1 else []
         return max((one[0] for one in found), default=NORMAL), tuple(one[1] for one in found)
 
     # slices
 
     def _slice(self, number: int) -> Slice:
-        key = self._stream, number
-        if (made := self._made.get(key)) is None:
-            while len(self._made) > 1:
-                self._made.pop(next(iter(self._made)))
-            made = self._made[key] = self._make(number)
-        return made
-
-    def _make(self, number: int) -> Slice:
-        model, settings = self.model, self._used
-        start_ns, period = self._raster.at(number), model.firing_ns(settings.high)
-        count = self._packets * model.firings(settings.mode)
-        self._hold_phase(start_ns + round(self._raster.period_ns))
-        lead_ns = model.lead_ns + int(period / 2) + 1
-        block_ns = start_ns + lead_ns + np.rint(np.arange(count) * float(period)).astype(np.int64)
-        block_ns, turns = self._triggered(number, block_ns, float(period))
-        angle = np.rint(codec.FINE * codec.TURN_CDEG * turns).astype(np.int64) % (codec.FINE * codec.TURN_CDEG)
-        states = model.states(number * count + np.arange(count), settings.high)
-        laser_ns = model.instants(settings.high)[states]
-        sees = self._seen(angle)
-        fires = sees[:, None] & ~np.isnan(laser_ns)
-        fire_ns = block_ns[:, None] + np.rint(np.nan_to_num(laser_ns)).astype(np.int64)
-        at_turns = self.rotor.turns(fire_ns)
-        azimuth, elevation = calibration.directions(model, at_turns, turns[:, None])
-        sweep = Sweep(
-            azimuth[fires],
-            elevation[fires],
-            np.asarray(1e-9 * (fire_ns[fires] - start_ns), np.float64),
-            1e-9 * (int(self._raster.period_ns) + 2 * lead_ns),
-            max_range_m=0xFFFF * model.unit_mm / 1000.0,
-            max_echoes=MOST_ECHOES,
-            wants_intensity=True,
-            turn=self.rotor.turn(start_ns),
-        )
-        return Slice(block_ns, angle, sees, fires, states, sweep)
-
-    def _triggered(
-        self, number: int, block_ns: NDArray[np.int64], period_ns: float
-    ) -> tuple[NDArray[np.int64], Floats]:
-        """Instants of blocks, and turns of the rotor then: triggered by the angle, on a grid of whole steps."""
-        turns, count = self.rotor.turns(block_ns), len(block_ns)
-        first_ns, last_ns = int(block_ns[0]), int(block_ns[-1])
-        hz = self.rotor.speed_hz(first_ns)
-        steady = self.rotor.is_steady(first_ns) and self.rotor.is_steady(last_ns)
-        if not self.model.grid or self._used.trigger or not hz or not steady:
-            return block_ns, turns
-        nominal = math.copysign(self._used.rpm / 60.0, hz)
-        step = (nominal if abs(hz / nominal - 1.0) < NEAR else hz) * 1e-9 * period_ns
-        at = float(turns[0]) / step
-        # on from the slice before, as long as that is near: no doubt where half a step has passed
-        place = self._grid[number - 1] + count if number - 1 in self._grid else round(at)
-        self._grid[number] = place = place if abs(at - place) < NEXT_STEP else round(at)
-        while len(self._grid) > MOST_KEPT:
-            self._grid.pop(next(iter(self._grid)))
-        on_grid = (place + np.arange(count)) * step
-        behind = (on_grid - turns + 0.5) % 1.0 - 0.5  # a knot in the slice: turns are counted anew
-        return block_ns + np.rint(1e9 * behind / hz).astype(np.int64), np.asarray(on_grid, np.float64)
-
-    def _seen(self, angle: codec.Words) -> NDArray[np.bool_]:
-        """Firings of the range; of an AT128 those within a mirror's window."""
-        degrees = angle / (100.0 * codec.FINE)
-        if self.model.calibrated == "at128":
-            since = np.asarray(calibration.after_start(degrees + 1e-9))
-            low, high = calibration.WINDOW_DEG
-            return np.asarray((since >= low) & (since < high))
-        if self._used.sees_all:
-            return np.full(len(angle), True)
-        seen = np.full(len(angle), False)
-        for first, last in self._used.range_ddeg:
-            seen |= (degrees * 10.0 - first) % 3600.0 <= (last - first) % 3600
-        return seen
+        self._hold_phase(self._raster.at(number + 1))
+        return self._slices.of(self._stream, number, self._raster, self._packets, self._used, self.rotor)
 
     def _hold_phase(self, until_ns: int) -> None:
         """Corrections of the phase at the full seconds before an instant."""
@@ -406,49 +322,49 @@ class HesaiDevice(RequestSession):
 
     def _telegrams(self, scan: Scan) -> Iterator[Telegram]:
         piece, model, used = self._slice(scan.plan.sweep), self.model, self._used
-        name, _, echoes = model.returns(used.mode)
-        range_m, intensity = codec.returns(scan, name, model.swapped)
-        words = [codec.distances(range_m, model.unit_mm), codec.reflectivities(range_m, intensity, model.white_m2)]
+        distance, reflectivity = words(scan, piece, model, used.mode)
+        safe = "safety" in model.layout.places
         if used.blockage and model.number == 42:
-            words[0][words[0] == 0] = codec.BLOCKED if self.dirt > 1 else codec.NOTHING
-        if self.health[0] >= UNTRUSTED and model.layout.safety is not None:
-            words[0][:] = 0
-        count, firings, blocks = self._packets, model.firings(used.mode), model.layout.blocks
-        fields = []
-        for part in words:
-            whole = np.zeros((echoes, *piece.fires.shape), np.int64)
-            whole[:, piece.fires] = part
-            fields.append(np.moveaxis(whole, 0, 1).reshape(count, blocks, model.lasers))
-        sent = np.flatnonzero(piece.sees.reshape(count, firings).any(axis=1))
-        last = np.arange(count) * firings + (0 if model.stamps_first else firings - 1)
-        stamp_ns = np.rint(piece.block_ns[last] - model.stamp_ns).astype(np.int64)[sent]
+            silent = (distance == 0) & np.repeat(piece.fires.reshape(*piece.sees.shape, -1), self._echoes, axis=1)
+            distance[silent] = codec.BLOCKED if self.dirt > 1 else codec.NOTHING
+        if safe and self.health[0] >= UNTRUSTED:
+            distance[:], reflectivity[:] = 0, 0
+        sent = np.flatnonzero(piece.sees.any(axis=1))
+        block_ns = piece.block_ns[sent]
+        stamp_ns = np.rint(block_ns[:, 0 if model.stamps_first else -1] - model.stamp_ns).astype(np.int64)
         reported = [self.reported(int(at)) for at in stamp_ns]
-        self._numbered[scan.plan.sweep] = self._sequence
-        while len(self._numbered) > MOST_KEPT:
+        while len(self._numbered) >= MOST_KEPT:
             self._numbered.pop(next(iter(self._numbered)))
+        self._numbered[scan.plan.sweep] = self._sequence
         packets = codec.encode(
             model,
             codec.Packets(
-                np.repeat(piece.angle.reshape(count, firings), echoes, axis=1)[sent],
-                fields[0][sent],
-                fields[1][sent],
+                np.repeat(piece.angle[sent], self._echoes, axis=1),
+                distance[sent],
+                reflectivity[sent],
                 np.array([1000 * one.ticks for one in reported], np.int64),
                 self._sequence + np.arange(len(sent)),
                 used.mode,
                 self.speed_rpm(scan.plan.start_ns),
-                np.repeat(piece.states.reshape(count, firings), echoes, axis=1)[sent],
+                np.repeat(piece.states[sent], self._echoes, axis=1),
                 0 if used.high else 2,
-                codec.safety(stamp_ns, *self.health) if model.layout.safety is not None else None,
+                codec.safety(stamp_ns, *self.health) if safe else None,
+                felt=self._felt(scan.plan.start_ns) if safe else None,
+                felt_ns=1000 * reported[0].ticks if reported else 0,
                 shutdown=self.hot,
                 signed=self.build.signed,
                 fourth=63 if model.layout.fine else 0xFF,
             ),
         )
         self._sequence += len(sent)
-        done_ns = np.nanmax(model.instants(used.high)) + piece.block_ns.reshape(count, firings)[sent, -1]
+        done_ns = np.nanmax(model.instants(used.high)) + block_ns[:, -1]
         done_ns = np.maximum(done_ns, stamp_ns).astype(np.int64) - scan.plan.start_ns
         for at, packet in enumerate(packets):
             yield Telegram(int(done_ns[at]), packet, "data", reported[at])
+
+    @property
+    def _echoes(self) -> int:
+        return self.model.returns(self._used.mode)[2]
 
     def speed_rpm(self, at_ns: int) -> int:
         """Of the motor, measured; backwards it is below 0 on an AT128."""
@@ -458,16 +374,18 @@ class HesaiDevice(RequestSession):
     # what is sent besides
 
     def sentence(self, now_ns: int) -> bytes:
-        """$GPRMC of the second; empty without a receiver."""
+        """$GPRMC or $GPGGA of the second; empty without a receiver."""
         if not self.source.nmea:
             return b""
-        return codec.gprmc(self.source.utc(now_ns) // SECOND_NS * SECOND_NS, *self.build.place_deg)
+        form = nmea.gpgga if self.build.gpgga else nmea.gprmc
+        return form(self.source.utc(now_ns) // SECOND_NS * SECOND_NS, *self.build.place_deg)
 
     def _tell_gps(self, now_ns: int) -> None:
         if self.settings.by_ptp:
             return
         shown_ns = 1000 * self.reported(now_ns).ticks
-        wide, status = self.model.number in (25, 38), b"A" if self.source.nmea else b"\0"
+        good = b"1" if self.build.gpgga else b"A"
+        wide, status = self.model.number in (25, 38), good if self.source.nmea else b"\0"
         us = 0 if wide else shown_ns // 1000 % 1_000_000
         payload = codec.encode_gps(
             shown_ns, us, self.sentence(now_ns), status, self.source.pps and self.source.locked(now_ns), wide
@@ -479,7 +397,7 @@ class HesaiDevice(RequestSession):
         state, codes = self.health
         operate = 4 if self._used.standby else 5 if self._hot_over else 2
         payload = codec.encode_fault(
-            1000 * self.reported(now_ns).ticks, operate, state, codes[0] if codes else 0, now_ns // FAULT_NS,
+            1000 * self.reported(now_ns).ticks, operate, state, codes, now_ns // FAULT_NS,
             self.dirt, self.hot,
         )  # fmt: skip
         self._outbox.send(Emission(now_ns, payload, self._links[2], label="fault"))

@@ -5,8 +5,9 @@ Belongs here: places in a packet. Not: when something is changed.
 
 from __future__ import annotations
 
+from protocols.checksums import crc32_mpeg2
 from protocols.framing import Framing
-from protocols.hesai.codec import crc32_mpeg2, model_of_packet
+from protocols.hesai.codec import model_of_packet
 from protocols.hesai.models import Model
 from protocols.session import Emission
 
@@ -41,7 +42,7 @@ class HesaiFraming(Framing):
         """The sequence number."""
         if (model := _model(one.payload)) is None:
             return None
-        data, at = bytearray(one.payload), model.layout.sequence
+        data, at = bytearray(one.payload), model.layout.places["sequence"]
         number = int.from_bytes(data[at : at + 4], "little") + change & 0xFFFFFFFF
         data[at : at + 4] = number.to_bytes(4, "little")
         return _checked(model, data)

@@ -21,51 +21,55 @@ from protocols.scan import Floats
 
 FIELDS = np.dtype([("distance", "<u2"), ("reflectivity", "u1")])
 WITH_FOURTH = np.dtype([*FIELDS.descr, ("fourth", "u1")])
-LAST, STRONGEST, FIRST, DUAL, LAST_FIRST, FIRST_STRONGEST, TRIPLE = range(7)
+LAST, STRONGEST, DUAL, FIRST, LAST_FIRST, FIRST_STRONGEST, TRIPLE = range(7)
 "Return modes as command 1E and the configuration have them."
-MODES: Mapping[int, tuple[str, int, int]] = {
-    LAST: ("last", 0x38, 1),
-    STRONGEST: ("strongest", 0x37, 1),
-    DUAL: ("dual", 0x39, 2),
-    FIRST: ("first", 0x33, 1),
-    LAST_FIRST: ("last_first", 0x3B, 2),
-    FIRST_STRONGEST: ("first_strongest", 0x3C, 2),
-    TRIPLE: ("triple", 0x3D, 3),
+MODES: Mapping[int, tuple[str, int, tuple[str, ...]]] = {
+    LAST: ("last", 0x38, ("last",)),
+    STRONGEST: ("strongest", 0x37, ("strongest",)),
+    DUAL: ("dual", 0x39, ("last", "strongest")),
+    FIRST: ("first", 0x33, ("first",)),
+    LAST_FIRST: ("last_first", 0x3B, ("last", "first")),
+    FIRST_STRONGEST: ("first_strongest", 0x3C, ("first", "strongest")),
+    TRIPLE: ("triple", 0x3D, ("first", "last", "strongest")),
 }
-"Its name, its byte in a packet, blocks of a firing."
+"Its name, its byte in a packet, the returns of a firing's blocks."
+
+
+KINDS = {
+    "shutdown": "u1", "mode": "u1", "rpm": "<i2", "utc": "6u1", "us": "<u4", "factory": "u1", "sequence": "<u4",
+    "safety": "17u1", "states": "<u2", "operation": "u1", "imu": "22u1",
+}  # fmt: skip
+"Types of what packets have besides their blocks."
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Where a model's packets have what. All offsets in bytes; little-endian."""
+    """Where a model's packets have what; in bytes, little-endian."""
 
     size: int
     blocks: int
+    places: Mapping[str, int]
+    "Of what is in `KINDS`, as far as the model has it."
     head: bytes = b""
     "Before the blocks, but for the bytes that change."
+    channel: np.dtype[np.void] = WITH_FOURTH
     mark: bytes = b""
     "Before each block."
     fine: bool = False
     "A third byte of the azimuth, 1/256 of 0.01 deg."
-    channel: np.dtype[np.void] = FIELDS
-    shutdown: int | None = None
-    mode: int = 0
-    rpm: int = 0
-    utc: int = 0
-    us: int = 0
-    factory: int = 0
-    "Place of the byte 42."
-    sequence: int = 0
     year: int = 1900
     "From which the byte of the year counts; 0: Unix seconds, 5 bytes big-endian."
     first_block: int = 0
     "Byte 8 of the header where a firing has one block; where it has more: 1."
     checks: tuple[tuple[int, int], ...] = ()
     "First and last byte, exclusive, under a CRC that follows."
-    safety: int | None = None
-    states: int | None = None
-    "Azimuth states of the blocks, and the operational state."
-    imu: int | None = None
+
+
+def _places(
+    shutdown: int | None, mode: int, rpm: int, utc: int, us: int, factory: int, sequence: int
+) -> dict[str, int]:
+    found = {"mode": mode, "rpm": rpm, "utc": utc, "us": us, "factory": factory, "sequence": sequence}
+    return found if shutdown is None else found | {"shutdown": shutdown}
 
 
 def _head(major: int, minor: int, version: int, lasers: int, blocks: int, unit_mm: int, flags: int) -> bytes:
@@ -100,15 +104,15 @@ class Model:
     high_ns: tuple[tuple[float, ...], ...] = ()
     "Instants of the lasers in high resolution, whose firings come twice as often; empty: it has none."
     calibrated: str = "csv"
-    swapped: bool = False
-    "The strongest return is before the last one in dual mode; of last and first the first one is."
+    centre_m: tuple[float, float] = (0.0, 0.0)
+    "Where its beams begin, right of the axis and along the head; ranges on the wire are from the axis."
+    other_order: str = ""
+    "Return mode whose two blocks come in the other order."
     stamps_first: bool = False
     dual_is_first: bool = False
     "Its mode of code 2 is last and first."
-    grid: bool = True
-    "Firings are triggered by the angle."
-    web_speed: bool = False
-    "Known to drivers as set by HTTP."
+    trigger: int = 0
+    "Of firings, as delivered: 0 by angle, 1 by time."
     encoder: float = 1.0
     "Degrees of beam for a degree of the encoder."
     temperatures: int = 8
@@ -121,7 +125,13 @@ class Model:
 
     def returns(self, mode: int) -> tuple[str, int, int]:
         """Of a mode: its name, its byte in a packet, blocks of a firing."""
-        return MODES[LAST_FIRST if self.dual_is_first and mode == DUAL else mode]
+        name, byte, picks = MODES[LAST_FIRST if self.dual_is_first and mode == DUAL else mode]
+        return name, byte, len(picks)
+
+    def picks(self, mode: int) -> tuple[str, ...]:
+        """Which returns its blocks are, in their order."""
+        name, _, picks = MODES[LAST_FIRST if self.dual_is_first and mode == DUAL else mode]
+        return picks[::-1] if name == self.other_order else picks
 
     def firings(self, mode: int) -> int:
         """Firings of a packet."""
@@ -142,24 +152,11 @@ class Model:
         one = self.layout
         block: list[Any] = [("mark", f"V{len(one.mark)}")] if one.mark else []
         block += [("azimuth", "<u2"), *([("fine", "u1")] if one.fine else ()), ("channels", one.channel, self.lasers)]
-        places: dict[str, tuple[Any, int]] = {
-            "head": (f"V{len(one.head)}", 0),
-            "blocks": ((np.dtype(block), one.blocks), len(one.head)),
-            "mode": ("u1", one.mode),
-            "rpm": ("<i2", one.rpm),
-            "utc": ("6u1", one.utc),
-            "us": ("<u4", one.us),
-            "factory": ("u1", one.factory),
-            "sequence": ("<u4", one.sequence),
-        }
-        more = {"shutdown": ("u1", one.shutdown), "safety": ("17u1", one.safety), "imu": ("22u1", one.imu)}
-        places |= {name: (kind, at) for name, (kind, at) in more.items() if at is not None}
-        if one.states is not None:
-            places |= {"states": ("<u2", one.states), "operation": ("u1", one.states + 2)}
-        if not one.head:
-            del places["head"]
-        kinds, offsets = zip(*places.values(), strict=True)
-        return np.dtype({"names": list(places), "formats": list(kinds), "offsets": list(offsets), "itemsize": one.size})
+        fields: dict[str, tuple[Any, int]] = {"head": (f"V{len(one.head)}", 0)} if one.head else {}
+        fields["blocks"] = (np.dtype(block), one.blocks), len(one.head)
+        fields |= {name: (KINDS[name], at) for name, at in one.places.items()}
+        kinds, offsets = zip(*fields.values(), strict=True)
+        return np.dtype({"names": list(fields), "formats": list(kinds), "offsets": list(offsets), "itemsize": one.size})
 
     def states(self, number: NDArray[np.int64], high: bool) -> NDArray[np.int64]:
         """Azimuth state of firings by their numbers: it alternates."""
@@ -189,42 +186,19 @@ def _dithered(fires: tuple[int, ...]) -> tuple[float, ...]:
 
 
 _N = np.arange(64)
-_XT32 = Layout(
-    1080, 8, _head(6, 1, 0, 32, 8, 4, 1), shutdown=1061, mode=1062, rpm=1063, utc=1065, us=1071, factory=1075,
-    sequence=1076, first_block=1, channel=WITH_FOURTH,
-)  # fmt: skip
-_M2X = Layout(
-    820, 6, _head(6, 1, 0, 32, 6, 5, 1), shutdown=801, mode=802, rpm=803, utc=805, us=811, factory=815, sequence=816,
-    first_block=1, channel=WITH_FOURTH,
-)  # fmt: skip
-_128 = {
-    "mode": 817, "rpm": 818, "utc": 820, "us": 826, "factory": 830, "sequence": 831,
-    "safety": 788, "states": 814, "imu": 835, "checks": ((12, 784), (789, 801), (805, 857)),
-}  # fmt: skip
-_E3X = Layout(861, 2, _head(1, 4, 0x01, 128, 2, 4, 7), **_128)  # type: ignore[arg-type]
-_OT = Layout(861, 2, _head(1, 4, 0x81, 128, 2, 4, 7), **_128)  # type: ignore[arg-type]
-_AT = Layout(
-    1118, 2, _head(4, 3, 0, 128, 2, 4, 9), fine=True, channel=WITH_FOURTH, shutdown=1052, mode=1070, rpm=1064,
-    utc=1072, us=1066, factory=1071, sequence=1078, year=0, checks=((12, 1042), (1046, 1082)),
-)  # fmt: skip
-_P40 = Layout(
-    1266,
-    10,
-    b"",
-    b"\xff\xee",
-    shutdown=1245,
-    mode=1254,
-    rpm=1248,
-    utc=1256,
-    us=1250,
-    factory=1255,
-    sequence=1262,
-    year=2000,
+_XT32 = Layout(1080, 8, _places(1061, 1062, 1063, 1065, 1071, 1075, 1076), _head(6, 1, 0, 32, 8, 4, 1), first_block=1)
+_M2X = Layout(820, 6, _places(801, 802, 803, 805, 811, 815, 816), _head(6, 1, 0, 32, 6, 5, 1), first_block=1)
+_128 = _places(None, 817, 818, 820, 826, 830, 831) | {"safety": 788, "states": 814, "operation": 816, "imu": 835}
+_E3X, _OT = (
+    Layout(861, 2, _128, _head(1, 4, version, 128, 2, 4, 7), FIELDS, checks=((12, 784), (789, 801), (805, 857)))
+    for version in (0x01, 0x81)
 )
-_QT = Layout(
-    1072, 4, _head(3, 1, 0, 64, 4, 4, 1), channel=WITH_FOURTH, shutdown=1050, mode=1060, rpm=1054, utc=1062, us=1056,
-    factory=1061, sequence=1068,
+_AT = Layout(
+    1118, 2, _places(1052, 1070, 1064, 1072, 1066, 1071, 1078), _head(4, 3, 0, 128, 2, 4, 9), fine=True, year=0,
+    checks=((12, 1042), (1046, 1082)),
 )  # fmt: skip
+_P40 = Layout(1266, 10, _places(1245, 1254, 1248, 1256, 1250, 1255, 1262), b"", FIELDS, b"\xff\xee", year=2000)
+_QT = Layout(1072, 4, _places(1050, 1060, 1054, 1062, 1056, 1061, 1068), _head(3, 1, 0, 64, 4, 4, 1))
 _ALL = (LAST, STRONGEST, DUAL, FIRST, LAST_FIRST, FIRST_STRONGEST)
 _MOST = (LAST, STRONGEST, DUAL)
 _AT_AZIMUTH = tuple((-2.40, 0.65)[c % 2] if c // 16 % 2 == 0 else (2.40, -0.65)[c % 2] for c in range(128))
@@ -234,22 +208,23 @@ MODELS: Mapping[str, Model] = {
     for one in (
         Model(
             "hesai-xt32", "PandarXT-32", 25, _XT32, tuple(16.0 - n for n in range(1, 33)), (0.0,) * 32,
-            Fraction(50_000), (tuple((368.0 + 1512.0 * _N[:32]).tolist()),), 5632.0, _ALL, 4, 64_000.0, swapped=True,
+            Fraction(50_000), (tuple((368.0 + 1512.0 * _N[:32]).tolist()),), 5632.0, _ALL, 4, 64_000.0,
+            centre_m=(-0.013, 0.0315), other_order="dual",
         ),
         Model(
             "hesai-xt32m2x", "PandarXT-32M2X", 38, _M2X, tables.M2X_ELEVATION, (0.155,) * 32,
             Fraction(50_000), (tuple((368.0 + 2888.0 * (_N[:32] % 16)).tolist()),), 5632.0, (*_ALL, TRIPLE), 5,
-            64_000.0, swapped=True,
+            64_000.0, centre_m=(-0.013, 0.0305), other_order="dual",
         ),
         Model(
             "hesai-pandar128e3x", "Pandar128E3X", 40, _E3X, tables.E3X_ELEVATION, tables.E3X_OFFSET,
             Fraction(500_000, 9), _states(tables.E3X_STANDARD_0, tables.E3X_STANDARD_1), 3148.0, _ALL, 4, 400_000.0,
-            (600, 1200), _states(tables.E3X_HIGH_0, tables.E3X_HIGH_1),
+            high_ns=_states(tables.E3X_HIGH_0, tables.E3X_HIGH_1), centre_m=(-0.012, 0.04356),
         ),
         Model(
             "hesai-ot128", "OT128", 42, _OT, tables.OT_ELEVATION, tables.OT_OFFSET, Fraction(500_000, 9),
             (tuple(map(float, tables.OT_STANDARD_0)), _later(tables.OT_STANDARD_0)), 0.0, _ALL, 4, 400_000.0,
-            (600, 1200), (_dithered((2, 3, 6, 7)), _dithered((0, 1, 4, 5))), inventory=162,
+            high_ns=(_dithered((2, 3, 6, 7)), _dithered((0, 1, 4, 5))), centre_m=(-0.01, 0.045), inventory=162,
         ),
         Model(
             "hesai-at128", "AT128", 48, _AT, tuple(12.88 - 0.1992 * c for c in range(128)), _AT_AZIMUTH,
@@ -259,13 +234,13 @@ MODELS: Mapping[str, Model] = {
         Model(
             "hesai-pandar40p", "Pandar40P", 0, _P40, tables.P40_ELEVATION,
             (-1.042,) * 6 + (3.125, -5.208, -1.042) * 7 + (3.125, -5.208) + (-1.042,) * 11, Fraction(500_000, 9),
-            (tuple(1000.0 * one for one in tables.P40_US),), -28_580.0, _MOST, 4, 400_000.0, (600, 1200), grid=False,
-            web_speed=True,
+            (tuple(1000.0 * one for one in tables.P40_US),), -28_580.0, _MOST, 4, 400_000.0,
+            centre_m=(-0.012, 0.03873), trigger=1,
         ),
         Model(
             "hesai-qt64", "PandarQT", 15, _QT, tables.QT_ELEVATION, tables.QT_OFFSET, Fraction(500_000, 3),
-            (tuple(1000.0 * one for one in tables.QT_US),), 25_710.0, (LAST, FIRST, DUAL), 4, 4_000.0, (600, 1200),
-            swapped=True, stamps_first=True, dual_is_first=True, web_speed=True,
+            (tuple(1000.0 * one for one in tables.QT_US),), 25_710.0, (LAST, FIRST, DUAL), 4, 4_000.0,
+            centre_m=(-0.0072, 0.0298), other_order="last_first", stamps_first=True, dual_is_first=True,
         ),
     )
 }  # fmt: skip

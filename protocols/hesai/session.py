@@ -1,4 +1,4 @@
-"""The control channel of a Hesai: PTC 1.0 and HTTP, both on any connection.
+"""The control channel of a Hesai: PTC 1.0 and HTTP, both on any connection; PTC 2.0 is refused in its own frames.
 
 Belongs here: framing of requests and replies, return codes. Not: what a command does (commands).
 """
@@ -6,12 +6,11 @@ Belongs here: framing of requests and replies, return codes. Not: what a command
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import ClassVar
 
-from protocols.hesai.commands import COMMANDS, page
+from protocols.hesai.commands import COMMANDS, PTC_2, page
 from protocols.hesai.device import HesaiDevice
-from protocols.hesai.models import Model
-from protocols.hesai.settings import Build, Settings
 from protocols.session import DropReason, LinkKind
 from protocols.skeleton.receiving import Fault, FrameSplitter, Refusal
 from protocols.skeleton.requests import Command, Host, Refused, Request
@@ -21,6 +20,8 @@ LONGEST = 65_536
 "Of a request."
 LONGEST_HTTP = 4096
 GET = b"GET "
+SECOND, SECOND_HEAD_BYTES = b"\x57\x75\x01", 12
+"How a request of PTC 2.0 begins."
 BAD_INPUT, BAD_DATA, UNSUPPORTED = 1, 3, 5
 "Return codes."
 
@@ -28,6 +29,13 @@ BAD_INPUT, BAD_DATA, UNSUPPORTED = 1, 3, 5
 def frame(command: int, payload: bytes = b"", code: int = 0) -> bytes:
     """A request, or with its return code a reply."""
     return b"\x47\x74" + bytes((command, code)) + len(payload).to_bytes(4, "big") + payload
+
+
+@dataclass(frozen=True)
+class TooLong(Fault):
+    """A request that says it is longer than any."""
+
+    command: int = 0
 
 
 class PtcRequests(FrameSplitter):
@@ -38,20 +46,29 @@ class PtcRequests(FrameSplitter):
 
     def _next(self) -> bytes | Fault | None:
         held = self._buffer.peek(min(len(self._buffer), LONGEST_HTTP)) or b""
-        if not held or not GET.startswith(held[: len(GET)]):
-            return super()._next()
-        end = held.find(b"\r\n\r\n")
-        if end >= 0:
-            return self._buffer.take(end + 4)
-        if len(held) < LONGEST_HTTP:
+        if held and GET.startswith(held[: len(GET)]):
+            end = held.find(b"\r\n\r\n")
+            if end >= 0:
+                return self._buffer.take(end + 4)
+            return (
+                Fault(DropReason.OVERLONG, len(self._buffer.take(LONGEST_HTTP))) if held[LONGEST_HTTP - 1 :] else None
+            )
+        if held and SECOND.startswith(held[: len(SECOND)]):
+            return self._whole(held, SECOND_HEAD_BYTES)
+        return self._whole(held, HEAD_BYTES) if held.startswith(self.START) else super()._next()
+
+    def _whole(self, held: bytes, head: int) -> bytes | Fault | None:
+        """A frame whose head ends with its length; one that is too long is answered by its head alone."""
+        size = head + int.from_bytes(held[head - 4 : head], "big")
+        if len(held) < head or len(self._buffer) < size <= LONGEST:
             return None
-        return Fault(DropReason.OVERLONG, len(self._buffer.take(LONGEST_HTTP)))
+        if size <= LONGEST or head != HEAD_BYTES:
+            return self._buffer.take(size if size <= LONGEST else head)
+        self._buffer.take(head)
+        return TooLong(DropReason.BAD_LENGTH, head, f"{size - head} bytes", True, held[2])
 
     def _size(self, head: bytes) -> int | Refusal:
-        length = int.from_bytes(head[4:8], "big")
-        if length > LONGEST - HEAD_BYTES:
-            return DropReason.BAD_LENGTH, f"{length} bytes"
-        return HEAD_BYTES + length
+        return HEAD_BYTES
 
     def _open(self, frame: bytes) -> bytes | Refusal:
         return frame
@@ -62,16 +79,15 @@ class HesaiSession(HesaiDevice):
 
     COMMANDS: ClassVar[Mapping[bytes, Command]] = COMMANDS
     restart_hangs_up = True
-
-    def __init__(self, model: Model, settings: Settings, build: Build) -> None:
-        super().__init__(model, settings, build)
-        self.error_code = 0
-        "Answered to every command of PTC; 0: none."
+    error_code = 0
+    "Answered to every command of PTC; 0: none."
 
     def impair(self, now_ns: int, what: str, degree: float) -> bool:
         """And what it answers."""
         if what == "calibration":
             self.calibration = round(degree)
+        elif what == "wrong calibration served":
+            self.wrong_deg = degree
         elif what == "ptc error":
             self.error_code = round(degree)
         else:
@@ -82,6 +98,8 @@ class HesaiSession(HesaiDevice):
         return PtcRequests(LONGEST)
 
     def _parse(self, request: bytes) -> tuple[bytes, bytes]:
+        if request.startswith(SECOND):
+            return PTC_2, request
         if not request.startswith(GET):
             return f"{request[2]:02X}".encode(), request[HEAD_BYTES:]
         # drivers send spaces and quotes of a query as they are
@@ -91,7 +109,7 @@ class HesaiSession(HesaiDevice):
         return GET + path, query
 
     def _carry_out(self, request: Request, size: int, host: Host) -> None:
-        if self.error_code and not request.code.startswith(GET):
+        if self.error_code and len(request.code) == 2:
             self._events.drop(request.now_ns, DropReason.REFUSED, "fault", size)
             self._say(frame(int(request.code, 16), code=self.error_code), request.code.decode(), host, request.now_ns)
             return
@@ -100,10 +118,15 @@ class HesaiSession(HesaiDevice):
     def _reply(self, request: Request, payload: bytes) -> bytes:
         return payload if request.code.startswith(GET) else frame(int(request.code, 16), payload)
 
+    def _complaint(self, fault: Fault) -> bytes | None:
+        return frame(fault.command, code=BAD_INPUT) if isinstance(fault, TooLong) else None
+
     def _refusal(self, request: Request, refused: Refused) -> bytes:
         if request.code.startswith(GET):
             known = request.code in self.COMMANDS
             return page(1) if known else b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\n\r\n"
+        if request.code == PTC_2:
+            return SECOND + bytes((request.data[3], UNSUPPORTED)) + bytes(7)
         if request.code == b"05" and refused.reason is DropReason.REFUSED:
             code = BAD_DATA
         else:

@@ -25,6 +25,9 @@ PTP_AUTOSAR = bytes((3, 0, 1, 1))
 "Profile, domain, network, whether the switch knows time-sensitive networking."
 
 
+_TRIGGERS = "angle", "time"
+
+
 @dataclass(frozen=True)
 class Settings:
     """What hosts can change."""
@@ -70,6 +73,8 @@ class Build:
     ptp: bool
     pps: bool
     nmea: bool
+    gpgga: bool
+    "They are $GPGGA, not $GPRMC."
     place_deg: tuple[float, float]
     said_to: tuple[str, int, int]
     "Destination that the configuration has until a host sets another."
@@ -95,7 +100,7 @@ def read(keys: DeviceKeys, model: Model) -> tuple[Settings, Build]:
         keys.flag("standby", "It is in standby when it is switched on.", False),
         keys.flag("sync", "The rotor is at `sync_deg` at each full second of PTP or GPS.", False),
         keys.integer("sync_deg", "Angle of it, clockwise.", 0, 0, 359),
-        ("angle", "time").index(keys.choice("trigger", "What fires the lasers.", "angle", ("angle", "time"))),
+        _TRIGGERS.index(keys.choice("trigger", "What fires the lasers.", _TRIGGERS[model.trigger], _TRIGGERS)),
         keys.choice("clock_source", "What its clock follows.", "gps", ("gps", "ptp")) == "ptp",
         range_ddeg=(tenths,),
         range_said=b"\0" + tenths[0].to_bytes(2, "big") + tenths[1].to_bytes(2, "big"),
@@ -112,7 +117,8 @@ def read(keys: DeviceKeys, model: Model) -> tuple[Settings, Build]:
         ),
         keys.flag("ptp", "There is a PTP grandmaster.", True),
         keys.flag("pps", "A GPS receiver sends a pulse each second.", False),
-        keys.flag("nmea", "It sends $GPRMC sentences.", False),
+        keys.flag("nmea", "It sends sentences of NMEA.", False),
+        keys.choice("nmea_sentence", "Which ones the device takes.", "gprmc", ("gprmc", "gpgga")) == "gpgga",
         (
             keys.number("latitude_deg", "In the sentences.", 31.15, -90.0, 90.0),
             keys.number("longitude_deg", "In the sentences.", 121.3, -180.0, 180.0),
@@ -126,7 +132,7 @@ def read(keys: DeviceKeys, model: Model) -> tuple[Settings, Build]:
     )
     if build.slice_packets == 1:
         raise DeviceSettingError("slice_packets", 1, "0, or an integer from 2 to 1000")
-    if build.signed and model.layout.safety is None:
+    if build.signed and "safety" not in model.layout.places:
         raise DeviceSettingError("signature", True, f"false, for a {model.title}")
     return settings, build
 

@@ -34,7 +34,8 @@ def trial(do: str) -> Trial:
 @pytest.mark.parametrize(
     ("do", "field", "within"),
     [("do: ptc_error, code: 7", "error_code", 7), ("do: calibration_file", "calibration", 1),
-     ("do: calibration_file, served: damaged", "calibration", 2), ("do: overheating", "hot", True)],
+     ("do: calibration_file, served: damaged", "calibration", 2), ("do: overheating", "hot", True),
+     ("do: calibration_served_wrong, elevation_deg: 0.25", "wrong_deg", 0.25)],
 )  # fmt: skip
 def test_faults_of_its_own_hold_until_they_end(do: str, field: str, within: object) -> None:
     made = trial(do)

@@ -42,7 +42,7 @@ def test_a_busy_device_gives_no_scan_until_the_fault_ends_and_counts_what_it_ref
     made.close()
 
 
-OUSTER = "http_unavailable", "lost_columns", "shot_limiting", "thermal_shutdown", "calibration_served_wrong"
+OUSTER = "http_unavailable", "lost_columns", "shot_limiting", "thermal_shutdown"
 HESAI = "ptc_error", "overheating", "calibration_file"
 
 
@@ -50,6 +50,7 @@ HESAI = "ptc_error", "overheating", "calibration_file"
     ("do", "who"),
     [
         ("device_busy", "cola"), ("refuse_login", "cola"), ("no_pps", "velodyne, hesai"), ("no_ptp", "hesai, ouster"),
+        ("calibration_served_wrong", "hesai, ouster"),
         *((do, "ouster") for do in OUSTER), *((do, "hesai") for do in HESAI),
     ],
 )  # fmt: skip

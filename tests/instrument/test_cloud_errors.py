@@ -52,6 +52,13 @@ def test_the_newest_slice_may_be_of_the_next_turn() -> None:
     assert largest(cloud_of(ranges()[..., 0]), [slice_of(ranges()), moved], MATCH_RAD) == pytest.approx(0.0, abs=1e-9)
 
 
+def test_of_beams_with_nearly_the_same_azimuth_the_nearest_range_is_the_one_compared() -> None:
+    """Mirrors of a sensor differ: slices of two of them may be among those compared."""
+    others = [slice_of(ranges() + 1.0, away_deg=at) for at in (0.003, 0.005)]
+    newest = slice_of(ranges(), away_deg=9.0)
+    assert largest(cloud_of(ranges()[..., 0]), [*others, slice_of(ranges()), newest], MATCH_RAD) == pytest.approx(0.0)
+
+
 def test_beams_that_match_none_have_no_error() -> None:
     assert np.isnan(largest(cloud_of(ranges()[..., 0]), [slice_of(ranges(), away_deg=0.1)], MATCH_RAD))
     assert np.isnan(largest(cloud_of(ranges()[..., 0]), [], MATCH_RAD))

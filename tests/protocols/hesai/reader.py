@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import struct
 from dataclasses import dataclass
@@ -167,9 +168,47 @@ def csv_angles(text: bytes) -> list[tuple[float, float]]:
     return [(float(one[1]), float(one[2])) for one in rows]
 
 
-def at128_angles(data: bytes) -> tuple[list[float], list[tuple[float, float]]]:
-    """Starts of the fields, elevation and azimuth of the channels."""
-    scale = data[15] * 0.01 / 256
-    starts = [one * scale for one in struct.unpack_from("<3I", data, 16)]
-    azimuth, elevation = struct.unpack_from("<128i", data, 40), struct.unpack_from("<128i", data, 552)
-    return starts, [(e * scale, a * scale) for a, e in zip(azimuth, elevation, strict=True)]
+class Channels:
+    """A file of a spinning model."""
+
+    def __init__(self, file: bytes) -> None:
+        self._rows = csv_angles(file)
+
+    def direction(self, azimuth_deg: float, channel: int, late_deg: float) -> tuple[float, float]:
+        """True azimuth and elevation of a channel; the rotor has turned on by `late_deg` when it fires."""
+        elevation, offset = self._rows[channel]
+        return (azimuth_deg + late_deg + offset) % 360.0, elevation
+
+
+class Mirrors:
+    """The file of an AT128."""
+
+    def __init__(self, file: bytes) -> None:
+        assert file[:5] == bytes((0xEE, 0xFF, 1, 5, 128))
+        assert hashlib.sha256(file[:-32]).digest() == file[-32:]
+        self._unit = 0.01 * file[15]
+        scale = self._unit / 256
+        self.starts = [one * scale for one in struct.unpack_from("<3I", file, 16)]
+        self.ends = [one * scale for one in struct.unpack_from("<3I", file, 28)]
+        self._azimuth = [one * scale for one in struct.unpack_from("<128i", file, 40)]
+        self._elevation = [one * scale for one in struct.unpack_from("<128i", file, 552)]
+        self._adjust = struct.unpack_from("<23040b", file, 1064), struct.unpack_from("<23040b", file, 24104)
+
+    def adjusted(self, which: int, channel: int, encoder_deg: float) -> float:
+        """One value each two degrees of the encoder, and on a line between."""
+        place = encoder_deg % 360.0 / 2.0
+        before, share = int(place), place - int(place)
+        values = [self._adjust[which][180 * channel + one % 180] for one in (before, before + 1)]
+        return self._unit * (values[0] * (1.0 - share) + values[1] * share)
+
+    def direction(self, azimuth_deg: float, channel: int, late_deg: float) -> tuple[float, float]:
+        """As of a spinning model; `azimuth_deg` is the encoder's."""
+        fields = zip(self.starts, self.ends, strict=True)
+        (start,) = [low for low, high in fields if (azimuth_deg - low) % 360.0 < (high - low) % 360.0]
+        fires = azimuth_deg + late_deg
+        azimuth = 2.0 * ((azimuth_deg - start) % 360.0 + late_deg) - self._azimuth[channel]
+        azimuth += self.adjusted(0, channel, fires)
+        return azimuth, self._elevation[channel] + self.adjusted(1, channel, fires)
+
+
+Angles = Channels | Mirrors

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import json
+import operator
 import struct
 from datetime import UTC, datetime
 
@@ -16,7 +18,7 @@ from protocols.hesai.models import MODELS
 from protocols.hesai.motor import FREE, FROZEN, LOCKED, TRACKING
 from protocols.hesai.session import frame
 from protocols.scan import Scan
-from protocols.session import DropReason, Emission, LinkKind
+from protocols.session import Address, DropReason, Emission, LinkKind
 from tests.protocols.hesai import reader
 from tests.protocols.hesai.rig import DATA, FAULT, GPS, PTC, SECOND, Rig, clouds
 
@@ -72,7 +74,7 @@ SETS = {
 def test_every_command_answers_its_own_code_and_refuses_a_wrong_length_with_code_one(name: str) -> None:
     rig = Rig(name, {"standby": True})
     for text in FAMILY.commands():
-        if text.code.startswith("GET"):
+        if text.code.startswith(("GET", "PTC 2")):
             continue
         command = int(text.code, 16)
         if command in (0x10, 0x25):
@@ -253,13 +255,15 @@ def test_reboot_answers_then_restarts_from_one_and_a_reset_is_quicker() -> None:
     rig.run(11.5)
     assert clouds(rig.sent)
     rig.ok(0x10)
+    assert rig.ok(0x08), "connections are closed 0.1 s later"
+    rig.run(0.1)
     assert rig.raw(frame(0x08)) == b""
     assert not clouds(rig.run(10.5))
     rig.session.connected(rig.now_ns, PTC, LinkKind.STREAM)
     sent = clouds(rig.run(1.0))
     assert int.from_bytes(sent[0].payload[1076:1080], "little") == 1
     rig.ok(0x25)
-    rig.run(4.8)
+    rig.run(4.9)
     assert clouds(rig.run(0.5))
 
 
@@ -370,6 +374,12 @@ def test_an_at128_reports_a_dirty_lens_in_its_fault_messages() -> None:
     dirty = [one for one in rig.run(0.3) if one.address == FAULT][-1].payload
     assert dirty[26:50] == b"\xff" * 24
     assert dirty[14] == 4
+    assert dirty[15:19] == bytes((1, dirty[16], 1, 1))
+    rig.session.impair(rig.now_ns, "heat", 1.0)
+    both = [one.payload for one in rig.run(0.5) if one.address == FAULT]
+    assert {(one[17], one[18]) for one in both} == {(2, 1), (2, 2)}
+    assert len({one[19:23] for one in both}) == 2, "fault codes by turns"
+    assert both[-1][59] == 1
 
 
 def test_an_ot128_that_watches_for_blockage_says_why_there_is_no_return() -> None:
@@ -383,6 +393,12 @@ def test_an_ot128_that_watches_for_blockage_says_why_there_is_no_return() -> Non
     rig.run(0.03)
     words = {round(one.range_m * 250) for e in clouds(rig.run(0.11))[-9:] for one in reader.decode(e.payload).points}
     assert words == {codec.BLOCKED}
+    rig.ok(0x29, b"\1")
+    rig.run(0.03)
+    packet = reader.decode(clouds(rig.run(0.12))[-9].payload)
+    fired = [{one.channel for one in packet.points if one.block == b} for b in (0, 1)]
+    assert len(fired[0] | fired[1]) == 128
+    assert len(fired[0] & fired[1]) == 64, "a laser that does not fire says nothing"
 
 
 def test_a_stopped_motor_sends_nothing_and_a_free_one_again() -> None:
@@ -434,3 +450,158 @@ def test_a_path_that_it_does_not_have_is_not_found() -> None:
     rig = Rig(device={"standby": True})
     assert rig.raw(b"GET /packets HTTP/1.1\r\n\r\n").startswith(b"HTTP/1.1 404 ")
     assert rig.raw(b"GET /point_cloud HTTP/1.1\r\n\r\n").startswith(b"HTTP/1.1 200 ")
+
+
+# ---------------------------------------------------------------- hosts that a device meets
+
+
+def test_a_request_longer_than_any_is_answered_with_code_one_and_the_next_one_as_ever() -> None:
+    rig = Rig(device={"standby": True})
+    for length in (65_529, 1 << 20, 0xFFFF_FFFF):
+        head = b"\x47\x74\x17\0" + length.to_bytes(4, "big")
+        assert rig.raw(head + frame(0x28)) == frame(0x17, code=1) + frame(0x28, code=5)
+    whole = frame(0x83, bytes(65_528))
+    assert rig.raw(whole) == frame(0x83, code=5), "as long as allowed"
+
+
+def test_ptc_2_is_refused_in_its_own_frame_whole_or_in_pieces() -> None:
+    rig = Rig(device={"standby": True})
+    ask = bytes.fromhex("577501 09 00 00 00 00") + (3).to_bytes(4, "big") + b"abc"
+    said = bytes.fromhex("577501 09 05 00 00 00 00000000")
+    assert rig.raw(ask + frame(0x28)) == said + frame(0x28, code=5)
+    for byte in ask:
+        rig.session.receive(bytes((byte,)), rig.now_ns, PTC)
+    assert b"".join(one.payload for one in rig.run(0.002) if one.address == PTC) == said
+    long = ask[:8] + (1 << 30).to_bytes(4, "big")
+    assert rig.raw(long + frame(0x28)) == said + frame(0x28, code=5)
+    assert DropReason.REFUSED in {one.reason for one in rig.dropped}
+
+
+def test_several_clients_with_halves_of_requests_at_once_each_get_their_own_replies() -> None:
+    rig = Rig(device={"standby": True})
+    clients = [Address(PTC.link, peer) for peer in range(20, 26)]
+    for one in clients:
+        rig.session.connected(rig.now_ns, one, LinkKind.STREAM)
+    request = frame(0x26)
+    for half in (request[:5], request[5:]):
+        for one in clients:
+            rig.session.receive(half, rig.now_ns, one)
+    sent = rig.run(0.002)
+    assert [one.address for one in sent if one.payload[:3] == request[:3]] == clients
+    rig.session.receive(request[:7], rig.now_ns, clients[0])
+    rig.session.disconnected(rig.now_ns, clients[0])
+    rig.session.connected(rig.now_ns, clients[0], LinkKind.STREAM)
+    rig.session.receive(request, rig.now_ns, clients[0])
+    assert [one.address for one in rig.run(0.002)] == [clients[0]], "nothing is left of the connection before"
+    rig.session.receive(request[:7], rig.now_ns, clients[1])
+    rig.run(1.5)
+    rig.session.receive(frame(0x28), rig.now_ns, clients[1])
+    assert [one.payload for one in rig.run(0.002)] == [frame(0x28, code=5)], "half a request is forgotten"
+
+
+def conversation(name: str) -> list[tuple[int, bytes]]:
+    """Of nebula's start, as recorded; then a poll of each second."""
+    rpm = struct.pack(">H", MODELS[name].rpm[0])
+    steps = [(0x07, b""), (0x08, b""), (0x1E, b"\2"), (0x17, rpm), (0x20, bytes.fromhex("7f0000010940277e"))]
+    if name == "hesai-at128":
+        return [*steps, (0x05, b""), (0x09, b""), (0x27, b"")]
+    steps.append((0x18, b"\1\0\0"))
+    if name in ("hesai-xt32", "hesai-xt32m2x", "hesai-pandar40p", "hesai-qt64"):
+        steps.append((0x1F, b"\1"))
+    ptp = bytes((3, 0, 1, 1)) if name == "hesai-ot128" else bytes((0, 0, 0, 1, 1, 0))
+    steps += [(0x26, b""), (0x24, ptp), (0x3A, b""), (0x39, b"\1")]
+    if MODELS[name].high_ns:
+        steps += [(0x28, b""), (0x29, b"\0")]
+    if name == "hesai-ot128":
+        steps += [(0x59, b""), (0x58, b"\0")]
+    whole = bytes.fromhex("0000000e10")
+    return [*steps, (0x23, b""), (0x22, whole), (0x05, b""), (0x22, whole), (0x09, b""), (0x27, b"")]
+
+
+@pytest.mark.parametrize("name", sorted(MODELS))
+def test_the_start_of_nebula_is_answered_step_by_step_within_fifty_milliseconds(name: str) -> None:
+    rig = Rig(name, {"range_deg": [0, 360]} if name == "hesai-at128" else QUIET)
+    for command, payload in conversation(name):
+        asked_ns = rig.now_ns
+        rig.session.receive(frame(command, payload), rig.now_ns, PTC)
+        (reply,) = [one for one in rig.run(0.05) if one.address == PTC]
+        assert reply.due_ns - asked_ns < 50_000_000
+        assert reply.payload[:4] == bytes((0x47, 0x74, command, 0)), hex(command)
+    rig.run(0.02)
+    mode = MODELS[name].returns(2)[1]
+    assert {reader.decode(one.payload).mode for one in clouds(rig.run(0.22))} == {mode}
+
+
+@pytest.mark.parametrize("name", ["hesai-pandar40p", "hesai-qt64"])
+def test_models_set_by_http_take_all_three_of_its_speeds(name: str) -> None:
+    rig = Rig(name, {"standby": True})
+    for value, rpm in ((1, 300), (3, 1200), (2, 600)):
+        ask = f"GET /pandar.cgi?action=set&object=lidar&key=spin_speed&value={value} HTTP/1.1\r\n\r\n"
+        assert b'"ErrorCode":"0"' in rig.raw(ask.encode())
+        assert rig.ok(0x08)[20:22] == rpm.to_bytes(2, "big")
+
+
+def test_a_new_pandar40p_fires_by_time_and_by_angle_when_told_to() -> None:
+    rig = Rig("hesai-pandar40p", {"range_deg": [0, 60]})
+    assert rig.ok(0x08)[31] == 1
+    places = []
+    for trigger in (b"\1", b"\0"):
+        rig.ok(0x1B, trigger)
+        rig.run(0.02)
+        found = np.array([reader.decode(one.payload).azimuths for one in clouds(rig.run(0.11))]) / 0.2
+        places.append(np.abs(found - np.rint(found)).max())
+    assert places[1] < 1e-6
+
+
+def test_gpgga_is_told_in_gps_packets_and_in_the_configuration() -> None:
+    rig = Rig(device={"pps": True, "nmea": True, "nmea_sentence": "gpgga", "standby": True})
+    data = [one for one in rig.run(4.5) if one.label == "gps"][-1].payload
+    assert data[18:118].startswith(b"$GPGGA,1200")
+    assert data[506:508] == b"1\1"
+    assert rig.ok(0x08)[38] == 1
+    body = data[19 : data.index(b"*")]
+    assert int(data[data.index(b"*") + 1 :][:2], 16) == functools.reduce(operator.xor, body)
+
+
+def test_in_the_minute_before_it_stops_for_heat_it_says_so_and_goes_on() -> None:
+    rig = Rig("hesai-ot128", {"range_deg": [0, 20]})
+    rig.session.impair(rig.now_ns, "heat", 1.0)
+    rig.run(0.03)
+    packet = reader.decode(clouds(rig.run(0.11))[-1].payload)
+    assert (packet.safety[1] >> 5, bool(packet.points)) == (5, True)
+
+
+TAIL = {0: 0x38, 1: 0x37, 2: 0x39, 3: 0x33, 4: 0x3B, 5: 0x3C, 6: 0x3D}
+"Codes of command 1E, and the byte of a packet."
+ALL, MOST = {0, 1, 2, 3, 4, 5}, {0, 1, 2}
+ALLOWED = {
+    "hesai-xt32": ALL, "hesai-xt32m2x": ALL | {6}, "hesai-pandar128e3x": ALL, "hesai-ot128": ALL, "hesai-at128": MOST,
+    "hesai-pandar40p": MOST, "hesai-qt64": {0, 2, 3},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", sorted(ALLOWED))
+def test_codes_of_return_modes_are_those_of_the_maker(name: str) -> None:
+    rig = Rig(name, {} if name == "hesai-at128" else {"range_deg": [0, 30]})
+    for code in range(9):
+        said = rig.ptc(0x1E, bytes((code,)))
+        assert said == (0 if code in ALLOWED[name] else 1, b"")
+        if said[0] == 0:
+            rig.run(0.02)
+            tail = 0x3B if (name, code) == ("hesai-qt64", 2) else TAIL[code]
+            assert {reader.decode(one.payload).mode for one in clouds(rig.run(0.12))} == {tail}
+            assert rig.ok(0x08)[32] == code
+
+
+@pytest.mark.parametrize("name", sorted(MODELS))
+def test_the_start_of_the_makers_sdk_is_answered_within_three_seconds_and_in_standby_too(name: str) -> None:
+    rig = Rig(name, {"standby": True} if name == "hesai-at128" else {"standby": True, **QUIET})
+    rpm = struct.pack(">H", MODELS[name].rpm[-1])
+    for command, payload, length in (
+        (0x1C, b"\0", 0), (0x17, rpm, 0), (0x05, b"", None), (0x06, b"\1", 16), (0x3A, b"", 1),
+    ):  # fmt: skip
+        said = rig.ok(command, payload)
+        assert len(said) == length if length is not None else len(said) > 300
+    assert not clouds(rig.run(9.8))
+    sent = clouds(rig.run(0.5))
+    assert reader.decode(sent[0].payload).rpm == MODELS[name].rpm[-1]
