@@ -98,7 +98,7 @@ class SweepSession(TimedSession):
 
     @abstractmethod
     def _telegrams(self, scan: Scan) -> Iterable[Telegram]:
-        """The telegrams of a scan, in the order of sending; at least one."""
+        """The telegrams of a scan, in the order of sending; none if it has too few samples for one."""
 
     def _schedule(self) -> Numbered:
         """When each sweep begins."""
@@ -192,9 +192,16 @@ class SweepSession(TimedSession):
     def _withdraw(self, now_ns: int, whose: Callable[[Outgoing], bool]) -> None:
         gone = self._outbox.withdraw(lambda sent: sent.is_scan and not sent.begun and whose(sent))
         for sent in reversed(gone):
-            sweep = sent.emissions[0].sweep
-            assert sweep is not None
-            self._events.unsent(now_ns, DropReason.STALE, range(sweep, sweep + 1), "on its way", None, sent.to)
+            self._withdrawn(sent)
+            if (sweep := sent.emissions[0].sweep) is not None:
+                self._events.unsent(now_ns, DropReason.STALE, range(sweep, sweep + 1), "on its way", None, sent.to)
+
+    def _withdrawn(self, sent: Outgoing) -> None:
+        """A scan will not be sent."""
+
+    def _cut(self, now_ns: int) -> None:
+        """Further telegrams of scans whose first one has been sent are not sent."""
+        self._outbox.withdraw(lambda sent: sent.is_scan and sent.begun)
 
     def _change(self, now_ns: int, period_ns: Fraction | None = None) -> None:
         """A setting that scans depend on has changed: earlier scans are refused and withdrawn; a new stream begins.
@@ -261,18 +268,25 @@ class SweepSession(TimedSession):
 
     def submit(self, scan: Scan) -> None:
         """Take the scan of `next_plan`; `ScanRefused` for any other."""
-        self._wanted.expect(scan.plan, len(scan.range_m))
-        self._wanted.forget()
-        plan = scan.plan
-        self._next = plan.sweep + 1
+        plan = self._taken(scan)
         takers = [address for address, since_ns in self._hosts.items() if since_ns <= plan.start_ns]
         if not takers:
             numbers = range(plan.sweep, plan.sweep + 1)
             self._events.unsent(self._now_ns, DropReason.STALE, numbers, "no subscriber", plan.stream)
             return
         telegrams = list(self._telegrams(scan))
+        if not telegrams:
+            numbers = range(plan.sweep, plan.sweep + 1)
+            self._events.unsent(self._now_ns, DropReason.KEPT, numbers, "too few samples", plan.stream)
+            return
         for address in takers:
             self._outbox.put(Outgoing(address, deque(self._emissions(plan, telegrams, address)), is_scan=True))
+
+    def _taken(self, scan: Scan) -> ScanPlan:
+        self._wanted.expect(scan.plan, len(scan.range_m))
+        self._wanted.forget()
+        self._next = scan.plan.sweep + 1
+        return scan.plan
 
     def _emissions(self, plan: ScanPlan, telegrams: Iterable[Telegram], to: Address | None) -> Iterable[Emission]:
         """The first one carries the sweep, the others (`scans` 0) are further parts."""

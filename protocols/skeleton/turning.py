@@ -128,10 +128,6 @@ class TurningSession(SweepSession):
         self._cut(now_ns)
         super()._unsubscribe(now_ns, address)
 
-    def _cut(self, now_ns: int) -> None:
-        """Further packets of turns whose first packet has been sent are not sent."""
-        self._outbox.withdraw(lambda sent: sent.is_scan and sent.begun)
-
     def _spin(self, now_ns: int, hz: float | None = None, rate_hz: int | None = None) -> None:
         """Another controlled speed or rate of samples, from the next turn on."""
         self._hz = self._hz if hz is None else hz
