@@ -114,14 +114,6 @@ OLD: Mapping[tuple[str, str], tuple[Mode, ...]] = {
 "Earlier firmware, with its modes."
 
 
-def model_of(facts: Mapping[str, Any]) -> Model:
-    """The row that a spec's `device` table names; `DeviceSettingError` when there is none."""
-    name = facts.get("model", "rplidar-a1m8")
-    if name not in MODELS:
-        raise DeviceSettingError("model", name, " | ".join(MODELS))
-    return MODELS[name]
-
-
 def with_firmware(model: Model, firmware: str) -> Model:
     """The same with an earlier firmware; `DeviceSettingError` for one that is not known."""
     known = ["{}.{:02d}".format(*model.firmware), *(text for name, text in OLD if name == model.model)]

@@ -17,10 +17,10 @@ from protocols.scip import codec
 from protocols.scip.codec import Form
 from protocols.scip.models import Model
 from protocols.scip.settings import Settings
-from protocols.session import Address, DropReason, Emission, LinkKind
+from protocols.session import Address, DropReason, Emission
 from protocols.skeleton.instants import SECOND_NS, Raster
-from protocols.skeleton.outbox import Outgoing
 from protocols.skeleton.one_client import OneClientSession
+from protocols.skeleton.outbox import Outgoing
 from protocols.skeleton.receiving import Fault
 from protocols.skeleton.sweeps import SHARES, Sweep, Telegram
 
