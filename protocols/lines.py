@@ -80,7 +80,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "rplidar": {
         "codec": "codec framing",
         "commands": "commands",
-        "session": "session device rotor",
+        "session": "session device",
         "settings": "settings models",
         "other": "__init__",
     },

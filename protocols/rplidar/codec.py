@@ -69,18 +69,12 @@ class Samples:
 
     def part(self, first: int, end: int | None = None) -> Samples:
         """Those from `first` to before `end`."""
-        at = slice(first, end)
-        return Samples(self.angle_deg[at], self.mm[at], self.quality[at], self.starts[at], self.stamp_us[at])
+        return Samples(*(column[first:end] for column in vars(self).values()))
 
     def then(self, other: Samples) -> Samples:
         """Both, one behind the other."""
-        return Samples(
-            np.concatenate([self.angle_deg, other.angle_deg]),
-            np.concatenate([self.mm, other.mm]),
-            np.concatenate([self.quality, other.quality]),
-            np.concatenate([self.starts, other.starts]),
-            np.concatenate([self.stamp_us, other.stamp_us]),
-        )
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Samples(*(np.concatenate(pair) for pair in pairs))
 
     def __len__(self) -> int:
         return len(self.mm)

@@ -12,8 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
-import numpy as np
-
 from protocols.scan import Floats, ScanPlan
 from protocols.session import Address
 from protocols.skeleton.instants import SECOND_NS, Raster
@@ -193,13 +191,10 @@ class TurningSession(SweepSession):
         return self._cache[2]
 
     def _fallen_into(self, number: int) -> Samples:
-        turns, rotor = self._turns, self._turns.rotor
-        first, end = turns.sample(number), turns.sample(number + 1)
-        period_s = float(turns.samples.period_ns) / SECOND_NS
-        start_ns = turns.samples.at(first)
-        after_s = np.asarray(np.arange(end - first) * period_s, np.float64)
-        turned = rotor.turned_at(np.asarray((start_ns - rotor.at_ns) / SECOND_NS + after_s, np.float64))
-        hz = rotor.speed_hz(start_ns)
+        turns = self._turns
+        first, period_s = turns.sample(number), float(turns.samples.period_ns) / SECOND_NS
+        after_s, turned = turns.turned(number)
+        hz = turns.rotor.speed_hz(turns.at(number))
         whole = bool(turned[0] - number < hz * period_s * self.GROUP)
         return Samples(first, 360.0 * (turned - number), after_s, hz, whole, len(after_s) * period_s)
 
