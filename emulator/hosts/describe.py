@@ -28,8 +28,9 @@ from protocols.lms2xx import commands as lms
 from protocols.lms2xx.telegrams import Telegram, open_frame, read_values
 from protocols.lms2xx.values import COUNTS_PER_METRE, MEASURING_MODES
 from protocols.rplidar import commands as rplidar
-from protocols.rplidar.codec import EXPRESS, FORMS, HQ, REPLY_SYNC, STANDARD, ULTRA_DENSE
+from protocols.rplidar.codec import EXPRESS, FORMS, HQ, STANDARD, ULTRA_DENSE
 from protocols.scip import commands as scip
+from protocols.skeleton.descriptors import REPLY_SYNC
 
 FIRST = 8
 "Numbers of a row that are shown before it is cut."

@@ -13,7 +13,8 @@ import numpy as np
 
 from emulator.hosts.scans import HostScan
 from protocols.rplidar import codec
-from protocols.rplidar.codec import DESCRIPTOR, FORMS, MULTIPLE, REPLY_SYNC, Floats, Form
+from protocols.rplidar.codec import FORMS, Floats, Form
+from protocols.skeleton.descriptors import DESCRIPTOR, MULTIPLE, REPLY_SYNC
 
 LONGEST = 1 << 16
 "Of a reply."

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from protocols.checksums import xor8
+from protocols.skeleton.descriptors import SYNC, descriptor
+
 Words = NDArray[np.int64]
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
-SYNC, REPLY_SYNC = 0xA5, b"\xa5\x5a"
-DESCRIPTOR = 7
-MULTIPLE = 1 << 30
 STANDARD, EXPRESS, HQ, ULTRA, DENSE, ULTRA_DENSE = 0x81, 0x82, 0x83, 0x84, 0x85, 0x86
 NONE_OF_ULTRA = -512
 BEAM_OFFSET_MM, BEAM_ANGLE_DEG, NEAREST_MM = 24.01, 8.0, 50.0
@@ -35,22 +35,7 @@ def request(code: int, payload: bytes = b"") -> bytes:
     if code < 0x80:
         return bytes((SYNC, code))
     text = bytes((SYNC, code, len(payload))) + payload
-    return text + bytes((xor(text),))
-
-
-def xor(data: bytes) -> int:
-    """Exclusive or of all bytes."""
-    return int(np.bitwise_xor.reduce(np.frombuffer(data, np.uint8))) if data else 0
-
-
-def descriptor(kind: int, length: int, multiple: bool = False) -> bytes:
-    """What comes before the data of a reply."""
-    return REPLY_SYNC + struct.pack("<IB", length | MULTIPLE * multiple, kind)
-
-
-def reply(kind: int, data: bytes) -> bytes:
-    """A reply of one piece."""
-    return descriptor(kind, len(data)) + data
+    return text + bytes((xor8(text),))
 
 
 @dataclass(frozen=True, eq=False)

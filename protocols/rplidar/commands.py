@@ -11,9 +11,10 @@ import struct
 from collections.abc import Callable, Mapping
 from functools import partial
 
-from protocols.rplidar.codec import HQ, STANDARD, reply
+from protocols.rplidar.codec import HQ, STANDARD
 from protocols.rplidar.device import ERROR, RplidarDevice
 from protocols.session import DropReason
+from protocols.skeleton.descriptors import reply
 from protocols.skeleton.requests import Answer, Command, Refused, Request
 
 Reply = bytes | Answer | Refused

@@ -143,16 +143,12 @@ class RplidarDevice(RequestSession):
         self._dtr = dtr
         self._drive(now_ns)
 
-    def impair(self, now_ns: int, what: str, degree: float) -> bool:
-        """The motor: its speed is `degree` times what is set; or it is blocked."""
-        self.advance(now_ns)
-        if what == "motor speed" and degree > 0.0:
-            self._factor = degree
-        elif what == "motor stopped":
-            self._factor = 0.0 if degree else 1.0
-        else:
-            return False
+    def _set_factor(self, now_ns: int, factor: float) -> None:
+        self._factor = factor
         self._drive(now_ns)
+
+    def _block(self, now_ns: int, blocked: bool) -> bool:
+        self._set_factor(now_ns, 0.0 if blocked else 1.0)
         return True
 
     # states

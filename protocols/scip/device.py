@@ -311,18 +311,14 @@ class ScipDevice(OneClientSession):
     def _verifies(self) -> bool:
         return self._verifying.at_ns is not None
 
-    def impair(self, now_ns: int, what: str, degree: float) -> bool:
-        """The motor: its speed is `degree` times the nominal one; or it is stopped."""
-        self.advance(now_ns)
-        if what == "motor speed" and degree > 0.0:
-            self._slowed = 1 / Fraction(round(degree * SHARES), SHARES)
-            self.turn_at(now_ns, self.slower)
-            self._monitor(now_ns, abs(degree - 1.0) <= SPEED_TOLERANCE)
-            return True
-        if what == "motor stopped":
-            self._monitor(now_ns, degree == 0.0)
-            return True
-        return False
+    def _set_factor(self, now_ns: int, factor: float) -> None:
+        self._slowed = 1 / Fraction(round(factor * SHARES), SHARES)
+        self.turn_at(now_ns, self.slower)
+        self._monitor(now_ns, abs(factor - 1.0) <= SPEED_TOLERANCE)
+
+    def _block(self, now_ns: int, blocked: bool) -> bool:
+        self._monitor(now_ns, not blocked)
+        return True
 
     def _monitor(self, now_ns: int, right: bool) -> None:
         if not self._running or self.faulty or right != self._verifies:

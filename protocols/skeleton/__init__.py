@@ -11,6 +11,7 @@ sweeps      a device that measures one sweep after the other, and its subscriber
 one_client  a device that serves one TCP client at a time
 one_way     a device that only sends: datagrams of sweeps, and periodic ones
 requests    a device with a command table
+descriptors replies of such devices behind `A5 5A`, length and type
 http        requests and replies of a web interface
 nmea        sentences of a satellite receiver
 rotor       angle of a rotor that turns freely, and the turns that its samples make

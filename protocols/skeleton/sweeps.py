@@ -216,14 +216,22 @@ class SweepSession(TimedSession):
         self._raster = self._raster.going_on(self._next, self._nominal_ns * self._slowed)
 
     def impair(self, now_ns: int, what: str, degree: float) -> bool:
-        """The motor: its speed is `degree` times the nominal one."""
+        """The motor: its speed is `degree` times the nominal one; or it is blocked (1), or free (0), if that shows."""
         self.advance(now_ns)
-        if what != "motor speed" or degree <= 0.0:
-            return False
-        self._slowed = 1 / Fraction(round(degree * SHARES), SHARES)
+        if what == "motor speed" and degree > 0.0:
+            self._set_factor(now_ns, degree)
+            return True
+        return what == "motor stopped" and self._block(now_ns, degree != 0.0)
+
+    def _set_factor(self, now_ns: int, factor: float) -> None:
+        """The motor's speed is so many times the nominal one."""
+        self._slowed = 1 / Fraction(round(factor * SHARES), SHARES)
         if self._running:
             self._change(now_ns)
-        return True
+
+    def _block(self, now_ns: int, blocked: bool) -> bool:
+        """The motor cannot turn, or can again; False: this device has no answer to that."""
+        return False
 
     # sweeps
 

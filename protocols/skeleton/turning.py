@@ -164,18 +164,14 @@ class TurningSession(SweepSession):
         if self._hosts:
             self._begin(self._speed_ns)
 
-    def impair(self, now_ns: int, what: str, degree: float) -> bool:
-        """The motor: its speed is `degree` times the controlled one; or it is blocked (1), or free (0)."""
-        self.advance(now_ns)
-        if what == "motor speed" and degree > 0.0:
-            self._factor = round(degree * SHARES) / SHARES
-            if self._running:
-                self._spin(now_ns)
-            return True
-        if what == "motor stopped":
-            self._stall(now_ns, degree != 0.0)
-            return True
-        return False
+    def _set_factor(self, now_ns: int, factor: float) -> None:
+        self._factor = round(factor * SHARES) / SHARES
+        if self._running:
+            self._spin(now_ns)
+
+    def _block(self, now_ns: int, blocked: bool) -> bool:
+        self._stall(now_ns, blocked)
+        return True
 
     # sweeps
 
