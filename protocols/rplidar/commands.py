@@ -85,6 +85,8 @@ def _express(device: RplidarDevice, request: Request) -> Reply:
 def _hq(device: RplidarDevice, request: Request) -> Reply:
     if refused := short(request, 33) or _protected(device):
         return refused
+    if not device.model.has_conf:
+        return Refused(DropReason.REFUSED, "firmware before 1.24")
     return device.begin(request, device.model.modes[0], HQ)
 
 

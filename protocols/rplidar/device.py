@@ -18,7 +18,8 @@ from protocols.rplidar.settings import Settings
 from protocols.scan import Floats, Scan
 from protocols.session import Address, Emission, LinkKind
 from protocols.skeleton.instants import SECOND_NS, Raster
-from protocols.skeleton.requests import Request, RequestSession
+from protocols.skeleton.one_client import OneClientSession
+from protocols.skeleton.requests import Request
 from protocols.skeleton.rotor import LoadedRotor, Turns
 from protocols.skeleton.sweeps import Sweep, Telegram
 
@@ -61,7 +62,7 @@ class Stream:
     forced: bool
 
 
-class RplidarDevice(RequestSession):
+class RplidarDevice(OneClientSession):
     """The device without its commands."""
 
     clock_tick_ns = Fraction(1000)
@@ -177,6 +178,7 @@ class RplidarDevice(RequestSession):
             lines = "RP LIDAR System.", f"Firmware Ver {major}.{minor}{stage}, HW Ver {model.hardware}"
             text = "\r\n".join((*lines, f"Model: {model.byte:x}", ""))
             self._outbox.send(Emission(now_ns, text.encode(), label="boot"))
+        super()._start(now_ns)
 
     # scans
 

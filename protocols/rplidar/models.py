@@ -68,7 +68,7 @@ class Model:
 
     @property
     def has_conf(self) -> bool:
-        """Whether GET_LIDAR_CONF is known."""
+        """Whether GET_LIDAR_CONF and HQ_SCAN are known."""
         return self.byte >= 0x40 or self.firmware >= (1, 24)
 
     @property

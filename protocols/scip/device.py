@@ -58,6 +58,8 @@ class Job:
     since_ns: int
     continuous: bool
     scip1: bool = False
+    due_turn: int = 0
+    "It takes no scan before this turn of the motor."
     over_ns: int = 0
     "When its last block is due."
 
@@ -72,6 +74,8 @@ class Block(Outgoing):
     """A scan on its way to a host."""
 
     job: Job | None = None
+    turn: int = 0
+    "Of the motor, in which the scan was measured."
 
 
 class ScipDevice(OneClientSession):
@@ -204,19 +208,25 @@ class ScipDevice(OneClientSession):
             self._wanted.renew()
 
     def _withdrawn(self, sent: Outgoing) -> None:
-        if isinstance(sent, Block) and sent.job is not None and sent.job.left is not None:
-            sent.job.left += 1
+        if isinstance(sent, Block) and sent.job is not None:
+            sent.job.left = None if sent.job.left is None else sent.job.left + 1
+            sent.job.due_turn = min(sent.job.due_turn, sent.turn)
 
     def _renew(self, now_ns: int) -> None:
         """A new stream of sweeps, for the jobs that there are now; sweeps that have begun are still sent."""
         self._withdraw(now_ns, lambda block: block.emissions[0].due_ns - self._after_ns() >= now_ns)
         self._wanted.renew()
         self._stream += 1
-        ready_ns = max(now_ns, self._lit_ns, self._speed_ns)
-        turns = 1 + min((job.skip for job in self.jobs if job.wants), default=0)
-        first = self._mirror.first_from(ready_ns)
-        self._raster = Raster(self._mirror.at(first), self._mirror.period_ns * turns, self._next)
+        self._pace(self._mirror.first_from(max(now_ns, self._lit_ns, self._speed_ns)))
         self._subscribe_jobs()
+
+    def _pace(self, first: int) -> None:
+        """Sweep from turn `first` on, as often as the measurement that skips the fewest turns takes a scan."""
+        first = max(first, min((job.due_turn for job in self.jobs if job.wants), default=first))
+        self._raster = Raster(self._mirror.at(first), self._mirror.period_ns * self._stride(), self._next)
+
+    def _stride(self) -> int:
+        return 1 + min((job.skip for job in self.jobs if job.wants), default=0)
 
     def _after_ns(self) -> int:
         """From the start of a sweep to its block."""
@@ -248,7 +258,9 @@ class ScipDevice(OneClientSession):
         """Take the scan of `next_plan`; `ScanRefused` for any other."""
         plan = self._taken(scan)
         numbers = range(plan.sweep, plan.sweep + 1)
-        takers = [job for job in self.jobs if job.wants and job.since_ns <= plan.start_ns]
+        stride = self._stride()
+        turn = self._mirror.first_from(plan.start_ns - int(self._mirror.period_ns) // 2)
+        takers = [job for job in self.jobs if job.wants and job.since_ns <= plan.start_ns and job.due_turn <= turn]
         if not takers:
             self._events.unsent(self._now_ns, DropReason.STALE, numbers, "no measurement", plan.stream)
             return
@@ -256,6 +268,7 @@ class ScipDevice(OneClientSession):
         due_ns = plan.start_ns + self._after_ns()
         carried: set[Address | None] = set()
         for job in takers:
+            job.due_turn = turn + 1 + job.skip
             if job.continuous and self._free_ns.get(job.address, 0) > due_ns:
                 self._events.unsent(self._now_ns, DropReason.LINE_BUSY, numbers, "", plan.stream, job.address)
                 continue
@@ -268,8 +281,10 @@ class ScipDevice(OneClientSession):
             emission = Emission(
                 due_ns, data, job.address, sweep, None, job.head[:2].decode(), stamp, int(sweep is not None)
             )
-            self._outbox.put(Block(job.address, deque((emission,)), is_scan=True, job=job))
+            self._outbox.put(Block(job.address, deque((emission,)), is_scan=True, job=job, turn=turn))
             self._occupy(job.address, due_ns, len(data))
+        if self._stride() != stride:  # the measurements that are left skip more turns
+            self._pace(turn + 1)
         self._subscribe_jobs()
 
     def _occupy(self, address: Address | None, due_ns: int, size: int) -> None:

@@ -304,6 +304,7 @@ def test_old_firmware_leaves_configuration_unanswered() -> None:
     assert rig.ask(INFO)[7:11] == bytes((0x18, 20, 1, 7))
     assert rig.ask(conf(0x7C), SECOND) == b""
     assert rig.ask(RATE)[7:] == struct.pack("<HH", 500, 250)
+    assert rig.ask(request(0x83, bytes(33)), SECOND) == b"", "HQ_SCAN came with 1.24"
     assert rig.stream(express(0), SECOND)[0] == 0x82
 
 
@@ -367,6 +368,25 @@ def test_over_udp_the_last_sender_gets_the_stream_and_over_tcp_its_end_ends_it()
     tcp.put(INFO, two)
     tcp.run(2 * MS)
     assert tcp.raw()[6] == 4
+
+
+def test_over_tcp_a_second_client_waits_and_does_not_disturb_the_first() -> None:
+    one, two = Address(0, 5001), Address(0, 5002)
+    rig = Rig("rplidar-s2m1", kind=LinkKind.STREAM)
+    for client in (one, two):
+        rig.session.connected(rig.now_ns, client, LinkKind.STREAM)
+    rig.put(SCAN, one)
+    rig.run(SECOND)
+    rig.raw()
+    rig.put(INFO, two)
+    rig.run(SECOND)
+    assert {sent.address for sent in rig.sent} == {one}
+    assert len(points_of(0x81, rig.raw())) > 10_000
+    rig.session.disconnected(rig.now_ns, one)
+    rig.raw()
+    rig.run(SECOND)
+    assert {sent.address for sent in rig.sent} == {two}
+    assert rig.raw()[6] == 4
 
 
 @given(st.lists(st.one_of(st.binary(max_size=20), st.sampled_from([SCAN, STOP, INFO, PWM, RESET, express(3), FORCE]),

@@ -187,6 +187,23 @@ def test_a_counted_measurement_keeps_its_count_when_one_scan_is_asked_beside_it(
     assert left == list(range(19, -1, -1))
 
 
+@pytest.mark.parametrize("asked_ms", [0, 13, 26, 60, 99])
+def test_one_scan_asked_beside_it_does_not_disturb_a_measurement_that_skips(asked_ms: int) -> None:
+    rig = Rig()
+    rig.put("MD0000000301300\n")
+    rig.run(500 * MS + asked_ms * MS)
+    rig.put("GD0000000301\n")
+    rig.run(SECOND)
+    found = rig.take()
+    scans = [one for one in found if one.status == "99"]
+    assert {later.stamp - one.stamp for one, later in pairwise(scans)} == {100}
+    assert len(scans) in (15, 16)
+    (single,) = [one for one in found if one.echo[:2] == "GD"]
+    assert single.status == "00"
+    assert single.due_ns - (500 + asked_ms) * MS - 10 * MS < 60 * MS, "the next turn is taken"
+    assert DropReason.STALE not in rig.dropped()
+
+
 def test_quitting_withdraws_what_has_not_begun() -> None:
     rig = Rig()
     rig.put(f"MD{FULL}000\n")
