@@ -68,6 +68,7 @@ class RplidarDevice(OneClientSession):
     clock_tick_ns = Fraction(1000)
     clock_bits = 32
     INTER_BYTE_NS = 5 * SECOND_NS
+    IS_SERVER = False
 
     def __init__(self, model: Model, settings: Settings) -> None:
         self.model, self.settings = model, settings
@@ -178,7 +179,6 @@ class RplidarDevice(OneClientSession):
             lines = "RP LIDAR System.", f"Firmware Ver {major}.{minor}{stage}, HW Ver {model.hardware}"
             text = "\r\n".join((*lines, f"Model: {model.byte:x}", ""))
             self._outbox.send(Emission(now_ns, text.encode(), label="boot"))
-        super()._start(now_ns)
 
     # scans
 

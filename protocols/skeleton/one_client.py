@@ -6,6 +6,7 @@ Belongs here: whose bytes are taken when. Not: other links, which need no turn, 
 from __future__ import annotations
 
 from fractions import Fraction
+from typing import ClassVar
 
 from protocols.session import Address, DropReason, LinkKind
 from protocols.skeleton.requests import RequestSession
@@ -17,6 +18,9 @@ connection is not made, or for the end of the one connection that a device serve
 
 class OneClientSession(RequestSession):
     """Base class; clients are served in the order of their connections."""
+
+    IS_SERVER: ClassVar[bool] = True
+    "It is on the network itself, once it has booted; False: it is a line behind a server that is always up."
 
     def __init__(self, boot_ns: int, period_ns: Fraction) -> None:
         super().__init__(boot_ns, period_ns)
@@ -42,7 +46,8 @@ class OneClientSession(RequestSession):
             self._serve_next(now_ns)
 
     def _serve_next(self, now_ns: int) -> None:
-        if self._client is None and self._running and self._waiting:
+        is_up = self._running or not self.IS_SERVER
+        if self._client is None and is_up and self._waiting:
             self._client = next(iter(self._waiting))
             self.receive(self._waiting.pop(self._client), now_ns, self._client)
 

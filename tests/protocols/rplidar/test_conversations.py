@@ -372,7 +372,8 @@ def test_over_udp_the_last_sender_gets_the_stream_and_over_tcp_its_end_ends_it()
 
 def test_over_tcp_a_second_client_waits_and_does_not_disturb_the_first() -> None:
     one, two = Address(0, 5001), Address(0, 5002)
-    rig = Rig("rplidar-s2m1", kind=LinkKind.STREAM)
+    rig = Rig("rplidar-s2m1", {"boot_s": 0.8}, kind=LinkKind.STREAM)
+    rig.run(SECOND)
     for client in (one, two):
         rig.session.connected(rig.now_ns, client, LinkKind.STREAM)
     rig.put(SCAN, one)
@@ -387,6 +388,12 @@ def test_over_tcp_a_second_client_waits_and_does_not_disturb_the_first() -> None
     rig.run(SECOND)
     assert {sent.address for sent in rig.sent} == {two}
     assert rig.raw()[6] == 4
+    rig.ask(RESET, 100 * MS)
+    rig.session.disconnected(rig.now_ns, two)
+    rig.session.connected(rig.now_ns, one, LinkKind.STREAM)
+    rig.put(INFO, one)
+    rig.run(3 * SECOND)
+    assert rig.raw() == b"", "the server is up, the scanner behind it is not"
 
 
 @given(st.lists(st.one_of(st.binary(max_size=20), st.sampled_from([SCAN, STOP, INFO, PWM, RESET, express(3), FORCE]),
