@@ -67,6 +67,8 @@ class YdlidarSession(TurningSession, RequestSession):
         self._kept: tuple[float, int] | None = None
         "Speed and low power that a G4 keeps over a restart by command."
         self._motor_on = True
+        "As DTR has it."
+        self._blocked = False
         self._seen: tuple[Floats, Floats] | None = None
         "Angles of the last turn, and the correction of each: where its line will meet something next time."
         self._cast: tuple[Samples, Floats] | None = None
@@ -82,7 +84,7 @@ class YdlidarSession(TurningSession, RequestSession):
     @property
     def health(self) -> tuple[int, int]:
         """Status and error code."""
-        return (2, STALLED) if self._stalled else (self.settings.health, 0)
+        return (2, STALLED) if self._blocked and self._motor_on else (self.settings.health, 0)
 
     def _reset(self, now_ns: int) -> None:
         self.flags = {"low power": OFF, "turns left": OFF, "constant": ON, "exposure": OFF, "heartbeat": ON}
@@ -110,7 +112,12 @@ class YdlidarSession(TurningSession, RequestSession):
         self.advance(now_ns)
         if self.settings.dtr_drives_motor and dtr != self._motor_on:
             self._motor_on = dtr
-            self._stall(now_ns, not dtr)
+            self._stall(now_ns, self._blocked or not dtr)
+
+    def _block(self, now_ns: int, blocked: bool) -> bool:
+        self._blocked = blocked
+        self._stall(now_ns, blocked or not self._motor_on)
+        return True
 
     def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
         """Bytes of a host, in any chunking; ignored by those that only send. Never raises."""
