@@ -81,8 +81,8 @@ class RplidarDevice(OneClientSession):
         self.ip = bytes(12)
         "Kept over power-off."
         self._dtr = False
-        self._factor = 1.0
-        "Of a fault on the motor's speed; 0: it is blocked."
+        self._factor, self._blocked = 1.0, False
+        "Faults of the motor: on its speed, and whether it is blocked."
         self._set_hz = 0.0
         "By PWM or A8."
         settle_s = max(1e-9 * settings.spin_up_ns / math.log(1.0 / STABLE), AT_ONCE_S)
@@ -121,7 +121,7 @@ class RplidarDevice(OneClientSession):
     def _drive(self, now_ns: int) -> None:
         """The motor goes to the speed that holds now; the samples go on from here at other angles."""
         wanted = self._wanted_hz()
-        aim = wanted * self._factor
+        aim = 0.0 if self._blocked else wanted * self._factor
         blocked = wanted > 0.0 and aim < STANDS_HZ
         if aim != self.rotor.hz:
             self.rotor = self.rotor.driven(now_ns, aim)
@@ -150,7 +150,8 @@ class RplidarDevice(OneClientSession):
         self._drive(now_ns)
 
     def _block(self, now_ns: int, blocked: bool) -> bool:
-        self._set_factor(now_ns, 0.0 if blocked else 1.0)
+        self._blocked = blocked
+        self._drive(now_ns)
         return True
 
     # states

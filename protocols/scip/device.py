@@ -109,6 +109,8 @@ class ScipDevice(OneClientSession):
         "When the laser can measure."
         self._verifying = self._timers.alarm(self.fail)
         "Set while the motor is not at speed and may come back to it."
+        self._factor, self._blocked = 1.0, False
+        "Faults of the motor: on its speed, and whether it stands."
         self._free_ns: dict[Address | None, int] = {}
 
     # states
@@ -149,6 +151,7 @@ class ScipDevice(OneClientSession):
 
     def _start(self, now_ns: int) -> None:
         self._mirror = Raster(now_ns, self._turn_ns())
+        self._monitor(now_ns)
         super()._start(now_ns)
 
     # measurements
@@ -327,15 +330,17 @@ class ScipDevice(OneClientSession):
         return self._verifying.at_ns is not None
 
     def _set_factor(self, now_ns: int, factor: float) -> None:
-        self._slowed = 1 / Fraction(round(factor * SHARES), SHARES)
+        self._factor, self._slowed = factor, 1 / Fraction(round(factor * SHARES), SHARES)
         self.turn_at(now_ns, self.slower)
-        self._monitor(now_ns, abs(factor - 1.0) <= SPEED_TOLERANCE)
+        self._monitor(now_ns)
 
     def _block(self, now_ns: int, blocked: bool) -> bool:
-        self._monitor(now_ns, not blocked)
+        self._blocked = blocked
+        self._monitor(now_ns)
         return True
 
-    def _monitor(self, now_ns: int, right: bool) -> None:
+    def _monitor(self, now_ns: int) -> None:
+        right = not self._blocked and abs(self._factor - 1.0) <= SPEED_TOLERANCE
         if not self._running or self.faulty or right != self._verifies:
             return
         if right:

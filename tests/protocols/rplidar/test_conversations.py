@@ -266,6 +266,15 @@ def test_a_blocked_motor_is_a_protection_stop_which_only_a_reset_ends() -> None:
     assert len(rig.stream(SCAN, SECOND)[1]) > 5000
 
 
+def test_a_motor_that_is_free_again_still_has_its_wrong_speed() -> None:
+    rig = Rig(world=room)
+    for what, degree in (("motor speed", 0.5), ("motor stopped", 1.0), ("motor stopped", 0.0)):
+        assert rig.session.impair(rig.now_ns, what, degree)
+    points = points_of(0x81, rig.stream(SCAN, 4 * SECOND)[1])
+    starts = [at for at, one in enumerate(points) if one.start]
+    assert 3.4 < 1e6 / 508 / ((starts[-1] - starts[0]) / (len(starts) - 1)) < 3.6
+
+
 def test_a_forced_scan_of_a_motor_that_stands_looks_in_one_direction() -> None:
     rig = Rig("rplidar-a2m8", world=room)
     assert len(rig.ask(SCAN, SECOND)) == 7

@@ -352,6 +352,21 @@ def test_a_motor_that_stops_interrupts_and_at_last_fails(model: str) -> None:
     assert rig.status("RB") == "00"
 
 
+def test_faults_of_the_motor_hold_each_by_itself_and_over_a_restart() -> None:
+    rig = Rig()
+    for what, degree in (("motor speed", 0.5), ("motor stopped", 1.0), ("motor stopped", 0.0)):
+        assert rig.session.impair(rig.now_ns, what, degree)
+    assert rig.ask("II").lines[3] == "MESM:100 Idle;", "it is free again, and still too slow"
+    rig.session.impair(rig.now_ns, "motor speed", 1.0)
+    assert rig.ask("II").lines[3] == "MESM:000 Idle;"
+    rig.session.impair(rig.now_ns, "motor stopped", 1.0)
+    assert [rig.status("RB"), rig.status("RB")] == ["01", "00"]
+    rig.run(SECOND)
+    assert rig.ask("II").lines[3] == "MESM:100 Idle;", "it starts with a motor that stands"
+    rig.run(2 * SECOND)
+    assert rig.ask("II").lines[3] == "MESM:900 Error detected;"
+
+
 def test_a_simulated_malfunction_ends_with_a_reset() -> None:
     rig = Rig()
     rig.put(f"MD{FULL}000\n")
