@@ -9,7 +9,9 @@ single module the statements do: sessions, what their `COMMANDS` name, codecs, c
 from __future__ import annotations
 
 import ast
+import io
 import sys
+import tokenize
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -19,6 +21,8 @@ PAGE, EXAMPLES = HERE.parent / "docs/family.md", HERE.parent / "docs/examples/ac
 BEGIN, END = "<!-- made by python -m protocols.lines --page -->", "<!-- end of what is made -->"
 
 COLUMNS = ("codec", "commands", "session", "settings", "other")
+TABLES = ("commands", "settings")
+NO_CODE = (tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER)
 KINDS: Mapping[str, Mapping[str, str]] = {
     "lms2xx": {
         "codec": "telegrams values receiver framing outputs",
@@ -80,7 +84,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "rplidar": {
         "codec": "codec framing",
         "commands": "commands",
-        "session": "session device rotor",
+        "session": "session device",
         "settings": "settings models",
         "other": "__init__",
     },
@@ -158,20 +162,53 @@ def _methods(session: ast.ClassDef) -> Iterator[tuple[str, int]]:
         yield kind, node.end_lineno or 0
 
 
+def code_of(path: Path) -> int:
+    """Lines of code of a family beside its tables: without commands, settings, docstrings, comments and blank lines."""
+    found = 0
+    for file in sorted(path.glob("*.py")) if path.is_dir() else [path]:
+        if kind_of(path.name, file.stem) not in TABLES:
+            text = file.read_text(encoding="utf-8")
+            found += len(_code(text) - (set() if path.is_dir() else _table_lines(text)))
+    return found
+
+
+def _code(text: str) -> set[int]:
+    """Numbers of the lines with code."""
+    found: set[int] = set()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type not in NO_CODE:
+            found.update(range(token.start[0], token.end[0] + 1))
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            found.difference_update(range(node.lineno, (node.end_lineno or 0) + 1))
+    return found
+
+
+def _table_lines(text: str) -> set[int]:
+    """Numbers of the lines of a single module that are commands or settings."""
+    found: set[int] = set()
+    last = 0
+    for kind, end in _statements(ast.parse(text)):
+        if kind in TABLES:
+            found.update(range(last + 1, end + 1))
+        last = end
+    return found
+
+
 def lines_of(path: Path) -> Counter[str]:
     """Lines of a family by kind: a folder, or one module. OSError, SyntaxError when it is neither."""
     return package_lines(path) if path.is_dir() else module_lines(path)
 
 
 def table(paths: Iterable[Path]) -> str:
-    """A Markdown table, a family a row; what all share in the last one."""
-    rows = ["| family | " + " | ".join(COLUMNS) + " | all |", "|---|" + "---:|" * (len(COLUMNS) + 1)]
+    """A Markdown table, a family a row; what all share in the last one. `code`: `code_of`."""
+    rows = ["| family | " + " | ".join(COLUMNS) + " | all | code |", "|---|" + "---:|" * (len(COLUMNS) + 2)]
     for path in paths:
         found = lines_of(path)
         cells = [str(found[kind]) for kind in COLUMNS]
-        rows.append(f"| {path.stem} | {' | '.join(cells)} | {found.total()} |")
+        rows.append(f"| {path.stem} | {' | '.join(cells)} | {found.total()} | {code_of(path)} |")
     shared = sum(len(one.read_text(encoding="utf-8").splitlines()) for one in (HERE / "skeleton").glob("*.py"))
-    rows.append(f"| shared by all: `skeleton/` |{' |' * len(COLUMNS)} {shared} |")
+    rows.append(f"| shared by all: `skeleton/` |{' |' * len(COLUMNS)} {shared} | |")
     return "\n".join(rows)
 
 

@@ -17,6 +17,7 @@ from emulator.hosts import describe_cola
 from emulator.hosts.families import BUILT_IN, found_at
 from emulator.hosts.rplidar_reading import Reader, distances
 from emulator.hosts.scip import ReplyReader
+from emulator.hosts.scip_reading import decode_number, decode_values, joined
 from protocols.ld.packages import Package, PackageReader
 from protocols.ld.profiles import RANGE_LSB_PER_M, Field
 from protocols.ld.sectors import TICKS
@@ -27,9 +28,9 @@ from protocols.lms2xx import commands as lms
 from protocols.lms2xx.telegrams import Telegram, open_frame, read_values
 from protocols.lms2xx.values import COUNTS_PER_METRE, MEASURING_MODES
 from protocols.rplidar import commands as rplidar
-from protocols.rplidar.codec import EXPRESS, FORMS, HQ, REPLY_SYNC, STANDARD, ULTRA_DENSE
+from protocols.rplidar.codec import EXPRESS, FORMS, HQ, STANDARD, ULTRA_DENSE
 from protocols.scip import commands as scip
-from protocols.scip.codec import decode_number, decode_values, joined
+from protocols.skeleton.descriptors import REPLY_SYNC
 
 FIRST = 8
 "Numbers of a row that are shown before it is cut."

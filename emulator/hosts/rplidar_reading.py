@@ -13,7 +13,8 @@ import numpy as np
 
 from emulator.hosts.scans import HostScan
 from protocols.rplidar import codec
-from protocols.rplidar.codec import DESCRIPTOR, FORMS, MULTIPLE, REPLY_SYNC, Floats, Form
+from protocols.rplidar.codec import FORMS, Floats, Form
+from protocols.skeleton.descriptors import DESCRIPTOR, MULTIPLE, REPLY_SYNC, SYNC
 
 LONGEST = 1 << 16
 "Of a reply."
@@ -142,7 +143,7 @@ class Reader:
         if form.kind == codec.STANDARD:
             return np.asarray(((rows[:, 0] ^ rows[:, 0] >> 1) & 1 == 1) & (rows[:, 1] & 1 == 1))
         if form.kind == codec.HQ:
-            return np.asarray(rows[:, 0] == codec.SYNC)
+            return np.asarray(rows[:, 0] == SYNC)
         total = np.bitwise_xor.reduce(rows[:, 2:], axis=1)
         return np.asarray((rows[:, 0] == 0xA0 | total & 0x0F) & (rows[:, 1] == 0x50 | total >> 4))
 

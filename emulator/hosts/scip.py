@@ -15,9 +15,10 @@ import numpy as np
 from emulator.errors import LinkError
 from emulator.hosts.lines import Line, LineClosed, SocketLine
 from emulator.hosts.scans import HostScan
+from emulator.hosts.scip_reading import decode_number, decode_values, joined
 from emulator.hosts.scripted import AGAIN_NS, SILENCE_NS, Connection, HostEnd
 from emulator.process.clock import SystemClock
-from protocols.scip.codec import STAMP_CHARS, Form, decode_number, decode_values, joined, line_sum
+from protocols.scip.codec import STAMP_CHARS, Form, line_sum
 
 MOST_HELD = 65_536
 "Of a reply without end: the largest has three echoes with intensities for 1081 steps, 23 kB."

@@ -20,7 +20,8 @@ from emulator.hosts.scripted import SILENCE_NS, HostEnd
 from emulator.hosts.turns import TurnAssembler
 from emulator.process.clock import SystemClock
 from protocols.scan import Floats
-from protocols.ydlidar.codec import HEAD, HEAD_BYTES, REPLY, correction_deg
+from protocols.skeleton.descriptors import REPLY_SYNC
+from protocols.ydlidar.codec import HEAD, HEAD_BYTES, correction_deg
 from protocols.ydlidar.models import MODELS
 from protocols.ydlidar.session import COMMANDS
 
@@ -82,7 +83,7 @@ class StreamReader:
         held = self._held + data
         at = 0
         while at + HEAD_BYTES <= len(held):
-            if held.startswith(REPLY, at):
+            if held.startswith(REPLY_SYNC, at):
                 size = 7 + (int.from_bytes(held[at + 2 : at + 6], "little") & 0xFF)
                 size = 7 if held[at + 5] >> 6 else size
                 if at + size > len(held):
@@ -98,7 +99,7 @@ class StreamReader:
                 self.errors += found is None
                 at += size or 1
             else:
-                marks = [place for mark in (HEAD, REPLY) if (place := held.find(mark, at + 1)) >= 0]
+                marks = [place for mark in (HEAD, REPLY_SYNC) if (place := held.find(mark, at + 1)) >= 0]
                 at = min(marks, default=max(at, len(held) - 1))
         self._held = held[at:]
 
@@ -110,7 +111,7 @@ class StreamReader:
             if size + (0 if known else len(HEAD)) > len(data):
                 return None, size
             found = decode_packet(data, width)
-            if found is not None and (known or data[size : size + len(HEAD)] in (HEAD, REPLY)):
+            if found is not None and (known or data[size : size + len(HEAD)] in (HEAD, REPLY_SYNC)):
                 self._width, self._bad = width, 0
                 return found, size
         self._bad += 1

@@ -8,15 +8,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 
-from protocols.errors import DeviceSettingError
 from protocols.framing import Framing
 from protocols.ldrobot.codec import HEAD, SAMPLES, SIZE, STAMP_MS, encode_packets, with_crc
 from protocols.scan import Floats, Scan
-from protocols.session import CommandRow, DeviceKey, Emission, LinkKind, Session
+from protocols.session import CommandRow, Emission, LinkKind
+from protocols.skeleton.family import ModelFamily
 from protocols.skeleton.keys import DeviceKeys
 from protocols.skeleton.one_way import OneWaySession
 from protocols.skeleton.sweeps import Sweep, Telegram
@@ -50,14 +49,6 @@ MODELS: Mapping[str, Model] = {
         Model("ldrobot-stl-27l", 921_600, 21_600, 25.0),
     )
 }
-
-
-def model_of(facts: Mapping[str, Any]) -> Model:
-    """The row that a spec's `device` table names; `DeviceSettingError` when there is none."""
-    name = facts.get("model", "ldrobot-ld19")
-    if name not in MODELS:
-        raise DeviceSettingError("model", name, " | ".join(MODELS))
-    return MODELS[name]
 
 
 class LdrobotSession(TurningSession, OneWaySession):
@@ -139,37 +130,17 @@ def motor_of(keys: DeviceKeys) -> Motor:
     return Motor(hz, round(1e9 * spin_up), wobble)
 
 
-class LdrobotFamily:
-    """The family as `protocols.family("ldrobot")` gives it."""
-
-    name = "ldrobot"
-    tcp_is_line = True
-    wire = Wire((LinkKind.SERIAL,), lambda kind: LdrobotFraming(), LinkKind.SERIAL)
-    "It measures without being asked."
-
-    def new_session(self, device: Mapping[str, Any], facts: Mapping[str, Any]) -> LdrobotSession:
-        """A device that is switched off. Raises `DeviceSettingError`."""
-        keys = DeviceKeys(device, {})
-        session = LdrobotSession(model_of(facts), motor_of(keys))
-        keys.finish()
-        return session
-
-    def commands(self) -> tuple[CommandRow, ...]:
-        """It has none; those of a relative are listed."""
-        return tuple(
-            CommandRow(f"54 {code}", what, "absent", "spec 2.3", "of the LD14P; ignored")
-            for code, what in (("A0", "start"), ("A1", "stop"), ("A2", "speed"), ("A8", "version of the board"))
-        )
-
-    def framing(self, session: Session, kind: LinkKind) -> LdrobotFraming:
-        """How its packets are changed on their way."""
-        return LdrobotFraming()
-
-    def device_keys(self) -> tuple[DeviceKey, ...]:
-        """Every key of a scenario's `device:` table."""
-        keys = DeviceKeys({}, {})
-        motor_of(keys)
-        return tuple(keys.known)
-
-
-FAMILY = LdrobotFamily()
+ABSENT = tuple(
+    CommandRow(f"54 {code}", what, "absent", "spec 2.3", "of the LD14P; ignored")
+    for code, what in (("A0", "start"), ("A1", "stop"), ("A2", "speed"), ("A8", "version of the board"))
+)
+"It has no commands; those of a relative are listed."
+FAMILY = ModelFamily(
+    name="ldrobot",
+    models=MODELS,
+    usual="ldrobot-ld19",
+    build=lambda keys, model: LdrobotSession(model, motor_of(keys)),
+    rows=ABSENT,
+    wire=Wire((LinkKind.SERIAL,), lambda kind: LdrobotFraming(), LinkKind.SERIAL),
+    tcp_is_line=True,
+)

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from protocols.checksums import xor8
+from protocols.skeleton.descriptors import SYNC, descriptor
+
 Words = NDArray[np.int64]
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
-SYNC, REPLY_SYNC = 0xA5, b"\xa5\x5a"
-DESCRIPTOR = 7
-MULTIPLE = 1 << 30
 STANDARD, EXPRESS, HQ, ULTRA, DENSE, ULTRA_DENSE = 0x81, 0x82, 0x83, 0x84, 0x85, 0x86
 NONE_OF_ULTRA = -512
 BEAM_OFFSET_MM, BEAM_ANGLE_DEG, NEAREST_MM = 24.01, 8.0, 50.0
@@ -35,22 +35,7 @@ def request(code: int, payload: bytes = b"") -> bytes:
     if code < 0x80:
         return bytes((SYNC, code))
     text = bytes((SYNC, code, len(payload))) + payload
-    return text + bytes((xor(text),))
-
-
-def xor(data: bytes) -> int:
-    """Exclusive or of all bytes."""
-    return int(np.bitwise_xor.reduce(np.frombuffer(data, np.uint8))) if data else 0
-
-
-def descriptor(kind: int, length: int, multiple: bool = False) -> bytes:
-    """What comes before the data of a reply."""
-    return REPLY_SYNC + struct.pack("<IB", length | MULTIPLE * multiple, kind)
-
-
-def reply(kind: int, data: bytes) -> bytes:
-    """A reply of one piece."""
-    return descriptor(kind, len(data)) + data
+    return text + bytes((xor8(text),))
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,18 +54,12 @@ class Samples:
 
     def part(self, first: int, end: int | None = None) -> Samples:
         """Those from `first` to before `end`."""
-        at = slice(first, end)
-        return Samples(self.angle_deg[at], self.mm[at], self.quality[at], self.starts[at], self.stamp_us[at])
+        return Samples(*(column[first:end] for column in vars(self).values()))
 
     def then(self, other: Samples) -> Samples:
         """Both, one behind the other."""
-        return Samples(
-            np.concatenate([self.angle_deg, other.angle_deg]),
-            np.concatenate([self.mm, other.mm]),
-            np.concatenate([self.quality, other.quality]),
-            np.concatenate([self.starts, other.starts]),
-            np.concatenate([self.stamp_us, other.stamp_us]),
-        )
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Samples(*(np.concatenate(pair) for pair in pairs))
 
     def __len__(self) -> int:
         return len(self.mm)

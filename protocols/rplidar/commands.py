@@ -11,9 +11,10 @@ import struct
 from collections.abc import Callable, Mapping
 from functools import partial
 
-from protocols.rplidar.codec import HQ, STANDARD, reply
+from protocols.rplidar.codec import HQ, STANDARD
 from protocols.rplidar.device import ERROR, RplidarDevice
 from protocols.session import DropReason
+from protocols.skeleton.descriptors import reply
 from protocols.skeleton.requests import Answer, Command, Refused, Request
 
 Reply = bytes | Answer | Refused
@@ -84,6 +85,8 @@ def _express(device: RplidarDevice, request: Request) -> Reply:
 def _hq(device: RplidarDevice, request: Request) -> Reply:
     if refused := short(request, 33) or _protected(device):
         return refused
+    if not device.model.has_conf:
+        return Refused(DropReason.REFUSED, "firmware before 1.24")
     return device.begin(request, device.model.modes[0], HQ)
 
 

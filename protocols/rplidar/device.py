@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import struct
-from collections import deque
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -15,15 +14,21 @@ import numpy as np
 
 from protocols.rplidar.codec import FORMS, STANDARD, Form, Samples, line_of_sight_deg
 from protocols.rplidar.models import Mode, Model
-from protocols.rplidar.rotor import NEVER_NS, STANDS_HZ, Rotor, Turns
 from protocols.rplidar.settings import Settings
-from protocols.scan import Scan, ScanPlan
-from protocols.session import Address, DropReason, Emission, LinkKind
-from protocols.skeleton.instants import SECOND_NS, Raster, earliest
-from protocols.skeleton.outbox import Outgoing
-from protocols.skeleton.requests import Request, RequestSession
+from protocols.scan import Floats, Scan
+from protocols.session import Address, Emission, LinkKind
+from protocols.skeleton.instants import SECOND_NS, Raster
+from protocols.skeleton.one_client import OneClientSession
+from protocols.skeleton.requests import Request
+from protocols.skeleton.rotor import LoadedRotor, Turns
 from protocols.skeleton.sweeps import Sweep, Telegram
 
+STABLE = 0.05
+"Of the speed that is set: nearer to it the motor is stable."
+STANDS_HZ = 0.2
+"Below, it makes no turns that count."
+AT_ONCE_S = 1e-10
+"Time constant of a motor without spin-up."
 TOGETHER_NS = 2_000_000
 "Standard nodes are handed over in groups of so long at most."
 STALL_NS = SECOND_NS
@@ -57,12 +62,13 @@ class Stream:
     forced: bool
 
 
-class RplidarDevice(RequestSession):
+class RplidarDevice(OneClientSession):
     """The device without its commands."""
 
     clock_tick_ns = Fraction(1000)
     clock_bits = 32
     INTER_BYTE_NS = 5 * SECOND_NS
+    IS_SERVER = False
 
     def __init__(self, model: Model, settings: Settings) -> None:
         self.model, self.settings = model, settings
@@ -75,21 +81,22 @@ class RplidarDevice(RequestSession):
         self.ip = bytes(12)
         "Kept over power-off."
         self._dtr = False
-        self._factor = 1.0
-        "Of a fault on the motor's speed; 0: it is blocked."
+        self._factor, self._blocked = 1.0, False
+        "Faults of the motor: on its speed, and whether it is blocked."
         self._set_hz = 0.0
         "By PWM or A8."
-        tau_s = 1e-9 * settings.spin_up_ns / math.log(20.0)
-        self.rotor = Rotor(0, 0.0, 0.0, 0.0, tau_s, settings.wobble)
-        self._begin_ns: int | None = None
+        settle_s = max(1e-9 * settings.spin_up_ns / math.log(1.0 / STABLE), AT_ONCE_S)
+        self.rotor = LoadedRotor(0, 0.0, 0.0, 0.0, settle_s, load=settings.wobble)
+        self._turns = Turns(self.rotor, self._raster)
+        self._beginning = self._timers.alarm(self._restream)
         "When the samples of a requested scan begin, the motor being stable."
-        self._stall_ns: int | None = None
+        self._stalling = self._timers.alarm(self._protect)
         self._left: Samples | None = None
         "Samples of no whole group yet."
-        self._detected_ns: int | None = None
-        "When a host's speed was found that is not confirmed yet."
         self._before = model.baud
-        "Speed before that."
+        "Speed of the line before that of a host was found."
+        self._reverting = self._timers.alarm(lambda now_ns: self._run_at(now_ns, self._before, "41 not confirmed"))
+        "Set while that is not confirmed."
         self._blocks = 0
         "Of a run at another speed than the line's."
         self._follows: int | None = None
@@ -114,14 +121,23 @@ class RplidarDevice(RequestSession):
     def _drive(self, now_ns: int) -> None:
         """The motor goes to the speed that holds now; the samples go on from here at other angles."""
         wanted = self._wanted_hz()
-        aim = wanted * self._factor
+        aim = 0.0 if self._blocked else wanted * self._factor
         blocked = wanted > 0.0 and aim < STANDS_HZ
-        if aim != self.rotor.aim_hz:
-            self.rotor = self.rotor.set(now_ns, aim)
+        if aim != self.rotor.hz:
+            self.rotor = self.rotor.driven(now_ns, aim)
             if self.stream is not None and self._running:
-                near = self.stream.forced or (aim >= STANDS_HZ and self.rotor.speed(now_ns) >= FOLLOWS * aim)
-                self._begin(now_ns, now_ns if near else self.rotor.stable_ns())
-        self._stall_ns = None if not blocked else self._stall_ns or now_ns + STALL_NS
+                near = self.stream.forced or (aim >= STANDS_HZ and self.rotor.speed_hz(now_ns) >= FOLLOWS * aim)
+                self._begin(now_ns, now_ns if near else self._stable_ns())
+        self._stalling.at_ns = None if not blocked else self._stalling.at_ns or now_ns + STALL_NS
+
+    def _stable_ns(self) -> int | None:
+        """From when on the motor is stable; None while it is set to stand."""
+        return None if self.rotor.hz < STANDS_HZ else self.rotor.settled_ns(STABLE)
+
+    def _protect(self, now_ns: int) -> None:
+        """The motor has stood for too long."""
+        self.health, self.error_code = ERROR, STALLED
+        self.stop(now_ns)
 
     def modem_lines(self, dtr: bool, rts: bool, now_ns: int, address: Address) -> None:
         """DTR of the USB adapter: set, the motor stands (not of S models)."""
@@ -129,15 +145,12 @@ class RplidarDevice(RequestSession):
         self._dtr = dtr
         self._drive(now_ns)
 
-    def impair(self, now_ns: int, what: str, degree: float) -> bool:
-        """The motor: its speed is `degree` times what is set; or it is blocked."""
-        self.advance(now_ns)
-        if what == "motor speed" and degree > 0.0:
-            self._factor = degree
-        elif what == "motor stopped":
-            self._factor = 0.0 if degree else 1.0
-        else:
-            return False
+    def _set_factor(self, now_ns: int, factor: float) -> None:
+        self._factor = factor
+        self._drive(now_ns)
+
+    def _block(self, now_ns: int, blocked: bool) -> bool:
+        self._blocked = blocked
         self._drive(now_ns)
         return True
 
@@ -148,9 +161,9 @@ class RplidarDevice(RequestSession):
         self.health, self.error_code = self.settings.health, self.settings.error_code
         if self._restarted:  # RESET leaves the protection stop
             self.health = GOOD if self.health == ERROR else self.health
-        self._restarted, self._detected_ns = False, None
-        self.stream, self._begin_ns, self._left, self._stall_ns, self._set_hz = None, None, None, None, 0.0
-        self.rotor = self.rotor.set(now_ns, 0.0)
+        self._restarted = False
+        self.stream, self._left, self._set_hz = None, None, 0.0
+        self.rotor = self.rotor.driven(now_ns, 0.0)
         self._drive(now_ns)
 
     _restarted = False
@@ -168,23 +181,6 @@ class RplidarDevice(RequestSession):
             text = "\r\n".join((*lines, f"Model: {model.byte:x}", ""))
             self._outbox.send(Emission(now_ns, text.encode(), label="boot"))
 
-    def _next_instant(self) -> int | None:
-        own = (self._begin_ns, self._stall_ns, self._reverts_ns) if self._running else ()
-        return earliest((super()._next_instant(), *own))
-
-    def _happen(self, now_ns: int) -> None:
-        if self._running and self._begin_ns is not None and self._begin_ns <= now_ns:
-            self._begin_ns = None
-            self._restream(now_ns)
-        if self._running and self._stall_ns is not None and self._stall_ns <= now_ns:
-            self._stall_ns = None
-            self.health, self.error_code = ERROR, STALLED
-            self.stop(now_ns)
-        if self._running and self._reverts_ns is not None and self._reverts_ns <= now_ns:
-            self._detected_ns = None
-            self._run_at(now_ns, self._before, "41 not confirmed")
-        super()._happen(now_ns)
-
     # scans
 
     def begin(self, request: Request, mode: Mode, kind: int, forced: bool = False) -> bytes:
@@ -193,24 +189,24 @@ class RplidarDevice(RequestSession):
         self.stream = Stream(mode, form, request.address, forced)
         self._drive(request.now_ns)
         ready_ns = request.now_ns + self.REPLY_NS + 1
-        self._begin(request.now_ns, ready_ns if forced else max(ready_ns, self.rotor.stable_ns()))
+        stable_ns = ready_ns if forced else self._stable_ns()
+        self._begin(request.now_ns, None if stable_ns is None else max(ready_ns, stable_ns))
         return form.descriptor
 
-    def _begin(self, now_ns: int, at_ns: int) -> None:
-        """Samples begin, or go on at other angles, at `at_ns`."""
+    def _begin(self, now_ns: int, at_ns: int | None) -> None:
+        """Samples begin, or go on at other angles, at `at_ns`; None: not before the motor turns."""
         self._end_sweeps(now_ns)
-        self._begin_ns = None if at_ns >= NEVER_NS else at_ns
+        self._beginning.at_ns = at_ns
 
     def stop(self, now_ns: int) -> None:
         """The scan ends; of what is being sent the rest of one group."""
-        self._begin_ns = self.stream = self._left = None
+        self._beginning.at_ns = self.stream = self._left = None
         self._end_sweeps(now_ns)
         self._drive(now_ns)
 
     def _end_sweeps(self, now_ns: int) -> None:
-        for sent in reversed(self._outbox.withdraw(lambda sent: sent.is_scan)):
-            if (sweep := sent.emissions[0].sweep) is not None:
-                self._events.unsent(now_ns, DropReason.STALE, range(sweep, sweep + 1), "on its way", None, sent.to)
+        self._withdraw(now_ns, lambda sent: True)
+        self._cut(now_ns)
         self._hosts.clear()
         self._wanted.renew()
 
@@ -232,37 +228,24 @@ class RplidarDevice(RequestSession):
             return
         self._stream += 1
         self._left, self._follows = None, None
-        step = self.sample_ns(stream)
-        if self.rotor.aim_hz < STANDS_HZ:
-            count = FORCED_TURN_NS // step
-            self._raster = Raster(now_ns, step * int(count), self._next)
-        else:
-            period = Fraction(round(1e9 / self.rotor.aim_hz))
-            self._raster = Turns(now_ns, period, self._next, rotor=self.rotor, sample_ns=step)
+        samples = Raster(now_ns, self.sample_ns(stream))
+        part = int(FORCED_TURN_NS // samples.period_ns) if self.rotor.hz < STANDS_HZ else 0
+        self._turns = Turns(self.rotor, samples, numbered=self._next, part=part)
         self._hosts[stream.address] = now_ns
 
-    def _indexes(self, number: int) -> tuple[int, int, Fraction]:
-        """First sample of a sweep and of the next, and the time between two."""
-        raster, stream = self._raster, self.stream
-        assert stream is not None
-        if isinstance(raster, Turns):
-            return raster.index(number), raster.index(number + 1), raster.sample_ns
-        step = self.sample_ns(stream)
-        count = round(raster.period_ns / step)
-        return (number - raster.first) * count, (number - raster.first + 1) * count, step
+    def _schedule(self) -> Turns:
+        return self._turns
 
     def _sweep(self, number: int) -> Sweep:
         assert self.stream is not None
-        first, end, step = self._indexes(number)
-        offset_s = np.asarray(np.arange(end - first) * (1e-9 * float(step)), np.float64)
-        angle_deg = self._angles_deg(number, offset_s)
+        after_s, angle_deg = self._angles(number)
         if self._bent:
             angle_deg = angle_deg - float(line_of_sight_deg(np.array([USUAL_MM]))[0])
         return Sweep(
             azimuth_rad=-np.radians(angle_deg),
-            elevation_rad=np.zeros(end - first),
-            fire_offset_s=offset_s,
-            duration_s=float((end - first) * step) * 1e-9,
+            elevation_rad=np.zeros(len(angle_deg)),
+            fire_offset_s=after_s,
+            duration_s=float(len(angle_deg) * self._turns.samples.period_ns) * 1e-9,
             max_range_m=float(self.stream.mode.most_m),
             wants_intensity=True,
         )
@@ -271,9 +254,10 @@ class RplidarDevice(RequestSession):
     def _bent(self) -> bool:
         return self.stream is not None and self.stream.form.turned
 
-    def _angles_deg(self, number: int, offset_s: np.ndarray) -> np.ndarray:
-        turns = self.rotor.at(self._raster.at(number) + 1e9 * offset_s)
-        return np.asarray(360.0 * (turns - np.floor(turns)))
+    def _angles(self, number: int) -> tuple[Floats, Floats]:
+        """When each sample of a sweep is taken after the first, in s, and the angle of the rotor then, 0 to 360."""
+        after_s, turned = self._turns.turned(number)
+        return after_s, np.asarray(360.0 * (turned - np.floor(turned)), np.float64)
 
     def _samples(self, scan: Scan) -> Samples:
         """What was measured, in the rotor's angles."""
@@ -283,18 +267,16 @@ class RplidarDevice(RequestSession):
         strength = np.nan_to_num(scan.intensity[:, 0], nan=1.0)
         quality = np.clip(np.rint(0.5 * model.best_quality * strength), 1, model.best_quality).astype(np.int64)
         quality = np.where(mm > 0.0, quality << 2, 0)
-        angle = self._angles_deg(plan.sweep, plan.fire_offset_s)
+        angle = self._angles(plan.sweep)[1]
+        whole = plan.sweep > self._turns.first
         if self._bent:  # the neighbour whose line of sight, by its own distance, belongs to this angle of the rotor
             seen = np.degrees(-plan.azimuth_rad) + line_of_sight_deg(np.where(mm > 0.0, mm, USUAL_MM))
-            chosen = _nearest(seen, angle, len(angle) == self._whole_turn(plan))
+            chosen = _nearest(seen, angle, whole)
             mm, quality = mm[chosen], quality[chosen]
         starts = np.zeros(len(mm), np.bool_)
-        starts[:1] = isinstance(self._raster, Turns) and plan.sweep > self._raster.first
+        starts[:1] = whole and not self._turns.part
         stamp_us = self.clock.shown_ns(plan.start_ns) / 1000.0 + 1e6 * plan.fire_offset_s
         return Samples(angle, mm, quality, starts, stamp_us)
-
-    def _whole_turn(self, plan: ScanPlan) -> int:
-        return len(plan) if plan.sweep > self._raster.first else -1
 
     def _telegrams(self, scan: Scan) -> list[Telegram]:
         stream, plan = self.stream, scan.plan
@@ -319,21 +301,6 @@ class RplidarDevice(RequestSession):
             for due, a, b in zip(after.tolist(), begins, ends.tolist(), strict=True)
         ]
 
-    def submit(self, scan: Scan) -> None:
-        """Take the scan of `next_plan`; `ScanRefused` for any other."""
-        plan = scan.plan
-        self._wanted.expect(plan, len(scan.range_m))
-        self._wanted.forget()
-        self._next = plan.sweep + 1
-        assert self.stream is not None
-        to = self.stream.address
-        emissions = deque(self._emissions(plan, self._telegrams(scan), to))
-        if emissions:
-            self._outbox.put(Outgoing(to, emissions, is_scan=True))
-        else:
-            numbers = range(plan.sweep, plan.sweep + 1)
-            self._events.unsent(self._now_ns, DropReason.KEPT, numbers, "too few samples", plan.stream)
-
     # speed of the line
 
     def other_speed(self, baud: int, sent: bytes, now_ns: int, address: Address) -> None:
@@ -348,26 +315,22 @@ class RplidarDevice(RequestSession):
         """A run of 41 has come, None: at the speed of the line. That is reported, at it, and may be confirmed."""
         self._blocks = 0
         least, most = DETECTS_BAUD
-        if not self.model.detects_baud or self.stream is not None or self._detected_ns is not None or not self._running:
+        if not self.model.detects_baud or self.stream is not None or self.detected or not self._running:
             return
         if baud is not None and not least <= baud <= most:
             return
-        self._detected_ns, self._before = now_ns, self.baud
+        self._reverting.at_ns, self._before = now_ns + CONFIRM_NS, self.baud
         self._run_at(now_ns, self.baud if baud is None else baud, "41")
         self._outbox.send(Emission(now_ns + self.REPLY_NS, struct.pack("<I", self.baud), label="41"))
 
     @property
     def detected(self) -> bool:
         """Whether a host may confirm a speed now."""
-        return self._detected_ns is not None
-
-    @property
-    def _reverts_ns(self) -> int | None:
-        return None if self._detected_ns is None else self._detected_ns + CONFIRM_NS
+        return self._reverting.at_ns is not None
 
     def change_speed(self, now_ns: int, baud: int) -> None:
         """The line has another speed until the next power-on."""
-        self._detected_ns = None
+        self._reverting.at_ns = None
         self._run_at(now_ns + self.REPLY_NS, baud, "90")
 
     def _run_at(self, due_ns: int, baud: int, label: str) -> None:

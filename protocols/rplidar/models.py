@@ -68,7 +68,7 @@ class Model:
 
     @property
     def has_conf(self) -> bool:
-        """Whether GET_LIDAR_CONF is known."""
+        """Whether GET_LIDAR_CONF and HQ_SCAN are known."""
         return self.byte >= 0x40 or self.firmware >= (1, 24)
 
     @property
@@ -112,14 +112,6 @@ OLD: Mapping[tuple[str, str], tuple[Mode, ...]] = {
     ("rplidar-a1m8", "1.20"): _modes((500, 250), 12),
 }
 "Earlier firmware, with its modes."
-
-
-def model_of(facts: Mapping[str, Any]) -> Model:
-    """The row that a spec's `device` table names; `DeviceSettingError` when there is none."""
-    name = facts.get("model", "rplidar-a1m8")
-    if name not in MODELS:
-        raise DeviceSettingError("model", name, " | ".join(MODELS))
-    return MODELS[name]
 
 
 def with_firmware(model: Model, firmware: str) -> Model:

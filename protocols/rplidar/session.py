@@ -8,10 +8,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
+from protocols.checksums import xor8
 from protocols.rplidar import commands
-from protocols.rplidar.codec import SYNC, xor
 from protocols.rplidar.device import BLOCK, BLOCKS, RplidarDevice
 from protocols.session import DropReason, LinkKind
+from protocols.skeleton.descriptors import SYNC
 from protocols.skeleton.receiving import Fault, Splitter
 from protocols.skeleton.requests import Command, Host, Request
 
@@ -38,7 +39,7 @@ class Frames(Splitter[bytes]):
         if len(held) < 3 or len(held) < 4 + held[2]:
             return None
         frame = held[: 4 + held[2]]
-        if xor(frame):
+        if xor8(frame):
             self._buffer.take(1)
             return Fault(DropReason.BAD_CHECKSUM, 1)
         return self._buffer.take(len(frame))

@@ -6,51 +6,24 @@ Reading order: `codec` (bytes), `models` (facts of each), `device` (states, swee
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from protocols.scip.commands import COMMANDS
 from protocols.scip.framing import ScipFraming
-from protocols.scip.models import model_of
+from protocols.scip.models import MODELS
 from protocols.scip.session import ScipSession
 from protocols.scip.settings import read
-from protocols.session import CommandRow, DeviceKey, LinkKind, Session
-from protocols.skeleton.keys import DeviceKeys
+from protocols.session import LinkKind
+from protocols.skeleton.family import ModelFamily
 from protocols.skeleton.requests import coverage
 from protocols.wire import Wire
 
-
-class ScipFamily:
-    """The family as `protocols.family("scip")` gives it."""
-
-    name = "scip"
-    tcp_is_line = False
-    wire = Wire(
-        (LinkKind.SERIAL, LinkKind.STREAM), lambda kind: ScipFraming(), LinkKind.SERIAL, (b"MD0044072501000\n",)
-    )
-    "Asked for all steps, continuously."
-
-    def new_session(self, device: Mapping[str, Any], facts: Mapping[str, Any]) -> ScipSession:
-        """A device that is switched off. Raises `DeviceSettingError`."""
-        model = model_of(facts)
-        keys = DeviceKeys(device, {})
-        settings = read(keys, model)
-        keys.finish()
-        return ScipSession(model, settings)
-
-    def commands(self) -> tuple[CommandRow, ...]:
-        """The coverage table."""
-        return coverage(COMMANDS)
-
-    def framing(self, session: Session, kind: LinkKind) -> ScipFraming:
-        """How its replies are changed on their way."""
-        return ScipFraming()
-
-    def device_keys(self) -> tuple[DeviceKey, ...]:
-        """Every key of a scenario's `device:` table."""
-        keys = DeviceKeys({}, {})
-        read(keys, model_of({}))
-        return tuple(keys.known)
-
-
-FAMILY = ScipFamily()
+LINKS = (LinkKind.SERIAL, LinkKind.STREAM)
+ASKED = (b"MD0044072501000\n",)
+"For all steps, continuously."
+FAMILY = ModelFamily(
+    name="scip",
+    models=MODELS,
+    usual="hokuyo-utm-30lx",
+    build=lambda keys, model: ScipSession(model, read(keys, model)),
+    rows=coverage(COMMANDS),
+    wire=Wire(LINKS, lambda kind: ScipFraming(), LinkKind.SERIAL, ASKED),
+)

@@ -1,17 +1,17 @@
 """SCIP on the wire: numbers in groups of six bits, sums of lines, blocks of 64 characters, the texts of a scan.
 
-Belongs here: bytes and numbers. Not: what a command means (commands), when a block is sent (session).
+Belongs here: bytes and numbers. Not: what a command means (commands), when a block is sent (session), reading it
+(`emulator.hosts.scip_reading`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from protocols.scan import DAZZLED, Floats, Scan
+from protocols.scan import DAZZLED, Scan
 
 ZERO, SIX_BITS = 0x30, 0x3F
 BLOCK = 64
@@ -26,16 +26,6 @@ Chars = NDArray[np.uint8]
 def encode_number(value: int, width: int) -> bytes:
     """A number in groups of six bits, most significant first; bits beyond 6 `width` are lost."""
     return bytes((value >> 6 * place & SIX_BITS) + ZERO for place in reversed(range(width)))
-
-
-def decode_number(text: bytes) -> int:
-    """The inverse; ValueError for a character that is no group of six bits."""
-    value = 0
-    for char in text:
-        if not ZERO <= char <= ZERO + SIX_BITS:
-            raise ValueError(f"character {char:#04x}; want 0x30..0x6f")
-        value = value << 6 | char - ZERO
-    return value
 
 
 def line_sum(line: bytes) -> bytes:
@@ -65,19 +55,6 @@ def blocks(text: bytes, sums: bool = True) -> bytes:
     if not sums:
         return b"".join(text[at : at + BLOCK] + b"\n" for at in range(0, len(text), BLOCK))
     return b"".join(summed(text[at : at + BLOCK]) for at in range(0, len(text), BLOCK))
-
-
-def joined(lines: Iterable[bytes]) -> bytes:
-    """The data of lines without LF; ValueError for a wrong sum or length."""
-    return b"".join(_checked(lines))
-
-
-def _checked(lines: Iterable[bytes]) -> Iterator[bytes]:
-    for line in lines:
-        text, found = line[:-1], line[-1:]
-        if not text or len(text) > BLOCK or line_sum(text) != found:
-            raise ValueError(f"line {line!r}; want at most {BLOCK} characters and their sum")
-        yield text
 
 
 @dataclass(frozen=True)
@@ -149,30 +126,3 @@ def encode_values(distance: Words, strength: Words, form: Form) -> bytes:
     wanted = np.broadcast_to((distance >= 0)[..., None], chars.shape).copy()
     wanted[:, 0, 0] = False  # no mark before the first echo
     return chars[wanted].tobytes()
-
-
-def decode_values(text: bytes, form: Form) -> tuple[Floats, Floats]:
-    """Distances in m and intensities, (n, k), NaN where an echo is absent; for hosts. ValueError if it is not whole.
-
-    Distances are as written: a device's words for "no echo" are still among them.
-    """
-    values = 2 if form.intensity else 1
-    steps: list[list[int]] = []
-    at = 0
-    while at < len(text):
-        further = form.echoes > 1 and text[at : at + 1] == b"&"
-        at += further
-        numbers = [decode_number(text[at + form.width * k : at + form.width * (k + 1)]) for k in range(values)]
-        at += form.width * values
-        if at > len(text) or (further and not steps):
-            raise ValueError(f"{len(text)} characters; want whole steps")
-        if further:
-            steps[-1] += numbers
-        else:
-            steps.append(numbers)
-    most = max((len(step) for step in steps), default=values)
-    table = np.full((len(steps), most), np.nan)
-    for row, step in zip(table, steps, strict=True):
-        row[: len(step)] = step
-    strength = table[:, 1::2] if form.intensity else np.full_like(table, np.nan)
-    return table[:, ::values] / 1000.0, strength

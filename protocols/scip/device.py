@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -18,11 +17,11 @@ from protocols.scip import codec
 from protocols.scip.codec import Form
 from protocols.scip.models import Model
 from protocols.scip.settings import Settings
-from protocols.session import Address, DropReason, Emission, LinkKind
-from protocols.skeleton.instants import SECOND_NS, Raster, earliest
+from protocols.session import Address, DropReason, Emission
+from protocols.skeleton.instants import SECOND_NS, Raster
+from protocols.skeleton.one_client import OneClientSession
 from protocols.skeleton.outbox import Outgoing
 from protocols.skeleton.receiving import Fault
-from protocols.skeleton.requests import RequestSession
 from protocols.skeleton.sweeps import SHARES, Sweep, Telegram
 
 MOST_ECHOES = 3
@@ -36,9 +35,6 @@ SPEED_TOLERANCE = 0.1
 "Of the motor; beyond it no scan is sent."
 UNSTABLE = {"SCIP 2.0": "21", "SCIP 2.2": "0M"}
 RESUMED = "98"
-HELD_BYTES = 1024
-"""Input kept of a client that waits for the boot, when a real device is not on the network yet and the client's
-connection is not made, or for the end of the one connection that a device serves."""
 SCIP1_LAST = 768
 "G of SCIP 1.1 also has steps outside of the field, without valid values (Player's urglaser asks for 0 to 768)."
 
@@ -62,6 +58,8 @@ class Job:
     since_ns: int
     continuous: bool
     scip1: bool = False
+    due_turn: int = 0
+    "It takes no scan before this turn of the motor."
     over_ns: int = 0
     "When its last block is due."
 
@@ -76,9 +74,11 @@ class Block(Outgoing):
     """A scan on its way to a host."""
 
     job: Job | None = None
+    turn: int = 0
+    "Of the motor, in which the scan was measured."
 
 
-class ScipDevice(RequestSession):
+class ScipDevice(OneClientSession):
     """The device without its commands."""
 
     clock_tick_ns = TICK_NS
@@ -107,16 +107,17 @@ class ScipDevice(RequestSession):
         "When the motor is at speed."
         self._lit_ns = 0
         "When the laser can measure."
-        self._verify_ns: int | None = None
+        self._verifying = self._timers.alarm(self.fail)
+        "Set while the motor is not at speed and may come back to it."
+        self._factor, self._blocked = 1.0, False
+        "Faults of the motor: on its speed, and whether it stands."
         self._free_ns: dict[Address | None, int] = {}
-        self._client: Address | None = None
-        self._waiting: dict[Address, bytes] = {}
 
     # states
 
     def is_stable(self, now_ns: int) -> bool:
         """Whether the motor is at speed."""
-        return now_ns >= self._speed_ns and self._verify_ns is None and not self.sleeps
+        return now_ns >= self._speed_ns and not self._verifies and not self.sleeps
 
     def state(self, now_ns: int) -> tuple[str, str]:
         """Code and name, as %ST and MESM have them (hokuyolx, statuses.py)."""
@@ -142,7 +143,7 @@ class ScipDevice(RequestSession):
         self.in_time_mode = self.sleeps = False
         self.jobs.clear()
         self._free_ns.clear()
-        self._lit_ns, self._speed_ns, self._verify_ns = now_ns, now_ns + self.settings.spin_up_ns, None
+        self._lit_ns, self._speed_ns = now_ns, now_ns + self.settings.spin_up_ns
         self._mirror = Raster(now_ns, self._turn_ns())
 
     def _turn_ns(self) -> Fraction:
@@ -150,7 +151,8 @@ class ScipDevice(RequestSession):
 
     def _start(self, now_ns: int) -> None:
         self._mirror = Raster(now_ns, self._turn_ns())
-        self._serve_next(now_ns)
+        self._monitor(now_ns)
+        super()._start(now_ns)
 
     # measurements
 
@@ -192,11 +194,11 @@ class ScipDevice(RequestSession):
         """A fault: laser off, running measurements end with its status."""
         self._notify(now_ns, self.model.errors["abnormal"])
         self.stop(now_ns)
-        self.faulty, self._verify_ns = True, None
+        self.faulty, self._verifying.at_ns = True, None
 
     def _drop(self, jobs: list[Job], now_ns: int) -> None:
         gone = set(map(id, jobs))
-        self._withdraw_blocks(now_ns, lambda block: id(block.job) in gone)
+        self._withdraw(now_ns, lambda block: isinstance(block, Block) and id(block.job) in gone)
         self.jobs = [job for job in self.jobs if id(job) not in gone]
         self._subscribe_jobs()
 
@@ -204,29 +206,30 @@ class ScipDevice(RequestSession):
         self._drop([job for job in self.jobs if job.address == address], now_ns)
 
     def _subscribe_jobs(self) -> None:
-        self._hosts = {job.address: job.since_ns for job in self.jobs if job.wants and self._verify_ns is None}
+        self._hosts = {job.address: job.since_ns for job in self.jobs if job.wants and not self._verifies}
         if not self._hosts:
             self._wanted.renew()
 
-    def _withdraw_blocks(self, now_ns: int, which: Callable[[Block], bool]) -> None:
-        gone = self._outbox.withdraw(lambda sent: isinstance(sent, Block) and not sent.begun and which(sent))
-        for sent in reversed(gone):
-            assert isinstance(sent, Block)
-            if sent.job is not None and sent.job.left is not None:
-                sent.job.left += 1
-            if (sweep := sent.emissions[0].sweep) is not None:
-                self._events.unsent(now_ns, DropReason.STALE, range(sweep, sweep + 1), "on its way", None, sent.to)
+    def _withdrawn(self, sent: Outgoing) -> None:
+        if isinstance(sent, Block) and sent.job is not None:
+            sent.job.left = None if sent.job.left is None else sent.job.left + 1
+            sent.job.due_turn = min(sent.job.due_turn, sent.turn)
 
     def _renew(self, now_ns: int) -> None:
         """A new stream of sweeps, for the jobs that there are now; sweeps that have begun are still sent."""
-        self._withdraw_blocks(now_ns, lambda block: block.emissions[0].due_ns - self._after_ns() >= now_ns)
+        self._withdraw(now_ns, lambda block: block.emissions[0].due_ns - self._after_ns() >= now_ns)
         self._wanted.renew()
         self._stream += 1
-        ready_ns = max(now_ns, self._lit_ns, self._speed_ns)
-        turns = 1 + min((job.skip for job in self.jobs if job.wants), default=0)
-        first = self._mirror.first_from(ready_ns)
-        self._raster = Raster(self._mirror.at(first), self._mirror.period_ns * turns, self._next)
+        self._pace(self._mirror.first_from(max(now_ns, self._lit_ns, self._speed_ns)))
         self._subscribe_jobs()
+
+    def _pace(self, first: int) -> None:
+        """Sweep from turn `first` on, as often as the measurement that skips the fewest turns takes a scan."""
+        first = max(first, min((job.due_turn for job in self.jobs if job.wants), default=first))
+        self._raster = Raster(self._mirror.at(first), self._mirror.period_ns * self._stride(), self._next)
+
+    def _stride(self) -> int:
+        return 1 + min((job.skip for job in self.jobs if job.wants), default=0)
 
     def _after_ns(self) -> int:
         """From the start of a sweep to its block."""
@@ -252,16 +255,15 @@ class ScipDevice(RequestSession):
 
     def next_plan(self) -> ScanPlan | None:
         """The next sweep, the same until its scan is submitted; None while nothing is measured."""
-        return None if self.faulty or self.sleeps or self._verify_ns is not None else super().next_plan()
+        return None if self.faulty or self.sleeps or self._verifies else super().next_plan()
 
     def submit(self, scan: Scan) -> None:
         """Take the scan of `next_plan`; `ScanRefused` for any other."""
-        self._wanted.expect(scan.plan, len(scan.range_m))
-        self._wanted.forget()
-        plan = scan.plan
-        self._next = plan.sweep + 1
+        plan = self._taken(scan)
         numbers = range(plan.sweep, plan.sweep + 1)
-        takers = [job for job in self.jobs if job.wants and job.since_ns <= plan.start_ns]
+        stride = self._stride()
+        turn = self._mirror.first_from(plan.start_ns - int(self._mirror.period_ns) // 2)
+        takers = [job for job in self.jobs if job.wants and job.since_ns <= plan.start_ns and job.due_turn <= turn]
         if not takers:
             self._events.unsent(self._now_ns, DropReason.STALE, numbers, "no measurement", plan.stream)
             return
@@ -269,6 +271,7 @@ class ScipDevice(RequestSession):
         due_ns = plan.start_ns + self._after_ns()
         carried: set[Address | None] = set()
         for job in takers:
+            job.due_turn = turn + 1 + job.skip
             if job.continuous and self._free_ns.get(job.address, 0) > due_ns:
                 self._events.unsent(self._now_ns, DropReason.LINE_BUSY, numbers, "", plan.stream, job.address)
                 continue
@@ -281,8 +284,10 @@ class ScipDevice(RequestSession):
             emission = Emission(
                 due_ns, data, job.address, sweep, None, job.head[:2].decode(), stamp, int(sweep is not None)
             )
-            self._outbox.put(Block(job.address, deque((emission,)), is_scan=True, job=job))
+            self._outbox.put(Block(job.address, deque((emission,)), is_scan=True, job=job, turn=turn))
             self._occupy(job.address, due_ns, len(data))
+        if self._stride() != stride:  # the measurements that are left skip more turns
+            self._pace(turn + 1)
         self._subscribe_jobs()
 
     def _occupy(self, address: Address | None, due_ns: int, size: int) -> None:
@@ -320,73 +325,34 @@ class ScipDevice(RequestSession):
 
     # the motor
 
-    def _next_instant(self) -> int | None:
-        return earliest((super()._next_instant(), self._verify_ns if self._running else None))
+    @property
+    def _verifies(self) -> bool:
+        return self._verifying.at_ns is not None
 
-    def _happen(self, now_ns: int) -> None:
-        if self._running and self._verify_ns is not None and self._verify_ns <= now_ns:
-            self.fail(now_ns)
-        super()._happen(now_ns)
+    def _set_factor(self, now_ns: int, factor: float) -> None:
+        self._factor, self._slowed = factor, 1 / Fraction(round(factor * SHARES), SHARES)
+        self.turn_at(now_ns, self.slower)
+        self._monitor(now_ns)
 
-    def impair(self, now_ns: int, what: str, degree: float) -> bool:
-        """The motor: its speed is `degree` times the nominal one; or it is stopped."""
-        self.advance(now_ns)
-        if what == "motor speed" and degree > 0.0:
-            self._slowed = 1 / Fraction(round(degree * SHARES), SHARES)
-            self.turn_at(now_ns, self.slower)
-            self._monitor(now_ns, abs(degree - 1.0) <= SPEED_TOLERANCE)
-            return True
-        if what == "motor stopped":
-            self._monitor(now_ns, degree == 0.0)
-            return True
-        return False
+    def _block(self, now_ns: int, blocked: bool) -> bool:
+        self._blocked = blocked
+        self._monitor(now_ns)
+        return True
 
-    def _monitor(self, now_ns: int, right: bool) -> None:
-        if not self._running or self.faulty or right == (self._verify_ns is None):
+    def _monitor(self, now_ns: int) -> None:
+        right = not self._blocked and abs(self._factor - 1.0) <= SPEED_TOLERANCE
+        if not self._running or self.faulty or right != self._verifies:
             return
         if right:
-            self._verify_ns = None
+            self._verifying.at_ns = None
             if self.model.protocol == "SCIP 2.0":
                 self._notify(now_ns, RESUMED)
             self._renew(now_ns)
             return
-        self._withdraw_blocks(now_ns, lambda block: True)
+        self._withdraw(now_ns, lambda block: True)
         self._notify(now_ns, UNSTABLE[self.model.protocol])
-        self._verify_ns = now_ns + VERIFY_NS
+        self._verifying.at_ns = now_ns + VERIFY_NS
         self._subscribe_jobs()
-
-    # one client at a time on Ethernet
-
-    def connected(self, now_ns: int, address: Address, kind: LinkKind) -> None:
-        """A link is open, or a client has connected: during the boot, and while another is served, it waits."""
-        super().connected(now_ns, address, kind)
-        if kind is LinkKind.STREAM:
-            self._waiting[address] = b""
-            self._serve_next(now_ns)
-
-    def disconnected(self, now_ns: int, address: Address) -> None:
-        """A client has disconnected: its measurements end, the next one is served."""
-        super().disconnected(now_ns, address)
-        self._waiting.pop(address, None)
-        if address == self._client:
-            self._client = None
-            self._serve_next(now_ns)
-
-    def _serve_next(self, now_ns: int) -> None:
-        if self._client is None and self._running and self._waiting:
-            self._client = next(iter(self._waiting))
-            self.receive(self._waiting.pop(self._client), now_ns, self._client)
-
-    def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
-        """Bytes of a host, in any chunking; those of a waiting client are kept. Never raises."""
-        if address is not None and address in self._waiting:
-            held = self._waiting[address]
-            self._waiting[address] = (held + data)[:HELD_BYTES]
-            if lost := len(held) + len(data) - len(self._waiting[address]):
-                self.advance(now_ns)
-                self._events.drop(now_ns, DropReason.BUSY, "another client is served", lost)
-            return
-        super().receive(data, now_ns, address)
 
     def other_speed(self, baud: int, sent: bytes, now_ns: int, address: Address) -> None:
         """Framing errors: the line that was being received is given up, so that the next one is understood."""

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
-from protocols.errors import DeviceSettingError
 from protocols.scip.codec import Limits
 
 RATES = (19_200, 38_400, 57_600, 115_200, 250_000, 500_000, 750_000)
@@ -103,11 +102,3 @@ MODELS: Mapping[str, Model] = {
         replace(_UST, model="hokuyo-ust-20lx", title="UST-20LX", most_mm=60_000, serial="H1500002"),
     )
 }  # fmt: skip
-
-
-def model_of(facts: Mapping[str, Any]) -> Model:
-    """The row that a spec's `device` table names; `DeviceSettingError` when there is none."""
-    name = facts.get("model", "hokuyo-utm-30lx")
-    if name not in MODELS:
-        raise DeviceSettingError("model", name, " | ".join(MODELS))
-    return MODELS[name]

@@ -12,20 +12,11 @@ from protocols.scip import commands
 from protocols.scip.codec import summed
 from protocols.scip.device import ScipDevice
 from protocols.session import DropReason, LinkKind
-from protocols.skeleton.receiving import Splitter
-from protocols.skeleton.requests import Command, Host, Refused, Request
+from protocols.skeleton.receiving import LineSplitter
+from protocols.skeleton.requests import Command, Refused, Request
 
 LONGEST = 64
 "Of a request; the longest has 15 characters, `;` and 16 of the host."
-
-
-class Lines(Splitter[bytes]):
-    """Requests end with LF, CR or both."""
-
-    def _next(self) -> bytes | None:
-        held = self._buffer.peek(len(self._buffer)) or b""
-        ends = [at for at in (held.find(b"\n"), held.find(b"\r")) if at >= 0]
-        return self._buffer.take(min(ends) + 1) if ends else None
 
 
 class ScipSession(ScipDevice):
@@ -33,8 +24,8 @@ class ScipSession(ScipDevice):
 
     COMMANDS: ClassVar[Mapping[bytes, Command]] = commands.COMMANDS
 
-    def _splitter(self, kind: LinkKind | None) -> Lines:
-        return Lines(LONGEST)
+    def _splitter(self, kind: LinkKind | None) -> LineSplitter:
+        return LineSplitter(LONGEST, b"\n", b"\r")
 
     def _parse(self, request: bytes) -> tuple[bytes, bytes]:
         line = request.rstrip(b"\r\n")
@@ -45,19 +36,7 @@ class ScipSession(ScipDevice):
         size = 3 if line[:1] in (b"%", b"$") else 2
         return line[:size], line[size:]
 
-    def _carry_out(self, request: Request, size: int, host: Host) -> None:
-        if (refused := self._not_now(request)) is None:
-            super()._carry_out(request, size, host)
-            return
-        known = request.code in self.COMMANDS
-        label = request.code.decode() if known else "?"
-        self._events.drop(request.now_ns, refused.reason, refused.detail, size)
-        if known:
-            self._events.handled(request.now_ns, label, refused.reason.value)
-        self._say(self._refusal(request, refused), label, host, request.now_ns)
-
     def _not_now(self, request: Request) -> Refused | None:
-        """Refusals that do not depend on the command's parameters."""
         errors, code, tag = self.model.errors, request.code, request.data.partition(b";")[2]
         if len(tag) > commands.MOST_TAG:
             return commands.refused(errors["tag"], f"{len(tag)} characters; want {commands.MOST_TAG}")

@@ -93,11 +93,21 @@ class Timer:
     action: Callable[[int], None]
 
 
+@dataclass(eq=False)
+class Alarm:
+    """An action at one instant, once, whenever one is set."""
+
+    action: Callable[[int], None]
+    at_ns: int | None = None
+    "None: not set."
+
+
 class Timers:
-    """The timers of one device."""
+    """The timers and alarms of one device."""
 
     def __init__(self) -> None:
         self._timers: list[Timer] = []
+        self._alarms: list[Alarm] = []
 
     def add(self, first_ns: int, period_ns: int, action: Callable[[int], None]) -> Timer:
         """Call `action(instant)` periodically, first at `first_ns`."""
@@ -105,16 +115,28 @@ class Timers:
         self._timers.append(timer)
         return timer
 
+    def alarm(self, action: Callable[[int], None]) -> Alarm:
+        """One that is not set; `clear` keeps it."""
+        alarm = Alarm(action)
+        self._alarms.append(alarm)
+        return alarm
+
     def clear(self) -> None:
-        """Remove all timers."""
+        """Remove all timers; no alarm is set any more."""
         self._timers.clear()
+        for alarm in self._alarms:
+            alarm.at_ns = None
 
     def next_ns(self) -> int | None:
         """When the next one is due."""
-        return min((timer.due_ns for timer in self._timers), default=None)
+        return earliest((*(timer.due_ns for timer in self._timers), *(alarm.at_ns for alarm in self._alarms)))
 
     def run(self, now_ns: int) -> None:
         """Execute what is due, in order; a timer that is more than `FAR_BEHIND` periods late is executed once."""
+        for alarm in self._alarms:
+            if alarm.at_ns is not None and alarm.at_ns <= now_ns:
+                alarm.at_ns = None
+                alarm.action(now_ns)
         while due := [timer for timer in self._timers if timer.due_ns <= now_ns]:
             timer = min(due, key=lambda timer: timer.due_ns)
             if now_ns - timer.due_ns > FAR_BEHIND * timer.period_ns:

@@ -72,16 +72,16 @@ class Splitter(ABC, Generic[Item]):
 
 
 class LineSplitter(Splitter[bytes]):
-    """Lines of text, including their line end."""
+    """Lines of text, including their line end: whichever of `ends` comes first."""
 
-    def __init__(self, longest: int, end: bytes = b"\n") -> None:
+    def __init__(self, longest: int, *ends: bytes) -> None:
         super().__init__(longest)
-        self._end = end
+        self._ends = ends or (b"\n",)
 
     def _next(self) -> bytes | None:
         held = self._buffer.peek(len(self._buffer)) or b""
-        at = held.find(self._end)
-        return None if at < 0 else self._buffer.take(at + len(self._end))
+        found = [at + len(end) for end in self._ends if (at := held.find(end)) >= 0]
+        return self._buffer.take(min(found)) if found else None
 
 
 class FrameSplitter(Splitter[bytes]):

@@ -124,6 +124,10 @@ class RequestSession(SweepSession):
     def _reply(self, request: Request, payload: bytes) -> bytes:
         """The reply's bytes on the wire."""
 
+    def _not_now(self, request: Request) -> Refused | None:
+        """Why the device refuses a request, known or not, in its present state."""
+        return None
+
     def _refusal(self, request: Request, refused: Refused) -> bytes | None:
         """The framed reply to a refused request; None: no reply."""
         return None
@@ -195,8 +199,11 @@ class RequestSession(SweepSession):
     def _carry_out(self, request: Request, size: int, host: Host) -> None:
         now_ns, row = request.now_ns, self.COMMANDS.get(request.code)
         label = coverage({request.code: row})[0].code if row is not None else "?"
-        if row is None:
-            answer: bytes | Answer | Refused = Refused(DropReason.UNKNOWN_COMMAND, repr(request.code))
+        answer: bytes | Answer | Refused
+        if (refused := self._not_now(request)) is not None:
+            answer = refused
+        elif row is None:
+            answer = Refused(DropReason.UNKNOWN_COMMAND, repr(request.code))
         else:
             answer = Refused(DropReason.REFUSED, row.name) if row.act is None else row.act(self, request)
         if isinstance(answer, Refused):

@@ -6,7 +6,7 @@ Belongs here: closed forms of angle and time, numbers of samples. Not: what a de
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 
@@ -17,6 +17,8 @@ from protocols.skeleton.instants import SECOND_NS, Raster
 
 WOBBLES = ((0.7, 1.3), (0.3, 0.37))
 "Share and frequency [Hz] of what the speed of a motor wobbles by; no source has figures, these are ours."
+LOAD_TURNS = 7.3
+"One up and down of the speed of a `LoadedRotor`; ours."
 ROUNDS = 60
 "Of Newton's method; it takes about five."
 KEPT = 8
@@ -65,7 +67,7 @@ class Rotor:
     def turned_at(self, since_s: Floats) -> Floats:
         """The same for times after `at_ns`, any shape."""
         swing = np.zeros_like(since_s)
-        for share, hz in WOBBLES:
+        for share, hz in WOBBLES if self.wobble else ():
             swing += share * (1.0 - np.cos(2.0 * np.pi * hz * since_s)) / (2.0 * np.pi * hz)
         settled = self.settle_s * -np.expm1(-since_s / self.settle_s)
         return np.asarray(
@@ -74,7 +76,7 @@ class Rotor:
 
     def instant_of(self, turns: float) -> int:
         """When it has made so many turns, to about a nanosecond; `at_ns` if it has made them before."""
-        if turns <= self.turns:
+        if turns <= self.turned(self.at_ns):
             return self.at_ns
         t = (turns - self.turns) / self.hz
         for _ in range(ROUNDS):
@@ -87,7 +89,39 @@ class Rotor:
 
     def driven(self, at_ns: int, hz: float) -> Rotor:
         """With another controlled speed from an instant on; the angle goes on from there."""
-        return Rotor(at_ns, self.turned(at_ns), hz, self.speed_hz(at_ns), self.settle_s, self.wobble)
+        return replace(self, at_ns=at_ns, turns=self.turned(at_ns), hz=hz, from_hz=self.speed_hz(at_ns))
+
+    def settled_ns(self, share: float) -> int:
+        """From when on the speed, without its wobble, is within this share of `hz`, which is not 0."""
+        off = abs(self.from_hz - self.hz) / (share * self.hz)
+        return self.at_ns + (round(SECOND_NS * self.settle_s * math.log(off)) if off > 1.0 else 0)
+
+
+@dataclass(frozen=True)
+class LoadedRotor(Rotor):
+    """One whose speed goes up and down with its angle, as under an uneven load; `hz` may be 0: it is to stand.
+
+    `turns` and `speed_hz` are without that.
+    """
+
+    load: float = 0.0
+    "Share of the speed by which it goes up and down."
+
+    def turned(self, at_ns: int) -> float:
+        """Turns made by an instant; before `at_ns` those at `at_ns`."""
+        even = super().turned(at_ns)
+        rate = 2.0 * math.pi / LOAD_TURNS
+        return even + self.load / rate * math.sin(rate * even)
+
+    def turned_at(self, since_s: Floats) -> Floats:
+        """The same for times after `at_ns`, any shape."""
+        even = super().turned_at(since_s)
+        rate = 2.0 * math.pi / LOAD_TURNS
+        return np.asarray(even + self.load / rate * np.sin(rate * even), np.float64)
+
+    def driven(self, at_ns: int, hz: float) -> LoadedRotor:
+        """With another controlled speed from an instant on; the angle goes on from there."""
+        return replace(self, at_ns=at_ns, turns=super().turned(at_ns), hz=hz, from_hz=self.speed_hz(at_ns))
 
 
 @dataclass(frozen=True)
@@ -101,11 +135,15 @@ class Turns:
     "The first sample of the stream; the turn that it is in is not whole."
     group: int = 1
     "A turn begins with the next whole group of samples, counted from `since`: a packet is not cut."
+    numbered: int | None = None
+    "Number of the turn in which the stream begins; None: as many as the rotor has made."
+    part: int = 0
+    "Of a rotor that stands so many samples count as a turn; 0: it turns."
 
     @property
     def period_ns(self) -> Fraction:
         """Of a turn at the controlled speed."""
-        return Fraction(SECOND_NS) / Fraction(self.rotor.hz)
+        return self.part * self.samples.period_ns if self.part else Fraction(SECOND_NS) / Fraction(self.rotor.hz)
 
     _found: dict[int, int] = field(default_factory=dict, init=False, repr=False, compare=False)
     "First samples of the turns asked for last."
@@ -113,6 +151,11 @@ class Turns:
     @cached_property
     def first(self) -> int:
         """Number of the turn in which the stream begins."""
+        return self._made if self.numbered is None else self.numbered
+
+    @cached_property
+    def _made(self) -> int:
+        """Turns that the rotor has made when the stream begins."""
         return math.floor(self.rotor.turned(self.samples.at(self.since)))
 
     def sample(self, number: int) -> int:
@@ -127,10 +170,13 @@ class Turns:
     def _first_of(self, number: int) -> int:
         if number <= self.first:
             return self.since
-        index = max(self.since, self.samples.first_from(self.rotor.instant_of(number)))
-        while self.rotor.turned(self.samples.at(index)) < number:
+        if self.part:
+            return self.since + (number - self.first) * self.part
+        turns = number - self.first + self._made
+        index = max(self.since, self.samples.first_from(self.rotor.instant_of(turns)))
+        while self.rotor.turned(self.samples.at(index)) < turns:
             index += 1
-        while index > self.since and self.rotor.turned(self.samples.at(index - 1)) >= number:
+        while index > self.since and self.rotor.turned(self.samples.at(index - 1)) >= turns:
             index -= 1
         return self.since - (self.since - index) // self.group * self.group
 
@@ -140,9 +186,18 @@ class Turns:
 
     def first_from(self, instant_ns: int) -> int:
         """The least number whose turn begins at `instant_ns` or later."""
-        number = max(self.first, math.floor(self.rotor.turned(instant_ns)))
+        if self.part:
+            return self.first + max(0, -((self.since - self.samples.first_from(instant_ns)) // self.part))
+        number = max(self.first, math.floor(self.rotor.turned(instant_ns)) - self._made + self.first)
         while self.at(number) < instant_ns:
             number += 1
         while number > self.first and self.at(number - 1) >= instant_ns:
             number -= 1
         return number
+
+    def turned(self, number: int) -> tuple[Floats, Floats]:
+        """Of the samples of a turn: when each is taken after the first, in s, and the turns that the rotor has made."""
+        first, end = self.sample(number), self.sample(number + 1)
+        after_s = np.asarray(np.arange(end - first) * (float(self.samples.period_ns) / SECOND_NS), np.float64)
+        begin_s = (self.samples.at(first) - self.rotor.at_ns) / SECOND_NS
+        return after_s, self.rotor.turned_at(np.asarray(begin_s + after_s, np.float64))

@@ -98,7 +98,7 @@ class SweepSession(TimedSession):
 
     @abstractmethod
     def _telegrams(self, scan: Scan) -> Iterable[Telegram]:
-        """The telegrams of a scan, in the order of sending; at least one."""
+        """The telegrams of a scan, in the order of sending; none if it has too few samples for one."""
 
     def _schedule(self) -> Numbered:
         """When each sweep begins."""
@@ -192,9 +192,16 @@ class SweepSession(TimedSession):
     def _withdraw(self, now_ns: int, whose: Callable[[Outgoing], bool]) -> None:
         gone = self._outbox.withdraw(lambda sent: sent.is_scan and not sent.begun and whose(sent))
         for sent in reversed(gone):
-            sweep = sent.emissions[0].sweep
-            assert sweep is not None
-            self._events.unsent(now_ns, DropReason.STALE, range(sweep, sweep + 1), "on its way", None, sent.to)
+            self._withdrawn(sent)
+            if (sweep := sent.emissions[0].sweep) is not None:
+                self._events.unsent(now_ns, DropReason.STALE, range(sweep, sweep + 1), "on its way", None, sent.to)
+
+    def _withdrawn(self, sent: Outgoing) -> None:
+        """A scan will not be sent."""
+
+    def _cut(self, now_ns: int) -> None:
+        """Further telegrams of scans whose first one has been sent are not sent."""
+        self._outbox.withdraw(lambda sent: sent.is_scan and sent.begun)
 
     def _change(self, now_ns: int, period_ns: Fraction | None = None) -> None:
         """A setting that scans depend on has changed: earlier scans are refused and withdrawn; a new stream begins.
@@ -209,14 +216,22 @@ class SweepSession(TimedSession):
         self._raster = self._raster.going_on(self._next, self._nominal_ns * self._slowed)
 
     def impair(self, now_ns: int, what: str, degree: float) -> bool:
-        """The motor: its speed is `degree` times the nominal one."""
+        """The motor: its speed is `degree` times the nominal one; or it is blocked (1), or free (0), if that shows."""
         self.advance(now_ns)
-        if what != "motor speed" or degree <= 0.0:
-            return False
-        self._slowed = 1 / Fraction(round(degree * SHARES), SHARES)
+        if what == "motor speed" and degree > 0.0:
+            self._set_factor(now_ns, degree)
+            return True
+        return what == "motor stopped" and self._block(now_ns, degree != 0.0)
+
+    def _set_factor(self, now_ns: int, factor: float) -> None:
+        """The motor's speed is so many times the nominal one."""
+        self._slowed = 1 / Fraction(round(factor * SHARES), SHARES)
         if self._running:
             self._change(now_ns)
-        return True
+
+    def _block(self, now_ns: int, blocked: bool) -> bool:
+        """The motor cannot turn, or can again; False: this device has no answer to that."""
+        return False
 
     # sweeps
 
@@ -261,18 +276,25 @@ class SweepSession(TimedSession):
 
     def submit(self, scan: Scan) -> None:
         """Take the scan of `next_plan`; `ScanRefused` for any other."""
-        self._wanted.expect(scan.plan, len(scan.range_m))
-        self._wanted.forget()
-        plan = scan.plan
-        self._next = plan.sweep + 1
+        plan = self._taken(scan)
         takers = [address for address, since_ns in self._hosts.items() if since_ns <= plan.start_ns]
         if not takers:
             numbers = range(plan.sweep, plan.sweep + 1)
             self._events.unsent(self._now_ns, DropReason.STALE, numbers, "no subscriber", plan.stream)
             return
         telegrams = list(self._telegrams(scan))
+        if not telegrams:
+            numbers = range(plan.sweep, plan.sweep + 1)
+            self._events.unsent(self._now_ns, DropReason.KEPT, numbers, "too few samples", plan.stream)
+            return
         for address in takers:
             self._outbox.put(Outgoing(address, deque(self._emissions(plan, telegrams, address)), is_scan=True))
+
+    def _taken(self, scan: Scan) -> ScanPlan:
+        self._wanted.expect(scan.plan, len(scan.range_m))
+        self._wanted.forget()
+        self._next = scan.plan.sweep + 1
+        return scan.plan
 
     def _emissions(self, plan: ScanPlan, telegrams: Iterable[Telegram], to: Address | None) -> Iterable[Emission]:
         """The first one carries the sweep, the others (`scans` 0) are further parts."""

@@ -12,8 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
-import numpy as np
-
 from protocols.scan import Floats, ScanPlan
 from protocols.session import Address
 from protocols.skeleton.instants import SECOND_NS, Raster
@@ -128,10 +126,6 @@ class TurningSession(SweepSession):
         self._cut(now_ns)
         super()._unsubscribe(now_ns, address)
 
-    def _cut(self, now_ns: int) -> None:
-        """Further packets of turns whose first packet has been sent are not sent."""
-        self._outbox.withdraw(lambda sent: sent.is_scan and sent.begun)
-
     def _spin(self, now_ns: int, hz: float | None = None, rate_hz: int | None = None) -> None:
         """Another controlled speed or rate of samples, from the next turn on."""
         self._hz = self._hz if hz is None else hz
@@ -170,18 +164,14 @@ class TurningSession(SweepSession):
         if self._hosts:
             self._begin(self._speed_ns)
 
-    def impair(self, now_ns: int, what: str, degree: float) -> bool:
-        """The motor: its speed is `degree` times the controlled one; or it is blocked (1), or free (0)."""
-        self.advance(now_ns)
-        if what == "motor speed" and degree > 0.0:
-            self._factor = round(degree * SHARES) / SHARES
-            if self._running:
-                self._spin(now_ns)
-            return True
-        if what == "motor stopped":
-            self._stall(now_ns, degree != 0.0)
-            return True
-        return False
+    def _set_factor(self, now_ns: int, factor: float) -> None:
+        self._factor = round(factor * SHARES) / SHARES
+        if self._running:
+            self._spin(now_ns)
+
+    def _block(self, now_ns: int, blocked: bool) -> bool:
+        self._stall(now_ns, blocked)
+        return True
 
     # sweeps
 
@@ -197,13 +187,10 @@ class TurningSession(SweepSession):
         return self._cache[2]
 
     def _fallen_into(self, number: int) -> Samples:
-        turns, rotor = self._turns, self._turns.rotor
-        first, end = turns.sample(number), turns.sample(number + 1)
-        period_s = float(turns.samples.period_ns) / SECOND_NS
-        start_ns = turns.samples.at(first)
-        after_s = np.asarray(np.arange(end - first) * period_s, np.float64)
-        turned = rotor.turned_at(np.asarray((start_ns - rotor.at_ns) / SECOND_NS + after_s, np.float64))
-        hz = rotor.speed_hz(start_ns)
+        turns = self._turns
+        first, period_s = turns.sample(number), float(turns.samples.period_ns) / SECOND_NS
+        after_s, turned = turns.turned(number)
+        hz = turns.rotor.speed_hz(turns.at(number))
         whole = bool(turned[0] - number < hz * period_s * self.GROUP)
         return Samples(first, 360.0 * (turned - number), after_s, hz, whole, len(after_s) * period_s)
 

@@ -1,4 +1,4 @@
-"""YDLIDAR's packets and replies: samples of 2, 3 or 4 bytes, the XOR over words, angles before their correction.
+"""YDLIDAR's packets: samples of 2, 3 or 4 bytes, the XOR over words, angles before their correction.
 
 Belongs here: bytes, numbers, the geometry of the slanted line of triangulation. Not: when something is sent; reading it
 (`emulator.hosts.ydlidar`).
@@ -16,9 +16,6 @@ from protocols.scan import Floats
 HEAD = b"\xaa\x55"
 HEAD_WORD = 0x55AA
 HEAD_BYTES = 10
-REPLY = b"\xa5\x5a"
-CONTINUOUS = 1 << 30
-"In the length of a reply: more than one."
 MOST_SAMPLES = 40
 "Of a packet; the maker's own lidars send up to 80, lds2d takes no more."
 OFFSET_MM, CROSSING_MM = 21.8, 155.3
@@ -114,9 +111,3 @@ def _of_size(kind: int, q6: Words, data: NDArray[np.uint8], check: NDArray[np.ui
     head[:, 4] = np.bitwise_xor.reduce(head[:, :4], axis=1) ^ np.bitwise_xor.reduce(check.reshape(count, size), axis=1)
     packets = np.concatenate([head.view(np.uint8), data.reshape(count, -1)], axis=1)
     return [row.tobytes() for row in packets]
-
-
-def encode_reply(kind: int, data: bytes, continuous: bool = False) -> bytes:
-    """A reply; of a continuous one the data are its first packets, and the length is formal."""
-    length = 5 | CONTINUOUS if continuous else len(data)
-    return REPLY + length.to_bytes(4, "little") + bytes((kind,)) + data

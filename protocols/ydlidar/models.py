@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from protocols.errors import DeviceSettingError
 from protocols.skeleton.keys import DeviceKeys
@@ -64,14 +63,6 @@ MODELS: Mapping[str, Model] = {
         Model("ydlidar-t-mini", 140, 230_400, (4000,), 0, (0.05,), 12.0, (5.0, 10.0, 12.0), False, bits=(8,)),
     )
 }  # fmt: skip
-
-
-def model_of(facts: Mapping[str, Any]) -> Model:
-    """The row that a spec's `device` table names; `DeviceSettingError` when there is none."""
-    name = facts.get("model", "ydlidar-x4")
-    if name not in MODELS:
-        raise DeviceSettingError("model", name, " | ".join(MODELS))
-    return MODELS[name]
 
 
 @dataclass(frozen=True)

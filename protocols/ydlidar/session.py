@@ -13,9 +13,10 @@ import numpy as np
 
 from protocols.scan import Floats, Scan
 from protocols.session import Address, DropReason, Emission, LinkKind
+from protocols.skeleton.descriptors import descriptor, reply
 from protocols.skeleton.outbox import Outgoing
 from protocols.skeleton.receiving import FrameSplitter, Refusal
-from protocols.skeleton.requests import Answer, Command, Host, Refused, Request, RequestSession
+from protocols.skeleton.requests import Answer, Command, Refused, Request, RequestSession
 from protocols.skeleton.sweeps import Sweep, Telegram
 from protocols.skeleton.turning import Samples, TurningSession
 from protocols.ydlidar import codec
@@ -29,7 +30,11 @@ INFO, HEALTH, SCAN, PITCH = 0x04, 0x06, 0x81, 0x10
 "Types of replies."
 STALLED = 1
 "Error code of a motor that stands; no source has the bits."
+SCANS = descriptor(SCAN, 5, multiple=True)
+"Before packets; the length is formal."
 EVEN_SCANNING = (b"\xa5\x60", b"\xa5\x61", b"\xa5\x65", b"\xa5\x00")
+RESTARTS = (b"\xa5\x40", b"\xa5\x80")
+"A model has one of them."
 ON, OFF = 1, 0
 
 
@@ -62,6 +67,8 @@ class YdlidarSession(TurningSession, RequestSession):
         self._kept: tuple[float, int] | None = None
         "Speed and low power that a G4 keeps over a restart by command."
         self._motor_on = True
+        "As DTR has it."
+        self._blocked = False
         self._seen: tuple[Floats, Floats] | None = None
         "Angles of the last turn, and the correction of each: where its line will meet something next time."
         self._cast: tuple[Samples, Floats] | None = None
@@ -77,7 +84,7 @@ class YdlidarSession(TurningSession, RequestSession):
     @property
     def health(self) -> tuple[int, int]:
         """Status and error code."""
-        return (2, STALLED) if self._stalled else (self.settings.health, 0)
+        return (2, STALLED) if self._blocked and self._motor_on else (self.settings.health, 0)
 
     def _reset(self, now_ns: int) -> None:
         self.flags = {"low power": OFF, "turns left": OFF, "constant": ON, "exposure": OFF, "heartbeat": ON}
@@ -105,7 +112,12 @@ class YdlidarSession(TurningSession, RequestSession):
         self.advance(now_ns)
         if self.settings.dtr_drives_motor and dtr != self._motor_on:
             self._motor_on = dtr
-            self._stall(now_ns, not dtr)
+            self._stall(now_ns, self._blocked or not dtr)
+
+    def _block(self, now_ns: int, blocked: bool) -> bool:
+        self._blocked = blocked
+        self._stall(now_ns, blocked or not self._motor_on)
+        return True
 
     def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
         """Bytes of a host, in any chunking; ignored by those that only send. Never raises."""
@@ -162,31 +174,28 @@ class YdlidarSession(TurningSession, RequestSession):
     def _reply(self, request: Request, payload: bytes) -> bytes:
         return payload
 
-    def _carry_out(self, request: Request, size: int, host: Host) -> None:
-        code, lacking = request.code, not self.model.sets and request.code not in EVERY
-        if request.code in (b"\xa5\x40", b"\xa5\x80") and request.code[1] != self.model.restart:
-            lacking = True
-        if lacking:
-            self._events.drop(request.now_ns, DropReason.UNKNOWN_COMMAND, code.hex(" "), size)
-        elif self.scanning and code in self.COMMANDS and code not in EVEN_SCANNING:
-            self._events.drop(request.now_ns, DropReason.WRONG_MODE, f"{code.hex(' ')} while it scans", size)
-        else:
-            super()._carry_out(request, size, host)
+    def _not_now(self, request: Request) -> Refused | None:
+        code = request.code
+        if (code in RESTARTS and code[1] != self.model.restart) or not (self.model.sets or code in EVERY):
+            return Refused(DropReason.UNKNOWN_COMMAND, code.hex(" "))
+        if self.scanning and code in self.COMMANDS and code not in EVEN_SCANNING:
+            return Refused(DropReason.WRONG_MODE, f"{code.hex(' ')} while it scans")
+        return None
 
     def _scan(self, request: Request) -> bytes | Answer | Refused:
         if self._hosts:  # a heartbeat, or a host that did not stop the stream of the one before it
-            return codec.encode_reply(SCAN, b"", continuous=True)
+            return SCANS
         now_ns = request.now_ns + self.REPLY_NS
         if self.settings.health == 2:
-            return codec.encode_reply(SCAN, b"", continuous=True)
+            return SCANS
         if self.model.sets:
             self._start_motor(now_ns)
         self._subscribe(now_ns, None)
         if self.settings.has_module_info and not self._stalled:
             due_ns = max(now_ns, self._speed_ns) + MODULE_INFO_NS
-            info = Emission(due_ns, codec.encode_reply(INFO, self.info()), request.address, label="module info")
+            info = Emission(due_ns, reply(INFO, self.info()), request.address, label="module info")
             self._module = self._outbox.send(info)
-        return codec.encode_reply(SCAN, b"", continuous=True)
+        return SCANS
 
     def _stop(self, request: Request) -> Answer:
         self._unsubscribe(request.now_ns, None)
@@ -204,11 +213,11 @@ class YdlidarSession(TurningSession, RequestSession):
         return bytes((self.model.code, minor, major, settings.hardware, *map(int, settings.serial)))
 
     def _info(self, request: Request) -> bytes:
-        return codec.encode_reply(INFO, self.info())
+        return reply(INFO, self.info())
 
     def _health(self, request: Request) -> bytes:
         status, code = self.health
-        return codec.encode_reply(HEALTH, bytes((status,)) + code.to_bytes(2, "little"))
+        return reply(HEALTH, bytes((status,)) + code.to_bytes(2, "little"))
 
     def _restarted(self, request: Request) -> Answer:
         if self.model.model == "ydlidar-g4":
@@ -219,18 +228,18 @@ class YdlidarSession(TurningSession, RequestSession):
         """Set a state (None: ask for it, 2: the other one), and its reply."""
         state = self.flags[name] if value is None else 1 - self.flags[name] if value == 2 else value
         self.flags[name] = state
-        return codec.encode_reply(INFO, bytes((state,)))
+        return reply(INFO, bytes((state,)))
 
     def _heartbeat(self, request: Request) -> bytes:
         self.flags["heartbeat"] = 1 - self.flags["heartbeat"]
-        return codec.encode_reply(INFO, bytes((self.flags["heartbeat"],)))
+        return reply(INFO, bytes((self.flags["heartbeat"],)))
 
     def _aim(self, change_hz: float, request: Request) -> bytes:
         least, _, most = self.model.hz
         if change_hz:
             self._spin(request.now_ns, min(max(round(self._hz + change_hz, 2), least), most))
         hundredths = round(100.0 * self._hz) + (self.model.aim_offset if not change_hz else 0)
-        return codec.encode_reply(INFO, hundredths.to_bytes(4, "little"))
+        return reply(INFO, hundredths.to_bytes(4, "little"))
 
     def _rate(self, step: int, request: Request) -> bytes:
         rates = self.model.rates_hz
@@ -238,10 +247,10 @@ class YdlidarSession(TurningSession, RequestSession):
         if step:
             self.rate = (self.rate + step) % max(1, fitting)
             self._spin(request.now_ns, rate_hz=rates[self.rate])
-        return codec.encode_reply(INFO, bytes((self.rate,)))
+        return reply(INFO, bytes((self.rate,)))
 
     def _value(self, kind: int, value: int, request: Request) -> bytes:
-        return codec.encode_reply(kind, value.to_bytes(4, "little", signed=True))
+        return reply(kind, value.to_bytes(4, "little", signed=True))
 
     COMMANDS: ClassVar[Mapping[bytes, Command]] = {}
 

@@ -52,7 +52,7 @@ def test_a_probe_asks_for_the_name_alone() -> None:
     host = RplidarHost(line, None)
     assert (host.title, host.found_baud) == ("RPLIDAR A2M8", 115_200)
     rig.run(SECOND)
-    assert rig.session.rotor.aim_hz == 0.0
+    assert rig.session.rotor.hz == 0.0
 
 
 def test_the_script_asks_again_after_a_restart_and_whatever_the_mode() -> None:

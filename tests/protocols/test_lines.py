@@ -33,6 +33,11 @@ def test_the_examples_are_as_short_as_new_families_are_to_be() -> None:
         assert lines.lines_of(path).total() <= 250
 
 
+@pytest.mark.parametrize("family", ["scip", "rplidar", "ldrobot", "ydlidar"])
+def test_desk_scanners_have_at_most_500_lines_of_code_beside_their_tables(family: str) -> None:
+    assert 100 < lines.code_of(lines.HERE / family) <= 500
+
+
 def test_the_statements_of_a_single_module_tell_its_kinds(tmp_path: Path) -> None:
     path = tmp_path / "one.py"
     path.write_text(
@@ -54,6 +59,7 @@ def test_the_statements_of_a_single_module_tell_its_kinds(tmp_path: Path) -> Non
     )
     found = lines.lines_of(path)
     assert found == {"other": 3, "settings": 5, "codec": 7, "commands": 4, "session": 2}
+    assert lines.code_of(path) == 1 + 1 + 2 + 2 + 2 + 2 + 1, "import, dtype, encode_, Find, _reply, other, FAMILY"
 
 
 def test_a_path_that_is_no_family_is_refused_in_a_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

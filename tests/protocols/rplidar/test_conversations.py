@@ -266,6 +266,15 @@ def test_a_blocked_motor_is_a_protection_stop_which_only_a_reset_ends() -> None:
     assert len(rig.stream(SCAN, SECOND)[1]) > 5000
 
 
+def test_a_motor_that_is_free_again_still_has_its_wrong_speed() -> None:
+    rig = Rig(world=room)
+    for what, degree in (("motor speed", 0.5), ("motor stopped", 1.0), ("motor stopped", 0.0)):
+        assert rig.session.impair(rig.now_ns, what, degree)
+    points = points_of(0x81, rig.stream(SCAN, 4 * SECOND)[1])
+    starts = [at for at, one in enumerate(points) if one.start]
+    assert 3.4 < 1e6 / 508 / ((starts[-1] - starts[0]) / (len(starts) - 1)) < 3.6
+
+
 def test_a_forced_scan_of_a_motor_that_stands_looks_in_one_direction() -> None:
     rig = Rig("rplidar-a2m8", world=room)
     assert len(rig.ask(SCAN, SECOND)) == 7
@@ -304,6 +313,7 @@ def test_old_firmware_leaves_configuration_unanswered() -> None:
     assert rig.ask(INFO)[7:11] == bytes((0x18, 20, 1, 7))
     assert rig.ask(conf(0x7C), SECOND) == b""
     assert rig.ask(RATE)[7:] == struct.pack("<HH", 500, 250)
+    assert rig.ask(request(0x83, bytes(33)), SECOND) == b"", "HQ_SCAN came with 1.24"
     assert rig.stream(express(0), SECOND)[0] == 0x82
 
 
@@ -367,6 +377,32 @@ def test_over_udp_the_last_sender_gets_the_stream_and_over_tcp_its_end_ends_it()
     tcp.put(INFO, two)
     tcp.run(2 * MS)
     assert tcp.raw()[6] == 4
+
+
+def test_over_tcp_a_second_client_waits_and_does_not_disturb_the_first() -> None:
+    one, two = Address(0, 5001), Address(0, 5002)
+    rig = Rig("rplidar-s2m1", {"boot_s": 0.8}, kind=LinkKind.STREAM)
+    rig.run(SECOND)
+    for client in (one, two):
+        rig.session.connected(rig.now_ns, client, LinkKind.STREAM)
+    rig.put(SCAN, one)
+    rig.run(SECOND)
+    rig.raw()
+    rig.put(INFO, two)
+    rig.run(SECOND)
+    assert {sent.address for sent in rig.sent} == {one}
+    assert len(points_of(0x81, rig.raw())) > 10_000
+    rig.session.disconnected(rig.now_ns, one)
+    rig.raw()
+    rig.run(SECOND)
+    assert {sent.address for sent in rig.sent} == {two}
+    assert rig.raw()[6] == 4
+    rig.ask(RESET, 100 * MS)
+    rig.session.disconnected(rig.now_ns, two)
+    rig.session.connected(rig.now_ns, one, LinkKind.STREAM)
+    rig.put(INFO, one)
+    rig.run(3 * SECOND)
+    assert rig.raw() == b"", "the server is up, the scanner behind it is not"
 
 
 @given(st.lists(st.one_of(st.binary(max_size=20), st.sampled_from([SCAN, STOP, INFO, PWM, RESET, express(3), FORCE]),

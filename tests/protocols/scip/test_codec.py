@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from emulator.hosts.scip_reading import decode_number, decode_values, joined
 from protocols.scan import DAZZLED, Scan, ScanPlan
 from protocols.scip import codec
 from protocols.scip.codec import Form
@@ -24,7 +25,7 @@ LIMITS = MODELS["hokuyo-utm-30lx"].limits
 )  # fmt: skip
 def test_numbers_are_those_of_the_maker_s_table(value: int, width: int, text: str) -> None:
     assert codec.encode_number(value, width) == text.encode()
-    assert codec.decode_number(text.encode()) == value
+    assert decode_number(text.encode()) == value
 
 
 @pytest.mark.parametrize(
@@ -60,25 +61,25 @@ def test_a_number_reads_back(value: int, width: int) -> None:
     value &= (1 << 6 * width) - 1
     text = codec.encode_number(value, width)
     assert len(text) == width
-    assert codec.decode_number(text) == rig.number(text.decode()) == value
+    assert decode_number(text) == rig.number(text.decode()) == value
     assert codec.encode_words(np.array([value]), width).tobytes() == text
 
 
 @pytest.mark.parametrize("bad", [b"0/0", b"00p", b"\xff"])
 def test_a_character_that_is_no_number_is_refused(bad: bytes) -> None:
     with pytest.raises(ValueError, match=r"want 0x30\.\.0x6f"):
-        codec.decode_number(bad)
+        decode_number(bad)
 
 
 @given(st.binary(max_size=400).map(lambda data: bytes(48 + byte % 64 for byte in data)))
 def test_data_is_cut_at_64_characters_whatever_the_step(data: bytes) -> None:
     lines = codec.blocks(data).split(b"\n")[:-1]
     assert [len(line) for line in lines[:-1]] == [65] * (len(lines) - 1)
-    assert codec.joined(lines) == data
+    assert joined(lines) == data
     if lines:
         hurt = [bytes((lines[0][0] ^ 1,)) + lines[0][1:], *lines[1:]]
         with pytest.raises(ValueError, match="their sum"):
-            codec.joined(hurt)
+            joined(hurt)
 
 
 LEVELS = arrays.arrays(np.int64, st.tuples(st.integers(1, 40), st.just(3)), elements=st.integers(23, 60_000))
@@ -96,7 +97,7 @@ def test_values_of_several_echoes_read_back(found: tuple[np.ndarray, np.ndarray]
     distance, counts = found
     wanted = np.where(np.arange(3) < counts[:, None], distance, -1)
     form = Form(3, intensity, 3)
-    ranges, strength = codec.decode_values(codec.encode_values(wanted, wanted, form), form)
+    ranges, strength = decode_values(codec.encode_values(wanted, wanted, form), form)
     expected = np.where(wanted >= 0, wanted, np.nan)[:, : ranges.shape[1]]
     np.testing.assert_array_equal(np.rint(1000 * ranges), expected)
     if intensity:
@@ -146,4 +147,4 @@ def test_two_characters_hold_no_more_than_4095() -> None:
 @pytest.mark.parametrize("text", [b"0?", b"&0?X", b"0?X&0", b"0?X0"])
 def test_values_that_are_not_whole_are_refused(text: bytes) -> None:
     with pytest.raises(ValueError, match="want"):
-        codec.decode_values(text, Form(3, False, 3))
+        decode_values(text, Form(3, False, 3))

@@ -187,6 +187,23 @@ def test_a_counted_measurement_keeps_its_count_when_one_scan_is_asked_beside_it(
     assert left == list(range(19, -1, -1))
 
 
+@pytest.mark.parametrize("asked_ms", [0, 13, 26, 60, 99])
+def test_one_scan_asked_beside_it_does_not_disturb_a_measurement_that_skips(asked_ms: int) -> None:
+    rig = Rig()
+    rig.put("MD0000000301300\n")
+    rig.run(500 * MS + asked_ms * MS)
+    rig.put("GD0000000301\n")
+    rig.run(SECOND)
+    found = rig.take()
+    scans = [one for one in found if one.status == "99"]
+    assert {later.stamp - one.stamp for one, later in pairwise(scans)} == {100}
+    assert len(scans) in (15, 16)
+    (single,) = [one for one in found if one.echo[:2] == "GD"]
+    assert single.status == "00"
+    assert single.due_ns - (500 + asked_ms) * MS - 10 * MS < 60 * MS, "the next turn is taken"
+    assert "no measurement" not in {one.detail for one in rig.events if isinstance(one, Dropped)}
+
+
 def test_quitting_withdraws_what_has_not_begun() -> None:
     rig = Rig()
     rig.put(f"MD{FULL}000\n")
@@ -333,6 +350,21 @@ def test_a_motor_that_stops_interrupts_and_at_last_fails(model: str) -> None:
     assert "STAT:Abnormal 900 abnormal condition.;" in rig.ask("II").lines
     rig.status("RB")
     assert rig.status("RB") == "00"
+
+
+def test_faults_of_the_motor_hold_each_by_itself_and_over_a_restart() -> None:
+    rig = Rig()
+    for what, degree in (("motor speed", 0.5), ("motor stopped", 1.0), ("motor stopped", 0.0)):
+        assert rig.session.impair(rig.now_ns, what, degree)
+    assert rig.ask("II").lines[3] == "MESM:100 Idle;", "it is free again, and still too slow"
+    rig.session.impair(rig.now_ns, "motor speed", 1.0)
+    assert rig.ask("II").lines[3] == "MESM:000 Idle;"
+    rig.session.impair(rig.now_ns, "motor stopped", 1.0)
+    assert [rig.status("RB"), rig.status("RB")] == ["01", "00"]
+    rig.run(SECOND)
+    assert rig.ask("II").lines[3] == "MESM:100 Idle;", "it starts with a motor that stands"
+    rig.run(2 * SECOND)
+    assert rig.ask("II").lines[3] == "MESM:900 Error detected;"
 
 
 def test_a_simulated_malfunction_ends_with_a_reset() -> None:

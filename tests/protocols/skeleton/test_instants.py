@@ -111,3 +111,23 @@ def test_a_timer_that_nobody_called_for_long_happens_once_and_keeps_its_raster()
 def test_many_instants_are_rounded_as_one_is(period_ns: Fraction, count: int) -> None:
     assert rounded(period_ns, count) == [round(at * period_ns) for at in range(count)]
     assert rounded(Fraction(5, 2), 4) == [0, 2, 5, 8]
+
+
+def test_an_alarm_happens_once_at_its_instant_and_may_be_set_anew() -> None:
+    timers, happened = Timers(), []
+    alarm = timers.alarm(happened.append)
+    assert timers.next_ns() is None
+    alarm.at_ns = 7
+    timers.add(5, 10, lambda at_ns: None)
+    timers.run(6)
+    assert (happened, timers.next_ns()) == ([], 7)
+    timers.run(7)
+    timers.run(8)
+    assert (happened, alarm.at_ns, timers.next_ns()) == ([7], None, 15)
+    alarm.at_ns = 9
+    timers.clear()
+    timers.run(20)
+    assert happened == [7]
+    alarm.at_ns = 21
+    timers.run(30)
+    assert happened == [7, 30], "the time reached"

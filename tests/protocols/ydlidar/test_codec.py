@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from emulator.hosts.ydlidar import StreamReader, range_mm
+from protocols.skeleton.descriptors import descriptor, reply
 from protocols.ydlidar.codec import (
     FAR_DEG,
     MOST_SAMPLES,
@@ -19,7 +20,6 @@ from protocols.ydlidar.codec import (
     Rows,
     correction_deg,
     encode_packets,
-    encode_reply,
     encode_samples,
     seen_from,
 )
@@ -74,9 +74,9 @@ def test_worked_zero_packets() -> None:
 
 
 def test_worked_replies() -> None:
-    assert encode_reply(0x81, b"", continuous=True) == packed("A5 5A 05 00 00 40 81")
-    assert encode_reply(0x06, bytes(3)) == packed("A5 5A 03 00 00 00 06 00 00 00")
-    assert encode_reply(0x04, (700).to_bytes(4, "little")) == packed("A5 5A 04 00 00 00 04 BC 02 00 00")
+    assert descriptor(0x81, 5, multiple=True) == packed("A5 5A 05 00 00 40 81")
+    assert reply(0x06, bytes(3)) == packed("A5 5A 03 00 00 00 06 00 00 00")
+    assert reply(0x04, (700).to_bytes(4, "little")) == packed("A5 5A 04 00 00 00 04 BC 02 00 00")
 
 
 @pytest.mark.parametrize(("bits", "unit"), [(0, 0.25), (8, 0.25), (10, 0.25), (16, 1.0), (0, 1.0)])

@@ -352,9 +352,27 @@ def test_dtr_stops_the_motor_of_the_usb_board() -> None:
     rig.session.modem_lines(True, True, rig.now_ns, LINE)
     rig.run(SECOND)
     assert len(rig.raw()) > 2000
+    rig.session.modem_lines(False, False, rig.now_ns, LINE)
+    rig.put(b"\xa5\x65")
+    assert rig.ask(0x92) == HEALTH, "the maker's SDK asks with the motor off, and takes an error for the end"
     other = rig_of("ydlidar-g4")
     other.session.modem_lines(False, False, other.now_ns, LINE)
     assert other.ask(0x92) == HEALTH
+
+
+def test_a_blocked_motor_is_not_freed_by_dtr_and_found_when_it_should_turn() -> None:
+    rig = rig_of("ydlidar-x4")
+    rig.session.modem_lines(False, False, rig.now_ns, LINE)
+    rig.session.impair(rig.now_ns, "motor stopped", 1.0)
+    assert rig.ask(0x92) == HEALTH
+    rig.session.modem_lines(True, True, rig.now_ns, LINE)
+    assert rig.ask(0x92) == reply(6, b"\x02\x01\x00")
+    rig.put(b"\xa5\x60")
+    rig.run(SECOND)
+    assert rig.raw() == SCAN
+    rig.session.impair(rig.now_ns, "motor stopped", 0.0)
+    rig.run(2 * SECOND)
+    assert len(rig.raw()) > 2000
 
 
 def test_time_stamps_come_before_zero_packets_where_they_are_wanted() -> None:
