@@ -160,7 +160,12 @@ def _range_fits(device: Device, values: Values) -> Code | None:
         return Code.INVALID_DATA
     ((step, first, last),) = sectors
     model = device.settings.model
-    good = step > 0 and first <= last and first < model.stop + 10_000 and last > model.start - 10_000
+    good = (
+        0 < step <= scandata.WIDEST_STEP
+        and first <= last
+        and first < model.stop + 10_000
+        and last > model.start - 10_000
+    )
     return None if good else Code.CONDITION_FAILED
 
 
@@ -244,6 +249,7 @@ def _optics(device: Device, now_ns: int) -> Values:
     return [0 if (share := device.window) >= 0.7 else 1 if share >= 0.4 else 2 if share >= 0.2 else 3]
 
 
+ZONES = range(-12, 15)
 PI = 3.1415927410125732
 "As a float of 32 bit: 40490FDB."
 LISTED = "drivers' sources and recorded start-ups"
@@ -303,7 +309,8 @@ VARIABLES: Mapping[str, Variable] = {
     "TSCTCInterface": Variable("u8", lambda settings: [0], WRITTEN),
     "TSCTCSrvAddr": Variable("u8 u8 u8 u8", lambda settings: [192, 168, 0, 2], WRITTEN),
     "TSCTCupdatetime": Variable("u32", lambda settings: [5], WRITTEN),
-    "TSCTCtimezone": Variable("i8", lambda settings: [0], WRITTEN),
+    "TSCTCtimezone": Variable("i8", lambda settings: [0], WRITTEN, check=_among(*ZONES),
+                              note="in hours, of the server's time; the unit is an assumption"),
     "EIIpAddr": Variable("u8 u8 u8 u8", lambda settings: [192, 168, 0, 1], WRITTEN, note="stored; links stay"),
     "EIgate": Variable("u8 u8 u8 u8", lambda settings: [0, 0, 0, 0], WRITTEN, note="stored"),
     "ActiveFieldSet": Variable("u16", lambda settings: [1], WRITTEN, on=_has_fields, changed=_scans_change,

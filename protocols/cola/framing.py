@@ -11,12 +11,11 @@ from __future__ import annotations
 import re
 
 from protocols.checksums import xor8
-from protocols.cola.values import ASCII, BINARY
+from protocols.cola.values import ASCII, BINARY, ETX, STX
 from protocols.framing import Framing
 from protocols.session import DropReason, Emission
 from protocols.skeleton.receiving import Fault, Splitter
 
-STX, ETX = b"\x02", b"\x03"
 START = STX * 4
 HEAD_BYTES = 8
 LONGEST = 16_384

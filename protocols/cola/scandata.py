@@ -25,6 +25,8 @@ LAYOUT = (
 """Version, device, serial, status, counters of telegrams and scans, times of scan and transmission, inputs, outputs,
 layer, frequencies, encoders, channels of 16 and of 8 bit, position [G], name, comment, time, event."""
 
+WIDEST_STEP = 0xFFFF
+"A channel has it in 16 bits."
 FULL_SCALE = 4000.0
 """Peak over threshold at which RSSI has its highest value below `dazzled`. The scale is logarithmic and its unit the
 maker's own ([M], LMS5xx and MRS1000); this end of it is ours."""

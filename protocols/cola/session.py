@@ -189,7 +189,7 @@ class ColaSession(ColaAsking):
         return Body(
             header, found.range_m, found.intensity, found.flags, shape.start, shape.step, setup.scale,
             model.nearest_raw, content, setup.echoes(),
-            encoders=setup.encoders(reported.true_ns),
+            encoders=setup.encoders(reported.true_ns - self._powered_ns),
             name=self.values["LocationName"][0],
             date=self.date(reported.true_ns) if content.time and model.sends_time else None,
         )  # fmt: skip
@@ -279,10 +279,13 @@ class ColaSession(ColaAsking):
     def disconnected(self, now_ns: int, address: Address) -> None:
         """A stream's host has gone: its subscriptions, polls and user level with it."""
         super().disconnected(now_ns, address)
+        was_still = self._still
         for one in (self._levels, self._dialects, self._asking, self._asked):
             one.pop(address, None)
         for listeners in self._listeners.values():
             listeners.discard(address)
+        if self._still != was_still:
+            self.rearrange(now_ns)
 
     def _listen(self, name: str, on: int, request: Request) -> bytes | Refused:
         address, now_ns = request.address, request.now_ns

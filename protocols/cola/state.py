@@ -29,6 +29,7 @@ SPIN_UP_SHARES = (0.2, 0.5, 0.8)
 "Of the time until it measures: STlms says motor start, then rotating, in preparation, ready."
 NO_NETWORK_NS = SECOND_NS
 "A device that has just been switched on has no network yet; at most half of the time until it measures."
+HOUR_US = 3_600_000_000
 EPOCH, LATEST_US = datetime(1970, 1, 1), 4_102_444_800_000_000
 "The calendar ends with 2099."
 
@@ -76,6 +77,7 @@ class ColaState(RequestSession):
         self.power_ups = settings.power_ups
         self.window = 1.0
         self._first_power_ns: int | None = None
+        self._powered_ns = 0
         self._chain = filters.Chain()
         self._watching = Watching(model.fields)
         self._challenges = 0
@@ -118,6 +120,7 @@ class ColaState(RequestSession):
         super().power_on(now_ns)
 
     def _reset(self, now_ns: int) -> None:
+        self._powered_ns = now_ns
         values, passwords, self.pair = self._kept
         self.values, self.passwords = dict(values), dict(passwords)
         if self._first_power_ns is None:
@@ -178,7 +181,7 @@ class ColaState(RequestSession):
     def date(self, at_ns: int) -> tuple[int, ...]:
         """Year to second, and microseconds: from 1970 on since power-on, unless it was set, or has an NTP server."""
         if self.values["TSCRole"] == [1] and self.settings.ntp_epoch_s:
-            micro = round(self.settings.ntp_epoch_s * 1e6) + at_ns // 1000
+            micro = round(self.settings.ntp_epoch_s * 1e6) + at_ns // 1000 + HOUR_US * self.values["TSCTCtimezone"][0]
         else:
             micro = self.clock.shown_ns(at_ns) // 1000 + (self._date_us or 0)
         date = EPOCH + timedelta(microseconds=min(max(0, micro), LATEST_US))

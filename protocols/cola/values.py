@@ -29,6 +29,8 @@ from protocols.errors import EncodeError
 
 ASCII, BINARY = b"A", b"B"
 "The dialects."
+STX, ETX = b"\x02", b"\x03"
+"They bound a telegram in CoLa-A."
 
 Node = str | tuple[Any, ...]
 INTEGERS = {"u8": 1, "u16": 2, "u32": 4, "i8": 1, "i16": 2, "i32": 4, "p32": 4}
@@ -38,8 +40,9 @@ HEX, DECIMAL = re.compile(rb"[0-9A-Fa-f]{1,40}"), re.compile(rb"[+-][0-9]{1,40}"
 
 
 class Code(IntEnum):
-    """Error codes of `sFA`."""
+    """Error codes of `sFA`, those that our devices never send included."""
 
+    OK = 0
     METHOD_DENIED = 1
     METHOD_UNKNOWN = 2
     VARIABLE_UNKNOWN = 3
@@ -48,13 +51,24 @@ class Code(IntEnum):
     UNKNOWN_ERROR = 6
     TOO_MUCH = 7
     TOO_LITTLE = 8
+    UNKNOWN_TYPE = 9
     WRITE_DENIED = 0xA
+    UNKNOWN_SERVER_COMMAND = 0xB
     COMMAND_UNKNOWN = 0xC
     BUSY = 0xD
     OUT_OF_BOUNDS = 0xE
     EVENT_UNKNOWN = 0xF
     VALUE_OVERFLOW = 0x10
     INVALID_CHARACTER = 0x11
+    NO_MESSAGE = 0x12
+    NO_ANSWER_MESSAGE = 0x13
+    INTERNAL_ERROR = 0x14
+    HUB_ADDRESS_CORRUPTED = 0x15
+    HUB_ADDRESS_NOT_DECODABLE = 0x16
+    HUB_ADDRESS_TOO_LONG = 0x17
+    HUB_ADDRESS_WITHOUT_BLANK = 0x18
+    ASYNCHRONOUS_SUPPRESSED = 0x19
+    COMPLEX_ARRAYS_UNSUPPORTED = 0x1A
 
 
 class Rejected(Exception):
@@ -190,7 +204,10 @@ class _Octets:
         return int.from_bytes(self._take(INTEGERS[node]), "big", signed=node[0] != "u")
 
     def text(self, size: int) -> str:
-        return self._take(size).decode("latin-1")
+        raw = self._take(size)
+        if STX in raw or ETX in raw:  # CoLa-A could not tell it to anybody
+            raise Rejected(Code.INVALID_CHARACTER)
+        return raw.decode("latin-1")
 
     def array(self, node: str, count: int) -> NDArray[Any]:
         return np.frombuffer(self._take(count * INTEGERS[node[:-1]]), ARRAYS[node])

@@ -159,3 +159,10 @@ def test_telegrams_are_described_field_by_field() -> None:
     for data in (b"\x02", b"\xff\x02", rig.sent[-1].payload[:100], ask_b("sSN LMDscandata", "00")):
         assert describe(speaker, data)
     assert frames(rig.sent[-1].payload)[0][0] == "B"
+
+
+@pytest.mark.parametrize(
+    ("code", "name"), [("9", "unknown type"), ("B", "unknown server"), ("14", "internal"), ("1A", "complex")]
+)
+def test_error_words_that_our_devices_never_send_are_named_too(code: str, name: str) -> None:
+    assert describe(Speaker("cola"), b"\x02sFA %s\x03" % code.encode())[-1][2].startswith(name)

@@ -276,6 +276,20 @@ def test_login_stops_the_scans_where_the_device_is_set_so() -> None:
     assert len(rig.scan().mm()) == 541
 
 
+def test_scans_that_a_login_held_back_are_nobodys_when_its_host_hangs_up() -> None:
+    rig = Rig("sick-lms511", quiet_login=True)
+    assert rig.b("sEN LMDscandata", "01", to=TWO) == b"sEA LMDscandata \x01"
+    rig.log_in()
+    rig.forget()
+    rig.run(2 * SECOND)
+    assert not rig.sent
+    rig.dropped()
+    rig.session.disconnected(rig.now_ns, ONE)
+    rig.run(SECOND)
+    assert len(rig.sent) == pytest.approx(49, abs=2)
+    assert rig.dropped() == [], "the device did not measure: nothing was late"
+
+
 def test_a_slow_serial_line_loses_whole_telegrams_which_are_counted() -> None:
     rig = Rig(kind=LinkKind.SERIAL, serial_baud=57_600)
     line = Address(0, 0)
@@ -448,6 +462,43 @@ def test_the_encoder_counts_the_way_of_the_belt() -> None:
         moved = (second[0] - first[0] + 2**31) % 2**32 - 2**31
         # 1000 ticks a second, whatever the number of scans between the two
         assert moved == pytest.approx(sign * (two.scan_us - one.scan_us) * 1e-3, abs=1.0)
+
+
+def test_the_encoder_begins_at_zero_with_the_power() -> None:
+    rig = Rig("sick-lms111", encoder_mm_s=1000.0, access="open")
+    for _ in range(2):
+        rig.a("sWN LICencset 2")
+        rig.a("sWN LMDscandatacfg 01 00 0 0 0 01 00 0 0 0 0 +1")
+        rig.a("sEN LMDscandata 1")
+        scan = rig.scan()
+        ((ticks, _),) = scan.encoders
+        assert ticks == pytest.approx(scan.scan_us * 1e-3, abs=1.0), "a tick is 1 mm"
+        rig.session.power_on(rig.now_ns)
+        rig.run(11 * SECOND)
+        rig.forget()
+
+
+def test_a_step_that_no_telegram_holds_is_refused() -> None:
+    for model in MODELS:
+        rig = Rig(model, access="open")
+        kept = rig.a("sRN LMPoutputRange")
+        for step in ("FFFFFFFF", "10000", "0"):
+            assert rig.a(f"sWN LMPoutputRange 1 {step} +0 +900000") == "sFA 4"
+        assert rig.a("sRN LMPoutputRange") == kept
+        assert rig.a("sWN LMPoutputRange 1 FFFF +0 +900000") == "sWA LMPoutputRange"
+        assert rig.a("sEN LMDscandata 1") == "sEA LMDscandata 1"
+        _, _, first, step, counts = rig.scan().channels["DIST1"]
+        assert first + (len(counts) - 1) * step <= 900_000 + 2500
+
+
+def test_the_zone_shifts_the_time_of_the_server_and_not_that_of_a_host() -> None:
+    rig = Rig("sick-lms511", ntp_epoch_s=1_700_000_000, access="open")
+    assert rig.a("sWN TSCTCtimezone +15") == "sFA 4"
+    assert rig.a("sWN TSCTCtimezone -5") == "sWA TSCTCtimezone"
+    rig.a("sMN LSPsetdatetime +2026 +3 +1 +12 0 0 0")
+    assert rig.a("sRN STlms").split(" ")[5:8] == ["12:00:00", "8", "01.03.26"]
+    rig.a("sWN TSCRole 1")
+    assert rig.a("sRN STlms").split(" ")[5:8] == ["17:13:30", "8", "14.11.23"]
 
 
 def test_the_angle_filter_of_an_mrs_leaves_a_sector_and_every_second_beam() -> None:

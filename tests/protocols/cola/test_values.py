@@ -91,6 +91,8 @@ def test_numbers_are_upper_case_hexadecimal_without_leading_zeros_but_where_driv
         ("f32", ASCII, b"7FC00000", Code.INVALID_DATA),
         ("str", ASCII, b"3 abcd", Code.INVALID_DATA),
         ("str", BINARY, b"\x00\x05abcd", Code.TOO_LITTLE),
+        ("str", BINARY, b"\x00\x03a\x03b", Code.INVALID_CHARACTER),  # CoLa-A could not tell it any more
+        ("s4", BINARY, b"RA\x02G", Code.INVALID_CHARACTER),
         ("[u16]", BINARY, b"\xff\xff", Code.TOO_LITTLE),
     ],
 )
