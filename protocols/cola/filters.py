@@ -13,6 +13,8 @@ import numpy as np
 
 from protocols.scan import Floats, Scan, ScanPlan
 
+Place = tuple[int, int]
+"Turn of an interlaced sequence, and layer: what scans of the same directions have in common."
 FIRST, ALL, LAST = 0, 1, 2
 "FREchoFilter."
 FOG_M, FOG_PEAK = 4.0, 8.0
@@ -71,10 +73,10 @@ class Chain:
     """The filters of one device. Settings and directions may change only with `clear`."""
 
     def __init__(self) -> None:
-        self._before: dict[int, Floats] = {}
-        "Ranges of the scan before, for each layer."
-        self._window: dict[int, deque[Floats]] = {}
-        self._gathered: dict[int, list[Filtered]] = {}
+        self._before: dict[Place, Floats] = {}
+        "Ranges of the scan before, of the same directions."
+        self._window: dict[Place, deque[Floats]] = {}
+        self._gathered: dict[Place, list[Filtered]] = {}
 
     def clear(self) -> None:
         """Forget earlier scans."""
@@ -82,7 +84,7 @@ class Chain:
         self._window.clear()
         self._gathered.clear()
 
-    def add(self, scan: Scan, filters: Filters, layer: int = 0) -> Filtered | None:
+    def add(self, scan: Scan, filters: Filters, place: Place = (0, 0)) -> Filtered | None:
         """What a scan becomes; None: a mean needs more of them."""
         ranges, peaks = scan.range_m.copy(), scan.intensity.copy()
         if filters.fog:
@@ -94,23 +96,23 @@ class Chain:
         if filters.edge_m:
             ranges[_edges(ranges, filters.edge_m)] = np.nan
         if filters.particle_m is not None:
-            before = self._before.get(layer)
-            self._before[layer] = ranges.copy()
+            before = self._before.get(place)
+            self._before[place] = ranges.copy()
             gone = _lonely(ranges, before, filters.particle_m)
             ranges, peaks = np.where(gone, np.nan, ranges), np.where(gone, np.nan, peaks)
         if filters.median:
-            window = self._window.setdefault(layer, deque(maxlen=3))
+            window = self._window.setdefault(place, deque(maxlen=3))
             window.append(ranges)
             middle = _median(list(window))
             ranges = np.where(np.isfinite(ranges), middle, np.nan)
         found = Filtered(ranges, peaks, scan.flags)
         if filters.mean < 2:
             return found
-        parts = self._gathered.setdefault(layer, [])
+        parts = self._gathered.setdefault(place, [])
         parts.append(found)
         if len(parts) < filters.mean:
             return None
-        del self._gathered[layer]
+        del self._gathered[place]
         return Filtered(
             _mean([part.range_m for part in parts]),
             _mean([part.intensity for part in parts]),

@@ -127,7 +127,7 @@ class ColaSession(ColaAsking):
         sent_ns = model.transmission_ns + (turn_ns if model.series in ("lms1", "lms5") else end_ns)
         self._watching.see(scan, end_ns)
         numbers = range(plan.sweep, plan.sweep + 1)
-        found = self._chain.add(_cut(scan, shape.sent), setup.filters(), plan.sweep % model.layers)
+        found = self._chain.add(_cut(scan, shape.sent), setup.filters(), setup.place(plan.sweep))
         takers = [
             one for one, since_ns in self._hosts.items() if one not in (POLL, WATCH) and since_ns <= plan.start_ns
         ]

@@ -201,6 +201,16 @@ def test_the_median_filter_removes_what_one_direction_shows_once() -> None:
     assert {value for _ in range(5) for value in rig.scan().mm()} == {10_000.0}
 
 
+@pytest.mark.parametrize("written", ["LFPmedianfilter 1 3", "LFPmeanfilter 1 +3 0", "LFPparticle 1 +500"])
+def test_filters_compare_interlaced_scans_of_the_same_directions(written: str) -> None:
+    rig = Rig("sick-lms511", world=lambda plan: scan_of(plan, 5.0 + plan.azimuth_rad))
+    start(rig, ONE, "sMN mLMPsetscancfg +5000 +1 +1667 -50000 +1850000", "sWN " + written)
+    for _ in range(8):
+        _, _, first, _, counts = rig.scan().channels["DIST1"]
+        wanted = 5000 + 1000 * np.radians((first + np.arange(len(counts)) * 10_000 / 3) / 1e4 - 90)
+        assert np.abs(np.asarray(counts) - wanted)[1:-1].max() <= 1.5
+
+
 def test_the_fog_filter_shows_what_is_behind_a_weak_near_echo() -> None:
     def world(plan: ScanPlan) -> Scan:
         strengths = np.tile([3.0, 50.0], (len(plan), 1))
