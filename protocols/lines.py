@@ -35,7 +35,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "other": "__init__",
     },
     "cola": {
-        "codec": "values framing scandata login",
+        "codec": "framing scandata login",
         "commands": "commands asking",
         "session": "session state shapes filters fields watching",
         "settings": "settings models",

@@ -16,11 +16,11 @@ from emulator.hosts.scans import HostScan
 from emulator.hosts.scripted import Connection, HostEnd
 from emulator.process.clock import SystemClock
 from protocols.cola.commands import VARIABLES
-from protocols.cola.framing import ColaSplitter, frame
-from protocols.cola.login import AUTHORISED, PASSWORDS, short_hash
+from protocols.cola.login import AUTHORISED, PASSWORDS
 from protocols.cola.scandata import LAYOUT
-from protocols.cola.values import ASCII, BINARY, Rejected, decode, encode
 from protocols.scan import Floats
+from protocols.skeleton.cola_frames import ColaSplitter, frame
+from protocols.skeleton.cola_values import ASCII, BINARY, Rejected, decode, encode, short_hash
 
 LONGEST = 1 << 19
 REPLY_S, REPEAT_S = 2.0, 0.4

@@ -11,16 +11,14 @@ from typing import Any, ClassVar
 
 from protocols.cola import login
 from protocols.cola.commands import METHODS, VARIABLES, Method, Sfa, Variable, codes, refusal
-from protocols.cola.framing import ColaSplitter, frame
 from protocols.cola.settings import CLASSIC
 from protocols.cola.state import ColaState
-from protocols.cola.values import ASCII, BINARY, Code, Rejected, decode, encode
 from protocols.session import DropReason, LinkKind
+from protocols.skeleton.cola_frames import UNKNOWN, ColaSplitter, frame, refused
+from protocols.skeleton.cola_values import ASCII, BINARY, Code, Rejected, decode, encode
 from protocols.skeleton.requests import Answer, Command, Refused, Request
 
 ANSWERS = {b"sRN": b"sRA", b"sRI": b"sRA", b"sWN": b"sWA", b"sMN": b"sAN", b"sEN": b"sEA"}
-UNKNOWN = {b"sRN": Code.VARIABLE_UNKNOWN, b"sWN": Code.VARIABLE_UNKNOWN, b"sMN": Code.METHOD_UNKNOWN,
-           b"sEN": Code.EVENT_UNKNOWN}  # fmt: skip
 
 
 def named(dialect: bytes, head: bytes, name: bytes, data: bytes) -> bytes:
@@ -118,13 +116,13 @@ class ColaAsking(ColaState):
             return frame(dialect, b"sRA \0\0" + payload)
         return frame(dialect, named(dialect, ANSWERS[request.code[:3]], name, payload))
 
-    def _refusal(self, request: Request, refused: Refused) -> bytes | None:
+    def _refusal(self, request: Request, why: Refused) -> bytes | None:
         dialect = request.data[:1]
         if not self._speaks(dialect):
             return None
         self._dialects[request.address] = dialect
-        code = refused.code if isinstance(refused, Sfa) else UNKNOWN.get(request.code[:3], Code.COMMAND_UNKNOWN)
-        return frame(dialect, b"sFA %X" % code if dialect == ASCII else b"sFA" + int(code).to_bytes(2, "big"))
+        code = why.code if isinstance(why, Sfa) else UNKNOWN.get(request.code[:3], Code.COMMAND_UNKNOWN)
+        return frame(dialect, refused(dialect, code))
 
     def _speaks(self, dialect: bytes) -> bool:
         """Whether it speaks that dialect at present."""

@@ -12,11 +12,11 @@ from itertools import pairwise
 from typing import Any, Protocol
 
 from protocols.cola import fields, scandata
-from protocols.cola.login import AUTHORISED, LEVELS, RUN, SERVICE, short_hash
+from protocols.cola.login import AUTHORISED, LEVELS, RUN, SERVICE
 from protocols.cola.models import Model, Pair
 from protocols.cola.settings import Settings
-from protocols.cola.values import Code
 from protocols.session import CommandRow, DropReason
+from protocols.skeleton.cola_values import Code, short_hash
 from protocols.skeleton.requests import Refused, Request
 
 Values = Sequence[Any]

@@ -1,98 +1,23 @@
-"""Frames of both dialects of CoLa, distinguished telegram by telegram; and telegrams changed on their way by faults.
+"""Telegrams of CoLa changed on their way by faults.
 
-    CoLa-A    STX text ETX
-    CoLa-B    02 02 02 02, length of the payload (32 bits, big endian), payload, XOR of the payload
-
-Belongs here: from bytes to payloads and back. Not: what a payload says (values, commands).
+Belongs here: where sum, length and counters stand in a telegram. Not: frames themselves (skeleton.cola_frames).
 """
 
 from __future__ import annotations
 
 import re
 
-from protocols.checksums import xor8
-from protocols.cola.values import ASCII, BINARY, ETX, STX
 from protocols.framing import Framing
-from protocols.session import DropReason, Emission
-from protocols.skeleton.receiving import Fault, Splitter
-
-START = STX * 4
-HEAD_BYTES = 8
-LONGEST = 16_384
-"A host's longest telegram writes a segmented field of 1141 directions."
+from protocols.session import Emission
+from protocols.skeleton.cola_frames import HEAD_BYTES, START, frame, opened
+from protocols.skeleton.cola_values import ASCII, ETX
 
 SCAN = b"LMDscandata "
 COUNTER = re.compile(rb"(s(?:SN|RA) LMDscandata (?:[0-9A-F]+ ){5})([0-9A-F]+)( )([0-9A-F]+)( )")
 "CoLa-A: what stands before the telegram counter, it, and the scan counter behind it."
 COUNTER_AT = 10
 "CoLa-B: of the telegram counter behind the name; the scan counter follows."
-CONTROL = re.compile(rb"[\x00-\x1f]")
-"The first of these behind STX ends a text, or it is none."
 NAME = re.compile(rb"(s[RWEM]N )(\w+)")
-
-
-def frame(dialect: bytes, payload: bytes) -> bytes:
-    """A telegram on the wire."""
-    if dialect == ASCII:
-        return STX + payload + ETX
-    return START + len(payload).to_bytes(4, "big") + payload + bytes((xor8(payload),))
-
-
-def opened(telegram: bytes) -> tuple[bytes, bytes] | None:
-    """Dialect and payload of one whole telegram; None: it is none, or damaged."""
-    found = ColaSplitter(1 << 20).feed(telegram)
-    one = found[0] if len(found) == 1 else None
-    return (one[:1], one[1:]) if isinstance(one, bytes) else None
-
-
-class ColaSplitter(Splitter[bytes]):
-    """Finds telegrams; an item is the letter of its dialect and the payload.
-
-    Of a false start only its first bytes are skipped; what follows them is read again.
-    """
-
-    def __init__(self, longest: int = LONGEST) -> None:
-        super().__init__(longest + HEAD_BYTES + 1)
-        self._longest = longest
-
-    def expire(self) -> list[bytes | Fault]:
-        """Give up the telegram that stopped half-way; what a false start swallowed is read again."""
-        gone = len(self._buffer.take(1))
-        return [Fault(DropReason.TIMEOUT, gone), *self.feed(b"")] if gone else []
-
-    def _next(self) -> bytes | Fault | None:
-        if skipped := self._buffer.skip_to(STX):
-            return Fault(DropReason.NO_START_BYTE, skipped)
-        held = self._buffer.peek(len(self._buffer)) or b""
-        starts = len(held) - len(held.lstrip(STX))
-        if starts >= len(START):
-            return self._binary(held)
-        if starts == len(held):
-            return None  # either dialect
-        if starts > 1:
-            return Fault(DropReason.NO_START_BYTE, len(self._buffer.take(starts - 1)))
-        control = CONTROL.search(held, 1)
-        if control is None:
-            return None
-        end = control.start()
-        if held[end : end + 1] != ETX:
-            return Fault(DropReason.BAD_LENGTH, len(self._buffer.take(end)), "no ETX")
-        self._buffer.take(end + 1)
-        return ASCII + held[1:end]
-
-    def _binary(self, held: bytes) -> bytes | Fault | None:
-        if len(held) < HEAD_BYTES:
-            return None
-        length = int.from_bytes(held[4:8], "big")
-        if length > self._longest:
-            return Fault(DropReason.BAD_LENGTH, len(self._buffer.take(1)), f"{length} bytes")
-        if len(held) < HEAD_BYTES + length + 1:
-            return None
-        payload = held[HEAD_BYTES : HEAD_BYTES + length]
-        if held[HEAD_BYTES + length] != xor8(payload):
-            return Fault(DropReason.BAD_CHECKSUM, len(self._buffer.take(len(START))), whole=True)
-        self._buffer.take(HEAD_BYTES + length + 1)
-        return BINARY + payload
 
 
 class ColaFraming(Framing):

@@ -16,13 +16,6 @@ PASSWORDS: Mapping[int, str] = {MAINTENANCE: "main", AUTHORISED: "client", SERVI
 "As delivered (drivers' sources, hashes recomputed)."
 
 
-def short_hash(password: str) -> int:
-    """The 32 bits of `SetAccessMode`: the words of the MD5 XORed, bytes in reverse order. `client` is F4724744."""
-    digest = hashlib.md5(password.encode("latin-1"), usedforsecurity=False).digest()
-    words = [int.from_bytes(digest[k : k + 4], "little") for k in range(0, 16, 4)]
-    return words[0] ^ words[1] ^ words[2] ^ words[3]
-
-
 def long_hash(level: int, password: str, salt: bytes = b"") -> bytes:
     """SHA-256 that a device with the login by challenge keeps; `salt` of version 2, empty in version 1."""
     text = f"{LEVELS[level]}:SICK Sensor:{password}".encode("latin-1")

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from protocols.cola.values import encode
 from protocols.scan import DAZZLED, Floats
+from protocols.skeleton.cola_values import encode
 
 CHANNEL = "s5 f32 f32 p32 u16"
 TIME = "u16 u8 u8 u8 u8 u8 u32"

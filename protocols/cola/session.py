@@ -13,15 +13,15 @@ from typing import Any
 from protocols.cola import filters
 from protocols.cola.asking import ColaAsking, named
 from protocols.cola.commands import EVENTS, VARIABLES, refusal
-from protocols.cola.framing import frame
 from protocols.cola.models import Pair
 from protocols.cola.scandata import Body, Header
 from protocols.cola.shapes import TICK_NS, Shape
 from protocols.cola.state import Held, Host
-from protocols.cola.values import ASCII, BINARY, Code, encode
 from protocols.device_clock import DeviceStamp
 from protocols.scan import Scan
 from protocols.session import Address, DropReason, Emission, LinkKind
+from protocols.skeleton.cola_frames import frame
+from protocols.skeleton.cola_values import ASCII, BINARY, Code, encode
 from protocols.skeleton.instants import SECOND_NS, Raster, earliest
 from protocols.skeleton.outbox import Outgoing
 from protocols.skeleton.requests import Answer, Refused, Request

@@ -11,6 +11,8 @@ sweeps      a device that measures one sweep after the other, and its subscriber
 one_way     a device that only sends: datagrams of sweeps, and periodic ones
 requests    a device with a command table
 http        requests and replies of a web interface
+cola_values values of CoLa in either dialect, by layout; error codes; what passwords become
+cola_frames telegrams of CoLa in either dialect
 nmea        sentences of a satellite receiver
 rotor       angle of a rotor that turns freely, and the turns that its samples make
 ramping     angle of a head that ramps to a speed, piece by piece

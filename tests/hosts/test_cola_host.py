@@ -11,7 +11,7 @@ from emulator.hosts.describe import Speaker, describe
 from emulator.hosts.lines import SocketLine
 from emulator.hosts.scans import HostScan
 from emulator.process.clock import ManualClock
-from protocols.cola.values import ASCII, BINARY
+from protocols.skeleton.cola_values import ASCII, BINARY
 from tests.protocols.cola.reader import ask_a, ask_b, frames
 from tests.protocols.cola.rig import MS, ONE, SECOND, Rig
 

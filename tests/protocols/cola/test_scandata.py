@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from protocols.cola.framing import frame
 from protocols.cola.scandata import Body, Content, Header, distances, remissions
-from protocols.cola.values import ASCII, BINARY
 from protocols.scan import DAZZLED
+from protocols.skeleton.cola_frames import frame
+from protocols.skeleton.cola_values import ASCII, BINARY
 from tests.protocols.cola.reader import frames, read
 from tests.protocols.cola.rig import Rig
 
@@ -47,7 +47,7 @@ def with_rssi(made: Body, words: list[list[int]], dialect: bytes) -> bytes:
     for channel, reported in zip([*values[17], *values[18]][made.channels :], words, strict=False):
         channel[5] = np.array(reported)
     from protocols.cola.scandata import LAYOUT
-    from protocols.cola.values import encode
+    from protocols.skeleton.cola_values import encode
 
     return frame(dialect, b"sSN LMDscandata " + encode(LAYOUT, dialect, values))
 

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocols.cola.scandata import TIME
-from protocols.cola.values import ASCII, BINARY, INTEGERS, Code, Rejected, decode, encode
 from protocols.errors import EncodeError
+from protocols.skeleton.cola_values import ASCII, BINARY, INTEGERS, Code, Rejected, decode, encode
 
 TEXT = "u8 u16 u32 i8 i16 i32 p32 f32 str s4 [u16 [i8]]"
 

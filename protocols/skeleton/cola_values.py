@@ -9,11 +9,13 @@ A layout is a line of types; `[...]` is a repetition behind its 16-bit count, 0 
     *                           bytes to the end; in CoLa-A as hexadecimal digits
 
 CoLa-B: big endian, without separators. CoLa-A: upper-case hexadecimal, a blank between two; negative numbers in two's
-complement; hosts may write a number with a sign, which is decimal then. Belongs here: values. Not: names, frames.
+complement; hosts may write a number with a sign, which is decimal then. Belongs here: values, and what passwords
+become. Not: names, frames.
 """
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
 import struct
@@ -270,3 +272,13 @@ class _Words:
         if len(raw) % 2 or (raw and not re.fullmatch(rb"[0-9A-Fa-f]+", raw)):
             raise Rejected(Code.INVALID_CHARACTER)
         return bytes.fromhex(raw.decode())
+
+
+# ---------------------------------------------------------------- passwords
+
+
+def short_hash(password: str) -> int:
+    """The 32 bits of `SetAccessMode`: the words of the MD5 XORed, bytes in reverse order. `client` is F4724744."""
+    digest = hashlib.md5(password.encode("latin-1"), usedforsecurity=False).digest()
+    words = [int.from_bytes(digest[k : k + 4], "little") for k in range(0, 16, 4)]
+    return words[0] ^ words[1] ^ words[2] ^ words[3]
