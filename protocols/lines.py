@@ -36,7 +36,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     },
     "cola": {
         "codec": "framing scandata login",
-        "commands": "commands asking",
+        "commands": "commands answers asking",
         "session": "session state shapes filters fields watching",
         "settings": "settings models",
         "other": "__init__",

@@ -1,4 +1,4 @@
-"""Access to a CoLa device: user levels, what passwords become on the wire, and the login by challenge.
+"""Access to a CoLa device: user levels, and the login by challenge.
 
 Belongs here: arithmetic on passwords. Not: which level a command needs (commands).
 """

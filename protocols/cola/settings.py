@@ -12,7 +12,7 @@ from protocols.cola.login import AUTHORISED, MAINTENANCE, PASSWORDS, SERVICE
 from protocols.cola.models import MODELS, Model
 from protocols.skeleton.keys import DeviceKeys
 
-CLASSIC = "classic"
+CLASSIC, SALTED = "classic", "challenge 2"
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def settings_of(keys: DeviceKeys) -> Settings:
         change_s=keys.number("change_s", "without scans after another scan configuration", model.change_s, 0.0, 60.0),
         strict=keys.choice("access", "strict: writes need a login", "strict", ("strict", "open")) == "strict",
         dialect=keys.choice("dialect", "both, or that of EIHstCola alone", "both", ("both", "host")),
-        login=keys.choice("login", "what GetChallenge does", CLASSIC, (CLASSIC, "challenge 1", "challenge 2")),
+        login=keys.choice("login", "what GetChallenge does", CLASSIC, (CLASSIC, "challenge 1", SALTED)),
         quiet_login=keys.flag("quiet_login", "no scans while a host is logged in", False),
         fog=keys.flag("fog_filter", "weak echoes of the near field are taken away", False),
         edge_m=keys.number("edge_filter_m", "MRS1000: neighbours that differ by more than this are taken away; 0: off",

@@ -41,12 +41,11 @@ class Watching:
         for watch in self._watches:
             watch.result, watch.against = INVALID, 0
 
-    def use(self, values: Mapping[str, Any], count: int) -> None:
-        """The fields that are configured, of the active set."""
-        first = (values["ActiveFieldSet"][0] - 1) * fields.SET if count else 0
-        numbered = [
-            (place, values[f"field{first + place:03d}"]) for place in range(fields.SET) if first + place < count
-        ]
+    def use(self, values: Mapping[str, Any]) -> None:
+        """The fields that are configured, of the active set; a model without fields has none."""
+        first = (values["ActiveFieldSet"][0] - 1) * fields.SET if self._count else 0
+        places = range(min(fields.SET, max(0, self._count - first)))
+        numbered = [(place, values[f"field{first + place:03d}"]) for place in places]
         self._records = [(place, record) for place, record in numbered if fields.is_set(record)]
 
     def see(self, scan: Scan, end_ns: int) -> None:
@@ -80,7 +79,7 @@ class Watching:
         own = [(int(watch.result == INFRINGED), watch.changes) for watch in self._watches]
         return [*own, *[(0, 0)] * (OWN_OUTPUTS - len(own)), *[(UNUSED, 0)] * count][:count]
 
-    def results(self, values: Mapping[str, Any], micro: int, date: list[int]) -> list[Any]:
+    def results(self, micro: int, date: list[int]) -> list[Any]:
         """LFErec: a block for each configured field."""
         return [
             [

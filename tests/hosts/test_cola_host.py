@@ -83,7 +83,7 @@ def test_a_probe_leaves_the_device_as_it_was() -> None:
     host = ColaHost(RigLine(rig), None)
     assert host.title == "LMS11x_FieldEval V1.80"
     host.close()
-    assert not rig.session._levels
+    assert not rig.session.levels
     assert rig.session.next_plan() is None
 
 

@@ -415,7 +415,7 @@ def test_a_single_scan_does_not_infringe_a_field() -> None:
     rig.log_in()
     rig.a(RECTANGLE)
     rig.run(2 * SECOND)
-    (_, changes), *_ = rig.session._watching.outputs(1)
+    (_, changes), *_ = rig.session.watching.outputs(1)
     assert changes <= 2, "free, or first infringed and then free"
 
 
