@@ -35,9 +35,9 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "other": "__init__",
     },
     "cola": {
-        "codec": "framing scandata login",
+        "codec": "framing scandata",
         "commands": "commands answers asking",
-        "session": "session state shapes filters fields watching",
+        "session": "session state shapes filters fields",
         "settings": "settings models",
         "other": "__init__",
     },

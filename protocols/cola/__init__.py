@@ -3,11 +3,10 @@
 framing     telegrams changed by faults; frames and values of both dialects: skeleton.cola_frames, cola_values
 scandata    LMDscandata
 models, settings   facts of the models, the scenario's `device` table
-login       user levels, challenges
 commands    variables, methods, events: the table
 answers     what its rows do
 filters     echo choice, fog, particle, median and mean filter
-fields, watching   field evaluation
+fields      field evaluation
 shapes      beams and telegrams at the present settings
 state       what the device remembers
 asking      requests in either dialect, with their answers

@@ -5,6 +5,7 @@ Belongs here: functions of `(device, now_ns)`, `(device, values)` or `(device, v
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -13,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from protocols.cola import login, scandata
-from protocols.cola.settings import CLASSIC, SALTED, Settings
+from protocols.cola import scandata
+from protocols.cola.settings import CLASSIC, LEVELS, RUN, SALTED, Settings
 from protocols.cola.state import EPOCH, ColaState
 from protocols.session import DropReason
 from protocols.skeleton.cola_values import Code
@@ -165,8 +166,8 @@ def range_fits(device: ColaState, values: Values) -> Code | None:
 
 
 def content_fits(device: ColaState, values: Values) -> Code | None:
-    """LMDscandatacfg: what `scandata.fits`."""
-    return None if scandata.fits(values, device.settings.model.echoes) else Code.CONDITION_FAILED
+    """LMDscandatacfg."""
+    return None if scandata.Content(*values).fits else Code.CONDITION_FAILED
 
 
 def mean_fits(device: ColaState, values: Values) -> Code | None:
@@ -223,7 +224,7 @@ def challenge(device: ColaState, values: Values, request: Request) -> Values | S
     if len(values[0]) != int(salted):
         return refusal(Code.TOO_LITTLE if salted else Code.TOO_MUCH)
     device.challenges += 1
-    drawn = login.challenge_of(str(settings.serial), device.challenges, request.now_ns)
+    drawn = challenge_of(str(settings.serial), device.challenges, request.now_ns)
     device.asked[request.address] = drawn
     return [0, drawn + _salt(settings)]
 
@@ -241,7 +242,7 @@ def answer_challenge(device: ColaState, values: Values, request: Request) -> Val
     password = settings.passwords.get(level)
     if password is None:
         return [1]
-    wanted = login.response(login.long_hash(level, password, _salt(settings)), drawn)
+    wanted = response(long_hash(level, password, _salt(settings)), drawn)
     if answer[:32] != wanted or "login" in device.faults:
         return [2]
     device.set_level(request.address, level, request.now_ns)
@@ -249,7 +250,7 @@ def answer_challenge(device: ColaState, values: Values, request: Request) -> Val
 
 
 def _salt(settings: Settings) -> bytes:
-    return login.challenge_of(str(settings.serial), 0, 0) if settings.login == SALTED else b""
+    return challenge_of(str(settings.serial), 0, 0) if settings.login == SALTED else b""
 
 
 def check_password(device: ColaState, values: Values, request: Request) -> Values:
@@ -267,7 +268,7 @@ def set_password(device: ColaState, values: Values, request: Request) -> Values:
 
 def log_out(device: ColaState, values: Values, request: Request) -> Values:
     """Run."""
-    device.set_level(request.address, login.RUN, request.now_ns)
+    device.set_level(request.address, RUN, request.now_ns)
     return [1]
 
 
@@ -324,3 +325,22 @@ def factory(device: ColaState, values: Values, request: Request) -> Values:
 def nothing(device: ColaState, values: Values, request: Request) -> Values:
     """mSCreboot: what it does is in its row."""
     return []
+
+
+# ---------------------------------------------------------------- the login by challenge
+
+
+def long_hash(level: int, password: str, salt: bytes = b"") -> bytes:
+    """SHA-256 that a device with the login by challenge keeps; `salt` of version 2, empty in version 1."""
+    text = f"{LEVELS[level]}:SICK Sensor:{password}".encode("latin-1")
+    return hashlib.sha256(text + (b":" + salt if salt else b"")).digest()
+
+
+def response(kept: bytes, challenge: bytes) -> bytes:
+    """What a host must answer a challenge with."""
+    return hashlib.sha256(kept + challenge).digest()
+
+
+def challenge_of(serial: str, number: int, now_ns: int) -> bytes:
+    """Sixteen bytes that come once: devices draw them, this one derives them so that runs are repeatable."""
+    return hashlib.sha256(f"{serial}:{number}:{now_ns}".encode()).digest()[:16]

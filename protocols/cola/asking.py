@@ -9,9 +9,9 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from protocols.cola import login
 from protocols.cola.answers import Sfa, refusal
 from protocols.cola.commands import METHODS, VARIABLES, Method, Variable, codes
+from protocols.cola.settings import RUN
 from protocols.cola.state import ColaState
 from protocols.session import DropReason, LinkKind
 from protocols.skeleton.cola_frames import UNKNOWN, ColaSplitter, frame, refused
@@ -46,7 +46,7 @@ class ColaAsking(ColaState):
         return {name: one.factory(settings) for name, one in rows if one.factory is not None and one.on(settings.model)}
 
     def _may(self, level: int, request: Request) -> bool:
-        return not self.settings.strict or self.levels.get(request.address, login.RUN) >= level
+        return not self.settings.strict or self.levels.get(request.address, RUN) >= level
 
     def _splitter(self, kind: LinkKind | None) -> ColaSplitter:
         return ColaSplitter()

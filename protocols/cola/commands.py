@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 from protocols.cola import answers, fields
 from protocols.cola.answers import Sfa, Values
-from protocols.cola.login import AUTHORISED, LEVELS, RUN, SERVICE
 from protocols.cola.models import Model
-from protocols.cola.settings import Settings
+from protocols.cola.settings import AUTHORISED, LEVELS, RUN, SERVICE, Settings
 from protocols.cola.state import ColaState
 from protocols.session import CommandRow
 from protocols.skeleton.cola_values import ASCII, BINARY, Code

@@ -84,15 +84,15 @@ class Chain:
         self._window.clear()
         self._gathered.clear()
 
-    def add(self, scan: Scan, filters: Filters, place: Place = (0, 0)) -> Filtered | None:
-        """What a scan becomes; None: a mean needs more of them."""
-        ranges, peaks = scan.range_m.copy(), scan.intensity.copy()
+    def add(self, scan: Scan, sent: slice, filters: Filters, place: Place) -> Filtered | None:
+        """What the beams of a scan that are sent become; None: a mean needs more of them."""
+        ranges, peaks = scan.range_m[sent].copy(), scan.intensity[sent].copy()
         if filters.fog:
             ranges, peaks = _pushed(ranges, peaks, (ranges < FOG_M) & (peaks < FOG_PEAK))
         if filters.echo != ALL:
             ranges, peaks = _one(ranges, peaks, filters.echo)
         if filters.angles is not None:
-            ranges[filters.angles.outside(scan.plan)] = np.nan
+            ranges[filters.angles.outside(scan.plan)[sent]] = np.nan
         if filters.edge_m:
             ranges[_edges(ranges, filters.edge_m)] = np.nan
         if filters.particle_m is not None:
@@ -105,7 +105,7 @@ class Chain:
             window.append(ranges)
             middle = _median(list(window))
             ranges = np.where(np.isfinite(ranges), middle, np.nan)
-        found = Filtered(ranges, peaks, scan.flags)
+        found = Filtered(ranges, peaks, scan.flags[sent])
         if filters.mean < 2:
             return found
         parts = self._gathered.setdefault(place, [])

@@ -10,13 +10,14 @@ import re
 from protocols.framing import Framing
 from protocols.session import Emission
 from protocols.skeleton.cola_frames import HEAD_BYTES, START, frame, opened
-from protocols.skeleton.cola_values import ASCII, ETX
+from protocols.skeleton.cola_values import ASCII, BINARY, ETX, decode, encode
 
-SCAN = b"LMDscandata "
-COUNTER = re.compile(rb"(s(?:SN|RA) LMDscandata (?:[0-9A-F]+ ){5})([0-9A-F]+)( )([0-9A-F]+)( )")
-"CoLa-A: what stands before the telegram counter, it, and the scan counter behind it."
-COUNTER_AT = 10
-"CoLa-B: of the telegram counter behind the name; the scan counter follows."
+SCAN = {
+    ASCII: re.compile(rb"(s(?:SN|RA) LMDscandata (?:[0-9A-F]+ ){5})([0-9A-F]{1,4} [0-9A-F]{1,4})(?= )"),
+    BINARY: re.compile(rb"(s(?:SN|RA) LMDscandata .{10})(.{4})", re.DOTALL),
+}
+"By dialect: what stands before the counters of telegrams and of scans, and they."
+COUNTERS = "u16 u16"
 NAME = re.compile(rb"(s[RWEM]N )(\w+)")
 
 
@@ -36,15 +37,11 @@ class ColaFraming(Framing):
 
     def with_counter(self, one: Emission, change: int) -> bytes | None:
         """Telegram counter and scan counter of a scan."""
-        counters = self._counters(one.payload)
-        if counters is None:
-            return None
-        return self._with(one.payload, [(number + change) & 0xFFFF for number in counters])
+        return _recounted(one.payload, one.payload, change)
 
     def stale(self, old: Emission, fresh: Emission) -> bytes | None:
         """An old scan with the counters of the fresh one; its stamps are old, as nothing on the wire is checked."""
-        counters = self._counters(fresh.payload)
-        return None if counters is None else self._with(old.payload, counters)
+        return _recounted(old.payload, fresh.payload)
 
     def to_be_refused(self, data: bytes) -> bytes | None:
         """A request for a name that does not exist: answered by sFA."""
@@ -58,24 +55,19 @@ class ColaFraming(Framing):
             return len(data) > HEAD_BYTES and len(data) > HEAD_BYTES + int.from_bytes(data[4:8], "big")
         return data.endswith(ETX)
 
-    def _counters(self, telegram: bytes) -> list[int] | None:
-        found = opened(telegram)
-        if found is None or SCAN not in found[1][:20]:
-            return None
-        dialect, payload = found
-        if dialect == ASCII:
-            match = COUNTER.match(payload)
-            return None if match is None else [int(match[2], 16), int(match[4], 16)]
-        at = payload.index(SCAN) + len(SCAN) + COUNTER_AT
-        return [int.from_bytes(payload[at + k : at + k + 2], "big") for k in (0, 2)]
 
-    def _with(self, telegram: bytes, numbers: list[int]) -> bytes | None:
-        if self._counters(telegram) is None:
-            return None
-        dialect, payload = opened(telegram) or (b"", b"")
-        if dialect == ASCII:
-            put = COUNTER.sub(lambda match: match[1] + b"%X %X " % tuple(numbers), payload, count=1)
-            return frame(dialect, put)
-        at = payload.index(SCAN) + len(SCAN) + COUNTER_AT
-        words = b"".join(number.to_bytes(2, "big") for number in numbers)
-        return frame(dialect, payload[:at] + words + payload[at + 4 :])
+def _recounted(telegram: bytes, of: bytes, change: int = 0) -> bytes | None:
+    """A scan with the counters of another one, and so much more; None: one of them is no scan, or damaged."""
+    source, target = _scan(of), _scan(telegram)
+    if source is None or target is None:
+        return None
+    (spoken, counted), (dialect, found) = source, target
+    numbers = [(number + change) & 0xFFFF for number in decode(COUNTERS, spoken, counted[2])]
+    return frame(dialect, found[1] + encode(COUNTERS, dialect, numbers) + found.string[found.end() :])
+
+
+def _scan(telegram: bytes) -> tuple[bytes, re.Match[bytes]] | None:
+    """Dialect, and `SCAN` in the payload."""
+    dialect, payload = opened(telegram) or (ASCII, b"")
+    found = SCAN[dialect].match(payload)
+    return None if found is None else (dialect, found)

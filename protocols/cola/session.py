@@ -6,15 +6,15 @@ Belongs here: what happens when, and to whom it goes. Not: requests (asking), la
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import replace
 from typing import Any
 
-from protocols.cola import filters, login
+from protocols.cola import filters
 from protocols.cola.answers import refusal
 from protocols.cola.asking import ColaAsking, named
 from protocols.cola.commands import EVENTS
 from protocols.cola.models import Pair
 from protocols.cola.scandata import Body, Header
+from protocols.cola.settings import RUN
 from protocols.cola.shapes import TICK_NS, Shape
 from protocols.cola.state import Held, Host
 from protocols.device_clock import DeviceStamp
@@ -117,22 +117,16 @@ class ColaSession(ColaAsking):
 
     def submit(self, scan: Scan) -> None:
         """Take the scan of `next_plan`; `ScanRefused` for any other."""
+        hosts = [one for one in self._accepted(scan) if one not in (POLL, WATCH)]
         plan = scan.plan
-        self._wanted.expect(plan, len(scan.range_m))
-        self._wanted.forget()
-        self._next = plan.sweep + 1
         model, setup, shape = self.settings.model, self._setup, self._shape(plan.sweep)
         end_ns = plan.start_ns + round(1e9 * plan.duration_s)
         turn_ns = plan.start_ns + round(model.turn_ns(self.pair) * self._slowed)
         sent_ns = model.transmission_ns + (turn_ns if model.series in ("lms1", "lms5") else end_ns)
         self.watching.see(scan, end_ns)
-        numbers = range(plan.sweep, plan.sweep + 1)
-        found = self._chain.add(_cut(scan, shape.sent), setup.filters(), setup.place(plan.sweep))
-        takers = [
-            one for one, since_ns in self._hosts.items() if one not in (POLL, WATCH) and since_ns <= plan.start_ns
-        ]
+        found = self._chain.add(scan, shape.sent, setup.filters(), setup.place(plan.sweep))
         if found is None or setup.kept_back(plan.sweep):
-            self._events.unsent(self._now_ns, DropReason.KEPT, numbers, "", plan.stream)
+            self._events.unsent(self._now_ns, DropReason.KEPT, plan.sweep, "", plan.stream)
             return
         reported = self.clock.reported(end_ns if model.stamps_end else plan.start_ns, TICK_NS, 32)
         body = self._body(plan.sweep, found, shape, reported, sent_ns)
@@ -140,7 +134,7 @@ class ColaSession(ColaAsking):
         self._let_go(self._now_ns)
         self._held.append(held)
         telegrams: dict[bytes, bytes] = {}
-        for address in takers:
+        for address in hosts:
             self._send_scan(held, address, telegrams)
 
     def _send_scan(self, held: Held, address: Host, telegrams: dict[bytes, bytes]) -> None:
@@ -153,8 +147,7 @@ class ColaSession(ColaAsking):
             one = Emission(held.due_ns, telegrams[dialect], address, held.sweep, None, "LMDscandata", held.reported)
             self._outbox.put(Outgoing(address, deque([one]), is_scan=True))
         else:
-            numbers = range(held.sweep, held.sweep + 1)
-            self._events.unsent(self._now_ns, DropReason.LINE_BUSY, numbers, "", held.stream, address)
+            self._events.unsent(self._now_ns, DropReason.LINE_BUSY, held.sweep, "", held.stream, address)
 
     def _line_takes(self, address: Host, size: int, due_ns: int) -> bool:
         """Whether a serial line has sent what came before."""
@@ -214,7 +207,7 @@ class ColaSession(ColaAsking):
 
     def _note_unsent(self, held: Held, now_ns: int) -> None:
         if not held.sent:
-            self._events.unsent(now_ns, DropReason.KEPT, range(held.sweep, held.sweep + 1), "", held.stream)
+            self._events.unsent(now_ns, DropReason.KEPT, held.sweep, "", held.stream)
 
     def _give_up_held(self, now_ns: int) -> None:
         while self._held:
@@ -233,7 +226,7 @@ class ColaSession(ColaAsking):
         own = [super()._next_instant()]
         if self._running:
             own += [self._held[0].due_ns if self._asking and self._held else None, self.watching.next_ns()]
-            own += [self._poll_until_ns if POLL in self._hosts else None]
+            own += [self._poll_until_ns if POLL in self._hosts and not self._asking else None]
         return earliest(own)
 
     def _happen(self, now_ns: int) -> None:
@@ -245,9 +238,8 @@ class ColaSession(ColaAsking):
         self._let_go(now_ns)
         if self._asking and self._held and self._held[0].due_ns <= now_ns:
             self._serve_polls(now_ns)
-        if POLL in self._hosts and self._poll_until_ns <= now_ns:
+        if self._poll_until_ns <= now_ns and not self._asking:
             self._unsubscribe(now_ns, POLL)
-            self._asking.clear()
         if self.watching.due(now_ns):
             self._tell("LFErec", now_ns)
             self._tell("LIDoutputstate", now_ns)
@@ -276,7 +268,7 @@ class ColaSession(ColaAsking):
             one.pop(address, None)
         for listeners in self._listeners.values():
             listeners.discard(address)
-        self.set_level(address, login.RUN, now_ns)
+        self.set_level(address, RUN, now_ns)
 
     def _listen(self, name: str, on: int, request: Request) -> bytes | Refused:
         address, now_ns = request.address, request.now_ns
@@ -301,12 +293,3 @@ class ColaSession(ColaAsking):
 
 def _event(dialect: bytes, name: str, data: bytes) -> bytes:
     return frame(dialect, named(dialect, b"sSN", name.encode(), data))
-
-
-def _cut(scan: Scan, sent: slice) -> Scan:
-    """The beams that are sent."""
-    if sent == slice(None):
-        return scan
-    return replace(
-        scan, range_m=scan.range_m[sent], intensity=scan.intensity[sent], flags=scan.flags[sent], actor=scan.actor[sent]
-    )

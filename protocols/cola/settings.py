@@ -5,14 +5,21 @@ Belongs here: keys with their defaults. Not: variables that hosts write (command
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 
-from protocols.cola.login import AUTHORISED, MAINTENANCE, PASSWORDS, SERVICE
 from protocols.cola.models import MODELS, Model
 from protocols.skeleton.keys import DeviceKeys
 
 CLASSIC, SALTED = "classic", "challenge 2"
+
+LEVELS = ("Run", "Operator", "Maintenance", "AuthorizedClient", "Service")
+"By number; the names are those that the login by challenge hashes."
+RUN, OPERATOR, MAINTENANCE, AUTHORISED, SERVICE = range(5)
+
+PASSWORDS: Mapping[int, str] = {MAINTENANCE: "main", AUTHORISED: "client", SERVICE: "servicelevel"}
+"As delivered (drivers' sources, hashes recomputed)."
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 
 from protocols.cola import filters
 from protocols.cola.models import Pair
-from protocols.cola.scandata import WIDEST_STEP, Content, content_of
+from protocols.cola.scandata import WIDEST_STEP, Content
 from protocols.cola.settings import Settings
 from protocols.skeleton.sweeps import Sweep
 
@@ -45,7 +45,7 @@ class Setup:
     @property
     def content(self) -> Content:
         """LMDscandatacfg."""
-        return content_of(self.values["LMDscandatacfg"])
+        return Content(*self.values["LMDscandatacfg"])
 
     @property
     def scale(self) -> float:
@@ -111,7 +111,7 @@ class Setup:
             duration_s=1e-9 * count * float(beam_ns),
             max_range_m=65.535 * self.scale,
             max_echoes=1 if plain else model.echoes,
-            wants_intensity=self.content.remission or filtered.fog,
+            wants_intensity=bool(self.content.remission & 1) or filtered.fog,
         )
         return Shape(sweep, sent, round(start + low * coarse), round(coarse * every))
 

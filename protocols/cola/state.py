@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
 
-from protocols.cola import filters, login
+from protocols.cola import filters
+from protocols.cola.fields import Watching
 from protocols.cola.models import Pair
 from protocols.cola.scandata import Body
-from protocols.cola.settings import Settings
+from protocols.cola.settings import RUN, Settings
 from protocols.cola.shapes import TICK_NS, Setup, Shape
-from protocols.cola.watching import Watching
 from protocols.device_clock import DeviceStamp
 from protocols.session import Address, Emission
 from protocols.skeleton.cola_values import short_hash
@@ -157,7 +157,7 @@ class ColaState(RequestSession):
     def set_level(self, address: Host, level: int, now_ns: int) -> None:
         """A host has that level from now on; where a login holds scans back, they stop or go on."""
         was_still = self._still
-        if level == login.RUN:
+        if level == RUN:
             self.levels.pop(address, None)
         else:
             self.levels[address] = level

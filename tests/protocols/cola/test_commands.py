@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from protocols.cola import FAMILY
+from protocols.cola.answers import challenge_of, long_hash, response
 from protocols.cola.commands import EVENTS, METHODS, VARIABLES, codes
-from protocols.cola.login import challenge_of, long_hash, response
 from protocols.cola.models import MODELS
 from protocols.errors import DeviceSettingError
 from protocols.session import LinkKind

@@ -191,6 +191,18 @@ def test_the_mean_filter_averages_and_lowers_the_rate() -> None:
     assert [two.telegrams - one.telegrams for one, two in pairwise(scans)] == [1] * 3
 
 
+def test_a_poll_is_answered_however_long_a_telegram_takes() -> None:
+    rig = Rig("sick-lms511", access="open")
+    rig.a("sMN mLMPsetscancfg +2500 +1 +5000 -50000 +1850000")
+    rig.a("sWN LMPoutputRange 1 1388 +900000 +900000")
+    rig.a("sWN LMDscandatacfg 01 00 0 0 0 00 00 0 0 0 0 +1000")  # every forty seconds
+    rig.run(4 * SECOND)
+    rig.forget()
+    assert rig.a("sRN LMDscandata", within_ns=41 * SECOND).startswith("sRA LMDscandata ")
+    rig.run(20 * SECOND)
+    assert rig.session.next_plan() is None, "for polls alone it does not go on for ever"
+
+
 def test_the_median_filter_removes_what_one_direction_shows_once() -> None:
     def world(plan: ScanPlan) -> Scan:
         return scan_of(plan, np.where(np.arange(len(plan)) == plan.sweep % 300, 1.0, 10.0))
