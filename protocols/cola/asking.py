@@ -14,17 +14,11 @@ from protocols.cola.commands import METHODS, VARIABLES, Method, Variable, codes
 from protocols.cola.settings import RUN
 from protocols.cola.state import ColaState
 from protocols.session import DropReason, LinkKind
-from protocols.skeleton.cola_frames import UNKNOWN, ColaSplitter, frame, refused
+from protocols.skeleton.cola_frames import UNKNOWN, ColaSplitter, frame, refused, telegram
 from protocols.skeleton.cola_values import ASCII, BINARY, Code, Rejected, decode, encode
 from protocols.skeleton.requests import Answer, Command, Refused, Request
 
 ANSWERS = {b"sRN": b"sRA", b"sRI": b"sRA", b"sWN": b"sWA", b"sMN": b"sAN", b"sEN": b"sEA"}
-
-
-def named(dialect: bytes, head: bytes, name: bytes, data: bytes) -> bytes:
-    """A payload: in CoLa-B the blank stands even where nothing follows."""
-    blank = b" " if data or dialect == BINARY else b""
-    return head + b" " + name + blank + data
 
 
 class ColaAsking(ColaState):
@@ -65,7 +59,7 @@ class ColaAsking(ColaState):
         dialect, name = request.data[:1], request.data[1:].partition(b"\0")[0]
         if request.code == b"sRI" and dialect == BINARY:
             return frame(dialect, b"sRA \0\0" + payload)
-        return frame(dialect, named(dialect, ANSWERS[request.code[:3]], name, payload))
+        return telegram(dialect, ANSWERS[request.code[:3]], name, payload)
 
     def _refusal(self, request: Request, why: Refused) -> bytes | None:
         dialect = request.data[:1]

@@ -137,10 +137,7 @@ def _one(ranges: Floats, peaks: Floats, which: int) -> tuple[Floats, Floats]:
 
 def _lonely(ranges: Floats, before: Floats | None, near_m: float) -> np.ndarray:
     """Echoes without another one near: beside them in this scan, or in their direction in the scan before."""
-    found = np.zeros(ranges.shape, bool)
-    close = np.abs(ranges[1:] - ranges[:-1]) <= near_m
-    found[1:] |= close
-    found[:-1] |= close
+    found = _both_sides(np.abs(np.diff(ranges, axis=0)) <= near_m)
     if before is not None and before.shape == ranges.shape:
         found |= np.abs(ranges - before) <= near_m
     return np.isfinite(ranges) & ~found
@@ -148,12 +145,14 @@ def _lonely(ranges: Floats, before: Floats | None, near_m: float) -> np.ndarray:
 
 def _edges(ranges: Floats, most_m: float) -> np.ndarray:
     """Echoes of both sides of a step; a direction without an echo is no step."""
-    steps = np.abs(ranges[1:] - ranges[:-1]) > most_m
-    steps &= np.minimum(ranges[1:], ranges[:-1]) <= EDGE_FAR_M
-    found = np.zeros(ranges.shape, bool)
-    found[1:] |= steps
-    found[:-1] |= steps
-    return found
+    near = np.minimum(ranges[1:], ranges[:-1]) <= EDGE_FAR_M
+    return _both_sides(near & (np.abs(np.diff(ranges, axis=0)) > most_m))
+
+
+def _both_sides(between: np.ndarray) -> np.ndarray:
+    """Echoes beside what holds between one direction and the next."""
+    none = np.zeros_like(between[:1])
+    return np.concatenate((between, none)) | np.concatenate((none, between))
 
 
 def _median(window: list[Floats]) -> Floats:

@@ -10,17 +10,17 @@ from typing import Any
 
 from protocols.cola import filters
 from protocols.cola.answers import refusal
-from protocols.cola.asking import ColaAsking, named
+from protocols.cola.asking import ColaAsking
 from protocols.cola.commands import EVENTS
 from protocols.cola.models import Pair
 from protocols.cola.scandata import Body, Header
 from protocols.cola.settings import RUN
 from protocols.cola.shapes import TICK_NS, Shape
-from protocols.cola.state import Held, Host
+from protocols.cola.state import SCANS, Held, Host
 from protocols.device_clock import DeviceStamp
 from protocols.scan import Scan
 from protocols.session import Address, DropReason, Emission, LinkKind
-from protocols.skeleton.cola_frames import frame
+from protocols.skeleton.cola_frames import telegram
 from protocols.skeleton.cola_values import ASCII, Code, encode
 from protocols.skeleton.instants import SECOND_NS, Raster, earliest
 from protocols.skeleton.outbox import Outgoing
@@ -130,24 +130,21 @@ class ColaSession(ColaAsking):
             return
         reported = self.clock.reported(end_ns if model.stamps_end else plan.start_ns, TICK_NS, 32)
         body = self._body(plan.sweep, found, shape, reported, sent_ns)
-        held = Held(plan.start_ns, sent_ns, body, reported, plan.sweep, plan.stream, False)
+        held = Held(plan, sent_ns, body, reported)
         self._let_go(self._now_ns)
         self._held.append(held)
-        telegrams: dict[bytes, bytes] = {}
         for address in hosts:
-            self._send_scan(held, address, telegrams)
+            self._send_scan(held, address)
 
-    def _send_scan(self, held: Held, address: Host, telegrams: dict[bytes, bytes]) -> None:
-        """To one host; `telegrams`: those made already, by dialect."""
-        dialect = self._dialects.get(address, ASCII)
-        if dialect not in telegrams:
-            telegrams[dialect] = _event(dialect, "LMDscandata", held.body.encoded(dialect))
-        held.sent = True
-        if self._line_takes(address, len(telegrams[dialect]), held.due_ns):
-            one = Emission(held.due_ns, telegrams[dialect], address, held.sweep, None, "LMDscandata", held.reported)
+    def _send_scan(self, held: Held, address: Host) -> None:
+        """To one subscriber, if its line is free."""
+        said = held.telegram(b"sSN", self._dialects.get(address, ASCII))
+        held.sent, plan = True, held.plan
+        if self._line_takes(address, len(said), held.due_ns):
+            one = Emission(held.due_ns, said, address, plan.sweep, None, SCANS, held.reported)
             self._outbox.put(Outgoing(address, deque([one]), is_scan=True))
         else:
-            self._events.unsent(self._now_ns, DropReason.LINE_BUSY, held.sweep, "", held.stream, address)
+            self._events.unsent(self._now_ns, DropReason.LINE_BUSY, plan.sweep, "", plan.stream, address)
 
     def _line_takes(self, address: Host, size: int, due_ns: int) -> bool:
         """Whether a serial line has sent what came before."""
@@ -207,7 +204,7 @@ class ColaSession(ColaAsking):
 
     def _note_unsent(self, held: Held, now_ns: int) -> None:
         if not held.sent:
-            self._events.unsent(now_ns, DropReason.KEPT, held.sweep, "", held.stream)
+            self._events.unsent(now_ns, DropReason.KEPT, held.plan.sweep, "", held.plan.stream)
 
     def _give_up_held(self, now_ns: int) -> None:
         while self._held:
@@ -216,9 +213,9 @@ class ColaSession(ColaAsking):
     def _serve_polls(self, due_ns: int) -> None:
         held = self._held[0]
         for address, dialect in self._asking.items():
-            payload = named(dialect, b"sRA", b"LMDscandata", held.body.encoded(dialect))
-            sweep, reported = (None, None) if held.sent else (held.sweep, held.reported)
-            self._outbox.send(Emission(due_ns, frame(dialect, payload), address, sweep, None, "LMDscandata", reported))
+            sweep, reported = (None, None) if held.sent else (held.plan.sweep, held.reported)
+            said = held.telegram(b"sRA", dialect)
+            self._outbox.send(Emission(due_ns, said, address, sweep, None, SCANS, reported))
             held.sent = True
         self._asking.clear()
 
@@ -253,8 +250,8 @@ class ColaSession(ColaAsking):
         for address in sorted(self._listeners[name], key=str):
             dialect = self._dialects.get(address, ASCII)
             if dialect in event.dialects:
-                telegram = _event(dialect, name, encode(text, dialect, values))
-                self._outbox.send(Emission(now_ns, telegram, address, label=name))
+                said = telegram(dialect, b"sSN", name.encode(), encode(text, dialect, values))
+                self._outbox.send(Emission(now_ns, said, address, label=name))
 
     def _unsubscribe(self, now_ns: int, address: Host) -> None:
         super()._unsubscribe(now_ns, address)
@@ -277,19 +274,15 @@ class ColaSession(ColaAsking):
         if on > 1:
             return refusal(Code.CONDITION_FAILED)
         (self._listeners[name].add if on else self._listeners[name].discard)(address)
-        if name == "LMDscandata" and on:
+        if name == SCANS and on:
             if address not in self._hosts:
                 for held in self._held if self._hosts else ():
-                    if held.start_ns >= now_ns:
-                        self._send_scan(held, address, {})
+                    if held.plan.start_ns >= now_ns:
+                        self._send_scan(held, address)
             self._subscribe(now_ns, address)
-        elif name == "LMDscandata":
+        elif name == SCANS:
             self._unsubscribe(now_ns, address)
         elif name == "InertialMeasurementUnit" and on and not self._imu_goes:
             self._imu_goes = True
             self._timers.add(now_ns + IMU_NS, IMU_NS, lambda at_ns: self._tell(name, at_ns))
         return encode("u8", request.data[:1], [on])
-
-
-def _event(dialect: bytes, name: str, data: bytes) -> bytes:
-    return frame(dialect, named(dialect, b"sSN", name.encode(), data))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections import defaultdict, deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -18,7 +18,9 @@ from protocols.cola.scandata import Body
 from protocols.cola.settings import RUN, Settings
 from protocols.cola.shapes import TICK_NS, Setup, Shape
 from protocols.device_clock import DeviceStamp
+from protocols.scan import ScanPlan
 from protocols.session import Address, Emission
+from protocols.skeleton.cola_frames import telegram
 from protocols.skeleton.cola_values import short_hash
 from protocols.skeleton.instants import SECOND_NS
 from protocols.skeleton.requests import RequestSession
@@ -32,20 +34,26 @@ FAULTS = ("busy", "login", "motor stopped", "motor status")
 "What may be wrong with it, beside window and speed: it refuses requests, or logins; the mirror stands; it says so."
 
 Host = Address | None
+SCANS = "LMDscandata"
 
 
 @dataclass
 class Held:
     """A scan that has been measured, for hosts that subscribe before it leaves, and the last one for polls."""
 
-    start_ns: int
+    plan: ScanPlan
     due_ns: int
     body: Body
     reported: DeviceStamp
-    sweep: int
-    stream: int | None
-    sent: bool
+    sent: bool = False
     "To anybody."
+    made: dict[tuple[bytes, bytes], bytes] = field(default_factory=dict)
+
+    def telegram(self, head: bytes, dialect: bytes) -> bytes:
+        """It on the wire, as an event (sSN) or an answer (sRA); encoded once, whoever gets it."""
+        if (head, dialect) not in self.made:
+            self.made[head, dialect] = telegram(dialect, head, SCANS.encode(), self.body.encoded(dialect))
+        return self.made[head, dialect]
 
 
 class ColaState(RequestSession):

@@ -33,6 +33,12 @@ def frame(dialect: bytes, payload: bytes) -> bytes:
     return START + len(payload).to_bytes(4, "big") + payload + bytes((xor8(payload),))
 
 
+def telegram(dialect: bytes, head: bytes, name: bytes, data: bytes = b"") -> bytes:
+    """On the wire: type, name, arguments; in CoLa-B the blank stands even where nothing follows."""
+    blank = b" " if data or dialect == BINARY else b""
+    return frame(dialect, head + b" " + name + blank + data)
+
+
 def refused(dialect: bytes, code: Code) -> bytes:
     """The payload of `sFA`."""
     return b"sFA %X" % code if dialect == ASCII else b"sFA" + int(code).to_bytes(2, "big")
