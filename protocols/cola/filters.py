@@ -10,6 +10,7 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protocols.scan import Floats, Scan, ScanPlan
 
@@ -149,10 +150,12 @@ def _edges(ranges: Floats, most_m: float) -> np.ndarray:
     return _both_sides(near & (np.abs(np.diff(ranges, axis=0)) > most_m))
 
 
-def _both_sides(between: np.ndarray) -> np.ndarray:
+def _both_sides(between: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Echoes beside what holds between one direction and the next."""
-    none = np.zeros_like(between[:1])
-    return np.concatenate((between, none)) | np.concatenate((none, between))
+    found = np.zeros((len(between) + 1, *between.shape[1:]), bool)
+    found[1:] |= between
+    found[:-1] |= between
+    return found
 
 
 def _median(window: list[Floats]) -> Floats:

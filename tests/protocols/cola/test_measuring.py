@@ -191,6 +191,18 @@ def test_the_mean_filter_averages_and_lowers_the_rate() -> None:
     assert [two.telegrams - one.telegrams for one, two in pairwise(scans)] == [1] * 3
 
 
+@pytest.mark.parametrize("model", ["sick-lms511", "sick-mrs1104"])
+@pytest.mark.parametrize("written", ["LFPparticle 1 +500", "LFPmedianfilter 1 3", "LFPmeanfilter 1 +3 0"])
+def test_one_beam_is_a_scan_with_every_filter(model: str, written: str) -> None:
+    rig = Rig(model, access="open", edge_filter_m=0.5)
+    rig.a("sWN LMPoutputRange 1 1388 +900000 +900000")
+    assert rig.a(f"sWN {written}").startswith("sWA")
+    rig.a("sEN LMDscandata 1")
+    for _ in range(5):  # until the scan before has the same layer
+        scan = rig.scan()
+    assert scan.channels["DIST1"][4] == [10_000]
+
+
 def test_a_poll_is_answered_however_long_a_telegram_takes() -> None:
     rig = Rig("sick-lms511", access="open")
     rig.a("sMN mLMPsetscancfg +2500 +1 +5000 -50000 +1850000")
