@@ -273,7 +273,7 @@ def log_out(device: ColaState, values: Values, request: Request) -> Values:
 
 
 def set_scan_config(device: ColaState, values: Values, request: Request) -> Values:
-    """mLMPsetscancfg: status and configuration; a refused one is told as it was asked."""
+    """mLMPsetscancfg: status and configuration; a refused one comes back as it was asked."""
     frequency, sectors = values
     if len(sectors) != 1:
         return [5, frequency, sectors]

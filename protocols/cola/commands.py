@@ -77,7 +77,7 @@ class Event:
     on: Callable[[Model], bool] = anywhere
     note: str = ""
     says: Variable | None = None
-    "What it tells; None: nothing here, or scans."
+    "What it reports; None: nothing here, or scans."
     dialects: tuple[bytes, ...] = (ASCII, BINARY)
 
 

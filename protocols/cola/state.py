@@ -50,7 +50,7 @@ class Held:
     made: dict[tuple[bytes, bytes], bytes] = field(default_factory=dict)
 
     def telegram(self, head: bytes, dialect: bytes) -> bytes:
-        """It on the wire, as an event (sSN) or an answer (sRA); encoded once, whoever gets it."""
+        """It on the wire, as an event (sSN) or an answer (sRA); encoded once for all hosts."""
         if (head, dialect) not in self.made:
             self.made[head, dialect] = telegram(dialect, head, SCANS.encode(), self.body.encoded(dialect))
         return self.made[head, dialect]
