@@ -39,9 +39,9 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "other": "__init__",
     },
     "cola": {
-        "codec": "values framing scandata login",
-        "commands": "commands asking",
-        "session": "session state shapes filters fields watching",
+        "codec": "framing scandata",
+        "commands": "commands answers asking",
+        "session": "session state shapes filters fields",
         "settings": "settings models",
         "other": "__init__",
     },

@@ -11,8 +11,6 @@ from collections.abc import Callable, Sequence
 from emulator.sensors.spec import load_spec
 from protocols import family
 from protocols.can_frame import EXTENDED
-from protocols.cola.framing import frame
-from protocols.cola.values import ASCII, BINARY
 from protocols.errors import ScanRefused
 from protocols.hesai.session import frame as ptc
 from protocols.ld.packages import encode_packages
@@ -23,6 +21,8 @@ from protocols.lms2xx.telegrams import request
 from protocols.rplidar.codec import request as rplidar_request
 from protocols.scan import Scan
 from protocols.session import Address, LinkKind, Session
+from protocols.skeleton.cola_frames import frame
+from protocols.skeleton.cola_values import ASCII, BINARY
 
 PAUSES_NS = (0, 100_000, 1_000_000, 7_000_000, 30_000_000, 300_000_000, 2_000_000_000, 20_000_000_000)
 MOST_HELD = 20_000

@@ -29,11 +29,11 @@ from emulator.hosts.cola import ColaScript
 from emulator.hosts.families import BUILT_IN, found_at
 from emulator.hosts.scans import HostScan
 from emulator.hosts.scripted import LdScript, Lms2xxScript, Script
-from protocols.cola.framing import frame
-from protocols.cola.values import ASCII, BINARY
 from protocols.ld.telegrams import payload_of
 from protocols.ld.usp import encode_frame
 from protocols.lms2xx.telegrams import request
+from protocols.skeleton.cola_frames import frame
+from protocols.skeleton.cola_values import ASCII, BINARY
 
 SECOND_NS = 1_000_000_000
 TIME_LIMIT_NS = 60 * SECOND_NS

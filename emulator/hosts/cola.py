@@ -16,11 +16,11 @@ from emulator.hosts.scans import HostScan
 from emulator.hosts.scripted import Connection, HostEnd
 from emulator.process.clock import SystemClock
 from protocols.cola.commands import VARIABLES
-from protocols.cola.framing import ColaSplitter, frame
-from protocols.cola.login import AUTHORISED, PASSWORDS, short_hash
 from protocols.cola.scandata import LAYOUT
-from protocols.cola.values import ASCII, BINARY, Rejected, decode, encode
+from protocols.cola.settings import AUTHORISED, PASSWORDS
 from protocols.scan import Floats
+from protocols.skeleton.cola_frames import ColaSplitter, frame
+from protocols.skeleton.cola_values import ASCII, BINARY, Rejected, decode, encode, short_hash
 
 LONGEST = 1 << 19
 REPLY_S, REPEAT_S = 2.0, 0.4
@@ -29,12 +29,19 @@ STARTS_S, LOOK_S = 60.0, 0.25
 "An LMS1xx may need so long until it measures; how often it is asked."
 MEASURES = 7
 "STlms."
-BAUD = 57_600
+BAUDS = (57_600, 115_200, 38_400, 19_200, 9_600)
+"Speeds of a serial line, the one as delivered first."
+OTHER_S = 0.9
+"So long a device is asked at each of the others."
 SILENCE_NS, AGAIN_NS = 2_000_000_000, 500_000_000
 STATUS = str(VARIABLES["STlms"].layout)
 DAZZLED = 15
 "Values up to this one are no distances."
 LISTENING = "CoLa device that answers nothing (listening)"
+
+
+class Silent(LinkError):
+    """No answer came."""
 
 
 def exact_step(wire: int) -> float:
@@ -86,19 +93,21 @@ class ColaHost:
     """Connects in the constructor; raises `LinkError` when nothing answers. It speaks CoLa-B on TCP, else CoLa-A."""
 
     def __init__(self, line: Line, baud: int | None, listen: bool = False) -> None:
-        """`baud`: of its serial line; None: the device is asked for its name alone, and left as it is."""
+        """`baud`: where its serial line is tried first; None: it is asked for its name alone, and left as it is."""
         self._line, self._reader, self._clock = line, Reader(), SystemClock()
         self._dialect = BINARY if isinstance(line, SocketLine) else ASCII
         self._scans: list[HostScan] = []
         self._count = 0
         self._streams = False
         self.listens, self.title = listen, LISTENING
-        self.found_baud = None if isinstance(line, SocketLine) else BAUD
-        line.set_baud(BAUD)
+        speeds = () if isinstance(line, SocketLine) else tuple(dict.fromkeys((baud or BAUDS[0], *BAUDS)))
+        self.found_baud = speeds[0] if speeds else None
+        if self.found_baud is not None:
+            line.set_baud(self.found_baud)
         if listen:
             return
         try:
-            answer = self._ask(b"sRN DeviceIdent", again_s=REPEAT_S)
+            answer = self._find(speeds) if speeds else self._ask(b"sRN DeviceIdent", again_s=REPEAT_S)
             name, version = (str(word).strip() for word in decode("str str", self._dialect, answer))
         except (LineClosed, Rejected):
             raise LinkError("no CoLa device answers") from None
@@ -139,6 +148,17 @@ class ColaHost:
             pass  # it has gone, or is silent
         self._line.close()
 
+    def _find(self, speeds: tuple[int, ...]) -> bytes:
+        """Arguments of the name, at the first of those speeds at which the device answers at all."""
+        for speed in speeds:
+            self._line.set_baud(speed)
+            self.found_baud = speed
+            try:
+                return self._ask(b"sRN DeviceIdent", b"", REPEAT_S, REPLY_S if speed == speeds[0] else OTHER_S)
+            except Silent:
+                self._reader = Reader()
+        raise LinkError(f"no CoLa device answers at {', '.join(map(str, speeds))} baud")
+
     def _wait_until_it_measures(self) -> None:
         """Scans come when the mirror is at speed; a device without STlms is not waited for."""
         end_ns = self._clock.now_ns() + int(STARTS_S * 1e9)
@@ -151,10 +171,13 @@ class ColaHost:
         except (LinkError, Rejected):
             return
 
-    def _ask(self, request: bytes, arguments: bytes = b"", again_s: float = REPLY_S) -> bytes:
-        """Arguments of the answer; `LinkError` when none comes, or the device refuses. Asked again every `again_s`."""
+    def _ask(self, request: bytes, arguments: bytes = b"", again_s: float = REPLY_S, reply_s: float = REPLY_S) -> bytes:
+        """Arguments of the answer, `LinkError` if the device refuses, `Silent` when none comes within `reply_s`.
+
+        Asked again every `again_s`.
+        """
         wanted = request.partition(b" ")[2]
-        end_ns = self._clock.now_ns() + int(REPLY_S * 1e9)
+        end_ns = self._clock.now_ns() + int(reply_s * 1e9)
         next_ns = self._clock.now_ns()
         while (now_ns := self._clock.now_ns()) < end_ns:
             if now_ns >= next_ns:
@@ -165,7 +188,7 @@ class ColaHost:
                     raise LinkError(f"the device refuses {request.decode()}")
                 if name == wanted and head != b"sSN":
                     return data
-        raise LinkError(f"no reply to {request.decode()}")
+        raise Silent(f"no reply to {request.decode()}")
 
     def _take(self, timeout_s: float) -> list[tuple[bytes, bytes, bytes]]:
         found = []

@@ -1,15 +1,14 @@
 """SICK CoLa-A and CoLa-B: LMS1xx, LMS5xx, TiM5xx, TiM7xx and MRS1000 on TCP 2111 and 2112, CoLa-A on serial lines.
 
-values      values in either dialect, by layout
-framing     frames of both dialects; telegrams changed by faults
+framing     telegrams changed by faults; frames and values of both dialects: skeleton.cola_frames, cola_values
 scandata    LMDscandata
 models, settings   facts of the models, the scenario's `device` table
-login       user levels, hashes, challenges
 commands    variables, methods, events: the table
+answers     what its rows do
 filters     echo choice, fog, particle, median and mean filter
-fields, watching   field evaluation
+fields      field evaluation
 shapes      beams and telegrams at the present settings
-state       what the device remembers and says of itself
+state       what the device remembers
 asking      requests in either dialect, with their answers
 session     what happens when, and to whom scans go
 """
@@ -17,11 +16,12 @@ session     what happens when, and to whom scans go
 from __future__ import annotations
 
 from protocols.cola.commands import rows
-from protocols.cola.framing import ColaFraming, frame
+from protocols.cola.framing import ColaFraming
 from protocols.cola.session import ColaSession
 from protocols.cola.settings import settings_of
-from protocols.cola.values import BINARY
 from protocols.session import LinkKind, Session
+from protocols.skeleton.cola_frames import frame
+from protocols.skeleton.cola_values import BINARY
 from protocols.skeleton.family import SimpleFamily
 from protocols.skeleton.keys import DeviceKeys
 from protocols.wire import Wire

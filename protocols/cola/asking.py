@@ -1,6 +1,6 @@
-"""Requests in either dialect: read, write, call, subscribe, each with its answer or `sFA`; user levels.
+"""Requests in either dialect: read, write, call, subscribe, each with its answer or `sFA`.
 
-Belongs here: from a telegram to a row of the table and back. Not: what a row does (commands), scans (session).
+Belongs here: from a telegram to a row of the table and back. Not: what a row does (answers), scans (session).
 """
 
 from __future__ import annotations
@@ -9,38 +9,22 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from protocols.cola import login
-from protocols.cola.commands import METHODS, VARIABLES, Method, Sfa, Variable, codes, refusal
-from protocols.cola.framing import ColaSplitter, frame
-from protocols.cola.settings import CLASSIC
+from protocols.cola.answers import Sfa, refusal
+from protocols.cola.commands import METHODS, VARIABLES, Method, Variable, codes
+from protocols.cola.settings import RUN
 from protocols.cola.state import ColaState
-from protocols.cola.values import ASCII, BINARY, Code, Rejected, decode, encode
 from protocols.session import DropReason, LinkKind
+from protocols.skeleton.cola_frames import UNKNOWN, ColaSplitter, frame, refused, telegram
+from protocols.skeleton.cola_values import ASCII, BINARY, Code, Rejected, decode, encode
 from protocols.skeleton.requests import Answer, Command, Refused, Request
 
 ANSWERS = {b"sRN": b"sRA", b"sRI": b"sRA", b"sWN": b"sWA", b"sMN": b"sAN", b"sEN": b"sEA"}
-UNKNOWN = {b"sRN": Code.VARIABLE_UNKNOWN, b"sWN": Code.VARIABLE_UNKNOWN, b"sMN": Code.METHOD_UNKNOWN,
-           b"sEN": Code.EVENT_UNKNOWN}  # fmt: skip
-
-
-def named(dialect: bytes, head: bytes, name: bytes, data: bytes) -> bytes:
-    """A payload: in CoLa-B the blank stands even where nothing follows."""
-    blank = b" " if data or dialect == BINARY else b""
-    return head + b" " + name + blank + data
 
 
 class ColaAsking(ColaState):
     """One device, without its scans."""
 
     REPLY_NS: ClassVar[int] = 2_000_000
-
-    @abstractmethod
-    def start_measuring(self, now_ns: int) -> None:
-        """The mirror turns."""
-
-    @abstractmethod
-    def stop_measuring(self, now_ns: int) -> None:
-        """No scans."""
 
     @abstractmethod
     def _poll(self, request: Request) -> Answer | Refused:
@@ -50,54 +34,13 @@ class ColaAsking(ColaState):
     def _listen(self, name: str, on: int, request: Request) -> bytes | Refused:
         """Subscribe to an event, or no more."""
 
-    # user levels
-
-    def log_in(self, level: int, request: Request) -> bool:
-        """A host has that level from now on; False: refused."""
-        if self._refuses_login and level != login.RUN:
-            return False
-        was_still = self._still
-        self._levels[request.address] = level
-        if self._still != was_still:
-            self.rearrange(request.now_ns)
-        return True
-
-    def challenge(self, asked: bytes, request: Request) -> list[Any] | Sfa:
-        """GetChallenge: version 1 without a level, version 2 with one and a salt."""
-        if self.settings.login == CLASSIC:
-            return refusal(Code.METHOD_UNKNOWN, DropReason.UNKNOWN_COMMAND)
-        salted = self.settings.login == "challenge 2"
-        if len(asked) != int(salted):
-            return refusal(Code.TOO_LITTLE if salted else Code.TOO_MUCH)
-        self._challenges += 1
-        drawn = login.challenge_of(str(self.settings.serial), self._challenges, request.now_ns)
-        self._asked[request.address] = drawn
-        return [0, drawn + (self._salt if salted else b"")]
-
-    @property
-    def _salt(self) -> bytes:
-        return login.challenge_of(str(self.settings.serial), 0, 0) if self.settings.login == "challenge 2" else b""
-
-    def answer(self, response: bytes, request: Request) -> list[Any] | Sfa:
-        """SetUserLevel: a challenge serves once."""
-        if self.settings.login == CLASSIC:
-            return refusal(Code.METHOD_UNKNOWN, DropReason.UNKNOWN_COMMAND)
-        if len(response) != 33:
-            return refusal(Code.TOO_LITTLE if len(response) < 33 else Code.TOO_MUCH)
-        drawn, level = self._asked.pop(request.address, None), response[32]
-        if drawn is None:
-            return [3]
-        password = self.settings.passwords.get(level)
-        if password is None:
-            return [1]
-        if login.response(login.long_hash(level, password, self._salt), drawn) != response[:32]:
-            return [2]
-        return [0 if self.log_in(level, request) else 2]
+    def delivered(self) -> dict[str, Any]:
+        """Variables as the factory delivers them."""
+        settings, rows = self.settings, VARIABLES.items()
+        return {name: one.factory(settings) for name, one in rows if one.factory is not None and one.on(settings.model)}
 
     def _may(self, level: int, request: Request) -> bool:
-        return not self.settings.strict or self._levels.get(request.address, login.RUN) >= level
-
-    # requests
+        return not self.settings.strict or self.levels.get(request.address, RUN) >= level
 
     def _splitter(self, kind: LinkKind | None) -> ColaSplitter:
         return ColaSplitter()
@@ -116,15 +59,15 @@ class ColaAsking(ColaState):
         dialect, name = request.data[:1], request.data[1:].partition(b"\0")[0]
         if request.code == b"sRI" and dialect == BINARY:
             return frame(dialect, b"sRA \0\0" + payload)
-        return frame(dialect, named(dialect, ANSWERS[request.code[:3]], name, payload))
+        return telegram(dialect, ANSWERS[request.code[:3]], name, payload)
 
-    def _refusal(self, request: Request, refused: Refused) -> bytes | None:
+    def _refusal(self, request: Request, why: Refused) -> bytes | None:
         dialect = request.data[:1]
         if not self._speaks(dialect):
             return None
         self._dialects[request.address] = dialect
-        code = refused.code if isinstance(refused, Sfa) else UNKNOWN.get(request.code[:3], Code.COMMAND_UNKNOWN)
-        return frame(dialect, b"sFA %X" % code if dialect == ASCII else b"sFA" + int(code).to_bytes(2, "big"))
+        code = why.code if isinstance(why, Sfa) else UNKNOWN.get(request.code[:3], Code.COMMAND_UNKNOWN)
+        return frame(dialect, refused(dialect, code))
 
     def _speaks(self, dialect: bytes) -> bool:
         """Whether it speaks that dialect at present."""
@@ -137,7 +80,7 @@ class ColaAsking(ColaState):
         if not self._speaks(dialect):
             return Answer(None)
         self._dialects[request.address] = dialect
-        if self._busy:
+        if "busy" in self.faults:
             return refusal(Code.BUSY, DropReason.BUSY)
         kind, name = request.code[:3], raw.decode("ascii", "replace")
         try:
@@ -172,8 +115,8 @@ class ColaAsking(ColaState):
             return refusal(code)
         if values != self.values[name]:
             self.values[name] = values
-            if variable.changed is not None:
-                variable.changed(self, request.now_ns)
+            if variable.rearranges:
+                self.rearrange(request.now_ns)
         return b""
 
     def _call(self, method: Method, data: bytes, request: Request) -> bytes | Answer | Refused:
@@ -185,7 +128,7 @@ class ColaAsking(ColaState):
         found = method.act(self, decode(method.arguments, dialect, data), request)
         if isinstance(found, Sfa):
             return found
-        return Answer(encode(method.result, dialect, found or []), restarts=method.restarts)
+        return Answer(encode(method.result, dialect, found), restarts=method.restarts)
 
     COMMANDS: ClassVar[Mapping[bytes, Command]] = {
         code.encode(): Command(code, lambda session, request: session._asked_for(request), "") for code in codes()

@@ -10,9 +10,12 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protocols.scan import Floats, Scan, ScanPlan
 
+Place = tuple[int, int]
+"Turn of an interlaced sequence, and layer: what scans of the same directions have in common."
 FIRST, ALL, LAST = 0, 1, 2
 "FREchoFilter."
 FOG_M, FOG_PEAK = 4.0, 8.0
@@ -71,10 +74,10 @@ class Chain:
     """The filters of one device. Settings and directions may change only with `clear`."""
 
     def __init__(self) -> None:
-        self._before: dict[int, Floats] = {}
-        "Ranges of the scan before, for each layer."
-        self._window: dict[int, deque[Floats]] = {}
-        self._gathered: dict[int, list[Filtered]] = {}
+        self._before: dict[Place, Floats] = {}
+        "Ranges of the scan before, of the same directions."
+        self._window: dict[Place, deque[Floats]] = {}
+        self._gathered: dict[Place, list[Filtered]] = {}
 
     def clear(self) -> None:
         """Forget earlier scans."""
@@ -82,35 +85,35 @@ class Chain:
         self._window.clear()
         self._gathered.clear()
 
-    def add(self, scan: Scan, filters: Filters, layer: int = 0) -> Filtered | None:
-        """What a scan becomes; None: a mean needs more of them."""
-        ranges, peaks = scan.range_m.copy(), scan.intensity.copy()
+    def add(self, scan: Scan, sent: slice, filters: Filters, place: Place) -> Filtered | None:
+        """What the beams of a scan that are sent become; None: a mean needs more of them."""
+        ranges, peaks = scan.range_m[sent].copy(), scan.intensity[sent].copy()
         if filters.fog:
             ranges, peaks = _pushed(ranges, peaks, (ranges < FOG_M) & (peaks < FOG_PEAK))
         if filters.echo != ALL:
             ranges, peaks = _one(ranges, peaks, filters.echo)
         if filters.angles is not None:
-            ranges[filters.angles.outside(scan.plan)] = np.nan
+            ranges[filters.angles.outside(scan.plan)[sent]] = np.nan
         if filters.edge_m:
             ranges[_edges(ranges, filters.edge_m)] = np.nan
         if filters.particle_m is not None:
-            before = self._before.get(layer)
-            self._before[layer] = ranges.copy()
+            before = self._before.get(place)
+            self._before[place] = ranges.copy()
             gone = _lonely(ranges, before, filters.particle_m)
             ranges, peaks = np.where(gone, np.nan, ranges), np.where(gone, np.nan, peaks)
         if filters.median:
-            window = self._window.setdefault(layer, deque(maxlen=3))
+            window = self._window.setdefault(place, deque(maxlen=3))
             window.append(ranges)
             middle = _median(list(window))
             ranges = np.where(np.isfinite(ranges), middle, np.nan)
-        found = Filtered(ranges, peaks, scan.flags)
+        found = Filtered(ranges, peaks, scan.flags[sent])
         if filters.mean < 2:
             return found
-        parts = self._gathered.setdefault(layer, [])
+        parts = self._gathered.setdefault(place, [])
         parts.append(found)
         if len(parts) < filters.mean:
             return None
-        del self._gathered[layer]
+        del self._gathered[place]
         return Filtered(
             _mean([part.range_m for part in parts]),
             _mean([part.intensity for part in parts]),
@@ -135,10 +138,7 @@ def _one(ranges: Floats, peaks: Floats, which: int) -> tuple[Floats, Floats]:
 
 def _lonely(ranges: Floats, before: Floats | None, near_m: float) -> np.ndarray:
     """Echoes without another one near: beside them in this scan, or in their direction in the scan before."""
-    found = np.zeros(ranges.shape, bool)
-    close = np.abs(ranges[1:] - ranges[:-1]) <= near_m
-    found[1:] |= close
-    found[:-1] |= close
+    found = _both_sides(np.abs(np.diff(ranges, axis=0)) <= near_m)
     if before is not None and before.shape == ranges.shape:
         found |= np.abs(ranges - before) <= near_m
     return np.isfinite(ranges) & ~found
@@ -146,11 +146,15 @@ def _lonely(ranges: Floats, before: Floats | None, near_m: float) -> np.ndarray:
 
 def _edges(ranges: Floats, most_m: float) -> np.ndarray:
     """Echoes of both sides of a step; a direction without an echo is no step."""
-    steps = np.abs(ranges[1:] - ranges[:-1]) > most_m
-    steps &= np.minimum(ranges[1:], ranges[:-1]) <= EDGE_FAR_M
-    found = np.zeros(ranges.shape, bool)
-    found[1:] |= steps
-    found[:-1] |= steps
+    near = np.minimum(ranges[1:], ranges[:-1]) <= EDGE_FAR_M
+    return _both_sides(near & (np.abs(np.diff(ranges, axis=0)) > most_m))
+
+
+def _both_sides(between: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Echoes beside what holds between one direction and the next."""
+    found = np.zeros((len(between) + 1, *between.shape[1:]), bool)
+    found[1:] |= between
+    found[:-1] |= between
     return found
 
 

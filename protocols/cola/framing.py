@@ -1,99 +1,24 @@
-"""Frames of both dialects of CoLa, distinguished telegram by telegram; and telegrams changed on their way by faults.
+"""Telegrams of CoLa changed on their way by faults.
 
-    CoLa-A    STX text ETX
-    CoLa-B    02 02 02 02, length of the payload (32 bits, big endian), payload, XOR of the payload
-
-Belongs here: from bytes to payloads and back. Not: what a payload says (values, commands).
+Belongs here: where sum, length and counters stand in a telegram. Not: frames themselves (skeleton.cola_frames).
 """
 
 from __future__ import annotations
 
 import re
 
-from protocols.checksums import xor8
-from protocols.cola.values import ASCII, BINARY
 from protocols.framing import Framing
-from protocols.session import DropReason, Emission
-from protocols.skeleton.receiving import Fault, Splitter
+from protocols.session import Emission
+from protocols.skeleton.cola_frames import HEAD_BYTES, START, frame, opened
+from protocols.skeleton.cola_values import ASCII, BINARY, ETX, decode, encode
 
-STX, ETX = b"\x02", b"\x03"
-START = STX * 4
-HEAD_BYTES = 8
-LONGEST = 16_384
-"A host's longest telegram writes a segmented field of 1141 directions."
-
-SCAN = b"LMDscandata "
-COUNTER = re.compile(rb"(s(?:SN|RA) LMDscandata (?:[0-9A-F]+ ){5})([0-9A-F]+)( )([0-9A-F]+)( )")
-"CoLa-A: what stands before the telegram counter, it, and the scan counter behind it."
-COUNTER_AT = 10
-"CoLa-B: of the telegram counter behind the name; the scan counter follows."
-CONTROL = re.compile(rb"[\x00-\x1f]")
-"The first of these behind STX ends a text, or it is none."
+SCAN = {
+    ASCII: re.compile(rb"(s(?:SN|RA) LMDscandata (?:[0-9A-F]+ ){5})([0-9A-F]{1,4} [0-9A-F]{1,4})(?= )"),
+    BINARY: re.compile(rb"(s(?:SN|RA) LMDscandata .{10})(.{4})", re.DOTALL),
+}
+"By dialect: what stands before the counters of telegrams and of scans, and they."
+COUNTERS = "u16 u16"
 NAME = re.compile(rb"(s[RWEM]N )(\w+)")
-
-
-def frame(dialect: bytes, payload: bytes) -> bytes:
-    """A telegram on the wire."""
-    if dialect == ASCII:
-        return STX + payload + ETX
-    return START + len(payload).to_bytes(4, "big") + payload + bytes((xor8(payload),))
-
-
-def opened(telegram: bytes) -> tuple[bytes, bytes] | None:
-    """Dialect and payload of one whole telegram; None: it is none, or damaged."""
-    found = ColaSplitter(1 << 20).feed(telegram)
-    one = found[0] if len(found) == 1 else None
-    return (one[:1], one[1:]) if isinstance(one, bytes) else None
-
-
-class ColaSplitter(Splitter[bytes]):
-    """Finds telegrams; an item is the letter of its dialect and the payload.
-
-    Of a false start only its first bytes are skipped; what follows them is read again.
-    """
-
-    def __init__(self, longest: int = LONGEST) -> None:
-        super().__init__(longest + HEAD_BYTES + 1)
-        self._longest = longest
-
-    def expire(self) -> list[bytes | Fault]:
-        """Give up the telegram that stopped half-way; what a false start swallowed is read again."""
-        gone = len(self._buffer.take(1))
-        return [Fault(DropReason.TIMEOUT, gone), *self.feed(b"")] if gone else []
-
-    def _next(self) -> bytes | Fault | None:
-        if skipped := self._buffer.skip_to(STX):
-            return Fault(DropReason.NO_START_BYTE, skipped)
-        held = self._buffer.peek(len(self._buffer)) or b""
-        starts = len(held) - len(held.lstrip(STX))
-        if starts >= len(START):
-            return self._binary(held)
-        if starts == len(held):
-            return None  # either dialect
-        if starts > 1:
-            return Fault(DropReason.NO_START_BYTE, len(self._buffer.take(starts - 1)))
-        control = CONTROL.search(held, 1)
-        if control is None:
-            return None
-        end = control.start()
-        if held[end : end + 1] != ETX:
-            return Fault(DropReason.BAD_LENGTH, len(self._buffer.take(end)), "no ETX")
-        self._buffer.take(end + 1)
-        return ASCII + held[1:end]
-
-    def _binary(self, held: bytes) -> bytes | Fault | None:
-        if len(held) < HEAD_BYTES:
-            return None
-        length = int.from_bytes(held[4:8], "big")
-        if length > self._longest:
-            return Fault(DropReason.BAD_LENGTH, len(self._buffer.take(1)), f"{length} bytes")
-        if len(held) < HEAD_BYTES + length + 1:
-            return None
-        payload = held[HEAD_BYTES : HEAD_BYTES + length]
-        if held[HEAD_BYTES + length] != xor8(payload):
-            return Fault(DropReason.BAD_CHECKSUM, len(self._buffer.take(len(START))), whole=True)
-        self._buffer.take(HEAD_BYTES + length + 1)
-        return BINARY + payload
 
 
 class ColaFraming(Framing):
@@ -112,15 +37,11 @@ class ColaFraming(Framing):
 
     def with_counter(self, one: Emission, change: int) -> bytes | None:
         """Telegram counter and scan counter of a scan."""
-        counters = self._counters(one.payload)
-        if counters is None:
-            return None
-        return self._with(one.payload, [(number + change) & 0xFFFF for number in counters])
+        return _recounted(one.payload, one.payload, change)
 
     def stale(self, old: Emission, fresh: Emission) -> bytes | None:
         """An old scan with the counters of the fresh one; its stamps are old, as nothing on the wire is checked."""
-        counters = self._counters(fresh.payload)
-        return None if counters is None else self._with(old.payload, counters)
+        return _recounted(old.payload, fresh.payload)
 
     def to_be_refused(self, data: bytes) -> bytes | None:
         """A request for a name that does not exist: answered by sFA."""
@@ -134,24 +55,19 @@ class ColaFraming(Framing):
             return len(data) > HEAD_BYTES and len(data) > HEAD_BYTES + int.from_bytes(data[4:8], "big")
         return data.endswith(ETX)
 
-    def _counters(self, telegram: bytes) -> list[int] | None:
-        found = opened(telegram)
-        if found is None or SCAN not in found[1][:20]:
-            return None
-        dialect, payload = found
-        if dialect == ASCII:
-            match = COUNTER.match(payload)
-            return None if match is None else [int(match[2], 16), int(match[4], 16)]
-        at = payload.index(SCAN) + len(SCAN) + COUNTER_AT
-        return [int.from_bytes(payload[at + k : at + k + 2], "big") for k in (0, 2)]
 
-    def _with(self, telegram: bytes, numbers: list[int]) -> bytes | None:
-        if self._counters(telegram) is None:
-            return None
-        dialect, payload = opened(telegram) or (b"", b"")
-        if dialect == ASCII:
-            put = COUNTER.sub(lambda match: match[1] + b"%X %X " % tuple(numbers), payload, count=1)
-            return frame(dialect, put)
-        at = payload.index(SCAN) + len(SCAN) + COUNTER_AT
-        words = b"".join(number.to_bytes(2, "big") for number in numbers)
-        return frame(dialect, payload[:at] + words + payload[at + 4 :])
+def _recounted(telegram: bytes, of: bytes, change: int = 0) -> bytes | None:
+    """A scan with the counters of another one, and so much more; None: one of them is no scan, or damaged."""
+    source, target = _scan(of), _scan(telegram)
+    if source is None or target is None:
+        return None
+    (spoken, counted), (dialect, found) = source, target
+    numbers = [(number + change) & 0xFFFF for number in decode(COUNTERS, spoken, counted[2])]
+    return frame(dialect, found[1] + encode(COUNTERS, dialect, numbers) + found.string[found.end() :])
+
+
+def _scan(telegram: bytes) -> tuple[bytes, re.Match[bytes]] | None:
+    """Dialect, and `SCAN` in the payload."""
+    dialect, payload = opened(telegram) or (ASCII, b"")
+    found = SCAN[dialect].match(payload)
+    return None if found is None else (dialect, found)

@@ -6,15 +6,14 @@ Belongs here: layout, channels, the device's rounding and special values. Not: w
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from protocols.cola.values import encode
 from protocols.scan import DAZZLED, Floats
+from protocols.skeleton.cola_values import encode
 
 CHANNEL = "s5 f32 f32 p32 u16"
 TIME = "u16 u8 u8 u8 u8 u8 u32"
@@ -25,6 +24,8 @@ LAYOUT = (
 """Version, device, serial, status, counters of telegrams and scans, times of scan and transmission, inputs, outputs,
 layer, frequencies, encoders, channels of 16 and of 8 bit, position [G], name, comment, time, event."""
 
+WIDEST_STEP = 0xFFFF
+"A channel has it in 16 bits."
 FULL_SCALE = 4000.0
 """Peak over threshold at which RSSI has its highest value below `dazzled`. The scale is logarithmic and its unit the
 maker's own ([M], LMS5xx and MRS1000); this end of it is ours."""
@@ -32,36 +33,30 @@ DAZZLED_MM = 1
 "Distance value of a beam whose receiver is dazzled; RSSI has all bits set (LMS4000 [M], here [I])."
 
 
-@dataclass(frozen=True)
-class Content:
-    """LMDscandatacfg by name."""
+class Content(NamedTuple):
+    """LMDscandatacfg, its twelve arguments."""
 
     channels: int
-    encoder: bool
-    remission: bool
-    fine: bool
+    "Bits of the echoes."
+    high: int
+    remission: int
+    "Bit 0: RSSI; bit 1: ANGL1, a table of angle corrections (MRS1000)."
+    fine: int
     "RSSI of 16 bit."
-    angles: bool
-    "ANGL1, a table of angle corrections: bit 1 of the remission switch, MRS1000."
-    position: bool
-    name: bool
-    comment: bool
-    time: bool
+    unit: int
+    encoder: int
+    encoder_high: int
+    position: int
+    name: int
+    comment: int
+    time: int
     interval: int
 
-
-def content_of(values: Sequence[int]) -> Content:
-    """Of the twelve arguments."""
-    mask, _, remission, fine, _, encoder, _, position, name, comment, time, interval = values
-    return Content(mask, bool(encoder), bool(remission & 1), bool(fine), bool(remission & 2),
-                   bool(position), bool(name), bool(comment), bool(time), interval)  # fmt: skip
-
-
-def fits(values: Sequence[int], echoes: int) -> bool:
-    """Whether a device with so many echoes takes these arguments."""
-    mask, high, remission, fine, unit, encoder, encoder_high, *switches, interval = values
-    flags = (fine, unit, encoder, encoder_high, high, *switches)
-    return 0 < mask < 32 and mask & 1 == 1 and remission < 4 and max(flags) < 2 and 1 <= interval <= 50_000
+    @property
+    def fits(self) -> bool:
+        """Whether a device takes these arguments."""
+        good = 0 < self.channels < 32 and self.channels & 1 and self.remission < 4 and 1 <= self.interval <= 50_000
+        return bool(good) and max(self[1], *self[3:11]) < 2
 
 
 def distances(range_m: Floats, dazzled: NDArray[np.bool_], scale: float, nearest: int) -> NDArray[np.uint16]:
@@ -140,12 +135,12 @@ class Body:
             peaks = self.intensity[:, echo] if has else ranges
             counts = distances(ranges, dazzled, self.scale, self.nearest)
             coarse.append(self._channel(f"DIST{echo + 1}", self.scale, counts))
-            if self.content.remission:
-                words = remissions(peaks, counts, dazzled, self.content.fine)
+            if self.content.remission & 1:
+                words = remissions(peaks, counts, dazzled, bool(self.content.fine))
                 rssi.append(self._channel(f"RSSI{echo + 1}", 1.0, words))
         if self.content.fine:
             coarse += rssi
-        if self.content.angles:
+        if self.content.remission & 2:
             straight = np.full(len(self.range_m), 32_768, np.uint16)
             coarse.append(["ANGL1", 1.0, -32_768.0, self.start, self.step, straight])
         position = [[0.0] * 6 + [0]] if self.content.position else []

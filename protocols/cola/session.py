@@ -6,22 +6,22 @@ Belongs here: what happens when, and to whom it goes. Not: requests (asking), la
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 from protocols.cola import filters
-from protocols.cola.asking import ColaAsking, named
-from protocols.cola.commands import EVENTS, VARIABLES, refusal
-from protocols.cola.framing import frame
+from protocols.cola.answers import refusal
+from protocols.cola.asking import ColaAsking
+from protocols.cola.commands import EVENTS
 from protocols.cola.models import Pair
 from protocols.cola.scandata import Body, Header
+from protocols.cola.settings import RUN
 from protocols.cola.shapes import TICK_NS, Shape
-from protocols.cola.state import Held, Host
-from protocols.cola.values import ASCII, BINARY, Code, encode
+from protocols.cola.state import SCANS, Held, Host
 from protocols.device_clock import DeviceStamp
 from protocols.scan import Scan
 from protocols.session import Address, DropReason, Emission, LinkKind
+from protocols.skeleton.cola_frames import telegram
+from protocols.skeleton.cola_values import ASCII, Code, encode
 from protocols.skeleton.instants import SECOND_NS, Raster, earliest
 from protocols.skeleton.outbox import Outgoing
 from protocols.skeleton.requests import Answer, Refused, Request
@@ -42,23 +42,23 @@ class ColaSession(ColaAsking):
     # measuring
 
     def _start(self, now_ns: int) -> None:
-        self._raster = Raster(self._up_ns, self._raster.period_ns)
+        self._raster = Raster(self.up_ns, self._raster.period_ns)
         self._watch_or_not(now_ns)
         self._events.mode(now_ns, "measuring")
 
     def start_measuring(self, now_ns: int) -> None:
         """The mirror turns; one that turned goes on. A driver may poll soon: scans are measured for it."""
-        if not self._still or not self._measuring:
+        if not self._still or not self.measures:
             self._poll_until_ns = max(self._poll_until_ns, now_ns + STARTED_NS)
             self._subscribe(now_ns, POLL)
-        if not self._measuring:
-            self._measuring = True
+        if not self.measures:
+            self.measures = True
             self._pause(now_ns)
 
     def stop_measuring(self, now_ns: int) -> None:
         """No scans until it is started again."""
-        if self._measuring:
-            self._measuring = False
+        if self.measures:
+            self.measures = False
             self.rearrange(now_ns)
 
     def reconfigure(self, pair: Pair, now_ns: int) -> None:
@@ -74,24 +74,24 @@ class ColaSession(ColaAsking):
         self._pause(now_ns)
 
     def _pause(self, now_ns: int) -> None:
-        self._cold = self._cold and now_ns < self._up_ns
-        self._began_ns, self._up_ns = now_ns, max(self._up_ns, now_ns + round(1e9 * self.settings.change_s))
+        self.cold = self.cold and now_ns < self.up_ns
+        self.began_ns, self.up_ns = now_ns, max(self.up_ns, now_ns + round(1e9 * self.settings.change_s))
         self.rearrange(now_ns)
 
     def rearrange(self, now_ns: int) -> None:
         """Something that scans depend on has changed: those of before are withdrawn."""
         self._shapes.clear()
         self._chain.clear()
-        self._watching.clear()
+        self.watching.clear()
         self._give_up_held(now_ns)
         self._change(now_ns)
-        if now_ns < self._up_ns:
-            self._raster = Raster(self._up_ns, self._nominal_ns * self._slowed, self._next)
+        if now_ns < self.up_ns:
+            self._raster = Raster(self.up_ns, self._nominal_ns * self._slowed, self._next)
         self._watch_or_not(now_ns)
 
     def _watch_or_not(self, now_ns: int) -> None:
-        self._watching.use(self.values, self.settings.model.fields)
-        if self._watching.active:
+        self.watching.use(self.values)
+        if self.watching.active:
             self._subscribe(now_ns, WATCH)
         else:
             self._unsubscribe(now_ns, WATCH)
@@ -103,58 +103,48 @@ class ColaSession(ColaAsking):
     def _shape(self, number: int) -> Shape:
         place = self._setup.place(number)
         if place not in self._shapes:
-            self._shapes[place] = self._setup.shape(*place, whole=self._watching.active)
+            self._shapes[place] = self._setup.shape(*place, whole=self.watching.active)
         return self._shapes[place]
 
     def _sweep(self, number: int) -> Sweep:
         return self._shape(number).sweep
 
     def _passed_over(self, number: int) -> int:
-        return 0 if self._watching.active else self._setup.skipped(number)
+        return 0 if self.watching.active else self._setup.skipped(number)
 
     def _telegrams(self, scan: Scan) -> list[Any]:
         raise AssertionError("dialects differ from host to host: see submit")
 
     def submit(self, scan: Scan) -> None:
         """Take the scan of `next_plan`; `ScanRefused` for any other."""
+        hosts = [one for one in self._accepted(scan) if one not in (POLL, WATCH)]
         plan = scan.plan
-        self._wanted.expect(plan, len(scan.range_m))
-        self._wanted.forget()
-        self._next = plan.sweep + 1
         model, setup, shape = self.settings.model, self._setup, self._shape(plan.sweep)
         end_ns = plan.start_ns + round(1e9 * plan.duration_s)
         turn_ns = plan.start_ns + round(model.turn_ns(self.pair) * self._slowed)
         sent_ns = model.transmission_ns + (turn_ns if model.series in ("lms1", "lms5") else end_ns)
-        self._watching.see(scan, end_ns)
-        numbers = range(plan.sweep, plan.sweep + 1)
-        found = self._chain.add(_cut(scan, shape.sent), setup.filters(), plan.sweep % model.layers)
-        takers = [
-            one for one, since_ns in self._hosts.items() if one not in (POLL, WATCH) and since_ns <= plan.start_ns
-        ]
+        self.watching.see(scan, end_ns)
+        found = self._chain.add(scan, shape.sent, setup.filters(), setup.place(plan.sweep))
         if found is None or setup.kept_back(plan.sweep):
-            self._events.unsent(self._now_ns, DropReason.KEPT, numbers, "", plan.stream)
+            self._events.unsent(self._now_ns, DropReason.KEPT, plan.sweep, "", plan.stream)
             return
         reported = self.clock.reported(end_ns if model.stamps_end else plan.start_ns, TICK_NS, 32)
         body = self._body(plan.sweep, found, shape, reported, sent_ns)
-        held = Held(plan.start_ns, sent_ns, body, reported, plan.sweep, plan.stream, False)
+        held = Held(plan, sent_ns, body, reported)
         self._let_go(self._now_ns)
         self._held.append(held)
-        telegrams: dict[bytes, bytes] = {}
-        for address in takers:
-            self._send_scan(held, address, telegrams)
+        for address in hosts:
+            self._send_scan(held, address)
 
-    def _send_scan(self, held: Held, address: Host, telegrams: dict[bytes, bytes]) -> None:
-        """To one host; `telegrams`: those made already, by dialect."""
-        dialect = self._dialects.get(address, ASCII)
-        if dialect not in telegrams:
-            telegrams[dialect] = _event(dialect, "LMDscandata", held.body.encoded(dialect))
-        held.sent = True
-        if self._line_takes(address, len(telegrams[dialect]), held.due_ns):
-            one = Emission(held.due_ns, telegrams[dialect], address, held.sweep, None, "LMDscandata", held.reported)
+    def _send_scan(self, held: Held, address: Host) -> None:
+        """To one subscriber, if its line is free."""
+        said = held.telegram(b"sSN", self._dialects.get(address, ASCII))
+        held.sent, plan = True, held.plan
+        if self._line_takes(address, len(said), held.due_ns):
+            one = Emission(held.due_ns, said, address, plan.sweep, None, SCANS, held.reported)
             self._outbox.put(Outgoing(address, deque([one]), is_scan=True))
         else:
-            numbers = range(held.sweep, held.sweep + 1)
-            self._events.unsent(self._now_ns, DropReason.LINE_BUSY, numbers, "", held.stream, address)
+            self._events.unsent(self._now_ns, DropReason.LINE_BUSY, plan.sweep, "", plan.stream, address)
 
     def _line_takes(self, address: Host, size: int, due_ns: int) -> bool:
         """Whether a serial line has sent what came before."""
@@ -170,7 +160,9 @@ class ColaSession(ColaAsking):
         content = setup.content
         model = settings.model
         warned, failed = self.contamination()
-        status = 1 if self._motor_wrong else 0 if model.series in ("tim", "mrs") else 4 * failed or 2 * warned
+        status = (
+            1 if "motor status" in self.faults else 0 if model.series in ("tim", "mrs") else 4 * failed or 2 * warned
+        )
         header = Header(
             version=model.version,
             device=model.device_number,
@@ -179,9 +171,9 @@ class ColaSession(ColaAsking):
             telegrams=self.first_count + self._telegrams_made & 0xFFFF,
             scans=self.first_count + (self._telegrams_made if model.layers > 1 else number) & 0xFFFF,
             scan_us=reported.ticks,
-            sent_us=self.clock.ticks(sent_ns, TICK_NS, 32),
+            sent_us=self.ticks(sent_ns),
             inputs=0,
-            outputs=8 if model.series == "tim" else self._watching.bits(),
+            outputs=8 if model.series == "tim" else self.watching.bits(),
             layer_cdeg=model.layers_cdeg[number % model.layers],
             frequencies=model.frequencies(self.pair),
         )
@@ -189,13 +181,13 @@ class ColaSession(ColaAsking):
         return Body(
             header, found.range_m, found.intensity, found.flags, shape.start, shape.step, setup.scale,
             model.nearest_raw, content, setup.echoes(),
-            encoders=setup.encoders(reported.true_ns),
+            encoders=setup.encoders(reported.true_ns - self._powered_ns),
             name=self.values["LocationName"][0],
             date=self.date(reported.true_ns) if content.time and model.sends_time else None,
         )  # fmt: skip
 
     def _poll(self, request: Request) -> Answer | Refused:
-        if self._still or request.now_ns < self._up_ns:
+        if self._still or request.now_ns < self.up_ns:
             return refusal(Code.CONDITION_FAILED, DropReason.WRONG_MODE)
         self._poll_until_ns = max(self._poll_until_ns, request.now_ns + POLLED_NS)
         self._subscribe(request.now_ns, POLL)
@@ -212,7 +204,7 @@ class ColaSession(ColaAsking):
 
     def _note_unsent(self, held: Held, now_ns: int) -> None:
         if not held.sent:
-            self._events.unsent(now_ns, DropReason.KEPT, range(held.sweep, held.sweep + 1), "", held.stream)
+            self._events.unsent(now_ns, DropReason.KEPT, held.plan.sweep, "", held.plan.stream)
 
     def _give_up_held(self, now_ns: int) -> None:
         while self._held:
@@ -221,17 +213,17 @@ class ColaSession(ColaAsking):
     def _serve_polls(self, due_ns: int) -> None:
         held = self._held[0]
         for address, dialect in self._asking.items():
-            payload = named(dialect, b"sRA", b"LMDscandata", held.body.encoded(dialect))
-            sweep, reported = (None, None) if held.sent else (held.sweep, held.reported)
-            self._outbox.send(Emission(due_ns, frame(dialect, payload), address, sweep, None, "LMDscandata", reported))
+            sweep, reported = (None, None) if held.sent else (held.plan.sweep, held.reported)
+            said = held.telegram(b"sRA", dialect)
+            self._outbox.send(Emission(due_ns, said, address, sweep, None, SCANS, reported))
             held.sent = True
         self._asking.clear()
 
     def _next_instant(self) -> int | None:
         own = [super()._next_instant()]
         if self._running:
-            own += [self._held[0].due_ns if self._asking and self._held else None, self._watching.next_ns()]
-            own += [self._poll_until_ns if POLL in self._hosts else None]
+            own += [self._held[0].due_ns if self._asking and self._held else None, self.watching.next_ns()]
+            own += [self._poll_until_ns if POLL in self._hosts and not self._asking else None]
         return earliest(own)
 
     def _happen(self, now_ns: int) -> None:
@@ -243,33 +235,23 @@ class ColaSession(ColaAsking):
         self._let_go(now_ns)
         if self._asking and self._held and self._held[0].due_ns <= now_ns:
             self._serve_polls(now_ns)
-        if POLL in self._hosts and self._poll_until_ns <= now_ns:
+        if self._poll_until_ns <= now_ns and not self._asking:
             self._unsubscribe(now_ns, POLL)
-            self._asking.clear()
-        if self._watching.due(now_ns):
-            self._send_event("LFErec", now_ns, (BINARY,))
-            self._send_event("LIDoutputstate", now_ns)
+        if self.watching.due(now_ns):
+            self._tell("LFErec", now_ns)
+            self._tell("LIDoutputstate", now_ns)
 
-    def _send_event(self, name: str, now_ns: int, dialects: Sequence[bytes] = (ASCII, BINARY)) -> None:
-        variable = VARIABLES[name]
-        assert variable.live is not None
-        values, text = variable.live(self, now_ns), variable.layout_of(self.settings.model)
+    def _tell(self, name: str, now_ns: int) -> None:
+        """An event to its subscribers, each in its dialect, where it has that."""
+        event = EVENTS[name]
+        assert event.says is not None
+        assert event.says.live is not None
+        text, values = event.says.layout_of(self.settings.model), event.says.live(self, now_ns)
         for address in sorted(self._listeners[name], key=str):
             dialect = self._dialects.get(address, ASCII)
-            if dialect in dialects:
-                self._outbox.send(
-                    Emission(now_ns, _event(dialect, name, encode(text, dialect, values)), address, label=name)
-                )
-
-    def _send_imu(self, now_ns: int) -> None:
-        values = [0.0, 0.0, 9.81, *[0.0] * 6, 1.0, 0.0, 0.0, 0.0]
-        micro = self.clock.shown_ns(now_ns) // 1000
-        stamp = micro.to_bytes(8, "big") if self.settings.wide_imu else (micro & 0xFFFFFFFF).to_bytes(4, "big")
-        data = encode("f32 " * 13, BINARY, values) + stamp
-        for address in sorted(self._listeners["InertialMeasurementUnit"], key=str):
-            if self._dialects.get(address) == BINARY:
-                label = "InertialMeasurementUnit"
-                self._outbox.send(Emission(now_ns, _event(BINARY, label, data), address, label=label))
+            if dialect in event.dialects:
+                said = telegram(dialect, b"sSN", name.encode(), encode(text, dialect, values))
+                self._outbox.send(Emission(now_ns, said, address, label=name))
 
     def _unsubscribe(self, now_ns: int, address: Host) -> None:
         super()._unsubscribe(now_ns, address)
@@ -279,10 +261,11 @@ class ColaSession(ColaAsking):
     def disconnected(self, now_ns: int, address: Address) -> None:
         """A stream's host has gone: its subscriptions, polls and user level with it."""
         super().disconnected(now_ns, address)
-        for one in (self._levels, self._dialects, self._asking, self._asked):
+        for one in (self._dialects, self._asking, self.asked):
             one.pop(address, None)
         for listeners in self._listeners.values():
             listeners.discard(address)
+        self.set_level(address, RUN, now_ns)
 
     def _listen(self, name: str, on: int, request: Request) -> bytes | Refused:
         address, now_ns = request.address, request.now_ns
@@ -291,28 +274,15 @@ class ColaSession(ColaAsking):
         if on > 1:
             return refusal(Code.CONDITION_FAILED)
         (self._listeners[name].add if on else self._listeners[name].discard)(address)
-        if name == "LMDscandata" and on:
+        if name == SCANS and on:
             if address not in self._hosts:
                 for held in self._held if self._hosts else ():
-                    if held.start_ns >= now_ns:
-                        self._send_scan(held, address, {})
+                    if held.plan.start_ns >= now_ns:
+                        self._send_scan(held, address)
             self._subscribe(now_ns, address)
-        elif name == "LMDscandata":
+        elif name == SCANS:
             self._unsubscribe(now_ns, address)
         elif name == "InertialMeasurementUnit" and on and not self._imu_goes:
             self._imu_goes = True
-            self._timers.add(now_ns + IMU_NS, IMU_NS, self._send_imu)
+            self._timers.add(now_ns + IMU_NS, IMU_NS, lambda at_ns: self._tell(name, at_ns))
         return encode("u8", request.data[:1], [on])
-
-
-def _event(dialect: bytes, name: str, data: bytes) -> bytes:
-    return frame(dialect, named(dialect, b"sSN", name.encode(), data))
-
-
-def _cut(scan: Scan, sent: slice) -> Scan:
-    """The beams that are sent."""
-    if sent == slice(None):
-        return scan
-    return replace(
-        scan, range_m=scan.range_m[sent], intensity=scan.intensity[sent], flags=scan.flags[sent], actor=scan.actor[sent]
-    )

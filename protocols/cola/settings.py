@@ -5,14 +5,21 @@ Belongs here: keys with their defaults. Not: variables that hosts write (command
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 
-from protocols.cola.login import AUTHORISED, MAINTENANCE, PASSWORDS, SERVICE
 from protocols.cola.models import MODELS, Model
 from protocols.skeleton.keys import DeviceKeys
 
-CLASSIC = "classic"
+CLASSIC, SALTED = "classic", "challenge 2"
+
+LEVELS = ("Run", "Operator", "Maintenance", "AuthorizedClient", "Service")
+"By number; the names are those that the login by challenge hashes."
+RUN, OPERATOR, MAINTENANCE, AUTHORISED, SERVICE = range(5)
+
+PASSWORDS: Mapping[int, str] = {MAINTENANCE: "main", AUTHORISED: "client", SERVICE: "servicelevel"}
+"As delivered (drivers' sources, hashes recomputed)."
 
 
 @dataclass(frozen=True)
@@ -76,7 +83,7 @@ def settings_of(keys: DeviceKeys) -> Settings:
         change_s=keys.number("change_s", "without scans after another scan configuration", model.change_s, 0.0, 60.0),
         strict=keys.choice("access", "strict: writes need a login", "strict", ("strict", "open")) == "strict",
         dialect=keys.choice("dialect", "both, or that of EIHstCola alone", "both", ("both", "host")),
-        login=keys.choice("login", "what GetChallenge does", CLASSIC, (CLASSIC, "challenge 1", "challenge 2")),
+        login=keys.choice("login", "what GetChallenge does", CLASSIC, (CLASSIC, "challenge 1", SALTED)),
         quiet_login=keys.flag("quiet_login", "no scans while a host is logged in", False),
         fog=keys.flag("fog_filter", "weak echoes of the near field are taken away", False),
         edge_m=keys.number("edge_filter_m", "MRS1000: neighbours that differ by more than this are taken away; 0: off",

@@ -15,7 +15,7 @@ import numpy as np
 
 from protocols.cola import filters
 from protocols.cola.models import Pair
-from protocols.cola.scandata import Content, content_of
+from protocols.cola.scandata import WIDEST_STEP, Content
 from protocols.cola.settings import Settings
 from protocols.skeleton.sweeps import Sweep
 
@@ -45,7 +45,7 @@ class Setup:
     @property
     def content(self) -> Content:
         """LMDscandatacfg."""
-        return content_of(self.values["LMDscandatacfg"])
+        return Content(*self.values["LMDscandatacfg"])
 
     @property
     def scale(self) -> float:
@@ -69,14 +69,14 @@ class Setup:
             mean=mean[1] if mean[0] else 1,
         )
 
-    def encoders(self, at_ns: int) -> tuple[tuple[int, int], ...]:
-        """Position in ticks and speed in mm/s at an instant; an encoder of one channel has no sign."""
+    def encoders(self, since_power_ns: int) -> tuple[tuple[int, int], ...]:
+        """Position in ticks and speed in mm/s; an encoder of one channel has no sign."""
         mode = self.values.get("LICencset", [0])[0]
         if not self.content.encoder or not mode:
             return ()
         speed = abs(self.settings.encoder_mm_s) if mode == 1 else self.settings.encoder_mm_s
         per_tick_mm = self.values["LICencres"][0]
-        ticks = math.floor(speed * at_ns * 1e-9 / per_tick_mm)
+        ticks = math.floor(speed * since_power_ns * 1e-9 / per_tick_mm)
         return ((ticks & 0xFFFFFFFF, round(abs(speed)) & 0xFFFF),)
 
     def echoes(self) -> int:
@@ -97,7 +97,7 @@ class Setup:
         ((step, first, last),) = self.values["LMPoutputRange"][0]
         low, high = (min(max(round((edge - start) / coarse), 0), count - 1) for edge in (first, last))
         # a TiM thins its points out by the step written here; an LMS ignores it, as drivers write an old one
-        every = max(1, round(step / coarse)) if model.series == "tim" else 1
+        every = min(max(1, round(step / coarse)), int(WIDEST_STEP // coarse)) if model.series == "tim" else 1
         sent, beams = slice(low, high + 1, every), np.arange(count)
         if not whole:
             beams, sent = beams[sent], slice(None)
@@ -111,7 +111,7 @@ class Setup:
             duration_s=1e-9 * count * float(beam_ns),
             max_range_m=65.535 * self.scale,
             max_echoes=1 if plain else model.echoes,
-            wants_intensity=self.content.remission or filtered.fog,
+            wants_intensity=bool(self.content.remission & 1) or filtered.fog,
         )
         return Shape(sweep, sent, round(start + low * coarse), round(coarse * every))
 

@@ -13,13 +13,14 @@ from dataclasses import dataclass, field
 from protocols.ld import config as cfg
 from protocols.ld.answers import Handler
 from protocols.ld.cola import ColaSplitter
-from protocols.ld.cola import encode_frame as encode_cola
 from protocols.ld.device import Device
 from protocols.ld.head import MS
 from protocols.ld.packages import NAK, Package, PackageJoiner, PackageReader, encode_packages, swapped
 from protocols.ld.segments import SegmentJoiner, encode_segments, worst_case_bits
 from protocols.ld.usp import UspReader, encode_frame
 from protocols.session import Address, DropReason, Emission, LinkKind
+from protocols.skeleton.cola_frames import frame
+from protocols.skeleton.cola_values import BINARY
 from protocols.skeleton.outbox import Outgoing
 from protocols.skeleton.receiving import Fault
 
@@ -194,11 +195,11 @@ class Channel:
             emissions = self._can_frames(payload, route, due_ns, device, sweep, label)
         else:
             if self.kind is LinkKind.SERIAL:
-                data = encode_cola(payload) if is_cola else encode_packages(payload, route)
+                data = frame(BINARY, payload) if is_cola else encode_packages(payload, route)
                 due_ns = max(due_ns, before_ns)
                 self.line.free_ns = due_ns + serial_ns(len(data), device)
             else:
-                data = encode_cola(payload) if is_cola else encode_frame(payload)
+                data = frame(BINARY, payload) if is_cola else encode_frame(payload)
             emissions = deque([Emission(due_ns, data, self.address, sweep, line_speed, label)])
         self.last_sent_ns = self.line.free_ns if self.is_paced else due_ns
         if not is_profile:

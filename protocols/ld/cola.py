@@ -10,30 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from protocols.checksums import xor8
 from protocols.ld import usp
+from protocols.skeleton.cola_frames import HEAD_BYTES, START, UNKNOWN, refused
+from protocols.skeleton.cola_values import BINARY, Code, Rejected, decode, encode, short_hash
 
-STX = b"\x02\x02\x02\x02"
-HEADER_BYTES = 8
 MAX_BYTES = 4096
-
+PASSWORD = "client"
+"Of the authorised client, level 3."
 AUTHORISED_CLIENT = 3
-CLIENT = bytes.fromhex("F4724744")
-"What `client` becomes on the wire."
-
-ACCESS_DENIED, UNKNOWN_METHOD, UNKNOWN_VARIABLE, INVALID_DATA, UNKNOWN_COMMAND = 1, 2, 3, 5, 13
-
-
-def xor_of(payload: bytes) -> int:
-    """Checksum of a frame: XOR of its payload."""
-    value = 0
-    for byte in payload:
-        value ^= byte
-    return value
-
-
-def encode_frame(payload: bytes) -> bytes:
-    """A telegram with four STX, length and checksum."""
-    return STX + len(payload).to_bytes(4, "big") + payload + bytes((xor_of(payload),))
 
 
 class ColaSplitter:
@@ -61,26 +46,26 @@ class ColaSplitter:
                 self._held, self._passing = self._held[gone:], self._passing - gone
                 continue
             if usp.HEADER.startswith(self._held[:4]) and len(self._held) > 1:
-                if len(self._held) < HEADER_BYTES:
+                if len(self._held) < HEAD_BYTES:
                     break
-                size = int.from_bytes(self._held[4:HEADER_BYTES], "big")
+                size = int.from_bytes(self._held[4:HEAD_BYTES], "big")
                 self._passing = size + usp.OVERHEAD if size <= usp.MAX_REQUEST_BYTES else len(usp.HEADER)
                 continue
-            at = self._held.find(STX[:1])
+            at = self._held.find(START[:1])
             if at:
                 cut = len(self._held) if at < 0 else at
                 others, self._held = others + self._held[:cut], self._held[cut:]
                 continue
-            if not self._held.startswith(STX[: len(self._held)]):
+            if not self._held.startswith(START[: len(self._held)]):
                 others, self._held = others + self._held[:1], self._held[1:]
                 continue
-            if len(self._held) < HEADER_BYTES:
+            if len(self._held) < HEAD_BYTES:
                 break
-            end = HEADER_BYTES + int.from_bytes(self._held[4:HEADER_BYTES], "big")
-            if end - HEADER_BYTES <= MAX_BYTES and len(self._held) <= end:
+            end = HEAD_BYTES + int.from_bytes(self._held[4:HEAD_BYTES], "big")
+            if end - HEAD_BYTES <= MAX_BYTES and len(self._held) <= end:
                 break
-            payload = self._held[HEADER_BYTES:end]
-            if end - HEADER_BYTES > MAX_BYTES or xor_of(payload) != self._held[end]:
+            payload = self._held[HEAD_BYTES:end]
+            if end - HEAD_BYTES > MAX_BYTES or xor8(payload) != self._held[end]:
                 others, self._held = others + self._held[:1], self._held[1:]
                 continue
             found.append(payload)
@@ -93,27 +78,19 @@ class ColaSplitter:
         return held
 
 
-def _text(value: str) -> bytes:
-    return len(value).to_bytes(2, "big") + value.encode("ascii")
-
-
 def answer(payload: bytes, identity: Callable[[str], str]) -> tuple[bytes, bool]:
     """The reply to a telegram, and whether it was understood; `identity` gives the device's texts by name."""
     kind, _, rest = payload.partition(b" ")
     name, _, data = rest.partition(b" ")
     if kind == b"sRN" and name == b"DeviceIdent":
-        reported = _text(identity("sensor_name")) + _text(identity("firmware_version"))
-        return b"sRA DeviceIdent " + reported, True
+        who = [identity("sensor_name"), identity("firmware_version")]
+        return b"sRA DeviceIdent " + encode("str str", BINARY, who), True
     if kind == b"sMN" and name == b"SetAccessMode":
-        if len(data) != 1 + len(CLIENT):
-            return _error(INVALID_DATA), False
-        right = data[0] == AUTHORISED_CLIENT and data[1:] == CLIENT
+        try:
+            right = decode("u8 u32", BINARY, data) == [AUTHORISED_CLIENT, short_hash(PASSWORD)]
+        except Rejected:
+            return refused(BINARY, Code.INVALID_DATA), False
         return b"sAN SetAccessMode " + bytes((right,)), right
     if kind == b"sMN" and name == b"Run":
         return b"sAN Run \x01", True
-    codes = {b"sRN": UNKNOWN_VARIABLE, b"sWN": UNKNOWN_VARIABLE, b"sEN": UNKNOWN_VARIABLE, b"sMN": UNKNOWN_METHOD}
-    return _error(codes.get(kind, UNKNOWN_COMMAND)), False
-
-
-def _error(code: int) -> bytes:
-    return b"sFA" + code.to_bytes(2, "big")
+    return refused(BINARY, UNKNOWN.get(kind, Code.COMMAND_UNKNOWN)), False

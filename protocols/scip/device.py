@@ -259,7 +259,8 @@ class ScipDevice(OneClientSession):
 
     def submit(self, scan: Scan) -> None:
         """Take the scan of `next_plan`; `ScanRefused` for any other."""
-        plan = self._taken(scan)
+        self._accepted(scan)
+        plan = scan.plan
         numbers = range(plan.sweep, plan.sweep + 1)
         stride = self._stride()
         turn = self._mirror.first_from(plan.start_ns - int(self._mirror.period_ns) // 2)

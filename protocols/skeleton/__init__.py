@@ -13,6 +13,8 @@ one_way     a device that only sends: datagrams of sweeps, and periodic ones
 requests    a device with a command table
 descriptors replies of such devices behind `A5 5A`, length and type
 http        requests and replies of a web interface
+cola_values values of CoLa in either dialect, by layout; error codes; what passwords become
+cola_frames telegrams of CoLa in either dialect
 nmea        sentences of a satellite receiver
 rotor       angle of a rotor that turns freely, and the turns that its samples make
 ramping     angle of a head that ramps to a speed, piece by piece

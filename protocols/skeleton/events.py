@@ -54,12 +54,13 @@ class EventLog:
         self,
         at_ns: int,
         reason: DropReason,
-        sweeps: range,
+        sweeps: range | int,
         detail: str = "",
         stream: int | None = None,
         address: Address | None = None,
     ) -> None:
         """Scans that hosts do not get, by their numbers; without `address`: no host. Nothing for an empty range."""
+        sweeps = range(sweeps, sweeps + 1) if isinstance(sweeps, int) else sweeps
         self._kept.extend(dropped_scans(at_ns, reason, sweeps, detail, stream, address))
 
     def handled(self, at_ns: int, command: str, outcome: str = "done") -> None:

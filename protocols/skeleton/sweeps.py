@@ -276,25 +276,24 @@ class SweepSession(TimedSession):
 
     def submit(self, scan: Scan) -> None:
         """Take the scan of `next_plan`; `ScanRefused` for any other."""
-        plan = self._taken(scan)
-        takers = [address for address, since_ns in self._hosts.items() if since_ns <= plan.start_ns]
+        takers, plan = self._accepted(scan), scan.plan
         if not takers:
-            numbers = range(plan.sweep, plan.sweep + 1)
-            self._events.unsent(self._now_ns, DropReason.STALE, numbers, "no subscriber", plan.stream)
+            self._events.unsent(self._now_ns, DropReason.STALE, plan.sweep, "no subscriber", plan.stream)
             return
         telegrams = list(self._telegrams(scan))
         if not telegrams:
-            numbers = range(plan.sweep, plan.sweep + 1)
-            self._events.unsent(self._now_ns, DropReason.KEPT, numbers, "too few samples", plan.stream)
+            self._events.unsent(self._now_ns, DropReason.KEPT, plan.sweep, "too few samples", plan.stream)
             return
         for address in takers:
             self._outbox.put(Outgoing(address, deque(self._emissions(plan, telegrams, address)), is_scan=True))
 
-    def _taken(self, scan: Scan) -> ScanPlan:
-        self._wanted.expect(scan.plan, len(scan.range_m))
+    def _accepted(self, scan: Scan) -> list[Address | None]:
+        """It is the scan of the requested plan, else `ScanRefused`: who has subscribed before the sweep began."""
+        plan = scan.plan
+        self._wanted.expect(plan, len(scan.range_m))
         self._wanted.forget()
-        self._next = scan.plan.sweep + 1
-        return scan.plan
+        self._next = plan.sweep + 1
+        return [address for address, since_ns in self._hosts.items() if since_ns <= plan.start_ns]
 
     def _emissions(self, plan: ScanPlan, telegrams: Iterable[Telegram], to: Address | None) -> Iterable[Emission]:
         """The first one carries the sweep, the others (`scans` 0) are further parts."""

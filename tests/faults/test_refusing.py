@@ -11,8 +11,8 @@ from emulator.faults.catalogue import fits, kinds
 from emulator.judging.trial import Trial
 from emulator.scenario import scenario
 from emulator.transports.loopback import LoopLink
-from protocols.cola.framing import frame
-from protocols.cola.values import ASCII
+from protocols.skeleton.cola_frames import frame
+from protocols.skeleton.cola_values import ASCII
 
 TEXT = """\
 schema: 1

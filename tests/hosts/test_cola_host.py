@@ -8,10 +8,11 @@ import pytest
 from emulator.errors import LinkError
 from emulator.hosts.cola import ColaHost, ColaScript, exact_step, read_scan
 from emulator.hosts.describe import Speaker, describe
-from emulator.hosts.lines import SocketLine
+from emulator.hosts.lines import Line, SocketLine
 from emulator.hosts.scans import HostScan
 from emulator.process.clock import ManualClock
-from protocols.cola.values import ASCII, BINARY
+from protocols.session import Address, LinkKind
+from protocols.skeleton.cola_values import ASCII, BINARY
 from tests.protocols.cola.reader import ask_a, ask_b, frames
 from tests.protocols.cola.rig import MS, ONE, SECOND, Rig
 
@@ -78,12 +79,62 @@ def test_a_host_waits_for_a_device_that_is_being_switched_on(monkeypatch: pytest
     assert rig.now_ns < 11 * SECOND
 
 
+class SerialEnd(Line):
+    """A host's end of a serial line: at another speed than the device's nothing of use passes."""
+
+    def __init__(self, rig: Rig, clock: ManualClock, speed: int) -> None:
+        self.rig, self.clock, self.speed = rig, clock, speed
+        self.baud = 0
+
+    def set_baud(self, baud: int) -> None:
+        self.baud = baud
+
+    def write(self, data: bytes) -> None:
+        if self.baud == self.speed:
+            self.rig.session.receive(data, self.rig.now_ns, Address(0, 0))
+
+    def read(self, timeout_s: float) -> bytes:
+        self.clock.set(self.clock.now_ns() + 10 * MS)
+        self.rig.run(10 * MS)
+        found = b"".join(one.payload for one in self.rig.sent)
+        self.rig.sent.clear()
+        return found
+
+    def fileno(self) -> int:
+        raise AssertionError("read is ours")
+
+    def _take(self) -> bytes:
+        raise AssertionError("read is ours")
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize(("speed", "told"), [(57_600, None), (115_200, None), (9_600, None), (230_400, 230_400)])
+def test_a_device_is_found_at_the_speed_of_its_line(
+    monkeypatch: pytest.MonkeyPatch, speed: int, told: int | None
+) -> None:
+    clock, rig = ManualClock(), Rig(kind=LinkKind.SERIAL, serial_baud=speed)
+    monkeypatch.setattr("emulator.hosts.cola.SystemClock", lambda: clock)
+    host = ColaHost(SerialEnd(rig, clock, speed), told)
+    assert host.found_baud == speed
+    assert host.title == "LMS11x_FieldEval V1.80"
+
+
+def test_a_line_without_a_device_is_given_up_with_the_speeds_that_were_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, rig = ManualClock(), Rig(kind=LinkKind.SERIAL)
+    monkeypatch.setattr("emulator.hosts.cola.SystemClock", lambda: clock)
+    with pytest.raises(LinkError, match="57600, 115200, 38400, 19200, 9600 baud"):
+        ColaHost(SerialEnd(rig, clock, 1), None)
+    assert clock.now_ns() < 8 * SECOND
+
+
 def test_a_probe_leaves_the_device_as_it_was() -> None:
     rig = Rig()
     host = ColaHost(RigLine(rig), None)
     assert host.title == "LMS11x_FieldEval V1.80"
     host.close()
-    assert not rig.session._levels
+    assert not rig.session.levels
     assert rig.session.next_plan() is None
 
 
@@ -159,3 +210,10 @@ def test_telegrams_are_described_field_by_field() -> None:
     for data in (b"\x02", b"\xff\x02", rig.sent[-1].payload[:100], ask_b("sSN LMDscandata", "00")):
         assert describe(speaker, data)
     assert frames(rig.sent[-1].payload)[0][0] == "B"
+
+
+@pytest.mark.parametrize(
+    ("code", "name"), [("9", "unknown type"), ("B", "unknown server"), ("14", "internal"), ("1A", "complex")]
+)
+def test_error_words_that_our_devices_never_send_are_named_too(code: str, name: str) -> None:
+    assert describe(Speaker("cola"), b"\x02sFA %s\x03" % code.encode())[-1][2].startswith(name)

@@ -57,7 +57,7 @@ class Rig:
             self.session.connected(0, ONE, kind)
             self.session.connected(0, TWO, kind)
         if up:
-            self.run(self.session._up_ns + MS)
+            self.run(self.session.up_ns + MS)
             self.sent.clear()
 
     def step(self) -> int | None:

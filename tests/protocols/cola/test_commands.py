@@ -8,11 +8,12 @@ from typing import Any
 import pytest
 
 from protocols.cola import FAMILY
+from protocols.cola.answers import challenge_of, long_hash, response
 from protocols.cola.commands import EVENTS, METHODS, VARIABLES, codes
-from protocols.cola.login import challenge_of, long_hash, response, short_hash
 from protocols.cola.models import MODELS
 from protocols.errors import DeviceSettingError
 from protocols.session import LinkKind
+from protocols.skeleton.cola_values import short_hash
 from tests.protocols.cola.reader import ask_b
 from tests.protocols.cola.rig import ONE, SECOND, TWO, Rig
 

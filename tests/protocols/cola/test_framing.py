@@ -6,9 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols.cola.framing import ColaFraming, ColaSplitter, frame
-from protocols.cola.values import BINARY
+from protocols.cola.framing import ColaFraming
 from protocols.session import DropReason, Emission
+from protocols.skeleton.cola_frames import ColaSplitter, frame
+from protocols.skeleton.cola_values import BINARY
 from protocols.skeleton.receiving import Fault
 from tests.protocols.cola.reader import ask_a, ask_b, frames, read
 from tests.protocols.cola.rig import Rig

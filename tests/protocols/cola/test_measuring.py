@@ -191,6 +191,30 @@ def test_the_mean_filter_averages_and_lowers_the_rate() -> None:
     assert [two.telegrams - one.telegrams for one, two in pairwise(scans)] == [1] * 3
 
 
+@pytest.mark.parametrize("model", ["sick-lms511", "sick-mrs1104"])
+@pytest.mark.parametrize("written", ["LFPparticle 1 +500", "LFPmedianfilter 1 3", "LFPmeanfilter 1 +3 0"])
+def test_one_beam_is_a_scan_with_every_filter(model: str, written: str) -> None:
+    rig = Rig(model, access="open", edge_filter_m=0.5)
+    rig.a("sWN LMPoutputRange 1 1388 +900000 +900000")
+    assert rig.a(f"sWN {written}").startswith("sWA")
+    rig.a("sEN LMDscandata 1")
+    for _ in range(5):  # until the scan before has the same layer
+        scan = rig.scan()
+    assert scan.channels["DIST1"][4] == [10_000]
+
+
+def test_a_poll_is_answered_however_long_a_telegram_takes() -> None:
+    rig = Rig("sick-lms511", access="open")
+    rig.a("sMN mLMPsetscancfg +2500 +1 +5000 -50000 +1850000")
+    rig.a("sWN LMPoutputRange 1 1388 +900000 +900000")
+    rig.a("sWN LMDscandatacfg 01 00 0 0 0 00 00 0 0 0 0 +1000")  # every forty seconds
+    rig.run(4 * SECOND)
+    rig.forget()
+    assert rig.a("sRN LMDscandata", within_ns=41 * SECOND).startswith("sRA LMDscandata ")
+    rig.run(20 * SECOND)
+    assert rig.session.next_plan() is None, "for polls alone it does not go on for ever"
+
+
 def test_the_median_filter_removes_what_one_direction_shows_once() -> None:
     def world(plan: ScanPlan) -> Scan:
         return scan_of(plan, np.where(np.arange(len(plan)) == plan.sweep % 300, 1.0, 10.0))
@@ -199,6 +223,16 @@ def test_the_median_filter_removes_what_one_direction_shows_once() -> None:
     start(rig, ONE, "sWN LFPmedianfilter 1 3")
     rig.scan()
     assert {value for _ in range(5) for value in rig.scan().mm()} == {10_000.0}
+
+
+@pytest.mark.parametrize("written", ["LFPmedianfilter 1 3", "LFPmeanfilter 1 +3 0", "LFPparticle 1 +500"])
+def test_filters_compare_interlaced_scans_of_the_same_directions(written: str) -> None:
+    rig = Rig("sick-lms511", world=lambda plan: scan_of(plan, 5.0 + plan.azimuth_rad))
+    start(rig, ONE, "sMN mLMPsetscancfg +5000 +1 +1667 -50000 +1850000", "sWN " + written)
+    for _ in range(8):
+        _, _, first, _, counts = rig.scan().channels["DIST1"]
+        wanted = 5000 + 1000 * np.radians((first + np.arange(len(counts)) * 10_000 / 3) / 1e4 - 90)
+        assert np.abs(np.asarray(counts) - wanted)[1:-1].max() <= 1.5
 
 
 def test_the_fog_filter_shows_what_is_behind_a_weak_near_echo() -> None:
@@ -274,6 +308,20 @@ def test_login_stops_the_scans_where_the_device_is_set_so() -> None:
     assert not rig.sent
     assert rig.a("sMN Run") == "sAN Run 1"
     assert len(rig.scan().mm()) == 541
+
+
+def test_scans_that_a_login_held_back_are_nobodys_when_its_host_hangs_up() -> None:
+    rig = Rig("sick-lms511", quiet_login=True)
+    assert rig.b("sEN LMDscandata", "01", to=TWO) == b"sEA LMDscandata \x01"
+    rig.log_in()
+    rig.forget()
+    rig.run(2 * SECOND)
+    assert not rig.sent
+    rig.dropped()
+    rig.session.disconnected(rig.now_ns, ONE)
+    rig.run(SECOND)
+    assert len(rig.sent) == pytest.approx(49, abs=2)
+    assert rig.dropped() == [], "the device did not measure: nothing was late"
 
 
 def test_a_slow_serial_line_loses_whole_telegrams_which_are_counted() -> None:
@@ -391,7 +439,7 @@ def test_a_single_scan_does_not_infringe_a_field() -> None:
     rig.log_in()
     rig.a(RECTANGLE)
     rig.run(2 * SECOND)
-    (_, changes), *_ = rig.session._watching.outputs(1)
+    (_, changes), *_ = rig.session.watching.outputs(1)
     assert changes <= 2, "free, or first infringed and then free"
 
 
@@ -448,6 +496,43 @@ def test_the_encoder_counts_the_way_of_the_belt() -> None:
         moved = (second[0] - first[0] + 2**31) % 2**32 - 2**31
         # 1000 ticks a second, whatever the number of scans between the two
         assert moved == pytest.approx(sign * (two.scan_us - one.scan_us) * 1e-3, abs=1.0)
+
+
+def test_the_encoder_begins_at_zero_with_the_power() -> None:
+    rig = Rig("sick-lms111", encoder_mm_s=1000.0, access="open")
+    for _ in range(2):
+        rig.a("sWN LICencset 2")
+        rig.a("sWN LMDscandatacfg 01 00 0 0 0 01 00 0 0 0 0 +1")
+        rig.a("sEN LMDscandata 1")
+        scan = rig.scan()
+        ((ticks, _),) = scan.encoders
+        assert ticks == pytest.approx(scan.scan_us * 1e-3, abs=1.0), "a tick is 1 mm"
+        rig.session.power_on(rig.now_ns)
+        rig.run(11 * SECOND)
+        rig.forget()
+
+
+def test_a_step_that_no_telegram_holds_is_refused() -> None:
+    for model in MODELS:
+        rig = Rig(model, access="open")
+        kept = rig.a("sRN LMPoutputRange")
+        for step in ("FFFFFFFF", "10000", "0"):
+            assert rig.a(f"sWN LMPoutputRange 1 {step} +0 +900000") == "sFA 4"
+        assert rig.a("sRN LMPoutputRange") == kept
+        assert rig.a("sWN LMPoutputRange 1 FFFF +0 +900000") == "sWA LMPoutputRange"
+        assert rig.a("sEN LMDscandata 1") == "sEA LMDscandata 1"
+        _, _, first, step, counts = rig.scan().channels["DIST1"]
+        assert first + (len(counts) - 1) * step <= 900_000 + 2500
+
+
+def test_the_zone_shifts_the_time_of_the_server_and_not_that_of_a_host() -> None:
+    rig = Rig("sick-lms511", ntp_epoch_s=1_700_000_000, access="open")
+    assert rig.a("sWN TSCTCtimezone +15") == "sFA 4"
+    assert rig.a("sWN TSCTCtimezone -5") == "sWA TSCTCtimezone"
+    rig.a("sMN LSPsetdatetime +2026 +3 +1 +12 0 0 0")
+    assert rig.a("sRN STlms").split(" ")[5:8] == ["12:00:00", "8", "01.03.26"]
+    rig.a("sWN TSCRole 1")
+    assert rig.a("sRN STlms").split(" ")[5:8] == ["17:13:30", "8", "14.11.23"]
 
 
 def test_the_angle_filter_of_an_mrs_leaves_a_sector_and_every_second_beam() -> None:

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from protocols.cola.framing import frame
 from protocols.cola.scandata import Body, Content, Header, distances, remissions
-from protocols.cola.values import ASCII, BINARY
 from protocols.scan import DAZZLED
+from protocols.skeleton.cola_frames import frame
+from protocols.skeleton.cola_values import ASCII, BINARY
 from tests.protocols.cola.reader import frames, read
 from tests.protocols.cola.rig import Rig
 
@@ -27,7 +27,7 @@ EXAMPLE_A = (
 )
 "Section 3.2 of the specification: three points, DIST1 of 16 and RSSI1 of 8 bit, time on."
 
-CONTENT = Content(1, False, True, False, False, False, False, False, True, 1)
+CONTENT = Content(1, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 1)
 HEADER = Header(1, 1, 0xA1B2C3, 0, 0x343, 0x347, 0x27477BA9, 0x2747813B, 0, 7, 0, (5000, 360))
 
 
@@ -47,7 +47,7 @@ def with_rssi(made: Body, words: list[list[int]], dialect: bytes) -> bytes:
     for channel, reported in zip([*values[17], *values[18]][made.channels :], words, strict=False):
         channel[5] = np.array(reported)
     from protocols.cola.scandata import LAYOUT
-    from protocols.cola.values import encode
+    from protocols.skeleton.cola_values import encode
 
     return frame(dialect, b"sSN LMDscandata " + encode(LAYOUT, dialect, values))
 
@@ -61,7 +61,7 @@ def test_the_worked_example_comes_out_byte_for_byte() -> None:
 def test_a_tim_sends_both_channels_in_16_bits() -> None:
     """TiM781 with three points, the third without an echo; SHA-256 of the specification, section 8."""
     header = Header(1, 1, 0x0119FD06, 0, 0xAFB1, 0xAFB1, 0xB3A805E3, 0xB3A81E29, 0, 0, 0, (1500, 162))
-    made = body([[1500, 1503, 0]], header=header, start=-450_000, step=3333, content=replace(CONTENT, fine=True),
+    made = body([[1500, 1503, 0]], header=header, start=-450_000, step=3333, content=CONTENT._replace(fine=1),
                 date=(2026, 11, 22, 18, 9, 28, 500_000))  # fmt: skip
     telegram = with_rssi(made, [[0x2328, 0x2332, 0]], BINARY)
     assert hashlib.sha256(telegram).hexdigest() == "2aa19eedffac346a57a6c8ce06313824890e9db1a96dd8fcd6cb6afb8c803e73"
@@ -130,6 +130,6 @@ def test_every_switch_of_the_content_changes_the_telegram(
 
 
 def test_both_dialects_say_the_same() -> None:
-    made = body([[1000, 2000, 0], [1500, 0, 0]], encoders=((7, 9),), name="a b", content=replace(CONTENT, name=True))
+    made = body([[1000, 2000, 0], [1500, 0, 0]], encoders=((7, 9),), name="a b", content=CONTENT._replace(name=1))
     reported = [read(*frames(frame(one, b"sSN LMDscandata " + made.encoded(one)))[0]) for one in (ASCII, BINARY)]
     assert reported[0] == reported[1]

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocols.cola.scandata import TIME
-from protocols.cola.values import ASCII, BINARY, INTEGERS, Code, Rejected, decode, encode
 from protocols.errors import EncodeError
+from protocols.skeleton.cola_values import ASCII, BINARY, INTEGERS, Code, Rejected, decode, encode
 
 TEXT = "u8 u16 u32 i8 i16 i32 p32 f32 str s4 [u16 [i8]]"
 
@@ -91,6 +91,8 @@ def test_numbers_are_upper_case_hexadecimal_without_leading_zeros_but_where_driv
         ("f32", ASCII, b"7FC00000", Code.INVALID_DATA),
         ("str", ASCII, b"3 abcd", Code.INVALID_DATA),
         ("str", BINARY, b"\x00\x05abcd", Code.TOO_LITTLE),
+        ("str", BINARY, b"\x00\x03a\x03b", Code.INVALID_CHARACTER),  # CoLa-A could not tell it any more
+        ("s4", BINARY, b"RA\x02G", Code.INVALID_CHARACTER),
         ("[u16]", BINARY, b"\xff\xff", Code.TOO_LITTLE),
     ],
 )

@@ -9,11 +9,13 @@ A layout is a line of types; `[...]` is a repetition behind its 16-bit count, 0 
     *                           bytes to the end; in CoLa-A as hexadecimal digits
 
 CoLa-B: big endian, without separators. CoLa-A: upper-case hexadecimal, a blank between two; negative numbers in two's
-complement; hosts may write a number with a sign, which is decimal then. Belongs here: values. Not: names, frames.
+complement; hosts may write a number with a sign, which is decimal then. Belongs here: values, and what passwords
+become. Not: names, frames.
 """
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
 import struct
@@ -29,6 +31,8 @@ from protocols.errors import EncodeError
 
 ASCII, BINARY = b"A", b"B"
 "The dialects."
+STX, ETX = b"\x02", b"\x03"
+"They bound a telegram in CoLa-A."
 
 Node = str | tuple[Any, ...]
 INTEGERS = {"u8": 1, "u16": 2, "u32": 4, "i8": 1, "i16": 2, "i32": 4, "p32": 4}
@@ -38,8 +42,9 @@ HEX, DECIMAL = re.compile(rb"[0-9A-Fa-f]{1,40}"), re.compile(rb"[+-][0-9]{1,40}"
 
 
 class Code(IntEnum):
-    """Error codes of `sFA`."""
+    """Error codes of `sFA`, those that our devices never send included."""
 
+    OK = 0
     METHOD_DENIED = 1
     METHOD_UNKNOWN = 2
     VARIABLE_UNKNOWN = 3
@@ -48,13 +53,24 @@ class Code(IntEnum):
     UNKNOWN_ERROR = 6
     TOO_MUCH = 7
     TOO_LITTLE = 8
+    UNKNOWN_TYPE = 9
     WRITE_DENIED = 0xA
+    UNKNOWN_SERVER_COMMAND = 0xB
     COMMAND_UNKNOWN = 0xC
     BUSY = 0xD
     OUT_OF_BOUNDS = 0xE
     EVENT_UNKNOWN = 0xF
     VALUE_OVERFLOW = 0x10
     INVALID_CHARACTER = 0x11
+    NO_MESSAGE = 0x12
+    NO_ANSWER_MESSAGE = 0x13
+    INTERNAL_ERROR = 0x14
+    HUB_ADDRESS_CORRUPTED = 0x15
+    HUB_ADDRESS_NOT_DECODABLE = 0x16
+    HUB_ADDRESS_TOO_LONG = 0x17
+    HUB_ADDRESS_WITHOUT_BLANK = 0x18
+    ASYNCHRONOUS_SUPPRESSED = 0x19
+    COMPLEX_ARRAYS_UNSUPPORTED = 0x1A
 
 
 class Rejected(Exception):
@@ -190,7 +206,10 @@ class _Octets:
         return int.from_bytes(self._take(INTEGERS[node]), "big", signed=node[0] != "u")
 
     def text(self, size: int) -> str:
-        return self._take(size).decode("latin-1")
+        raw = self._take(size)
+        if STX in raw or ETX in raw:  # CoLa-A could not tell it to anybody
+            raise Rejected(Code.INVALID_CHARACTER)
+        return raw.decode("latin-1")
 
     def array(self, node: str, count: int) -> NDArray[Any]:
         return np.frombuffer(self._take(count * INTEGERS[node[:-1]]), ARRAYS[node])
@@ -253,3 +272,13 @@ class _Words:
         if len(raw) % 2 or (raw and not re.fullmatch(rb"[0-9A-Fa-f]+", raw)):
             raise Rejected(Code.INVALID_CHARACTER)
         return bytes.fromhex(raw.decode())
+
+
+# ---------------------------------------------------------------- passwords
+
+
+def short_hash(password: str) -> int:
+    """The 32 bits of `SetAccessMode`: the words of the MD5 XORed, bytes in reverse order. `client` is F4724744."""
+    digest = hashlib.md5(password.encode("latin-1"), usedforsecurity=False).digest()
+    words = [int.from_bytes(digest[k : k + 4], "little") for k in range(0, 16, 4)]
+    return words[0] ^ words[1] ^ words[2] ^ words[3]
