@@ -23,7 +23,7 @@ from protocols.ouster.settings import Build
 from protocols.ouster.slices import Slice, columns_of, lost, slice_of
 from protocols.scan import Floats, Scan
 from protocols.session import Address, DropReason, Emission, LinkKind
-from protocols.skeleton.instants import SECOND_NS, Raster, earliest, rounded
+from protocols.skeleton.instants import SECOND_NS, Raster, earliest
 from protocols.skeleton.nmea import gprmc
 from protocols.skeleton.requests import RequestSession
 from protocols.skeleton.sweeps import Sweep, Telegram
@@ -43,6 +43,8 @@ COUNTDOWN_NS = 30 * SECOND_NS
 "Of warnings before laser power is reduced, and before the shutdown."
 PHASE_STEP_NS = 20_000_000
 "By which the phase lock moves a frame in a second, at most."
+STEADY = 1e-3
+"A clock that differs by more from the run's within a slice has been set."
 PHASE_OFF_NS = 1_000_000
 "Farther off, it is not locked."
 
@@ -108,9 +110,12 @@ class OusterDevice(RequestSession):
 
     def stamp(self, at_ns: int) -> int:
         """As in packets: in steps of its timer, but for PTP."""
-        shown_ns, mode = self.time(at_ns)[0], self.active["timestamp_mode"]
-        step = 1 if mode == config.PTP else 8 if self.firmware >= (3, 0) else 10
-        return shown_ns // step * step
+        return self.time(at_ns)[0] // self._tick_ns * self._tick_ns
+
+    @property
+    def _tick_ns(self) -> int:
+        """Step of its timer, as stamps have it."""
+        return 1 if self.active["timestamp_mode"] == config.PTP else 8 if self.firmware >= (3, 0) else 10
 
     def reported(self, at_ns: int) -> DeviceStamp:
         """The stamp of a packet's first column."""
@@ -357,15 +362,29 @@ class OusterDevice(RequestSession):
         packets, profile = self._packets, self.profile
         used, share = self.active, self.impaired.get("lost columns", 0.0)
         seen = piece.valid & ~lost(piece, share, self.unit.serial)
-        first = [start_ns + at for at in rounded(self._slowed * self._column_ns, packets * codec.COLUMNS)]
-        stamps = np.array([self.stamp(at) for at in first])
-        columns = columns_of(scan, piece, seen, stamps, self.unit, profile, used, 1e-9 * float(self._column_ns))
+        after_ns, shown_ns = self._stamps(start_ns, packets)
+        stamps = shown_ns // self._tick_ns * self._tick_ns
+        columns = columns_of(scan, piece, seen, stamps, self.unit, profile, used)
         frames = np.full(packets, piece.frame % (1 << 32 if self.fusa else 1 << 16))
         made = codec.encode(profile, self.head(start_ns), frames, columns, self.mode[0])
-        packet_ns = self._column_ns * codec.COLUMNS
-        for at in np.flatnonzero(piece.valid.reshape(packets, -1).any(axis=1)).tolist():
-            after_ns = round((at + 1) * packet_ns) + self.build.latency_ns
-            yield Telegram(after_ns, made[at], "lidar", self.reported(first[at * codec.COLUMNS]))
+        packet_ns, since_ns = codec.COLUMNS * SECOND_NS / (self.mode[0] * self.mode[1]), self.time(start_ns)[1]
+        for packet in np.flatnonzero(piece.valid.reshape(packets, -1).any(axis=1)).tolist():
+            at = packet * codec.COLUMNS
+            said = start_ns + int(after_ns[at]), int(shown_ns[at]) - since_ns, int(stamps[at])
+            leaves_ns = round((packet + 1) * packet_ns) + self.build.latency_ns
+            yield Telegram(leaves_ns, made[packet], "lidar", DeviceStamp(*said, 1.0, self.clock_bits))
+
+    def _stamps(self, start_ns: int, packets: int) -> tuple[codec.Words, codec.Words]:
+        """(C,) instants of a slice's columns after its start, and what the clock shows then: a line, unless it is set."""
+        columns, column_ns = packets * codec.COLUMNS, float(self._slowed) * SECOND_NS / (self.mode[0] * self.mode[1])
+        after_ns = np.rint(np.arange(columns + 1) * column_ns).astype(np.int64)
+        length_ns = int(after_ns[-1])
+        begun_ns = self.time(start_ns)[0]
+        passed_ns = self.time(start_ns + length_ns)[0] - begun_ns
+        after_ns = after_ns[:-1]
+        if abs(passed_ns - length_ns) <= STEADY * length_ns:
+            return after_ns, begun_ns + after_ns * passed_ns // length_ns
+        return after_ns, np.array([self.time(start_ns + at)[0] for at in after_ns.tolist()])
 
     def _goes_to(self, to: Address | None) -> tuple[str, int] | None:
         return None if to is None or to in self._listeners else self._place(to, True)

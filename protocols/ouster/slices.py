@@ -85,34 +85,33 @@ def columns_of(
     unit: Unit,
     profile: codec.Profile,
     used: Mapping[str, Any],
-    column_s: float,
 ) -> codec.Columns:
-    """Columns of a slice. `seen` (C,): valid ones, `used`: the configuration; [s] from column to column."""
+    """Columns of a slice. `seen` (C,): valid ones, `used`: the configuration."""
     near_m = 0.01 * used.get("min_range_threshold_cm", 50)
     order = used.get("return_order", "STRONGEST_TO_WEAKEST")
-    range_m, strength = codec.returns(scan, profile.returns, order, near_m)
-    hit = np.flatnonzero(~np.isnan(range_m))
-    range_m, strength, size = range_m.ravel()[hit], strength.ravel()[hit], range_m.shape
+    place, range_m, strength = codec.returns(scan, profile.returns, order, near_m)
+    size = profile.returns, len(scan.range_m)
     dark = 0 if profile.legacy else NOISE_PHOTONS
-    photons = np.where(np.isnan(strength), dark, np.minimum(np.rint(strength * PHOTONS), 0xFFFF))
 
-    def grid(values: Any, without: int = 0) -> codec.Words:
+    def grid(values: codec.Words, without: int = 0) -> codec.Words:
         """(E, C, H) of what has returned."""
-        every = np.full(size, without, np.int64)
-        every.reshape(-1)[hit] = values
+        every = np.full(size, without, np.uint32)
+        every.reshape(-1)[place] = values
         return _placed(every, piece, unit.rows)
 
-    near_ir = np.zeros((len(piece.number), unit.rows), np.int64)
+    near_ir = np.zeros((len(piece.number), unit.rows), np.uint32)
     if scan.ambient_w is not None:
-        counted = np.rint(scan.ambient_w * column_s * AMBIENT_PHOTONS / PHOTON_J)
-        near_ir = _placed(np.minimum(counted, 0xFFFF).astype(np.int64)[None], piece, unit.rows)[0]
+        turn, hz = config.MODES[used["lidar_mode"]]
+        counted = scan.ambient_w * (AMBIENT_PHOTONS / PHOTON_J / (turn * hz))
+        counted = np.minimum(np.rint(counted, out=counted), 0xFFFF, out=counted)
+        near_ir = _placed(counted.astype(np.uint32)[None], piece, unit.rows)[0]
     return codec.Columns(
         piece.number,
         stamps,
         seen,
         grid(codec.distances(range_m, unit.origin_m, profile)),
         grid(codec.reflectivities(range_m, strength / scan.plan.gain, unit.model.white_m2)),
-        grid(photons, dark),
+        grid(np.minimum(np.rint(strength * PHOTONS), 0xFFFF).astype(np.uint32), dark),
         near_ir,
     )
 
@@ -122,6 +121,6 @@ def _placed(words: codec.Words, piece: Slice, rows: int) -> codec.Words:
     words = words.reshape(len(words), -1, rows)
     if words.shape[1] == len(piece.number):
         return words
-    grid = np.zeros((len(words), len(piece.number), rows), np.int64)
+    grid = np.zeros((len(words), len(piece.number), rows), np.uint32)
     grid[:, piece.valid] = words
     return grid

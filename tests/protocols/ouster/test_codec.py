@@ -131,18 +131,17 @@ NAN = float("nan")
 )
 def test_which_returns_are_reported_in_which_order(order: str, count: int, said: list[float]) -> None:
     scan = scan_of([5.0, 20.0, 30.0, NAN], [2.0, 9.0, 5.0, NAN])
-    ranges, strengths = codec.returns(scan, count, order, 0.0)
-    assert ranges[:, 0].tolist() == said
-    assert strengths[0, 0] == {5.0: 2.0, 20.0: 9.0, 30.0: 5.0}[said[0]]
-    near, _ = codec.returns(scan, 2, order, 25.0)
-    assert near[0, 0] == 30.0
-    assert np.isnan(near[1, 0])
+    places, ranges, strengths = codec.returns(scan, count, order, 0.0)
+    assert (places.tolist(), ranges.tolist()) == (list(range(count)), said)
+    assert strengths[0] == {5.0: 2.0, 20.0: 9.0, 30.0: 5.0}[said[0]]
+    places, near, _ = codec.returns(scan, 2, order, 25.0)
+    assert (places.tolist(), near.tolist()) == ([0], [30.0])
 
 
 def test_what_a_range_is_on_the_wire() -> None:
     wide, low = PROFILES["RNG19_RFL8_SIG16_NIR16"], PROFILES["RNG15_RFL8_NIR8"]
-    ranges = np.array([9.9728, NAN, 524.25, 524.3, 262.13])
-    assert codec.distances(ranges, 0.0276, wide).tolist() == [10_000, 0, 524_278, 0, 262_158]
-    assert codec.distances(ranges, 0.0, low).tolist()[2:] == [0, 0, 262_128]
-    plate = codec.reflectivities(np.array([10.0, 10.0, 10.0, NAN]), np.array([180.6, 36.1, 361e3, NAN]), 36_125.0)
-    assert plate.tolist() == [50, 10, 255, 0]
+    ranges = np.array([9.9728, 524.25, 524.3, 262.13])
+    assert codec.distances(ranges, 0.0276, wide).tolist() == [10_000, 524_278, 0, 262_158]
+    assert codec.distances(ranges, 0.0, low).tolist()[1:] == [0, 0, 262_128]
+    plate = codec.reflectivities(np.array([10.0, 10.0, 10.0]), np.array([180.6, 36.1, 361e3]), 36_125.0)
+    assert plate.tolist() == [50, 10, 255]
