@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from fractions import Fraction
+from functools import lru_cache
 from ipaddress import ip_address
 from typing import Any
 
@@ -47,6 +48,12 @@ STEADY = 1e-3
 "A clock that differs by more from the run's within a slice has been set."
 PHASE_OFF_NS = 1_000_000
 "Farther off, it is not locked."
+
+
+@lru_cache(maxsize=8)
+def packets_of(columns: int, fps: int) -> int:
+    """Of a slice: a power of two, which a frame consists of."""
+    return 1 << max(0, math.ceil(math.log2(SLICE_NS * columns * fps / (codec.COLUMNS * SECOND_NS))))
 
 
 class OusterDevice(RequestSession):
@@ -140,18 +147,12 @@ class OusterDevice(RequestSession):
         return self.profile.fusa or self.active.get("header_type") == "FUSA"
 
     @property
-    def _column_ns(self) -> Fraction:
-        return Fraction(SECOND_NS, self.mode[0] * self.mode[1])
-
-    @property
     def _packets(self) -> int:
-        """Of a slice: a power of two, which a frame consists of."""
-        wanted = SLICE_NS / (codec.COLUMNS * self._column_ns)
-        return 1 << max(0, math.ceil(math.log2(wanted)))
+        return packets_of(*self.mode)
 
     @property
     def _slice_ns(self) -> Fraction:
-        return self._packets * codec.COLUMNS * self._column_ns
+        return Fraction(self._packets * codec.COLUMNS * SECOND_NS, self.mode[0] * self.mode[1])
 
     @property
     def _per_frame(self) -> int:
@@ -345,7 +346,7 @@ class OusterDevice(RequestSession):
     def _make(self, number: int) -> Slice:
         columns = self._packets * codec.COLUMNS
         frame, part = divmod(number - self._begun, self._per_frame)
-        numbers, column_s = part * columns + np.arange(columns), 1e-9 * float(self._column_ns)
+        numbers, column_s = part * columns + np.arange(columns), 1.0 / (self.mode[0] * self.mode[1])
         return slice_of(self.unit, self.active, frame, numbers, column_s, self._gain(self._raster.at(number)))
 
     def _sweep(self, number: int) -> Sweep:
@@ -375,7 +376,7 @@ class OusterDevice(RequestSession):
             yield Telegram(leaves_ns, made[packet], "lidar", DeviceStamp(*said, 1.0, self.clock_bits))
 
     def _stamps(self, start_ns: int, packets: int) -> tuple[codec.Words, codec.Words]:
-        """(C,) instants of a slice's columns after its start, and what the clock shows then: a line, unless it is set."""
+        """(C,) instants of a slice's columns after its start, what the clock shows then: a line, unless it is set."""
         columns, column_ns = packets * codec.COLUMNS, float(self._slowed) * SECOND_NS / (self.mode[0] * self.mode[1])
         after_ns = np.rint(np.arange(columns + 1) * column_ns).astype(np.int64)
         length_ns = int(after_ns[-1])
