@@ -24,7 +24,7 @@ from emulator.transports.can_link import CanPorts
 from emulator.transports.link import Link
 from emulator.transports.loopback import Loops
 from emulator.transports.schemes import open_link
-from emulator.world.felt import MountMotion
+from emulator.world.felt import BEFORE_S, MountMotion
 from protocols import family
 from protocols.can_objects.layout import database_of
 from protocols.errors import DeviceSettingError
@@ -157,12 +157,17 @@ def feeding_of(
     """Who moves the world of these instruments; None: the scenario alone. `real_ns`: None in virtual time."""
     if scenario.live is None:
         return None
-    feeding = Feeding(scenario, scenario.live, instruments, real_ns)
+    feeding, only = Feeding(scenario, scenario.live, instruments, real_ns), scenario.live.actors.fed
+    index_of = {sensor.id: index for index, sensor in enumerate(scenario.sensors)}
     for one in instruments:
         session = one.session
         if not isinstance(session, VehicleSession):
             one.feed = feeding
-        elif scenario.live.actors.fed is None or session.ego.actor in scenario.live.actors.fed:
+            motion = MountMotion(scenario, index_of[one.sensor])
+            if motion.actor is not None and (only is None or motion.actor in (*only, *scenario.live.slots)):
+                motion.feed(partial(feeding.world_around, before_s=BEFORE_S))
+                session.feel(motion.at)
+        elif only is None or session.ego.actor in only:
             session.ego.feed(feeding.world_around)
     return feeding
 
