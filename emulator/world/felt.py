@@ -53,7 +53,9 @@ class MountMotion:
             return
         shape = None if self._carries is None else self._carries.shape
         box = None
-        if shape is not None and shape.box is not None:  # its base is at its origin; of a mesh the feeder tells the size
+        if (
+            shape is not None and shape.box is not None
+        ):  # its base is at its origin; of a mesh the feeder tells the size
             half = tuple(0.5 * one for one in shape.box.size_m)
             box = Box((0.0, 0.0, half[2]), (half[0], half[1], half[2]))
         self._world_of, self._still = world_of, None
