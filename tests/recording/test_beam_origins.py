@@ -27,6 +27,9 @@ sensors:
     model: ouster-os0-32
     physics: {noise: false, rule: axis}
     device: {boot_s: 0, init_s: 0, spin_up_s: 0, config: {lidar_mode: 512x10, min_range_threshold_cm: 0}}
+expect:
+  - {that: 'max(roof.points_in("1.9:1.9999, :, :"))', equals: 0}
+  - {that: 'min(roof.points_in("1.9999:2.0001, :, :"))', at_least: 1000}
 """
 
 
@@ -34,7 +37,8 @@ sensors:
 def run(tmp_path_factory: pytest.TempPathFactory) -> RecordedRun:
     folder = tmp_path_factory.mktemp("origins") / "run"
     trial = Trial(scenario.loads(CASE, Path("case.yaml")), record=folder)
-    trial.finish()
+    verdict = trial.finish()
+    assert all(one.held for one in verdict.judgements), verdict.judgements
     trial.close()
     return read_run(folder)
 
@@ -51,19 +55,14 @@ def test_truth_of_a_report_begins_where_the_beams_do(run: RecordedRun) -> None:
     _, truth = truth_of(run.scenario, run.path, print)
     assert truth is not None
     tally = truth.tally_of("roof")
-    seen = [
-        item.scan for item in streaming.items(run.path, streaming.Progress()) if isinstance(item, streaming.Measured)
-    ]
-    for scan, mine in zip(seen, run.scans["roof"], strict=True):
-        np.testing.assert_array_equal(scan.origin_m, mine.origin_m)
-        tally.offsets_s = np.zeros(len(scan.azimuth_rad))
-        tally.add(scan)
-        truth_m, _ = truth.ranges(
-            "roof", np.zeros(len(scan.azimuth_rad)), scan.azimuth_rad, scan.elevation_rad, scan.origin_m
-        )
-        hit = np.isfinite(scan.range_m[:, 0])
-        assert np.abs(scan.range_m[hit, 0] - truth_m[hit]).max(initial=0.0) < 1e-4
+    tally.offsets_s = np.zeros(len(run.scans["roof"][0].azimuth_rad))
+    for item in streaming.items(run.path, streaming.Progress()):
+        if isinstance(item, streaming.Measured):
+            tally.add(item.scan)
     tally.flush()
+    errors = tally.tally.by_actor[0]
+    assert errors.count > 5000
+    assert max(-errors.least_m, errors.most_m) < 1e-4
 
 
 def test_the_page_shows_them_there(run: RecordedRun) -> None:
