@@ -14,7 +14,7 @@ from protocols.ouster.config import Firmware, changed
 from protocols.ouster.device import OusterDevice
 from protocols.ouster.metadata import image
 from protocols.ouster.reports import TIMES, network, telemetry, time_sensor
-from protocols.session import Address, DropReason, Emission, LinkKind
+from protocols.session import Address, Announcement, DropReason, Emission, LinkKind
 from protocols.skeleton.http import LONGEST, STATUS, HttpRequests, fields_of, page, taken_apart
 from protocols.skeleton.receiving import Fault
 from protocols.skeleton.requests import Answer, Command, Host, Refused, Request
@@ -394,6 +394,16 @@ class OusterSession(OusterDevice):
 
     COMMANDS: ClassVar[Mapping[bytes, Command]] = COMMANDS
     restart_hangs_up = True
+
+    @property
+    def announced(self) -> Announcement | None:  # type: ignore[override]
+        """Its service: name and text are ours."""
+        if not self.build.mdns:
+            return None
+        new, serial = self.firmware >= (3, 1), str(self.unit.serial)
+        about = {"fw": image(self.build.version), "pn": self.unit.model.part, "sn": serial}
+        kind, text = ("_ouster-lidar._tcp", {"path": "/api/v1"} | about) if new else ("_roger._tcp", about)
+        return Announcement(kind, f"Ouster Sensor {serial}", f"os-{serial}", 80 if new else 7501, text)
 
     def _splitter(self, kind: LinkKind | None) -> Requests:
         return Requests(LONGEST)
