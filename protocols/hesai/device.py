@@ -20,10 +20,10 @@ from protocols.hesai.models import Model
 from protocols.hesai.motor import NEAR, Rotor, Source
 from protocols.hesai.settings import SLICE_NS, Build, Settings
 from protocols.scan import Floats, Scan
-from protocols.session import Address, DropReason, Emission, LinkKind
+from protocols.session import Address, Emission
 from protocols.skeleton.instants import SECOND_NS, earliest
 from protocols.skeleton.outbox import Outgoing
-from protocols.skeleton.requests import RequestSession
+from protocols.skeleton.packets import MOST_KEPT, PacketSession
 from protocols.skeleton.sweeps import SHARES, Sweep, Telegram
 
 TICK_NS = Fraction(1000)
@@ -37,8 +37,6 @@ MOST_ECHOES = 4
 "Of a beam, out of which the returns are chosen."
 NEXT_STEP = 0.8
 "Of a step: so far the grid may be from where it would be nearest."
-MOST_KEPT = 1000
-"Slices outside of the range that are skipped at once; a turn has less."
 DIRTY, BLOCKED = 0.9, 0.5
 "Transmission of the window below which it is reported as dirty, and as blocked; ours."
 NORMAL, WARNING, DEGRADED, UNTRUSTED = 1, 2, 4, 6
@@ -64,7 +62,7 @@ class Slice:
     sweep: Sweep
 
 
-class HesaiDevice(RequestSession):
+class HesaiDevice(PacketSession[Slice]):
     """The device without its requests."""
 
     clock_tick_ns = TICK_NS
@@ -85,10 +83,6 @@ class HesaiDevice(RequestSession):
         self._spin_up_ns = build.spin_up_ns
         self._factor = 1.0
         "Of the motor's speed over that set."
-        self._links: list[Address] = []
-        "Datagram links: point cloud, GPS packets, fault messages."
-        self._listeners: list[Address] = []
-        "Where the point cloud goes besides: hosts that asked on a connection."
         self._sends = False
         "It sends a point cloud, if there is anybody to send it to."
         self._renew_ns: int | None = None
@@ -100,7 +94,6 @@ class HesaiDevice(RequestSession):
         self._sequence = 1
         self._numbered: dict[int, int] = {}
         "Number of the first packet of slices that have been measured."
-        self._made: dict[tuple[int, int], Slice] = {}
         self._grid: dict[int, int] = {}
         "Step of the first firing of slices, where the angle triggers."
         self.calibration = 0
@@ -131,12 +124,6 @@ class HesaiDevice(RequestSession):
         return self._packets * self._packet_ns
 
     # power
-
-    def connected(self, now_ns: int, address: Address, kind: LinkKind) -> None:
-        """A link is open, or a client has connected."""
-        super().connected(now_ns, address, kind)
-        if kind is LinkKind.DATAGRAM and address not in self._links:
-            self._links.append(address)
 
     def power_on(self, now_ns: int) -> None:
         """Settings survive; time, counters and the motor begin again."""
@@ -256,17 +243,8 @@ class HesaiDevice(RequestSession):
     def _goes_to(self, to: Address | None) -> tuple[str, int] | None:
         return None if to in self._listeners else self._place(self._used, 1)
 
-    def listen(self, now_ns: int, address: Address) -> None:
-        """Send the point cloud on a connection too."""
-        if address not in self._listeners:
-            self._listeners.append(address)
-            if self._sends:
-                self._subscribe(now_ns, address)
-
-    def disconnected(self, now_ns: int, address: Address) -> None:
-        """A client has disconnected."""
-        super().disconnected(now_ns, address)
-        self._listeners = [one for one in self._listeners if one != address]
+    def _sending(self) -> bool:
+        return self._sends
 
     # faults
 
@@ -307,14 +285,6 @@ class HesaiDevice(RequestSession):
         return max((one[0] for one in found), default=NORMAL), tuple(one[1] for one in found)
 
     # slices
-
-    def _slice(self, number: int) -> Slice:
-        key = self._stream, number
-        if (made := self._made.get(key)) is None:
-            while len(self._made) > 1:
-                self._made.pop(next(iter(self._made)))
-            made = self._made[key] = self._make(number)
-        return made
 
     def _make(self, number: int) -> Slice:
         model, settings = self.model, self._used
@@ -391,16 +361,6 @@ class HesaiDevice(RequestSession):
                 self.rotor.correct(pulse_ns, hz, self._used.sync_deg / 360.0)
             self._pulse_ns = pulse_ns
             pulse_ns = self.source.after(pulse_ns)
-
-    def _sweep(self, number: int) -> Sweep:
-        return self._slice(number).sweep
-
-    def _passed_over(self, number: int) -> int:
-        passed = 0
-        partial = not self._used.sees_all or self.model.calibrated == "at128"
-        while partial and passed < MOST_KEPT and not self._slice(number + passed).sees.any():
-            passed += 1
-        return passed
 
     # packets
 
@@ -483,11 +443,3 @@ class HesaiDevice(RequestSession):
             self.dirt, self.hot,
         )  # fmt: skip
         self._outbox.send(Emission(now_ns, payload, self._links[2], label="fault"))
-
-    def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
-        """Requests come on connections; datagrams are ignored. Never raises."""
-        if data and self._connections.kind(address) is LinkKind.DATAGRAM:
-            self.advance(now_ns)
-            self._events.drop(now_ns, DropReason.UNKNOWN_COMMAND, "it takes no datagrams", len(data))
-            return
-        super().receive(data, now_ns, address)

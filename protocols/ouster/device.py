@@ -23,16 +23,14 @@ from protocols.ouster.models import Unit
 from protocols.ouster.settings import Build
 from protocols.ouster.slices import Slice, columns_of, lost, slice_of
 from protocols.scan import Floats, Scan
-from protocols.session import Address, DropReason, Emission, LinkKind
+from protocols.session import Address, Emission, LinkKind
 from protocols.skeleton.instants import SECOND_NS, Raster, earliest
 from protocols.skeleton.nmea import gprmc
-from protocols.skeleton.requests import RequestSession
-from protocols.skeleton.sweeps import Sweep, Telegram
+from protocols.skeleton.packets import PacketSession
+from protocols.skeleton.sweeps import Telegram
 
 SLICE_NS = 5_000_000
 "How long a slice is at least."
-MOST_KEPT = 1000
-"Slices outside of the azimuth window that are skipped at once."
 IMU_NS = 10_000_000
 "From packet to packet of the LEGACY profile."
 IMU_LATENCY_NS = 2_000_000
@@ -56,7 +54,7 @@ def packets_of(columns: int, fps: int) -> int:
     return 1 << max(0, math.ceil(math.log2(SLICE_NS * columns * fps / (codec.COLUMNS * SECOND_NS))))
 
 
-class OusterDevice(RequestSession):
+class OusterDevice(PacketSession[Slice]):
     """The device without its requests."""
 
     clock_tick_ns = Fraction(1)
@@ -77,19 +75,14 @@ class OusterDevice(RequestSession):
         self.init_id = 0
         self.alerts = alerts.Alerts()
         self.sources = Sources(build.utc_ns, build.ptp, build.ptp_lock_ns, build.pulses, build.sentences)
-        self._links: list[Address] = []
-        "Datagram links: by turns for lidar and for IMU packets."
         self._links_at: dict[int, tuple[str, int]] = {}
         "Where they send by themselves, as far as known."
         self.peers: dict[Address, str] = {}
         "From where TCP clients connect."
-        self._listeners: list[Address] = []
-        "Where lidar packets go besides: hosts that asked on a connection."
         self._until_ns: int | None = None
         "When the present state ends by itself."
         self._begun = 0
         "Number of the first slice of the first frame."
-        self._made: dict[tuple[int, int], Slice] = {}
         self._felt: Felt = at_rest
         self._samples = 0
         "Measurements of the IMU since power-on."
@@ -199,9 +192,9 @@ class OusterDevice(RequestSession):
 
     def connected(self, now_ns: int, address: Address, kind: LinkKind) -> None:
         """A link is open, or a client has connected."""
+        known = len(self._links)
         super().connected(now_ns, address, kind)
-        if kind is LinkKind.DATAGRAM and address not in self._links:
-            self._links.append(address)
+        if len(self._links) > known:
             host, port = self._links_at.get(address.link, ("127.0.0.1", 7501 + len(self._links)))
             if len(self._links) <= 2:
                 self._deliver(len(self._links) == 1, host, port)
@@ -219,14 +212,13 @@ class OusterDevice(RequestSession):
         """A client has disconnected."""
         super().disconnected(now_ns, address)
         self.peers.pop(address, None)
-        self._listeners = [one for one in self._listeners if one != address]
 
     def _reset(self, now_ns: int) -> None:
+        super()._reset(now_ns)
         self.active, self.staged = dict(self.persisted), dict(self.persisted)
         self._nominal_ns = self._slice_ns
         self.alerts, self.sources.on_ns = alerts.Alerts(), now_ns
-        self._listeners, self._until_ns, self._samples = [], None, 0
-        self._made.clear()
+        self._until_ns, self._samples = None, 0
         self._begin(now_ns)
 
     def _begin(self, now_ns: int) -> None:
@@ -295,12 +287,8 @@ class OusterDevice(RequestSession):
             self._begin_imu(zero_ns)
         self._timers.add(now_ns + SECOND_NS, SECOND_NS, self._each_second)
 
-    def listen(self, now_ns: int, address: Address) -> None:
-        """Send lidar packets on a connection too."""
-        if address not in self._listeners:
-            self._listeners.append(address)
-            if self.status == "RUNNING":
-                self._subscribe(now_ns, address)
+    def _sending(self) -> bool:
+        return self.status == "RUNNING"
 
     # where packets go
 
@@ -335,28 +323,11 @@ class OusterDevice(RequestSession):
 
     # slices
 
-    def _slice(self, number: int) -> Slice:
-        key = self._stream, number
-        if (made := self._made.get(key)) is None:
-            while len(self._made) > 1:
-                self._made.pop(next(iter(self._made)))
-            made = self._made[key] = self._make(number)
-        return made
-
     def _make(self, number: int) -> Slice:
         columns = self._packets * codec.COLUMNS
         frame, part = divmod(number - self._begun, self._per_frame)
         numbers, column_s = part * columns + np.arange(columns), 1.0 / (self.mode[0] * self.mode[1])
         return slice_of(self.unit, self.active, frame, numbers, column_s, self._gain(self._raster.at(number)))
-
-    def _sweep(self, number: int) -> Sweep:
-        return self._slice(number).sweep
-
-    def _passed_over(self, number: int) -> int:
-        passed = 0
-        while passed < MOST_KEPT and not self._slice(number + passed).valid.any():
-            passed += 1
-        return passed
 
     def _telegrams(self, scan: Scan) -> Iterator[Telegram]:
         piece, start_ns = self._slice(scan.plan.sweep), scan.plan.start_ns
@@ -510,11 +481,3 @@ class OusterDevice(RequestSession):
         for address in self._imu_links():
             due_ns = now_ns + IMU_LATENCY_NS
             self._outbox.send(Emission(due_ns, data, address, label="imu", place=self._place(address, False)))
-
-    def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
-        """Requests come on connections; datagrams are ignored. Never raises."""
-        if data and self._connections.kind(address) is LinkKind.DATAGRAM:
-            self.advance(now_ns)
-            self._events.drop(now_ns, DropReason.UNKNOWN_COMMAND, "it takes no datagrams", len(data))
-            return
-        super().receive(data, now_ns, address)
