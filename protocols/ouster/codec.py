@@ -178,7 +178,7 @@ def encode(profile: Profile, head: Head, frames: Words, columns: Columns, turn: 
         if flags is not None:
             values[f"flags{one}"] = flags[one] & ((1 << profile.fields[f"flags{one}"][1]) - 1)
     if columns.window:
-        values["window"] = np.full(columns.near_ir.shape, columns.window)
+        values["window"] = np.uint32(columns.window)
     words: list[Any] = [None] * (profile.size_bits // 32)
     for name, (bit, _) in profile.fields.items():
         if name in values:

@@ -44,6 +44,8 @@ PHASE_STEP_NS = 20_000_000
 "By which the phase lock moves a frame in a second, at most."
 STEADY = 1e-3
 "A clock that differs by more from the run's within a slice has been set."
+FAILED_S = 30
+"So long off, the phase lock has failed; no source."
 PHASE_OFF_NS = 1_000_000
 "Farther off, it is not locked."
 
@@ -71,6 +73,8 @@ class OusterDevice(PacketSession[Slice]):
         self.override: str | None = None
         "Static address that a host has set; stored."
         self.ptp_profile = "default"
+        self.called = ""
+        "Own address, as the last request named it."
         self.status = "INITIALIZING"
         self.init_id = 0
         self.alerts = alerts.Alerts()
@@ -84,6 +88,8 @@ class OusterDevice(PacketSession[Slice]):
         self._begun = 0
         "Number of the first slice of the first frame."
         self._felt: Felt = at_rest
+        self._lost_s = 0
+        "Since when the phase lock is off."
         self._samples = 0
         "Measurements of the IMU since power-on."
         self._lives = 0
@@ -336,7 +342,7 @@ class OusterDevice(PacketSession[Slice]):
         seen = piece.valid & ~lost(piece, share, self.unit.serial)
         after_ns, shown_ns = self._stamps(start_ns, packets)
         stamps = shown_ns // self._tick_ns * self._tick_ns
-        columns = columns_of(scan, piece, seen, stamps, self.unit, profile, used)
+        columns = columns_of(scan, piece, seen, stamps, self.unit, profile, used, self.firmware >= (3, 2))
         frames = np.full(packets, piece.frame % (1 << 32 if self.fusa else 1 << 16))
         made = codec.encode(profile, self.head(start_ns), frames, columns, self.mode[0])
         packet_ns, since_ns = codec.COLUMNS * SECOND_NS / (self.mode[0] * self.mode[1]), self.time(start_ns)[1]
@@ -394,7 +400,9 @@ class OusterDevice(PacketSession[Slice]):
         if self.status != "RUNNING" or not self.active["phase_lock_enable"]:
             return
         lost = self.phase_status(now_ns) == "LOST"
+        self._lost_s = self._lost_s + 1 if lost else 0
         self.alerts.set(alerts.PHASE, lost, self.sources.utc(now_ns))
+        self.alerts.set(alerts.PHASE_FAILED, self._lost_s >= FAILED_S, self.sources.utc(now_ns))
         if self.locked(now_ns) and (off_ns := self._off_ns()):
             number = self._next + 1
             shift_ns = min(max(off_ns, -PHASE_STEP_NS), PHASE_STEP_NS)

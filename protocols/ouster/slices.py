@@ -21,6 +21,8 @@ MOST_ECHOES = 4
 "Of a beam, out of which the returns are chosen."
 PHOTONS = 15.0
 "Of an echo at the detection threshold; no source."
+CLEAR = 255
+"Of a clean window: so in the recording of firmware 3.2 that has it."
 NOISE_PHOTONS = 3
 "Where there is no return; recordings have 0 to 8."
 AMBIENT_PHOTONS = 3e-3
@@ -85,8 +87,9 @@ def columns_of(
     unit: Unit,
     profile: codec.Profile,
     used: Mapping[str, Any],
+    has_window: bool = False,
 ) -> codec.Columns:
-    """Columns of a slice. `seen` (C,): valid ones, `used`: the configuration."""
+    """Columns of a slice. `seen` (C,): valid ones, `used`: the configuration; `has_window`: its clearness is said."""
     near_m = 0.01 * used.get("min_range_threshold_cm", 50)
     order = used.get("return_order", "STRONGEST_TO_WEAKEST")
     place, range_m, strength = codec.returns(scan, profile.returns, order, near_m)
@@ -113,6 +116,7 @@ def columns_of(
         grid(codec.reflectivities(range_m, strength / scan.plan.gain, unit.model.white_m2)),
         grid(np.minimum(np.rint(strength * PHOTONS), 0xFFFF).astype(np.uint32), dark),
         near_ir,
+        window=CLEAR if has_window and profile.unit_mm == 1 else 0,
     )
 
 
