@@ -4,8 +4,8 @@ One epoll descriptor stands for all of them, so whoever waits need not know how 
 when a slow host can take more. Everything a host can do is bounded: connections, bytes read a call, bytes that wait.
 
 A host that has closed its sending half is still sent to. It is gone when a send fails, or `LINGER_NS` after the last
-thing sent to it. When all places are taken, one that has closed its half and has been sent everything makes room, else the
-oldest connection that never sent a byte; without one the new host is turned away.
+thing sent to it. When all places are taken, one that has closed its half and has been sent everything makes room, else
+the oldest connection that never sent a byte; without one the new host is turned away.
 """
 
 from __future__ import annotations
