@@ -160,7 +160,7 @@ class Columns:
     near_ir: Words
     "(C, H) photons"
     flags: Words = field(default_factory=lambda: np.zeros((), np.int64))
-    "(E, C, H) or 0; bit 0: blooming"
+    "(E, C, H), or one 0; bit 0: blooming"
     window: int = 0
 
 
@@ -171,7 +171,7 @@ def encode(profile: Profile, head: Head, frames: Words, columns: Columns, turn: 
     cells = packets["columns"]
     cells["stamp"], cells["number"] = columns.stamp_ns.reshape(shape), columns.number.reshape(shape)
     values: dict[str, Any] = {"near_ir": _in_units(columns.near_ir, profile.near_ir_unit, 0xFF)}
-    flags = np.broadcast_to(columns.flags, columns.range_mm.shape) if columns.flags.any() else None
+    flags = columns.flags if columns.flags.ndim and columns.flags.any() else None
     for one in range(profile.returns):
         values[f"range{one}"] = _in_units(columns.range_mm[one], profile.unit_mm)
         values[f"reflectivity{one}"], values[f"signal{one}"] = columns.reflectivity[one], columns.signal[one]
@@ -196,9 +196,9 @@ def encode(profile: Profile, head: Head, frames: Words, columns: Columns, turn: 
         cells["encoder"] = cells["number"].astype(np.int64) * ENCODER_TICKS // turn
         return [one.tobytes() for one in packets]
     cells["status"] = columns.valid.reshape(shape)
-    made = []
+    made, headers = [], {frame: np.frombuffer(head.header(LIDAR, frame), np.uint8) for frame in set(frames.tolist())}
     for packet, frame in zip(packets.view(np.uint8).reshape(len(frames), -1), frames.tolist(), strict=True):
-        packet[:END] = np.frombuffer(head.header(LIDAR, frame), np.uint8)
+        packet[:END] = headers[frame]
         packet[-8:] = np.frombuffer(head.check(packet[:-8].data), np.uint8)
         made.append(packet.tobytes())
     return made
@@ -257,36 +257,33 @@ def returns(scan: Scan, count: int, order: str, near_m: float) -> tuple[Words, F
 
     Of more echoes than `count` the strongest; of one return that which `order` puts first. Nearer than `near_m`: none.
     """
-    there = scan.range_m >= near_m
-    alone = there[:, 0].copy()
-    several = np.zeros(0, np.intp)
-    if np.count_nonzero(there) > np.count_nonzero(alone):
-        several = np.flatnonzero(np.logical_or.reduce([there[:, at] for at in range(1, there.shape[1])]))
-        alone[several] = False
-    place = np.flatnonzero(alone)
-    range_m, strength = scan.range_m[place, 0], scan.intensity[place, 0]
-    if not len(several):
+    there = np.flatnonzero(scan.range_m >= near_m)
+    beams, echoes = scan.range_m.shape
+    place = there // echoes  # of the first return: the number of the beam
+    range_m, strength = scan.range_m.reshape(-1)[there], scan.intensity.reshape(-1)[there]
+    same = place[1:] == place[:-1]
+    if not same.any():
         return place, range_m, strength
-    at = _chosen(scan.range_m[several], scan.intensity[several], there[several], count, order)
-    beam, which = np.nonzero(there[several[:, None], at])
-    at = at[beam, which]
-    return (
-        np.concatenate((place, which * len(there) + several[beam])),
-        np.concatenate((range_m, scan.range_m[several[beam], at])),
-        np.concatenate((strength, scan.intensity[several[beam], at])),
-    )
+    several = np.flatnonzero(np.append(same, False) | np.append(False, same))
+    sign = {"NEAREST_TO_FARTHEST": 1.0, "FARTHEST_TO_NEAREST": -1.0}.get(order)
+    beam, rank = place[several], np.zeros(len(several), np.intp)
+    if sign is None or count > 1:
+        rank = _ranks(beam, -strength[several])
+    kept = rank < count
+    if sign is not None:
+        rank[kept] = _ranks(beam[kept], sign * range_m[several][kept])
+        kept &= rank < count
+    place[several] = np.where(kept, rank * beams + beam, -1)
+    reported = place >= 0
+    return place[reported], range_m[reported], strength[reported]
 
 
-def _chosen(range_m: Floats, strength: Floats, there: Bools, count: int, order: str) -> Words:
-    """(m, at most `count`) which echoes of beams with several; those that are not there come last."""
-    rows, sign = np.arange(len(there))[:, None], {"NEAREST_TO_FARTHEST": 1.0, "FARTHEST_TO_NEAREST": -1.0}.get(order)
-    if sign is None or there.shape[1] > count > 1:
-        at = np.argsort(np.where(there, -strength, np.inf), axis=1, kind="stable")[:, :count]
-        if sign is None:
-            return at
-        range_m, there = range_m[rows, at], there[rows, at]
-        return np.asarray(at[rows, np.argsort(np.where(there, sign * range_m, np.inf), axis=1, kind="stable")])
-    return np.argsort(np.where(there, sign * range_m, np.inf), axis=1, kind="stable")[:, :count]
+def _ranks(beam: Words, key: Floats) -> Words:
+    """Of each echo among those of its beam, the one with the least key first; beams ascend."""
+    at = np.lexsort((key, beam))
+    ranks = np.zeros(len(at), np.intp)
+    ranks[at] = np.arange(len(at)) - np.searchsorted(beam, beam[at])
+    return ranks
 
 
 def distances(range_m: Floats, offset_m: float, profile: Profile) -> Words:
