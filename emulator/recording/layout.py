@@ -19,8 +19,10 @@ from __future__ import annotations
 import json
 import struct
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emulator.config.budgets import loads_json
 from emulator.objects.metrics import ListedScan
@@ -71,7 +73,7 @@ class RecordedScan:
     origin_m: Floats | None = None
     "(n, 3) where beams begin; None: in the sensor's origin. Ranges count from there."
 
-    def points(self, beam: Ints, range_m: Floats) -> Floats:
+    def points(self, beam: NDArray[np.integer[Any]], range_m: Floats) -> Floats:
         """(e, 3) where these beams end after so much, in the sensor's frame."""
         elevation = np.zeros_like(self.azimuth_rad) if self.elevation_rad is None else self.elevation_rad
         origin = None if self.origin_m is None else self.origin_m[beam]
