@@ -155,3 +155,29 @@ def test_the_persisted_set_and_it_alone_is_there_after_a_restart_of_the_device()
     rig.now_ns += SECOND
     rig.run(0.5)
     assert rig.get("sensor/config")["lidar_mode"] == "512x20"
+
+
+def test_the_line_of_alerts_takes_a_cursor_and_the_network_has_the_address_that_was_called() -> None:
+    rig = Rig({"firmware": "2.0.0"})
+    rig.session.impair(0, "shot limiting", 0.3)
+    assert len(json.loads(rig.line("get_alerts"))["log"]) == 1
+    assert json.loads(rig.line("get_alerts 1")) == {"active": [], "log": [], "next_cursor": 1}
+    assert rig.line("get_alerts x").startswith("error: ")
+    for host, own in ((b"127.0.0.72", "127.0.0.72/8"), (b"10.0.0.5:80", "10.0.0.5/24"), (b"os.local", "127.0.0.1/8")):
+        said = rig.ask(b"GET /api/v1/system/network HTTP/1.1\r\nhost: " + host + b"\r\n\r\n")
+        assert json.loads(said.partition(b"\r\n\r\n")[2])["ipv4"]["addr"] == own
+
+
+def test_a_phase_lock_that_stays_lost_has_failed() -> None:
+    rig = Rig({"ptp": True, "ptp_lock_s": 0.1, "config": {"phase_lock_enable": True, "lidar_mode": "512x10",
+               "timestamp_mode": "TIME_FROM_PTP_1588", "azimuth_window": [0, 9000]}})  # fmt: skip
+    rig.run(3.0)
+    rig.session.impair(rig.now_ns, "no ptp", 1.0)
+    rig.run(5.0)
+    active = [one["id"] for one in rig.get("sensor/alerts")["active"]]
+    assert active == ["0x01000050"]
+    rig.run(30.0)
+    assert [one["id"] for one in rig.get("sensor/alerts")["active"]] == ["0x01000050", "0x01000051"]
+    rig.session.impair(rig.now_ns, "no ptp", 0.0)
+    rig.run(10.0)
+    assert rig.get("sensor/alerts")["active"] == []
