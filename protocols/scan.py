@@ -63,6 +63,15 @@ class ScanPlan:
         return len(self.azimuth_rad)
 
 
+def points_of(azimuth_rad: Floats, elevation_rad: Floats, range_m: Floats, origin_m: Floats | None = None) -> Floats:
+    """(n, 3) where beams of these directions end after so much, in the sensor's frame; `origin_m`: see `ScanPlan`."""
+    flat = range_m * np.cos(elevation_rad)
+    points = np.stack(
+        [flat * np.cos(azimuth_rad), flat * np.sin(azimuth_rad), range_m * np.sin(elevation_rad)], axis=-1
+    )
+    return points if origin_m is None else points + origin_m
+
+
 @dataclass(frozen=True)
 class DetectedObject:
     """One object of an object list, in the frame of the sensor that lists it."""

@@ -166,8 +166,25 @@ class Restarted:
 Event = Dropped | CutShort | CommandHandled | ModeChanged | Restarted
 
 
+@dataclass(frozen=True)
+class Announcement:
+    """What a device announces by mDNS of its TCP link."""
+
+    kind: str
+    "Type of the service: `_name._tcp`."
+    name: str
+    host: str
+    "Without `.local`."
+    port: int
+    text: Mapping[str, str]
+    "TXT record."
+
+
 class Session(ABC):
     """The protocol side of one device."""
+
+    announced: Announcement | None = None
+    "What it announces by mDNS; None: nothing."
 
     can_bitrate: int | None = None
     "Speed at which the device was set up for its CAN bus, in bit/s; None: it has none."

@@ -16,7 +16,7 @@ from typing import Any
 from protocols.device_clock import BILLION, SECOND_NS, DeviceClock
 from protocols.quartz import Quartz
 from protocols.scan import Floats, Scan, ScanPlan
-from protocols.session import Address, Emission, Event, LinkKind, Session
+from protocols.session import Address, Announcement, Emission, Event, LinkKind, Session
 
 MOST_PLANS = 64
 "Plans whose scans may still be submitted."
@@ -49,6 +49,10 @@ class Timebase(Session):
     @property
     def clock_tick_ns(self) -> Fraction | None:  # type: ignore[override]
         return self.inner.clock_tick_ns
+
+    @property
+    def announced(self) -> Announcement | None:  # type: ignore[override]
+        return self.inner.announced
 
     @property
     def can_bitrate(self) -> int | None:  # type: ignore[override]

@@ -35,6 +35,7 @@ ONLY_IN = {
     "can": {"emulator/transports/can_bus.py", "emulator/recording/can_logs.py", "emulator/hosts/can_lines.py"},
     "mcap": {"emulator/recording/", "emulator/live/files.py"},
     "cantools": {"protocols/can_objects/"},
+    "zeroconf": {"emulator/transports/announcing.py"},
     "fastcrc": {"protocols/checksums.py"},
     "viser": {"emulator/view/"},
     "websockets": {"emulator/view/"},

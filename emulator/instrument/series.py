@@ -23,7 +23,7 @@ from emulator.instrument.owed import GAPS_KEPT, silence_ns, usual_gap
 from emulator.objects.metrics import ListedScan, ObjectScore, Score, TruthObject
 from emulator.scenario.quantities import box_of
 from protocols.device_clock import DeviceStamp
-from protocols.scan import DAZZLED, DetectedObject, Floats, Ints, Scan
+from protocols.scan import DAZZLED, DetectedObject, Floats, Ints, Scan, points_of
 from protocols.session import Dropped, Event, Restarted
 
 MATCH_RAD = np.radians(0.02)
@@ -55,11 +55,14 @@ class Measured:
     "Of a slice: the turn in which it begins."
     all_m: Floats | None = None
     "(n, k) all echoes"
+    origin_m: Floats | None = None
+    "(n, 3) where beams begin; None: in the sensor's origin"
 
     @classmethod
     def joined(cls, slices: Sequence[Measured]) -> Measured:
         """A turn out of its slices."""
         first = slices[0]
+        begun = [one.origin_m for one in slices if one.origin_m is not None]
         return cls(
             first.at_ns,
             np.concatenate([one.azimuth_rad for one in slices]),
@@ -71,6 +74,7 @@ class Measured:
             sum(one.dazzled for one in slices),
             np.concatenate([one.heights for one in slices]),
             first.turn,
+            origin_m=np.concatenate(begun) if len(begun) == len(slices) else None,
         )
 
     @property
@@ -180,6 +184,7 @@ class SeriesWatcher(Observer):
             scan.plan.elevation_rad,
             scan.plan.turn if self._by_turns else None,
             scan.range_m,
+            scan.plan.origin_m,
         )
 
     def reported(self, sensor: str, sweep: int, reported: DeviceStamp) -> None:
@@ -264,12 +269,11 @@ def _nearest_on(item: Measured, window: Window) -> float:
 
 def _inside(item: Measured, window: Window) -> Floats:
     """Ranges of the first echoes in the box."""
-    level = np.cos(item.heights)
-    x, y = level * np.cos(item.azimuth_rad), level * np.sin(item.azimuth_rad)
     inside = np.full(len(item.range_m), True)
-    for unit, (low, high) in zip((x, y, np.sin(item.heights)), box_of(str(window.argument)), strict=True):
+    points = points_of(item.azimuth_rad, item.heights, item.range_m, item.origin_m)
+    for place_m, (low, high) in zip(points.T, box_of(str(window.argument)), strict=True):
         with np.errstate(invalid="ignore"):
-            inside &= (unit * item.range_m >= low) & (unit * item.range_m <= high)
+            inside &= (place_m >= low) & (place_m <= high)
     return np.asarray(item.range_m[inside])
 
 

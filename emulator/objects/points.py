@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols.scan import Scan
+from protocols.scan import points_of as in_frame
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -123,10 +124,9 @@ def points_of(view: View, height_m: tuple[float, float]) -> Points:
     scan, plan = view.scan, view.scan.plan
     beam, echo = np.nonzero(np.isfinite(scan.range_m))
     range_m = scan.range_m[beam, echo]
-    azimuth, elevation = plan.azimuth_rad[beam], plan.elevation_rad[beam]
-    flat = np.cos(elevation)
-    direction = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
-    place = view.position_m + (direction * range_m[:, None]) @ view.rotation.T
+    origin = None if plan.origin_m is None else plan.origin_m[beam]
+    own = in_frame(plan.azimuth_rad[beam], plan.elevation_rad[beam], range_m, origin)
+    place = view.position_m + own @ view.rotation.T
     points = Points(
         x_m=place[:, 0],
         y_m=place[:, 1],

@@ -92,10 +92,7 @@ def _rows(scan: RecordedScan, heights: Floats, fire_s: Floats | None, first_only
     beam, echo = np.nonzero(np.isfinite(ranges))
     elevation = np.zeros(len(scan.azimuth_rad)) if scan.elevation_rad is None else scan.elevation_rad
     rows = np.zeros(len(beam), POINT)
-    range_m, level = ranges[beam, echo], np.cos(elevation[beam])
-    rows["x"] = range_m * level * np.cos(scan.azimuth_rad[beam])
-    rows["y"] = range_m * level * np.sin(scan.azimuth_rad[beam])
-    rows["z"] = range_m * np.sin(elevation[beam])
+    rows["x"], rows["y"], rows["z"] = scan.points(beam, ranges[beam, echo]).T
     rows["time"] = scan.start_ns * 1e-9 + (0.0 if fire_s is None else fire_s[beam])
     rows["intensity"], rows["actor"] = scan.intensity[beam, echo], scan.actor[beam, echo]
     ring = np.searchsorted(heights, elevation[beam] + 0.5 * SAME_LAYER_RAD, side="right") - 1

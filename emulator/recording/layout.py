@@ -7,6 +7,8 @@ Clocks    topic /SENSOR/clock, JSON: sweep, true_ns (of the run), device_ns (as 
           wrapped), ticks (as on the wire), tick_ns, bits; of devices that tell a time
 Beams     topic /SENSOR/beams, float64 little-endian: instant of each beam after the sweep's start, in seconds; before
           the first sweep that has them, and again when they have changed
+Origins   topic /SENSOR/origins, float32 little-endian, x, y, z of each beam: where it begins, in the sensor's frame, in
+          metres; before a sweep of other ones than the sweep before; of devices whose beams begin in the origin, none
 Events    topic /SENSOR/event, JSON
 Metadata  `lidaremu`: version of this layout and of the package; attachment `scenario.yaml`; at the end of a run
           `lidaremu.end`: sensor -> JSON, its counters and lateness
@@ -16,13 +18,15 @@ from __future__ import annotations
 
 import json
 import struct
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emulator.config.budgets import loads_json
 from emulator.objects.metrics import ListedScan
-from protocols.scan import DetectedObject, Floats, Ints, Scan
+from protocols.scan import DetectedObject, Floats, Ints, Scan, points_of
 
 VERSION = 1
 FILE_NAME = "run.mcap"
@@ -30,6 +34,7 @@ META_NAME = "lidaremu"
 WIRE_ENCODING, SCAN_ENCODING, EVENT_ENCODING = "x-lidaremu-wire", "x-lidaremu-scan", "json"
 CLOCK_ENCODING = "x-lidaremu-clock"
 BEAMS_ENCODING = "x-lidaremu-beams"
+ORIGINS_ENCODING = "x-lidaremu-origins"
 END_NAME = "lidaremu.end"
 
 SCAN_LAYOUT = """lidaremu scan, version 1, little-endian:
@@ -65,6 +70,18 @@ class RecordedScan:
     "Of a sensor that lists objects: every actor with its pose, speed and visible share."
     elevation_rad: Floats | None = None
     "(n,)"
+    origin_m: Floats | None = None
+    "(n, 3) where beams begin; None: in the sensor's origin. Ranges count from there."
+
+    def points(self, beam: NDArray[np.integer[Any]], range_m: Floats) -> Floats:
+        """(e, 3) where these beams end after so much, in the sensor's frame."""
+        elevation = np.zeros_like(self.azimuth_rad) if self.elevation_rad is None else self.elevation_rad
+        origin = None if self.origin_m is None else self.origin_m[beam]
+        return points_of(self.azimuth_rad[beam], elevation[beam], range_m, origin)
+
+    def begun_at(self, origin_m: Floats | None) -> RecordedScan:
+        """With the origins that were recorded for it; those of another number of beams are none of it."""
+        return self if origin_m is None or len(origin_m) != len(self.azimuth_rad) else replace(self, origin_m=origin_m)
 
 
 def encode_scan(scan: Scan) -> bytes:
@@ -82,6 +99,16 @@ def encode_scan(scan: Scan) -> bytes:
         _objects(scan),
     ]
     return b"".join(parts)
+
+
+def encode_origins(origin_m: Floats | None) -> bytes:
+    """Origins of beams as the data of one message; empty: all in the sensor's."""
+    return b"" if origin_m is None else origin_m.astype("<f4").tobytes()
+
+
+def decode_origins(data: bytes) -> Floats | None:
+    """Those of one message; `ValueError` when it is none."""
+    return np.frombuffer(data, "<f4").astype(np.float64).reshape(-1, 3) if data else None
 
 
 def _objects(scan: Scan) -> bytes:

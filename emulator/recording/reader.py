@@ -124,6 +124,7 @@ def read_run(path: Path) -> RecordedRun:
     run = RecordedRun(path)
     channels: dict[int, Channel] = {}
     offsets: dict[str, Floats] = {}
+    origins: dict[str, Floats | None] = {}
     version = None
     with path.open("rb") as file:
         try:
@@ -137,7 +138,7 @@ def read_run(path: Path) -> RecordedRun:
                 elif isinstance(record, Channel):
                     channels[record.id] = record
                 elif isinstance(record, Message):
-                    _take(run, channels[record.channel_id], record, offsets)
+                    _take(run, channels[record.channel_id], record, offsets, origins)
         except TooLarge as error:
             raise RecordingError(f"{path}: {error}") from None
         except Altered as error:
@@ -149,7 +150,13 @@ def read_run(path: Path) -> RecordedRun:
     return run
 
 
-def _take(run: RecordedRun, channel: Channel, message: Message, offsets: dict[str, Floats]) -> None:
+def _take(
+    run: RecordedRun,
+    channel: Channel,
+    message: Message,
+    offsets: dict[str, Floats],
+    origins: dict[str, Floats | None],
+) -> None:
     meta = channel.metadata
     if channel.message_encoding == layout.WIRE_ENCODING:
         table = run.sent if meta["direction"] == "tx" else run.received
@@ -161,12 +168,15 @@ def _take(run: RecordedRun, channel: Channel, message: Message, offsets: dict[st
     elif channel.message_encoding == layout.LEFT_ENCODING:
         _left(run, (meta["sensor"], int(meta["link"])), message.data)
     elif channel.message_encoding == layout.SCAN_ENCODING:
-        scan, offset_s = decode_scan(message.data), offsets.get(meta["sensor"])
+        scan = decode_scan(message.data).begun_at(origins.get(meta["sensor"]))
+        offset_s = offsets.get(meta["sensor"])
         run.scans.setdefault(meta["sensor"], []).append(scan)
         known = offset_s is not None and len(offset_s) == len(scan.azimuth_rad)
         run.offsets.setdefault(meta["sensor"], []).append(offset_s if known else None)
     elif channel.message_encoding == layout.BEAMS_ENCODING:
         offsets[meta["sensor"]] = np.frombuffer(message.data, "<f8").astype(np.float64)
+    elif channel.message_encoding == layout.ORIGINS_ENCODING:
+        origins[meta["sensor"]] = layout.decode_origins(message.data)
     elif channel.message_encoding == layout.CLOCK_ENCODING:
         row = loads_json(message.data)
         run.clocks.setdefault(meta["sensor"], []).append((row.pop("sweep"), DeviceStamp(**row)))

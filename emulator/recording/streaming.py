@@ -143,6 +143,7 @@ def items(path: Path, progress: Progress) -> Iterator[Item]:
 
 def _items(file: BinaryIO, path: Path, channels: dict[int, Channel], progress: Progress) -> Iterator[Item]:
     version = None
+    origins: dict[str, Floats | None] = {}
     for record in mcap_records(file):
         progress.done = file.tell()
         if isinstance(record, Metadata) and record.name == layout.META_NAME:
@@ -159,12 +160,12 @@ def _items(file: BinaryIO, path: Path, channels: dict[int, Channel], progress: P
         elif isinstance(record, Channel):
             channels[record.id] = record
         elif isinstance(record, Message):
-            found_item = _message(channels[record.channel_id], record)
+            found_item = _message(channels[record.channel_id], record, origins)
             if found_item is not None:
                 yield found_item
 
 
-def _message(channel: Channel, message: Message) -> Item | None:
+def _message(channel: Channel, message: Message, origins: dict[str, Floats | None]) -> Item | None:
     meta, encoding = channel.metadata, channel.message_encoding
     if encoding == layout.WIRE_ENCODING:
         sweep = message.sequence - 1 if message.sequence else None
@@ -177,9 +178,11 @@ def _message(channel: Channel, message: Message) -> Item | None:
         due_ns, actual_ns = (rows[name].astype(np.int64) for name in ("due_ns", "actual_ns"))
         return Left(meta["sensor"], int(meta["link"]), due_ns, actual_ns)
     if encoding == layout.SCAN_ENCODING:
-        return Measured(meta["sensor"], decode_scan(message.data))
+        return Measured(meta["sensor"], decode_scan(message.data).begun_at(origins.get(meta["sensor"])))
     if encoding == layout.BEAMS_ENCODING:
         return Beams(meta["sensor"], np.frombuffer(message.data, "<f8").astype(np.float64))
+    if encoding == layout.ORIGINS_ENCODING:
+        origins[meta["sensor"]] = layout.decode_origins(message.data)
     if encoding == layout.EVENT_ENCODING:
         row = loads_json(message.data)
         return Reported(message.log_time, meta["sensor"], row if isinstance(row, dict) else {"event": str(row)})

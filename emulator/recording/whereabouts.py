@@ -16,7 +16,7 @@ from emulator.scenario.tables import Mount
 from emulator.world import scene
 from emulator.world.fed import NOWHERE_M
 from emulator.world.motion import Pose
-from protocols.scan import Floats, Scan
+from protocols.scan import Floats, Scan, points_of
 
 Poses = Callable[[float, float], World]
 "Tracks of a feed between two instants. [s]"
@@ -78,11 +78,9 @@ class Whereabouts:
         if not len(beam):
             nothing = np.zeros(0)
             return np.zeros((0, 3)), nothing, nothing, nothing
-        azimuth, elevation = plan.azimuth_rad[beam], plan.elevation_rad[beam]
-        ahead = np.cos(elevation)
-        direction = np.stack([ahead * np.cos(azimuth), ahead * np.sin(azimuth), np.sin(elevation)], axis=1)
-        pose = self.sensor(name, plan.start_ns * 1e-9 + plan.fire_offset_s[beam])
-        points = pose.to_world(direction * scan.range_m[beam, place][:, None])
+        origin = None if plan.origin_m is None else plan.origin_m[beam]
+        own = points_of(plan.azimuth_rad[beam], plan.elevation_rad[beam], scan.range_m[beam, place], origin)
+        points = self.sensor(name, plan.start_ns * 1e-9 + plan.fire_offset_s[beam]).to_world(own)
         return points, scan.intensity[beam, place], scan.actor[beam, place].astype(float), beam.astype(float)
 
     def boxes(self, at_s: float) -> list[Boxed]:

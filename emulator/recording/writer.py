@@ -108,6 +108,7 @@ class Recorder(Observer):
         self._departures: dict[tuple[str, int], Departures] | None = {} if manner.late else None
         "Of each sensor's links what has been handed to them and not left; None: all leaves when it is due."
         self._offsets: dict[str, Floats] = {}
+        self._origins: dict[str, bytes] = {}
         self._reported: dict[str, tuple[int, int]] = {}
         "Sensor -> the sweep whose time was written last, and its instant: it is reported once for each host."
         self._buses = _buses(scenario, instruments)
@@ -144,6 +145,7 @@ class Recorder(Observer):
         self._scan = self._schema("lidaremu.Scan", "text", layout.SCAN_LAYOUT.encode())
         self._clock = self._schema("lidaremu.Clock", "jsonschema", b'{"type": "object"}')
         self._beams = self._schema("lidaremu.Beams", "text", b"float64 fire_offset_s[n]")
+        self._starts = self._schema("lidaremu.Origins", "text", b"float32 origin_m[n][3]")
         self._event = self._schema("lidaremu.Event", "jsonschema", b'{"type": "object"}')
         if self._departures is not None:
             self._left = self._schema("lidaremu.Left", "text", layout.LEFT_LAYOUT.encode())
@@ -301,6 +303,7 @@ class Recorder(Observer):
 
     def _measured(self, sensor: str, scan: Scan) -> None:
         self._note_beams(sensor, scan.plan)
+        self._note_origins(sensor, scan.plan)
         at_ns, data = scan.plan.start_ns, layout.encode_scan(scan)
         self._message(self._of(sensor, "scan", layout.SCAN_ENCODING, self._scan), at_ns, data, at_ns)
 
@@ -317,6 +320,14 @@ class Recorder(Observer):
             self._offsets[sensor] = plan.fire_offset_s
             data = plan.fire_offset_s.astype("<f8").tobytes()
             channel = self._of(sensor, "beams", layout.BEAMS_ENCODING, self._beams)
+            self._message(channel, plan.start_ns, data, plan.start_ns)
+
+    def _note_origins(self, sensor: str, plan: ScanPlan) -> None:
+        """Where beams begin, if it is not where those of the sweep before did."""
+        data = layout.encode_origins(plan.origin_m)
+        if data != self._origins.get(sensor, b""):
+            self._origins[sensor] = data
+            channel = self._of(sensor, "origins", layout.ORIGINS_ENCODING, self._starts)
             self._message(channel, plan.start_ns, data, plan.start_ns)
 
     def _add(self, sensor: str, what: str, encoding: str, schema: int, at_ns: int, data: bytes) -> None:

@@ -69,17 +69,13 @@ class Sight:
 def points_of(truth: Truth, scenario: Scenario, sensor: str, scan: RecordedScan, offsets_s: Floats | None) -> Floats:
     """(e, 3) echoes of a sweep in the world, each beam at its own instant where that is recorded."""
     beam, echo = np.nonzero(np.isfinite(scan.range_m))
-    elevation = np.zeros_like(scan.azimuth_rad) if scan.elevation_rad is None else scan.elevation_rad
-    flat = np.cos(elevation[beam])
-    direction = np.stack(
-        [flat * np.cos(scan.azimuth_rad[beam]), flat * np.sin(scan.azimuth_rad[beam]), np.sin(elevation[beam])], axis=-1
-    )
-    fire_s = offsets_s if offsets_s is not None and len(offsets_s) == len(elevation) else np.zeros(len(elevation))
+    n = len(scan.azimuth_rad)
+    fire_s = offsets_s if offsets_s is not None and len(offsets_s) == n else np.zeros(n)
     mount = next(one.mount for one in scenario.sensors if one.id == sensor)
     start_s = truth.scene.local_s(scan.start_ns * 1e-9)
     truth.place(start_s, start_s + float(fire_s.max(initial=0.0)), scan.start_ns * 1e-9 - start_s)
     pose = truth.scene.sensor_pose(mount, start_s + fire_s[beam])
-    return np.asarray(pose.to_world(direction * scan.range_m[beam, echo][:, None]))
+    return np.asarray(pose.to_world(scan.points(beam, scan.range_m[beam, echo])))
 
 
 def draw(sight: Sight, truth: Truth, scenario: Scenario) -> bytes:

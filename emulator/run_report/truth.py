@@ -22,7 +22,7 @@ from emulator.scenario.scenario import Scenario
 from emulator.world import scene
 from emulator.world.feed_record import Played
 from emulator.world.scene import Scene
-from protocols.scan import Floats, Ints
+from protocols.scan import Floats, Ints, points_of
 
 BATCH_BEAMS = 30_000
 
@@ -57,13 +57,17 @@ class Truth:
         origins = np.ascontiguousarray(np.broadcast_to(origin_m, direction.shape))
         return self._caster.first_hits(origins, np.ascontiguousarray(direction), np.full(len(direction), t_s))
 
-    def ranges(self, sensor: str, t_s: Floats, azimuth_rad: Floats, elevation_rad: Floats) -> tuple[Floats, Ints]:
-        """True range, NaN where the axis meets nothing, and index of the actor met, -1; (b,) each."""
+    def ranges(
+        self, sensor: str, t_s: Floats, azimuth_rad: Floats, elevation_rad: Floats, origin_m: Floats | None = None
+    ) -> tuple[Floats, Ints]:
+        """True range, NaN where the axis meets nothing, and index of the actor met, -1; (b,) each.
+
+        `origin_m` (b, 3): where beams begin, in the sensor's frame.
+        """
         pose = self.scene.sensor_pose(self._mounts[sensor], t_s)
-        flat = np.cos(elevation_rad)
-        own = np.stack([flat * np.cos(azimuth_rad), flat * np.sin(azimuth_rad), np.sin(elevation_rad)], axis=-1)
-        direction = np.einsum("nij,nj->ni", pose.rotation, own)
-        hits = self._caster.first_hits(np.ascontiguousarray(pose.position_m), np.ascontiguousarray(direction), t_s)
+        direction = np.einsum("nij,nj->ni", pose.rotation, points_of(azimuth_rad, elevation_rad, np.ones(len(t_s))))
+        begun = pose.position_m if origin_m is None else pose.to_world(origin_m)
+        hits = self._caster.first_hits(np.ascontiguousarray(begun), np.ascontiguousarray(direction), t_s)
         return hits.range_m, hits.actor
 
 
@@ -112,7 +116,11 @@ class SensorTruth:
                 [np.zeros_like(one.azimuth_rad) if one.elevation_rad is None else one.elevation_rad for one in scans]
             )
             self._truth.place(float(t_s.min()), float(t_s.max()), float(turned_ns[0]) * 1e-9)
-            true_m, true_actor = self._truth.ranges(self._sensor, t_s, azimuth, elevation)
+            origin = None
+            if any(one.origin_m is not None for one in scans):
+                begun = [np.zeros((len(one.azimuth_rad), 3)) if one.origin_m is None else one.origin_m for one in scans]
+                origin = np.concatenate(begun)
+            true_m, true_actor = self._truth.ranges(self._sensor, t_s, azimuth, elevation, origin)
             range_m = np.concatenate([scan.range_m for scan in scans])
             actor = np.concatenate([scan.actor for scan in scans])
             self.tally.add(starts_s, range_m, actor, true_m, true_actor, sweep)

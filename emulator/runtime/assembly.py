@@ -7,6 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from emulator.compiled import build, switch
+from emulator.errors import LinkError
 from emulator.injection.run import FaultRun
 from emulator.instrument.device_clock import with_clock
 from emulator.instrument.instrument import Instrument, Measuring
@@ -20,11 +21,13 @@ from emulator.runtime.feeding import Feeding
 from emulator.runtime.virtual_daemon import VirtualDaemon
 from emulator.scenario.scenario import Scenario
 from emulator.sensors.spec import load_spec
+from emulator.transports.announcing import Announcer
 from emulator.transports.can_link import CanPorts
 from emulator.transports.link import Link
 from emulator.transports.loopback import Loops
 from emulator.transports.schemes import open_link
-from emulator.world.felt import MountMotion
+from emulator.transports.urls import host_and_port, parse_url
+from emulator.world.felt import BEFORE_S, MountMotion
 from protocols import family
 from protocols.can_objects.layout import database_of
 from protocols.errors import DeviceSettingError
@@ -157,12 +160,17 @@ def feeding_of(
     """Who moves the world of these instruments; None: the scenario alone. `real_ns`: None in virtual time."""
     if scenario.live is None:
         return None
-    feeding = Feeding(scenario, scenario.live, instruments, real_ns)
+    feeding, only = Feeding(scenario, scenario.live, instruments, real_ns), scenario.live.actors.fed
+    index_of = {sensor.id: index for index, sensor in enumerate(scenario.sensors)}
     for one in instruments:
         session = one.session
         if not isinstance(session, VehicleSession):
             one.feed = feeding
-        elif scenario.live.actors.fed is None or session.ego.actor in scenario.live.actors.fed:
+            motion = MountMotion(scenario, index_of[one.sensor])
+            if motion.actor is not None and (only is None or motion.actor in (*only, *scenario.live.slots)):
+                motion.feed(partial(feeding.world_around, before_s=BEFORE_S))
+                session.feel(motion.at)
+        elif only is None or session.ego.actor in only:
             session.ego.feed(feeding.world_around)
     return feeding
 
@@ -200,7 +208,25 @@ def start(
     tell_vehicle(instruments, daemon.incidents)
     if daemon.feeding is not None:
         daemon.feeding.call = daemon.call
+    try:
+        daemon.announcer = announcer_of(instruments)
+    except BaseException:
+        daemon.close()
+        raise
     return daemon, instruments
+
+
+def announcer_of(instruments: Sequence[Instrument]) -> Announcer | None:
+    """Who announces the devices that want it, at their first TCP links; None: nobody does."""
+    found = []
+    for one in instruments:
+        if (announced := one.session.announced) is None:
+            continue
+        urls = [link.url for link in one.links if link.url.startswith("tcp:")]
+        if not urls:
+            raise LinkError(f"{one.sensor}: mdns: true without a TCP link; want one, as tcp:127.0.0.2:80")
+        found.append((host_and_port(urls[0], parse_url(urls[0]).target)[0], announced))
+    return Announcer(found) if found else None
 
 
 def start_virtual(

@@ -32,6 +32,7 @@ from emulator.runtime.feeding import Feeding
 from emulator.runtime.liveness import Liveness, report_workers
 from emulator.runtime.own_daemon import ending_signals
 from emulator.runtime.path_guard import PathGuard
+from emulator.transports.announcing import Announcer
 from emulator.transports.turns import Turn
 
 SWITCH_S = 0.0005
@@ -76,6 +77,7 @@ class Daemon:
         self.faults: FaultRun | None = None
         "Injected faults in this run."
         self.feeding: Feeding | None = None
+        self.announcer: Announcer | None = None
         "Who moves the world from outside."
         self.failures: Counter[str] = Counter()
         "Scans that could not be measured, by cause."
@@ -333,6 +335,8 @@ class Daemon:
         self.notifier.stopping()
         if self.feeding is not None:
             self.feeding.close()
+        if self.announcer is not None:
+            self.announcer.close()
         self._path_guard.close()
         for instrument in self._instruments:
             instrument.close()

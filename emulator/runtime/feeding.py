@@ -204,14 +204,14 @@ class Feeding:
             self.book.asked(begin_s + plan.fire_offset_s, delay_s)
         return self.book.world(begin_s - (BEFORE_S if len(plan) else LISTS_S), end_s + BEFORE_S)
 
-    def world_around(self, actor: str, at_ns: int) -> World:
-        """What is known of one actor around an instant, which is now."""
+    def world_around(self, actor: str, at_ns: int, before_s: float = BEFORE_S) -> World:
+        """What is known of one actor around an instant, which is now; from `before_s` before it on."""
         if self._real_ns is None and at_ns <= 0:
             # at the start nothing is reported yet, whether a feeder came before or after the first frame
             return NOTHING
         if self._file is not None:
             self._pull(at_ns)
-        return self.book.world(at_ns * 1e-9 - BEFORE_S, at_ns * 1e-9 + BEFORE_S, actor)
+        return self.book.world(at_ns * 1e-9 - before_s, at_ns * 1e-9 + BEFORE_S, actor)
 
     def _pull(self, until_ns: int) -> None:
         """Take what a file reports that was known before that instant."""

@@ -4,8 +4,8 @@ One epoll descriptor stands for all of them, so whoever waits need not know how 
 when a slow host can take more. Everything a host can do is bounded: connections, bytes read a call, bytes that wait.
 
 A host that has closed its sending half is still sent to. It is gone when a send fails, or `LINGER_NS` after the last
-thing sent to it. When all places are taken, the oldest connection that never sent a byte makes room; without one the
-new host is turned away.
+thing sent to it. When all places are taken, one that has closed its half and has been sent everything makes room, else
+the oldest connection that never sent a byte; without one the new host is turned away.
 """
 
 from __future__ import annotations
@@ -265,11 +265,15 @@ class Hosts:
         return ACCEPTS_A_CALL * ACCEPT_BYTES
 
     def _make_room(self, now_ns: int, events: list[Received]) -> bool:
-        """Whether one has lost its place: the oldest that never spoke, else who has flooded or been without input
-        for longest.
+        """Whether one has lost its place: the one that hung up first, with nothing left for it; else the oldest that
+        never spoke; else who has flooded or been without input for longest.
 
         What a flood left in the kernel is read for minutes after its programs are gone.
         """
+        hung_up = {host.half_closed_ns: host for host in self._hosts.values() if not host.waiting}
+        if left := [at_ns for at_ns in hung_up if at_ns is not None]:  # clients of HTTP: a connection per request
+            self._end(hung_up[min(left)], events)
+            return True
         silent = next((host for host in self._hosts.values() if not host.spoke and not _has_unread(host)), None)
         if silent is not None:
             self._end(silent, events)

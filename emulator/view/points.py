@@ -13,6 +13,7 @@ from emulator.scenario.tables import Mount
 from emulator.view.frames import Floats, Ints, ShownScan
 from emulator.world.motion import quaternion_of
 from emulator.world.scene import Scene
+from protocols.scan import points_of
 
 Colours = NDArray[np.uint8]
 COLOURINGS = ("intensity", "actor", "range")
@@ -72,14 +73,12 @@ def cloud(scene: Scene, mount: Mount, scan: ShownScan, colouring: str) -> Cloud:
     beam, echo = np.nonzero(np.isfinite(scan.range_m))
     if not len(beam):
         return Cloud(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
-    azimuth, elevation = scan.azimuth_rad[beam], scan.elevation_rad[beam]
-    direction = np.stack(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
-    )
     range_m = scan.range_m[beam, echo]
+    origin = None if scan.origin_m is None else scan.origin_m[beam]
+    own = points_of(scan.azimuth_rad[beam], scan.elevation_rad[beam], range_m, origin)
     pose = scene.sensor_pose(mount, scene.local_s(scan.start_s) + scan.fire_s[beam])
-    points = pose.to_world(direction * range_m[:, None])
-    origins = np.broadcast_to(pose.position_m, points.shape)
+    points = pose.to_world(own)
+    origins = np.broadcast_to(pose.position_m, points.shape) if origin is None else pose.to_world(origin)
     colours = colours_of(colouring, range_m, scan.intensity[beam, echo], scan.actor[beam, echo])
     return Cloud(points, origins, colours)
 

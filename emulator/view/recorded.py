@@ -167,6 +167,7 @@ def _shown(run: RecordedRun, sensor: str, place: int) -> ShownScan:
         intensity=scan.intensity,
         actor=scan.actor,
         objects=scan.objects,
+        origin_m=scan.origin_m,
     )
 
 

@@ -16,14 +16,14 @@ from protocols.hesai import codec
 from protocols.hesai.models import Model
 from protocols.hesai.motor import Rotor, Source
 from protocols.hesai.settings import SLICE_NS, Build, Settings
-from protocols.hesai.slices import MOST_KEPT, Slice, Slices, words
+from protocols.hesai.slices import Slice, Slices, words
 from protocols.scan import Floats, Scan
-from protocols.session import Address, DropReason, Emission, LinkKind
+from protocols.session import Address, Emission
 from protocols.skeleton import nmea
 from protocols.skeleton.instants import SECOND_NS, earliest
 from protocols.skeleton.outbox import Outgoing
-from protocols.skeleton.requests import RequestSession
-from protocols.skeleton.sweeps import SHARES, Sweep, Telegram
+from protocols.skeleton.packets import MOST_KEPT, PacketSession
+from protocols.skeleton.sweeps import SHARES, Telegram
 
 TICK_NS = Fraction(1000)
 SPEED_RAMP_NS, STOP_NS, BACK_NS = 5 * SECOND_NS, 5 * SECOND_NS, 10 * SECOND_NS
@@ -42,7 +42,7 @@ CODE_WINDOW, CODE_HOT, CODE_MOTOR = 0x0101, 0x0201, 0x0301
 "Fault codes; the maker's list is not public, these are ours."
 
 
-class HesaiDevice(RequestSession):
+class HesaiDevice(PacketSession[Slice]):
     """The device without its requests."""
 
     clock_tick_ns = TICK_NS
@@ -63,10 +63,6 @@ class HesaiDevice(RequestSession):
         self._spin_up_ns = build.spin_up_ns
         self._factor = 1.0
         "Of the motor's speed over that set."
-        self._links: list[Address] = []
-        "Datagram links: point cloud, GPS packets, fault messages."
-        self._listeners: list[Address] = []
-        "Where the point cloud goes besides: hosts that asked on a connection."
         self._sends = False
         "It sends a point cloud, if there is anybody to send it to."
         self._renew_ns: int | None = None
@@ -114,12 +110,6 @@ class HesaiDevice(RequestSession):
         return self._packets * self._packet_ns
 
     # power
-
-    def connected(self, now_ns: int, address: Address, kind: LinkKind) -> None:
-        """A link is open, or a client has connected."""
-        super().connected(now_ns, address, kind)
-        if kind is LinkKind.DATAGRAM and address not in self._links:
-            self._links.append(address)
 
     def power_on(self, now_ns: int) -> None:
         """Settings survive; time, counters and the motor begin again."""
@@ -210,6 +200,7 @@ class HesaiDevice(RequestSession):
     def _renew(self, now_ns: int) -> None:
         """From here on slices are those of the present settings, or there are none."""
         self._used, self._renew_ns = self.settings, None
+        self._made.clear()
         self._slices.clear()
         for address in list(self._hosts):
             self._unsubscribe(now_ns, address)
@@ -240,17 +231,8 @@ class HesaiDevice(RequestSession):
     def _goes_to(self, to: Address | None) -> tuple[str, int] | None:
         return None if to in self._listeners else self._place(self._used, 1)
 
-    def listen(self, now_ns: int, address: Address) -> None:
-        """Send the point cloud on a connection too."""
-        if address not in self._listeners:
-            self._listeners.append(address)
-            if self._sends:
-                self._subscribe(now_ns, address)
-
-    def disconnected(self, now_ns: int, address: Address) -> None:
-        """A client has disconnected."""
-        super().disconnected(now_ns, address)
-        self._listeners = [one for one in self._listeners if one != address]
+    def _sending(self) -> bool:
+        return self._sends
 
     # faults
 
@@ -292,9 +274,9 @@ class HesaiDevice(RequestSession):
 
     # slices
 
-    def _slice(self, number: int) -> Slice:
+    def _make(self, number: int) -> Slice:
         self._hold_phase(self._raster.at(number + 1))
-        return self._slices.of(self._stream, number, self._raster, self._packets, self._used, self.rotor)
+        return self._slices.make(number, self._raster, self._packets, self._used, self.rotor)
 
     def _hold_phase(self, until_ns: int) -> None:
         """Corrections of the phase at the full seconds before an instant."""
@@ -307,16 +289,6 @@ class HesaiDevice(RequestSession):
                 self.rotor.correct(pulse_ns, hz, self._used.sync_deg / 360.0)
             self._pulse_ns = pulse_ns
             pulse_ns = self.source.after(pulse_ns)
-
-    def _sweep(self, number: int) -> Sweep:
-        return self._slice(number).sweep
-
-    def _passed_over(self, number: int) -> int:
-        passed = 0
-        partial = not self._used.sees_all or self.model.calibrated == "at128"
-        while partial and passed < MOST_KEPT and not self._slice(number + passed).sees.any():
-            passed += 1
-        return passed
 
     # packets
 
@@ -401,11 +373,3 @@ class HesaiDevice(RequestSession):
             self.dirt, self.hot,
         )  # fmt: skip
         self._outbox.send(Emission(now_ns, payload, self._links[2], label="fault"))
-
-    def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
-        """Requests come on connections; datagrams are ignored. Never raises."""
-        if data and self._connections.kind(address) is LinkKind.DATAGRAM:
-            self.advance(now_ns)
-            self._events.drop(now_ns, DropReason.UNKNOWN_COMMAND, "it takes no datagrams", len(data))
-            return
-        super().receive(data, now_ns, address)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +18,13 @@ from protocols.hesai.motor import NEAR, Rotor
 from protocols.hesai.settings import Settings
 from protocols.scan import Floats, Scan
 from protocols.skeleton.instants import Raster
+from protocols.skeleton.packets import MOST_KEPT
 from protocols.skeleton.sweeps import Sweep
 
 MOST_ECHOES = 4
 "Of a beam, out of which the returns are chosen."
 NEXT_STEP = 0.8
 "Of a step: so far the grid may be from where it would be nearest."
-MOST_KEPT = 1000
-"Slices outside of the range that are skipped at once; a turn has less."
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,28 +45,19 @@ class Slice:
 
 
 class Slices:
-    """Those of one device at its present settings; the newest two are kept."""
+    """Makes those of one device at its present settings."""
 
     def __init__(self, model: Model) -> None:
         self._model = model
-        self._made: dict[tuple[int, int], Slice] = {}
         self._grid: dict[int, int] = {}
         "Step of the first firing of slices, where the angle triggers."
 
     def clear(self) -> None:
         """The settings are others."""
-        self._made.clear()
         self._grid.clear()
 
-    def of(self, stream: int, number: int, raster: Raster, packets: int, used: Settings, rotor: Rotor) -> Slice:
+    def make(self, number: int, raster: Raster, packets: int, used: Settings, rotor: Rotor) -> Slice:
         """The slice of that number, of so many packets."""
-        made = self._made.get((stream, number))
-        if made is None:
-            _at_most(self._made, 1)
-            made = self._made[stream, number] = self._make(number, raster, packets, used, rotor)
-        return made
-
-    def _make(self, number: int, raster: Raster, packets: int, used: Settings, rotor: Rotor) -> Slice:
         model, start_ns, period_ns = self._model, raster.at(number), float(self._model.firing_ns(used.high))
         count, lead_ns = packets * model.firings(used.mode), model.lead_ns + int(period_ns / 2) + 1
         block_ns = start_ns + lead_ns + np.rint(np.arange(count) * period_ns).astype(np.int64)
@@ -113,16 +102,12 @@ class Slices:
         # on from the slice before, as long as that is near: no doubt where half a step has passed
         place = self._grid[number - 1] + count if number - 1 in self._grid else round(at)
         place = place if abs(at - place) < NEXT_STEP else round(at)
-        _at_most(self._grid, MOST_KEPT)
+        while len(self._grid) >= MOST_KEPT:
+            self._grid.pop(next(iter(self._grid)))
         self._grid[number] = place
         on_grid = (place + np.arange(count)) * step
         behind = (on_grid - turns + 0.5) % 1.0 - 0.5  # a knot in the slice: turns are counted anew
         return block_ns + np.rint(1e9 * behind / hz).astype(np.int64), np.asarray(on_grid, np.float64)
-
-
-def _at_most(kept: dict[Any, Any], count: int) -> None:
-    while len(kept) > count:
-        kept.pop(next(iter(kept)))
 
 
 def _seen(model: Model, used: Settings, angle: codec.Words) -> NDArray[np.bool_]:

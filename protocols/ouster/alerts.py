@@ -12,16 +12,14 @@ from typing import Any
 KEPT = 32
 "Events of the log."
 KNOWN: Mapping[int, tuple[str, str, str]] = {
-    0x01000015: ("UDP_TRANSMISSION", "WARNING", "Lidar data could not be delivered."),
     0x01000033: ("UDP_CONNECT", "WARNING", "The name of the destination cannot be resolved."),
     0x01000050: ("MOTOR_CONTROL", "WARNING", "Phase lock is off by more than the threshold."),
     0x01000051: ("MOTOR_CONTROL", "ERROR", "Phase lock has failed repeatedly."),
-    0x0100004E: ("WARMUP_ISSUE", "WARNING", "The sensor takes long to warm up."),
     0x0100000E: ("SHOT_LIMITING", "WARNING", "The sensor is hot; its laser power is reduced."),
     0x01000006: ("OVERTEMP", "ERROR", "The sensor is too hot and has shut down."),
 }
 "Number -> category, level, message. The numbers of the last two are ours."
-NO_NAME, PHASE, WARM, HOT, TOO_HOT = 0x01000033, 0x01000050, 0x0100004E, 0x0100000E, 0x01000006
+NO_NAME, PHASE, PHASE_FAILED, HOT, TOO_HOT = 0x01000033, 0x01000050, 0x01000051, 0x0100000E, 0x01000006
 
 
 class Alerts:

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from ipaddress import ip_address
 from typing import Any, ClassVar
 
 from protocols.ouster.config import Firmware, changed
 from protocols.ouster.device import OusterDevice
 from protocols.ouster.metadata import image
 from protocols.ouster.reports import TIMES, network, telemetry, time_sensor
-from protocols.session import Address, DropReason, Emission, LinkKind
+from protocols.session import Address, Announcement, DropReason, Emission, LinkKind
 from protocols.skeleton.http import LONGEST, STATUS, HttpRequests, fields_of, page, taken_apart
 from protocols.skeleton.receiving import Fault
 from protocols.skeleton.requests import Answer, Command, Host, Refused, Request
@@ -96,8 +97,16 @@ def write(device: OusterDevice, now_ns: int, request: Request, changes: Any, bas
     device.staged = found
 
 
+def _of_this_firmware(query: Mapping[str, str]) -> None:
+    """Refuse what a newer one would do: ignored, a write would go elsewhere than its host means."""
+    for name in ("source", "target"):
+        if name in query:
+            raise Wrong("of firmware 4; want staging", name)
+
+
 def _post_config(device: OusterDevice, request: Request) -> bytes | Refused:
     query, body = _parts(request)
+    _of_this_firmware(query)
     staging = device.firmware >= (3, 1) and _flag(query, "staging", False)
     reinit, persist = _flag(query, "reinit", True), _flag(query, "persist", True)
     write(device, request.now_ns, request, _json(body or b"{}"), device.staged if staging else device.active)
@@ -110,6 +119,7 @@ def _post_config(device: OusterDevice, request: Request) -> bytes | Refused:
 
 def _get_config(device: OusterDevice, request: Request) -> bytes:
     query, _ = _parts(request)
+    _of_this_firmware(query)
     staged = device.firmware >= (3, 1) and _flag(query, "staging", False)
     return reply(device.staged if staged else device.active)
 
@@ -180,12 +190,15 @@ def _get(what: Callable[[Any, int], Any]) -> Act:
     return lambda device, request: reply(what(device, request.now_ns))
 
 
+def _cursor(text: str) -> int:
+    if not (text.isascii() and text.isdecimal() and len(text) <= 10):
+        raise Wrong("want a number", "cursor")
+    return int(text)
+
+
 def _alerts(device: OusterDevice, request: Request) -> bytes:
     query, _ = _parts(request)
-    cursor = query.get("cursor", "0")
-    if not (cursor.isascii() and cursor.isdecimal() and len(cursor) <= 10):
-        raise Wrong("want a number", "cursor")
-    return reply(device.alerts.reported(int(cursor), query.get("mode") == "summary"))
+    return reply(device.alerts.reported(_cursor(query.get("cursor", "0")), query.get("mode") == "summary"))
 
 
 def _get_user_data(device: OusterDevice, request: Request) -> bytes:
@@ -371,7 +384,7 @@ _LINES: Mapping[str, tuple[str, Act]] = {
     "write_config_txt": ("persist", _echo(_save, "write_config_txt")),
     "save_config_params": ("persist", _echo(_save, "save_config_params")),
     "get_time_info": ("time of sensor", _told(time_sensor)),
-    "get_alerts": ("alerts", _told(lambda device, _: device.alerts.reported())),
+    "get_alerts": ("alerts", _line(lambda device, _, text: device.alerts.reported(_cursor(text.strip() or "0")))),
     "get_telemetry": ("telemetry", _told(telemetry)),
 }
 COMMANDS: Mapping[bytes, Command] = {
@@ -389,11 +402,31 @@ SPANS: Mapping[bytes, tuple[Firmware, Firmware]] = {
 "First and last firmware that has a row; of others all have it."
 
 
+def _called(request: bytes) -> str:
+    """Address that a request names in its Host, without a port: that of the device; empty: none."""
+    lines = request.partition(b"\r\n\r\n")[0].split(b"\r\n")[1:]
+    host = next((line[5:].strip() for line in lines if line[:5].lower() == b"host:"), b"").decode("ascii", "replace")
+    try:
+        return str(ip_address(host.rpartition(":")[0] if host.count(":") == 1 else host.strip("[]")))
+    except ValueError:
+        return ""
+
+
 class OusterSession(OusterDevice):
     """With its interfaces."""
 
     COMMANDS: ClassVar[Mapping[bytes, Command]] = COMMANDS
     restart_hangs_up = True
+
+    @property
+    def announced(self) -> Announcement | None:  # type: ignore[override]
+        """Its service: name and text are ours."""
+        if not self.build.mdns:
+            return None
+        new, serial = self.firmware >= (3, 1), str(self.unit.serial)
+        about = {"fw": image(self.build.version), "pn": self.unit.model.part, "sn": serial}
+        kind, text = ("_ouster-lidar._tcp", {"path": "/api/v1"} | about) if new else ("_roger._tcp", about)
+        return Announcement(kind, f"Ouster Sensor {serial}", f"os-{serial}", 80 if new else 7501, text)
 
     def _splitter(self, kind: LinkKind | None) -> Requests:
         return Requests(LONGEST)
@@ -409,6 +442,7 @@ class OusterSession(OusterDevice):
             word, _, rest = request.strip().partition(b" ")
             return word, rest
         code, query, body = taken_apart(request)
+        self.called = _called(request)
         return code.rstrip(b"/") if len(code) > 5 else code, query + b"\0" + body
 
     def _carry_out(self, request: Request, size: int, host: Host) -> None:

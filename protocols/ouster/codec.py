@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from protocols.checksums import crc64_xz
 from protocols.scan import Floats, Scan
 
-Words = NDArray[np.int64]
+Words = NDArray[Any]
+"Whole numbers."
 Bools = NDArray[np.bool_]
 COLUMNS = 16
 "Of a packet."
@@ -37,11 +38,12 @@ class Profile:
     """One form of lidar packets."""
 
     name: str
-    pixel: Any
-    "dtype; names end with the number of the return."
+    size_bits: int
+    "Of a pixel."
+    fields: Mapping[str, tuple[int, int]]
+    "First bit and width, little-endian; names end with the number of the return."
     returns: int = 1
     unit_mm: int = 1
-    range_bits: int = 19
     since: tuple[int, int] = (2, 2)
     fusa: bool = False
     "It always has the header for functional safety."
@@ -54,55 +56,49 @@ class Profile:
     @property
     def longest_mm(self) -> int:
         """What a range can be."""
-        return ((1 << self.range_bits) - 1) * self.unit_mm
+        return ((1 << self.fields["range0"][1]) - 1) * self.unit_mm
+
+    @property
+    def near_ir_unit(self) -> int:
+        """Photons of near-infrared that are one on the wire."""
+        return 16 if self.fields["near_ir"][1] == 8 else 1
 
     def size(self, rows: int) -> int:
         """Bytes of a packet."""
-        column = (20 if self.legacy else 12) + rows * int(np.dtype(self.pixel).itemsize)
+        column = (20 if self.legacy else 12) + rows * self.size_bits // 8
         return COLUMNS * column + (0 if self.legacy else 2 * END)
 
 
-def _at(size: int, **fields: tuple[int, str]) -> dict[str, Any]:
-    names, places = list(fields), list(fields.values())
-    return {
-        "names": names, "offsets": [one for one, _ in places], "formats": [one for _, one in places], "itemsize": size,
-    }  # fmt: skip
-
-
-_LOW = {"range0": (0, "<u2"), "reflectivity0": (2, "u1"), "near_ir8": (3, "u1")}
-_LOW_DUAL = _at(8, **_LOW, range1=(4, "<u2"), reflectivity1=(6, "u1"), window=(7, "u1"))
+_SINGLE = {
+    "range0": (0, 19), "flags0": (19, 5), "reflectivity0": (32, 8), "signal0": (48, 16), "near_ir": (64, 16),
+    "window": (88, 8),
+}  # fmt: skip
+_DUAL = {
+    "range0": (0, 19), "flags0": (19, 5), "reflectivity0": (24, 8), "range1": (32, 19), "flags1": (51, 5),
+    "reflectivity1": (56, 8), "signal0": (64, 16), "signal1": (80, 16), "near_ir": (96, 16), "window": (120, 8),
+}  # fmt: skip
+_LOW = {"range0": (0, 15), "flags0": (15, 1), "reflectivity0": (16, 8), "near_ir": (24, 8)}
+_LOW_DUAL = _LOW | {"range1": (32, 15), "flags1": (47, 1), "reflectivity1": (48, 8), "window": (56, 8)}
+_LEGACY = {"range0": (0, 20), "flags0": (28, 4), "reflectivity0": (32, 16), "signal0": (48, 16), "near_ir": (64, 16)}
 PROFILES: Mapping[str, Profile] = {
     one.name: one
     for one in (
-        Profile(
-            "LEGACY",
-            _at(12, range0=(0, "<u4"), reflectivity0=(4, "<u2"), signal0=(6, "<u2"), near_ir=(8, "<u2")),
-            range_bits=20, since=(2, 0),
-        ),
-        Profile(
-            "RNG19_RFL8_SIG16_NIR16",
-            _at(12, range0=(0, "<u4"), reflectivity0=(4, "u1"), signal0=(6, "<u2"), near_ir=(8, "<u2"),
-                window=(11, "u1")),
-        ),
-        Profile(
-            "RNG19_RFL8_SIG16_NIR16_DUAL",
-            _at(16, range0=(0, "<u4"), reflectivity0=(3, "u1"), range1=(4, "<u4"), reflectivity1=(7, "u1"),
-                signal0=(8, "<u2"), signal1=(10, "<u2"), near_ir=(12, "<u2"), window=(15, "u1")),
-            returns=2,
-        ),
-        Profile("RNG15_RFL8_NIR8", _at(4, **_LOW), unit_mm=8, range_bits=15),
-        Profile("RNG15_RFL8_NIR8_DUAL", _LOW_DUAL, returns=2, unit_mm=8, range_bits=15),
-        Profile("FUSA_RNG15_RFL8_NIR8_DUAL", _LOW_DUAL, returns=2, unit_mm=8, range_bits=15, since=(3, 1), fusa=True),
+        Profile("LEGACY", 96, _LEGACY, since=(2, 0)),
+        Profile("RNG19_RFL8_SIG16_NIR16", 96, _SINGLE),
+        Profile("RNG19_RFL8_SIG16_NIR16_DUAL", 128, _DUAL, 2),
+        Profile("RNG15_RFL8_NIR8", 32, _LOW, 1, 8),
+        Profile("RNG15_RFL8_NIR8_DUAL", 64, _LOW_DUAL, 2, 8),
+        Profile("FUSA_RNG15_RFL8_NIR8_DUAL", 64, _LOW_DUAL, 2, 8, (3, 1), fusa=True),
     )
-}  # fmt: skip
-"By the name that `udp_profile_lidar` has."
+}
+"By the name that `udp_profile_lidar` has. No field crosses a word of 32 bits."
 
 
 @lru_cache(maxsize=32)
 def packet_type(name: str, rows: int) -> np.dtype[np.void]:
-    """dtype of a packet."""
+    """dtype of a packet; pixels are words of 32 bits."""
     profile = PROFILES[name]
-    pixels = ("pixels", profile.pixel, rows)
+    pixels = ("pixels", "<u4", (rows, profile.size_bits // 32))
     if profile.legacy:
         column = [("stamp", "<u8"), ("number", "<u2"), ("frame", "<u2"), ("encoder", "<u4"), pixels, ("status", "<u4")]
         return np.dtype([("columns", column, COLUMNS)])
@@ -164,48 +160,55 @@ class Columns:
     near_ir: Words
     "(C, H) photons"
     flags: Words = field(default_factory=lambda: np.zeros((), np.int64))
-    "(E, C, H) or 0; bit 0: blooming"
+    "(E, C, H), or one 0; bit 0: blooming"
     window: int = 0
 
 
 def encode(profile: Profile, head: Head, frames: Words, columns: Columns, turn: int) -> list[bytes]:
     """Lidar packets, all at once. `frames` (P,) numbers of their frames, `turn`: columns of a turn."""
-    rows = columns.range_mm.shape[2]
+    rows, shape = columns.range_mm.shape[2], (len(frames), COLUMNS)
     packets = np.zeros(len(frames), packet_type(profile.name, rows))
-    cells, shape = packets["columns"], (len(frames), COLUMNS)
+    cells = packets["columns"]
     cells["stamp"], cells["number"] = columns.stamp_ns.reshape(shape), columns.number.reshape(shape)
-    pixels, grid = cells["pixels"], (len(frames), COLUMNS, rows)
-    names = pixels.dtype.names or ()
-    ranges = np.rint(columns.range_mm / profile.unit_mm).astype(np.int64) if profile.unit_mm > 1 else columns.range_mm
-    if columns.flags.any():
-        flags = np.broadcast_to(columns.flags, columns.range_mm.shape)
-        mark = 28 if profile.legacy else profile.range_bits
-        ranges = ranges | (flags if profile.unit_mm == 1 else flags & 1) << mark
+    values: dict[str, Any] = {"near_ir": _in_units(columns.near_ir, profile.near_ir_unit, 0xFF)}
+    flags = columns.flags if columns.flags.ndim and columns.flags.any() else None
     for one in range(profile.returns):
-        pixels[f"range{one}"] = ranges[one].reshape(grid)  # before what shares its bytes
-        pixels[f"reflectivity{one}"] = columns.reflectivity[one].reshape(grid)
-        if f"signal{one}" in names:
-            pixels[f"signal{one}"] = columns.signal[one].reshape(grid)
-    if "near_ir8" in names:
-        pixels["near_ir8"] = np.minimum(columns.near_ir // 16, 255).reshape(grid)
-    else:
-        pixels["near_ir"] = columns.near_ir.reshape(grid)
-    if columns.window and "window" in names:
-        pixels["window"] = columns.window
+        values[f"range{one}"] = _in_units(columns.range_mm[one], profile.unit_mm)
+        values[f"reflectivity{one}"], values[f"signal{one}"] = columns.reflectivity[one], columns.signal[one]
+        if flags is not None:
+            values[f"flags{one}"] = flags[one] & ((1 << profile.fields[f"flags{one}"][1]) - 1)
+    if columns.window:
+        values["window"] = np.uint32(columns.window)
+    words: list[Any] = [None] * (profile.size_bits // 32)
+    for name, (bit, _) in profile.fields.items():
+        if name in values:
+            word, shift = divmod(bit, 32)
+            part = values[name].astype(np.uint32, copy=False)
+            part = part << np.uint32(shift) if shift else part
+            words[word] = part if words[word] is None else words[word] | part
+    for at, word in enumerate(words):
+        cells["pixels"][..., at] = word.reshape(*shape, rows)
     if not columns.valid.all():
-        pixels[~columns.valid.reshape(shape)] = np.zeros((), pixels.dtype)
+        cells["pixels"][~columns.valid.reshape(shape)] = 0
     if profile.legacy:
         cells["status"] = np.where(columns.valid, 0xFFFFFFFF, 0).reshape(shape)
         cells["frame"] = frames[:, None] & 0xFFFF
         cells["encoder"] = cells["number"].astype(np.int64) * ENCODER_TICKS // turn
         return [one.tobytes() for one in packets]
     cells["status"] = columns.valid.reshape(shape)
-    made = []
+    made, headers = [], {frame: np.frombuffer(head.header(LIDAR, frame), np.uint8) for frame in set(frames.tolist())}
     for packet, frame in zip(packets.view(np.uint8).reshape(len(frames), -1), frames.tolist(), strict=True):
-        packet[:END] = np.frombuffer(head.header(LIDAR, frame), np.uint8)
+        packet[:END] = headers[frame]
         packet[-8:] = np.frombuffer(head.check(packet[:-8].data), np.uint8)
         made.append(packet.tobytes())
     return made
+
+
+def _in_units(values: Words, unit: int, most: int = 0) -> Words:
+    """Whole units: of a range the nearest, of photons those that are full, `most` at most."""
+    if unit == 1:
+        return values
+    return np.minimum(values // unit, most) if most else (values + unit // 2) // unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,17 +226,21 @@ def decode(profile: Profile, rows: int, data: bytes, fusa: bool = False) -> Said
     """Packets of one profile, joined; `fusa`: with the header for functional safety."""
     packets = np.frombuffer(data, packet_type(profile.name, rows))
     cells = packets["columns"]
-    pixels = cells["pixels"].reshape(-1, rows)
-    mask, mark = (1 << profile.range_bits) - 1, 28 if profile.legacy else profile.range_bits
-    words = np.stack([pixels[f"range{one}"].astype(np.int64) for one in range(profile.returns)])
-    bright = np.stack([pixels[f"reflectivity{one}"].astype(np.int64) for one in range(profile.returns)])
-    has = [pixels[f"signal{one}"].astype(np.int64) for one in range(profile.returns) if profile.unit_mm == 1]
-    near = pixels["near_ir"].astype(np.int64) if profile.unit_mm == 1 else pixels["near_ir8"].astype(np.int64) * 16
-    flags = words >> mark & (31 if profile.unit_mm == 1 else 1)
+    pixels = cells["pixels"].reshape(len(packets) * COLUMNS, rows, -1)
+
+    def field(name: str) -> Words:
+        if name not in profile.fields:
+            return np.zeros(pixels.shape[:2], np.int64)
+        (word, shift), width = divmod(profile.fields[name][0], 32), profile.fields[name][1]
+        return (pixels[..., word] >> np.uint32(shift) & np.uint32((1 << width) - 1)).astype(np.int64)
+
+    def fields(name: str) -> Words:
+        return np.stack([field(f"{name}{one}") for one in range(profile.returns)])
+
     columns = Columns(
         cells["number"].astype(np.int64).ravel(), cells["stamp"].astype(np.int64).ravel(),
-        (cells["status"] & 1).astype(bool).ravel(), (words & mask) * profile.unit_mm, bright,
-        np.stack(has) if has else np.zeros_like(words), near, flags,
+        (cells["status"] & 1).astype(bool).ravel(), fields("range") * profile.unit_mm, fields("reflectivity"),
+        fields("signal"), field("near_ir") * profile.near_ir_unit, fields("flags"),
     )  # fmt: skip
     if profile.legacy:
         return Said(cells["frame"][:, 0].astype(np.int64), 0, 0, columns)
@@ -245,62 +252,57 @@ def decode(profile: Profile, rows: int, data: bytes, fusa: bool = False) -> Said
     return Said(np.array(frames), int.from_bytes(init_id, "little"), int.from_bytes(serial, "little"), columns)
 
 
-def returns(scan: Scan, count: int, order: str, near_m: float) -> tuple[Floats, Floats]:
-    """Range and intensity (E, n) of the returns that a profile reports, in their order; NaN: none.
+def returns(scan: Scan, count: int, order: str, near_m: float) -> tuple[Words, Floats, Floats]:
+    """Places (m,) in (E, n) of the returns that a profile reports, in their order; their range and intensity.
 
     Of more echoes than `count` the strongest; of one return that which `order` puts first. Nearer than `near_m`: none.
     """
-    there = np.ascontiguousarray(scan.range_m.T >= near_m)  # (echoes, n): sums over rows of four are slow
-    some = np.flatnonzero(there.any(axis=1))
-    found = np.full((2, count, len(scan.range_m)), np.nan)
-    if not len(some):
-        return found[0], found[1]
-    for words, said in zip(found, (scan.range_m, scan.intensity), strict=True):
-        np.copyto(words[0], said[:, some[0]], where=there[some[0]])
-    several = np.flatnonzero(there[some[1:]].any(axis=0))  # the others have at most the echo in front
-    if len(several):
-        at = several[:, None], some
-        range_m, strength = (np.where(there.T[at], one[at], np.nan) for one in (scan.range_m, scan.intensity))
-        range_m, strength = _chosen(range_m, strength, count, order)
-        found[0][: range_m.shape[1], several], found[1][: range_m.shape[1], several] = range_m.T, strength.T
-    return found[0], found[1]
+    there = np.flatnonzero(scan.range_m >= near_m)
+    beams, echoes = scan.range_m.shape
+    place = there // echoes  # of the first return: the number of the beam
+    range_m, strength = scan.range_m.reshape(-1)[there], scan.intensity.reshape(-1)[there]
+    same = place[1:] == place[:-1]
+    if not same.any():
+        return place, range_m, strength
+    several = np.flatnonzero(np.append(same, False) | np.append(False, same))
+    sign = {"NEAREST_TO_FARTHEST": 1.0, "FARTHEST_TO_NEAREST": -1.0}.get(order)
+    beam, rank = place[several], np.zeros(len(several), np.intp)
+    if sign is None or count > 1:
+        rank = _ranks(beam, -strength[several])
+    kept = rank < count
+    if sign is not None:
+        rank[kept] = _ranks(beam[kept], sign * range_m[several][kept])
+        kept &= rank < count
+    place[several] = np.where(kept, rank * beams + beam, -1)
+    reported = place >= 0
+    return place[reported], range_m[reported], strength[reported]
 
 
-def _chosen(range_m: Floats, strength: Floats, count: int, order: str) -> tuple[Floats, Floats]:
-    """(m, at most `count`) of beams with several echoes."""
-    ordered = order in ("NEAREST_TO_FARTHEST", "FARTHEST_TO_NEAREST")
-    if not ordered or range_m.shape[1] > count > 1:
-        range_m, strength = _sorted(-strength, range_m, strength)
-    if count > 1:
-        range_m, strength = range_m[:, :count], strength[:, :count]
-    if ordered:
-        key = range_m if order == "NEAREST_TO_FARTHEST" else -range_m
-        range_m, strength = _sorted(key, range_m, strength)
-    return range_m[:, :count], strength[:, :count]
-
-
-def _sorted(key: Floats, *values: Floats) -> tuple[Floats, Floats]:
-    at = np.argsort(np.where(np.isnan(key), np.inf, key), axis=1, kind="stable")
-    first, second = (np.take_along_axis(one, at, axis=1) for one in values)
-    return first, second
+def _ranks(beam: Words, key: Floats) -> Words:
+    """Of each echo among those of its beam, the one with the least key first; beams ascend."""
+    at = np.lexsort((key, beam))
+    ranks = np.zeros(len(at), np.intp)
+    ranks[at] = np.arange(len(at)) - np.searchsorted(beam, beam[at])
+    return ranks
 
 
 def distances(range_m: Floats, offset_m: float, profile: Profile) -> Words:
     """Ranges from the lidar's axis along the beam; what the wire cannot say is no return. [mm]"""
-    words = np.rint((range_m + offset_m) * (1000.0 / profile.unit_mm)) * profile.unit_mm
-    return np.where((words > 0.0) & (words <= profile.longest_mm), words, 0.0).astype(np.int64)
+    words = np.rint((range_m + offset_m) * (1000.0 / profile.unit_mm))
+    words *= words <= profile.longest_mm // profile.unit_mm
+    return words.astype(np.uint32) * np.uint32(profile.unit_mm)
 
 
 def reflectivities(range_m: Floats, intensity: Floats, white_m2: float) -> Words:
-    """Calibrated reflectivity: 0..100 as a diffuse plate seen straight, 101..255 by the logarithm beyond; 0: none.
+    """Calibrated reflectivity: 0..100 as a diffuse plate seen straight, 101..255 by the logarithm beyond.
 
     intensity over the threshold; its decrease with the distance is removed, that with air and incidence is not.
     """
-    over_white = intensity * range_m * range_m / white_m2
-    bright = 100.0 * over_white
-    beyond = np.nonzero(over_white > 1.0)
-    bright[beyond] = np.clip(100.0 + 155.0 * np.log(over_white[beyond]) / np.log(RETRO), 101.0, 255.0)
-    return np.where(np.isnan(bright), 0.0, np.rint(bright)).astype(np.int64)
+    bright = (100.0 / white_m2) * intensity * range_m * range_m
+    beyond = np.flatnonzero(bright > 100.0)
+    brighter = np.log(0.01 * bright[beyond]) / np.log(RETRO)
+    bright[beyond] = np.minimum(np.maximum(100.0 + 155.0 * brighter, 101.0), 255.0)
+    return np.rint(bright).astype(np.uint32)
 
 
 IMU_LEGACY = struct.Struct("<QQQ6f")

@@ -170,6 +170,13 @@ def _together(found: Values) -> tuple[str, str] | None:
     """What does not go with the rest."""
     if found.get("udp_profile_imu") == IMU_NEW and profile_of(found) == "LEGACY":
         return "udp_profile_imu", "LEGACY with udp_profile_lidar LEGACY"
+    mode, pulse_ms = found["multipurpose_io_mode"], found["sync_pulse_out_pulse_width"]
+    if mode == "OUTPUT_FROM_ENCODER_ANGLE":
+        period_ms = found["sync_pulse_out_angle"] / 360.0 * 1000.0 / MODES[found["lidar_mode"]][1]
+    else:
+        period_ms = 1000.0 / found["sync_pulse_out_frequency"]
+    if mode.startswith("OUTPUT") and pulse_ms >= period_ms > 0.0:
+        return "sync_pulse_out_pulse_width", f"less than the {period_ms:g} ms from pulse to pulse"
     low, high = found["azimuth_window"]
     if not columns_in(found).any():
         return "azimuth_window", "a window with a column in it"

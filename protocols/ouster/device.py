@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from fractions import Fraction
+from functools import lru_cache
 from ipaddress import ip_address
 from typing import Any
 
@@ -22,16 +23,14 @@ from protocols.ouster.models import Unit
 from protocols.ouster.settings import Build
 from protocols.ouster.slices import Slice, columns_of, lost, slice_of
 from protocols.scan import Floats, Scan
-from protocols.session import Address, DropReason, Emission, LinkKind
-from protocols.skeleton.instants import SECOND_NS, Raster, earliest, rounded
+from protocols.session import Address, Emission, LinkKind
+from protocols.skeleton.instants import SECOND_NS, Raster, earliest
 from protocols.skeleton.nmea import gprmc
-from protocols.skeleton.requests import RequestSession
-from protocols.skeleton.sweeps import Sweep, Telegram
+from protocols.skeleton.packets import PacketSession
+from protocols.skeleton.sweeps import Telegram
 
 SLICE_NS = 5_000_000
 "How long a slice is at least."
-MOST_KEPT = 1000
-"Slices outside of the azimuth window that are skipped at once."
 IMU_NS = 10_000_000
 "From packet to packet of the LEGACY profile."
 IMU_LATENCY_NS = 2_000_000
@@ -43,11 +42,21 @@ COUNTDOWN_NS = 30 * SECOND_NS
 "Of warnings before laser power is reduced, and before the shutdown."
 PHASE_STEP_NS = 20_000_000
 "By which the phase lock moves a frame in a second, at most."
+STEADY = 1e-3
+"A clock that differs by more from the run's within a slice has been set."
+FAILED_S = 30
+"So long off, the phase lock has failed; no source."
 PHASE_OFF_NS = 1_000_000
 "Farther off, it is not locked."
 
 
-class OusterDevice(RequestSession):
+@lru_cache(maxsize=8)
+def packets_of(columns: int, fps: int) -> int:
+    """Of a slice: a power of two, which a frame consists of."""
+    return 1 << max(0, math.ceil(math.log2(SLICE_NS * columns * fps / (codec.COLUMNS * SECOND_NS))))
+
+
+class OusterDevice(PacketSession[Slice]):
     """The device without its requests."""
 
     clock_tick_ns = Fraction(1)
@@ -64,24 +73,23 @@ class OusterDevice(RequestSession):
         self.override: str | None = None
         "Static address that a host has set; stored."
         self.ptp_profile = "default"
+        self.called = ""
+        "Own address, as the last request named it."
         self.status = "INITIALIZING"
         self.init_id = 0
         self.alerts = alerts.Alerts()
         self.sources = Sources(build.utc_ns, build.ptp, build.ptp_lock_ns, build.pulses, build.sentences)
-        self._links: list[Address] = []
-        "Datagram links: by turns for lidar and for IMU packets."
         self._links_at: dict[int, tuple[str, int]] = {}
         "Where they send by themselves, as far as known."
         self.peers: dict[Address, str] = {}
         "From where TCP clients connect."
-        self._listeners: list[Address] = []
-        "Where lidar packets go besides: hosts that asked on a connection."
         self._until_ns: int | None = None
         "When the present state ends by itself."
         self._begun = 0
         "Number of the first slice of the first frame."
-        self._made: dict[tuple[int, int], Slice] = {}
         self._felt: Felt = at_rest
+        self._lost_s = 0
+        "Since when the phase lock is off."
         self._samples = 0
         "Measurements of the IMU since power-on."
         self._lives = 0
@@ -108,9 +116,12 @@ class OusterDevice(RequestSession):
 
     def stamp(self, at_ns: int) -> int:
         """As in packets: in steps of its timer, but for PTP."""
-        shown_ns, mode = self.time(at_ns)[0], self.active["timestamp_mode"]
-        step = 1 if mode == config.PTP else 8 if self.firmware >= (3, 0) else 10
-        return shown_ns // step * step
+        return self.time(at_ns)[0] // self._tick_ns * self._tick_ns
+
+    @property
+    def _tick_ns(self) -> int:
+        """Step of its timer, as stamps have it."""
+        return 1 if self.active["timestamp_mode"] == config.PTP else 8 if self.firmware >= (3, 0) else 10
 
     def reported(self, at_ns: int) -> DeviceStamp:
         """The stamp of a packet's first column."""
@@ -135,18 +146,12 @@ class OusterDevice(RequestSession):
         return self.profile.fusa or self.active.get("header_type") == "FUSA"
 
     @property
-    def _column_ns(self) -> Fraction:
-        return Fraction(SECOND_NS, self.mode[0] * self.mode[1])
-
-    @property
     def _packets(self) -> int:
-        """Of a slice: a power of two, which a frame consists of."""
-        wanted = SLICE_NS / (codec.COLUMNS * self._column_ns)
-        return 1 << max(0, math.ceil(math.log2(wanted)))
+        return packets_of(*self.mode)
 
     @property
     def _slice_ns(self) -> Fraction:
-        return self._packets * codec.COLUMNS * self._column_ns
+        return Fraction(self._packets * codec.COLUMNS * SECOND_NS, self.mode[0] * self.mode[1])
 
     @property
     def _per_frame(self) -> int:
@@ -193,9 +198,9 @@ class OusterDevice(RequestSession):
 
     def connected(self, now_ns: int, address: Address, kind: LinkKind) -> None:
         """A link is open, or a client has connected."""
+        known = len(self._links)
         super().connected(now_ns, address, kind)
-        if kind is LinkKind.DATAGRAM and address not in self._links:
-            self._links.append(address)
+        if len(self._links) > known:
             host, port = self._links_at.get(address.link, ("127.0.0.1", 7501 + len(self._links)))
             if len(self._links) <= 2:
                 self._deliver(len(self._links) == 1, host, port)
@@ -213,14 +218,13 @@ class OusterDevice(RequestSession):
         """A client has disconnected."""
         super().disconnected(now_ns, address)
         self.peers.pop(address, None)
-        self._listeners = [one for one in self._listeners if one != address]
 
     def _reset(self, now_ns: int) -> None:
+        super()._reset(now_ns)
         self.active, self.staged = dict(self.persisted), dict(self.persisted)
         self._nominal_ns = self._slice_ns
         self.alerts, self.sources.on_ns = alerts.Alerts(), now_ns
-        self._listeners, self._until_ns, self._samples = [], None, 0
-        self._made.clear()
+        self._until_ns, self._samples = None, 0
         self._begin(now_ns)
 
     def _begin(self, now_ns: int) -> None:
@@ -289,12 +293,8 @@ class OusterDevice(RequestSession):
             self._begin_imu(zero_ns)
         self._timers.add(now_ns + SECOND_NS, SECOND_NS, self._each_second)
 
-    def listen(self, now_ns: int, address: Address) -> None:
-        """Send lidar packets on a connection too."""
-        if address not in self._listeners:
-            self._listeners.append(address)
-            if self.status == "RUNNING":
-                self._subscribe(now_ns, address)
+    def _sending(self) -> bool:
+        return self.status == "RUNNING"
 
     # where packets go
 
@@ -329,43 +329,40 @@ class OusterDevice(RequestSession):
 
     # slices
 
-    def _slice(self, number: int) -> Slice:
-        key = self._stream, number
-        if (made := self._made.get(key)) is None:
-            while len(self._made) > 1:
-                self._made.pop(next(iter(self._made)))
-            made = self._made[key] = self._make(number)
-        return made
-
     def _make(self, number: int) -> Slice:
         columns = self._packets * codec.COLUMNS
         frame, part = divmod(number - self._begun, self._per_frame)
-        numbers, column_s = part * columns + np.arange(columns), 1e-9 * float(self._column_ns)
+        numbers, column_s = part * columns + np.arange(columns), 1.0 / (self.mode[0] * self.mode[1])
         return slice_of(self.unit, self.active, frame, numbers, column_s, self._gain(self._raster.at(number)))
-
-    def _sweep(self, number: int) -> Sweep:
-        return self._slice(number).sweep
-
-    def _passed_over(self, number: int) -> int:
-        passed = 0
-        while passed < MOST_KEPT and not self._slice(number + passed).valid.any():
-            passed += 1
-        return passed
 
     def _telegrams(self, scan: Scan) -> Iterator[Telegram]:
         piece, start_ns = self._slice(scan.plan.sweep), scan.plan.start_ns
         packets, profile = self._packets, self.profile
         used, share = self.active, self.impaired.get("lost columns", 0.0)
         seen = piece.valid & ~lost(piece, share, self.unit.serial)
-        first = [start_ns + at for at in rounded(self._slowed * self._column_ns, packets * codec.COLUMNS)]
-        stamps = np.array([self.stamp(at) for at in first])
-        columns = columns_of(scan, piece, seen, stamps, self.unit, profile, used, 1e-9 * float(self._column_ns))
+        after_ns, shown_ns = self._stamps(start_ns, packets)
+        stamps = shown_ns // self._tick_ns * self._tick_ns
+        columns = columns_of(scan, piece, seen, stamps, self.unit, profile, used, self.firmware >= (3, 2))
         frames = np.full(packets, piece.frame % (1 << 32 if self.fusa else 1 << 16))
         made = codec.encode(profile, self.head(start_ns), frames, columns, self.mode[0])
-        packet_ns = self._column_ns * codec.COLUMNS
-        for at in np.flatnonzero(piece.valid.reshape(packets, -1).any(axis=1)).tolist():
-            after_ns = round((at + 1) * packet_ns) + self.build.latency_ns
-            yield Telegram(after_ns, made[at], "lidar", self.reported(first[at * codec.COLUMNS]))
+        packet_ns, since_ns = codec.COLUMNS * SECOND_NS / (self.mode[0] * self.mode[1]), self.time(start_ns)[1]
+        for packet in np.flatnonzero(piece.valid.reshape(packets, -1).any(axis=1)).tolist():
+            at = packet * codec.COLUMNS
+            said = start_ns + int(after_ns[at]), int(shown_ns[at]) - since_ns, int(stamps[at])
+            leaves_ns = round((packet + 1) * packet_ns) + self.build.latency_ns
+            yield Telegram(leaves_ns, made[packet], "lidar", DeviceStamp(*said, 1.0, self.clock_bits))
+
+    def _stamps(self, start_ns: int, packets: int) -> tuple[codec.Words, codec.Words]:
+        """(C,) instants of a slice's columns after its start, what the clock shows then: a line, unless it is set."""
+        columns, column_ns = packets * codec.COLUMNS, float(self._slowed) * SECOND_NS / (self.mode[0] * self.mode[1])
+        after_ns = np.rint(np.arange(columns + 1) * column_ns).astype(np.int64)
+        length_ns = int(after_ns[-1])
+        begun_ns = self.time(start_ns)[0]
+        passed_ns = self.time(start_ns + length_ns)[0] - begun_ns
+        after_ns = after_ns[:-1]
+        if abs(passed_ns - length_ns) <= STEADY * length_ns:
+            return after_ns, begun_ns + after_ns * passed_ns // length_ns
+        return after_ns, np.array([self.time(start_ns + at)[0] for at in after_ns.tolist()])
 
     def _goes_to(self, to: Address | None) -> tuple[str, int] | None:
         return None if to is None or to in self._listeners else self._place(to, True)
@@ -403,7 +400,9 @@ class OusterDevice(RequestSession):
         if self.status != "RUNNING" or not self.active["phase_lock_enable"]:
             return
         lost = self.phase_status(now_ns) == "LOST"
+        self._lost_s = self._lost_s + 1 if lost else 0
         self.alerts.set(alerts.PHASE, lost, self.sources.utc(now_ns))
+        self.alerts.set(alerts.PHASE_FAILED, self._lost_s >= FAILED_S, self.sources.utc(now_ns))
         if self.locked(now_ns) and (off_ns := self._off_ns()):
             number = self._next + 1
             shift_ns = min(max(off_ns, -PHASE_STEP_NS), PHASE_STEP_NS)
@@ -490,11 +489,3 @@ class OusterDevice(RequestSession):
         for address in self._imu_links():
             due_ns = now_ns + IMU_LATENCY_NS
             self._outbox.send(Emission(due_ns, data, address, label="imu", place=self._place(address, False)))
-
-    def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
-        """Requests come on connections; datagrams are ignored. Never raises."""
-        if data and self._connections.kind(address) is LinkKind.DATAGRAM:
-            self.advance(now_ns)
-            self._events.drop(now_ns, DropReason.UNKNOWN_COMMAND, "it takes no datagrams", len(data))
-            return
-        super().receive(data, now_ns, address)

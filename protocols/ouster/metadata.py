@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from protocols.ouster.codec import PROFILES
 from protocols.ouster.config import IMU_NEW, MODES, RATE_HZ, Firmware, Values, column_window, profile_of
 from protocols.ouster.models import IMU_MM, LIDAR_Z_MM, Unit
 
@@ -92,7 +93,8 @@ def lidar_data_format(unit: Unit, config: Values, firmware: Firmware) -> dict[st
     if firmware >= (3, 1):
         found["fps"] = fps
     if firmware >= (3, 2):
-        found["header_type"] = config["header_type"]
+        # the profile has that header whatever the parameter says; drivers read packets by what is here
+        found["header_type"] = "FUSA" if PROFILES[profile_of(config)].fusa else config["header_type"]
     return found
 
 

@@ -116,9 +116,10 @@ TIMES: Mapping[str, Callable[[Any, int], dict[str, Any]]] = {
 
 
 def network(device: OusterDevice) -> dict[str, Any]:
-    """The address is that of the links; an override is stored."""
+    """The address is the one that a host has called, as that of the links; an override is stored."""
     mac = f"bc0fa7{device.unit.serial % (1 << 24):06x}"
-    own = device.override or "127.0.0.1/8"
+    called = device.called or "127.0.0.1"
+    own = device.override or f"{called}/{8 if called.startswith('127.') else 24}"
     return {
         "carrier": True,
         "duplex": "full",

@@ -41,6 +41,7 @@ class Build:
     sentences: bool
     place_deg: tuple[float, float]
     errors: Errors
+    mdns: bool
 
     @property
     def firmware(self) -> Firmware:
@@ -92,6 +93,7 @@ def read(keys: DeviceKeys, model: Model) -> tuple[Unit, Build]:
             keys.number("gyro_bias_deg_s", "Bias of the gyro, one sigma over units.", 0.3, 0.0, 100.0),
             keys.number("imu_scale_share", "Error of both scales, one sigma over units.", 0.005, 0.0, 0.2),
         ),
+        keys.flag("mdns", "It announces its HTTP interface by mDNS, in real time; needs the extra `mdns`.", False),
     )
     return unit_of(model, beams, serial, scatter), build
 

@@ -21,6 +21,8 @@ MOST_ECHOES = 4
 "Of a beam, out of which the returns are chosen."
 PHOTONS = 15.0
 "Of an echo at the detection threshold; no source."
+CLEAR = 255
+"Of a clean window: so in the recording of firmware 3.2 that has it."
 NOISE_PHOTONS = 3
 "Where there is no return; recordings have 0 to 8."
 AMBIENT_PHOTONS = 3e-3
@@ -85,35 +87,36 @@ def columns_of(
     unit: Unit,
     profile: codec.Profile,
     used: Mapping[str, Any],
-    column_s: float,
+    has_window: bool = False,
 ) -> codec.Columns:
-    """Columns of a slice. `seen` (C,): valid ones, `used`: the configuration; [s] from column to column."""
+    """Columns of a slice. `seen` (C,): valid ones, `used`: the configuration; `has_window`: its clearness is said."""
     near_m = 0.01 * used.get("min_range_threshold_cm", 50)
     order = used.get("return_order", "STRONGEST_TO_WEAKEST")
-    range_m, strength = codec.returns(scan, profile.returns, order, near_m)
-    hit = np.flatnonzero(~np.isnan(range_m))
-    range_m, strength, size = range_m.ravel()[hit], strength.ravel()[hit], range_m.shape
+    place, range_m, strength = codec.returns(scan, profile.returns, order, near_m)
+    size = profile.returns, len(scan.range_m)
     dark = 0 if profile.legacy else NOISE_PHOTONS
-    photons = np.where(np.isnan(strength), dark, np.minimum(np.rint(strength * PHOTONS), 0xFFFF))
 
-    def grid(values: Any, without: int = 0) -> codec.Words:
+    def grid(values: codec.Words, without: int = 0) -> codec.Words:
         """(E, C, H) of what has returned."""
-        every = np.full(size, without, np.int64)
-        every.reshape(-1)[hit] = values
+        every = np.full(size, without, np.uint32)
+        every.reshape(-1)[place] = values
         return _placed(every, piece, unit.rows)
 
-    near_ir = np.zeros((len(piece.number), unit.rows), np.int64)
+    near_ir = np.zeros((len(piece.number), unit.rows), np.uint32)
     if scan.ambient_w is not None:
-        counted = np.rint(scan.ambient_w * column_s * AMBIENT_PHOTONS / PHOTON_J)
-        near_ir = _placed(np.minimum(counted, 0xFFFF).astype(np.int64)[None], piece, unit.rows)[0]
+        turn, hz = config.MODES[used["lidar_mode"]]
+        counted = scan.ambient_w * (AMBIENT_PHOTONS / PHOTON_J / (turn * hz))
+        counted = np.minimum(np.rint(counted, out=counted), 0xFFFF, out=counted)
+        near_ir = _placed(counted.astype(np.uint32)[None], piece, unit.rows)[0]
     return codec.Columns(
         piece.number,
         stamps,
         seen,
         grid(codec.distances(range_m, unit.origin_m, profile)),
         grid(codec.reflectivities(range_m, strength / scan.plan.gain, unit.model.white_m2)),
-        grid(photons, dark),
+        grid(np.minimum(np.rint(strength * PHOTONS), 0xFFFF).astype(np.uint32), dark),
         near_ir,
+        window=CLEAR if has_window and profile.unit_mm == 1 else 0,
     )
 
 
@@ -122,6 +125,6 @@ def _placed(words: codec.Words, piece: Slice, rows: int) -> codec.Words:
     words = words.reshape(len(words), -1, rows)
     if words.shape[1] == len(piece.number):
         return words
-    grid = np.zeros((len(words), len(piece.number), rows), np.int64)
+    grid = np.zeros((len(words), len(piece.number), rows), np.uint32)
     grid[:, piece.valid] = words
     return grid

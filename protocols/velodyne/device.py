@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from protocols.device_clock import DeviceStamp
 from protocols.scan import Scan
-from protocols.session import Address, DropReason, Emission, LinkKind
+from protocols.session import Address, Emission
 from protocols.skeleton.instants import SECOND_NS, earliest
 from protocols.skeleton.nmea import gprmc
 from protocols.skeleton.outbox import Outgoing
-from protocols.skeleton.requests import RequestSession
+from protocols.skeleton.packets import PacketSession
 from protocols.skeleton.sweeps import SHARES, Sweep, Telegram
 from protocols.velodyne import codec
 from protocols.velodyne.models import Model
@@ -32,8 +32,6 @@ POSITION_NS = 293 * 1_327_104 // 57
 "From position packet to position packet: 57 for 293 data packets in a public capture of a VLP-16 (MRPT)."
 MOST_ECHOES = 4
 "Of a beam, out of which the returns are chosen."
-MOST_KEPT = 1000
-"Slices outside of the field of view that are skipped at once; a turn of 300/min has less."
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +45,7 @@ class Slice:
     sweep: Sweep
 
 
-class VelodyneDevice(RequestSession):
+class VelodyneDevice(PacketSession[Slice]):
     """The device without its requests."""
 
     clock_tick_ns = TICK_NS
@@ -62,17 +60,12 @@ class VelodyneDevice(RequestSession):
         self.motor = Motor(0, settings.rpm / 60.0, 0)
         self._factor = 1.0
         "Of the motor's speed over that set."
-        self._links: list[Address] = []
-        "Datagram links: by turns for data and for position packets."
-        self._listeners: list[Address] = []
-        "Where data packets go besides: hosts that asked on a connection."
         self._renew_ns: int | None = None
         "When changed settings take effect: the next slice."
         self._pulse_ns: int | None = None
         "Newest pulse to which the phase has been held."
         self._dark_ns: int | None = None
         "When the next slice without firing begins; None: it fires."
-        self._made: dict[tuple[int, int], Slice] = {}
 
     # time
 
@@ -97,20 +90,14 @@ class VelodyneDevice(RequestSession):
 
     # power
 
-    def connected(self, now_ns: int, address: Address, kind: LinkKind) -> None:
-        """A link is open, or a client has connected."""
-        super().connected(now_ns, address, kind)
-        if kind is LinkKind.DATAGRAM and address not in self._links:
-            self._links.append(address)
-
     def _reset(self, now_ns: int) -> None:
+        super()._reset(now_ns)
         self._outbox.withdraw(lambda sent: sent.emissions[0].label == "data")  # those of a slice that had begun, too
         self.settings = self._used = self.saved
         self._nominal_ns = self._slice_ns
         self.gps.powered_on(now_ns)
         self.motor = Motor(now_ns, self._factor * self.settings.rpm / 60.0, self.build.spin_up_ns)
-        self._listeners, self._renew_ns, self._dark_ns, self._pulse_ns = [], None, None, None
-        self._made.clear()
+        self._renew_ns = self._dark_ns = self._pulse_ns = None
 
     def _start(self, now_ns: int) -> None:
         self._renew(now_ns)
@@ -165,17 +152,8 @@ class VelodyneDevice(RequestSession):
     def _targets(self) -> list[Address]:
         return self._links[::2] + self._listeners
 
-    def listen(self, now_ns: int, address: Address) -> None:
-        """Send data packets on a connection too."""
-        if address not in self._listeners:
-            self._listeners.append(address)
-            if self._dark_ns is None:
-                self._subscribe(now_ns, address)
-
-    def disconnected(self, now_ns: int, address: Address) -> None:
-        """A client has disconnected."""
-        super().disconnected(now_ns, address)
-        self._listeners = [one for one in self._listeners if one != address]
+    def _sending(self) -> bool:
+        return self._dark_ns is None
 
     def impair(self, now_ns: int, what: str, degree: float) -> bool:
         """The motor's speed (a factor), a motor that is stopped (1), pulses of the GPS that do not come (1)."""
@@ -191,14 +169,6 @@ class VelodyneDevice(RequestSession):
         return True
 
     # slices
-
-    def _slice(self, number: int) -> Slice:
-        key = self._stream, number
-        if (made := self._made.get(key)) is None:
-            while len(self._made) > 1:
-                self._made.pop(next(iter(self._made)))
-            made = self._made[key] = self._make(number)
-        return made
 
     def _make(self, number: int) -> Slice:
         model, settings = self.model, self._used
@@ -236,15 +206,6 @@ class VelodyneDevice(RequestSession):
                 self.motor.correct(pulse_ns, self._used.phase_cdeg / codec.TURN_CDEG)
             self._pulse_ns = pulse_ns
             pulse_ns = self.gps.after(pulse_ns)
-
-    def _sweep(self, number: int) -> Sweep:
-        return self._slice(number).sweep
-
-    def _passed_over(self, number: int) -> int:
-        passed = 0
-        while not self._used.sees_all and passed < MOST_KEPT and not self._slice(number + passed).sees.any():
-            passed += 1
-        return passed
 
     def _telegrams(self, scan: Scan) -> Iterator[Telegram]:
         piece = self._slice(scan.plan.sweep)
@@ -303,11 +264,3 @@ class VelodyneDevice(RequestSession):
         payload = codec.encode_position(stamp, self.gps.state(now_ns), self.sentence(now_ns))
         for address in self._links[1::2]:
             self._outbox.send(Emission(now_ns, payload, address, label="position"))
-
-    def receive(self, data: bytes, now_ns: int, address: Address | None = None) -> None:
-        """Requests come on connections; datagrams are ignored. Never raises."""
-        if data and self._connections.kind(address) is LinkKind.DATAGRAM:
-            self.advance(now_ns)
-            self._events.drop(now_ns, DropReason.UNKNOWN_COMMAND, "it takes no datagrams", len(data))
-            return
-        super().receive(data, now_ns, address)

@@ -240,6 +240,18 @@ def test_a_host_that_spoke_is_kept_when_a_crowd_comes_with_it() -> None:
         assert host.recv(10) == b"you too"
 
 
+def test_a_client_that_connects_for_each_request_is_never_turned_away() -> None:
+    with opened() as link:
+        heard = 0
+        for number in range(2 * MAX_HOSTS):  # all of them within `LINGER_NS`
+            with host_of(link) as host:
+                host.sendall(b"x")
+                while not any(event.data for event in events_of(link, number * LINGER_NS // (4 * MAX_HOSTS))):
+                    pass
+                heard += 1
+        assert (heard, link.stats.hosts_refused) == (2 * MAX_HOSTS, 0)
+
+
 def test_when_all_places_are_taken_by_talkers_a_new_host_is_reset() -> None:
     now = ticks()
     with opened() as link, contextlib.ExitStack() as stack:

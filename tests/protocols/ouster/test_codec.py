@@ -131,18 +131,40 @@ NAN = float("nan")
 )
 def test_which_returns_are_reported_in_which_order(order: str, count: int, said: list[float]) -> None:
     scan = scan_of([5.0, 20.0, 30.0, NAN], [2.0, 9.0, 5.0, NAN])
-    ranges, strengths = codec.returns(scan, count, order, 0.0)
-    assert ranges[:, 0].tolist() == said
-    assert strengths[0, 0] == {5.0: 2.0, 20.0: 9.0, 30.0: 5.0}[said[0]]
-    near, _ = codec.returns(scan, 2, order, 25.0)
-    assert near[0, 0] == 30.0
-    assert np.isnan(near[1, 0])
+    places, ranges, strengths = codec.returns(scan, count, order, 0.0)
+    first = np.argsort(places)
+    places, ranges, strengths = places[first], ranges[first], strengths[first]
+    assert (places.tolist(), ranges.tolist()) == (list(range(count)), said)
+    assert strengths[0] == {5.0: 2.0, 20.0: 9.0, 30.0: 5.0}[said[0]]
+    places, near, _ = codec.returns(scan, 2, order, 25.0)
+    assert (places.tolist(), near.tolist()) == ([0], [30.0])
+
+
+def test_returns_of_many_beams_are_those_of_each_alone() -> None:
+    rng = np.random.default_rng(5)
+    near_m, echoes = 2.0, 4
+    ranges = np.where(rng.random((300, echoes)) < 0.4, np.nan, np.sort(rng.uniform(0.5, 90.0, (300, echoes)), axis=1))
+    strengths = np.where(np.isnan(ranges), np.nan, rng.uniform(1.0, 50.0, ranges.shape))
+    scan = Scan.empty(ScanPlan(0, 0, 0, *(np.zeros(300),) * 3), echoes)
+    scan.range_m[:], scan.intensity[:] = ranges, strengths
+    for order in ("STRONGEST_TO_WEAKEST", "NEAREST_TO_FARTHEST", "FARTHEST_TO_NEAREST"):
+        for count in (1, 2):
+            places, found, bright = codec.returns(scan, count, order, near_m)
+            said = {int(one): (r, s) for one, r, s in zip(places, found, bright, strict=True)}
+            for beam in range(300):
+                own = [(s, r) for s, r in zip(strengths[beam], ranges[beam], strict=True) if r >= near_m]
+                own.sort(key=lambda one: -one[0])
+                if order != "STRONGEST_TO_WEAKEST":
+                    own = sorted(own[:count] if count > 1 else own, key=lambda one: one[1], reverse=order[0] == "F")
+                assert [said.get(e * 300 + beam) for e in range(count)] == [
+                    (own[e][1], own[e][0]) if e < len(own) else None for e in range(count)
+                ]
 
 
 def test_what_a_range_is_on_the_wire() -> None:
     wide, low = PROFILES["RNG19_RFL8_SIG16_NIR16"], PROFILES["RNG15_RFL8_NIR8"]
-    ranges = np.array([9.9728, NAN, 524.25, 524.3, 262.13])
-    assert codec.distances(ranges, 0.0276, wide).tolist() == [10_000, 0, 524_278, 0, 262_158]
-    assert codec.distances(ranges, 0.0, low).tolist()[2:] == [0, 0, 262_128]
-    plate = codec.reflectivities(np.array([10.0, 10.0, 10.0, NAN]), np.array([180.6, 36.1, 361e3, NAN]), 36_125.0)
-    assert plate.tolist() == [50, 10, 255, 0]
+    ranges = np.array([9.9728, 524.25, 524.3, 262.13])
+    assert codec.distances(ranges, 0.0276, wide).tolist() == [10_000, 524_278, 0, 262_158]
+    assert codec.distances(ranges, 0.0, low).tolist()[1:] == [0, 0, 262_128]
+    plate = codec.reflectivities(np.array([10.0, 10.0, 10.0]), np.array([180.6, 36.1, 361e3]), 36_125.0)
+    assert plate.tolist() == [50, 10, 255]

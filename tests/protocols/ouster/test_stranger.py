@@ -135,6 +135,18 @@ def test_metadata_of_each_firmware_is_accepted_with_its_checksum(firmware: str) 
     assert info.init_id == rig.session.init_id
 
 
+@pytest.mark.parametrize("header", ["STANDARD", "FUSA"])
+@pytest.mark.parametrize("name", codec.PROFILES)
+def test_either_header_is_read_with_every_profile_of_firmware_3_2(name: str, header: str) -> None:
+    rig = Rig(
+        {"firmware": "3.2.0", "config": {"udp_profile_lidar": name, "header_type": header, "lidar_mode": "512x20"}}
+    )
+    _, _, frames = batched(rig)
+    assert sum(one.complete() for one in frames) >= len(frames) - 1 >= 5
+    if name in ("RNG19_RFL8_SIG16_NIR16", "RNG19_RFL8_SIG16_NIR16_DUAL"):
+        assert set(np.unique(frames[1].field("WINDOW"))) == {255}
+
+
 def test_headers_with_functional_safety_and_the_new_imu_packets_are_read() -> None:
     config = {"header_type": "FUSA", "udp_profile_imu": "ACCEL32_GYRO32_NMEA", "lidar_mode": "2048x10",
               "multipurpose_io_mode": "INPUT_NMEA_UART"}  # fmt: skip
