@@ -90,11 +90,15 @@ def beside(
         cosine, sine = (x / level, y / level) if level > 0.0 else (1.0, y)
         left_x, left_y = -sine, cosine
         up_x, up_y, up_z = -z * cosine, -z * sine, level
-        own[0, 0], own[0, 1], own[0, 2] = cos_roll * left_x + sin_roll * up_x, cos_roll * left_y + sin_roll * up_y, (
-            sin_roll * up_z
+        own[0, 0], own[0, 1], own[0, 2] = (
+            cos_roll * left_x + sin_roll * up_x,
+            cos_roll * left_y + sin_roll * up_y,
+            (sin_roll * up_z),
         )
-        own[1, 0], own[1, 1], own[1, 2] = cos_roll * up_x - sin_roll * left_x, cos_roll * up_y - sin_roll * left_y, (
-            cos_roll * up_z
+        own[1, 0], own[1, 1], own[1, 2] = (
+            cos_roll * up_x - sin_roll * left_x,
+            cos_roll * up_y - sin_roll * left_y,
+            (cos_roll * up_z),
         )
         own[2, 0], own[2, 1], own[2, 2] = x, y, z
         for i in range(3):
@@ -106,7 +110,9 @@ def beside(
             base[i] = across[i, 0] * shift[0] + across[i, 1] * shift[1] + across[i, 2] * shift[2]
             for j in range(3):
                 turned[i, j] = (
-                    across[i, 0] * rotation[p, 0, j] + across[i, 1] * rotation[p, 1, j] + across[i, 2] * rotation[p, 2, j]
+                    across[i, 0] * rotation[p, 0, j]
+                    + across[i, 1] * rotation[p, 1, j]
+                    + across[i, 2] * rotation[p, 2, j]
                 )
         for face in range(first[s], first[s] + many[s]):
             height = normal[face, 0] * eye[0] + normal[face, 1] * eye[1] + normal[face, 2] * eye[2] - behind[face]
