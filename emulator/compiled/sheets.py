@@ -52,8 +52,8 @@ def beside(
     """Of pairs (n,) of a beam and a sheet those with a face that comes into the beam's tail.
 
     `position`, `rotation` : (n, 3), (n, 3, 3) of the sheets' bodies; `place`, `turn`, `own_axis`, `axis` : of the
-    beams; `first` to `strength` : of the sheets; `corner` to `face_strength` : of all faces; `law` : tangents, radius at
-    the pupil, cosine and sine of the roll, reach, then the numbers of `Radii`.
+    beams; `first` to `strength` : of the sheets; `corner` to `face_strength` : of all faces; `law` : tangents, radius
+    at the pupil, cosine and sine of the roll, reach, then the numbers of `Radii`.
 
     Returns whether a face reaches behind its pupil, then nothing else is whole; pair and face (2, k); offset and height
     (2, k), corners (k, 3, 2) and normals (k, 3) in the beams' coordinates, the beams' axes (k, 3, 3).
