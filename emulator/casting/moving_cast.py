@@ -125,8 +125,8 @@ def _crossed_by_loops(
         return OTHERWISE
     found = into
     if found is None or not all(column.flags.c_contiguous for column in found.written):
-        none = np.full(len(aim), -1, np.int64)
-        found = Nearest(known_m.copy(), none, np.empty_like(none), np.empty((3, len(aim))), np.empty(len(aim)))
+        found = Nearest(*loops.unwritten(len(aim)))
+        found.range_m[:], found.triangle[:] = known_m, -1
     for number in np.unique(movers.structure) if len(cast._slots) > 1 else (0,):
         sent, wrong = loops.moving(
             *cast._slots[number].how, number, which, rays, origin, aim.ray, times, far,
