@@ -202,6 +202,11 @@ class Nearest:
         no = np.full(count, -1, np.int64)
         return cls(np.full(count, np.inf), no, no.copy(), np.zeros((3, count)), np.zeros(count))
 
+    @property
+    def written(self) -> tuple[Floats, Longs, Longs, Floats, Floats]:
+        """The columns of a hit, in the order in which loops have them."""
+        return self.range_m, self.triangle, self.body, self.normal, self.facing
+
     def normals(self, rays: Longs | None = None) -> Floats:
         """(3, k) of some rays, or all."""
         if self.plane is None:

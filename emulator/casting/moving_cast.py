@@ -19,7 +19,7 @@ import numpy as np
 from emulator.casting import embree
 from emulator.casting.deforming import Slices
 from emulator.casting.embree import Singles
-from emulator.casting.hits import MISS, Aim, Counters, Met, Passing, all_met, extent, rows
+from emulator.casting.hits import MISS, Aim, Counters, Met, Nearest, Passing, all_met, extent, rows
 from emulator.casting.structures import Layout, Movers
 from emulator.compiled.pair import OTHERWISE, array_form, by_loops
 from emulator.physics.arrays import indexes
@@ -118,24 +118,30 @@ def _poses(motion: Motion, when: Floats) -> tuple[Floats, Floats]:
 
 def _crossed_by_loops(
     loops: ModuleType, cast: MovingCast, movers: Movers, now: Stretch, bent: Bent, which: Longs, rays: Longs,
-    origin: Floats, aim: Aim, times: Floats, far: float, known_m: Floats,
+    origin: Floats, aim: Aim, times: Floats, far: float, known_m: Floats, into: Nearest | None,
 ) -> Met | None:  # fmt: skip
-    """Where all bodies are rigid."""
+    """Where all bodies are rigid; what is met is put among the nearest at once, if these are given."""
     if not cast._packets:
         return OTHERWISE
-    parts = []
+    found = into
+    if found is None or not all(column.flags.c_contiguous for column in found.written):
+        found = Nearest(*loops.unwritten(len(aim)))
+        found.range_m[:], found.triangle[:] = known_m, -1
     for number in np.unique(movers.structure) if len(cast._slots) > 1 else (0,):
-        (met, triangle, body), sizes, sent, wrong = loops.moving(
-            *cast._slots[number].how, number, which, rays, origin, aim.ray, times, far, known_m,
+        sent, wrong = loops.moving(
+            *cast._slots[number].how, number, which, rays, origin, aim.ray, times, far,
             now.at, now.velocity, now.since, now.turned, movers.centre, movers.reach, movers.half, movers.cell,
             movers.shift, movers.structure, movers.body, bent.column, bent.at, bent.turned, cast._table.plane,
-            embree.SUSPICIOUS,
+            embree.SUSPICIOUS, *found.written,
         )  # fmt: skip
         cast.counters.cast += sent
         cast.counters.suspicious += wrong
-        if len(met):
-            parts.append(Met(met, triangle, body, sizes[0], sizes[2:], sizes[1]))
-    return all_met(parts)
+    if found is into:
+        return None
+    at = indexes(found.triangle >= 0)
+    if not len(at):
+        return None
+    return Met(at, found.triangle[at], found.body[at], found.range_m[at], found.normal[:, at], found.facing[at])
 
 
 class MovingCast:
@@ -209,8 +215,12 @@ class MovingCast:
         far: float,
         known_m: Floats,
         box: tuple[Floats, Floats] | None = None,
+        into: Nearest | None = None,
     ) -> Met | None:
-        """Each ray on the moving bodies whose spheres it meets before `known_m`, in their own frames."""
+        """Each ray on the moving bodies whose spheres it meets before `known_m`, in their own frames.
+
+        `into`: the nearest hits so far, whose ranges `known_m` are. Loops put what is nearer there, and None is left.
+        """
         begin, end = float(times.min()), float(times.max())
         box = extent(origin) if box is None else box
         movers = self._near(*box, begin, end, far)
@@ -228,14 +238,14 @@ class MovingCast:
             return None
         bent = _bent(movers, near, curved, which, rays, times)
         crossed = self._crossed if movers.scale is None else partial(array_form(MovingCast._crossed), self)
-        return crossed(movers, now, bent, which, rays, origin, aim, times, far, known_m)
+        return crossed(movers, now, bent, which, rays, origin, aim, times, far, known_m, into)
 
     @by_loops(_crossed_by_loops, "moving")
     def _crossed(
         self, movers: Movers, now: Stretch, bent: Bent, which: Longs, rays: Longs,
-        origin: Floats, aim: Aim, times: Floats, far: float, known_m: Floats,
+        origin: Floats, aim: Aim, times: Floats, far: float, known_m: Floats, into: Nearest | None,
     ) -> Met | None:  # fmt: skip
-        """Rays on the moving bodies that they may meet."""
+        """Rays on the moving bodies that they may meet; arrays leave it to others to put hits among the nearest."""
         # the ray's origin seen from the body's first: large coordinates cancel there
         when = times.take(rays)
         offset = origin.take(rays, axis=1) - now.at.take(which, axis=1)

@@ -376,7 +376,7 @@ class Caster:
     def _nearest(self, origin: Floats, aim: Aim, times: Floats, far: float) -> Nearest:
         found = self._resting(origin, aim, far)
         if self.moves:
-            met = self._moving.met(origin, aim, times, far, found.range_m)
+            met = self._moving.met(origin, aim, times, far, found.range_m, into=found)
             if met is not None:
                 keep_nearer(found, met.rays, met)
         return found

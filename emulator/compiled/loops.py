@@ -10,11 +10,14 @@ from emulator.compiled.media import crossed_under, ended_under
 from emulator.compiled.moving import moving, near, pairs
 from emulator.compiled.narrow import narrow
 from emulator.compiled.packets import Packets, library
+from emulator.compiled.sheets import beside, covered
 from emulator.compiled.surfaces import in_order, special, strengths
 from emulator.compiled.waves import sampled
 
 __all__ = [
     "Packets",
+    "beside",
+    "covered",
     "crossed",
     "crossed_under",
     "edges",

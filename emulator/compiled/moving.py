@@ -9,17 +9,24 @@ from __future__ import annotations
 
 import numpy as np
 
+from emulator.compiled.casting import LONGER
 from emulator.compiled.jit import (
     EMBREE,
     FLOAT,
     FLOATS,
     INT,
     INTS,
+    OUT_FLOATS,
+    OUT_INTS,
+    OUT_LOOSE,
     ROWS,
     TURNS,
     compiled,
 )
 from emulator.compiled.packets import TFAR, TRIANGLE, put, room, send
+
+NEARLY_M = 1e-5
+"So much behind what a ray has met a search looks: what lies there is judged in float64."
 
 
 @compiled()
@@ -86,119 +93,198 @@ def pairs(place, reach, low, high, far, axis, half, size, known_m, rounding):
     return found[:, :count].copy()
 
 
+TOGETHER = 64
+"Rays that are brought into the frame of a body together: rows of them leave no cache, and are done by four."
+
+
 @compiled()
-def _crosses(place, along, half):
-    """Where a ray enters and leaves the slab of a box; nothing is excluded along a side, where that is no number."""
-    each = 1.0 / along
-    middle, deep = place * each, abs(each) * half
-    low, high = -deep - middle, deep - middle
-    if np.isnan(low) or np.isnan(high):
-        return -np.inf, np.inf
-    return low, high
+def _narrowed(low, high, place, along, half):
+    """Where rays enter and leave the slab of a box, if that is less; one along a side is not narrowed there."""
+    for i in range(len(low)):
+        each = 1.0 / along[i]
+        middle, deep = place[i] * each, abs(each) * half
+        first, last = -deep - middle, deep - middle
+        number = first == first and last == last
+        low[i] = first if number and first > low[i] else low[i]
+        high[i] = last if number and last < high[i] else high[i]
+
+
+@compiled()
+def _through(rows, ray, r, n, known_m, times, origin, at, velocity, since, turned, centre, reach, half, far, mover):
+    """Whether rays r to r + n come into the sphere and the box of a body that moves straight, before what they met.
+
+    Rows of (16, .): origins about the body's, in the world; where they enter and leave the sphere, less than nothing
+    where they do not; origins and directions in its frame.
+    """
+    x, y, z, middle, chord, enter, leave = (
+        rows[0, :n], rows[1, :n], rows[2, :n], rows[3, :n], rows[4, :n], rows[5, :n], rows[6, :n]
+    )  # fmt: skip
+    dx, dy, dz, when = ray[0, r : r + n], ray[1, r : r + n], ray[2, r : r + n], times[r : r + n]
+    for axis in range(3):
+        to, start, place = rows[axis, :n], origin[axis, r : r + n], at[axis, mover]
+        speed, moment = velocity[axis, mover], since[mover]
+        for i in range(n):
+            to[i] = start[i] - place - (when[i] - moment) * speed
+    xx, xy, xz = turned[0, 0, mover], turned[0, 1, mover], turned[0, 2, mover]
+    yx, yy, yz = turned[1, 0, mover], turned[1, 1, mover], turned[1, 2, mover]
+    zx, zy, zz = turned[2, 0, mover], turned[2, 1, mover], turned[2, 2, mover]
+    cx, cy, cz = centre[0, mover], centre[1, mover], centre[2, mover]
+    # of the sphere's centre, seen from the body's origin
+    sx, sy, sz = xx * cx + xy * cy + xz * cz, yx * cx + yy * cy + yz * cz, zx * cx + zy * cy + zz * cz
+    for i in range(n):
+        middle[i] = -((x[i] - sx) * dx[i] + (y[i] - sy) * dy[i] + (z[i] - sz) * dz[i])
+    square = reach[mover] * reach[mover]
+    for i in range(n):
+        ax, ay, az = x[i] - sx + middle[i] * dx[i], y[i] - sy + middle[i] * dy[i], z[i] - sz + middle[i] * dz[i]
+        chord[i] = square - (ax * ax + ay * ay + az * az)
+    for i in range(n):
+        wide = np.sqrt(chord[i] if chord[i] > 0.0 else 0.0)
+        first = middle[i] - wide
+        enter[i] = first if first > 0.0 else 0.0
+    known, some = known_m[r : r + n], False
+    for i in range(n):
+        last = middle[i] + np.sqrt(chord[i] if chord[i] > 0.0 else 0.0)
+        good = chord[i] > 0.0 and last > 0.0 and enter[i] <= far and enter[i] < known[i]
+        leave[i] = last if good else -1.0
+    for i in range(n):
+        some |= leave[i] >= 0.0
+    if not some:
+        return False
+    for axis in range(3):
+        place, along = rows[7 + axis, :n], rows[10 + axis, :n]
+        a, b, c, d = turned[0, axis, mover], turned[1, axis, mover], turned[2, axis, mover], centre[axis, mover]
+        for i in range(n):
+            place[i] = a * x[i] + b * y[i] + c * z[i] - d
+        for i in range(n):
+            along[i] = a * dx[i] + b * dy[i] + c * dz[i]
+    low, high = rows[13, :n], rows[14, :n]
+    low[:], high[:] = -np.inf, np.inf
+    for axis in range(3):
+        _narrowed(low, high, rows[7 + axis, :n], rows[10 + axis, :n], half[axis, mover])
+    return True
+
+
+@compiled()
+def _bent(rows, ray, r, known_m, origin, at, turned, column, centre, reach, half, far, mover):
+    """The same of one ray, by the body's pose at its instant."""
+    matrix, here, way = turned[:, :, column], rows[:3, 0], ray[:, r]
+    for axis in range(3):
+        here[axis] = origin[axis, r] - at[axis, column]
+    middle = square = 0.0
+    for axis in range(3):
+        rows[7 + axis, 0], rows[10 + axis, 0] = -centre[axis, mover], 0.0
+        for other in range(3):
+            rows[7 + axis, 0] += matrix[other, axis] * here[other]
+            rows[10 + axis, 0] += matrix[other, axis] * way[other]
+    for axis in range(3):
+        middle -= rows[7 + axis, 0] * rows[10 + axis, 0]
+    for axis in range(3):
+        away = rows[7 + axis, 0] + middle * rows[10 + axis, 0]
+        square += away * away
+    chord = reach[mover] * reach[mover] - square
+    wide = np.sqrt(max(chord, 0.0))
+    enter, leave = max(middle - wide, 0.0), middle + wide
+    rows[5, 0], rows[6, 0] = enter, leave
+    if not (chord > 0.0 and leave > 0.0 and enter <= far and enter < known_m[r]):
+        return False
+    low, high = rows[13, :1], rows[14, :1]
+    low[0], high[0] = -np.inf, np.inf
+    for axis in range(3):
+        _narrowed(low, high, rows[7 + axis, :1], rows[10 + axis, :1], half[axis, mover])
+    return True
+
+
+@compiled()
+def _put_nearer(packet, flags, lanes, used, mine, frames, turned, bent_turned, shift, body_of, plane, suspicious,
+                range_m, triangle, body, normal, facing):  # fmt: skip
+    """What the lanes of a packet have met, where nothing is nearer; how many distances were suspicious."""
+    wrong = 0
+    for lane in range(used):
+        found = flags[TRIANGLE, lane]
+        if found < 0 or not lanes[lane]:
+            continue
+        mover, r, column = mine[0, lane], mine[1, lane], mine[2, lane]
+        at = found + shift[mover]
+        distance = packet[TFAR, lane] + frames[6, lane]
+        nx, ny, nz = plane[at, 0], plane[at, 1], plane[at, 2]
+        turn = nx * frames[3, lane] + ny * frames[4, lane] + nz * frames[5, lane]
+        height = nx * frames[0, lane] + ny * frames[1, lane] + nz * frames[2, lane]
+        refined = (plane[at, 3] - height) / turn
+        if not abs(refined - distance) <= suspicious * (1.0 + distance):
+            refined = distance
+            wrong += 1
+        refined = max(refined, 0.0)
+        if not refined <= range_m[r]:
+            continue
+        range_m[r], triangle[r], body[r], facing[r] = refined, at, body_of[mover], turn
+        for axis in range(3):
+            if column >= 0:
+                a, b, c = bent_turned[axis, 0, column], bent_turned[axis, 1, column], bent_turned[axis, 2, column]
+            else:
+                a, b, c = turned[axis, 0, mover], turned[axis, 1, mover], turned[axis, 2, mover]
+            normal[axis, r] = a * nx + b * ny + c * nz
+    return wrong
 
 
 @compiled(
-    *EMBREE, INT, INTS, INTS, ROWS, ROWS, FLOATS, FLOAT, FLOATS,
+    *EMBREE, INT, INTS, INTS, ROWS, ROWS, FLOATS, FLOAT,
     ROWS, ROWS, FLOATS, TURNS, ROWS, FLOATS, ROWS, ROWS, INTS, INTS, INTS, INTS, ROWS, TURNS, ROWS, FLOAT,
+    OUT_FLOATS, OUT_INTS, OUT_INTS, OUT_LOOSE, OUT_FLOATS,
 )  # fmt: skip
 def moving(
-    function, width, scene, arguments, structure, which, rays, origin, ray, times, far, known_m,
-    at, velocity, since, turned, centre, reach, half, cell, shift, home, body, bent, bent_at, bent_turned,
-    plane, suspicious,
+    function, width, scene, arguments, structure, which, rays, origin, ray, times, far,
+    at, velocity, since, turned, centre, reach, half, cell, shift, home, body_of, bent, bent_at, bent_turned,
+    plane, suspicious, range_m, triangle, body, normal, facing,
 ):  # fmt: skip
-    """What pairs (k,) of a body and a ray meet in one structure of rigid bodies.
+    """Put what pairs (k,) of a body and a ray meet in one structure of rigid bodies where nothing is nearer.
 
     `bent` : (k,) -1, or the column of `bent_at` (3, .) and `bent_turned` (3, 3, .) where the pair's body does not
-    move straight; (0,) where all do. `home` : structure of each body. The rest as in `Movers`, `Stretch` and `Table`.
+    move straight; (0,) where all do. `home` : structure of each body. Columns from `range_m` on are those of `Nearest`.
+    The rest as in `Movers`, `Stretch` and `Table`.
 
-    Returns rays, triangles and bodies (3, .), ranges, normal . ray and normals (5, .) in the world of all hits, how
-    many pairs were searched for, and how many distances were suspicious.
+    Returns how many pairs were searched for, and how many distances were suspicious.
     """
     k = len(which)
-    numbers, values = np.zeros((4 * width, 3), np.int64), np.zeros((4 * width, 5))
     packet, flags, lanes = room(width)
-    # of each lane: its pair, where it enters, and origin, direction and the body's axes in the body's frame
-    mine, entered, frames = np.zeros(width, np.int64), np.zeros(width), np.zeros((width, 15))
-    hits = cast = wrong = used = 0
-    for pair in range(k + 1):
-        if used == width or (pair == k and used > 0):
-            send(function, scene, arguments, packet, lanes, used)
-            cast += used
-            if hits + used > len(numbers):
-                numbers = np.concatenate((numbers, np.zeros_like(numbers)))
-                values = np.concatenate((values, np.zeros_like(values)))
-            for lane in range(used):
-                found = flags[TRIANGLE, lane]
-                if found < 0 or not lanes[lane]:
-                    continue
-                mover = which[mine[lane]]
-                triangle = found + shift[mover]
-                distance = packet[TFAR, lane] + entered[lane]
-                nx, ny, nz = plane[triangle, 0], plane[triangle, 1], plane[triangle, 2]
-                facing = nx * frames[lane, 3] + ny * frames[lane, 4] + nz * frames[lane, 5]
-                height = nx * frames[lane, 0] + ny * frames[lane, 1] + nz * frames[lane, 2]
-                refined = (plane[triangle, 3] - height) / facing
-                if not abs(refined - distance) <= suspicious * (1.0 + distance):
-                    refined = distance
-                    wrong += 1
-                numbers[hits, 0], numbers[hits, 1], numbers[hits, 2] = rays[mine[lane]], triangle, body[mover]
-                values[hits, 0], values[hits, 1] = max(refined, 0.0), facing
-                values[hits, 2] = frames[lane, 6] * nx + frames[lane, 7] * ny + frames[lane, 8] * nz
-                values[hits, 3] = frames[lane, 9] * nx + frames[lane, 10] * ny + frames[lane, 11] * nz
-                values[hits, 4] = frames[lane, 12] * nx + frames[lane, 13] * ny + frames[lane, 14] * nz
-                hits += 1
-            used = 0
-        if pair == k:
-            break
-        mover, r = which[pair], rays[pair]
-        if home[mover] != structure:
-            continue
-        dx, dy, dz = ray[0, r], ray[1, r], ray[2, r]
+    # of each lane: body, ray and column of its pose; origin and direction in the body's frame, where it enters
+    mine, frames, rows = np.zeros((3, width), np.int64), np.zeros((7, width)), np.empty((15, TOGETHER))
+    cast = wrong = used = pair = 0
+    while pair < k:
+        mover, r, n = which[pair], rays[pair], 1
         column = bent[pair] if len(bent) else -1
+        if home[mover] != structure:
+            pair += 1
+            continue
         if column >= 0:
-            ox = origin[0, r] - bent_at[0, column]
-            oy = origin[1, r] - bent_at[1, column]
-            oz = origin[2, r] - bent_at[2, column]
-            xx, xy, xz = bent_turned[0, 0, column], bent_turned[0, 1, column], bent_turned[0, 2, column]
-            yx, yy, yz = bent_turned[1, 0, column], bent_turned[1, 1, column], bent_turned[1, 2, column]
-            zx, zy, zz = bent_turned[2, 0, column], bent_turned[2, 1, column], bent_turned[2, 2, column]
+            some = _bent(rows, ray, r, range_m, origin, bent_at, bent_turned, column, centre, reach, half, far, mover)
         else:
-            passed = times[r] - since[mover]
-            ox = origin[0, r] - at[0, mover] - passed * velocity[0, mover]
-            oy = origin[1, r] - at[1, mover] - passed * velocity[1, mover]
-            oz = origin[2, r] - at[2, mover] - passed * velocity[2, mover]
-            xx, xy, xz = turned[0, 0, mover], turned[0, 1, mover], turned[0, 2, mover]
-            yx, yy, yz = turned[1, 0, mover], turned[1, 1, mover], turned[1, 2, mover]
-            zx, zy, zz = turned[2, 0, mover], turned[2, 1, mover], turned[2, 2, mover]
-        cx, cy, cz = centre[0, mover], centre[1, mover], centre[2, mover]
-        # of the sphere's centre, seen from the ray's origin
-        sx, sy = ox - (xx * cx + xy * cy + xz * cz), oy - (yx * cx + yy * cy + yz * cz)
-        sz = oz - (zx * cx + zy * cy + zz * cz)
-        middle = -(sx * dx + sy * dy + sz * dz)
-        ax, ay, az = sx + middle * dx, sy + middle * dy, sz + middle * dz
-        chord = reach[mover] * reach[mover] - (ax * ax + ay * ay + az * az)
-        if not chord > 0.0:
-            continue
-        wide = np.sqrt(chord)
-        enter, leave = max(middle - wide, 0.0), middle + wide
-        if not (leave > 0.0 and enter <= far and enter < known_m[r]):
-            continue
-        x, y, z = (
-            xx * ox + yx * oy + zx * oz - cx, xy * ox + yy * oy + zy * oz - cy, xz * ox + yz * oy + zz * oz - cz
-        )  # fmt: skip
-        dx, dy, dz = xx * dx + yx * dy + zx * dz, xy * dx + yy * dy + zy * dz, xz * dx + yz * dy + zz * dz
-        x_in, x_out = _crosses(x, dx, half[0, mover])
-        y_in, y_out = _crosses(y, dy, half[1, mover])
-        z_in, z_out = _crosses(z, dz, half[2, mover])
-        if max(x_in, y_in, z_in) > min(x_out, y_out, z_out):
-            continue
-        put(packet, flags, lanes, used, x + enter * dx + cell[0, mover], y + enter * dy + cell[1, mover],
-            z + enter * dz + cell[2, mover], dx, dy, dz, leave - enter)  # fmt: skip
-        mine[used], entered[used] = pair, enter
-        frames[used, 0], frames[used, 1], frames[used, 2] = x, y, z
-        frames[used, 3], frames[used, 4], frames[used, 5] = dx, dy, dz
-        frames[used, 6], frames[used, 7], frames[used, 8] = xx, xy, xz
-        frames[used, 9], frames[used, 10], frames[used, 11] = yx, yy, yz
-        frames[used, 12], frames[used, 13], frames[used, 14] = zx, zy, zz
-        used += 1
-    return numbers[:hits].T.copy(), values[:hits].T.copy(), cast, wrong
+            while n < TOGETHER and pair + n < k and which[pair + n] == mover and rays[pair + n] == r + n:
+                if len(bent) and bent[pair + n] >= 0:
+                    break
+                n += 1
+            some = _through(rows, ray, r, n, range_m, times, origin, at, velocity, since, turned, centre, reach, half,
+                            far, mover)  # fmt: skip
+        pair += n
+        for i in range(n if some else 0):
+            enter, leave = rows[5, i], rows[6, i]
+            if not (leave >= 0.0 and rows[13, i] <= rows[14, i]):
+                continue
+            dx, dy, dz = rows[10, i], rows[11, i], rows[12, i]
+            until = min(leave - enter, (range_m[r + i] - enter) * LONGER + NEARLY_M)
+            put(packet, flags, lanes, used, rows[7, i] + enter * dx + cell[0, mover],
+                rows[8, i] + enter * dy + cell[1, mover], rows[9, i] + enter * dz + cell[2, mover], dx, dy, dz,
+                until)  # fmt: skip
+            mine[0, used], mine[1, used], mine[2, used], frames[6, used] = mover, r + i, column, enter
+            for axis in range(6):
+                frames[axis, used] = rows[7 + axis, i]
+            used += 1
+            if used == width:
+                send(function, scene, arguments, packet, lanes, used)
+                wrong += _put_nearer(packet, flags, lanes, used, mine, frames, turned, bent_turned, shift,
+                                     body_of, plane, suspicious, range_m, triangle, body, normal, facing)  # fmt: skip
+                cast, used = cast + used, 0
+    if used > 0:
+        send(function, scene, arguments, packet, lanes, used)
+        wrong += _put_nearer(packet, flags, lanes, used, mine, frames, turned, bent_turned, shift, body_of, plane,
+                             suspicious, range_m, triangle, body, normal, facing)  # fmt: skip
+    return cast + used, wrong

@@ -10,9 +10,12 @@ Tables for computing bivariate normal probabilities). The first moment is an int
 
 from __future__ import annotations
 
+from types import ModuleType
+
 import numpy as np
 from scipy import special
 
+from emulator.compiled.pair import by_loops
 from emulator.physics.arrays import Bools, Floats
 
 NEAR = 1e-3
@@ -44,6 +47,11 @@ def gaussian_share(corner: Floats) -> tuple[Floats, Floats]:
     return np.abs(signed), middle
 
 
+def _within_by_loops(loops: ModuleType, corner: Floats, place: Floats) -> Bools:
+    return np.asarray(loops.covered(corner, place))
+
+
+@by_loops(_within_by_loops, "covered")
 @np.errstate(under="ignore")
 def within(corner: Floats, place: Floats) -> Bools:
     """(k, m) which of the places (k or 1, m, 2) lie in convex polygons (k, e, 2)."""

@@ -24,7 +24,7 @@ from emulator.sensing.contracts import FacedCaster, Medium
 from emulator.sensing.model import SensorModel
 from emulator.sensing.paths import Seen, Surfaces, collected, reach_of, window_factors
 from emulator.sensing.rays import Bundles, turned
-from emulator.sensing.sheets import Faced, Frames, Sheets, across_own, bright_of
+from emulator.sensing.sheets import Faced, Frames, Radii, Sheets, across_own, bright_of
 from emulator.world.motion import Pose
 
 if TYPE_CHECKING:
@@ -149,12 +149,13 @@ class BrightEdges:
         axis = turned(pose.rotation, bundles.axis[:, None, :])[:, 0]
         none = SubEchoes.none(), Tails(np.zeros(0, np.int64), 0)
         frames = Frames(pose, bundles.axis, axis, t_s, model.beam)
-        faced = self._sheets.near(frames, lambda m, strength: self._radii(m, strength, gain), reach)
+        radii = self._radii(gain)
+        faced = self._sheets.near(frames, radii, reach)
         if not len(faced):
             return none
         share, middle = polygons.gaussian_share(faced.corner)
         middle_m = faced.range_m(np.arange(len(faced)), middle[:, 0], middle[:, 1], model.beam)
-        light = self._bound(middle_m, faced.strength, gain)
+        light = radii.bound(middle_m, faced.strength)
         whole = np.bincount(faced.beam, share, len(t_s))
         asked = (whole < INSIDE) & (np.bincount(faced.beam, share * light, len(t_s)) >= UNSEEN)
         chosen = indexes(asked[faced.beam] & (share * light > 0.1 * UNSEEN))
@@ -207,18 +208,12 @@ class BrightEdges:
         return 1.01 * math.tan(math.acos(float(along))) / math.tan(narrow)
 
     # ------------------------------------------------------------------ bounds
-    def _radii(self, distance_m: Floats, strength: Floats, gain: float) -> Floats:
+    def _radii(self, gain: float) -> Radii:
         """Beam radii beyond which all the light on such a surface cannot be seen."""
-        most = math.exp(2.0 * MOST_RADII**2)
-        radii = np.sqrt(0.5 * np.log(np.clip(self._bound(distance_m, strength, gain) / UNSEEN, 1.0, most)))
-        return np.where(radii > 0.0, np.maximum(radii, LEAST_RADII), 0.0)
-
-    def _bound(self, distance_m: Floats, strength: Floats, gain: float) -> Floats:
-        """Amplitude of a whole beam on such a surface, as near or farther, over the threshold, at the most."""
         model = self._model
-        distance_m = np.maximum(distance_m, math.sqrt(model.floor_m2 / model.threshold))  # where the floor ends
-        white = model.k_m2 * max(gain, 1e-12) / (distance_m**2 + model.aperture_radius_m**2)
-        return np.asarray(white * strength / model.threshold)
+        floor_m = math.sqrt(model.floor_m2 / model.threshold)
+        white = model.k_m2 * max(gain, 1e-12) / model.threshold
+        return Radii(floor_m, white, model.aperture_radius_m**2, UNSEEN, LEAST_RADII, MOST_RADII)
 
     # ------------------------------------------------------------------ rays
     def _bundled(self, faced: Faced, bundles: Bundles, some: Bools, frames: Frames) -> _Ways:

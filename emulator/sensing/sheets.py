@@ -7,12 +7,13 @@ beams. Not: the light on them, and what hides them (bright).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from emulator.compiled.pair import OTHERWISE, by_loops
 from emulator.physics import polygons
 from emulator.physics.arrays import Bools, Floats, Ints, group_starts, indexes, ramp
 from emulator.physics.beams import NO_WIDTH, BeamShape
@@ -29,8 +30,33 @@ BRIGHT = 10.0
 PAIRS_AT_ONCE = 200_000
 _ZERO = np.zeros(1)
 
-Radii = Callable[[Floats, Floats], Floats]
-"Beam radii that count at a distance on a surface of this equivalent reflectance; 0: none."
+
+@dataclass(frozen=True)
+class Radii:
+    """Beam radii beyond which the light of a beam on a bright surface cannot be seen."""
+
+    floor_m: float
+    "Nearer than this the threshold rises as the light does."
+    white_m2: float
+    "Of the threshold: amplitude of a whole beam on a white plate at 1 m."
+    area_m2: float
+    "Square of the lens's radius."
+    unseen: float
+    "Of the threshold."
+    least: float
+    "Where any of it is seen."
+    most: float
+
+    def bound(self, distance_m: Floats, strength: Floats) -> Floats:
+        """Amplitude of a whole beam on such a surface, as near or farther, over the threshold, at the most."""
+        distance_m = np.maximum(distance_m, self.floor_m)
+        return np.asarray(self.white_m2 / (distance_m**2 + self.area_m2) * strength)
+
+    def __call__(self, distance_m: Floats, strength: Floats) -> Floats:
+        """On a surface of this equivalent reflectance at a distance; 0: none."""
+        most = math.exp(2.0 * self.most**2)
+        radii = np.sqrt(0.5 * np.log(np.clip(self.bound(distance_m, strength) / self.unseen, 1.0, most)))
+        return np.where(radii > 0.0, np.maximum(radii, self.least), 0.0)
 
 
 def bright_of(table: SurfaceTable) -> Bools:
@@ -228,47 +254,77 @@ class Sheets:
                 position[mine], rotation[mine] = pose.position_m, pose.rotation
             else:
                 position[mine], rotation[mine] = fixed[0] if fixed[2] else motion.position(t_s[mine]), fixed[1]
-        # spheres where they are
-        shift = position - frames.pose.position_m[beam]
-        middle = shift + np.einsum("nij,nj->ni", rotation, self._middle_m[sheet])
-        along = np.einsum("ni,ni->n", middle, frames.axis[beam])
-        distance = np.sqrt(np.einsum("ni,ni->n", middle, middle))
-        beside = np.sqrt(np.maximum(distance**2 - along**2, 0.0)) - self._radius_m[sheet]
-        nearest, far = np.maximum(distance - self._radius_m[sheet], 0.0), np.maximum(along + self._radius_m[sheet], 0.0)
-        tangents, w0 = _tangents(frames.shape), frames.shape.exit_radius_m
-        width = radii(nearest, self._strength[sheet]) * (float(tangents.max()) * far + w0)
-        at = indexes((far > 0.0) & (beside <= width) & (nearest <= reach_m))
-        if not len(at):
-            return _NONE
-        beam, sheet, shift, rotation = beam[at], sheet[at], shift[at], rotation[at]
-        # faces that look here: of a closed body they are counter-clockwise seen from outside
-        many = self._faces[sheet]
-        row, face = np.arange(len(at)).repeat(many), self._first[sheet].repeat(many) + ramp(many)
-        eye = -np.einsum("nji,nj->ni", rotation, shift)
-        height = np.einsum("ki,ki->k", self._normal[face], eye[row]) - self._behind_m[face]
-        at = indexes((height > 0.0) | (~self._closed[face] & (height < 0.0)))
-        row, face, height = row[at], face[at], height[at]
-        # in the coordinates of the beams
-        across = frames.across(beam)
-        turn = np.einsum("nij,njk->nik", across, rotation)
-        corner = np.einsum("kij,kcj->kci", turn[row], self._corner_m[face])
-        corner += np.einsum("nij,nj->ni", across, shift)[row][:, None]
-        at = indexes(corner[:, :, 2].max(axis=1) > 0.0)
-        row, face, height = row[at], face[at], height[at]
-        if not len(at):
-            return _NONE
-        own = polygons.before_pupil(corner[at])
-        flat = own[:, :, :2] / np.maximum(tangents * own[:, :, 2:] + w0, 1e-12)
-        offset = polygons.offset_of(flat)
-        nearest = np.maximum(np.abs(height), own[:, :, 2].min(axis=1))
-        strength = self._face_strength[face]
-        at = indexes((offset <= radii(nearest, strength)) & (nearest <= reach_m))
-        row, face, height = row[at], face[at], height[at]
-        normal = np.einsum("kij,kj->ki", turn[row], self._normal[face])
+        pair, face, offset, height, corner, normal, across = _beside(
+            self, beam, sheet, position, rotation, frames, radii, reach_m
+        )
         return Faced(
-            beam[row], self._actor[sheet[row]], self._material[face], strength[at], across[row], normal, -height,
-            flat[at], offset[at],
+            beam[pair], self._actor[sheet[pair]], self._material[face], self._face_strength[face], across, normal,
+            -height, corner, offset,
         )  # fmt: skip
+
+
+_Beside = tuple[Ints, Ints, Floats, Floats, Floats, Floats, Floats]
+"Pair, face; offset, height, corners and normals in the beams' coordinates, the beams' axes."
+
+
+def _beside_by_loops(
+    loops: ModuleType, sheets: Sheets, beam: Ints, sheet: Ints, position: Floats, rotation: Floats, frames: Frames,
+    radii: Radii, reach_m: float,
+) -> _Beside:  # fmt: skip
+    """Where no face reaches behind its pupil."""
+    shape = frames.shape
+    law = np.array([
+        *_tangents(shape), shape.exit_radius_m, math.cos(shape.roll_rad), math.sin(shape.roll_rad), reach_m,
+        *vars(radii).values(),
+    ])  # fmt: skip
+    cut, (pair, face), (offset, height), corner, normal, across = loops.beside(
+        beam, sheet, position, rotation, frames.pose.position_m, frames.pose.rotation, frames.own_axis, frames.axis,
+        sheets._first, sheets._faces, sheets._middle_m, sheets._radius_m, sheets._strength, sheets._corner_m,
+        sheets._normal, sheets._behind_m, sheets._closed, sheets._face_strength, law,
+    )  # fmt: skip
+    return OTHERWISE if cut else (pair, face, offset, height, corner, normal, across)
+
+
+@by_loops(_beside_by_loops, "beside")
+def _beside(
+    sheets: Sheets, beam: Ints, sheet: Ints, position: Floats, rotation: Floats, frames: Frames, radii: Radii,
+    reach_m: float,
+) -> _Beside:  # fmt: skip
+    """Faces of these sheets, whose bodies are there, that come into the tails of these beams."""
+    # spheres where they are
+    shift = position - frames.pose.position_m[beam]
+    middle = shift + np.einsum("nij,nj->ni", rotation, sheets._middle_m[sheet])
+    along = np.einsum("ni,ni->n", middle, frames.axis[beam])
+    distance = np.sqrt(np.einsum("ni,ni->n", middle, middle))
+    radius, tangents, w0 = sheets._radius_m[sheet], _tangents(frames.shape), frames.shape.exit_radius_m
+    aside = np.sqrt(np.maximum(distance**2 - along**2, 0.0)) - radius
+    nearest, far = np.maximum(distance - radius, 0.0), np.maximum(along + radius, 0.0)
+    width = radii(nearest, sheets._strength[sheet]) * (float(tangents.max()) * far + w0)
+    near = indexes((far > 0.0) & (aside <= width) & (nearest <= reach_m))
+    beam, sheet, shift, rotation = beam[near], sheet[near], shift[near], rotation[near]
+    # faces that look here: of a closed body they are counter-clockwise seen from outside
+    many = sheets._faces[sheet]
+    row, face = np.arange(len(near)).repeat(many), sheets._first[sheet].repeat(many) + ramp(many)
+    eye = -np.einsum("nji,nj->ni", rotation, shift)
+    height = np.einsum("ki,ki->k", sheets._normal[face], eye[row]) - sheets._behind_m[face]
+    at = indexes((height > 0.0) | (~sheets._closed[face] & (height < 0.0)))
+    row, face, height = row[at], face[at], height[at]
+    # in the coordinates of the beams
+    across = frames.across(beam)
+    turn = np.einsum("nij,njk->nik", across, rotation)
+    corner = np.einsum("kij,kcj->kci", turn[row], sheets._corner_m[face])
+    corner += np.einsum("nij,nj->ni", across, shift)[row][:, None]
+    at = indexes(corner[:, :, 2].max(axis=1) > 0.0)
+    row, face, height, corner = row[at], face[at], height[at], corner[at]
+    if len(at):
+        corner = polygons.before_pupil(corner)
+    flat = corner[:, :, :2] / np.maximum(tangents * corner[:, :, 2:] + w0, 1e-12)
+    offset = polygons.offset_of(flat)
+    nearest = np.maximum(np.abs(height), corner[:, :, 2].min(axis=1))
+    at = indexes((offset <= radii(nearest, sheets._face_strength[face])) & (nearest <= reach_m))
+    row, face = row[at], face[at]
+    normal = np.einsum("kij,kj->ki", turn[row], sheets._normal[face])
+    return near[row], face, offset[at], height[at], flat[at], normal, across[row]
 
 
 _NONE = Faced(

@@ -22,6 +22,8 @@ from emulator.world.motion import Floats, Motion, Waypoints
 
 WINDOW_S = 1.0
 CELL_M = 64.0
+REACH_M = 16.0
+"Reaches are rounded up to a multiple of it: what is left of them behind mirrors and panes differs in every sweep."
 MARGIN = 1e-6
 "Share, and metres, against rounding; times of 1e9 s and coordinates of 1e9 m are resolved to 1e-7 of their units."
 KEPT = 16
@@ -49,6 +51,7 @@ class BroadPhase:
         """
         if len(self._all) <= FEW or not math.isfinite(reach_m):
             return self._all
+        reach_m = REACH_M * math.ceil(reach_m / REACH_M)
         first, last = np.floor(low_m / CELL_M), np.floor(high_m / CELL_M)
         window = math.floor(begin_s / WINDOW_S), math.floor(end_s / WINDOW_S)
         key = (*first, *last, *window, reach_m)

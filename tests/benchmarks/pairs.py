@@ -132,6 +132,7 @@ def scenes(folder: Path) -> dict[str, Any]:
     }
     found["snow, at rest"] = bench_scan.street(folder, SNOW, True)
     hedges = bench_scan.street(folder, {}, False, HEDGES)
+    found["town, driving"] = scenario.load("street")
     return {**found, "hedges, driving": hedges, "VLP-16, driving": scenario.load("velodyne_street")}
 
 

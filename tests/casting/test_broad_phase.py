@@ -114,5 +114,6 @@ def test_equal_choices_are_the_same_array() -> None:
     eye = np.zeros(3)
     first = found.within(eye, eye, 250.0, 0.1, 0.2)
     assert found.within(eye + 3.0, eye + 3.0, 250.0, 0.5, 0.6) is first
+    assert found.within(eye, eye, 247.3, 0.1, 0.2) is first  # what is left of it behind a mirror
     assert list(found.within(eye, eye, 250.0, 90.1, 90.2)) == [0, 1, 2]
     assert found.within(eye, eye, np.inf, 0.1, 0.2).size == 50

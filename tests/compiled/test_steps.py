@@ -121,6 +121,37 @@ def test_counts_of_casts_are_the_same() -> None:
     assert one[1] > 721
 
 
+def test_behind_what_is_met_nothing_is_searched_for() -> None:
+    """By loops: each ray of a fan meets the first of nine boxes that drive one behind the other."""
+
+    def counted() -> tuple[Hits, int]:
+        row = [(triangles.box(1.0, 2.0, 1.0), Steady((6.0 + 3.0 * k, 0.0, -0.5), velocity_m_s=(5.0, 0.0, 0.0)))
+               for k in range(9)]  # fmt: skip
+        caster = Caster(scene_of(*row))
+        hits = caster.first_hits(np.zeros(3), fan(400, 3.0, 0.0), np.linspace(0.0, 0.01, 400))
+        return hits, caster.counters.cast
+
+    (one, arrays), (other, loops) = both(counted)
+    same_hits(one, other)
+    assert set(one.body) == {0}
+    assert arrays == 9 * 400
+    assert loops < 2 * 400
+
+
+def test_bodies_that_turn_among_such_that_drive_are_met_alike_in_any_order() -> None:
+    """Both kinds come in turn: rays on the first are done together, on the others one by one."""
+    shapes = [
+        (triangles.box(1.0, 2.0, 1.0), Steady((7.0 + 0.6 * k, k - 6.0, -0.5), velocity_m_s=(0.0, 3.0, 0.0),
+                                              yaw_rate_deg_s=90.0 * (k % 2)))
+        for k in range(12)
+    ]  # fmt: skip
+    direction, times = fan(3001, 90.0, -1.0), np.linspace(0.0, 0.1, 3001)
+    for order in (shapes, shapes[::-1]):
+        one, other = both(lambda: Caster(scene_of(*order)).first_hits(np.zeros(3), direction, times))  # noqa: B023
+        assert len(np.unique(one.body)) > 10
+        same_hits(one, other)
+
+
 @pytest.mark.parametrize("width", [4, 8, 16])
 def test_packets_of_every_width_meet_the_same(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Narrower ones are for processors with shorter registers."""
