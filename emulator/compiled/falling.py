@@ -34,16 +34,76 @@ def unit(word):
 
 
 @compiled()
-def begin_of(along, value, first, last):
-    """First of the numbers from `first` to `last` that is not below a value; one more than the last if all are."""
-    low, high = first, last + 1
-    while low < high:
-        middle = (low + high) // 2
-        if along[middle] < value:
-            low = middle + 1
-        else:
-            high = middle
-    return low
+def beside_beam(px, py, pz, origin, axis, i):
+    """Square of the distance of a place from a beam's line."""
+    tx, ty, tz = px - origin[i, 0], py - origin[i, 1], pz - origin[i, 2]
+    r = tx * axis[i, 0] + ty * axis[i, 1] + tz * axis[i, 2]
+    return tx * tx + ty * ty + tz * tz - r * r
+
+
+@compiled()
+def first_near(px, py, pz, origin, axis, first, last, along, moved, octave, lever, beyond):
+    """First beam whose line comes nearer to a place than `beyond`; one more than the last: none.
+
+    From beam to beam the distance from a foot at `lever` of the octave's end changes by no more than the way from the
+    one to the other there: as many are passed over as cannot make up for it.
+    """
+    i = first
+    while i <= last:
+        square = beside_beam(px, py, pz, origin, axis, i)
+        if square <= beyond * beyond:
+            return i
+        at = octave + i
+        goal = moved[at] + lever * (along[at] - moved[at]) + math.sqrt(square) - beyond
+        low, high = i + 1, last + 1
+        while low < high:
+            at = octave + (low + high) // 2
+            if moved[at] + lever * (along[at] - moved[at]) < goal:
+                low = at - octave + 1
+            else:
+                high = at - octave
+        i = low
+    return i
+
+
+@compiled()
+def last_near(px, py, pz, origin, axis, first, last, along, moved, octave, lever, beyond):
+    """The last of them, from the last on back to the first, which is one."""
+    i = last
+    while i > first:
+        square = beside_beam(px, py, pz, origin, axis, i)
+        if square <= beyond * beyond:
+            return i
+        at = octave + i
+        goal = moved[at] + lever * (along[at] - moved[at]) - math.sqrt(square) + beyond
+        low, high = first - 1, i - 1
+        while low < high:
+            at = octave + (low + high + 1) // 2
+            if moved[at] + lever * (along[at] - moved[at]) > goal:
+                high = at - octave - 1
+            else:
+                low = at - octave
+        i = low
+    return first
+
+
+@compiled()
+def bulge(origin, axis, f, g):
+    """How far beams from f to g are beside the face between these two: at their begins, and more by their ranges."""
+    aside = bend = 0.0
+    ax, ay, az = axis[f, 0], axis[f, 1], axis[f, 2]
+    ex, ey, ez = axis[g, 0] - ax, axis[g, 1] - ay, axis[g, 2] - az
+    ox, oy, oz = origin[f, 0], origin[f, 1], origin[f, 2]
+    sx, sy, sz = origin[g, 0] - ox, origin[g, 1] - oy, origin[g, 2] - oz
+    square = max(ex * ex + ey * ey + ez * ez, 1e-300)
+    for i in range(f + 1, g):
+        x, y, z = axis[i, 0] - ax, axis[i, 1] - ay, axis[i, 2] - az
+        part = min(max((x * ex + y * ey + z * ez) / square, 0.0), 1.0)
+        x, y, z = x - part * ex, y - part * ey, z - part * ez
+        bend = max(bend, x * x + y * y + z * z)
+        x, y, z = origin[i, 0] - ox - part * sx, origin[i, 1] - oy - part * sy, origin[i, 2] - oz - part * sz
+        aside = max(aside, x * x + y * y + z * z)
+    return math.sqrt(aside), math.sqrt(bend)
 
 
 @compiled()
@@ -77,7 +137,7 @@ def falling(
     """Number of particles found, see `world_particles.in_boxes`; written are as many as there is room for."""
     total, room = 0, len(out_beam)
     corner_x, corner_y, corner_z = np.zeros(4), np.zeros(4), np.zeros(4)
-    zero = np.uint64(0)
+    zero, before, aside, bend = np.uint64(0), -1, 0.0, 0.0
     key_word = np.uint64(key)
     cx, cy, cz = cell_m[0], cell_m[1], cell_m[2]
     for b in range(len(bucket)):
@@ -94,19 +154,18 @@ def falling(
         too_small = 0.0  # uniform numbers below give smaller ones
         if slope_mm > 0.0 and least_here > low_mm:
             too_small = -math.expm1(-slope_mm * (least_here - low_mm)) / lost * (1.0 - 1e-12)
-        bulge = 0.0  # of the fan beside the chord from its first beam to its last, at its widest
+        if bucket[b] != before:
+            before = bucket[b]
+            aside, bend = bulge(origin, axis, f, g)
         for k in range(2):
             r = far_m[b] if k else near_m[b]
-            ex = origin[g, 0] + r * axis[g, 0] - origin[f, 0] - r * axis[f, 0]
-            ey = origin[g, 1] + r * axis[g, 1] - origin[f, 1] - r * axis[f, 1]
-            ez = origin[g, 2] + r * axis[g, 2] - origin[f, 2] - r * axis[f, 2]
-            bulge = max(bulge, (r / end * length + shift) ** 2 - ex * ex - ey * ey - ez * ez)
             for j in range(2):
                 i = g if j else f
                 corner_x[2 * k + j] = origin[i, 0] + r * axis[i, 0]
                 corner_y[2 * k + j] = origin[i, 1] + r * axis[i, 1]
                 corner_z[2 * k + j] = origin[i, 2] + r * axis[i, 2]
-        beside = 1.01 * (reach_m[b] + 0.5 * math.sqrt(bulge))
+        beyond = 1.01 * reach_m[b]
+        beside = 1.01 * (reach_m[b] + aside + far_m[b] * bend)
         for iz in range(low[b, 2], low[b, 2] + size[b, 2]):
             # what of the fan is as high as these cells
             below, above = iz * cz - beside, (iz + 1) * cz + beside
@@ -158,11 +217,8 @@ def falling(
                         part = min(max(part, 0.0), 1.0)
                         ox, oy, oz = px - bx - part * ex, py - by - part * ey, pz - bz - part * ez
                         off = ox * ox + oy * oy + oz * oz
-                        if off > (beside + shift) * (beside + shift):
-                            continue
-                        scale = min(max(r / end, 1e-3), 1.0)
-                        bent = math.sqrt(max((scale * length + shift) ** 2 - square, 0.0))
-                        slack = reach_m[b] + 0.5 * bent + shift
+                        # a beam that it is in may have its foot as much farther or nearer as beams begin apart
+                        slack = beside + 1.01 * (shift + reach_m[b])
                         if off > slack * slack:
                             continue
                         d = largest_mm
@@ -170,10 +226,12 @@ def falling(
                             d = min(low_mm - math.log1p(-uniform * lost) / slope_mm, largest_mm)
                         if d < least_here:
                             continue
-                        window = (reach_m[b] + bent + 3.0 * shift) / scale
-                        at = along[start] + part * length
-                        i = begin_of(along, at - window, start, stop) - octave
-                        while i <= g and along[octave + i] <= at + window:
+                        lever = min(far_m[b], r + shift) / end
+                        i = first_near(px, py, pz, origin, axis, f, g, along, moved, octave, lever, beyond)
+                        if i > g:
+                            continue
+                        until = last_near(px, py, pz, origin, axis, i, g, along, moved, octave, lever, beyond)
+                        while i <= until:
                             tx, ty, tz = px - origin[i, 0], py - origin[i, 1], pz - origin[i, 2]
                             ax, ay, az = axis[i, 0], axis[i, 1], axis[i, 2]
                             r = tx * ax + ty * ay + tz * az
