@@ -351,3 +351,40 @@ def _rays(measure: Measure, sweep: int) -> tuple[Any, Floats, Floats]:
     n = cases.BEAMS
     view = measure.view(plan(np.arange(float(n)), sweep=sweep, start_s=9.0 * sweep))
     return view.rays, np.full(n, 9.0 * sweep), np.broadcast_to(np.eye(3), (n, 3, 3))
+
+
+def wandering(seed: int) -> Lines:
+    """Oval beams that turn to and fro, some twice the same way, of a sensor that is thrown about."""
+    rng = np.random.default_rng(seed)
+    n = 300
+    heading, rise = (rng.normal(0.0, 0.02, n) * (rng.random(n) < 0.9)).cumsum(), rng.normal(0.0, 0.004, n).cumsum()
+    axis = np.stack([np.cos(rise) * np.cos(heading), np.cos(rise) * np.sin(heading), np.sin(rise)], axis=1)
+    across = np.cross(axis, [0.0, 0.0, 1.0])
+    late = 2e-4 * np.arange(n)
+    centre = np.array([3.0, -2.0, 1.0]) + (rng.normal(size=3) * 30.0) * late[:, None] + 0.02 * rng.normal(size=(n, 3))
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    return Lines(centre, axis, across if seed % 2 else None, 5.0 + late, rng.uniform(2.0, 12.0, n))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_loops_pass_over_no_beam_that_a_particle_is_in(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor over a cell: arrays look at all cells of a box, and at all beams near a particle."""
+    pytest.importorskip("numba")
+    parts = ("tophat", "dry snow 5") if seed % 2 else ("lms291-s05 w0 5 mm gauss floor 0.004, dry snow 5",)
+    light, lines = particle_light(sensor(named("particles_sum", *parts)[0])), wandering(seed)
+    of = WorldParticles(seed, "snow", light.sizes, 1.0, (2.0, -1.0, 0.0))
+    found = []
+    for loops in (False, True):
+        with switch.switched(loops):
+            assert (switch.kernels() is not None) == loops
+            drawn = of.in_beams(light, lines)
+        assert drawn is not None
+        order = np.lexsort(drawn[1::-1])
+        found.append([column[order] for column in drawn])
+    assert len(found[0][0]) > 100
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    np.testing.assert_allclose(found[0][1:], found[1][1:], rtol=1e-9)
+    monkeypatch.setattr(world_particles, "MOST_PAIRS", 1000)
+    for loops in (False, True):
+        with switch.switched(loops):
+            assert of.in_beams(light, lines) is None
