@@ -211,7 +211,7 @@ def test_what_stands_before_something_sampled_is_sampled() -> None:
     wide = 20.0 + pulse.half_support_m * np.array([0.0, 0.8, 1.6])
     range_m = np.stack([np.array([0.6, 14.0, *wide]), np.array([0.6, 14.0, *(wide + 30.0)])])
     echoes = SubEchoes.from_grid(range_m, np.full((2, 5), 12.0), np.full((2, 5), 0.15))
-    found, rest = cosines.split_cosines(echoes, Detector(pulse, 5.0), soft)
+    found, rest = cosines.split_cosines(echoes, Detector(pulse, 5.0), replace(soft, until_m=16.0))
     assert (len(found), len(rest)) == (0, 10)
 
 
