@@ -168,15 +168,18 @@ class WorldParticles:
 
     def tables(self, light: ParticleLight) -> _Tables:
         """Keys of all classes; least size, share, number, width of cells and velocity; how far they are seen."""
-        if self._tables is None or self._tables[0] is not light:
+        known = self._tables
+        if known is None or known[0] is not light:
             reaches = [light.reach(min(one.high_mm, light.sizes.largest_mm)) for one in self._classes]
             rows = [(one.low_mm, one.share, one.number_m3, one.width_m, *one.velocity_m_s) for one in self._classes]
             begins = np.cumsum([0, *(len(range_m) for range_m, _ in reaches)])
-            self._tables = light, (
-                np.array([one.signed_key for one in self._classes]), np.array(rows), begins,
-                *(np.concatenate(column) for column in zip(*reaches, strict=True)),
-            )  # fmt: skip
-        return self._tables[1]
+            range_m, wide_m = (np.concatenate(column) for column in zip(*reaches, strict=True))
+            known = (
+                light,
+                (np.array([one.signed_key for one in self._classes]), np.array(rows), begins, range_m, wide_m),
+            )
+            self._tables = known
+        return known[1]
 
     def _fans(self, light: ParticleLight, lines: Lines) -> _Fans:
         """Where to look: as in an earlier sweep whose beams stood to each other in the same way."""
