@@ -4,6 +4,7 @@ from emulator.compiled.casting import reported, resting, unwritten
 from emulator.compiled.clusters import crossed, joined, split, sums
 from emulator.compiled.echoes import levels, ranks, readings
 from emulator.compiled.falling import falling
+from emulator.compiled.hazy import bent, lifted
 from emulator.compiled.leaves import leaves
 from emulator.compiled.maxima import edges, maxima
 from emulator.compiled.media import crossed_under, ended_under
@@ -16,6 +17,7 @@ from emulator.compiled.waves import sampled
 
 __all__ = [
     "Packets",
+    "bent",
     "beside",
     "covered",
     "crossed",
@@ -28,6 +30,7 @@ __all__ = [
     "leaves",
     "levels",
     "library",
+    "lifted",
     "maxima",
     "moving",
     "narrow",

@@ -16,7 +16,7 @@ WAVE = (FLOAT, FLOAT, FLOAT, FLAG, INTS, INTS, INTS, FLOATS, FLOATS, INTS, INTS,
 
 
 @compiled()
-def _under_way(x_m, w, bin_m, half_m, first_bin, sub_first, sub_count, sub_range):
+def under_way(x_m, w, bin_m, half_m, first_bin, sub_first, sub_count, sub_range):
     """Sub-echoes, of all windows, whose pulses have begun by x, and those that have ended before."""
     origin = bin_m * first_bin[w]
     offset, head, tail = x_m - origin, sub_first[w], sub_first[w] + sub_count[w]
@@ -38,7 +38,7 @@ def _place(offset, origin, low, high, sub_range, after):
 
 
 @compiled()
-def _terms(begun, ended, a, real, imaginary):
+def terms(begun, ended, a, real, imaginary):
     """The pulses under way: a constant, and factors of cos kx and sin kx from the window's first sample on."""
     return (
         0.5 * (a[begun] - a[ended]), 0.5 * (real[begun] - real[ended]), 0.5 * (imaginary[begun] - imaginary[ended])
@@ -117,8 +117,8 @@ def maxima(
         if soft[p] > faint * height[k]:
             continue
         # the one cosine that stands there, see `candidates._exact`
-        begun, ended = _under_way(parabola, w, bin_m, half_m, first_bin, sub_first, sub_count, sub_range)
-        even, x, y = _terms(begun, ended, a, real, imaginary)
+        begun, ended = under_way(parabola, w, bin_m, half_m, first_bin, sub_first, sub_count, sub_range)
+        even, x, y = terms(begun, ended, a, real, imaginary)
         swing = np.hypot(x, y)
         top = bin_m * first_bin[w] + np.arctan2(y, x) / wave_number
         top += 2.0 * np.pi / wave_number * np.rint((parabola - top) * wave_number / (2.0 * np.pi))
@@ -127,7 +127,7 @@ def maxima(
             continue
         shift = slope / bend
         top += shift
-        again, over = _under_way(top, w, bin_m, half_m, first_bin, sub_first, sub_count, sub_range)
+        again, over = under_way(top, w, bin_m, half_m, first_bin, sub_first, sub_count, sub_range)
         if again == begun and over == ended and abs(top - parabola) <= bin_m:
             medium = _medium_at(top, w, bin_m, first_bin, start, count, soft)
             centre[k], height[k] = top, even + swing * np.cos(wave_number * shift) + medium
@@ -190,8 +190,8 @@ def edges(
         slope = (soft[before + 1] - soft[before]) / bin_m
         constant = soft[before] - slope * lo
         # no pulse begins or ends between the bounds that are left, see `timing._without_kinks`
-        begun, ended = _under_way(lo, w, bin_m, half_m, first_bin, sub_first, sub_count, sub_range)
-        begins, ends = _under_way(hi, w, bin_m, half_m, first_bin, sub_first, sub_count, sub_range)
+        begun, ended = under_way(lo, w, bin_m, half_m, first_bin, sub_first, sub_count, sub_range)
+        begins, ends = under_way(hi, w, bin_m, half_m, first_bin, sub_first, sub_count, sub_range)
         least, most = lo, hi
         while begun < begins or ended < ends:
             starts = sub_range[begun] - half_m if begun < begins else np.inf
@@ -201,8 +201,8 @@ def edges(
             else:
                 ended += 1
             place = min(max(min(starts, stops), least), most)
-            now, over = _under_way(place, w, bin_m, half_m, first_bin, sub_first, sub_count, sub_range)
-            even, x, y = _terms(now, over, a, real, imaginary)
+            now, over = under_way(place, w, bin_m, half_m, first_bin, sub_first, sub_count, sub_range)
+            even, x, y = terms(now, over, a, real, imaginary)
             turn = wave_number * (place - bin_m * first_bin[w])
             height = max(even + np.cos(turn) * x + np.sin(turn) * y, 0.0)
             if hazy:
@@ -213,8 +213,8 @@ def edges(
             if place < hi:
                 lo = place
         middle, origin = 0.5 * (lo + hi), bin_m * first_bin[w]
-        now, over = _under_way(middle, w, bin_m, half_m, first_bin, sub_first, sub_count, sub_range)
-        even, x, y = _terms(now, over, a, real, imaginary)
+        now, over = under_way(middle, w, bin_m, half_m, first_bin, sub_first, sub_count, sub_range)
+        even, x, y = terms(now, over, a, real, imaginary)
         even += constant
         crossing[k] = _rise(wanted, lo, hi, origin, even, x, y, slope, wave_number, exact_m, steps)
     return crossing

@@ -16,14 +16,26 @@ MEDIUM = (ROWS, INT, FLOAT, FLOAT, FLOATS, FLOATS, ROWS, INTS, FLOAT)
 
 
 @compiled()
-def integral(which, range_m, knots, cubics, cells, cell):
-    """A (0), real (1) or imaginary part (2) of B up to a range; all three are asked for the same one."""
+def cell_of(range_m, knots, cells, cell):
+    """The knot before a range, and how far behind it that is."""
     r = min(max(range_m, knots[0]), knots[-1])
     i = cells[min(max(int((r - knots[0]) * (1.0 / cell)), 0), len(cells) - 1)]
     while i < len(knots) - 2 and knots[i + 1] <= r:
         i += 1
-    t = r - knots[i]
+    return i, r - knots[i]
+
+
+@compiled()
+def cubic(which, i, t, cubics):
+    """A (0), real (1) or imaginary part (2) of B, so far behind a knot."""
     return ((cubics[9 + which, i] * t + cubics[6 + which, i]) * t + cubics[3 + which, i]) * t + cubics[which, i]
+
+
+@compiled()
+def integral(which, range_m, knots, cubics, cells, cell):
+    """The same up to a range."""
+    i, t = cell_of(range_m, knots, cells, cell)
+    return cubic(which, i, t, cubics)
 
 
 @compiled()

@@ -160,6 +160,15 @@ def _clip(
     height[clipped] = np.maximum(height[clipped], limit)
 
 
+def _in_medium_by_loops(
+    loops: ModuleType, wave: Waveform, peak: Ints, window: Ints, centre: Floats, height: Floats
+) -> None:
+    if wave.medium is None or not len(peak):
+        return
+    loops.lifted(*wave.flat, *wave.air, peak, window, centre, height, FAINT, np.array(CLOSER))
+
+
+@by_loops(_in_medium_by_loops, "lifted")
 def _in_medium(wave: Waveform, peak: Ints, window: Ints, centre: Floats, height: Floats) -> None:
     """Maxima to which a medium adds more than a little: parabolas through values ever closer together."""
     if wave.medium is None:

@@ -332,7 +332,8 @@ def _strongest(echoes: SubEchoes, start: Ints, size: Ints) -> Ints:
 def _near(soft: SoftProfile, threshold: float, short: Bools, beam: Ints, begin_m: Floats) -> tuple[Ints | None, Floats]:
     """The short clusters that begin where the medium shows, and its bound under each of them over the threshold.
 
-    A beam with such a cluster that is not short has none that is: its medium is sampled, with all that blocks it.
+    A beam with such a cluster that is not short has none that is but behind all that are not: its medium is sampled,
+    with all that blocks it. What is more than a pulse behind blocks nothing of what is sampled.
     """
     # its own echo stands alone up to its maximum, and a valley behind it
     alone_m = soft.peak_m + 2.0 * soft.bin_m if soft.shows else -np.inf
@@ -348,7 +349,10 @@ def _near(soft: SoftProfile, threshold: float, short: Bools, beam: Ints, begin_m
     if len(sampled):
         other = np.zeros(int(beam[-1]) + 1, bool)
         other[sampled] = True
-        short &= ~other[beam]
+        last = np.zeros(len(other), np.int64)
+        long = indexes(~short)
+        last[beam[long]] = long
+        short &= ~other[beam] | (np.arange(len(beam)) > last[beam])
         kept = short[near]
     which = near[kept]
     return (which if len(which) else None), under[kept]

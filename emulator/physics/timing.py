@@ -47,6 +47,17 @@ def rising_edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Fl
     return crossing if wave.medium is None else _bent(wave, found, level, crossing)
 
 
+def _bent_by_loops(loops: ModuleType, wave: Waveform, found: Candidates, level: Floats, crossing: Floats) -> Floats:
+    if wave.pulse.shape != "sin2":
+        return OTHERWISE
+    if not len(level):
+        return crossing
+    what = found.index, found.window, found.begin, found.centre_m, found.amplitude, level, crossing
+    limits = FAINT, STRAIGHT_M, _EXACT_M, _GOLDEN, _VALLEY_STEPS
+    return floats(loops.bent(*wave.flat, *wave.air, *what, *limits))
+
+
+@by_loops(_bent_by_loops, "bent")
 def _bent(wave: Waveform, found: Candidates, level: Floats, crossing: Floats) -> Floats:
     """The same crossings where the medium is not as straight between two samples as they were found with."""
     first, count = wave.start[found.window], wave.count[found.window]

@@ -143,6 +143,13 @@ class Waveform:
         return floats((1.0 - part) * self.soft[at] + part * self.soft[at + 1])
 
     @cached_property
+    def air(self) -> tuple[Any, ...]:
+        """The medium of a sin^2 pulse's waveform as compiled loops want it: tables, shares of windows, running sums."""
+        air = self._medium
+        assert air is not None
+        return *air.soft.flat, air.clear, np.array(air.sums)
+
+    @cached_property
     def _medium(self) -> Medium | None:
         return None if self.medium is None else self.medium()
 

@@ -25,6 +25,8 @@ from emulator.physics.arrays import Floats, Ints, indexes, ramp
 from emulator.physics.particle_light import ParticleLight, Sizes
 
 Words = NDArray[np.uint64]
+_Found = tuple[Ints, Floats, Floats]
+_Tables = tuple[Ints, Floats, Ints, Floats, Floats]
 EDGES_MM = (0.0, 0.35, 0.7, 1.1, 1.6, 2.2, 3.0, 4.0)
 "Sizes at which classes begin: the velocities within a class differ by a seventh at most where drops are seen."
 A_CELL = 1.0
@@ -87,6 +89,11 @@ class _Class:
         return -math.expm1(-self.slope_mm * (self.high_mm - self.low_mm)) if self.high_mm < math.inf else 1.0
 
     @property
+    def width_m(self) -> float:
+        """Of a cell."""
+        return float((FLAT * A_CELL / self.number_m3) ** (1.0 / 3.0)) if self.number_m3 > 0.0 else math.inf
+
+    @property
     def signed_key(self) -> int:
         """The key as a number of 64 bits with a sign."""
         return self.key - 2**64 if self.key >= 2**63 else self.key
@@ -96,6 +103,29 @@ class _Class:
         if self.slope_mm == 0.0:
             return np.full(len(uniform), self.high_mm)
         return np.minimum(self.low_mm - np.log1p(-uniform * self.share) / self.slope_mm, largest_mm)
+
+
+def _in_beams_by_loops(loops: ModuleType, world: WorldParticles, light: ParticleLight, lines: Lines) -> _Found | None:
+    if not len(lines.axis):
+        return _none()
+    optics, (least, begin_m, step_m) = light.optics, light.least_table
+    across = np.zeros((0, 3)) if lines.across is None else lines.across
+    limits = np.array([OCTAVE, MOST_BOXES, MOST_PAIRS, FLAT]), np.array([BUCKET, WIDEST_RAD, SLACK_M])
+    keys, classes, *reaches = world.tables(light)
+    room = 1024 + 8 * len(lines.axis)
+    while True:
+        beam, range_m, size = np.zeros(room, np.int64), np.zeros(room), np.zeros(room)
+        number = loops.falling(
+            keys, classes, *reaches, _POISSON, world.sizes.slope_mm, light.sizes.largest_mm, limits[0],
+            lines.centre_m, lines.axis, across, lines.t_s, lines.far_m, _covered(lines.far_m), optics.tan_x,
+            optics.tan_y, optics.exit_radius_m, optics.gaussian, least, begin_m, step_m, limits[1], beam, range_m, size,
+        )  # fmt: skip
+        if number < 0:
+            return None
+        if number <= room:
+            kept = indexes(size[:number] >= light.least_mm(range_m[:number]))
+            return beam[kept], range_m[kept], size[kept]
+        room = number
 
 
 class WorldParticles:
@@ -110,6 +140,7 @@ class WorldParticles:
         self.sizes = sizes
         self._classes: list[_Class] = []
         self._kept: list[_Fans] = []
+        self._tables: tuple[ParticleLight, _Tables] | None = None
         for number, (low, high, fall) in enumerate(zip(edges[:-1], edges[1:], falls, strict=True)):
             digest = hashlib.blake2b(f"{seed}\0world\0{term}\0{number}".encode(), digest_size=8).digest()
             density = sizes.number_m3 * (math.exp(-sizes.slope_mm * low) - math.exp(-sizes.slope_mm * high))
@@ -118,7 +149,8 @@ class WorldParticles:
             velocity = (wind_m_s[0], wind_m_s[1], wind_m_s[2] - float(fall))
             self._classes.append(_Class(low, high, density, sizes.slope_mm, velocity, int.from_bytes(digest, "little")))
 
-    def in_beams(self, light: ParticleLight, lines: Lines) -> tuple[Ints, Floats, Floats] | None:
+    @by_loops(_in_beams_by_loops, "falling")
+    def in_beams(self, light: ParticleLight, lines: Lines) -> _Found | None:
         """Beam, range and effective size in mm of all particles that are to be drawn; None: too many cells."""
         if not len(lines.axis):
             return _none()
@@ -133,6 +165,21 @@ class WorldParticles:
         beam, range_m, size = _joined([search.found() for search in searches])
         kept = indexes(size >= light.least_mm(range_m))
         return beam[kept], range_m[kept], size[kept]
+
+    def tables(self, light: ParticleLight) -> _Tables:
+        """Keys of all classes; least size, share, number, width of cells and velocity; how far they are seen."""
+        known = self._tables
+        if known is None or known[0] is not light:
+            reaches = [light.reach(min(one.high_mm, light.sizes.largest_mm)) for one in self._classes]
+            rows = [(one.low_mm, one.share, one.number_m3, one.width_m, *one.velocity_m_s) for one in self._classes]
+            begins = np.cumsum([0, *(len(range_m) for range_m, _ in reaches)])
+            range_m, wide_m = (np.concatenate(column) for column in zip(*reaches, strict=True))
+            known = (
+                light,
+                (np.array([one.signed_key for one in self._classes]), np.array(rows), begins, range_m, wide_m),
+            )
+            self._tables = known
+        return known[1]
 
     def _fans(self, light: ParticleLight, lines: Lines) -> _Fans:
         """Where to look: as in an earlier sweep whose beams stood to each other in the same way."""
@@ -212,7 +259,7 @@ class _Fan:
         if len(range_m) < 2 or of.number_m3 <= 0.0:
             self.none = True
             return
-        width = (FLAT * A_CELL / of.number_m3) ** (1.0 / 3.0)
+        width = of.width_m
         self.cell_m = np.array([width, width, width / FLAT])
         begin, end = float(range_m[0]), float(range_m[-1])
         while OCTAVE * end > max(begin, far_m):
@@ -400,26 +447,6 @@ def _joined(found: list[tuple[Ints, Floats, Floats]]) -> tuple[Ints, Floats, Flo
     return beam, range_m, size
 
 
-def _in_boxes_by_loops(loops: ModuleType, search: _Search) -> tuple[Ints, Floats, Floats]:
-    of, light, lines, fan, boxes = search.of, search.light, search.lines, search.fan, search.boxes
-    optics, largest = light.optics, light.sizes.largest_mm
-    least, begin_m, step_m = light.least_table
-    across = np.zeros((0, 3)) if lines.across is None else lines.across
-    room = 1024 + 8 * len(lines.axis)
-    while True:
-        beam, range_m, size = np.zeros(room, np.int64), np.zeros(room), np.zeros(room)
-        number = loops.falling(
-            of.signed_key, _POISSON, of.low_mm, of.slope_mm, of.share, largest, fan.cell_m, boxes.bucket,
-            boxes.near_m, boxes.far_m, boxes.reach_m, boxes.low, boxes.size, fan.first, fan.last, fan.along, fan.moved,
-            fan.end_m, search.origin, lines.axis, across, lines.far_m, optics.tan_x, optics.tan_y,
-            optics.exit_radius_m, optics.gaussian, least, begin_m, step_m, beam, range_m, size,
-        )  # fmt: skip
-        if number <= room:
-            return beam[:number], range_m[:number], size[:number]
-        room = number
-
-
-@by_loops(_in_boxes_by_loops, "falling")
 def in_boxes(search: _Search) -> tuple[Ints, Floats, Floats]:
     """Beam, range and effective size of the particles in the boxes of a search."""
     found = []

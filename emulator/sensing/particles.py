@@ -267,6 +267,8 @@ def by_layers(own_axis: Floats) -> Ints | None:
 
     None: as they come.
     """
+    if len(own_axis) < 2 or float(np.ptp(own_axis[:, 2])) < 1e-6:  # one layer
+        return None
     order = np.argsort(np.round(own_axis[:, 2], 6), kind="stable")
     return order if _way(own_axis[order]) < SHORTER * _way(own_axis) else None
 

@@ -30,11 +30,10 @@ from typing import Any
 
 import numpy as np
 
-from emulator.casting.raycast import Caster
 from emulator.compiled.pair import Pair
 from emulator.scenario import scenario
 from protocols.scan import ScanPlan
-from tests.benchmarks import bench_scan
+from tests.benchmarks import bench_layers, bench_scan
 
 ROOT = Path(__file__).resolve().parents[2]
 BUILT = "casting.embree.structure"
@@ -132,8 +131,9 @@ def scenes(folder: Path) -> dict[str, Any]:
     }
     found["snow, at rest"] = bench_scan.street(folder, SNOW, True)
     hedges = bench_scan.street(folder, {}, False, HEDGES)
-    found["town, driving"] = scenario.load("street")
-    return {**found, "hedges, driving": hedges, "VLP-16, driving": scenario.load("velodyne_street")}
+    found |= {"town, driving": scenario.load("street"), "hedges, driving": hedges}
+    found["VLP-16, driving"] = scenario.load("velodyne_street")
+    return {**found, "VLP-16, fog, rain, sun": bench_layers.street("velodyne-vlp-16", bench_layers.WETTEST)}
 
 
 def layers() -> ScanPlan:
@@ -157,7 +157,6 @@ def main(repeats: int) -> None:
             if step == BUILT:
                 pair.on = False
                 without = [bench_scan.of(one)[0] for one in found.values()]
-                assert all(isinstance(one._caster, Caster) for one in without)
                 pair.on = True
             figures = [
                 f"{saved(pair, each, repeats, layers() if column.startswith('VLP') else bench_scan.sweep(0.5)):.1f}"

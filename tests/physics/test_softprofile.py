@@ -178,6 +178,43 @@ def test_a_medium_beside_short_clusters_is_as_if_all_were_sampled(size: float, f
     np.testing.assert_allclose(closed.amplitude, sampled.amplitude, rtol=2e-3, atol=1e-2)
 
 
+@pytest.mark.parametrize("stopped", [0.0, 0.4])
+def test_a_surface_behind_what_is_sampled_is_as_if_it_were_sampled_too(stopped: float) -> None:
+    """Drops in the echo of the medium, or a twig that stops some of the light, and a wall far behind them."""
+    pulse, beams = Pulse(4e-9), 40
+    soft = SoftProfile.of_medium(pulse, pulse.fwhm_m / 16.0, 2e3, 0.01, 1e-3, 0.3, 1.0, 80.0)
+    assert soft is not None
+    rng = np.random.default_rng(11)
+    near, far = np.linspace(0.4, 2.0, beams), np.linspace(14.0, 60.0, beams)
+    range_m = np.stack([near, near + 0.2, far, far + 0.05], axis=1)
+    amplitude = np.stack([*(10.0 ** rng.uniform(-0.5, 2.0, (2, beams))), *np.full((2, beams), 12.0)], axis=1)
+    share = np.tile([stopped, 0.0, 0.3, 0.3], (beams, 1))
+    echoes = SubEchoes.from_grid(range_m, amplitude, share)
+    detector = Detector(pulse, 5.0, keep="all", max_echoes=4, resolution_m=1e-3, follows_noise=True)
+    found, rest = cosines.split_cosines(echoes, detector, soft)
+    behind = np.bincount(found.beam, minlength=beams) == 1
+    assert np.count_nonzero(behind & (np.bincount(rest.beam, minlength=beams) == 2)) > 25
+    normals = rng.standard_normal((beams, 4))
+    closed, sampled = (
+        detect(echoes, beams, replace(detector, sampled=every), normals=normals, soft=soft) for every in (False, True)
+    )
+    np.testing.assert_array_equal(closed.count, sampled.count)
+    np.testing.assert_allclose(closed.range_m, sampled.range_m, rtol=0.0, atol=1e-4)
+    np.testing.assert_allclose(closed.amplitude, sampled.amplitude, rtol=2e-4, atol=1e-3)
+
+
+def test_what_stands_before_something_sampled_is_sampled() -> None:
+    """What it stops lights no medium behind it."""
+    pulse = Pulse(4e-9)
+    soft = SoftProfile.of_medium(pulse, pulse.fwhm_m / 16.0, 2e3, 0.01, 1e-3, 0.3, 1.0, 80.0)
+    assert soft is not None
+    wide = 20.0 + pulse.half_support_m * np.array([0.0, 0.8, 1.6])
+    range_m = np.stack([np.array([0.6, 14.0, *wide]), np.array([0.6, 14.0, *(wide + 30.0)])])
+    echoes = SubEchoes.from_grid(range_m, np.full((2, 5), 12.0), np.full((2, 5), 0.15))
+    found, rest = cosines.split_cosines(echoes, Detector(pulse, 5.0), replace(soft, until_m=16.0))
+    assert (len(found), len(rest)) == (0, 10)
+
+
 def clear_air(pulse: Pulse) -> SoftProfile:
     soft = SoftProfile.of_medium(pulse, pulse.fwhm_m / 512.0, 150.0, 1e-4, 1e-3, 0.3, 1.0, 80.0)
     assert soft is not None

@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from emulator.compiled import switch
 from emulator.physics import world_particles
 from emulator.physics.random_streams import RandomStreams
-from emulator.physics.world_particles import Lines, WorldParticles, in_boxes
+from emulator.physics.world_particles import Lines, WorldParticles
 from emulator.sensing.measure import Measure
 from emulator.sensing.particles import by_layers
 from tests.sensing import particle_cases as cases
@@ -277,26 +278,27 @@ def test_a_sweep_that_was_seen_from_elsewhere_changes_nothing(monkeypatch: pytes
     measure = sensor(named("particles_sum", "lms291-s05 w0 5 mm gauss floor 0.004, dry snow 5")[0])
     light, sizes = particle_light(measure), particle_light(measure).sizes
     lines = fan(10.0)
-    known, fresh = (WorldParticles(1, "snow", sizes, 1.0, (0.0, 0.0, 0.0)) for _ in range(2))
-    walls = np.linspace(3.0, 12.0, 160)
-    moved = dataclasses.replace(
-        lines, centre_m=lines.centre_m + np.array([7.3, -1.1, 0.4]), t_s=lines.t_s + 3.7, far_m=walls
-    )
-    known.in_beams(light, lines)
-    one = known.in_beams(light, moved)
-    assert len(known._kept) == 1
-    other = fresh.in_beams(light, moved)
-    assert one is not None
-    assert other is not None
-    assert len(one[0]) > 300
-    for mine, others in zip(one, other, strict=True):
-        np.testing.assert_array_equal(mine, others)
-    turned = dataclasses.replace(moved, axis=np.ascontiguousarray(moved.axis[::-1]))
-    known.in_beams(light, turned)
-    assert len(known._kept) == 2
-    monkeypatch.setattr(world_particles, "BOXES_KEPT", 10)
-    known.in_beams(light, dataclasses.replace(turned, t_s=turned.t_s[::-1].copy()))
-    assert len(known._kept) == 1
+    with switch.switched(False):  # loops keep none
+        known, fresh = (WorldParticles(1, "snow", sizes, 1.0, (0.0, 0.0, 0.0)) for _ in range(2))
+        walls = np.linspace(3.0, 12.0, 160)
+        moved = dataclasses.replace(
+            lines, centre_m=lines.centre_m + np.array([7.3, -1.1, 0.4]), t_s=lines.t_s + 3.7, far_m=walls
+        )
+        known.in_beams(light, lines)
+        one = known.in_beams(light, moved)
+        assert len(known._kept) == 1
+        other = fresh.in_beams(light, moved)
+        assert one is not None
+        assert other is not None
+        assert len(one[0]) > 300
+        for mine, others in zip(one, other, strict=True):
+            np.testing.assert_array_equal(mine, others)
+        turned = dataclasses.replace(moved, axis=np.ascontiguousarray(moved.axis[::-1]))
+        known.in_beams(light, turned)
+        assert len(known._kept) == 2
+        monkeypatch.setattr(world_particles, "BOXES_KEPT", 10)
+        known.in_beams(light, dataclasses.replace(turned, t_s=turned.t_s[::-1].copy()))
+        assert len(known._kept) == 1
 
 
 @pytest.mark.parametrize("parts", [("lms291-s05 w0 5 mm gauss floor 0.004, dry snow 5",), ("tophat", "dry snow 5")])
@@ -304,7 +306,7 @@ def test_arrays_and_loops_find_the_same_particles(monkeypatch: pytest.MonkeyPatc
     measure = sensor(named("particles_sum", *parts)[0], divergence_deg=[0.6, 0.3], roll_deg=20.0)
     sweep = plan(np.arange(40.0), start_s=3.0, fire_s=0.01 * np.arange(40.0))
     one = measure.view(sweep).echoes
-    monkeypatch.setattr(in_boxes.pair, "on", False)  # type: ignore[attr-defined]
+    monkeypatch.setattr(WorldParticles.in_beams.pair, "on", False)  # type: ignore[attr-defined]
     other = measure.view(sweep).echoes
     assert len(one) > 100
     np.testing.assert_array_equal(one.beam, other.beam)
@@ -349,3 +351,40 @@ def _rays(measure: Measure, sweep: int) -> tuple[Any, Floats, Floats]:
     n = cases.BEAMS
     view = measure.view(plan(np.arange(float(n)), sweep=sweep, start_s=9.0 * sweep))
     return view.rays, np.full(n, 9.0 * sweep), np.broadcast_to(np.eye(3), (n, 3, 3))
+
+
+def wandering(seed: int) -> Lines:
+    """Oval beams that turn to and fro, some twice the same way, of a sensor that is thrown about."""
+    rng = np.random.default_rng(seed)
+    n = 300
+    heading, rise = (rng.normal(0.0, 0.02, n) * (rng.random(n) < 0.9)).cumsum(), rng.normal(0.0, 0.004, n).cumsum()
+    axis = np.stack([np.cos(rise) * np.cos(heading), np.cos(rise) * np.sin(heading), np.sin(rise)], axis=1)
+    across = np.cross(axis, [0.0, 0.0, 1.0])
+    late = 2e-4 * np.arange(n)
+    centre = np.array([3.0, -2.0, 1.0]) + (rng.normal(size=3) * 30.0) * late[:, None] + 0.02 * rng.normal(size=(n, 3))
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    return Lines(centre, axis, across if seed % 2 else None, 5.0 + late, rng.uniform(2.0, 12.0, n))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_loops_pass_over_no_beam_that_a_particle_is_in(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor over a cell: arrays look at all cells of a box, and at all beams near a particle."""
+    pytest.importorskip("numba")
+    parts = ("tophat", "dry snow 5") if seed % 2 else ("lms291-s05 w0 5 mm gauss floor 0.004, dry snow 5",)
+    light, lines = particle_light(sensor(named("particles_sum", *parts)[0])), wandering(seed)
+    of = WorldParticles(seed, "snow", light.sizes, 1.0, (2.0, -1.0, 0.0))
+    found = []
+    for loops in (False, True):
+        with switch.switched(loops):
+            assert (switch.kernels() is not None) == loops
+            drawn = of.in_beams(light, lines)
+        assert drawn is not None
+        order = np.lexsort(drawn[1::-1])
+        found.append([column[order] for column in drawn])
+    assert len(found[0][0]) > 100
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    np.testing.assert_allclose(found[0][1:], found[1][1:], rtol=1e-9)
+    monkeypatch.setattr(world_particles, "MOST_PAIRS", 1000)
+    for loops in (False, True):
+        with switch.switched(loops):
+            assert of.in_beams(light, lines) is None
