@@ -73,6 +73,11 @@ def _object_measures(scenario: Scenario, world: Scene, measures: Mapping[str, Me
     return made
 
 
+def shared_sensors(scenario: Scenario) -> list[str]:
+    """Sensors that remember nothing from sweep to sweep: several processes may measure one of them."""
+    return [sensor.id for sensor in scenario.sensors if load_spec(sensor.model).sees == "beams"]
+
+
 def family_of(scenario: Scenario, index: int) -> Family:
     """The protocol family of a sensor; `ScenarioError` for a model without a wire protocol."""
     name = load_spec(scenario.sensors[index].model).family
@@ -187,7 +192,8 @@ def start(
     names = [sensor.id for sensor in scenario.sensors]
     count = workers or worker_count(len(names))
     build_loops = build.Builder if switch.wanted() and build.wanted() else None
-    measuring = Workers(partial(build_measures, scenario), names, count, clock, build_loops=build_loops)
+    shared = shared_sensors(scenario)
+    measuring = Workers(partial(build_measures, scenario), names, count, clock, build_loops=build_loops, shared=shared)
     ports = CanPorts(sockets, partial(wall_ns, clock))
     try:
         instruments = open_instruments(scenario, sessions, measuring, can_ports=ports)
@@ -216,7 +222,7 @@ def start_virtual(
     sessions = new_sessions(scenario)
     names = [sensor.id for sensor in scenario.sensors]
     measures = partial(build_measures, scenario)
-    pool = Workers(measures, names, workers) if workers else None
+    pool = Workers(measures, names, workers, shared=shared_sensors(scenario)) if workers else None
     try:
         measuring = InPlace(measures()) if pool is None else pool
         instruments = open_instruments(scenario, sessions, measuring, can_ports=CanPorts(sockets))

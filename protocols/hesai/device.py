@@ -24,7 +24,7 @@ from protocols.session import Address, DropReason, Emission, LinkKind
 from protocols.skeleton.instants import SECOND_NS, earliest
 from protocols.skeleton.outbox import Outgoing
 from protocols.skeleton.requests import RequestSession
-from protocols.skeleton.sweeps import SHARES, Sweep, Telegram
+from protocols.skeleton.sweeps import SHARES, SLICES_KEPT, Sweep, Telegram
 
 TICK_NS = Fraction(1000)
 SPEED_RAMP_NS, STOP_NS, BACK_NS = 5 * SECOND_NS, 5 * SECOND_NS, 10 * SECOND_NS
@@ -39,6 +39,8 @@ NEXT_STEP = 0.8
 "Of a step: so far the grid may be from where it would be nearest."
 MOST_KEPT = 1000
 "Slices outside of the range that are skipped at once; a turn has less."
+SLOWEST_HZ = 4.0
+"A turn takes no longer than that while it fires."
 DIRTY, BLOCKED = 0.9, 0.5
 "Transmission of the window below which it is reported as dirty, and as blocked; ours."
 NORMAL, WARNING, DEGRADED, UNTRUSTED = 1, 2, 4, 6
@@ -67,6 +69,7 @@ class Slice:
 class HesaiDevice(RequestSession):
     """The device without its requests."""
 
+    FORESEES = True
     clock_tick_ns = TICK_NS
     clock_bits = 63
     first_count = 1
@@ -311,7 +314,7 @@ class HesaiDevice(RequestSession):
     def _slice(self, number: int) -> Slice:
         key = self._stream, number
         if (made := self._made.get(key)) is None:
-            while len(self._made) > 1:
+            while len(self._made) >= SLICES_KEPT:
                 self._made.pop(next(iter(self._made)))
             made = self._made[key] = self._make(number)
         return made
@@ -391,6 +394,14 @@ class HesaiDevice(RequestSession):
                 self.rotor.correct(pulse_ns, hz, self._used.sync_deg / 360.0)
             self._pulse_ns = pulse_ns
             pulse_ns = self.source.after(pulse_ns)
+
+    def _is_settled(self, number: int) -> bool:
+        if not self._used.sync or not self.source.there:
+            return True
+        partial = not self._used.sees_all or self.model.calibrated == "at128"
+        further = math.ceil(SECOND_NS / SLOWEST_HZ / self._raster.period_ns) if partial else 0
+        pulse_ns = self.source.after(self._now_ns if self._pulse_ns is None else self._pulse_ns)
+        return pulse_ns >= self._raster.at(number + further + 1)
 
     def _sweep(self, number: int) -> Sweep:
         return self._slice(number).sweep

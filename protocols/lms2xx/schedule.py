@@ -300,6 +300,18 @@ class Schedule:
                 self._wanted.ask(self._make_plan(slot), slot)
         return self._wanted.plan
 
+    def plan_after(self, plan: ScanPlan, now_ns: int) -> ScanPlan | None:
+        """The stream's scan after the one of `next_plan`, if nothing changes; changes nothing."""
+        slot, stream, device = self._wanted.what, self._stream, self._device
+        if slot is None or slot.once or slot.output.scans > 1 or stream is None or device is None:
+            return None
+        if plan.sweep != slot.first_turn or slot is not self._slots[-1] or slot.size == 0:
+            return None
+        kept = self._late, self._sent_turn
+        following = self._next_of_stream(stream, device, now_ns)
+        self._late, self._sent_turn = kept
+        return self._make_plan(following)
+
     def submit(self, scan: Scan) -> None:
         """Take the scan of `next_plan`. Raises `ScanRefused` for any other."""
         slot = self._wanted.expect(scan.plan)

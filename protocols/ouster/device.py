@@ -26,7 +26,7 @@ from protocols.session import Address, DropReason, Emission, LinkKind
 from protocols.skeleton.instants import SECOND_NS, Raster, earliest, rounded
 from protocols.skeleton.nmea import gprmc
 from protocols.skeleton.requests import RequestSession
-from protocols.skeleton.sweeps import Sweep, Telegram
+from protocols.skeleton.sweeps import SLICES_KEPT, Sweep, Telegram
 
 SLICE_NS = 5_000_000
 "How long a slice is at least."
@@ -50,6 +50,7 @@ PHASE_OFF_NS = 1_000_000
 class OusterDevice(RequestSession):
     """The device without its requests."""
 
+    FORESEES = True
     clock_tick_ns = Fraction(1)
     clock_bits = 64
 
@@ -80,7 +81,7 @@ class OusterDevice(RequestSession):
         "When the present state ends by itself."
         self._begun = 0
         "Number of the first slice of the first frame."
-        self._made: dict[tuple[int, int], Slice] = {}
+        self._made: dict[tuple[int, int, int], Slice] = {}
         self._felt: Felt = at_rest
         self._samples = 0
         "Measurements of the IMU since power-on."
@@ -330,9 +331,9 @@ class OusterDevice(RequestSession):
     # slices
 
     def _slice(self, number: int) -> Slice:
-        key = self._stream, number
+        key = self._stream, number, self._raster.at(number)
         if (made := self._made.get(key)) is None:
-            while len(self._made) > 1:
+            while len(self._made) >= SLICES_KEPT:
                 self._made.pop(next(iter(self._made)))
             made = self._made[key] = self._make(number)
         return made

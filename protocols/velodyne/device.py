@@ -6,6 +6,7 @@ fires when, and where packets go. Not: what a request says (session), bytes (cod
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from protocols.skeleton.instants import SECOND_NS, earliest
 from protocols.skeleton.nmea import gprmc
 from protocols.skeleton.outbox import Outgoing
 from protocols.skeleton.requests import RequestSession
-from protocols.skeleton.sweeps import SHARES, Sweep, Telegram
+from protocols.skeleton.sweeps import SHARES, SLICES_KEPT, Sweep, Telegram
 from protocols.velodyne import codec
 from protocols.velodyne.models import Model
 from protocols.velodyne.motor import SAFE_HZ, Gps, Motor
@@ -50,6 +51,7 @@ class Slice:
 class VelodyneDevice(RequestSession):
     """The device without its requests."""
 
+    FORESEES = True
     clock_tick_ns = TICK_NS
     clock_bits = 32
 
@@ -195,7 +197,7 @@ class VelodyneDevice(RequestSession):
     def _slice(self, number: int) -> Slice:
         key = self._stream, number
         if (made := self._made.get(key)) is None:
-            while len(self._made) > 1:
+            while len(self._made) >= SLICES_KEPT:
                 self._made.pop(next(iter(self._made)))
             made = self._made[key] = self._make(number)
         return made
@@ -236,6 +238,13 @@ class VelodyneDevice(RequestSession):
                 self.motor.correct(pulse_ns, self._used.phase_cdeg / codec.TURN_CDEG)
             self._pulse_ns = pulse_ns
             pulse_ns = self.gps.after(pulse_ns)
+
+    def _is_settled(self, number: int) -> bool:
+        if not self._used.phase_lock or not self.gps.pulses:
+            return True
+        further = 0 if self._used.sees_all else math.ceil(SECOND_NS / SAFE_HZ / self._raster.period_ns)
+        pulse_ns = self.gps.after(self._now_ns if self._pulse_ns is None else self._pulse_ns)
+        return pulse_ns >= self._raster.at(number + further + 1)
 
     def _sweep(self, number: int) -> Sweep:
         return self._slice(number).sweep
