@@ -241,6 +241,9 @@ class Session(ABC):
         """
         return None
 
+    def begun(self, plan: ScanPlan) -> None:
+        """A sweep of `plan_after` is being measured: it is not skipped for being late, as the one of `next_plan`."""
+
     def missed(self, plan: ScanPlan, now_ns: int) -> bool:
         """The sweep of `next_plan` will not be measured: it is too late for it.
 

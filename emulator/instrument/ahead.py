@@ -33,7 +33,7 @@ class Several(Protocol):
     @property
     def in_virtual_time(self) -> bool: ...
 
-    def spare(self, sensor: str) -> int: ...
+    def spare(self, sensor: str, behind: bool = True) -> int: ...
 
     def request_ahead(self, sensor: str, plan: ScanPlan, conditions: Conditions) -> None: ...
 
@@ -89,11 +89,14 @@ class Ahead:
             plan = session.plan_after(last)
             if plan is None or plan.start_ns <= last.start_ns:
                 return None
+            if plan.start_ns < now_ns and not self._several.spare(self._sensor, behind=False):
+                return None  # it is late already: it waits for a process, not behind another sweep
             begin_ns = ask_ns(plan)
             if begin_ns > now_ns and not (may_wait and self._several.in_virtual_time):
                 return begin_ns
             held = conditions(plan)
             self._early.append((plan, held))
+            session.begun(plan)
             self._several.request_ahead(self._sensor, plan, held)
         return None
 

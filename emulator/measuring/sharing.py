@@ -15,6 +15,8 @@ from emulator.measuring.homes import Home, Question, Sweep
 from emulator.process import time_limits
 from protocols.scan import ScanPlan
 
+LENT_NS = 20_000_000
+"A process with sensors of its own is lent to others for sweeps as short as that: an LMS2xx, the tightest, waits 40 ms."
 AGAIN_NS = 50_000_000
 AGAIN_TIMES = 4
 "After so long, and so many times as long as the longest of the last, a sweep is also given to a process that is free."
@@ -60,14 +62,18 @@ class Shared:
 
     # who takes what
 
-    def spare(self, sensor: str, homes: Sequence[Home]) -> int:
-        """How many more of its sweeps would be begun at once, or next behind one of its own."""
+    def spare(self, sensor: str, homes: Sequence[Home], behind: bool) -> int:
+        """How many more of its sweeps would be begun at once; `behind`: or right behind one of its own."""
         if sensor not in self.sensors or len(homes) < 2:
             return 0
-        idle = sum(home.state == "ready" and home.in_hand is None for home in homes)
-        own = sum(isinstance(home.in_hand, Sweep) and home.in_hand.sensor == sensor for home in homes)
-        waiting = sum(len(home.owed) - (home.in_hand is not None) for home in homes)
-        return max(0, idle + own - waiting)
+        busy = [home.in_hand for home in homes if home.in_hand is not None]
+        longest_ns = self._longest_ns(sensor, homes)
+        free = sum(
+            home.state == "ready" and home.in_hand is None and self._is_lent(home, sensor, longest_ns) for home in homes
+        )
+        if behind and all(isinstance(one, Sweep) and one.sensor == sensor for one in busy):
+            free += len(busy)  # while a result is on its way, its process has the next
+        return max(0, free - sum(len(home.owed) for home in homes) + len(busy))
 
     def next_of(self, home: Home, homes: Sequence[Home], pauses: Callable[[str], bool]) -> Sweep | Question | None:
         """What a process that is free does next; it is among what its home owes then."""
@@ -88,11 +94,24 @@ class Shared:
                 for work in list(owner.owed):
                     if work is owner.in_hand or (isinstance(work, Sweep) and work.ahead) != ahead:
                         continue
-                    if owner is home or self._may_move(work):
+                    if owner is home or self._may_move(work, home, homes):
                         yield work, owner
 
-    def _may_move(self, work: Sweep | Question) -> bool:
-        return isinstance(work, Sweep) and work.sensor in self.sensors and not work.given_up
+    def _may_move(self, work: Sweep | Question, home: Home, homes: Sequence[Home]) -> bool:
+        if not isinstance(work, Sweep) or work.given_up or work.sensor not in self.sensors:
+            return False
+        return self._is_lent(home, work.sensor, self._longest_ns(work.sensor, homes))
+
+    @staticmethod
+    def _longest_ns(sensor: str, homes: Sequence[Home]) -> int:
+        """Of its last sweeps; 0: not known."""
+        return max(home.pace[sensor].longest_ns for home in homes)
+
+    @staticmethod
+    def _is_lent(home: Home, sensor: str, longest_ns: int) -> bool:
+        if sensor in home.sensors or all(home.pace[own].fresh for own in home.sensors):
+            return True
+        return 0 < longest_ns <= LENT_NS
 
     def warms_up(self, home: Home, work: Sweep, homes: Sequence[Home]) -> Sweep | None:
         """What a process measures for nobody before its first sweep of a sensor that others measure meanwhile."""
@@ -114,7 +133,9 @@ class Shared:
         most_ns = time_limits.IDLE_NS if pace.fresh else max(AGAIN_NS, AGAIN_TIMES * pace.longest_ns)
         if now_ns - home.since_ns <= most_ns:
             return None
-        if not any(one.state == "ready" and one.in_hand is None for one in homes):
+        longest_ns = self._longest_ns(work.sensor, homes)
+        free = [one for one in homes if one.state == "ready" and one.in_hand is None]
+        if not any(self._is_lent(one, work.sensor, longest_ns) for one in free):
             return None
         second = Sweep(work.sensor, work.plan, work.conditions, work.tries, ahead=work.ahead, asked_as=work.asked_as)
         work.given_up = True

@@ -143,9 +143,9 @@ class Workers:
         """Sweeps may be measured long before they are asked for: virtual time stands while they are."""
         return self._run_clock is None
 
-    def spare(self, sensor: str) -> int:
-        """How many further sweeps of that sensor would be begun at once, or soon."""
-        return self._shared.spare(sensor, self._homes)
+    def spare(self, sensor: str, behind: bool = True) -> int:
+        """How many further sweeps of that sensor would be begun at once, or right behind one of its own."""
+        return self._shared.spare(sensor, self._homes, behind)
 
     def request_ahead(self, sensor: str, plan: ScanPlan, conditions: Conditions) -> None:
         """Measure a sweep before it is asked for; it waits until it is claimed or dropped."""

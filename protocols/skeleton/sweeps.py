@@ -91,6 +91,8 @@ class SweepSession(TimedSession):
         self._raster = Raster(0, period_ns)
         self._next = 0
         "Number of the sweep to be measured next."
+        self._begun: deque[tuple[int, int]] = deque(maxlen=SLICES_KEPT)
+        "Epoch and number of sweeps that are measured before they are wanted, ascending."
         self._stream = 0
         self._restart_ns: int | None = None
 
@@ -237,9 +239,11 @@ class SweepSession(TimedSession):
         return self._choose() if plan is None else plan
 
     def _choose(self) -> ScanPlan:
-        ended = self._schedule().first_from(
-            self._now_ns - round(1e9 * float(self._slowed) * self._sweep(self._next).duration_s)
-        )
+        while self._begun and self._begun[0] < (self._wanted.epoch, self._next):
+            self._begun.popleft()
+        ended = self._first_not_ended(self._next)
+        if self._begun:
+            ended = min(ended, self._begun[0][1])
         if ended > self._next:  # not measured in time: never silently
             late = range(self._next, ended)
             self._events.unsent(self._now_ns, DropReason.LATE, late, "not measured in time", self._stream)
@@ -249,6 +253,10 @@ class SweepSession(TimedSession):
             self._events.unsent(self._now_ns, DropReason.KEPT, numbers, "", self._stream)
             self._next += passed
         return self._wanted.ask(*self._planned(self._next))
+
+    def _first_not_ended(self, number: int) -> int:
+        duration_ns = round(1e9 * float(self._slowed) * self._sweep(number).duration_s)
+        return max(number, self._schedule().first_from(self._now_ns - duration_ns))
 
     def _planned(self, number: int) -> tuple[ScanPlan, Sweep]:
         raster, slowed, sweep = self._schedule(), float(self._slowed), self._sweep(number)
@@ -277,7 +285,12 @@ class SweepSession(TimedSession):
         number = plan.sweep + 1
         if not self.FORESEES or self._wanted.plan is None or not self._is_settled(number):
             return None
+        number = self._first_not_ended(number)
         return self._planned(number + self._passed_over(number))[0]
+
+    def begun(self, plan: ScanPlan) -> None:
+        """It is wanted even when it has ended."""
+        self._begun.append((plan.epoch, plan.sweep))
 
     def submit(self, scan: Scan) -> None:
         """Take the scan of `next_plan`; `ScanRefused` for any other."""
