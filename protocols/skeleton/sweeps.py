@@ -91,7 +91,7 @@ class SweepSession(TimedSession):
         self._raster = Raster(0, period_ns)
         self._next = 0
         "Number of the sweep to be measured next."
-        self._begun: deque[tuple[int, int]] = deque(maxlen=SLICES_KEPT)
+        self._foreseen: deque[tuple[int, int]] = deque(maxlen=SLICES_KEPT)
         "Epoch and number of sweeps that are measured before they are wanted, ascending."
         self._stream = 0
         self._restart_ns: int | None = None
@@ -239,11 +239,11 @@ class SweepSession(TimedSession):
         return self._choose() if plan is None else plan
 
     def _choose(self) -> ScanPlan:
-        while self._begun and self._begun[0] < (self._wanted.epoch, self._next):
-            self._begun.popleft()
+        while self._foreseen and self._foreseen[0] < (self._wanted.epoch, self._next):
+            self._foreseen.popleft()
         ended = self._first_not_ended(self._next)
-        if self._begun:
-            ended = min(ended, self._begun[0][1])
+        if self._foreseen:
+            ended = min(ended, self._foreseen[0][1])
         if ended > self._next:  # not measured in time: never silently
             late = range(self._next, ended)
             self._events.unsent(self._now_ns, DropReason.LATE, late, "not measured in time", self._stream)
@@ -290,7 +290,7 @@ class SweepSession(TimedSession):
 
     def begun(self, plan: ScanPlan) -> None:
         """It is wanted even when it has ended."""
-        self._begun.append((plan.epoch, plan.sweep))
+        self._foreseen.append((plan.epoch, plan.sweep))
 
     def submit(self, scan: Scan) -> None:
         """Take the scan of `next_plan`; `ScanRefused` for any other."""
