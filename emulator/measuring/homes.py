@@ -28,6 +28,8 @@ class Sweep:
     "Workers that have ended while they measured it."
     given_up: bool = False
     "Its device knows that it will not come; whatever comes of it is thrown away."
+    again: bool = False
+    "Another process has been given it too: this one stands still."
     ahead: bool = False
     "It is measured before it is asked for."
     asked_as: ScanPlan | None = None

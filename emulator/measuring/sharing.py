@@ -17,6 +17,8 @@ from protocols.scan import ScanPlan
 
 LENT_NS = 20_000_000
 "A process with sensors of its own is lent to others for sweeps as short as that: an LMS2xx, the tightest, waits 40 ms."
+AWAY_NS = 100_000_000
+"The same while the process of the other sensor is gone, or stands still."
 AGAIN_NS = 50_000_000
 AGAIN_TIMES = 4
 "After so long, and so many times as long as the longest of the last, a sweep is also given to a process that is free."
@@ -67,9 +69,10 @@ class Shared:
         if sensor not in self.sensors or len(homes) < 2:
             return 0
         busy = [home.in_hand for home in homes if home.in_hand is not None]
-        longest_ns = self._longest_ns(sensor, homes)
+        usual_ns = self._usual_ns(sensor, homes)
         free = sum(
-            home.state == "ready" and home.in_hand is None and self._is_lent(home, sensor, longest_ns) for home in homes
+            home.state == "ready" and home.in_hand is None and self._is_lent(home, sensor, usual_ns, homes)
+            for home in homes
         )
         if behind and all(isinstance(one, Sweep) and one.sensor == sensor for one in busy):
             free += len(busy)  # while a result is on its way, its process has the next
@@ -100,18 +103,19 @@ class Shared:
     def _may_move(self, work: Sweep | Question, home: Home, homes: Sequence[Home]) -> bool:
         if not isinstance(work, Sweep) or work.given_up or work.sensor not in self.sensors:
             return False
-        return self._is_lent(home, work.sensor, self._longest_ns(work.sensor, homes))
+        return self._is_lent(home, work.sensor, self._usual_ns(work.sensor, homes), homes)
 
     @staticmethod
-    def _longest_ns(sensor: str, homes: Sequence[Home]) -> int:
-        """Of its last sweeps; 0: not known."""
-        return max(home.pace[sensor].longest_ns for home in homes)
+    def _usual_ns(sensor: str, homes: Sequence[Home]) -> int:
+        """What a sweep of it takes; 0: not known."""
+        return min((home.pace[sensor].usual_ns for home in homes if home.pace[sensor].usual_ns), default=0)
 
     @staticmethod
-    def _is_lent(home: Home, sensor: str, longest_ns: int) -> bool:
+    def _is_lent(home: Home, sensor: str, usual_ns: int, homes: Sequence[Home]) -> bool:
         if sensor in home.sensors or all(home.pace[own].fresh for own in home.sensors):
             return True
-        return 0 < longest_ns <= LENT_NS
+        away = any(sensor in one.sensors and (one.state != "ready" or _is_stuck(one)) for one in homes)
+        return 0 < usual_ns <= (AWAY_NS if away else LENT_NS)
 
     def warms_up(self, home: Home, work: Sweep, homes: Sequence[Home]) -> Sweep | None:
         """What a process measures for nobody before its first sweep of a sensor that others measure meanwhile."""
@@ -133,13 +137,19 @@ class Shared:
         most_ns = time_limits.IDLE_NS if pace.fresh else max(AGAIN_NS, AGAIN_TIMES * pace.longest_ns)
         if now_ns - home.since_ns <= most_ns:
             return None
-        longest_ns = self._longest_ns(work.sensor, homes)
+        work.again = work.given_up = True
+        usual_ns = self._usual_ns(work.sensor, homes)
         free = [one for one in homes if one.state == "ready" and one.in_hand is None]
-        if not any(self._is_lent(one, work.sensor, longest_ns) for one in free):
+        if not any(self._is_lent(one, work.sensor, usual_ns, homes) for one in free):
+            work.again = work.given_up = False
             return None
         second = Sweep(work.sensor, work.plan, work.conditions, work.tries, ahead=work.ahead, asked_as=work.asked_as)
-        work.given_up = True
         if work.ahead:
             self.forget(work)
             self.begin(second)
         return second
+
+
+def _is_stuck(home: Home) -> bool:
+    """What it has in hand has been given to another, too."""
+    return isinstance(home.in_hand, Sweep) and home.in_hand.again

@@ -583,6 +583,6 @@ def _how_it_ended(code: int | None) -> str:
     return f"ended with signal {-code}"
 
 
-def worker_count(sensors: int) -> int:
-    """One core is left to the sender."""
-    return max(1, min(sensors, len(os.sched_getaffinity(0)) - 1))
+def worker_count(useful: int) -> int:
+    """Of as many as are of use; one core is left to the sender."""
+    return max(1, min(useful, len(os.sched_getaffinity(0)) - 1))
