@@ -30,9 +30,10 @@ from protocols import family
 from protocols.can_objects.layout import database_of
 from protocols.errors import DeviceSettingError
 from protocols.session import Address, Family, LinkKind, Session
+from protocols.timebase import inside
 
 BEAMS_A_PROCESS = 200_000.0
-"Beams a second that one core measures of a street with footprints, about (docs/velodyne.md)."
+"Beams per second that one core measures of a street with footprints, about (docs/velodyne.md)."
 MOST_STEPS = 5000
 "Of a session, until it asks for its first slice."
 
@@ -82,6 +83,18 @@ def _object_measures(scenario: Scenario, world: Scene, measures: Mapping[str, Me
 def shared_sensors(scenario: Scenario) -> list[str]:
     """Sensors that remember nothing from sweep to sweep: several processes may measure one of them."""
     return [sensor.id for sensor in scenario.sensors if load_spec(sensor.model).sees == "beams"]
+
+
+def why_one_at_a_time(scenario: Scenario, index: int) -> str:
+    """Why no two processes measure that sensor at once; empty: they do."""
+    spec = load_spec(scenario.sensors[index].model)
+    if spec.sees != "beams":
+        return "it remembers the tracks of its objects"
+    if spec.family is None:
+        return ""
+    session, _ = inside(new_session(scenario, index), 0)
+    foresees = getattr(session, "FORESEES", type(session).plan_after is not Session.plan_after)
+    return "" if foresees else "its protocol does not tell the next sweep"
 
 
 def useful_processes(scenario: Scenario) -> int:

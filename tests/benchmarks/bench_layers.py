@@ -250,9 +250,7 @@ def main() -> None:
     )
     for model in models:
         measuring(model, count)
-    print(
-        "split: model; processes; a slice on the wall clock; times as fast as one; share of real time; slices of each"
-    )
+    print("split: model; processes; wall time of a slice; times as fast as one; share of real time; slices of each")
     for model in models:
         splitting(model, max(count, 20))
 
