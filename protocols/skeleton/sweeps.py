@@ -125,7 +125,7 @@ class SweepSession(TimedSession):
         return 0
 
     def _is_settled(self, number: int) -> bool:
-        """Whether it, or the next that is not passed over, can be computed now: nothing that may still come, as a pulse
+        """Whether it, or the next that is not skipped, can be computed now: nothing that may still come, as a pulse
         that the phase is held to, acts before its end."""
         return True
 
