@@ -251,6 +251,16 @@ class Session(ABC):
     def submit(self, scan: Scan) -> None:
         """Take the sweep of `next_plan`. Raises `ScanRefused` when the settings have changed since."""
 
+    def plan_after(self, plan: ScanPlan) -> ScanPlan | None:
+        """The sweep that will be wanted after that one if nothing changes; None: not foreseen.
+
+        Changes nothing. It may be measured beside the one before, and holds once `next_plan` is the same sweep.
+        """
+        return None
+
+    def begun(self, plan: ScanPlan) -> None:
+        """A sweep of `plan_after` is being measured: it is not skipped for being late, as the one of `next_plan`."""
+
     def missed(self, plan: ScanPlan, now_ns: int) -> bool:
         """The sweep of `next_plan` will not be measured: it is too late for it.
 

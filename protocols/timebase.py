@@ -110,6 +110,13 @@ class Timebase(Session):
     def submit(self, scan: Scan) -> None:
         self.inner.submit(replace(scan, plan=self._own(scan.plan)))
 
+    def plan_after(self, plan: ScanPlan) -> ScanPlan | None:
+        own = self.inner.plan_after(self._own(plan))
+        return None if own is None else self.given_out(own)
+
+    def begun(self, plan: ScanPlan) -> None:
+        self.inner.begun(self._own(plan))
+
     def missed(self, plan: ScanPlan, now_ns: int) -> bool:
         return self.inner.missed(self._own(plan), self.quartz.own_ns(now_ns))
 

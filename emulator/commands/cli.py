@@ -167,7 +167,7 @@ def _rehearsed(name: str, overrides: Sequence[str], seed: int | None, links: Seq
 @scenario_options
 @click.option("--duration", type=Finite(0.0, LONGEST_S), metavar="S", help="Stop after this many seconds.")
 @click.option("--loop/--no-loop", "loop", default=None, help="Restart the world every `duration_s`, forever.")
-@click.option("--workers", type=click.IntRange(min=1), help="Number of measuring processes (default: cores minus one).")
+@click.option("--workers", type=click.IntRange(min=1), help="Number of measuring processes (default: as many as help).")
 @click.option(
     "--clock",
     type=click.Choice(["real", "virtual"]),

@@ -41,6 +41,7 @@ def explain(
     """
     from emulator.casting import raycast
     from emulator.judging import plans
+    from emulator.runtime import assembly
     from emulator.sensing import cost, error_budget
     from emulator.sensors.spec import load_spec
     from emulator.world import scene
@@ -86,6 +87,9 @@ def explain(
                 continue
             say(f"{sensor.id} ({sensor.model}): {len(plan)} beams per sweep{assumed}; {_cost(mine)}" + _against(whole))
             _print_table(rows, why)
+    for number, sensor in enumerate(() if as_json else loaded.sensors):
+        if reason := assembly.why_one_at_a_time(loaded, number):
+            say(f"{sensor.id} ({sensor.model}): measured by one process at a time: {reason}")
     return OK
 
 

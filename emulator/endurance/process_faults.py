@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 PLAYED = "tests/measuring/test_supervision.py"
 SYSTEM = "tests/system/test_process_faults.py"
+SHARING = "tests/measuring/test_sharing.py"
 RIG_VIRTUAL = "tests/measuring/test_process_faults.py"
 
 
@@ -53,6 +54,7 @@ class ProcessFault:
 REPLACED = ("worker replaced", "(sensor silent)", "(sensor back)")
 PAUSE = "its sensors pause while a new worker builds the scene, then continue at their rate; others are not affected"
 LATE = "`measured too late`: every scan of the pause"
+NOTHING = "`measured too late`: what becomes late until then, mostly nothing"
 ZERO = "0; 5 if the pause is longer than a sensor may be silent"
 
 PROCESS_FAULTS = (
@@ -62,7 +64,13 @@ PROCESS_FAULTS = (
     ProcessFault("worker", "kill", "between sweeps", "real", PAUSE, LATE, ZERO,
                  f"{PLAYED}::test_a_killed_worker_costs_some_scans", REPLACED, Drawn(signal.SIGKILL)),
     ProcessFault("worker", "kill", "during a sweep", "real", PAUSE, LATE, ZERO,
-                 f"{SYSTEM}::test_killed_and_stopped_workers", REPLACED),
+                 f"{PLAYED}::test_a_killed_worker_costs_some_scans", REPLACED),
+    ProcessFault("worker", "kill", "while another worker is free", "real", "the other measures its sweeps", NOTHING,
+                 "0", f"{SYSTEM}::test_killed_and_stopped_workers", ("worker replaced",)),
+    ProcessFault("worker", "stop", "while another worker is free", "real",
+                 "the other measures its sweeps, the one in hand too after 0.1 s", NOTHING,
+                 "0", f"{SHARING}::test_a_process_that_is_lost_costs_no_scan_while_another_is_free",
+                 ("worker replaced",)),
     ProcessFault("worker", "kill", "while it sends a scan", "real", PAUSE, LATE, ZERO,
                  f"{PLAYED}::test_a_killed_worker_costs_some_scans", REPLACED),
     ProcessFault("worker", "kill", "repeatedly, by a sweep", "real",
@@ -82,8 +90,8 @@ PROCESS_FAULTS = (
                  ("(sensor silent)", "(sensor back)"), Drawn(signal.SIGSTOP, 1.0)),
     ProcessFault("worker", "stop", "permanently, during a sweep", "real",
                  "as killed, once a sweep has taken 5 s and twenty times the longest of the last sixteen", LATE, "5",
-                 f"{SYSTEM}::test_killed_and_stopped_workers", ("sensor silent", "worker replaced", "sensor back"),
-                 Drawn(signal.SIGSTOP)),
+                 f"{PLAYED}::test_a_hung_worker_is_replaced_after_the_stated_time",
+                 ("sensor silent", "worker replaced", "sensor back"), Drawn(signal.SIGSTOP)),
     ProcessFault("worker", "stop", "permanently, while a new worker builds the scene", "real",
                  "as killed, once it has used no CPU time for 60 s", LATE, "5",
                  f"{PLAYED}::test_a_successor_that_is_stopped_while_it_builds_is_replaced",

@@ -10,9 +10,11 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 from emulator.faults.events import FaultEvent
+from emulator.instrument.ahead import Ahead, Several
 from emulator.instrument.input_budget import InputBudget
 from emulator.instrument.observer import Observer
 from emulator.instrument.observers import Observers
@@ -68,7 +70,7 @@ class WorldFeed(Protocol):
     def world(self, sensor: str, plan: ScanPlan, now_ns: int) -> World:
         """What its beams need, as it is known now."""
 
-    def came(self, sensor: str, now_ns: int) -> None:
+    def came(self, sensor: str, plan: ScanPlan, now_ns: int) -> None:
         """Its scan has come."""
 
 
@@ -99,6 +101,10 @@ class Instrument:
         self._measuring = measuring
         self._look_ahead_ns = look_ahead_ns
         self._asked: tuple[int, int] | None = None
+        self._ahead = Ahead(sensor, measuring) if isinstance(measuring, Several) else None
+        "Sweeps begun while earlier ones are under way; None: one at a time."
+        self._further_ns: int | None = None
+        "When the next of them may be begun."
         self.connections_seen = 0
         "Connections opened and closed so far: a descriptor's number may have a new owner when this has moved."
         self._events: deque[Event] = deque(maxlen=EVENTS_KEPT)
@@ -131,10 +137,10 @@ class Instrument:
         "Power cuts so far: what was taken from the session before one does not leave any more."
         self._peers: set[Address] = set()
         "Hosts of streams that the session knows."
-        self._outstanding = 0
-        "Sweeps asked for that have not come back."
-        self._discarded = 0
-        "Of those, how many belong to a life of the device that has ended."
+        self._under_way: list[tuple[int, int, int]] = []
+        "Sweeps asked for that have not come back: epoch, number, beginning."
+        self._discarded: list[tuple[int, int, int]] = []
+        "Those of a life of the device that has ended."
         self.ledger = self.stats.ledger
         "The account of its scans."
         self.owed = self.stats.owed
@@ -165,7 +171,7 @@ class Instrument:
 
     def step(self, now_ns: int) -> int | None:
         """Do all that can be done by `now_ns`; the instant of the next step, None while only a host can wake it."""
-        asked = self._outstanding > 0 or self._asked is not None or self.poked or self.driven or self.feed is not None
+        asked = bool(self._under_way) or self._asked is not None or self.poked or self.driven or self.feed is not None
         idle = now_ns < self._due_ns and not asked and self._faults_wait(now_ns)
         self.poked = False
         self.ledger.now_ns = now_ns
@@ -216,6 +222,8 @@ class Instrument:
             self.owed.wait(now_ns)
         if plan is not None and self._key(plan) != self._asked:
             self._due_ns = min(self._due_ns, self._ask_ns(plan))
+        elif plan is not None and self._further_ns is not None:
+            self._due_ns = min(self._due_ns, self._further_ns)
         return self._next_step(now_ns)
 
     def _rest_without_power(self, now_ns: int) -> int | None:
@@ -270,7 +278,10 @@ class Instrument:
         self._asked = None
         self._due_ns = 0
         self.owed.stop(now_ns)
-        self._discarded = self._outstanding
+        self._discarded += self._under_way
+        self._under_way.clear()
+        if self._ahead is not None:
+            self._ahead.drop()
         self._note_events()  # what it has reported already
         self.ledger.now_ns = now_ns
         self.ledger.cut(SWITCHED_OFF)
@@ -374,13 +385,11 @@ class Instrument:
         moved = False
         for scan in self._measuring.collect(self.sensor):
             self.stats.scans_measured += not isinstance(scan, NotMeasured)
-            self._outstanding -= 1
             if self.feed is not None:
-                self.feed.came(self.sensor, now_ns)
+                self.feed.came(self.sensor, scan.plan, now_ns)
             moved = True
-            if self._discarded:
-                self._discarded -= 1  # on account since the cut
-                continue
+            if self._is_of_before(scan.plan):
+                continue  # on account since the cut
             if self._key(scan.plan) == self._asked:
                 self._asked = None
             try:
@@ -398,9 +407,22 @@ class Instrument:
                 self.stats.note_taken(scan)
         return moved
 
+    def _is_of_before(self, plan: ScanPlan) -> bool:
+        """Whether a scan that has come was asked for by a life of the device that has ended."""
+        name = (*self._key(plan), plan.start_ns)
+        mine = self._discarded if name in self._discarded else self._under_way
+        if name in mine:
+            mine.remove(name)
+        elif mine:
+            mine.pop(0)
+        return mine is self._discarded
+
     def _ask_for_scan(self, now_ns: int) -> bool:
         plan = self.session.next_plan()
-        if plan is None or self._key(plan) == self._asked or self._ask_ns(plan) > now_ns:
+        if plan is None or self._key(plan) == self._asked:
+            self._further_ns = None if plan is None else self._begin_early(plan, now_ns)
+            return False
+        if self._ask_ns(plan) > now_ns:
             return False
         self._asked = self._key(plan)
         self.wanted_ns = now_ns
@@ -408,14 +430,24 @@ class Instrument:
         self.asked_ns = max(self.asked_ns, first_ns)
         if self.faults is not None:
             self.faults.asked(plan)
-        self._outstanding += 1
+        self._under_way.append((*self._asked, plan.start_ns))
         self.ledger.ask(plan)
         self.owed.ask(now_ns, plan)
-        conditions = self.conditions
-        if self.feed is not None:
-            conditions = replace(conditions, world=self.feed.world(self.sensor, plan, now_ns))
-        self._measuring.request(self.sensor, plan, conditions)
+        if self._ahead is None or not self._ahead.claim(plan, self.conditions):
+            self._measuring.request(self.sensor, plan, self._conditions_of(plan, now_ns))
         return True
+
+    def _conditions_of(self, plan: ScanPlan, now_ns: int) -> Conditions:
+        if self.feed is None:
+            return self.conditions
+        return replace(self.conditions, world=self.feed.world(self.sensor, plan, now_ns))
+
+    def _begin_early(self, asked: ScanPlan, now_ns: int) -> int | None:
+        """Begin sweeps behind the one that is under way, where processes are free."""
+        if self._ahead is None:
+            return None
+        held = partial(self._conditions_of, now_ns=now_ns)
+        return self._ahead.begin(self.session, asked, now_ns, self._ask_ns, held, may_wait=self.feed is None)
 
     def _ask_ns(self, plan: ScanPlan) -> int:
         """When that sweep is asked for."""

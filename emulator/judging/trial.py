@@ -116,7 +116,9 @@ class Trial:
         sessions = assembly.new_sessions(scenario)
         names = [sensor.id for sensor in scenario.sensors]
         build = partial(assembly.build_measures, scenario)
-        self._workers = Workers(build, names, workers) if workers and measuring is None else None
+        shared = assembly.shared_sensors(scenario)
+        own_processes = workers and measuring is None
+        self._workers = Workers(build, names, workers, shared=shared) if own_processes else None
         own = self._workers if self._workers is not None else InPlace(build()) if measuring is None else None
         self._warnings = () if own is None else own.warnings
         measuring = measuring if own is None else own

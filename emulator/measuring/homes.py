@@ -5,7 +5,7 @@ Belongs here: the data. Not: when any of it changes (supervision).
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ from emulator.measuring.conditions import Conditions
 from emulator.measuring.worker import Handle, Pipe
 from emulator.process.time_limits import Pace, Stillness
 from emulator.scenario.weather import WeatherConfig
-from protocols.scan import ScanPlan
+from protocols.scan import Scan, ScanPlan
 
 
 @dataclass(eq=False)
@@ -28,6 +28,19 @@ class Sweep:
     "Workers that have ended while they measured it."
     given_up: bool = False
     "Its device knows that it will not come; whatever comes of it is thrown away."
+    again: bool = False
+    "Another process has been given it too: this one stands still."
+    ahead: bool = False
+    "It is measured before it is asked for."
+    asked_as: ScanPlan | None = None
+    "The device's own plan, if it was measured ahead for one of the same sweep."
+    scan: Scan | None = None
+    "Of one measured ahead: it waits here."
+
+    @property
+    def is_awaited(self) -> bool:
+        """Somebody waits for it."""
+        return not (self.ahead or self.given_up)
 
     @property
     def end_ns(self) -> int:
@@ -45,6 +58,7 @@ class Question:
     sensors: tuple[str, ...]
     weather: WeatherConfig
     answer: Future[dict[str, str]] = field(default_factory=Future)
+    is_awaited = True
 
     def as_sent(self) -> tuple[object, ...]:
         return self.sensors, None, self.weather
@@ -116,12 +130,14 @@ class Home:
         self.failures = 0
         "Processes that have ended in a row and were not sound."
         self.starts = 0
+        self.measured = 0
+        "Sweeps, of all its processes."
         self.lost = False
         "It has been reported that none can be started."
         self.why = ""
         "Why the last one has ended."
         self.stillness = Stillness(0)
-        self.pace = {sensor: Pace() for sensor in sensors}
+        self.pace: defaultdict[str, Pace] = defaultdict(Pace)
 
     @property
     def name(self) -> str:

@@ -16,6 +16,7 @@ import select
 import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -23,6 +24,7 @@ from emulator.errors import EmulatorError, SceneError
 from emulator.measuring.conditions import NORMAL, Conditions
 from emulator.measuring.homes import Blame, Handover, Home, Question, Successor, Sweep
 from emulator.measuring.measuring import BuildMeasures, NotMeasured, Reported
+from emulator.measuring.sharing import Shared
 from emulator.measuring.upgrade import Building, Upgrade
 from emulator.measuring.worker import Forked, Handle, Pipe
 from emulator.process import time_limits
@@ -63,20 +65,26 @@ class Workers:
         clock: Clock | None = None,
         launch: Callable[[bool | None], Handle] | None = None,
         build_loops: Callable[[], Building] | None = None,
+        shared: Sequence[str] = (),
     ) -> None:
         """Waits until each has built its scene; `EmulatorError` says why one could not.
 
         `run_clock` reports the time of plans; None: it is virtual and stands while sweeps are owed. `clock`: by which
         processes are judged. `launch` starts one, with compiled loops or without; None: as this process is switched.
         `build_loops` begins to build what is not there yet: processes begin with arrays and go over to loops later.
+        `shared`: sensors that remember nothing from sweep to sweep: several processes may measure one of them.
         """
+        self._shared = Shared(shared)
+        self._claimed: list[Sweep] = []
+        "Measured ahead and asked for since: in virtual time they come when it stands, as all others."
         self._launch: Callable[[bool | None], Handle] = partial(Forked, build) if launch is None else launch
         self._clock = SystemClock() if clock is None else clock
         self._run_clock = run_clock
         self._ran = RunningTime()
         self._ran.pass_to(self._clock.now_ns())
         self._epoll = select.epoll()
-        shares = [list(sensors)[number :: max(1, count)] for number in range(max(1, min(count, len(sensors))))]
+        most = count if shared else min(count, len(sensors))
+        shares = [list(sensors)[number :: max(1, count)] for number in range(max(1, most))]
         self._homes = [Home(number, share) for number, share in enumerate(shares)]
         self._home = {sensor: home for home in self._homes for sensor in home.sensors}
         self._dying: list[Handle] = []
@@ -116,9 +124,64 @@ class Workers:
         return (self._epoll.fileno(),)
 
     def request(self, sensor: str, plan: ScanPlan, conditions: Conditions = NORMAL) -> None:
-        home = self._home[sensor]
-        home.owed.append(Sweep(sensor, plan, conditions))
+        self._owe(Sweep(sensor, plan, conditions))
+
+    def _owe(self, work: Sweep) -> None:
+        home = self._home[work.sensor]
+        home.owed.append(work)
         self._hand_over(home)
+        if work.sensor in self._shared.sensors and home.in_hand is not work:
+            self._spread()
+
+    def _spread(self) -> None:
+        """Processes that are free take what waits for others."""
+        for home in self._homes:
+            self._hand_over(home)
+
+    @property
+    def in_virtual_time(self) -> bool:
+        """Sweeps may be measured long before they are asked for: virtual time stands while they are."""
+        return self._run_clock is None
+
+    def spare(self, sensor: str, behind: bool = True) -> int:
+        """How many further sweeps of that sensor would be begun at once, or right behind one of its own."""
+        return self._shared.spare(sensor, self._homes, behind)
+
+    def request_ahead(self, sensor: str, plan: ScanPlan, conditions: Conditions) -> None:
+        """Measure a sweep before it is asked for; it waits until it is claimed or dropped."""
+        work = Sweep(sensor, plan, conditions, ahead=True)
+        self._shared.begin(work)
+        self._owe(work)
+
+    def claim(self, sensor: str, early: ScanPlan, plan: ScanPlan) -> bool:
+        """Ask for `plan`, the same sweep as `early`, which was measured ahead; False: that is not to be had."""
+        work = self._shared.claimed(sensor, early, plan)
+        if work is None:
+            return False
+        if work.scan is not None:
+            self._claimed.append(work)
+            if not self.in_virtual_time:
+                self._deliver_claimed()
+        return True
+
+    def drop(self, sensor: str, plans: Sequence[ScanPlan]) -> None:
+        """What was measured ahead for these plans is not asked for."""
+        for work in self._shared.of_plans(sensor, plans):
+            self._shared.forget(work)
+            self._throw_away(work)
+
+    def _throw_away(self, work: Sweep) -> None:
+        for home in self._homes:
+            if home.in_hand is work:
+                work.given_up = True
+            elif work in home.owed:
+                home.owed.remove(work)
+
+    def _deliver_claimed(self) -> None:
+        claimed, self._claimed = self._claimed, []
+        for work in claimed:
+            assert work.scan is not None
+            self._deliver(work, work.scan)
 
     def judge(self, weather: WeatherConfig) -> list[Future[dict[str, str]]]:
         questions = []
@@ -141,8 +204,10 @@ class Workers:
         if sensor not in self._home:
             return 0  # it measures nothing
         home = self._home[sensor]
-        pace = home.pace[sensor]
-        return None if pace.fresh and home.state == "ready" else pace.longest_ns
+        homes = self._homes if sensor in self._shared.sensors else [home]
+        if home.state == "ready" and all(one.pace[sensor].fresh for one in homes):
+            return None
+        return max(one.pace[sensor].longest_ns for one in homes)
 
     def rows(self) -> list[dict[str, object]]:
         """The processes, for whoever asks."""
@@ -153,7 +218,8 @@ class Workers:
                 "state": home.state,
                 "form": home.form or None,
                 "started": home.starts,
-                "sensors": list(home.sensors),
+                "measured": home.measured,
+                "sensors": list(home.sensors) or sorted(self._shared.sensors),
             }
             for home in self._homes
         ]
@@ -177,6 +243,8 @@ class Workers:
         for home in self._homes:
             self._check(home, now_ns)
             if self._run_clock is not None:
+                if (again := self._shared.again(home, self._homes, now_ns)) is not None:
+                    self._owe(again)
                 self._give_up_late(home, now_ns, self._run_clock.now_ns())
             self._hand_over(home)
         if self._upgrade is not None and not self._upgrade.is_over:
@@ -193,8 +261,11 @@ class Workers:
         """Wait until nothing is owed, as long as `go_on`; the sensors that have fresh scans. Virtual time stands
         meanwhile. `EmulatorError` when no worker can be started any more."""
         fresh: set[str] = set()
+        self._deliver_claimed()
+        if any(home.in_hand is not None for home in self._homes):
+            fresh |= self.poll()
         next_ns = self._clock.now_ns() + self.check_ns
-        while any(home.owed for home in self._homes):
+        while any(work.is_awaited for home in self._homes for work in home.owed):
             self._epoll.poll(self.check_ns * 1e-9)
             fresh |= self.poll()
             if self._clock.now_ns() >= next_ns:
@@ -205,6 +276,8 @@ class Workers:
             for home in self._homes:
                 if home.failures >= VIRTUAL_FAILURES and home.state == "dead":
                     raise SceneError(f"{home.name}: {home.failures} processes in a row: the last {home.why}")
+        fresh |= self._fresh
+        self._fresh = set()
         return fresh
 
     def close(self) -> None:
@@ -330,7 +403,8 @@ class Workers:
         elif isinstance(work, Question):
             work.answer.set_result(result)
         else:
-            home.latest[work.sensor] = work
+            home.measured += 1
+            home.latest[work.sensor] = self._shared.latest[work.sensor] = work
             home.pace[work.sensor].add(self._ran.ns - home.since_ns)
             self._blame.pop(work.sensor, None)
             if self._run_clock is None:
@@ -343,22 +417,35 @@ class Workers:
         self._hand_over(home)
 
     def _deliver(self, work: Sweep, scan: Scan) -> None:
+        if work.ahead:
+            if isinstance(scan, NotMeasured):
+                self._shared.forget(work)
+            else:
+                work.scan = scan
+            return
+        work.scan = None
+        if work.asked_as is not None:
+            scan = replace(scan, plan=work.asked_as)
         self._done.setdefault(work.sensor, []).append(scan)
         self._fresh.add(work.sensor)
 
     def _hand_over(self, home: Home) -> None:
-        if home.state != "ready" or home.in_hand is not None or not home.owed or home.pipe is None:
+        if home.state != "ready" or home.in_hand is not None or home.pipe is None:
             return
-        for work in home.owed:
-            if isinstance(work, Sweep) and self._pauses(work.sensor):
-                continue
-            home.in_hand = work
-            home.since_ns = self._ran.pass_to(self._clock.now_ns())
-            home.stillness = Stillness(home.since_ns)
-            home.pipe.put(work.as_sent())
-            if home.pipe.is_full:
-                self._mind_room(home)
+        work = self._shared.next_of(home, self._homes, self._pauses)
+        if work is None:
             return
+        if isinstance(work, Sweep) and self._run_clock is not None:
+            trial = self._shared.warms_up(home, work, self._homes)
+            if trial is not None:
+                home.owed.append(trial)
+                work = trial
+        home.in_hand = work
+        home.since_ns = self._ran.pass_to(self._clock.now_ns())
+        home.stillness = Stillness(home.since_ns)
+        home.pipe.put(work.as_sent())
+        if home.pipe.is_full:
+            self._mind_room(home)
 
     def _pauses(self, sensor: str) -> bool:
         return bool(self._blame) and sensor in self._blame and self._blame[sensor].until_ns > self._ran.ns
@@ -432,6 +519,7 @@ class Workers:
             self.incidents.append(("worker lost", home.name, f"{why}: {home.failures} times in a row; {tried}"))
         if not pause_ns:
             self._start(home)
+        self._spread()
 
     def _take_back(self, home: Home, work: Sweep | Question | None) -> None:
         """What was in the hands of a process that is gone."""
@@ -495,6 +583,6 @@ def _how_it_ended(code: int | None) -> str:
     return f"ended with signal {-code}"
 
 
-def worker_count(sensors: int) -> int:
-    """One core is left to the sender."""
-    return max(1, min(sensors, len(os.sched_getaffinity(0)) - 1))
+def worker_count(useful: int) -> int:
+    """Of as many as are of use; one core is left to the sender."""
+    return max(1, min(useful, len(os.sched_getaffinity(0)) - 1))

@@ -71,6 +71,11 @@ class Pace:
         return max(self._took_ns, default=0)
 
     @property
+    def usual_ns(self) -> int:
+        """The median of the last ones; 0 before there were any."""
+        return sorted(self._took_ns)[len(self._took_ns) // 2] if self._took_ns else 0
+
+    @property
     def deadline_ns(self) -> int:
         """A sweep that takes longer has stopped its process."""
         return FIRST_SWEEP_NS if self.fresh else SWEEP_NS + SWEEP_TIMES * self.longest_ns

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
@@ -31,7 +32,13 @@ from emulator.world.felt import BEFORE_S, MountMotion
 from protocols import family
 from protocols.can_objects.layout import database_of
 from protocols.errors import DeviceSettingError
-from protocols.session import Family, Session
+from protocols.session import Address, Family, LinkKind, Session
+from protocols.timebase import inside
+
+BEAMS_A_PROCESS = 200_000.0
+"Beams per second that one core measures of a street with footprints, about (docs/velodyne.md)."
+MOST_STEPS = 5000
+"Of a session, until it asks for its first slice."
 
 if TYPE_CHECKING:
     from emulator.transports.can_sockets import CanSockets
@@ -74,6 +81,47 @@ def _object_measures(scenario: Scenario, world: Scene, measures: Mapping[str, Me
             sessions = {name: new_session(scenario, index_of[name]) for name in spoken}
             made[sensor.id] = measure.build(scenario, world, measures, sessions, sensor.id)
     return made
+
+
+def shared_sensors(scenario: Scenario) -> list[str]:
+    """Sensors that remember nothing from sweep to sweep: several processes may measure one of them."""
+    return [sensor.id for sensor in scenario.sensors if load_spec(sensor.model).sees == "beams"]
+
+
+def why_one_at_a_time(scenario: Scenario, index: int) -> str:
+    """Why no two processes measure that sensor at once; empty: they do."""
+    spec = load_spec(scenario.sensors[index].model)
+    if spec.sees != "beams":
+        return "it remembers the tracks of its objects"
+    if spec.family is None:
+        return ""
+    session, _ = inside(new_session(scenario, index), 0)
+    foresees = getattr(session, "FORESEES", type(session).plan_after is not Session.plan_after)
+    return "" if foresees else "its protocol does not tell the next sweep"
+
+
+def useful_processes(scenario: Scenario) -> int:
+    """How many measuring processes the sensors can keep busy: one each, and more where one alone is not enough."""
+    return sum(
+        max(1, math.ceil(beams_per_s(scenario, index) / BEAMS_A_PROCESS)) for index in range(len(scenario.sensors))
+    )
+
+
+def beams_per_s(scenario: Scenario, index: int) -> float:
+    """Of a sensor that measures without being asked, as its first slice has them; of others 0."""
+    if load_spec(scenario.sensors[index].model).sees != "beams":
+        return 0.0
+    session = new_session(scenario, index)
+    session.connected(0, Address(0, 0), LinkKind.DATAGRAM)
+    session.power_on(0)
+    for _ in range(MOST_STEPS):
+        if (plan := session.next_plan()) is not None:
+            return len(plan) / plan.duration_s if plan.duration_s else 0.0
+        if (deadline_ns := session.next_deadline()) is None:
+            return 0.0
+        session.advance(deadline_ns)
+        session.take_emissions(deadline_ns)
+    return 0.0
 
 
 def family_of(scenario: Scenario, index: int) -> Family:
@@ -193,9 +241,10 @@ def start(
     """
     sessions = new_sessions(scenario)
     names = [sensor.id for sensor in scenario.sensors]
-    count = workers or worker_count(len(names))
+    count = workers or worker_count(useful_processes(scenario))
     build_loops = build.Builder if switch.wanted() and build.wanted() else None
-    measuring = Workers(partial(build_measures, scenario), names, count, clock, build_loops=build_loops)
+    shared = shared_sensors(scenario)
+    measuring = Workers(partial(build_measures, scenario), names, count, clock, build_loops=build_loops, shared=shared)
     ports = CanPorts(sockets, partial(wall_ns, clock))
     try:
         instruments = open_instruments(scenario, sessions, measuring, can_ports=ports)
@@ -242,7 +291,7 @@ def start_virtual(
     sessions = new_sessions(scenario)
     names = [sensor.id for sensor in scenario.sensors]
     measures = partial(build_measures, scenario)
-    pool = Workers(measures, names, workers) if workers else None
+    pool = Workers(measures, names, workers, shared=shared_sensors(scenario)) if workers else None
     try:
         measuring = InPlace(measures()) if pool is None else pool
         instruments = open_instruments(scenario, sessions, measuring, can_ports=CanPorts(sockets))

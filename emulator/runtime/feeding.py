@@ -9,7 +9,7 @@ time, whichever is first. In virtual time it is asked for at its end: all that w
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
@@ -76,7 +76,8 @@ class Feeding:
         self._receiver: Receiver | None = None
         self._waiting: dict[str, int] = {}
         "Sensors whose sweep waits for poses -> its last beam."
-        self._asked_ns: dict[str, deque[int]] = {}
+        self._asked_ns: dict[str, dict[int, int]] = {}
+        "By sensor: the beginnings of sweeps, and when each was asked for."
         self._took: dict[str, float] = {}
         "The longest that measuring has taken lately, by sensor. [ns]"
         self.on_update: Callable[[int, dict[str, object]], None] | None = None
@@ -183,11 +184,11 @@ class Feeding:
         took = self._took.get(sensor)
         return MARGIN_NS + round(FIRST_NS if took is None else MARGIN * took)
 
-    def came(self, sensor: str, now_ns: int) -> None:
+    def came(self, sensor: str, plan: ScanPlan, now_ns: int) -> None:
         """Its scan has come."""
-        asked = self._asked_ns.get(sensor)
-        if asked and self._real_ns is not None:
-            took = float(now_ns - asked.popleft())
+        asked_ns = self._asked_ns.get(sensor, {}).pop(plan.start_ns, None)
+        if asked_ns is not None and self._real_ns is not None:
+            took = float(now_ns - asked_ns)
             self._took[sensor] = max(took, FORGET * self._took.get(sensor, 0.0))
 
     def world(self, sensor: str, plan: ScanPlan, now_ns: int) -> World:
@@ -197,7 +198,10 @@ class Feeding:
         if self._file is not None:
             self._pull(now_ns if self._real_ns is None else plan.start_ns + round(plan.duration_s * 1e9))
         if self._real_ns is not None:
-            self._asked_ns.setdefault(sensor, deque(maxlen=MOST_ASKED)).append(now_ns)
+            asked = self._asked_ns.setdefault(sensor, {})
+            asked[plan.start_ns] = now_ns
+            if len(asked) > MOST_ASKED:
+                del asked[min(asked)]
         self._waiting.pop(sensor, None)
         if len(plan):
             delay_s = 0.0 if self._real_ns is None else self._clock.delay_ns * 1e-9

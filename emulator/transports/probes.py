@@ -25,6 +25,14 @@ GROUP = "239.255.76.1"
 "Administratively scoped (RFC 2365): never leaves a site."
 
 
+INTERFACES, SEND_BUFFER = Path("/sys/class/net"), Path("/proc/sys/net/core/wmem_default")
+IP_UDP_BYTES = 28
+"Headers of IPv4 and UDP."
+JUMBO_MTU, LOOPBACK_MTU = 9000, 65_536
+LARGEST_BYTES = 24_896
+"A lidar packet of 128 rows and 16 columns, legacy profile."
+
+
 @dataclass(frozen=True)
 class Probe:
     """One question and its answer."""
@@ -112,6 +120,24 @@ def probe_adapters() -> Probe:
     return Probe("serial ports", bool(ports), ", ".join(ports) or "none")
 
 
+def probe_datagrams(folder: Path = INTERFACES, buffer: Path = SEND_BUFFER) -> Probe:
+    """Largest datagrams that the interfaces carry whole, and how many bytes a socket holds until they have left."""
+    found = []
+    for name in sorted(path.name for path in folder.glob("*")) if folder.is_dir() else ():
+        with contextlib.suppress(OSError, ValueError):
+            mtu = int((folder / name / "mtu").read_text())
+            whole = min(mtu, 65_535) - IP_UDP_BYTES
+            kind = "jumbo, " if JUMBO_MTU <= mtu < LOOPBACK_MTU else ""
+            found.append(f"{name} {mtu} ({kind}datagrams to {whole} bytes leave whole)")
+    if not found:
+        return Probe("datagrams", False, "the MTU of the interfaces cannot be read")
+    held = "unknown"
+    with contextlib.suppress(OSError, ValueError):
+        held = str(int(buffer.read_text()))
+    largest = f"larger ones, as an Ouster's of {LARGEST_BYTES} bytes, leave in fragments"
+    return Probe("datagrams", True, f"MTU of {', '.join(found)}; {largest}; send buffer {held} bytes")
+
+
 def probe_links(environment: Mapping[str, str]) -> tuple[Probe, ...]:
     """All of them."""
     questions: tuple[Callable[[], Probe], ...] = (
@@ -119,6 +145,7 @@ def probe_links(environment: Mapping[str, str]) -> tuple[Probe, ...]:
         probe_open_watch,
         lambda: probe_compiler(environment),
         probe_multicast,
+        probe_datagrams,
         probe_socketcan,
         probe_adapters,
     )

@@ -16,12 +16,14 @@ from typing import Any
 from emulator.errors import LinkError
 from emulator.transports.intake import STREAM_BURST, STREAM_BYTES_S, Intake
 from emulator.transports.link import Link, Received
-from emulator.transports.pacing import QUEUE_LIMIT, PacedLine
+from emulator.transports.pacing import PacedLine
 from emulator.transports.urls import host_and_port, join_host_port, parse_url
 from protocols.session import LinkKind
 
 DATAGRAM_LIMIT = 65_535
 DATAGRAMS_A_CALL = 256
+QUEUE_BYTES = 4_194_304
+"That may wait: of the fastest sensor, 8 Mbyte/s, what has come due while the sender stood still for half a second."
 DATAGRAM_COST = 64
 "Bytes of the intake that the shortest datagram takes."
 PEERS_KEPT = 64
@@ -156,7 +158,7 @@ class UdpSender(Link):
         if self._line is not None:
             if not self._line.put(payload, due_ns, line_speed):
                 self.stats.payloads_dropped += 1
-        elif self._queued and self._queued + len(payload) > QUEUE_LIMIT:
+        elif self._queued and self._queued + len(payload) > QUEUE_BYTES:
             self.stats.payloads_dropped += 1
         else:
             self._queue.append((due_ns, payload, peer))
@@ -165,7 +167,7 @@ class UdpSender(Link):
     def send_to(self, payload: bytes, due_ns: int, place: tuple[str, int]) -> None:
         if not self._open:
             return
-        if self._line is not None or (self._queued and self._queued + len(payload) > QUEUE_LIMIT):
+        if self._line is not None or (self._queued and self._queued + len(payload) > QUEUE_BYTES):
             self.stats.payloads_dropped += 1
         else:
             self._queue.append((due_ns, payload, place))

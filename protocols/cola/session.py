@@ -39,6 +39,8 @@ POLL, WATCH = Address(-1, 0), Address(-1, 1)
 class ColaSession(ColaAsking):
     """One device."""
 
+    FORESEES = True
+
     # measuring
 
     def _start(self, now_ns: int) -> None:

@@ -34,6 +34,8 @@ CLOSE_NS = 100_000_000
 "From the reply to a reboot until connections are closed."
 HOT_NS = 60 * SECOND_NS
 "From the flag of high temperature until it stops."
+SLOWEST_HZ = 4.0
+"A turn takes no longer than that while it fires."
 DIRTY, BLOCKED = 0.9, 0.5
 "Transmission of the window below which it is reported as dirty, and as blocked; ours."
 NORMAL, WARNING, DEGRADED, TO_STOP, UNTRUSTED = 1, 2, 4, 5, 6
@@ -45,6 +47,7 @@ CODE_WINDOW, CODE_HOT, CODE_MOTOR = 0x0101, 0x0201, 0x0301
 class HesaiDevice(PacketSession[Slice]):
     """The device without its requests."""
 
+    FORESEES = True
     clock_tick_ns = TICK_NS
     clock_bits = 63
     first_count = 1
@@ -289,6 +292,14 @@ class HesaiDevice(PacketSession[Slice]):
                 self.rotor.correct(pulse_ns, hz, self._used.sync_deg / 360.0)
             self._pulse_ns = pulse_ns
             pulse_ns = self.source.after(pulse_ns)
+
+    def _is_settled(self, number: int) -> bool:
+        if not self._used.sync or not self.source.there:
+            return True
+        partial = not self._used.sees_all or self.model.calibrated == "at128"
+        further = math.ceil(SECOND_NS / SLOWEST_HZ / self._raster.period_ns) if partial else 0
+        pulse_ns = self.source.after(self._now_ns if self._pulse_ns is None else self._pulse_ns)
+        return pulse_ns >= self._raster.at(number + further + 1)
 
     # packets
 

@@ -166,6 +166,8 @@ class Schedule:
         "Scans pass unsent because one was not measured in time."
         self.passed: list[Unsent] = []
         "Scans that ended unsent before the next slot of the stream, since last asked."
+        self._begun: ScanPlan | None = None
+        "Measured before it is wanted."
         self._telegrams = 0
         "Telegrams of this stream so far, including pending ones: determines the next partial scan."
         self._wanted: Wanted[Slot] = Wanted()
@@ -300,6 +302,23 @@ class Schedule:
                 self._wanted.ask(self._make_plan(slot), slot)
         return self._wanted.plan
 
+    def plan_after(self, plan: ScanPlan, now_ns: int) -> ScanPlan | None:
+        """The stream's scan after the one of `next_plan`, if nothing changes; changes nothing."""
+        slot, stream, device = self._wanted.what, self._stream, self._device
+        if slot is None or slot.once or slot.output.scans > 1 or stream is None or device is None:
+            return None
+        if plan.sweep != slot.first_turn or slot is not self._slots[-1] or slot.size == 0:
+            return None
+        kept = self._late, self._sent_turn
+        self._begun = None
+        following = self._next_of_stream(stream, device, now_ns)
+        self._late, self._sent_turn = kept
+        return self._make_plan(following)
+
+    def begun(self, plan: ScanPlan) -> None:
+        """A scan of `plan_after` is being measured: the program was not held up for it."""
+        self._begun = plan
+
     def submit(self, scan: Scan) -> None:
         """Take the scan of `next_plan`. Raises `ScanRefused` for any other."""
         slot = self._wanted.expect(scan.plan)
@@ -432,8 +451,11 @@ class Schedule:
         if self._sent_turn is None:
             self._sent_turn = first * made.turns
         # A program that was held up does not make good more than the last scan.
-        if now_ns - made.turns * TURN_NS > free_ns:
-            free_ns = now_ns - made.turns * TURN_NS
+        held_ns = now_ns - made.turns * TURN_NS
+        if self._begun is not None and self._begun.epoch == self._wanted.epoch:
+            held_ns = min(held_ns, self._mirror.turn_ns(self._begun.sweep + made.turns))
+        if held_ns > free_ns:
+            free_ns = held_ns
             self._late = True
         end = max(
             self._scan_from(free_ns, made.turns),

@@ -351,6 +351,14 @@ class Lms2xxSession(EventSession):
             self._tell_unsent(passed, "ended before the next slot")
         return plan
 
+    def plan_after(self, plan: ScanPlan) -> ScanPlan | None:
+        """One ahead, of a stream."""
+        return self._schedule.plan_after(plan, self._now_ns) if self._phase in UP else None
+
+    def begun(self, plan: ScanPlan) -> None:
+        """It keeps its slot though it may be late."""
+        self._schedule.begun(plan)
+
     def submit(self, scan: Scan) -> None:
         """Take the scan of `next_plan`; `ScanRefused` when it is not wanted any more."""
         self._schedule.submit(scan)

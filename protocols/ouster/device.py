@@ -59,6 +59,7 @@ def packets_of(columns: int, fps: int) -> int:
 class OusterDevice(PacketSession[Slice]):
     """The device without its requests."""
 
+    FORESEES = True
     clock_tick_ns = Fraction(1)
     clock_bits = 64
 

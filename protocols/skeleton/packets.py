@@ -11,7 +11,7 @@ from typing import Generic, Protocol, TypeVar
 
 from protocols.session import Address, DropReason, LinkKind
 from protocols.skeleton.requests import RequestSession
-from protocols.skeleton.sweeps import Sweep
+from protocols.skeleton.sweeps import SLICES_KEPT, Sweep
 
 MOST_KEPT = 1000
 "Slices outside of the field of view that are skipped at once; a turn of the slowest motor has less."
@@ -37,8 +37,8 @@ class PacketSession(RequestSession, Generic[Slice]):
         "Datagram links, in the order of the scenario."
         self._listeners: list[Address] = []
         "Where packets go besides: hosts that asked on a connection."
-        self._made: dict[tuple[int, int], Slice] = {}
-        "The latest slices, by stream and number."
+        self._made: dict[tuple[int, int, int], Slice] = {}
+        "The latest slices, by stream, number and instant."
 
     # what a family fills in
 
@@ -86,9 +86,9 @@ class PacketSession(RequestSession, Generic[Slice]):
     # slices
 
     def _slice(self, number: int) -> Slice:
-        key = self._stream, number
+        key = self._stream, number, self._raster.at(number)
         if (made := self._made.get(key)) is None:
-            while len(self._made) > 1:
+            while len(self._made) >= SLICES_KEPT:
                 self._made.pop(next(iter(self._made)))
             made = self._made[key] = self._make(number)
         return made

@@ -26,6 +26,8 @@ from protocols.skeleton.outbox import Outgoing
 from protocols.skeleton.session import TimedSession
 from protocols.skeleton.wanted import Wanted
 
+SLICES_KEPT = 40
+"Slices that a family remembers from its plan to its packets: of those measured at once, and one before."
 SHARES = 1 << 20
 "Resolution of a motor's speed, as a fraction of the nominal one; finer than any motor."
 
@@ -68,6 +70,8 @@ class Telegram(NamedTuple):
 class SweepSession(TimedSession):
     """Base class of a device that measures sweeps."""
 
+    FORESEES: ClassVar[bool] = False
+    "Computing a sweep beforehand changes nothing, neither in it nor in those after it."
     LINE_SPEED: ClassVar[int | None] = None
     "Speed of its serial line at power-on, in baud."
 
@@ -87,6 +91,8 @@ class SweepSession(TimedSession):
         self._raster = Raster(0, period_ns)
         self._next = 0
         "Number of the sweep to be measured next."
+        self._foreseen: deque[tuple[int, int]] = deque(maxlen=SLICES_KEPT)
+        "Epoch and number of sweeps that are measured before they are wanted, ascending."
         self._stream = 0
         self._restart_ns: int | None = None
 
@@ -117,6 +123,11 @@ class SweepSession(TimedSession):
     def _passed_over(self, number: int) -> int:
         """How many sweeps from that number on the device keeps to itself; they need not be measured."""
         return 0
+
+    def _is_settled(self, number: int) -> bool:
+        """Whether it, or the next that is not skipped, can be computed now: nothing that may still come, as a pulse
+        that the phase is held to, acts before its end."""
+        return True
 
     # power
 
@@ -243,8 +254,11 @@ class SweepSession(TimedSession):
         return self._choose() if plan is None else plan
 
     def _choose(self) -> ScanPlan:
-        raster, slowed = self._schedule(), float(self._slowed)
-        ended = raster.first_from(self._now_ns - round(1e9 * slowed * self._sweep(self._next).duration_s))
+        while self._foreseen and self._foreseen[0] < (self._wanted.epoch, self._next):
+            self._foreseen.popleft()
+        ended = self._first_not_ended(self._next)
+        if self._foreseen:
+            ended = min(ended, self._foreseen[0][1])
         if ended > self._next:  # not measured in time: never silently
             late = range(self._next, ended)
             self._events.unsent(self._now_ns, DropReason.LATE, late, "not measured in time", self._stream)
@@ -253,11 +267,18 @@ class SweepSession(TimedSession):
             numbers = range(self._next, self._next + passed)
             self._events.unsent(self._now_ns, DropReason.KEPT, numbers, "", self._stream)
             self._next += passed
-        sweep = self._sweep(self._next)
+        return self._wanted.ask(*self._planned(self._next))
+
+    def _first_not_ended(self, number: int) -> int:
+        duration_ns = round(1e9 * float(self._slowed) * self._sweep(number).duration_s)
+        return max(number, self._schedule().first_from(self._now_ns - duration_ns))
+
+    def _planned(self, number: int) -> tuple[ScanPlan, Sweep]:
+        raster, slowed, sweep = self._schedule(), float(self._slowed), self._sweep(number)
         plan = ScanPlan(
             epoch=self._wanted.epoch,
-            sweep=self._next,
-            start_ns=raster.at(self._next),
+            sweep=number,
+            start_ns=raster.at(number),
             azimuth_rad=sweep.azimuth_rad,
             elevation_rad=sweep.elevation_rad,
             fire_offset_s=sweep.fire_offset_s if slowed == 1.0 else sweep.fire_offset_s * slowed,
@@ -272,7 +293,19 @@ class SweepSession(TimedSession):
             stream=self._stream,
             period_ns=round(raster.period_ns),
         )
-        return self._wanted.ask(plan, sweep)
+        return plan, sweep
+
+    def plan_after(self, plan: ScanPlan) -> ScanPlan | None:
+        """A later sweep of the present settings, where the family foresees them."""
+        number = plan.sweep + 1
+        if not self.FORESEES or self._wanted.plan is None or not self._is_settled(number):
+            return None
+        number = self._first_not_ended(number)
+        return self._planned(number + self._passed_over(number))[0]
+
+    def begun(self, plan: ScanPlan) -> None:
+        """It is wanted even when it has ended."""
+        self._foreseen.append((plan.epoch, plan.sweep))
 
     def submit(self, scan: Scan) -> None:
         """Take the scan of `next_plan`; `ScanRefused` for any other."""

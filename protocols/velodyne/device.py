@@ -6,6 +6,7 @@ fires when, and where packets go. Not: what a request says (session), bytes (cod
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -48,6 +49,7 @@ class Slice:
 class VelodyneDevice(PacketSession[Slice]):
     """The device without its requests."""
 
+    FORESEES = True
     clock_tick_ns = TICK_NS
     clock_bits = 32
 
@@ -206,6 +208,13 @@ class VelodyneDevice(PacketSession[Slice]):
                 self.motor.correct(pulse_ns, self._used.phase_cdeg / codec.TURN_CDEG)
             self._pulse_ns = pulse_ns
             pulse_ns = self.gps.after(pulse_ns)
+
+    def _is_settled(self, number: int) -> bool:
+        if not self._used.phase_lock or not self.gps.pulses:
+            return True
+        further = 0 if self._used.sees_all else math.ceil(SECOND_NS / SAFE_HZ / self._raster.period_ns)
+        pulse_ns = self.gps.after(self._now_ns if self._pulse_ns is None else self._pulse_ns)
+        return pulse_ns >= self._raster.at(number + further + 1)
 
     def _telegrams(self, scan: Scan) -> Iterator[Telegram]:
         piece = self._slice(scan.plan.sweep)

@@ -10,6 +10,8 @@ receiver is what is left of the whole without what comes back (`Measure.view`).
 Packets: of what one ray a beam has measured, by profile or return mode. Encoding is all that a session does between a
 scan and its emissions: choosing returns, units, instants, and packing: bytes and checks; the best slice. Sending is
 that of the UDP link, to a socket of this machine.
+
+Split: wall time of slices, handed to one measuring process and to two; of a quiet machine with a core for each.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ import socket
 import sys
 import time
 from collections.abc import Iterator, Mapping
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -29,6 +32,7 @@ sys.path.insert(0, str(ROOT))
 
 from emulator.casting.raycast import Caster  # noqa: E402
 from emulator.compiled import switch  # noqa: E402
+from emulator.measuring.supervision import Workers  # noqa: E402
 from emulator.runtime import assembly  # noqa: E402
 from emulator.scenario import scenario  # noqa: E402
 from emulator.sensing.view import View  # noqa: E402
@@ -208,6 +212,32 @@ def measuring(model: str, count: int) -> None:
             )
 
 
+def splitting(model: str, count: int) -> None:
+    """Print how long slices take on the wall clock, measured by one process and by two."""
+    plans = plans_of(model, count)
+    period_s = 1e-9 * (plans[-1].start_ns - plans[0].start_ns) / (count - 1)
+    alone_s = 0.0
+    for processes in (1, 2):
+        pool = Workers(partial(assembly.build_measures, street(model, CLEAR)), ["roof"], processes, shared=["roof"])
+        took = []
+        for _ in range(4):  # the first fills tables
+            begin = time.perf_counter()
+            for plan in plans:
+                pool.request("roof", plan)
+            pool.settle()
+            took.append(time.perf_counter() - begin)
+            assert len(pool.collect("roof")) == count
+        shares = [row["measured"] for row in pool.rows()]
+        pool.close()
+        best = min(took[1:])
+        alone_s = alone_s or best
+        print(
+            f"{model}; {processes}; {1e3 * best / count:.1f} ms; {alone_s / best:.2f};"
+            f" {period_s * count / best:.2f}; {shares}",
+            flush=True,
+        )
+
+
 def main() -> None:
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 20
     models = sys.argv[2:] or list(MODELS)
@@ -220,6 +250,9 @@ def main() -> None:
     )
     for model in models:
         measuring(model, count)
+    print("split: model; processes; wall time of a slice; times as fast as one; share of real time; slices of each")
+    for model in models:
+        splitting(model, max(count, 20))
 
 
 if __name__ == "__main__":

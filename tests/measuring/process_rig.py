@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import socket
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +44,8 @@ class Played:
         self.form = "loops" if loops else "arrays"
         self.takes_ns: int | None = None
         "A sweep; None: as all of the rig."
+        self.takes_of: dict[str, int] = {}
+        "The same by sensor."
         self.state: object = {}
         "What it has been told to go on from."
         self.pipe, theirs = socket.socketpair()
@@ -138,6 +140,8 @@ class Played:
 
     @property
     def _takes_ns(self) -> int:
+        if self.jobs and self.jobs[0][0] in self.takes_of:
+            return self.takes_of[self.jobs[0][0]]
         return self._rig.takes_ns if self.takes_ns is None else self.takes_ns
 
     def _hand_over(self, state: object) -> None:
@@ -188,8 +192,9 @@ class Rig:
         builds_ns: int = 300 * MS,
         build_loops: Callable[[], Any] | None = None,
         slice_ns: int = SLICE_NS,
+        shared: Sequence[str] = (),
     ) -> None:
-        """`sensors`: ids of LMS291 at 37.5 scans a second. `text`: rows of other sensors."""
+        """`sensors`: ids of LMS291 at 37.5 scans a second. `text`: rows of other sensors. `shared`: as of `Workers`."""
         rows = [LMS.format(name) for name in sensors] + ([text] if text else [])
         loaded = scenario.loads(WORLD + "\n".join(rows) + "\n", Path("rig.yaml"))
         self.clock, self.slice_ns = ManualClock(), slice_ns
@@ -200,7 +205,7 @@ class Rig:
         self.processes: list[Played] = []
         self.reported: list[str] = []
         names = [one.id for one in loaded.sensors]
-        self.workers = Workers(Measures, names, workers, self.clock, _Stepping(self), self._launch, build_loops)
+        self.workers = Workers(Measures, names, workers, self.clock, _Stepping(self), self._launch, build_loops, shared)
         self.builds_ns = builds_ns
         loops = Loops()
         self.sessions = assembly.new_sessions(loaded)

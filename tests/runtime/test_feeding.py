@@ -55,7 +55,7 @@ def test_in_real_time_a_sweep_is_asked_for_as_late_as_it_can_be_sent_in_time() -
     found, _ = feeding("{feed: control, clock: {map: arrival}}")
     sweep, earliest = plan(1000 * MS), 750 * MS
     found.world("front", sweep, 900 * MS)
-    found.came("front", 904 * MS)
+    found.came("front", sweep, 904 * MS)
     assert found.ask_ns("front", sweep, earliest) == 1026_700_000 - round(MARGIN * 4 * MS) - MARGIN_NS
 
 
@@ -65,7 +65,7 @@ def test_one_that_takes_longer_is_asked_for_earlier_from_then_on_and_a_stall_is_
     led = [1026_700_000 - found.ask_ns("front", sweep, 0)]
     for took in (4, 20, 4, *100 * (4,)):
         found.world("front", sweep, 900 * MS)
-        found.came("front", (900 + took) * MS)
+        found.came("front", sweep, (900 + took) * MS)
         led.append(1026_700_000 - found.ask_ns("front", sweep, 0))
     assert led[0] == FIRST_NS + MARGIN_NS, "none is late before it is known"
     assert led[2] > 20 * MS
@@ -245,7 +245,7 @@ def test_poses_at_the_beams_are_as_old_as_feed_and_measuring_make_them(took_ms: 
         found.world("front", sweep, now[0])
         done_ns = now[0] + round(took_ms * rng.uniform(0.9, 1.1) * MS)
         late += done_ns > sweep.start_ns + round(1e9 / 37.5)
-        found.came("front", done_ns)
+        found.came("front", sweep, done_ns)
         number += 1
     age = found.report()["age_ms"]
     assert isinstance(age, dict)

@@ -8,13 +8,20 @@ from pathlib import Path
 import pytest
 
 from emulator.transports import probes
-from emulator.transports.probes import Probe, probe_compiler, probe_links, probe_open_watch, probe_pseudo_terminals
+from emulator.transports.probes import (
+    Probe,
+    probe_compiler,
+    probe_datagrams,
+    probe_links,
+    probe_open_watch,
+    probe_pseudo_terminals,
+)
 
 
 def test_every_question_gets_an_answer_and_nothing_stays_open() -> None:
     before = len(os.listdir("/proc/self/fd"))
     answers = probe_links(os.environ)
-    assert len({answer.name for answer in answers}) == 6
+    assert len({answer.name for answer in answers}) == 7
     assert all(answer.detail for answer in answers)
     assert len(os.listdir("/proc/self/fd")) == before
 
@@ -35,3 +42,17 @@ def test_what_is_missing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert not probe_open_watch().works
     monkeypatch.setattr(os, "openpty", none_left.__get__("x"))
     assert not probe_pseudo_terminals().works
+
+
+def test_the_mtu_of_each_interface_is_told_and_which_has_jumbo_frames(tmp_path: Path) -> None:
+    for name, mtu in (("eth0", "1500"), ("eth1", "9000"), ("lo", "65536"), ("odd", "no number")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mtu").write_text(f"{mtu}\n")
+    (tmp_path / "buffer").write_text("212992\n")
+    probe = probe_datagrams(tmp_path, tmp_path / "buffer")
+    assert probe.works
+    assert "eth0 1500 (datagrams to 1472 bytes leave whole), eth1 9000 (jumbo, datagrams to 8972 bytes" in probe.detail
+    assert "lo 65536 (datagrams" in probe.detail
+    assert "send buffer 212992 bytes" in probe.detail
+    assert not probe_datagrams(tmp_path / "none").works
+    assert "send buffer unknown" in probe_datagrams(tmp_path, tmp_path / "none").detail

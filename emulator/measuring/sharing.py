@@ -1,0 +1,155 @@
+"""Sweeps of one sensor in several processes at once: which process takes which, and what is measured ahead.
+
+Belongs here: the choice of work for a process that is free, sweeps measured before they are asked for, a second try of
+one that stands still. Not: processes (supervision); when a sweep is asked for, and in which order (instrument).
+
+Each sensor has one process as its own. One that remembers nothing from sweep to sweep is *shared*: a process that is
+free takes what waits for another. What is asked for goes before what is measured ahead, own work before that of others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+from emulator.measuring.homes import Home, Question, Sweep
+from emulator.process import time_limits
+from protocols.scan import ScanPlan
+
+LENT_NS = 20_000_000
+"A process with sensors of its own is lent to others for sweeps as short as that: an LMS2xx, the tightest, waits 40 ms."
+AWAY_NS = 100_000_000
+"The same while the process of the other sensor is gone, or stands still."
+AGAIN_NS = 50_000_000
+AGAIN_TIMES = 4
+"After so long, and so many times as long as the longest of the last, a sweep is also given to a process that is free."
+
+
+class Shared:
+    """Sensors that any process may measure."""
+
+    def __init__(self, sensors: Sequence[str]) -> None:
+        self.sensors = frozenset(sensors)
+        self._early: dict[str, list[Sweep]] = {}
+        "Measured ahead and not asked for yet, by sensor."
+        self.latest: dict[str, Sweep] = {}
+        "The sweep measured last, whichever process did it: a new process is tried with it."
+
+    # what is measured ahead
+
+    def begin(self, work: Sweep) -> None:
+        """One is measured ahead."""
+        self._early.setdefault(work.sensor, []).append(work)
+
+    def claimed(self, sensor: str, early: ScanPlan, plan: ScanPlan) -> Sweep | None:
+        """What was measured ahead for `early` is asked for, as `plan`; None: it is not there any more."""
+        for work in self._early.get(sensor, ()):
+            if work.plan is early:
+                self._early[sensor].remove(work)
+                work.ahead, work.asked_as = False, plan
+                return work
+        return None
+
+    def forget(self, work: Sweep) -> None:
+        """It will not be asked for, or cannot be had."""
+        if work in self._early.get(work.sensor, ()):
+            self._early[work.sensor].remove(work)
+
+    def is_early(self, work: Sweep) -> bool:
+        """Whether it may still be asked for."""
+        return work in self._early.get(work.sensor, ())
+
+    def of_plans(self, sensor: str, plans: Sequence[ScanPlan]) -> list[Sweep]:
+        """Those measured ahead for these plans."""
+        return [work for work in self._early.get(sensor, ()) if any(work.plan is plan for plan in plans)]
+
+    # who takes what
+
+    def spare(self, sensor: str, homes: Sequence[Home], behind: bool) -> int:
+        """How many more of its sweeps would be begun at once; `behind`: or right behind one of its own."""
+        if sensor not in self.sensors or len(homes) < 2:
+            return 0
+        busy = [home.in_hand for home in homes if home.in_hand is not None]
+        usual_ns = self._usual_ns(sensor, homes)
+        free = sum(
+            home.state == "ready" and home.in_hand is None and self._is_lent(home, sensor, usual_ns, homes)
+            for home in homes
+        )
+        if behind and all(isinstance(one, Sweep) and one.sensor == sensor for one in busy):
+            free += len(busy)  # while a result is on its way, its process has the next
+        return max(0, free - sum(len(home.owed) for home in homes) + len(busy))
+
+    def next_of(self, home: Home, homes: Sequence[Home], pauses: Callable[[str], bool]) -> Sweep | Question | None:
+        """What a process that is free does next; it is among what its home owes then."""
+        for work, owner in self._candidates(home, homes):
+            if isinstance(work, Sweep) and pauses(work.sensor):
+                continue
+            if owner is not home:
+                owner.owed.remove(work)
+                home.owed.append(work)
+            return work
+        return None
+
+    def _candidates(self, home: Home, homes: Sequence[Home]) -> Iterator[tuple[Sweep | Question, Home]]:
+        busy = [one for one in homes if one is not home and (one.in_hand is not None or one.state != "ready")]
+        owners = (home, *busy) if self.sensors else (home,)
+        for ahead in (False, True):
+            for owner in owners:
+                for work in list(owner.owed):
+                    if work is owner.in_hand or (isinstance(work, Sweep) and work.ahead) != ahead:
+                        continue
+                    if owner is home or self._may_move(work, home, homes):
+                        yield work, owner
+
+    def _may_move(self, work: Sweep | Question, home: Home, homes: Sequence[Home]) -> bool:
+        if not isinstance(work, Sweep) or work.given_up or work.sensor not in self.sensors:
+            return False
+        return self._is_lent(home, work.sensor, self._usual_ns(work.sensor, homes), homes)
+
+    @staticmethod
+    def _usual_ns(sensor: str, homes: Sequence[Home]) -> int:
+        """What a sweep of it takes; 0: not known."""
+        return min((home.pace[sensor].usual_ns for home in homes if home.pace[sensor].usual_ns), default=0)
+
+    @staticmethod
+    def _is_lent(home: Home, sensor: str, usual_ns: int, homes: Sequence[Home]) -> bool:
+        if sensor in home.sensors or all(home.pace[own].fresh for own in home.sensors):
+            return True
+        away = any(sensor in one.sensors and (one.state != "ready" or _is_stuck(one)) for one in homes)
+        return 0 < usual_ns <= (AWAY_NS if away else LENT_NS)
+
+    def warms_up(self, home: Home, work: Sweep, homes: Sequence[Home]) -> Sweep | None:
+        """What a process measures for nobody before its first sweep of a sensor that others measure meanwhile."""
+        latest = self.latest.get(work.sensor)
+        if latest is None or work.sensor not in self.sensors or not home.pace[work.sensor].fresh:
+            return None
+        if not any(one.state == "ready" and not one.pace[work.sensor].fresh for one in homes):
+            return None
+        return Sweep(latest.sensor, latest.plan, latest.conditions, given_up=True)
+
+    # what stands still
+
+    def again(self, home: Home, homes: Sequence[Home], now_ns: int) -> Sweep | None:
+        """The sweep in the hands of a process that takes too long, once more for another that is free."""
+        work = home.in_hand
+        if not isinstance(work, Sweep) or work.given_up or work.sensor not in self.sensors:
+            return None
+        pace = home.pace[work.sensor]
+        most_ns = time_limits.IDLE_NS if pace.fresh else max(AGAIN_NS, AGAIN_TIMES * pace.longest_ns)
+        if now_ns - home.since_ns <= most_ns:
+            return None
+        work.again = work.given_up = True
+        usual_ns = self._usual_ns(work.sensor, homes)
+        free = [one for one in homes if one.state == "ready" and one.in_hand is None]
+        if not any(self._is_lent(one, work.sensor, usual_ns, homes) for one in free):
+            work.again = work.given_up = False
+            return None
+        second = Sweep(work.sensor, work.plan, work.conditions, work.tries, ahead=work.ahead, asked_as=work.asked_as)
+        if work.ahead:
+            self.forget(work)
+            self.begin(second)
+        return second
+
+
+def _is_stuck(home: Home) -> bool:
+    """What it has in hand has been given to another, too."""
+    return isinstance(home.in_hand, Sweep) and home.in_hand.again

@@ -1,0 +1,195 @@
+"""One sensor's sweeps in several processes at once: played processes, on a clock of the test."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from emulator.measuring.conditions import NORMAL
+from emulator.measuring.measuring import Measures
+from emulator.measuring.supervision import Workers
+from emulator.process.clock import ManualClock
+from protocols.scan import Scan, ScanPlan
+from tests.instrument.test_instrument import plan
+from tests.measuring.process_rig import LISTS, MS, SECOND, Played, Rig
+
+RATE_HZ = 37.5
+Make = Callable[..., Rig]
+
+
+@pytest.fixture
+def rig() -> Iterator[Make]:
+    made: list[Rig] = []
+
+    def make(*sensors: str, **words: object) -> Rig:
+        made.append(Rig(*sensors, **words))  # type: ignore[arg-type]
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+def in_order(sweeps: list[int]) -> bool:
+    return sweeps == sorted(set(sweeps))
+
+
+@pytest.mark.parametrize(("workers", "rate_hz"), [(1, 20.0), (2, 37.5)])
+def test_sweeps_that_take_longer_than_their_period_are_measured_by_two_processes(
+    rig: Make, workers: int, rate_hz: float
+) -> None:
+    run = rig("front", workers=workers, shared=["front"], slice_ns=MS)
+    run.takes_ns = 45 * MS
+    run.stream()
+    assert run.rate_hz("front", 4.0) == pytest.approx(rate_hz, abs=2.5)
+    assert in_order(run.sent.sweeps["front"])
+    assert all(one.measured for one in run.processes)
+    assert run.by_name["front"].ledger.account()["unaccounted"] == 0
+    assert run.kinds() == []
+
+
+def test_results_that_come_in_another_order_are_sent_in_theirs(rig: Make) -> None:
+    run = rig("front", workers=2, shared=["front"], slice_ns=MS)
+    run.takes_ns = 26 * MS
+    run.processes[1].takes_ns = 3 * MS
+    run.stream()
+    assert run.rate_hz("front", 4.0) == pytest.approx(RATE_HZ, abs=1.0)
+    assert in_order(run.sent.sweeps["front"])
+    assert run.late("front") == 0
+
+
+@pytest.mark.parametrize("how", ["killed", "killed in a message", "stopped"])
+def test_a_process_that_is_lost_costs_no_scan_while_another_is_free(rig: Make, how: str) -> None:
+    run = rig("front", workers=2, shared=["front"], slice_ns=2 * MS, builds_ns=3 * SECOND)
+    run.takes_ns = 20 * MS
+    run.stream()
+    lost = run.processes[0]
+    assert run.advance(1.0, lambda: lost.busy)
+    if how == "stopped":
+        lost.stopped = True
+    else:
+        lost.end(-9) if how == "killed" else lost.die_in_a_message()
+    late = run.late("front")
+    assert run.rate_hz("front", 12.0) == pytest.approx(RATE_HZ, abs=1.0)
+    # an LMS291 lets a sweep be measured 53 ms before it begins: a stop is noticed after as long as that
+    assert run.late("front") - late <= (8 if how == "stopped" else 1)
+    assert run.kinds() == ["worker replaced"]
+    assert in_order(run.sent.sweeps["front"])
+    assert run.by_name["front"].ledger.account()["unaccounted"] == 0
+    assert run.daemon.incidents.exit_code == 0
+
+
+def test_a_process_that_is_new_measures_once_for_nobody_before_it_is_given_what_is_wanted(rig: Make) -> None:
+    run = rig("front", workers=2, shared=["front"], slice_ns=MS)
+    run.takes_ns = 22 * MS
+    run.stream()
+    run.on_launch = lambda made: setattr(made, "takes_ns", 2 * SECOND)  # its first sweep fills tables
+    run.processes[0].end(-9)
+    assert run.advance(5.0, lambda: run.process.busy)
+    sensor, wanted, _ = run.process.jobs[0]
+    assert (sensor, wanted.sweep) in run.processes[1].measured, "another has measured it"
+    late, sent = run.late("front"), run.sent.sweeps["front"]
+    before = len(sent)
+    run.advance(1.0)
+    assert len(sent) - before > 0.8 * RATE_HZ, "the other goes on alone"
+    run.process.takes_ns = 2 * MS
+    run.advance(2.0)
+    assert len(run.process.measured) > 1
+    assert run.late("front") - late < 0.3 * RATE_HZ * 3
+    assert in_order(sent)
+
+
+def test_one_that_remembers_stays_with_its_own_process(rig: Make) -> None:
+    run = rig("front", workers=2, text=LISTS.format("list", "front", "bus-sharing"), shared=["front"], slice_ns=2 * MS)
+    run.takes_ns = 10 * MS
+    run.stream("front")
+    run.advance(2.0)
+    homes = {sensor: index for index, row in enumerate(run.workers.rows()) for sensor in row["sensors"]}  # type: ignore[attr-defined]
+    measured = [{sensor for sensor, _ in one.measured} for one in run.processes]
+    assert measured[homes["list"]] >= {"list"}
+    assert "list" not in measured[1 - homes["list"]]
+    assert "front" in measured[homes["list"]], "and its process helps others"
+
+
+def test_what_is_too_much_for_the_process_of_two_sensors_goes_to_that_of_the_third(rig: Make) -> None:
+    run = rig("a", "b", "c", workers=2, shared=["a", "b", "c"], slice_ns=MS)
+    run.takes_ns = 14 * MS  # twice that is more than a scan time
+    run.stream()
+    for name in "abc":
+        late = run.late(name)
+        assert run.rate_hz(name, 2.0) == pytest.approx(RATE_HZ, abs=1.0)
+        assert run.late(name) == late
+        assert in_order(run.sent.sweeps[name])
+        assert run.by_name[name].ledger.account()["unaccounted"] == 0
+
+
+def test_a_process_is_not_lent_for_sweeps_that_would_make_its_own_late(rig: Make) -> None:
+    run = rig("heavy", "light", workers=2, shared=["heavy", "light"], slice_ns=MS)
+    takes = {"heavy": 60 * MS, "light": 2 * MS}
+    for one in run.processes:
+        one.takes_of = takes
+    run.stream()
+    late = run.late("light")
+    assert run.rate_hz("light", 4.0) == pytest.approx(RATE_HZ, abs=1.0)
+    assert run.late("light") == late
+    assert run.rate_hz("heavy", 4.0) == pytest.approx(RATE_HZ / 3, abs=2.0), "alone"
+
+
+class Pool:
+    """Workers on a virtual clock, with played processes that take no time."""
+
+    clock = ManualClock()
+    builds_ns, takes_ns, cpu_ns = 0, 0, MS
+    scan_of = staticmethod(Rig.scan_of)
+
+    def __init__(self) -> None:
+        self.processes: list[Played] = []
+        self.workers = Workers(Measures, ["front"], 2, None, self, self._launch, shared=["front"])
+
+    def now_ns(self) -> int:
+        for one in self.processes:
+            one.step(self.clock.now_ns())
+        self.clock.set(self.clock.now_ns() + MS)
+        return self.clock.now_ns()
+
+    def _launch(self, loops: bool | None) -> Played:
+        self.processes.append(Played(self, 0, loops))  # type: ignore[arg-type]
+        return self.processes[-1]
+
+
+def test_virtual_time_waits_for_what_is_asked_for_and_not_for_what_is_begun_early() -> None:
+    pool = Pool()
+    first, second, asked = plan(0, 1, 0), plan(0, 2, SECOND), plan(7, 2, SECOND)
+    pool.workers.request("front", first)
+    assert pool.workers.spare("front") == 2
+    pool.workers.request_ahead("front", second, NORMAL)
+    busy = next(one for one in pool.processes if one is not pool.processes[0])
+    busy.stopped = True
+    assert pool.workers.settle() == {"front"}
+    assert [scan.plan.sweep for scan in pool.workers.collect("front")] == [1]
+    busy.stopped = False
+    pool.workers.settle()
+    assert pool.workers.collect("front") == [], "nobody has asked for it"
+    assert pool.workers.claim("front", second, asked)
+    assert pool.workers.collect("front") == [], "as all others it comes when time stands"
+    assert pool.workers.settle() == {"front"}
+    [scan] = pool.workers.collect("front")
+    assert scan.plan is asked
+    assert not pool.workers.claim("front", second, asked)
+    pool.workers.close()
+
+
+def test_what_is_dropped_is_measured_no_more_and_does_not_come() -> None:
+    pool = Pool()
+    plans = [plan(0, number, number * SECOND) for number in range(1, 5)]
+    for one in plans[:3]:
+        pool.workers.request_ahead("front", one, NORMAL)
+    pool.workers.drop("front", plans[:3])
+    pool.workers.request("front", plans[3])
+    assert pool.workers.settle() == {"front"}
+    scans: list[Scan] = pool.workers.collect("front")
+    assert [scan.plan.sweep for scan in scans] == [4]
+    measured: list[ScanPlan | int] = [sweep for one in pool.processes for _, sweep in one.measured]
+    assert 3 not in measured, "it was in nobody's hands"
+    pool.workers.close()
