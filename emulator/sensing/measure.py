@@ -209,14 +209,18 @@ class Measure:
     def view(self, plan: ScanPlan) -> View:
         """Everything that comes back in a sweep of at least one beam, before the receiver."""
         with np.errstate(under="ignore"):
-            return self._view(plan)
+            view = self._view(plan)
+        if self._again is not None and view is self._again.view:
+            view = replace(view, rays=view.rays.at(1e-9 * plan.start_ns + plan.fire_offset_s))
+        return view
 
     def _view(self, plan: ScanPlan) -> View:
+        """The same; where nothing moves the one of an earlier sweep, with that one's instants."""
         t_s = 1e-9 * plan.start_ns + plan.fire_offset_s
         air, gain = self.air.at(float(t_s[0])), plan.gain
         again = self._again
         if again is not None and again.serves(plan, self._bundles, air):
-            return replace(again.view, rays=again.view.rays.at(t_s))
+            return again.view
         pose = self._pose(t_s, plan.origin_m)
         if air.volumes and self.model.prune_far:
             place, reach = pose.position_m, reach_of(self.model, plan.max_range_m)
