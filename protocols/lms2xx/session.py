@@ -177,9 +177,7 @@ class Lms2xxSession(EventSession):
 
     def advance(self, now_ns: int) -> None:
         """Let boot, time-outs and slots up to `now_ns` take effect."""
-        if (
-            now_ns > self._now_ns or self._phase is not Phase.READY
-        ):  # else no time-out has passed since it was looked at
+        if now_ns > self._now_ns or self._phase is not Phase.READY:  # else no time-out has passed since the last call
             self._now_ns = max(self._now_ns, now_ns)
             self._run_phases(self._now_ns)
             for receiver in self._receivers.values():
