@@ -41,7 +41,7 @@ class Store:
     def __init__(self, root: Path) -> None:
         self.root = root
         self._made: set[str] = set()
-        self._writer = f"{socket.gethostname()[:64]}-{os.getpid()}-{os.urandom(4).hex()}"
+        self._writer = own_mark()
 
     def make(self) -> None:
         """Its folders; `EmulatorError` when they cannot be."""
@@ -63,7 +63,7 @@ class Store:
                 " give other results; want that version, another --out, or --rerun to run all cases again"
             )
         if known is None or known.get("digest") != digest:
-            self._put(self.root / "campaign.json", json.dumps({"version": version, "file": file, "digest": digest}))
+            self.put(self.root / "campaign.json", json.dumps({"version": version, "file": file, "digest": digest}))
         return known is not None and known.get("digest") != digest
 
     def forget_version(self) -> None:
@@ -93,7 +93,8 @@ class Store:
         """A folder or file that nobody else writes."""
         return self.root / "aside" / f"{name}-{self._writer}"
 
-    def _put(self, path: Path, text: str) -> None:
+    def put(self, path: Path, text: str) -> None:
+        """Write a file as a whole: aside, then renamed. Raises `OSError`."""
         aside = self.aside(path.name)
         try:
             with aside.open("x", encoding="utf-8") as file:
@@ -112,7 +113,7 @@ class Store:
             self._made.add(name[:2])
         text = json.dumps(row)
         assert text.startswith(HEAD)
-        self._put(self.place(name), text + "\n")
+        self.put(self.place(name), text + "\n")
         with contextlib.suppress(OSError):  # a hint for readers; the case itself is there
             with (self.root / "index" / f"{self._writer}.jsonl").open("ab", buffering=0) as index:
                 index.write(text.encode() + b"\n")
@@ -223,6 +224,11 @@ class Store:
                 else:
                     with contextlib.suppress(OSError):
                         path.unlink()
+
+
+def own_mark() -> str:
+    """Machine, process and a random number: at the end of names aside that nobody else uses."""
+    return f"{socket.gethostname()[:64]}-{os.getpid()}-{os.urandom(4).hex()}"
 
 
 def size_of(folder: Path) -> int:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from emulator.campaigns.campaign import Campaign
 from emulator.campaigns.factors import Floats
-from emulator.campaigns.store import BROKEN, Row, Store
+from emulator.campaigns.store import BROKEN, Row, Store, own_mark
 from emulator.errors import EmulatorError
 from emulator.output.csv_tables import Writer
 from emulator.output.sanitizing import visible
@@ -184,11 +184,23 @@ def _columns(
 # ---------------------------------------------------------------- files
 
 
+def _aside(path: Path) -> Path:
+    """Where a table is written before it is renamed: of this writer alone, others may end at the same time."""
+    return path.parent / "aside" / f"{path.name}-{own_mark()}"
+
+
+def _into_place(aside: Path, path: Path) -> None:
+    try:
+        aside.replace(path)
+    except OSError as error:
+        raise EmulatorError(f"{path}: cannot be written: {error.strerror}") from None
+
+
 class _Csv:
     """Written as rows come, then renamed."""
 
     def __init__(self, path: Path, heads: Sequence[str]) -> None:
-        self._path, self._aside = path, path.with_suffix(".csv.part")
+        self._path, self._aside = path, _aside(path)
         try:
             self._file = self._aside.open("w", newline="", encoding="utf-8")
         except OSError as error:
@@ -202,8 +214,11 @@ class _Csv:
             raise EmulatorError(f"{self._path}: cannot be written: {error}") from None
 
     def close(self) -> Path:
-        self._file.close()
-        self._aside.replace(self._path)
+        try:
+            self._file.close()
+        except OSError as error:
+            raise EmulatorError(f"{self._path}: cannot be written: {error}") from None
+        _into_place(self._aside, self._path)
         return self._path
 
 
@@ -217,7 +232,7 @@ class _Parquet:
         kind_of = {"f": pa.float64(), "i": pa.int64(), "b": pa.bool_(), "s": pa.string()}
         self._pa = pa
         self._schema = pa.schema([(head, kind_of[kind]) for head, kind in zip(heads, kinds, strict=True)])
-        self._path, self._aside, self._kinds = path, path.with_suffix(".parquet.part"), kinds
+        self._path, self._aside, self._kinds = path, _aside(path), kinds
         try:
             self._file = pq.ParquetWriter(self._aside, self._schema)
         except OSError as error:
@@ -240,8 +255,11 @@ class _Parquet:
             return self._pa.array([None if one is None else float(one) for one in values], type_)
 
     def close(self) -> Path:
-        self._file.close()
-        self._aside.replace(self._path)
+        try:
+            self._file.close()
+        except OSError as error:
+            raise EmulatorError(f"{self._path}: cannot be written: {error}") from None
+        _into_place(self._aside, self._path)
         return self._path
 
 
