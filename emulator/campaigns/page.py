@@ -50,11 +50,11 @@ def write_page(
             row = store.row(name)
             if row is not None:
                 page = form.page(case_page(campaign, store, row))
-                (out / PAGES / f"{name}.html").write_text(page, encoding="utf-8")
+                store.put(out / PAGES / f"{name}.html", page)
         reported = [name for name in linked if store.recording(name).is_dir()]
         for name in reported[:runs]:
             _run_report(store.recording(name))
-        path.write_text(form.page(made), encoding="utf-8")
+        store.put(path, form.page(made))
     except OSError as error:
         raise EmulatorError(f"{path}: cannot be written: {error.strerror}") from None
     return path

@@ -25,6 +25,11 @@ from emulator.errors import EmulatorError
 
 Row = dict[str, Any]
 HEAD = '{"name": "'
+KEYS = frozenset(
+    ("name", "verdict", "seed", "number", "repeat", "factors", "expect", "quantities", "seconds", "sha256", "fault",
+     "recording_bytes")
+)  # fmt: skip
+"That a row has: without one of them it is none."
 SUFFIX = ".json"
 BROKEN = ("error", "crashed", "hung")
 "Verdicts of cases that did not come to their end."
@@ -36,7 +41,7 @@ class Store:
     def __init__(self, root: Path) -> None:
         self.root = root
         self._made: set[str] = set()
-        self._writer = f"{socket.gethostname()[:64]}-{os.getpid()}-{os.urandom(4).hex()}"
+        self._writer = own_mark()
 
     def make(self) -> None:
         """Its folders; `EmulatorError` when they cannot be."""
@@ -58,7 +63,7 @@ class Store:
                 " give other results; want that version, another --out, or --rerun to run all cases again"
             )
         if known is None or known.get("digest") != digest:
-            self._put(self.root / "campaign.json", json.dumps({"version": version, "file": file, "digest": digest}))
+            self.put(self.root / "campaign.json", json.dumps({"version": version, "file": file, "digest": digest}))
         return known is not None and known.get("digest") != digest
 
     def forget_version(self) -> None:
@@ -88,7 +93,8 @@ class Store:
         """A folder or file that nobody else writes."""
         return self.root / "aside" / f"{name}-{self._writer}"
 
-    def _put(self, path: Path, text: str) -> None:
+    def put(self, path: Path, text: str) -> None:
+        """Write a file as a whole: aside, then renamed. Raises `OSError`."""
         aside = self.aside(path.name)
         try:
             with aside.open("x", encoding="utf-8") as file:
@@ -107,7 +113,7 @@ class Store:
             self._made.add(name[:2])
         text = json.dumps(row)
         assert text.startswith(HEAD)
-        self._put(self.place(name), text + "\n")
+        self.put(self.place(name), text + "\n")
         with contextlib.suppress(OSError):  # a hint for readers; the case itself is there
             with (self.root / "index" / f"{self._writer}.jsonl").open("ab", buffering=0) as index:
                 index.write(text.encode() + b"\n")
@@ -154,15 +160,16 @@ class Store:
 
     def rows(self, wanted: set[str]) -> Iterator[Row]:
         """The rows of those cases that are done, each once, in no order; files that are damaged are passed over."""
-        left = wanted & self.names()
+        left = self.names() & wanted  # of equal sets the texts are those of the second: the first's are let go
         at = len(HEAD)
         for line in self.indexed():
             name = line[at : at + 64].decode("ascii", "replace")
             if name in left:
                 with contextlib.suppress(ValueError):
                     row = json.loads(line)
-                    left.discard(name)
-                    yield row
+                    if row.keys() >= KEYS:
+                        left.discard(name)
+                        yield row
         for name in sorted(left):
             row = self.row(name)
             if row is not None:
@@ -174,30 +181,31 @@ class Store:
             found = json.loads(self.place(name).read_bytes())
         except (OSError, ValueError):
             return None
-        return found if isinstance(found, dict) and found.get("name") == name and "verdict" in found else None
+        return found if isinstance(found, dict) and found.get("name") == name and found.keys() >= KEYS else None
 
     def done(self, again: bool = False) -> set[str]:
         """Names that need not be run; `again`: without those that did not come to their end.
 
         A file that nobody's index has is read: after a power cut it may be empty.
         """
-        left = self.names()
-        found: set[str] = set()
+        found = self.names()
+        left = set(found)
         at = len(HEAD)
         marks = tuple(f'"verdict": "{one}"'.encode() for one in BROKEN)
         last: dict[str, bool] = {}
         for line in self.indexed():
             name = line[at : at + 64].decode("ascii", "replace")
-            if name in left:
-                found.add(name)
+            if name in found:
+                left.discard(name)
                 if again:
                     broken = any(mark in line for mark in marks)
                     if broken or name in last:
                         last[name] = broken
-        for name in left - found:
+        for name in left:
             row = self.row(name)
-            if row is not None:
-                found.add(name)
+            if row is None:
+                found.discard(name)
+            else:
                 last[name] = row["verdict"] in BROKEN
         return found - {name for name, broken in last.items() if broken} if again else found
 
@@ -216,6 +224,11 @@ class Store:
                 else:
                     with contextlib.suppress(OSError):
                         path.unlink()
+
+
+def own_mark() -> str:
+    """Machine, process and a random number: at the end of names aside that nobody else uses."""
+    return f"{socket.gethostname()[:64]}-{os.getpid()}-{os.urandom(4).hex()}"
 
 
 def size_of(folder: Path) -> int:

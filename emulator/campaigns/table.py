@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 
 from emulator.campaigns.campaign import Campaign
 from emulator.campaigns.factors import Floats
-from emulator.campaigns.store import BROKEN, Row, Store
+from emulator.campaigns.store import BROKEN, Row, Store, own_mark
 from emulator.errors import EmulatorError
 from emulator.output.csv_tables import Writer
 from emulator.output.sanitizing import visible
 
 VERDICTS = ("passed", "failed", "error", "crashed", "hung")
+CODES = {name: code for code, name in enumerate(VERDICTS)}
 CHUNK = 20_000
 MOST_CASES_JUNIT = 20_000
 "Test cases of the JUnit report; of more, those that did not pass come first."
@@ -73,41 +74,45 @@ def gather(campaign: Campaign, rows: Iterable[Row], out: Path) -> tuple[Results,
     """All rows as columns, and written as a table beside them; the table's path."""
     columns = [column for one in campaign.factors for column in one.columns]
     numeric = {column for one in campaign.factors if one.numeric for column in one.columns}
-    parts: list[tuple[Any, ...]] = []
     expect: dict[str, Counter[bool]] = {name: Counter() for name in campaign.expect}
     codes: dict[str, dict[str, int]] = {column: {} for column in columns if column not in numeric}
     reported: dict[str, str] = {}
     writer = _writer(campaign, columns, numeric, out)
     quantities = list(campaign.file.quantities)
+    parts: list[list[NDArray[Any]]] = [[] for _ in range(6 + len(columns) + len(quantities))]
     for batch in _batches(rows):
-        writer.add(batch)
+        table = _columns(batch, columns, numeric, quantities, campaign.expect)
+        writer.add(table)
         for row in batch:
-            for name, held in row["expect"].items():
-                expect.setdefault(name, Counter())[held] += 1
+            if row["expect"]:
+                for name, held in row["expect"].items():
+                    expect.setdefault(name, Counter())[held] += 1
             if row["fault"] and len(reported) < MOST_REPORTED:
                 reported[row["name"]] = row["fault"]
-        parts.append(
-            (
-                np.array([row["name"] for row in batch], dtype="S64"),
-                np.array([row["number"] for row in batch], dtype=np.int64),
-                np.array([row["repeat"] for row in batch], dtype=np.int32),
-                np.array([VERDICTS.index(row["verdict"]) for row in batch], dtype=np.int8),
-                np.array([row["seconds"] for row in batch], dtype=np.float64),
-                np.array([row["recording_bytes"] > 0 for row in batch], dtype=bool),
-                *(np.array([_coded(row["factors"].get(one), codes.get(one)) for row in batch]) for one in columns),
-                *(
-                    np.array([_number(row["quantities"].get(one)) for row in batch], dtype=np.float64)
-                    for one in quantities
-                ),
-            )
-        )
+        made = [
+            np.array(table["case"], dtype="S64"),
+            np.array(table["number"], dtype=np.int64),
+            np.array(table["repeat"], dtype=np.int32),
+            np.array([CODES[one] for one in table["verdict"]], dtype=np.int8),
+            _numbers(table["seconds"]),
+            np.array(table["recording_bytes"]) > 0,
+            *(_coded(table[one], codes.get(one)) for one in columns),
+            *(_numbers(table[f"quantity: {one}"]) for one in quantities),
+        ]
+        for part, column in zip(parts, made, strict=True):
+            part.append(column)
     path = writer.close()
-    width = 6 + len(columns) + len(quantities)
-    empty: list[NDArray[Any]] = [np.zeros(0, dtype="S64"), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int32)]
-    empty += [np.zeros(0, dtype=np.int8), np.zeros(0), np.zeros(0, dtype=bool), *[np.zeros(0)] * (width - 6)]
-    whole: list[Any] = [np.concatenate([part[at] for part in parts]) for at in range(width)] if parts else empty
-    order = np.lexsort((whole[2], whole[1]))
-    whole = [one[order] for one in whole]
+    kinds: list[Any] = ["S64", np.int64, np.int32, np.int8, np.float64, bool]
+    kinds += [np.float64] * (len(parts) - len(kinds))
+
+    def joined(at: int) -> NDArray[Any]:
+        return np.concatenate(parts[at]) if parts[at] else np.zeros(0, kinds[at])
+
+    order = np.lexsort((joined(2), joined(1)))
+    whole: list[Any] = []
+    for at, part in enumerate(parts):  # one after the other: of a million cases each takes its room
+        whole.append(joined(at)[order])
+        part.clear()
     factors = dict(zip(columns, whole[6 : 6 + len(columns)], strict=True))
     found = dict(zip(quantities, whole[6 + len(columns) :], strict=True))
     levels = {column: list(known) for column, known in codes.items()}
@@ -137,89 +142,124 @@ def _batches(rows: Iterable[Row]) -> Iterator[list[Row]]:
         yield batch
 
 
-def _number(value: Any) -> float:
-    return float(value) if isinstance(value, int | float) else float("nan")
+def _numbers(values: Sequence[Any]) -> Floats:
+    """As floating point; what is no number is NaN."""
+    try:
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        return np.array([float(one) if isinstance(one, int | float) else float("nan") for one in values])
 
 
-def _coded(value: Any, codes: dict[str, int] | None) -> float:
+def _coded(values: Sequence[Any], codes: dict[str, int] | None) -> Floats:
+    """Numbers as they are, texts as the numbers of their levels."""
     if codes is None:
-        return _number(value)
-    text = value if isinstance(value, str) else json.dumps(value)
-    return float(codes.setdefault(text, len(codes)))
+        return _numbers(values)
+    return np.array([float(codes.setdefault(text, len(codes))) for text in values])
+
+
+def _columns(
+    rows: Sequence[Row], columns: Sequence[str], numeric: set[str], quantities: Sequence[str], expect: Sequence[str]
+) -> dict[str, list[Any]]:
+    """Rows as the columns of the table, by head."""
+    table: dict[str, list[Any]] = {"case": [row["name"] for row in rows]}
+    for one in ("number", "repeat", "seed"):
+        table[one] = [row[one] for row in rows]
+    factors = [row["factors"] for row in rows]
+    for one in columns:
+        values = [values.get(one) for values in factors]
+        texts = one not in numeric
+        table[one] = [one if isinstance(one, str) else json.dumps(one) for one in values] if texts else values
+    table["verdict"] = [row["verdict"] for row in rows]
+    held = [row["expect"] for row in rows]
+    for one in expect:
+        table[f"expect: {one}"] = [values.get(one) for values in held]
+    found = [row["quantities"] for row in rows]
+    for one in quantities:
+        table[f"quantity: {one}"] = [values.get(one) for values in found]
+    for one in ("seconds", "sha256", "fault", "recording_bytes"):
+        table[one] = [row[one] for row in rows]
+    return table
 
 
 # ---------------------------------------------------------------- files
 
 
-def _flat(
-    row: Row, columns: Sequence[str], numeric: set[str], names: Sequence[str], expect: Sequence[str]
-) -> list[Any]:
-    shown = []
-    for one in columns:
-        value = row["factors"].get(one)
-        shown.append(value if one in numeric or isinstance(value, str) else json.dumps(value))
-    return [
-        row["name"], row["number"], row["repeat"], row["seed"], *shown, row["verdict"],
-        *(row["expect"].get(one) for one in expect), *(row["quantities"].get(one) for one in names),
-        row["seconds"], row["sha256"], row["fault"], row["recording_bytes"],
-    ]  # fmt: skip
+def _aside(path: Path) -> Path:
+    """Where a table is written before it is renamed: of this writer alone, others may end at the same time."""
+    return path.parent / "aside" / f"{path.name}-{own_mark()}"
+
+
+def _into_place(aside: Path, path: Path) -> None:
+    try:
+        aside.replace(path)
+    except OSError as error:
+        raise EmulatorError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 class _Csv:
     """Written as rows come, then renamed."""
 
-    def __init__(self, path: Path, heads: Sequence[str], flat: Any) -> None:
-        self._path, self._aside = path, path.with_suffix(".csv.part")
+    def __init__(self, path: Path, heads: Sequence[str]) -> None:
+        self._path, self._aside = path, _aside(path)
         try:
             self._file = self._aside.open("w", newline="", encoding="utf-8")
         except OSError as error:
             raise EmulatorError(f"{path}: cannot be written: {error.strerror}") from None
-        self._writer, self._flat = Writer(self._file, {head: ".12g" for head in heads}), flat
+        self._writer = Writer(self._file, {head: ".12g" for head in heads})
 
-    def add(self, rows: Sequence[Row]) -> None:
+    def add(self, table: dict[str, list[Any]]) -> None:
         try:
-            self._writer.rows(self._flat(row) for row in rows)
+            self._writer.rows(zip(*table.values(), strict=True))
         except OSError as error:
             raise EmulatorError(f"{self._path}: cannot be written: {error}") from None
 
     def close(self) -> Path:
-        self._file.close()
-        self._aside.replace(self._path)
+        try:
+            self._file.close()
+        except OSError as error:
+            raise EmulatorError(f"{self._path}: cannot be written: {error}") from None
+        _into_place(self._aside, self._path)
         return self._path
 
 
 class _Parquet:
     """A row group a batch, then renamed."""
 
-    def __init__(self, path: Path, heads: Sequence[str], kinds: Sequence[str], flat: Any) -> None:
+    def __init__(self, path: Path, heads: Sequence[str], kinds: Sequence[str]) -> None:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
         kind_of = {"f": pa.float64(), "i": pa.int64(), "b": pa.bool_(), "s": pa.string()}
-        self._pa, self._heads = pa, heads
+        self._pa = pa
         self._schema = pa.schema([(head, kind_of[kind]) for head, kind in zip(heads, kinds, strict=True)])
-        self._path, self._aside, self._flat, self._kinds = path, path.with_suffix(".parquet.part"), flat, kinds
+        self._path, self._aside, self._kinds = path, _aside(path), kinds
         try:
             self._file = pq.ParquetWriter(self._aside, self._schema)
         except OSError as error:
             raise EmulatorError(f"{path}: cannot be written: {error}") from None
 
-    def add(self, rows: Sequence[Row]) -> None:
-        columns = list(zip(*map(self._flat, rows), strict=True))
+    def add(self, table: dict[str, list[Any]]) -> None:
         made = [
-            self._pa.array(
-                [None if one is None else float(one) for one in values] if kind == "f" else values, field.type
-            )
-            for values, kind, field in zip(columns, self._kinds, self._schema, strict=True)
+            self._array(values, kind, field.type)
+            for values, kind, field in zip(table.values(), self._kinds, self._schema, strict=True)
         ]
         try:
             self._file.write_table(self._pa.Table.from_arrays(made, schema=self._schema))
         except OSError as error:
             raise EmulatorError(f"{self._path}: cannot be written: {error}") from None
 
+    def _array(self, values: list[Any], kind: str, type_: Any) -> Any:
+        try:
+            return self._pa.array(values, type_)
+        except self._pa.ArrowInvalid:  # numbers of several types
+            return self._pa.array([None if one is None else float(one) for one in values], type_)
+
     def close(self) -> Path:
-        self._file.close()
-        self._aside.replace(self._path)
+        try:
+            self._file.close()
+        except OSError as error:
+            raise EmulatorError(f"{self._path}: cannot be written: {error}") from None
+        _into_place(self._aside, self._path)
         return self._path
 
 
@@ -232,14 +272,11 @@ def _writer(campaign: Campaign, columns: Sequence[str], numeric: set[str], out: 
     kinds = ["s", "i", "i", "i", *("f" if one in numeric else "s" for one in columns), "s"]
     kinds += ["b"] * len(expect) + ["f"] * len(names) + ["f", "s", "s", "i"]
 
-    def flat(row: Row) -> list[Any]:
-        return _flat(row, columns, numeric, names, expect)
-
     try:
         import pyarrow  # noqa: F401
     except ImportError:
-        return _Csv(out / "results.csv", heads, flat)
-    return _Parquet(out / "results.parquet", heads, kinds, flat)
+        return _Csv(out / "results.csv", heads)
+    return _Parquet(out / "results.parquet", heads, kinds)
 
 
 # ---------------------------------------------------------------- JUnit

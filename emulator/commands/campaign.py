@@ -133,7 +133,8 @@ def _end(
     from emulator.campaigns.store import BROKEN
     from emulator.campaigns.table import gather, write_junit
 
-    wanted = {name for name in runner.names() if part.has(name)}
+    names = runner.names()
+    wanted = names if part.of == 1 else {name for name in names if part.has(name)}
     if report or junitxml is not None:
         results, table = gather(loaded, store.rows(wanted), store.root)
         counts, missing = results.counts(), len(wanted) - len(results)

@@ -85,6 +85,8 @@ class Request:
 class Lms2xxScript:
     """Asks an LMS2xx for its settings, the wanted line speed and a continuous stream."""
 
+    takes_whole = True
+    "Each payload of the device is one telegram: a part of one changes nothing but at its own time limits."
     SPEEDS = (9_600, 38_400, 500_000, 19_200)
 
     def __init__(self, line: HostEnd, on_scan: OnScan, baud: int = 500_000) -> None:

@@ -16,6 +16,7 @@ from protocols.scan import Scan
 from protocols.session import Emission, Event
 
 FOREVER_NS = 2**62
+MOST_SINCE = 32
 
 
 @dataclass(frozen=True)
@@ -75,25 +76,36 @@ class LineTimes:
         "With all that was handed over gone."
         self._present = PacedLine(speed)
         "As it was when something was handed over last: what has not left yet can still be slowed or forgotten."
+        self._since: list[tuple[int, bytes, int, int | None]] = []
+        "Handed over, but not given to it yet: most runs never look at it."
 
     def set_speed(self, now_ns: int, baud: int | None) -> None:
         """The line has another speed from now on, whatever is on it."""
+        self._catch_up()
         self._present.take(now_ns)
         self._present.set_speed(baud)
         self._foresee()
 
     def clear(self, now_ns: int) -> None:
         """What has not left by now never does."""
+        self._catch_up()
         self._present.take(now_ns)
         self._present.clear()
         self._foresee()
 
     def cut(self, now_ns: int) -> int:
         """What is leaving ends with the byte that is on its way; when that has left."""
+        self._catch_up()
         self._present.take(now_ns)
         self._present.cut(now_ns)
         self._foresee()
         return self._line.busy_until_ns
+
+    def _catch_up(self) -> None:
+        for seen_ns, data, due_ns, line_speed in self._since:
+            self._present.take(seen_ns)
+            self._present.put(data, due_ns, line_speed)
+        self._since.clear()
 
     def _foresee(self) -> None:
         self._line = deepcopy(self._present)
@@ -115,8 +127,9 @@ class LineTimes:
 
         `seen_ns`: until when the line is known to have gone on; None: until the payload is due.
         """
-        self._present.take(due_ns if seen_ns is None else seen_ns)
-        self._present.put(data, due_ns, line_speed)
+        self._since.append((due_ns if seen_ns is None else seen_ns, data, due_ns, line_speed))
+        if len(self._since) >= MOST_SINCE:
+            self._catch_up()
         self._line.put(data, due_ns, line_speed)
         for left in self._line.take(FOREVER_NS):
             start_ns = leave_ns(left.run_ns, left.run_index, left.speed)

@@ -12,7 +12,8 @@ its pole.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from types import ModuleType
 from typing import Any, Protocol
 
@@ -67,6 +68,18 @@ class Found:
 
 
 @dataclass(frozen=True, eq=False)
+class _Joined:
+    """Echoes (k,) before the receiver's noise."""
+
+    beam: Ints
+    centre_m: Floats
+    height: Floats
+    source: Ints
+    ranks: dict[tuple[float, int], Ints] = field(default_factory=dict)
+    "Places in their beams, by the floor and the count of random numbers."
+
+
+@dataclass(frozen=True, eq=False)
 class Signals:
     """What the receiver sees before its noise: what has a closed form, and sampled clusters with their maxima."""
 
@@ -80,6 +93,19 @@ class Signals:
     "(n,) noise of each beam over the nominal one."
     threshold: Floats
     "(n,)"
+
+    @cached_property
+    def joined(self) -> _Joined:
+        """All echoes one behind the other."""
+        cosines, own, single, mixed = self.cosines, self.own, self.single, self.mixed
+        alone = np.ones(own.beam.size)
+        none = np.full(own.beam.size, NO_SOURCE)
+        return _Joined(
+            np.concatenate([cosines.beam, own.beam, single.beam, mixed.beam]),
+            np.concatenate([cosines.centre_m, own.centre_m * alone, single.centre_m, mixed.centre_m]),
+            np.concatenate([cosines.height, own.height * alone, single.amplitude, mixed.amplitude]),
+            np.concatenate([cosines.source, none, self.clusters.source[single.index], sources(self.wave, mixed)]),
+        )
 
     def of_beams(self, wanted: Bools) -> Signals:
         """Those in the beams (n,) that are wanted."""
@@ -241,20 +267,21 @@ def _measure_by_loops(
     """On a leading edge of sin^2 pulses."""
     if not detector.closed_form:
         return OTHERWISE
-    rms, cosines, own, single, mixed = signals.rms, signals.cosines, signals.own, signals.single, signals.mixed
-    beam = np.concatenate([cosines.beam, own.beam, single.beam, mixed.beam])
+    rms, cosines, own, mixed = signals.rms, signals.cosines, signals.own, signals.mixed
+    joined = signals.joined
+    beam, centre, height = joined.beam, joined.centre_m, joined.height
     if beam.size == 0:
         return Found.none()
     i = cosines.beam.size
     j = i + own.beam.size
-    k = j + single.beam.size
-    alone = np.ones(own.beam.size)
-    centre = np.concatenate([cosines.centre_m, own.centre_m * alone, single.centre_m, mixed.centre_m])
-    height = np.concatenate([cosines.height, own.height * alone, single.amplitude, mixed.amplitude])
+    k = j + signals.single.beam.size
     shape = detector.full_scale, detector.shot_factor
     z = np.zeros(beam.size)
     if normals is not None:
-        z = normals[beam, loops.ranks(beam, centre, height, rms.size, detector.floor_m2, normals.shape[1])]
+        by = detector.floor_m2, normals.shape[1]
+        if by not in joined.ranks:
+            joined.ranks[by] = loops.ranks(beam, centre, height, rms.size, *by)
+        z = normals[beam, joined.ranks[by]]
     lead_m = detector.pulse.fwhm_m
     level, seen, crossing = loops.levels(
         beam, centre, height, z, rms, signals.threshold, *shape, detector.floor_m2, lead_m, j
@@ -265,10 +292,8 @@ def _measure_by_loops(
         crossing[i:j] = own.crossing(level[i:j])
     if mixed.beam.size:
         crossing[k:] = rising_edges(signals.wave, mixed, level[k:], crossing[k:])
-    none = np.full(own.beam.size, NO_SOURCE)
-    source = np.concatenate([cosines.source, none, signals.clusters.source[single.index], sources(signals.wave, mixed)])
     (of, source), (range_m, amplitude), clipped = loops.readings(
-        beam, height, z, crossing, source, seen, rms, signals.threshold, *shape, lead_m, detector.walk_table,
+        beam, height, z, crossing, joined.source, seen, rms, signals.threshold, *shape, lead_m, detector.walk_table,
         detector.offset_m,
     )  # fmt: skip
     return Found(of, range_m, amplitude, clipped, source)

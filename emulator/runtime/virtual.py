@@ -148,6 +148,11 @@ class VirtualRun:
 
     def _step_hosts(self, now_ns: int) -> None:
         for index, host in enumerate(self.hosts):
+            wake = self._host_wakes[index]
+            if wake is not None and wake <= now_ns:  # it acts on what it has heard to this instant
+                for instrument in self.instruments:
+                    for link in instrument.links:
+                        link.flush(now_ns)
             self._host_wakes[index] = host.step(now_ns)
         for index, instrument in enumerate(self.instruments):
             for link in instrument.links:

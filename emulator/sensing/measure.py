@@ -6,7 +6,7 @@ Belongs here: the order of the steps. Each step is in its own module.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -34,7 +34,7 @@ from emulator.sensing.photon_receiver import PhotonReceiver
 from emulator.sensing.probing import Probing
 from emulator.sensing.probing import wanted as probes_wanted
 from emulator.sensing.pruning import Pruned, Pruning, wanted
-from emulator.sensing.rays import RAYS_KEPT, BundleCache, Rays, cast_rays, rays_of
+from emulator.sensing.rays import RAYS_KEPT, BundleCache, Bundles, Rays, cast_rays, rays_of
 from emulator.sensing.receiver import Receiver
 from emulator.sensing.resting import Resting, with_others
 from emulator.sensing.soft import SoftTargets
@@ -56,6 +56,23 @@ FEW_MOVERS = 32
 "With more moving bodies out of reach it does not."
 DEEP = 5.0
 "Optical depth beyond which single scattering is an estimate."
+
+
+@dataclass(frozen=True, eq=False)
+class _Again:
+    """What came back in a sweep in which nothing moved, and all that it depended on."""
+
+    bundles: Bundles
+    air: AirNow
+    gain: float
+    max_range_m: float
+    view: View
+
+    def serves(self, plan: ScanPlan, bundles: BundleCache, air: AirNow) -> bool:
+        """The same comes back again."""
+        if air is not self.air or plan.gain != self.gain or plan.max_range_m != self.max_range_m:
+            return False
+        return plan.origin_m is None and bundles.of(plan) is self.bundles
 
 
 class Measure:
@@ -96,6 +113,7 @@ class Measure:
         "In daylight all rays look out of reach at once: one more for each beam that met nothing would cost more."
         self._at_rest: tuple[Resting, ...] = ()
         "Of a sensor that does not move: the latest last."
+        self._again: _Again | None = None
         self._soft = SoftTargets(model, receiver.bin_m)
         self._falling = Falling(model)
         still = (mount.actor is None or scene.motions[scene.index[mount.actor]].still) and not beside
@@ -191,12 +209,19 @@ class Measure:
     def view(self, plan: ScanPlan) -> View:
         """Everything that comes back in a sweep of at least one beam, before the receiver."""
         with np.errstate(under="ignore"):
-            return self._view(plan)
+            view = self._view(plan)
+        if self._again is not None and view is self._again.view:
+            view = replace(view, rays=view.rays.at(1e-9 * plan.start_ns + plan.fire_offset_s))
+        return view
 
     def _view(self, plan: ScanPlan) -> View:
+        """The same; where nothing moves the one of an earlier sweep, with that one's instants."""
         t_s = 1e-9 * plan.start_ns + plan.fire_offset_s
-        pose = self._pose(t_s, plan.origin_m)
         air, gain = self.air.at(float(t_s[0])), plan.gain
+        again = self._again
+        if again is not None and again.serves(plan, self._bundles, air):
+            return again.view
+        pose = self._pose(t_s, plan.origin_m)
         if air.volumes and self.model.prune_far:
             place, reach = pose.position_m, reach_of(self.model, plan.max_range_m)
             low, high = place.min(axis=0), place.max(axis=0)
@@ -247,7 +272,18 @@ class Measure:
         found, kept = with_others(seen, drops)
         if rays_saved is not None:
             return View(rays, seen, found, air, surfaces, rays_saved.cast, rays_saved.plain, kept, tails)
-        return View(rays, seen, found, air, surfaces, len(rays.beam), None, kept, tails)
+        view = View(rays, seen, found, air, surfaces, len(rays.beam), None, kept, tails)
+        if self._comes_again(plan, seen, air):
+            self._again = _Again(self._bundles.of(plan), air, gain, plan.max_range_m, view)
+        return view
+
+    def _comes_again(self, plan: ScanPlan, seen: Seen, air: AirNow) -> bool:
+        """Neither the sensor nor anything else moves, and nothing is drawn: the next sweep sees the same."""
+        if self._caster.moves or plan.origin_m is not None or self._bright is not None or self.others is not None:
+            return False
+        if air.particles or air.volumes or surfaces_show(air.sun, self.model):
+            return False
+        return seen.kept is not None and not bool(seen.kept.changed.any())
 
     def _pruned_by_bundles(
         self, plan: ScanPlan, pose: Pose, t_s: Floats, surfaces: Surfaces, air: AirNow

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -23,6 +23,8 @@ KEPT_PLANS = 8
 "Different sets of angles remembered: a device switches between a handful (interlaced turns, sub-ranges)."
 RAYS_KEPT = 400_000
 "Of a sensor, over all its sets of angles."
+SHARED_RAYS = 50_000
+"Of a set of angles at the most, to be kept from run to run."
 TILE = 1024
 "Rays that are put in order together: a part of the blocks that the caster takes."
 
@@ -173,15 +175,31 @@ class BundleCache:
         return self._spread(plan.azimuth_rad[at], plan.elevation_rad[at], beams.beam_phase(at))
 
     def _spread(self, azimuth_rad: Floats, elevation_rad: Floats, phase_rad: Floats | None = None) -> Bundles:
-        axis = beams.axis_directions(azimuth_rad, elevation_rad)
-        nodes, n, m = self._nodes, len(axis), len(self._nodes)
-        first = int(np.argmin(nodes.u**2 + nodes.v**2))
-        flat = np.arange(n).repeat(m), np.tile(nodes.share, n), np.arange(n) * m + first
-        if m == 1:
-            return Bundles(axis, axis[:, None, :], None, nodes.share, *flat)
-        direction, start_m = beams.spread(nodes, self._model.beam, azimuth_rad, elevation_rad, phase_rad)
-        has_width = self._model.beam.exit_radius_m > 0.0
-        return Bundles(axis, direction, start_m if has_width else None, nodes.share, *flat)
+        nodes, shape = self._nodes, self._model.beam
+        if phase_rad is not None or len(azimuth_rad) * len(nodes) > SHARED_RAYS:
+            return _spread(nodes, shape, azimuth_rad, elevation_rad, phase_rad)
+        columns = nodes.u, nodes.v, nodes.share, azimuth_rad, elevation_rad
+        return _shared(shape, *(np.ascontiguousarray(one, np.float64).tobytes() for one in columns))
+
+
+@lru_cache(maxsize=8)
+def _shared(shape: beams.BeamShape, u: bytes, v: bytes, share: bytes, azimuth: bytes, elevation: bytes) -> Bundles:
+    """For a process that runs many scenarios with the same sensor, one after the other."""
+    nodes = beams.Bundle(np.frombuffer(u), np.frombuffer(v), np.frombuffer(share))
+    return _spread(nodes, shape, np.frombuffer(azimuth), np.frombuffer(elevation), None)
+
+
+def _spread(
+    nodes: beams.Bundle, shape: beams.BeamShape, azimuth_rad: Floats, elevation_rad: Floats, phase_rad: Floats | None
+) -> Bundles:
+    axis = beams.axis_directions(azimuth_rad, elevation_rad)
+    n, m = len(axis), len(nodes)
+    first = int(np.argmin(nodes.u**2 + nodes.v**2))
+    flat = np.arange(n).repeat(m), np.tile(nodes.share, n), np.arange(n) * m + first
+    if m == 1:
+        return Bundles(axis, axis[:, None, :], None, nodes.share, *flat)
+    direction, start_m = beams.spread(nodes, shape, azimuth_rad, elevation_rad, phase_rad)
+    return Bundles(axis, direction, start_m if shape.exit_radius_m > 0.0 else None, nodes.share, *flat)
 
 
 def _with_sidelobes(core: beams.Bundle, model: SensorModel) -> beams.Bundle:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -28,34 +28,41 @@ POINTS_AT_ONCE = 4096
 "Most points along one beam."
 
 
+SHARED_BINS = 100_000
+"Of a gate at the most, for its tables to be kept from run to run."
+
+
 class SoftTargets:
     """Media as one sensor sees them."""
 
     def __init__(self, model: SensorModel, bin_m: float) -> None:
         self._model = model
 
-        @lru_cache(maxsize=16)
-        def table(extinction_per_m: float, backscatter: float, gain: float) -> SoftProfile | None:
-            start_m = max(model.overlap_start_m, model.near_gate_m)
-            bound = self._bound(backscatter, extinction_per_m, start_m) * gain
-            if model.leave_out.backscatter and bound < min(UNSEEN * model.threshold, model.unseen_amplitude):
-                return None
-            made = SoftProfile.of_medium(
-                model.pulse,
-                bin_m,
-                math.pi * model.k_m2 * gain,
-                extinction_per_m,
-                backscatter,
-                model.overlap_start_m,
-                model.overlap_full_m,
-                # where the middle of a pulse is out of sight, its begin is not yet
-                min(self._sight_m(extinction_per_m, backscatter * gain) + model.pulse.half_support_m, model.gate_m),
-            )
-            if made is None or not model.leave_out.backscatter:
-                return made
-            return self._nearby(replace(made, shows=self._shows(made)))
+        self._bin_m = bin_m
+        shared = model.leave_out.soft_table and model.gate_m < SHARED_BINS * bin_m and _hashable(model)
+        made = partial(_shared_table, model, bin_m) if shared else self._made
+        self._table = lru_cache(maxsize=16)(made) if model.leave_out.soft_table else made
 
-        self._table = table if model.leave_out.soft_table else table.__wrapped__
+    def _made(self, extinction_per_m: float, backscatter: float, gain: float) -> SoftProfile | None:
+        model = self._model
+        start_m = max(model.overlap_start_m, model.near_gate_m)
+        bound = self._bound(backscatter, extinction_per_m, start_m) * gain
+        if model.leave_out.backscatter and bound < min(UNSEEN * model.threshold, model.unseen_amplitude):
+            return None
+        made = SoftProfile.of_medium(
+            model.pulse,
+            self._bin_m,
+            math.pi * model.k_m2 * gain,
+            extinction_per_m,
+            backscatter,
+            model.overlap_start_m,
+            model.overlap_full_m,
+            # where the middle of a pulse is out of sight, its begin is not yet
+            min(self._sight_m(extinction_per_m, backscatter * gain) + model.pulse.half_support_m, model.gate_m),
+        )
+        if made is None or not model.leave_out.backscatter:
+            return made
+        return self._nearby(replace(made, shows=self._shows(made)))
 
     def everywhere(self, air: AirNow, gain: float = 1.0) -> SoftProfile | None:
         """The table of a medium that fills all the air; None where it is not seen."""
@@ -160,6 +167,22 @@ class SoftTargets:
         begin = float(near[-1]) if len(near) else start_m
         count = min(int((model.gate_m - begin) / step) + 2, POINTS_AT_ONCE)
         return np.unique(np.concatenate([near, np.linspace(begin, model.gate_m, count)]))
+
+
+@lru_cache(maxsize=16)
+def _shared_table(
+    model: SensorModel, bin_m: float, extinction_per_m: float, backscatter: float, gain: float
+) -> SoftProfile | None:
+    """For a process that runs many scenarios with the same sensor in the same air, one after the other."""
+    return SoftTargets(model, bin_m)._made(extinction_per_m, backscatter, gain)
+
+
+def _hashable(model: SensorModel) -> bool:
+    try:
+        hash(model)
+    except TypeError:  # it has arrays
+        return False
+    return True
 
 
 def _clear_share(found: SubEchoes, beam: Ints, range_m: Floats, beams: int) -> Floats:

@@ -134,6 +134,8 @@ class LoopLink(Link):
         self.name = name
         self.kind = LinkKind.SERIAL if serial_line else LinkKind.STREAM
         self.is_open = True
+        self.wakes_whole = False
+        "It wants to be asked for ends of payloads, not on the way to them; whoever asks gets what has left by then."
         self._line = PacedLine(group_ns=group_ns)
         self._now_ns = 0
         self._flushed_ns = -1
@@ -300,7 +302,7 @@ class LoopLink(Link):
                 self.stats.bytes_lost += len(left.data)
             if left.ends:
                 self.stats.note_left(left.last_ns, now_ns)
-        self._line_ns = self._line.next_ns(now_ns)
+        self._line_ns = self._line.next_ns(now_ns, self.wakes_whole)
         self._flushed_ns = now_ns
 
     @property

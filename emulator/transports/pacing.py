@@ -196,8 +196,11 @@ class PacedLine:
         self._run_ns += whole * BYTE_NS_BAUD // self._speed
         self._run_count -= whole
 
-    def next_ns(self, now_ns: int) -> int | None:
-        """When `take` should be called again: the end of the payload on the line, or of a group of its bytes."""
+    def next_ns(self, now_ns: int, whole: bool = False) -> int | None:
+        """When `take` should be called again: the end of the payload on the line, or of a group of its bytes.
+
+        `whole`: nobody is waiting for a part of a payload.
+        """
         if not self._queue:
             return None
         head = self._queue[0]
@@ -206,7 +209,7 @@ class PacedLine:
         if self._speed is None or not head.data:
             return start_ns
         count = len(head.data)
-        if not self._whole:
+        if not (whole or self._whole):
             group_end_ns = max(now_ns, start_ns) + self._group_ns
             grouped = (group_end_ns - run_ns) * self._speed // BYTE_NS_BAUD - run_count
             count = min(max(grouped, head.sent + 1), count)

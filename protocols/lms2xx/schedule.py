@@ -95,6 +95,8 @@ class Slot:
     result: Measured | None = None
     infringed: tuple[bool, bool, bool] | None = None
     "Fields with an object in each of the scans, where that is asked."
+    given_out: tuple[int, Mirror | None, int] = (-1, None, 0)
+    "Turn of the scan wanted next, the mirror, and when its plan is given out by them."
 
     @property
     def is_silent(self) -> bool:
@@ -418,7 +420,12 @@ class Schedule:
         return -(-self._mirror.first_turn_from(time_ns) // turns)
 
     def _given_out_ns(self, slot: Slot) -> int:
-        return self._mirror.turn_ns(slot.next_turn) - max(AHEAD_SCANS * slot.scan_ns, AHEAD_NS)
+        turn, mirror, given_ns = slot.given_out
+        if turn != slot.next_turn or mirror is not self._mirror:
+            turn, mirror = slot.next_turn, self._mirror
+            given_ns = mirror.turn_ns(turn) - max(AHEAD_SCANS * slot.scan_ns, AHEAD_NS)
+            slot.given_out = turn, mirror, given_ns
+        return given_ns
 
     def _open_slot(self, now_ns: int) -> Slot | None:
         """The first slot that still wants scans; the stream's next one is made when there is none."""

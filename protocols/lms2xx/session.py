@@ -177,11 +177,12 @@ class Lms2xxSession(EventSession):
 
     def advance(self, now_ns: int) -> None:
         """Let boot, time-outs and slots up to `now_ns` take effect."""
-        self._now_ns = max(self._now_ns, now_ns)
-        self._run_phases(self._now_ns)
-        for receiver in self._receivers.values():
-            for found in receiver.expire(self._now_ns, self._settings.address):
-                self._take(found)
+        if now_ns > self._now_ns or self._phase is not Phase.READY:  # else no time-out has passed since the last call
+            self._now_ns = max(self._now_ns, now_ns)
+            self._run_phases(self._now_ns)
+            for receiver in self._receivers.values():
+                for found in receiver.expire(self._now_ns, self._settings.address):
+                    self._take(found)
         self._send_due_values()
 
     def _send_due_values(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import xml.etree.ElementTree as Tree
 from collections.abc import Callable
 from pathlib import Path
@@ -219,3 +220,41 @@ def test_an_index_cut_in_a_line_costs_nothing(made: Make) -> None:
         path.write_bytes(path.read_bytes()[:-40])
     assert len(list(store.rows(campaign.names()))) == 16
     assert all(json.loads(line) for line in store.indexed())
+
+
+def test_a_row_without_all_its_keys_is_none_and_its_case_is_run(made: Make) -> None:
+    campaign = made(GRID)
+    _, store, _ = run(campaign)
+    name = sorted(campaign.names())[3]
+    line = json.dumps({"name": name, "verdict": "passed"})
+    for path in (store.root / "index").iterdir():
+        rows = path.read_text(encoding="utf-8").splitlines()
+        path.write_text("".join(f"{line if name in row else row}\n" for row in rows), encoding="utf-8")
+    assert len(list(store.rows(campaign.names()))) == 16  # its own file has them
+    for path in (store.root / "index").iterdir():
+        path.unlink()
+    store.place(name).write_text(line + "\n", encoding="utf-8")
+    assert len(list(store.rows(campaign.names()))) == 15
+    assert run(campaign)[0].progress.now == 1
+    results, _ = gather(campaign, store.rows(campaign.names()), store.root)
+    assert len(results) == 16
+    assert results.number.tolist() == sorted(results.number.tolist())
+
+
+@pytest.mark.parametrize("with_pyarrow", [True, False])
+def test_two_that_end_at_the_same_time_write_the_same_table(
+    made: Make, monkeypatch: pytest.MonkeyPatch, with_pyarrow: bool
+) -> None:
+    campaign = made(GRID)
+    _, store, _ = run(campaign)
+    if not with_pyarrow:
+        monkeypatch.setitem(sys.modules, "pyarrow", None)
+
+    def meanwhile() -> Any:
+        yield from list(store.rows(campaign.names()))
+        gather(campaign, store.rows(campaign.names()), store.root)
+
+    results, path = gather(campaign, meanwhile(), store.root)
+    assert len(results) == 16
+    assert path.stat().st_size > 1000
+    assert not list((store.root / "aside").iterdir())

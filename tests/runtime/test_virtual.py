@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,6 +16,7 @@ from emulator.runtime.virtual import ByteSteps
 from emulator.scenario import scenario
 from emulator.transports.can_link import CanLink
 from emulator.transports.link import Received
+from emulator.transports.loopback import LoopLink
 
 WALL = """\
 schema: 1
@@ -259,3 +261,36 @@ def test_the_order_in_which_hosts_read_changes_nothing(order: str) -> None:
         assert trial.transcript.bytes > 2_000
         digests.append(trial.transcript.sha256())
     assert digests[0] == digests[1]
+
+
+def test_a_host_of_whole_telegrams_reads_them_at_the_same_instants_in_fewer_steps() -> None:
+    read, sha, steps = {}, {}, {}
+    for woken_whole in (True, False):
+        trial = Trial(load())
+        (link,) = trial.instruments[0].links
+        assert isinstance(link, LoopLink)
+        assert link.wakes_whole
+        link.wakes_whole = woken_whole
+        own_step, count = trial.run.step, itertools.count()
+
+        def step(until_ns: int, own: Any = own_step, count: Any = count) -> bool:
+            next(count)
+            return bool(own(until_ns))
+
+        trial.run.step = step  # type: ignore[method-assign]
+        sha[woken_whole] = trial.finish().sha256
+        read[woken_whole] = [at_ns for at_ns, _, _ in trial.series.sensors["front"].read]
+        steps[woken_whole] = next(count)
+        trial.close()
+    assert sha[True] == sha[False]
+    assert read[True] == read[False]
+    assert len(read[True]) > 10
+    assert steps[True] < 0.8 * steps[False]
+
+
+def test_where_a_fault_may_end_a_telegram_its_parts_are_heard() -> None:
+    trial = Trial(load(WALL + "faults: [{do: drop_telegram, on: front, at_s: 0.5, for_s: 0.1}]\n"))
+    (link,) = trial.instruments[0].links
+    assert isinstance(link, LoopLink)
+    assert not link.wakes_whole
+    trial.close()

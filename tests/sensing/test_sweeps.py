@@ -256,3 +256,37 @@ def test_an_order_is_found_for_angles_that_come_again_and_for_packets_alone(tmp_
         first, again = (measure.view(plan(sweep=number)).rays for number in range(2))
     assert first.order is None
     assert (again.order is not None) == loops
+
+
+def test_what_nothing_moves_in_is_looked_at_once_and_every_sweep_has_its_own_noise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    what: dict[str, Any] = {"model": "sick-lms291-s05", "weather": {"fog": {"visibility_m": 60.0}}}
+    measure = build(tmp_path, [plate(20.0, "white")], **what)
+    plans = [plan(SCAN_DEG, sweep=sweep, start_s=0.04 * sweep, fire_s=np.arange(361) / 9e4) for sweep in range(3)]
+    first = measure(plans[0])
+
+    def never(*given: Any) -> Any:
+        raise AssertionError("cast again")
+
+    monkeypatch.setattr(type(measure._caster), "renewed", never)
+    scans = [first, *(measure(one) for one in plans[1:])]
+    assert not same(scans[1], scans[2])
+    rays = measure.view(plans[2]).rays
+    assert np.array_equal(rays.t_s[rays.nearest_axis], 0.08 + np.arange(361) / 9e4)
+    other = replace(plans[2], azimuth_rad=plans[2].azimuth_rad[::2], elevation_rad=plans[2].elevation_rad[::2],
+                    fire_offset_s=plans[2].fire_offset_s[::2])  # fmt: skip
+    for changed in (other, replace(plans[2], gain=0.5), replace(plans[2], max_range_m=15.0)):
+        with pytest.raises(AssertionError, match="cast again"):
+            measure(changed)
+    monkeypatch.undo()
+    for one, scan in zip(plans, scans, strict=True):
+        assert same(build(tmp_path, [plate(20.0, "white")], **what)(one), scan)
+
+
+def test_where_something_moves_it_is_looked_at_in_every_sweep(tmp_path: Path) -> None:
+    target = {"id": "target", "shape": {"plane": {"size_m": [9.0, 9.0]}}, "material": "white",
+              "motion": {"at_m": [20.0, 0.0, 0.0], "pitch_deg": -90.0, "velocity_m_s": [-9.0, 0.0, 0.0]}}  # fmt: skip
+    measure = build(tmp_path, [plate(40.0, "white")], actors=[target], model="sick-lms291-s05", physics=QUIET)
+    nearest = [np.nanmin(measure(plan(SCAN_DEG, sweep=s, start_s=0.1 * s)).range_m) for s in range(3)]
+    assert nearest == pytest.approx([20.0, 19.1, 18.2], abs=0.05)
