@@ -81,7 +81,7 @@ def test_a_mount_that_a_feed_moves_feels_that_motion_up_to_its_newest_sample(ste
     session, _ = fed(step_ms, 1000)
     force, rate = session._felt((1000 + late_ms) * 1_000_000)
     assert rate == pytest.approx([0.0, 0.0, 0.5], abs=0.01)
-    assert force == pytest.approx([-0.5**2 * 2.0, 0.5**2 * 10.0, G_M_S2], abs=0.1)
+    assert force == pytest.approx([-(0.5**2) * 2.0, 0.5**2 * 10.0, G_M_S2], abs=0.1)
 
 
 def test_a_jump_of_the_feed_is_not_felt_nor_what_it_knows_nothing_of() -> None:
