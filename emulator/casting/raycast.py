@@ -52,8 +52,8 @@ BLOCK = 32_768
 KEEP_NUMBERS = 3_900_000
 "An array of so many (31 MB) is made and freed once: glibc then keeps freed memory instead of mapping it again."
 SUBSETS_KEPT = 16
-FAN_RAYS_KEPT = 400_000
-"Rays of which it is remembered what they meet of resting bodies: about 200 bytes each."
+FANS_KEPT, FAN_RAYS_KEPT = 32, 400_000
+"Fans, and rays in all, of which it is remembered what they meet of resting bodies: about 200 bytes a ray."
 
 
 def _resting_by_loops(loops: ModuleType, caster: Caster, origin: Floats, aim: Aim, far: float) -> Nearest:
@@ -181,7 +181,7 @@ class Caster:
         if known is None:
             known = tuple(_aims(direction, order))
             kept = [*self._aimed, (direction, known)]
-            while len(kept) > 1 and sum(len(given) for given, _ in kept) > FAN_RAYS_KEPT:
+            while len(kept) > FANS_KEPT or (len(kept) > 1 and sum(len(given) for given, _ in kept) > FAN_RAYS_KEPT):
                 kept.pop(0)
             self._aimed = tuple(kept)
         return known
@@ -241,7 +241,9 @@ class Caster:
             if fan is None:
                 fan = self._fan(origin_m, direction, far)
                 kept = [*self._fans, fan]
-                while len(kept) > 1 and sum(len(one.direction) for one in kept) > FAN_RAYS_KEPT:
+                while len(kept) > FANS_KEPT or (
+                    len(kept) > 1 and sum(len(one.direction) for one in kept) > FAN_RAYS_KEPT
+                ):
                     kept.pop(0)
                 self._fans = tuple(kept)
             self.counters.rays += len(direction)

@@ -34,7 +34,7 @@ from emulator.sensing.photon_receiver import PhotonReceiver
 from emulator.sensing.probing import Probing
 from emulator.sensing.probing import wanted as probes_wanted
 from emulator.sensing.pruning import Pruned, Pruning, wanted
-from emulator.sensing.rays import RAYS_KEPT, BundleCache, Bundles, Rays, cast_rays, rays_of
+from emulator.sensing.rays import KEPT_PLANS, RAYS_KEPT, BundleCache, Bundles, Rays, cast_rays, rays_of
 from emulator.sensing.receiver import Receiver
 from emulator.sensing.resting import Resting, with_others
 from emulator.sensing.soft import SoftTargets
@@ -307,7 +307,7 @@ class Measure:
         if known is None:
             known = Resting(bundles, cast_rays(bundles, pose, t_s))
             kept = [*self._at_rest, known]
-            while len(kept) > 1 and sum(len(one.rays.beam) for one in kept) > RAYS_KEPT:
+            while len(kept) > KEPT_PLANS or (len(kept) > 1 and sum(len(one.rays.beam) for one in kept) > RAYS_KEPT):
                 kept.pop(0)
             self._at_rest = tuple(kept)
         return known.rays.at(t_s), known if self.model.leave_out.resting else None

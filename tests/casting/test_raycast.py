@@ -546,6 +546,15 @@ def test_rays_kept_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     assert sum(len(fan_.direction) for fan_ in caster._fans) == 900
 
 
+@pytest.mark.parametrize(("form", "name"), [("again", "_fans"), ("aimed", "_aimed")])
+def test_fans_kept_are_bounded_also_where_they_are_small(form: str, name: str) -> None:
+    """A rotor that turns freely never casts the same fan again."""
+    caster = Caster(scene_of((triangles.plane(60.0, 60.0), WALL)))
+    for k in range(raycast.FANS_KEPT + 5):
+        caster.first_hits(np.zeros((30, 3)), fan(30, 100.0 + 0.1 * k), 0.0, **{form: True})
+    assert len(getattr(caster, name)) == raycast.FANS_KEPT
+
+
 # ---------------------------------------------------------------- cost
 
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from emulator.compiled import switch
 from emulator.physics import counting, radiometry
+from emulator.sensing.rays import KEPT_PLANS
 from emulator.sensing.table import table_plan
 from emulator.sensors.spec import load_spec
 from protocols.scan import Scan
@@ -47,6 +48,14 @@ def test_a_moving_sensor_sees_a_resting_world_move(tmp_path: Path) -> None:
     fire = np.arange(181) / 360.0 * TURN_S
     scan = measure(plan(np.zeros(181), fire_s=fire))
     assert scan.range_m[:, 0] == pytest.approx(38.0 - 50.0 * fire, abs=1e-6)
+
+
+def test_a_sensor_at_rest_whose_angles_never_repeat_keeps_a_handful_of_sweeps(tmp_path: Path) -> None:
+    measure = build(tmp_path, [plate(10.0, "white")], model="sick-lms291-s05", physics={**QUIET, "rule": "axis"})
+    for sweep in range(3 * KEPT_PLANS):
+        scan = measure(plan(0.1 * np.arange(20) + 0.001 * sweep, sweep=sweep))
+        assert np.isfinite(scan.range_m[:, 0]).all()
+    assert len(measure._at_rest) == KEPT_PLANS
 
 
 def test_a_turning_sensor_fires_each_beam_where_it_points_then(tmp_path: Path) -> None:
