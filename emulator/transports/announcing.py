@@ -19,6 +19,7 @@ from ipaddress import ip_address
 from typing import Any
 
 from emulator.errors import LinkError
+from emulator.output.lines import note
 from protocols.session import Announcement
 
 ENDS_S = 5.0
@@ -87,7 +88,7 @@ def main() -> int:
             try:
                 opened[-1].register_service(info)
             except Error as error:
-                sys.stderr.write(f"mdns: {info.name} on {interface}: {type(error).__name__} {error}\n")
+                note(f"mdns: {info.name} on {interface}: {type(error).__name__} {error}")
                 code = 2
     sys.stdin.read()
     for one in opened:
