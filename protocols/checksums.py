@@ -48,8 +48,8 @@ def crc16_lms(data: bytes | bytearray | memoryview) -> int:
         return crc16_lms_by_steps(data)
     if length == 0:
         return 0
-    row = np.arange(length - 1, -1, -1, dtype=np.intp)
-    return int(np.bitwise_xor.reduce(_lms_table()[row, np.frombuffer(data, dtype=np.uint8)]))
+    table, rows = _lms_table()
+    return int(np.bitwise_xor.reduce(table.take(rows[TABLE_BYTES - length :] + np.frombuffer(data, dtype=np.uint8))))
 
 
 def crc16_lms_by_steps(data: bytes | bytearray | memoryview) -> int:
@@ -66,8 +66,8 @@ def crc16_lms_by_steps(data: bytes | bytearray | memoryview) -> int:
 
 
 @lru_cache(maxsize=1)
-def _lms_table() -> NDArray[np.uint16]:
-    """Entry [k, b]: what byte b adds to the CRC when k bytes follow it; (TABLE_BYTES, 256)."""
+def _lms_table() -> tuple[NDArray[np.uint16], NDArray[np.intp]]:
+    """What byte b adds to the CRC when k bytes follow it, at `rows[TABLE_BYTES - 1 - k] + b`, and these `rows`."""
     powers = np.zeros(TABLE_BYTES + 15, dtype=np.uint16)  # x^j mod P
     power = 1
     for j in range(len(powers)):
@@ -79,8 +79,9 @@ def _lms_table() -> NDArray[np.uint16]:
     table = np.zeros((TABLE_BYTES, 256), dtype=np.uint16)
     for bit in range(8):
         table[:, 1 << bit : 2 << bit] = table[:, : 1 << bit] ^ bits[:, bit, None]
-    table.setflags(write=False)
-    return table
+    flat = table[::-1].ravel()
+    flat.setflags(write=False)
+    return flat, np.arange(TABLE_BYTES) * 256
 
 
 def xor8(data: bytes | bytearray | memoryview) -> int:

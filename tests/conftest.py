@@ -1,9 +1,11 @@
 """What holds for all tests: property tests draw the same cases every time, none has a limit by the clock, arrays
-are compared in one step, and at the end of each test every scan of every sensor that it ran is on account."""
+are compared in one step, what the collection of tests made is not walked again by the garbage collector, and at the end
+of each test every scan of every sensor that it ran is on account."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import gc
+from collections.abc import Generator, Iterator
 from typing import Any
 
 import pytest
@@ -17,6 +19,18 @@ from tests.draws import cases
 approx.install()
 settings.register_profile("lidaremu", deadline=None, derandomize=True, max_examples=cases(100))
 settings.load_profile("lidaremu")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Modules and items live as long as the process: each full collection of garbage walked all of them."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+        gc.collect()
+        gc.freeze()
 
 
 @pytest.fixture(autouse=True)

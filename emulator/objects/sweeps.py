@@ -101,11 +101,12 @@ class SessionSweeps:
         blocks = (at_ns - self._plans[-BLOCK].start_ns) // self._block_ns if self._block_ns else 0
         for number in (blocks, blocks - 1):
             if number > 0:
-                block = self._plans[-BLOCK:]
-                later = (_later(plan, number * self._block_sweeps, number * self._block_ns) for plan in reversed(block))
-                found = next((plan for plan in later if end_ns(plan) <= at_ns), None)
+                shift_ns = number * self._block_ns
+                found = next(
+                    (plan for plan in self._plans[: -BLOCK - 1 : -1] if end_ns(plan) <= at_ns - shift_ns), None
+                )
                 if found is not None:
-                    return found
+                    return _later(found, number * self._block_sweeps, shift_ns)
         return next((plan for plan in reversed(self._plans) if end_ns(plan) <= at_ns), None)
 
     def _note(self, plan: ScanPlan) -> None:
