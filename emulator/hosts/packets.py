@@ -38,12 +38,13 @@ class PacketHost:
         self._line, self._reader, self._ask, self._first = line, reader, ask, b""
         self.listens = False
         self.found_baud: int | None = None
-        line.write(ask)
+        if ask:
+            line.write(ask)
         clock = SystemClock()
         end_ns = clock.now_ns() + round(1e9 * start_s)
         while not ended(self._first) and (left_ns := end_ns - clock.now_ns()) > 0:
             self._first += line.read(min(left_ns / 1e9, ANSWER_S))
-            if line.asks and not (self._first and TAKEN.startswith(self._first[: len(TAKEN)])):
+            if ask and line.asks and not (self._first and TAKEN.startswith(self._first[: len(TAKEN)])):
                 break  # it answers at once, or it is none
         self.title = reader.title
 
@@ -72,7 +73,8 @@ class PacketHost:
 
 
 class PacketScript:
-    """A host in virtual time; it asks again when nothing comes, or what comes is not understood."""
+    """A host in virtual time; it asks again when nothing comes, or what comes is not understood. `ask` empty: it only
+    listens."""
 
     def __init__(
         self, line: HostEnd, on_scan: Callable[[int, HostScan], None], reader: Callable[[], Reader], ask: bytes,
@@ -97,6 +99,7 @@ class PacketScript:
             if self._connection is not None:
                 self._connection.reconnect(now_ns)
             self._reader = self._make()
-            self._line.write(self._ask, now_ns)
+            if self._ask:
+                self._line.write(self._ask, now_ns)
             self._again_ns = now_ns + AGAIN_NS
         return self._again_ns
