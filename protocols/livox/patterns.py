@@ -27,6 +27,10 @@ class Pattern(Protocol):
     """One scanner. Points are numbered within a frame."""
 
     @property
+    def rate_hz(self) -> Fraction:
+        """Of points."""
+
+    @property
     def frame_s(self) -> Fraction:
         """From frame to frame."""
 
