@@ -32,20 +32,19 @@ class FrameReader:
 
     def __init__(self) -> None:
         self._packets, self._frame, self._points, self._scans = Packets(), list[Read](), 0, 0
-
-    @property
-    def errors(self) -> int:
-        """Places where no packet began, and damaged packets."""
-        return self._packets.errors
+        self.errors = 0
+        "Places where no packet began, and damaged packets."
 
     def feed(self, data: bytes) -> Iterator[HostScan]:
         """Frames that are whole by now."""
         for packet in self._packets.feed(data):
+            self.errors = self._packets.errors
             if self._frame and (packet.frame != self._frame[0].frame or self._points >= MOST_POINTS):
                 yield self._scan()
                 self._frame, self._points = [], 0
             self._frame.append(packet)
             self._points += len(packet.xyz_m)
+        self.errors = self._packets.errors
 
     def _scan(self) -> HostScan:
         xyz = np.concatenate([one.xyz_m for one in self._frame])

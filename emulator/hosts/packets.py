@@ -34,12 +34,11 @@ class PacketHost:
     "Packets may no longer be what the reply said."
 
     def __init__(self, line: Line, reader: Reader, ask: bytes, start_s: float, ended: Callable[[bytes], bool]) -> None:
-        """Read the beginning until it is `ended`, or `start_s` are over."""
+        """Read the beginning until it is `ended`, or `start_s` are over. `ask` may be empty: it only listens."""
         self._line, self._reader, self._ask, self._first = line, reader, ask, b""
         self.listens = False
         self.found_baud: int | None = None
-        if ask:
-            line.write(ask)
+        line.write(ask)
         clock = SystemClock()
         end_ns = clock.now_ns() + round(1e9 * start_s)
         while not ended(self._first) and (left_ns := end_ns - clock.now_ns()) > 0:
@@ -73,8 +72,8 @@ class PacketHost:
 
 
 class PacketScript:
-    """A host in virtual time; it asks again when nothing comes, or what comes is not understood. `ask` empty: it only
-    listens."""
+    """A host in virtual time; it asks again when nothing comes, or what comes is not understood. `ask` may be
+    empty: it only listens."""
 
     def __init__(
         self, line: HostEnd, on_scan: Callable[[int, HostScan], None], reader: Callable[[], Reader], ask: bytes,
@@ -99,7 +98,6 @@ class PacketScript:
             if self._connection is not None:
                 self._connection.reconnect(now_ns)
             self._reader = self._make()
-            if self._ask:
-                self._line.write(self._ask, now_ns)
+            self._line.write(self._ask, now_ns)
             self._again_ns = now_ns + AGAIN_NS
         return self._again_ns
