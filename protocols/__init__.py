@@ -21,6 +21,7 @@ FAMILIES = {
     "velodyne": "protocols.velodyne",
     "hesai": "protocols.hesai",
     "ouster": "protocols.ouster",
+    "livox": "protocols.livox",
     "rplidar": "protocols.rplidar",
     "ldrobot": "protocols.ldrobot",
     "ydlidar": "protocols.ydlidar",

@@ -81,6 +81,12 @@ KINDS: Mapping[str, Mapping[str, str]] = {
         "settings": "settings models tables",
         "other": "__init__",
     },
+    "livox": {
+        "codec": "codec framing",
+        "session": "device patterns",
+        "settings": "settings",
+        "other": "__init__",
+    },
     "rplidar": {
         "codec": "codec framing",
         "commands": "commands",

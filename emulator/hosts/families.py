@@ -50,6 +50,9 @@ BUILT_IN: Mapping[str, Hosts] = {
     "ouster": Hosts(
         "emulator.hosts.ouster:OusterHost", "emulator.hosts.ouster:described", "ouster_street",
         "emulator.hosts.ouster:ouster_script"),
+    "livox": Hosts(
+        "emulator.hosts.livox:LivoxHost", "emulator.hosts.livox:described", "solid_state",
+        "emulator.hosts.livox:livox_script"),
     "rplidar": Hosts(
         "emulator.hosts.rplidar:RplidarHost", "emulator.hosts.describe:rplidar_reply", "rplidar_room",
         "emulator.hosts.rplidar:rplidar_script"),

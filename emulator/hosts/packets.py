@@ -34,7 +34,7 @@ class PacketHost:
     "Packets may no longer be what the reply said."
 
     def __init__(self, line: Line, reader: Reader, ask: bytes, start_s: float, ended: Callable[[bytes], bool]) -> None:
-        """Read the beginning until it is `ended`, or `start_s` are over."""
+        """Read the beginning until it is `ended`, or `start_s` are over. `ask` may be empty: it only listens."""
         self._line, self._reader, self._ask, self._first = line, reader, ask, b""
         self.listens = False
         self.found_baud: int | None = None
@@ -43,7 +43,7 @@ class PacketHost:
         end_ns = clock.now_ns() + round(1e9 * start_s)
         while not ended(self._first) and (left_ns := end_ns - clock.now_ns()) > 0:
             self._first += line.read(min(left_ns / 1e9, ANSWER_S))
-            if line.asks and not (self._first and TAKEN.startswith(self._first[: len(TAKEN)])):
+            if ask and line.asks and not (self._first and TAKEN.startswith(self._first[: len(TAKEN)])):
                 break  # it answers at once, or it is none
         self.title = reader.title
 
@@ -72,7 +72,8 @@ class PacketHost:
 
 
 class PacketScript:
-    """A host in virtual time; it asks again when nothing comes, or what comes is not understood."""
+    """A host in virtual time; it asks again when nothing comes, or what comes is not understood. `ask` may be
+    empty: it only listens."""
 
     def __init__(
         self, line: HostEnd, on_scan: Callable[[int, HostScan], None], reader: Callable[[], Reader], ask: bytes,

@@ -21,6 +21,8 @@ class HostCloud:
     "(m,)"
     intensity: Floats
     "(m,)"
+    layered: bool = True
+    "Beams are in layers, which tell them from each other; False: points anywhere."
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,5 @@
-"""How far the ranges that a host read of a cloud are from those measured: beams matched by layer and azimuth.
+"""How far the ranges that a host read of a cloud are from those measured: beams matched by layer and azimuth, or,
+of a cloud without layers, points by the nearest one.
 
 Belongs here: the matching. Not: series of a run (series).
 """
@@ -74,6 +75,27 @@ def largest(cloud: HostCloud, slices: Sequence[Beams], within_rad: float) -> flo
     parts = [part for part in (slices[:-1], slices[-1:]) if part]
     if not parts or not len(cloud.range_m):
         return float("nan")
+    if not cloud.layered:
+        return _farthest(cloud, slices)
     found = np.fmin.reduce([_differences(cloud, part, within_rad) for part in parts])
     known = found[~np.isnan(found)]
     return float(known.max()) if len(known) else float("nan")
+
+
+def _farthest(cloud: HostCloud, slices: Sequence[Beams]) -> float:
+    """Largest distance of a point that was read from the nearest one measured."""
+    from scipy.spatial import KDTree
+
+    parts = [_points(one.azimuth_rad, one.heights, one.echoes[:, echo]) for one in slices
+             for echo in range(one.echoes.shape[1])]  # fmt: skip
+    measured = np.concatenate(parts)
+    measured = measured[~np.isnan(measured[:, 0])]
+    if not len(measured):
+        return float("nan")
+    apart, _ = KDTree(measured).query(_points(cloud.azimuth_rad, cloud.elevation_rad, cloud.range_m))
+    return float(np.max(apart))
+
+
+def _points(azimuth_rad: Floats, elevation_rad: Floats, range_m: Floats) -> Floats:
+    level = range_m * np.cos(elevation_rad)
+    return np.stack([level * np.cos(azimuth_rad), level * np.sin(azimuth_rad), range_m * np.sin(elevation_rad)], axis=1)

@@ -35,6 +35,8 @@ POINT = np.dtype(
 hit, 0 world, -1 none; number of the sensor in the scenario; layer, 0 the lowest; echo of the beam, 0 the nearest."""
 MOST_POINTS = 100_000_000
 "5 GB of memory at their widest; more is refused with a shorter time to ask for."
+MOST_LAYERS = 1024
+"A sensor with more elevations has no layers, as one whose beams draw a rosette: its points are all in layer 0."
 SAME_LAYER_RAD = 1e-5
 "Elevations are recorded as float32: those nearer to each other are one layer."
 Points = NDArray[np.void]
@@ -49,12 +51,15 @@ def where_of(run: RecordedRun) -> Whereabouts:
 
 
 def layers(scans: list[RecordedScan]) -> Floats:
-    """Elevations of a sensor's layers, from the lowest. [rad]"""
+    """Elevations of a sensor's layers, from the lowest; none of a sensor without layers. [rad]"""
     found = np.zeros(0)
     for scan in scans:
         if scan.elevation_rad is not None:
             found = np.unique(np.concatenate((found, scan.elevation_rad)))
-    return found[np.diff(found, prepend=-np.inf) > SAME_LAYER_RAD]
+            found = found[np.diff(found, prepend=-np.inf) > SAME_LAYER_RAD]
+            if len(found) > MOST_LAYERS:
+                return np.zeros(0)
+    return found
 
 
 def points_of(

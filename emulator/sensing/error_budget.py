@@ -482,7 +482,7 @@ def usual_plan(spec: SensorSpec) -> ScanPlan:
 
     if spec.beams is not None:
         return table_plan(spec, 0)
-    if spec.family in ("velodyne", "ouster", "hesai"):
+    if spec.family in ("velodyne", "ouster", "hesai", "livox"):
         return first_plan(spec)
     usual = {
         "ld": (0.125, 360.0, 0.1),
@@ -501,9 +501,12 @@ def usual_plan(spec: SensorSpec) -> ScanPlan:
 
 def first_plan(spec: SensorSpec) -> ScanPlan:
     """The first sweep that a device of this model asks for, with its motor at speed."""
-    session = family(spec.family or "").new_session(
-        {"boot_s": 0.0, "spin_up_s": 0.0} | ({"init_s": 0.0} if spec.family == "ouster" else {}), spec.device
-    )
+    waits = [
+        "boot_s",
+        *(["spin_up_s"] if spec.family != "livox" else []),
+        *(["init_s"] if spec.family == "ouster" else []),
+    ]
+    session = family(spec.family or "").new_session(dict.fromkeys(waits, 0.0), spec.device)
     session.connected(0, Address(0, 0), LinkKind.DATAGRAM)
     session.power_on(0)
     session.advance(0)

@@ -25,13 +25,13 @@ class DeviceKeys:
         self.known: list[DeviceKey] = []
         "Keys read so far."
 
-    def integer(self, key: str, meaning: str, default: int, low: int, high: int) -> int:
-        """An integer from `low` to `high`."""
-        return self._take(
-            DeviceKey(key, f"an integer from {low} to {high}", str(default), meaning),
-            default,
-            lambda value: type(value) is int and low <= value <= high,
-        )
+    def integer(self, key: str, meaning: str, default: int | None, low: int, high: int) -> int:
+        """An integer from `low` to `high`; without a default it must be there."""
+        entry = DeviceKey(key, f"an integer from {low} to {high}", str(default), meaning)
+        found = self._take(entry, default, lambda value: type(value) is int and low <= value <= high)
+        if found is None:
+            raise self.wrong(key, None, entry.allowed)
+        return found
 
     def number(self, key: str, meaning: str, default: float, low: float, high: float) -> float:
         """A number from `low` to `high`."""
@@ -99,6 +99,32 @@ class DeviceKeys:
             ),
         )
         return tuple(found)
+
+    def numbers(
+        self, key: str, meaning: str, default: Sequence[float] | None, limits: Sequence[tuple[float, float]]
+    ) -> tuple[float, ...]:
+        """As many numbers as there are limits; without a default they must be there."""
+        ranges = " and ".join(f"{low:g}..{high:g}" for low, high in limits)
+        entry = DeviceKey(key, f"{len(limits)} numbers of {ranges}", str(default), meaning)
+        found: Sequence[float] | None = self._take(
+            entry,
+            default,
+            lambda value: (
+                isinstance(value, list | tuple)
+                and len(value) == len(limits)
+                and all(
+                    type(number) in (int, float) and low <= number <= high
+                    for number, (low, high) in zip(value, limits, strict=True)
+                )
+            ),
+        )
+        if found is None:
+            raise self.wrong(key, None, entry.allowed)
+        return tuple(float(number) for number in found)
+
+    def wrong(self, key: str, found: object, allowed: str) -> DeviceSettingError:
+        """The refusal of a key, with the place of its table."""
+        return DeviceSettingError(self._prefix + key, found, allowed)
 
     def table(self, key: str, meaning: str) -> Mapping[str, Any] | None:
         """A table, None when it is absent."""

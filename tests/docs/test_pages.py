@@ -88,7 +88,8 @@ def test_pieces_of_scenarios_are_accepted(block: Block, tmp_path: Path) -> None:
         link = usual.get(model.partition("-")[0], "can:virtual:2")
         piece = {"sensors": [{"id": "other", "model": model, "links": [link], **extra, **piece}]}
     whole = piece if "schema" in piece else laid_over(BASE, piece)
-    (tmp_path / "acme-x1.yaml").write_text((ROOT / "docs/examples/acme-x1.yaml").read_text(encoding="utf-8"))
+    for name in ("acme-x1.yaml", "acme-mems.yaml"):
+        (tmp_path / name).write_text((ROOT / "docs/examples" / name).read_text(encoding="utf-8"))
     (tmp_path / "meshes").symlink_to(ROOT / "scenarios/meshes")
     loaded = scenario.loads(json.dumps(whole), tmp_path / "page.yaml")
     understand(loaded)
@@ -109,7 +110,7 @@ def test_the_steps_of_the_tutorial_make_its_file() -> None:
     assert made == whole
 
 
-@pytest.mark.parametrize("name", ["acme-x1.yaml", "one_file.yaml"])
+@pytest.mark.parametrize("name", ["acme-x1.yaml", "one_file.yaml", "acme-mems.yaml"])
 def test_files_that_a_page_shows_whole_are_those_files(name: str) -> None:
     text = (ROOT / "docs/examples" / name).read_text(encoding="utf-8")
     shown = [block.text for block in EVERY if block.page.name == "sensor_model.md" and block.language == "yaml"]

@@ -62,3 +62,33 @@ def test_of_beams_with_nearly_the_same_azimuth_the_nearest_range_is_the_one_comp
 def test_beams_that_match_none_have_no_error() -> None:
     assert np.isnan(largest(cloud_of(ranges()[..., 0]), [slice_of(ranges(), away_deg=0.1)], MATCH_RAD))
     assert np.isnan(largest(cloud_of(ranges()[..., 0]), [], MATCH_RAD))
+
+
+def points_of(seed: int, n: int = 400) -> tuple[Floats, Floats, Floats]:
+    """Azimuth, elevation and range of points anywhere."""
+    draw = np.random.default_rng(seed)
+    return draw.uniform(-0.3, 0.3, n), draw.uniform(-0.2, 0.2, n), draw.uniform(5.0, 40.0, n)
+
+
+def measured_of(azimuth: Floats, elevation: Floats, range_m: Floats) -> Measured:
+    actor = np.zeros(len(range_m), np.int32)
+    return Measured(0, azimuth, range_m, actor, (), (), elevation_rad=elevation, all_m=range_m[:, None])
+
+
+@pytest.mark.parametrize("wrong", [0.0, 0.2])
+def test_points_without_layers_are_compared_with_the_nearest_one_of_all_slices(wrong: float) -> None:
+    azimuth, elevation, range_m = points_of(1)
+    azimuth = azimuth + np.radians(0.03) * 5.0 / range_m  # millimetres of x and y are more nearby
+    halves = [measured_of(*(part[half] for part in points_of(1))) for half in (slice(0, 200), slice(200, 400))]
+    halves[0].range_m[7] = halves[0].echoes[7] = np.nan
+    keep = np.arange(400) != 7
+    read = range_m.copy()
+    read[33] += wrong
+    cloud = HostCloud(azimuth[keep], elevation[keep], read[keep], np.ones(399), layered=False)
+    assert largest(cloud, halves, MATCH_RAD) == pytest.approx(max(wrong, 5.0 * np.radians(0.03)), rel=0.03)
+
+
+def test_points_without_layers_of_beams_without_echoes_have_no_error() -> None:
+    azimuth, elevation, range_m = points_of(2)
+    nothing = measured_of(azimuth, elevation, np.full(400, np.nan))
+    assert np.isnan(largest(HostCloud(azimuth, elevation, range_m, range_m, layered=False), [nothing], MATCH_RAD))

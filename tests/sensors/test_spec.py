@@ -6,6 +6,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from pydantic import BaseModel
 
@@ -13,6 +14,7 @@ from emulator.errors import SpecError
 from emulator.sensing.model import sensor_model
 from emulator.sensors.physics_options import PhysicsOptions
 from emulator.sensors.spec import Fact, SensorSpec, list_models, load_spec, load_spec_file
+from protocols.livox.settings import facts_of
 
 SHIPPED = {
     "sick-lms200-30106", "sick-lms211-30106", "sick-lms211-30206", "sick-lms211-s07", "sick-lms211-s14",
@@ -31,6 +33,7 @@ SHIPPED = {
     "rplidar-c1m1",
     "ldrobot-ld06", "ldrobot-ld19", "ldrobot-stl-27l",
     "ydlidar-x2", "ydlidar-x4", "ydlidar-g4", "ydlidar-tg15", "ydlidar-t-mini",
+    "solid-state-raster", "solid-state-rosette", "solid-state-lissajous",
     "can-ars408", "can-ldmrs", "can-leddar-vu8", "can-leddar-m16", "can-esr",
 }  # fmt: skip
 
@@ -75,7 +78,7 @@ def test_sick_numbers_and_the_reference_receiver_follow_the_physics_specificatio
                  "rplidar-s2": (1000.0, 4e-9), "rplidar-s3": (2286.0, 4e-9), "rplidar-c1": (360.0, 4e-9),
                  "ldrobot-ld": (144 / 0.7, 4e-9), "ldrobot-stl": (625 / 0.7, 4e-9), "ydlidar-x4": (125.0, 1e-10),
                  "ydlidar-x2": (80.0, 1e-10), "ydlidar-g4": (320.0, 1e-10), "ydlidar-tg": (225 / 0.8, 4e-9),
-                 "ydlidar-t-m": (180.0, 4e-9)}  # fmt: skip
+                 "ydlidar-t-m": (180.0, 4e-9), "solid-state": (64000.0, 3e-9)}  # fmt: skip
     k_m2, fwhm_s = next((value for name, value in constants.items() if model.startswith(name)), (9000.0, 4e-9))
     assert made.k_m2 / made.threshold == pytest.approx(k_m2, rel=2e-4)
     assert made.pulse.fwhm_s == pytest.approx(fwhm_s)
@@ -101,6 +104,18 @@ def test_a_hesai_knows_how_bright_white_is() -> None:
         made = sensor_model(load_spec(name), PhysicsOptions(), "operational")
         assert made.k_m2 / made.threshold == pytest.approx(model.white_m2)
         assert load_spec(name).detection.lsb_mm.value == model.unit_mm
+
+
+@pytest.mark.parametrize("name", [name for name in sorted(SHIPPED) if name.startswith("solid-state")])
+def test_a_pattern_knows_how_bright_white_is_and_says_its_field(name: str) -> None:
+    spec = load_spec(name)
+    made = sensor_model(spec, PhysicsOptions(), "operational")
+    pattern, white_m2 = facts_of(spec.device)
+    assert made.k_m2 / made.threshold == pytest.approx(white_m2)
+    azimuth = np.degrees(np.concatenate([pattern.aim(frame, np.arange(pattern.points))[0] for frame in range(20)]))
+    assert spec.geometry is not None
+    assert np.ptp(azimuth) == pytest.approx(spec.geometry.field_deg.value, abs=0.1)
+    assert 1 / pattern.frame_s == spec.geometry.turn_hz.value[0]
 
 
 def test_the_papers_lidar_has_eleven_beams_in_ten_degrees_and_a_hundred_watts() -> None:

@@ -53,7 +53,7 @@ shipped = cache(scenario.load)
 
 def of_file(name: str, model: str, **physics_: Any) -> Measure:
     loaded = shipped(name)
-    makers = ("sick", "paper", "hokuyo", "velodyne", "ouster", "hesai", "rplidar", "ldrobot", "ydlidar")
+    makers = ("sick", "paper", "hokuyo", "velodyne", "ouster", "hesai", "rplidar", "ldrobot", "ydlidar", "solid-state")
     config = next(sensor for sensor in loaded.sensors if sensor.model.startswith(makers))
     physics = config.physics.model_copy(update=physics_)
     config = config.model_copy(update={"physics": physics, "model": model, "device": {}})
