@@ -266,6 +266,7 @@ class SensorSpec(Table):
         return self
 
 
+@cache
 def list_models() -> tuple[str, ...]:
     """Names of all models shipped, sorted."""
     return tuple(sorted(path.stem for path in _folder().glob("*.yaml")))
