@@ -244,14 +244,3 @@ MODELS: Mapping[str, Model] = {
         ),
     )
 }  # fmt: skip
-
-
-def model_of(facts: Mapping[str, Any]) -> Model:
-    """The row that a spec's `device` table names; `DeviceSettingError` when there is none."""
-    name = facts.get("model", "hesai-xt32")
-    if not isinstance(name, str) or name not in MODELS:
-        raise DeviceSettingError("model", name, " | ".join(MODELS))
-    for key in facts:
-        if key != "model":
-            raise DeviceSettingError(str(key), facts[key], "model")
-    return MODELS[name]

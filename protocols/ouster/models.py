@@ -127,14 +127,3 @@ MODELS: Mapping[str, Model] = {
     for kind, (elevation, azimuth, offset, white) in enumerate(_KINDS)
     for rows in (32, 64, 128)
 }
-
-
-def model_of(facts: Mapping[str, Any]) -> Model:
-    """The row that a spec's `device` table names; `DeviceSettingError` when there is none."""
-    name = facts.get("model", "ouster-os1-128")
-    if not isinstance(name, str) or name not in MODELS:
-        raise DeviceSettingError("model", name, " | ".join(MODELS))
-    for key in facts:
-        if key != "model":
-            raise DeviceSettingError(str(key), facts[key], "model")
-    return MODELS[name]

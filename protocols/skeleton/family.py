@@ -73,8 +73,11 @@ class ModelFamily(Generic[Model, Device]):
     def model_of(self, facts: Mapping[str, Any]) -> Model:
         """The row that a spec's `device` table names; `DeviceSettingError` when there is none."""
         name = facts.get("model", self.usual)
-        if name not in self.models:
+        if not isinstance(name, str) or name not in self.models:
             raise DeviceSettingError("model", name, " | ".join(self.models))
+        for key in facts:
+            if key != "model":
+                raise DeviceSettingError(str(key), facts[key], "model")
         return self.models[name]
 
     def check_facts(self, facts: Mapping[str, Any]) -> None:
