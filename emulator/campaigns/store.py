@@ -41,7 +41,7 @@ class Store:
     def __init__(self, root: Path) -> None:
         self.root = root
         self._made: set[str] = set()
-        self._writer = own_mark()
+        self._writer = f"{socket.gethostname()[:64]}-{os.getpid()}-{os.urandom(4).hex()}"
 
     def make(self) -> None:
         """Its folders; `EmulatorError` when they cannot be."""
@@ -224,11 +224,6 @@ class Store:
                 else:
                     with contextlib.suppress(OSError):
                         path.unlink()
-
-
-def own_mark() -> str:
-    """Machine, process and a random number: at the end of names aside that nobody else uses."""
-    return f"{socket.gethostname()[:64]}-{os.getpid()}-{os.urandom(4).hex()}"
 
 
 def size_of(folder: Path) -> int:

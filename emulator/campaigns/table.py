@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from emulator.campaigns.campaign import Campaign
 from emulator.campaigns.factors import Floats
-from emulator.campaigns.store import BROKEN, Row, Store, own_mark
+from emulator.campaigns.store import BROKEN, Row, Store
 from emulator.errors import EmulatorError
 from emulator.output.csv_tables import Writer
 from emulator.output.sanitizing import visible
@@ -184,23 +184,20 @@ def _columns(
 # ---------------------------------------------------------------- files
 
 
-def _aside(path: Path) -> Path:
-    """Where a table is written before it is renamed: of this writer alone, others may end at the same time."""
-    return path.parent / "aside" / f"{path.name}-{own_mark()}"
-
-
-def _into_place(aside: Path, path: Path) -> None:
+def _into_place(file: Any, aside: Path, path: Path) -> Path:
     try:
+        file.close()
         aside.replace(path)
     except OSError as error:
-        raise EmulatorError(f"{path}: cannot be written: {error.strerror}") from None
+        raise EmulatorError(f"{path}: cannot be written: {error}") from None
+    return path
 
 
 class _Csv:
     """Written as rows come, then renamed."""
 
     def __init__(self, path: Path, heads: Sequence[str]) -> None:
-        self._path, self._aside = path, _aside(path)
+        self._path, self._aside = path, Store(path.parent).aside(path.name)
         try:
             self._file = self._aside.open("w", newline="", encoding="utf-8")
         except OSError as error:
@@ -214,12 +211,7 @@ class _Csv:
             raise EmulatorError(f"{self._path}: cannot be written: {error}") from None
 
     def close(self) -> Path:
-        try:
-            self._file.close()
-        except OSError as error:
-            raise EmulatorError(f"{self._path}: cannot be written: {error}") from None
-        _into_place(self._aside, self._path)
-        return self._path
+        return _into_place(self._file, self._aside, self._path)
 
 
 class _Parquet:
@@ -232,7 +224,7 @@ class _Parquet:
         kind_of = {"f": pa.float64(), "i": pa.int64(), "b": pa.bool_(), "s": pa.string()}
         self._pa = pa
         self._schema = pa.schema([(head, kind_of[kind]) for head, kind in zip(heads, kinds, strict=True)])
-        self._path, self._aside, self._kinds = path, _aside(path), kinds
+        self._path, self._aside, self._kinds = path, Store(path.parent).aside(path.name), kinds
         try:
             self._file = pq.ParquetWriter(self._aside, self._schema)
         except OSError as error:
@@ -255,12 +247,7 @@ class _Parquet:
             return self._pa.array([None if one is None else float(one) for one in values], type_)
 
     def close(self) -> Path:
-        try:
-            self._file.close()
-        except OSError as error:
-            raise EmulatorError(f"{self._path}: cannot be written: {error}") from None
-        _into_place(self._aside, self._path)
-        return self._path
+        return _into_place(self._file, self._aside, self._path)
 
 
 def _writer(campaign: Campaign, columns: Sequence[str], numeric: set[str], out: Path) -> _Csv | _Parquet:

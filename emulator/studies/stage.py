@@ -144,7 +144,7 @@ class Stage:
                 return 0.0
             ends = self.seen(np.array([low, high], dtype=np.float64), gain)
             if ends[0] and not ends[1]:  # the window holds it, but a flake before the first cell or after the last
-                return self._share_m(low, high, gain)
+                return self._window(low, high, gain)[0]
             low, high = (low if ends[0] else 0.5 * low), (1.25 * high if ends[1] else high)
             if high > 2.0 * self.measure.model.gate_m:
                 return self.measure.model.gate_m
@@ -157,15 +157,13 @@ class Stage:
             edge_m, step = finer
         return edge_m
 
-    def _share_m(self, low_m: float, high_m: float, gain: float) -> float:
-        """The range of even odds in a window, whatever its ends show."""
-        step = (high_m - low_m) / CELLS
-        seen = self.seen(low_m + step * np.arange(0.5, CELLS, dtype=np.float64), gain)
-        return low_m + step * int(np.count_nonzero(seen))
-
     def _edge_m(self, low_m: float, high_m: float, gain: float) -> tuple[float, float] | None:
         """Where it is no longer seen, and how finely that is known; None where the window does not hold that range."""
+        edge_m, step, seen = self._window(low_m, high_m, gain)
+        return (edge_m, step) if seen[0] and not seen[-1] else None
+
+    def _window(self, low_m: float, high_m: float, gain: float) -> tuple[float, float, Bools]:
+        """The range of even odds in a window, whatever its ends show; the width of its cells, and where it is seen."""
         step = (high_m - low_m) / CELLS
-        middle = np.arange(0.5, CELLS, dtype=np.float64)
-        seen = self.seen(low_m + step * middle, gain)
-        return (low_m + step * int(np.count_nonzero(seen)), step) if seen[0] and not seen[-1] else None
+        seen = self.seen(low_m + step * np.arange(0.5, CELLS, dtype=np.float64), gain)
+        return low_m + step * int(np.count_nonzero(seen)), step, seen

@@ -25,6 +25,8 @@ from emulator.transports.loopback import Loops
 from protocols.scan import Scan, ScanPlan
 
 MS, SECOND = 1_000_000, 1_000_000_000
+RATE_HZ = 37.5
+"Of an LMS291 of the rig."
 SLICE_NS = 8 * MS
 "How long each step takes; where a test says so, half of it."
 
@@ -311,6 +313,10 @@ class Rig:
 
     def close(self) -> None:
         self.daemon.close()
+
+
+Make = Callable[..., Rig]
+"`rig` of the tests: it is closed at their end."
 
 
 class _Stepping:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-
 import pytest
 
 from emulator.measuring.conditions import NORMAL
@@ -12,23 +10,7 @@ from emulator.measuring.supervision import Workers
 from emulator.process.clock import ManualClock
 from protocols.scan import Scan, ScanPlan
 from tests.instrument.test_instrument import plan
-from tests.measuring.process_rig import LISTS, MS, SECOND, Played, Rig
-
-RATE_HZ = 37.5
-Make = Callable[..., Rig]
-
-
-@pytest.fixture
-def rig() -> Iterator[Make]:
-    made: list[Rig] = []
-
-    def make(*sensors: str, **words: object) -> Rig:
-        made.append(Rig(*sensors, **words))  # type: ignore[arg-type]
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
+from tests.measuring.process_rig import LISTS, MS, RATE_HZ, SECOND, Make, Played, Rig
 
 
 def in_order(sweeps: list[int]) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -14,23 +14,7 @@ from emulator.measuring.supervision import Workers
 from emulator.process import time_limits
 from emulator.process.time_limits import Pace, RunningTime, Stillness, pause_ns
 from protocols.scan import ScanPlan
-from tests.measuring.process_rig import LD, LISTS, MS, SECOND, Played, Rig
-
-RATE_HZ = 37.5
-Make = Callable[..., Rig]
-
-
-@pytest.fixture
-def rig() -> Iterator[Make]:
-    made: list[Rig] = []
-
-    def make(*sensors: str, **words: object) -> Rig:
-        made.append(Rig(*sensors, **words))  # type: ignore[arg-type]
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
+from tests.measuring.process_rig import LD, LISTS, MS, RATE_HZ, SECOND, Make, Played, Rig
 
 
 @pytest.mark.parametrize("when", ["between sweeps", "in mid sweep", "in mid scan"])
