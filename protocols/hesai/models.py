@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from protocols.errors import DeviceSettingError
 from protocols.hesai import tables
 from protocols.scan import Floats
 

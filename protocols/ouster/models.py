@@ -8,11 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from protocols.errors import DeviceSettingError
 from protocols.ouster import tables
 from protocols.scan import Floats
 
