@@ -9,7 +9,7 @@ from typing import Any
 
 from emulator.errors import EmulatorError, LinkError
 from emulator.hosts.families import BUILT_IN, free_link, names
-from emulator.looking.look import Wanted, connect, watch
+from emulator.looking.look import FIRST_S, Wanted, connect, watch
 from emulator.looking.screen import drawable
 from emulator.runtime.own_daemon import DaemonError, OwnDaemon, own_daemon
 from emulator.scenario import scenario as scenario_file
@@ -80,7 +80,7 @@ def _show(
     finally:
         host.close()
     if seen is None:
-        raise LinkError(f"{links[chosen]}: the device sends no scan")
+        raise LinkError(f"{links[chosen]}: no scan came within {FIRST_S:g} s")
 
 
 def _link(sensor: str, family: str, folder: Path) -> str:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 REDRAW_NS = 80_000_000
 POLL_S = 0.05
 FIRST_S = 6.0
-"Until the first scan; an LD on a slow line needs its time."
+"Until the first scan, however short a look was asked for; an LD on a slow line needs its time."
 SILENT_S = 10.0
 "Then a device is given up where nobody watches."
 LINE_NS = 1_000_000_000
@@ -170,10 +170,11 @@ def watch(host: Host, wanted: Wanted, say: Say) -> Seen | None:
                     break
                 if wanted.scans is not None and view.count >= wanted.scans:
                     break
-                if wanted.duration_s is not None and now_ns - begun_ns >= wanted.duration_s * 1e9:
-                    break
                 quiet_s = (now_ns - (view.last_ns if view.last else begun_ns)) * 1e-9
-                if view.last is None and quiet_s >= FIRST_S:
+                if view.last is None:
+                    if quiet_s >= FIRST_S:
+                        break
+                elif wanted.duration_s is not None and now_ns - begun_ns >= wanted.duration_s * 1e9:
                     break
                 if quiet_s >= SILENT_S and not wanted.live:
                     raise LinkError(f"{view.title}: silent for {quiet_s:.0f} s after {view.count} scans")

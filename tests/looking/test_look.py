@@ -7,7 +7,9 @@ import json
 import math
 import os
 from collections.abc import Iterator, Sequence
+from itertools import count
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -231,6 +233,16 @@ def test_a_device_that_falls_silent_is_told_where_nobody_watches(monkeypatch: py
     monkeypatch.setattr(look, "SystemClock", Jumping)
     with pytest.raises(LinkError, match="silent for 12 s after 1 scans"):
         watch(Played([WALL, None, None, None]), Wanted(), lambda text: None)
+
+
+@pytest.mark.parametrize(("silent_s", "found"), [(5, WALL), (6, None)])
+def test_a_short_look_waits_for_the_first_scan(
+    monkeypatch: pytest.MonkeyPatch, silent_s: int, found: HostScan | None
+) -> None:
+    seconds = count()  # one a look
+    monkeypatch.setattr(look, "SystemClock", lambda: SimpleNamespace(now_ns=lambda: next(seconds) * 1_000_000_000))
+    seen = watch(Played([None] * silent_s + [WALL, LIST]), Wanted(duration_s=1.5), lambda text: None)
+    assert seen is found
 
 
 @pytest.mark.parametrize(
