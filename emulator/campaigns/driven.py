@@ -111,7 +111,8 @@ def drive(
         fault = "" if code in (None, 0) else f"{command[0]} ended with {how_it_ended(int(code or 0))}"
         if daemon.lost_links:
             fault = "; ".join(filter(None, (fault, *daemon.lost_links)))
-        return Driven(run, tuple(judged), transcript.sha256(), judged.warnings, fault, result)
+        warnings = (*judged.warnings, *([daemon.late_text] if daemon.late_text else []))
+        return Driven(run, tuple(judged), transcript.sha256(), warnings, fault, result)
 
 
 def result_of(path: Path) -> dict[str, float]:

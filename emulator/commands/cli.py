@@ -176,6 +176,12 @@ def _rehearsed(name: str, overrides: Sequence[str], seed: int | None, links: Seq
 )
 @click.option("--speed", type=Finite(0.001, 1e9), metavar="X", help="Run a virtual clock at X times real time.")
 @click.option("--no-wait", is_flag=True, help="Let virtual time advance without a connected host.")
+@click.option(
+    "--answer-wait",
+    type=Finite(0.0, LONGEST_S),
+    metavar="S",
+    help="Real time for which virtual time stands for a host's answer when nothing is due (default: 0.1).",
+)
 @click.option("--realtime", is_flag=True, help="Real-time scheduling (SCHED_FIFO) for the sender, where permitted.")
 @click.option("--control", type=click.Path(path_type=Path), metavar="PATH", help="Control socket.")
 @click.option(
@@ -202,6 +208,7 @@ def run(
     clock: str,
     speed: float | None,
     no_wait: bool,
+    answer_wait: float | None,
     realtime: bool,
     control: Path | None,
     record: Path | None,
@@ -260,6 +267,8 @@ def run(
         daemon.faults.listeners.append(fault_teller(as_json))
     if isinstance(daemon, VirtualDaemon):
         daemon.waits_for_hosts, daemon.reports_alone = not no_wait, True
+        if answer_wait is not None:
+            daemon.answer_ns = round(answer_wait * 1e9)
     if realtime and (refused := be_realtime()):
         note(f"--realtime: {refused}; normal scheduling is used")
     transcript = watched(instruments) if isinstance(daemon, VirtualDaemon) else None
@@ -314,10 +323,14 @@ def run(
             daemon.feeding.lines() if not as_json else [json.dumps({"event": "feed"} | daemon.feeding.report())]
         ):
             say(line)
-    sha256 = None if transcript is None else transcript.sha256()
-    announce_end(instruments, as_json, sha256, daemon.incidents, recorded, daemon.why, ended_ns * 1e-9)
+    digest: dict[str, object] = {}
+    if transcript is not None and isinstance(daemon, VirtualDaemon):
+        digest = {"sha256": transcript.sha256(), "late_answers": daemon.late_answers}
+    announce_end(instruments, as_json, digest, daemon.incidents, recorded, daemon.why, ended_ns * 1e-9)
     for cause, count in daemon.failures.items():
         note(f"{count} scans could not be measured: {cause}")
+    if not as_json and isinstance(daemon, VirtualDaemon) and daemon.late_text:
+        say(daemon.late_text)
     if driver_code not in (None, 0):
         note(f"{command[0]} ended with {how_it_ended(driver_code)}")
     if daemon.lost_links:
@@ -431,7 +444,7 @@ def incident_teller(as_json: bool) -> Callable[[Incident], None]:
 def announce_end(
     instruments: Sequence[Instrument],
     as_json: bool,
-    sha256: str | None,
+    digest: Mapping[str, object],
     incidents: Incidents,
     recording: Mapping[str, object] | None,
     why: str,
@@ -439,7 +452,7 @@ def announce_end(
 ) -> None:
     """Say why the run ended and what each sensor did: scans sent, dropped, rate, lateness of sends.
 
-    `sha256`: of a run in virtual time.
+    `digest`: of a run in virtual time; of others empty.
 
     `recording`: how it stands with it, None when the run was not recorded.
     """
@@ -448,7 +461,6 @@ def announce_end(
 
     totals = [summary(item) for item in instruments]
     if as_json:
-        digest = {} if sha256 is None else {"sha256": sha256}
         reported_of = {"recording": recording, "incidents": incidents.rows(), "incident_totals": incidents.totals()}
         ended = {"why": why, "ended_s": ended_s}
         say(json.dumps({"event": "stopped", **ended, "sensors": totals} | reported_of | digest))
@@ -494,8 +506,8 @@ def announce_end(
         say(f"incidents: {count} {kind}")
     if recording is not None and recording["state"] == "ended":
         say(f"recording: ended at {recording['at_s']:.3f} s: {recording['why']}; {recording['folder']}")
-    if sha256 is not None:
-        say(f"sha256 of all wire bytes with their virtual times: {sha256}")
+    if digest:
+        say(f"sha256 of all wire bytes with their virtual times: {digest['sha256']}")
 
 
 # ---------------------------------------------------------------- what there is

@@ -413,8 +413,6 @@ class Instrument:
         mine = self._discarded if name in self._discarded else self._under_way
         if name in mine:
             mine.remove(name)
-        elif mine:
-            mine.pop(0)
         return mine is self._discarded
 
     def _ask_for_scan(self, now_ns: int) -> bool:

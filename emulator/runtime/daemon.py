@@ -77,8 +77,9 @@ class Daemon:
         self.faults: FaultRun | None = None
         "Injected faults in this run."
         self.feeding: Feeding | None = None
-        self.announcer: Announcer | None = None
         "Who moves the world from outside."
+        self.announcer: Announcer | None = None
+        "Who announces devices by mDNS."
         self.failures: Counter[str] = Counter()
         "Scans that could not be measured, by cause."
         self.incidents = Incidents()
@@ -323,6 +324,8 @@ class Daemon:
         if self.feeding is not None and (why := self.feeding.look(now_ns)):
             self.incidents.note("feed silent", now_ns, "feed", why)
             self.stop(why)
+        if self.announcer is not None and (why := self.announcer.look()):
+            self.incidents.note("helper ended", now_ns, "mdns", why)
         self.notifier.alive(now_ns, status_text(self._instruments, self.liveness))
         self._look_ns = now_ns + min(wait_ns, self.notifier.wake_ns or wait_ns)
 

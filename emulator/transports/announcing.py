@@ -10,7 +10,9 @@ announced, when its input ends: also when the run is killed.
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -20,14 +22,19 @@ from typing import Any
 
 from emulator.errors import LinkError
 from emulator.output.lines import note
+from emulator.process.driver import how_it_ended
 from protocols.session import Announcement
 
 ENDS_S = 5.0
 "After which one that does not end is killed."
+MOST_STARTS = 4
+"In one run: one that ends again and again is left so."
 
 
 class Announcer:
     """Announces as long as it is open."""
+
+    command = (sys.executable, "-m", "emulator.transports.announcing")
 
     def __init__(self, found: Sequence[tuple[str, Announcement]]) -> None:
         """Each with the address that it is at; `LinkError` without the library, or for an address that is none."""
@@ -43,21 +50,67 @@ class Announcer:
                 raise LinkError(f"mdns: true with a TCP link at {host}; want one at the address of an interface")
             rows.append({"address": host, "kind": one.kind, "name": one.name, "host": one.host, "port": one.port}
                         | {"text": dict(one.text)})  # fmt: skip
-        command = [sys.executable, "-m", "emulator.transports.announcing"]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True, text=True)
+        self._rows = json.dumps(rows) + "\n"
+        self._starts = 0
+        self._process: subprocess.Popen[str] | None = None
+        try:
+            self._start()
+        except OSError as error:
+            raise LinkError(f"mdns: true: its process does not start: {error.strerror}") from None
+
+    @property
+    def pid(self) -> int | None:
+        """Of the process; None: there is none any more."""
+        return None if self._process is None else self._process.pid
+
+    def _start(self) -> None:
+        self._starts += 1
+        self._process = subprocess.Popen(self.command, stdin=subprocess.PIPE, start_new_session=True, text=True)
         assert self._process.stdin is not None
-        self._process.stdin.write(json.dumps(rows) + "\n")
-        self._process.stdin.flush()
+        with contextlib.suppress(BrokenPipeError):  # it has ended already: `look` finds it so
+            self._process.stdin.write(self._rows)
+            self._process.stdin.flush()
+
+    def look(self) -> str:
+        """Whether the process has ended or stands still, in words; another is begun then, a few times; empty: neither.
+
+        Costs one system call, so it may be asked in the sender.
+        """
+        if self._process is None:
+            return ""
+        found = os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WSTOPPED | os.WNOHANG | os.WNOWAIT)
+        if found is None:
+            return ""
+        self._process.kill()
+        code = self._process.wait()
+        how = "stopped" if found.si_code == os.CLD_STOPPED else how_it_ended(code)
+        self._release()
+        if self._starts >= MOST_STARTS:
+            return f"{how}; devices are announced no more"
+        try:
+            self._start()
+        except OSError as error:
+            return f"{how}; devices are announced no more: {error.strerror}"
+        return f"{how}; started again"
+
+    def _release(self) -> None:
+        if self._process is not None and self._process.stdin is not None:
+            with contextlib.suppress(OSError):  # what it had not read
+                self._process.stdin.close()
+        self._process = None
 
     def close(self) -> None:
         """Take it back."""
-        assert self._process.stdin is not None
-        self._process.stdin.close()
+        process = self._process
+        if process is None:
+            return
+        self._release()
         try:
-            self._process.wait(ENDS_S)
+            process.wait(ENDS_S)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+            process.kill()
+            process.wait()
+            note(f"mdns: killed, as it did not end within {ENDS_S:.0f} s: browsers show the devices until they expire")
 
 
 def services(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
@@ -78,16 +131,21 @@ def services(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
 
 
 def main() -> int:
-    """Announce until the input ends."""
+    """Announce until the input ends; what cannot be announced is told, and the rest goes on."""
     from zeroconf import Error, Zeroconf
 
     opened, code = [], 0
     for interface, infos in services(json.loads(sys.stdin.readline())).items():
-        opened.append(Zeroconf(interfaces=[interface]))
+        try:
+            opened.append(Zeroconf(interfaces=[interface]))
+        except (OSError, Error) as error:
+            note(f"mdns: {interface}: {error}; nothing is announced there")
+            code = 2
+            continue
         for info in infos:
             try:
                 opened[-1].register_service(info)
-            except Error as error:
+            except (OSError, Error) as error:
                 note(f"mdns: {info.name} on {interface}: {type(error).__name__} {error}")
                 code = 2
     sys.stdin.read()

@@ -305,7 +305,7 @@ class Schedule:
         return self._wanted.plan
 
     def plan_after(self, plan: ScanPlan, now_ns: int) -> ScanPlan | None:
-        """The stream's scan after the one of `next_plan`, if nothing changes; changes nothing."""
+        """The stream's scan after the one of `next_plan`, if nothing changes; forgets what was `begun` before it."""
         slot, stream, device = self._wanted.what, self._stream, self._device
         if slot is None or slot.once or slot.output.scans > 1 or stream is None or device is None:
             return None

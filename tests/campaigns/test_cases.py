@@ -13,6 +13,7 @@ from emulator.campaigns.store import Row, Store
 from emulator.commands.cli import main
 from emulator.errors import ScenarioError
 from emulator.judging.trial import run_trial
+from emulator.runtime.virtual_daemon import VirtualDaemon
 from emulator.scenario.scenario import load as load_scenario
 
 VISIBILITY = "weather.fog.visibility_m"
@@ -130,6 +131,13 @@ def numbers(tmp_path: Path, text: str) -> dict[float, Row]:
     )
     changed = changed.replace("expect: [{that: min(front.points), at_least: 60, name: sees the wall}]", "expect: []")
     return rows_of(tmp_path, changed, driver=(sys.executable, str(tmp_path / "host.py")))
+
+
+def test_a_driver_that_answered_late_is_a_warning_of_its_case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(VirtualDaemon, "late_text", "sha256 may differ in another run")
+    (tmp_path / "host.py").write_text(HOST, encoding="utf-8")
+    rows = rows_of(tmp_path, TEXT, driver=(sys.executable, str(tmp_path / "host.py"), "0"))
+    assert all("sha256 may differ in another run" in row["warnings"] for row in rows.values())
 
 
 def test_a_driver_gets_its_factors_and_leaves_numbers_of_its_own(tmp_path: Path) -> None:

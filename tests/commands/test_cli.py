@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -168,10 +169,31 @@ def test_a_run_says_when_it_will_end_and_at_its_end_why_it_did(
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert (rows[0]["ends_at_s"], rows[0]["ends_by"], rows[0]["round_s"]) == (0.5, "duration_s of the scenario", None)
     assert (rows[-1]["why"], rows[-1]["ended_s"]) == ("its duration is over", 0.5)
+    assert rows[-1]["late_answers"] == 0
     assert main(["run", path, "--clock", "virtual", "--no-wait", "--loop", "--duration", "1.25"]) == OK
     reported = capsys.readouterr().out.splitlines()
     assert reported[1] == "ends after 1.25 s (--duration); the world begins again every 0.5 s"
     assert reported[2] == "ended after 1.250 s: its duration is over"
+
+
+ASKS = """
+import os, socket
+host, _, port = os.environ["LIDAREMU_FRONT"].rpartition(":")
+with socket.create_connection((host, int(port))) as line:
+    line.sendall(bytes.fromhex("0200010031151200"))
+    line.recv(1)
+"""
+
+
+def test_a_run_whose_host_spoke_after_time_had_gone_on_says_so_at_its_end(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = write(tmp_path, SCENARIO.replace("pty:./front", "tcp:127.0.0.1:0"))
+    driver = ["--", sys.executable, "-c", ASKS]
+    assert main(["run", path, "--speed", "20", "--answer-wait", "0.2", *driver]) == OK
+    assert "virtual time had gone on once before a host came or answered: sha256 may" in capfd.readouterr().out
+    assert main(["run", path, "--speed", "20", "--json", *driver]) == OK
+    assert json.loads(capfd.readouterr().out.splitlines()[-1])["late_answers"] == 1
 
 
 def test_a_group_without_a_command_shows_its_help_in_lines(capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,14 +9,16 @@ import time
 from collections.abc import Callable
 from itertools import cycle
 from pathlib import Path
+from shutil import rmtree
+from typing import Any
 
 from emulator.recording.reader import read_run
 from tests.system.conftest import TIME_LIMIT_S, RunningDaemon
 from tests.system.hosts import LmsHost, telegram
 
 
-def run_with_a_host(daemon: Callable[..., RunningDaemon], name: str, chunks: list[int], *arguments: str) -> str:
-    """Digest of a run whose host reads in pieces of these sizes, and is away for a while now and then."""
+def run_with_a_host(daemon: Callable[..., RunningDaemon], name: str, chunks: list[int], *arguments: str) -> Any:
+    """The end of a run whose host reads in pieces of these sizes, and is away for a while now and then."""
     running = daemon(
         *("flat_wall", "--clock", "virtual", "--duration", "6", "--record", name),
         *("--link", f"front=pty:./{name}-line", *arguments),
@@ -36,14 +38,28 @@ def run_with_a_host(daemon: Callable[..., RunningDaemon], name: str, chunks: lis
     assert running.process.returncode == 0, errors
     end = json.loads(out.splitlines()[-1])
     assert end["sensors"][0]["links"][0]["bytes_lost"] == 0
+    return end
+
+
+MOST_RUNS = 3
+"On a busy machine a host may be kept from answering in time; the run says so."
+
+
+def digest_of_a_run(daemon: Callable[..., RunningDaemon], folder: Path, name: str, *arguments: Any) -> str:
+    """Of one whose host was always in time."""
+    for _ in range(MOST_RUNS):
+        rmtree(folder / name, ignore_errors=True)
+        end = run_with_a_host(daemon, name, *arguments)
+        if not end["late_answers"]:
+            break
     return str(end["sha256"])
 
 
 def test_pieces_pauses_and_workers_change_no_byte(daemon: Callable[..., RunningDaemon], tmp_path: Path) -> None:
     digests = {
-        run_with_a_host(daemon, "one", [4096]),
-        run_with_a_host(daemon, "two", [1, 700, 13], "--workers", "2"),
-        run_with_a_host(daemon, "three", [64, 3000], "--workers", "1"),
+        digest_of_a_run(daemon, tmp_path, "one", [4096]),
+        digest_of_a_run(daemon, tmp_path, "two", [1, 700, 13], "--workers", "2"),
+        digest_of_a_run(daemon, tmp_path, "three", [64, 3000], "--workers", "1"),
     }
     assert len(digests) == 1
     runs = [read_run(tmp_path / name) for name in ("one", "two", "three")]
