@@ -54,7 +54,7 @@ class PacketHost:
         return self._reader.errors
 
     def scans(self, timeout_s: float) -> Iterator[HostScan | None]:
-        """Whole scans as they arrive; None when nothing came for `timeout_s`. The first, begun anywhere, is left out."""
+        """Whole scans as they arrive, without the first, begun anywhere; None when nothing came for `timeout_s`."""
         data, errors = self._first, 0
         while True:
             for scan in self._reader.feed(data):
