@@ -279,6 +279,10 @@ def _most(counts: Counter[str]) -> dict[str, int]:
     return dict(counts.most_common(16))
 
 
+def _bytes(kinds: Mapping[str, str]) -> int:
+    return sum(np.dtype(kind).itemsize for kind in kinds.values())
+
+
 def spacing(points: int, room: int) -> int:
     """Every how many beams one is shown, so that there are no more points than `room`.
 
@@ -295,7 +299,11 @@ def _scan(parts: Sequence[Scan], number: int, missed: int, room: int) -> dict[st
     first, last = parts[0].plan, parts[-1]
     counts = [len(one.plan) for one in parts]
     n, k = sum(counts), max(one.range_m.shape[1] for one in parts)
-    every = max(1, -(-n * k // max(1, room))) if last.plan.turn is None else spacing(n * k, room)
+    every = max(1, -(-n * k // max(1, room)))
+    if last.plan.turn is not None:
+        while k > 1 and not any(np.isfinite(one.range_m[:, k - 1 :]).any() for one in parts):
+            k -= 1  # a device of four echoes has seldom more than two
+        every = spacing(n * (_bytes(SHORT) + k * _bytes(LONG)), room * (_bytes(SHORT) + _bytes(LONG)))
     found: dict[str, object] = {
         "number": number,
         "missed": missed,
@@ -319,7 +327,7 @@ def _scan(parts: Sequence[Scan], number: int, missed: int, room: int) -> dict[st
             "actor": one.actor,
         }
         for name, values in arrays.items():
-            kept[name].append(values[here])
+            kept[name].append(values[here] if name in SHORT else values[here, :k])
         kept["fire_s"][-1] = kept["fire_s"][-1] + 1e-9 * (plan.start_ns - first.start_ns)
         if (width := one.range_m.shape[1]) < k:
             for name in LONG:
