@@ -6,6 +6,7 @@ Belongs here: asking, reading on, asking again. Not: packets, and how it is seen
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Protocol
 
 from emulator.hosts.lines import Line
@@ -53,12 +54,13 @@ class PacketHost:
         return self._reader.errors
 
     def scans(self, timeout_s: float) -> Iterator[HostScan | None]:
-        """Scans as they arrive; None when nothing came for `timeout_s`."""
+        """Whole scans as they arrive, without the first, begun anywhere; None when nothing came for `timeout_s`."""
         data, errors = self._first, 0
         while True:
             for scan in self._reader.feed(data):
                 self.title = self._reader.title
-                yield scan
+                if scan.number:
+                    yield replace(scan, number=scan.number - 1)
             if not data:
                 yield None
             if self.asks_after_errors and self._reader.errors > errors:

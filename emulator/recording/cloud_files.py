@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emulator.recording.clouds import Points
 from emulator.recording.folder import RecordingError
@@ -43,10 +44,15 @@ def _ply(path: Path, points: Points, title: str) -> None:
     from trimesh.exchange.ply import export_ply
 
     at_m = np.stack([points["x"], points["y"], points["z"]], axis=1)
-    rest: dict[str, Any] = {name: points[name] for name in (points.dtype.names or ()) if name not in "xyz"}
+    rest: dict[str, Any] = {name: _plain(points[name]) for name in (points.dtype.names or ()) if name not in "xyz"}
     nothing = np.zeros((0, 3), np.int64)
     cloud = Trimesh(at_m, nothing, process=False, validate=False, vertex_attributes=rest)
     path.write_bytes(export_ply(cloud, include_attributes=True))
+
+
+def _plain(column: NDArray[Any]) -> NDArray[Any]:
+    """As readers of PLY know it: Open3D passes over `ushort`."""
+    return column.astype(np.int32) if column.dtype == np.uint16 else column
 
 
 def _las(path: Path, points: Points, title: str) -> None:

@@ -13,6 +13,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from emulator.instrument.instrument import Instrument
 from emulator.instrument.observer import Observer, Payload
 from emulator.objects.metrics import ListedScan
@@ -30,6 +32,8 @@ KEEP_S = 10.0
 "Since it was asked last: longer than any page that is still open lets pass."
 MOST_POINTS = 6000
 "Beams times echoes in one answer, of all sensors together: 190 kB of text; the control hangs up at 262 kB."
+MOST_BEAMS = 500_000
+"Kept of a turn: a VLS-128 at 300 revolutions a minute has 480 000."
 MOST_PAYLOADS = 64
 "Kept for each sensor."
 MOST_EVENTS = 16
@@ -50,13 +54,38 @@ LONG = {"range_m": "<f4", "intensity": "<f4", "actor": "<i2"}
 class _Seen:
     """Of one sensor."""
 
-    scan: Scan | None = None
+    parts: deque[Scan] = field(default_factory=deque)
+    "The newest scan; of a sensor that measures in slices those of the last turn, newest last."
+    begun: tuple[tuple[int, int], ...] = ()
+    "Number and first instant of the newest turns, at most two."
+    beams: int = 0
+    "Of `parts`."
     scans: int = 0
     "Scans so far."
     payloads: deque[tuple[int, Payload]] = field(default_factory=lambda: deque(maxlen=MOST_PAYLOADS))
     count: int = 0
     "Payloads so far."
     events: deque[tuple[int, str]] = field(default_factory=lambda: deque(maxlen=MOST_EVENTS))
+
+    def take(self, scan: Scan) -> None:
+        """The newest scan, or the newest slice: slices stay until the sensor has come round."""
+        turn, start_ns, parts = scan.plan.turn, scan.plan.start_ns, self.parts
+        self.scans += 1
+        if turn is None or (self.begun and turn < self.begun[-1][0]):  # a new life counts anew
+            parts.clear()
+            self.begun, self.beams = (), 0
+        parts.append(scan)
+        self.beams += len(scan.plan)
+        if turn is None:
+            return
+        if not self.begun or turn > self.begun[-1][0]:
+            self.begun = (*self.begun[-1:], (turn, start_ns))
+        (since, since_ns), (until, until_ns) = self.begun[0], self.begun[-1]
+        turn_ns = (until_ns - since_ns) // max(1, until - since)
+        while len(parts) > 1 and (
+            self.beams > MOST_BEAMS or (turn_ns and parts[0].plan.start_ns <= start_ns - turn_ns)
+        ):
+            self.beams -= len(parts.popleft().plan)
 
 
 class _Keeper(Observer):
@@ -68,8 +97,7 @@ class _Keeper(Observer):
 
     def scan(self, sensor: str, scan: Scan) -> None:
         if not self._forgotten():
-            seen = self.of.setdefault(sensor, _Seen())
-            seen.scan, seen.scans = scan, seen.scans + 1
+            self.of.setdefault(sensor, _Seen()).take(scan)
 
     def payload(self, payload: Payload) -> None:
         if not self._forgotten():
@@ -118,16 +146,17 @@ class Snapshots:
         }
 
     def scans(self, params: Mapping[str, Any]) -> object:
-        """The latest scan of each sensor, as it was measured, unless `since` has its number already."""
+        """The latest scan, or turn of slices, of each sensor, as measured, unless `since` has its number already."""
         chosen = self._chosen(params)
         keeper = self._look()
         since = _table(params, "since")
         found = {}
         for name in chosen:
             seen = keeper.of.get(name)
-            if seen is not None and seen.scan is not None and since.get(name, -1) != seen.scans:
-                missed = max(0, seen.scans - since[name] - 1) if 0 < since.get(name, -1) <= seen.scans else 0
-                found[name] = (seen.scan, seen.scans, missed)
+            if seen is not None and seen.parts and since.get(name, -1) != seen.scans:
+                known = since.get(name, -1)
+                missed = max(0, seen.scans - known - len(seen.parts)) if 0 < known <= seen.scans else 0
+                found[name] = (tuple(seen.parts), seen.scans, missed)
         room = MOST_POINTS // max(1, len(found))
         head = {"now_s": self._now_ns() * 1e-9, "keeper": self._before}
         return Later(lambda: head | {"scans": {name: _scan(*one, room) for name, one in found.items()}})
@@ -250,34 +279,65 @@ def _most(counts: Counter[str]) -> dict[str, int]:
     return dict(counts.most_common(16))
 
 
-def _scan(scan: Scan, number: int, missed: int, room: int) -> dict[str, object]:
-    """One scan as text; of more points than `room` every n-th beam."""
-    plan = scan.plan
-    n, k = scan.range_m.shape
+def _bytes(kinds: Mapping[str, str]) -> int:
+    return sum(np.dtype(kind).itemsize for kind in kinds.values())
+
+
+def spacing(points: int, room: int) -> int:
+    """Every how many beams one is shown, so that there are no more points than `room`.
+
+    Not a multiple of 2 or 5: those of slices are numbered by laser, and would be of a few lasers alone.
+    """
+    every = max(1, -(-points // max(1, room)))
+    while every > 1 and (every % 2 == 0 or every % 5 == 0):
+        every += 1
+    return every
+
+
+def _scan(parts: Sequence[Scan], number: int, missed: int, room: int) -> dict[str, object]:
+    """A scan, or slices one after another, as text; of more points than `room` every n-th beam."""
+    first, last = parts[0].plan, parts[-1]
+    counts = [len(one.plan) for one in parts]
+    n, k = sum(counts), max(one.range_m.shape[1] for one in parts)
     every = max(1, -(-n * k // max(1, room)))
-    kept = slice(None, None, every)
-    arrays: dict[str, Any] = {
-        "azimuth_rad": plan.azimuth_rad,
-        "elevation_rad": plan.elevation_rad,
-        "fire_s": plan.fire_offset_s,
-        "range_m": scan.range_m,
-        "intensity": scan.intensity,
-        "actor": scan.actor,
-    }
+    if last.plan.turn is not None:
+        while k > 1 and not any(np.isfinite(one.range_m[:, k - 1 :]).any() for one in parts):
+            k -= 1  # a device of four echoes has seldom more than two
+        every = spacing(n * (_bytes(SHORT) + k * _bytes(LONG)), room * (_bytes(SHORT) + _bytes(LONG)))
     found: dict[str, object] = {
         "number": number,
         "missed": missed,
-        "sweep": plan.sweep,
-        "start_s": plan.start_ns * 1e-9,
+        "sweep": last.plan.sweep,
+        "start_s": first.start_ns * 1e-9,
         "beams": n,
         "echoes": k,
         "every": every,
     }
+    kept: dict[str, list[Any]] = {name: [] for name in SHORT | LONG}
+    before = 0
+    for one, count in zip(parts, counts, strict=True):
+        plan, here = one.plan, slice(-before % every, None, every)
+        before += count
+        arrays: dict[str, Any] = {
+            "azimuth_rad": plan.azimuth_rad,
+            "elevation_rad": plan.elevation_rad,
+            "fire_s": plan.fire_offset_s,
+            "range_m": one.range_m,
+            "intensity": one.intensity,
+            "actor": one.actor,
+        }
+        for name, values in arrays.items():
+            kept[name].append(values[here] if name in SHORT else values[here, :k])
+        kept["fire_s"][-1] = kept["fire_s"][-1] + 1e-9 * (plan.start_ns - first.start_ns)
+        if (width := one.range_m.shape[1]) < k:
+            for name in LONG:
+                nothing = -1 if name == "actor" else np.nan
+                kept[name][-1] = np.pad(kept[name][-1], ((0, 0), (0, k - width)), constant_values=nothing)
     for name, kind in (SHORT | LONG).items():
-        found[name] = base64.b64encode(arrays[name][kept].astype(kind).tobytes()).decode()
-    found["objects"] = [_object(item) for item in scan.objects[:MOST_OBJECTS]]
-    if isinstance(scan, ListedScan):
-        found["truth"] = [asdict(item) for item in scan.truth[:MOST_OBJECTS]]
+        found[name] = base64.b64encode(np.concatenate(kept[name]).astype(kind).tobytes()).decode()
+    found["objects"] = [_object(item) for item in last.objects[:MOST_OBJECTS]]
+    if isinstance(last, ListedScan):
+        found["truth"] = [asdict(item) for item in last.truth[:MOST_OBJECTS]]
     return found
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emulator.process.clock import Clock, SystemClock
+from emulator.recording.layout import RecordedScan
 from emulator.recording.reader import RecordedRun, WireOf, read_run
+from emulator.runtime.snapshots import spacing
 from emulator.scenario import scenario as scenario_file
 from emulator.scenario.scenario import Scenario
 from emulator.view.frames import Frame, ShownLink, ShownScan, ShownSensor, ShownTelegram, ViewError
@@ -22,6 +25,12 @@ LAST = 32
 "Telegrams shown of each sensor."
 STALE_S = 2.0
 "A scan older than this is shown no more."
+TURN_S = 0.1
+"Slices of so long at the most are shown together."
+SLICED_S = 0.03
+"Scans of several layers that follow each other so fast are slices."
+MOST_POINTS = 20_000
+"Beams times echoes shown of a turn."
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +69,7 @@ class RecordedSource:
         self.title = self._run.path.parent.name or self._run.path.stem
         self.cut = self._run.cut
         self._clock = clock or SystemClock()
+        self._sliced = {name for name, scans in self._run.scans.items() if _is_sliced(scans)}
         self._starts = {name: [scan.start_ns for scan in scans] for name, scans in self._run.scans.items()}
         self._wires: dict[str, list[_Wire]] = {}
         for table, sent in ((self._run.sent, True), (self._run.received, False)):
@@ -114,7 +124,7 @@ class RecordedSource:
             starts = self._starts.get(sensor.id, [])
             count = bisect_right(starts, now_ns)
             if count and now_ns - starts[count - 1] < STALE_S * 1e9:
-                scans[sensor.id] = _shown(self._run, sensor.id, count - 1)
+                scans[sensor.id] = self._scan(sensor.id, count - 1)
             rows, links, sent, rate = self._wire(sensor.id, now_ns)
             telegrams[sensor.id] = rows
             sensors[sensor.id] = ShownSensor(scans_sent=sent, rate_hz=rate, links=links)
@@ -122,6 +132,23 @@ class RecordedSource:
         notes = tuple(_note(*row) for row in self._events[max(0, count - 12) : count])
         stands = self._paused or now_ns >= self._end_ns
         return Frame(now_ns * 1e-9, True, stands, self._speed, scans, sensors, telegrams, notes=notes)
+
+    def _scan(self, sensor: str, place: int) -> ShownScan:
+        """The scan at a place; of slices those since the sensor came round."""
+        newest = _shown(self._run, sensor, place)
+        if sensor not in self._sliced:
+            return newest
+        parts, turned_rad = [newest], 0.0
+        while place and len(newest.azimuth_rad):
+            place -= 1
+            one = _shown(self._run, sensor, place)
+            if not len(one.azimuth_rad) or newest.start_s - one.start_s > TURN_S - 1e-6:
+                break
+            turned_rad += abs(math.remainder(parts[-1].azimuth_rad[0] - one.azimuth_rad[0], 2.0 * math.pi))
+            if turned_rad > 2.0 * math.pi - 1e-6:
+                break
+            parts.append(one)
+        return _joined(parts[::-1])
 
     def _wire(
         self, sensor: str, now_ns: int
@@ -149,6 +176,43 @@ class RecordedSource:
 
     def close(self) -> None:
         """The file is closed already."""
+
+
+def _is_sliced(scans: Sequence[RecordedScan]) -> bool:
+    """Whether scans are slices of turns, or of frames."""
+    if len(scans) < 2 or scans[0].elevation_rad is None:
+        return False
+    gap_s = 1e-9 * float(np.median(np.diff([scan.start_ns for scan in scans])))
+    return gap_s <= SLICED_S and len(np.unique(scans[0].elevation_rad[:128])) > 1
+
+
+def _joined(parts: Sequence[ShownScan]) -> ShownScan:
+    """Slices as one scan that begins with the first; of many points every n-th beam."""
+    width = max(one.range_m.shape[1] for one in parts)
+    every = spacing(sum(len(one.azimuth_rad) for one in parts) * width, MOST_POINTS)
+
+    def all_of(name: str, nothing: float | None = None) -> NDArray[Any]:
+        rows = [getattr(one, name) for one in parts]
+        if nothing is not None:
+            rows = [
+                np.pad(row, ((0, 0), (0, width - row.shape[1])), constant_values=np.asarray(nothing, row.dtype))
+                for row in rows
+            ]
+        return np.concatenate(rows)[::every]
+
+    fires = [one.fire_s + one.start_s - parts[0].start_s for one in parts]
+    return replace(
+        parts[-1],
+        start_s=parts[0].start_s,
+        azimuth_rad=all_of("azimuth_rad"),
+        elevation_rad=all_of("elevation_rad"),
+        fire_s=np.concatenate(fires)[::every],
+        range_m=all_of("range_m", np.nan),
+        intensity=all_of("intensity", np.nan),
+        actor=all_of("actor", -1),
+        every=every,
+        origin_m=None if any(one.origin_m is None for one in parts) else all_of("origin_m"),
+    )
 
 
 def _shown(run: RecordedRun, sensor: str, place: int) -> ShownScan:

@@ -7,6 +7,10 @@ beam. Processor time of this process, the best of five runs of each slice: it be
 Arrays alone are measured in clear air. The cast is that of `Caster`, of rays along the axes: not Embree's own. The
 receiver is what is left of the whole without what comes back (`Measure.view`).
 
+Casts beside it: rays of the same slices, one a beam, all from where the sensor is at the first instant, on triangles
+as they stand then: by `Caster`, for which they go on moving, and by embreex, Open3D and MuJoCo, for which they rest.
+One thread each; compared is the share of rays of which the distance is that of `Caster` within a millimetre.
+
 Packets: of what one ray a beam has measured, by profile or return mode. Encoding is all that a session does between a
 scan and its emissions: choosing returns, units, instants, and packing: bytes and checks; the best slice. Sending is
 that of the UDP link, to a socket of this machine.
@@ -43,6 +47,7 @@ from protocols import family  # noqa: E402
 from protocols.ouster.codec import PROFILES  # noqa: E402
 from protocols.scan import Scan, ScanPlan  # noqa: E402
 from protocols.session import Address, LinkKind  # noqa: E402
+from tests.benchmarks.other_casts import OTHERS, agreeing, finer  # noqa: E402
 
 MODELS: Mapping[str, str] = {
     "velodyne-vlp-16": "{boot_s: 0.0, spin_up_s: 0.0}",
@@ -61,6 +66,8 @@ DATA = ("lidar", "data")
 "Labels of packets that carry measurements."
 OFTEN = 20
 "Slices that are encoded, of each profile."
+FINE = 100_000
+"Triangles at least of the finer street."
 
 
 def street(model: str, case: str) -> scenario.Scenario:
@@ -212,6 +219,33 @@ def measuring(model: str, count: int) -> None:
             )
 
 
+def beside(model: str, count: int) -> None:
+    """Print what a cast of the same rays costs with other libraries, in the street and in one of `FINE` triangles."""
+    loaded = street(model, ONE_RAY)
+    coarse, measure = scene.build(loaded), assembly.build_measures(loaded)["roof"]
+    views = [measure.view(plan) for plan in plans_of(model, count)]
+    t_s, origin_m = float(views[0].rays.t_s[0]), np.array(views[0].rays.origin_m[0])
+    direction = np.concatenate([view.rays.direction for view in views])
+    origins_m, rays = np.broadcast_to(origin_m, direction.shape).copy(), len(direction)
+    for world in (coarse, finer(coarse, FINE)):
+        caster, triangles = Caster(world), sum(len(body.faces) for body in world.bodies)
+        ours_m = caster.first_hits(origins_m, direction, t_s).range_m
+        took = {"ours": (best_s(caster.first_hits, origins_m, direction, t_s), 1.0)}
+        for name, made in OTHERS.items():
+            try:
+                cast, ranges_m = made(world, t_s, origin_m, direction)
+            except ImportError:
+                print(f"{model}; {name}: not installed", flush=True)
+                continue
+            took[name] = best_s(cast), agreeing(ours_m, ranges_m(cast()))
+        for name, (each_s, agree) in took.items():
+            print(
+                f"{model}; {name}; {triangles}; {rays}; {1e6 * each_s / rays:.3f}; {rays / each_s:.3g};"
+                f" {took['ours'][0] / each_s:.2f}; {100 * agree:.3f} %",
+                flush=True,
+            )
+
+
 def splitting(model: str, count: int) -> None:
     """Print how long slices take on the wall clock, measured by one process and by two."""
     plans = plans_of(model, count)
@@ -250,6 +284,9 @@ def main() -> None:
     )
     for model in models:
         measuring(model, count)
+    print("casts beside it: model; caster; triangles; rays; us/ray; rays/s; ours/it; agree within 1 mm with ours")
+    for model in models:
+        beside(model, count)
     print("split: model; processes; wall time of a slice; times as fast as one; share of real time; slices of each")
     for model in models:
         splitting(model, max(count, 20))

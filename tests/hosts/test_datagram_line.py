@@ -27,7 +27,7 @@ def test_two_sensors_on_one_port_are_distinguished_by_their_address(sender: str,
     line = open_line(f"udp:127.0.0.1:{port}?from={sender}", 0)
     near = Rig({"rpm": 1200})
     near.world = lambda plan: _nearer(plan)
-    payloads = [[one.payload for one in packets(rig.run(0.054))] for rig in (Rig({"rpm": 1200}), near)]
+    payloads = [[one.payload for one in packets(rig.run(0.104))] for rig in (Rig({"rpm": 1200}), near)]
     links = [open_link(f"udp:127.0.0.1:{port}?listen={host}:0") for host in ("127.0.0.2", "127.0.0.3")]
     for pair in zip(*payloads, strict=True):
         for link, payload in zip(links, pair, strict=True):

@@ -50,7 +50,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> ManualClock:
 
 
 def test_a_host_only_listens_on_a_connection_too(clock: ManualClock) -> None:
-    data = packet(0) + packet(0, 1) + packet(1)
+    data = packet(8, 5) + packet(9) + packet(9, 1) + packet(10)
     line = Heard(clock, b"", data[:50], data[50:])
     host = LivoxHost(line, None)
     scans = host.scans(1.0)
@@ -59,7 +59,8 @@ def test_a_host_only_listens_on_a_connection_too(clock: ManualClock) -> None:
     assert host.listens
     assert host.errors == 0
     assert scan.cloud is not None
-    assert scan.detail == "6 of 8 points, frame 0"
+    assert scan.detail == "6 of 8 points, frame 9"  # of the eighth it has not heard the beginning
+    assert scan.number == 0
     assert scan.azimuth_rad == pytest.approx([0.0, 0.0, np.arctan(0.2), np.arctan(0.2)])
     assert scan.cloud.range_m[:3] == pytest.approx([5.0, np.sqrt(26.0), np.sqrt(30.0)])
 

@@ -125,6 +125,9 @@ def test_other_tools_read_all_columns(
         vertices = load(out).metadata["_ply_raw"]["vertex"]["data"]
         at_m = np.stack([vertices[name] for name in "xyz"], axis=1).reshape(-1, 3)
         rest = {name: vertices[name].ravel() for name in ("time", "actor", "ring", "intensity")}
+        head = out.read_bytes().partition(b"end_header")[0].decode()
+        assert "property int ring\n" in head  # Open3D passes over ushort
+        assert "property int sensor\n" in head
     assert at_m == pytest.approx(np.stack([points[name] for name in "xyz"], axis=1), abs=1e-4)
     assert np.asarray(rest["time"]) == pytest.approx(points["time"], abs=1e-6)
     assert (np.asarray(rest["actor"]) == points["actor"]).all()

@@ -12,7 +12,7 @@ from emulator.recording.layout import RecordedScan
 from emulator.recording.reader import RecordedRun, WireOf, WirePayload
 from emulator.scenario import scenario
 from emulator.view import recorded
-from emulator.view.frames import ViewError
+from emulator.view.frames import ShownScan, ViewError
 
 SECOND = 10**9
 
@@ -20,6 +20,53 @@ SECOND = 10**9
 def scan(start_ns: int, sweep: int) -> RecordedScan:
     one = np.ones((2, 1))
     return RecordedScan(start_ns, sweep, 0, np.zeros(2), one, one, np.zeros((2, 1), np.int32), ())
+
+
+LASERS = 16
+
+
+def cut(number: int, turn: int, firings: int = 8, echoes: int = 1) -> RecordedScan:
+    """A slice of 5 ms, of `turn` slices a turn; the range tells the number."""
+    n = LASERS * firings
+    azimuth = np.full(n, np.remainder(-2.0 * np.pi * number / turn + np.pi, 2.0 * np.pi) - np.pi)
+    elevation = np.tile(np.radians(np.arange(-15.0, 17.0, 2.0)), firings)
+    range_m = np.full((n, echoes), 1.0 + number)
+    actor = np.zeros((n, echoes), np.int32)
+    return RecordedScan(number * 5_000_000, number, 0, azimuth, range_m, range_m, actor, (), elevation_rad=elevation)
+
+
+def recorded_slices(slices: list[RecordedScan], clock: ManualClock, patch: pytest.MonkeyPatch) -> ShownScan:
+    run = RecordedRun(Path("somewhere/run.mcap"), scenario.dump(scenario.load("crossing_car")))
+    run.scans["front"] = slices
+    patch.setattr(recorded, "read_run", lambda path: run)
+    source = recorded.RecordedSource(Path("somewhere"), clock)
+    source.order("seek", {"to_s": 0.301})
+    return source.frame().scans["front"]
+
+
+@pytest.mark.parametrize(("turn", "shown"), [(20, 20), (10, 10), (40, 20)])
+def test_slices_are_shown_as_the_turn_that_ends_with_the_newest(
+    turn: int, shown: int, clock: ManualClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slices = [cut(number, turn, echoes=1 + (number == 50)) for number in range(80)]
+    found = recorded_slices(slices, clock, monkeypatch)
+    numbers = list(range(61 - shown, 61))
+    assert sorted(set(found.range_m[:, 0] - 1.0)) == numbers
+    assert found.start_s == pytest.approx(0.005 * numbers[0])
+    assert found.every == 1
+    assert len(found.azimuth_rad) == shown * 128
+    assert found.range_m.shape[1] == 1 + (50 in numbers)
+
+
+def test_a_turn_of_many_points_is_thinned_out_and_scans_of_one_layer_stay_apart(
+    clock: ManualClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = recorded_slices([cut(number, 20, 400) for number in range(80)], clock, monkeypatch)
+    assert found.range_m.size <= recorded.MOST_POINTS < found.range_m.size * 1.5
+    assert len(np.unique(np.round(np.degrees(found.elevation_rad)))) == LASERS
+    flat = [cut(number, 20) for number in range(80)]
+    level = [RecordedScan(**vars(one) | {"elevation_rad": np.zeros(128)}) for one in flat]
+    assert set(recorded_slices(level, clock, monkeypatch).range_m[:, 0]) == {61.0}
 
 
 @pytest.fixture

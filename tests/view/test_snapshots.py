@@ -119,6 +119,73 @@ def test_a_scan_arrives_whole_or_says_how_it_was_thinned_out(n: int, k: int, eve
     assert found.objects[0]["size_m"] == [4.0, 2.0, 1.0]
 
 
+LASERS, SLICES, SLICE_NS = 16, 20, 5_000_000
+
+
+def cut(number: int, firings: int = 8, echoes: int = 1) -> Scan:
+    """A slice of a turn of `SLICES`: each firing 16 lasers; the range tells the number."""
+    n = LASERS * firings
+    azimuth = np.full(n, 2.0 * np.pi * (number % SLICES) / SLICES)
+    elevation = np.tile(np.radians(np.arange(-15.0, 17.0, 2.0)), firings)
+    start_ns, fire_s = number * SLICE_NS, np.linspace(0.0, 0.004, n)
+    plan = ScanPlan(number, number, start_ns, azimuth, elevation, fire_s, turn=number // SLICES)
+    scan = Scan.empty(plan, echoes)
+    scan.range_m[:, 0] = 1.0 + number
+    return scan
+
+
+def feed(shown: Shown, numbers: range, **how: int) -> None:
+    for number in numbers:
+        shown.snapshots._keeper.scan("front", cut(number, **how))  # type: ignore[union-attr]
+
+
+def test_slices_are_shown_as_the_turn_that_ends_with_the_newest() -> None:
+    shown = Shown()
+    shown("scans")
+    feed(shown, range(7))
+    row = shown("scans")["scans"]["front"]
+    assert (row["beams"], row["sweep"], row["missed"]) == (7 * 128, 6, 0)  # of the first turn what there is
+    feed(shown, range(7, 53))
+    later = shown("scans", since={"front": row["number"]})["scans"]["front"]
+    found = scan_of(later)
+    assert (later["beams"], later["missed"], later["sweep"]) == (SLICES * 128, 53 - 7 - SLICES, 52)
+    assert found.start_s == pytest.approx(33 * 0.005)
+    assert sorted(set(found.range_m[:, 0])) == [1.0 + number for number in range(33, 53)]
+    assert found.fire_s[-1] == pytest.approx(19 * 0.005 + 0.004, abs=1e-6)
+    assert (np.diff(found.fire_s) >= 0.0).all()
+    feed(shown, range(53, 56))
+    assert shown("scans", since={"front": later["number"]})["scans"]["front"]["missed"] == 0
+    feed(shown, range(2))  # another life
+    assert shown("scans")["scans"]["front"]["beams"] == 2 * 128
+
+
+def test_a_turn_of_many_beams_is_thinned_out_over_all_its_lasers() -> None:
+    shown = Shown()
+    shown("scans")
+    feed(shown, range(2), firings=4)
+    feed(shown, range(2, 30), firings=400, echoes=3)
+    shown.snapshots._keeper.of["front"].parts[4].range_m[0::17, 1] = 90.0  # type: ignore[union-attr]
+    answer = shown("scans")
+    assert len(json.dumps(answer)) < MOST_UNREAD
+    found = scan_of(answer["scans"]["front"])
+    assert found.range_m.shape[1] == 2  # of the third nothing came
+    assert MOST_POINTS * 0.6 < len(found.range_m) < MOST_POINTS * 0.7
+    assert set(found.range_m[:, 1][np.isfinite(found.range_m[:, 1])]) == {90.0}
+    lasers, counts = np.unique(np.round(np.degrees(found.elevation_rad)), return_counts=True)
+    assert (len(lasers), counts.max() - counts.min() <= 1) == (LASERS, True)
+    assert len(np.unique(found.range_m[:, 0])) == SLICES
+
+
+def test_a_sensor_that_does_not_come_round_keeps_a_limited_number_of_beams(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("emulator.runtime.snapshots.MOST_BEAMS", 300)
+    shown = Shown()
+    shown("scans")
+    feed(shown, range(10))
+    assert shown("scans")["scans"]["front"]["beams"] == 256
+    feed(shown, range(10, 11), firings=40)
+    assert shown("scans")["scans"]["front"]["beams"] == 640  # one is shown
+
+
 def test_the_scenario_comes_in_pieces_that_are_the_whole() -> None:
     shown = Shown()
     whole = scenario.dump(shown.scenario)
