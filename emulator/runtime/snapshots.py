@@ -44,6 +44,8 @@ SHORT = {"azimuth_rad": "<f4", "elevation_rad": "<f4", "fire_s": "<f4"}
 "Arrays of n, and their type on the wire; base64."
 LONG = {"range_m": "<f4", "intensity": "<f4", "actor": "<i2"}
 "Arrays of n by k."
+ORIGIN = "<f4"
+"Of `origin_m`, n by 3: where beams begin; of a sensor whose beams begin in its origin there is none."
 
 
 @dataclass
@@ -254,7 +256,7 @@ def _scan(scan: Scan, number: int, missed: int, room: int) -> dict[str, object]:
     """One scan as text; of more points than `room` every n-th beam."""
     plan = scan.plan
     n, k = scan.range_m.shape
-    every = max(1, -(-n * k // max(1, room)))
+    every = max(1, -(-n * (k + (plan.origin_m is not None)) // max(1, room)))
     kept = slice(None, None, every)
     arrays: dict[str, Any] = {
         "azimuth_rad": plan.azimuth_rad,
@@ -275,6 +277,8 @@ def _scan(scan: Scan, number: int, missed: int, room: int) -> dict[str, object]:
     }
     for name, kind in (SHORT | LONG).items():
         found[name] = base64.b64encode(arrays[name][kept].astype(kind).tobytes()).decode()
+    if plan.origin_m is not None:
+        found["origin_m"] = base64.b64encode(plan.origin_m[kept].astype(ORIGIN).tobytes()).decode()
     found["objects"] = [_object(item) for item in scan.objects[:MOST_OBJECTS]]
     if isinstance(scan, ListedScan):
         found["truth"] = [asdict(item) for item in scan.truth[:MOST_OBJECTS]]

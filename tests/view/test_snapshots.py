@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -91,9 +92,10 @@ def test_payloads_are_numbered_and_bounded() -> None:
     ]
 
 
-def long_scan(n: int, k: int) -> Scan:
+def long_scan(n: int, k: int, begins: bool = False) -> Scan:
     draws = np.random.default_rng(3)
     plan = ScanPlan(0, 7, 5_000_000, *(draws.normal(size=n) for _ in range(3)))
+    plan = replace(plan, origin_m=draws.normal(size=(n, 3)) if begins else None)
     shape = (n, k)
     objects = tuple(
         DetectedObject(one, (1.0, 2.0, 3.0), (0.0, 0.0, 0.0), (4.0, 2.0, 1.0), 0.5, "car", actor="car")
@@ -117,6 +119,20 @@ def test_a_scan_arrives_whole_or_says_how_it_was_thinned_out(n: int, k: int, eve
     np.testing.assert_array_equal(found.azimuth_rad, made.plan.azimuth_rad[::every].astype(np.float32))
     np.testing.assert_array_equal(found.actor, made.actor[::every])
     assert found.objects[0]["size_m"] == [4.0, 2.0, 1.0]
+
+
+@pytest.mark.parametrize(("n", "every"), [(1, 1), (3000, 1), (30_000, 10)])
+def test_where_beams_begin_arrives_with_them(n: int, every: int) -> None:
+    shown, made = Shown(), long_scan(n, 1, begins=True)
+    shown("scans")
+    shown.snapshots._keeper.scan("front", made)  # type: ignore[union-attr]
+    answer = shown("scans")
+    assert len(json.dumps({"jsonrpc": "2.0", "id": 1, "result": answer})) < MOST_UNREAD
+    found = scan_of(answer["scans"]["front"])
+    assert found.every == every
+    assert made.plan.origin_m is not None
+    np.testing.assert_array_equal(found.origin_m, made.plan.origin_m[::every].astype(np.float32))
+    assert scan_of({**answer["scans"]["front"], "origin_m": None}).origin_m is None, "a daemon from before has none"
 
 
 def test_the_scenario_comes_in_pieces_that_are_the_whole() -> None:
