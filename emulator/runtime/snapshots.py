@@ -48,6 +48,8 @@ SHORT = {"azimuth_rad": "<f4", "elevation_rad": "<f4", "fire_s": "<f4"}
 "Arrays of n, and their type on the wire; base64."
 LONG = {"range_m": "<f4", "intensity": "<f4", "actor": "<i2"}
 "Arrays of n by k."
+ORIGIN = "<f4"
+"Of `origin_m`, n by 3: where beams begin; of a sensor whose beams begin in its origin there is none."
 
 
 @dataclass
@@ -299,11 +301,13 @@ def _scan(parts: Sequence[Scan], number: int, missed: int, room: int) -> dict[st
     first, last = parts[0].plan, parts[-1]
     counts = [len(one.plan) for one in parts]
     n, k = sum(counts), max(one.range_m.shape[1] for one in parts)
-    every = max(1, -(-n * k // max(1, room)))
+    begins = first.origin_m is not None
+    every = max(1, -(-n * (k + begins) // max(1, room)))
     if last.plan.turn is not None:
         while k > 1 and not any(np.isfinite(one.range_m[:, k - 1 :]).any() for one in parts):
             k -= 1  # a device of four echoes has seldom more than two
-        every = spacing(n * (_bytes(SHORT) + k * _bytes(LONG)), room * (_bytes(SHORT) + _bytes(LONG)))
+        taken = _bytes(SHORT) + k * _bytes(LONG) + 3 * begins * np.dtype(ORIGIN).itemsize
+        every = spacing(n * taken, room * (_bytes(SHORT) + _bytes(LONG)))
     found: dict[str, object] = {
         "number": number,
         "missed": missed,
@@ -313,7 +317,7 @@ def _scan(parts: Sequence[Scan], number: int, missed: int, room: int) -> dict[st
         "echoes": k,
         "every": every,
     }
-    kept: dict[str, list[Any]] = {name: [] for name in SHORT | LONG}
+    kept: dict[str, list[Any]] = {name: [] for name in (*SHORT, *LONG, *(["origin_m"] if begins else []))}
     before = 0
     for one, count in zip(parts, counts, strict=True):
         plan, here = one.plan, slice(-before % every, None, every)
@@ -328,13 +332,16 @@ def _scan(parts: Sequence[Scan], number: int, missed: int, room: int) -> dict[st
         }
         for name, values in arrays.items():
             kept[name].append(values[here] if name in SHORT else values[here, :k])
+        if begins:
+            kept["origin_m"].append((np.zeros((count, 3)) if plan.origin_m is None else plan.origin_m)[here])
         kept["fire_s"][-1] = kept["fire_s"][-1] + 1e-9 * (plan.start_ns - first.start_ns)
         if (width := one.range_m.shape[1]) < k:
             for name in LONG:
                 nothing = -1 if name == "actor" else np.nan
                 kept[name][-1] = np.pad(kept[name][-1], ((0, 0), (0, k - width)), constant_values=nothing)
-    for name, kind in (SHORT | LONG).items():
-        found[name] = base64.b64encode(np.concatenate(kept[name]).astype(kind).tobytes()).decode()
+    for name, values in kept.items():
+        kind = ORIGIN if name == "origin_m" else (SHORT | LONG)[name]
+        found[name] = base64.b64encode(np.concatenate(values).astype(kind).tobytes()).decode()
     found["objects"] = [_object(item) for item in last.objects[:MOST_OBJECTS]]
     if isinstance(last, ListedScan):
         found["truth"] = [asdict(item) for item in last.truth[:MOST_OBJECTS]]

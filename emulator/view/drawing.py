@@ -12,6 +12,7 @@ from emulator.hosts.describe import Described
 from emulator.output.sanitizing import html
 from emulator.view.frames import Frame, ShownScan, ShownSensor, ShownTelegram
 from emulator.view.points import colours_of
+from protocols.scan import points_of
 
 RINGS = 4
 SIZE = 300.0
@@ -51,8 +52,9 @@ def polar(scan: ShownScan | None, colouring: str, radius_m: float | None = None)
     if scan is not None and found is not None:
         beam, echo = np.nonzero(found)
         range_m = scan.range_m[beam, echo]
-        flat = range_m * np.cos(scan.elevation_rad[beam]) * scale
-        x, y = -flat * np.sin(scan.azimuth_rad[beam]), -flat * np.cos(scan.azimuth_rad[beam])
+        begun = None if scan.origin_m is None else scan.origin_m[beam]
+        ahead, left, _ = scale * points_of(scan.azimuth_rad[beam], scan.elevation_rad[beam], range_m, begun).T
+        x, y = -left, -ahead
         colours = colours_of(colouring, range_m, scan.intensity[beam, echo], scan.actor[beam, echo])
         groups: dict[tuple[int, ...], list[str]] = {}
         for place, colour in enumerate((colours // 16 * 16).tolist()):  # few colours, few elements

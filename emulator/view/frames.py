@@ -38,7 +38,7 @@ class ShownScan:
     every: int = 1
     "Only every n-th beam is here."
     origin_m: Floats | None = None
-    "(n, 3) where beams begin; None: in the sensor's origin, or not known."
+    "(n, 3) where beams begin; None: in the sensor's origin."
     missed: int = 0
     "Scans that went by unseen before this one."
 

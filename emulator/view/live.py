@@ -14,7 +14,7 @@ import numpy as np
 from emulator.errors import EmulatorError, LinkError
 from emulator.runtime.control import ask
 from emulator.runtime.own_daemon import OwnDaemon
-from emulator.runtime.snapshots import LONG, SHORT
+from emulator.runtime.snapshots import LONG, ORIGIN, SHORT
 from emulator.scenario import scenario as scenario_file
 from emulator.scenario.scenario import Scenario
 from emulator.view.frames import Frame, ShownLink, ShownScan, ShownSensor, ShownTelegram, ViewError
@@ -144,12 +144,14 @@ def scan_of(row: Mapping[str, Any]) -> ShownScan:
         found = found.astype(np.int32) if kind == "<i2" else found.astype(np.float64)
         return found.reshape((n, row["echoes"]) if name in LONG else (n,))
 
+    begins = None if row.get("origin_m") is None else np.frombuffer(base64.b64decode(row["origin_m"]), ORIGIN)
     return ShownScan(
         start_s=row["start_s"],
         sweep=row["sweep"],
         objects=tuple(row["objects"]),
         every=row["every"],
         missed=row["missed"],
+        origin_m=None if begins is None else begins.reshape(n, 3).astype(np.float64),
         **{name: array(name) for name in SHORT | LONG},
     )
 

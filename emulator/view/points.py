@@ -108,7 +108,7 @@ def actor_colour(actor: int) -> tuple[int, int, int]:
 
 
 def beams(found: Cloud) -> Floats:
-    """(b, 2, 3) lines from the sensor to echoes, thinned out to `MOST_BEAMS`."""
+    """(b, 2, 3) lines from where beams begin to echoes, thinned out to `MOST_BEAMS`."""
     step = max(1, -(-len(found.points_m) // MOST_BEAMS))
     return np.stack([found.origins_m[::step], found.points_m[::step]], axis=1)
 

@@ -7,7 +7,7 @@ a scenario's `device:`.
 
 from __future__ import annotations
 
-from protocols.hesai.commands import COMMANDS
+from protocols.hesai.commands import COMMANDS, NOT_BUILT
 from protocols.hesai.framing import HesaiFraming
 from protocols.hesai.models import MODELS
 from protocols.hesai.session import HesaiSession
@@ -22,7 +22,7 @@ FAMILY = ModelFamily(
     models=MODELS,
     usual="hesai-xt32",
     build=lambda keys, model: HesaiSession(model, *read(keys, model)),
-    rows=coverage(COMMANDS),
+    rows=coverage(COMMANDS) + NOT_BUILT,
     wire=Wire(
         (LinkKind.STREAM, LinkKind.DATAGRAM),
         lambda kind: HesaiFraming(),

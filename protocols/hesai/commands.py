@@ -16,7 +16,7 @@ from protocols.hesai.device import HesaiDevice
 from protocols.hesai.models import Model
 from protocols.hesai.motor import LOCKED, TRACKING
 from protocols.hesai.settings import WHOLE, Settings, ptp_length
-from protocols.session import DropReason
+from protocols.session import CommandRow, DropReason
 from protocols.skeleton import http
 from protocols.skeleton.requests import Answer, Command, Refused, Request
 
@@ -290,7 +290,7 @@ def _has_range(model: Model) -> bool:
     return model.number != 48
 
 
-PTC_2 = b"PTC 2.0"
+PTC_2, PTC_TLS = b"PTC 2.0", b"PTC in TLS"
 SDK, NEBULA, BOTH = "SDK 2.0.11", "nebula", "SDK 2.0.11, nebula"
 COMMANDS: Mapping[bytes, Command] = {
     b"05": Command("get calibration", _sized(0, _calibration), BOTH, "CSV; of an AT128 binary with SHA-256"),
@@ -332,7 +332,9 @@ COMMANDS: Mapping[bytes, Command] = {
     b"A9": Command("get fire times", None, SDK, "other models have it"),
     b"FF": Command("firmware upgrade", None, SDK),
     PTC_2: Command("any command", None, SDK, "the maker's drivers do not use it"),
+    PTC_TLS: Command("handshake", None, SDK, "a fatal alert; PTC is plain"),
     b"GET /pandar.cgi": Command("HTTP: spin rate, sync angle, PTP, monitor", _pandar, NEBULA),
     b"GET /point_cloud": Command("point cloud on this connection", _packets, "ours", "no real device has it"),
 }
 "Two hexadecimal digits: commands of PTC."
+NOT_BUILT = (CommandRow("TCP 5120", "point cloud by TCP", "refused", SDK, "newest models; no link listens"),)

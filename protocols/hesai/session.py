@@ -1,4 +1,4 @@
-"""The control channel of a Hesai: PTC 1.0 and HTTP, both on any connection; PTC 2.0 is refused in its own frames.
+"""The control channel of a Hesai: PTC 1.0 and HTTP on any connection; PTC 2.0 and TLS are refused in their own frames.
 
 Belongs here: framing of requests and replies, return codes. Not: what a command does (commands).
 """
@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from protocols.hesai.commands import COMMANDS, PTC_2, page
+from protocols.hesai.commands import COMMANDS, PTC_2, PTC_TLS, page
 from protocols.hesai.device import HesaiDevice
 from protocols.session import DropReason, LinkKind
 from protocols.skeleton.receiving import Fault, FrameSplitter, Refusal
@@ -22,6 +22,10 @@ LONGEST_HTTP = 4096
 GET = b"GET "
 SECOND, SECOND_HEAD_BYTES = b"\x57\x75\x01", 12
 "How a request of PTC 2.0 begins."
+HELLO, RECORD_BYTES = b"\x16\x03", 5
+"How a handshake of TLS begins: a record that ends with a length, then the kind of message."
+NO_TLS = b"\x15\x03\x01\0\2\2\x28"
+"Fatal alert: handshake failure."
 BAD_INPUT, BAD_DATA, UNSUPPORTED = 1, 3, 5
 "Return codes."
 
@@ -55,11 +59,13 @@ class PtcRequests(FrameSplitter):
             )
         if held and SECOND.startswith(held[: len(SECOND)]):
             return self._whole(held, SECOND_HEAD_BYTES)
+        if held and HELLO.startswith(held[: len(HELLO)]):
+            return self._whole(held, RECORD_BYTES, 2)
         return self._whole(held, HEAD_BYTES) if held.startswith(self.START) else super()._next()
 
-    def _whole(self, held: bytes, head: int) -> bytes | Fault | None:
+    def _whole(self, held: bytes, head: int, width: int = 4) -> bytes | Fault | None:
         """A frame whose head ends with its length; one that is too long is answered by its head alone."""
-        size = head + int.from_bytes(held[head - 4 : head], "big")
+        size = head + int.from_bytes(held[head - width : head], "big")
         if len(held) < head or len(self._buffer) < size <= LONGEST:
             return None
         if size <= LONGEST or head != HEAD_BYTES:
@@ -100,6 +106,8 @@ class HesaiSession(HesaiDevice):
     def _parse(self, request: bytes) -> tuple[bytes, bytes]:
         if request.startswith(SECOND):
             return PTC_2, request
+        if request.startswith(HELLO):
+            return PTC_TLS, request
         if not request.startswith(GET):
             return f"{request[2]:02X}".encode(), request[HEAD_BYTES:]
         # drivers send spaces and quotes of a query as they are
@@ -127,6 +135,8 @@ class HesaiSession(HesaiDevice):
             return page(1) if known else b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\n\r\n"
         if request.code == PTC_2:
             return SECOND + bytes((request.data[3], UNSUPPORTED)) + bytes(7)
+        if request.code == PTC_TLS:
+            return NO_TLS
         if request.code == b"05" and refused.reason is DropReason.REFUSED:
             code = BAD_DATA
         else:

@@ -54,6 +54,11 @@ class Profile:
         return self.name == "LEGACY"
 
     @property
+    def has_signal(self) -> bool:
+        """Whether it says photons of returns."""
+        return "signal0" in self.fields
+
+    @property
     def longest_mm(self) -> int:
         """What a range can be."""
         return ((1 << self.fields["range0"][1]) - 1) * self.unit_mm
@@ -156,7 +161,7 @@ class Columns:
     reflectivity: Words
     "(E, C, H)"
     signal: Words
-    "(E, C, H) photons"
+    "(E, C, H) photons; of profiles that do not say them, anything"
     near_ir: Words
     "(C, H) photons"
     flags: Words = field(default_factory=lambda: np.zeros((), np.int64))
@@ -174,7 +179,9 @@ def encode(profile: Profile, head: Head, frames: Words, columns: Columns, turn: 
     flags = columns.flags if columns.flags.ndim and columns.flags.any() else None
     for one in range(profile.returns):
         values[f"range{one}"] = _in_units(columns.range_mm[one], profile.unit_mm)
-        values[f"reflectivity{one}"], values[f"signal{one}"] = columns.reflectivity[one], columns.signal[one]
+        values[f"reflectivity{one}"] = columns.reflectivity[one]
+        if profile.has_signal:
+            values[f"signal{one}"] = columns.signal[one]
         if flags is not None:
             values[f"flags{one}"] = flags[one] & ((1 << profile.fields[f"flags{one}"][1]) - 1)
     if columns.window:
@@ -186,20 +193,23 @@ def encode(profile: Profile, head: Head, frames: Words, columns: Columns, turn: 
             part = values[name].astype(np.uint32, copy=False)
             part = part << np.uint32(shift) if shift else part
             words[word] = part if words[word] is None else words[word] | part
+    pixels = cells["pixels"]
     for at, word in enumerate(words):
-        cells["pixels"][..., at] = word.reshape(*shape, rows)
+        pixels[..., at] = word.reshape(*shape, rows) if word.ndim else word
     if not columns.valid.all():
-        cells["pixels"][~columns.valid.reshape(shape)] = 0
+        pixels[~columns.valid.reshape(shape)] = 0
     if profile.legacy:
         cells["status"] = np.where(columns.valid, 0xFFFFFFFF, 0).reshape(shape)
         cells["frame"] = frames[:, None] & 0xFFFF
         cells["encoder"] = cells["number"].astype(np.int64) * ENCODER_TICKS // turn
         return [one.tobytes() for one in packets]
     cells["status"] = columns.valid.reshape(shape)
-    made, headers = [], {frame: np.frombuffer(head.header(LIDAR, frame), np.uint8) for frame in set(frames.tolist())}
-    for packet, frame in zip(packets.view(np.uint8).reshape(len(frames), -1), frames.tolist(), strict=True):
+    size, made, bare = packets.itemsize, [], memoryview(packets.view(np.uint8)).cast("B")
+    headers = {frame: head.header(LIDAR, frame) for frame in set(frames.tolist())}
+    for at, frame in enumerate(frames.tolist()):
+        packet = bare[at * size : (at + 1) * size]
         packet[:END] = headers[frame]
-        packet[-8:] = np.frombuffer(head.check(packet[:-8].data), np.uint8)
+        packet[-8:] = head.check(packet[:-8])
         made.append(packet.tobytes())
     return made
 
@@ -252,45 +262,78 @@ def decode(profile: Profile, rows: int, data: bytes, fusa: bool = False) -> Said
     return Said(np.array(frames), int.from_bytes(init_id, "little"), int.from_bytes(serial, "little"), columns)
 
 
-def returns(scan: Scan, count: int, order: str, near_m: float) -> tuple[Words, Floats, Floats]:
-    """Places (m,) in (E, n) of the returns that a profile reports, in their order; their range and intensity.
+def echoes(scan: Scan, near_m: float) -> tuple[Words, Words]:
+    """Beams with an echo beside the first; and (n,) a mask of ones for those that have the first alone.
+
+    Nearer than `near_m` is none.
+    """
+    there = scan.range_m >= near_m
+    count = there.shape[1]
+    further = there.view(f"<u{count}")[:, 0] > 1 if count in (2, 4, 8) else there[:, 1:].any(axis=1)
+    several, only = np.flatnonzero(further), np.negative(there[:, 0], dtype=np.uint32)
+    only[several] = 0
+    return several, only
+
+
+@dataclass(frozen=True, eq=False)
+class Returns:
+    """What a profile reports of n beams: the first return of each, and the second one of m of them."""
+
+    range_m: Floats
+    "(n + m,) first those of all beams; of one without any as `returns` was told."
+    strength: Floats
+    "(n + m,) over the threshold; 0: none."
+    beam: Words
+    "(m,) beams with a second one."
+
+
+def returns(scan: Scan, count: int, order: str, near_m: float, none_m: float = 0.0) -> Returns:
+    """The returns that a profile reports of each beam, in their order; `none_m` is the range where there is none.
 
     Of more echoes than `count` the strongest; of one return that which `order` puts first. Nearer than `near_m`: none.
     """
-    there = np.flatnonzero(scan.range_m >= near_m)
-    beams, echoes = scan.range_m.shape
-    place = there // echoes  # of the first return: the number of the beam
-    range_m, strength = scan.range_m.reshape(-1)[there], scan.intensity.reshape(-1)[there]
-    same = place[1:] == place[:-1]
-    if not same.any():
-        return place, range_m, strength
-    several = np.flatnonzero(np.append(same, False) | np.append(False, same))
-    sign = {"NEAREST_TO_FARTHEST": 1.0, "FARTHEST_TO_NEAREST": -1.0}.get(order)
-    beam, rank = place[several], np.zeros(len(several), np.intp)
-    if sign is None or count > 1:
-        rank = _ranks(beam, -strength[several])
-    kept = rank < count
+    there = scan.range_m >= near_m
+    width, only = there.shape[1], there[:, 0]
+    first_m, strength = np.where(only, scan.range_m[:, 0], none_m), np.where(only, scan.intensity[:, 0], 0.0)
+    further = there.view(f"<u{width}")[:, 0] > 1 if width in (2, 4, 8) else there[:, 1:].any(axis=1)
+    (beam,) = further.nonzero()
+    if not len(beam):
+        return Returns(first_m, strength, beam)
+    several = scan.range_m[beam], scan.intensity[beam]
+    sign = {"NEAREST_TO_FARTHEST": -1.0, "FARTHEST_TO_NEAREST": 1.0}.get(order)
+    rank = np.where(there[beam], several[1] if sign is None or count > 1 else sign * several[0], -np.inf)
+    row, chosen = np.arange(len(beam)), rank.argmax(axis=1)
+    if count == 1:
+        first_m[beam], strength[beam] = several[0][row, chosen], several[1][row, chosen]
+        return Returns(first_m, strength, beam[:0])
+    rank[row, chosen] = -np.inf
+    other = rank.argmax(axis=1)
+    two = rank[row, other] > -np.inf
     if sign is not None:
-        rank[kept] = _ranks(beam[kept], sign * range_m[several][kept])
-        kept &= rank < count
-    place[several] = np.where(kept, rank * beams + beam, -1)
-    reported = place >= 0
-    return place[reported], range_m[reported], strength[reported]
-
-
-def _ranks(beam: Words, key: Floats) -> Words:
-    """Of each echo among those of its beam, the one with the least key first; beams ascend."""
-    at = np.lexsort((key, beam))
-    ranks = np.zeros(len(at), np.intp)
-    ranks[at] = np.arange(len(at)) - np.searchsorted(beam, beam[at])
-    return ranks
+        swapped = two & (sign * several[0][row, chosen] < sign * several[0][row, other])
+        chosen, other = np.where(swapped, other, chosen), np.where(swapped, chosen, other)
+    first_m[beam], strength[beam] = several[0][row, chosen], several[1][row, chosen]
+    second = row[two], other[two]
+    return Returns(
+        np.concatenate((first_m, several[0][second])), np.concatenate((strength, several[1][second])), beam[two]
+    )
 
 
 def distances(range_m: Floats, offset_m: float, profile: Profile) -> Words:
     """Ranges from the lidar's axis along the beam; what the wire cannot say is no return. [mm]"""
-    words = np.rint((range_m + offset_m) * (1000.0 / profile.unit_mm))
-    words *= words <= profile.longest_mm // profile.unit_mm
-    return words.astype(np.uint32) * np.uint32(profile.unit_mm)
+    words = range_m + offset_m
+    words *= 1000.0 / profile.unit_mm
+    np.rint(words, out=words)
+    longest = profile.longest_mm // profile.unit_mm
+    if len(words) and words.max() > longest:
+        words *= words <= longest
+    found = whole(words)
+    return found if profile.unit_mm == 1 else found * np.uint32(profile.unit_mm)
+
+
+def whole(values: Floats) -> Words:
+    """Whole numbers below 2^31, not negative, as words of 32 bits."""
+    return values.astype(np.int32).view(np.uint32)
 
 
 def reflectivities(range_m: Floats, intensity: Floats, white_m2: float) -> Words:
@@ -298,11 +341,13 @@ def reflectivities(range_m: Floats, intensity: Floats, white_m2: float) -> Words
 
     intensity over the threshold; its decrease with the distance is removed, that with air and incidence is not.
     """
-    bright = (100.0 / white_m2) * intensity * range_m * range_m
-    beyond = np.flatnonzero(bright > 100.0)
+    bright = (100.0 / white_m2) * intensity
+    bright *= range_m
+    bright *= range_m
+    (beyond,) = (bright > 100.0).nonzero()
     brighter = np.log(0.01 * bright[beyond]) / np.log(RETRO)
     bright[beyond] = np.minimum(np.maximum(100.0 + 155.0 * brighter, 101.0), 255.0)
-    return np.rint(bright).astype(np.uint32)
+    return whole(np.rint(bright, out=bright))
 
 
 IMU_LEGACY = struct.Struct("<QQQ6f")

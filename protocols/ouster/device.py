@@ -56,6 +56,24 @@ def packets_of(columns: int, fps: int) -> int:
     return 1 << max(0, math.ceil(math.log2(SLICE_NS * columns * fps / (codec.COLUMNS * SECOND_NS))))
 
 
+@lru_cache(maxsize=8)
+def instants(packets: int, packet_ns: float) -> tuple[codec.Words, int, tuple[int, ...]]:
+    """Of a slice: when its columns begin (C,) and when it ends, and when its packets do, after its start. [ns]"""
+    after_ns = np.rint(np.arange(packets * codec.COLUMNS + 1) * (packet_ns / codec.COLUMNS)).astype(np.int64)
+    return after_ns[:-1], int(after_ns[-1]), tuple(round(one * packet_ns) for one in range(1, packets + 1))
+
+
+@lru_cache(maxsize=64)
+def numeric(place: str) -> str:
+    """Address of a destination; empty: it is a name, or nothing."""
+    place = "127.0.0.1" if place == "localhost" else place
+    try:
+        ip_address(place.partition("%")[0])
+    except ValueError:
+        return ""
+    return place
+
+
 class OusterDevice(PacketSession[Slice]):
     """The device without its requests."""
 
@@ -301,17 +319,12 @@ class OusterDevice(PacketSession[Slice]):
 
     def _goes(self, lidar: bool) -> tuple[str, int] | None:
         """Address and port; None: nowhere."""
-        place = self.active["udp_dest"]
-        place = "127.0.0.1" if place == "localhost" else place
-        port = self.active["udp_port_lidar" if lidar else "udp_port_imu"]
-        try:
-            ip_address(place.partition("%")[0])
-        except ValueError:
-            if place:
-                self.alerts.set(alerts.NO_NAME, True, self.sources.utc(self._now_ns), place)
+        wanted = self.active["udp_dest"]
+        place, port = numeric(wanted), self.active["udp_port_lidar" if lidar else "udp_port_imu"]
+        if not wanted:
             return None
-        self.alerts.set(alerts.NO_NAME, False, self.sources.utc(self._now_ns))
-        return (place, port) if port else None
+        self.alerts.set(alerts.NO_NAME, not place, self.sources.utc(self._now_ns), "" if place else wanted)
+        return (place, port) if place and port else None
 
     def _lidar_links(self) -> list[Address]:
         return self._links[::2] if self._goes(True) else []
@@ -338,32 +351,34 @@ class OusterDevice(PacketSession[Slice]):
 
     def _telegrams(self, scan: Scan) -> Iterator[Telegram]:
         piece, start_ns = self._slice(scan.plan.sweep), scan.plan.start_ns
-        packets, profile = self._packets, self.profile
-        used, share = self.active, self.impaired.get("lost columns", 0.0)
-        seen = piece.valid & ~lost(piece, share, self.unit.serial)
-        after_ns, shown_ns = self._stamps(start_ns, packets)
-        stamps = shown_ns // self._tick_ns * self._tick_ns
-        columns = columns_of(scan, piece, seen, stamps, self.unit, profile, used, self.firmware >= (3, 2))
+        profile, used, share = self.profile, self.active, self.impaired.get("lost columns", 0.0)
+        (columns, fps), packets, tick_ns = self.mode, self._packets, self._tick_ns
+        packet_ns = codec.COLUMNS * SECOND_NS / (columns * fps)
+        seen = piece.valid & ~lost(piece, share, self.unit.serial) if share else piece.valid
+        after_ns, shown_ns, since_ns = self._shown(start_ns, packets, packet_ns)
+        stamps = shown_ns // tick_ns * tick_ns
+        said = columns_of(scan, piece, seen, stamps, self.unit, profile, used, self.firmware >= (3, 2))
         frames = np.full(packets, piece.frame % (1 << 32 if self.fusa else 1 << 16))
-        made = codec.encode(profile, self.head(start_ns), frames, columns, self.mode[0])
-        packet_ns, since_ns = codec.COLUMNS * SECOND_NS / (self.mode[0] * self.mode[1]), self.time(start_ns)[1]
-        for packet in np.flatnonzero(piece.valid.reshape(packets, -1).any(axis=1)).tolist():
-            at = packet * codec.COLUMNS
-            said = start_ns + int(after_ns[at]), int(shown_ns[at]) - since_ns, int(stamps[at])
-            leaves_ns = round((packet + 1) * packet_ns) + self.build.latency_ns
-            yield Telegram(leaves_ns, made[packet], "lidar", DeviceStamp(*said, 1.0, self.clock_bits))
+        made = codec.encode(profile, self.head(start_ns), frames, said, columns)
+        sent = piece.valid.reshape(packets, -1).any(axis=1).tolist()
+        firsts = (start_ns + after_ns[:: codec.COLUMNS]).tolist(), (shown_ns[:: codec.COLUMNS] - since_ns).tolist()
+        ends_ns = instants(packets, packet_ns)[2]
+        for packet, (at_ns, shows_ns, ticks) in enumerate(zip(*firsts, stamps[:: codec.COLUMNS].tolist(), strict=True)):
+            if sent[packet]:
+                stamp = DeviceStamp(at_ns, shows_ns, ticks, 1.0, self.clock_bits)
+                yield Telegram(ends_ns[packet] + self.build.latency_ns, made[packet], "lidar", stamp)
 
-    def _stamps(self, start_ns: int, packets: int) -> tuple[codec.Words, codec.Words]:
-        """(C,) instants of a slice's columns after its start, what the clock shows then: a line, unless it is set."""
-        columns, column_ns = packets * codec.COLUMNS, float(self._slowed) * SECOND_NS / (self.mode[0] * self.mode[1])
-        after_ns = np.rint(np.arange(columns + 1) * column_ns).astype(np.int64)
-        length_ns = int(after_ns[-1])
-        begun_ns = self.time(start_ns)[0]
+    def _shown(self, start_ns: int, packets: int, packet_ns: float) -> tuple[codec.Words, codec.Words, int]:
+        """(C,) instants of a slice's columns after its start, what the clock shows then: a line, unless it is set.
+
+        And what it shows when the run begins.
+        """
+        after_ns, length_ns, _ = instants(packets, float(self._slowed) * packet_ns)
+        begun_ns, since_ns = self.time(start_ns)
         passed_ns = self.time(start_ns + length_ns)[0] - begun_ns
-        after_ns = after_ns[:-1]
         if abs(passed_ns - length_ns) <= STEADY * length_ns:
-            return after_ns, begun_ns + after_ns * passed_ns // length_ns
-        return after_ns, np.array([self.time(start_ns + at)[0] for at in after_ns.tolist()])
+            return after_ns, begun_ns + after_ns * passed_ns // length_ns, since_ns
+        return after_ns, np.array([self.time(start_ns + at)[0] for at in after_ns.tolist()]), since_ns
 
     def _goes_to(self, to: Address | None) -> tuple[str, int] | None:
         return None if to is None or to in self._listeners else self._place(to, True)

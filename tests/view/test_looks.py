@@ -61,6 +61,18 @@ def test_echoes_lie_where_the_moving_sensor_saw_them(world: scene.Scene, mount: 
     assert points.beams(found).shape == (3, 2, 3)
 
 
+def test_beams_are_drawn_from_where_each_begins(world: scene.Scene, mount: Mount) -> None:
+    origin = np.array([[0.0, 0.028, 0.0], [0.0, 0.0, 0.1], [0.0, 0.0, 0.0]])
+    plain, found = (points.cloud(world, mount, scan(origin_m=one), "actor") for one in (None, origin))
+    for at, begins in (("points_m", plain.points_m), ("origins_m", plain.origins_m)):
+        moved = np.linalg.norm(getattr(found, at) - begins, axis=1)
+        np.testing.assert_allclose(moved, [0.028, 0.1, 0.0], atol=1e-12)
+    np.testing.assert_array_equal(points.beams(found)[:, 0], found.origins_m)
+    above = drawing.polar(scan(origin_m=10.0 * origin), "actor", 8.0)
+    assert above != drawing.polar(scan(), "actor", 8.0)
+    assert above == drawing.polar(scan(origin_m=10.0 * origin * (1.0, 1.0, 0.0)), "actor", 8.0), "seen from above"
+
+
 def test_no_echo_is_no_point(world: scene.Scene, mount: Mount) -> None:
     found = points.cloud(world, mount, scan(range_m=np.full((3, 1), np.nan)), "intensity")
     assert len(found.points_m) == len(found.colours) == len(points.beams(found)) == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -91,9 +92,10 @@ def test_payloads_are_numbered_and_bounded() -> None:
     ]
 
 
-def long_scan(n: int, k: int) -> Scan:
+def long_scan(n: int, k: int, begins: bool = False) -> Scan:
     draws = np.random.default_rng(3)
     plan = ScanPlan(0, 7, 5_000_000, *(draws.normal(size=n) for _ in range(3)))
+    plan = replace(plan, origin_m=draws.normal(size=(n, 3)) if begins else None)
     shape = (n, k)
     objects = tuple(
         DetectedObject(one, (1.0, 2.0, 3.0), (0.0, 0.0, 0.0), (4.0, 2.0, 1.0), 0.5, "car", actor="car")
@@ -176,6 +178,20 @@ def test_a_turn_of_many_beams_is_thinned_out_over_all_its_lasers() -> None:
     assert len(np.unique(found.range_m[:, 0])) == SLICES
 
 
+def test_where_beams_of_slices_begin_arrives_with_them() -> None:
+    shown = Shown()
+    shown("scans")
+    made = [cut(number, firings=100) for number in range(12)]
+    for one in made:
+        origin_m = np.repeat([[one.plan.sweep, 0.028, 0.0]], len(one.plan), axis=0)
+        shown.snapshots._keeper.scan("front", replace(one, plan=replace(one.plan, origin_m=origin_m)))  # type: ignore[union-attr]
+    answer = shown("scans")
+    assert len(json.dumps(answer)) < MOST_UNREAD
+    found = scan_of(answer["scans"]["front"])
+    assert found.origin_m is not None
+    np.testing.assert_array_equal(found.origin_m[:, 0], found.range_m[:, 0] - 1.0)
+
+
 def test_a_sensor_that_does_not_come_round_keeps_a_limited_number_of_beams(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("emulator.runtime.snapshots.MOST_BEAMS", 300)
     shown = Shown()
@@ -184,6 +200,20 @@ def test_a_sensor_that_does_not_come_round_keeps_a_limited_number_of_beams(monke
     assert shown("scans")["scans"]["front"]["beams"] == 256
     feed(shown, range(10, 11), firings=40)
     assert shown("scans")["scans"]["front"]["beams"] == 640  # one is shown
+
+
+@pytest.mark.parametrize(("n", "every"), [(1, 1), (3000, 1), (30_000, 10)])
+def test_where_beams_begin_arrives_with_them(n: int, every: int) -> None:
+    shown, made = Shown(), long_scan(n, 1, begins=True)
+    shown("scans")
+    shown.snapshots._keeper.scan("front", made)  # type: ignore[union-attr]
+    answer = shown("scans")
+    assert len(json.dumps({"jsonrpc": "2.0", "id": 1, "result": answer})) < MOST_UNREAD
+    found = scan_of(answer["scans"]["front"])
+    assert found.every == every
+    assert made.plan.origin_m is not None
+    np.testing.assert_array_equal(found.origin_m, made.plan.origin_m[::every].astype(np.float32))
+    assert scan_of({**answer["scans"]["front"], "origin_m": None}).origin_m is None, "a daemon from before has none"
 
 
 def test_the_scenario_comes_in_pieces_that_are_the_whole() -> None:

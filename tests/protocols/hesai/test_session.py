@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import operator
+import ssl
 import struct
 from datetime import UTC, datetime
 
@@ -74,7 +75,7 @@ SETS = {
 def test_every_command_answers_its_own_code_and_refuses_a_wrong_length_with_code_one(name: str) -> None:
     rig = Rig(name, {"standby": True})
     for text in FAMILY.commands():
-        if text.code.startswith(("GET", "PTC 2")):
+        if text.code.startswith(("GET", "PTC", "TCP")):
             continue
         command = int(text.code, 16)
         if command in (0x10, 0x25):
@@ -475,6 +476,25 @@ def test_ptc_2_is_refused_in_its_own_frame_whole_or_in_pieces() -> None:
     long = ask[:8] + (1 << 30).to_bytes(4, "big")
     assert rig.raw(long + frame(0x28)) == said + frame(0x28, code=5)
     assert DropReason.REFUSED in {one.reason for one in rig.dropped}
+
+
+def test_a_handshake_of_tls_is_refused_as_one_whole_or_in_pieces() -> None:
+    ours, theirs = ssl.MemoryBIO(), ssl.MemoryBIO()
+    client = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).wrap_bio(theirs, ours, server_hostname="lidar")
+    with pytest.raises(ssl.SSLWantReadError):
+        client.do_handshake()
+    rig, hello = Rig(device={"standby": True}), ours.read()
+    for byte in hello[:-1]:
+        rig.session.receive(bytes((byte,)), rig.now_ns, PTC)
+    said = rig.raw(hello[-1:] + frame(0x28))
+    assert said.endswith(frame(0x28, code=5))
+    theirs.write(said[: -len(frame(0x28))])
+    with pytest.raises(ssl.SSLError, match=r"(?i)handshake.failure"):
+        client.do_handshake()
+    assert rig.dropped[0].reason is DropReason.REFUSED
+    assert rig.raw(b"\x16\x16\x03" + frame(0x28)) == frame(0x28, code=5), "garbage that begins alike"
+    assert rig.raw(b"\x16\x03\1\2\0" + frame(0x28)) == b"", "a record that is not complete"
+    assert b"".join(one.payload for one in rig.run(1.1) if one.address == PTC) == frame(0x28, code=5)
 
 
 def test_several_clients_with_halves_of_requests_at_once_each_get_their_own_replies() -> None:

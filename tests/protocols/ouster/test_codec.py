@@ -131,26 +131,34 @@ NAN = float("nan")
 )
 def test_which_returns_are_reported_in_which_order(order: str, count: int, said: list[float]) -> None:
     scan = scan_of([5.0, 20.0, 30.0, NAN], [2.0, 9.0, 5.0, NAN])
-    places, ranges, strengths = codec.returns(scan, count, order, 0.0)
-    first = np.argsort(places)
-    places, ranges, strengths = places[first], ranges[first], strengths[first]
-    assert (places.tolist(), ranges.tolist()) == (list(range(count)), said)
-    assert strengths[0] == {5.0: 2.0, 20.0: 9.0, 30.0: 5.0}[said[0]]
-    places, near, _ = codec.returns(scan, 2, order, 25.0)
-    assert (places.tolist(), near.tolist()) == ([0], [30.0])
+    found = codec.returns(scan, count, order, 0.0)
+    assert (found.range_m.tolist(), found.beam.tolist()) == (said, [0] * (count - 1))
+    assert found.strength.tolist() == [{5.0: 2.0, 20.0: 9.0, 30.0: 5.0}[one] for one in said]
+    near = codec.returns(scan, 2, order, 25.0)
+    assert (near.range_m.tolist(), near.beam.tolist()) == ([30.0], [])
 
 
-def test_returns_of_many_beams_are_those_of_each_alone() -> None:
+def test_a_beam_without_a_return_has_the_range_it_is_told() -> None:
+    scan = scan_of([5.0, NAN], [2.0, NAN])
+    for near_m, said in ((0.5, (5.0, 2.0)), (6.0, (-0.25, 0.0))):
+        found = codec.returns(scan, 1, "STRONGEST_TO_WEAKEST", near_m, -0.25)
+        assert (found.range_m[0], found.strength[0]) == said
+
+
+@pytest.mark.parametrize("echoes", [1, 2, 3, 4, 5])
+def test_returns_of_many_beams_are_those_of_each_alone(echoes: int) -> None:
     rng = np.random.default_rng(5)
-    near_m, echoes = 2.0, 4
+    near_m = 2.0
     ranges = np.where(rng.random((300, echoes)) < 0.4, np.nan, np.sort(rng.uniform(0.5, 90.0, (300, echoes)), axis=1))
     strengths = np.where(np.isnan(ranges), np.nan, rng.uniform(1.0, 50.0, ranges.shape))
     scan = Scan.empty(ScanPlan(0, 0, 0, *(np.zeros(300),) * 3), echoes)
     scan.range_m[:], scan.intensity[:] = ranges, strengths
     for order in ("STRONGEST_TO_WEAKEST", "NEAREST_TO_FARTHEST", "FARTHEST_TO_NEAREST"):
         for count in (1, 2):
-            places, found, bright = codec.returns(scan, count, order, near_m)
-            said = {int(one): (r, s) for one, r, s in zip(places, found, bright, strict=True)}
+            found = codec.returns(scan, count, order, near_m)
+            places = [*range(300), *(300 + found.beam)]
+            every = zip(places, found.range_m, found.strength, strict=True)
+            said = {int(one): (r, s) for one, r, s in every if s}
             for beam in range(300):
                 own = [(s, r) for s, r in zip(strengths[beam], ranges[beam], strict=True) if r >= near_m]
                 own.sort(key=lambda one: -one[0])
