@@ -211,7 +211,12 @@ class Measure:
             return None
         self._turn_air(plan, conditions)
         air = self.air.at(float(1e-9 * local.start_ns + local.fire_offset_s[0]))
-        if air.particles or air.volumes or self._soft.uneven(air) or (air.sun is not None and shines(air.sun, self.model)):
+        if (
+            air.particles
+            or air.volumes
+            or self._soft.uneven(air)
+            or (air.sun is not None and shines(air.sun, self.model))
+        ):
             return None
         with np.errstate(under="ignore"):
             return part_of_scan(self._part_measured(local, air, number, of), number, of)
