@@ -1,7 +1,8 @@
 """Sweeps of one sensor in several processes at once: which process takes which, and what is measured ahead.
 
 Belongs here: the choice of work for a process that is free, sweeps in parts, sweeps measured before they are asked for,
-a second try of one that stands still. Not: processes (supervision); when a sweep is asked for, and in which order (instrument).
+a second try of one that stands still. Not: processes (supervision); when a sweep is asked for, and in which order
+(instrument).
 
 Each sensor has one process as its own. One that remembers nothing from sweep to sweep is *shared*: a process that is
 free takes what waits for another. What is asked for goes before what is measured ahead, own work before that of others.
