@@ -61,6 +61,13 @@ class Ages:
         self.beams = 0
         self.extrapolated = 0
         self.error_m, self.error_rad = Histogram(), Histogram()
+        self.newest, self.ahead, self.took = Histogram(), Histogram(), Histogram()
+        "In real time: the newest sample's age when a sweep is begun; from then to each beam; what measuring takes."
+
+    def begun(self, newest_s: float, ahead_s: Floats) -> None:
+        """A sweep is begun: how old the newest sample is, and how long it is to each beam; fired ones are below 0."""
+        self.newest.add_one(newest_s)
+        self.ahead.add(ahead_s)
 
     def note(self, age_s: Floats, beyond: NDArray[np.bool_]) -> None:
         """Beams of a sweep: how old the newest sample used was, and which lie beyond the newest sample."""
@@ -76,19 +83,24 @@ class Ages:
     def report(self) -> dict[str, object]:
         """Milliseconds, millimetres, milliradians; None where nothing was measured."""
 
-        def reported(found: Histogram) -> dict[str, float] | None:
-            if not found.count:
-                return None
-            return {
-                "median": round(1e3 * found.share(0.5), 3),
-                "p99": round(1e3 * found.share(0.99), 3),
-                "worst": round(1e3 * found.worst, 3),
-            }
-
         return {
             "beams": self.beams,
             "age_ms": reported(self.age),
             "extrapolated": self.extrapolated,
             "error_mm": reported(self.error_m),
             "error_mrad": reported(self.error_rad),
+            "newest_ms": reported(self.newest),
+            "ahead_ms": reported(self.ahead),
+            "measuring_ms": reported(self.took),
         }
+
+
+def reported(found: Histogram) -> dict[str, float] | None:
+    """Thousandths of its unit; None where nothing was measured."""
+    if not found.count:
+        return None
+    return {
+        "median": round(1e3 * found.share(0.5), 3),
+        "p99": round(1e3 * found.share(0.99), 3),
+        "worst": round(1e3 * found.worst, 3),
+    }

@@ -7,8 +7,9 @@ A track goes with the plan of a sweep to whoever measures it, so that a sweep de
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+import pickle
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -307,6 +308,32 @@ class World:
         """The same so much before. [s]"""
         moved = [(name, replace(one, t_s=one.t_s - by_s, gone_s=one.gone_s - by_s)) for name, one in self.tracks]
         return World(tuple(moved), self.gone)
+
+    @cached_property
+    def _packed(self) -> bytes:
+        """As it goes to other processes: all samples in one array, made once for all of them."""
+        tracks = [track for _, track in self.tracks]
+        columns = [np.concatenate([getattr(track, name) for track in tracks]) for name in COLUMNS if tracks]
+        samples = np.concatenate([np.atleast_2d(one.T) for one in columns]) if tracks else np.zeros((0, 0))
+        rest = [(name, len(track.t_s), *(getattr(track, word) for word in _REST)) for name, track in self.tracks]
+        return pickle.dumps((samples, rest, self.gone), pickle.HIGHEST_PROTOCOL)
+
+    def __reduce__(self) -> tuple[Callable[[bytes], World], tuple[bytes]]:
+        return _unpacked, (self._packed,)
+
+
+_REST = tuple(one.name for one in fields(Track) if one.name not in COLUMNS)
+
+
+def _unpacked(packed: bytes) -> World:
+    samples, rest, gone = pickle.loads(packed)  # of `World._packed`, between our own processes alone
+    tracks, begin = [], 0
+    for name, count, *words in rest:
+        mine = samples[:, begin : begin + count]
+        begin += count
+        known = mine[0], mine[1:4].T, mine[4:8].T, mine[8:11].T, mine[11:14].T, mine[14] > 0.0, mine[15] > 0.0
+        tracks.append((name, Track(*known, *words)))
+    return World(tuple(tracks), gone)
 
 
 NOTHING = World()

@@ -11,6 +11,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 
 from emulator.measuring.conditions import Conditions
+from emulator.measuring.parts import Divided
 from emulator.measuring.worker import Handle, Pipe
 from emulator.process.time_limits import Pace, Stillness
 from emulator.scenario.weather import WeatherConfig
@@ -36,6 +37,9 @@ class Sweep:
     "The device's own plan, if it was measured ahead for one of the same sweep."
     scan: Scan | None = None
     "Of one measured ahead: it waits here."
+    part: int = 0
+    divided: Divided | None = None
+    "The sweep of which this is that part; None: it is all of it."
 
     @property
     def is_awaited(self) -> bool:
@@ -48,7 +52,9 @@ class Sweep:
         return self.plan.start_ns + round(self.plan.duration_s * 1e9)
 
     def as_sent(self) -> tuple[object, ...]:
-        return self.sensor, self.plan, self.conditions
+        if self.divided is None:
+            return self.sensor, self.plan, self.conditions
+        return self.sensor, self.plan, self.conditions, (self.part, self.divided.of)
 
 
 @dataclass(eq=False)

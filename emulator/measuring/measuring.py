@@ -10,6 +10,7 @@ from concurrent.futures import Future
 from typing import Protocol, runtime_checkable
 
 from emulator.measuring.conditions import NORMAL, Conditions
+from emulator.measuring.parts import PartOfScan
 from emulator.scenario.weather import WeatherConfig
 from protocols.scan import Scan, ScanPlan
 
@@ -50,6 +51,17 @@ class Reported:
 def measured(measure: Measure, plan: ScanPlan, conditions: Conditions) -> Scan:
     """One sweep under its conditions."""
     return measure(plan) if conditions is NORMAL or conditions == NORMAL else measure(plan, conditions)
+
+
+def part_measured(
+    measure: Measure, plan: ScanPlan, conditions: Conditions, number: int, of: int
+) -> PartOfScan | Scan | None:
+    """One of several parts of a sweep; where there are none, its first is all of it and the others are nothing."""
+    in_parts = getattr(measure, "part", None)
+    found: PartOfScan | None = None if in_parts is None else in_parts(plan, conditions, number, of)
+    if found is not None:
+        return found
+    return None if number else measured(measure, plan, conditions)
 
 
 def refusals(measures: Mapping[str, Measure], sensors: Sequence[str], weather: WeatherConfig) -> dict[str, str]:

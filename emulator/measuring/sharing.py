@@ -1,7 +1,8 @@
 """Sweeps of one sensor in several processes at once: which process takes which, and what is measured ahead.
 
-Belongs here: the choice of work for a process that is free, sweeps measured before they are asked for, a second try of
-one that stands still. Not: processes (supervision); when a sweep is asked for, and in which order (instrument).
+Belongs here: the choice of work for a process that is free, sweeps in parts, sweeps measured before they are asked for,
+a second try of one that stands still. Not: processes (supervision); when a sweep is asked for, and in which order
+(instrument).
 
 Each sensor has one process as its own. One that remembers nothing from sweep to sweep is *shared*: a process that is
 free takes what waits for another. What is asked for goes before what is measured ahead, own work before that of others.
@@ -12,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from emulator.measuring.homes import Home, Question, Sweep
+from emulator.measuring.parts import FEWEST_BEAMS, Divided
 from emulator.process import time_limits
 from protocols.scan import ScanPlan
 
@@ -23,6 +25,9 @@ AGAIN_NS = 50_000_000
 AGAIN_TIMES = 4
 "After so long, and so many times as long as the longest of the last, a sweep is also given to a process that is free."
 
+WHOLE_FOR = 64
+"Sweeps until it is tried again whether one can be measured in parts: other weather may have come, or faults have gone."
+
 
 class Shared:
     """Sensors that any process may measure."""
@@ -31,6 +36,8 @@ class Shared:
         self.sensors = frozenset(sensors)
         self._early: dict[str, list[Sweep]] = {}
         "Measured ahead and not asked for yet, by sensor."
+        self._whole: dict[str, int] = {}
+        "Sensors whose sweeps are not measured in parts, and for how many further ones."
         self.latest: dict[str, Sweep] = {}
         "The sweep measured last, whichever process did it: a new process is tried with it."
 
@@ -77,6 +84,31 @@ class Shared:
         if behind and all(isinstance(one, Sweep) and one.sensor == sensor for one in busy):
             free += len(busy)  # while a result is on its way, its process has the next
         return max(0, free - sum(len(home.owed) for home in homes) + len(busy))
+
+    def parts(self, work: Sweep, homes: Sequence[Home]) -> list[Sweep]:
+        """A sweep as it is owed: in as many parts as processes would begin one at once, if it is wanted at once.
+
+        What moves by the scenario's file alone is measured ahead instead, whole sweeps side by side.
+        """
+        sensor, plan = work.sensor, work.plan
+        if work.conditions.world is None or len(plan) < FEWEST_BEAMS or self._is_whole(sensor):
+            return [work]
+        of = self.spare(sensor, homes, behind=False)
+        if of < 2:
+            return [work]
+        divided = Divided(plan, of)
+        return [Sweep(sensor, plan, work.conditions, part=number, divided=divided) for number in range(of)]
+
+    def _is_whole(self, sensor: str) -> bool:
+        """Whether its sweeps could not be measured in parts lately."""
+        left = self._whole.get(sensor, 0)
+        if left:
+            self._whole[sensor] = left - 1
+        return left > 0
+
+    def undivided(self, sensor: str) -> None:
+        """One of its sweeps could not."""
+        self._whole[sensor] = WHOLE_FOR
 
     def next_of(self, home: Home, homes: Sequence[Home], pauses: Callable[[str], bool]) -> Sweep | Question | None:
         """What a process that is free does next; it is among what its home owes then."""
@@ -144,6 +176,7 @@ class Shared:
             work.again = work.given_up = False
             return None
         second = Sweep(work.sensor, work.plan, work.conditions, work.tries, ahead=work.ahead, asked_as=work.asked_as)
+        second.part, second.divided = work.part, work.divided
         if work.ahead:
             self.forget(work)
             self.begin(second)

@@ -24,6 +24,7 @@ from emulator.errors import EmulatorError, SceneError
 from emulator.measuring.conditions import NORMAL, Conditions
 from emulator.measuring.homes import Blame, Handover, Home, Question, Successor, Sweep
 from emulator.measuring.measuring import BuildMeasures, NotMeasured, Reported
+from emulator.measuring.parts import PartOfScan
 from emulator.measuring.sharing import Shared
 from emulator.measuring.upgrade import Building, Upgrade
 from emulator.measuring.worker import Forked, Handle, Pipe
@@ -124,7 +125,8 @@ class Workers:
         return (self._epoll.fileno(),)
 
     def request(self, sensor: str, plan: ScanPlan, conditions: Conditions = NORMAL) -> None:
-        self._owe(Sweep(sensor, plan, conditions))
+        for work in self._shared.parts(Sweep(sensor, plan, conditions), self._homes):
+            self._owe(work)
 
     def _owe(self, work: Sweep) -> None:
         home = self._home[work.sensor]
@@ -410,13 +412,31 @@ class Workers:
             if self._run_clock is None:
                 home.failures = 0
             if word == "failed":
-                self.failures.append(f"{work.sensor}: sweep {work.plan.sweep}: {result}")
+                if work.divided is None or not work.divided.is_over:
+                    self.failures.append(f"{work.sensor}: sweep {work.plan.sweep}: {result}")
                 result = Scan.empty(work.plan)
+            elif work.divided is not None and isinstance(result, Scan):
+                self._shared.undivided(work.sensor)
             if not work.given_up:
                 self._deliver(work, result)
         self._hand_over(home)
 
-    def _deliver(self, work: Sweep, scan: Scan) -> None:
+    def _deliver(self, work: Sweep, result: Scan | PartOfScan | None) -> None:
+        """What has become of a sweep, or of a part of one."""
+        if work.divided is not None:
+            result = work.divided.take(work.part, result)
+            if result is None:
+                return
+            for home in self._homes:  # it is settled: nothing more of it is measured
+                for other in [one for one in home.owed if isinstance(one, Sweep) and one.divided is work.divided]:
+                    if other is home.in_hand:
+                        other.given_up = True
+                    else:
+                        home.owed.remove(other)
+        assert isinstance(result, Scan)
+        self._hand_on(work, result)
+
+    def _hand_on(self, work: Sweep, scan: Scan) -> None:
         if work.ahead:
             if isinstance(scan, NotMeasured):
                 self._shared.forget(work)
@@ -555,7 +575,7 @@ class Workers:
         if not held and not self._blame:
             return
         for work in list(home.owed):
-            if isinstance(work, Question) or work.given_up or work.end_ns >= run_ns:
+            if isinstance(work, Question) or work.given_up or work.end_ns >= run_ns or work not in home.owed:
                 continue
             if not held and (work is home.in_hand or not self._pauses(work.sensor)):
                 continue

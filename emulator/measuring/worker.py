@@ -24,6 +24,7 @@ from emulator.measuring.measuring import (
     Measure,
     Reported,
     measured,
+    part_measured,
     refusals,
     restore,
     states,
@@ -200,7 +201,7 @@ def serve(pipe: WorkerEnd, build: BuildMeasures) -> None:
     reported = Reported()
     pipe.send("ready", LOOPS if switch.in_use() else ARRAYS, reported.new(warnings_of(measures)))
     while True:
-        sensor, plan, conditions = pipe.receive()
+        sensor, plan, conditions, *part = pipe.receive()
         if sensor is None and conditions is None:
             pipe.send("state", None, states(measures))
         elif sensor is None:
@@ -208,14 +209,18 @@ def serve(pipe: WorkerEnd, build: BuildMeasures) -> None:
         elif plan is None:
             pipe.send("judged", None, refusals(measures, sensor, conditions))
         else:
-            _measure(pipe, measures, reported, sensor, plan, conditions)
+            _measure(pipe, measures, reported, sensor, plan, conditions, *part)
 
 
 def _measure(
-    pipe: WorkerEnd, measures: Mapping[str, Measure], reported: Reported, sensor: str, plan: Any, conditions: Any
-) -> None:
+    pipe: WorkerEnd, measures: Mapping[str, Measure], reported: Reported, sensor: str, plan: Any, conditions: Any,
+    part: tuple[int, int] | None = None,
+) -> None:  # fmt: skip
     try:
-        scan = measured(measures[sensor], plan, conditions)
+        if part is None:
+            scan = measured(measures[sensor], plan, conditions)
+        else:
+            scan = part_measured(measures[sensor], plan, conditions, *part)
         for text in reported.new(warnings_of({sensor: measures[sensor]})):
             pipe.send("warning", sensor, text)
         pipe.send("scan", sensor, scan)

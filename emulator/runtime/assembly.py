@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
@@ -37,6 +38,8 @@ from protocols.timebase import inside
 
 BEAMS_A_PROCESS = 200_000.0
 "Beams per second that one core measures of a street with footprints, about (docs/velodyne.md)."
+MOST_PARTS = 4
+"Of a sweep: with more the part in the middle of the fan takes hardly less time."
 MOST_STEPS = 5000
 "Of a session, until it asks for its first slice."
 
@@ -105,6 +108,19 @@ def useful_processes(scenario: Scenario) -> int:
     return sum(
         max(1, math.ceil(beams_per_s(scenario, index) / BEAMS_A_PROCESS)) for index in range(len(scenario.sensors))
     )
+
+
+def fed_processes(scenario: Scenario) -> int:
+    """Measuring processes among which a sweep of a world that somebody else moves is divided, in real time.
+
+    They measure at the same time, as late as a sweep can be sent, and rest until the next one: the sender, which goes
+    before them, shares its core with one where there are only two.
+    """
+    moving = [one.id for one in scenario.sensors if one.mount.actor is not None]
+    if scenario.live is None or not set(moving) & set(shared_sensors(scenario)):
+        return 1
+    cores = len(os.sched_getaffinity(0))
+    return min(cores, max(2, cores - 1), MOST_PARTS)
 
 
 def beams_per_s(scenario: Scenario, index: int) -> float:
@@ -241,7 +257,7 @@ def start(
     """
     sessions = new_sessions(scenario)
     names = [sensor.id for sensor in scenario.sensors]
-    count = workers or worker_count(useful_processes(scenario))
+    count = workers or max(worker_count(useful_processes(scenario)), fed_processes(scenario))
     build_loops = build.Builder if switch.wanted() and build.wanted() else None
     shared = shared_sensors(scenario)
     measuring = Workers(partial(build_measures, scenario), names, count, clock, build_loops=build_loops, shared=shared)

@@ -189,6 +189,7 @@ class Feeding:
         asked_ns = self._asked_ns.get(sensor, {}).pop(plan.start_ns, None)
         if asked_ns is not None and self._real_ns is not None:
             took = float(now_ns - asked_ns)
+            self.book.ages.took.add_one(took * 1e-9)
             self._took[sensor] = max(took, FORGET * self._took.get(sensor, 0.0))
 
     def world(self, sensor: str, plan: ScanPlan, now_ns: int) -> World:
@@ -204,8 +205,12 @@ class Feeding:
                 del asked[min(asked)]
         self._waiting.pop(sensor, None)
         if len(plan):
+            beams_s = begin_s + plan.fire_offset_s
             delay_s = 0.0 if self._real_ns is None else self._clock.delay_ns * 1e-9
-            self.book.asked(begin_s + plan.fire_offset_s, delay_s)
+            self.book.asked(beams_s, delay_s)
+            if self._real_ns is not None and np.isfinite(self.book.newest_s):
+                now_s = now_ns * 1e-9
+                self.book.ages.begun(now_s - (self.book.newest_s - delay_s), beams_s - now_s)
         return self.book.world(begin_s - (BEFORE_S if len(plan) else LISTS_S), end_s + BEFORE_S)
 
     def world_around(self, actor: str, at_ns: int, before_s: float = BEFORE_S) -> World:
@@ -263,6 +268,13 @@ class Feeding:
             found.append(
                 f"feed: age of poses at the beams: median {age['median']:.1f} ms, p99 {age['p99']:.1f} ms, worst"
                 f" {age['worst']:.1f} ms; {share:.1f} % of {ages.beams} beams extrapolated"
+            )
+        if ages.took.count:
+            newest, ahead, took = (1e3 * one.share(0.5) for one in (ages.newest, ages.ahead, ages.took))
+            found.append(
+                f"feed: the newest sample is {newest:.1f} ms old when a sweep is begun, {ahead:.1f} ms before the beam"
+                f" (medians); measuring takes {took:.1f} ms, p99 {1e3 * ages.took.share(0.99):.1f} ms; play-out delay"
+                f" {1e-6 * self._clock.delay_ns:.1f} ms"
             )
         if isinstance(off := report["error_mm"], Mapping) and isinstance(turn := report["error_mrad"], Mapping):
             found.append(

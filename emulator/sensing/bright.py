@@ -278,8 +278,9 @@ def _rings(faced: Faced, step: float, count: int, outer: Floats, pairs: Ints | N
     turn = 2.0 * np.pi / count * (np.arange(count) + beams.GOLDEN_ANGLE_RAD * np.arange(len(radius))[:, None])
     u, v = (radius[:, None] * np.cos(turn)).ravel(), (radius[:, None] * np.sin(turn)).ravel()
     ring, place = np.repeat(radius, count), np.stack([u, v], axis=1)[None]
-    near, far = (faced.offset[pairs] - step)[:, None], (outer[pairs] + step)[:, None]
-    row, node = np.nonzero((ring >= near) & (ring <= far) & polygons.within(faced.corner[pairs], place))
+    # as far as the rings would go for this face alone: what it brings back does not depend on the others
+    near, far = (faced.offset[pairs] - step)[:, None], (outer[pairs] + 0.5 * step)[:, None]
+    row, node = np.nonzero((ring >= near) & (ring < far) & polygons.within(faced.corner[pairs], place))
     return _Nodes(pairs[row], u[node], v[node], np.repeat(light / count, count)[node])
 
 

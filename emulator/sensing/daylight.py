@@ -130,7 +130,7 @@ def _clear_sky(sun: Sun, wavelength_m: float) -> _Sky:
 
 def largest_diffuse_w(sun: Sun, model: SensorModel) -> float:
     """Background of a white surface facing sun and sky, which no surface or sky exceeds. [W]"""
-    if not _shines(sun, model):
+    if not shines(sun, model):
         return 0.0
     sky = _clear_sky(sun, model.wavelength_m)
     white = sunlight.lit_radiance(sky.direct, sky.radiance, 1.0, 1.0, 1.0)
@@ -139,10 +139,11 @@ def largest_diffuse_w(sun: Sun, model: SensorModel) -> float:
 
 def surfaces_show(sun: Sun | None, model: SensorModel) -> bool:
     """Light of sunlit surfaces or of the sky may show in the noise, so that it matters what is out of reach."""
-    return sun is not None and _shines(sun, model) and largest_diffuse_w(sun, model) > _limit_w(model)
+    return sun is not None and shines(sun, model) and largest_diffuse_w(sun, model) > _limit_w(model)
 
 
-def _shines(sun: Sun, model: SensorModel) -> bool:
+def shines(sun: Sun, model: SensorModel) -> bool:
+    """There is sunlight that this sensor may take notice of."""
     lit = sun.total_w_m2 != 0.0 and sun.cloud_factor != 0.0 and sun.elevation_deg > sunlight.NIGHT_DEG
     return model.background and lit
 
@@ -166,7 +167,7 @@ def daylight(
 
     `shadows` : those of the sweep before; `reported`: however little it is.
     """
-    if sun is None or not _shines(sun, model):
+    if sun is None or not shines(sun, model):
         return NIGHT
     limit_w = 0.0 if reported else _limit_w(model)
     power = np.zeros(len(rays.axis))
@@ -180,7 +181,7 @@ def daylight(
 
 def largest_near_sun_w(sun: Sun, rays: Rays, model: SensorModel) -> float:
     """Largest background of any beam from the sun's disc, its aureole and stray light, if nothing hides them. [W]"""
-    return _SunInView(sun, rays, model).largest_w() if _shines(sun, model) else 0.0
+    return _SunInView(sun, rays, model).largest_w() if shines(sun, model) else 0.0
 
 
 def of_power(power: Floats, model: SensorModel) -> Daylight:

@@ -15,6 +15,7 @@ import numpy as np
 from emulator.casting.detail import detailed
 from emulator.errors import ScenarioError
 from emulator.measuring.conditions import NORMAL, ActiveFault, Conditions
+from emulator.measuring.parts import PartOfScan, beams_of, part_of_scan
 from emulator.physics import atmosphere
 from emulator.physics.arrays import Floats, indexes
 from emulator.physics.materials import Material, SurfaceTable, material, material_from_mapping, with_levels
@@ -25,7 +26,7 @@ from emulator.sensing.air import Air, AirNow
 from emulator.sensing.bright import BrightEdges
 from emulator.sensing.bright import wanted as bright_wanted
 from emulator.sensing.contracts import FacedCaster
-from emulator.sensing.daylight import Daylight, Shadows, daylight, surfaces_show
+from emulator.sensing.daylight import NIGHT, Daylight, Shadows, daylight, shines, surfaces_show
 from emulator.sensing.model import SensorModel, sensor_model
 from emulator.sensing.others import Others, others_of
 from emulator.sensing.particles import Falling
@@ -34,7 +35,7 @@ from emulator.sensing.photon_receiver import PhotonReceiver
 from emulator.sensing.probing import Probing
 from emulator.sensing.probing import wanted as probes_wanted
 from emulator.sensing.pruning import Pruned, Pruning, wanted
-from emulator.sensing.rays import KEPT_PLANS, RAYS_KEPT, BundleCache, Bundles, Rays, cast_rays, rays_of
+from emulator.sensing.rays import KEPT_PLANS, RAYS_KEPT, BundleCache, Bundles, Rays, cast_rays, part_of, rays_of
 from emulator.sensing.receiver import Receiver
 from emulator.sensing.resting import Resting, with_others
 from emulator.sensing.soft import SoftTargets
@@ -114,6 +115,8 @@ class Measure:
         self._at_rest: tuple[Resting, ...] = ()
         "Of a sensor that does not move: the latest last."
         self._again: _Again | None = None
+        self._parts: dict[tuple[int, int], tuple[Bundles, Bundles]] = {}
+        "Of sweeps that are measured in parts: the bundles of the latest, and those of its part."
         self._soft = SoftTargets(model, receiver.bin_m)
         self._falling = Falling(model)
         still = (mount.actor is None or scene.motions[scene.index[mount.actor]].still) and not beside
@@ -146,12 +149,16 @@ class Measure:
 
     def _under(self, local: ScanPlan, conditions: Conditions, plan: ScanPlan) -> Scan:
         """One sweep; `local` is the plan in the scene's own time. What was ordered holds by the run's."""
-        if conditions.weather is not self._weather:
-            first_s = float(1e-9 * plan.start_ns + plan.fire_offset_s[0])
-            self._change_air(None if conditions.weather is None else conditions.weather.at(first_s))
+        self._turn_air(plan, conditions)
         faults = conditions.of(self.draws.sensor, plan.start_ns) if conditions.faults else ()
         with np.errstate(under="ignore"):  # what underflows here is no light, or no length
             return self._under_faults(local, faults) if faults else self._measured(local)
+
+    def _turn_air(self, plan: ScanPlan, conditions: Conditions) -> None:
+        """To the weather that holds for a sweep."""
+        if conditions.weather is not self._weather:
+            first_s = float(1e-9 * plan.start_ns + plan.fire_offset_s[0])
+            self._change_air(None if conditions.weather is None else conditions.weather.at(first_s))
 
     def _under_faults(self, plan: ScanPlan, faults: tuple[ActiveFault, ...]) -> Scan:
         if self._faulty is None:
@@ -193,8 +200,53 @@ class Measure:
                     self._refused[f"changed weather is not used: {error}"] = None
         self._weather = weather
 
+    def part(self, plan: ScanPlan, conditions: Conditions, number: int, of: int) -> PartOfScan | None:
+        """Some beams of one sweep, see `parts`; None: this one is not measured in parts.
+
+        Each beam has what it has in the whole sweep, to the rounding of float64.
+        """
+        turned_ns = self._scene.turned_ns(plan.start_ns)
+        local = replace(plan, start_ns=plan.start_ns - turned_ns) if turned_ns else plan
+        if not self._has_parts(local) or conditions.of(self.draws.sensor, plan.start_ns):
+            return None
+        self._turn_air(plan, conditions)
+        air = self.air.at(float(1e-9 * local.start_ns + local.fire_offset_s[0]))
+        if (
+            air.particles
+            or air.volumes
+            or self._soft.uneven(air)
+            or (air.sun is not None and shines(air.sun, self.model))
+        ):
+            return None
+        with np.errstate(under="ignore"):
+            return part_of_scan(self._part_measured(local, air, number, of), number, of)
+
+    def _has_parts(self, plan: ScanPlan) -> bool:
+        """No beam of it depends on others, nor on how many there are; and nothing is kept from sweep to sweep."""
+        if self._still_pose is not None or self._probing is not None or self.others is not None:
+            return False
+        if plan.origin_m is not None or self.model.rule == "adaptive" or not self._receiver.keeps_beams_apart:
+            return False
+        return self._pruning is None or not self._pruning.pays(len(plan), self._bundles.sub_beams)
+
+    def _part_measured(self, plan: ScanPlan, air: AirNow, number: int, of: int) -> Scan:
+        """A scan of all beams, of which those of other parts see nothing."""
+        bundles = self._bundles.of(plan)
+        kept = self._parts.get((number, of))
+        if kept is None or kept[0] is not bundles:
+            self._parts[number, of] = kept = bundles, part_of(bundles, beams_of(len(plan), number, of))
+        at = beams_of(len(plan), number, of)
+        angles = plan.azimuth_rad[at], plan.elevation_rad[at], plan.fire_offset_s[at]
+        some = replace(plan, azimuth_rad=angles[0], elevation_rad=angles[1], fire_offset_s=angles[2])
+        view = self._view(some, kept[1], air)
+        found = view.echoes
+        return self._received(plan, replace(view, found=replace(found, beam=at[found.beam]), kept=None), NIGHT)
+
     def _measured(self, plan: ScanPlan) -> Scan:
-        view, light = self._look(plan, None)
+        return self._received(plan, *self._look(plan, None))
+
+    def _received(self, plan: ScanPlan, view: View, light: Daylight) -> Scan:
+        """What the receiver makes of what comes back."""
         soft = self._soft.everywhere(view.air, plan.gain)
         if isinstance(self._receiver, Receiver):
             scan = self._receiver.receive(plan, view.found, soft, light, view.kept)
@@ -214,10 +266,13 @@ class Measure:
             view = replace(view, rays=view.rays.at(1e-9 * plan.start_ns + plan.fire_offset_s))
         return view
 
-    def _view(self, plan: ScanPlan) -> View:
-        """The same; where nothing moves the one of an earlier sweep, with that one's instants."""
+    def _view(self, plan: ScanPlan, bundles: Bundles | None = None, air: AirNow | None = None) -> View:
+        """The same; where nothing moves the one of an earlier sweep, with that one's instants.
+
+        `bundles`, `air`: of a part of a sweep, see `part`.
+        """
         t_s = 1e-9 * plan.start_ns + plan.fire_offset_s
-        air, gain = self.air.at(float(t_s[0])), plan.gain
+        air, gain = self.air.at(float(t_s[0])) if air is None else air, plan.gain
         again = self._again
         if again is not None and again.serves(plan, self._bundles, air):
             return again.view
@@ -227,17 +282,17 @@ class Measure:
             low, high = place.min(axis=0), place.max(axis=0)
             air = self.air.near(air, low, high, reach, float(t_s.min()), float(t_s.max()))
         surfaces = self._wet if air.wet else self._dry
-        rays_saved = self._pruned_by_bundles(plan, pose, t_s, surfaces, air)
+        rays_saved = None if bundles is not None else self._pruned_by_bundles(plan, pose, t_s, surfaces, air)
         if rays_saved is not None:
             rays, seen = rays_saved.rays, rays_saved.seen
         elif self.model.rule == "adaptive" and not self.model.beam.is_ray:
             rays, cells = adaptive_rays(plan, pose, t_s, self._caster, self.model)
             seen = returned(cells, rays, self._caster, surfaces, air, self.model, gain, plan.max_range_m)
         else:
-            rays, resting = self._rays(plan, pose, t_s)
-            shines = surfaces_show(air.sun, self.model)
+            rays, resting = self._rays(plan, pose, t_s, bundles)
+            show = surfaces_show(air.sun, self.model)
             far = reach_of(self.model, plan.max_range_m) if self.model.prune_far else np.inf
-            if shines and self._looks_far:
+            if show and self._looks_far:
                 far = np.inf
             what = surfaces, air, self.model, gain, plan.max_range_m
             if resting is not None:
@@ -247,12 +302,12 @@ class Measure:
                     rays.origin_m, rays.direction, rays.t_s, max_range_m=far, aimed=rays.steady, order=rays.order
                 )
                 seen = returned(hits, rays, self._caster, *what)
-            if far < np.inf and shines:
+            if far < np.inf and show:
                 seen = self._background(seen, rays, far)
         tails = None
         if self._bright is not None:
-            bundles = self._bundles.of(plan)
-            seen, tails = self._bright.put_into(seen, bundles, pose, t_s, surfaces, air, gain, plan.max_range_m)
+            spread = self._bundles.of(plan) if bundles is None else bundles
+            seen, tails = self._bright.put_into(seen, spread, pose, t_s, surfaces, air, gain, plan.max_range_m)
         drops = []
         for particles in air.particles:
             falling = self._falling.seen(
@@ -297,9 +352,11 @@ class Measure:
             return None
         return self._pruning.sweep(plan, self._bundles.of(plan), pose, t_s, surfaces, air)
 
-    def _rays(self, plan: ScanPlan, pose: Pose, t_s: Floats) -> tuple[Rays, Resting | None]:
+    def _rays(
+        self, plan: ScanPlan, pose: Pose, t_s: Floats, bundles: Bundles | None = None
+    ) -> tuple[Rays, Resting | None]:
         """Rays of fixed bundles; a sensor at rest casts the same ones as long as the plan's angles stay."""
-        bundles = self._bundles.of(plan)
+        bundles = self._bundles.of(plan) if bundles is None else bundles
         if self._still_pose is None:
             spread, steady = self._bundles.turned(bundles, pose.rotation)
             return rays_of(spread, pose.position_m, t_s, steady, ordered=self._bundles.again), None

@@ -11,6 +11,7 @@ from typing import Any
 from emulator.live.tracks import NOTHING
 from emulator.measuring.conditions import NORMAL, Conditions
 from emulator.measuring.measuring import Measure
+from emulator.measuring.parts import PartOfScan
 from emulator.world.fed import FedNow
 from protocols.scan import Scan, ScanPlan
 
@@ -23,10 +24,22 @@ class Placed:
         self._measure, self._fed, self._turned_ns = measure, fed, turned_ns
 
     def __call__(self, plan: ScanPlan, conditions: Conditions = NORMAL) -> Scan:
+        self._place(plan, conditions)
+        return self._measure(plan, conditions)
+
+    def part(self, plan: ScanPlan, conditions: Conditions, number: int, of: int) -> PartOfScan | None:
+        """Some beams of one sweep; None: it is not measured in parts."""
+        divided = getattr(self._measure, "part", None)
+        if divided is None:
+            return None
+        self._place(plan, conditions)
+        found: PartOfScan | None = divided(plan, conditions, number, of)
+        return found
+
+    def _place(self, plan: ScanPlan, conditions: Conditions) -> None:
         world = NOTHING if conditions.world is None else conditions.world
         turned_ns = self._turned_ns(plan.start_ns)
         self._fed.use(world.earlier(turned_ns * 1e-9) if turned_ns else world)
-        return self._measure(plan, conditions)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._measure, name)

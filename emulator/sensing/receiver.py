@@ -101,6 +101,11 @@ class Receiver:
         """How it makes echoes of sub-echoes."""
         return self._detector
 
+    @property
+    def keeps_beams_apart(self) -> bool:
+        """What a beam reports depends on nothing that others see, nor on how many there are."""
+        return self._model.bloom_share == 0.0 and self._shaped is None
+
     def noise_echoes_of(self, beams: int) -> float:
         """Mean count of noise echoes of a sweep of so many beams."""
         return self._false_alarms * beams

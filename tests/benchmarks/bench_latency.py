@@ -4,6 +4,11 @@ Run it on an idle machine: `python -m tests.benchmarks.bench_latency [SECONDS]`.
 An LMS291 at 37.5 Hz (0.5 degrees) sends to a host that reads its pseudo-terminal; all actors of the street are fed at
 100 Hz by JSON lines over UDP, from a process of its own. Aim on two idle cores: age 10 ms at the median, no scan
 dropped, lateness as without a feed.
+
+Its `feed:` lines say where the age comes from. A beam of a sweep that is begun before it fires is as old as the newest
+sample then (half a period of the feed, and its way), and as long as the sweep is begun before the beam: what measuring
+takes, a margin, and how far the beam is before the sweep's end. A beam whose poses are all known when its sweep is
+begun waits for nothing: the play-out delay less what its sample is ahead of it, half a period at the median.
 """
 
 from __future__ import annotations

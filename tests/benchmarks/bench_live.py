@@ -2,7 +2,8 @@
 
 Run it: `python -m tests.benchmarks.bench_live [SECONDS]`.
 Aim: a virtual LMS291 and a street with 20 fed actors, steps of 10 ms, five times faster than real time with the extra
-`fast`. Times are of the processor, so that a busy machine does not count.
+`fast`. Times are of the processor, so that a busy machine does not count; those of several processes are of the wall
+clock, in turns with one process, and want as many idle cores.
 """
 
 # ruff: noqa: E402
@@ -27,6 +28,8 @@ from emulator.world.scene import motion_of
 
 STREET = Path(__file__).parents[2] / "scenarios" / "street.yaml"
 STEP_S = 0.01
+TURN = 20
+"Steps."
 SPAWNED = "{pool: 8, classes: {car: {mesh: 'builtin:car.glb', material: car_paint_grey}}, fed: [%s]}"
 
 
@@ -104,8 +107,44 @@ def _step(trial: Trial, k: int, actors: list[dict[str, object]]) -> None:
     trial.run.advance(round(STEP_S * k * 1e9))
 
 
+def in_parts(fed: int, seconds: float, processes: int) -> str:
+    """The same sweeps in place and by so many processes, in turns of some steps, so that both have the same machine.
+
+    Processor time of the sender and of the busiest process come one after the other: what a step takes on idle cores.
+    """
+    trials = [Trial(street(fed)), Trial(street(fed), processes)]
+    wall, own, busiest = [0.0, 0.0], [0.0, 0.0], 0.0
+    try:
+        assert trials[1]._workers is not None
+        pids = [int(str(row["pid"])) for row in trials[1]._workers.rows()]
+        steps = round(seconds / STEP_S)
+        reported = [lines(trials[0].scenario, fed, 0, STEP_S * k) for k in range(steps + 1)]
+        for begin in range(0, steps + 1, TURN):
+            for number, trial in enumerate(trials):
+                began, used, before = time.monotonic(), time.process_time(), [_on_cpu_s(pid) for pid in pids]
+                for k in range(begin, min(begin + TURN, steps + 1)):
+                    _step(trial, k, reported[k])
+                if begin:  # everything has been met once
+                    wall[number] += time.monotonic() - began
+                    own[number] += time.process_time() - used
+                    busiest += max(_on_cpu_s(pid) - then for pid, then in zip(pids, before, strict=True))
+        same = trials[0].transcript.sha256() == trials[1].transcript.sha256()
+        return (
+            f"sender {own[1] / own[0]:.2f} and busiest process {busiest / own[0]:.2f} of the processor time in place, wall"
+            f" {wall[1] / wall[0]:.2f}; {'the same bytes' if same else 'OTHER BYTES'}"
+        )
+    finally:
+        for trial in trials:
+            trial.close()
+
+
+def _on_cpu_s(pid: int) -> float:
+    """proc(5): `schedstat`."""
+    return int(Path(f"/proc/{pid}/schedstat").read_text().split()[0]) * 1e-9
+
+
 def main() -> None:
-    """Print one line a scene."""
+    """Print one line a scene, then what several processes make of it."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 2.0
     for name, fed, spawned, alone in (
         ("nobody fed", 0, 0, False),
@@ -117,6 +156,8 @@ def main() -> None:
         share, sweeps = stepped(fed, spawned, seconds, alone)
         each_ms = 1e3 * share * (seconds - 0.2) / max(1, sweeps)
         print(f"{name:18s} {each_ms:6.1f} ms a sweep, {1.0 / share:5.1f} times faster than real time")
+    for processes in (1, 2, 3):
+        print(f"20 fed, {processes} measuring processes: {in_parts(20, seconds, processes)}")
 
 
 if __name__ == "__main__":

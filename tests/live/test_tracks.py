@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
 from emulator.live.book import Book, Rules
 from emulator.live.rotations import Floats, from_angles, of_vector, product, slerp, to_vector, travelled, turned
 from emulator.live.samples import ActorSample, Update
-from emulator.live.tracks import Track, hermite
+from emulator.live.tracks import COLUMNS, Track, World, hermite
 
 
 def fed(
@@ -181,3 +183,21 @@ def test_the_speed_bound_holds() -> None:
         x = found.pose(when)[0]
         fastest = np.linalg.norm(np.diff(x, axis=0), axis=1).max() / (when[1] - when[0])
         assert fastest <= found.speed_bound() * (1 + 1e-6)
+
+
+def test_a_world_arrives_in_another_process_as_it_was() -> None:
+    book = fed([(0.0, (0, 0, 0)), (0.1, (1, 2, 0)), (0.2, (90, 0, 0))], velocity=(1.0, 2.0, 0.0))
+    book.take(Update(None, (), removed=("car",)), 300_000_000)
+    book.take(Update(None, (ActorSample("car", (5, 0, 0), jump=True),)), 400_000_000)
+    for world in (book.world(0.0, 10.0), book.world(0.35, 0.36), World()):
+        found = pickle.loads(pickle.dumps(world))
+        assert found.gone == world.gone
+        assert [name for name, _ in found.tracks] == [name for name, _ in world.tracks]
+        for (_, one), (_, other) in zip(found.tracks, world.tracks, strict=True):
+            for name, value in vars(other).items():
+                if name in COLUMNS:
+                    np.testing.assert_array_equal(getattr(one, name), value)
+                    assert getattr(one, name).dtype == value.dtype
+                else:
+                    assert getattr(one, name) == value
+    assert len(book.world(0.0, 10.0).tracks) == 2

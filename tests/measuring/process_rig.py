@@ -15,6 +15,7 @@ from typing import Any
 from emulator.hosts.scripted import LdScript, Lms2xxScript
 from emulator.instrument.observer import Observer, Payload
 from emulator.measuring.measuring import Measures
+from emulator.measuring.parts import part_of_scan
 from emulator.measuring.supervision import Workers
 from emulator.measuring.worker import Pipe
 from emulator.process.clock import ManualClock
@@ -58,13 +59,16 @@ class Played:
         self.is_ready = False
         self.stopped = False
         self.code: int | None = None
-        self.jobs: deque[tuple[str, ScanPlan, object]] = deque()
+        self.jobs: deque[tuple[Any, ...]] = deque()
+        "Sensor, plan, conditions; of a part of a sweep its number, and of how many."
         self._done_ns = 0
         self.measured: list[tuple[str, int]] = []
         self.cpu = 0
         self.refuses = ""
         self.dies_at: Callable[[str, ScanPlan], bool] = lambda sensor, plan: False
-        self.sends: Callable[[Scan], Scan | Exception] = lambda scan: scan
+        self.sends: Callable[[Scan], Any] = lambda scan: scan
+        self.divides = True
+        "It can measure parts of sweeps."
 
     def exit_code(self) -> int | None:
         return self.code
@@ -89,7 +93,7 @@ class Played:
         """Killed while it sends: half a scan is in the pipe."""
         from emulator.measuring.worker import _encoded
 
-        sensor, plan, _ = self.jobs[0]
+        sensor, plan, *_ = self.jobs[0]
         self._end._end.send(_encoded(("scan", sensor, Scan.empty(plan)))[:200])
         self.end(-9)
 
@@ -125,7 +129,7 @@ class Played:
             return
         self._end.flush()
         while self.jobs and now_ns >= self._done_ns:
-            sensor, plan, _ = self.jobs.popleft()
+            sensor, plan, _, *part = self.jobs.popleft()
             if self.dies_at(sensor, plan):
                 self.end(-11)
                 return
@@ -137,6 +141,10 @@ class Played:
             if isinstance(found, Exception):
                 self._end.put(("failed", sensor, f"{type(found).__name__}: {found}"))
             else:
+                if part and found is not None and self.divides:
+                    found = part_of_scan(found, *part[0])
+                elif part and part[0][0]:
+                    found = None
                 self._end.put(("scan", sensor, found))
             self._done_ns = now_ns + self._takes_ns
 

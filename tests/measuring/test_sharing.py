@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
-from emulator.measuring.conditions import NORMAL
-from emulator.measuring.measuring import Measures
+from emulator.live.tracks import NOTHING
+from emulator.measuring.conditions import NORMAL, Conditions
+from emulator.measuring.measuring import Measures, NotMeasured
+from emulator.measuring.sharing import WHOLE_FOR
 from emulator.measuring.supervision import Workers
 from emulator.process.clock import ManualClock
 from protocols.scan import Scan, ScanPlan
@@ -69,7 +75,7 @@ def test_a_process_that_is_new_measures_once_for_nobody_before_it_is_given_what_
     run.on_launch = lambda made: setattr(made, "takes_ns", 2 * SECOND)  # its first sweep fills tables
     run.processes[0].end(-9)
     assert run.advance(5.0, lambda: run.process.busy)
-    sensor, wanted, _ = run.process.jobs[0]
+    sensor, wanted, *_ = run.process.jobs[0]
     assert (sensor, wanted.sweep) in run.processes[1].measured, "another has measured it"
     late, sent = run.late("front"), run.sent.sweeps["front"]
     before = len(sent)
@@ -125,9 +131,10 @@ class Pool:
     builds_ns, takes_ns, cpu_ns = 0, 0, MS
     scan_of = staticmethod(Rig.scan_of)
 
-    def __init__(self) -> None:
+    def __init__(self, count: int = 2) -> None:
         self.processes: list[Played] = []
-        self.workers = Workers(Measures, ["front"], 2, None, self, self._launch, shared=["front"])
+        self.on_launch: Callable[[Played], None] = lambda made: None
+        self.workers = Workers(Measures, ["front"], count, None, self, self._launch, shared=["front"])
 
     def now_ns(self) -> int:
         for one in self.processes:
@@ -137,6 +144,7 @@ class Pool:
 
     def _launch(self, loops: bool | None) -> Played:
         self.processes.append(Played(self, 0, loops))  # type: ignore[arg-type]
+        self.on_launch(self.processes[-1])
         return self.processes[-1]
 
 
@@ -174,4 +182,123 @@ def test_what_is_dropped_is_measured_no_more_and_does_not_come() -> None:
     assert [scan.plan.sweep for scan in scans] == [4]
     measured: list[ScanPlan | int] = [sweep for one in pool.processes for _, sweep in one.measured]
     assert 3 not in measured, "it was in nobody's hands"
+    pool.workers.close()
+
+
+FED = Conditions(world=NOTHING)
+"A world that somebody else moves."
+
+
+def sweep(number: int, beams: int = 181) -> ScanPlan:
+    return replace(
+        plan(0, number, number * SECOND), azimuth_rad=np.arange(beams) / beams, elevation_rad=np.zeros(beams),
+        fire_offset_s=np.zeros(beams),
+    )  # fmt: skip
+
+
+def numbered(scan: Scan) -> Scan:
+    """Ranges by which the beams can be told."""
+    scan.range_m[:, 0] = np.arange(len(scan.plan))
+    return scan
+
+
+def pool_of(processes: int = 2) -> Pool:
+    pool = Pool(processes)
+    for one in pool.processes:
+        one.sends = numbered
+    return pool
+
+
+def asked(pool: Pool, wanted: ScanPlan, conditions: Conditions = FED) -> Scan:
+    pool.workers.request("front", wanted, conditions)
+    assert pool.workers.settle() == {"front"}
+    [scan] = pool.workers.collect("front")
+    assert scan.plan.sweep == wanted.sweep
+    return scan
+
+
+def counts(pool: Pool) -> list[int]:
+    return [len(one.measured) for one in pool.processes]
+
+
+@pytest.mark.parametrize("processes", [1, 2, 3])
+def test_a_sweep_of_a_fed_world_is_measured_by_all_processes_at_once(processes: int) -> None:
+    pool = pool_of(processes)
+    assert asked(pool, sweep(1)).range_m[:, 0].tolist() == list(range(181))
+    assert counts(pool) == [1] * processes
+    pool.workers.close()
+
+
+def test_one_of_the_file_and_one_of_few_beams_are_measured_whole() -> None:
+    pool = pool_of()
+    asked(pool, sweep(1), NORMAL)
+    asked(pool, sweep(2, beams=20))
+    assert sum(counts(pool)) == 2
+    pool.workers.close()
+
+
+def test_a_killed_process_costs_its_part_being_measured_again() -> None:
+    pool = pool_of()
+    asked(pool, sweep(1))
+    lost, other = pool.processes
+    lost.dies_at = lambda sensor, _: True
+    pool.on_launch = lambda made: setattr(made, "sends", numbered)
+    assert asked(pool, sweep(2)).range_m[:, 0].tolist() == list(range(181))
+    assert [count for _, count in other.measured] in ([1, 2], [1, 2, 2])
+    assert sum(counts(pool)) == 4, "two parts each"
+    assert pool.workers.failures == []
+    pool.workers.close()
+
+
+def test_what_cannot_be_divided_is_whole_and_asked_again_after_some_sweeps() -> None:
+    pool = pool_of()
+    for one in pool.processes:
+        one.divides = False
+    assert asked(pool, sweep(1)).range_m[:, 0].tolist() == list(range(181))
+    for number in range(2, 2 + WHOLE_FOR):
+        asked(pool, sweep(number))
+    assert sum(counts(pool)) <= 2 + WHOLE_FOR, "one process each"
+    for one in pool.processes:
+        one.divides = True
+    before = counts(pool)
+    asked(pool, sweep(100))
+    assert [now - then for now, then in zip(counts(pool), before, strict=True)] == [1, 1]
+    pool.workers.close()
+
+
+def test_a_part_that_fails_is_told_once_and_the_sweep_comes_without_echoes() -> None:
+    pool = pool_of()
+    for one in pool.processes:
+        one.sends = lambda scan: ArithmeticError("no")
+    assert np.isnan(asked(pool, sweep(1)).range_m).all()
+    pool.workers.settle()
+    assert pool.workers.failures == ["front: sweep 1: ArithmeticError: no"]
+    assert pool.workers.collect("front") == []
+    for one in pool.processes:
+        one.sends = numbered
+    assert asked(pool, sweep(2)).range_m[:, 0].tolist() == list(range(181)), "nothing of the former is left"
+    pool.workers.close()
+
+
+def test_a_sweep_of_which_a_part_is_late_comes_back_once_and_nothing_more_of_it_is_measured() -> None:
+    pool = pool_of()
+    clock = ManualClock()
+    pool.workers._run_clock = clock
+    asked(pool, sweep(1))
+    for one in pool.processes:
+        one.stopped = True
+    pool.workers.request("front", sweep(2), FED)
+    clock.set(3 * SECOND)
+    came: list[Scan] = []
+    for _ in range(60):
+        pool.clock.set(pool.clock.now_ns() + 50 * MS)
+        pool.workers.check()
+        came += pool.workers.collect("front")
+    assert [type(scan) for scan in came] == [NotMeasured]
+    for one in pool.processes:
+        one.stopped = False
+    for _ in range(10):
+        pool.now_ns()
+        pool.workers.poll()
+    assert pool.workers.collect("front") == []
     pool.workers.close()
