@@ -116,7 +116,7 @@ def test_a_stream_of_a_device_has_whole_turns_of_its_field_of_view(
     surface = 20.0 + 7.0 * np.sin(3.0 * azimuth) + 2.0 * np.cos(9.0 * elevation)
     layers = {"strongest": (0.0,), "last": (4.0,), "dual": (0.0, 4.0)}[mode]
     wrong = np.min([np.abs(found - surface - more) for more in layers], axis=0)
-    # 21 m for a radian: azimuths to 0.01 degrees; of three firings a rate of rotation to as much, over a VLS-128's packet
+    # 21 m for a radian: azimuths to 0.01 degrees; over a VLS-128's packet a rate of rotation to as much
     assert wrong.max() < (0.025 if model.lasers == 128 else 0.007)
     middle = np.radians((fov[0] + (width - 1) / 2.0) % 360.0)
     seen = np.abs(np.angle(np.exp(1j * (-azimuth - middle))))
