@@ -30,8 +30,8 @@ CARTESIAN = 1
 INTERVAL_NS = 100
 "Unit of the time from the first point to the last."
 MOST_INTERVAL = 0xFFFF
-RETRO = 1000.0
-"Reflectivity over that of a white plate that is reported as 255; ours."
+WHITE = 150.0
+"Reflectivity of a white plate; beyond are retro-reflectors."
 
 
 def encode(stamp_ns: int, count: int, frame: int, interval_ns: float, xyz_m: Floats, reflectivity: Floats) -> bytes:
@@ -99,16 +99,6 @@ def decode(data: bytes) -> Read | None:
         points["xyz"] / 1000.0,
         points["reflectivity"].astype(np.float64),
     )
-
-
-def reflectivities(range_m: Floats, intensity: Floats, white_m2: float) -> Floats:
-    """(n,) 0..150 for 0..100 % of a diffuse plate seen straight, 151..255 by the logarithm beyond; 0: no echo.
-
-    intensity over the threshold; its decrease with the distance is removed, that with air and incidence is not.
-    """
-    share = np.nan_to_num(intensity * range_m * range_m / white_m2, nan=0.0)
-    bright = 150.0 + 105.0 * np.log(np.maximum(share, 1.0)) / np.log(RETRO)
-    return np.asarray(np.rint(np.where(share <= 1.0, 150.0 * share, np.clip(bright, 151.0, 255.0))))
 
 
 class Packets:

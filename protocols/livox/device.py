@@ -20,6 +20,7 @@ from protocols.livox.settings import Build
 from protocols.scan import Scan
 from protocols.skeleton.instants import SECOND_NS, Raster
 from protocols.skeleton.one_way import OneWaySession
+from protocols.skeleton.reflectivity import calibrated
 from protocols.skeleton.sweeps import Sweep, Telegram
 
 SLICE_NS = 5_000_000
@@ -123,7 +124,7 @@ class PatternSession(OneWaySession):
         range_m, level = scan.range_m[:, 0], np.cos(plan.elevation_rad)
         xyz = np.stack([level * np.cos(plan.azimuth_rad), level * np.sin(plan.azimuth_rad), np.sin(plan.elevation_rad)])
         points = (range_m * xyz).T
-        bright = codec.reflectivities(range_m, scan.intensity[:, 0], self.build.white_m2)
+        bright = calibrated(range_m, scan.intensity[:, 0], self.build.white_m2, codec.WHITE)
         origin = self._slices[part][0][0]
         for number, (first, end) in enumerate(self._slices[part], self._packets[part]):
             beams = slice(first - origin, end - origin)

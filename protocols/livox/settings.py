@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -16,7 +16,12 @@ from protocols.errors import DeviceSettingError
 from protocols.livox.patterns import Exact, Lissajous, Pattern, Raster, Rosette, repetition_s, through_wedges
 from protocols.skeleton.keys import DeviceKeys
 
+Facts: TypeAlias = tuple[Pattern, float]
+"Of a spec: its pattern, and `Build.white_m2`."
 FACTS = ("model", "white_m2", "pattern")
+_PIXEL = {"points_per_s": 1000.0, "rows": 1, "columns": 1, "field_deg": [0.0, 0.0]}
+SOME = {"pattern": {"value": {"raster": _PIXEL}, "source": "none", "evidence": "none"}}
+"A `device` table that is one, of a single point."
 RATE_HZ = (1000.0, 5e6)
 FRAME_S = (Fraction(1, 1000), Fraction(10))
 MOST_POINTS = 5_000_000
@@ -44,7 +49,7 @@ def read(keys: DeviceKeys, pattern: Pattern, white_m2: float) -> Build:
     return Build(pattern, white_m2, round(1e9 * boot_s), packets)
 
 
-def facts_of(facts: Mapping[str, Any]) -> tuple[Pattern, float]:
+def facts_of(facts: Mapping[str, Any]) -> Facts:
     """The pattern of a spec's `device` table, and how bright white is; raises `DeviceSettingError`."""
     for key in facts:
         if key not in FACTS:

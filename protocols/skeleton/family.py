@@ -7,7 +7,7 @@ sessions.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 from protocols.errors import DeviceSettingError
@@ -69,16 +69,21 @@ class ModelFamily(Generic[Model, Device]):
     wire: Wire
     tcp_is_line: bool = False
     "Whether TCP reaches the device through a serial device server."
+    further: Mapping[str, Callable[[Model, Any], Model]] = field(default_factory=dict)
+    "Other keys of a spec's `device` table, and the model that they make of one of the maker's."
 
     def model_of(self, facts: Mapping[str, Any]) -> Model:
-        """The row that a spec's `device` table names; `DeviceSettingError` when there is none."""
+        """The model that a spec's `device` table states; `DeviceSettingError` when there is none."""
         name = facts.get("model", self.usual)
         if not isinstance(name, str) or name not in self.models:
             raise DeviceSettingError("model", name, " | ".join(self.models))
-        for key in facts:
-            if key != "model":
-                raise DeviceSettingError(str(key), facts[key], "model")
-        return self.models[name]
+        model = self.models[name]
+        for key, value in facts.items():
+            if key != "model" and key not in self.further:
+                raise DeviceSettingError(str(key), value, " or ".join(("model", *self.further)))
+            if key != "model" and value is not None:
+                model = self.further[key](model, value)
+        return model
 
     def check_facts(self, facts: Mapping[str, Any]) -> None:
         """Raise `DeviceSettingError` for a spec's `device` table that is none."""

@@ -20,8 +20,8 @@ HOUR_US = 3_600_000_000
 TURN_CDEG = 36_000
 BANKS = np.array((0xEEFF, 0xDDFF, 0xCCFF, 0xBBFF), np.uint16)
 "Flag of a block, by the 32 lasers that it has."
-RETRO = 1000.0
-"Reflectivity over that of a white plate that is reported as 255; ours, the maker calibrates with retro-reflectors."
+WHITE = 100.0
+"Reflectivity of a white plate; beyond are retro-reflectors."
 CHANNEL = np.dtype([("distance", "<u2"), ("reflectivity", "u1")])
 BLOCK = np.dtype([("flag", "<u2"), ("azimuth", "<u2"), ("channels", CHANNEL, CHANNELS)])
 PACKET = np.dtype([("blocks", BLOCK, BLOCKS), ("stamp", "<u4"), ("mode", "u1"), ("product", "u1")])
@@ -136,18 +136,6 @@ def distances(range_m: Floats, unit_mm: int) -> Words:
     """Words of ranges; what the wire cannot say is no return."""
     words = np.rint(range_m * (1000.0 / unit_mm))
     return np.where((words > 0.0) & (words <= 0xFFFF), words, 0.0).astype(np.int64)  # false for NaN
-
-
-def reflectivities(range_m: Floats, intensity: Floats, white_m2: float) -> Words:
-    """Calibrated reflectivity: 0..100 as a diffuse plate seen straight, 101..255 by the logarithm beyond; 0: none.
-
-    intensity over the threshold; its decrease with the distance is removed, that with air and incidence is not.
-    """
-    light = intensity * range_m * range_m / white_m2
-    over_white = np.where(np.isnan(light), 0.0, light)
-    bright = 100.0 + 155.0 * np.log(np.maximum(over_white, 1.0)) / np.log(RETRO)
-    words = np.where(over_white <= 1.0, 100.0 * over_white, np.clip(bright, 101.0, 255.0))
-    return np.rint(words).astype(np.int64)
 
 
 def encode_position(stamp_us: int, pps: int, sentence: bytes, top_c: int = 0, bottom_c: int = 0) -> bytes:

@@ -22,10 +22,11 @@ from protocols.skeleton.instants import SECOND_NS, earliest
 from protocols.skeleton.nmea import gprmc
 from protocols.skeleton.outbox import Outgoing
 from protocols.skeleton.packets import PacketSession
+from protocols.skeleton.reflectivity import calibrated
 from protocols.skeleton.sweeps import SHARES, Sweep, Telegram
 from protocols.velodyne import codec
 from protocols.velodyne.models import Model
-from protocols.velodyne.motor import SAFE_HZ, Gps, Motor
+from protocols.velodyne.motor import LOCKED_TURNS, SAFE_HZ, Gps, Motor
 from protocols.velodyne.settings import SLICE_NS, Build, Settings
 
 TICK_NS = Fraction(1000)
@@ -122,6 +123,13 @@ class VelodyneDevice(PacketSession[Slice]):
     def fires(self) -> bool:
         """Whether lasers fire."""
         return self._running and self._dark_ns is None
+
+    def phase_locked(self, now_ns: int) -> bool:
+        """Whether the head was where the phase lock wants it at the newest pulse."""
+        if not self._used.phase_lock or not self.gps.locked(now_ns):
+            return False
+        away = self.motor.behind(self.gps.last(now_ns)[0], self._used.phase_cdeg / codec.TURN_CDEG)
+        return abs(away) <= LOCKED_TURNS
 
     def change(self, now_ns: int, settings: Settings | None = None) -> None:
         """Other settings, or another motor: it takes effect with the next slice."""
@@ -222,7 +230,7 @@ class VelodyneDevice(PacketSession[Slice]):
         shape = (len(range_m), len(piece.heads_cdeg), self.model.lasers)
         words = [
             codec.distances(range_m, self.model.unit_mm),
-            codec.reflectivities(range_m, intensity, self.model.white_m2),
+            calibrated(range_m, intensity, self.model.white_m2, codec.WHITE).astype(np.int64),
         ]
         if not piece.sees.all():
             for index, part in enumerate(words):

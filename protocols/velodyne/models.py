@@ -7,11 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from protocols.errors import DeviceSettingError
 from protocols.scan import Floats
 from protocols.velodyne import tables
 
@@ -93,14 +92,3 @@ MODELS: Mapping[str, Model] = {
         ),
     )
 }  # fmt: skip
-
-
-def row_of(facts: Mapping[str, Any]) -> Model:
-    """The row that a spec's `device` table names; `DeviceSettingError` when there is none."""
-    name = facts.get("model", "velodyne-vlp-16")
-    if not isinstance(name, str) or name not in MODELS:
-        raise DeviceSettingError("model", name, " | ".join(MODELS))
-    for key in facts:
-        if key not in ("model", "lasers"):
-            raise DeviceSettingError(str(key), facts[key], "model or lasers")
-    return MODELS[name]

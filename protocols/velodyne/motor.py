@@ -18,6 +18,8 @@ SAFE_HZ = 4.5
 "Slower than that no laser fires: a little under 300 revolutions a minute."
 LOCK_STEP = 0.05
 "Share of the speed by which the phase lock changes it."
+LOCKED_TURNS = 5.0 / 360.0
+"So near to its angle at a pulse the phase counts as locked: the tolerance of the maker's manual."
 LOCK_PULSES = 3
 "Pulses until the clock follows them; ours, the maker states none."
 
@@ -46,9 +48,12 @@ class Motor(Ramping):
 
     def correct(self, at_ns: int, to_turns: float) -> None:
         """At a pulse: aim at being at `to_turns` at the next one, by going slightly faster or slower."""
-        behind = (to_turns - float(self.turns(np.array(at_ns))) + 0.5) % 1.0 - 0.5
         most = LOCK_STEP * self.hz
-        self._put(at_ns, self.hz + min(max(behind, -most), most), 0.0)
+        self._put(at_ns, self.hz + min(max(self.behind(at_ns, to_turns), -most), most), 0.0)
+
+    def behind(self, at_ns: int, turns: float) -> float:
+        """By how much the head has not come to an angle yet; -0.5..0.5 turns."""
+        return (turns - float(self.turns(np.array(at_ns))) + 0.5) % 1.0 - 0.5
 
     def forget_after(self, at_ns: int) -> None:
         """Corrections that were foreseen, and are not to be."""
@@ -91,14 +96,15 @@ class Gps:
         if pulses == self.pulses:
             return
         if self.pulses and self.locked(at_ns):
-            self.held = self._last(at_ns)
+            self.held = self.last(at_ns)
         self.pulses, self.since_ns = pulses, at_ns
 
     def utc(self, at_ns: int) -> int:
         """True UTC. [ns since 1970]"""
         return self.utc_ns + self.true_ns(at_ns)
 
-    def _last(self, at_ns: int) -> tuple[int, int]:
+    def last(self, at_ns: int) -> tuple[int, int]:
+        """The newest pulse, and its UTC."""
         second_ns = self.utc(at_ns) // SECOND_NS * SECOND_NS
         return self.own_ns(second_ns - self.utc_ns), second_ns
 
@@ -120,7 +126,7 @@ class Gps:
 
     def shown_ns(self, clock: DeviceClock, at_ns: int) -> tuple[int, int]:
         """Time on the clock, and what it shows when the run begins: its own, or since the newest pulse it followed."""
-        pulse = self._last(at_ns) if self.locked(at_ns) else self.held
+        pulse = self.last(at_ns) if self.locked(at_ns) else self.held
         if pulse is None:
             return clock.shown_ns(at_ns), 0
         return pulse[1] + clock.shown_ns(at_ns) - clock.shown_ns(pulse[0]), self.utc_ns

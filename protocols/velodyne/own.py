@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any
 
 from protocols.errors import DeviceSettingError
-from protocols.velodyne.models import MODELS, Model, row_of
+from protocols.velodyne.models import MODELS, Model
 
 LASERS = (16, 32, 64, 128)
 "Numbers that fill the packets of 12 blocks of 32."
@@ -23,13 +23,7 @@ KEYS = ("source", "evidence", "elevation_deg", "azimuth_offset_deg", "fire_us", 
 HEADER = b"X-Lasers"
 
 
-def model_of(facts: Mapping[str, Any]) -> Model:
-    """The model of a spec's `device` table, with `lasers` of its own where it has them; `DeviceSettingError`."""
-    row = row_of(facts)
-    return row if facts.get("lasers") is None else own(row, facts["lasers"])
-
-
-def own(base: Model, table: Any) -> Model:
+def with_lasers(base: Model, table: Any) -> Model:
     """A model with these lasers that otherwise is `base`; raises `DeviceSettingError` with the key in `device`."""
     if not isinstance(table, Mapping):
         raise _wrong("", table, f"a table of {', '.join(KEYS)}")
@@ -113,7 +107,7 @@ def read(head: bytes) -> Model | None:
             continue
         try:
             row = json.loads(value)
-            return own(MODELS[row["model"]], row["lasers"])
+            return with_lasers(MODELS[row["model"]], row["lasers"])
         except (ValueError, LookupError, TypeError, DeviceSettingError):
             return None
     return None

@@ -47,10 +47,10 @@ def _config(device: VelodyneDevice) -> dict[str, Any]:
 def _status(device: VelodyneDevice, now_ns: int) -> dict[str, Any]:
     hz = device.motor.speed_hz(now_ns)
     phase = int(device.motor.turns(np.array(now_ns)) % 1.0 * TURN_CDEG)
-    locks = device.settings.phase_lock and device.gps.locked(now_ns)
+    lock = _switch(device.phase_locked(now_ns))
     return {
         "gps": {"pps_state": PPS[device.gps.state(now_ns)], "position": device.sentence(now_ns).decode().strip()},
-        "motor": {"state": _switch(hz > 0.0), "rpm": round(60.0 * hz), "lock": _switch(locks), "phase": phase},
+        "motor": {"state": _switch(hz > 0.0), "rpm": round(60.0 * hz), "lock": lock, "phase": phase},
         "laser": {"state": _switch(device.fires)},
     }
 

@@ -10,9 +10,10 @@ import hashlib
 import numpy as np
 import pytest
 
-from protocols.livox.codec import Packets, decode, encode, reflectivities, size_of
+from protocols.livox.codec import WHITE, Packets, decode, encode, size_of
 from protocols.livox.framing import PointFraming
 from protocols.session import Emission
+from protocols.skeleton.reflectivity import calibrated
 
 AT = np.arange(96.0)
 XYZ = np.stack([1.0 + AT / 1000, -2.0 + AT / 1000, AT / 1000], axis=1)
@@ -75,7 +76,7 @@ def test_another_head_is_no_packet(at: int, value: int) -> None:
 def test_a_white_plate_is_150_at_any_distance_and_a_retro_reflector_more() -> None:
     range_m = np.array([1.0, 10.0, 20.0, 10.0, 5.0, np.nan])
     share = np.array([1.0, 1.0, 0.5, 30.0, 1e6, 1.0])
-    found = reflectivities(range_m, share * 2500.0 / range_m**2, 2500.0)
+    found = calibrated(range_m, share * 2500.0 / range_m**2, 2500.0, WHITE)
     assert found.tolist() == [150, 150, 75, 150 + round(105 * np.log(30) / np.log(1000)), 255, 0]
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from protocols.scan import Scan, ScanPlan
 from protocols.skeleton.nmea import gprmc
+from protocols.skeleton.reflectivity import calibrated
 from protocols.velodyne import codec
 from protocols.velodyne.models import MODELS, MODES, Mode, Model
 
@@ -142,10 +143,10 @@ def test_what_no_word_can_say_is_no_return() -> None:
 def test_reflectivity_does_not_depend_on_the_range_and_retro_reflectors_are_beyond_100() -> None:
     range_m = np.array([2.0, 10.0, 40.0])
     for reflectance in (0.1, 0.5, 1.0):
-        found = codec.reflectivities(range_m, reflectance * 1000.0 / range_m**2, 1000.0)
+        found = calibrated(range_m, reflectance * 1000.0 / range_m**2, 1000.0, codec.WHITE)
         assert found.tolist() == [round(100 * reflectance)] * 3
-    over = codec.reflectivities(np.ones(4), 1000.0 * np.array([1.01, 10.0, 1000.0, 1e9]), 1000.0)
+    over = calibrated(np.ones(4), 1000.0 * np.array([1.01, 10.0, 1000.0, 1e9]), 1000.0, codec.WHITE)
     assert over[0] == 101
     assert 101 < over[1] < 255
     assert over[2:].tolist() == [255, 255]
-    assert codec.reflectivities(np.array([np.nan]), np.array([np.nan]), 1000.0).tolist() == [0]
+    assert calibrated(np.array([np.nan]), np.array([np.nan]), 1000.0, codec.WHITE).tolist() == [0]

@@ -14,7 +14,7 @@ from emulator.sensors.spec import load_spec_file
 from protocols.errors import DeviceSettingError
 from protocols.velodyne import FAMILY, codec
 from protocols.velodyne.models import MODES, Mode
-from protocols.velodyne.own import LASERS, model_of, read, reported
+from protocols.velodyne.own import LASERS, read, reported
 from tests.protocols.velodyne.rig import WEB, Rig, packets
 
 
@@ -58,8 +58,8 @@ def test_lasers_are_asked_for_as_the_table_says_and_a_host_reads_them(count: int
 
 
 def test_a_model_of_the_maker_is_not_told() -> None:
-    assert reported(model_of({"model": "velodyne-vls-128"})) == b""
-    own = model_of(table(64))
+    assert reported(FAMILY.model_of({"model": "velodyne-vls-128"})) == b""
+    own = FAMILY.model_of(table(64))
     again = read(b"HTTP/1.1 200 OK\r\n" + reported(own))
     assert again is not None
     assert again.elevation_deg == own.elevation_deg
@@ -97,7 +97,7 @@ def test_nonsense_in_a_head_is_no_model(head: bytes) -> None:
 )
 def test_what_no_packet_can_carry_is_refused_with_its_key(facts: dict[str, Any], key: str) -> None:
     with pytest.raises(DeviceSettingError) as told_error:
-        model_of(facts)
+        FAMILY.model_of(facts)
     assert told_error.value.key == key
 
 

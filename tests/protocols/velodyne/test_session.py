@@ -188,6 +188,16 @@ def test_the_phase_lock_brings_the_head_to_its_angle_at_every_pulse() -> None:
     steps = np.diff(heads.ravel()) % 36_000
     assert steps.max() - steps.min() <= 1
     assert rig.get("/cgi/status.json")["motor"]["lock"] == "On"
+    rig.post("/cgi/setting", "rpm=333")  # a fraction of a turn each second, more than the lock can make up for
+    rig.run(8.0)
+    assert rig.get("/cgi/status.json")["motor"]["lock"] == "Off"
+    rig.post("/cgi/setting", "rpm=1200")
+    rig.run(1.0)
+    rig.post("/cgi/setting/phaselock", "offset=27000")
+    rig.run(0.05)
+    assert rig.get("/cgi/status.json")["motor"]["lock"] == "Off"
+    rig.run(12.0)
+    assert rig.get("/cgi/status.json")["motor"]["lock"] == "On"
     free = Rig({"pps": True, "nmea": True, "rpm": 600, "utc": "2026-03-01T10:00:00.4"})
     free.run(12.0)
     assert abs(float(free.session.motor.turns(np.array([round(10.6e9)]))[0]) % 1.0 - 0.25) > 0.1

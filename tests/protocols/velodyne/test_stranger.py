@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import velodyne_decoder as stranger
 
-from protocols.scan import Floats
+from protocols.scan import Floats, Scan, ScanPlan
 from protocols.skeleton.nmea import gprmc
 from protocols.velodyne import codec
 from protocols.velodyne.models import MODELS, MODES, Mode, Model
+from tests.protocols.velodyne.rig import Rig, packets
 
 FILES = {
     "velodyne-vlp-16": "VLP-16", "velodyne-puck-hi-res": "Puck Hi-Res", "velodyne-hdl-32e": "HDL-32E",
@@ -80,6 +81,46 @@ def test_it_finds_every_beam_within_two_millimetres_where_it_was(name: str, mode
     away = np.linalg.norm(at / found[..., None] - way.swapaxes(0, 1)[:, :, None], axis=-1)
     # and knows the firmware of a VLS-128, slots of 2.67 or 2.89 us, from the second packet on
     assert np.degrees(away[:, 2 * model.firings(mode) :]).max() < slack_deg
+
+
+def hills(plan: ScanPlan) -> Scan:
+    """Two surfaces of the same shape, the nearer one brighter."""
+    scan = Scan.empty(plan, 2)
+    near_m = 20.0 + 7.0 * np.sin(3.0 * plan.azimuth_rad) + 2.0 * np.cos(9.0 * plan.elevation_rad)
+    scan.range_m[:], scan.intensity[:] = np.stack([near_m, near_m + 4.0], axis=1), (62.5, 30.0)
+    return scan
+
+
+@pytest.mark.parametrize(
+    ("mode", "rpm", "fov"), [("dual", 777, (0, 359)), ("strongest", 600, (300, 60)), ("last", 350, (90, 100))]
+)
+@pytest.mark.parametrize("name", MODELS)
+def test_a_stream_of_a_device_has_whole_turns_of_its_field_of_view(
+    name: str, mode: Mode, rpm: int, fov: tuple[int, int]
+) -> None:
+    model = MODELS[name]
+    rig = Rig({"returns": mode, "rpm": rpm, "fov_deg": list(fov)}, name)
+    rig.world = hills
+    decoder = stranger.StreamDecoder(stranger.Config(calibration=stranger.Calibration.read(str(calibration(name)))))
+    sent = packets(rig.run(3.2 * 60.0 / rpm))
+    scans = [scan for one in sent if (scan := decoder.decode(1e-9 * one.due_ns, one.payload, True)) is not None]
+    points = scans[-1][1]
+    width = (fov[1] - fov[0]) % 360 + 1
+    if width > 180:  # of a narrow field of view it cuts turns where it has enough packets
+        firings = 60.0 / rpm / (1e-9 * model.cycle_ns) * model.lasers * (1 + (mode == "dual"))
+        assert len(points) == pytest.approx(firings, rel=0.02)
+    assert len(np.unique(points["ring"])) == model.lasers
+    at = np.stack([points[axis].astype(np.float64) for axis in "xyz"])
+    found = np.linalg.norm(at, axis=0)
+    azimuth, elevation = np.arctan2(at[1], at[0]), np.arcsin(at[2] / found)
+    surface = 20.0 + 7.0 * np.sin(3.0 * azimuth) + 2.0 * np.cos(9.0 * elevation)
+    layers = {"strongest": (0.0,), "last": (4.0,), "dual": (0.0, 4.0)}[mode]
+    wrong = np.min([np.abs(found - surface - more) for more in layers], axis=0)
+    # 21 m for a radian: azimuths to 0.01 degrees; over a VLS-128's packet a rate of rotation to as much
+    assert wrong.max() < (0.025 if model.lasers == 128 else 0.007)
+    middle = np.radians((fov[0] + (width - 1) / 2.0) % 360.0)
+    seen = np.abs(np.angle(np.exp(1j * (-azimuth - middle))))
+    assert np.degrees(seen.max()) < width / 2.0 + 0.4 + max(map(abs, model.offset_deg))
 
 
 def test_it_reads_the_position_packet() -> None:
