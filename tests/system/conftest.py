@@ -8,15 +8,18 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from emulator.process.waiting import realtime_allowed
 from tests.system.mrpt_build import built
 from tests.system.nursery import NURSERY, begun
 
@@ -57,6 +60,16 @@ def favoured() -> list[str]:
     """Words before a command that has to keep its time."""
     words = ["nice", "-n", str(NICENESS["daemons"] - NICENESS["tests"])]
     return [] if subprocess.run([*words, "true"], capture_output=True, check=False).stderr else words
+
+
+@cache
+def prompt() -> tuple[list[str], list[str]]:
+    """Words before a driver that waits 50 ms for some replies, and of the daemon that it talks to.
+
+    Both go before other programs, where this user may say so.
+    """
+    realtime = shutil.which("chrt") is not None and not realtime_allowed()
+    return (["chrt", "-r", "1"], ["--realtime"]) if realtime else (favoured(), [])
 
 
 @pytest.fixture(scope="session", autouse=True)
