@@ -20,7 +20,7 @@ from typing import Any
 import pytest
 
 from emulator.process.waiting import realtime_allowed
-from tests.system.mrpt_build import built
+from tests.system import loops_build, mrpt_build
 from tests.system.nursery import NURSERY, begun
 
 TIME_LIMIT_S = 60.0
@@ -82,7 +82,13 @@ def _nursery() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def mrpt(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of MRPT's drivers, built."""
-    return built(tmp_path_factory.getbasetemp().parent)
+    return mrpt_build.built(tmp_path_factory.getbasetemp().parent)
+
+
+@pytest.fixture(scope="session")
+def loops() -> None:
+    """Compiled, for what has to end in its time with them."""
+    loops_build.built()
 
 
 @dataclass
