@@ -11,14 +11,16 @@ from emulator.sensing.soft import SoftTargets
 from emulator.sensors.spec import list_models, load_spec
 from tests.sensing.rig import build, plan
 
-BEAMS = [name for name in list_models() if load_spec(name).sees == "beams" and load_spec(name).family != "lms2xx"]
-BEAMS += ["sick-lms291-s05", "sick-lms200-30106"]
+LMS2XX = ("sick-lms291-s05", "sick-lms200-30106")
 "The other LMS2xx have the optics of one of these."
 
 
-@pytest.mark.parametrize("model", BEAMS)
+@pytest.mark.parametrize("model", list_models())
 def test_clear_air_stays_well_below_the_threshold_in_front_of_a_sensor(tmp_path: Path, model: str) -> None:
     """Beyond a half of it, noise would make echoes of it, and what stands there would melt into them."""
+    spec = load_spec(model)
+    if spec.sees != "beams" or (spec.family == "lms2xx" and model not in LMS2XX):
+        return  # asked here: to load all sensors takes each worker seconds before its first test
     measure = build(tmp_path, model=model, physics={"leave_out": {"backscatter": False}, "echoes": "all"})
     table = SoftTargets(measure.model, measure._receiver.bin_m).everywhere(measure.air.at(0.0))
     if table is not None:

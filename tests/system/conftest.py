@@ -8,16 +8,19 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.system.mrpt_build import built
+from emulator.process.waiting import realtime_allowed
+from tests.system import loops_build, mrpt_build
 from tests.system.nursery import NURSERY, begun
 
 TIME_LIMIT_S = 60.0
@@ -25,9 +28,12 @@ TIME_LIMIT_S = 60.0
 STANDING = ("--set", "actors.0.motion.velocity_m_s=[0, 0, 0]", "--set", "actors.1.motion.at_m=[55.8, 0, 0]")
 "Of the scenario bumper: the grey car stays 50 m ahead, whenever a host comes."
 LONGEST_TEST_S = 300
-LONGEST = ["test_docs_commands", "test_mrpt", "test_view", "test_wheel", "test_soak", "test_object_lists", "test_run",
-           "test_lost_links", "test_faults", "test_brake", "test_look", "test_compiled"]  # fmt: skip
-"Files, by how long they take."
+LONGEST = ["test_commands_run", "test_view.py", "_soak_of_", "test_commands_that_talk", "_soak_on_", "test_mrpt.py",
+           "test_docs_commands.py", "test_soak.py", "test_wheel.py", "test_object_lists.py", "test_run.py",
+           "test_lost_links.py", "test_faults.py", "test_look.py", "test_compiled.py"]  # fmt: skip
+"Parts of names of tests, by how long those tests or their file take; a worker has two of them at a time."
+APART = ("test_docs_commands.py", "test_soak.py", "test_brake.py", "test_mrpt_meets_a_bad_day")
+"Parts of names of tests that share nothing with the others of their file: any worker has them (--dist loadgroup)."
 NICENESS = {"tests": -5, "daemons": -15}
 "Whatever else the machine does, where this user may say so: what the tests judge is no other program's load."
 
@@ -36,19 +42,34 @@ with contextlib.suppress(PermissionError):
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Longest files first: no core waits for the other at the end. A limit for tests that have none of their own."""
+    """Longest first: no core waits for the other at the end. A limit for tests that have none of their own.
+
+    Of most files, all go to one worker.
+    """
     ours = [item for item in items if Path(__file__).parent in item.path.parents]
     for item in ours:
         if item.get_closest_marker("timeout") is None:
             item.add_marker(pytest.mark.timeout(LONGEST_TEST_S))
+        if not any(part in item.nodeid for part in APART):
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))
     if len(ours) == len(items):
-        items.sort(key=lambda item: LONGEST.index(item.path.stem) if item.path.stem in LONGEST else len(LONGEST))
+        items.sort(key=lambda item: next((k for k, part in enumerate(LONGEST) if part in item.nodeid), len(LONGEST)))
 
 
 def favoured() -> list[str]:
     """Words before a command that has to keep its time."""
     words = ["nice", "-n", str(NICENESS["daemons"] - NICENESS["tests"])]
     return [] if subprocess.run([*words, "true"], capture_output=True, check=False).stderr else words
+
+
+@cache
+def prompt() -> tuple[list[str], list[str]]:
+    """Words before a driver that waits 50 ms for some replies, and of the daemon that it talks to.
+
+    Both go before other programs, where this user may say so.
+    """
+    realtime = shutil.which("chrt") is not None and not realtime_allowed()
+    return (["chrt", "-r", "1"], ["--realtime"]) if realtime else (favoured(), [])
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -61,7 +82,13 @@ def _nursery() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def mrpt(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of MRPT's drivers, built."""
-    return built(tmp_path_factory.getbasetemp().parent)
+    return mrpt_build.built(tmp_path_factory.getbasetemp().parent)
+
+
+@pytest.fixture(scope="session")
+def loops() -> None:
+    """Compiled, for what has to end in its time with them."""
+    loops_build.built()
 
 
 @dataclass

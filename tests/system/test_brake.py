@@ -7,8 +7,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.system.nursery import SWITCH
 
+pytestmark = pytest.mark.usefixtures("loops")
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = ROOT / "docs/examples/brake/brake.py"
 

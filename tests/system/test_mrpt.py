@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
 import subprocess
 import threading
 import time
@@ -16,9 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from emulator.process.waiting import realtime_allowed
 from emulator.runtime.control import ask
-from tests.system.conftest import TIME_LIMIT_S, RunningDaemon, daemons, favoured
+from tests.system.conftest import TIME_LIMIT_S, RunningDaemon, daemons, prompt
 from tests.system.hosts import drift_s
 
 pytestmark = pytest.mark.timeout(900)  # the first who wants the drivers builds them, perhaps on a busy machine
@@ -33,9 +31,7 @@ DIVERGENCE_RAD = 12.9e-3
 
 
 RATE_TOLERANCE = 0.03
-REALTIME = shutil.which("chrt") is not None and not realtime_allowed()
-HOST, DAEMON = (["chrt", "-r", "1"], ["--realtime"]) if REALTIME else (favoured(), [])
-"The driver waits 50 ms for some replies: both go before other programs, where this user may say so."
+HOST, DAEMON = prompt()
 CONNECTING = threading.Lock()
 "One driver at a time: loading its libraries takes a core for as long as it would wait for a reply."
 SENSORS = """\

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.protocols.cola.reader import ask_a, ask_b, frames, read
-from tests.system.conftest import TIME_LIMIT_S
+from tests.system.conftest import TIME_LIMIT_S, prompt
 
 pytestmark = pytest.mark.timeout(900)  # the first who wants the drivers builds them, perhaps on a busy machine
 WALL = """\
@@ -76,7 +76,8 @@ class Host:
 
 def test_two_hosts_and_then_mrpt_see_the_wall(daemon: Callable[..., Any], mrpt: Path, tmp_path: Path) -> None:
     (tmp_path / "wall.yaml").write_text(WALL, encoding="utf-8")
-    running = daemon("wall.yaml")
+    favour, options = prompt()
+    running = daemon("wall.yaml", *options)
     ports = [int(running.link("front", index).rpartition(":")[2]) for index in (0, 1)]
     with Host(ports[0]) as text, Host(ports[1]) as binary:
         while True:  # deaf while it starts
@@ -96,7 +97,7 @@ def test_two_hosts_and_then_mrpt_see_the_wall(daemon: Callable[..., Any], mrpt: 
             scans = [read(*one) for one in reported]
             seen_right(np.array([scan.mm() for scan in scans]) / 1000.0, 0.5)
             assert all(min(scan.mm("RSSI1")[240:300]) > 0 for scan in scans)
-    words = [str(mrpt / "mrpt_lms100"), str(ports[0]), "20", str(TIME_LIMIT_S)]
+    words = [*favour, str(mrpt / "mrpt_lms100"), str(ports[0]), "20", str(TIME_LIMIT_S)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=3 * TIME_LIMIT_S, check=False)
     assert done.returncode == 0, done.stdout[-2000:]
     scans = [line.split() for line in done.stdout.splitlines() if line.startswith("scan ")]
