@@ -106,16 +106,12 @@ def strengths(
     area = aperture_m * aperture_m
     for k in range(m):
         amplitude[k] *= weight[k] * strength / (range_m[k] * range_m[k] + area)
-    dim = np.int64(0)
-    for k in range(m):
-        dim += np.int64((2.0 * extinction * range_m[k] >= clear_depth) & (range_m[k] <= reach_m))
-    if dim == 0:
-        for k in range(m):
-            depth = extinction * range_m[k]
+    for k in range(m):  # each by its own depth: what it brings back does not depend on the others
+        depth = extinction * range_m[k]
+        if 2.0 * depth < clear_depth:
             amplitude[k] *= 1.0 - 2.0 * depth * (1.0 - depth)
-    else:
-        for k in range(m):
-            amplitude[k] *= exp(-2.0 * extinction * range_m[k])
+        else:
+            amplitude[k] *= exp(-2.0 * depth)
     if m and nearest.min() < max(overlap_start_m, overlap_full_m):
         for k in range(m):
             if range_m[k] < overlap_start_m:

@@ -373,8 +373,11 @@ def collected(length_m: Floats, depth: Floats, model: SensorModel) -> Floats:
     overlap: Floats | float = 1.0
     if length_m.size and float(length_m.min()) < max(model.overlap_start_m, model.overlap_full_m):
         overlap = radiometry.overlap(length_m, model.overlap_start_m, model.overlap_full_m)
-    if model.leave_out.clear_air and depth.size and 2.0 * float(depth.max()) < model.clear_depth:
+    if model.leave_out.clear_air and depth.size and 2.0 * float(depth.min()) < model.clear_depth:
         lost = 1.0 - 2.0 * depth * (1.0 - depth)  # wrong by 2e-10 at the most, and no exponential
+        dim = 2.0 * depth >= model.clear_depth  # each by its own depth: it does not depend on the others
+        if bool(dim.any()):
+            lost = np.where(dim, exp_or_zero(-2.0 * depth), lost)
     else:
         lost = exp_or_zero(-2.0 * depth)
     return np.asarray(model.k_m2 * overlap * lost / (length_m * length_m + model.aperture_radius_m**2))

@@ -130,8 +130,8 @@ def in_parts(fed: int, seconds: float, processes: int) -> str:
                     busiest += max(_on_cpu_s(pid) - then for pid, then in zip(pids, before, strict=True))
         same = trials[0].transcript.sha256() == trials[1].transcript.sha256()
         return (
-            f"sender {own[1] / own[0]:.2f} and busiest process {busiest / own[0]:.2f} of the processor time in place, wall"
-            f" {wall[1] / wall[0]:.2f}; {'the same bytes' if same else 'OTHER BYTES'}"
+            f"sender {own[1] / own[0]:.2f} and busiest process {busiest / own[0]:.2f} of the processor time in place,"
+            f" wall {wall[1] / wall[0]:.2f}; {'the same bytes' if same else 'OTHER BYTES'}"
         )
     finally:
         for trial in trials:

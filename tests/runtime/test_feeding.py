@@ -16,6 +16,7 @@ from emulator.judging.rig import Rig
 from emulator.live.json_lines import MOST_BYTES, update_of
 from emulator.live.receivers import MOST_OSI, Budget, line_in, message_in
 from emulator.live.samples import BadSample
+from emulator.runtime import assembly
 from emulator.runtime.feeding import FIRST_NS, MARGIN, MARGIN_NS, Feeding
 from emulator.scenario.scenario import Scenario, dump, loads
 from protocols.scan import ScanPlan
@@ -251,3 +252,26 @@ def test_poses_at_the_beams_are_as_old_as_feed_and_measuring_make_them(took_ms: 
     assert isinstance(age, dict)
     assert age["median"] <= most_ms
     assert late == 0
+    report = found.report()
+    medians = {}
+    for name in ("newest_ms", "ahead_ms", "measuring_ms"):
+        row = report[name]
+        assert isinstance(row, dict)
+        medians[name] = row["median"]
+    assert medians["measuring_ms"] == pytest.approx(took_ms, rel=0.1)
+    assert medians["newest_ms"] < 10.0 + 1.0, "a period of the feed, and its way"
+    if took_ms == 3:
+        assert medians["ahead_ms"] == 0.0, "most beams have fired"
+    assert any("the newest sample is" in line and "play-out delay" in line for line in found.lines())
+
+
+@pytest.mark.parametrize(("cores", "processes"), [(1, 1), (2, 2), (3, 2), (4, 3), (16, 4)])
+def test_a_fed_run_has_processes_for_the_parts_of_a_sweep(
+    monkeypatch: pytest.MonkeyPatch, cores: int, processes: int
+) -> None:
+    monkeypatch.setattr("os.sched_getaffinity", lambda pid: set(range(cores)))
+    text = CASE.replace("LIVE", "{feed: control}").replace("s05,", "s05, mount: {actor: ego},")
+    drives = loads(text, Path("case.yaml"))
+    assert assembly.fed_processes(drives) == processes
+    assert assembly.fed_processes(loads(text[: text.index("live:")], Path("case.yaml"))) == 1
+    assert assembly.fed_processes(case("{feed: control}")) == 1, "one at rest is not divided"
