@@ -296,7 +296,7 @@ def returns(scan: Scan, count: int, order: str, near_m: float, none_m: float = 0
     width, only = there.shape[1], there[:, 0]
     first_m, strength = np.where(only, scan.range_m[:, 0], none_m), np.where(only, scan.intensity[:, 0], 0.0)
     further = there.view(f"<u{width}")[:, 0] > 1 if width in (2, 4, 8) else there[:, 1:].any(axis=1)
-    (beam,) = further.nonzero()
+    (beam,) = np.nonzero(further)
     if not len(beam):
         return Returns(first_m, strength, beam)
     several = scan.range_m[beam], scan.intensity[beam]

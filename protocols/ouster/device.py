@@ -360,7 +360,7 @@ class OusterDevice(PacketSession[Slice]):
         said = columns_of(scan, piece, seen, stamps, self.unit, profile, used, self.firmware >= (3, 2))
         frames = np.full(packets, piece.frame % (1 << 32 if self.fusa else 1 << 16))
         made = codec.encode(profile, self.head(start_ns), frames, said, columns)
-        sent: list[bool] = piece.valid.reshape(packets, -1).any(axis=1).tolist()
+        sent = np.asarray(piece.valid.reshape(packets, -1).any(axis=1)).tolist()
         firsts = (start_ns + after_ns[:: codec.COLUMNS]).tolist(), (shown_ns[:: codec.COLUMNS] - since_ns).tolist()
         ends_ns = instants(packets, packet_ns)[2]
         for packet, (at_ns, shows_ns, ticks) in enumerate(zip(*firsts, stamps[:: codec.COLUMNS].tolist(), strict=True)):
