@@ -189,6 +189,27 @@ def test_requests_of_other_forms() -> None:
     assert rig.ask(put + b"x\r\n\r\n").startswith(b"HTTP/1.1 400")
 
 
+@pytest.mark.parametrize(
+    ("link", "refused", "number"),
+    [(LIDAR, True, "15"), (IMU, True, "18"), (LIDAR, False, "17"), (IMU, False, "1A")],
+)
+def test_packets_that_do_not_arrive_are_an_alert_until_they_do(link: Address, refused: bool, number: str) -> None:
+    rig = Rig()
+    rig.run(0.1)
+    assert rig.session.minds_delivery
+    for _ in range(3):
+        rig.session.undelivered(rig.now_ns, link, refused)
+        rig.run(1.0)
+    (active,) = rig.get("sensor/alerts")["active"]
+    assert (active["id"], active["category"]) == (f"0x010000{number}", "UDP_TRANSMISSION")
+    assert active["msg_verbose"].endswith(":7502" if link == LIDAR else ":7503")
+    assert lidar(rig.run(0.1))[-1][12] == 0x80
+    rig.run(3.0)
+    found = rig.get("sensor/alerts")
+    assert (found["active"], [one["active"] for one in found["log"]]) == ([], [True, False])
+    assert lidar(rig.run(0.1))[-1][12] == 1
+
+
 def test_user_data_network_profile_and_alerts() -> None:
     rig = Rig()
     rig.run(0.1)
