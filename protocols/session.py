@@ -198,6 +198,8 @@ class Session(ABC):
     "Where the device's counter of scans or telegrams begins at power-on."
     count_bits: int = 0
     "Width of that counter; 0: the wire has none."
+    minds_delivery: bool = False
+    "Whether `undelivered` means something to it."
     restart_hangs_up: bool = False
     "Whether its TCP connections end when it restarts at a host's request."
 
@@ -213,6 +215,9 @@ class Session(ABC):
 
     def placed(self, address: Address, host: str, port: int) -> None:
         """Before `connected`: where a datagram link sends, or from where a TCP client connects; not by all links."""
+
+    def undelivered(self, now_ns: int, address: Address, refused: bool) -> None:
+        """A datagram of a link has met a closed port (`refused`), or could not be sent; real links alone tell it."""
 
     def feel(self, motion: Callable[[int], tuple[Floats, Floats]]) -> None:
         """For devices with an inertial unit: specific force and rate (3,) in the sensor's frame at an instant.

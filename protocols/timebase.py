@@ -70,6 +70,13 @@ class Timebase(Session):
     def placed(self, address: Address, host: str, port: int) -> None:
         self.inner.placed(address, host, port)
 
+    @property
+    def minds_delivery(self) -> bool:  # type: ignore[override]
+        return self.inner.minds_delivery
+
+    def undelivered(self, now_ns: int, address: Address, refused: bool) -> None:
+        self.inner.undelivered(self.quartz.own_ns(now_ns), address, refused)
+
     def feel(self, motion: Callable[[int], tuple[Floats, Floats]]) -> None:
         self.inner.feel(lambda own_ns: motion(self.quartz.true_ns(own_ns)))
 

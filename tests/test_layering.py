@@ -37,6 +37,7 @@ ONLY_IN = {
     "cantools": {"protocols/can_objects/"},
     "zeroconf": {"emulator/transports/announcing.py"},
     "fastcrc": {"protocols/checksums.py"},
+    "h11": {"protocols/skeleton/http.py"},
     "viser": {"emulator/view/"},
     "websockets": {"emulator/view/"},
     "numba": {"emulator/compiled/"},
@@ -45,7 +46,7 @@ ONLY_IN = {
 "Library -> the only files (or folders, ending in /) that import it."
 
 STANDARD_OR = {
-    "protocols/": {"numpy", "protocols", "cantools", "e2e", "fastcrc"},
+    "protocols/": {"numpy", "protocols", "cantools", "e2e", "fastcrc", "h11"},
     "emulator/physics/": {"numpy", "scipy", "emulator", "ruamel"},
     "emulator/compiled/": {"numpy", "numba", "llvmlite", "emulator", "embreex"},
 }

@@ -112,6 +112,9 @@ class Instrument:
         "Telegrams with scans that links have taken last: one may still give them up whole."
         for link in self.links:
             link.on_given_up = self._given_up
+        if session.minds_delivery:
+            for index, link in enumerate(self.links):
+                link.tell_undelivered(partial(self._undelivered, Address(index, 0)))
         self.observers = Observers(sensor, self.links)
         self.family: Family | None = None
         "Whose protocol it speaks; for faults that change telegrams."
@@ -511,6 +514,9 @@ class Instrument:
             self.stats.note_telegram(emission)
         else:
             self.ledger.send(emission, refused)
+
+    def _undelivered(self, address: Address, refused: bool) -> None:
+        self.session.undelivered(self.ledger.now_ns, address, refused)
 
     def _given_up(self, payload: bytes) -> None:
         """A link has given up a telegram that it had taken."""

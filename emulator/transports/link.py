@@ -92,6 +92,9 @@ class Link(ABC):
         self.on_given_up: Callable[[bytes], None] = lambda payload: None
         "Informed of each payload that `send` has taken and that is given up whole after all: no host gets it."
 
+    def tell_undelivered(self, to: Callable[[bool], None]) -> None:
+        """Inform of datagrams that met a closed port (True), or could not be sent; other links know of none."""
+
     @property
     @abstractmethod
     def url(self) -> str:

@@ -8,9 +8,11 @@ travels `ttl` networks far, 1 without it.
 
 from __future__ import annotations
 
+import contextlib
 import ipaddress
 import socket
 from collections import OrderedDict, deque
+from collections.abc import Callable
 from typing import Any
 
 from emulator.errors import LinkError
@@ -26,6 +28,8 @@ QUEUE_BYTES = 4_194_304
 "That may wait: of the fastest sensor, 8 Mbyte/s, what has come due while the sender stood still for half a second."
 DATAGRAM_COST = 64
 "Bytes of the intake that the shortest datagram takes."
+RECEIVE_ERRORS = {socket.AF_INET: (socket.IPPROTO_IP, 11), socket.AF_INET6: (socket.IPPROTO_IPV6, 25)}
+"IP_RECVERR and IPV6_RECVERR of Linux (ip(7)): a socket hears of ports that are closed at the host."
 PEERS_KEPT = 64
 "Senders whose address is remembered for a reply; the one unheard longest is forgotten."
 
@@ -79,6 +83,7 @@ class UdpSender(Link):
         self._queued = 0
         self._intake = Intake(STREAM_BYTES_S, STREAM_BURST)
         self._senders: OrderedDict[int, tuple[str, int]] = OrderedDict()
+        self._undelivered: Callable[[bool], None] | None = None
         self._open = True
         try:
             family, _, _, _, address = socket.getaddrinfo(*there, type=socket.SOCK_DGRAM)[0]
@@ -114,6 +119,21 @@ class UdpSender(Link):
         receiver.setblocking(False)
         receiver.bind(address)
 
+    def tell_undelivered(self, to: Callable[[bool], None]) -> None:
+        level, option = RECEIVE_ERRORS[self._out.family]
+        try:
+            self._out.setsockopt(level, option, 1)
+        except OSError:  # pragma: no cover - of Linux alone; elsewhere only what cannot be sent is told
+            pass
+        self._undelivered = to
+
+    def _forget_errors(self) -> None:
+        """Empty the queue of errors, else the socket stays ready for ever."""
+        if self._undelivered is not None:
+            with contextlib.suppress(OSError):
+                while True:
+                    self._out.recvmsg(0, 0, socket.MSG_ERRQUEUE)
+
     @property
     def url(self) -> str:
         place = f"udp:{join_host_port(str(self._there[0]), int(self._there[1]))}"
@@ -139,6 +159,7 @@ class UdpSender(Link):
             except BlockingIOError:
                 break
             except OSError:  # what an earlier datagram of ours met on its way
+                self._met()
                 continue
             self._remember(sender[1], sender)
             self.stats.bytes_in += len(data)
@@ -201,13 +222,25 @@ class UdpSender(Link):
 
     def _send_to(self, payload: bytes, place: Any, due_ns: int, now_ns: int) -> None:
         try:
-            self._out.sendto(payload, place)
+            try:
+                self._out.sendto(payload, place)
+            except ConnectionRefusedError:  # that was an earlier one, only with `tell_undelivered`
+                self._met()
+                self._out.sendto(payload, place)
         except OSError:  # no route, no room, or longer than a datagram can be
             self.stats.payloads_dropped += 1
             self.on_given_up(payload)
+            if self._undelivered is not None:
+                self._undelivered(False)
         else:
             self.stats.bytes_out += len(payload)
             self.stats.note_left(due_ns, now_ns)
+
+    def _met(self) -> None:
+        """An earlier datagram has met a closed port."""
+        self._forget_errors()
+        if self._undelivered is not None:
+            self._undelivered(True)
 
     @property
     def speed(self) -> int | None:

@@ -228,7 +228,7 @@ def page(error: int, body: Mapping[str, Any] | None = None) -> bytes:
     """A page of JSON; drivers want a length."""
     head = {"ErrorCode": str(error), "Message": "Success" if error == 0 else "Failed"}
     data = json.dumps({"Head": head, "Body": dict(body or {})}, separators=(",", ":")).encode()
-    return http.page("200 OK", data, "application/json")
+    return http.page(200, data, "application/json")
 
 
 def _pandar(device: HesaiDevice, request: Request) -> bytes:

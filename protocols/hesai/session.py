@@ -12,6 +12,7 @@ from typing import ClassVar
 from protocols.hesai.commands import COMMANDS, PTC_2, PTC_TLS, page
 from protocols.hesai.device import HesaiDevice
 from protocols.session import DropReason, LinkKind
+from protocols.skeleton import http
 from protocols.skeleton.receiving import Fault, FrameSplitter, Refusal
 from protocols.skeleton.requests import Command, Host, Refused, Request
 
@@ -35,6 +36,13 @@ def frame(command: int, payload: bytes = b"", code: int = 0) -> bytes:
     return b"\x47\x74" + bytes((command, code)) + len(payload).to_bytes(4, "big") + payload
 
 
+def quoted(held: bytes) -> bytes:
+    """A request whose query has its spaces as drivers send them, with quoted ones."""
+    line, end, rest = held.partition(b"\r\n")
+    target, version, number = line[len(GET) :].rpartition(b" HTTP/")
+    return GET + target.replace(b" ", b"%20") + version + number + end + rest if version else held
+
+
 @dataclass(frozen=True)
 class TooLong(Fault):
     """A request that says it is longer than any."""
@@ -51,12 +59,10 @@ class PtcRequests(FrameSplitter):
     def _next(self) -> bytes | Fault | None:
         held = self._buffer.peek(min(len(self._buffer), LONGEST_HTTP)) or b""
         if held and GET.startswith(held[: len(GET)]):
-            end = held.find(b"\r\n\r\n")
-            if end >= 0:
-                return self._buffer.take(end + 4)
-            return (
-                Fault(DropReason.OVERLONG, len(self._buffer.take(LONGEST_HTTP))) if held[LONGEST_HTTP - 1 :] else None
-            )
+            found = http.next_in(self._buffer, quoted)
+            if found is None and held[LONGEST_HTTP - 1 :]:
+                return Fault(DropReason.OVERLONG, len(self._buffer.take(LONGEST_HTTP)))
+            return found
         if held and SECOND.startswith(held[: len(SECOND)]):
             return self._whole(held, SECOND_HEAD_BYTES)
         if held and HELLO.startswith(held[: len(HELLO)]):
@@ -110,11 +116,8 @@ class HesaiSession(HesaiDevice):
             return PTC_TLS, request
         if not request.startswith(GET):
             return f"{request[2]:02X}".encode(), request[HEAD_BYTES:]
-        # drivers send spaces and quotes of a query as they are
-        line = request.partition(b"\r\n")[0][len(GET) :]
-        target = line.rpartition(b" HTTP/")[0] or line
-        path, _, query = target.partition(b"?")
-        return GET + path, query
+        asked = http.read(request)
+        return asked.code, asked.query
 
     def _carry_out(self, request: Request, size: int, host: Host) -> None:
         if self.error_code and len(request.code) == 2:
@@ -127,12 +130,14 @@ class HesaiSession(HesaiDevice):
         return payload if request.code.startswith(GET) else frame(int(request.code, 16), payload)
 
     def _complaint(self, fault: Fault) -> bytes | None:
+        if isinstance(fault, http.NoRequest):
+            return http.page(400)
         return frame(fault.command, code=BAD_INPUT) if isinstance(fault, TooLong) else None
 
     def _refusal(self, request: Request, refused: Refused) -> bytes:
         if request.code.startswith(GET):
             known = request.code in self.COMMANDS
-            return page(1) if known else b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\n\r\n"
+            return page(1) if known else http.page(404)
         if request.code == PTC_2:
             return SECOND + bytes((request.data[3], UNSUPPORTED)) + bytes(7)
         if request.code == PTC_TLS:

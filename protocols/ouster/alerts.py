@@ -12,6 +12,18 @@ from typing import Any
 KEPT = 32
 "Events of the log."
 KNOWN: Mapping[int, tuple[str, str, str]] = {
+    0x01000015: (
+        "UDP_TRANSMISSION",
+        "WARNING",
+        "A lidar packet could not be delivered: the port is closed at the host.",
+    ),
+    0x01000018: (
+        "UDP_TRANSMISSION",
+        "WARNING",
+        "An IMU packet could not be delivered: the port is closed at the host.",
+    ),
+    0x01000017: ("UDP_TRANSMISSION", "WARNING", "A lidar packet could not be sent."),
+    0x0100001A: ("UDP_TRANSMISSION", "WARNING", "An IMU packet could not be sent."),
     0x01000033: ("UDP_CONNECT", "WARNING", "The name of the destination cannot be resolved."),
     0x01000050: ("MOTOR_CONTROL", "WARNING", "Phase lock is off by more than the threshold."),
     0x01000051: ("MOTOR_CONTROL", "ERROR", "Phase lock has failed repeatedly."),
@@ -19,6 +31,13 @@ KNOWN: Mapping[int, tuple[str, str, str]] = {
     0x01000006: ("OVERTEMP", "ERROR", "The sensor is too hot and has shut down."),
 }
 "Number -> category, level, message. The numbers of the last two are ours."
+UNDELIVERED = {
+    (True, True): 0x01000015,
+    (False, True): 0x01000018,
+    (True, False): 0x01000017,
+    (False, False): 0x0100001A,
+}
+"Of lidar or IMU packets, refused by the host or not sent."
 NO_NAME, PHASE, PHASE_FAILED, HOT, TOO_HOT = 0x01000033, 0x01000050, 0x01000051, 0x0100000E, 0x01000006
 
 

@@ -16,14 +16,14 @@ from protocols.ouster.device import OusterDevice
 from protocols.ouster.metadata import image
 from protocols.ouster.reports import TIMES, network, telemetry, time_sensor
 from protocols.session import Address, Announcement, DropReason, Emission, LinkKind
-from protocols.skeleton.http import LONGEST, STATUS, HttpRequests, fields_of, page, taken_apart
+from protocols.skeleton.http import LONGEST, HttpRequests, fields_of, page, read
 from protocols.skeleton.receiving import Fault
 from protocols.skeleton.requests import Answer, Command, Host, Refused, Request
 
 API = b"/api/v1/"
 METHODS = (b"GET ", b"PUT ", b"POST ", b"DELETE ", b"HEAD ", b"PATCH ", b"OPTIONS ")
-FIELDS = "Server: nginx\r\nConnection: keep-alive\r\n"
-EMPTY = f"HTTP/1.1 204 No Content\r\n{FIELDS}\r\n".encode()
+FIELDS = (("Server", "nginx"), ("Connection", "keep-alive"))
+EMPTY = page(204, fields=FIELDS)
 LONGEST_USER_DATA = 4096
 PROFILES = ("default", "default-relaxed", "gptp", "gptp-relaxed", "automotive-slave")
 "Of PTP."
@@ -54,7 +54,7 @@ class Wrong(Exception):
 def reply(found: Any, status: int = 200) -> bytes:
     """JSON."""
     body = json.dumps(found, separators=(",", ":")).encode()
-    return page(f"{status} {STATUS[status]}", body, "application/json", FIELDS)
+    return page(status, body, "application/json", FIELDS)
 
 
 def _error(status: int, code: str, message: str, parameter: str = "") -> bytes:
@@ -255,7 +255,7 @@ def _packets(device: OusterDevice, request: Request) -> bytes:
 
 
 def _front(device: OusterDevice, request: Request) -> bytes:
-    return page("200 OK", f"<html><title>Ouster</title>Ouster {device.unit.model.title}</html>".encode())
+    return page(200, f"<html><title>Ouster</title>Ouster {device.unit.model.title}</html>".encode())
 
 
 def _by_argument(act: Callable[[Any, Request, str], Any]) -> Act:
@@ -402,10 +402,8 @@ SPANS: Mapping[bytes, tuple[Firmware, Firmware]] = {
 "First and last firmware that has a row; of others all have it."
 
 
-def _called(request: bytes) -> str:
-    """Address that a request names in its Host, without a port: that of the device; empty: none."""
-    lines = request.partition(b"\r\n\r\n")[0].split(b"\r\n")[1:]
-    host = next((line[5:].strip() for line in lines if line[:5].lower() == b"host:"), b"").decode("ascii", "replace")
+def _called(host: str) -> str:
+    """Address that a request calls, without a port: that of the device; empty: none."""
     try:
         return str(ip_address(host.rpartition(":")[0] if host.count(":") == 1 else host.strip("[]")))
     except ValueError:
@@ -441,9 +439,9 @@ class OusterSession(OusterDevice):
         if not request.startswith(METHODS):
             word, _, rest = request.strip().partition(b" ")
             return word, rest
-        code, query, body = taken_apart(request)
-        self.called = _called(request)
-        return code.rstrip(b"/") if len(code) > 5 else code, query + b"\0" + body
+        asked = read(request)
+        self.called = _called(asked.host)
+        return asked.code.rstrip(b"/") if len(asked.code) > 5 else asked.code, asked.query + b"\0" + asked.body
 
     def _carry_out(self, request: Request, size: int, host: Host) -> None:
         first, last = SPANS.get(request.code, ((0, 0), NEWEST))

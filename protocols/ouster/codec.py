@@ -204,7 +204,7 @@ def encode(profile: Profile, head: Head, frames: Words, columns: Columns, turn: 
         cells["encoder"] = cells["number"].astype(np.int64) * ENCODER_TICKS // turn
         return [one.tobytes() for one in packets]
     cells["status"] = columns.valid.reshape(shape)
-    size, made, bare = packets.itemsize, [], memoryview(packets.view(np.uint8)).cast("B")
+    size, made, bare = packets.itemsize, [], packets.view(np.uint8).data
     headers = {frame: head.header(LIDAR, frame) for frame in set(frames.tolist())}
     for at, frame in enumerate(frames.tolist()):
         packet = bare[at * size : (at + 1) * size]
@@ -296,7 +296,7 @@ def returns(scan: Scan, count: int, order: str, near_m: float, none_m: float = 0
     width, only = there.shape[1], there[:, 0]
     first_m, strength = np.where(only, scan.range_m[:, 0], none_m), np.where(only, scan.intensity[:, 0], 0.0)
     further = there.view(f"<u{width}")[:, 0] > 1 if width in (2, 4, 8) else there[:, 1:].any(axis=1)
-    (beam,) = further.nonzero()
+    (beam,) = np.nonzero(further)
     if not len(beam):
         return Returns(first_m, strength, beam)
     several = scan.range_m[beam], scan.intensity[beam]
@@ -344,7 +344,7 @@ def reflectivities(range_m: Floats, intensity: Floats, white_m2: float) -> Words
     bright = (100.0 / white_m2) * intensity
     bright *= range_m
     bright *= range_m
-    (beyond,) = (bright > 100.0).nonzero()
+    (beyond,) = np.nonzero(bright > 100.0)
     brighter = np.log(0.01 * bright[beyond]) / np.log(RETRO)
     bright[beyond] = np.minimum(np.maximum(100.0 + 155.0 * brighter, 101.0), 255.0)
     return whole(np.rint(bright, out=bright))

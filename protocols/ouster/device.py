@@ -46,6 +46,8 @@ STEADY = 1e-3
 "A clock that differs by more from the run's within a slice has been set."
 FAILED_S = 30
 "So long off, the phase lock has failed; no source."
+ARRIVED_NS = 2 * SECOND_NS
+"Without a refusal so long, packets arrive again; hosts say it once a second at least."
 PHASE_OFF_NS = 1_000_000
 "Farther off, it is not locked."
 
@@ -78,6 +80,7 @@ class OusterDevice(PacketSession[Slice]):
     """The device without its requests."""
 
     FORESEES = True
+    minds_delivery = True
     clock_tick_ns = Fraction(1)
     clock_bits = 64
 
@@ -113,6 +116,8 @@ class OusterDevice(PacketSession[Slice]):
         "Measurements of the IMU since power-on."
         self._lives = 0
         self.impaired: dict[str, float] = {}
+        self._undelivered_ns: dict[int, int] = {}
+        "Alerts of packets that did not arrive, and when the last one did not."
         self._hot_ns: dict[str, int] = {}
         "Since when it warns of what is in `impaired`."
         super().__init__(build.boot_ns, self._slice_ns)
@@ -243,6 +248,7 @@ class OusterDevice(PacketSession[Slice]):
         self.active, self.staged = dict(self.persisted), dict(self.persisted)
         self._nominal_ns = self._slice_ns
         self.alerts, self.sources.on_ns = alerts.Alerts(), now_ns
+        self._undelivered_ns.clear()
         self._until_ns, self._samples = None, 0
         self._begin(now_ns)
 
@@ -341,6 +347,15 @@ class OusterDevice(PacketSession[Slice]):
             return None
         return goes
 
+    def undelivered(self, now_ns: int, address: Address, refused: bool) -> None:
+        """A packet has met a closed port, or could not be sent: an alert, until none has for a while."""
+        if address not in self._links:
+            return
+        lidar = self._links.index(address) % 2 == 0
+        number, goes = alerts.UNDELIVERED[lidar, refused], self._goes(lidar) or ("", 0)
+        self._undelivered_ns[number] = now_ns
+        self.alerts.set(number, True, self.sources.utc(now_ns), f"{goes[0]}:{goes[1]}")
+
     # slices
 
     def _make(self, number: int) -> Slice:
@@ -360,7 +375,7 @@ class OusterDevice(PacketSession[Slice]):
         said = columns_of(scan, piece, seen, stamps, self.unit, profile, used, self.firmware >= (3, 2))
         frames = np.full(packets, piece.frame % (1 << 32 if self.fusa else 1 << 16))
         made = codec.encode(profile, self.head(start_ns), frames, said, columns)
-        sent = piece.valid.reshape(packets, -1).any(axis=1).tolist()
+        sent = np.asarray(piece.valid.reshape(packets, -1).any(axis=1)).tolist()
         firsts = (start_ns + after_ns[:: codec.COLUMNS]).tolist(), (shown_ns[:: codec.COLUMNS] - since_ns).tolist()
         ends_ns = instants(packets, packet_ns)[2]
         for packet, (at_ns, shows_ns, ticks) in enumerate(zip(*firsts, stamps[:: codec.COLUMNS].tolist(), strict=True)):
@@ -410,6 +425,10 @@ class OusterDevice(PacketSession[Slice]):
 
     def _each_second(self, now_ns: int) -> None:
         """The phase lock corrects the frames not measured yet; what the device warns of takes effect."""
+        for number, last_ns in tuple(self._undelivered_ns.items()):
+            if now_ns - last_ns > ARRIVED_NS:
+                del self._undelivered_ns[number]
+                self.alerts.set(number, False, self.sources.utc(now_ns))
         for name in tuple(self._hot_ns):
             if self._left_s(name, now_ns) == 0:
                 self._too_hot(now_ns, name)

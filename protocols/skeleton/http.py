@@ -1,53 +1,110 @@
-"""HTTP/1.1 on a device: requests out of a stream, pages as replies.
+"""HTTP/1.1 on a device, as h11 reads and writes it: requests out of a stream, pages as replies.
 
-Belongs here: the form of requests and replies. Not: which paths there are, and what a request does (families).
+Each request has a reader of its own, as replies leave later. Belongs here: where a request ends, bounds. Not: which
+paths there are, and what a request does (families).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from http import HTTPStatus
 from urllib.parse import parse_qsl
 
+import h11
+
+from protocols.receive_buffer import ReceiveBuffer
 from protocols.session import DropReason
 from protocols.skeleton.receiving import Fault, Splitter
 
 LONGEST = 8192
 "Of a request, with its body."
-STATUS = {
-    200: "OK", 204: "No Content", 400: "Bad Request", 404: "Not Found", 405: "Method Not Allowed",
-    500: "Internal Server Error", 503: "Service Unavailable",
-}  # fmt: skip
+END = b"\r\n\r\n"
+"Of a head."
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a request says."""
+
+    code: bytes
+    "Method and path."
+    query: bytes
+    body: bytes
+    host: str
+    "Whom it calls; empty: it does not say."
+    size: int
+    "Bytes of it in the stream."
+
+
+def first_of(held: bytes) -> Asked | None:
+    """The first request in a stream; None: more bytes are needed. Raises `h11.RemoteProtocolError` if it is none."""
+    head, end, rest = held.partition(END)
+    if not end:
+        return None
+    lines = head.split(b"\r\n")
+    if not any(line[:5].lower() == b"host:" for line in lines):
+        lines.append(b"Host: ")  # h11 insists on it, devices do not
+    reader = h11.Connection(h11.SERVER, LONGEST)
+    reader.receive_data(b"\r\n".join(lines) + END + rest)
+    request, body = reader.next_event(), b""
+    assert isinstance(request, h11.Request)
+    while not isinstance(part := reader.next_event(), h11.EndOfMessage):
+        if not isinstance(part, h11.Data):
+            if len(head) + len(END) + int(dict(request.headers).get(b"content-length", b"0")) > LONGEST:
+                raise h11.RemoteProtocolError(f"longer than {LONGEST} bytes")
+            return None
+        body += part.data
+    path, _, query = request.target.partition(b"?")
+    host = dict(request.headers)[b"host"].decode("latin-1")
+    return Asked(request.method + b" " + path, query, body, host, len(held) - len(reader.trailing_data[0]))
+
+
+class NoRequest(Fault):
+    """A head that is none of HTTP, or of a body that is none."""
+
+
+def next_in(buffer: ReceiveBuffer, meant: Callable[[bytes], bytes] = bytes) -> bytes | NoRequest | None:
+    """The first request in a buffer, removed; None: it is not whole. `meant`: what drivers mean that break rules."""
+    held = buffer.peek(len(buffer)) or b""
+    stream = meant(held)
+    try:
+        found = first_of(stream)
+    except h11.RemoteProtocolError as error:
+        size = len(buffer.take(held.find(END) + len(END)))
+        return NoRequest(DropReason.BAD_LENGTH, size, str(error), whole=True)
+    if found is None:
+        return None
+    buffer.take(found.size + len(held) - len(stream))
+    return stream[: found.size]
 
 
 class HttpRequests(Splitter[bytes]):
-    """Requests with a body of a stated length."""
+    """Requests, each as its bytes."""
 
     def _next(self) -> bytes | Fault | None:
-        held = self._buffer.peek(len(self._buffer)) or b""
-        head, end, _ = held.partition(b"\r\n\r\n")
-        if not end:
-            return None
-        fields = dict(line.lower().partition(b":")[::2] for line in head.split(b"\r\n")[1:])
-        length = fields.get(b"content-length", b"0").strip()
-        if b"transfer-encoding" in fields or not (length.isdigit() and len(length) < 5):
-            return Fault(DropReason.BAD_LENGTH, len(self._buffer.take(len(head) + 4)), "no usable length", whole=True)
-        size = len(head) + 4 + int(length)
-        if size > LONGEST:
-            return Fault(DropReason.OVERLONG, len(self._buffer.take(len(held))), "", whole=True)
-        return self._buffer.take(size) if len(held) >= size else None
+        return next_in(self._buffer)
 
 
-def page(status: str, body: bytes, kind: str = "text/html", fields: str = "") -> bytes:
-    """A reply; drivers want a length and a body. `fields`: further lines of the head, each with CR LF."""
-    head = f"HTTP/1.1 {status}\r\n{fields}Content-Type: {kind}\r\nContent-Length: {len(body)}\r\n\r\n"
-    return head.encode() + body
+def read(request: bytes) -> Asked:
+    """What a whole request says, as `HttpRequests` gives it."""
+    found = first_of(request)
+    assert found is not None
+    return found
 
 
-def taken_apart(request: bytes) -> tuple[bytes, bytes, bytes]:
-    """Method and path, query, and body of a request."""
-    head, _, body = request.partition(b"\r\n\r\n")
-    method, _, rest = head.partition(b"\r\n")[0].partition(b" ")
-    path, _, query = rest.partition(b" ")[0].partition(b"?")
-    return method + b" " + path, query, body
+def page(status: int, body: bytes = b"", kind: str = "text/html", fields: Iterable[tuple[str, str]] = ()) -> bytes:
+    """A reply; drivers want a length and a body, but for 204. `fields`: the first ones of its head."""
+    headers = list(fields)
+    if status != HTTPStatus.NO_CONTENT:
+        headers += [("Content-Type", kind), ("Content-Length", str(len(body)))]
+    writer = h11.Connection(h11.SERVER)
+    parts = (
+        h11.Response(status_code=status, reason=HTTPStatus(status).phrase, headers=headers),
+        h11.Data(data=body),
+        h11.EndOfMessage(),
+    )
+    return b"".join(writer.send(part) or b"" for part in parts)
 
 
 def fields_of(text: bytes, most: int = 32) -> dict[str, str]:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from protocols.session import DropReason, LinkKind
-from protocols.skeleton.http import LONGEST, HttpRequests, fields_of, page, taken_apart
+from protocols.skeleton.http import LONGEST, HttpRequests, fields_of, page, read
 from protocols.skeleton.receiving import Fault
 from protocols.skeleton.requests import Answer, Command, Refused, Request
 from protocols.velodyne.codec import TURN_CDEG
@@ -73,7 +73,7 @@ def _switch(on: bool) -> str:
 
 
 def _reported(what: Callable[[VelodyneDevice, int], Any]) -> Callable[[VelodyneDevice, Request], bytes]:
-    return lambda device, request: page("200 OK", json.dumps(what(device, request.now_ns)).encode(), "application/json")
+    return lambda device, request: page(200, json.dumps(what(device, request.now_ns)).encode(), "application/json")
 
 
 def _snapshot(device: VelodyneDevice, now_ns: int) -> dict[str, Any]:
@@ -91,14 +91,14 @@ def _form(path: str) -> Callable[[VelodyneDevice, Request], bytes | Refused]:
         if isinstance(found, str) or not fields:
             return Refused(DropReason.BAD_ARGUMENT, found if isinstance(found, str) else "empty form")
         device.change(request.now_ns, found)
-        return page("200 OK", b"OK")
+        return page(200, b"OK")
 
     return act
 
 
 def _save(device: VelodyneDevice, request: Request) -> bytes:
     device.saved = device.settings
-    return page("200 OK", b"OK")
+    return page(200, b"OK")
 
 
 def _packets(device: VelodyneDevice, request: Request) -> bytes:
@@ -108,7 +108,7 @@ def _packets(device: VelodyneDevice, request: Request) -> bytes:
 
 
 def _front(device: VelodyneDevice, request: Request) -> bytes:
-    return page("200 OK", f"<html><title>{device.model.title}</title>{device.model.title}</html>".encode())
+    return page(200, f"<html><title>{device.model.title}</title>{device.model.title}</html>".encode())
 
 
 DRIVERS, MANUAL = "Nebula, MRPT", "the maker's scripts (curl examples)"
@@ -127,7 +127,7 @@ COMMANDS: Mapping[bytes, Command] = {
     b"POST /cgi/setting/host": Command("where it sends", _form("host"), DRIVERS, "stored, not used: the link decides"),
     b"POST /cgi/setting/net": Command("its address", _form("net"), DRIVERS, "stored, not used"),
     b"POST /cgi/save": Command("keep settings over power-off", _save, DRIVERS),
-    b"POST /cgi/reset": Command("restart", lambda *_: Answer(page("200 OK", b"OK"), restarts=True), DRIVERS),
+    b"POST /cgi/reset": Command("restart", lambda *_: Answer(page(200, b"OK"), restarts=True), DRIVERS),
     b"GET /packets": Command("data packets on this connection", _packets, "ours", "no real device has it"),
 }
 
@@ -142,18 +142,18 @@ class VelodyneSession(VelodyneDevice):
         return HttpRequests(LONGEST)
 
     def _parse(self, request: bytes) -> tuple[bytes, bytes]:
-        code, _, body = taken_apart(request)
-        return code, body
+        asked = read(request)
+        return asked.code, asked.body
 
     def _reply(self, request: Request, payload: bytes) -> bytes:
         return payload
 
     def _refusal(self, request: Request, refused: Refused) -> bytes:
         if refused.reason is DropReason.BAD_ARGUMENT:  # it says 200 and changes nothing (public clients read back)
-            return page("200 OK", b"OK")
+            return page(200, b"OK")
         path = request.code.partition(b" ")[2]
         known = any(code.endswith(b" " + path) for code in self.COMMANDS)
-        return page("405 Method Not Allowed", b"405") if known else page("404 Not Found", b"404")
+        return page(405, b"405") if known else page(404, b"404")
 
     def _complaint(self, fault: Fault) -> bytes | None:
-        return page("400 Bad Request", b"400") if fault.reason is not DropReason.TIMEOUT else None
+        return page(400, b"400") if fault.reason is not DropReason.TIMEOUT else None

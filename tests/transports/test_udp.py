@@ -97,6 +97,38 @@ def test_nobody_there_is_no_fault() -> None:
             assert link.receive(number) == []
 
 
+@pytest.mark.parametrize("listen", ["", "?listen=127.0.0.1:0"])
+def test_a_closed_port_is_told_to_who_asks_and_an_open_one_loses_nothing(listen: str) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host:
+        host.bind(("127.0.0.1", 0))
+        port, told = port_of(host), []
+        with opened(f"udp:127.0.0.1:{port}{listen}") as link:
+            link.tell_undelivered(told.append)
+            link.send(b"a", 0)
+            link.flush(0)
+            assert (host.recv(10), told) == (b"a", [])
+            host.close()
+            for number in range(1, 4):
+                link.send(b"lost", number)
+                link.flush(number)
+            assert told == [True, True]  # each by the next one
+            ready = [one for one in link.filenos() if select.select([one], [], [], 0.0)[0]]
+            link.receive(4)
+            assert not any(select.select([one], [], [one], 0.0)[0] for one in ready), "nothing is left to read"
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as again:
+                again.bind(("127.0.0.1", port))
+                again.settimeout(5.0)
+                for number in range(5, 8):
+                    link.send(b"%d" % number, number)
+                    link.flush(number)
+                    assert again.recv(10) == b"%d" % number
+                assert told == [True, True, True]
+            link.send(bytes(70_000), 9)
+            link.flush(9)
+            assert told[-1] is False
+            assert link.stats.payloads_dropped == 1
+
+
 def test_only_so_many_senders_are_remembered() -> None:
     with opened("udp:127.0.0.1:9?listen=0") as link:
         listening = int(link.url.rpartition(":")[2])

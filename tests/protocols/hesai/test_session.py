@@ -478,6 +478,17 @@ def test_ptc_2_is_refused_in_its_own_frame_whole_or_in_pieces() -> None:
     assert DropReason.REFUSED in {one.reason for one in rig.dropped}
 
 
+def test_what_is_no_request_of_http_is_refused_and_ptc_goes_on() -> None:
+    rig = Rig(device={"standby": True})
+    for wrong in (b"GET\x20/\xff HTTP/1.1", b"GET /x HTTP/1.1\r\n: y", b"GET /x", b"GET  HTTP/9.9"):
+        said = rig.raw(wrong + b"\r\n\r\n" + frame(0x28))
+        assert (said[:12], said[-8:]) == (b"HTTP/1.1 400", frame(0x28, code=5)), wrong
+    assert rig.raw(b"GET /" + b"x" * 5000) == b""
+    assert DropReason.OVERLONG in {one.reason for one in rig.dropped}
+    with_body = b"GET /pandar.cgi?x HTTP/1.1\r\nContent-Length: 2\r\n\r\nab"
+    assert rig.raw(with_body + frame(0x28)).endswith(b"}}" + frame(0x28, code=5))
+
+
 def test_a_handshake_of_tls_is_refused_as_one_whole_or_in_pieces() -> None:
     ours, theirs = ssl.MemoryBIO(), ssl.MemoryBIO()
     client = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).wrap_bio(theirs, ours, server_hostname="lidar")

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
+from http.client import HTTPResponse
+from types import SimpleNamespace
 
-import h11
 import numpy as np
 import pytest
 
@@ -174,16 +176,38 @@ def test_requests_of_other_forms() -> None:
     assert rig.ask(both).count(b"HTTP/1.1 200 OK") == 2
     for at in range(0, len(both), 7):
         rig.session.receive(both[at : at + 7], rig.now_ns, WEB)
-    reply = b"".join(one.payload for one in rig.run(0.01) if one.address == WEB)
-    client = h11.Connection(h11.CLIENT)  # a strict reader
-    client.send(h11.Request(method="GET", target="/", headers=[("Host", "x")]))
-    client.send(h11.EndOfMessage())
-    client.receive_data(reply)
-    answer, body, end = client.next_event(), client.next_event(), client.next_event()
-    assert isinstance(answer, h11.Response)
-    assert json.loads(bytes(body.data))["internal_temperature_deg_c"] == 48  # type: ignore[union-attr]
-    assert isinstance(end, h11.EndOfMessage)
-    assert rig.ask(b"POST /x HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n").startswith(b"HTTP/1.1 400")
+    replies = [one.payload for one in rig.run(0.01) if one.address == WEB]
+    assert len(replies) == 2
+    for reply in replies:  # the standard library reads them
+        stream = io.BytesIO(reply)
+        answer = HTTPResponse(SimpleNamespace(makefile=lambda *_, stream=stream: stream))  # type: ignore[arg-type]
+        answer.begin()
+        assert json.loads(answer.read())["internal_temperature_deg_c"] == 48
+    put = b"PUT /api/v1/user/data HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n"
+    assert rig.ask(put + b'3\r\n"ab\r\n2\r\nc"\r\n0\r\n\r\n').startswith(b"HTTP/1.1 204")
+    assert rig.get("user/data") == "abc"
+    assert rig.ask(put + b"x\r\n\r\n").startswith(b"HTTP/1.1 400")
+
+
+@pytest.mark.parametrize(
+    ("link", "refused", "number"),
+    [(LIDAR, True, "15"), (IMU, True, "18"), (LIDAR, False, "17"), (IMU, False, "1A")],
+)
+def test_packets_that_do_not_arrive_are_an_alert_until_they_do(link: Address, refused: bool, number: str) -> None:
+    rig = Rig()
+    rig.run(0.1)
+    assert rig.session.minds_delivery
+    for _ in range(3):
+        rig.session.undelivered(rig.now_ns, link, refused)
+        rig.run(1.0)
+    (active,) = rig.get("sensor/alerts")["active"]
+    assert (active["id"], active["category"]) == (f"0x010000{number}", "UDP_TRANSMISSION")
+    assert active["msg_verbose"].endswith(":7502" if link == LIDAR else ":7503")
+    assert lidar(rig.run(0.1))[-1][12] == 0x80
+    rig.run(3.0)
+    found = rig.get("sensor/alerts")
+    assert (found["active"], [one["active"] for one in found["log"]]) == ([], [True, False])
+    assert lidar(rig.run(0.1))[-1][12] == 1
 
 
 def test_user_data_network_profile_and_alerts() -> None:
