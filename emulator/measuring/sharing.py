@@ -5,7 +5,8 @@ a second try of one that stands still. Not: processes (supervision); when a swee
 (instrument).
 
 Each sensor has one process as its own. One that remembers nothing from sweep to sweep is *shared*: a process that is
-free takes what waits for another. What is asked for goes before what is measured ahead, own work before that of others.
+free takes what waits for another. What is asked for goes before what is measured ahead, own work before that of others;
+where the process of another is gone or stands still, whichever begins first.
 """
 
 from __future__ import annotations
@@ -124,13 +125,23 @@ class Shared:
     def _candidates(self, home: Home, homes: Sequence[Home]) -> Iterator[tuple[Sweep | Question, Home]]:
         busy = [one for one in homes if one is not home and (one.in_hand is not None or one.state != "ready")]
         owners = (home, *busy) if self.sensors else (home,)
+        away = [one for one in busy if one.state != "ready" or _is_stuck(one)] if self.sensors else []
+
+        def rank(found: tuple[Sweep | Question, Home]) -> tuple[int, int]:
+            work, owner = found
+            if isinstance(work, Question):
+                return 0, 0
+            return (1, work.plan.start_ns) if owner is home or owner in away else (2, 0)
+
         for ahead in (False, True):
+            found: list[tuple[Sweep | Question, Home]] = []
             for owner in owners:
-                for work in list(owner.owed):
+                for work in owner.owed:
                     if work is owner.in_hand or (isinstance(work, Sweep) and work.ahead) != ahead:
                         continue
                     if owner is home or self._may_move(work, home, homes):
-                        yield work, owner
+                        found.append((work, owner))
+            yield from sorted(found, key=rank) if away else found  # own work that never ends must not keep theirs out
 
     def _may_move(self, work: Sweep | Question, home: Home, homes: Sequence[Home]) -> bool:
         if not isinstance(work, Sweep) or work.given_up or work.sensor not in self.sensors:
@@ -184,5 +195,6 @@ class Shared:
 
 
 def _is_stuck(home: Home) -> bool:
-    """What it has in hand has been given to another, too."""
-    return isinstance(home.in_hand, Sweep) and home.in_hand.again
+    """What it has in hand has been given to another too, or given up: it takes too long."""
+    work = home.in_hand
+    return isinstance(work, Sweep) and (work.again or (work.given_up and not work.ahead))

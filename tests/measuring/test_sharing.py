@@ -112,6 +112,28 @@ def test_what_is_too_much_for_the_process_of_two_sensors_goes_to_that_of_the_thi
         assert run.by_name[name].ledger.account()["unaccounted"] == 0
 
 
+@pytest.mark.parametrize("how", ["is building", "stands still"])
+def test_sensors_of_a_process_that_is_away_get_their_turn_of_one_that_has_too_much(rig: Make, how: str) -> None:
+    names = ("left", "front", "right")
+    run = rig(*names, workers=2, shared=names, slice_ns=2 * MS)
+    run.takes_ns = 8 * MS
+    run.stream()
+    lost = run.processes[1]
+    run.takes_ns = 40 * MS
+    assert run.advance(1.0, lambda: lost.busy)
+    if how == "is building":
+        run.builds_ns = 30 * SECOND
+        lost.end(-9)
+    else:
+        lost.stopped = True
+    run.advance(1.0)
+    before = {name: len(run.sent.at_ns[name]) for name in names}
+    run.advance(3.0)
+    sent = {name: len(run.sent.at_ns[name]) - before[name] for name in names}
+    assert sum(sent.values()) > 60
+    assert min(sent.values()) > 10, sent
+
+
 def test_a_process_is_not_lent_for_sweeps_that_would_make_its_own_late(rig: Make) -> None:
     run = rig("heavy", "light", workers=2, shared=["heavy", "light"], slice_ns=MS)
     takes = {"heavy": 60 * MS, "light": 2 * MS}
