@@ -142,6 +142,8 @@ def in_box(
     too_small = 0.0  # uniform numbers below give smaller ones
     if slope_mm > 0.0 and least_here > low_mm:
         too_small = -math.expm1(-slope_mm * (least_here - low_mm)) / lost * (1.0 - 1e-12)
+        if too_small >= 1.0:
+            return total
     corner_x = corners(0, origin, axis, f, g, near_m, far_m)
     corner_y = corners(1, origin, axis, f, g, near_m, far_m)
     corner_z = corners(2, origin, axis, f, g, near_m, far_m)

@@ -30,6 +30,10 @@ LEAST = 1e-6
 "Share of a level that a medium leaves to the pulses at the least."
 FAINT = 0.1
 "Share of the threshold that a medium may have under a cluster that is crossed in closed form."
+FAINT_UNDER_STRONG = 0.3
+"The same under a strong one: whatever the noise, a valley below the threshold separates it from the medium's echo."
+STRONG = 10.0
+"Thresholds that the pulses of such a cluster have together, of which half a turn at the most leaves a half."
 EXACT_M = 1e-5
 "Crossings are looked for again, with the medium that is under them, until they move by less than this."
 MOST_PASSES = 60
@@ -145,6 +149,8 @@ class Cosines:
     wave_number: float
     air: AirUnder | None = None
     doubted: AirDoubted | None = None
+    valley: AirDoubted | None = None
+    "The medium under those clusters where it may be over a level."
     shift_m: Floats | None = None
     "(c,) how far a medium under them shifts their maxima; None: nowhere."
 
@@ -160,6 +166,7 @@ class Cosines:
             if air is None:
                 continue
             self._cross_under(air, level, crossing, last[air.cluster])
+        self._out_of_valleys(level, crossing)
         if self.shift_m is not None:
             # so near a maximum the medium falls by more than the pulses rise; the sum is a parabola
             bend = 0.5 * self.wave_number**2 * self.height
@@ -180,6 +187,25 @@ class Cosines:
             if not len(on):
                 break
             air, of = air.chosen(on, at[on]), of[on]
+
+    def _out_of_valleys(self, level: Floats, crossing: Floats) -> None:
+        """Correct the crossings of clusters that begin where the medium is over their level.
+
+        The valley is where they begin: a strong pulse rises at once. As `timing._out_of_valleys`: a noise unit above,
+        the place is that of a single echo; in between it goes from the one to the other.
+        """
+        if self.valley is None:
+            return
+        some = indexes(level[self.valley.cluster] < self.valley.most)
+        if not len(some):
+            return
+        at = self.valley.cluster[some]
+        air = self.valley.under(self.valley.number[some], at)
+        begin = self.first_m[at] - self.half_m
+        above = clamped(air.at(begin, self.start[at]) - level[at], 0.0, 1.0)
+        lead = self.half_m - 2.0 / self.wave_number * np.arcsin(np.sqrt(clamped(level[at] / self.height[at], 0.0, 1.0)))
+        single = self.centre_m[at] - lead
+        crossing[at] = np.where(above > 0.0, begin + above * (single - begin), crossing[at])
 
     def _doubtful(self, level: Floats, crossing: Floats) -> AirUnder | None:
         """The medium under those clusters whose crossing is elsewhere if all of it is added."""
@@ -215,7 +241,7 @@ class Cosines:
         """Some of the clusters, `wanted` (c,)."""
         if bool(wanted.all()):
             return self
-        at, air, doubted = indexes(wanted), self.air, self.doubted
+        at, air, doubted, valley = indexes(wanted), self.air, self.doubted, self.valley
         renumbered = wanted.cumsum() - 1
         if air is not None:
             left = indexes(wanted[air.cluster])
@@ -223,10 +249,13 @@ class Cosines:
         if doubted is not None:
             left = indexes(wanted[doubted.cluster])
             doubted = doubted.chosen(left, renumbered[doubted.cluster[left]]) if len(left) else None
+        if valley is not None:
+            left = indexes(wanted[valley.cluster])
+            valley = valley.chosen(left, renumbered[valley.cluster[left]]) if len(left) else None
         return replace(
             self, beam=self.beam[at], centre_m=self.centre_m[at], height=self.height[at], source=self.source[at],
             first_m=self.first_m[at], start=self.start[at], size=self.size[at], air=air, doubted=doubted,
-            shift_m=None if self.shift_m is None else self.shift_m[at],
+            valley=valley, shift_m=None if self.shift_m is None else self.shift_m[at],
         )  # fmt: skip
 
     @classmethod
@@ -236,6 +265,7 @@ class Cosines:
         return cls(i, n, n, i, n, i, i, n, n, n, n, 1.0, 1.0)
 
 
+_Air = tuple[AirUnder | None, AirDoubted | None, AirDoubted | None, Floats | None]
 _Split = tuple[Ints, Floats, Bools]
 _Summed = tuple[Sequence[Floats], Sequence[Ints], Sequence[Floats], Ints]
 
@@ -253,12 +283,15 @@ def split_cosines(echoes: SubEchoes, detector: Detector, soft: SoftProfile | Non
     beam, r, a = echoes.beam, echoes.range_m, echoes.amplitude
     whole, first, short = _split(echoes, 2.0 * half, SHORT * half)
     group, start, size = whole
-    near, most = (None, first) if soft is None else _near(soft, detector.threshold, short, group, first - half)
+    near, most = None, first
+    if soft is not None:
+        strong = np.add.reduceat(a, start) >= STRONG * detector.threshold
+        near, most = _near(soft, detector.threshold, short, group, first - half, strong)
     if not bool(short.any()):
         return Cosines.none(), echoes
     running, (group, source, *where), (centre, height, first), rest = _summed(echoes, whole, short, k)
     begun, total, real, imaginary = running
-    air: tuple[AirUnder | None, AirDoubted | None, Floats | None] = None, None, None
+    air: _Air = None, None, None, None
     if soft is not None and near is not None:
         number = (short.cumsum() - 1)[near]
         air = _under(centre, height, where, number, echoes, soft, detector, start[near], size[near], most)
@@ -329,7 +362,9 @@ def _strongest(echoes: SubEchoes, start: Ints, size: Ints) -> Ints:
     return source
 
 
-def _near(soft: SoftProfile, threshold: float, short: Bools, beam: Ints, begin_m: Floats) -> tuple[Ints | None, Floats]:
+def _near(
+    soft: SoftProfile, threshold: float, short: Bools, beam: Ints, begin_m: Floats, strong: Bools
+) -> tuple[Ints | None, Floats]:
     """The short clusters that begin where the medium shows, and its bound under each of them over the threshold.
 
     A beam with such a cluster that is not short has none that is but behind all that are not: its medium is sampled,
@@ -343,7 +378,7 @@ def _near(soft: SoftProfile, threshold: float, short: Bools, beam: Ints, begin_m
     # where the medium may come near a level itself, the pulses alone do not show what is crossed first
     begin = begin_m[near]
     under = soft.wave(np.maximum(begin, soft.peak_m)) / threshold
-    kept = short[near] & (under < FAINT) & (begin >= alone_m)
+    kept = short[near] & (under < np.where(strong[near], FAINT_UNDER_STRONG, FAINT)) & (begin >= alone_m)
     short[near] = kept
     sampled = beam[near[~kept]]
     if len(sampled):
@@ -361,9 +396,9 @@ def _near(soft: SoftProfile, threshold: float, short: Bools, beam: Ints, begin_m
 def _under(
     centre: Floats, height: Floats, where: Sequence[Ints], number: Ints, echoes: SubEchoes, soft: SoftProfile,
     detector: Detector, start: Ints, size: Ints, share: Floats,
-) -> tuple[AirUnder | None, AirDoubted | None, Floats | None]:  # fmt: skip
-    """The medium under some short clusters, which adds to their `height`, where it is doubtful, and (c,) how far it
-    shifts `centre`.
+) -> _Air:  # fmt: skip
+    """The medium under some short clusters, which adds to their `height`, where it is doubtful, where it may be over a
+    level, and (c,) how far it shifts `centre`.
 
     `centre`, `height`, `where` (start and size) : of all; `number` : of those with a medium among them; `start`,
     `size`, `share` : of these, the last its bound over the threshold.
@@ -382,7 +417,9 @@ def _under(
         shift = _lifted(centre, height, of, air, where[0][of] + where[1][of] - 1)
     if len(slight):
         doubted = AirDoubted(number[slight], most[slight], detector.resolution_m, slight, computed)
-    return air, doubted, shift
+    over = indexes(share > FAINT)
+    valley = AirDoubted(number[over], most[over], detector.resolution_m, over, computed) if len(over) else None
+    return air, doubted, valley, shift
 
 
 def _lifted(centre: Floats, height: Floats, of: Ints, air: AirUnder, last: Ints) -> Floats:

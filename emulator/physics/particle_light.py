@@ -23,6 +23,7 @@ from scipy import special
 
 from emulator.physics import radiometry
 from emulator.physics.arrays import Floats, exp_or_zero, floats
+from emulator.physics.hidden import Hidden
 from emulator.physics.precipitation import LARGEST_DROP_MM, Spectrum
 from emulator.physics.pulse import Pulse
 
@@ -97,6 +98,8 @@ class Optics:
     end_m: float
     "Of the gate."
     pulse: Pulse
+    hidden: Hidden | None = None
+    "What a medium's own return hides."
 
     def area_m2(self, range_m: Floats) -> Floats:
         """Product of the two radii of the beam."""
@@ -104,7 +107,8 @@ class Optics:
 
     def level(self, range_m: Floats) -> Floats:
         """Amplitude that an echo from there must reach."""
-        return np.maximum(self.threshold, self.floor_m2 / np.maximum(range_m, 1e-3) ** 2)
+        level = np.maximum(self.threshold, self.floor_m2 / np.maximum(range_m, 1e-3) ** 2)
+        return level if self.hidden is None else np.maximum(level, self.hidden.level(range_m))
 
     @property
     def peak(self) -> float:
@@ -247,8 +251,46 @@ class ParticleLight:
         """Mean signal of those that are not drawn, at these apparent ranges."""
         return np.interp(range_m, *self._rest)
 
+    @property
+    def backscatter_hidden(self) -> float:
+        """Mean backscatter of those that are not drawn where a medium hides them. [1/(m sr)]"""
+        optics = self.optics
+        if optics.hidden is None:
+            return 0.0
+        r = optics.hidden.range_m
+        r = r[(r > optics.overlap_start_m) & (optics.hidden.amplitude > optics.threshold)]
+        if not len(r):
+            return 0.0
+        seen = radiometry.overlap(r, optics.overlap_start_m, optics.overlap_full_m)
+        whole = math.pi * optics.k_m2 * seen * exp_or_zero(-2.0 * self.extinction_per_m * r) / (r * r)
+        return float(self.rest_density(r).sum() / max(float(whole.sum()), 1e-300))
+
+    @property
+    def flicker_hidden(self) -> tuple[float, float]:
+        """Up to which range a medium hides particles, and `flicker_at` there, at the most."""
+        optics = self.optics
+        r = np.zeros(0) if optics.hidden is None else optics.hidden.range_m
+        r = r[(r > optics.overlap_start_m) & (optics.level(r) > optics.threshold)]
+        return (float(r[-1]), float(np.max(self.flicker_at(r)))) if len(r) else (0.0, 0.0)
+
+    def flicker_at(self, range_m: Floats) -> Floats:
+        """rms of the light of those that are not drawn, over what must be reached there: points, each under a pulse."""
+        node, weight = np.polynomial.legendre.leggauss(32)
+        least = np.minimum(self.least_mm(range_m), self.sizes.largest_mm)[:, None]
+        s = 0.5 * (node + 1.0) * least * (1.0 - 1e-12)
+        per_size = self.sizes.larger(s) * (1.0 / s if self.optics.gaussian else self.sizes.slope_mm)
+        fourth = 0.5 * least[:, 0] * ((per_size * s**4) @ weight)
+        # the square of a pulse is as wide as 3/4 of its FWHM
+        squares = math.pi * self.optics.area_m2(range_m) * fourth * 0.75 * self.optics.pulse.fwhm_m
+        return np.asarray(np.sqrt(squares) * self.unit(range_m) / self.optics.level(range_m))
+
     def lift(self, range_m: Floats) -> Floats:
-        """Factor on the light of the drawn ones: the mean light of the others lowers the level that they must reach."""
+        """Factor on the light of the drawn ones: the mean light of the others lowers the level that they must reach.
+
+        Where a medium hides some of them, all that are not drawn are part of it.
+        """
+        if self.optics.hidden is not None:
+            return np.ones(len(range_m))
         return np.asarray(1.0 / (1.0 - np.minimum(self.rest(range_m) / self.optics.level(range_m), MOST_LIFT)))
 
     def kept_out(self, range_m: Floats, size_mm: Floats) -> Floats:

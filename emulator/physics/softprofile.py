@@ -167,7 +167,7 @@ class SoftProfile:
     def wave(self, x_m: Values) -> Floats:
         """Return of a beam that nothing blocks at apparent range x, linear between the bins. [noise units]"""
         x = floats(x_m)
-        return floats(np.interp(x, self._grid, self.free, left=0.0, right=0.0))
+        return floats(np.interp(x, self.grid, self.free, left=0.0, right=0.0))
 
     def exact(self, x_m: Values) -> Floats:
         """The same between the bins, from the running integrals under a sin^2 pulse; linear for another one."""
@@ -186,7 +186,7 @@ class SoftProfile:
     def top(self) -> tuple[float, float]:
         """Place and height of the largest return, between the bins."""
         at = int(np.argmax(self.free))
-        grid = self._grid
+        grid = self.grid
         if self.pulse.shape != "sin2":  # a parabola through three bins, as the maxima of samples are found
             left, middle, right = np.concatenate([np.zeros(1), self.free, np.zeros(1)])[at : at + 3].tolist()
             curve = left - 2.0 * middle + right
@@ -207,7 +207,7 @@ class SoftProfile:
         are right to `STRAIGHT_M`, at the foot too, where a bin holds most of the rise."""
         place, height = self.top
         foot = self.start_m - self.pulse.half_support_m
-        x = np.unique(np.concatenate([[foot], self._grid[(self._grid > foot) & (self._grid < place)], [place]]))
+        x = np.unique(np.concatenate([[foot], self.grid[(self.grid > foot) & (self.grid < place)], [place]]))
         value = self.exact(x)
         value[-1] = height
         looked_at = np.ones(len(x) - 1, bool) if self.pulse.shape == "sin2" else np.zeros(len(x) - 1, bool)
@@ -235,7 +235,8 @@ class SoftProfile:
         return x, np.maximum.accumulate(value)
 
     @cached_property
-    def _grid(self) -> Floats:
+    def grid(self) -> Floats:
+        """Apparent ranges of the bins."""
         return self.bin_m * np.arange(self.first, self.first + len(self.upper), dtype=np.float64)
 
     def tables(self, j: Ints) -> tuple[Floats, Floats]:

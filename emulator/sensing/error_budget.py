@@ -294,11 +294,16 @@ def _particles(measure: Measure, plan: ScanPlan) -> Finding:
         return Finding(True, 0.0, RAREST_PARTICLES, saves, idle=True, unit="per sweep")
     # of rain and of snow each is decided by itself
     where = view.seen.nearest_m, view.air.extinction_per_m, plan.gain
-    value = max(float(measure._falling.mean_drawn(one, *where).sum()) for one in view.air.particles)
+    soft = _medium(measure, plan)
+    value = max(float(measure._falling.mean_drawn(one, *where, soft).sum()) for one in view.air.particles)
     out = value < RAREST_PARTICLES and model.leave_out.particles
     for one in view.air.particles:
-        share, mean = measure._falling.mean_field(one, *where[1:])
+        share, mean = measure._falling.mean_field(one, *where[1:], soft)
         saves += f"; {one.term} below {share:g} of the level enters as its mean, at most {mean:.2g} of the level"
+        number, until_m, rms = measure._falling.hidden(one, *where[1:], soft)
+        if number > 0.0:
+            saves += f"; the medium's return hides {number:.2g} more of each beam up to {until_m:.1f} m, "
+            saves += f"their light is {100.0 * rms:.2g} % rms of it"
         left = measure._falling.shadow_left_out(one, *where)
         if left > 0.0:
             saves += f", and casts no flickering shadow: {100.0 * left:.2g} % rms of what stands behind"

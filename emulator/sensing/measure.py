@@ -117,8 +117,8 @@ class Measure:
         self._again: _Again | None = None
         self._parts: dict[tuple[int, int], tuple[Bundles, Bundles]] = {}
         "Of sweeps that are measured in parts: the bundles of the latest, and those of its part."
-        self._soft = SoftTargets(model, receiver.bin_m)
         self._falling = Falling(model)
+        self._soft = SoftTargets(model, receiver.bin_m, self._falling.undrawn)
         still = (mount.actor is None or scene.motions[scene.index[mount.actor]].still) and not beside
         self._still_pose = scene.sensor_pose(mount, np.zeros(1)) if still else None
         self._bright: BrightEdges | None = None
@@ -309,10 +309,12 @@ class Measure:
             spread = self._bundles.of(plan) if bundles is None else bundles
             seen, tails = self._bright.put_into(seen, spread, pose, t_s, surfaces, air, gain, plan.max_range_m)
         drops = []
+        soft = self._soft.everywhere(air, gain) if air.particles else None
         for particles in air.particles:
             falling = self._falling.seen(
-                particles, rays, t_s, pose.rotation, seen.nearest_m, air.extinction_per_m, plan.sweep, self.draws, gain
-            )
+                particles, rays, t_s, pose.rotation, seen.nearest_m, air.extinction_per_m, plan.sweep, self.draws, gain,
+                soft,
+            )  # fmt: skip
             if falling is None:
                 continue
             drops += [falling.echoes]

@@ -14,8 +14,10 @@ import numpy as np
 
 from emulator.physics import atmosphere, precipitation
 from emulator.physics.arrays import Floats, Ints
+from emulator.physics.hidden import Hidden
 from emulator.physics.particle_light import Optics, ParticleLight, Sizes
 from emulator.physics.random_streams import RandomStreams
+from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import SubEchoes
 from emulator.physics.world_particles import Lines, WorldParticles, class_middles
 from emulator.scenario.weather import Rain, Snow
@@ -35,9 +37,13 @@ LEAST_K_M2 = 1e-40
 "System constant below which no particle is seen: the filter keeps all light out, and sizes would overflow."
 MOST_A_BEAM = 3000.0
 "Particles seen alone by one beam from which they are a continuum."
-DRAWN = (0.1, 0.2, 0.4, 1.0)
-"""Shares of the level from which a particle is drawn: the first that leaves few enough in a beam. A cut of 0.1 is good
-to 1 % of the beams that answer, one of 0.3 to 3 %."""
+DRAWN = {0.1: 0.01, 0.2: 0.04, 0.4: 0.08, 1.0: 1.0}
+"""Shares of the level from which a particle is drawn, and the share of the beams that answer by particles which is
+wrong then. The largest of which too few beams answer for that to count; else the first that leaves few enough."""
+MOST_LEFT = 0.2
+"Such a share at the most, where few answer: shadows of larger particles flicker."
+WRONG = 0.004
+"Share of all beams that may be wrong for it."
 FAINTEST_SHADOW = 1e-3
 "Mean loss there and back by the drawn particles from which their shadows are looked at."
 SHORTER = 0.5
@@ -108,8 +114,9 @@ def _singly(particles: Particles, model: SensorModel, echoes: str) -> Particles 
 
 
 def light_of(
-    particles: Particles, model: SensorModel, extinction_per_m: float, gain: float, share: float
-) -> ParticleLight:
+    particles: Particles, model: SensorModel, extinction_per_m: float, gain: float, share: float,
+    hidden: Hidden | None = None,
+) -> ParticleLight:  # fmt: skip
     """The law of these particles in one beam, of those drawn that send back this share of the level."""
     beam = model.beam
     optics = Optics(
@@ -124,6 +131,7 @@ def light_of(
         model.floor_m2,
         0.0 if beam.is_ray else model.gate_m,
         model.pulse,
+        hidden,
     )
     return ParticleLight(particles.sizes, optics, extinction_per_m, share)
 
@@ -186,10 +194,21 @@ class Falling:
         self._model = model
 
         @lru_cache(maxsize=32)
-        def light(particles: Particles, extinction_per_m: float, gain: float) -> ParticleLight:
+        def light(
+            particles: Particles, extinction_per_m: float, gain: float, soft: SoftProfile | None = None
+        ) -> ParticleLight:
             beam = np.array(np.inf)
+
+            def drawn(share: float) -> ParticleLight:
+                return light_of(particles, model, extinction_per_m, gain, share, hidden)
+
+            hidden = Hidden.under(soft, model.threshold, model.near_gate_m) if hides(model) else None
+            alone = float(drawn(1.0).mean(beam))
+            for share, wrong in reversed(DRAWN.items()):
+                if model.leave_out.particles and share <= MOST_LEFT and wrong * alone <= WRONG:
+                    return drawn(share)
             for share in DRAWN:
-                made = light_of(particles, model, extinction_per_m, gain, share)
+                made = drawn(share)
                 if float(made.mean(beam)) <= MOST_DRAWN:
                     break
             return made
@@ -197,20 +216,43 @@ class Falling:
         self.light = light
 
         @lru_cache(maxsize=32)
+        def undrawn(particles: tuple[Particles, ...], extinction_per_m: float, gain: float, soft: SoftProfile) -> float:
+            return sum(light(one, extinction_per_m, gain, soft).backscatter_hidden for one in particles)
+
+        self.undrawn = undrawn
+        "Mean backscatter of those that a medium hides; 0 where it hides none. [1/(m sr)]"
+
+        @lru_cache(maxsize=32)
         def world(particles: Particles, seed: int) -> WorldParticles:
             return WorldParticles(seed, particles.term, particles.sizes, particles.fall_m_s, particles.wind_m_s)
 
         self._world = world
 
-    def mean_drawn(self, particles: Particles, far_m: Floats, extinction_per_m: float, gain: float = 1.0) -> Floats:
+    def mean_drawn(
+        self, particles: Particles, far_m: Floats, extinction_per_m: float, gain: float = 1.0,
+        soft: SoftProfile | None = None,
+    ) -> Floats:  # fmt: skip
         """(n,) mean numbers of those drawn, up to each beam's first surface, `far_m` (n,)."""
-        return self.light(particles, extinction_per_m, gain).mean(far_m)
+        return self.light(particles, extinction_per_m, gain, soft).mean(far_m)
 
-    def mean_field(self, particles: Particles, extinction_per_m: float, gain: float = 1.0) -> tuple[float, float]:
+    def mean_field(
+        self, particles: Particles, extinction_per_m: float, gain: float = 1.0, soft: SoftProfile | None = None
+    ) -> tuple[float, float]:
         """Share of the level from which particles are drawn, and the largest that the mean light of the others has."""
-        light = self.light(particles, extinction_per_m, gain)
+        light = self.light(particles, extinction_per_m, gain, soft)
         r = np.geomspace(max(light.optics.overlap_start_m, 1e-3), max(light.end_m, 1.0), 256)
         return light.share, float(np.max(light.rest(r) / light.optics.level(r)))
+
+    def hidden(
+        self, particles: Particles, extinction_per_m: float, gain: float, soft: SoftProfile | None
+    ) -> tuple[float, float, float]:
+        """Mean number in a beam of those that are not drawn because a medium hides them; how far the medium does; and
+        rms of their light over the medium's return there, at the most."""
+        light = self.light(particles, extinction_per_m, gain, soft)
+        if light.optics.hidden is None:
+            return 0.0, 0.0, 0.0
+        open_ = light_of(particles, self._model, extinction_per_m, gain, light.share)
+        return float(open_.mean(np.array(np.inf)) - light.mean(np.array(np.inf))), *light.flicker_hidden
 
     def shadow_left_out(self, particles: Particles, far_m: Floats, extinction_per_m: float, gain: float = 1.0) -> float:
         """Spread, over its mean, of the light of the farthest surface (both ways) by particles that are not drawn."""
@@ -221,10 +263,10 @@ class Falling:
 
     def seen(
         self, particles: Particles, rays: Rays, t_s: Floats, rotation: Floats, far_m: Floats, extinction_per_m: float,
-        sweep: int, draws: RandomStreams, gain: float = 1.0,
+        sweep: int, draws: RandomStreams, gain: float = 1.0, soft: SoftProfile | None = None,
     ) -> Drawn | None:  # fmt: skip
         """The particles that may be seen, alone or together, up to each beam's first surface, `far_m` (n,)."""
-        light = self.light(particles, extinction_per_m, gain)
+        light = self.light(particles, extinction_per_m, gain, soft)
         mean = light.mean(far_m)
         if not bool(mean.any()) or (float(mean.sum()) < RARE and self._model.leave_out.particles):
             return None
@@ -260,6 +302,11 @@ class Falling:
         beam = np.arange(len(count)).repeat(count)
         range_m = light.ranges(far_m[beam], uniform[:, 0])
         return beam, range_m, light.drawn_sizes(range_m, uniform[:, 1])
+
+
+def hides(model: SensorModel) -> bool:
+    """A medium's return may hide particles from this sensor's receiver: it looks for maxima and rises of the light."""
+    return model.leave_out.particles and model.leave_out.soft_table and model.photons is None and model.response is None
 
 
 def by_layers(own_axis: Floats) -> Ints | None:

@@ -6,8 +6,10 @@ Belongs here: which of both, and the points. Not: the tables (physics.softprofil
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache, partial
+from typing import TypeAlias
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import SubEchoes
 from emulator.sensing.air import AirNow
 from emulator.sensing.model import SensorModel
+from emulator.sensing.particles import Particles
 from emulator.sensing.rays import Rays
 
 POINTS_A_PULSE = 5
@@ -28,6 +31,7 @@ POINTS_AT_ONCE = 4096
 "Most points along one beam."
 
 
+Undrawn: TypeAlias = Callable[[tuple[Particles, ...], float, float, SoftProfile], float]
 SHARED_BINS = 100_000
 "Of a gate at the most, for its tables to be kept from run to run."
 
@@ -35,10 +39,11 @@ SHARED_BINS = 100_000
 class SoftTargets:
     """Media as one sensor sees them."""
 
-    def __init__(self, model: SensorModel, bin_m: float) -> None:
+    def __init__(self, model: SensorModel, bin_m: float, undrawn: Undrawn | None = None) -> None:
+        """`undrawn`: backscatter of what falls in an air, at a gain, that this medium hides. [1/(m sr)]"""
         self._model = model
-
         self._bin_m = bin_m
+        self._undrawn = undrawn
         shared = model.leave_out.soft_table and model.gate_m < SHARED_BINS * bin_m and _hashable(model)
         made = partial(_shared_table, model, bin_m) if shared else self._made
         self._table = lru_cache(maxsize=16)(made) if model.leave_out.soft_table else made
@@ -68,7 +73,12 @@ class SoftTargets:
         """The table of a medium that fills all the air; None where it is not seen."""
         if not self._model.weather_echoes or self.uneven(air):
             return None
-        return self._table(air.everywhere.extinction_per_m, air.everywhere.backscatter_per_m_sr, gain)
+        alpha, backscatter = air.everywhere.extinction_per_m, air.everywhere.backscatter_per_m_sr
+        made = self._table(alpha, backscatter, gain)
+        if made is None or not air.particles or self._undrawn is None:
+            return made
+        more = self._undrawn(air.particles, alpha, gain, made)
+        return self._table(alpha, backscatter + more, gain) if more > 0.0 else made
 
     def uneven(self, air: AirNow) -> bool:
         """Some volume sends back enough to be seen: all the air is then taken point by point."""

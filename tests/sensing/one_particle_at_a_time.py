@@ -61,13 +61,8 @@ class Rig:
         return axis * (2.0 * np.exp(-2.0 * (rho / w) ** 2) if self.gauss else np.where(rho < w, 1.0, 0.0))
 
 
-def first_echoes(rig: Rig, beams: int, to_m: float, seed: int, alone: bool = False, noise: float = 0.0) -> Floats:
-    """Range of the first echo of each beam, NaN where there is none.
-
-    `alone`: particles do not add. `noise`: rms of one number that is added to each maximum of at least 0.2 of the
-    level; the particles are the same for every `noise`.
-    """
-    rng = np.random.default_rng(seed)
+def drops(rig: Rig, beams: int, to_m: float, rng: np.random.Generator) -> tuple[NDArray[np.int64], Floats, Floats]:
+    """Beam, range and amplitude of all particles."""
     # in pieces of 0.1 m, so that the cylinder may widen
     edges = np.arange(rig.r1, to_m, 0.1)
     volume = np.pi * (RADII * rig.width(edges + 0.1)) ** 2 * 0.1
@@ -79,7 +74,17 @@ def first_echoes(rig: Rig, beams: int, to_m: float, seed: int, alone: bool = Fal
     r = edges[piece] + 0.1 * rng.random(len(beam))
     rho = RADII * rig.width(edges[piece] + 0.1) * np.sqrt(rng.random(len(beam)))
     size = np.minimum(rng.exponential(1.0 / rig.lam, len(beam)), LARGEST_MM)
-    light = rig.light(r, rho, size)
+    return beam, r, rig.light(r, rho, size)
+
+
+def first_echoes(rig: Rig, beams: int, to_m: float, seed: int, alone: bool = False, noise: float = 0.0) -> Floats:
+    """Range of the first echo of each beam, NaN where there is none.
+
+    `alone`: particles do not add. `noise`: rms of one number that is added to each maximum of at least 0.2 of the
+    level; the particles are the same for every `noise`.
+    """
+    rng = np.random.default_rng(seed)
+    beam, r, light = drops(rig, beams, to_m, rng)
     begin = max(rig.r1, rig.near)
     if alone:
         seen = (light >= rig.level(r)) & (r >= begin)

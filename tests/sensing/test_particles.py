@@ -226,7 +226,8 @@ def one_by_one(of: WorldParticles, light: Any, lines: Lines) -> list[tuple[int, 
 )
 def test_beams_of_a_sensor_that_drives_see_what_each_of_them_sees_alone(name: str, speed_m_s: float) -> None:
     measure = sensor(named("particles_sum", f"lms291-s05 w0 5 mm gauss floor {name}")[0])
-    now, light, lines = measure.air.at(0.0), particle_light(measure), fan(speed_m_s)
+    now, lines = measure.air.at(0.0), fan(speed_m_s)
+    light = dataclasses.replace(particle_light(measure), share=0.1)
     of = WorldParticles(1, "snow", light.sizes, now.particles[0].fall_m_s, (2.0, -1.0, 0.0))
     drawn = of.in_beams(light, lines)
     assert drawn is not None
