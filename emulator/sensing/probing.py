@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from emulator.physics import beams
 from emulator.physics.arrays import Bools, Floats, Ints, indexes
-from emulator.physics.subechoes import SubEchoes
+from emulator.physics.subechoes import interleaved
 from emulator.sensing import closed, strips
 from emulator.sensing.air import AirNow
 from emulator.sensing.contracts import FacedCaster, Hits
@@ -30,6 +30,7 @@ from emulator.sensing.paths import Seen, Surfaces, reach_of, returned, window_fa
 from emulator.sensing.pruning import Pruned
 from emulator.sensing.rays import BundleCache, Rays, cast_rays, pose_at, turned
 from emulator.sensing.sheets import bright_of
+from emulator.sensing.through import Ways
 from emulator.world.connected import pieces_of
 from emulator.world.motion import Pose
 from protocols.scan import ScanPlan
@@ -45,8 +46,9 @@ OFF_PLANE_LSB = 0.5
 "Of a probe from the plane through the others of its beam, in steps of the range: more is an edge or a crease."
 MOST_BEHIND = 0.1
 "Share of the light behind an edge between probes: of four it is 0.091."
-NOTHING, CLOSED, PROBED, BUNDLE = 0, 1, 2, 3
-"What becomes of a beam: no echo; strips of one surface; the paths of its probes; those of its bundle."
+NOTHING, CLOSED, PROBED, BUNDLE, PANE = 0, 1, 2, 3, 5
+"""What becomes of a beam: no echo; strips of one surface; the paths of its probes; those of its bundle; those of its
+probes if what these see through a pane or in it is smooth too."""
 MOST_BRIGHT = 64
 "Pieces of bright faces around each of which a sphere is looked at."
 
@@ -187,7 +189,17 @@ class Probing:
             if len(chosen):
                 own = (at[chosen][:, None] + np.arange(count)).ravel()
                 parts.append((left[chosen], returned(_Picked.of(hits, own), _rays_at(rays, chosen, own), *what)))
-        chosen = indexes(kinds == BUNDLE)
+            chosen = indexes(sort == PANE)
+            if len(chosen):
+                own = (at[chosen][:, None] + np.arange(count)).ravel()
+                ways = Ways()
+                seen = returned(_Picked.of(hits, own), _rays_at(rays, chosen, own), *what, ways)
+                light = np.bincount(seen.echoes.beam, seen.echoes.amplitude, len(chosen))
+                first_m = hits.range_m[own].reshape(-1, count)
+                good = ways.smooth(first_m, light, self._places, OFF_PLANE_LSB * model.lsb_m, model)
+                kinds[left[chosen]] = np.where(good, PANE, BUNDLE)
+                parts.append((left[chosen], replace(seen, found=seen.echoes.of_beams(good))))
+        chosen = indexes(kinds == BUNDLE)  # what was put down of them as panes is replaced
         if len(chosen):
             part = cast_rays(self._bundles.part(plan, chosen), pose_at(pose, chosen), t_s[chosen])
             hits = self._caster.first_hits(part.origin_m, part.direction, part.t_s, max_range_m=far)
@@ -195,13 +207,13 @@ class Probing:
             material[chosen], normal[chosen] = seen.axis_material, seen.axis_normal
             parts.append((chosen, seen))
         found = strips.echoes(
-            indexes(kinds == CLOSED), faces, material, actor, weight, surfaces, air.extinction_per_m, model
+            indexes(kinds == CLOSED), faces, material, actor, weight, surfaces.table, air.extinction_per_m, model
         )
-        nearest, others = made[0], SubEchoes.none()
+        nearest, others = made[0], [found]
         for chosen, seen in parts:
             nearest[chosen] = seen.nearest_m
-            others = SubEchoes.joined(others, replace(seen.echoes, beam=chosen[seen.echoes.beam]))
-        found = SubEchoes.joined(found, others)
+            others.append(replace(seen.echoes, beam=chosen[seen.echoes.beam]))
+        found = interleaved(others, n)
         none, each = np.full(n, np.nan), np.arange(n)
         axis = beams_.frame[0].T
         axes = Rays(pose.position_m, axis, t_s, each, np.ones(n), each, pose.position_m, axis, beams_.own_axis)
@@ -278,7 +290,7 @@ def _treated(surfaces: Surfaces, air: AirNow, model: SensorModel) -> Ints:
     table = surfaces.table
     needs = np.where(table.apart | air.uneven, PROBED, CLOSED)
     if surfaces.sends_on and model.bounces > 0:
-        needs = np.where(surfaces.onward, BUNDLE, needs)
+        needs = np.where(surfaces.onward, PANE, needs)
     if surfaces.detailed is not None:
         needs = np.where(surfaces.detailed, BUNDLE, needs)
     return needs.astype(np.int64)
@@ -334,7 +346,7 @@ def _judged(
     same = (material == material[:, :1]).all(axis=1) & (actor == actor[:, :1]).all(axis=1)
     kinds, faces = np.where(some, BUNDLE, NOTHING), strips.Faces.none(n)
     at = indexes(every & same)
-    at = at[treated[material[at, 0]] < BUNDLE]
+    at = at[treated[material[at, 0]] != BUNDLE]
     if not len(at):
         return kinds, nearest, faces
     r, step = range_m[at], OFF_PLANE_LSB * model.lsb_m
@@ -349,7 +361,7 @@ def _judged(
         flat = np.abs(away).max(axis=1) <= step
         slope = plane.turns_uv / plane.facing + plane.above_uv / plane.above
     steep = np.hypot(*slope)
-    kinds[at[flat]] = PROBED
+    kinds[at[flat]] = treated[material[at[flat], 0]]
     flat &= treated[material[at, 0]] == CLOSED
     kinds[at[flat]] = BUNDLE
     chosen = indexes(flat & (steep <= strips.STEEPEST))

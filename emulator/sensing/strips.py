@@ -18,10 +18,10 @@ import numpy as np
 
 from emulator.compiled.pair import by_loops
 from emulator.physics.arrays import Floats, Ints, clamped, exp_or_zero
+from emulator.physics.materials import SurfaceTable
 from emulator.physics.radiometry import overlap
 from emulator.physics.subechoes import SubEchoes
 from emulator.sensing.model import SensorModel
-from emulator.sensing.paths import Surfaces
 
 COUNTS = 2, 4, 6, 8, 12, 16, 24, 32
 "Strips of a beam, or one, or none where no number of them does."
@@ -101,11 +101,11 @@ NODES = _tabled()
 
 
 def _echoes_by_loops(
-    loops: ModuleType, at: Ints, faces: Faces, material: Ints, actor: Ints, weight: Floats, surfaces: Surfaces,
+    loops: ModuleType, at: Ints, faces: Faces, material: Ints, actor: Ints, weight: Floats, table: SurfaceTable,
     extinction_per_m: float, model: SensorModel,
 ) -> SubEchoes:  # fmt: skip
     whole, sizes = loops.strips(
-        at, faces.rows, faces.count, material, actor, weight, surfaces.table.factors, NODES, extinction_per_m,
+        at, faces.rows, faces.count, material, actor, weight, table.factors, NODES, extinction_per_m,
         model.k_m2, model.aperture_radius_m**2, model.overlap_start_m, model.overlap_full_m,
     )  # fmt: skip
     return SubEchoes(whole[0], sizes[0], sizes[1], sizes[2], whole[1])
@@ -113,7 +113,7 @@ def _echoes_by_loops(
 
 @by_loops(_echoes_by_loops, "strips")
 def echoes(
-    at: Ints, faces: Faces, material: Ints, actor: Ints, weight: Floats, surfaces: Surfaces, extinction_per_m: float,
+    at: Ints, faces: Faces, material: Ints, actor: Ints, weight: Floats, table: SurfaceTable, extinction_per_m: float,
     model: SensorModel,
 ) -> SubEchoes:  # fmt: skip
     """Sub-echoes of the beams `at`, ascending; `weight` (n,) of their light; materials are none of `table.apart`."""
@@ -123,7 +123,7 @@ def echoes(
     place, share = NODES[faces.count[of], :, np.arange(len(of)) - first].T
     above, leans, facing, turns, beside, cosine, bends = faces.rows[:, of]
     range_m = (above - leans * place) / (facing + turns * place) + beside
-    back = surfaces.table.back(material[of].astype(np.int64), cosine + bends * place)
+    back = table.back(material[of].astype(np.int64), cosine + bends * place)
     height = weight[of] * model.k_m2 * share * back / (range_m * range_m + model.aperture_radius_m**2)
     if extinction_per_m > 0.0:
         height = height * exp_or_zero(-2.0 * extinction_per_m * range_m)
