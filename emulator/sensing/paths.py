@@ -453,14 +453,14 @@ def _continue(
             front = _come_out(front, caster, scene.solid)
         left = max(reach_m - float(np.min(front.length_m)), 0.0)
         hits = caster.first_hits(front.origin_m, front.direction, front.t_s, max_range_m=left)
-        length = front.length_m + hits.range_m
-        within = length <= reach_m
-        if ways is not None:
-            ways.note(front.beam, way, length, hits, within)
-        met = indexes(within)
+        met = indexes(front.length_m + hits.range_m <= reach_m)
+        if ways is not None and not len(met):
+            ways.note(front.beam, way, hits, met, np.zeros(0), np.zeros(0))
         if not len(met):
             break
         found, onward = _meet(front, hits, met, rays, scene, air, model)
+        if ways is not None:
+            ways.note(front.beam, way, hits, met, found[1], found[2])
         stopped = _stopped(front, onward if bounce < model.bounces - 1 else [])
         parts.append((*found, stopped[met], hits.actor[met]))
     return parts

@@ -49,6 +49,8 @@ MOST_BEHIND = 0.1
 NOTHING, CLOSED, PROBED, BUNDLE, PANE = 0, 1, 2, 3, 5
 """What becomes of a beam: no echo; strips of one surface; the paths of its probes; those of its bundle; those of its
 probes if what these see through a pane or in it is smooth too."""
+FEWEST_PANES = 40
+"Beams of a sweep: to look through fewer panes with probes first costs more than it saves."
 MOST_BRIGHT = 64
 "Pieces of bright faces around each of which a sphere is looked at."
 
@@ -190,12 +192,16 @@ class Probing:
                 own = (at[chosen][:, None] + np.arange(count)).ravel()
                 parts.append((left[chosen], returned(_Picked.of(hits, own), _rays_at(rays, chosen, own), *what)))
             chosen = indexes(sort == PANE)
-            if len(chosen):
+            if 0 < len(chosen) < FEWEST_PANES:
+                kinds[left[chosen]] = BUNDLE
+            elif len(chosen):
                 own = (at[chosen][:, None] + np.arange(count)).ravel()
                 ways = Ways()
                 seen = returned(_Picked.of(hits, own), _rays_at(rays, chosen, own), *what, ways)
-                light = np.bincount(seen.echoes.beam, seen.echoes.amplitude, len(chosen))
-                first_m = hits.range_m[own].reshape(-1, count)
+                first_m, panes = hits.range_m[own].reshape(-1, count), at[chosen]
+                # what a pane sends straight back as a mirror has a spread of nothing
+                light = weight[left[chosen]] * model.k_m2 / (first_m.min(axis=1) ** 2 + model.aperture_radius_m**2)
+                light *= surfaces.table.back(hits.material[panes].astype(np.int64), hits.cosine[panes])
                 good = ways.smooth(first_m, light, self._places, OFF_PLANE_LSB * model.lsb_m, model)
                 kinds[left[chosen]] = np.where(good, PANE, BUNDLE)
                 parts.append((left[chosen], replace(seen, found=seen.echoes.of_beams(good))))

@@ -27,35 +27,38 @@ class Ways:
     beam: list[Ints] = field(default_factory=list)
     way: list[Ints] = field(default_factory=list)
     "Which branches were taken; those of one beam that took the same have the same number."
-    length_m: list[Floats] = field(default_factory=list)
-    "Of the whole way; infinite: nothing was met within reach."
+    whole: list[Floats] = field(default_factory=list)
+    "(2, m) length of the whole way and amplitude; infinite: nothing was met within reach."
     what: list[NDArray[np.int32]] = field(default_factory=list)
     "(2, m) material and actor."
 
-    def note(self, beam: Ints, way: Ints, length_m: Floats, hits: Any, met: Bools) -> None:
-        """Those of one bounce."""
+    def note(self, beam: Ints, way: Ints, hits: Any, met: Ints, length_m: Floats, light: Floats) -> None:
+        """Those of one bounce; lengths and amplitudes are of those that have `met` something within reach."""
+        whole, what = np.full((2, len(beam)), np.inf), np.full((2, len(beam)), -1, np.int32)
+        whole[0, met], whole[1, met] = length_m, light
+        what[:, met] = hits.material[met], hits.actor[met]
         self.beam.append(beam)
         self.way.append(way)
-        self.length_m.append(np.where(met, length_m, np.inf))
-        self.what.append(np.where(met, [hits.material, hits.actor], -1))
+        self.whole.append(whole)
+        self.what.append(what)
 
     def smooth(self, first_m: Floats, light: Floats, places: Floats, step_m: float, model: SensorModel) -> Bools:
-        """(n,) beams whose probes do; first ranges (n, k), `light` (n,) all that comes back, places (3, k)."""
+        """(n,) beams whose probes do; ranges (n, k) of the panes, amplitudes (n,) of these, places (3, k)."""
         k = first_m.shape[1]
         good = _even(first_m, light, places, step_m, model)
-        for beam, way, length_m, what in zip(self.beam, self.way, self.length_m, self.what, strict=True):
+        for beam, way, sizes, what in zip(self.beam, self.way, self.whole, self.what, strict=True):
             order = np.argsort(beam * (way.max(initial=0) + 1) + way, kind="stable")
-            beam, way, length_m, what = beam[order], way[order], length_m[order], what[:, order]
+            beam, way, sizes, what = beam[order], way[order], sizes[:, order], what[:, order]
             start = np.flatnonzero(np.diff(beam, prepend=-1) | np.diff(way, prepend=-1))
             whole = np.diff(start, append=len(beam)) == k
             good[beam[start[~whole]]] = False
             rays = start[whole][:, None] + np.arange(k)
-            of, lengths = beam[start[whole]], length_m[rays]
+            of, (lengths, lights) = beam[start[whole]], sizes[:, rays]
             same = (what[:, rays] == what[:, rays[:, :1]]).all(axis=(0, 2))
             met = np.isfinite(lengths[:, 0])
             good[of[~same]] = False
             seen = np.flatnonzero(same & met)
-            fine = _even(lengths[seen], light[of[seen]], places, step_m, model)
+            fine = _even(lengths[seen], lights[seen].sum(axis=1), places, step_m, model)
             good[of[seen[~fine]]] = False
         return good
 
