@@ -144,7 +144,8 @@ def interleaved(parts: list[SubEchoes], beams: int) -> SubEchoes:
     counts = [np.bincount(part.beam, minlength=beams) for part in parts]
     whole = np.sum(counts, axis=0)
     begins, total = whole.cumsum() - whole, sum(len(part) for part in parts)
-    made = SubEchoes(*np.zeros((1, total), np.int64), *np.zeros((3, total)), np.zeros(total, np.int64))
+    sizes = np.zeros((3, total))
+    made = SubEchoes(np.zeros(total, np.int64), sizes[0], sizes[1], sizes[2], np.zeros(total, np.int64))
     for part, count in zip(parts, counts, strict=True):
         place = (begins - (count.cumsum() - count))[part.beam] + np.arange(len(part))
         for name in ("beam", "range_m", "amplitude", "blocked", "source"):

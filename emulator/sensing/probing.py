@@ -320,7 +320,7 @@ class _Planes:
         """(n, k) of probes behind them, along the probes."""
         w = places[1:]
         top = self.above[:, None] - self.above_uv.T @ w
-        return range_m - places[0] * (top / (self.facing[:, None] + self.turns_uv.T @ w))
+        return np.asarray(range_m - places[0] * (top / (self.facing[:, None] + self.turns_uv.T @ w)))
 
 
 def _planes(beams_: Beams, normal: Floats, axis_m: Floats, model: SensorModel) -> _Planes:

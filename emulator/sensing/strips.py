@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from types import ModuleType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from emulator.compiled.pair import by_loops
 from emulator.physics.arrays import Floats, Ints, clamped, exp_or_zero
@@ -23,6 +24,7 @@ from emulator.physics.radiometry import overlap
 from emulator.physics.subechoes import SubEchoes
 from emulator.sensing.model import SensorModel
 
+Words = NDArray[np.int32]
 COUNTS = 2, 4, 6, 8, 12, 16, 24, 32
 "Strips of a beam, or one, or none where no number of them does."
 FEET = 1.0, 1e-1, 1e-2, 1e-3, 0.0
@@ -101,7 +103,7 @@ NODES = _tabled()
 
 
 def _echoes_by_loops(
-    loops: ModuleType, at: Ints, faces: Faces, material: Ints, actor: Ints, weight: Floats, table: SurfaceTable,
+    loops: ModuleType, at: Ints, faces: Faces, material: Words, actor: Words, weight: Floats, table: SurfaceTable,
     extinction_per_m: float, model: SensorModel,
 ) -> SubEchoes:  # fmt: skip
     whole, sizes = loops.strips(
@@ -113,7 +115,7 @@ def _echoes_by_loops(
 
 @by_loops(_echoes_by_loops, "strips")
 def echoes(
-    at: Ints, faces: Faces, material: Ints, actor: Ints, weight: Floats, table: SurfaceTable, extinction_per_m: float,
+    at: Ints, faces: Faces, material: Words, actor: Words, weight: Floats, table: SurfaceTable, extinction_per_m: float,
     model: SensorModel,
 ) -> SubEchoes:  # fmt: skip
     """Sub-echoes of the beams `at`, ascending; `weight` (n,) of their light; materials are none of `table.apart`."""
