@@ -412,9 +412,9 @@ RULES: tuple[Rule, ...] = (
          "no edge within plain_radii beam radii: exp(-2 k^2) of the power lies outside", _closed_form),
     Rule("sub-rays of narrow beams", "narrow_beams", "once per beam",
          "axis and probes meet one material on one plane within half a quantization step, no retro-reflector is near; "
-         "strips of it, computed, shift a crossing by a quarter of a step at the most; behind a pane and in it likewise, "
-         "where the probes themselves do; value: the largest share of the light behind a straight edge that no probe "
-         "meets", _narrow_beams),
+         "strips of it, computed, shift a crossing by a quarter of a step at the most, and where probes see the same "
+         "through a pane and in it they do themselves; value: the largest share of the light behind a straight edge "
+         "that no probe meets", _narrow_beams),
     Rule("tail of the beam", None, "once per sweep",
          "edges of ordinary surfaces beyond the bundle's outermost ray stay below the threshold; those of surfaces "
          "with an equivalent reflectance from 10 on get rays of their own, with every rule off as well", _tail),

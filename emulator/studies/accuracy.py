@@ -185,7 +185,7 @@ def run(effort: Effort, steps: Callable[[list[str]], Iterator[str]] = iter) -> R
             (
                 "What a scene does not need is not computed; bounds and switches: `lidaremu explain`. Here is what "
                 "each rule saves in rays and time, alone and all together, and that scans stay what they were.",
-                "Narrow beams, of sensors of many layers, have probes instead of bundles where they see smooth surfaces.",
+                "Narrow beams of sensors of many layers have probes, not bundles, where they see smooth surfaces.",
             ),
             (pictures.leaving_out(each),),
             (each, left_out, probed),
