@@ -12,6 +12,7 @@ from emulator.compiled.moving import moving, near, pairs
 from emulator.compiled.narrow import narrow
 from emulator.compiled.packets import Packets, library
 from emulator.compiled.sheets import beside, covered
+from emulator.compiled.strips import strips
 from emulator.compiled.surfaces import in_order, special, strengths
 from emulator.compiled.waves import sampled
 
@@ -44,6 +45,7 @@ __all__ = [
     "special",
     "split",
     "strengths",
+    "strips",
     "sums",
     "unwritten",
 ]

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from emulator.compiled.arithmetic import exp
 from emulator.compiled.casting import LONGER, LONGEST
 from emulator.compiled.jit import EMBREE, FLAGS, FLOAT, FLOATS, INT, INTS, ROWS, TURNS, WORDS, compiled
 from emulator.compiled.packets import DIRECTION, GEOMETRY, TFAR, TRIANGLE, room, send
+from emulator.compiled.strips import reflected, strips_wanted
 
 TOGETHER = 32
 "Beams whose rays are held together."
@@ -35,26 +35,43 @@ def _touched(ox, oy, oz, ax, ay, az, spheres, spread, pupil, farthest):
     return False
 
 
+@compiled()
+def _off(range_m, base, places, share, above, above_u, above_v, facing, turns_u, turns_v):
+    """Mean and largest distance of a beam's probes behind a plane, along the probes."""
+    bias = most = 0.0
+    for p in range(len(share)):
+        met = (above - above_u * places[1, p] - above_v * places[2, p]) / (
+            facing + turns_u * places[1, p] + turns_v * places[2, p]
+        )
+        away = range_m[base + p] - places[0, p] * met
+        most = away if away > most else -away if -away > most else most if away == away else np.inf
+        bias += share[p] * away
+    return bias, most
+
+
 @compiled(
     *EMBREE, ROWS, TURNS, INTS, ROWS, ROWS, FLOATS, FLOATS, FLOAT, FLOAT, FLOAT, ROWS, INTS, INT, FLAGS, WORDS, WORDS,
-    INTS, ROWS, FLOATS, ROWS, ROWS, FLOATS,
+    INTS, ROWS, FLOATS, ROWS, ROWS, FLOATS, INTS, FLOATS, ROWS,
 )  # fmt: skip
 def narrow(
     function, width, scene, arguments, place, frame, order, aim, places, share, centre, far, reach, suspicious,
-    plane, body_of, offset, closed, actor_of, material_of, treated, factors, weight, movers, bright, law,
+    plane, body_of, offset, closed, actor_of, material_of, treated, factors, weight, movers, bright, law, numbers, feet,
+    shift,
 ):  # fmt: skip
-    """What becomes of n beams: kinds (n,), numbers (5, n), as of `_judged` and ranges along the axis, material
-    and actor at the axis (2, n), normals (3, n) there, how many rays were cast, how many distances were suspicious.
+    """What becomes of n beams: kinds (n,), nearest ranges and those along the axis (2, n), rows (7, n) and counts (n,)
+    of their faces, see `strips.Faces`, material and actor at the axis (2, n), normals (3, n) there, how many rays were
+    cast, how many distances were suspicious.
 
     `place` : (3, n) and `frame` : (3, 3, n) axis, left and up of each beam; `order` : (n,) in which they are done;
-    `aim` : (5, k) and `places` : (3, k) of the probes; `movers`, `bright` : (4, .) spheres; `law` : (11,) as of
-    `Probing`; the rest as in `Around`.
+    `aim` : (5, k) and `places` : (3, k) of the probes; `movers`, `bright` : (4, .) spheres; `law` : numbers as of
+    `Probing`; `numbers`, `feet`, `shift` : of strips; the rest as in `Around`.
     """
     n, k = place.shape[1], aim.shape[1]
-    spread, pupil, square, step, k_m2, area, extinction, start, full, foot, widest = (
-        law[0], law[1], law[2], law[3], law[4], law[5], law[6], law[7], law[8], law[9], law[10]
-    )  # fmt: skip
-    kinds, made = np.empty(n, np.int64), np.zeros((5, n))
+    spread, pupil, square, step, k_m2, area = law[0], law[1], law[2], law[3], law[4], law[5]
+    wide_x, wide_y, exit_m, turn, tilt, length = law[6], law[7], law[8], law[9], law[10], law[11]
+    steepest, fwhm, level, foot, allowed, ripple = law[12], law[13], law[14], law[15], law[16], law[17]
+    kinds, made, count_of = np.empty(n, np.int64), np.zeros((2, n)), np.zeros(n, np.int64)
+    rows = np.zeros((7, n))
     what, normal = np.empty((2, n), np.int32), np.zeros((3, n))
     packet, flags, lanes = room(width)
     most = TOGETHER * k
@@ -127,7 +144,7 @@ def narrow(
                 met += r <= reach
                 inner |= facing[base + p] > 0.0 and closed[at]
                 same = same and material_of[at] == what[0, i] and actor_of[body_of[at]] == what[1, i]
-            made[3, i], made[4, i] = nearest if met else np.inf, range_m[base]
+            made[0, i], made[1, i] = nearest if met else np.inf, range_m[base]
             if inner or _touched(ox, oy, oz, ax, ay, az, movers, spread, pupil, farthest):
                 kinds[i] = LEFT
                 continue
@@ -140,55 +157,53 @@ def narrow(
             kinds[i] = BUNDLE
             if met < k or not same:
                 continue
-            middle = across = upward = 0.0
-            for p in range(k):
-                inverse = places[0, p] / range_m[base + p]
-                middle += inverse / k
-                across += inverse * places[1, p] / square
-                upward += inverse * places[2, p] / square
-            off, axis_m = 0.0, range_m[base]
-            for p in range(k):
-                here = places[0, p] / range_m[base + p]
-                off = max(off, abs(here - middle - across * places[1, p] - upward * places[2, p]))
-            if not off * axis_m * axis_m <= step:
+            kind = np.int64(what[0, i])
+            if treated[kind] == BUNDLE:
                 continue
-            kind = what[0, i]
+            # the plane that the axis meets: see `probing._planes`
+            nx, ny, nz = normal[0, i], normal[1, i], normal[2, i]
+            left = nx * frame[1, 0, i] + ny * frame[1, 1, i] + nz * frame[1, 2, i]
+            up = nx * frame[2, 0, i] + ny * frame[2, 1, i] + nz * frame[2, 2, i]
+            one_u, one_v = turn * left + tilt * up, turn * up - tilt * left
+            facing_0 = nx * ax + ny * ay + nz * az
+            above, above_u, above_v = facing_0 * range_m[base], exit_m * one_u, exit_m * one_v
+            turns_u, turns_v = wide_x * one_u, wide_y * one_v
+            bias, off = _off(
+                range_m, base, places, share, above, above_u, above_v, facing_0, turns_u, turns_v
+            )  # fmt: skip
+            if not off <= step:  # the smooth surface through the probes
+                above, above_u, above_v, facing_0, turns_u, turns_v = 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                for p in range(k):
+                    inverse = places[0, p] / range_m[base + p]
+                    facing_0 += inverse / k
+                    turns_u += inverse * places[1, p] / square
+                    turns_v += inverse * places[2, p] / square
+                bias, off = _off(
+                    range_m, base, places, share, above, above_u, above_v, facing_0, turns_u, turns_v
+                )  # fmt: skip
+                if not off <= step:
+                    continue
             if treated[kind] != CLOSED:
-                kinds[i] = BUNDLE if treated[kind] == BUNDLE else LEFT
-                continue
-            total = mean = least = 0.0
-            for p in range(k):
-                r, c = range_m[base + p], min(abs(facing[base + p]), 1.0)
-                back = factors[0, kind] * c + factors[1, kind] * (1.0 - c * c) + factors[2, kind]
-                if factors[3, kind] > 0.0:  # see `brdf.ggx_cos`
-                    rough = factors[5, kind] * factors[5, kind]
-                    lobe = (1.0 - c * c) + rough * c * c
-                    back += factors[3, kind] * (
-                        factors[4, kind] * rough / (4.0 * lobe * lobe * np.sqrt(c * c + rough * (1.0 - c * c)))
-                    )
-                one_height = share[p] * back / (r * r + area)
-                if extinction > 0.0:
-                    one_height *= exp(-2.0 * extinction * r)
-                if r < start:
-                    one_height = 0.0
-                elif r < full:
-                    one_height *= (r - start) / (full - start)
-                total += one_height
-                mean += one_height * (r - axis_m)
-                least = min(least, r - axis_m)
-            mean /= total if total > 0.0 else 1.0
-            size, lead = weight[i] * k_m2 * total, mean - least
-            if not (lead <= 4.0 * step or lead * lead * size <= foot):
-                continue
-            variance = 0.0
-            for p in range(k):
-                away = range_m[base + p] - axis_m - mean
-                variance += share[p] * away * away
-            wide = np.sqrt(variance)
-            if wide > widest:
                 kinds[i] = LEFT
                 continue
+            slope_u, slope_v = turns_u / facing_0 + above_u / above, turns_v / facing_0 + above_v / above
+            slope = np.hypot(slope_u, slope_v)
+            if not slope <= steepest:
+                continue
+            to_u, to_v = (slope_u / slope, slope_v / slope) if slope > 0.0 else (1.0, 0.0)
+            cosine = bends = 0.0
+            for p in range(k):
+                c = abs(facing[base + p])
+                cosine += c / k
+                bends += c * (places[1, p] * to_u + places[2, p] * to_v) / square
+            leans, turns = above_u * to_u + above_v * to_v, turns_u * to_u + turns_v * to_v
+            near = length * (above - leans) / (facing_0 + turns)
+            size = weight[i] * k_m2 * reflected(factors, kind, cosine) / (near * near + area)
+            lead = max(length * above / facing_0 - near, 0.0)
+            count_of[i] = strips_wanted(lead, size, fwhm, level, foot, allowed, ripple, numbers, feet, shift)
+            if count_of[i] == 0:
+                continue
             kinds[i] = CLOSED
-            made[0, i], made[1, i] = axis_m + mean - wide, axis_m + mean + wide
-            made[2, i] = 0.5 * size
-    return kinds, made, what, normal, cast, wrong
+            rows[0, i], rows[1, i], rows[2, i], rows[3, i] = length * above, length * leans, facing_0, turns
+            rows[4, i], rows[5, i], rows[6, i] = bias, cosine, bends
+    return kinds, made, rows, count_of, what, normal, cast, wrong

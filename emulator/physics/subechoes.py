@@ -136,6 +136,23 @@ def _merged(one: SubEchoes, other: SubEchoes) -> SubEchoes:
     )
 
 
+def interleaved(parts: list[SubEchoes], beams: int) -> SubEchoes:
+    """All sub-echoes of parts that have no beam in common, without spreads; beams are numbered below `beams`."""
+    parts = [part for part in parts if len(part)]
+    if len(parts) < 2:
+        return parts[0] if parts else SubEchoes.none()
+    counts = [np.bincount(part.beam, minlength=beams) for part in parts]
+    whole = np.sum(counts, axis=0)
+    begins, total = whole.cumsum() - whole, sum(len(part) for part in parts)
+    sizes = np.zeros((3, total))
+    made = SubEchoes(np.zeros(total, np.int64), sizes[0], sizes[1], sizes[2], np.zeros(total, np.int64))
+    for part, count in zip(parts, counts, strict=True):
+        place = (begins - (count.cumsum() - count))[part.beam] + np.arange(len(part))
+        for name in ("beam", "range_m", "amplitude", "blocked", "source"):
+            getattr(made, name)[place] = getattr(part, name)
+    return made
+
+
 @dataclass(frozen=True, eq=False)
 class Kept:
     """Sub-echoes that come again, sweep after sweep, in most beams."""

@@ -19,6 +19,7 @@ from emulator.physics.cosines import SHORT, split_cosines
 from emulator.physics.radiometry import overlap
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import SubEchoes
+from emulator.sensing import strips
 from emulator.sensing.closed import LEAN_LSB, SHIFT_LSB
 from emulator.sensing.daylight import largest_diffuse_w, largest_near_sun_w, surfaces_show, unseen_w
 from emulator.sensing.faint import looked_at, most_dropped
@@ -119,6 +120,7 @@ def _narrow_beams(measure: Measure, plan: ScanPlan) -> Finding:
     whole, plain = len(plan) * measure._bundles.sub_beams, int(np.count_nonzero(view.plain))
     saves = (
         f"{whole - view.cast} of {whole} rays; {plain} of {len(plan)} beams see one smooth surface; "
+        f"crossings within {1e3 * strips.SHIFT_LSB * model.lsb_m:.2g} mm; "
         f"a strip of at most {100.0 * strip:.0f} % of the light may slip between {model.probes} probes"
     )
     return Finding(True, edge, MOST_BEHIND, saves, unit="of power")
@@ -415,8 +417,9 @@ RULES: tuple[Rule, ...] = (
          "no edge within plain_radii beam radii: exp(-2 k^2) of the power lies outside", _closed_form),
     Rule("sub-rays of narrow beams", "narrow_beams", "once per beam",
          "axis and probes meet one material on one plane within half a quantization step, no retro-reflector is near; "
-         "their quadrature has no error up to the third degree; value: the largest share of the light behind a "
-         "straight edge that no probe meets", _narrow_beams),
+         "strips of it, computed, shift a crossing by a quarter of a step at the most, and where probes see the same "
+         "through a pane and in it they do themselves; value: the largest share of the light behind a straight edge "
+         "that no probe meets", _narrow_beams),
     Rule("tail of the beam", None, "once per sweep",
          "edges of ordinary surfaces beyond the bundle's outermost ray stay below the threshold; those of surfaces "
          "with an equivalent reflectance from 10 on get rays of their own, with every rule off as well", _tail),

@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 
 from emulator.compiled.pair import OTHERWISE, by_loops
 from emulator.physics.arrays import Floats, Ints
+from emulator.sensing import strips
 from emulator.sensing.contracts import FacedCaster
 
+NUMBERS, FEET = np.array(strips.COUNTS), np.array(strips.FEET)
 LEFT = 4
 "Of a beam nothing is known; other kinds are those of `probing`."
 
@@ -51,7 +53,9 @@ class Settled:
     kinds: Ints
     "(n,)"
     made: Floats
-    "(5, n) two ranges and an amplitude of closed ones, nearest ranges, ranges along the axis."
+    "(2, n) nearest ranges, ranges along the axis."
+    faces: strips.Faces
+    "Of closed ones."
     material: NDArray[np.int32]
     "(n,) that the axis meets."
     actor: NDArray[np.int32]
@@ -69,15 +73,15 @@ def _settled_by_loops(
     if around is None:
         return OTHERWISE
     order = np.argsort(np.round(beams.own_axis[:, 2], 6), kind="stable")  # neighbours share a search
-    kinds, made, what, normal, cast, wrong = loops.narrow(
+    kinds, made, rows, count, what, normal, cast, wrong = loops.narrow(
         *around.how, beams.place, beams.frame, order, beams.aim, beams.places, beams.share, around.centre, far,
         reach_m, around.suspicious, around.plane, around.body, around.offset, around.closed, around.actor_of,
-        around.material, treated, factors, weight, around.movers, bright, law,
+        around.material, treated, factors, weight, around.movers, bright, law, NUMBERS, FEET, strips.SHIFT,
     )  # fmt: skip
     around.counters.rays += cast
     around.counters.cast += cast
     around.counters.suspicious += wrong
-    return Settled(kinds, made, what[0], what[1], normal.T, cast)
+    return Settled(kinds, made, strips.Faces(rows, count), what[0], what[1], normal.T, cast)
 
 
 @by_loops(_settled_by_loops, "narrow")
@@ -93,4 +97,4 @@ def settled(
     """
     n = len(beams.t_s)
     none = np.full(n, -1, np.int32)
-    return Settled(np.full(n, LEFT), np.zeros((5, n)), none, none.copy(), np.zeros((n, 3)), 0)
+    return Settled(np.full(n, LEFT), np.zeros((2, n)), strips.Faces.none(n), none, none.copy(), np.zeros((n, 3)), 0)

@@ -24,6 +24,7 @@ from emulator.sensing.contracts import Caster, Hits, Medium
 from emulator.sensing.model import SensorModel
 from emulator.sensing.order import MOST_EMPTY, Part, in_order, joined
 from emulator.sensing.rays import Rays
+from emulator.sensing.through import Ways
 
 UNSEEN = 0.05
 "A ray is not continued when the best surface, met by the whole beam, would return less than this of the threshold."
@@ -128,12 +129,13 @@ def returned(
     model: SensorModel,
     gain: float = 1.0,
     farthest_m: float = np.inf,
+    ways: Ways | None = None,
 ) -> Seen:
-    """The same from the first hits of the rays."""
+    """The same from the first hits of the rays; what rays that go on meet is noted in `ways`."""
     reach = reach_of(model, farthest_m)
     front = _first(rays, model, gain)
     first, onward, nearest = _first_met(front, hits, rays, scene, air, model, reach)
-    parts = _continue(front, onward, caster, scene, air, model, rays, reach) if onward else []
+    parts = _continue(front, onward, caster, scene, air, model, rays, reach, ways) if onward else []
     if isinstance(first, SubEchoes):
         echoes = SubEchoes.joined(first, in_order(*joined(parts))) if parts else first
     else:
@@ -412,14 +414,16 @@ def _continue(
     model: SensorModel,
     rays: Rays,
     reach_m: float,
+    ways: Ways | None = None,
 ) -> list[Part]:
     """Ghost points and what lies behind glass: rays continued up to the allowed number of bounces."""
     # the first fronts carry their share of the beam: the bound is for a beam whose sub-rays all go the same way
     whole = len(rays.beam) / len(rays.axis)
     parts: list[Part] = []
+    way = np.zeros(len(front.beam), np.int64)
     for bounce in range(model.bounces):
         assert front.air is not None
-        fronts = []
+        fronts, branches = [], []
         for one in onward:
             weight = front.weight[one.index] * one.share**2
             least = UNSEEN * model.threshold if model.leave_out.second_rays else 0.0
@@ -428,6 +432,7 @@ def _continue(
                 continue
             index, step = one.index[kept], BEHIND_M * (1.0 + one.length_m[kept] / 1000.0)
             reached = one.length_m[kept] - _part(front.length_m, index)
+            branches.append(2 * way[index] + one.through)
             origin = front.origin_m[index] + front.direction[index] * reached[:, None]
             fronts.append(
                 _Front(
@@ -446,15 +451,19 @@ def _continue(
             )
         if not fronts:
             break
-        front = _merged(fronts)
+        front, way = _merged(fronts), np.concatenate(branches)
         if scene.solid is not None:
             front = _come_out(front, caster, scene.solid)
         left = max(reach_m - float(np.min(front.length_m)), 0.0)
         hits = caster.first_hits(front.origin_m, front.direction, front.t_s, max_range_m=left)
         met = indexes(front.length_m + hits.range_m <= reach_m)
+        if ways is not None and not len(met):
+            ways.note(front.beam, way, hits, met, np.zeros(0), np.zeros(0))
         if not len(met):
             break
         found, onward = _meet(front, hits, met, rays, scene, air, model)
+        if ways is not None:
+            ways.note(front.beam, way, hits, met, found[1], found[2])
         stopped = _stopped(front, onward if bounce < model.bounces - 1 else [])
         parts.append((*found, stopped[met], hits.actor[met]))
     return parts

@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emulator.physics import beams
-from emulator.physics.arrays import Bools, Floats, Ints, exp_or_zero, indexes
-from emulator.physics.radiometry import overlap
-from emulator.physics.subechoes import SubEchoes
-from emulator.sensing import closed
+from emulator.physics.arrays import Bools, Floats, Ints, indexes
+from emulator.physics.subechoes import interleaved
+from emulator.sensing import closed, strips
 from emulator.sensing.air import AirNow
 from emulator.sensing.contracts import FacedCaster, Hits
 from emulator.sensing.daylight import surfaces_show
@@ -31,6 +30,7 @@ from emulator.sensing.paths import Seen, Surfaces, reach_of, returned, window_fa
 from emulator.sensing.pruning import Pruned
 from emulator.sensing.rays import BundleCache, Rays, cast_rays, pose_at, turned
 from emulator.sensing.sheets import bright_of
+from emulator.sensing.through import Ways
 from emulator.world.connected import pieces_of
 from emulator.world.motion import Pose
 from protocols.scan import ScanPlan
@@ -46,10 +46,11 @@ OFF_PLANE_LSB = 0.5
 "Of a probe from the plane through the others of its beam, in steps of the range: more is an edge or a crease."
 MOST_BEHIND = 0.1
 "Share of the light behind an edge between probes: of four it is 0.091."
-WIDEST = 0.1
-"Spread of ranges over the pulse's FWHM up to which two ranges, a spread before and behind the mean, stand for all."
-NOTHING, CLOSED, PROBED, BUNDLE = 0, 1, 2, 3
-"What becomes of a beam: no echo; two ranges; the paths of its probes; those of its bundle."
+NOTHING, CLOSED, PROBED, BUNDLE, PANE = 0, 1, 2, 3, 5
+"""What becomes of a beam: no echo; strips of one surface; the paths of its probes; those of its bundle; those of its
+probes if what these see through a pane or in it is smooth too."""
+FEWEST_PANES = 40
+"Beams of a sweep: to look through fewer panes with probes first costs more than it saves."
 MOST_BRIGHT = 64
 "Pieces of bright faces around each of which a sphere is looked at."
 
@@ -168,10 +169,9 @@ class Probing:
         if gain != 1.0 or model.windscreen is not None:
             weight = window_factors(beams_.own_axis, model, gain)
         treated, spheres = _treated(surfaces, air, model), self._spheres(t_s)
-        first = settled(
-            beams_, self._caster, far, reach, treated, surfaces.table.factors, weight, spheres, self._law(air)
-        )
+        first = settled(beams_, self._caster, far, reach, treated, surfaces.table.factors, weight, spheres, self._law())
         kinds, made, material, actor, normal = first.kinds, first.made, first.material, first.actor, first.normal
+        faces = first.faces
         what, cast = (self._caster, surfaces, air, model, gain, plan.max_range_m), first.cast
         parts, count = [], len(self.nodes)
         left = indexes(kinds == LEFT)
@@ -179,49 +179,61 @@ class Probing:
             some = beams_ if len(left) == n else beams_.taken(left)
             rays = _probes(some)
             hits = self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=far)
-            sort, made[:4, left] = _judged(
-                hits, weight[left], self._places, self.nodes.share, treated, reach, surfaces, air, model
-            )
+            sort, made[0, left], some_faces = _judged(some, hits, weight[left], treated, reach, surfaces, model)
+            faces.rows[:, left], faces.count[left] = some_faces.rows, some_faces.count
             for k in range(spheres.shape[1]):
                 sort[(sort != BUNDLE) & self._looks_at(spheres[:, k], rays)] = BUNDLE
             at = np.arange(len(left)) * count
             kinds[left], material[left], actor[left] = sort, hits.material[at], hits.actor[at]
-            made[4, left] = hits.range_m[at]
+            made[1, left] = hits.range_m[at]
             normal[left], cast = hits.normals(at), cast + len(rays.beam)
             chosen = indexes(sort == PROBED)
             if len(chosen):
                 own = (at[chosen][:, None] + np.arange(count)).ravel()
                 parts.append((left[chosen], returned(_Picked.of(hits, own), _rays_at(rays, chosen, own), *what)))
-        chosen = indexes(kinds == BUNDLE)
+            chosen = indexes(sort == PANE)
+            if 0 < len(chosen) < FEWEST_PANES:
+                kinds[left[chosen]] = BUNDLE
+            elif len(chosen):
+                own = (at[chosen][:, None] + np.arange(count)).ravel()
+                ways = Ways()
+                seen = returned(_Picked.of(hits, own), _rays_at(rays, chosen, own), *what, ways)
+                first_m, panes = hits.range_m[own].reshape(-1, count), at[chosen]
+                # what a pane sends straight back as a mirror has a spread of nothing
+                light = weight[left[chosen]] * model.k_m2 / (first_m.min(axis=1) ** 2 + model.aperture_radius_m**2)
+                light *= surfaces.table.back(hits.material[panes].astype(np.int64), hits.cosine[panes])
+                good = ways.smooth(first_m, light, self._places, OFF_PLANE_LSB * model.lsb_m, model)
+                kinds[left[chosen]] = np.where(good, PANE, BUNDLE)
+                parts.append((left[chosen], replace(seen, found=seen.echoes.of_beams(good))))
+        chosen = indexes(kinds == BUNDLE)  # what was put down of them as panes is replaced
         if len(chosen):
             part = cast_rays(self._bundles.part(plan, chosen), pose_at(pose, chosen), t_s[chosen])
             hits = self._caster.first_hits(part.origin_m, part.direction, part.t_s, max_range_m=far)
             seen, cast = returned(hits, part, *what), cast + len(part.beam)
             material[chosen], normal[chosen] = seen.axis_material, seen.axis_normal
             parts.append((chosen, seen))
-        closed_ = indexes(kinds == CLOSED)
-        found = SubEchoes(
-            closed_.repeat(2), made[:2, closed_].T.ravel(), made[2, closed_].repeat(2), np.full(2 * len(closed_), 0.5),
-            actor[closed_].astype(np.int64).repeat(2),
-        )  # fmt: skip
-        nearest, others = made[3], SubEchoes.none()
+        found = strips.echoes(
+            indexes(kinds == CLOSED), faces, material, actor, weight, surfaces.table, air.extinction_per_m, model
+        )
+        nearest, others = made[0], [found]
         for chosen, seen in parts:
             nearest[chosen] = seen.nearest_m
-            others = SubEchoes.joined(others, replace(seen.echoes, beam=chosen[seen.echoes.beam]))
-        found = SubEchoes.joined(found, others)
+            others.append(replace(seen.echoes, beam=chosen[seen.echoes.beam]))
+        found = interleaved(others, n)
         none, each = np.full(n, np.nan), np.arange(n)
         axis = beams_.frame[0].T
         axes = Rays(pose.position_m, axis, t_s, each, np.ones(n), each, pose.position_m, axis, beams_.own_axis)
-        whole = Seen(found, nearest, material, made[4], normal)
+        whole = Seen(found, nearest, material, made[1], normal)
         return Pruned(axes, whole, kinds != BUNDLE, cast, closed.Shifts(none, none))
 
-    def _law(self, air: AirNow) -> Floats:
+    def _law(self) -> Floats:
         """Numbers by which a beam is judged, in the order of `compiled.narrow`."""
-        model = self._model
+        model, beam = self._model, self._model.beam
         return np.array([
             *self._rim, float((self._places[1] ** 2).sum()), OFF_PLANE_LSB * model.lsb_m, model.k_m2,
-            model.aperture_radius_m**2, air.extinction_per_m, model.overlap_start_m, model.overlap_full_m,
-            _foot_m2(model), WIDEST * model.pulse.fwhm_m,
+            model.aperture_radius_m**2, math.tan(beam.half_angle_x_rad), math.tan(beam.half_angle_y_rad),
+            beam.exit_radius_m, math.cos(beam.roll_rad), math.sin(beam.roll_rad),
+            _length(self._places, self.nodes.share), strips.STEEPEST, *strips.law(model), strips.WIDE,
         ])  # fmt: skip
 
     def _spheres(self, t_s: Floats) -> Floats:
@@ -284,66 +296,98 @@ def _treated(surfaces: Surfaces, air: AirNow, model: SensorModel) -> Ints:
     table = surfaces.table
     needs = np.where(table.apart | air.uneven, PROBED, CLOSED)
     if surfaces.sends_on and model.bounces > 0:
-        needs = np.where(surfaces.onward, BUNDLE, needs)
+        needs = np.where(surfaces.onward, PANE, needs)
     if surfaces.detailed is not None:
         needs = np.where(surfaces.detailed, BUNDLE, needs)
     return needs.astype(np.int64)
 
 
-def _foot_m2(model: SensorModel) -> float:
-    """Square of the way from the mean to the nearest range, times the amplitude, from which the pulse's foot counts.
+def _length(places: Floats, share: Floats) -> float:
+    """Mean length of a ray of the beam over that of the axis, between planes across it."""
+    return float((share * places[0]).sum())
 
-    A pulse of sin^2 is at the share x of its peak (2 F / pi) sqrt(x) behind its foot, F its FWHM in range. Where the
-    threshold is crossed nearer to the foot than the first ray is before the mean, single rays are timed: the bundle is
-    cast.
-    """
-    return (2.0 * model.pulse.fwhm_m / math.pi) ** 2 * model.threshold
+
+@dataclass(frozen=True, eq=False)
+class _Planes:
+    """Of n beams: the range is (above - above_uv . w) / (facing + turns_uv . w) at the place w on the disc, (2, n)."""
+
+    above: Floats
+    above_uv: Floats
+    facing: Floats
+    turns_uv: Floats
+
+    def away(self, range_m: Floats, places: Floats) -> Floats:
+        """(n, k) of probes behind them, along the probes."""
+        w = places[1:]
+        top = self.above[:, None] - self.above_uv.T @ w
+        return np.asarray(range_m - places[0] * (top / (self.facing[:, None] + self.turns_uv.T @ w)))
+
+
+def _planes(beams_: Beams, normal: Floats, axis_m: Floats, model: SensorModel) -> _Planes:
+    """Those that the axes meet; `normal` (n, 3), `beams_` of the same n."""
+    shape = model.beam
+    ahead, left, up = np.einsum("bij,ji->bj", beams_.frame, normal) if len(axis_m) else np.zeros((3, 0))
+    cr, sr = math.cos(shape.roll_rad), math.sin(shape.roll_rad)
+    both = np.array([cr * left + sr * up, cr * up - sr * left])
+    wide = np.array([[math.tan(shape.half_angle_x_rad)], [math.tan(shape.half_angle_y_rad)]])
+    return _Planes(ahead * axis_m, shape.exit_radius_m * both, ahead, wide * both)
+
+
+def _smooth(range_m: Floats, places: Floats) -> _Planes:
+    """Those through the probes, whose inverse ranges are fitted."""
+    inverse, n = places[0] / range_m, len(range_m)
+    slopes = (inverse @ places[1:].T).T / float((places[1] * places[1]).sum())
+    return _Planes(np.ones(n), np.zeros((2, n)), inverse.mean(axis=1), slopes)
 
 
 def _judged(
-    hits: Hits, weight: Floats, places: Floats, share: Floats, treated: Ints, reach_m: float,
-    surfaces: Surfaces, air: AirNow, model: SensorModel,
-) -> tuple[Ints, Floats]:  # fmt: skip
-    """What becomes of beams (n,); two ranges and an amplitude of the closed ones, nearest ranges (4, n)."""
-    n, k = len(weight), len(share)
-    range_m, material, actor = (one.reshape(n, k) for one in (hits.range_m, hits.material, hits.actor))
+    beams_: Beams, hits: Hits, weight: Floats, treated: Ints, reach_m: float, surfaces: Surfaces, model: SensorModel
+) -> tuple[Ints, Floats, strips.Faces]:
+    """What becomes of beams (n,), their nearest ranges, and the faces of the closed ones."""
+    n, share, places = len(weight), beams_.share, beams_.places
+    range_m, material, actor = (one.reshape(n, -1) for one in (hits.range_m, hits.material, hits.actor))
     met = range_m <= reach_m
-    made = np.zeros((4, n))
-    made[3] = np.fmin.reduce(np.where(met, range_m, np.inf), axis=1)
+    nearest = np.fmin.reduce(np.where(met, range_m, np.inf), axis=1)
     every, some = met.all(axis=1), met.any(axis=1)
     same = (material == material[:, :1]).all(axis=1) & (actor == actor[:, :1]).all(axis=1)
-    kinds = np.where(some, BUNDLE, NOTHING)
+    kinds, faces = np.where(some, BUNDLE, NOTHING), strips.Faces.none(n)
     at = indexes(every & same)
-    r = range_m[at]
-    inverse = places[0] / r
-    square = float((places[1] * places[1]).sum())
-    middle = inverse.mean(axis=1, keepdims=True)
-    across, upward = (inverse @ places[1])[:, None] / square, (inverse @ places[2])[:, None] / square
-    off = np.abs(inverse - middle - across * places[1] - upward * places[2]).max(axis=1, initial=0.0) * r[:, 0] ** 2
-    flat = off <= OFF_PLANE_LSB * model.lsb_m
-    at, r = at[flat], r[flat]
-    kinds[at] = np.maximum(CLOSED, treated[material[at, 0]])
-    here = kinds[at] == CLOSED
-    at, r = at[here], r[here]
-    cosine = hits.cosine.reshape(n, k)[at]
-    back = surfaces.table.back(material[at].ravel().astype(np.int64), cosine.ravel()).reshape(r.shape)
-    height = share * back / (r * r + model.aperture_radius_m**2)
-    if air.extinction_per_m > 0.0:
-        height = height * exp_or_zero(-2.0 * air.extinction_per_m * r)
-    height = height * overlap(r, model.overlap_start_m, model.overlap_full_m)
-    total, away = height.sum(axis=1), r - r[:, :1]
-    mean = (height * away).sum(axis=1) / np.where(total > 0.0, total, 1.0)
-    height, lead = weight[at] * model.k_m2 * total, mean - away.min(axis=1, initial=0.0)
-    low = (lead <= 4.0 * OFF_PLANE_LSB * model.lsb_m) | (lead * lead * height <= _foot_m2(model))
-    kinds[at[~low]] = BUNDLE
-    at, r, mean, away, height = at[low], r[low], mean[low], away[low], height[low]
-    spread = np.sqrt((share * (away - mean[:, None]) ** 2).sum(axis=1))
-    narrow = spread <= WIDEST * model.pulse.fwhm_m
-    kinds[at[~narrow]] = PROBED
-    at, middle_m, spread = at[narrow], (r[:, 0] + mean)[narrow], spread[narrow]
-    made[0, at], made[1, at] = middle_m - spread, middle_m + spread
-    made[2, at] = 0.5 * height[narrow]
-    return kinds, made
+    at = at[treated[material[at, 0]] != BUNDLE]
+    if not len(at):
+        return kinds, nearest, faces
+    r, step = range_m[at], OFF_PLANE_LSB * model.lsb_m
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        plane = _planes(beams_.taken(at), hits.normals(at * len(share)), r[:, 0], model)
+        away = plane.away(r, places)
+        curved = indexes(~(np.abs(away).max(axis=1) <= step))
+        other = _smooth(r[curved], places)
+        away[curved] = other.away(r[curved], places)
+        for name in ("above", "above_uv", "facing", "turns_uv"):
+            getattr(plane, name)[..., curved] = getattr(other, name)
+        flat = np.abs(away).max(axis=1) <= step
+        slope = plane.turns_uv / plane.facing + plane.above_uv / plane.above
+    steep = np.hypot(*slope)
+    kinds[at[flat]] = treated[material[at[flat], 0]]
+    flat &= treated[material[at, 0]] == CLOSED
+    kinds[at[flat]] = BUNDLE
+    chosen = indexes(flat & (steep <= strips.STEEPEST))
+    at, r, away, steep = at[chosen], r[chosen], away[chosen], steep[chosen]
+    above, facing, to = plane.above[chosen], plane.facing[chosen], slope[:, chosen]
+    to = np.where(steep > 0.0, to / np.where(steep > 0.0, steep, 1.0), [[1.0], [0.0]])
+    cosines = np.abs(hits.cosine.reshape(n, -1)[at])
+    cosine = cosines.mean(axis=1)
+    bends = ((cosines @ places[1:].T).T * to).sum(axis=0) / float((places[1] * places[1]).sum())
+    leans, turns = (plane.above_uv[:, chosen] * to).sum(axis=0), (plane.turns_uv[:, chosen] * to).sum(axis=0)
+    length = _length(places, share)
+    near = length * (above - leans) / (facing + turns)
+    back = surfaces.table.back(material[at, 0].astype(np.int64), cosine)
+    size = weight[at] * model.k_m2 * back / (near * near + model.aperture_radius_m**2)
+    lead = np.maximum(length * above / facing - near, 0.0)
+    count = strips.counts(lead, size, strips.law(model))
+    kinds[at[count > 0]] = CLOSED
+    faces.count[at] = count
+    faces.rows[:, at] = [length * above, length * leans, facing, turns, (share * away).sum(axis=1), cosine, bends]
+    return kinds, nearest, faces
 
 
 def _bright_spheres(scene: Scene, bright: Bools) -> tuple[_Bright, ...] | None:

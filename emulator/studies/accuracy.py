@@ -14,6 +14,7 @@ import numpy as np
 
 from emulator.studies import accuracy_knobs as knobs
 from emulator.studies import accuracy_leaving as leaving
+from emulator.studies import accuracy_narrow as narrow
 from emulator.studies import accuracy_pictures as pictures
 from emulator.studies import accuracy_rules as rules
 from emulator.studies import accuracy_targets as targets
@@ -61,6 +62,8 @@ class Effort:
     hard_beams: int = 100
     hard_turns: int = 5
     "Targets that are hard for a bundle: beams, and how often all rules take turns on them."
+    narrow_beams: int = 600
+    "Beams of sensors with narrow beams, in each scene."
 
 
 FULL = Effort(
@@ -70,7 +73,7 @@ FULL = Effort(
 )  # fmt: skip
 QUICK = Effort(
     (16, 61, 256, 1024, 4096), 150, 2, (16, 61, 256, 1024), 40, (0, 1, 2, 3, 4, 5), 6, 50, (16, 61, 256),
-    scenarios=("flat_wall", "bumper"),
+    scenarios=("flat_wall", "bumper"), narrow_beams=200,
 )  # fmt: skip
 
 
@@ -87,7 +90,8 @@ def run(effort: Effort, steps: Callable[[list[str]], Iterator[str]] = iter) -> R
     """The whole report; `steps` yields the names of the parts as they begin, for a progress bar."""
     names = [*(f"numpy: {TITLES[rule]}" for rule in (*FIXED, "adaptive")), "composed scenes: reference"]
     names += [f"product: turn {turn + 1} of {REPEATS}" for turn in range(REPEATS)] + ["hard targets", "mirror"]
-    names += ["bins and fog", "instants", "threads", "leaving out", "each rule of leaving out", "points", "drawing"]
+    names += ["bins and fog", "instants", "threads", "leaving out", "each rule of leaving out"]
+    names += ["narrow beams", "points", "drawing"]
     progress = steps(names)
     curves: Curves = {target: {} for target in TARGETS}
     for rule in (*FIXED, "adaptive"):
@@ -113,6 +117,8 @@ def run(effort: Effort, steps: Callable[[list[str]], Iterator[str]] = iter) -> R
     left_out = leaving.pruning(effort.scenarios, effort.sweeps)
     next(progress)
     each = leaving.each_rule(effort.alone, effort.repeats)
+    next(progress)
+    probed = narrow.narrow(effort.narrow_beams, effort.repeats)
     next(progress)
     points = knobs.point_counts(("spiral", "grid", "laguerre"), effort.point_counts, effort.phases)
     next(progress)
@@ -179,9 +185,10 @@ def run(effort: Effort, steps: Callable[[list[str]], Iterator[str]] = iter) -> R
             (
                 "What a scene does not need is not computed; bounds and switches: `lidaremu explain`. Here is what "
                 "each rule saves in rays and time, alone and all together, and that scans stay what they were.",
+                "Narrow beams of sensors of many layers have probes, not bundles, where they see smooth surfaces.",
             ),
             (pictures.leaving_out(each),),
-            (each, left_out),
+            (each, left_out, probed),
         ),
     )
     report = Report(NAME, TITLE, summary(curves, runs, held), sections)

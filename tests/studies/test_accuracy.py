@@ -16,7 +16,7 @@ from emulator.commands.cli import main
 from emulator.physics import adaptive, radiometry
 from emulator.sensors.physics_options import LeaveOut
 from emulator.sensors.spec import list_models, load_spec
-from emulator.studies import accuracy, accuracy_knobs, accuracy_rules, accuracy_targets
+from emulator.studies import accuracy, accuracy_knobs, accuracy_narrow, accuracy_rules, accuracy_targets
 from emulator.studies.accuracy_acceptance import DEFAULT, SEED_RAD, WIDE_RAD, plane_errors
 from emulator.studies.accuracy_path import PRODUCT, Edges, Errors, Run
 from emulator.studies.accuracy_rules import FIXED, Strips
@@ -37,6 +37,7 @@ TINY = replace(
     alone=("flat_wall",),
     repeats=1,
     hard_beams=24,
+    narrow_beams=48,
     hard_turns=1,
 )
 EDGES = 1200
@@ -286,6 +287,22 @@ def test_hard_targets_have_a_row_for_each_rule_and_both_forms(tiny: Report) -> N
     snow = next(name for name in names if name.startswith("snow"))
     assert error[snow, "spiral 16"] < 1e-12  # flakes are of the world and not of the bundle
     assert all(value is not None and float(value) > 0.0 for value in hard.column("arrays_us"))
+
+
+def test_narrow_beams_are_nearer_to_a_dense_bundle_than_their_own_is(tiny: Report) -> None:
+    rows = tiny.table("accuracy_narrow").rows
+    assert {(row[0], row[1]) for row in rows} == {
+        (name, model) for name in accuracy_narrow.cases() for model in accuracy_narrow.MODELS
+    }
+    for scene, model, rays_full, rays, _, _, moved_full, moved, smooth, *_ in rows:
+        if scene == "hedge":  # what slips between leaves is drawn by its rays
+            continue
+        assert float(rays_full or 0.0) == 61.0
+        assert float(rays or 0.0) < 40.0, (scene, model)
+        assert float(smooth or 0.0) <= 2.5, (scene, model)
+        assert float(moved or 0.0) <= float(moved_full or 0.0) + 2.5, (scene, model)
+    street = [row for row in rows if row[1] == "ouster-os1-128" and row[0] != "hedge"]
+    assert sum(float(row[7] or 0.0) for row in street) < 0.3 * sum(float(row[6] or 0.0) for row in street)
 
 
 def test_mirrored_pairs_have_no_handedness_and_err_by_more(tiny: Report) -> None:
