@@ -217,10 +217,11 @@ def _measure(
     part: tuple[int, int] | None = None,
 ) -> None:  # fmt: skip
     try:
+        measure = measures[sensor]
         if part is None:
-            scan = measured(measures[sensor], plan, conditions)
+            scan: object = measured(measure, plan, conditions)
         else:
-            scan = part_measured(measures[sensor], plan, conditions, *part)
+            scan = part_measured(measure, plan, conditions, *part)
         for text in reported.new(warnings_of({sensor: measures[sensor]})):
             pipe.send("warning", sensor, text)
         pipe.send("scan", sensor, scan)

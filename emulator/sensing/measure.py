@@ -225,7 +225,9 @@ class Measure:
         """No beam of it depends on others, nor on how many there are; and nothing is kept from sweep to sweep."""
         if self._still_pose is not None or self._probing is not None or self.others is not None:
             return False
-        if plan.origin_m is not None or self.model.rule == "adaptive" or not self._receiver.keeps_beams_apart:
+        if plan.origin_m is not None or self.model.rule == "adaptive":
+            return False
+        if not isinstance(self._receiver, Receiver) or not self._receiver.keeps_beams_apart:
             return False
         return self._pruning is None or not self._pruning.pays(len(plan), self._bundles.sub_beams)
 

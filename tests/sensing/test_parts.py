@@ -63,8 +63,11 @@ def test_parts_together_are_the_whole_sweep(tmp_path: Path, of: int) -> None:
         {"weather": {"rain": {"rate_mm_h": 20.0}}},
         {"weather": {"sun": {"elevation_deg": 20.0, "azimuth_deg": 30.0}}},
         {"model": "velodyne-vlp-16"},
+        {"physics": {"photons": {"shots": 100}}},
+        {"physics": {"rule": "adaptive"}},
+        {"physics": {"bloom_share": 0.01, "bloom_mrad": 20.0}},
     ],
-    ids=["at rest", "rain", "sun", "probed beams"],
+    ids=["at rest", "rain", "sun", "probed beams", "photons", "adaptive", "blooming"],
 )
 def test_where_beams_depend_on_others_or_are_kept_there_are_no_parts(tmp_path: Path, words: dict[str, Any]) -> None:
     assert street(tmp_path, **words).part(sweep(0), NORMAL, 0, 2) is None
