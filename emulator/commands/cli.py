@@ -444,7 +444,7 @@ def incident_teller(as_json: bool) -> Callable[[Incident], None]:
 def announce_end(
     instruments: Sequence[Instrument],
     as_json: bool,
-    digest: Mapping[str, object],
+    digest: dict[str, object],
     incidents: Incidents,
     recording: Mapping[str, object] | None,
     why: str,

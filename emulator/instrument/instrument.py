@@ -18,6 +18,7 @@ from emulator.instrument.ahead import Ahead, Several
 from emulator.instrument.input_budget import InputBudget
 from emulator.instrument.observer import Observer
 from emulator.instrument.observers import Observers
+from emulator.instrument.outlet import Outlet
 from emulator.instrument.stats import InstrumentStats
 from emulator.measuring.conditions import NORMAL, Conditions
 from emulator.measuring.measuring import NotMeasured
@@ -25,11 +26,11 @@ from emulator.transports.link import Link, Received
 from protocols.errors import ScanRefused
 from protocols.framing import Frames, Framing
 from protocols.scan import Scan, ScanPlan
-from protocols.session import Address, DropReason, Emission, Event, LinkKind, Restarted, Session
+from protocols.session import Address, Emission, Event, LinkKind, Restarted, Session
 from protocols.timebase import inside
 
 if TYPE_CHECKING:
-    from emulator.instrument.fault_hooks import FaultHooks, Passed
+    from emulator.instrument.fault_hooks import FaultHooks
     from emulator.live.tracks import World
     from protocols.session import Family
 
@@ -38,9 +39,6 @@ LOOK_AHEAD_NS = 250_000_000
 
 EVENTS_KEPT = 1024
 "Events that wait for `take_events`, the oldest forgotten: they are counted in any case, and a run lasts for weeks."
-
-HANDED_KEPT = 256
-"A link whose host does not read gives up more than its buffers hold."
 
 SWITCHED_OFF = "switched off"
 "Why scans and input are dropped that a device without power forgets, or does not hear."
@@ -108,14 +106,11 @@ class Instrument:
         self.connections_seen = 0
         "Connections opened and closed so far: a descriptor's number may have a new owner when this has moved."
         self._events: deque[Event] = deque(maxlen=EVENTS_KEPT)
-        self._handed: deque[Emission] = deque(maxlen=HANDED_KEPT)
-        "Telegrams with scans that links have taken last: one may still give them up whole."
-        for link in self.links:
-            link.on_given_up = self._given_up
         if session.minds_delivery:
             for index, link in enumerate(self.links):
                 link.tell_undelivered(partial(self._undelivered, Address(index, 0)))
         self.observers = Observers(sensor, self.links)
+        self._outlet = Outlet(self.links, self.stats, self.observers)
         self.family: Family | None = None
         "Whose protocol it speaks; for faults that change telegrams."
         self.faults: FaultHooks | None = None
@@ -460,7 +455,7 @@ class Instrument:
         life = self._lives
         for emission in emissions:
             if self.faults is None:
-                self._note_sent(emission, self._send(emission))
+                self._outlet.take(emission)
             else:
                 self._send_through_faults(emission, now_ns, life)
         return bool(emissions)
@@ -473,26 +468,7 @@ class Instrument:
             if emission.sweep is not None:
                 self.ledger.send(emission, SWITCHED_OFF)
             return
-        self._leave(passed)
-
-    def _leave(self, passed: Passed) -> None:
-        """What of a telegram leaves now leaves; its scan is counted, once."""
-        emission = passed.emission
-        refused = [(one, self._send(one, only)) for one, only in passed.leaving]
-        if emission is None:
-            for one, why in refused:
-                if why is not None:
-                    self.stats.note_lost(one, why)
-            return
-        reasons = [why for one, why in refused if one.sweep is not None]
-        sent = [one for one, _, _ in passed.made if one.payload or not emission.payload]
-        carrying = [one for one in sent if one.sweep == emission.sweep]  # others were held back, and are on account
-        if passed.counted:
-            return
-        if carrying:  # a repeated telegram is one scan, or one reply
-            self._note_sent(carrying[0], None if None in reasons or not reasons else reasons[0])
-        elif emission.sweep is not None and passed.taker is not None:
-            self.ledger.send(emission, f"fault {passed.taker}")
+        self._outlet.leave(passed)
 
     def _release(self, now_ns: int) -> None:
         """Send what faults have held back."""
@@ -506,68 +482,10 @@ class Instrument:
                     self.ledger.send(one.emission, SWITCHED_OFF)
             return
         for one in released:
-            self._leave(one)
-
-    def _note_sent(self, emission: Emission, refused: str | None) -> None:
-        """Count a telegram as sent, or as what its links refused it for."""
-        if refused is None or emission.sweep is None:
-            self.stats.note_telegram(emission)
-        else:
-            self.ledger.send(emission, refused)
+            self._outlet.leave(one)
 
     def _undelivered(self, address: Address, refused: bool) -> None:
         self.session.undelivered(self.ledger.now_ns, address, refused)
-
-    def _given_up(self, payload: bytes) -> None:
-        """A link has given up a telegram that it had taken."""
-        for emission in self._handed:
-            if emission.payload is payload:
-                self.stats.note_lost(emission, DropReason.HOST_SLOW.value)
-                return
-
-    def _send(self, emission: Emission, only: int | None = None) -> str | None:
-        """Hand a telegram to its links, or to one of them; why not one of them has taken it, None if one has."""
-        address = emission.address
-        self.observers.reported(emission)
-        targets = range(len(self.links)) if address is None else range(len(self.links))[address.link : address.link + 1]
-        peer = None if address is None else address.peer
-        if emission.sweep is not None:
-            self._handed.append(emission)
-            self.owed.sent(emission.due_ns, emission.sweep)
-        why: str | None = None
-        taken = False
-        for index in targets if only is None else (only,):
-            link = self.links[index]
-            refused = link.stats.payloads_dropped
-            self.observers.leaving(index, peer, emission)
-            if emission.cuts:
-                link.cut(emission.due_ns)
-            elif emission.pause is not None and link.kind is LinkKind.SERIAL:
-                count, resume_ns = emission.pause
-                begin, rest = emission.payload[:count], emission.payload[count:]
-                self._handed.extend(replace(emission, payload=part) for part in (begin, rest))  # one may be given up
-                link.send(begin, emission.due_ns, peer)
-                link.send(rest, resume_ns, peer, emission.line_speed)
-            elif emission.place is not None:
-                link.send_to(emission.payload, emission.due_ns, emission.place)
-            else:
-                link.send(emission.payload, emission.due_ns, peer, emission.line_speed)
-            if link.stats.payloads_dropped == refused:
-                self.observers.left(index, peer, emission)
-                taken = True
-            else:
-                slow = DropReason.LINE_BUSY if link.kind in (LinkKind.SERIAL, LinkKind.CAN) else DropReason.HOST_SLOW
-                why = slow.value
-        if why is not None and not emission.scans:
-            self._break_off(emission, why)
-        return None if taken else why
-
-    def _break_off(self, rest: Emission, reason: str) -> None:
-        """A frame of a scan has found no room: nobody reads the scan that has begun on that link."""
-        link = None if rest.address is None else rest.address.link
-        begun = (one for one in reversed(self._handed) if one.address is not None and one.address.link == link)
-        if (emission := next(begun, None)) is not None:
-            self.stats.note_lost(emission, reason)
 
     def _note_events(self, earlier: Sequence[Event] = ()) -> None:
         for event in (*earlier, *self.session.take_events()):
