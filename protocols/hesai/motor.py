@@ -5,8 +5,7 @@ Belongs here: angles and time. Not: who sets the speed, and what fires (device).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy as np
 from protocols.device_clock import DeviceClock
 from protocols.skeleton.instants import SECOND_NS
 from protocols.skeleton.ramping import Ramping
+from protocols.skeleton.utc import FullSeconds
 
 NEAR = 1e-3
 "Share of the speed within which a rotor that holds its phase is at the speed set."
@@ -48,56 +48,30 @@ class Rotor(Ramping):
 
 
 @dataclass
-class Source:
+class Source(FullSeconds):
     """A PTP grandmaster or a GPS receiver, and what the device's clock makes of it."""
 
-    utc_ns: int
-    "Since 1970, at the beginning of the run."
     ptp: bool
     "There is a grandmaster."
     pps: bool
     nmea: bool
     by_ptp: bool
     "Which the device follows."
-    true_ns: Callable[[int], int] = field(default=lambda own_ns: own_ns)
-    "From the device's own instants to the run's, and back."
-    own_ns: Callable[[int], int] = field(default=lambda true_ns: true_ns)
-    since_ns: int = 0
-    "As it is now, since then."
-    held: tuple[int, int] | None = None
-    "Of a source that was lost: the last full second, and its UTC; the clock goes on from there."
 
     @property
     def there(self) -> bool:
         """Whether what it follows is there."""
         return self.ptp if self.by_ptp else self.pps and self.nmea
 
-    def powered_on(self, at_ns: int) -> None:
-        """Nothing is known from before."""
-        self.since_ns, self.held = at_ns, None
-
     def switch(self, at_ns: int, **what: bool) -> None:
         """Other sources are there, or another one is followed."""
         if all(getattr(self, name) == value for name, value in what.items()):
             return
         if self.locked(at_ns):
-            self.held = self._last(at_ns)
+            self.held = self.last(at_ns)
         for name, value in what.items():
             setattr(self, name, value)
         self.since_ns = at_ns
-
-    def utc(self, at_ns: int) -> int:
-        """True UTC. [ns since 1970]"""
-        return self.utc_ns + self.true_ns(at_ns)
-
-    def _last(self, at_ns: int) -> tuple[int, int]:
-        second_ns = self.utc(at_ns) // SECOND_NS * SECOND_NS
-        return self.own_ns(second_ns - self.utc_ns), second_ns
-
-    def after(self, at_ns: int) -> int:
-        """The first full second later than an instant."""
-        # by a nanosecond, the conversion's rounding, so that the next one is another
-        return self.own_ns((self.utc(at_ns) // SECOND_NS + 1) * SECOND_NS - self.utc_ns) + 1
 
     def locked(self, at_ns: int) -> bool:
         """Whether the clock follows it."""
@@ -113,7 +87,7 @@ class Source:
 
     def shown_ns(self, clock: DeviceClock, at_ns: int) -> tuple[int, int]:
         """Time of the device since 1970, and what it has when the run begins."""
-        second = self._last(at_ns) if self.locked(at_ns) else self.held
+        second = self.last(at_ns) if self.locked(at_ns) else self.held
         if second is None:
             return COLD_NS + clock.shown_ns(at_ns), COLD_NS
         return second[1] + clock.shown_ns(at_ns) - clock.shown_ns(second[0]), self.utc_ns

@@ -5,39 +5,30 @@ Belongs here: times over instants. Not: which of them is chosen (config), how a 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from protocols.device_clock import DeviceClock
 from protocols.ouster.config import OSCILLATOR, PTP
 from protocols.skeleton.instants import SECOND_NS
+from protocols.skeleton.utc import TrueTime
 
 TAI_NS = 37 * SECOND_NS
 "TAI over UTC since 2017; what the usual masters send."
 
 
 @dataclass
-class Sources:
+class Sources(TrueTime):
     """Master and receiver, as far as they are there."""
 
-    utc_ns: int
-    "Since 1970, at the beginning of the run."
     ptp: bool
     ptp_lock_ns: int
     "From power-on until the clock follows the master."
     pulses: bool
     sentences: bool
-    true_ns: Callable[[int], int] = field(default=lambda own_ns: own_ns)
-    "From the device's own instants to the run's, and back."
-    own_ns: Callable[[int], int] = field(default=lambda true_ns: true_ns)
     on_ns: int = 0
     "Power-on."
     ptp_lost: tuple[int, int] | None = None
     "Instant from which no master is there, and what the clock showed then."
-
-    def utc(self, at_ns: int) -> int:
-        """True UTC. [ns since 1970]"""
-        return self.utc_ns + self.true_ns(at_ns)
 
     def follows_ptp(self, at_ns: int) -> bool:
         """Whether the clock is the master's."""

@@ -16,6 +16,7 @@ http        requests and replies of a web interface
 cola_values values of CoLa in either dialect, by layout; error codes; what passwords become
 cola_frames telegrams of CoLa in either dialect
 nmea        sentences of a satellite receiver
+utc         true time and its full seconds, for clocks that follow a receiver or a master
 rotor       angle of a rotor that turns freely, and the turns that its samples make
 ramping     angle of a head that ramps to a speed, piece by piece
 turning     a device with such a rotor: sweeps are turns with as many samples as fall into them

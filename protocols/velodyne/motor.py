@@ -5,14 +5,14 @@ Belongs here: angles and pulses over time. Not: who sets the speed, and what fir
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from protocols.device_clock import DeviceClock
 from protocols.skeleton.instants import SECOND_NS
 from protocols.skeleton.ramping import Ramping
+from protocols.skeleton.utc import FullSeconds
 
 SAFE_HZ = 4.5
 "Slower than that no laser fires: a little under 300 revolutions a minute."
@@ -72,24 +72,11 @@ class Motor(Ramping):
 
 
 @dataclass
-class Gps:
+class Gps(FullSeconds):
     """Pulses of a receiver at full seconds of UTC, and what a clock makes of them."""
 
-    utc_ns: int
-    "Since 1970, at the beginning of the run."
     pulses: bool
     sentences: bool
-    true_ns: Callable[[int], int] = field(default=lambda own_ns: own_ns)
-    "From the device's own instants to the run's, and back."
-    own_ns: Callable[[int], int] = field(default=lambda true_ns: true_ns)
-    since_ns: int = 0
-    "Pulses come, or do not, since then."
-    held: tuple[int, int] | None = None
-    "Of pulses that have ended: the last one, and its UTC; the clock goes on from there."
-
-    def powered_on(self, at_ns: int) -> None:
-        """Nothing is known of pulses before."""
-        self.since_ns, self.held = at_ns, None
 
     def switch(self, at_ns: int, pulses: bool) -> None:
         """Pulses end, or come again."""
@@ -98,20 +85,6 @@ class Gps:
         if self.pulses and self.locked(at_ns):
             self.held = self.last(at_ns)
         self.pulses, self.since_ns = pulses, at_ns
-
-    def utc(self, at_ns: int) -> int:
-        """True UTC. [ns since 1970]"""
-        return self.utc_ns + self.true_ns(at_ns)
-
-    def last(self, at_ns: int) -> tuple[int, int]:
-        """The newest pulse, and its UTC."""
-        second_ns = self.utc(at_ns) // SECOND_NS * SECOND_NS
-        return self.own_ns(second_ns - self.utc_ns), second_ns
-
-    def after(self, at_ns: int) -> int:
-        """The first pulse later than an instant, if they come."""
-        # by a nanosecond, the conversion's rounding, so that the next one is another
-        return self.own_ns((self.utc(at_ns) // SECOND_NS + 1) * SECOND_NS - self.utc_ns) + 1
 
     def _seen(self, at_ns: int) -> int:
         return self.utc(at_ns) // SECOND_NS - self.utc(self.since_ns) // SECOND_NS if self.pulses else 0
