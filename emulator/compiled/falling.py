@@ -207,7 +207,16 @@ def in_box(
                     d = largest_mm
                     if slope_mm > 0.0:
                         d = min(low_mm - math.log1p(-uniform * lost) / slope_mm, largest_mm)
-                    if d < least_here:
+                    # beams that it is in have their feet so far from here at the most
+                    foot = shift + reach_m
+                    k0 = min(max(int((max(r - foot, near_m) - least_from) / least_step), 0), len(least_mm) - 1)
+                    k1 = min(max(int((min(r + foot, far_m) - least_from) / least_step), 0), len(least_mm) - 1)
+                    bright = False
+                    for k in range(k0, k1 + 1):
+                        if d >= least_mm[k]:
+                            bright = True
+                            break
+                    if not bright:
                         continue
                     lever = min(far_m, r + shift)
                     i = first_near(px, py, pz, origin, axis, f, g, moved, turned, lever, beyond)

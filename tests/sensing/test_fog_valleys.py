@@ -23,7 +23,7 @@ def test_a_strong_echo_in_fog_is_crossed_where_its_sampled_waveform_is(
     tmp_path: Path, deviations: float, spread_m: float
 ) -> None:
     measure = build(tmp_path, weather={"fog": {"visibility_m": 500.0}}, model="velodyne-vlp-16")
-    soft, detector = measure._soft.everywhere(measure.air.at(0.0)), measure._receiver.detector  # type: ignore[union-attr]
+    soft, detector = measure._soft.everywhere(measure.air.at(0.0)), measure._receiver.detector
     assert soft is not None
     n = 60
     range_m, height = np.linspace(7.0, 12.0, n), np.tile([60.0, 400.0, 1e4], n // 3)
