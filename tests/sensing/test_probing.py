@@ -105,6 +105,41 @@ def test_a_small_reflector_between_the_probes_is_seen() -> None:
     np.testing.assert_allclose(rays_saved(plan).range_m, whole(replace(plan)).range_m, rtol=1e-12)
 
 
+def through_a_pane(*more: Any) -> tuple[Measure, Measure]:
+    """A pane before a wall, with the rule, and 1001 rays."""
+    pane = body(0, triangles.box(0.004, 40.0, 40.0), 1, Steady(at_m=(10.0, 0.0, -20.0), yaw_deg=20.0))
+    wall = body(0, triangles.box(0.1, 900.0, 90.0), 0, Steady(at_m=(20.0, 0.0, -45.0)))
+    scene = of_bodies(pane, wall, *more, materials=("asphalt", "window_glass"))
+    return pair(scene)[0], in_full(scene, PUCK, sub_beams=1001)
+
+
+def test_a_wall_behind_a_pane_needs_no_bundle() -> None:
+    rays_saved, dense = through_a_pane()
+    plan = layers(320, -8.0, 8.0, 8.0)
+    view, one, other = rays_saved.view(plan), rays_saved(plan), dense(replace(plan))
+    assert view.plain is not None
+    assert view.plain.all()
+    np.testing.assert_array_equal(np.isnan(one.range_m), np.isnan(other.range_m))
+    assert np.isfinite(one.range_m).any(axis=1).all()
+    np.testing.assert_allclose(one.range_m, other.range_m, atol=0.5 * rays_saved.model.lsb_m)
+    np.testing.assert_allclose(one.intensity, other.intensity, rtol=2e-3)
+
+
+def test_an_edge_behind_a_pane_has_its_bundle() -> None:
+    post = body(0, triangles.box(0.02, 0.222, 60.0), 0, Steady(at_m=(15.0, 0.0, -30.0)))
+    rays_saved, _ = through_a_pane(post)
+    view = rays_saved.view(layers(320, -8.0, 8.0, 8.0))
+    assert view.plain is not None
+    assert 0 < np.count_nonzero(~view.plain) < 160
+
+
+def test_few_panes_have_their_bundles_at_once() -> None:
+    rays_saved, _ = through_a_pane()
+    view = rays_saved.view(layers(32, -2.0, 2.0, 2.0))
+    assert view.plain is not None
+    assert not view.plain.any()
+
+
 def test_other_sensors_and_full_have_no_probes() -> None:
     scene = random_scene(2)
     assert measure_of(scene, PUCK)._probing is not None
