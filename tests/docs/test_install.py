@@ -12,7 +12,7 @@ import pytest
 
 @pytest.fixture
 def install() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("install", Path(__file__).resolve().parents[1] / ".ci/install.py")
+    spec = importlib.util.spec_from_file_location("install", Path(__file__).resolve().parents[2] / ".ci/install.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
