@@ -76,11 +76,14 @@ class RandomStreams:
         if largest == 0.0 or (largest <= MANY and _unit(words.max(keepdims=True))[0] <= exp_or_zero(-largest)):
             return count
         chance = _unit(words)
-        many = mean > MANY
         if largest > MANY:
+            many = mean > MANY
             centre = np.rint(mean[many] + np.sqrt(mean[many]) * special.ndtri(chance[many]))
             count[many] = np.maximum(centre, 0.0).astype(np.int64)
-        left = np.flatnonzero(~many & (chance > exp_or_zero(-mean)))
+            left = np.flatnonzero(~many & (chance > exp_or_zero(-mean)))
+        else:  # of few chances it must be looked at whether they are above their own
+            left = np.flatnonzero(chance > exp_or_zero(-largest))
+            left = left[chance[left] > exp_or_zero(-mean[left])]
         limit = int(min(largest, MANY) + 60.0 * np.sqrt(MANY) + 60.0)
         for step in range(1, limit):
             if left.size == 0:
