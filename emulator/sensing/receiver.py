@@ -70,13 +70,16 @@ class _Given:
     def of_beams(self, wanted: Bools) -> _Given:
         """That of some of the beams (n,), numbered again."""
         at = indexes(wanted)
-        drawn = (None if one is None else one.of_beams(at) for one in (self.normals, self.timing, self.spreads))
-        light = (None if one is None else one[at] for one in (self.noise, self.dazzled))
+        normals, timing, spreads = (
+            None if one is None else one.of_beams(at) for one in (self.normals, self.timing, self.spreads)
+        )
+        rms, dazzled = self.noise, self.dazzled
         echoes = self.noise_echoes
         if echoes is not None:
             kept = wanted[echoes[0]]
             echoes = (wanted.cumsum() - 1)[echoes[0][kept]], echoes[1][kept], echoes[2][kept]
-        return _Given(self.detector, self.soft, *light, *drawn, echoes)
+        rms, dazzled = None if rms is None else rms[at], None if dazzled is None else dazzled[at]
+        return _Given(self.detector, self.soft, rms, dazzled, normals, timing, spreads, echoes)
 
 
 @lru_cache(maxsize=16)
