@@ -59,3 +59,23 @@ def cos_sin(angle):
     """The same of any angle, wrong by 2e-15 and by the rounding of the angle."""
     turns = angle * (0.5 / np.pi)
     return short_cos_sin(2.0 * np.pi * (turns - np.rint(turns)))
+
+
+@compiled()
+def _arc(square):
+    """(arcsine of x) / x - 1 by x^2 up to a quarter: Sun's fdlibm, e_asin.c."""
+    above = (3.47933107596021167570e-05 * square + 7.91534994289814532176e-04) * square - 4.00555345006794114027e-02
+    above = ((above * square + 2.01212532134862925881e-01) * square - 3.25565818622400915405e-01) * square
+    below = (7.70381505559019352791e-02 * square - 6.88283971605453293030e-01) * square + 2.02094576023350569471e00
+    return square * (above + 1.66666666666666657415e-01) / ((below * square - 2.40339491173441421878e00) * square + 1.0)
+
+
+@compiled()
+def arc_sine_of_root(square, rest):
+    """Arcsine of the root of a number from 0 to 1, of which `rest` is missing to 1; wrong by 4e-16."""
+    root = np.sqrt(square)
+    near_1 = square > 0.25
+    half = 0.5 * rest / (1.0 + root) if near_1 else square
+    x = np.sqrt(half) if near_1 else root
+    found = x + x * _arc(half)
+    return 0.5 * np.pi - 2.0 * found if near_1 else found

@@ -45,7 +45,7 @@ def _sort(order, begin, end, keys):
 
 
 @compiled()
-def _tall(centre, height, floor_m2):
+def tall(centre, height, floor_m2):
     near = max(centre, 1e-3)
     return height * (near * near) >= floor_m2
 
@@ -56,7 +56,7 @@ def ranks(beam, centre, height, beams, floor_m2, columns):
     count = len(beam)
     keys, place = np.empty(count), np.empty(count, np.int64)
     for k in range(count):
-        keys[k] = -height[k] if _tall(centre[k], height[k], floor_m2) else 0.0
+        keys[k] = -height[k] if tall(centre[k], height[k], floor_m2) else 0.0
     order, begin = _grouped(beam, beams)
     for b in range(beams):
         _sort(order, begin[b], begin[b + 1], keys)
@@ -66,7 +66,7 @@ def ranks(beam, centre, height, beams, floor_m2, columns):
 
 
 @compiled()
-def _lead(amplitude_over_level, fwhm_m):
+def lead(amplitude_over_level, fwhm_m):
     """See `Pulse.lead`, of a sin^2 pulse."""
     q = max(amplitude_over_level, 1.0)
     root = np.sqrt(1.0 / q)
@@ -84,11 +84,11 @@ def levels(beam, centre, height, z, rms, threshold, full_scale, shot_factor, flo
     for k in range(count):
         dark, least, shown = rms[beam[k]], threshold[beam[k]], min(height[k], full_scale)
         high = least - z[k] * np.sqrt(dark * dark + shot_factor * height[k])
-        seen[k] = shown >= high and _tall(centre[k], height[k], floor_m2)
+        seen[k] = shown >= high and tall(centre[k], height[k], floor_m2)
         if shot_factor > 0.0:  # at the crossing the signal is as high as the threshold, however high it rises
             high = least - z[k] * np.sqrt(dark * dark + shot_factor * min(height[k], least))
         level[k] = min(max(high, 0.02 * least), max(shown, 1e-12))
-        crossing[k] = centre[k] - _lead(height[k] / level[k], fwhm_m) if k >= single else 0.0
+        crossing[k] = centre[k] - lead(height[k] / level[k], fwhm_m) if k >= single else 0.0
     return level, seen, crossing
 
 
@@ -107,7 +107,7 @@ def readings(
             continue
         dark, least, shown = rms[beam[k]], threshold[beam[k]], min(height[k], full_scale)
         if walk_table:
-            range_m = crossing[k] + _lead(shown / least, fwhm_m)
+            range_m = crossing[k] + lead(shown / least, fwhm_m)
         else:
             range_m = crossing[k] + fwhm_m - offset_m
         amplitude = height[k] + z[k] * np.sqrt(dark * dark + shot_factor * height[k])

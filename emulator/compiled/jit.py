@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import boolean, float32, float64, int32, int64, njit
+from numba import boolean, float32, float64, int32, int64, njit, uint64
 from numba.core import event
 from numba.types import Array
 
@@ -25,6 +25,7 @@ INTS, INT_ROWS, _ = _columns(int64)
 WORDS, _, _ = _columns(int32)
 FLAGS, _, _ = _columns(boolean)
 _, SINGLE_ROWS, _ = _columns(float32)
+_, LONG_ROWS, _ = _columns(uint64)
 OUT_FLOATS, OUT_LOOSE = float64[::1], float64[:, :]
 OUT_INTS, OUT_WORDS, OUT_FLAGS, OUT_SINGLES = int64[::1], int32[::1], boolean[::1], float32[::1]
 "Written to; loose: in rows or not."

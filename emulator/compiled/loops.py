@@ -11,6 +11,7 @@ from emulator.compiled.media import crossed_under, ended_under
 from emulator.compiled.moving import moving, near, pairs
 from emulator.compiled.narrow import narrow
 from emulator.compiled.packets import Packets, library
+from emulator.compiled.receiving import received
 from emulator.compiled.sheets import beside, covered
 from emulator.compiled.strips import strips
 from emulator.compiled.surfaces import in_order, special, strengths
@@ -39,6 +40,7 @@ __all__ = [
     "pairs",
     "ranks",
     "readings",
+    "received",
     "reported",
     "resting",
     "sampled",

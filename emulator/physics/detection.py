@@ -32,7 +32,7 @@ from emulator.physics.subechoes import NO_SOURCE, Clusters, SubEchoes, cluster, 
 from emulator.physics.timing import centroids, fractions, rising_edges, sources
 from emulator.physics.waveform import Waveform, sample
 
-_SIGMAS = 6.0
+SIGMAS = 6.0
 "Echoes this many noise rms below the threshold are not worth a draw: 1e-9."
 
 
@@ -126,7 +126,7 @@ def signals_of(
     rms = np.full(beams, noise, np.float64) if isinstance(noise, float) else floats(noise)
     with np.errstate(under="ignore"):
         threshold = detector.thresholds(rms)
-        least = np.maximum(threshold - (_SIGMAS * rms if noisy else 0.0), 0.02 * threshold)
+        least = np.maximum(threshold - (SIGMAS * rms if noisy else 0.0), 0.02 * threshold)
         cosines = Cosines.none()
         # beams in which the medium's own maximum is worth a look, and those of them that are sampled for it
         shows = np.zeros(beams, np.bool_) if soft is None or not soft.shows else soft.peak >= least

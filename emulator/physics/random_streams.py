@@ -21,6 +21,7 @@ from emulator.physics.arrays import exp_or_zero
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Words = NDArray[np.uint64]
 
 _TO_UNIT = 2.0**-53
 MANY = 1000.0
@@ -28,14 +29,18 @@ MANY = 1000.0
 
 
 class Normals:
-    """Standard normal numbers, made of uniform ones where they are asked for."""
+    """Standard normal numbers, made of random words where they are asked for."""
 
-    def __init__(self, chance: Floats) -> None:
-        self._chance = chance
-        self.shape = chance.shape
+    def __init__(self, words: Words) -> None:
+        self.words = words
+        self.shape = words.shape
 
     def __getitem__(self, at: Any) -> Floats:
-        return np.asarray(special.ndtri(self._chance[at]), dtype=np.float64)
+        return np.asarray(special.ndtri(_unit(self.words[at])), dtype=np.float64)
+
+    def of_beams(self, at: Ints) -> Normals:
+        """Those of some beams."""
+        return Normals(self.words[at])
 
 
 @dataclass(frozen=True)
@@ -47,9 +52,12 @@ class RandomStreams:
 
     def uniform(self, term: str, sweep: int, beams: int, columns: int = 1) -> Floats:
         """Uniform numbers in (0, 1), shape (beams, columns); row j is the same for every `beams` > j."""
-        words = _set(_own_philox(), _key(self.seed, self.sensor, term), sweep).random_raw(beams * columns)
-        unit = ((words >> np.uint64(11)).astype(np.float64) + 0.5) * _TO_UNIT
-        return unit.reshape(beams, columns)
+        return _unit(self.words(term, sweep, beams, columns))
+
+    def words(self, term: str, sweep: int, beams: int, columns: int = 1) -> Words:
+        """Random words of 64 bits, shape (beams, columns); row j is the same for every `beams` > j."""
+        raw = _set(_own_philox(), _key(self.seed, self.sensor, term), sweep).random_raw(beams * columns)
+        return np.asarray(raw, np.uint64).reshape(beams, columns)
 
     def normal(self, term: str, sweep: int, beams: int, columns: int = 1) -> Floats:
         """Standard normal numbers, shape (beams, columns)."""
@@ -57,21 +65,25 @@ class RandomStreams:
 
     def normals(self, term: str, sweep: int, beams: int, columns: int = 1) -> Normals:
         """The same numbers as `normal`, of which only some are wanted."""
-        return Normals(self.uniform(term, sweep, beams, columns))
+        return Normals(self.words(term, sweep, beams, columns))
 
     def poisson(self, term: str, sweep: int, mean: Floats) -> Ints:
         """Counts with the given means (beams,); above a mean of `MANY` by the normal law."""
         mean = np.asarray(mean, dtype=np.float64)
         count = np.zeros(mean.shape, dtype=np.int64)
-        chance = self.uniform(term, sweep, mean.size)[:, 0]
+        words = self.words(term, sweep, mean.size)[:, 0]
         largest = float(mean.max(initial=0.0))
-        if largest == 0.0 or (largest <= MANY and chance.max() <= exp_or_zero(-largest)):
+        if largest == 0.0 or (largest <= MANY and _unit(words.max(keepdims=True))[0] <= exp_or_zero(-largest)):
             return count
-        many = mean > MANY
+        chance = _unit(words)
         if largest > MANY:
+            many = mean > MANY
             centre = np.rint(mean[many] + np.sqrt(mean[many]) * special.ndtri(chance[many]))
             count[many] = np.maximum(centre, 0.0).astype(np.int64)
-        left = np.flatnonzero(~many & (chance > exp_or_zero(-mean)))
+            left = np.flatnonzero(~many & (chance > exp_or_zero(-mean)))
+        else:  # of few chances it must be looked at whether they are above their own
+            left = np.flatnonzero(chance > exp_or_zero(-largest))
+            left = left[chance[left] > exp_or_zero(-mean[left])]
         limit = int(min(largest, MANY) + 60.0 * np.sqrt(MANY) + 60.0)
         for step in range(1, limit):
             if left.size == 0:
@@ -87,6 +99,10 @@ class RandomStreams:
     def generator(self, term: str, sweep: int) -> np.random.Generator:
         """A stream of its own, for laws that need more than one word a number; depends on the order of its use."""
         return np.random.Generator(_set(np.random.Philox(0), _key(self.seed, self.sensor, term), sweep))
+
+
+def _unit(words: Words) -> Floats:
+    return ((words >> np.uint64(11)).astype(np.float64) + 0.5) * _TO_UNIT
 
 
 @lru_cache(maxsize=1024)

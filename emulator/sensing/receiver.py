@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emulator.physics import noise
-from emulator.physics.arrays import Bools, Floats, Ints
+from emulator.physics.arrays import Bools, Floats, indexes
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.detection import Signals, detect, signals_of
 from emulator.physics.detector import Detector, Echoes
-from emulator.physics.random_streams import RandomStreams
+from emulator.physics.random_streams import Normals, RandomStreams
 from emulator.physics.shaped import Shaped
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import Kept, SubEchoes
@@ -25,6 +25,7 @@ from emulator.sensing.blooming import bloomed
 from emulator.sensing.daylight import NIGHT, Daylight
 from emulator.sensing.faint import looked_at
 from emulator.sensing.model import SensorModel
+from emulator.sensing.receiving import NoiseEchoes, Readings, readings
 from protocols.scan import DAZZLED, SATURATED, Scan, ScanPlan
 
 NUMBERS_A_BEAM = 4
@@ -49,6 +50,36 @@ class _Known:
         if self.noise is None or noise is None:
             return self.noise is noise
         return self.noise is noise or bool(np.array_equal(self.noise[wanted], noise[wanted]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Given:
+    """What the beams of a sweep are received with, or some of them."""
+
+    detector: Detector
+    soft: SoftProfile | None
+    noise: Floats | None
+    "(n,) over that of the dark receiver; None: 1 everywhere."
+    dazzled: Bools | None
+    normals: Normals | None
+    timing: Normals | None
+    spreads: Normals | None
+    "Of ranges."
+    noise_echoes: NoiseEchoes | None
+
+    def of_beams(self, wanted: Bools) -> _Given:
+        """That of some of the beams (n,), numbered again."""
+        at = indexes(wanted)
+        normals, timing, spreads = (
+            None if one is None else one.of_beams(at) for one in (self.normals, self.timing, self.spreads)
+        )
+        rms, dazzled = self.noise, self.dazzled
+        echoes = self.noise_echoes
+        if echoes is not None:
+            kept = wanted[echoes[0]]
+            echoes = (wanted.cumsum() - 1)[echoes[0][kept]], echoes[1][kept], echoes[2][kept]
+        rms, dazzled = None if rms is None else rms[at], None if dazzled is None else dazzled[at]
+        return _Given(self.detector, self.soft, rms, dazzled, normals, timing, spreads, echoes)
 
 
 @lru_cache(maxsize=16)
@@ -119,36 +150,63 @@ class Receiver:
         kept: Kept | None = None,
     ) -> Scan:
         """The scan of a sweep; `kept`: sub-echoes of beams of which none are in `found`."""
-        model, n = self._model, len(plan)
-        if model.bloom_share > 0.0:
-            found, kept = bloomed(found if kept is None else kept.whole(found), plan, model), None
-        detector = self._detector
+        if self._model.bloom_share > 0.0:
+            found, kept = bloomed(found if kept is None else kept.whole(found), plan, self._model), None
+        given = self._given(plan, daylight, soft)
+        ambient_w = daylight.power_w if plan.wants_ambient else None
+        made = self._readings(plan, given, found, kept)
+        return Scan(plan, made.range_m, made.intensity, made.flags, made.actor, ambient_w=ambient_w)
+
+    def _given(self, plan: ScanPlan, daylight: Daylight, soft: SoftProfile | None) -> _Given:
+        model, detector, n = self._model, self._detector, len(plan)
         if plan.max_echoes < detector.max_echoes:
             detector = _with_echoes(detector, plan.max_echoes)
+        normals = timing = spreads = None
+        if model.noise and self._shaped is None:
+            normals = self._draws.normals("receiver", plan.sweep, n, NUMBERS_A_BEAM)
+            if model.method != "leading_edge":
+                timing = self._draws.normals("timing", plan.sweep, n, NUMBERS_A_BEAM)
+        if model.noise and model.range_noise_m > 0.0:
+            spreads = self._draws.normals("range", plan.sweep, n, detector.max_echoes)
+        noise_echoes = self._noise_echoes(plan, daylight.noise) if model.false_alarms else None
+        return _Given(detector, soft, daylight.noise, daylight.dazzled, normals, timing, spreads, noise_echoes)
+
+    def _readings(self, plan: ScanPlan, given: _Given, found: SubEchoes, kept: Kept | None) -> Readings:
+        """Of all beams: first the simple ones, where no earlier sweep is known."""
+        model, n = self._model, len(plan)
         if self._shaped is not None:
+            looked = looked_at(found if kept is None else kept.whole(found), given.soft, model)
             echoes = self._shaped.detect(
-                looked_at(found if kept is None else kept.whole(found), soft, model), n, detector,
-                sweep=plan.sweep, noisy=model.noise, noise=daylight.noise, soft=soft, dazzled=daylight.dazzled,
-                noise_echoes=self._noise_echoes(plan, daylight.noise) if model.false_alarms else None,
+                looked, n, given.detector, sweep=plan.sweep, noisy=model.noise, noise=given.noise, soft=given.soft,
+                dazzled=given.dazzled, noise_echoes=given.noise_echoes,
             )  # fmt: skip
-            return self._scan(plan, echoes, daylight)
-        signals = self._signals(found, kept, n, soft, daylight.noise)
-        normals = self._draws.normals("receiver", plan.sweep, n, NUMBERS_A_BEAM) if model.noise else None
-        timing = None
-        if model.noise and model.method != "leading_edge":
-            timing = self._draws.normals("timing", plan.sweep, n, NUMBERS_A_BEAM)
-        echoes = detect(
-            found,
-            n,
-            detector,
-            normals=normals,
-            timing=timing,
-            soft=soft,
-            dazzled=daylight.dazzled,
-            noise_echoes=self._noise_echoes(plan, daylight.noise) if model.false_alarms else None,
-            signals=signals,
-        )
-        return self._scan(plan, echoes, daylight)
+            return self._read_off(plan, given, echoes)
+        if kept is None and model.triangulation is None:
+            left = np.zeros(n, np.bool_)
+            looked, offsets = looked_at(found, given.soft, model), (model.systematic_m, model.range_noise_m)
+            made = readings(
+                looked, left, given.detector, given.soft, given.noise, given.dazzled, given.normals, given.spreads,
+                given.noise_echoes, *offsets,
+            )  # fmt: skip
+            if made is not None:
+                rows = indexes(left)
+                if len(rows):
+                    made.put(rows, self._others(plan, given.of_beams(left), _of_beams(looked, left), len(rows)))
+                return made
+        signals = self._signals(found, kept, n, given.soft, given.noise)
+        return self._read_off(plan, given, self._detected(given, found, n, signals))
+
+    def _others(self, plan: ScanPlan, given: _Given, found: SubEchoes, beams: int) -> Readings:
+        """Of beams that need more, numbered again."""
+        rms = 1.0 if given.noise is None else given.noise
+        signals = signals_of(found, beams, given.detector, noisy=self._model.noise, noise=rms, soft=given.soft)
+        return self._read_off(plan, given, self._detected(given, found, beams, (signals,)))
+
+    def _detected(self, given: _Given, found: SubEchoes, beams: int, signals: tuple[Signals, ...]) -> Echoes:
+        return detect(
+            found, beams, given.detector, normals=given.normals, timing=given.timing, soft=given.soft,
+            dazzled=given.dazzled, noise_echoes=given.noise_echoes, signals=signals,
+        )  # fmt: skip
 
     def _signals(
         self, found: SubEchoes, kept: Kept | None, beams: int, soft: SoftProfile | None, noise: Floats | None
@@ -174,7 +232,7 @@ class Receiver:
         found, rms = looked_at(found, soft, self._model), 1.0 if noise is None else noise
         return signals_of(found, beams, self._detector, noisy=self._model.noise, noise=rms, soft=soft)
 
-    def _noise_echoes(self, plan: ScanPlan, rms: Floats | None) -> tuple[Ints, Floats, Floats] | None:
+    def _noise_echoes(self, plan: ScanPlan, rms: Floats | None) -> NoiseEchoes | None:
         """Crossings of the threshold by noise alone: anywhere in the gate."""
         n, model = len(plan), self._model
         if self.noise_echoes_of(n) < RARE and model.leave_out.noise_echoes:
@@ -196,25 +254,31 @@ class Receiver:
             beam, range_m, amplitude = beam[kept], range_m[kept], amplitude[kept]
         return beam, range_m, amplitude
 
-    def _scan(self, plan: ScanPlan, echoes: Echoes, daylight: Daylight) -> Scan:
-        model, n = self._model, len(plan)
+    def _read_off(self, plan: ScanPlan, given: _Given, echoes: Echoes) -> Readings:
+        """What the device makes of echoes; of a sensor that triangulates those of all beams."""
+        model, (n, columns) = self._model, echoes.range_m.shape
         range_m, amplitude = echoes.range_m, echoes.amplitude
-        rms = 1.0 if daylight.noise is None else daylight.noise[:, None]
+        rms = 1.0 if given.noise is None else given.noise[:, None]
         if model.triangulation is not None and not model.seed_mode:
-            spots = self._draws.normal("spot", plan.sweep, n, range_m.shape[1]) if model.noise else 0.0
+            spots = self._draws.normal("spot", plan.sweep, n, columns) if model.noise else 0.0
             range_m = model.triangulation.measured(range_m, amplitude / rms, spots)
             amplitude = np.where(np.isnan(range_m), np.nan, amplitude)
         if model.systematic_m:
             range_m = range_m + model.systematic_m
-        if model.noise and model.range_noise_m > 0.0:
-            spread, seen = self._draws.normals("range", plan.sweep, n, range_m.shape[1]), np.isfinite(range_m)
+        if given.spreads is not None:
+            seen = np.isfinite(range_m)
             range_m = range_m.copy()
-            range_m[seen] = np.maximum(range_m[seen] + model.range_noise_m * spread[seen], 0.0)
+            range_m[seen] = np.maximum(range_m[seen] + model.range_noise_m * given.spreads[seen], 0.0)
         flags: NDArray[np.uint8] = np.zeros(n, np.uint8)
         if bool(echoes.saturated.any()):
             flags[echoes.saturated.any(axis=1)] |= SATURATED
-        if daylight.dazzled is not None:
-            flags[daylight.dazzled] |= DAZZLED
+        if given.dazzled is not None:
+            flags[given.dazzled] |= DAZZLED
         intensity = np.maximum(amplitude / (model.threshold * rms), 1.0)
-        ambient_w = daylight.power_w if plan.wants_ambient else None
-        return Scan(plan, range_m, intensity, flags, echoes.source.astype(np.int32), ambient_w=ambient_w)
+        return Readings(range_m, intensity, echoes.source.astype(np.int32), flags)
+
+
+def _of_beams(found: SubEchoes, wanted: Bools) -> SubEchoes:
+    """Sub-echoes of some beams, numbered again."""
+    some = found.of_beams(wanted)
+    return replace(some, beam=(wanted.cumsum() - 1)[some.beam])

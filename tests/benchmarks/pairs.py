@@ -45,6 +45,7 @@ HEDGES: dict[str, Any] = {
     "materials": {"privet": {"foliage": {"leaf_area_density_m2_m3": 2.5, "leaf_reflectance": 0.45}}},
     "world": [{"box": {"size_m": [60.0, 0.8, 1.6]}, "at_m": [30.0, y, 0.0], "material": "privet"} for y in (6.5, -6.5)],
 }
+ONE_RAY = "VLS-128, one ray"
 HEAD = ("step", "numpy arrays: module, lines", "loops: module, lines")
 
 
@@ -133,7 +134,8 @@ def scenes(folder: Path) -> dict[str, Any]:
     hedges = bench_scan.street(folder, {}, False, HEDGES)
     found |= {"town, driving": scenario.load("street"), "hedges, driving": hedges}
     found["VLP-16, driving"] = scenario.load("velodyne_street")
-    return {**found, "VLP-16, fog, rain, sun": bench_layers.street("velodyne-vlp-16", bench_layers.WETTEST)}
+    found["VLP-16, fog, rain, sun"] = bench_layers.street("velodyne-vlp-16", bench_layers.WETTEST)
+    return {**found, ONE_RAY: bench_layers.street("velodyne-vls-128", bench_layers.ONE_RAY)}
 
 
 def layers() -> ScanPlan:
@@ -143,6 +145,13 @@ def layers() -> ScanPlan:
     return ScanPlan(
         0, 0, 0, azimuth.repeat(16), np.tile(elevation, 96), fired, 0.0053, max_range_m=131.0, wants_intensity=True
     )
+
+
+def swept(column: str) -> ScanPlan:
+    """The sweep that a scene is measured with; with 128 layers a slice that has few edges in it."""
+    if column == ONE_RAY:
+        return bench_layers.plans_of("velodyne-vls-128", 4)[-1]
+    return layers() if column.startswith("VLP") else bench_scan.sweep(0.5)
 
 
 def main(repeats: int) -> None:
@@ -159,7 +168,7 @@ def main(repeats: int) -> None:
                 without = [bench_scan.of(one)[0] for one in found.values()]
                 pair.on = True
             figures = [
-                f"{saved(pair, each, repeats, layers() if column.startswith('VLP') else bench_scan.sweep(0.5)):.1f}"
+                f"{saved(pair, each, repeats, swept(column)):.1f}"
                 for column, *each in zip(found, whole, without, strict=True)
             ]
             sys.stdout.write(f"| {' | '.join((*row(step, pair, at), *figures))} |\n")

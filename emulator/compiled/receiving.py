@@ -1,0 +1,338 @@
+"""Beams from which short clusters come back, or nothing: from sub-echoes to what is reported, in one pass.
+
+Belongs here: what `signals_of`, `_measure` and `report` of `physics.detection` and `Receiver` do with arrays, of such
+beams. All others are left: long clusters, a medium that shows under one. Beams are done some at a time, so that all of
+their numbers stay in the processor's cache: what takes long is computed for several echoes at once.
+"""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from emulator.compiled.arithmetic import arc_sine_of_root, short_cos_sin
+from emulator.compiled.echoes import tall
+from emulator.compiled.jit import FLAG, FLAGS, FLOATS, INT, INTS, LONG_ROWS, OUT_FLAGS, compiled
+from emulator.compiled.normal import normals, unit
+
+DAZZLED, SATURATED = 1, 2
+"As in `protocols.scan`."
+MOST, MOST_ECHOES = 1024, 16
+"Sub-echoes and echoes of a beam."
+HELD, ECHOES_HELD = 4096, 256
+"Sub-echoes and echoes that are done together."
+SURE = 1e-6
+"So much lower than its limit a normal number is taken for one that an echo of the medium is seen by."
+
+
+@compiled()
+def _own_chance(height, dark, least, full_scale, shot_factor, noisy):
+    """Chance from which on a medium's own echo may be seen; 2: never."""
+    missing = least - min(height, full_scale)
+    if not noisy:
+        return 0.0 if missing <= 0.0 else 2.0
+    # of the normal number at which it is just seen
+    z = missing / np.sqrt(dark * dark + shot_factor * height) - SURE
+    return 0.5 * math.erfc(-z / math.sqrt(2.0))
+
+
+@compiled()
+def _between(x, places, values, otherwise):
+    """Linear between places, `otherwise` behind the last."""
+    if x > places[-1]:
+        return otherwise
+    at = min(max(np.searchsorted(places, x, side="right") - 1, 0), len(places) - 2)
+    step = places[at + 1] - places[at]
+    share = min(max((x - places[at]) / step, 0.0), 1.0) if step > 0.0 else 0.0
+    return values[at] + share * (values[at + 1] - values[at])
+
+
+@compiled()
+def _under(x_m, free, first, bin_m):
+    """A medium's return at an apparent range, linear between bins, 0 beyond them."""
+    place = x_m / bin_m - first
+    at = int(np.floor(place))
+    if at < 0 or at >= len(free) - 1:
+        return 0.0
+    return free[at] + (place - at) * (free[at + 1] - free[at])
+
+
+@compiled()
+def _last_begun(level, at, size, begun):
+    """The last sub-echo of a cluster whose pulse begins before a level is reached."""
+    end = at + size
+    while at + 1 < end and begun[at + 1] < level:  # the sum rises while they begin
+        at += 1
+    return at
+
+
+# ------------------------------------------------------------------------------- several echoes at once
+@compiled()
+def _turned(angle, count, real, imaginary):
+    for i in range(count):
+        real[i], imaginary[i] = short_cos_sin(angle[i])
+
+
+@compiled()
+def _levels(height, z, dark, least, count, full_scale, shot_factor, level):
+    """What is crossed; where it is, the signal is as high as the threshold, however high it rises."""
+    for i in range(count):
+        shot = shot_factor * min(height[i], least[i])
+        here = least[i] - z[i] * np.sqrt(dark[i] * dark[i] + shot)
+        level[i] = min(max(here, 0.02 * least[i]), max(min(height[i], full_scale), 1e-12))
+
+
+@compiled()
+def _crossings(level, total, swing, turn, start_m, count, half_m, wave_number, crossing):
+    """By the angle from the trough, which keeps its digits for a level far below the maximum."""
+    for i in range(count):
+        share = (2.0 * level[i] - total[i] + swing[i]) / (2.0 * swing[i])
+        rest = (swing[i] + total[i] - 2.0 * level[i]) / (2.0 * swing[i])
+        rise = arc_sine_of_root(min(max(share, 0.0), 1.0), min(max(rest, 0.0), 1.0))
+        crossing[i] = start_m[i] - half_m + (turn[i] + 2.0 * rise) / wave_number
+
+
+@compiled()
+def _leads(height, least, count, full_scale, fwhm_m, lead):
+    """See `Pulse.lead`, of a sin^2 pulse."""
+    for i in range(count):
+        shown = max(min(height[i], full_scale), least[i])
+        lead[i] = fwhm_m - 2.0 * fwhm_m / np.pi * arc_sine_of_root(least[i] / shown, (shown - least[i]) / shown)
+
+
+@compiled(
+    INTS, FLOATS, FLOATS, INTS, OUT_FLAGS, FLAGS, FLOATS, LONG_ROWS, LONG_ROWS, INT, INTS, FLOATS, FLOATS,
+    FLOATS, FLOATS, FLOATS, FLAG, FLOATS,
+)  # fmt: skip
+def received(
+    beam, range_m, amplitude, source, left, dazzled, rms, chances, spreads, columns, noise_beam, noise_m, noise_height,
+    free, rise, rise_m, several, law,
+):  # fmt: skip
+    """What n beams report: range and intensity (n, columns), actor, and flags (n,). Beams that need more are `left`.
+
+    `left` : (n,) written to; `dazzled` : (n,), (0,): none; `rms` : (n,), or (1,) for all; `chances`, `spreads` : (n, .)
+    random words for the noise at echoes and of ranges, (0, 0): no noise; `noise_...` : false alarms by beams; `free` :
+    returns of a medium by bins; `rise`, `rise_m` : up to its maximum; `several` : the nearest of several echoes are
+    reported; `law` : numbers of the sensor and the medium, see `sensing.receiving`.
+    """
+    longest_m, half_m, wave_number, threshold, full_scale, shot_factor = law[0], law[1], law[2], law[3], law[4], law[5]
+    floor_m2, fwhm_m, walk_table, offset_m, near_gate_m, far_gate_m = law[6], law[7], law[8], law[9], law[10], law[11]
+    systematic_m, range_noise_m, doubt_m, sigmas, least_share = law[12], law[13], law[14], law[15], law[16]
+    faint, slight, until_m, alone_m, peak_m, own_peak = law[17], law[18], law[19], law[20], law[21], law[22]
+    own_m, own_height, first, bin_m = law[23], law[24], law[25], law[26]
+    n, count, alarms = len(left), len(beam), len(noise_beam)
+    ranges, intensity = np.full((n, columns), np.nan), np.full((n, columns), np.nan)
+    actor, flags = np.full((n, columns), -1, np.int32), np.zeros(n, np.uint8)
+    noisy, spread, blinding = len(chances) > 0, len(spreads) > 0, len(dazzled) > 0
+    numbers = chances.shape[1]
+    # of sub-echoes
+    angle, begun, total = np.empty(HELD), np.empty(HELD), np.empty(HELD)
+    real, imaginary = np.empty(HELD), np.empty(HELD)
+    # of echoes; the second half of some are the same again with a medium under them
+    begin_of, at_of, size_of = np.empty((3, ECHOES_HELD), np.int64)
+    centre, height, under, dark_of, least_of = np.empty((5, ECHOES_HELD))
+    chance_of, z, work, works = np.empty((4, ECHOES_HELD))
+    lead = np.full(ECHOES_HELD, fwhm_m - offset_m)
+    start_of, level, sum_of, swing, turn, crossing = np.empty((6, 2 * ECHOES_HELD))
+    doubted = np.empty(ECHOES_HELD, np.int64)
+    # of beams
+    held, first_of, made_of, alarm_of, alarms_of = np.empty((5, ECHOES_HELD), np.int64)
+    own_of = np.empty(ECHOES_HELD, np.bool_)
+    rank = np.empty(MOST_ECHOES, np.int64)
+    found_m, found, origin = np.empty(MOST_ECHOES), np.empty(MOST_ECHOES), np.empty(MOST_ECHOES, np.int64)
+    clipped = np.empty(MOST_ECHOES, np.bool_)
+    row_of, column_of = np.empty((2, ECHOES_HELD), np.int64)
+    own_tall = tall(own_m, own_height, floor_m2)
+    dark, least, hears, limit = -1.0, 0.0, False, 2.0
+    b = k = alarm = 0
+    while b < n:
+        beams = echoes = subs = 0
+        # clusters of some beams
+        while b < n and echoes <= ECHOES_HELD - MOST_ECHOES and beams < ECHOES_HELD and subs <= HELD - MOST:
+            begin, first_alarm = k, alarm
+            while k < count and beam[k] == b:
+                k += 1
+            while alarm < alarms and noise_beam[alarm] == b:
+                alarm += 1
+            b += 1
+            if left[b - 1]:
+                continue
+            if blinding and dazzled[b - 1]:
+                flags[b - 1] = DAZZLED
+                continue
+            here = rms[b - 1] if len(rms) > 1 else rms[0]
+            if here != dark:
+                dark, least = here, threshold * here
+                hears = own_peak >= max(least - sigmas * dark, 0.02 * least)
+                limit = _own_chance(own_height, dark, least, full_scale, shot_factor, noisy) if own_tall else 2.0
+            if begin == k and first_alarm == alarm:  # of most beams without a surface nothing is seen
+                if not hears or (unit(chances[b - 1, 0]) if noisy else 0.5) < limit:
+                    continue
+            made, j, at = 0, begin, subs
+            good = k - begin <= MOST
+            while j < k and good:
+                end = j + 1
+                while end < k and range_m[end] - range_m[end - 1] <= 2.0 * half_m:
+                    end += 1
+                one = echoes + made
+                begin_of[one], at_of[one], size_of[one] = j, at, end - j
+                if end - j > 1:
+                    good = range_m[end - 1] - range_m[j] < longest_m
+                    for i in range(end - j):
+                        angle[at + i] = wave_number * (range_m[j + i] - range_m[j]) if good else 0.0
+                    at += end - j
+                good = good and made + 2 < MOST_ECHOES
+                made, j = made + 1, end
+            if not good:
+                left[b - 1] = True
+                continue
+            own_of[beams] = hears
+            if hears:  # it takes one of these numbers, and is looked at where that may do
+                most = 0.0
+                for i in range(made + 1):
+                    most = max(most, unit(chances[b - 1, i % numbers]) if noisy else 0.5)
+                if most >= limit:
+                    size_of[echoes + made], own_of[beams] = 0, False
+                    made += 1
+            held[beams], first_of[beams], made_of[beams] = b - 1, echoes, made
+            alarm_of[beams], alarms_of[beams] = first_alarm, alarm
+            for i in range(echoes, echoes + made):
+                dark_of[i], least_of[i] = dark, least
+            beams, echoes, subs = beams + 1, echoes + made, at
+        _turned(angle, subs, real, imaginary)
+        # place and height of their maxima, what a medium has under them, and the random numbers
+        for one in range(beams):
+            row, begin, end = held[one], first_of[one], first_of[one] + made_of[one]
+            good = True
+            for i in range(begin, end):
+                size, j, at = size_of[i], begin_of[i], at_of[i]
+                under[i], turn[i], start_of[i] = 0.0, 0.0, own_m
+                centre[i], height[i], sum_of[i], swing[i] = own_m, own_height, own_height, own_height
+                if size == 0:
+                    continue
+                start_of[i] = centre[i] = range_m[j]
+                if size == 1:
+                    height[i] = sum_of[i] = swing[i] = amplitude[j]
+                else:
+                    a = x = y = 0.0
+                    for p in range(size):
+                        strength, cosine, sine = amplitude[j + p], real[at + p], imaginary[at + p]
+                        a += strength
+                        x += strength * cosine
+                        y += strength * sine
+                        total[at + p], real[at + p], imaginary[at + p] = a, x, y
+                        # a pulse begins half a turn of the cosine before its centre
+                        begun[at + p] = 0.5 * (a - cosine * x - sine * y)
+                    height[i] = 0.5 * (a + np.sqrt(x * x + y * y))
+                    if floor_m2 > 0.0:
+                        centre[i] += np.arctan2(y, x) / wave_number
+                front_m = start_of[i] - half_m
+                if front_m < until_m or front_m < alone_m:
+                    below = _under(max(front_m, peak_m), free, first, bin_m)
+                    good = good and front_m >= alone_m and below < faint * threshold and until_m < np.inf
+                    good = good and below <= slight * height[i]
+                    under[i] = below
+                good = good and height[i] > 0.0
+            if not good:
+                left[row] = True
+                made_of[one] = 0
+            # by height; those under the floor last
+            for i in range(begin, end):
+                mine = -height[i] if tall(centre[i], height[i], floor_m2) else 0.0
+                rank[i - begin] = own_of[one] and mine > (-own_height if own_tall else 0.0)
+                for p in range(begin, i):
+                    other = -height[p] if tall(centre[p], height[p], floor_m2) else 0.0
+                    if mine < other:
+                        rank[p - begin] += 1
+                    else:
+                        rank[i - begin] += 1
+            for i in range(begin, end):
+                chance_of[i] = unit(chances[row, rank[i - begin] % numbers]) if noisy else 0.5
+        normals(chance_of, echoes, z, work, works)
+        _levels(height, z, dark_of, least_of, echoes, full_scale, shot_factor, level)
+        doubts = 0
+        for i in range(echoes):
+            if size_of[i] > 1:
+                at = _last_begun(level[i], at_of[i], size_of[i], begun)
+                sum_of[i] = total[at]
+                if at == at_of[i]:
+                    swing[i] = total[at]
+                else:
+                    swing[i] = np.sqrt(real[at] * real[at] + imaginary[at] * imaginary[at])
+                    turn[i] = np.arctan2(imaginary[at], real[at])
+            if under[i] > 0.0:
+                other = echoes + doubts
+                doubted[doubts], level[other] = i, max(level[i] - under[i], least_share * level[i])
+                start_of[other], sum_of[other], swing[other], turn[other] = start_of[i], height[i], height[i], 0.0
+                if size_of[i] > 1:
+                    at = _last_begun(level[other], at_of[i], size_of[i], begun)
+                    sum_of[other] = swing[other] = total[at]
+                    if at > at_of[i]:
+                        swing[other] = np.sqrt(real[at] * real[at] + imaginary[at] * imaginary[at])
+                        turn[other] = np.arctan2(imaginary[at], real[at])
+                doubts += 1
+        _crossings(level, sum_of, swing, turn, start_of, echoes + doubts, half_m, wave_number, crossing)
+        for i in range(doubts):
+            if crossing[doubted[i]] - crossing[echoes + i] > doubt_m:
+                under[doubted[i]] = -1.0
+        if walk_table > 0.0:
+            _leads(height, least_of, echoes, full_scale, fwhm_m, lead)
+        # which of them are seen, and reported
+        reports = 0
+        for one in range(beams):
+            row, begin, end, good, seen = held[one], first_of[one], first_of[one] + made_of[one], True, 0
+            if left[row]:
+                continue
+            for i in range(begin, end):
+                dark, least = dark_of[i], least_of[i]
+                noise = z[i] * np.sqrt(dark * dark + shot_factor * height[i])
+                if not min(height[i], full_scale) >= least - noise or not tall(centre[i], height[i], floor_m2):
+                    continue
+                good = good and under[i] >= 0.0
+                read_m = crossing[i]
+                origin[seen] = -1
+                if size_of[i] == 0:
+                    read_m = _between(level[i], rise, rise_m, own_m)
+                else:
+                    best = begin_of[i]
+                    for j in range(best + 1, best + size_of[i]):  # the first of equals
+                        if amplitude[j] > amplitude[best]:
+                            best = j
+                    origin[seen] = source[best]
+                found_m[seen] = max(read_m + lead[i], 0.0)  # a touching target is at 0, whatever the noise
+                found[seen] = min(max(height[i] + noise, least), max(full_scale, least))
+                clipped[seen] = height[i] >= full_scale
+                seen += near_gate_m <= found_m[seen] <= far_gate_m
+            least = threshold * (rms[row] if len(rms) > 1 else rms[0])
+            for j in range(alarm_of[one], alarms_of[one]):
+                good = good and seen < MOST_ECHOES - 1
+                if good:
+                    found_m[seen], found[seen] = noise_m[j], max(noise_height[j], least)
+                    origin[seen], clipped[seen] = -1, False
+                    seen += near_gate_m <= found_m[seen] <= far_gate_m
+            if not good or (seen > 1 and not several) or reports + seen > ECHOES_HELD:
+                left[row] = True
+                continue
+            for i in range(seen):
+                column = 0
+                for j in range(seen):
+                    column += found_m[j] < found_m[i] or (found_m[j] == found_m[i] and j < i)
+                if column >= columns:
+                    continue
+                if clipped[i]:
+                    flags[row] = SATURATED
+                ranges[row, column], intensity[row, column] = found_m[i] + systematic_m, max(found[i] / least, 1.0)
+                actor[row, column] = origin[i]
+                row_of[reports], column_of[reports] = row, column
+                reports += 1
+        dark = -1.0
+        if spread:
+            for i in range(reports):
+                chance_of[i] = unit(spreads[row_of[i], column_of[i]])
+            normals(chance_of, reports, z, work, works)
+            for i in range(reports):
+                row, column = row_of[i], column_of[i]
+                ranges[row, column] = max(ranges[row, column] + range_noise_m * z[i], 0.0)
+    return ranges, intensity, actor, flags

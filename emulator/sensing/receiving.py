@@ -1,0 +1,100 @@
+"""Readings of beams that need no more than one short cluster, in one pass: most beams of a sweep in clear air.
+
+Belongs here: what such a pass is given, and what it gives. Not: the pass (compiled.receiving), other beams (receiver).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emulator.compiled.pair import OTHERWISE, by_loops
+from emulator.physics.arrays import Bools, Floats, Ints
+from emulator.physics.cosines import FAINT, LEAST, SHIFT, SHORT, SLIGHT
+from emulator.physics.detection import SIGMAS
+from emulator.physics.detector import Detector
+from emulator.physics.random_streams import Normals
+from emulator.physics.softprofile import SoftProfile
+from emulator.physics.subechoes import SubEchoes
+
+OWN_MOST = 0.8
+"Share of the threshold that a medium's own echo may have: beyond it most beams have one, and need more."
+NO_WORDS = np.zeros((0, 0), np.uint64)
+NO_FLAGS = np.zeros(0, np.bool_)
+NO_TABLE = np.zeros(1)
+NoiseEchoes = tuple[Ints, Floats, Floats]
+"Beams, ascending, ranges and amplitudes."
+NO_ALARMS: NoiseEchoes = np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """What n beams report."""
+
+    range_m: Floats
+    "(n, k)"
+    intensity: Floats
+    actor: NDArray[np.int32]
+    flags: NDArray[np.uint8]
+    "(n,)"
+
+    def put(self, rows: Ints, some: Readings) -> None:
+        """Set those of some beams."""
+        for column, other in zip(vars(self).values(), vars(some).values(), strict=True):
+            column[rows] = other
+
+
+def _readings_by_loops(
+    loops: ModuleType, found: SubEchoes, left: Bools, detector: Detector, soft: SoftProfile | None, rms: Floats | None,
+    dazzled: Bools | None, normals: Normals | None, spreads: Normals | None,
+    noise_echoes: NoiseEchoes | None, systematic_m: float, noise_m: float,
+) -> Readings | None:  # fmt: skip
+    """On a leading edge of sin^2 pulses that follows the noise, in air of which little comes back."""
+    pulse = detector.pulse
+    if not detector.closed_form or detector.sampled or not detector.follows_noise or found.spread_m is not None:
+        return OTHERWISE
+    until_m = alone_m = -np.inf
+    own_m = own = peak_m = 0.0
+    peak = -np.inf
+    free, first, bin_m, rise = NO_TABLE, 0, 1.0, (NO_TABLE, NO_TABLE)
+    if soft is not None:
+        if soft.peak >= detector.full_scale:
+            return OTHERWISE
+        free, first, bin_m, until_m, peak_m = soft.free, soft.first, soft.bin_m, soft.until_m, soft.peak_m
+        if soft.shows:
+            alone_m, peak, (own_m, own), rise = peak_m + 2.0 * bin_m, soft.peak, soft.top, soft.rise
+            if own > OWN_MOST * detector.threshold:
+                return OTHERWISE
+    several = detector.keep in ("first", "all") and not detector.recovery_s > 0.0
+    law = np.array([
+        SHORT * pulse.half_support_m, pulse.half_support_m, pulse.wave_number, detector.threshold, detector.full_scale,
+        detector.shot_factor, detector.floor_m2, pulse.fwhm_m, detector.walk_table, detector.offset_m,
+        detector.near_gate_m, detector.far_gate_m, systematic_m, noise_m, SHIFT * detector.resolution_m,
+        0.0 if normals is None else SIGMAS, LEAST, FAINT, SLIGHT, until_m, alone_m, peak_m, peak, own_m, own, first,
+        bin_m,
+    ])  # fmt: skip
+    range_m, intensity, actor, flags = loops.received(
+        found.beam, found.range_m, found.amplitude, found.source, left, NO_FLAGS if dazzled is None else dazzled,
+        np.ones(1) if rms is None else rms, NO_WORDS if normals is None else normals.words,
+        NO_WORDS if spreads is None else spreads.words, detector.max_echoes,
+        *(NO_ALARMS if noise_echoes is None else noise_echoes), free, rise[1], rise[0], several, law,
+    )  # fmt: skip
+    return Readings(range_m, intensity, actor, flags)
+
+
+@by_loops(_readings_by_loops, "received")
+def readings(
+    found: SubEchoes, left: Bools, detector: Detector, soft: SoftProfile | None, rms: Floats | None,
+    dazzled: Bools | None, normals: Normals | None, spreads: Normals | None,
+    noise_echoes: NoiseEchoes | None, systematic_m: float, noise_m: float,
+) -> Readings | None:  # fmt: skip
+    """What the simple beams report; None, as with arrays: every beam is left.
+
+    `left` : (n,) beams that are to be left in any case, written to; `rms` : (n,) noise over the nominal one; `normals`,
+    `spreads` : (n, .) numbers for the noise at echoes and of ranges; None: none; `noise_echoes` : false alarms;
+    `systematic_m`, `noise_m` : what ranges are off by, and the deviation of `spreads`.
+    """
+    return None
