@@ -7,7 +7,6 @@ A track goes with the plan of a sweep to whoever measures it, so that a sweep de
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -310,23 +309,22 @@ class World:
         return World(tuple(moved), self.gone)
 
     @cached_property
-    def _packed(self) -> bytes:
+    def _packed(self) -> tuple[Floats, list[tuple[Any, ...]], frozenset[str]]:
         """As it goes to other processes: all samples in one array, made once for all of them."""
         tracks = [track for _, track in self.tracks]
         columns = [np.concatenate([getattr(track, name) for track in tracks]) for name in COLUMNS if tracks]
         samples = np.concatenate([np.atleast_2d(one.T) for one in columns]) if tracks else np.zeros((0, 0))
         rest = [(name, len(track.t_s), *(getattr(track, word) for word in _REST)) for name, track in self.tracks]
-        return pickle.dumps((samples, rest, self.gone), pickle.HIGHEST_PROTOCOL)
+        return samples, rest, self.gone
 
-    def __reduce__(self) -> tuple[Callable[[bytes], World], tuple[bytes]]:
-        return _unpacked, (self._packed,)
+    def __reduce__(self) -> tuple[Callable[..., World], tuple[Any, ...]]:
+        return _unpacked, self._packed
 
 
 _REST = tuple(one.name for one in fields(Track) if one.name not in COLUMNS)
 
 
-def _unpacked(packed: bytes) -> World:
-    samples, rest, gone = pickle.loads(packed)  # of `World._packed`, between our own processes alone
+def _unpacked(samples: Floats, rest: Sequence[tuple[Any, ...]], gone: frozenset[str]) -> World:
     tracks, begin = [], 0
     for name, count, *words in rest:
         mine = samples[:, begin : begin + count]

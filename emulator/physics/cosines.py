@@ -33,7 +33,7 @@ FAINT = 0.1
 FAINT_UNDER_STRONG = 0.3
 "The same under a strong one: whatever the noise, a valley below the threshold separates it from the medium's echo."
 STRONG = 10.0
-"Thresholds that the pulses of such a cluster have together, of which half a turn at the most leaves a half."
+"Thresholds that its pulses, which do not clip, have together: half a turn at the most leaves a half of them."
 EXACT_M = 1e-5
 "Crossings are looked for again, with the medium that is under them, until they move by less than this."
 MOST_PASSES = 60
@@ -285,7 +285,8 @@ def split_cosines(echoes: SubEchoes, detector: Detector, soft: SoftProfile | Non
     group, start, size = whole
     near, most = None, first
     if soft is not None:
-        strong = np.add.reduceat(a, start) >= STRONG * detector.threshold
+        together = np.add.reduceat(a, start)
+        strong = (together >= STRONG * detector.threshold) & (together < detector.full_scale)
         near, most = _near(soft, detector.threshold, short, group, first - half, strong)
     if not bool(short.any()):
         return Cosines.none(), echoes

@@ -49,7 +49,7 @@ KINDS = {
     "feed silent": IncidentKind("no poses came for longer than live.silent.after_s, which ends this run", FEED_ENDED),
     "signal limited": IncidentKind("a value of the vehicle bus was beyond its signal's limits; once per signal"),
     "helper ended": IncidentKind(
-        "the process that announces devices by mDNS ended or stood still; it is started again, three times at most"
+        "the process that announces devices by mDNS ended or hangs; it is started again, three times at most"
     ),
 }
 "Name -> what it means; docs/endurance.md has the same table from here."

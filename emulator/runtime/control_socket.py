@@ -6,6 +6,7 @@ Belongs here: names and files. Not: who connects and what is answered (control).
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import socket
 import stat
@@ -84,21 +85,28 @@ class Doorway:
         self.listener, self._file = self._listen()
 
     def _listen(self) -> tuple[socket.socket, os.stat_result]:
+        """Made aside: who finds the path finds somebody who listens."""
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        aside = self.path.with_name(f".{os.urandom(3).hex()}")
         try:
             self._make_room()
             with contextlib.suppress(OSError):
                 os.fchmod(listener.fileno(), 0o600)  # Linux makes the file with this mode
-            listener.bind(str(self.path))
-            self.path.chmod(0o600)
-            found = os.lstat(self.path)
-            listener.listen(MOST_WAITING)  # before this nobody gets in, whatever the mode
-            listener.setblocking(False)
+            listener.bind(str(aside))
+            try:
+                aside.chmod(0o600)
+                found = os.lstat(aside)
+                listener.listen(MOST_WAITING)
+                listener.setblocking(False)
+                os.link(aside, self.path, follow_symlinks=False)
+            finally:
+                aside.unlink(missing_ok=True)
         except OSError as error:
             listener.close()
             if isinstance(error, LinkError):
                 raise
-            raise LinkError(f"{self.path}: cannot listen for control: {error.strerror or error}") from None
+            reason = os.strerror(errno.EADDRINUSE) if isinstance(error, FileExistsError) else error.strerror or error
+            raise LinkError(f"{self.path}: cannot listen for control: {reason}") from None
         return listener, found
 
     def _make_room(self) -> None:

@@ -181,15 +181,15 @@ class Receiver:
                 dazzled=given.dazzled, noise_echoes=given.noise_echoes,
             )  # fmt: skip
             return self._read_off(plan, given, echoes)
-        if kept is None and model.triangulation is None:
+        if kept is None and found.spread_m is None and model.triangulation is None:
             left = np.zeros(n, np.bool_)
-            looked, offsets = looked_at(found, given.soft, model), (model.systematic_m, model.range_noise_m)
-            made = readings(
-                looked, left, given.detector, given.soft, given.noise, given.dazzled, given.normals, given.spreads,
-                given.noise_echoes, *offsets,
+            simple = readings(
+                lambda: looked_at(found, given.soft, model), left, given.detector, given.soft, given.noise,
+                given.dazzled, given.normals, given.spreads, given.noise_echoes, model.systematic_m,
+                model.range_noise_m,
             )  # fmt: skip
-            if made is not None:
-                rows = indexes(left)
+            if simple is not None:
+                (made, looked), rows = simple, indexes(left)
                 if len(rows):
                     made.put(rows, self._others(plan, given.of_beams(left), _of_beams(looked, left), len(rows)))
                 return made

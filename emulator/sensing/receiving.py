@@ -5,6 +5,7 @@ Belongs here: what such a pass is given, and what it gives. Not: the pass (compi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
 
@@ -27,6 +28,7 @@ NO_FLAGS = np.zeros(0, np.bool_)
 NO_TABLE = np.zeros(1)
 NoiseEchoes = tuple[Ints, Floats, Floats]
 "Beams, ascending, ranges and amplitudes."
+Look = Callable[[], SubEchoes]
 NO_ALARMS: NoiseEchoes = np.zeros(0, np.int64), np.zeros(0), np.zeros(0)
 
 
@@ -48,13 +50,13 @@ class Readings:
 
 
 def _readings_by_loops(
-    loops: ModuleType, found: SubEchoes, left: Bools, detector: Detector, soft: SoftProfile | None, rms: Floats | None,
+    loops: ModuleType, look: Look, left: Bools, detector: Detector, soft: SoftProfile | None, rms: Floats | None,
     dazzled: Bools | None, normals: Normals | None, spreads: Normals | None,
     noise_echoes: NoiseEchoes | None, systematic_m: float, noise_m: float,
-) -> Readings | None:  # fmt: skip
+) -> tuple[Readings, SubEchoes] | None:  # fmt: skip
     """On a leading edge of sin^2 pulses that follows the noise, in air of which little comes back."""
     pulse = detector.pulse
-    if not detector.closed_form or detector.sampled or not detector.follows_noise or found.spread_m is not None:
+    if not detector.closed_form or detector.sampled or not detector.follows_noise:
         return OTHERWISE
     until_m = alone_m = -np.inf
     own_m = own = peak_m = 0.0
@@ -68,6 +70,7 @@ def _readings_by_loops(
             alone_m, peak, (own_m, own), rise = peak_m + 2.0 * bin_m, soft.peak, soft.top, soft.rise
             if own > OWN_MOST * detector.threshold:
                 return OTHERWISE
+    found = look()
     several = detector.keep in ("first", "all") and not detector.recovery_s > 0.0
     law = np.array([
         SHORT * pulse.half_support_m, pulse.half_support_m, pulse.wave_number, detector.threshold, detector.full_scale,
@@ -82,19 +85,20 @@ def _readings_by_loops(
         NO_WORDS if spreads is None else spreads.words, detector.max_echoes,
         *(NO_ALARMS if noise_echoes is None else noise_echoes), free, rise[1], rise[0], several, law,
     )  # fmt: skip
-    return Readings(range_m, intensity, actor, flags)
+    return Readings(range_m, intensity, actor, flags), found
 
 
 @by_loops(_readings_by_loops, "received")
 def readings(
-    found: SubEchoes, left: Bools, detector: Detector, soft: SoftProfile | None, rms: Floats | None,
+    look: Look, left: Bools, detector: Detector, soft: SoftProfile | None, rms: Floats | None,
     dazzled: Bools | None, normals: Normals | None, spreads: Normals | None,
     noise_echoes: NoiseEchoes | None, systematic_m: float, noise_m: float,
-) -> Readings | None:  # fmt: skip
-    """What the simple beams report; None, as with arrays: every beam is left.
+) -> tuple[Readings, SubEchoes] | None:  # fmt: skip
+    """What the simple beams report, and what was looked at; None, as with arrays: every beam is left.
 
-    `left` : (n,) beams that are to be left in any case, written to; `rms` : (n,) noise over the nominal one; `normals`,
-    `spreads` : (n, .) numbers for the noise at echoes and of ranges; None: none; `noise_echoes` : false alarms;
-    `systematic_m`, `noise_m` : what ranges are off by, and the deviation of `spreads`.
+    `look` : what is looked at, without spreads, asked for once if at all; `left` : (n,) beams that are to be left in
+    any case, written to; `rms` : (n,) noise over the nominal one; `normals`, `spreads` : (n, .) numbers for the noise
+    at echoes and of ranges; None: none; `noise_echoes` : false alarms; `systematic_m`, `noise_m` : what ranges are off
+    by, and the deviation of `spreads`.
     """
     return None

@@ -131,7 +131,7 @@ def services(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
 
 
 def main() -> int:
-    """Announce until the input ends; what cannot be announced is told, and the rest goes on."""
+    """Announce until the input ends; what cannot be announced is reported, and the rest goes on."""
     from zeroconf import Error, Zeroconf
 
     opened, code = [], 0

@@ -280,7 +280,7 @@ class Returns:
     """What a profile reports of n beams: the first return of each, and the second one of m of them."""
 
     range_m: Floats
-    "(n + m,) first those of all beams; of one without any as `returns` was told."
+    "(n + m,) first those of all beams; of one without any as `returns` wants it."
     strength: Floats
     "(n + m,) over the threshold; 0: none."
     beam: Words

@@ -113,3 +113,18 @@ def test_a_control_socket_takes_the_place_of_nothing_but_a_dead_socket(
         control_socket.Doorway(tmp_path / "dead.sock")
     doorway.close()
     assert not (tmp_path / "dead.sock").exists()
+
+
+def test_who_finds_a_control_socket_finds_somebody_who_listens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before: list[bool] = []
+    link = os.link
+
+    def linked(aside: Path, path: Path, **words: bool) -> None:
+        before.append(control_socket.answers(aside) and not os.path.lexists(path))
+        link(aside, path, **words)
+
+    monkeypatch.setattr(control_socket.os, "link", linked)
+    doorway = control_socket.Doorway(tmp_path / "control.sock")
+    assert before == [True]
+    assert [one.name for one in tmp_path.iterdir()] == ["control.sock"]
+    doorway.close()

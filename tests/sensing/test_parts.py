@@ -49,7 +49,8 @@ def test_parts_together_are_the_whole_sweep(tmp_path: Path, of: int) -> None:
         parts = [parted.part(wanted, NORMAL, k, of) for k in reversed(range(of))]
         found = joined(wanted, [one for one in parts if isinstance(one, PartOfScan)])
         np.testing.assert_allclose(found.range_m, expected.range_m, rtol=1e-10)
-        np.testing.assert_allclose(found.intensity, expected.intensity, rtol=1e-9)
+        # heights are differences of sums over a sweep, to the rounding of its sheeting
+        np.testing.assert_allclose(found.intensity, expected.intensity, rtol=1e-8)
         assert np.array_equal(found.flags, expected.flags)
         assert np.array_equal(found.actor, expected.actor)
         echoes += int(np.isfinite(found.range_m).sum())
