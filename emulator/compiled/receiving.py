@@ -166,7 +166,8 @@ def received(
     noisy, spread, blinding = len(chances) > 0, len(spreads) > 0, len(dazzled) > 0
     numbers = chances.shape[1]
     # of sub-echoes
-    angle, begun, total, real, imaginary = np.empty((5, HELD + 1))  # the last: of a pulse that is alone
+    angle, begun, total = np.empty(HELD), np.empty(HELD + 1), np.empty(HELD + 1)
+    real, imaginary = np.empty(HELD + 1), np.empty(HELD + 1)  # the last: of a pulse that is alone
     begun[HELD] = imaginary[HELD] = 0.0
     stops = np.zeros((4, MOST + 1))
     # of echoes; the second half of some are the same again with a medium under them
@@ -381,7 +382,9 @@ def received(
             if not good or reports + seen > ECHOES_HELD:
                 left[row] = True
                 continue
-            _columns(found_m, found, clipped, seen, keep, columns, blind_m, order, column_at)
+            column_at[0] = 0 if columns else -1
+            if seen > 1:
+                _columns(found_m, found, clipped, seen, keep, columns, blind_m, order, column_at)
             for i in range(seen):
                 column = column_at[i]
                 if column < 0:
