@@ -73,9 +73,14 @@ def random_echoes(seed: int, threshold: float, pulse_m: float, short: bool = Fal
 def forms(measure: Any, seed: int, daylight: Daylight, short: bool = False, **options: Any) -> tuple[Any, Any]:
     """A sweep by arrays and by the pass."""
     given = plan(np.zeros(BEAMS), sweep=seed, **options)
-    model, pair = measure.model, receiving.readings.pair  # type: ignore[attr-defined]
+    model = measure.model
     found = random_echoes(seed, model.threshold, model.pulse.half_support_m, short)
-    soft, made = measure._soft.everywhere(measure.air.at(0.0), 1.0), []
+    return forms_of(measure, found, given, daylight)
+
+
+def forms_of(measure: Any, found: SubEchoes, given: Any, daylight: Daylight) -> tuple[Any, Any]:
+    pair, made = receiving.readings.pair, []  # type: ignore[attr-defined]
+    soft = measure._soft.everywhere(measure.air.at(0.0), 1.0)
     for on in (False, True):
         pair.on = on
         try:
@@ -130,6 +135,22 @@ def test_little_air_and_several_echoes_leave_no_beam(
             assert not len(differing(one, other))
             assert np.isfinite(one.range_m).all(axis=1).sum() > BEAMS / 10
     assert max(left) == 0.0
+
+
+def test_an_echo_that_just_reaches_the_threshold_in_air_is_crossed_on_its_parabola(
+    tmp_path: Path, left: list[float]
+) -> None:
+    measure = build(tmp_path, model="velodyne-vlp-16", physics={"noise": False}, weather=HAZE)
+    soft, threshold = measure._soft.everywhere(measure.air.at(0.0), 1.0), measure.model.threshold
+    rng = np.random.default_rng(3)
+    range_m = rng.uniform(2.0, 4.0, BEAMS)
+    amplitude = threshold * (1.0 + 1e-4 * rng.uniform(-0.1, 0.9, BEAMS)) - soft.wave(range_m)
+    beams = np.arange(BEAMS)
+    found = SubEchoes.of(beams, range_m, amplitude, np.zeros(BEAMS), np.zeros(BEAMS, np.int64))
+    one, other = forms_of(measure, found, plan(np.zeros(BEAMS)), Daylight(None, None))
+    assert np.isfinite(one.range_m[:, 0]).sum() > BEAMS / 2
+    assert not len(differing(one, other))
+    assert left == [0.0]
 
 
 def test_normal_numbers_are_those_of_scipy() -> None:
