@@ -50,6 +50,26 @@ def bounds(number, edged, first, bin_m, wave_number, ends):
     return edged[0, at], edged[1, at]
 
 
+@compiled()
+def stopped(range_m, blocked, start, count, sums, at, knots, cubics, cells, cell):
+    """Set `AirUnder.sums` of one cluster behind `at`."""
+    for k in range(start, start + count):
+        share, r = blocked[k], range_m[k]
+        sums[0, at + 1] = sums[0, at] + share
+        for part in range(3):
+            sums[1 + part, at + 1] = sums[1 + part, at] + share * integral(part, r, knots, cubics, cells, cell)
+        at += 1
+
+
+@compiled()
+def left_open(blocked, first, start):
+    """Share of the beam that the sub-echoes from `first` to `start` leave."""
+    passed = 0.0
+    for k in range(first, start):
+        passed += blocked[k]
+    return min(max(1.0 - passed, 0.0), 1.0)
+
+
 @compiled(*MEDIUM, FLOATS, FLOATS, INTS, INTS)
 def ended_under(edged, first, bin_m, wave_number, ends, knots, cubics, cells, cell, range_m, blocked, start, count):
     """(4, m + 1) `AirUnder.sums` of clusters of `count` sub-echoes from `start` on."""
@@ -59,12 +79,8 @@ def ended_under(edged, first, bin_m, wave_number, ends, knots, cubics, cells, ce
     sums = np.zeros((4, m + 1))
     at = 0
     for c in range(len(count)):
-        for k in range(start[c], start[c] + count[c]):
-            share, r = blocked[k], range_m[k]
-            sums[0, at + 1] = sums[0, at] + share
-            for part in range(3):
-                sums[1 + part, at + 1] = sums[1 + part, at] + share * integral(part, r, knots, cubics, cells, cell)
-            at += 1
+        stopped(range_m, blocked, start[c], count[c], sums, at, knots, cubics, cells, cell)
+        at += count[c]
     return sums
 
 
@@ -86,6 +102,35 @@ def _under(x_m, last, before, begins, open_, sums, edged, first, bin_m, wave_num
     return values[0] + (x_m / bin_m - place) * (values[1] - values[0])
 
 
+@compiled()
+def lifted_in_air(centre, height, size, open_, sums, edged, first, bin_m, wave_number, ends):
+    """Place and height of a cluster's maximum with a medium under it, and how far it shifts it: `cosines._lifted`."""
+    before = _under(centre - bin_m, size, 0, 0, open_, sums, edged, first, bin_m, wave_number, ends)
+    here = _under(centre, size, 0, 0, open_, sums, edged, first, bin_m, wave_number, ends)
+    behind = _under(centre + bin_m, size, 0, 0, open_, sums, edged, first, bin_m, wave_number, ends)
+    slope, curve = 0.5 * (behind - before) / bin_m, (behind - 2.0 * here + before) / (bin_m * bin_m)
+    bend = 0.5 * wave_number * wave_number * height - curve
+    shift = slope / bend if bend > 0.0 else 0.0
+    shift = shift if abs(shift) <= bin_m else 0.0
+    return centre + shift, height + here + 0.5 * slope * shift, abs(shift)
+
+
+@compiled()
+def cross_in_air(
+    level, crossing, last, before, begins, open_, sums, edged, first, bin_m, wave_number, ends,
+    start, size, first_m, begun, total, real, imaginary, half_m, least, exact_m, passes,
+):  # fmt: skip
+    """The crossing of one cluster, see `crossed_under`."""
+    for _ in range(passes):
+        air = _under(crossing, last, before, begins, open_, sums, edged, first, bin_m, wave_number, ends)
+        was = crossing
+        left = max(level - air, least * level)
+        crossing, last = cross(left, start, size, first_m, begun, total, real, imaginary, half_m, wave_number)
+        if not abs(crossing - was) > exact_m:
+            break
+    return crossing
+
+
 @compiled(
     *MEDIUM, FLOATS, INTS, INTS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, FLOAT,
     INTS, INTS, FLOATS, ROWS, FLOATS, INTS, FLOAT, FLOAT, INT,
@@ -99,14 +144,8 @@ def crossed_under(
     they move by less than `exact_m`."""
     found = crossing.copy()
     for c in range(len(level)):
-        of = last[c]
-        for _ in range(passes):
-            air = _under(found[c], of, before[c], begins[c], open_[c], sums, edged, first, bin_m, wave_number, ends)
-            was = found[c]
-            left = max(level[c] - air, least * level[c])
-            found[c], of = cross(
-                left, start[c], size[c], first_m[c], begun, total, real, imaginary, half_m, wave_number
-            )
-            if not abs(found[c] - was) > exact_m:
-                break
+        found[c] = cross_in_air(
+            level[c], found[c], last[c], before[c], begins[c], open_[c], sums, edged, first, bin_m, wave_number, ends,
+            start[c], size[c], first_m[c], begun, total, real, imaginary, half_m, least, exact_m, passes,
+        )  # fmt: skip
     return found

@@ -1,8 +1,8 @@
 """Beams from which short clusters come back, or nothing: from sub-echoes to what is reported, in one pass.
 
 Belongs here: what `signals_of`, `_measure` and `report` of `physics.detection` and `Receiver` do with arrays, of such
-beams. All others are left: long clusters, a medium that shows under one. Beams are done some at a time, so that all of
-their numbers stay in the processor's cache: what takes long is computed for several echoes at once.
+beams. All others are left: long clusters, a medium that is near the threshold under one. Beams are done some at a
+time, so that all of their numbers stay in the processor's cache: what takes long is computed for several at once.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -13,8 +13,10 @@ import math
 import numpy as np
 
 from emulator.compiled.arithmetic import arc_sine_of_root, short_cos_sin
+from emulator.compiled.clusters import cross
 from emulator.compiled.echoes import tall
-from emulator.compiled.jit import FLAG, FLAGS, FLOATS, INT, INTS, LONG_ROWS, OUT_FLAGS, compiled
+from emulator.compiled.jit import FLAGS, FLOATS, INT, INTS, LONG_ROWS, OUT_FLAGS, compiled
+from emulator.compiled.media import MEDIUM, cross_in_air, left_open, lifted_in_air, stopped
 from emulator.compiled.normal import normals, unit
 
 DAZZLED, SATURATED = 1, 2
@@ -23,6 +25,8 @@ MOST, MOST_ECHOES = 1024, 16
 "Sub-echoes and echoes of a beam."
 HELD, ECHOES_HELD = 4096, 256
 "Sub-echoes and echoes that are done together."
+FIRST, STRONGEST, LAST = 0, 1, 2
+"Which of several echoes are reported."
 SURE = 1e-6
 "So much lower than its limit a normal number is taken for one that an echo of the medium is seen by."
 
@@ -102,45 +106,82 @@ def _leads(height, least, count, full_scale, fwhm_m, lead):
         lead[i] = fwhm_m - 2.0 * fwhm_m / np.pi * arc_sine_of_root(least[i] / shown, (shown - least[i]) / shown)
 
 
+@compiled()
+def _columns(found_m, found, clipped, seen, keep, columns, blind_m, order, column):
+    """The column of each echo of a beam, negative of those that are not reported: as `detection._chosen`."""
+    for i in range(seen):  # by range
+        at = i
+        while at > 0 and found_m[order[at - 1]] > found_m[i]:
+            order[at] = order[at - 1]
+            at -= 1
+        order[at] = i
+    kept, until_m = 0, -np.inf
+    for place in range(seen):  # those that come while the receiver recovers are lost
+        i = order[place]
+        column[i] = -1
+        if not until_m > found_m[i]:
+            order[kept] = i
+            kept += 1
+        if blind_m > 0.0 and clipped[i]:
+            until_m = max(until_m, found_m[i] + blind_m)
+    made = 0
+    for place in range(kept):
+        i, at = order[place], place
+        if keep == LAST:
+            at -= max(kept - columns, 0)
+        elif keep == STRONGEST:
+            higher = 0
+            for p in range(kept):
+                j = order[p]
+                higher += found[j] > found[i] or (found[j] == found[i] and p < place)
+            at = made if higher < columns else -1
+            made += higher < columns
+        column[i] = at if at < columns else -1
+
+
 @compiled(
     INTS, FLOATS, FLOATS, INTS, OUT_FLAGS, FLAGS, FLOATS, LONG_ROWS, LONG_ROWS, INT, INTS, FLOATS, FLOATS,
-    FLOATS, FLOATS, FLOATS, FLAG, FLOATS,
+    FLOATS, FLOATS, FLOATS, INT, FLOATS, FLOATS, *MEDIUM,
 )  # fmt: skip
 def received(
     beam, range_m, amplitude, source, left, dazzled, rms, chances, spreads, columns, noise_beam, noise_m, noise_height,
-    free, rise, rise_m, several, law,
+    free, rise, rise_m, keep, law, blocked, edged, first, bin_m, turning, ends, knots, cubics, cells, cell,
 ):  # fmt: skip
     """What n beams report: range and intensity (n, columns), actor, and flags (n,). Beams that need more are `left`.
 
     `left` : (n,) written to; `dazzled` : (n,), (0,): none; `rms` : (n,), or (1,) for all; `chances`, `spreads` : (n, .)
     random words for the noise at echoes and of ranges, (0, 0): no noise; `noise_...` : false alarms by beams; `free` :
-    returns of a medium by bins; `rise`, `rise_m` : up to its maximum; `several` : the nearest of several echoes are
-    reported; `law` : numbers of the sensor and the medium, see `sensing.receiving`.
+    returns of a medium by bins; `rise`, `rise_m` : up to its maximum; `keep` : which of several echoes are reported;
+    `law` : numbers of the sensor and the medium, see `sensing.receiving`; `edged` and behind : `SoftProfile.flat`.
     """
     longest_m, half_m, wave_number, threshold, full_scale, shot_factor = law[0], law[1], law[2], law[3], law[4], law[5]
     floor_m2, fwhm_m, walk_table, offset_m, near_gate_m, far_gate_m = law[6], law[7], law[8], law[9], law[10], law[11]
     systematic_m, range_noise_m, doubt_m, sigmas, least_share = law[12], law[13], law[14], law[15], law[16]
     faint, slight, until_m, alone_m, peak_m, own_peak = law[17], law[18], law[19], law[20], law[21], law[22]
-    own_m, own_height, first, bin_m = law[23], law[24], law[25], law[26]
+    own_m, own_height, exact_m, near_top, passes = law[23], law[24], law[25], law[26], int(law[27])
+    blind_m = law[28]
     n, count, alarms = len(left), len(beam), len(noise_beam)
     ranges, intensity = np.full((n, columns), np.nan), np.full((n, columns), np.nan)
     actor, flags = np.full((n, columns), -1, np.int32), np.zeros(n, np.uint8)
     noisy, spread, blinding = len(chances) > 0, len(spreads) > 0, len(dazzled) > 0
     numbers = chances.shape[1]
     # of sub-echoes
-    angle, begun, total = np.empty(HELD), np.empty(HELD), np.empty(HELD)
-    real, imaginary = np.empty(HELD), np.empty(HELD)
+    angle, begun, total = np.empty(HELD), np.empty(HELD + 1), np.empty(HELD + 1)
+    real, imaginary = np.empty(HELD + 1), np.empty(HELD + 1)  # the last: of a pulse that is alone
+    begun[HELD] = imaginary[HELD] = 0.0
+    stops = np.zeros((4, MOST + 1))
     # of echoes; the second half of some are the same again with a medium under them
     begin_of, at_of, size_of = np.empty((3, ECHOES_HELD), np.int64)
     centre, height, under, dark_of, least_of = np.empty((5, ECHOES_HELD))
     chance_of, z, work, works = np.empty((4, ECHOES_HELD))
     lead = np.full(ECHOES_HELD, fwhm_m - offset_m)
     start_of, level, sum_of, swing, turn, crossing = np.empty((6, 2 * ECHOES_HELD))
-    doubted = np.empty(ECHOES_HELD, np.int64)
+    doubted, head_of = np.empty((2, ECHOES_HELD), np.int64)
+    shift_of, in_air = np.empty(ECHOES_HELD), np.empty(ECHOES_HELD, np.bool_)
     # of beams
     held, first_of, made_of, alarm_of, alarms_of = np.empty((5, ECHOES_HELD), np.int64)
     own_of = np.empty(ECHOES_HELD, np.bool_)
-    rank = np.empty(MOST_ECHOES, np.int64)
+    rank, order, column_at = np.empty((3, MOST_ECHOES), np.int64)
     found_m, found, origin = np.empty(MOST_ECHOES), np.empty(MOST_ECHOES), np.empty(MOST_ECHOES, np.int64)
     clipped = np.empty(MOST_ECHOES, np.bool_)
     row_of, column_of = np.empty((2, ECHOES_HELD), np.int64)
@@ -208,11 +249,12 @@ def received(
             good = True
             for i in range(begin, end):
                 size, j, at = size_of[i], begin_of[i], at_of[i]
-                under[i], turn[i], start_of[i] = 0.0, 0.0, own_m
+                under[i], turn[i], start_of[i], in_air[i], shift_of[i] = 0.0, 0.0, own_m, False, 0.0
                 centre[i], height[i], sum_of[i], swing[i] = own_m, own_height, own_height, own_height
                 if size == 0:
                     continue
                 start_of[i] = centre[i] = range_m[j]
+                head_of[i] = begin_of[begin]
                 if size == 1:
                     height[i] = sum_of[i] = swing[i] = amplitude[j]
                 else:
@@ -226,18 +268,26 @@ def received(
                         # a pulse begins half a turn of the cosine before its centre
                         begun[at + p] = 0.5 * (a - cosine * x - sine * y)
                     height[i] = 0.5 * (a + np.sqrt(x * x + y * y))
-                    if floor_m2 > 0.0:
+                    if floor_m2 > 0.0 or start_of[i] - half_m < until_m:
                         centre[i] += np.arctan2(y, x) / wave_number
                 front_m = start_of[i] - half_m
                 if front_m < until_m or front_m < alone_m:
                     below = _under(max(front_m, peak_m), free, first, bin_m)
                     good = good and front_m >= alone_m and below < faint * threshold and until_m < np.inf
-                    good = good and below <= slight * height[i]
+                    good = good and height[i] > 0.0
                     under[i] = below
+                    if good and below > slight * height[i]:
+                        under[i], in_air[i] = 0.0, True
+                        stopped(range_m, blocked, j, size, stops, 0, knots, cubics, cells, cell)
+                        open_ = left_open(blocked, head_of[i], j)
+                        centre[i], height[i], shift_of[i] = lifted_in_air(
+                            centre[i], height[i], size, open_, stops, edged, first, bin_m, wave_number, ends
+                        )
                 good = good and height[i] > 0.0
             if not good:
                 left[row] = True
                 made_of[one] = 0
+                under[begin:end], in_air[begin:end] = 0.0, False
             # by height; those under the floor last
             for i in range(begin, end):
                 mine = -height[i] if tall(centre[i], height[i], floor_m2) else 0.0
@@ -276,7 +326,25 @@ def received(
         _crossings(level, sum_of, swing, turn, start_of, echoes + doubts, half_m, wave_number, crossing)
         for i in range(doubts):
             if crossing[doubted[i]] - crossing[echoes + i] > doubt_m:
-                under[doubted[i]] = -1.0
+                in_air[doubted[i]] = True
+        for i in range(echoes):
+            if not in_air[i]:
+                continue
+            j, at, size = begin_of[i], at_of[i], size_of[i]
+            if size == 1:
+                at = HELD
+                total[at] = real[at] = amplitude[j]
+            stopped(range_m, blocked, j, size, stops, 0, knots, cubics, cells, cell)
+            open_ = left_open(blocked, head_of[i], j)
+            place_m, last = cross(level[i], at, size, start_of[i], begun, total, real, imaginary, half_m, wave_number)
+            crossing[i] = cross_in_air(
+                level[i], place_m, last, at - 1, 0, open_, stops, edged, first, bin_m, wave_number, ends,
+                at, size, start_of[i], begun, total, real, imaginary, half_m, least_share, exact_m, passes,
+            )  # fmt: skip
+            if shift_of[i] > 0.0:  # near a maximum, see `Cosines.crossing`
+                before_m = np.sqrt(4.0 * max(height[i] - level[i], 0.0) / height[i]) / wave_number
+                if before_m < near_top * shift_of[i]:
+                    crossing[i] = centre[i] - before_m
         if walk_table > 0.0:
             _leads(height, least_of, echoes, full_scale, fwhm_m, lead)
         # which of them are seen, and reported
@@ -290,7 +358,6 @@ def received(
                 noise = z[i] * np.sqrt(dark * dark + shot_factor * height[i])
                 if not min(height[i], full_scale) >= least - noise or not tall(centre[i], height[i], floor_m2):
                     continue
-                good = good and under[i] >= 0.0
                 read_m = crossing[i]
                 origin[seen] = -1
                 if size_of[i] == 0:
@@ -312,14 +379,15 @@ def received(
                     found_m[seen], found[seen] = noise_m[j], max(noise_height[j], least)
                     origin[seen], clipped[seen] = -1, False
                     seen += near_gate_m <= found_m[seen] <= far_gate_m
-            if not good or (seen > 1 and not several) or reports + seen > ECHOES_HELD:
+            if not good or reports + seen > ECHOES_HELD:
                 left[row] = True
                 continue
+            column_at[0] = 0 if columns else -1
+            if seen > 1:
+                _columns(found_m, found, clipped, seen, keep, columns, blind_m, order, column_at)
             for i in range(seen):
-                column = 0
-                for j in range(seen):
-                    column += found_m[j] < found_m[i] or (found_m[j] == found_m[i] and j < i)
-                if column >= columns:
+                column = column_at[i]
+                if column < 0:
                     continue
                 if clipped[i]:
                     flags[row] = SATURATED

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from emulator.compiled.pair import OTHERWISE, by_loops
 from emulator.physics.arrays import Bools, Floats, Ints
-from emulator.physics.cosines import FAINT, LEAST, SHIFT, SHORT, SLIGHT
+from emulator.physics.constants import SPEED_OF_LIGHT_M_S
+from emulator.physics.cosines import EXACT_M, FAINT, LEAST, MOST_PASSES, NEAR_TOP, SHIFT, SHORT, SLIGHT
 from emulator.physics.detection import SIGMAS
 from emulator.physics.detector import Detector
 from emulator.physics.random_streams import Normals
@@ -26,6 +27,11 @@ OWN_MOST = 0.8
 NO_WORDS = np.zeros((0, 0), np.uint64)
 NO_FLAGS = np.zeros(0, np.bool_)
 NO_TABLE = np.zeros(1)
+NO_MEDIUM = (
+    np.zeros((2, 1)), 0, 1.0, 1.0, np.zeros(3), np.zeros(2), np.zeros((12, 1)), np.zeros(1, np.int64), 1.0,
+)  # fmt: skip
+KEEPS = {"first": 0, "all": 0, "strongest": 1, "last": 2}
+"See `compiled.receiving`."
 NoiseEchoes = tuple[Ints, Floats, Floats]
 "Beams, ascending, ranges and amplitudes."
 Look = Callable[[], SubEchoes]
@@ -61,29 +67,29 @@ def _readings_by_loops(
     until_m = alone_m = -np.inf
     own_m = own = peak_m = 0.0
     peak = -np.inf
-    free, first, bin_m, rise = NO_TABLE, 0, 1.0, (NO_TABLE, NO_TABLE)
+    free, medium, rise = NO_TABLE, NO_MEDIUM, (NO_TABLE, NO_TABLE)
     if soft is not None:
         if soft.peak >= detector.full_scale:
             return OTHERWISE
-        free, first, bin_m, until_m, peak_m = soft.free, soft.first, soft.bin_m, soft.until_m, soft.peak_m
+        free, medium, until_m, peak_m = soft.free, soft.flat, soft.until_m, soft.peak_m
         if soft.shows:
-            alone_m, peak, (own_m, own), rise = peak_m + 2.0 * bin_m, soft.peak, soft.top, soft.rise
+            alone_m, peak, (own_m, own), rise = peak_m + 2.0 * soft.bin_m, soft.peak, soft.top, soft.rise
             if own > OWN_MOST * detector.threshold:
                 return OTHERWISE
     found = look()
-    several = detector.keep in ("first", "all") and not detector.recovery_s > 0.0
     law = np.array([
         SHORT * pulse.half_support_m, pulse.half_support_m, pulse.wave_number, detector.threshold, detector.full_scale,
         detector.shot_factor, detector.floor_m2, pulse.fwhm_m, detector.walk_table, detector.offset_m,
         detector.near_gate_m, detector.far_gate_m, systematic_m, noise_m, SHIFT * detector.resolution_m,
-        0.0 if normals is None else SIGMAS, LEAST, FAINT, SLIGHT, until_m, alone_m, peak_m, peak, own_m, own, first,
-        bin_m,
+        0.0 if normals is None else SIGMAS, LEAST, FAINT, SLIGHT, until_m, alone_m, peak_m, peak, own_m, own, EXACT_M,
+        NEAR_TOP, MOST_PASSES, 0.5 * SPEED_OF_LIGHT_M_S * detector.recovery_s,
     ])  # fmt: skip
     range_m, intensity, actor, flags = loops.received(
         found.beam, found.range_m, found.amplitude, found.source, left, NO_FLAGS if dazzled is None else dazzled,
         np.ones(1) if rms is None else rms, NO_WORDS if normals is None else normals.words,
         NO_WORDS if spreads is None else spreads.words, detector.max_echoes,
-        *(NO_ALARMS if noise_echoes is None else noise_echoes), free, rise[1], rise[0], several, law,
+        *(NO_ALARMS if noise_echoes is None else noise_echoes), free, rise[1], rise[0],
+        KEEPS[detector.keep], law, found.blocked, *medium,
     )  # fmt: skip
     return Readings(range_m, intensity, actor, flags), found
 
