@@ -104,6 +104,8 @@ class _Front:
     "Of refraction there."
     air: Floats | None = None
     "Share of the beam whose light on the air is theirs: of rays that came straight, or through panes."
+    inside: Ints | None = None
+    "Body that each has gone into through a pane of it, or stayed in, -1 none; None: of none it is known."
 
 
 def trace(
@@ -135,7 +137,7 @@ def returned(
     reach = reach_of(model, farthest_m)
     front = _first(rays, model, gain)
     first, onward, nearest = _first_met(front, hits, rays, scene, air, model, reach)
-    parts = [] if onward is None else _continue(front, onward, caster, scene, air, model, rays, reach, ways)
+    parts = [] if onward is None else _continue(front, hits, onward, caster, scene, air, model, rays, reach, ways)
     if isinstance(first, SubEchoes):
         echoes = SubEchoes.joined(first, in_order(*joined(parts))) if parts else first
     else:
@@ -359,7 +361,7 @@ def _enter(one: _Onward, hits: Hits, cosine: Floats, refraction: Floats, solid: 
     one.entered, one.refraction = np.full(len(one.index), -1, np.int64), np.ones(len(one.index))
     one.bent = one.direction.copy()
     through = one.index[one.passed :]
-    body = hits.body[through].astype(np.int64)
+    body = hits.bodies(through)
     into = indexes(solid[body] & ~hits.inner[through])
     at = into + one.passed
     one.entered[at], one.refraction[at] = body[into], refraction[into]
@@ -405,6 +407,7 @@ def _face_on(axis: Floats, normal: Floats, mirrored: Floats, length: Floats, mod
 
 def _continue(
     front: _Front,
+    hits: Hits,
     onward: _Onward | None,
     caster: Caster,
     scene: Surfaces,
@@ -428,11 +431,11 @@ def _continue(
         if not len(kept):
             break
         way = 2 * way[onward.index[kept]] + (kept >= onward.passed)
-        front = _sent(front, onward, kept, weight)
+        front = _sent(front, onward, kept, weight, hits)
         if scene.solid is not None:
             front = _come_out(front, caster, scene.solid)
         left = max(reach_m - float(np.min(front.length_m)), 0.0)
-        hits = caster.first_hits(front.origin_m, front.direction, front.t_s, max_range_m=left)
+        hits = caster.first_hits(front.origin_m, front.direction, front.t_s, max_range_m=left, inside=front.inside)
         met = indexes(front.length_m + hits.range_m <= reach_m)
         if ways is not None and not len(met):
             ways.note(front.beam, way, hits, met, np.zeros(0), np.zeros(0))
@@ -451,8 +454,8 @@ def _best(weight: Floats, onward: _Onward, whole: float, scene: Surfaces, model:
     return np.asarray(most * weight / (onward.length_m**2 + model.aperture_radius_m**2))
 
 
-def _sent(front: _Front, onward: _Onward, kept: Ints, weight: Floats) -> _Front:
-    """Those of the rays that are kept, from right behind the surfaces that sent them on."""
+def _sent(front: _Front, onward: _Onward, kept: Ints, weight: Floats, hits: Hits) -> _Front:
+    """Those of the rays that are kept, from right behind the surfaces (`hits`) that sent them on."""
     assert front.air is not None
     index, length = onward.index[kept], onward.length_m[kept]
     direction, step = onward.direction.take(kept, axis=0), BEHIND_M * (1.0 + length / 1000.0)
@@ -463,15 +466,18 @@ def _sent(front: _Front, onward: _Onward, kept: Ints, weight: Floats) -> _Front:
     own, air = weight[kept], np.zeros(len(kept))
     air[first:] = front.air[index[first:]] * onward.share[kept[first:]] ** 2
     t_s, beam, depth = front.t_s[index], front.beam[index], onward.depth[kept]
+    outward = hits.inner[index] == (kept >= onward.passed)  # mirrored outside, or let out
+    inside = np.where(outward, -1, hits.bodies(index))
     if onward.entered is None:
         origin += direction * step[:, None]
-        return _Front(origin, direction, t_s, beam, own, length + step, depth, air=air)
+        return _Front(origin, direction, t_s, beam, own, length + step, depth, air=air, inside=inside)
     assert onward.bent is not None
     assert onward.refraction is not None
     entered, bent, refraction = onward.entered[kept], onward.bent[kept], onward.refraction[kept]
+    inside[entered >= 0] = -1  # of these it is followed where they come out
     length = length + step * np.where(entered >= 0, refraction, 1.0)
     return _Front(
-        origin + bent * step[:, None], direction, t_s, beam, own, length, depth, entered, bent, refraction, air
+        origin + bent * step[:, None], direction, t_s, beam, own, length, depth, entered, bent, refraction, air, inside
     )  # fmt: skip
 
 
@@ -501,7 +507,9 @@ def _come_out(front: _Front, caster: Caster, solid: NDArray[np.bool_]) -> _Front
     columns[2][at] *= ~lost
     length[at] += front.index[at] * way + step
     origin, turned, weight = columns
-    return _Front(origin, turned, front.t_s, front.beam, weight, length, front.depth, air=front.air)
+    return _Front(
+        origin, turned, front.t_s, front.beam, weight, length, front.depth, air=front.air, inside=front.inside
+    )
 
 
 def _left(front: _Front, inside: Ints, caster: Caster, solid: NDArray[np.bool_]) -> tuple[Ints, Floats, Floats, Floats]:
