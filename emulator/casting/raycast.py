@@ -175,7 +175,7 @@ class Caster:
             for begin, aim in zip(range(0, count, BLOCK), aims, strict=True):
                 here = slice(begin, begin + BLOCK)
                 start = np.ascontiguousarray(origin[here].T)
-                passed, within = (None if one is None else one[here] for one in (skip, inside))
+                passed, within = None if skip is None else skip[here], None if inside is None else inside[here]
                 parts.append(self._cast(start, aim, times[here], passed, max_range_m, within))
         return _joined(parts)
 
