@@ -87,12 +87,14 @@ class DetailedCaster:
 
     def first_hits(
         self, origin_m: Floats, direction: Floats, t_s: Floats | float, *, max_range_m: float = np.inf,
-        again: bool = False, aimed: bool = False, order: Longs | None = None,
+        again: bool = False, aimed: bool = False, order: Longs | None = None, inside: Longs | None = None,
     ) -> Hits | LateHits:  # fmt: skip
         """What each ray meets first, as of `raycast.Caster`; a leaf has its own normal, and no inside."""
         if again:
             return self.renewed(origin_m, direction, t_s, max_range_m).hits
-        hits = self.bare.first_hits(origin_m, direction, t_s, max_range_m=max_range_m, aimed=aimed, order=order)
+        hits = self.bare.first_hits(
+            origin_m, direction, t_s, max_range_m=max_range_m, aimed=aimed, order=order, inside=inside
+        )
         at = self._onward(hits)
         if len(at):
             hits = self._behind(_writable(hits), at, origin_m, direction, t_s, max_range_m)

@@ -47,6 +47,10 @@ class Hits:
         """(k, 3) of some rays."""
         return self.normal[rays]
 
+    def bodies(self, rays: Longs) -> Longs:
+        """(k,) of some rays."""
+        return self.body[rays].astype(np.int64)
+
     @classmethod
     def misses(cls, count: int) -> Hits:
         """Hits of rays that met nothing."""
@@ -123,6 +127,15 @@ class LateHits:
     @property
     def normal(self) -> Floats:
         return self.whole.normal
+
+    def bodies(self, rays: Longs) -> Longs:
+        """(k,) of some rays."""
+        if len(self.parts) == 1:
+            body = self.parts[0][0].body[rays]
+        else:
+            body = np.concatenate([found.body for found, _ in self.parts])[rays]
+        body[np.isnan(self.range_m[rays])] = MISS
+        return body
 
     def normals(self, rays: Longs) -> Floats:
         """(k, 3) of some rays."""

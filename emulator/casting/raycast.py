@@ -132,6 +132,7 @@ class Caster:
         again: bool = False,
         aimed: bool = False,
         order: Longs | None = None,
+        inside: Longs | None = None,
     ) -> Hits | LateHits:
         """What each ray meets first.
 
@@ -148,6 +149,8 @@ class Caster:
         aimed : this very array `direction` will come again.
         order : (m,) in which packets of rays are searched for, each `BLOCK` of them apart; neighbours should meet the
             same. None: as they come. What is met does not depend on it.
+        inside : (m,) body in which each ray is known to begin, -1 none: one that meets its inside has slipped past
+            nothing, and is not cast a second time. None: of none it is known.
 
         Returns
         -------
@@ -172,7 +175,8 @@ class Caster:
             for begin, aim in zip(range(0, count, BLOCK), aims, strict=True):
                 here = slice(begin, begin + BLOCK)
                 start = np.ascontiguousarray(origin[here].T)
-                parts.append(self._cast(start, aim, times[here], None if skip is None else skip[here], max_range_m))
+                passed, within = None if skip is None else skip[here], None if inside is None else inside[here]
+                parts.append(self._cast(start, aim, times[here], passed, max_range_m, within))
         return _joined(parts)
 
     def _aims(self, direction: Floats, order: Longs | None) -> tuple[Aim, ...]:
@@ -264,7 +268,7 @@ class Caster:
             box = extent(origin)
             blocks.append(Block(here, origin, aim, box, found, indexes(inner)))
             if not self.moves and inner.any():
-                self._recast_leaks(found, inner, origin, aim.ray, np.zeros(len(aim)), far)
+                self._recast_leaks(found, inner, indexes(inner), origin, aim.ray, np.zeros(len(aim)), far)
             parts.append(array_form(Caster._reported)(self, found, inner, far))
         hits = Hits.joined(parts) if blocks else Hits.misses(count)
         for column in vars(hits).values():
@@ -287,7 +291,7 @@ class Caster:
         origin, ray, times = block.origin[:, rays], block.aim.ray[:, rays], times[rays]
         inner = self._is_inner(found)
         if inner.any():
-            self._recast_leaks(found, inner, origin, ray, times, fan.far)
+            self._recast_leaks(found, inner, indexes(inner), origin, ray, times, fan.far)
         return rays + block.here.start, array_form(Caster._reported)(self, found, inner, fan.far)
 
     def _subset(self, bodies: frozenset[int]) -> Caster:
@@ -297,13 +301,16 @@ class Caster:
             self._subsets[bodies] = Caster(self._scene, bodies)
         return self._subsets[bodies]
 
-    def _cast(self, origin: Floats, aim: Aim, times: Floats, skip: Floats | None, far: float) -> Hits | LateHits:
+    def _cast(
+        self, origin: Floats, aim: Aim, times: Floats, skip: Floats | None, far: float, inside: Longs | None = None
+    ) -> Hits | LateHits:
         if skip is not None:
             origin = origin + skip * aim.ray
         found = self._nearest(origin, aim, times, far)
         inner = self._is_inner(found)
-        if inner.any():
-            self._recast_leaks(found, inner, origin, aim.ray, times, far)
+        doubtful = indexes(inner if inside is None else inner & (found.body != inside))
+        if len(doubtful):
+            self._recast_leaks(found, inner, doubtful, origin, aim.ray, times, far)
         if skip is not None:
             found.range_m = found.range_m + skip
         return self._reported(found, inner, far)
@@ -348,14 +355,13 @@ class Caster:
         return inner
 
     def _recast_leaks(
-        self, found: Nearest, inner: Flags, origin: Floats, ray: Floats, times: Floats, far: float
+        self, found: Nearest, inner: Flags, index: Longs, origin: Floats, ray: Floats, times: Floats, far: float
     ) -> None:
-        """Cast rays that met the inside of a closed shell once more, turned a little.
+        """Cast rays `index` that met the inside of a closed shell once more, turned a little.
 
         Those that meet an inside again are inside; the others had slipped between two triangles and get what the turned
         ray met, with the distance of the original ray to that plane.
         """
-        index = indexes(inner)
         again = self._nearest(origin.take(index, axis=1), Aim(_turned(ray.take(index, axis=1))), times[index], far)
         leaked = indexes(~self._is_inner(again))
         if not len(leaked):

@@ -167,19 +167,25 @@ def refracted(direction: Floats, normal: Floats, cosine: Floats, ratio: Floats) 
     return floats(out / np.linalg.norm(out, axis=1, keepdims=True))
 
 
+def pane_shares_cos(index: Values, cosine: Values, internal: Values) -> tuple[Floats, Floats]:
+    """Shares that an absorbing (laminated, tinted) pane mirrors and lets through, one way, unpolarised.
+
+    Both surfaces and all bounces between them; `internal` is what one pass straight through it leaves.
+    """
+    t = slanted(index, cosine, internal)
+    mirrored, through = np.zeros(()), np.zeros(())
+    for r in fresnel_cos(index, cosine):
+        back, passed = r * t, (1.0 - r) ** 2 * t
+        passed = passed / np.maximum(1.0 - back * back, 1e-300)
+        mirrored, through = mirrored + r + back * passed, through + passed
+    return floats(0.5 * mirrored), floats(0.5 * through)
+
+
 def pane_reflection_cos(index: Values, cosine: Values, internal: Values = 1.0) -> Floats:
-    """Share that a pane mirrors, both surfaces and all bounces between them; `internal` as below."""
-    rs, rp = fresnel_cos(index, cosine)
-    t2 = slanted(index, cosine, internal) ** 2
-    return 0.5 * sum(
-        (r + r * (1.0 - r) ** 2 * t2 / np.maximum(1.0 - r * r * t2, 1e-300) for r in (rs, rp)), start=np.zeros(())
-    )
+    """The first of `pane_shares_cos`."""
+    return pane_shares_cos(index, cosine, internal)[0]
 
 
 def pane_internal_transmission_cos(index: Values, cosine: Values, internal: Values) -> Floats:
-    """One-way transmission of an absorbing (laminated, tinted) pane; `internal` is one pass straight through it."""
-    t = slanted(index, cosine, internal)
-    rs, rp = fresnel_cos(index, cosine)
-    return 0.5 * sum(
-        ((1.0 - r) ** 2 * t / np.maximum(1.0 - r * r * t * t, 1e-300) for r in (rs, rp)), start=np.zeros(())
-    )
+    """The second of `pane_shares_cos`."""
+    return pane_shares_cos(index, cosine, internal)[1]

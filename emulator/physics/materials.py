@@ -415,7 +415,7 @@ class SurfaceTable:
         cosine : (m,) cosine of incidence, 0..1; its sign is ignored
         range_m : (m,) where the angle of observation follows from it; None: it is 0
 
-        Mirrors and glass give their diffuse part only; what they send on is `mirror_share` and `transmission`.
+        Mirrors and glass give their diffuse part only; what they send on is `sent_on`.
         """
         index = np.asarray(index)
         c = np.minimum(np.abs(floats(cosine)), 1.0)
@@ -479,32 +479,44 @@ class SurfaceTable:
         lobed = [(one, has) for one, has in lobed if has.any()]
         return self.rho * flat, self.rho * rough, np.array(retro, np.float64), lobed
 
-    def mirror_share(self, index: Ints, cosine: Floats) -> Floats:
-        """Share of the light of every hit that goes on in the mirror direction."""
+    def sent_on(self, index: Ints, cosine: Floats) -> tuple[Floats, Floats]:
+        """Shares of the light of every hit that go on: in the mirror direction, and through the pane, one way."""
         index = np.asarray(index)
         c = np.minimum(np.abs(floats(cosine)), 1.0)
-        result = np.zeros(c.shape)
-        for number, m in enumerate(self.materials):
-            chosen = index == number
-            if m.model == "glass":
-                result[chosen] = brdf.pane_reflection_cos(m.index, c[chosen], m.internal)
-            elif m.model == "mirror" and m.specular is None:
-                rs, rp = brdf.fresnel_cos(m.index, c[chosen])
-                result[chosen] = 0.5 * (rs + rp)
-            elif m.model == "mirror":
-                result[chosen] = m.specular
-        return result
+        mirrored, through = np.zeros(c.shape), np.zeros(c.shape)
+        panes, faces = self._panes.take(index), self._mirrors.take(index)
+        of: Ints | slice = slice(None) if panes.all() else indexes(panes)
+        k = index[of]
+        mirrored[of], through[of] = brdf.pane_shares_cos(self.refraction.take(k), c[of], self._internal.take(k))
+        if faces.any():
+            k = index[faces]
+            rs, rp = brdf.fresnel_cos(self.refraction[k], c[faces])
+            mirrored[faces] = np.where(np.isnan(self._specular[k]), 0.5 * (rs + rp), self._specular[k])
+        return mirrored, through
+
+    def mirror_share(self, index: Ints, cosine: Floats) -> Floats:
+        """Share of the light of every hit that goes on in the mirror direction."""
+        return self.sent_on(index, cosine)[0]
 
     def transmission(self, index: Ints, cosine: Floats) -> Floats:
         """Share of the light of every hit that passes the pane, one way; 0 for what is not glass."""
-        index = np.asarray(index)
-        c = np.minimum(np.abs(floats(cosine)), 1.0)
-        result = np.zeros(c.shape)
-        for number, m in enumerate(self.materials):
-            if m.model == "glass":
-                chosen = index == number
-                result[chosen] = brdf.pane_internal_transmission_cos(m.index, c[chosen], m.internal)
-        return result
+        return self.sent_on(index, cosine)[1]
+
+    @cached_property
+    def _panes(self) -> Bools:
+        return np.array([m.model == "glass" for m in self.materials], bool)
+
+    @cached_property
+    def _mirrors(self) -> Bools:
+        return np.array([m.model == "mirror" for m in self.materials], bool)
+
+    @cached_property
+    def _specular(self) -> Floats:
+        return np.array([np.nan if m.specular is None else m.specular for m in self.materials], np.float64)
+
+    @cached_property
+    def _internal(self) -> Floats:
+        return self._column("internal")
 
     @cached_property
     def refraction(self) -> Floats:

@@ -44,6 +44,10 @@ class CellHits:
         """(k, 3) of some rays."""
         return self.normal[rays]
 
+    def bodies(self, rays: Ints) -> Ints:
+        """(k,) of some rays."""
+        return self.body[rays].astype(np.int64)
+
     @classmethod
     def of(cls, hits: Hits) -> CellHits:
         """The columns that are needed here."""

@@ -34,6 +34,9 @@ class Hits(Protocol):
     def normals(self, rays: Ints) -> Floats:
         """(k, 3) of some rays."""
 
+    def bodies(self, rays: Ints) -> Ints:
+        """(k,) of some rays, -1 for a miss."""
+
 
 class FacedHits(Hits, Protocol):
     """The same with the face of the body that is met."""
@@ -65,7 +68,10 @@ class Renewed(Protocol):
 class Caster(Protocol):
     """Whoever finds the first surface on rays, up to where they end."""
 
-    def first_hits(self, origin_m: Floats, direction: Floats, t_s: Floats, *, max_range_m: float = np.inf) -> Hits: ...
+    def first_hits(
+        self, origin_m: Floats, direction: Floats, t_s: Floats, *, max_range_m: float = np.inf,
+        inside: Ints | None = None,
+    ) -> Hits: ...  # fmt: skip
 
 
 class FacedCaster(Protocol):
@@ -85,7 +91,7 @@ class FacedCaster(Protocol):
 
     def first_hits(
         self, origin_m: Floats, direction: Floats, t_s: Floats, *, max_range_m: float = np.inf, again: bool = False,
-        aimed: bool = False, order: Ints | None = None,
+        aimed: bool = False, order: Ints | None = None, inside: Ints | None = None,
     ) -> FacedHits: ...  # fmt: skip
 
     def around(self, origin_m: Floats, t_s: Floats, far: float) -> Any:

@@ -104,6 +104,8 @@ class _Front:
     "Of refraction there."
     air: Floats | None = None
     "Share of the beam whose light on the air is theirs: of rays that came straight, or through panes."
+    inside: Ints | None = None
+    "Body that each has gone into through a pane of it, or stayed in, -1 none; None: of none it is known."
 
 
 def trace(
@@ -135,7 +137,7 @@ def returned(
     reach = reach_of(model, farthest_m)
     front = _first(rays, model, gain)
     first, onward, nearest = _first_met(front, hits, rays, scene, air, model, reach)
-    parts = _continue(front, onward, caster, scene, air, model, rays, reach, ways) if onward else []
+    parts = [] if onward is None else _continue(front, hits, onward, caster, scene, air, model, rays, reach, ways)
     if isinstance(first, SubEchoes):
         echoes = SubEchoes.joined(first, in_order(*joined(parts))) if parts else first
     else:
@@ -166,8 +168,9 @@ def best_behind(
     front = _first(rays, model, gain)
     _, onward = _meet(front, hits, index, rays, scene, air, model)
     whole = len(rays.beam) / len(rays.axis)
-    parts = [_best(front, one, whole, scene, model)[one.length_m < reach] for one in onward]
-    return np.concatenate([np.zeros(0), *parts])
+    if onward is None:
+        return np.zeros(0)
+    return _best(front.weight[onward.index] * onward.share**2, onward, whole, scene, model)[onward.length_m < reach]
 
 
 def reach_of(model: SensorModel, farthest_m: float = np.inf) -> float:
@@ -193,25 +196,19 @@ def window_factors(own_axis: Floats, model: SensorModel, gain: float) -> Floats:
 
 @dataclass(eq=False)
 class _Onward:
-    """Where a met surface sends light: indexes into the front that met it, the new direction, share kept one way."""
+    """Where met surfaces send light, mirrors first: indexes into the front that met them, direction, share one way."""
 
     index: Ints
     direction: Floats
     share: Floats
     length_m: Floats
     depth: Floats
-    entered: Ints
-    bent: Floats
-    refraction: Floats
-    "Of the three see the front."
-    through: bool = False
-    "A pane: the way goes on as it came."
-
-    @classmethod
-    def straight(cls, index: Ints, direction: Floats, share: Floats, length_m: Floats, depth: Floats) -> _Onward:
-        """Through no body."""
-        no = np.full(len(index), -1, np.int64)
-        return cls(index, direction, share, length_m, depth, no, direction, np.ones(len(index)))
+    passed: int
+    "So many of them are mirrored; all others go on through panes as they came."
+    entered: Ints | None = None
+    bent: Floats | None = None
+    refraction: Floats | None = None
+    "Of these three see the front; None: there is no body of glass."
 
 
 def _meet(
@@ -222,8 +219,9 @@ def _meet(
     scene: Surfaces,
     air: Medium,
     model: SensorModel,
-) -> tuple[tuple[Ints, Floats, Floats], list[_Onward]]:
-    """Sub-echoes of the surfaces met by the chosen rays, and the rays that go on from them.
+    last: bool = False,
+) -> tuple[tuple[Ints, Floats, Floats], _Onward | None]:
+    """Sub-echoes of the surfaces met by the chosen rays, and the rays that go on from them, if these are not the last.
 
     Whole vectors are only picked out where something needs them: most hits want a range and a cosine.
     """
@@ -241,7 +239,7 @@ def _meet(
     depth = before + air.depth(way[0], way[1], range_m, way[2])
     reflectance = scene.table.back(material.astype(np.int64), cosine, length)
     lit = _Lit(beam, length, cosine, reflectance, material)
-    onward = _sent_on(lit, depth.__getitem__, front, hits, chosen, rays, scene, model)
+    onward = None if last else _sent_on(lit, depth.__getitem__, front, hits, chosen, rays, scene, model)
     return (beam, length, weight * collected(length, depth, model) * reflectance), onward
 
 
@@ -256,7 +254,7 @@ class _Lit:
     material: NDArray[np.int32]
 
 
-_FirstMet = tuple[SubEchoes | list[Part], list[_Onward], Floats]
+_FirstMet = tuple[SubEchoes | list[Part], _Onward | None, Floats]
 "Sub-echoes in order, or parts that are still to be put in order."
 
 
@@ -267,7 +265,7 @@ def _first_met_by_loops(
     """In even air; the sub-echoes in order."""
     if air.uneven:
         return OTHERWISE
-    onward: list[_Onward] = []
+    onward = None
     index, more, alpha = np.zeros(0, np.int64), np.zeros(0), air.extinction_per_m
     if bool(scene.special.any()):
         index = loops.special(hits.range_m, hits.material, scene.special, reach_m)
@@ -301,7 +299,7 @@ def _first_met(
     nearest = np.full(len(rays.axis), np.inf)
     index = indexes(hits.range_m <= reach_m)
     if not len(index):
-        return [], [], nearest
+        return [], None, nearest
     every = len(index) == len(rays.beam)
     found, onward = _meet(front, hits, None if every else index, rays, scene, air, model)
     starts = rays.beam.searchsorted(np.arange(len(rays.axis)))
@@ -312,62 +310,63 @@ def _first_met(
     return [(*found, share, actor)], onward, nearest
 
 
-def _stopped(front: _Front, onward: list[_Onward]) -> Floats:
+def _stopped(front: _Front, onward: _Onward | None) -> Floats:
     """Share of the light on the air before them that surfaces met by a front stop: all, or what a pane takes.
 
     Also behind panes of which no ray goes on: no surface is seen there, and the air sends back less than one.
     """
     assert front.air is not None
-    if not onward:
+    if onward is None:
         return front.air
-    stopped = front.air.copy()
-    for one in onward:
-        if one.through:
-            stopped[one.index] -= front.air[one.index] * one.share**2
+    stopped, through = front.air.copy(), onward.index[onward.passed :]
+    stopped[through] -= front.air[through] * onward.share[onward.passed :] ** 2
     return stopped
 
 
 def _sent_on(
     lit: _Lit, depth: Callable[[Ints], Floats], front: _Front, hits: Hits, chosen: Ints | None, rays: Rays,
     scene: Surfaces, model: SensorModel,
-) -> list[_Onward]:  # fmt: skip
+) -> _Onward | None:  # fmt: skip
     """Rays that go on from mirrors and panes; what these send straight back is added to the reflectance."""
     if not scene.sends_on or model.bounces < 1:
-        return []
+        return None
     glossy = indexes(scene.onward.take(lit.material))
     if not len(glossy):
-        return []
-    onward = []
-    kind, cosine, length = lit.material[glossy].astype(np.int64), lit.cosine, lit.length_m
-    mirrored = scene.table.mirror_share(kind, cosine[glossy])
-    through = scene.table.transmission(kind, cosine[glossy])
-    row = glossy if chosen is None else chosen[glossy]  # their numbers in the front
-    at = indexes(mirrored > 0.0)
-    if len(at):
-        index, share, normal = glossy[at], mirrored[at], hits.normals(row[at])
+        return None
+    kind, facing = lit.material[glossy].astype(np.int64), lit.cosine[glossy]
+    mirrored, through = scene.table.sent_on(kind, facing)
+    turning, passing = indexes(mirrored > 0.0), indexes(through > 0.0)
+    share, both = np.concatenate([mirrored[turning], through[passing]]), np.concatenate([turning, passing])
+    index, count = glossy[both], len(turning)
+    row = index if chosen is None else chosen[index]  # their numbers in the front
+    direction, length = front.direction.take(row, axis=0), lit.length_m[index]
+    if count:
+        normal = hits.normals(row[:count])
         if isinstance(front.length_m, float):  # a beam already turned has no axis to measure the tilt from
-            lit.reflectance[index] += _face_on(rays.axis[lit.beam[index]], normal, share, length[index], model)
-        turned = front.direction[row[at]] + 2.0 * cosine[index, None] * normal
-        onward.append(_Onward.straight(row[at], turned, share, length[index], depth(index)))
-    at = indexes(through > 0.0)
-    if len(at):
-        index, rows = glossy[at], row[at]
-        one = _Onward.straight(rows, front.direction[rows], through[at], length[index], depth(index))
-        one.through = True
-        if scene.solid is not None:
-            _enter(one, hits, cosine[index], scene.table.refraction[kind[at]], scene.solid)
-        onward.append(one)
+            at = index[:count]
+            axis = rays.axis.take(lit.beam[at], axis=0)
+            lit.reflectance[at] += _face_on(axis, normal, share[:count], length[:count], model)
+        direction[:count] += 2.0 * facing[turning, None] * normal
+    onward = _Onward(row, direction, share, length, depth(index), count)
+    if scene.solid is not None:
+        _enter(onward, hits, facing[passing], scene.table.refraction[kind[passing]], scene.solid)
     return onward
 
 
 def _enter(one: _Onward, hits: Hits, cosine: Floats, refraction: Floats, solid: NDArray[np.bool_]) -> None:
-    """Rays that enter a body of glass are bent; a sensor within one is taken for one in a hollow shell."""
-    body = hits.body[one.index].astype(np.int64)
-    into = indexes(solid[body] & ~hits.inner[one.index])
-    one.entered[into], one.refraction[into] = body[into], refraction[into]
-    normal = hits.normals(one.index[into])
+    """Rays that enter a body of glass are bent; a sensor within one is taken for one in a hollow shell.
+
+    `cosine`, `refraction` : of those that go through panes.
+    """
+    one.entered, one.refraction = np.full(len(one.index), -1, np.int64), np.ones(len(one.index))
     one.bent = one.direction.copy()
-    one.bent[into] = brdf.refracted(one.direction[into], normal, cosine[into], 1.0 / refraction[into])
+    through = one.index[one.passed :]
+    body = hits.bodies(through)
+    into = indexes(solid[body] & ~hits.inner[through])
+    at = into + one.passed
+    one.entered[at], one.refraction[at] = body[into], refraction[into]
+    normal = hits.normals(through[into])
+    one.bent[at] = brdf.refracted(one.direction[at], normal, cosine[into], 1.0 / refraction[into])
 
 
 def collected(length_m: Floats, depth: Floats, model: SensorModel) -> Floats:
@@ -391,8 +390,9 @@ def _face_on(axis: Floats, normal: Floats, mirrored: Floats, length: Floats, mod
     The lens collects the share of the mirrored beam that falls on it: a disc off axis in a beam of radius w(2 R). Over
     what a white plate sends there, a^2 / (R^2 + a^2).
     """
-    across = np.linalg.norm(np.cross(normal, axis), axis=1)
-    along = np.abs(np.einsum("ij,ij->i", normal, axis))
+    (n, m, o), (x, y, z) = normal.T, axis.T
+    across = np.sqrt((m * z - o * y) ** 2 + (o * x - n * z) ** 2 + (n * y - m * x) ** 2)
+    along = np.abs(n * x + m * y + o * z)
     radius_x, radius_y = model.beam.radius_m(2.0 * length)
     offset = 2.0 * length * across / np.maximum(along, 1e-6)
     near = offset < 6.0 * np.maximum(radius_x, radius_y) + model.aperture_radius_m
@@ -407,7 +407,8 @@ def _face_on(axis: Floats, normal: Floats, mirrored: Floats, length: Floats, mod
 
 def _continue(
     front: _Front,
-    onward: list[_Onward],
+    hits: Hits,
+    onward: _Onward | None,
     caster: Caster,
     scene: Surfaces,
     air: Medium,
@@ -422,66 +423,62 @@ def _continue(
     parts: list[Part] = []
     way = np.zeros(len(front.beam), np.int64)
     for bounce in range(model.bounces):
-        assert front.air is not None
-        fronts, branches = [], []
-        for one in onward:
-            weight = front.weight[one.index] * one.share**2
-            least = UNSEEN * model.threshold if model.leave_out.second_rays else 0.0
-            kept = (_best(front, one, whole, scene, model) > least) & (one.length_m < reach_m)
-            if not bool(kept.any()):
-                continue
-            index, step = one.index[kept], BEHIND_M * (1.0 + one.length_m[kept] / 1000.0)
-            reached = one.length_m[kept] - _part(front.length_m, index)
-            branches.append(2 * way[index] + one.through)
-            origin = front.origin_m[index] + front.direction[index] * reached[:, None]
-            fronts.append(
-                _Front(
-                    origin + one.bent[kept] * step[:, None],
-                    one.direction[kept],
-                    front.t_s[index],
-                    front.beam[index],
-                    weight[kept],
-                    one.length_m[kept] + step * np.where(one.entered[kept] >= 0, one.refraction[kept], 1.0),
-                    one.depth[kept],
-                    one.entered[kept],
-                    one.bent[kept],
-                    one.refraction[kept],
-                    front.air[index] * one.share[kept] ** 2 if one.through else np.zeros(len(index)),
-                )
-            )
-        if not fronts:
+        if onward is None:
             break
-        front, way = _merged(fronts), np.concatenate(branches)
+        weight = front.weight[onward.index] * onward.share**2
+        least = UNSEEN * model.threshold if model.leave_out.second_rays else 0.0
+        kept = indexes((_best(weight, onward, whole, scene, model) > least) & (onward.length_m < reach_m))
+        if not len(kept):
+            break
+        way = 2 * way[onward.index[kept]] + (kept >= onward.passed)
+        front = _sent(front, onward, kept, weight, hits)
         if scene.solid is not None:
             front = _come_out(front, caster, scene.solid)
         left = max(reach_m - float(np.min(front.length_m)), 0.0)
-        hits = caster.first_hits(front.origin_m, front.direction, front.t_s, max_range_m=left)
+        hits = caster.first_hits(front.origin_m, front.direction, front.t_s, max_range_m=left, inside=front.inside)
         met = indexes(front.length_m + hits.range_m <= reach_m)
         if ways is not None and not len(met):
             ways.note(front.beam, way, hits, met, np.zeros(0), np.zeros(0))
         if not len(met):
             break
-        found, onward = _meet(front, hits, met, rays, scene, air, model)
+        found, onward = _meet(front, hits, met, rays, scene, air, model, last=bounce == model.bounces - 1)
         if ways is not None:
             ways.note(front.beam, way, hits, met, found[1], found[2])
-        stopped = _stopped(front, onward if bounce < model.bounces - 1 else [])
-        parts.append((*found, stopped[met], hits.actor[met]))
+        parts.append((*found, _stopped(front, onward)[met], hits.actor[met]))
     return parts
 
 
-def _best(front: _Front, one: _Onward, whole: float, scene: Surfaces, model: SensorModel) -> Floats:
-    """Amplitude of the best surface right behind, met by the whole beam."""
-    weight = whole * (front.weight[one.index] * one.share**2)
-    return np.asarray(weight * scene.strongest * model.k_m2 / (one.length_m**2 + model.aperture_radius_m**2))
+def _best(weight: Floats, onward: _Onward, whole: float, scene: Surfaces, model: SensorModel) -> Floats:
+    """Amplitude of the best surface right behind, met by the whole beam; `weight` : of the rays that go on."""
+    most = whole * scene.strongest * model.k_m2
+    return np.asarray(most * weight / (onward.length_m**2 + model.aperture_radius_m**2))
 
 
-def _merged(fronts: list[_Front]) -> _Front:
-    if len(fronts) == 1:
-        return fronts[0]
-    return _Front(*(np.concatenate([getattr(one, name) for one in fronts]) for name in _COLUMNS))
-
-
-_COLUMNS = ("origin_m", "direction", "t_s", "beam", "weight", "length_m", "depth", "entered", "bent", "index", "air")
+def _sent(front: _Front, onward: _Onward, kept: Ints, weight: Floats, hits: Hits) -> _Front:
+    """Those of the rays that are kept, from right behind the surfaces (`hits`) that sent them on."""
+    assert front.air is not None
+    index, length = onward.index[kept], onward.length_m[kept]
+    direction, step = onward.direction.take(kept, axis=0), BEHIND_M * (1.0 + length / 1000.0)
+    reached, first = length - _part(front.length_m, index), int(kept.searchsorted(onward.passed))
+    origin = front.direction.take(index, axis=0)
+    origin *= reached[:, None]
+    origin += front.origin_m.take(index, axis=0)
+    own, air = weight[kept], np.zeros(len(kept))
+    air[first:] = front.air[index[first:]] * onward.share[kept[first:]] ** 2
+    t_s, beam, depth = front.t_s[index], front.beam[index], onward.depth[kept]
+    outward = hits.inner[index] == (kept >= onward.passed)  # mirrored outside, or let out
+    inside = np.where(outward, -1, hits.bodies(index))
+    if onward.entered is None:
+        origin += direction * step[:, None]
+        return _Front(origin, direction, t_s, beam, own, length + step, depth, air=air, inside=inside)
+    assert onward.bent is not None
+    assert onward.refraction is not None
+    entered, bent, refraction = onward.entered[kept], onward.bent[kept], onward.refraction[kept]
+    inside[entered >= 0] = -1  # of these it is followed where they come out
+    length = length + step * np.where(entered >= 0, refraction, 1.0)
+    return _Front(
+        origin + bent * step[:, None], direction, t_s, beam, own, length, depth, entered, bent, refraction, air, inside
+    )  # fmt: skip
 
 
 def _come_out(front: _Front, caster: Caster, solid: NDArray[np.bool_]) -> _Front:
@@ -510,7 +507,9 @@ def _come_out(front: _Front, caster: Caster, solid: NDArray[np.bool_]) -> _Front
     columns[2][at] *= ~lost
     length[at] += front.index[at] * way + step
     origin, turned, weight = columns
-    return _Front(origin, turned, front.t_s, front.beam, weight, length, front.depth, air=front.air)
+    return _Front(
+        origin, turned, front.t_s, front.beam, weight, length, front.depth, air=front.air, inside=front.inside
+    )
 
 
 def _left(front: _Front, inside: Ints, caster: Caster, solid: NDArray[np.bool_]) -> tuple[Ints, Floats, Floats, Floats]:

@@ -124,6 +124,10 @@ class _Picked:
         """(k, 3) of some rays."""
         return self.hits.normals(self.at[rays])
 
+    def bodies(self, rays: Ints) -> Ints:
+        """(k,) of some rays."""
+        return self.hits.bodies(self.at[rays])
+
 
 @dataclass(frozen=True, eq=False)
 class _Bright:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.physics.arrays import Bools, Floats, Ints
+from emulator.physics.arrays import Bools, Floats, Ints, indexes
 from emulator.sensing import strips
 from emulator.sensing.model import SensorModel
 
@@ -44,22 +44,27 @@ class Ways:
 
     def smooth(self, first_m: Floats, light: Floats, places: Floats, step_m: float, model: SensorModel) -> Bools:
         """(n,) beams whose probes do; ranges (n, k) of the panes, amplitudes (n,) of these, places (3, k)."""
-        k = first_m.shape[1]
-        good = _even(first_m, light, places, step_m, model)
+        n, k = first_m.shape
+        good, whose, lengths, lights = np.ones(n, bool), [np.arange(n)], [first_m], [light]
         for beam, way, sizes, what in zip(self.beam, self.way, self.whole, self.what, strict=True):
-            order = np.argsort(beam * (way.max(initial=0) + 1) + way, kind="stable")
-            beam, way, sizes, what = beam[order], way[order], sizes[:, order], what[:, order]
-            start = np.flatnonzero(np.diff(beam, prepend=-1) | np.diff(way, prepend=-1))
+            number = beam * (way.max(initial=0) + 1) + way
+            order = np.argsort(number, kind="stable")
+            number, beam = number[order], beam[order]
+            start = indexes(np.concatenate([[True], number[1:] != number[:-1]])[: len(beam)])
             whole = np.diff(start, append=len(beam)) == k
             good[beam[start[~whole]]] = False
-            rays = start[whole][:, None] + np.arange(k)
-            of, (lengths, lights) = beam[start[whole]], sizes[:, rays]
-            same = (what[:, rays] == what[:, rays[:, :1]]).all(axis=(0, 2))
-            met = np.isfinite(lengths[:, 0])
+            start = start[whole]
+            rays, of = order[start[:, None] + np.arange(k)], beam[start]
+            kinds, length = what[:, rays], sizes[0][rays]
+            same = (kinds == kinds[:, :, :1]).all(axis=2).all(axis=0)
             good[of[~same]] = False
-            seen = np.flatnonzero(same & met)
-            fine = _even(lengths[seen], lights[seen].sum(axis=1), places, step_m, model)
-            good[of[seen[~fine]]] = False
+            seen = indexes(same & np.isfinite(length[:, 0]))
+            if len(seen):
+                whose.append(of[seen])
+                lengths.append(length[seen])
+                lights.append(sizes[1][rays[seen]].sum(axis=1))
+        fine = _even(np.concatenate(lengths), np.concatenate(lights), places, step_m, model)
+        good[np.concatenate(whose)[~fine]] = False
         return good
 
 

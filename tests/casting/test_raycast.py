@@ -315,7 +315,10 @@ def test_rays_aimed_at_shared_edges_do_not_slip_into_a_closed_mesh(motion: Stead
     assert (np.abs(hits.range_m - way) > 1e-6).mean() <= 1e-4
 
 
-def test_a_ray_that_slipped_between_triangles_is_cast_again(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("inside", [None, [-1], [1]])
+def test_a_ray_that_slipped_between_triangles_is_cast_again(
+    monkeypatch: pytest.MonkeyPatch, inside: list[int] | None
+) -> None:
     caster = Caster(scene_of((triangles.box(2.0, 2.0, 2.0), Steady((5.0, 0.0, -1.0)))))
     real = Caster._nearest
     calls = []
@@ -332,7 +335,8 @@ def test_a_ray_that_slipped_between_triangles_is_cast_again(monkeypatch: pytest.
     monkeypatch.setattr(Caster, "_nearest", slips_once)
     direction = np.array([[1.0, 0.01, 0.02]]) / np.sqrt(1.0005)
     monkeypatch.setattr(Caster, "_is_inner", lambda self, found: np.full(len(found.range_m), len(calls) == 1))
-    hits = caster.first_hits(np.zeros(3), direction, 0.0)
+    known = None if inside is None else np.array(inside)
+    hits = caster.first_hits(np.zeros(3), direction, 0.0, inside=known)
     assert caster.counters.leaks == 1
     assert hits.range_m[0] == pytest.approx(4.0 / direction[0, 0], abs=1e-12)
     assert not hits.inner[0]
@@ -350,6 +354,36 @@ def test_a_sensor_inside_an_object_sees_its_inner_faces() -> None:
     assert hits.inner.all()
     assert caster.counters.leaks == 0
     assert (np.einsum("ij,ij->i", hits.normal, direction) < 0.0).all()
+
+
+def test_rays_known_to_begin_in_a_body_are_cast_once_where_they_meet_its_inside() -> None:
+    scene = scene_of((triangles.box(6.0, 4.0, 3.0), Steady()), (triangles.box(1.0, 1.0, 1.0), Steady((20.0, 0.0, 0.0))))
+    _, direction = random_rays(2 * BLOCK, 13)
+    found = []
+    for inside, times in (
+        (None, 2),
+        (np.full(2 * BLOCK, -1), 2),
+        (np.full(2 * BLOCK, 1), 2),
+        (np.zeros(2 * BLOCK, int), 1),
+    ):
+        caster = Caster(scene)
+        found.append(caster.first_hits(np.array([0.5, -0.5, 1.0]), direction, 0.0, inside=inside))
+        assert caster.counters.cast == times * len(direction)
+    for name in ("range_m", "body", "normal", "inner", "cosine"):
+        for other in found[1:]:
+            np.testing.assert_array_equal(getattr(other, name), getattr(found[0], name))
+    assert found[0].inner.all()
+
+
+def test_bodies_of_some_rays_are_those_of_the_hits() -> None:
+    caster = Caster(
+        scene_of((triangles.box(2.0, 2.0, 2.0), Steady((5.0, 0.0, -1.0))), (triangles.plane(6.0, 60.0), WALL))
+    )
+    direction = np.tile(fan(361), (200, 1))  # of more blocks than one
+    hits = caster.first_hits(np.zeros(3), direction, 0.0, max_range_m=20.0)
+    rays = np.arange(len(direction))[::-7]
+    assert set(hits.body) == {-1, 0, 1}
+    np.testing.assert_array_equal(hits.bodies(rays), hits.body[rays])
 
 
 @pytest.mark.parametrize("half_width_m", [1e-3, 1e-5, 1e-7])

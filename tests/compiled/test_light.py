@@ -118,7 +118,7 @@ class Even:
 class Nothing:
     """A scene behind all glass, in which nothing stands."""
 
-    def first_hits(self, origin_m: Any, direction: Any, t_s: Any, *, max_range_m: float = np.inf) -> Hits:
+    def first_hits(self, origin_m: Any, direction: Any, t_s: Any, **more: Any) -> Hits:
         return Hits.misses(len(direction))
 
 

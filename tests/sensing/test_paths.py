@@ -55,6 +55,45 @@ def test_a_ghost_in_fog_is_dimmed_over_its_whole_way(tmp_path: Path) -> None:
     assert np.log(echo[0] / echo[1]) == pytest.approx(2 * 0.00978005751357 * 15.0, rel=1e-5)
 
 
+ROOM = """v 5 -2 -2
+v 9 -2 -2
+v 9 2 -2
+v 5 2 -2
+v 5 -2 2
+v 9 -2 2
+v 9 2 2
+v 5 2 2
+usemtl wall
+f 1 4 3 2
+f 5 6 7 8
+f 1 2 6 5
+f 2 3 7 6
+f 3 4 8 7
+usemtl window
+f 4 1 5 8
+"""
+
+
+@pytest.mark.parametrize("wall", ["half", "mirror"])
+@pytest.mark.parametrize("loops", [False, True])
+def test_rays_in_a_room_behind_its_window_are_cast_once(tmp_path: Path, loops: bool, wall: str) -> None:
+    """To the window, from there to the back wall, and if that is a mirror on: in the room they meet its inside."""
+    if loops:
+        pytest.importorskip("numba")
+    (tmp_path / "room.obj").write_text(ROOM, encoding="utf-8")
+    room = {"mesh": "room.obj", "materials": {"wall": wall, "window": "pane"}}
+    turn_deg = np.linspace(-8.0, 8.0, 9)
+    with switch.switched(loops):
+        world, physics = [room, plate(30.0, "white")], {**AXIS, "bounces": 2}  # nothing white is in sight
+        measure = build(tmp_path, world, materials=MATERIALS, weather=CLEAR, physics=physics)
+        counters = measure._caster.counters  # type: ignore[attr-defined]
+        far = measure.view(plan(turn_deg)).echoes.range_m
+    assert counters.rays == 9 * (3 if wall == "half" else 4)  # window; its mirror image and the wall; behind a mirror
+    assert (counters.cast, counters.leaks) == (counters.rays, 0)
+    if wall == "half":
+        np.testing.assert_allclose(far[far > 8.0], 9.0 / np.cos(np.radians(turn_deg)), atol=1e-3)
+
+
 def test_without_bounces_the_ghost_is_gone(tmp_path: Path) -> None:
     side = {"plane": {"size_m": [50.0, 50.0]}, "at_m": [10.0, 5.0, 0.0], "material": "half", "roll_deg": 90.0}
     physics = {**AXIS, "bounces": 0}
