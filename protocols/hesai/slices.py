@@ -18,11 +18,9 @@ from protocols.hesai.motor import NEAR, Rotor
 from protocols.hesai.settings import Settings
 from protocols.scan import Floats, Scan
 from protocols.skeleton.instants import Raster
-from protocols.skeleton.packets import MOST_KEPT
+from protocols.skeleton.packets import MOST_ECHOES, MOST_KEPT
 from protocols.skeleton.sweeps import Sweep
 
-MOST_ECHOES = 4
-"Of a beam, out of which the returns are chosen."
 NEXT_STEP = 0.8
 "Of a step: so far the grid may be from where it would be nearest."
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from protocols.checksums import crc64_xz
 from protocols.scan import Floats, Scan
+from protocols.skeleton.reflectivity import whole
 
 Words = NDArray[Any]
 "Whole numbers."
@@ -26,11 +27,13 @@ COLUMNS = 16
 END = 32
 "Bytes of a header, and of a footer."
 ENCODER_TICKS = 90_112
-RETRO = 1000.0
-"Reflectivity over that of a white plate that is reported as 255; ours, no source states the logarithm's end."
+WHITE = 100.0
+"Reflectivity of a diffuse white plate; beyond, up to 255, by the logarithm."
 PLACEHOLDER = bytes.fromhex("dec00000efbeadde")
 "In place of a checksum, firmware 2.3 to 3.0."
 LIDAR, IMU = 1, 2
+ZERO = np.zeros((), np.uint32)
+"Of all pixels."
 
 
 @dataclass(frozen=True)
@@ -147,6 +150,19 @@ class Head:
 
 
 @dataclass(frozen=True, eq=False)
+class Others:
+    """Second returns of the m pixels that have one; few do."""
+
+    pixel: Words
+    "(m,) of C H"
+    range_mm: Words
+    reflectivity: Words
+    signal: Words
+    dark: int = 0
+    "Signal of pixels without one."
+
+
+@dataclass(frozen=True, eq=False)
 class Columns:
     """What columns say."""
 
@@ -157,68 +173,97 @@ class Columns:
     valid: Bools
     "(C,) pixels of others are 0"
     range_mm: Words
-    "(E, C, H) 0: no return"
+    "(E, C, H) 0: no return; of the first ones alone (1, C, H), with `others`"
     reflectivity: Words
     "(E, C, H)"
     signal: Words
     "(E, C, H) photons; of profiles that do not say them, anything"
     near_ir: Words
     "(C, H) photons"
-    flags: Words = field(default_factory=lambda: np.zeros((), np.int64))
-    "(E, C, H), or one 0; bit 0: blooming"
+    flags: Words | None = None
+    "(E, C, H); bit 0: blooming; None: 0"
     window: int = 0
+    others: Others | None = None
 
 
-def encode(profile: Profile, head: Head, frames: Words, columns: Columns, turn: int) -> list[bytes]:
-    """Lidar packets, all at once. `frames` (P,) numbers of their frames, `turn`: columns of a turn."""
-    rows, shape = columns.range_mm.shape[2], (len(frames), COLUMNS)
-    packets = np.zeros(len(frames), packet_type(profile.name, rows))
-    cells = packets["columns"]
-    cells["stamp"], cells["number"] = columns.stamp_ns.reshape(shape), columns.number.reshape(shape)
-    values: dict[str, Any] = {"near_ir": _in_units(columns.near_ir, profile.near_ir_unit, 0xFF)}
-    flags = columns.flags if columns.flags.ndim and columns.flags.any() else None
-    for one in range(profile.returns):
-        values[f"range{one}"] = _in_units(columns.range_mm[one], profile.unit_mm)
+class Room:
+    """Packets of a slice, which those of the next one are written over; `turn`: columns of a turn."""
+
+    def __init__(self, profile: Profile, rows: int, packets: int, turn: int) -> None:
+        self.profile, self.turn = profile, turn
+        self.packets = np.zeros(packets, packet_type(profile.name, rows))
+        self.cells = self.packets["columns"]
+        self.status, self.pixels = self.cells["status"], self.cells["pixels"]
+        self.words = [self.pixels[..., at] for at in range(profile.size_bits // 32)]
+        self.flat = self.packets.view("<u4")
+        "All words of 32 bits; and where the first one of each pixel is there."
+        self.words[0][...] = 1
+        (self.first,) = np.nonzero(self.flat)
+        size, bare = self.packets.itemsize, self.packets.view(np.uint8).data
+        self.each = [bare[at * size : (at + 1) * size] for at in range(packets)]
+        self.said = False
+        "Its columns all are valid."
+
+
+def encode(room: Room, head: Head, frame: int, columns: Columns) -> list[bytes]:
+    """Lidar packets of a frame, all at once."""
+    profile, shape = room.profile, room.status.shape
+    every, legacy = np.count_nonzero(columns.valid) == columns.valid.size, profile.legacy
+    room.cells["stamp"], room.cells["number"] = columns.stamp_ns.reshape(shape), columns.number.reshape(shape)
+    values: dict[str, Any] = {"near_ir": _in_units(columns.near_ir, profile.near_ir_unit)}
+    if profile.near_ir_unit > 1 and columns.near_ir.ndim:
+        values["near_ir"] = np.minimum(values["near_ir"], 0xFF)
+    for one in range(min(profile.returns, len(columns.range_mm))):
+        values[f"range{one}"] = _in_units(columns.range_mm[one], profile.unit_mm, profile.unit_mm // 2)
         values[f"reflectivity{one}"] = columns.reflectivity[one]
-        if profile.has_signal:
-            values[f"signal{one}"] = columns.signal[one]
-        if flags is not None:
-            values[f"flags{one}"] = flags[one] & ((1 << profile.fields[f"flags{one}"][1]) - 1)
-    if columns.window:
-        values["window"] = np.uint32(columns.window)
-    words: list[Any] = [None] * (profile.size_bits // 32)
-    for name, (bit, _) in profile.fields.items():
-        if name in values:
-            word, shift = divmod(bit, 32)
-            part = values[name].astype(np.uint32, copy=False)
-            part = part << np.uint32(shift) if shift else part
-            words[word] = part if words[word] is None else words[word] | part
-    pixels = cells["pixels"]
-    for at, word in enumerate(words):
-        pixels[..., at] = word.reshape(*shape, rows) if word.ndim else word
-    if not columns.valid.all():
-        pixels[~columns.valid.reshape(shape)] = 0
-    if profile.legacy:
-        cells["status"] = np.where(columns.valid, 0xFFFFFFFF, 0).reshape(shape)
-        cells["frame"] = frames[:, None] & 0xFFFF
-        cells["encoder"] = cells["number"].astype(np.int64) * ENCODER_TICKS // turn
-        return [one.tobytes() for one in packets]
-    cells["status"] = columns.valid.reshape(shape)
-    size, made, bare = packets.itemsize, [], packets.view(np.uint8).data
-    headers = {frame: head.header(LIDAR, frame) for frame in set(frames.tolist())}
-    for at, frame in enumerate(frames.tolist()):
-        packet = bare[at * size : (at + 1) * size]
-        packet[:END] = headers[frame]
+        values[f"signal{one}"] = columns.signal[one] if columns.signal.ndim else columns.signal
+        if columns.flags is not None:
+            values[f"flags{one}"] = columns.flags[one] & ((1 << profile.fields[f"flags{one}"][1]) - 1)
+    few = columns.others
+    values |= {"window": np.uint32(columns.window)} | ({} if few is None else {"signal1": np.uint32(few.dark)})
+    for place, word in zip(room.words, _words(profile, values), strict=True):
+        place[...] = word.reshape(place.shape) if word.ndim else word
+    if few is not None and len(few.pixel):
+        first = room.first[few.pixel]
+        values = {
+            "range1": _in_units(few.range_mm, profile.unit_mm, profile.unit_mm // 2),
+            "reflectivity1": few.reflectivity,
+            "signal1": few.signal - np.uint32(few.dark),
+        }
+        for at, word in enumerate(_words(profile, values)):
+            if word.ndim:
+                room.flat[first + at] += word
+    if not every:
+        room.pixels[~columns.valid.reshape(shape)] = 0
+    if not every or not room.said:
+        room.status[...] = (columns.valid * np.uint32(0xFFFFFFFF if legacy else 1)).reshape(shape)
+        room.said = every
+    if legacy:
+        room.cells["frame"] = frame & 0xFFFF
+        room.cells["encoder"] = (columns.number * ENCODER_TICKS // room.turn).reshape(shape)
+        return [one.tobytes() for one in room.each]
+    header = head.header(LIDAR, frame)
+    for packet in room.each:
+        packet[:END] = header
         packet[-8:] = head.check(packet[:-8])
-        made.append(packet.tobytes())
-    return made
+    return [one.tobytes() for one in room.each]
 
 
-def _in_units(values: Words, unit: int, most: int = 0) -> Words:
-    """Whole units: of a range the nearest, of photons those that are full, `most` at most."""
-    if unit == 1:
-        return values
-    return np.minimum(values // unit, most) if most else (values + unit // 2) // unit
+def _words(profile: Profile, values: Mapping[str, Any]) -> list[Any]:
+    """Words of pixels by fields that do not overlap; those that it has not are left out."""
+    words: list[Any] = [ZERO] * (profile.size_bits // 32)
+    for name, value in values.items():
+        if name in profile.fields and (value.ndim or value):
+            word, shift = divmod(profile.fields[name][0], 32)
+            part, held = value.astype(np.uint32, copy=False), words[word]
+            part = part << np.uint32(shift) if shift else part
+            words[word] = part if held is ZERO else held | part
+    return words
+
+
+def _in_units(values: Words, unit: int, more: int = 0) -> Words:
+    """Whole units, a power of two, in values and so much `more`."""
+    return values if unit == 1 else (values + more) >> (unit.bit_length() - 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,92 +307,60 @@ def decode(profile: Profile, rows: int, data: bytes, fusa: bool = False) -> Said
     return Said(np.array(frames), int.from_bytes(init_id, "little"), int.from_bytes(serial, "little"), columns)
 
 
-def echoes(scan: Scan, near_m: float) -> tuple[Words, Words]:
-    """Beams with an echo beside the first; and (n,) a mask of ones for those that have the first alone.
-
-    Nearer than `near_m` is none.
-    """
-    there = scan.range_m >= near_m
-    count = there.shape[1]
-    further = there.view(f"<u{count}")[:, 0] > 1 if count in (2, 4, 8) else there[:, 1:].any(axis=1)
-    several, only = np.flatnonzero(further), np.negative(there[:, 0], dtype=np.uint32)
-    only[several] = 0
-    return several, only
-
-
 @dataclass(frozen=True, eq=False)
 class Returns:
     """What a profile reports of n beams: the first return of each, and the second one of m of them."""
 
     range_m: Floats
-    "(n + m,) first those of all beams; of one without any as `returns` wants it."
+    "(n + m,) first those of all beams; NaN: none."
     strength: Floats
-    "(n + m,) over the threshold; 0: none."
+    "(n + m,) over the threshold."
     beam: Words
     "(m,) beams with a second one."
 
 
-def returns(scan: Scan, count: int, order: str, near_m: float, none_m: float = 0.0) -> Returns:
-    """The returns that a profile reports of each beam, in their order; `none_m` is the range where there is none.
+def returns(scan: Scan, count: int, order: str, near_m: float) -> Returns:
+    """The returns that a profile reports of each beam, in their order.
 
     Of more echoes than `count` the strongest; of one return that which `order` puts first. Nearer than `near_m`: none.
     """
     there = scan.range_m >= near_m
-    width, only = there.shape[1], there[:, 0]
-    first_m, strength = np.where(only, scan.range_m[:, 0], none_m), np.where(only, scan.intensity[:, 0], 0.0)
-    further = there.view(f"<u{width}")[:, 0] > 1 if width in (2, 4, 8) else there[:, 1:].any(axis=1)
-    (beam,) = np.nonzero(further)
+    beams, width = there.shape
+    (beam,) = np.nonzero(there.view(f"<u{width}")[:, 0] > 1 if width in (2, 4, 8) else there[:, 1:].any(axis=1))
+    range_m, strength = np.zeros((2, beams + len(beam)))
+    range_m[:beams], strength[:beams] = scan.range_m[:, 0], scan.intensity[:, 0]
+    near = range_m[:beams] < near_m
+    if np.count_nonzero(near):
+        range_m[:beams][near] = strength[:beams][near] = np.nan
     if not len(beam):
-        return Returns(first_m, strength, beam)
+        return Returns(range_m, strength, beam)
     several = scan.range_m[beam], scan.intensity[beam]
     sign = {"NEAREST_TO_FARTHEST": -1.0, "FARTHEST_TO_NEAREST": 1.0}.get(order)
     rank = np.where(there[beam], several[1] if sign is None or count > 1 else sign * several[0], -np.inf)
     row, chosen = np.arange(len(beam)), rank.argmax(axis=1)
+    range_m[beam], strength[beam] = several[0][row, chosen], several[1][row, chosen]
     if count == 1:
-        first_m[beam], strength[beam] = several[0][row, chosen], several[1][row, chosen]
-        return Returns(first_m, strength, beam[:0])
+        return Returns(range_m[:beams], strength[:beams], beam[:0])
     rank[row, chosen] = -np.inf
     other = rank.argmax(axis=1)
     two = rank[row, other] > -np.inf
     if sign is not None:
         swapped = two & (sign * several[0][row, chosen] < sign * several[0][row, other])
         chosen, other = np.where(swapped, other, chosen), np.where(swapped, chosen, other)
-    first_m[beam], strength[beam] = several[0][row, chosen], several[1][row, chosen]
-    second = row[two], other[two]
-    return Returns(
-        np.concatenate((first_m, several[0][second])), np.concatenate((strength, several[1][second])), beam[two]
-    )
+        range_m[beam], strength[beam] = several[0][row, chosen], several[1][row, chosen]
+    second, end = (row[two], other[two]), beams + np.count_nonzero(two)
+    range_m[beams:end], strength[beams:end] = several[0][second], several[1][second]
+    return Returns(range_m[:end], strength[:end], beam[two])
 
 
 def distances(range_m: Floats, offset_m: float, profile: Profile) -> Words:
     """Ranges from the lidar's axis along the beam; what the wire cannot say is no return. [mm]"""
     words = range_m + offset_m
     words *= 1000.0 / profile.unit_mm
-    np.rint(words, out=words)
-    longest = profile.longest_mm // profile.unit_mm
-    if len(words) and words.max() > longest:
-        words *= words <= longest
-    found = whole(words)
+    found, longest = whole(words), profile.longest_mm // profile.unit_mm
+    if len(found) and found.max() > longest:
+        found[found > longest] = 0
     return found if profile.unit_mm == 1 else found * np.uint32(profile.unit_mm)
-
-
-def whole(values: Floats) -> Words:
-    """Whole numbers below 2^31, not negative, as words of 32 bits."""
-    return values.astype(np.int32).view(np.uint32)
-
-
-def reflectivities(range_m: Floats, intensity: Floats, white_m2: float) -> Words:
-    """Calibrated reflectivity: 0..100 as a diffuse plate seen straight, 101..255 by the logarithm beyond.
-
-    intensity over the threshold; its decrease with the distance is removed, that with air and incidence is not.
-    """
-    bright = (100.0 / white_m2) * intensity
-    bright *= range_m
-    bright *= range_m
-    (beyond,) = np.nonzero(bright > 100.0)
-    brighter = np.log(0.01 * bright[beyond]) / np.log(RETRO)
-    bright[beyond] = np.minimum(np.maximum(100.0 + 155.0 * brighter, 101.0), 255.0)
-    return whole(np.rint(bright, out=bright))
 
 
 IMU_LEGACY = struct.Struct("<QQQ6f")

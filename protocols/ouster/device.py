@@ -118,6 +118,8 @@ class OusterDevice(PacketSession[Slice]):
         self.impaired: dict[str, float] = {}
         self._undelivered_ns: dict[int, int] = {}
         "Alerts of packets that did not arrive, and when the last one did not."
+        self._room: tuple[Any, Any] = None, None
+        "What packets are of, and where they are written."
         self._hot_ns: dict[str, int] = {}
         "Since when it warns of what is in `impaired`."
         super().__init__(build.boot_ns, self._slice_ns)
@@ -373,8 +375,10 @@ class OusterDevice(PacketSession[Slice]):
         after_ns, shown_ns, since_ns = self._shown(start_ns, packets, packet_ns)
         stamps = shown_ns // tick_ns * tick_ns
         said = columns_of(scan, piece, seen, stamps, self.unit, profile, used, self.firmware >= (3, 2))
-        frames = np.full(packets, piece.frame % (1 << 32 if self.fusa else 1 << 16))
-        made = codec.encode(profile, self.head(start_ns), frames, said, columns)
+        if (key := (profile.name, packets, columns)) != self._room[0]:
+            self._room = key, codec.Room(profile, self.unit.rows, packets, columns)
+        head = self.head(start_ns)
+        made = codec.encode(self._room[1], head, piece.frame % (1 << 32 if head.fusa else 1 << 16), said)
         sent = np.asarray(piece.valid.reshape(packets, -1).any(axis=1)).tolist()
         firsts = (start_ns + after_ns[:: codec.COLUMNS]).tolist(), (shown_ns[:: codec.COLUMNS] - since_ns).tolist()
         ends_ns = instants(packets, packet_ns)[2]

@@ -6,7 +6,6 @@ Belongs here: directions and instants of a slice, photons, near-infrared, lost c
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -16,10 +15,10 @@ import numpy as np
 from protocols.ouster import codec, config
 from protocols.ouster.models import Unit
 from protocols.scan import Floats, Scan
+from protocols.skeleton.packets import MOST_ECHOES
+from protocols.skeleton.reflectivity import calibrated, whole
 from protocols.skeleton.sweeps import Sweep
 
-MOST_ECHOES = 4
-"Of a beam, out of which the returns are chosen."
 PHOTONS = 15.0
 "Of an echo at the detection threshold; no source."
 CLEAR = 255
@@ -28,8 +27,6 @@ NOISE_PHOTONS = 3
 "Where there is no return; recordings have 0 to 8."
 AMBIENT_PHOTONS = 3e-3
 "Reported of those that ambient light sends to the detector in a column: its share of time, filter and efficiency."
-NOTHING = np.zeros((), np.uint32)
-"Every pixel is 0."
 PHOTON_J = 6.62607015e-34 * 299_792_458.0 / 865e-9
 
 
@@ -95,50 +92,37 @@ def columns_of(
     """Columns of a slice. `seen` (C,): valid ones, `used`: the configuration; `has_window`: its clearness is said."""
     near_m = 0.01 * used.get("min_range_threshold_cm", 50)
     order = used.get("return_order", "STRONGEST_TO_WEAKEST")
-    found = codec.returns(scan, profile.returns, order, near_m, -unit.origin_m)  # which is 0 on the wire
+    found = codec.returns(scan, profile.returns, order, near_m)
     light = found.strength if scan.plan.gain == 1.0 else found.strength / scan.plan.gain
     dark = 0 if profile.legacy else NOISE_PHOTONS
-    size = profile.returns, len(piece.number), unit.rows
-
-    def grid(words: codec.Words, without: int = 0) -> codec.Words:
-        """(E, C, H) of the returns."""
-        if profile.returns == 1:
-            return _placed(words, piece, size)
-        beams = len(scan.range_m)
-        every = np.full((profile.returns, beams), without, np.uint32)
-        every[0], every[1, found.beam] = words[:beams], words[beams:]
-        return _placed(every, piece, size)
-
-    near_ir = NOTHING
+    beams, near_ir, others = len(scan.range_m), codec.ZERO, None
+    words = [
+        codec.distances(found.range_m, unit.origin_m, profile),
+        calibrated(found.range_m, light, unit.model.white_m2, codec.WHITE),
+        _photons(found.strength, PHOTONS, dark) if profile.has_signal else codec.ZERO,
+    ]
+    firsts = [_placed(one[:beams], piece, unit.rows)[None] if one.ndim else one for one in words]
+    if profile.returns == 2:
+        pixel = found.beam if piece.valid.all() else np.flatnonzero(np.repeat(piece.valid, unit.rows))[found.beam]
+        others = codec.Others(pixel, *(one[beams:] if one.ndim else one for one in words), dark)
     if scan.ambient_w is not None:
         turn, hz = config.MODES[used["lidar_mode"]]
-        counted = _photons(scan.ambient_w, AMBIENT_PHOTONS / PHOTON_J / (turn * hz))
-        near_ir = _placed(counted, piece, (1, *size[1:]))[0]
-    return codec.Columns(
-        piece.number,
-        stamps,
-        seen,
-        grid(codec.distances(found.range_m, unit.origin_m, profile)),
-        grid(codec.reflectivities(found.range_m, light, unit.model.white_m2)),
-        grid(_photons(found.strength, PHOTONS, dark), dark) if profile.has_signal else NOTHING,
-        near_ir,
-        window=CLEAR if has_window and profile.unit_mm == 1 else 0,
-    )
+        near_ir = _placed(_photons(scan.ambient_w, AMBIENT_PHOTONS / PHOTON_J / (turn * hz)), piece, unit.rows)
+    window = CLEAR if has_window and profile.unit_mm == 1 else 0
+    return codec.Columns(piece.number, stamps, seen, *firsts, near_ir, window=window, others=others)
 
 
 def _photons(light: Floats, share: float, least: int = 0) -> codec.Words:
-    """As a word of 16 bits says them."""
+    """As a word of 16 bits says them; at least so many."""
     counted = light * share
-    np.rint(counted, out=counted)
-    np.minimum(counted, 0xFFFF, out=counted)
-    words = codec.whole(counted)
+    words = whole(np.minimum(counted, 0xFFFF, out=counted))
     return np.maximum(words, np.uint32(least), out=words) if least else words
 
 
-def _placed(words: codec.Words, piece: Slice, size: tuple[int, int, int]) -> codec.Words:
-    """(E, C, H) of the columns in the window; the others 0."""
-    if words.size == math.prod(size):
-        return words.reshape(size)
-    grid = np.zeros(size, np.uint32)
-    grid[:, piece.valid] = words.reshape(size[0], -1, size[2])
+def _placed(words: codec.Words, piece: Slice, rows: int) -> codec.Words:
+    """(C, H) of the columns in the window; the others 0."""
+    if words.size == len(piece.valid) * rows:
+        return words.reshape(-1, rows)
+    grid = np.zeros((len(piece.valid), rows), np.uint32)
+    grid[piece.valid] = words.reshape(-1, rows)
     return grid

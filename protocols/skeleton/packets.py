@@ -13,6 +13,8 @@ from protocols.session import Address, DropReason, LinkKind
 from protocols.skeleton.requests import RequestSession
 from protocols.skeleton.sweeps import SLICES_KEPT, Sweep
 
+MOST_ECHOES = 4
+"Of a beam, out of which families choose the returns that they report."
 MOST_KEPT = 1000
 "Slices outside of the field of view that are skipped at once; a turn of the slowest motor has less."
 

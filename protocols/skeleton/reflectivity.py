@@ -6,19 +6,33 @@ Belongs here: the scale of a white plate, and of retro-reflectors beyond it. Not
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protocols.scan import Floats
 
 RETRO = 1000.0
 "Reflectivity over that of a white plate that is reported as 255; ours, makers calibrate with retro-reflectors."
+MAGIC = 1.5 * 2.0**52
+"Added to a number of doubles, it rounds it to even; the low bits are that number, or 0 of NaN."
 
 
-def calibrated(range_m: Floats, intensity: Floats, white_m2: float, white: float) -> Floats:
-    """Whole words: up to `white` as a diffuse plate seen straight, by the logarithm beyond up to 255; 0: no echo.
+def whole(values: Floats) -> NDArray[np.uint32]:
+    """The nearest whole numbers of values from 0 below 2^32, of NaN 0; the values are changed."""
+    values += MAGIC
+    return values.view(np.uint64).astype(np.uint32)
+
+
+def calibrated(range_m: Floats, intensity: Floats, white_m2: float, white: float) -> NDArray[np.uint32]:
+    """Up to `white` as a diffuse plate seen straight, by the logarithm beyond up to 255; 0: no echo, NaN.
 
     intensity over the threshold; its decrease with the distance is removed, that with air and incidence is not.
     white_m2: signal of a white plate at 1 m over the detection threshold.
     """
-    share = np.nan_to_num(intensity * range_m * range_m / white_m2, nan=0.0)
-    bright = white + (255.0 - white) * np.log(np.maximum(share, 1.0)) / np.log(RETRO)
-    return np.asarray(np.rint(np.where(share <= 1.0, white * share, np.clip(bright, white + 1.0, 255.0))))
+    bright = (white / white_m2) * intensity
+    bright *= range_m
+    bright *= range_m
+    beyond = np.nonzero(bright > white)
+    if len(beyond[0]):
+        brighter = np.log(bright[beyond] / white) / np.log(RETRO)
+        bright[beyond] = np.minimum(np.maximum(white + (255.0 - white) * brighter, white + 1.0), 255.0)
+    return whole(bright)

@@ -21,7 +21,7 @@ from protocols.session import Address, Emission
 from protocols.skeleton.instants import SECOND_NS, earliest
 from protocols.skeleton.nmea import gprmc
 from protocols.skeleton.outbox import Outgoing
-from protocols.skeleton.packets import PacketSession
+from protocols.skeleton.packets import MOST_ECHOES, PacketSession
 from protocols.skeleton.reflectivity import calibrated
 from protocols.skeleton.sweeps import SHARES, Sweep, Telegram
 from protocols.velodyne import codec
@@ -32,8 +32,6 @@ from protocols.velodyne.settings import SLICE_NS, Build, Settings
 TICK_NS = Fraction(1000)
 POSITION_NS = 293 * 1_327_104 // 57
 "From position packet to position packet: 57 for 293 data packets in a public capture of a VLP-16 (MRPT)."
-MOST_ECHOES = 4
-"Of a beam, out of which the returns are chosen."
 
 
 @dataclass(frozen=True, eq=False)

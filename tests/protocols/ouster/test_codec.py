@@ -11,6 +11,7 @@ from protocols import checksums
 from protocols.ouster import codec
 from protocols.ouster.codec import PROFILES, Columns, Head
 from protocols.scan import Scan, ScanPlan
+from protocols.skeleton.reflectivity import calibrated
 
 SERIAL, INIT_ID = 122322000614, 0x05F3BC
 WORKED = [
@@ -42,7 +43,7 @@ def worked() -> Columns:
 def test_the_worked_packets(name: str, size: int, digest: str) -> None:
     profile = PROFILES[name]
     head = Head(SERIAL, INIT_ID, (3, 1), profile.fusa)
-    (data,) = codec.encode(profile, head, np.array([7]), worked(), 1024)
+    (data,) = codec.encode(codec.Room(profile, 32, 1, 1024), head, 7, worked())
     assert (len(data), profile.size(32)) == (size, size)
     assert sha256(data).hexdigest() == digest
 
@@ -66,7 +67,7 @@ def test_the_worked_imu_packets() -> None:
 def test_what_is_encoded_is_decoded(name: str) -> None:
     profile, columns = PROFILES[name], worked()
     columns.valid[3] = False
-    (data,) = codec.encode(profile, Head(SERIAL, INIT_ID, (3, 1), profile.fusa), np.array([7]), columns, 1024)
+    (data,) = codec.encode(codec.Room(profile, 32, 1, 1024), Head(SERIAL, INIT_ID, (3, 1), profile.fusa), 7, columns)
     said = codec.decode(profile, 32, data)
     assert said.frame.tolist() == [7]
     np.testing.assert_array_equal(said.columns.number, columns.number)
@@ -87,7 +88,7 @@ def test_what_is_encoded_is_decoded(name: str) -> None:
 )
 def test_older_firmware_has_no_checksum(firmware: tuple[int, int], end: bytes) -> None:
     profile = PROFILES["RNG15_RFL8_NIR8"]
-    (data,) = codec.encode(profile, Head(SERIAL, INIT_ID, firmware), np.array([7]), worked(), 1024)
+    (data,) = codec.encode(codec.Room(profile, 32, 1, 1024), Head(SERIAL, INIT_ID, firmware), 7, worked())
     assert data[-8:] == end
     assert data[-32:-8] == bytes(24)
 
@@ -138,11 +139,12 @@ def test_which_returns_are_reported_in_which_order(order: str, count: int, said:
     assert (near.range_m.tolist(), near.beam.tolist()) == ([30.0], [])
 
 
-def test_a_beam_without_a_return_has_the_range_it_is_told() -> None:
+def test_a_beam_without_a_return_has_none() -> None:
     scan = scan_of([5.0, NAN], [2.0, NAN])
-    for near_m, said in ((0.5, (5.0, 2.0)), (6.0, (-0.25, 0.0))):
-        found = codec.returns(scan, 1, "STRONGEST_TO_WEAKEST", near_m, -0.25)
-        assert (found.range_m[0], found.strength[0]) == said
+    for near_m, said in ((0.5, (5.0, 2.0)), (5.0, (5.0, 2.0)), (6.0, (NAN, NAN))):
+        found = codec.returns(scan, 1, "STRONGEST_TO_WEAKEST", near_m)
+        np.testing.assert_array_equal((found.range_m[0], found.strength[0]), said)
+    assert scan.range_m[0, 0] == 5.0
 
 
 @pytest.mark.parametrize("echoes", [1, 2, 3, 4, 5])
@@ -158,7 +160,7 @@ def test_returns_of_many_beams_are_those_of_each_alone(echoes: int) -> None:
             found = codec.returns(scan, count, order, near_m)
             places = [*range(300), *(300 + found.beam)]
             every = zip(places, found.range_m, found.strength, strict=True)
-            said = {int(one): (r, s) for one, r, s in every if s}
+            said = {int(one): (r, s) for one, r, s in every if not np.isnan(s)}
             for beam in range(300):
                 own = [(s, r) for s, r in zip(strengths[beam], ranges[beam], strict=True) if r >= near_m]
                 own.sort(key=lambda one: -one[0])
@@ -174,5 +176,5 @@ def test_what_a_range_is_on_the_wire() -> None:
     ranges = np.array([9.9728, 524.25, 524.3, 262.13])
     assert codec.distances(ranges, 0.0276, wide).tolist() == [10_000, 524_278, 0, 262_158]
     assert codec.distances(ranges, 0.0, low).tolist()[1:] == [0, 0, 262_128]
-    plate = codec.reflectivities(np.array([10.0, 10.0, 10.0]), np.array([180.6, 36.1, 361e3]), 36_125.0)
+    plate = calibrated(np.full(3, 10.0), np.array([180.6, 36.1, 361e3]), 36_125.0, codec.WHITE)
     assert plate.tolist() == [50, 10, 255]
