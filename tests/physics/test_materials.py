@@ -165,6 +165,12 @@ def test_glass_passes_and_mirrors_what_fresnel_says_and_loses_the_rest() -> None
     assert np.all(table.mirror_share(zero + 2, cosine) == 0.9)
     assert np.all(table.transmission(zero + 2, cosine) == 0.0)
     assert float(table.mirror_share(zero + 3, cosine)[0]) == pytest.approx(0.0197, abs=5e-5)
+    # of hits on all of them in one call, and on what sends on nothing
+    table = SurfaceTable.of([*table.materials, material("asphalt")], 905.0)
+    kinds, cosines = np.arange(5).repeat(3), np.tile(cosine, 5)
+    alone = [table.sent_on(kinds[kinds == one], cosine) for one in range(5)]
+    np.testing.assert_array_equal(table.sent_on(kinds, cosines), np.concatenate(alone, axis=1))
+    assert not np.any(alone[4])
     assert table.sends_on
     assert not SurfaceTable.of([material("asphalt")], 905.0).sends_on
 

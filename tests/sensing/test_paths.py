@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from emulator.compiled import switch
 from emulator.physics import brdf, radiometry
+from emulator.physics.materials import SurfaceTable
 from emulator.sensing.order import _order, in_order
 from protocols.scan import SATURATED
 from tests.draws import cases
@@ -92,6 +93,19 @@ def test_rays_in_a_room_behind_its_window_are_cast_once(tmp_path: Path, loops: b
     assert (counters.cast, counters.leaks) == (counters.rays, 0)
     if wall == "half":
         np.testing.assert_allclose(far[far > 8.0], 9.0 / np.cos(np.radians(turn_deg)), atol=1e-3)
+
+
+@pytest.mark.parametrize("bounces", [1, 2])
+def test_what_the_last_bounce_would_send_on_is_not_computed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bounces: int
+) -> None:
+    asked, shares = [], SurfaceTable.sent_on
+    monkeypatch.setattr(SurfaceTable, "sent_on", lambda *given: asked.append(1) or shares(*given))  # type: ignore[func-returns-value]
+    world = [plate(x_m, "tinted") for x_m in (5.0, 6.0, 7.0, 8.0)] + [plate(9.0, "white")]
+    measure = build(tmp_path, world, materials=MATERIALS, weather=CLEAR, physics={**AXIS, "bounces": bounces})
+    found = measure.view(plan()).echoes.range_m
+    assert len(asked) == bounces
+    assert np.round(found.max()) == 5 + bounces
 
 
 def test_without_bounces_the_ghost_is_gone(tmp_path: Path) -> None:
