@@ -10,8 +10,10 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protocols.scan import Floats
 
@@ -34,7 +36,9 @@ WHITE = 150.0
 "Reflectivity of a white plate; beyond are retro-reflectors."
 
 
-def encode(stamp_ns: int, count: int, frame: int, interval_ns: float, xyz_m: Floats, reflectivity: Floats) -> bytes:
+def encode(
+    stamp_ns: int, count: int, frame: int, interval_ns: float, xyz_m: Floats, reflectivity: NDArray[Any]
+) -> bytes:
     """A packet of up to 96 points.
 
     stamp_ns of the first point; interval_ns from it to the last; xyz_m (n, 3), NaN: no echo, as zeros on the wire;

@@ -16,7 +16,7 @@ from protocols.ouster.device import OusterDevice
 from protocols.ouster.metadata import image
 from protocols.ouster.reports import TIMES, network, telemetry, time_sensor
 from protocols.session import Address, Announcement, DropReason, Emission, LinkKind
-from protocols.skeleton.http import LONGEST, HttpRequests, fields_of, page, read
+from protocols.skeleton.http import LONGEST, HttpRequests, answered, fields_of, page, read
 from protocols.skeleton.receiving import Fault
 from protocols.skeleton.requests import Answer, Command, Host, Refused, Request
 
@@ -433,7 +433,7 @@ class OusterSession(OusterDevice):
         """Requests come on connections; while the device boots, the web server answers each piece with 503."""
         super().receive(data, now_ns, address)
         if not self._running and data.startswith(METHODS) and self._connections.kind(address) is LinkKind.STREAM:
-            self._outbox.send(Emission(now_ns + self.REPLY_NS, STARTING, address, label="503"))
+            self._outbox.send(Emission(now_ns + self.REPLY_NS, answered(data, STARTING), address, label="503"))
 
     def _parse(self, request: bytes) -> tuple[bytes, bytes]:
         if not request.startswith(METHODS):
@@ -448,11 +448,11 @@ class OusterSession(OusterDevice):
         web = b" " in request.code
         if web and "unavailable" in self.impaired:
             self._events.drop(request.now_ns, DropReason.BUSY, "503", size)
-            self._say(STARTING, "503", host, request.now_ns)
+            self._say(answered(request.code, STARTING), "503", host, request.now_ns)
         elif not first <= self.firmware <= last or (b"user/data" in request.code and self.firmware == (3, 0)):
             self._events.drop(request.now_ns, DropReason.UNKNOWN_COMMAND, "not in this firmware", size)
             unknown = _error(404, "NOT_FOUND", "not in this firmware") if web else b"error: unknown command\n"
-            self._say(unknown, "?", host, request.now_ns)
+            self._say(answered(request.code, unknown) if web else unknown, "?", host, request.now_ns)
         else:
             super()._carry_out(request, size, host)
 
@@ -461,15 +461,16 @@ class OusterSession(OusterDevice):
 
     def _refusal(self, request: Request, refused: Refused) -> bytes:
         if b" " not in request.code:
-            return b"error: " + (refused.detail or "unknown command").encode("ascii", "replace") + b"\n"
+            known = refused.reason is not DropReason.UNKNOWN_COMMAND
+            said = refused.detail.removeprefix(": ") if known else "unknown command"
+            return f"error: {said}\n".encode("ascii", "replace")
         if refused.reason is DropReason.BAD_ARGUMENT:
             name, _, message = refused.detail.partition(": ")
             return _error(400, "CONFIG_INVALID", message, name)
         method, _, path = request.code.partition(b" ")
         others = any(code.endswith(b" " + path) for code in self.COMMANDS if not code.startswith(method + b" "))
-        return (
-            _error(405, "METHOD", "not for this resource") if others else _error(404, "NOT_FOUND", "no such resource")
-        )
+        wrong = (405, "METHOD", "not for this resource") if others else (404, "NOT_FOUND", "no such resource")
+        return answered(request.code, _error(*wrong))
 
     def _complaint(self, fault: Fault) -> bytes | None:
         return _error(400, "REQUEST", "no request") if fault.reason is not DropReason.TIMEOUT else None

@@ -327,29 +327,31 @@ def returns(scan: Scan, count: int, order: str, near_m: float) -> Returns:
     there = scan.range_m >= near_m
     beams, width = there.shape
     (beam,) = np.nonzero(there.view(f"<u{width}")[:, 0] > 1 if width in (2, 4, 8) else there[:, 1:].any(axis=1))
-    range_m, strength = np.zeros((2, beams + len(beam)))
-    range_m[:beams], strength[:beams] = scan.range_m[:, 0], scan.intensity[:, 0]
+    room = np.zeros(len(beam))
+    range_m, strength = (np.concatenate((one[:, 0], room)) for one in (scan.range_m, scan.intensity))
     near = range_m[:beams] < near_m
     if np.count_nonzero(near):
         range_m[:beams][near] = strength[:beams][near] = np.nan
     if not len(beam):
         return Returns(range_m, strength, beam)
-    several = scan.range_m[beam], scan.intensity[beam]
+    several_m, strengths = scan.range_m.take(beam, axis=0), scan.intensity.take(beam, axis=0)
     sign = {"NEAREST_TO_FARTHEST": -1.0, "FARTHEST_TO_NEAREST": 1.0}.get(order)
-    rank = np.where(there[beam], several[1] if sign is None or count > 1 else sign * several[0], -np.inf)
-    row, chosen = np.arange(len(beam)), rank.argmax(axis=1)
-    range_m[beam], strength[beam] = several[0][row, chosen], several[1][row, chosen]
+    better = strengths if sign is None or count > 1 else sign * several_m
+    rank, row = np.where(there.take(beam, axis=0), better, -np.inf), np.arange(0, len(beam) * width, width)
+    chosen = row + rank.argmax(axis=1)
+    range_m[beam], strength[beam] = several_m.take(chosen), strengths.take(chosen)
     if count == 1:
         return Returns(range_m[:beams], strength[:beams], beam[:0])
-    rank[row, chosen] = -np.inf
-    other = rank.argmax(axis=1)
-    two = rank[row, other] > -np.inf
+    rank.reshape(-1)[chosen] = -np.inf
+    other = row + rank.argmax(axis=1)
+    two = rank.take(other) > -np.inf
     if sign is not None:
-        swapped = two & (sign * several[0][row, chosen] < sign * several[0][row, other])
+        swapped = two & (sign * several_m.take(chosen) < sign * several_m.take(other))
         chosen, other = np.where(swapped, other, chosen), np.where(swapped, chosen, other)
-        range_m[beam], strength[beam] = several[0][row, chosen], several[1][row, chosen]
-    second, end = (row[two], other[two]), beams + np.count_nonzero(two)
-    range_m[beams:end], strength[beams:end] = several[0][second], several[1][second]
+        range_m[beam], strength[beam] = several_m.take(chosen), strengths.take(chosen)
+    second = other[two]
+    end = beams + len(second)
+    range_m[beams:end], strength[beams:end] = several_m.take(second), strengths.take(second)
     return Returns(range_m[:end], strength[:end], beam[two])
 
 
@@ -358,7 +360,7 @@ def distances(range_m: Floats, offset_m: float, profile: Profile) -> Words:
     words = range_m + offset_m
     words *= 1000.0 / profile.unit_mm
     found, longest = whole(words), profile.longest_mm // profile.unit_mm
-    if len(found) and found.max() > longest:
+    if len(found) and np.maximum.reduce(found) > longest:
         found[found > longest] = 0
     return found if profile.unit_mm == 1 else found * np.uint32(profile.unit_mm)
 

@@ -373,13 +373,13 @@ class OusterDevice(PacketSession[Slice]):
         packet_ns = codec.COLUMNS * SECOND_NS / (columns * fps)
         seen = piece.valid & ~lost(piece, share, self.unit.serial) if share else piece.valid
         after_ns, shown_ns, since_ns = self._shown(start_ns, packets, packet_ns)
-        stamps = shown_ns // tick_ns * tick_ns
+        stamps = shown_ns - shown_ns % tick_ns
         said = columns_of(scan, piece, seen, stamps, self.unit, profile, used, self.firmware >= (3, 2))
         if (key := (profile.name, packets, columns)) != self._room[0]:
             self._room = key, codec.Room(profile, self.unit.rows, packets, columns)
         head = self.head(start_ns)
         made = codec.encode(self._room[1], head, piece.frame % (1 << 32 if head.fusa else 1 << 16), said)
-        sent = np.asarray(piece.valid.reshape(packets, -1).any(axis=1)).tolist()
+        sent = np.logical_or.reduce(piece.valid.reshape(packets, -1), axis=1).tolist()
         firsts = (start_ns + after_ns[:: codec.COLUMNS]).tolist(), (shown_ns[:: codec.COLUMNS] - since_ns).tolist()
         ends_ns = instants(packets, packet_ns)[2]
         for packet, (at_ns, shows_ns, ticks) in enumerate(zip(*firsts, stamps[:: codec.COLUMNS].tolist(), strict=True)):
@@ -396,7 +396,8 @@ class OusterDevice(PacketSession[Slice]):
         begun_ns, since_ns = self.time(start_ns)
         passed_ns = self.time(start_ns + length_ns)[0] - begun_ns
         if abs(passed_ns - length_ns) <= STEADY * length_ns:
-            return after_ns, begun_ns + after_ns * passed_ns // length_ns, since_ns
+            after = after_ns if passed_ns == length_ns else after_ns * passed_ns // length_ns
+            return after_ns, begun_ns + after, since_ns
         return after_ns, np.array([self.time(start_ns + at)[0] for at in after_ns.tolist()]), since_ns
 
     def _goes_to(self, to: Address | None) -> tuple[str, int] | None:

@@ -96,20 +96,23 @@ def columns_of(
     light = found.strength if scan.plan.gain == 1.0 else found.strength / scan.plan.gain
     dark = 0 if profile.legacy else NOISE_PHOTONS
     beams, near_ir, others = len(scan.range_m), codec.ZERO, None
-    words = [
-        codec.distances(found.range_m, unit.origin_m, profile),
-        calibrated(found.range_m, light, unit.model.white_m2, codec.WHITE),
-        _photons(found.strength, PHOTONS, dark) if profile.has_signal else codec.ZERO,
-    ]
-    firsts = [_placed(one[:beams], piece, unit.rows)[None] if one.ndim else one for one in words]
+    range_mm = codec.distances(found.range_m, unit.origin_m, profile)
+    bright = calibrated(found.range_m, light, unit.model.white_m2, codec.WHITE)
+    first_signal = second_signal = codec.ZERO
+    if profile.has_signal:
+        signal = _photons(found.strength, PHOTONS, dark)
+        first_signal, second_signal = _placed(signal[:beams], piece, unit.rows)[None], signal[beams:]
     if profile.returns == 2:
         pixel = found.beam if piece.valid.all() else np.flatnonzero(np.repeat(piece.valid, unit.rows))[found.beam]
-        others = codec.Others(pixel, *(one[beams:] if one.ndim else one for one in words), dark)
+        others = codec.Others(pixel, range_mm[beams:], bright[beams:], second_signal, dark)
     if scan.ambient_w is not None:
         turn, hz = config.MODES[used["lidar_mode"]]
         near_ir = _placed(_photons(scan.ambient_w, AMBIENT_PHOTONS / PHOTON_J / (turn * hz)), piece, unit.rows)
     window = CLEAR if has_window and profile.unit_mm == 1 else 0
-    return codec.Columns(piece.number, stamps, seen, *firsts, near_ir, window=window, others=others)
+    return codec.Columns(
+        piece.number, stamps, seen, _placed(range_mm[:beams], piece, unit.rows)[None],
+        _placed(bright[:beams], piece, unit.rows)[None], first_signal, near_ir, window=window, others=others,
+    )  # fmt: skip
 
 
 def _photons(light: Floats, share: float, least: int = 0) -> codec.Words:

@@ -107,6 +107,11 @@ def page(status: int, body: bytes = b"", kind: str = "text/html", fields: Iterab
     return b"".join(writer.send(part) or b"" for part in parts)
 
 
+def answered(method: bytes, reply: bytes) -> bytes:
+    """The reply to a request of this method or code; that to HEAD ends with its head (RFC 9110, 9.3.2)."""
+    return reply[: reply.index(END) + len(END)] if method.startswith(b"HEAD ") else reply
+
+
 def fields_of(text: bytes, most: int = 32) -> dict[str, str]:
     """A query or a form; raises ValueError when it is none."""
     return dict(parse_qsl(text.decode("ascii"), keep_blank_values=True, max_num_fields=most))

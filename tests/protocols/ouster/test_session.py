@@ -17,7 +17,7 @@ from protocols.ouster.settings import SERIAL
 from protocols.quartz import Quartz
 from protocols.session import Address, LinkKind
 from protocols.timebase import Timebase
-from tests.protocols.ouster.rig import IMU, LIDAR, LINE, MS, QUICK, SECOND, WEB, Rig, lidar, points, said
+from tests.protocols.ouster.rig import API, IMU, LIDAR, LINE, MS, QUICK, SECOND, WEB, Rig, lidar, points, said
 
 STATUS = "sensor/metadata/sensor_info"
 
@@ -169,6 +169,9 @@ def test_requests_of_other_forms() -> None:
     rig.run(0.1)
     assert rig.call("GET", "no/such")[0] == 404
     assert rig.call("POST", STATUS, "{}")[0] == 405
+    for path, status in ((STATUS, 405), ("nothing", 404)):  # RFC 9110, 9.3.2
+        head, _, body = rig.ask(f"HEAD {API}{path} HTTP/1.1\r\nHost: x\r\n\r\n".encode()).partition(b"\r\n\r\n")
+        assert (int(head.split()[1]), body) == (status, b"")
     assert rig.call("GET", "zone_monitor/active/zip")[0] == 404
     assert rig.call("POST", "sensor/config?reinit=perhaps", "{}")[0] == 400
     assert rig.ask(b"GET / HTTP/1.1\r\n\r\n").startswith(b"HTTP/1.1 200 OK\r\n")
@@ -287,7 +290,8 @@ def test_firmware_2_0_is_driven_by_lines() -> None:
     assert "initialization_id" not in json.loads(rig.line("get_sensor_info"))
     assert json.loads(rig.line("get_lidar_data_format"))["pixel_shift_by_row"][0] == 24
     assert json.loads(rig.line("get_telemetry"))["phase_lock_status"] == "DISABLED"
-    assert rig.line("nonsense").startswith("error: ")
+    assert rig.line("nonsense") == rig.line("nonsense of words") == "error: unknown command"
+    assert rig.line("get_config_param now") == "error: want active or staged"
     assert rig.call("GET", STATUS)[0] == 404
     assert rig.get("system/firmware")["fw"].startswith("ousteros-image-prod-ares-v2.0.0")
 
