@@ -70,6 +70,16 @@ def left_open(blocked, first, start):
     return min(max(1.0 - passed, 0.0), 1.0)
 
 
+@compiled()
+def returned(x_m, free, first, bin_m):
+    """A medium's return at an apparent range, linear between bins, 0 beyond them."""
+    place = x_m / bin_m - first
+    at = int(np.floor(place))
+    if at < 0 or at >= len(free) - 1:
+        return 0.0
+    return free[at] + (place - at) * (free[at + 1] - free[at])
+
+
 @compiled(*MEDIUM, FLOATS, FLOATS, INTS, INTS)
 def ended_under(edged, first, bin_m, wave_number, ends, knots, cubics, cells, cell, range_m, blocked, start, count):
     """(4, m + 1) `AirUnder.sums` of clusters of `count` sub-echoes from `start` on."""

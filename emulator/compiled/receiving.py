@@ -16,7 +16,7 @@ from emulator.compiled.arithmetic import arc_sine_of_root, short_cos_sin
 from emulator.compiled.clusters import cross
 from emulator.compiled.echoes import tall
 from emulator.compiled.jit import FLAGS, FLOATS, INT, INTS, LONG_ROWS, OUT_FLAGS, compiled
-from emulator.compiled.media import MEDIUM, cross_in_air, left_open, lifted_in_air, stopped
+from emulator.compiled.media import MEDIUM, cross_in_air, left_open, lifted_in_air, returned, stopped
 from emulator.compiled.normal import normals, unit
 
 DAZZLED, SATURATED = 1, 2
@@ -51,16 +51,6 @@ def _between(x, places, values, otherwise):
     step = places[at + 1] - places[at]
     share = min(max((x - places[at]) / step, 0.0), 1.0) if step > 0.0 else 0.0
     return values[at] + share * (values[at + 1] - values[at])
-
-
-@compiled()
-def _under(x_m, free, first, bin_m):
-    """A medium's return at an apparent range, linear between bins, 0 beyond them."""
-    place = x_m / bin_m - first
-    at = int(np.floor(place))
-    if at < 0 or at >= len(free) - 1:
-        return 0.0
-    return free[at] + (place - at) * (free[at + 1] - free[at])
 
 
 @compiled()
@@ -272,7 +262,7 @@ def received(
                         centre[i] += np.arctan2(y, x) / wave_number
                 front_m = start_of[i] - half_m
                 if front_m < until_m or front_m < alone_m:
-                    below = _under(max(front_m, peak_m), free, first, bin_m)
+                    below = returned(max(front_m, peak_m), free, first, bin_m)
                     good = good and front_m >= alone_m and below < faint * threshold and until_m < np.inf
                     good = good and height[i] > 0.0
                     under[i] = below

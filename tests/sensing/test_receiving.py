@@ -142,6 +142,7 @@ def test_an_echo_that_just_reaches_the_threshold_in_air_is_crossed_on_its_parabo
 ) -> None:
     measure = build(tmp_path, model="velodyne-vlp-16", physics={"noise": False}, weather=HAZE)
     soft, threshold = measure._soft.everywhere(measure.air.at(0.0), 1.0), measure.model.threshold
+    assert soft is not None
     rng = np.random.default_rng(3)
     range_m = rng.uniform(2.0, 4.0, BEAMS)
     amplitude = threshold * (1.0 + 1e-4 * rng.uniform(-0.1, 0.9, BEAMS)) - soft.wave(range_m)
