@@ -1,6 +1,7 @@
 """Calibrated reflectivities: words that say how bright a surface is, wherever it stands.
 
-Belongs here: the scale of a white plate, of retro-reflectors beyond it, and rounding to words. Not: which word a family reserves.
+Belongs here: the scale of a white plate, of retro-reflectors beyond it, and rounding to words. Not: which word a
+family reserves.
 """
 
 from __future__ import annotations
