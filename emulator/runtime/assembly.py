@@ -113,14 +113,13 @@ def useful_processes(scenario: Scenario) -> int:
 def fed_processes(scenario: Scenario) -> int:
     """Measuring processes among which a sweep of a world that somebody else moves is divided, in real time.
 
-    They measure at the same time, as late as a sweep can be sent, and rest until the next one: the sender, which goes
-    before them, shares its core with one where there are only two.
+    They measure at the same time, as late as a sweep can be sent, and rest until the next one. One core is left to the
+    sender: where two processes had both of two, poses were twice as old as with one.
     """
     moving = [one.id for one in scenario.sensors if one.mount.actor is not None]
     if scenario.live is None or not set(moving) & set(shared_sensors(scenario)):
         return 1
-    cores = len(os.sched_getaffinity(0))
-    return min(cores, max(2, cores - 1), MOST_PARTS)
+    return max(1, min(len(os.sched_getaffinity(0)) - 1, MOST_PARTS))
 
 
 def beams_per_s(scenario: Scenario, index: int) -> float:

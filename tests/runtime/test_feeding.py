@@ -265,7 +265,7 @@ def test_poses_at_the_beams_are_as_old_as_feed_and_measuring_make_them(took_ms: 
     assert any("the newest sample is" in line and "play-out delay" in line for line in found.lines())
 
 
-@pytest.mark.parametrize(("cores", "processes"), [(1, 1), (2, 2), (3, 2), (4, 3), (16, 4)])
+@pytest.mark.parametrize(("cores", "processes"), [(1, 1), (2, 1), (3, 2), (4, 3), (16, 4)])
 def test_a_fed_run_has_processes_for_the_parts_of_a_sweep(
     monkeypatch: pytest.MonkeyPatch, cores: int, processes: int
 ) -> None:
