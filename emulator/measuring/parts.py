@@ -24,11 +24,7 @@ FEWEST_BEAMS = 64
 
 @lru_cache(maxsize=64)
 def beams_of(count: int, number: int, of: int) -> NDArray[np.int64]:
-    """Indexes of the beams of one part of a sweep of `count`: neighbours; not to be written to.
-
-    Of parts that take turns beam by beam, or in small groups, none is faster than the slower half of the fan, and
-    together they cost a seventh more.
-    """
+    """Indexes of the beams of one part of a sweep of `count`: neighbours; not to be written to."""
     at = np.arange(number * count // of, (number + 1) * count // of)
     at.flags.writeable = False
     return at

@@ -62,10 +62,6 @@ class Shared:
         if work in self._early.get(work.sensor, ()):
             self._early[work.sensor].remove(work)
 
-    def is_early(self, work: Sweep) -> bool:
-        """Whether it may still be asked for."""
-        return work in self._early.get(work.sensor, ())
-
     def of_plans(self, sensor: str, plans: Sequence[ScanPlan]) -> list[Sweep]:
         """Those measured ahead for these plans."""
         return [work for work in self._early.get(sensor, ()) if any(work.plan is plan for plan in plans)]

@@ -494,10 +494,6 @@ class SurfaceTable:
             mirrored[faces] = np.where(np.isnan(self._specular[k]), 0.5 * (rs + rp), self._specular[k])
         return mirrored, through
 
-    def mirror_share(self, index: Ints, cosine: Floats) -> Floats:
-        """Share of the light of every hit that goes on in the mirror direction."""
-        return self.sent_on(index, cosine)[0]
-
     def transmission(self, index: Ints, cosine: Floats) -> Floats:
         """Share of the light of every hit that passes the pane, one way; 0 for what is not glass."""
         return self.sent_on(index, cosine)[1]
