@@ -113,6 +113,8 @@ class Receiver:
             far_gate_m=model.gate_m,
         )
         self._known: _Known | None = None
+        self._latest: SubEchoes | None = None
+        "What came back in the latest sweep: where the same comes again, its signals are kept."
         gate_m = max(model.gate_m - model.near_gate_m, 0.0)
         self._false_alarms = float(noise.false_alarm_rice(model.threshold, model.receiver.bandwidth_hz, gate_m))
         self._shaped: Shaped | None = None
@@ -181,7 +183,8 @@ class Receiver:
                 dazzled=given.dazzled, noise_echoes=given.noise_echoes,
             )  # fmt: skip
             return self._read_off(plan, given, echoes)
-        if kept is None and found.spread_m is None and model.triangulation is None:
+        again, self._latest = found is self._latest, found
+        if kept is None and not again and found.spread_m is None and model.triangulation is None:
             left = np.zeros(n, np.bool_)
             simple = readings(
                 lambda: looked_at(found, given.soft, model), left, given.detector, given.soft, given.noise,
