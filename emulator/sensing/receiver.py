@@ -183,7 +183,7 @@ class Receiver:
                 dazzled=given.dazzled, noise_echoes=given.noise_echoes,
             )  # fmt: skip
             return self._read_off(plan, given, echoes)
-        again, self._latest = found is self._latest, found
+        again, self._latest = model.leave_out.resting and found is self._latest, found
         if kept is None and not again and found.spread_m is None and model.triangulation is None:
             left = np.zeros(n, np.bool_)
             simple = readings(
