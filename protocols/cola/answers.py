@@ -9,12 +9,11 @@ import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from protocols.cola import scandata
+from protocols.cola.layouts import WIDEST_STEP, Angles, Content, Field
 from protocols.cola.settings import CLASSIC, LEVELS, RUN, SALTED, Settings
 from protocols.cola.state import EPOCH, ColaState
 from protocols.session import DropReason
@@ -156,18 +155,13 @@ def range_fits(device: ColaState, values: Values) -> Code | None:
         return Code.INVALID_DATA
     ((step, first, last),) = sectors
     model = device.settings.model
-    good = (
-        0 < step <= scandata.WIDEST_STEP
-        and first <= last
-        and first < model.stop + 10_000
-        and last > model.start - 10_000
-    )
+    good = 0 < step <= WIDEST_STEP and first <= last and first < model.stop + 10_000 and last > model.start - 10_000
     return None if good else Code.CONDITION_FAILED
 
 
 def content_fits(device: ColaState, values: Values) -> Code | None:
     """LMDscandatacfg."""
-    return None if scandata.Content(*values).fits else Code.CONDITION_FAILED
+    return None if Content(*values).fits else Code.CONDITION_FAILED
 
 
 def mean_fits(device: ColaState, values: Values) -> Code | None:
@@ -189,18 +183,14 @@ def layers_fit(device: ColaState, values: Values) -> Code | None:
 
 def angles_fit(device: ColaState, values: Values) -> Code | None:
     """LFPangleRangeFilter: rising limits."""
-    on, left, right, low, high, every = values
-    return None if on < 2 and left <= right and low <= high and every > 0 else Code.CONDITION_FAILED
+    return None if Angles(*values).fits else Code.CONDITION_FAILED
 
 
 def field_fits(device: ColaState, values: Values) -> Code | None:
-    """A field: at most one part of each kind, corners by rising angles; not where the device has none."""
+    """A field; not where the device has none."""
     if len(values) == 1:
         return Code.WRITE_DENIED
-    points = [angles for (angles,) in values[6]]
-    good = values[0] > 0.0 and values[4] < 4 and not values[8] and max(map(len, values[6:10])) < 2
-    rising = all(one[0] < two[0] for part in points for one, two in pairwise(part))
-    return None if good and rising else Code.INVALID_DATA
+    return None if Field(*values).fits else Code.INVALID_DATA
 
 
 # ---------------------------------------------------------------- methods
