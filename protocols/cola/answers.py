@@ -161,7 +161,9 @@ def range_fits(device: ColaState, values: Values) -> Code | None:
 
 def content_fits(device: ColaState, values: Values) -> Code | None:
     """LMDscandatacfg."""
-    return None if Content(*values).fits else Code.CONDITION_FAILED
+    content = Content(*values)
+    angles = content.remission & 2 and device.settings.model.series != "mrs"
+    return None if content.fits and not angles else Code.CONDITION_FAILED
 
 
 def mean_fits(device: ColaState, values: Values) -> Code | None:
@@ -175,10 +177,17 @@ def positive(device: ColaState, values: Values) -> Code | None:
 
 
 def layers_fit(device: ColaState, values: Values) -> Code | None:
-    """ScanLayerFilter: a switch for each layer, not all of them off."""
-    switches = [one for (one,) in values[0]]
-    good = len(switches) == device.settings.model.layers and max(switches) == 1
-    return None if good else Code.INVALID_DATA
+    """ScanLayerFilter: a switch for each layer; a layer must be left."""
+    model = device.settings.model
+    good = len(values[0]) == model.layers and all(one < 2 for (one,) in values[0])
+    return None if good and model.layers_on({**device.values, "ScanLayerFilter": values}) else Code.INVALID_DATA
+
+
+def one_layer_fits(device: ColaState, values: Values) -> Code | None:
+    """MMAlignmentMode: all layers, or one that is on."""
+    model = device.settings.model
+    good = values[0] <= model.layers and model.layers_on({**device.values, "MMAlignmentMode": values})
+    return None if good else Code.CONDITION_FAILED
 
 
 def angles_fit(device: ColaState, values: Values) -> Code | None:

@@ -78,6 +78,12 @@ class Model:
         """Telegrams until the same elevation comes again."""
         return len(self.layers_cdeg)
 
+    def layers_on(self, values: Mapping[str, Any]) -> list[int]:
+        """Layers that have telegrams, at ScanLayerFilter and MMAlignmentMode (0: all, 1: the lowest alone)."""
+        (switches,), (alone,) = values.get("ScanLayerFilter", [[[1]] * self.layers]), values.get("MMAlignmentMode", [0])
+        upwards = sorted(range(self.layers), key=lambda layer: -self.layers_cdeg[layer])
+        return [layer for layer in (upwards[alone - 1 : alone] if alone else upwards) if switches[layer][0]]
+
     def starts(self, pair: Pair) -> tuple[int, ...]:
         """First direction of successive turns, which interlaced ones shift; 1/10000 deg."""
         turns = self.pairs[pair]

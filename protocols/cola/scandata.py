@@ -56,8 +56,8 @@ class Body:
     scale: float
     nearest: int
     content: Content
-    channels: int
-    "Number of echoes that are sent."
+    channels: tuple[int, ...]
+    "Echoes that are sent, the first is 0."
     encoders: tuple[tuple[int, int], ...] = ()
     name: str = ""
     comment: str = ""
@@ -69,7 +69,7 @@ class Body:
         dazzled = (self.flags & DAZZLED) != 0
         coarse: list[list[Any]] = []
         rssi: list[list[Any]] = []
-        for echo in range(self.channels):
+        for echo in self.channels:
             has = echo < self.range_m.shape[1]
             ranges = self.range_m[:, echo] if has else np.full(len(self.range_m), np.nan)
             peaks = self.intensity[:, echo] if has else ranges

@@ -98,10 +98,7 @@ class ColaSession(ColaAsking):
         """Whether a serial line has sent what came before."""
         if address is None or self._connections.kind(address) is not LinkKind.SERIAL:
             return True
-        free = self._lines.is_free(address.link, due_ns)
-        if free:
-            self._lines.occupy(address.link, due_ns, size, self.settings.serial_baud)
-        return free
+        return self._lines.takes(address.link, due_ns, size, self.settings.serial_baud)
 
     def _body(self, number: int, found: filters.Filtered, shape: Shape, reported: DeviceStamp, sent_ns: int) -> Body:
         settings, setup = self.settings, self._setup

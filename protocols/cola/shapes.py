@@ -79,10 +79,10 @@ class Setup:
         ticks = math.floor(speed * since_power_ns * 1e-9 / per_tick_mm)
         return ((ticks & 0xFFFFFFFF, round(abs(speed)) & 0xFFFF),)
 
-    def echoes(self) -> int:
-        """Number of echoes in a telegram."""
-        bits = self.content.channels.bit_count() if self.filters().echo == filters.ALL else 1
-        return min(bits, self.settings.model.echoes)
+    def echoes(self) -> tuple[int, ...]:
+        """Echoes in a telegram, the first is 0."""
+        count = self.settings.model.echoes if self.filters().echo == filters.ALL else 1
+        return tuple(echo for echo in range(count) if self.content.channels >> echo & 1)
 
     def place(self, number: int) -> tuple[int, int]:
         """Turn of an interlaced sequence, and layer, of the sweep of that number."""
@@ -117,9 +117,8 @@ class Setup:
 
     def kept_back(self, number: int) -> bool:
         """A telegram that is not sent: of a layer switched off, or between those that the output interval leaves."""
-        layers = self.settings.model.layers
-        on = self.values.get("ScanLayerFilter", [[[1]] * layers])[0]
-        return on[number % layers] == [0] or number // layers % self.content.interval != 0
+        layers, on = self.settings.model.layers, self.settings.model.layers_on(self.values)
+        return number % layers not in on or number // layers % self.content.interval != 0
 
     def skipped(self, number: int) -> int:
         """How many sweeps from that number on have no telegram."""

@@ -31,3 +31,10 @@ class SerialLines:
     def occupy(self, line: Hashable, due_ns: int, size: int, baud: int) -> None:
         """So many bytes follow what was sent before, `due_ns` at the earliest."""
         self._free_ns[line] = max(due_ns, self._free_ns.get(line, 0)) + line_ns(size, baud)
+
+    def takes(self, line: Hashable, due_ns: int, size: int, baud: int) -> bool:
+        """Occupy a line that is free then; False: it is busy, and stays as it is."""
+        free = self.is_free(line, due_ns)
+        if free:
+            self.occupy(line, due_ns, size, baud)
+        return free

@@ -37,7 +37,7 @@ def body(ranges_mm: list[list[int]], **more: object) -> Body:
     ranges[ranges == 0.0] = np.nan
     made = Body(
         HEADER, ranges, np.full(ranges.shape, 100.0), np.zeros(len(ranges), np.uint8), -450_000, 5000, 1.0, 16,
-        CONTENT, len(ranges_mm), date=(2020, 3, 24, 9, 13, 28, 500_000),
+        CONTENT, tuple(range(len(ranges_mm))), date=(2020, 3, 24, 9, 13, 28, 500_000),
     )  # fmt: skip
     return replace(made, **more)  # type: ignore[arg-type]
 
@@ -45,7 +45,7 @@ def body(ranges_mm: list[list[int]], **more: object) -> Body:
 def with_rssi(made: Body, words: list[list[int]], dialect: bytes) -> bytes:
     """The telegram with RSSI of the example in place of ours, whose scale is our own choice."""
     values = made.values()
-    for channel, reported in zip([*values[17], *values[18]][made.channels :], words, strict=False):
+    for channel, reported in zip([*values[17], *values[18]][len(made.channels) :], words, strict=False):
         channel[5] = np.array(reported)
     return frame(dialect, b"sSN LMDscandata " + encode(LAYOUT, dialect, values))
 
