@@ -40,7 +40,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     },
     "cola": {
         "codec": "framing scandata",
-        "commands": "commands answers asking",
+        "commands": "commands answers asking layouts",
         "session": "session state shapes filters fields",
         "settings": "settings models",
         "other": "__init__",

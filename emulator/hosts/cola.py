@@ -16,7 +16,7 @@ from emulator.hosts.scans import HostScan
 from emulator.hosts.scripted import Connection, HostEnd
 from emulator.process.clock import SystemClock
 from protocols.cola.commands import VARIABLES
-from protocols.cola.scandata import LAYOUT
+from protocols.cola.layouts import LAYOUT
 from protocols.cola.settings import AUTHORISED, PASSWORDS
 from protocols.scan import Floats
 from protocols.skeleton.cola_frames import ColaSplitter, frame

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from protocols.cola.commands import METHODS, VARIABLES
-from protocols.cola.scandata import LAYOUT
+from protocols.cola.layouts import LAYOUT
 from protocols.skeleton.cola_frames import ColaSplitter
 from protocols.skeleton.cola_values import ASCII, Code, Rejected, decode
 from protocols.skeleton.receiving import Fault

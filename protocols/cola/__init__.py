@@ -1,6 +1,7 @@
 """SICK CoLa-A and CoLa-B: LMS1xx, LMS5xx, TiM5xx, TiM7xx and MRS1000 on TCP 2111 and 2112, CoLa-A on serial lines.
 
 framing     telegrams changed by faults; frames and values of both dialects: skeleton.cola_frames, cola_values
+layouts     of variables, scans and events
 scandata    LMDscandata
 models, settings   facts of the models, the scenario's `device` table
 commands    variables, methods, events: the table
@@ -19,7 +20,7 @@ from protocols.cola.commands import rows
 from protocols.cola.framing import ColaFraming
 from protocols.cola.session import ColaSession
 from protocols.cola.settings import settings_of
-from protocols.session import LinkKind, Session
+from protocols.session import LinkKind
 from protocols.skeleton.cola_frames import frame
 from protocols.skeleton.cola_values import BINARY
 from protocols.skeleton.family import SimpleFamily
@@ -32,14 +33,6 @@ def new_session(keys: DeviceKeys) -> ColaSession:
     return ColaSession(settings_of(keys))
 
 
-class ColaFamily(SimpleFamily):
-    """With its framing."""
-
-    def framing(self, session: Session, kind: LinkKind) -> ColaFraming:
-        """How its telegrams are changed on their way."""
-        return ColaFraming()
-
-
 WIRE = Wire(
     (LinkKind.STREAM, LinkKind.SERIAL, LinkKind.DATAGRAM),
     lambda kind: ColaFraming(),
@@ -47,4 +40,4 @@ WIRE = Wire(
     (frame(BINARY, b"sEN LMDscandata \x01"),),
     impaired=("busy", "login"),
 )
-FAMILY = ColaFamily("cola", tcp_is_line=False, build=new_session, rows=rows(), wire=WIRE)
+FAMILY = SimpleFamily("cola", tcp_is_line=False, build=new_session, rows=rows(), wire=WIRE)

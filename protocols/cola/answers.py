@@ -9,12 +9,11 @@ import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from protocols.cola import scandata
+from protocols.cola.layouts import WIDEST_STEP, Angles, Content, Field
 from protocols.cola.settings import CLASSIC, LEVELS, RUN, SALTED, Settings
 from protocols.cola.state import EPOCH, ColaState
 from protocols.session import DropReason
@@ -156,18 +155,15 @@ def range_fits(device: ColaState, values: Values) -> Code | None:
         return Code.INVALID_DATA
     ((step, first, last),) = sectors
     model = device.settings.model
-    good = (
-        0 < step <= scandata.WIDEST_STEP
-        and first <= last
-        and first < model.stop + 10_000
-        and last > model.start - 10_000
-    )
+    good = 0 < step <= WIDEST_STEP and first <= last and first < model.stop + 10_000 and last > model.start - 10_000
     return None if good else Code.CONDITION_FAILED
 
 
 def content_fits(device: ColaState, values: Values) -> Code | None:
     """LMDscandatacfg."""
-    return None if scandata.Content(*values).fits else Code.CONDITION_FAILED
+    content = Content(*values)
+    angles = content.remission & 2 and device.settings.model.series != "mrs"
+    return None if content.fits and not angles else Code.CONDITION_FAILED
 
 
 def mean_fits(device: ColaState, values: Values) -> Code | None:
@@ -181,26 +177,29 @@ def positive(device: ColaState, values: Values) -> Code | None:
 
 
 def layers_fit(device: ColaState, values: Values) -> Code | None:
-    """ScanLayerFilter: a switch for each layer, not all of them off."""
-    switches = [one for (one,) in values[0]]
-    good = len(switches) == device.settings.model.layers and max(switches) == 1
-    return None if good else Code.INVALID_DATA
+    """ScanLayerFilter: a switch for each layer; a layer must be left."""
+    model = device.settings.model
+    good = len(values[0]) == model.layers and all(one < 2 for (one,) in values[0])
+    return None if good and model.layers_on({**device.values, "ScanLayerFilter": values}) else Code.INVALID_DATA
+
+
+def one_layer_fits(device: ColaState, values: Values) -> Code | None:
+    """MMAlignmentMode: all layers, or one that is on."""
+    model = device.settings.model
+    good = values[0] <= model.layers and model.layers_on({**device.values, "MMAlignmentMode": values})
+    return None if good else Code.CONDITION_FAILED
 
 
 def angles_fit(device: ColaState, values: Values) -> Code | None:
     """LFPangleRangeFilter: rising limits."""
-    on, left, right, low, high, every = values
-    return None if on < 2 and left <= right and low <= high and every > 0 else Code.CONDITION_FAILED
+    return None if Angles(*values).fits else Code.CONDITION_FAILED
 
 
 def field_fits(device: ColaState, values: Values) -> Code | None:
-    """A field: at most one part of each kind, corners by rising angles; not where the device has none."""
+    """A field; not where the device has none."""
     if len(values) == 1:
         return Code.WRITE_DENIED
-    points = [angles for (angles,) in values[6]]
-    good = values[0] > 0.0 and values[4] < 4 and not values[8] and max(map(len, values[6:10])) < 2
-    rising = all(one[0] < two[0] for part in points for one, two in pairwise(part))
-    return None if good and rising else Code.INVALID_DATA
+    return None if Field(*values).fits else Code.INVALID_DATA
 
 
 # ---------------------------------------------------------------- methods

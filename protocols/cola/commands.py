@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from protocols.cola import answers, fields
+from protocols.cola import answers, layouts
 from protocols.cola.answers import Sfa, Values
 from protocols.cola.models import Model
 from protocols.cola.settings import AUTHORISED, LEVELS, RUN, SERVICE, Settings
@@ -86,14 +86,14 @@ def _empty_field(number: int) -> Callable[[Settings], Values]:
         model = settings.model
         if number >= model.fields:
             return [0]
-        return fields.empty(2.0 if model.series == "lms5" else 1.0, settings.pair[1], model.start)
+        return list(layouts.Field(2.0 if model.series == "lms5" else 1.0, 0.0, settings.pair[1], model.start))
 
     return factory
 
 
 def _field(number: int) -> Callable[[Model], str]:
     """Behind those that an LMS has it answers a single 0, up to 29 [REC]."""
-    return lambda model: fields.RECORD if number < model.fields else "u8"
+    return lambda model: layouts.RECORD if number < model.fields else "u8"
 
 
 def _has_field(number: int) -> Callable[[Model], bool]:
@@ -146,8 +146,8 @@ VARIABLES: Mapping[str, Variable] = {
                                 check=answers.layers_fit, rearranges=True, on=_series("mrs")),
     "SetActiveApplications": Variable("[s4 u8]", lambda settings: [[["RANG", 1]]], "recorded MRS1000",
                                       on=_series("mrs")),
-    "MMAlignmentMode": Variable("u8", lambda settings: [0], "vendor's driver, not sent", on=_series("mrs"),
-                                note="stored; without effect"),
+    "MMAlignmentMode": Variable("u8", lambda settings: [0], "vendor's driver, not sent", check=answers.one_layer_fits,
+                                rearranges=True, on=_series("mrs"), note="0: all layers; 1 to 4: one, from below"),
     "LICsrc": Variable("u8", lambda settings: [1], WRITTEN, on=_series("lms1", "lms5")),
     "LICencset": Variable("u8", lambda settings: [0], WRITTEN, check=answers.among(0, 1, 2, 3), rearranges=True,
                           on=_series("lms1", "lms5")),
@@ -164,11 +164,11 @@ VARIABLES: Mapping[str, Variable] = {
     "EIgate": Variable("u8 u8 u8 u8", lambda settings: [0, 0, 0, 0], WRITTEN, note="stored"),
     "ActiveFieldSet": Variable("u16", lambda settings: [1], WRITTEN, on=_has_fields, rearranges=True,
                                check=lambda device, values: None if 1 <= values[0] <= 16 else Code.OUT_OF_BOUNDS),
-    "LIDinputstate": Variable(fields.INPUTS, None, "recorded LMS511", answers.inputs, None,
+    "LIDinputstate": Variable(layouts.INPUTS, None, "recorded LMS511", answers.inputs, None,
                               on=_has_fields),
-    "LIDoutputstate": Variable(lambda model: fields.outputs_layout(model.outputs), None, "recorded LMS511, TiM781S",
+    "LIDoutputstate": Variable(lambda model: layouts.outputs_layout(model.outputs), None, "recorded LMS511, TiM781S",
                                answers.outputs, None, on=_has_fields),
-    "LFErec": Variable(fields.RESULTS, None, "recorded TiM781S", answers.results, None,
+    "LFErec": Variable(layouts.RESULTS, None, "recorded TiM781S", answers.results, None,
                        on=_has_fields),
     **{
         f"field{number:03d}": Variable(

@@ -1,27 +1,19 @@
 """Field evaluation: fields as hosts write them, whether something stands in them, and what is reported of it.
 
-Belongs here: geometry of fields, records on the wire, results scan by scan. Not: who has subscribed (session).
+Belongs here: geometry of fields, results scan by scan. Not: records on the wire (layouts), who subscribed (session).
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from protocols.cola.scandata import TIME
+from protocols.cola.layouts import Field
 from protocols.scan import Floats, Scan
-
-PART = "i32 u16 i32 u32 u32"
-RECORD = f"f32 f32 u32 i32 u8 u8 [[u16 u16 u16]] [{PART}] [] [{PART} i16 u32] u16 str u16"
-"""Scale, offset, step, start, type, number, segmented, rectangular, radial, dynamic part, version, name, end."""
-RESULTS = f"[u16 u8 u32 f32 f32 u32 i32 u8 u16 u16 u16 [{TIME}]]"
-"LFErec."
-INPUTS = f"u16 u32 u8 u8 u8 u8 [{TIME}]"
-"LIDinputstate."
 
 INVALID, FREE, INFRINGED = 0, 1, 2
 SET = 3
@@ -30,43 +22,26 @@ SAMPLES = 2
 "Scans in a row that must agree before a result changes; the tool's own default, from memory."
 WHOLE = 0xFFFF
 "Start distance of a segment that begins at the device, as recorded."
-NUMBER = 5
-"Of a field, within its record; 0: there is none."
 UNUSED = 2
 "State of an output that is not there: of extension modules."
 OWN_OUTPUTS = 6
 
 
-def empty(scale: float, step: int, start: int) -> list[Any]:
-    """The record of a field that is not configured, as devices send it."""
-    return [scale, 0.0, step, start, 2, 0, [], [], [], [], 1, "", 0]
-
-
-def outputs_layout(count: int) -> str:
-    """LIDoutputstate of a device with so many outputs."""
-    return "u16 u32 " + "u8 u32 " * count + f"[{TIME}]"
-
-
-def is_set(record: Sequence[Any]) -> bool:
-    """Whether there is a field at all."""
-    return record[NUMBER] > 0 and any(record[6:10])
-
-
-def contains(record: Sequence[Any], azimuth_deg: Floats, range_m: Floats) -> np.ndarray:
+def contains(record: Field, azimuth_deg: Floats, range_m: Floats) -> np.ndarray:
     """Which points, (n,) and (n,) or (n, k), lie in a field; directions in the device's own frame, 0 to the right."""
-    scale, offset, step, start = record[:4]
+    scale, offset = record.scale, record.offset
     azimuth_deg = azimuth_deg.reshape(-1, *(1,) * (range_m.ndim - 1))
     range_mm = 1000.0 * range_m
     inside = np.zeros(range_m.shape, bool)
-    for (points,) in record[6]:
+    for (points,) in record.segmented:
         if points:
             index, near, far = np.array(points, np.float64).T
             near = np.where(near == WHOLE, 0.0, near * scale + offset)
-            corners = (start + index * step) / 1e4
+            corners = (record.start + index * record.step) / 1e4
             within = (azimuth_deg >= corners[0]) & (azimuth_deg <= corners[-1])
             low, high = np.interp(azimuth_deg, corners, near), np.interp(azimuth_deg, corners, far * scale + offset)
             inside |= within & (range_mm >= low) & (range_mm <= high)
-    for at, distance, rotation, width, length, *_ in [*record[7], *record[9]]:
+    for at, distance, rotation, width, length, *_ in [*record.rectangular, *record.dynamic]:
         # the reference point is taken as the middle of the rectangle; no source says which point it is
         turned, away = np.radians(azimuth_deg), distance * scale + offset
         x = range_mm * np.cos(turned) - away * np.cos(np.radians(at / 1e4))
@@ -99,7 +74,7 @@ class Watching:
 
     def __init__(self, count: int) -> None:
         self._count = count
-        self._records: list[tuple[int, Any]] = []
+        self._records: list[tuple[int, Field]] = []
         self._watches = [Watch() for _ in range(SET)]
         self._seen: deque[tuple[int, list[int]]] = deque()
         "Results of scans that have not ended: (when they have, result of each field)."
@@ -119,8 +94,8 @@ class Watching:
         """The fields that are configured, of the active set; a model without fields has none."""
         first = (values["ActiveFieldSet"][0] - 1) * SET if self._count else 0
         places = range(min(SET, max(0, self._count - first)))
-        numbered = [(place, values[f"field{first + place:03d}"]) for place in places]
-        self._records = [(place, record) for place, record in numbered if is_set(record)]
+        numbered = [(place, Field(*values[f"field{first + place:03d}"])) for place in places]
+        self._records = [(place, record) for place, record in numbered if record.is_set]
 
     def see(self, scan: Scan, end_ns: int) -> None:
         """Evaluate a scan of the whole field; its result counts when the scan has ended."""

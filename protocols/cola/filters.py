@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from protocols.cola.layouts import Angles
 from protocols.scan import Floats, Scan, ScanPlan
 
 Place = tuple[int, int]
@@ -25,24 +26,6 @@ times the threshold. The maker describes the effect and no figure; these are our
 
 EDGE_FAR_M = 16.0
 "The edge filter acts up to here (MRS1000 manual)."
-
-
-@dataclass(frozen=True)
-class Angles:
-    """Directions that LFPangleRangeFilter leaves, straight ahead being 0. [rad]"""
-
-    azimuth_from: float
-    azimuth_to: float
-    elevation_from: float
-    elevation_to: float
-    every: int
-
-    def outside(self, plan: ScanPlan) -> np.ndarray:
-        """Beams without values, (n,)."""
-        azimuth, elevation = plan.azimuth_rad, plan.elevation_rad
-        inside = (azimuth >= self.azimuth_from) & (azimuth <= self.azimuth_to)
-        inside &= (elevation >= self.elevation_from) & (elevation <= self.elevation_to)
-        return np.asarray(~inside | (np.arange(len(azimuth)) % self.every != 0))
 
 
 @dataclass(frozen=True)
@@ -93,7 +76,7 @@ class Chain:
         if filters.echo != ALL:
             ranges, peaks = _one(ranges, peaks, filters.echo)
         if filters.angles is not None:
-            ranges[filters.angles.outside(scan.plan)[sent]] = np.nan
+            ranges[_outside(filters.angles, scan.plan)[sent]] = np.nan
         if filters.edge_m:
             ranges[_edges(ranges, filters.edge_m)] = np.nan
         if filters.particle_m is not None:
@@ -119,6 +102,14 @@ class Chain:
             _mean([part.intensity for part in parts]),
             np.bitwise_and.reduce([part.flags for part in parts]),
         )
+
+
+def _outside(angles: Angles, plan: ScanPlan) -> NDArray[np.bool_]:
+    """Beams without values, (n,)."""
+    azimuth, elevation = plan.azimuth_rad, plan.elevation_rad
+    inside = (azimuth >= angles.azimuth_from) & (azimuth <= angles.azimuth_to)
+    inside &= (elevation >= angles.elevation_from) & (elevation <= angles.elevation_to)
+    return np.asarray(~inside | (np.arange(len(azimuth)) % angles.every != 0))
 
 
 def _pushed(ranges: Floats, peaks: Floats, gone: np.ndarray) -> tuple[Floats, Floats]:

@@ -49,7 +49,12 @@ class Model:
     stamps_end: bool = False
     "The scan's time is that of its last beam."
     transmission_ns: int = 900_000
-    "From the end of the turn, or of the field where the stamp is that of the last beam, to the telegram."
+    "To the telegram: from the end of the turn, or of the field."
+    sends_after_turn: bool = False
+    window_status: tuple[int, int, int] = (0, 0, 0)
+    "Status byte of scans: window clean, contamination warning, error."
+    ready_output: int = 0
+    "Bits of outputs that are on as long as it measures."
     sends_time: bool = True
     "TiM5xx: never, whatever LMDscandatacfg says [M]."
     ready_s: float = 10.0
@@ -72,6 +77,12 @@ class Model:
     def layers(self) -> int:
         """Telegrams until the same elevation comes again."""
         return len(self.layers_cdeg)
+
+    def layers_on(self, values: Mapping[str, Any]) -> list[int]:
+        """Layers that have telegrams, at ScanLayerFilter and MMAlignmentMode (0: all, 1: the lowest alone)."""
+        (switches,), (alone,) = values.get("ScanLayerFilter", [[[1]] * self.layers]), values.get("MMAlignmentMode", [0])
+        upwards = sorted(range(self.layers), key=lambda layer: -self.layers_cdeg[layer])
+        return [layer for layer in (upwards[alone - 1 : alone] if alone else upwards) if switches[layer][0]]
 
     def starts(self, pair: Pair) -> tuple[int, ...]:
         """First direction of successive turns, which interlaced ones shift; 1/10000 deg."""
@@ -126,11 +137,12 @@ MRS = {(5000, 2500): 1, (2500, 1250): 2, (1250, 625): 4}
 _LMS1 = Model(
     name="", ident="", firmware="V1.80", series="lms1", start=-450_000, stop=2_250_000,
     pairs=LMS1, default=(5000, 5000), echoes=2, remission=(0, 0), fields=10, outputs=4, serial_line=True,
+    sends_after_turn=True, window_status=(0, 2, 4),
 )  # fmt: skip
 _TIM = Model(
     name="", ident="", firmware="V2.60", series="tim", start=-450_000, stop=2_250_000,
     pairs={(1500, 3333): 1}, default=(1500, 3333), remission=(1, 1), stamps_end=True, transmission_ns=6_300_000,
-    ready_s=3.0, usable_state=0, outputs=4, sends_time=False,
+    ready_s=3.0, usable_state=0, outputs=4, sends_time=False, ready_output=0b1000,
 )  # fmt: skip
 
 
@@ -159,7 +171,7 @@ MODELS: Mapping[str, Model] = {
             _TIM, name="sick-mrs1104", ident="MRS1xxxx", firmware="1.4.0.0R", series="mrs", start=-475_000,
             stop=2_275_000, pairs=MRS, default=(5000, 2500), echoes=3, layers_cdeg=(0, -250, 250, -500),
             remission=(1, 0), device_number=0, stamps_end=False, transmission_ns=900_000, ready_s=10.0, usable_state=1,
-            location="SN ", outputs=0, sends_time=True,
+            location="SN ", outputs=0, sends_time=True, ready_output=0,
         ),
     )
 }  # fmt: skip

@@ -7,56 +7,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from protocols.cola.layouts import LAYOUT, Content, Header
 from protocols.scan import DAZZLED, Floats
 from protocols.skeleton.cola_values import encode
 
-CHANNEL = "s5 f32 f32 p32 u16"
-TIME = "u16 u8 u8 u8 u8 u8 u32"
-LAYOUT = (
-    "u16 u16 u32 u8 u8 u16 u16 u32 u32 u8 u8 u8 u8 i16 u32 u32 [u32 u16] "
-    f"[{CHANNEL} u16*] [{CHANNEL} u8*] [f32 f32 f32 f32 f32 f32 u8] [str] [str] [{TIME}] u16"
-)
-"""Version, device, serial, status, counters of telegrams and scans, times of scan and transmission, inputs, outputs,
-layer, frequencies, encoders, channels of 16 and of 8 bit, position [G], name, comment, time, event."""
-
-WIDEST_STEP = 0xFFFF
-"A channel has it in 16 bits."
 FULL_SCALE = 4000.0
 """Peak over threshold at which RSSI has its highest value below `dazzled`. The scale is logarithmic and its unit the
 maker's own ([M], LMS5xx and MRS1000); this end of it is ours."""
 DAZZLED_MM = 1
 "Distance value of a beam whose receiver is dazzled; RSSI has all bits set (LMS4000 [M], here [I])."
-
-
-class Content(NamedTuple):
-    """LMDscandatacfg, its twelve arguments."""
-
-    channels: int
-    "Bits of the echoes."
-    high: int
-    remission: int
-    "Bit 0: RSSI; bit 1: ANGL1, a table of angle corrections (MRS1000)."
-    fine: int
-    "RSSI of 16 bit."
-    unit: int
-    encoder: int
-    encoder_high: int
-    position: int
-    name: int
-    comment: int
-    time: int
-    interval: int
-
-    @property
-    def fits(self) -> bool:
-        """Whether a device takes these arguments."""
-        good = 0 < self.channels < 32 and self.channels & 1 and self.remission < 4 and 1 <= self.interval <= 50_000
-        return bool(good) and max(self[1], *self[3:11]) < 2
 
 
 def distances(range_m: Floats, dazzled: NDArray[np.bool_], scale: float, nearest: int) -> NDArray[np.uint16]:
@@ -78,30 +42,6 @@ def remissions(intensity: Floats, counts: NDArray[np.uint16], dazzled: NDArray[n
 
 
 @dataclass(frozen=True)
-class Header:
-    """What stands before the channels."""
-
-    version: int
-    device: int
-    serial: int
-    status: int
-    telegrams: int
-    scans: int
-    scan_us: int
-    sent_us: int
-    inputs: int
-    outputs: int
-    layer_cdeg: int
-    frequencies: tuple[int, int]
-
-    def values(self) -> list[int]:
-        return [
-            self.version, self.device, self.serial, 0, self.status, self.telegrams, self.scans, self.scan_us,
-            self.sent_us, 0, self.inputs, 0, self.outputs, self.layer_cdeg, *self.frequencies,
-        ]  # fmt: skip
-
-
-@dataclass(frozen=True)
 class Body:
     """What a telegram says of a scan, before it is put into a dialect."""
 
@@ -116,8 +56,8 @@ class Body:
     scale: float
     nearest: int
     content: Content
-    channels: int
-    "Number of echoes that are sent."
+    channels: tuple[int, ...]
+    "Echoes that are sent, the first is 0."
     encoders: tuple[tuple[int, int], ...] = ()
     name: str = ""
     comment: str = ""
@@ -129,7 +69,7 @@ class Body:
         dazzled = (self.flags & DAZZLED) != 0
         coarse: list[list[Any]] = []
         rssi: list[list[Any]] = []
-        for echo in range(self.channels):
+        for echo in self.channels:
             has = echo < self.range_m.shape[1]
             ranges = self.range_m[:, echo] if has else np.full(len(self.range_m), np.nan)
             peaks = self.intensity[:, echo] if has else ranges
@@ -145,7 +85,7 @@ class Body:
             coarse.append(["ANGL1", 1.0, -32_768.0, self.start, self.step, straight])
         position = [[0.0] * 6 + [0]] if self.content.position else []
         return [
-            *self.header.values(), [list(one) for one in self.encoders], coarse, [] if self.content.fine else rssi,
+            *self.header, [list(one) for one in self.encoders], coarse, [] if self.content.fine else rssi,
             position, [[self.name]] if self.content.name else [], [[self.comment]] if self.content.comment else [],
             [list(self.date)] if self.date is not None else [], 0,
         ]  # fmt: skip

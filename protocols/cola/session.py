@@ -12,11 +12,11 @@ from protocols.cola import filters
 from protocols.cola.answers import refusal
 from protocols.cola.asking import ColaAsking
 from protocols.cola.commands import EVENTS
-from protocols.cola.models import Pair
-from protocols.cola.scandata import Body, Header
+from protocols.cola.layouts import Header
+from protocols.cola.scandata import Body
 from protocols.cola.settings import RUN
 from protocols.cola.shapes import TICK_NS, Shape
-from protocols.cola.state import SCANS, Held, Host
+from protocols.cola.state import POLL, SCANS, WATCH, Held, Host
 from protocols.device_clock import DeviceStamp
 from protocols.scan import Scan
 from protocols.session import Address, DropReason, Emission, LinkKind
@@ -29,11 +29,7 @@ from protocols.skeleton.sweeps import Sweep
 
 POLLED_NS = 2 * SECOND_NS
 "So long after a poll the device goes on measuring for the next one."
-STARTED_NS = 20 * SECOND_NS
-"The same after LMCstartmeas: MRPT waits ten seconds before its first poll."
 IMU_NS = 10_000_000
-POLL, WATCH = Address(-1, 0), Address(-1, 1)
-"Not hosts, but reasons to measure: polls, and fields."
 
 
 class ColaSession(ColaAsking):
@@ -47,56 +43,6 @@ class ColaSession(ColaAsking):
         self._raster = Raster(self.up_ns, self._raster.period_ns)
         self._watch_or_not(now_ns)
         self._events.mode(now_ns, "measuring")
-
-    def start_measuring(self, now_ns: int) -> None:
-        """The mirror turns; one that turned goes on. A driver may poll soon: scans are measured for it."""
-        if not self._still or not self.measures:
-            self._poll_until_ns = max(self._poll_until_ns, now_ns + STARTED_NS)
-            self._subscribe(now_ns, POLL)
-        if not self.measures:
-            self.measures = True
-            self._pause(now_ns)
-
-    def stop_measuring(self, now_ns: int) -> None:
-        """No scans until it is started again."""
-        if self.measures:
-            self.measures = False
-            self.rearrange(now_ns)
-
-    def reconfigure(self, pair: Pair, now_ns: int) -> None:
-        """Another frequency or step, after a pause."""
-        if pair == self.pair:
-            return
-        self.pair = pair
-        model = self.settings.model
-        if model.series in ("lms1", "lms5"):  # the step is that of the scans, the limits stay
-            ((_, first, last),) = self.values["LMPoutputRange"][0]
-            self.values["LMPoutputRange"] = [[[pair[1], first, last]]]
-        self._nominal_ns = model.telegram_ns(pair)
-        self._pause(now_ns)
-
-    def _pause(self, now_ns: int) -> None:
-        self.cold = self.cold and now_ns < self.up_ns
-        self.began_ns, self.up_ns = now_ns, max(self.up_ns, now_ns + round(1e9 * self.settings.change_s))
-        self.rearrange(now_ns)
-
-    def rearrange(self, now_ns: int) -> None:
-        """Something that scans depend on has changed: those of before are withdrawn."""
-        self._shapes.clear()
-        self._chain.clear()
-        self.watching.clear()
-        self._give_up_held(now_ns)
-        self._change(now_ns)
-        if now_ns < self.up_ns:
-            self._raster = Raster(self.up_ns, self._nominal_ns * self._slowed, self._next)
-        self._watch_or_not(now_ns)
-
-    def _watch_or_not(self, now_ns: int) -> None:
-        self.watching.use(self.values)
-        if self.watching.active:
-            self._subscribe(now_ns, WATCH)
-        else:
-            self._unsubscribe(now_ns, WATCH)
 
     def next_plan(self) -> Any:
         """The sweep wanted next; None while it does not measure."""
@@ -124,7 +70,7 @@ class ColaSession(ColaAsking):
         model, setup, shape = self.settings.model, self._setup, self._shape(plan.sweep)
         end_ns = plan.start_ns + round(1e9 * plan.duration_s)
         turn_ns = plan.start_ns + round(model.turn_ns(self.pair) * self._slowed)
-        sent_ns = model.transmission_ns + (turn_ns if model.series in ("lms1", "lms5") else end_ns)
+        sent_ns = model.transmission_ns + (turn_ns if model.sends_after_turn else end_ns)
         self.watching.see(scan, end_ns)
         found = self._chain.add(scan, shape.sent, setup.filters(), setup.place(plan.sweep))
         if found is None or setup.kept_back(plan.sweep):
@@ -152,32 +98,26 @@ class ColaSession(ColaAsking):
         """Whether a serial line has sent what came before."""
         if address is None or self._connections.kind(address) is not LinkKind.SERIAL:
             return True
-        if self._line_free_ns.get(address.link, 0) > due_ns:
-            return False
-        self._line_free_ns[address.link] = due_ns + size * 10 * SECOND_NS // self.settings.serial_baud
-        return True
+        return self._lines.takes(address.link, due_ns, size, self.settings.serial_baud)
 
     def _body(self, number: int, found: filters.Filtered, shape: Shape, reported: DeviceStamp, sent_ns: int) -> Body:
         settings, setup = self.settings, self._setup
         content = setup.content
         model = settings.model
-        warned, failed = self.contamination()
-        status = (
-            1 if "motor status" in self.faults else 0 if model.series in ("tim", "mrs") else 4 * failed or 2 * warned
-        )
+        frequency, shots = model.frequencies(self.pair)
         header = Header(
             version=model.version,
             device=model.device_number,
             serial=settings.serial,
-            status=status,
+            status=1 if "motor status" in self.faults else model.window_status[sum(self.contamination())],
             telegrams=self.first_count + self._telegrams_made & 0xFFFF,
             scans=self.first_count + (self._telegrams_made if model.layers > 1 else number) & 0xFFFF,
             scan_us=reported.ticks,
             sent_us=self.ticks(sent_ns),
-            inputs=0,
-            outputs=8 if model.series == "tim" else self.watching.bits(),
+            outputs=model.ready_output | self.watching.bits(),
             layer_cdeg=model.layers_cdeg[number % model.layers],
-            frequencies=model.frequencies(self.pair),
+            frequency=frequency,
+            shots=shots,
         )
         self._telegrams_made += 1
         return Body(
@@ -202,14 +142,6 @@ class ColaSession(ColaAsking):
     def _let_go(self, now_ns: int) -> None:
         """Of the scans that have ended keep the last."""
         while len(self._held) > 1 and self._held[1].due_ns <= now_ns:
-            self._note_unsent(self._held.popleft(), now_ns)
-
-    def _note_unsent(self, held: Held, now_ns: int) -> None:
-        if not held.sent:
-            self._events.unsent(now_ns, DropReason.KEPT, held.plan.sweep, "", held.plan.stream)
-
-    def _give_up_held(self, now_ns: int) -> None:
-        while self._held:
             self._note_unsent(self._held.popleft(), now_ns)
 
     def _serve_polls(self, due_ns: int) -> None:

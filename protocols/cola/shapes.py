@@ -6,7 +6,7 @@ Belongs here: geometry and choice by the variables that hosts write. Not: instan
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from protocols.cola import filters
+from protocols.cola.layouts import WIDEST_STEP, Angles, Content
 from protocols.cola.models import Pair
-from protocols.cola.scandata import WIDEST_STEP, Content
 from protocols.cola.settings import Settings
 from protocols.skeleton.sweeps import Sweep
 
@@ -58,12 +58,12 @@ class Setup:
         values = self.values
         usual = [filters.ALL if self.content.channels & 0b11110 else filters.FIRST]
         particle, threshold = values["LFPparticle"]
-        mean = values.get("LFPmeanfilter", [0, 1, 0])
+        mean, angles = values.get("LFPmeanfilter", [0, 1, 0]), values.get("LFPangleRangeFilter", [0])
         return filters.Filters(
             echo=values.get("FREchoFilter", usual)[0],
             fog=self.settings.fog,
             edge_m=self.settings.edge_m if self.settings.model.series == "mrs" else 0.0,
-            angles=_angles(values.get("LFPangleRangeFilter", [0])),
+            angles=Angles(*angles) if angles[0] else None,
             particle_m=threshold / 1000.0 if particle else None,
             median=values.get("LFPmedianfilter", [0])[0] == 1,
             mean=mean[1] if mean[0] else 1,
@@ -79,10 +79,10 @@ class Setup:
         ticks = math.floor(speed * since_power_ns * 1e-9 / per_tick_mm)
         return ((ticks & 0xFFFFFFFF, round(abs(speed)) & 0xFFFF),)
 
-    def echoes(self) -> int:
-        """Number of echoes in a telegram."""
-        bits = self.content.channels.bit_count() if self.filters().echo == filters.ALL else 1
-        return min(bits, self.settings.model.echoes)
+    def echoes(self) -> tuple[int, ...]:
+        """Echoes in a telegram, the first is 0."""
+        count = self.settings.model.echoes if self.filters().echo == filters.ALL else 1
+        return tuple(echo for echo in range(count) if self.content.channels >> echo & 1)
 
     def place(self, number: int) -> tuple[int, int]:
         """Turn of an interlaced sequence, and layer, of the sweep of that number."""
@@ -117,9 +117,8 @@ class Setup:
 
     def kept_back(self, number: int) -> bool:
         """A telegram that is not sent: of a layer switched off, or between those that the output interval leaves."""
-        layers = self.settings.model.layers
-        on = self.values.get("ScanLayerFilter", [[[1]] * layers])[0]
-        return on[number % layers] == [0] or number // layers % self.content.interval != 0
+        layers, on = self.settings.model.layers, self.settings.model.layers_on(self.values)
+        return number % layers not in on or number // layers % self.content.interval != 0
 
     def skipped(self, number: int) -> int:
         """How many sweeps from that number on have no telegram."""
@@ -129,8 +128,3 @@ class Setup:
         while self.kept_back(found):  # layers that are switched off
             found += 1 if (found + 1) % layers else 1 + (interval - 1) * layers
         return found - number
-
-
-def _angles(values: Sequence[Any]) -> filters.Angles | None:
-    """LFPangleRangeFilter: on, azimuth and elevation from and to, every n-th beam."""
-    return filters.Angles(*values[1:]) if values[0] else None

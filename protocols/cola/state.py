@@ -1,6 +1,7 @@
 """What a CoLa device remembers: stored and delivered settings, user levels, start-up, calendar, window, faults.
 
-Belongs here: state over power. Not: what variables say of it (answers), requests (asking), scans (session).
+Belongs here: state over power, whether it measures. Not: what variables say of it (answers), requests (asking), scans
+(session).
 """
 
 from __future__ import annotations
@@ -19,11 +20,12 @@ from protocols.cola.settings import RUN, Settings
 from protocols.cola.shapes import TICK_NS, Setup, Shape
 from protocols.device_clock import DeviceStamp
 from protocols.scan import ScanPlan
-from protocols.session import Address, Emission
+from protocols.session import Address, DropReason, Emission
 from protocols.skeleton.cola_frames import telegram
 from protocols.skeleton.cola_values import short_hash
-from protocols.skeleton.instants import SECOND_NS
+from protocols.skeleton.instants import SECOND_NS, Raster
 from protocols.skeleton.requests import RequestSession
+from protocols.skeleton.serial_lines import SerialLines
 
 NO_NETWORK_NS = SECOND_NS
 "A device that has just been switched on has no network yet; at most half of the time until it measures."
@@ -35,6 +37,10 @@ FAULTS = ("busy", "login", "motor stopped", "motor status")
 
 Host = Address | None
 SCANS = "LMDscandata"
+STARTED_NS = 20 * SECOND_NS
+"So long after LMCstartmeas the device measures for a poll: MRPT waits ten seconds before its first one."
+POLL, WATCH = Address(-1, 0), Address(-1, 1)
+"Not hosts, but reasons to measure: polls, and fields."
 
 
 @dataclass
@@ -67,22 +73,6 @@ class ColaState(RequestSession):
     @abstractmethod
     def delivered(self) -> dict[str, Any]:
         """Variables as the factory delivers them."""
-
-    @abstractmethod
-    def rearrange(self, now_ns: int) -> None:
-        """Something that scans depend on has changed."""
-
-    @abstractmethod
-    def reconfigure(self, pair: Pair, now_ns: int) -> None:
-        """Another frequency or step."""
-
-    @abstractmethod
-    def start_measuring(self, now_ns: int) -> None:
-        """The mirror turns."""
-
-    @abstractmethod
-    def stop_measuring(self, now_ns: int) -> None:
-        """No scans until it is started again."""
 
     def __init__(self, settings: Settings) -> None:
         model = settings.model
@@ -126,7 +116,7 @@ class ColaState(RequestSession):
         self._date_us: int | None = None
         "Date less device time, in microseconds since 1970; None: it has not been set."
         self._shapes: dict[tuple[int, int], Shape] = {}
-        self._line_free_ns: dict[int, int] = {}
+        self._lines = SerialLines()
         self._imu_goes = False
         self._chain.clear()
         self.watching.clear()
@@ -223,3 +213,63 @@ class ColaState(RequestSession):
     def _setup(self) -> Setup:
         """The settings that scans depend on."""
         return Setup(self.settings, self.values, self.pair)
+
+    # measuring
+
+    def start_measuring(self, now_ns: int) -> None:
+        """The mirror turns; one that turned goes on. A driver may poll soon: scans are measured for it."""
+        if not self._still or not self.measures:
+            self._poll_until_ns = max(self._poll_until_ns, now_ns + STARTED_NS)
+            self._subscribe(now_ns, POLL)
+        if not self.measures:
+            self.measures = True
+            self._pause(now_ns)
+
+    def stop_measuring(self, now_ns: int) -> None:
+        """No scans until it is started again."""
+        if self.measures:
+            self.measures = False
+            self.rearrange(now_ns)
+
+    def reconfigure(self, pair: Pair, now_ns: int) -> None:
+        """Another frequency or step, after a pause."""
+        if pair == self.pair:
+            return
+        self.pair = pair
+        model = self.settings.model
+        if model.series in ("lms1", "lms5"):  # the step is that of the scans, the limits stay
+            ((_, first, last),) = self.values["LMPoutputRange"][0]
+            self.values["LMPoutputRange"] = [[[pair[1], first, last]]]
+        self._nominal_ns = model.telegram_ns(pair)
+        self._pause(now_ns)
+
+    def _pause(self, now_ns: int) -> None:
+        self.cold = self.cold and now_ns < self.up_ns
+        self.began_ns, self.up_ns = now_ns, max(self.up_ns, now_ns + round(1e9 * self.settings.change_s))
+        self.rearrange(now_ns)
+
+    def rearrange(self, now_ns: int) -> None:
+        """Something that scans depend on has changed: those of before are withdrawn."""
+        self._shapes.clear()
+        self._chain.clear()
+        self.watching.clear()
+        self._give_up_held(now_ns)
+        self._change(now_ns)
+        if now_ns < self.up_ns:
+            self._raster = Raster(self.up_ns, self._nominal_ns * self._slowed, self._next)
+        self._watch_or_not(now_ns)
+
+    def _watch_or_not(self, now_ns: int) -> None:
+        self.watching.use(self.values)
+        if self.watching.active:
+            self._subscribe(now_ns, WATCH)
+        else:
+            self._unsubscribe(now_ns, WATCH)
+
+    def _give_up_held(self, now_ns: int) -> None:
+        while self._held:
+            self._note_unsent(self._held.popleft(), now_ns)
+
+    def _note_unsent(self, held: Held, now_ns: int) -> None:
+        if not held.sent:
+            self._events.unsent(now_ns, DropReason.KEPT, held.plan.sweep, "", held.plan.stream)

@@ -23,6 +23,7 @@ from protocols.skeleton.cola_frames import frame
 from protocols.skeleton.cola_values import BINARY
 from protocols.skeleton.outbox import Outgoing
 from protocols.skeleton.receiving import Fault
+from protocols.skeleton.serial_lines import line_ns
 
 INTER_BYTE_NS = 1000 * MS
 "Inter-byte time-out of an incomplete request. Chosen here: no source has the device's value."
@@ -30,7 +31,6 @@ INTER_BYTE_NS = 1000 * MS
 MAX_INBOX = 64
 "Requests of one host that wait for their turn; further ones are dropped."
 
-SERIAL_BITS = 10
 "Of a byte: parity, stop and data bits of item 0001 are stored, the line stays at 8N1 (UPS p. 19)."
 
 GAP_NS = 1 * MS
@@ -197,7 +197,7 @@ class Channel:
             if self.kind is LinkKind.SERIAL:
                 data = frame(BINARY, payload) if is_cola else encode_packages(payload, route)
                 due_ns = max(due_ns, before_ns)
-                self.line.free_ns = due_ns + serial_ns(len(data), device)
+                self.line.free_ns = due_ns + line_ns(len(data), device.baud)
             else:
                 data = frame(BINARY, payload) if is_cola else encode_frame(payload)
             emissions = deque([Emission(due_ns, data, self.address, sweep, line_speed, label)])
@@ -215,7 +215,7 @@ class Channel:
     def nak(self, now_ns: int, device: Device) -> Outgoing:
         """The single byte that answers a package which cannot be accepted."""
         due_ns = max(now_ns + device.delays.response_ns, self.line.free_ns)
-        before_ns, self.line.free_ns = self.line.free_ns, due_ns + serial_ns(1, device)
+        before_ns, self.line.free_ns = self.line.free_ns, due_ns + line_ns(1, device.baud)
         self.last_sent_ns = self.last_reply_ns = self.line.free_ns
         emission = Emission(due_ns, bytes((NAK,)), self.address, label="NAK")
         return Outgoing(self.address, deque([emission]), False, before_ns, self.line.free_ns)
@@ -235,11 +235,6 @@ class Channel:
             bits += worst_case_bits(len(data))
         self.line.free_ns = start_ns + bits * 1_000_000_000 // rate
         return frames
-
-
-def serial_ns(size: int, device: Device) -> int:
-    """How long `size` bytes take on the serial line."""
-    return -(-size * SERIAL_BITS * 1_000_000_000 // device.baud)
 
 
 def _readers(kind: LinkKind) -> tuple[UspReader | PackageReader | None, PackageJoiner | SegmentJoiner | None]:

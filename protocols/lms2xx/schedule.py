@@ -14,10 +14,11 @@ from typing import NamedTuple
 from protocols.errors import EncodeError
 from protocols.lms2xx.device import Device
 from protocols.lms2xx.outputs import LEVELS, Format, Mean, Measured, Output, nearest
-from protocols.lms2xx.timing import BITS_A_BYTE, TURN_DENOMINATOR, TURN_NUMERATOR_NS, Mirror, line_ns
+from protocols.lms2xx.timing import TURN_DENOMINATOR, TURN_NUMERATOR_NS, Mirror
 from protocols.lms2xx.variants import PARTIAL_SETS, Comb, comb
 from protocols.scan import Scan, ScanPlan
 from protocols.session import DropReason
+from protocols.skeleton.serial_lines import BITS, line_ns
 from protocols.skeleton.wanted import Wanted
 
 TURN_NS = TURN_NUMERATOR_NS // TURN_DENOMINATOR
@@ -68,7 +69,7 @@ class Line:
         return min(done, count), end_ns
 
     def _whole(self, start_ns: int, now_ns: int) -> tuple[int, int]:
-        count = (now_ns - start_ns) * self.baud // (BITS_A_BYTE * 1_000_000_000) + 1
+        count = (now_ns - start_ns) * self.baud // (BITS * 1_000_000_000) + 1
         return count, start_ns + line_ns(count, self.baud)
 
 

@@ -13,9 +13,6 @@ TURN_NUMERATOR_NS, TURN_DENOMINATOR = 40_000_000, 3
 "75 turns per second (listing, all drivers): turn k begins k * 40/3 ms after turn 0."
 TURN_S = TURN_NUMERATOR_NS / TURN_DENOMINATOR / 1e9
 
-BITS_A_BYTE = 10
-"Start bit, eight data bits, stop bit."
-
 
 @dataclass(frozen=True)
 class Mirror:
@@ -45,11 +42,6 @@ class Mirror:
     def slowed(self, time_ns: int) -> float:
         """Duration of a turn over the nominal one."""
         return 1e9 / (1e9 + self.motor.ppb(time_ns))
-
-
-def line_ns(count: int, baud: int) -> int:
-    """How long `count` bytes take on a line, rounded up."""
-    return -(-count * BITS_A_BYTE * 1_000_000_000 // baud)
 
 
 @dataclass(frozen=True)

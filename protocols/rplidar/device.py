@@ -21,6 +21,7 @@ from protocols.skeleton.instants import SECOND_NS, Raster
 from protocols.skeleton.one_client import OneClientSession
 from protocols.skeleton.requests import Request
 from protocols.skeleton.rotor import LoadedRotor, Turns
+from protocols.skeleton.serial_lines import BITS
 from protocols.skeleton.sweeps import Sweep, Telegram
 
 STABLE = 0.05
@@ -48,8 +49,6 @@ DETECTS_BAUD = 115_200, 512_000
 "Least and most speed that it finds so."
 FOLLOWS = 0.5
 "Of the speed that is set: above, samples go on while the motor changes its speed."
-BITS = 10
-"Of a byte on the line."
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from protocols.skeleton.instants import SECOND_NS, Raster
 from protocols.skeleton.one_client import OneClientSession
 from protocols.skeleton.outbox import Outgoing
 from protocols.skeleton.receiving import Fault
+from protocols.skeleton.serial_lines import SerialLines
 from protocols.skeleton.sweeps import SHARES, Sweep, Telegram
 
 MOST_ECHOES = 3
@@ -111,7 +112,7 @@ class ScipDevice(OneClientSession):
         "Set while the motor is not at speed and may come back to it."
         self._factor, self._blocked = 1.0, False
         "Faults of the motor: on its speed, and whether it stands."
-        self._free_ns: dict[Address | None, int] = {}
+        self._lines = SerialLines()
 
     # states
 
@@ -142,7 +143,7 @@ class ScipDevice(OneClientSession):
         self.laser = self.scip1  # SCIP 1.1 begins with the laser on
         self.in_time_mode = self.sleeps = False
         self.jobs.clear()
-        self._free_ns.clear()
+        self._lines = SerialLines()
         self._lit_ns, self._speed_ns = now_ns, now_ns + self.settings.spin_up_ns
         self._mirror = Raster(now_ns, self._turn_ns())
 
@@ -273,7 +274,7 @@ class ScipDevice(OneClientSession):
         carried: set[Address | None] = set()
         for job in takers:
             job.due_turn = turn + 1 + job.skip
-            if job.continuous and self._free_ns.get(job.address, 0) > due_ns:
+            if job.continuous and not self._lines.is_free(job.address, due_ns):
                 self._events.unsent(self._now_ns, DropReason.LINE_BUSY, numbers, "", plan.stream, job.address)
                 continue
             sweep = None if job.address in carried else plan.sweep
@@ -286,15 +287,11 @@ class ScipDevice(OneClientSession):
                 due_ns, data, job.address, sweep, None, job.head[:2].decode(), stamp, int(sweep is not None)
             )
             self._outbox.put(Block(job.address, deque((emission,)), is_scan=True, job=job, turn=turn))
-            self._occupy(job.address, due_ns, len(data))
+            if self.settings.port == "rs232":
+                self._lines.occupy(job.address, due_ns, len(data), self.baud)
         if self._stride() != stride:  # the measurements that are left skip more turns
             self._pace(turn + 1)
         self._subscribe_jobs()
-
-    def _occupy(self, address: Address | None, due_ns: int, size: int) -> None:
-        if self.settings.port == "rs232":
-            begin_ns = max(due_ns, self._free_ns.get(address, 0))
-            self._free_ns[address] = begin_ns + math.ceil(size * 10 * SECOND_NS / self.baud)
 
     def scan_block(self, job: Job, ticks: int, distance: codec.Words, strength: codec.Words) -> bytes:
         """The block of one scan."""

@@ -40,6 +40,10 @@ class SimpleFamily:
         """The coverage table."""
         return self.rows
 
+    def framing(self, session: Session, kind: LinkKind) -> Framing | None:
+        """How its telegrams are changed on their way."""
+        return self.wire.framing(kind) if self.wire.framing is not None else None
+
     def device_keys(self) -> tuple[DeviceKey, ...]:
         """Every key, from the code that checks them."""
         return self.keys_of_model({})

@@ -67,18 +67,18 @@ def test_sick_numbers_and_the_reference_receiver_follow_the_physics_specificatio
     made = sensor_model(load_spec(model), PhysicsOptions(), "operational")
     constants = {"sick-ld-lrs": (64000.0, 8e-9), "sick-ld-oem": (16000.0, 8e-9), "paper": (75000.0 / 5.02, 16e-9),
                  "sick-lms200": (1000.0, 4e-9), "sick-lms220": (1000.0, 4e-9),
-                 "sick-lms1": (3240.0, 4e-9), "sick-lms5": (7200.0, 4e-9), "sick-tim55": (640.0, 4e-9),
-                 "sick-tim56": (640.0, 4e-9), "sick-tim": (695.0, 4e-9), "sick-mrs": (2560.0, 4e-9),
-                 "hokuyo-utm": (1000.0, 4e-9), "hokuyo-ust-10": (160.0, 4e-9), "hokuyo-ust-20": (640.0, 4e-9),
-                 "hokuyo-urg": (17.8, 4e-9), "hokuyo-ubg": (17.8, 4e-9), "hokuyo-uhg": (71.2, 4e-9),
+                 "sick-lms1": (3240.0, 4e-9), "sick-lms5": (7200.0, 2.5e-9), "sick-tim55": (640.0, 2.5e-9),
+                 "sick-tim56": (640.0, 2.5e-9), "sick-tim": (695.0, 2.5e-9), "sick-mrs": (2560.0, 4e-9),
+                 "hokuyo-utm": (1000.0, 1e-9), "hokuyo-ust-10": (160.0, 1e-9), "hokuyo-ust-20": (640.0, 1e-9),
+                 "hokuyo-urg": (17.8, 1e-9), "hokuyo-ubg": (17.8, 1e-9), "hokuyo-uhg": (71.2, 1e-9),
                  "velodyne-vlp-32": (5e4, 6e-9), "velodyne-vls": (7.5e4, 6e-9), "velodyne": (1.25e4, 6e-9),
                  "hesai-xt": (64_000.0, 3e-9), "hesai-qt": (4_000.0, 3e-9), "hesai": (400_000.0, 3e-9),
                  "ouster-os0": (7031.25, 5e-9), "ouster-os1": (36125.0, 5e-9), "ouster-os2": (153125.0, 5e-9),
-                 "rplidar-a3": (1000.0, 1e-10), "rplidar-a": (160.0, 1e-10), "rplidar-s1": (1778.0, 4e-9),
-                 "rplidar-s2": (1000.0, 4e-9), "rplidar-s3": (2286.0, 4e-9), "rplidar-c1": (360.0, 4e-9),
-                 "ldrobot-ld": (144 / 0.7, 4e-9), "ldrobot-stl": (625 / 0.7, 4e-9), "ydlidar-x4": (125.0, 1e-10),
-                 "ydlidar-x2": (80.0, 1e-10), "ydlidar-g4": (320.0, 1e-10), "ydlidar-tg": (225 / 0.8, 4e-9),
-                 "ydlidar-t-m": (180.0, 4e-9), "solid-state": (64000.0, 3e-9)}  # fmt: skip
+                 "rplidar-a3": (1000.0, 1e-10), "rplidar-a": (160.0, 1e-10), "rplidar-s1": (1778.0, 1e-9),
+                 "rplidar-s2": (1000.0, 1e-9), "rplidar-s3": (2286.0, 1e-9), "rplidar-c1": (360.0, 1e-9),
+                 "ldrobot-ld": (144 / 0.7, 1e-9), "ldrobot-stl": (625 / 0.7, 1e-9), "ydlidar-x4": (125.0, 1e-10),
+                 "ydlidar-x2": (80.0, 1e-10), "ydlidar-g4": (320.0, 1e-10), "ydlidar-tg": (225 / 0.8, 1e-9),
+                 "ydlidar-t-m": (180.0, 1e-9), "solid-state": (64000.0, 3e-9)}  # fmt: skip
     k_m2, fwhm_s = next((value for name, value in constants.items() if model.startswith(name)), (9000.0, 4e-9))
     assert made.k_m2 / made.threshold == pytest.approx(k_m2, rel=2e-4)
     assert made.pulse.fwhm_s == pytest.approx(fwhm_s)

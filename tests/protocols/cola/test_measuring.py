@@ -110,6 +110,22 @@ def test_layers_of_an_mrs1000_look_up_and_down_and_can_be_switched_off() -> None
     assert rig.plans[-1].duration_s > 0.06
 
 
+@pytest.mark.parametrize(("mode", "field"), [(1, 250), (2, 0), (3, -250), (4, -500)])
+def test_one_layer_of_an_mrs1000_can_be_sent_alone(mode: int, field: int) -> None:
+    rig = Rig("sick-mrs1104")
+    start(rig, ONE, f"sWN MMAlignmentMode {mode}")
+    scans = [rig.scan() for _ in range(3)]
+    assert {scan.layer for scan in scans} == {field}
+    assert scans[1].scan_us - scans[0].scan_us == 80_000
+    rig.log_in(TWO)
+    assert rig.a("sWN MMAlignmentMode 5", TWO) == "sFA 4"
+    off = " ".join("0" if layer == field else "1" for layer in (0, -250, 250, -500))
+    assert rig.a(f"sWN ScanLayerFilter 4 {off}", TWO) == "sFA 5", "nothing would be left"
+    assert rig.a("sWN MMAlignmentMode 0", TWO) == "sWA MMAlignmentMode"
+    assert rig.a(f"sWN ScanLayerFilter 4 {off}", TWO) == "sWA ScanLayerFilter"
+    assert rig.a(f"sWN MMAlignmentMode {mode}", TWO) == "sFA 4"
+
+
 @pytest.mark.parametrize(
     ("interval", "switches", "apart"),
     [(1, "1 1 1 1", [1] * 4), (3, "1 1 1 1", [1, 1, 1, 9]), (3, "0 1 0 1", [2, 10] * 2), (50_000, "1 0 0 0", [])],
@@ -164,6 +180,22 @@ def test_the_echo_filter_decides_which_echoes_are_told(mode: int, wanted: dict[s
     scan = rig.scan()
     assert {name: scan.mm(name)[:2] for name in scan.channels} == wanted
     assert rig.plans[-1].max_echoes == (1 if mode == 0 else 5)
+
+
+@pytest.mark.parametrize(("mask", "seen"), [("01", {1}), ("05", {1, 3}), ("13", {1, 2, 5}), ("1F", {1, 2, 3, 4, 5})])
+def test_channels_are_those_of_the_mask_and_no_others(mask: str, seen: set[int]) -> None:
+    rig = Rig("sick-lms511", world=lambda plan: scan_of(plan, 3.0, 5.0, 7.0, 9.0, 11.0))
+    start(rig, ONE, "sWN FREchoFilter 1", f"sWN LMDscandatacfg {mask} 00 0 0 0 00 00 0 0 0 0 +1")
+    scan = rig.scan()
+    assert set(scan.channels) == {f"DIST{echo}" for echo in seen}
+    assert {echo: scan.mm(f"DIST{echo}")[0] for echo in seen} == {echo: 1000.0 + 2000.0 * echo for echo in seen}
+
+
+def test_only_an_mrs_has_a_table_of_angles() -> None:
+    for model, answer in (("sick-lms111", "sFA 4"), ("sick-tim571", "sFA 4"), ("sick-mrs1104", "sWA LMDscandatacfg")):
+        rig = Rig(model)
+        rig.log_in()
+        assert rig.a("sWN LMDscandatacfg 01 00 3 1 0 00 00 0 0 0 0 +1") == answer
 
 
 def test_the_particle_filter_takes_lone_echoes_away_until_they_stay() -> None:

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from protocols.cola.scandata import Body, Content, Header, distances, remissions
+from protocols.cola.layouts import LAYOUT, Content, Header
+from protocols.cola.scandata import Body, distances, remissions
 from protocols.scan import DAZZLED
 from protocols.skeleton.cola_frames import frame
-from protocols.skeleton.cola_values import ASCII, BINARY
+from protocols.skeleton.cola_values import ASCII, BINARY, encode
 from tests.protocols.cola.reader import frames, read
 from tests.protocols.cola.rig import Rig
 
@@ -28,7 +29,7 @@ EXAMPLE_A = (
 "Section 3.2 of the specification: three points, DIST1 of 16 and RSSI1 of 8 bit, time on."
 
 CONTENT = Content(1, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 1)
-HEADER = Header(1, 1, 0xA1B2C3, 0, 0x343, 0x347, 0x27477BA9, 0x2747813B, 0, 7, 0, (5000, 360))
+HEADER = Header(1, 1, 0xA1B2C3, 0, 0, 0x343, 0x347, 0x27477BA9, 0x2747813B, outputs=7, frequency=5000, shots=360)
 
 
 def body(ranges_mm: list[list[int]], **more: object) -> Body:
@@ -36,7 +37,7 @@ def body(ranges_mm: list[list[int]], **more: object) -> Body:
     ranges[ranges == 0.0] = np.nan
     made = Body(
         HEADER, ranges, np.full(ranges.shape, 100.0), np.zeros(len(ranges), np.uint8), -450_000, 5000, 1.0, 16,
-        CONTENT, len(ranges_mm), date=(2020, 3, 24, 9, 13, 28, 500_000),
+        CONTENT, tuple(range(len(ranges_mm))), date=(2020, 3, 24, 9, 13, 28, 500_000),
     )  # fmt: skip
     return replace(made, **more)  # type: ignore[arg-type]
 
@@ -44,11 +45,8 @@ def body(ranges_mm: list[list[int]], **more: object) -> Body:
 def with_rssi(made: Body, words: list[list[int]], dialect: bytes) -> bytes:
     """The telegram with RSSI of the example in place of ours, whose scale is our own choice."""
     values = made.values()
-    for channel, reported in zip([*values[17], *values[18]][made.channels :], words, strict=False):
+    for channel, reported in zip([*values[17], *values[18]][len(made.channels) :], words, strict=False):
         channel[5] = np.array(reported)
-    from protocols.cola.scandata import LAYOUT
-    from protocols.skeleton.cola_values import encode
-
     return frame(dialect, b"sSN LMDscandata " + encode(LAYOUT, dialect, values))
 
 
@@ -60,7 +58,7 @@ def test_the_worked_example_comes_out_byte_for_byte() -> None:
 
 def test_a_tim_sends_both_channels_in_16_bits() -> None:
     """TiM781 with three points, the third without an echo; SHA-256 of the specification, section 8."""
-    header = Header(1, 1, 0x0119FD06, 0, 0xAFB1, 0xAFB1, 0xB3A805E3, 0xB3A81E29, 0, 0, 0, (1500, 162))
+    header = Header(1, 1, 0x0119FD06, 0, 0, 0xAFB1, 0xAFB1, 0xB3A805E3, 0xB3A81E29, frequency=1500, shots=162)
     made = body([[1500, 1503, 0]], header=header, start=-450_000, step=3333, content=CONTENT._replace(fine=1),
                 date=(2026, 11, 22, 18, 9, 28, 500_000))  # fmt: skip
     telegram = with_rssi(made, [[0x2328, 0x2332, 0]], BINARY)
@@ -69,7 +67,9 @@ def test_a_tim_sends_both_channels_in_16_bits() -> None:
 
 def test_a_layer_of_an_mrs1000_has_three_echoes_and_its_angle() -> None:
     """Second telegram of the manual's example, two points; SHA-256 of the specification, section 8."""
-    header = Header(1, 0, 0x01053B01, 0, 0x8532, 0x8532, 0x2998A3BB, 0x2A60C6C8, 0, 0, -250, (5000, 180))
+    header = Header(
+        1, 0, 0x01053B01, 0, 0, 0x8532, 0x8532, 0x2998A3BB, 0x2A60C6C8, layer_cdeg=-250, frequency=5000, shots=180
+    )
     made = body([[2000, 2010], [2500, 0], [0, 0]], header=header, start=-475_000, step=2500,
                 date=(2026, 11, 22, 18, 9, 28, 500_000))  # fmt: skip
     telegram = with_rssi(made, [[0x78, 0x76], [0x28, 0], [0, 0]], BINARY)
@@ -78,7 +78,7 @@ def test_a_layer_of_an_mrs1000_has_three_echoes_and_its_angle() -> None:
 
 def test_an_encoder_stands_before_the_channels() -> None:
     """LMS511, 1234 ticks at 250; SHA-256 of the specification, section 8."""
-    header = Header(0, 1, 0x01145856, 0, 100, 100, 1_000_000, 0x000FE204, 0, 0, 0, (2500, 540))
+    header = Header(0, 1, 0x01145856, 0, 0, 100, 100, 1_000_000, 0x000FE204, frequency=2500, shots=540)
     made = body([[800, 801]], header=header, start=-50_000, step=1667, encoders=((1234, 250),),
                 date=(2026, 11, 22, 18, 9, 28, 500_000))  # fmt: skip
     telegram = with_rssi(made, [[0x5A, 0x5B]], BINARY)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from protocols.lms2xx.session import Lms2xxSession
 from protocols.lms2xx.telegrams import frame, open_frame, request
-from protocols.lms2xx.timing import line_ns
 from protocols.session import Emission, ModeChanged
+from protocols.skeleton.serial_lines import line_ns
 from tests.protocols.lms2xx.rig import MS, SECOND, new_session, wall
 
 PASSWORD = b"SICK_LMS"

@@ -10,10 +10,11 @@ import pytest
 
 from protocols.errors import EncodeError, ScanRefused
 from protocols.lms2xx.telegrams import open_frame, read_values, request
-from protocols.lms2xx.timing import Mirror, line_ns
+from protocols.lms2xx.timing import Mirror
 from protocols.lms2xx.variants import FAST, VARIANTS, Variant, comb
 from protocols.scan import Scan
 from protocols.session import Dropped, DropReason
+from protocols.skeleton.serial_lines import line_ns
 from tests.protocols.lms2xx.rig import MS, SECOND, Rig, new_session, rate_hz, wall
 
 CODES = {9600: "42", 19200: "41", 38400: "40", 500_000: "48"}

@@ -9,7 +9,6 @@ import pytest
 
 from protocols.lms2xx import FAMILY
 from protocols.lms2xx.telegrams import frame, open_frame, read_values, request
-from protocols.lms2xx.timing import line_ns
 from protocols.scan import DAZZLED, Scan, ScanPlan
 from protocols.session import (
     Address,
@@ -20,6 +19,7 @@ from protocols.session import (
     ModeChanged,
     Restarted,
 )
+from protocols.skeleton.serial_lines import line_ns
 from tests.protocols.lms2xx.rig import MS, SECOND, Rig, new_session, wall
 
 A0 = bytes.fromhex("06 A0 00 10")

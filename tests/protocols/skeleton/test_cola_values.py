@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocols.cola.scandata import TIME
+from protocols.cola.layouts import TIME
 from protocols.errors import EncodeError
 from protocols.skeleton.cola_values import ASCII, BINARY, INTEGERS, Code, Rejected, decode, encode
 
