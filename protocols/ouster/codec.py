@@ -34,6 +34,8 @@ PLACEHOLDER = bytes.fromhex("dec00000efbeadde")
 LIDAR, IMU = 1, 2
 ZERO = np.zeros((), np.uint32)
 "Of all pixels."
+FEW = 8
+"Beams with several echoes that are taken one by one."
 WIDE = {2: np.dtype("<u2"), 4: np.dtype("<u4"), 8: np.dtype("<u8")}
 "Words of so many flags, the first one in the lowest bit."
 
@@ -221,7 +223,7 @@ class Room:
         "Its columns all are valid."
         self.same: list[int | None] = [None] * len(self.words)
         "What a word is of all pixels, but of these: those with a second return."
-        self.but = np.zeros(0, np.int64)
+        self.but: list[Words] = [self.first[:0]] * len(self.words)
 
 
 def encode(room: Room, head: Head, frame: int, columns: Columns) -> list[bytes]:
@@ -246,17 +248,18 @@ def encode(room: Room, head: Head, frame: int, columns: Columns) -> list[bytes]:
             place[...], room.same[at] = word.reshape(place.shape), None
         elif room.same[at] != word:
             place[...], room.same[at] = word, int(word)
-        elif len(room.but):
-            room.flat[room.but + at] = word
-    room.but = room.first[:0]
+        elif len(room.but[at]):
+            room.flat[room.but[at]] = word
+        room.but[at] = room.first[:0]
     if few is not None and len(few.pixel):
-        room.but = first = room.first[few.pixel]
+        first = room.first[few.pixel]
         values = {"range1": _in_units(few.range_mm, unit, unit // 2), "reflectivity1": few.reflectivity}
         if few.signal.ndim:
             values["signal1"] = few.signal - np.uint32(few.dark)
         for at, word in enumerate(_words(profile, values)):
             if word.ndim:
-                room.flat[first + at] += word
+                room.but[at] = places = first + at
+                room.flat[places] += word
     if not every:
         room.pixels[~columns.valid.reshape(shape)] = 0
         room.same = [None] * len(room.words)
@@ -362,24 +365,47 @@ def returns(scan: Scan, count: int, order: str, near_m: float) -> Returns:
     if not len(beam):
         return Returns(range_m, strength, beam)
     several_m, strengths = scan.range_m.take(beam, axis=0), scan.intensity.take(beam, axis=0)
-    sign = {"NEAREST_TO_FARTHEST": -1.0, "FARTHEST_TO_NEAREST": 1.0}.get(order)
-    better = strengths if sign is None or count > 1 else sign * several_m
-    rank, row = np.where(several_m >= near_m, better, -np.inf), np.arange(0, len(beam) * width, width)
-    chosen = rank.argmax(axis=1) + row
-    range_m[beam], strength[beam] = several_m.take(chosen), strengths.take(chosen)
+    first, second = (_of_few if len(beam) <= FEW else _of_many)(several_m, strengths, count, order, near_m)
+    range_m[beam], strength[beam] = several_m.take(first), strengths.take(first)
     if count == 1:
         return Returns(range_m[:beams], strength[:beams], beam[:0])
-    rank.put(chosen, -np.inf)
-    other = rank.argmax(axis=1) + row
-    two = rank.take(other) > -np.inf
-    if sign is not None:
-        swapped = two & (sign * several_m.take(chosen) < sign * several_m.take(other))
-        chosen, other = np.where(swapped, other, chosen), np.where(swapped, chosen, other)
-        range_m[beam], strength[beam] = several_m.take(chosen), strengths.take(chosen)
-    second = other[two]
+    two = second >= 0
+    second = second[two]
     end = beams + len(second)
     range_m[beams:end], strength[beams:end] = several_m.take(second), strengths.take(second)
     return Returns(range_m[:end], strength[:end], beam[two])
+
+
+def _of_few(several_m: Floats, strengths: Floats, count: int, order: str, near_m: float) -> tuple[Words, Words]:
+    """As `_of_many`, beam by beam: arrays take longer for a handful."""
+    first, second, width = [], [], several_m.shape[1]
+    backwards = order == "FARTHEST_TO_NEAREST"
+    for at, (ranges_m, lights) in enumerate(zip(several_m.tolist(), strengths.tolist(), strict=True)):
+        found = [(-light, one_m, echo) for echo, (one_m, light) in enumerate(zip(ranges_m, lights)) if one_m >= near_m]
+        if order == "STRONGEST_TO_WEAKEST" or count > 1:
+            found = sorted(found)[:count]
+        if order != "STRONGEST_TO_WEAKEST":
+            found.sort(key=lambda one: one[1], reverse=backwards)
+        first.append(at * width + found[0][2])
+        second.append(at * width + found[1][2] if len(found) > 1 and count > 1 else -1)
+    return np.array(first), np.array(second)
+
+
+def _of_many(several_m: Floats, strengths: Floats, count: int, order: str, near_m: float) -> tuple[Words, Words]:
+    """Places (m,) of the first and the second return of m beams in their (m, k) echoes; -1: none."""
+    sign = {"NEAREST_TO_FARTHEST": -1.0, "FARTHEST_TO_NEAREST": 1.0}.get(order)
+    better = strengths if sign is None or count > 1 else sign * several_m
+    rank, row = np.where(several_m >= near_m, better, -np.inf), np.arange(0, several_m.size, several_m.shape[1])
+    first = rank.argmax(axis=1) + row
+    if count == 1:
+        return first, first
+    rank.put(first, -np.inf)
+    second = rank.argmax(axis=1) + row
+    two = rank.take(second) > -np.inf
+    if sign is not None:
+        swapped = two & (sign * several_m.take(first) < sign * several_m.take(second))
+        first, second = np.where(swapped, second, first), np.where(swapped, first, second)
+    return first, np.where(two, second, -1)
 
 
 def distances(range_m: Floats, offset_m: float, profile: Profile) -> Words:

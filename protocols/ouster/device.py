@@ -60,7 +60,7 @@ def packets_of(columns: int, fps: int) -> int:
 
 @lru_cache(maxsize=8)
 def instants(packets: int, packet_ns: float) -> tuple[codec.Words, int, tuple[int, ...], tuple[int, ...]]:
-    """Of a slice: when its columns begin (C,), when it ends, and when its packets begin and end, after its start. [ns]"""
+    """Of a slice, after its start: when its columns begin (C,), when it ends, when its packets begin and end. [ns]"""
     after_ns = np.rint(np.arange(packets * codec.COLUMNS + 1) * (packet_ns / codec.COLUMNS)).astype(np.int64)
     ends_ns = tuple(round(one * packet_ns) for one in range(1, packets + 1))
     return after_ns[:-1], int(after_ns[-1]), tuple(after_ns[: -1 : codec.COLUMNS].tolist()), ends_ns
