@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols.checksums import crc64_xz
-from protocols.scan import Floats, Scan
+from protocols.scan import Floats
 from protocols.skeleton.reflectivity import whole
 
 Words = NDArray[Any]
@@ -34,10 +34,6 @@ PLACEHOLDER = bytes.fromhex("dec00000efbeadde")
 LIDAR, IMU = 1, 2
 ZERO = np.zeros((), np.uint32)
 "Of all pixels."
-FEW = 8
-"Beams with several echoes that are taken one by one."
-WIDE = {2: np.dtype("<u2"), 4: np.dtype("<u4"), 8: np.dtype("<u8")}
-"Words of so many flags, the first one in the lowest bit."
 
 
 @dataclass(frozen=True)
@@ -163,7 +159,7 @@ class Head:
         return PLACEHOLDER if self.firmware < (3, 1) else crc64_xz(before).to_bytes(8, "little")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False, slots=True)
 class Others:
     """Second returns of the m pixels that have one; few do."""
 
@@ -177,7 +173,7 @@ class Others:
     "Signal of pixels without one."
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False, slots=True)
 class Columns:
     """What columns say."""
 
@@ -334,78 +330,6 @@ def decode(profile: Profile, rows: int, data: bytes, fusa: bool = False) -> Said
     else:
         frames, init_id, serial = [int.from_bytes(one[2:4], "little") for one in heads], heads[0][4:7], heads[0][7:12]
     return Said(np.array(frames), int.from_bytes(init_id, "little"), int.from_bytes(serial, "little"), columns)
-
-
-@dataclass(frozen=True, eq=False)
-class Returns:
-    """What a profile reports of n beams: the first return of each, and the second one of m of them."""
-
-    range_m: Floats
-    "(n + m,) first those of all beams; NaN: none."
-    strength: Floats
-    "(n + m,) over the threshold."
-    beam: Words
-    "(m,) beams with a second one."
-
-
-def returns(scan: Scan, count: int, order: str, near_m: float) -> Returns:
-    """The returns that a profile reports of each beam, in their order.
-
-    Of more echoes than `count` the strongest; of one return that which `order` puts first. Nearer than `near_m`: none.
-    """
-    there = scan.range_m >= near_m
-    beams, width = there.shape
-    several = there.view(WIDE[width])[:, 0] > 1 if width in WIDE else there[:, 1:].any(axis=1)
-    beam = several.nonzero()[0]
-    room = np.zeros(len(beam))
-    range_m, strength = (np.concatenate((one[:, 0], room)) for one in (scan.range_m, scan.intensity))
-    near = range_m[:beams] < near_m
-    if np.count_nonzero(near):
-        range_m[:beams][near] = strength[:beams][near] = np.nan
-    if not len(beam):
-        return Returns(range_m, strength, beam)
-    several_m, strengths = scan.range_m.take(beam, axis=0), scan.intensity.take(beam, axis=0)
-    first, second = (_of_few if len(beam) <= FEW else _of_many)(several_m, strengths, count, order, near_m)
-    range_m[beam], strength[beam] = several_m.take(first), strengths.take(first)
-    if count == 1:
-        return Returns(range_m[:beams], strength[:beams], beam[:0])
-    two = second >= 0
-    second = second[two]
-    end = beams + len(second)
-    range_m[beams:end], strength[beams:end] = several_m.take(second), strengths.take(second)
-    return Returns(range_m[:end], strength[:end], beam[two])
-
-
-def _of_few(several_m: Floats, strengths: Floats, count: int, order: str, near_m: float) -> tuple[Words, Words]:
-    """As `_of_many`, beam by beam: arrays take longer for a handful."""
-    first, second, width = [], [], several_m.shape[1]
-    backwards = order == "FARTHEST_TO_NEAREST"
-    for at, (ranges_m, lights) in enumerate(zip(several_m.tolist(), strengths.tolist(), strict=True)):
-        found = [(-light, one_m, echo) for echo, (one_m, light) in enumerate(zip(ranges_m, lights)) if one_m >= near_m]
-        if order == "STRONGEST_TO_WEAKEST" or count > 1:
-            found = sorted(found)[:count]
-        if order != "STRONGEST_TO_WEAKEST":
-            found.sort(key=lambda one: one[1], reverse=backwards)
-        first.append(at * width + found[0][2])
-        second.append(at * width + found[1][2] if len(found) > 1 and count > 1 else -1)
-    return np.array(first), np.array(second)
-
-
-def _of_many(several_m: Floats, strengths: Floats, count: int, order: str, near_m: float) -> tuple[Words, Words]:
-    """Places (m,) of the first and the second return of m beams in their (m, k) echoes; -1: none."""
-    sign = {"NEAREST_TO_FARTHEST": -1.0, "FARTHEST_TO_NEAREST": 1.0}.get(order)
-    better = strengths if sign is None or count > 1 else sign * several_m
-    rank, row = np.where(several_m >= near_m, better, -np.inf), np.arange(0, several_m.size, several_m.shape[1])
-    first = rank.argmax(axis=1) + row
-    if count == 1:
-        return first, first
-    rank.put(first, -np.inf)
-    second = rank.argmax(axis=1) + row
-    two = rank.take(second) > -np.inf
-    if sign is not None:
-        swapped = two & (sign * several_m.take(first) < sign * several_m.take(second))
-        first, second = np.where(swapped, second, first), np.where(swapped, first, second)
-    return first, np.where(two, second, -1)
 
 
 def distances(range_m: Floats, offset_m: float, profile: Profile) -> Words:

@@ -330,11 +330,12 @@ class OusterDevice(PacketSession[Slice]):
 
     def _goes(self, lidar: bool) -> tuple[str, int] | None:
         """Address and port; None: nowhere."""
-        wanted = self.active["udp_dest"]
-        place, port = numeric(wanted), self.active["udp_port_lidar" if lidar else "udp_port_imu"]
+        wanted, port = self.active["udp_dest"], self.active["udp_port_lidar" if lidar else "udp_port_imu"]
         if not wanted:
             return None
-        self.alerts.set(alerts.NO_NAME, not place, self.sources.utc(self._now_ns), "" if place else wanted)
+        place = numeric(wanted)
+        if self.alerts.is_active(alerts.NO_NAME) == bool(place):
+            self.alerts.set(alerts.NO_NAME, not place, self.sources.utc(self._now_ns), "" if place else wanted)
         return (place, port) if place and port else None
 
     def _lidar_links(self) -> list[Address]:
@@ -372,8 +373,8 @@ class OusterDevice(PacketSession[Slice]):
     def _telegrams(self, scan: Scan) -> Iterator[Telegram]:
         piece, start_ns = self._slice(scan.plan.sweep), scan.plan.start_ns
         profile, used, share = self.profile, self.active, self.impaired.get("lost columns", 0.0)
-        (columns, fps), packets, tick_ns = self.mode, self._packets, self._tick_ns
-        packet_ns = codec.COLUMNS * SECOND_NS / (columns * fps)
+        (columns, fps), tick_ns = self.mode, self._tick_ns
+        packets, packet_ns = packets_of(columns, fps), codec.COLUMNS * SECOND_NS / (columns * fps)
         seen = piece.valid & ~lost(piece, share, self.unit.serial) if share else piece.valid
         firsts_ns, shown_ns, since_ns = self._shown(start_ns, packets, packet_ns)
         stamps = shown_ns - shown_ns % tick_ns
@@ -395,7 +396,8 @@ class OusterDevice(PacketSession[Slice]):
         """When a slice's packets begin after its start, and (C,) what the clock shows as its columns do: a line, unless
         it is set. And what it shows when the run begins.
         """
-        after_ns, length_ns, firsts_ns, _ = instants(packets, float(self._slowed) * packet_ns)
+        slowed = self._slowed.numerator / self._slowed.denominator
+        after_ns, length_ns, firsts_ns, _ = instants(packets, slowed * packet_ns)
         begun_ns, since_ns = self.time(start_ns)
         passed_ns = self.time(start_ns + length_ns)[0] - begun_ns
         if abs(passed_ns - length_ns) <= STEADY * length_ns:

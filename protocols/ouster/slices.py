@@ -18,6 +18,7 @@ from protocols.ouster.models import Unit
 from protocols.scan import Floats, Scan
 from protocols.skeleton.packets import MOST_ECHOES
 from protocols.skeleton.reflectivity import calibrated, whole
+from protocols.skeleton.returns import returns
 from protocols.skeleton.sweeps import Sweep
 
 PHOTONS = 15.0
@@ -98,7 +99,7 @@ def columns_of(
     """Columns of a slice. `seen` (C,): valid ones, `used`: the configuration; `has_window`: its clearness is said."""
     near_m = 0.01 * used.get("min_range_threshold_cm", 50)
     order = used.get("return_order", "STRONGEST_TO_WEAKEST")
-    found = codec.returns(scan, profile.returns, order, near_m)
+    found = returns(scan, profile.returns, order, near_m)
     light = found.strength if scan.plan.gain == 1.0 else found.strength / scan.plan.gain
     dark = 0 if profile.legacy else NOISE_PHOTONS
     beams, near_ir, others = len(scan.range_m), codec.ZERO, None
@@ -125,8 +126,8 @@ def columns_of(
 def _photons(light: Floats, share: float, least: int = 0) -> codec.Words:
     """As a word of 16 bits says them; at least so many."""
     counted = light * share
-    words = whole(np.minimum(counted, 0xFFFF, out=counted))
-    return np.maximum(words, np.uint32(least), out=words) if least else words
+    np.minimum(counted, 0xFFFF, out=counted)
+    return whole(counted) if not least else whole(np.fmax(counted, float(least), out=counted))
 
 
 def _placed(words: codec.Words, piece: Slice, rows: int) -> codec.Words:
