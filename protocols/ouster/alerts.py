@@ -49,6 +49,10 @@ class Alerts:
         self._log: deque[dict[str, Any]] = deque(maxlen=KEPT)
         self._cursor = 0
 
+    def is_active(self, number: int) -> bool:
+        """Whether it is."""
+        return number in self._active
+
     def set(self, number: int, active: bool, realtime_ns: int, verbose: str = "") -> None:
         """An alert is triggered, or cleared; no effect if it is so already."""
         if active == (number in self._active):

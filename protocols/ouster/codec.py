@@ -9,14 +9,14 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protocols.checksums import crc64_xz
-from protocols.scan import Floats, Scan
+from protocols.scan import Floats
 from protocols.skeleton.reflectivity import whole
 
 Words = NDArray[Any]
@@ -56,12 +56,17 @@ class Profile:
         """Without header and footer."""
         return self.name == "LEGACY"
 
+    @cached_property
+    def places(self) -> Mapping[str, tuple[int, np.uint32]]:
+        """Word of 32 bits, and bit in it, by field."""
+        return {name: (first // 32, np.uint32(first % 32)) for name, (first, _) in self.fields.items()}
+
     @property
     def has_signal(self) -> bool:
         """Whether it says photons of returns."""
         return "signal0" in self.fields
 
-    @property
+    @cached_property
     def longest_mm(self) -> int:
         """What a range can be."""
         return ((1 << self.fields["range0"][1]) - 1) * self.unit_mm
@@ -131,16 +136,21 @@ class Head:
     limiting: int = 0
     "0 normal, 1 imminent, 2..9 reduction."
 
-    def header(self, kind: int, frame: int) -> bytes:
-        """32 bytes."""
+    @cached_property
+    def _around(self) -> tuple[bytes, bytes]:
+        """What is before the number of the frame, but for the kind, and behind it."""
         serial, init_id = self.serial.to_bytes(5, "little"), self.init_id.to_bytes(3, "little")
         alert = self.alert_flags if self.firmware >= (2, 5) else 0
-        if self.fusa:
-            first = bytes((kind,)) + init_id + frame.to_bytes(4, "little") + bytes((alert, 0, 0)) + serial
-        else:
-            first = struct.pack("<HH", kind, frame & 0xFFFF) + init_id + serial + bytes((alert, 0, 0, 0))
         counts = (self.shutdown_s, self.limiting_s, self.shutdown, self.limiting) if self.firmware >= (3, 0) else ()
-        return (first + bytes(counts)).ljust(END, b"\0")
+        if self.fusa:
+            return init_id, (bytes((alert, 0, 0)) + serial + bytes(counts)).ljust(END - 8, b"\0")
+        return b"\0", (init_id + serial + bytes((alert, 0, 0, 0, *counts))).ljust(END - 4, b"\0")
+
+    def header(self, kind: int, frame: int) -> bytes:
+        """32 bytes."""
+        before, behind = self._around
+        number = frame.to_bytes(4, "little") if self.fusa else (frame & 0xFFFF).to_bytes(2, "little")
+        return bytes((kind,)) + before + number + behind
 
     def check(self, before: bytes | memoryview) -> bytes:
         """The last 8 bytes of a footer; of firmware from 3.1 on the checksum of all `before` them."""
@@ -149,20 +159,21 @@ class Head:
         return PLACEHOLDER if self.firmware < (3, 1) else crc64_xz(before).to_bytes(8, "little")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False, slots=True)
 class Others:
     """Second returns of the m pixels that have one; few do."""
 
     pixel: Words
     "(m,) of C H"
     range_mm: Words
+    "In the unit of the first ones."
     reflectivity: Words
     signal: Words
     dark: int = 0
     "Signal of pixels without one."
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False, slots=True)
 class Columns:
     """What columns say."""
 
@@ -173,7 +184,7 @@ class Columns:
     valid: Bools
     "(C,) pixels of others are 0"
     range_mm: Words
-    "(E, C, H) 0: no return; of the first ones alone (1, C, H), with `others`"
+    "(E, C, H) in `unit_mm`, 0: no return; of the first ones alone (1, C, H), with `others`"
     reflectivity: Words
     "(E, C, H)"
     signal: Words
@@ -184,6 +195,8 @@ class Columns:
     "(E, C, H); bit 0: blooming; None: 0"
     window: int = 0
     others: Others | None = None
+    unit_mm: int = 1
+    "Of ranges."
 
 
 class Room:
@@ -194,6 +207,7 @@ class Room:
         self.packets = np.zeros(packets, packet_type(profile.name, rows))
         self.cells = self.packets["columns"]
         self.status, self.pixels = self.cells["status"], self.cells["pixels"]
+        self.stamps, self.numbers = self.cells["stamp"], self.cells["number"]
         self.words = [self.pixels[..., at] for at in range(profile.size_bits // 32)]
         self.flat = self.packets.view("<u4")
         "All words of 32 bits; and where the first one of each pixel is there."
@@ -203,38 +217,48 @@ class Room:
         self.each = [bare[at * size : (at + 1) * size] for at in range(packets)]
         self.said = False
         "Its columns all are valid."
+        self.same: list[int | None] = [None] * len(self.words)
+        "What a word is of all pixels, but of these: those with a second return."
+        self.but: list[Words] = [self.first[:0]] * len(self.words)
 
 
 def encode(room: Room, head: Head, frame: int, columns: Columns) -> list[bytes]:
     """Lidar packets of a frame, all at once."""
     profile, shape = room.profile, room.status.shape
     every, legacy = np.count_nonzero(columns.valid) == columns.valid.size, profile.legacy
-    room.cells["stamp"], room.cells["number"] = columns.stamp_ns.reshape(shape), columns.number.reshape(shape)
-    values: dict[str, Any] = {"near_ir": _in_units(columns.near_ir, profile.near_ir_unit)}
+    room.stamps[...], room.numbers[...] = columns.stamp_ns.reshape(shape), columns.number.reshape(shape)
+    few, unit = columns.others, profile.unit_mm // columns.unit_mm
+    values: dict[str, Any] = {"near_ir": columns.near_ir, "window": np.uint32(columns.window)}
     if profile.near_ir_unit > 1 and columns.near_ir.ndim:
-        values["near_ir"] = np.minimum(values["near_ir"], 0xFF)
+        values["near_ir"] = np.minimum(_in_units(columns.near_ir, profile.near_ir_unit), 0xFF)
     for one in range(min(profile.returns, len(columns.range_mm))):
-        values[f"range{one}"] = _in_units(columns.range_mm[one], profile.unit_mm, profile.unit_mm // 2)
+        values[f"range{one}"] = _in_units(columns.range_mm[one], unit, unit // 2)
         values[f"reflectivity{one}"] = columns.reflectivity[one]
         values[f"signal{one}"] = columns.signal[one] if columns.signal.ndim else columns.signal
         if columns.flags is not None:
             values[f"flags{one}"] = columns.flags[one] & ((1 << profile.fields[f"flags{one}"][1]) - 1)
-    few = columns.others
-    values |= {"window": np.uint32(columns.window)} | ({} if few is None else {"signal1": np.uint32(few.dark)})
-    for place, word in zip(room.words, _words(profile, values), strict=True):
-        place[...] = word.reshape(place.shape) if word.ndim else word
+    if few is not None:
+        values["signal1"] = np.uint32(few.dark)
+    for at, (place, word) in enumerate(zip(room.words, _words(profile, values), strict=True)):
+        if word.ndim:
+            place[...], room.same[at] = word.reshape(place.shape), None
+        elif room.same[at] != word:
+            place[...], room.same[at] = word, int(word)
+        elif len(room.but[at]):
+            room.flat[room.but[at]] = word
+        room.but[at] = room.first[:0]
     if few is not None and len(few.pixel):
         first = room.first[few.pixel]
-        values = {
-            "range1": _in_units(few.range_mm, profile.unit_mm, profile.unit_mm // 2),
-            "reflectivity1": few.reflectivity,
-            "signal1": few.signal - np.uint32(few.dark),
-        }
+        values = {"range1": _in_units(few.range_mm, unit, unit // 2), "reflectivity1": few.reflectivity}
+        if few.signal.ndim:
+            values["signal1"] = few.signal - np.uint32(few.dark)
         for at, word in enumerate(_words(profile, values)):
             if word.ndim:
-                room.flat[first + at] += word
+                room.but[at] = places = first + at
+                room.flat[places] += word
     if not every:
         room.pixels[~columns.valid.reshape(shape)] = 0
+        room.same = [None] * len(room.words)
     if not every or not room.said:
         room.status[...] = (columns.valid * np.uint32(0xFFFFFFFF if legacy else 1)).reshape(shape)
         room.said = every
@@ -252,11 +276,12 @@ def encode(room: Room, head: Head, frame: int, columns: Columns) -> list[bytes]:
 def _words(profile: Profile, values: Mapping[str, Any]) -> list[Any]:
     """Words of pixels by fields that do not overlap; those that it has not are left out."""
     words: list[Any] = [ZERO] * (profile.size_bits // 32)
+    places = profile.places
     for name, value in values.items():
-        if name in profile.fields and (value.ndim or value):
-            word, shift = divmod(profile.fields[name][0], 32)
+        if name in places and (value.ndim or value):
+            word, shift = places[name]
             part, held = value.astype(np.uint32, copy=False), words[word]
-            part = part << np.uint32(shift) if shift else part
+            part = part << shift if shift else part
             words[word] = part if held is ZERO else held | part
     return words
 
@@ -307,62 +332,19 @@ def decode(profile: Profile, rows: int, data: bytes, fusa: bool = False) -> Said
     return Said(np.array(frames), int.from_bytes(init_id, "little"), int.from_bytes(serial, "little"), columns)
 
 
-@dataclass(frozen=True, eq=False)
-class Returns:
-    """What a profile reports of n beams: the first return of each, and the second one of m of them."""
-
-    range_m: Floats
-    "(n + m,) first those of all beams; NaN: none."
-    strength: Floats
-    "(n + m,) over the threshold."
-    beam: Words
-    "(m,) beams with a second one."
-
-
-def returns(scan: Scan, count: int, order: str, near_m: float) -> Returns:
-    """The returns that a profile reports of each beam, in their order.
-
-    Of more echoes than `count` the strongest; of one return that which `order` puts first. Nearer than `near_m`: none.
-    """
-    there = scan.range_m >= near_m
-    beams, width = there.shape
-    (beam,) = np.nonzero(there.view(f"<u{width}")[:, 0] > 1 if width in (2, 4, 8) else there[:, 1:].any(axis=1))
-    room = np.zeros(len(beam))
-    range_m, strength = (np.concatenate((one[:, 0], room)) for one in (scan.range_m, scan.intensity))
-    near = range_m[:beams] < near_m
-    if np.count_nonzero(near):
-        range_m[:beams][near] = strength[:beams][near] = np.nan
-    if not len(beam):
-        return Returns(range_m, strength, beam)
-    several_m, strengths = scan.range_m.take(beam, axis=0), scan.intensity.take(beam, axis=0)
-    sign = {"NEAREST_TO_FARTHEST": -1.0, "FARTHEST_TO_NEAREST": 1.0}.get(order)
-    better = strengths if sign is None or count > 1 else sign * several_m
-    rank, row = np.where(there.take(beam, axis=0), better, -np.inf), np.arange(0, len(beam) * width, width)
-    chosen = row + rank.argmax(axis=1)
-    range_m[beam], strength[beam] = several_m.take(chosen), strengths.take(chosen)
-    if count == 1:
-        return Returns(range_m[:beams], strength[:beams], beam[:0])
-    rank.reshape(-1)[chosen] = -np.inf
-    other = row + rank.argmax(axis=1)
-    two = rank.take(other) > -np.inf
-    if sign is not None:
-        swapped = two & (sign * several_m.take(chosen) < sign * several_m.take(other))
-        chosen, other = np.where(swapped, other, chosen), np.where(swapped, chosen, other)
-        range_m[beam], strength[beam] = several_m.take(chosen), strengths.take(chosen)
-    second = other[two]
-    end = beams + len(second)
-    range_m[beams:end], strength[beams:end] = several_m.take(second), strengths.take(second)
-    return Returns(range_m[:end], strength[:end], beam[two])
-
-
 def distances(range_m: Floats, offset_m: float, profile: Profile) -> Words:
     """Ranges from the lidar's axis along the beam; what the wire cannot say is no return. [mm]"""
+    return in_steps(range_m, offset_m, profile) * np.uint32(profile.unit_mm)
+
+
+def in_steps(range_m: Floats, offset_m: float, profile: Profile) -> Words:
+    """The same in the profile's unit."""
     words = range_m + offset_m
     words *= 1000.0 / profile.unit_mm
     found, longest = whole(words), profile.longest_mm // profile.unit_mm
     if len(found) and np.maximum.reduce(found) > longest:
         found[found > longest] = 0
-    return found if profile.unit_mm == 1 else found * np.uint32(profile.unit_mm)
+    return found
 
 
 IMU_LEGACY = struct.Struct("<QQQ6f")

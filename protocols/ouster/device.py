@@ -59,10 +59,11 @@ def packets_of(columns: int, fps: int) -> int:
 
 
 @lru_cache(maxsize=8)
-def instants(packets: int, packet_ns: float) -> tuple[codec.Words, int, tuple[int, ...]]:
-    """Of a slice: when its columns begin (C,) and when it ends, and when its packets do, after its start. [ns]"""
+def instants(packets: int, packet_ns: float) -> tuple[codec.Words, int, tuple[int, ...], tuple[int, ...]]:
+    """Of a slice, after its start: when its columns begin (C,), when it ends, when its packets begin and end. [ns]"""
     after_ns = np.rint(np.arange(packets * codec.COLUMNS + 1) * (packet_ns / codec.COLUMNS)).astype(np.int64)
-    return after_ns[:-1], int(after_ns[-1]), tuple(round(one * packet_ns) for one in range(1, packets + 1))
+    ends_ns = tuple(round(one * packet_ns) for one in range(1, packets + 1))
+    return after_ns[:-1], int(after_ns[-1]), tuple(after_ns[: -1 : codec.COLUMNS].tolist()), ends_ns
 
 
 @lru_cache(maxsize=64)
@@ -120,6 +121,8 @@ class OusterDevice(PacketSession[Slice]):
         "Alerts of packets that did not arrive, and when the last one did not."
         self._room: tuple[Any, Any] = None, None
         "What packets are of, and where they are written."
+        self._head: tuple[Any, Any] = None, None
+        "What headers say, and what makes them."
         self._hot_ns: dict[str, int] = {}
         "Since when it warns of what is in `impaired`."
         super().__init__(build.boot_ns, self._slice_ns)
@@ -193,14 +196,14 @@ class OusterDevice(PacketSession[Slice]):
         return found
 
     def head(self, at_ns: int) -> codec.Head:
-        """Of a packet that is sent then."""
-        limits, shuts = (self._left_s(name, at_ns) for name in ("shot limiting", "thermal shutdown"))
+        """Of a packet that is sent then; the same object as long as it says the same."""
+        limits, shuts = self._left_s("shot limiting", at_ns), self._left_s("thermal shutdown", at_ns)
         share = self.impaired.get("shot limiting", 0.0)
         limiting = 0 if limits is None else 1 if limits else min(9, 2 + int(share * 10.0 + 1e-9))
-        return codec.Head(
-            self.unit.serial, self.init_id, self.firmware, self.fusa, self.alerts.flags, shuts or 0, limits or 0,
-            int(shuts is not None), limiting,
-        )  # fmt: skip
+        says = self.init_id, self.fusa, self.alerts.flags, shuts or 0, limits or 0, int(shuts is not None), limiting
+        if says != self._head[0]:
+            self._head = says, codec.Head(self.unit.serial, self.init_id, self.firmware, *says[1:])
+        return self._head[1]
 
     def _left_s(self, name: str, at_ns: int) -> int | None:
         """Seconds until something takes effect of which it warns; None: nothing is the matter."""
@@ -327,11 +330,12 @@ class OusterDevice(PacketSession[Slice]):
 
     def _goes(self, lidar: bool) -> tuple[str, int] | None:
         """Address and port; None: nowhere."""
-        wanted = self.active["udp_dest"]
-        place, port = numeric(wanted), self.active["udp_port_lidar" if lidar else "udp_port_imu"]
+        wanted, port = self.active["udp_dest"], self.active["udp_port_lidar" if lidar else "udp_port_imu"]
         if not wanted:
             return None
-        self.alerts.set(alerts.NO_NAME, not place, self.sources.utc(self._now_ns), "" if place else wanted)
+        place = numeric(wanted)
+        if self.alerts.is_active(alerts.NO_NAME) == bool(place):
+            self.alerts.set(alerts.NO_NAME, not place, self.sources.utc(self._now_ns), "" if place else wanted)
         return (place, port) if place and port else None
 
     def _lidar_links(self) -> list[Address]:
@@ -369,36 +373,37 @@ class OusterDevice(PacketSession[Slice]):
     def _telegrams(self, scan: Scan) -> Iterator[Telegram]:
         piece, start_ns = self._slice(scan.plan.sweep), scan.plan.start_ns
         profile, used, share = self.profile, self.active, self.impaired.get("lost columns", 0.0)
-        (columns, fps), packets, tick_ns = self.mode, self._packets, self._tick_ns
-        packet_ns = codec.COLUMNS * SECOND_NS / (columns * fps)
+        (columns, fps), tick_ns = self.mode, self._tick_ns
+        packets, packet_ns = packets_of(columns, fps), codec.COLUMNS * SECOND_NS / (columns * fps)
         seen = piece.valid & ~lost(piece, share, self.unit.serial) if share else piece.valid
-        after_ns, shown_ns, since_ns = self._shown(start_ns, packets, packet_ns)
+        firsts_ns, shown_ns, since_ns = self._shown(start_ns, packets, packet_ns)
         stamps = shown_ns - shown_ns % tick_ns
         said = columns_of(scan, piece, seen, stamps, self.unit, profile, used, self.firmware >= (3, 2))
         if (key := (profile.name, packets, columns)) != self._room[0]:
             self._room = key, codec.Room(profile, self.unit.rows, packets, columns)
         head = self.head(start_ns)
         made = codec.encode(self._room[1], head, piece.frame % (1 << 32 if head.fusa else 1 << 16), said)
-        sent = np.logical_or.reduce(piece.valid.reshape(packets, -1), axis=1).tolist()
-        firsts = (start_ns + after_ns[:: codec.COLUMNS]).tolist(), (shown_ns[:: codec.COLUMNS] - since_ns).tolist()
-        ends_ns = instants(packets, packet_ns)[2]
-        for packet, (at_ns, shows_ns, ticks) in enumerate(zip(*firsts, stamps[:: codec.COLUMNS].tolist(), strict=True)):
+        sent = piece.valid.reshape(packets, -1).any(axis=1).tolist() if not piece.whole else [True] * packets
+        shows_ns, ends_ns = shown_ns[:: codec.COLUMNS].tolist(), instants(packets, packet_ns)[3]
+        for packet in range(packets):
             if sent[packet]:
-                stamp = DeviceStamp(at_ns, shows_ns, ticks, 1.0, self.clock_bits)
+                shows = shows_ns[packet]
+                at_ns, ticks = start_ns + firsts_ns[packet], shows - shows % tick_ns
+                stamp = DeviceStamp(at_ns, shows - since_ns, ticks, 1.0, self.clock_bits)
                 yield Telegram(ends_ns[packet] + self.build.latency_ns, made[packet], "lidar", stamp)
 
-    def _shown(self, start_ns: int, packets: int, packet_ns: float) -> tuple[codec.Words, codec.Words, int]:
-        """(C,) instants of a slice's columns after its start, what the clock shows then: a line, unless it is set.
-
-        And what it shows when the run begins.
+    def _shown(self, start_ns: int, packets: int, packet_ns: float) -> tuple[tuple[int, ...], codec.Words, int]:
+        """When a slice's packets begin after its start, and (C,) what the clock shows as its columns do: a line, unless
+        it is set. And what it shows when the run begins.
         """
-        after_ns, length_ns, _ = instants(packets, float(self._slowed) * packet_ns)
+        slowed = self._slowed.numerator / self._slowed.denominator
+        after_ns, length_ns, firsts_ns, _ = instants(packets, slowed * packet_ns)
         begun_ns, since_ns = self.time(start_ns)
         passed_ns = self.time(start_ns + length_ns)[0] - begun_ns
         if abs(passed_ns - length_ns) <= STEADY * length_ns:
             after = after_ns if passed_ns == length_ns else after_ns * passed_ns // length_ns
-            return after_ns, begun_ns + after, since_ns
-        return after_ns, np.array([self.time(start_ns + at)[0] for at in after_ns.tolist()]), since_ns
+            return firsts_ns, begun_ns + after, since_ns
+        return firsts_ns, np.array([self.time(start_ns + at)[0] for at in after_ns.tolist()]), since_ns
 
     def _goes_to(self, to: Address | None) -> tuple[str, int] | None:
         return None if to is None or to in self._listeners else self._place(to, True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from protocols.ouster.models import Unit
 from protocols.scan import Floats, Scan
 from protocols.skeleton.packets import MOST_ECHOES
 from protocols.skeleton.reflectivity import calibrated, whole
+from protocols.skeleton.returns import returns
 from protocols.skeleton.sweeps import Sweep
 
 PHOTONS = 15.0
@@ -40,6 +42,11 @@ class Slice:
     valid: codec.Bools
     "(C,) inside of the azimuth window."
     sweep: Sweep
+
+    @cached_property
+    def whole(self) -> bool:
+        """It is inside of the window as a whole."""
+        return bool(self.valid.all())
 
 
 def slice_of(
@@ -92,18 +99,18 @@ def columns_of(
     """Columns of a slice. `seen` (C,): valid ones, `used`: the configuration; `has_window`: its clearness is said."""
     near_m = 0.01 * used.get("min_range_threshold_cm", 50)
     order = used.get("return_order", "STRONGEST_TO_WEAKEST")
-    found = codec.returns(scan, profile.returns, order, near_m)
+    found = returns(scan, profile.returns, order, near_m)
     light = found.strength if scan.plan.gain == 1.0 else found.strength / scan.plan.gain
     dark = 0 if profile.legacy else NOISE_PHOTONS
     beams, near_ir, others = len(scan.range_m), codec.ZERO, None
-    range_mm = codec.distances(found.range_m, unit.origin_m, profile)
+    range_mm = codec.in_steps(found.range_m, unit.origin_m, profile)
     bright = calibrated(found.range_m, light, unit.model.white_m2, codec.WHITE)
     first_signal = second_signal = codec.ZERO
     if profile.has_signal:
         signal = _photons(found.strength, PHOTONS, dark)
         first_signal, second_signal = _placed(signal[:beams], piece, unit.rows)[None], signal[beams:]
     if profile.returns == 2:
-        pixel = found.beam if piece.valid.all() else np.flatnonzero(np.repeat(piece.valid, unit.rows))[found.beam]
+        pixel = found.beam if piece.whole else np.flatnonzero(np.repeat(piece.valid, unit.rows))[found.beam]
         others = codec.Others(pixel, range_mm[beams:], bright[beams:], second_signal, dark)
     if scan.ambient_w is not None:
         turn, hz = config.MODES[used["lidar_mode"]]
@@ -111,15 +118,16 @@ def columns_of(
     window = CLEAR if has_window and profile.unit_mm == 1 else 0
     return codec.Columns(
         piece.number, stamps, seen, _placed(range_mm[:beams], piece, unit.rows)[None],
-        _placed(bright[:beams], piece, unit.rows)[None], first_signal, near_ir, window=window, others=others,
+        _placed(bright[:beams], piece, unit.rows)[None], first_signal, near_ir, None, window, others,
+        profile.unit_mm,
     )  # fmt: skip
 
 
 def _photons(light: Floats, share: float, least: int = 0) -> codec.Words:
     """As a word of 16 bits says them; at least so many."""
     counted = light * share
-    words = whole(np.minimum(counted, 0xFFFF, out=counted))
-    return np.maximum(words, np.uint32(least), out=words) if least else words
+    np.minimum(counted, 0xFFFF, out=counted)
+    return whole(counted) if not least else whole(np.fmax(counted, float(least), out=counted))
 
 
 def _placed(words: codec.Words, piece: Slice, rows: int) -> codec.Words:

@@ -57,12 +57,17 @@ class Outbox:
     def take(self, now_ns: int) -> list[Emission]:
         """The emissions that are due."""
         taken: list[Emission] = []
-        while self._heap and self._heap[0][0] <= now_ns:
-            _, _, sent = heapq.heappop(self._heap)
-            sent.begun = True
-            taken.extend(sent.emissions.popleft() for _ in range(min(self._burst, len(sent.emissions))))
-            if sent.emissions:
-                self.put(sent)
+        heap = self._heap
+        while heap and heap[0][0] <= now_ns:
+            sent = heapq.heappop(heap)[2]
+            sent.begun, emissions = True, sent.emissions
+            before_ns = min(heap[0][0], now_ns + 1) if heap else now_ns + 1
+            while emissions:
+                for _ in range(min(self._burst, len(emissions))):
+                    taken.append(emissions.popleft())
+                if emissions and emissions[0].due_ns >= before_ns:  # another telegram's turn, or not yet due
+                    self.put(sent)
+                    break
         return taken
 
     def withdraw(self, wanted: Callable[[Outgoing], bool]) -> list[Outgoing]:

@@ -6,6 +6,8 @@ family reserves.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,7 @@ from protocols.scan import Floats
 
 RETRO = 1000.0
 "Reflectivity over that of a white plate that is reported as 255; ours, makers calibrate with retro-reflectors."
+LOG_RETRO = math.log(RETRO)
 MAGIC = 1.5 * 2.0**52
 "Added to a number of doubles, it rounds it to even; the low bits are that number, or 0 of NaN."
 
@@ -32,8 +35,8 @@ def calibrated(range_m: Floats, intensity: Floats, white_m2: float, white: float
     bright = (white / white_m2) * intensity
     bright *= range_m
     bright *= range_m
-    beyond = np.nonzero(bright > white)
+    beyond = (bright > white).nonzero()
     if len(beyond[0]):
-        brighter = np.log(bright[beyond] / white) / np.log(RETRO)
+        brighter = np.log(bright[beyond] / white) / LOG_RETRO
         bright[beyond] = np.minimum(np.maximum(white + (255.0 - white) * brighter, white + 1.0), 255.0)
     return whole(bright)

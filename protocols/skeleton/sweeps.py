@@ -331,12 +331,13 @@ class SweepSession(TimedSession):
     def _emissions(self, plan: ScanPlan, telegrams: Iterable[Telegram], to: Address | None) -> Iterable[Emission]:
         """The first one carries the sweep, the others (`scans` 0) are further parts."""
         sweep: int | None = plan.sweep
-        slowed = 1 if self._slowed == 1 else self._slowed  # a product of fractions for each packet takes long
-        place = self._goes_to(to)
+        slowed, place, start_ns, scans = self._slowed, self._goes_to(to), plan.start_ns, 1
+        steady = slowed.numerator == slowed.denominator  # a product of fractions for each packet takes long
         for after_ns, payload, label, reported, link in telegrams:
-            due_ns, where = plan.start_ns + round(after_ns * slowed), to if link is None else Address(link, 0)
-            yield Emission(due_ns, payload, where, sweep, None, label, reported, int(sweep is not None), place=place)
-            sweep = None
+            due_ns = start_ns + (after_ns if steady else round(after_ns * slowed))
+            where = to if link is None else Address(link, 0)
+            yield Emission(due_ns, payload, where, sweep, None, label, reported, scans, None, False, place)
+            sweep, scans = None, 0
 
     def missed(self, plan: ScanPlan, now_ns: int) -> bool:
         """Sweeps that have ended are skipped; the present one is requested again."""

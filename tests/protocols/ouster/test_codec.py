@@ -12,6 +12,7 @@ from protocols.ouster import codec
 from protocols.ouster.codec import PROFILES, Columns, Head
 from protocols.scan import Scan, ScanPlan
 from protocols.skeleton.reflectivity import calibrated
+from protocols.skeleton.returns import FEW, returns
 
 SERIAL, INIT_ID = 122322000614, 0x05F3BC
 WORKED = [
@@ -132,17 +133,17 @@ NAN = float("nan")
 )
 def test_which_returns_are_reported_in_which_order(order: str, count: int, said: list[float]) -> None:
     scan = scan_of([5.0, 20.0, 30.0, NAN], [2.0, 9.0, 5.0, NAN])
-    found = codec.returns(scan, count, order, 0.0)
+    found = returns(scan, count, order, 0.0)
     assert (found.range_m.tolist(), found.beam.tolist()) == (said, [0] * (count - 1))
     assert found.strength.tolist() == [{5.0: 2.0, 20.0: 9.0, 30.0: 5.0}[one] for one in said]
-    near = codec.returns(scan, 2, order, 25.0)
+    near = returns(scan, 2, order, 25.0)
     assert (near.range_m.tolist(), near.beam.tolist()) == ([30.0], [])
 
 
 def test_a_beam_without_a_return_has_none() -> None:
     scan = scan_of([5.0, NAN], [2.0, NAN])
     for near_m, said in ((0.5, (5.0, 2.0)), (5.0, (5.0, 2.0)), (6.0, (NAN, NAN))):
-        found = codec.returns(scan, 1, "STRONGEST_TO_WEAKEST", near_m)
+        found = returns(scan, 1, "STRONGEST_TO_WEAKEST", near_m)
         np.testing.assert_array_equal((found.range_m[0], found.strength[0]), said)
     assert scan.range_m[0, 0] == 5.0
 
@@ -157,7 +158,7 @@ def test_returns_of_many_beams_are_those_of_each_alone(echoes: int) -> None:
     scan.range_m[:], scan.intensity[:] = ranges, strengths
     for order in ("STRONGEST_TO_WEAKEST", "NEAREST_TO_FARTHEST", "FARTHEST_TO_NEAREST"):
         for count in (1, 2):
-            found = codec.returns(scan, count, order, near_m)
+            found = returns(scan, count, order, near_m)
             places = [*range(300), *(300 + found.beam)]
             every = zip(places, found.range_m, found.strength, strict=True)
             said = {int(one): (r, s) for one, r, s in every if not np.isnan(s)}
@@ -169,6 +170,24 @@ def test_returns_of_many_beams_are_those_of_each_alone(echoes: int) -> None:
                 assert [said.get(e * 300 + beam) for e in range(count)] == [
                     (own[e][1], own[e][0]) if e < len(own) else None for e in range(count)
                 ]
+
+
+@pytest.mark.parametrize("order", ["STRONGEST_TO_WEAKEST", "NEAREST_TO_FARTHEST", "FARTHEST_TO_NEAREST"])
+def test_a_handful_of_beams_is_taken_as_many_are(order: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(6)
+    for beams in range(1, FEW + 1):
+        scan = Scan.empty(ScanPlan(0, 0, 0, *(np.zeros(beams),) * 3), 4)
+        scan.range_m[:] = np.where(rng.random((beams, 4)) < 0.3, np.nan, np.sort(rng.uniform(0.5, 90.0, (beams, 4))))
+        scan.intensity[:] = np.where(np.isnan(scan.range_m), np.nan, np.rint(rng.uniform(1.0, 4.0, (beams, 4))))
+        for count in (1, 2):
+            few = returns(scan, count, order, 10.0)
+            with monkeypatch.context() as patch:
+                patch.setattr("protocols.skeleton.returns.FEW", 0)
+                many = returns(scan, count, order, 10.0)
+            for one, other in zip(
+                (few.range_m, few.strength, few.beam), (many.range_m, many.strength, many.beam), strict=True
+            ):
+                np.testing.assert_array_equal(one, other)
 
 
 def test_what_a_range_is_on_the_wire() -> None:
