@@ -94,7 +94,7 @@ class BrightEdges:
             return seen, tails
         mine = np.zeros(len(bundles.axis), bool)
         mine[tails.beams] = True
-        found = SubEchoes.joined(seen.found.of_beams(~mine), echoes)
+        found = seen.found.replaced(mine, echoes)
         kept = None if seen.kept is None else Kept(seen.kept.found, seen.kept.changed | mine)
         return replace(seen, found=found, kept=kept), tails
 
@@ -127,16 +127,16 @@ class BrightEdges:
         sums = np.maximum(np.bincount(ahead.pair, ahead.weight, len(faced)), 1e-300)
         ahead = replace(ahead, weight=ahead.weight * (share / sums)[ahead.pair]).taken(lit)
         factor = window_factors(bundles.axis, model, gain)
-        bright = self._echoes(faced, ahead, factor, frames, surfaces, air)
         mine = np.zeros(len(t_s), bool)
         mine[faced.beam[ahead.pair]] = True
         others = seen.found.of_beams(mine)
         if seen.kept is not None:
             others = SubEchoes.joined(others, seen.kept.found.of_beams(mine & ~seen.kept.changed))
         own = of_bundles(faced, bundles, seen_of, frames)
+        amplitude = self._amplitudes(faced, Ways.joined(ahead, own), factor, frames, surfaces, air)
         # those of the bundle's rays that are hidden are no echoes
-        others = _without(others, self._echoes(faced, own, factor, frames, surfaces, air))
-        return SubEchoes.joined(others, bright), Tails(indexes(mine), cast)
+        others = _without(others, _echoes(faced, own, amplitude[len(ahead) :]))
+        return SubEchoes.joined(others, _echoes(faced, ahead, amplitude[: len(ahead)])), Tails(indexes(mine), cast)
 
     def _towards(
         self, faced: Faced, middle: Floats, light: Floats, frames: Frames, reach_m: float
@@ -175,20 +175,22 @@ class BrightEdges:
         nearer = hits.range_m < range_m - NEARER_M - 1e-4 * range_m
         return replace(ways, open=~nearer & (range_m > 0.0) & (range_m <= reach_m))
 
-    def _echoes(
+    def _amplitudes(
         self, faced: Faced, ways: Ways, factor: Floats, frames: Frames, surfaces: Surfaces, air: Medium
-    ) -> SubEchoes:
-        """Of faces at the ends of rays."""
+    ) -> Floats:
+        """(k,) of what comes back from faces at the ends of rays."""
         pair = ways.pair
-        if not len(pair):
-            return SubEchoes.none()
         beam = faced.beam[pair]
         depth = air.depth(ways.origin_m, ways.ray, ways.range_m, frames.t_s[beam])
         normal = np.einsum("kij,ki->kj", faced.across[pair], faced.normal[pair])
         cosine = np.minimum(np.abs(np.einsum("ki,ki->k", normal, ways.ray)), 1.0)
         back = surfaces.table.back(faced.material[pair], cosine, ways.range_m)
-        amplitude = ways.weight * factor[beam] * collected(ways.range_m, depth, self._model) * back
-        return SubEchoes.of(beam, ways.range_m, amplitude, None, faced.actor[pair])
+        return np.asarray(ways.weight * factor[beam] * collected(ways.range_m, depth, self._model) * back)
+
+
+def _echoes(faced: Faced, ways: Ways, amplitude: Floats) -> SubEchoes:
+    """Of faces at the ends of rays."""
+    return SubEchoes.of(faced.beam[ways.pair], ways.range_m, amplitude, None, faced.actor[ways.pair])
 
 
 def _without(others: SubEchoes, counted: SubEchoes) -> SubEchoes:
