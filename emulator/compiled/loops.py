@@ -12,16 +12,17 @@ from emulator.compiled.moving import moving, near, pairs
 from emulator.compiled.narrow import narrow
 from emulator.compiled.packets import Packets, library
 from emulator.compiled.receiving import received
-from emulator.compiled.sheets import beside, covered
+from emulator.compiled.sheets import beside
 from emulator.compiled.strips import strips
 from emulator.compiled.surfaces import in_order, special, strengths
+from emulator.compiled.tails import bundled, on_rings, shares
 from emulator.compiled.waves import sampled
 
 __all__ = [
     "Packets",
     "bent",
     "beside",
-    "covered",
+    "bundled",
     "crossed",
     "crossed_under",
     "edges",
@@ -37,6 +38,7 @@ __all__ = [
     "moving",
     "narrow",
     "near",
+    "on_rings",
     "pairs",
     "ranks",
     "readings",
@@ -44,6 +46,7 @@ __all__ = [
     "reported",
     "resting",
     "sampled",
+    "shares",
     "special",
     "split",
     "strengths",

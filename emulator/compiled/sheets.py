@@ -1,7 +1,7 @@
 """Bright faces beside beams: which come near, where they are in a beam's own coordinates, which places they cover.
 
-Belongs here: what `sheets._beside` and `polygons.within` do with arrays. Not: faces that reach behind a pupil, which
-arrays cut, and the light on them.
+Belongs here: what `sheets._beside` does with arrays, and `polygons.within` for one place. Not: faces that reach behind
+a pupil, which arrays cut, and the light on them.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -39,6 +39,21 @@ def _offset(u, v):
         side = x * (0.0 - b) - y * (0.0 - a)
         inner, outer = inner and side >= 0.0, outer and side <= 0.0
     return 0.0 if inner or outer else np.sqrt(least)
+
+
+@compiled()
+def own_frame(axis, cos_roll, sin_roll, own):
+    """Rows along u, v and the axis of a beam into `own` (3, 3), as `sheets.across_own` has them."""
+    x, y, z = axis[0], axis[1], axis[2]
+    level = np.hypot(x, y)
+    cosine, sine = (x / level, y / level) if level > 0.0 else (1.0, y)
+    left_x, left_y = -sine, cosine
+    up_x, up_y, up_z = -z * cosine, -z * sine, level
+    own[0, 0], own[0, 1] = cos_roll * left_x + sin_roll * up_x, cos_roll * left_y + sin_roll * up_y
+    own[0, 2] = sin_roll * up_z
+    own[1, 0], own[1, 1] = cos_roll * up_x - sin_roll * left_x, cos_roll * up_y - sin_roll * left_y
+    own[1, 2] = cos_roll * up_z
+    own[2, 0], own[2, 1], own[2, 2] = x, y, z
 
 
 @compiled(
@@ -84,23 +99,7 @@ def beside(
             continue
         if not aside <= _radii(nearest, strength[s], law) * (max(tan_x, tan_y) * far + w0):
             continue
-        # rows along u, v and the axis, as `across_own` has them
-        x, y, z = own_axis[b, 0], own_axis[b, 1], own_axis[b, 2]
-        level = np.hypot(x, y)
-        cosine, sine = (x / level, y / level) if level > 0.0 else (1.0, y)
-        left_x, left_y = -sine, cosine
-        up_x, up_y, up_z = -z * cosine, -z * sine, level
-        own[0, 0], own[0, 1], own[0, 2] = (
-            cos_roll * left_x + sin_roll * up_x,
-            cos_roll * left_y + sin_roll * up_y,
-            (sin_roll * up_z),
-        )
-        own[1, 0], own[1, 1], own[1, 2] = (
-            cos_roll * up_x - sin_roll * left_x,
-            cos_roll * up_y - sin_roll * left_y,
-            (cos_roll * up_z),
-        )
-        own[2, 0], own[2, 1], own[2, 2] = x, y, z
+        own_frame(own_axis[b], cos_roll, sin_roll, own)
         for i in range(3):
             eye[i] = 0.0
             for j in range(3):
@@ -152,21 +151,18 @@ def beside(
     return cut, which[:, :k].copy(), sizes[:, :k].copy(), corners[:k].copy(), normals[:k].copy(), frames[:k].copy()
 
 
-@compiled(TURNS, TURNS)
-def covered(corner, place):
-    """(k, m) which of the places (k or 1, m, 2) lie in convex polygons (k, e, 2)."""
-    k, edges, m = corner.shape[0], corner.shape[1], place.shape[1]
-    found = np.empty((k, m), np.bool_)
-    for row in range(k):
-        spots = place[row if len(place) > 1 else 0]
-        for node in range(m):
-            u, v = spots[node, 0], spots[node, 1]
-            inner = outer = True
-            for e in range(edges):
-                a, b = corner[row, e], corner[row, (e + 1) % edges]
-                side = (b[0] - a[0]) * (v - a[1]) - (b[1] - a[1]) * (u - a[0])
-                inner, outer = inner and side >= 0.0, outer and side <= 0.0
-                if not (inner or outer):
-                    break
-            found[row, node] = inner or outer
-    return found
+@compiled()
+def holds(corner, row, u, v):
+    """The convex polygon `corner[row]` (e, 2) has that place in it."""
+    last = corner.shape[1] - 1
+    inner = outer = True
+    au, av = corner[row, 0, 0], corner[row, 0, 1]
+    for e in range(last + 1):
+        after = e + 1 if e < last else 0
+        bu, bv = corner[row, after, 0], corner[row, after, 1]
+        side = (bu - au) * (v - av) - (bv - av) * (u - au)
+        inner, outer = inner and side >= 0.0, outer and side <= 0.0
+        if not (inner or outer):
+            return False
+        au, av = bu, bv
+    return True

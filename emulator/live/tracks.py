@@ -7,6 +7,7 @@ A track goes with the plan of a sweep to whoever measures it, so that a sweep de
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -118,7 +119,7 @@ class Track:
         """From when, and until when, `straight_m_s` holds."""
         if self.rests:
             return float(self.t_s[0]) if self.begins else -np.inf, self.lasts_s
-        beyond = 0.0 if np.isnan(self.velocity_m_s[-1, 0]) else self.hold_after_s
+        beyond = 0.0 if math.isnan(self.velocity_m_s[-1, 0]) else self.hold_after_s
         return float(self.t_s[0]), min(self.last_s + beyond, self.lasts_s)
 
     def is_there(self, begin_s: float, end_s: float) -> bool:

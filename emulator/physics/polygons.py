@@ -10,18 +10,43 @@ Tables for computing bivariate normal probabilities). The first moment is an int
 
 from __future__ import annotations
 
+import ctypes
+from functools import cache
 from types import ModuleType
 
 import numpy as np
 from scipy import special
+from scipy.special import cython_special
 
-from emulator.compiled.pair import by_loops
+from emulator.compiled.pair import OTHERWISE, by_loops
 from emulator.physics.arrays import Bools, Floats
 
+OWENS_T = b"double (double, double, int __pyx_skip_dispatch)"
+"What scipy's is as a function that loops can call."
 NEAR = 1e-3
 "Triangles that reach behind the pupil are cut off at this part of their greatest distance."
 
 
+@cache
+def _owens_t() -> int:
+    """Address of scipy's function of two numbers, which loops call as arrays do; 0: this scipy has none."""
+    known = getattr(cython_special, "__pyx_capi__", {})
+    capsule = next((one for name, one in known.items() if name.endswith("owens_t")), None)
+    if capsule is None:
+        return 0
+    api = ctypes.pythonapi
+    api.PyCapsule_GetName.restype, api.PyCapsule_GetName.argtypes = ctypes.c_char_p, [ctypes.py_object]
+    name, pointer = api.PyCapsule_GetName(capsule), api.PyCapsule_GetPointer
+    pointer.restype, pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
+    return int(pointer(capsule, name)) if name == OWENS_T else 0
+
+
+def _share_by_loops(loops: ModuleType, corner: Floats) -> tuple[Floats, Floats]:
+    function = _owens_t()
+    return loops.shares(function, corner) if function else OTHERWISE
+
+
+@by_loops(_share_by_loops, "shares")
 @np.errstate(under="ignore")
 def gaussian_share(corner: Floats) -> tuple[Floats, Floats]:
     """Share of the power on each of k polygons (k, e, 2), and the middle (k, 2) of that light, within the polygon."""
@@ -47,11 +72,6 @@ def gaussian_share(corner: Floats) -> tuple[Floats, Floats]:
     return np.abs(signed), middle
 
 
-def _within_by_loops(loops: ModuleType, corner: Floats, place: Floats) -> Bools:
-    return np.asarray(loops.covered(corner, place))
-
-
-@by_loops(_within_by_loops, "covered")
 @np.errstate(under="ignore")
 def within(corner: Floats, place: Floats) -> Bools:
     """(k, m) which of the places (k or 1, m, 2) lie in convex polygons (k, e, 2)."""

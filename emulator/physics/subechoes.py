@@ -96,6 +96,28 @@ class SubEchoes:
         spread = None if self.spread_m is None else self.spread_m[at]
         return SubEchoes(self.beam[at], self.range_m[at], self.amplitude[at], self.blocked[at], self.source[at], spread)
 
+    def replaced(self, beams: Bools, others: SubEchoes) -> SubEchoes:
+        """With `others`, which are all of these beams (n,), instead of its own there."""
+        kept = indexes(~beams[self.beam])
+        order = np.concatenate([self.beam[kept], others.beam]).argsort(kind="stable")  # of two runs: they are merged
+        first = np.concatenate([kept, len(self) + np.arange(len(others))])[order]
+
+        def column(one: NDArray[Number], other: NDArray[Number]) -> NDArray[Number]:
+            return np.concatenate([one, other])[first]
+
+        spread = None
+        if self.spread_m is not None or others.spread_m is not None:
+            both = (np.zeros(len(part)) if part.spread_m is None else part.spread_m for part in (self, others))
+            spread = column(*both)
+        return SubEchoes(
+            column(self.beam, others.beam),
+            column(self.range_m, others.range_m),
+            column(self.amplitude, others.amplitude),
+            column(self.blocked, others.blocked),
+            column(self.source, others.source),
+            spread,
+        )
+
     @classmethod
     def joined(cls, *parts: SubEchoes) -> SubEchoes:
         """All sub-echoes of several sources, surfaces and drops for instance."""

@@ -17,14 +17,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from emulator.physics import beams, polygons
+from emulator.physics import polygons
 from emulator.physics.arrays import Bools, Floats, Ints, indexes, ramp
 from emulator.physics.subechoes import Kept, SubEchoes
 from emulator.sensing.contracts import FacedCaster, Medium
 from emulator.sensing.model import SensorModel
 from emulator.sensing.paths import Seen, Surfaces, collected, reach_of, window_factors
 from emulator.sensing.rays import Bundles, turned
-from emulator.sensing.sheets import Faced, Frames, Radii, Sheets, across_own, bright_of
+from emulator.sensing.sheets import Faced, Frames, Radii, Sheets, bright_of
+from emulator.sensing.tails import Ways, of_bundles, on_rings
 from emulator.world.motion import Pose
 
 if TYPE_CHECKING:
@@ -41,8 +42,6 @@ ROUGH = 0.35, 9
 "Between rings, in beam radii, and rays on each: whether anything hides a part of a face."
 FINE = 0.08, 48
 "The same where something does: how much of it."
-MIDDLE = 0.5
-"Of a face's light for the ray to its middle, where nothing hides it."
 NEARER_M = 2e-3
 "What is met so much before a face, and 1e-4 of the way, hides it."
 SAME, AS_BRIGHT = 1e-3, 0.01
@@ -57,47 +56,6 @@ class Tails:
     "Whose bright faces have their own rays."
     rays: int
     "Cast for it, also to faces that were hidden."
-
-
-@dataclass(frozen=True, eq=False)
-class _Nodes:
-    """Places in beams where faces are."""
-
-    pair: Ints
-    u: Floats
-    v: Floats
-    weight: Floats
-
-    def __len__(self) -> int:
-        return len(self.pair)
-
-
-_NONE = _Nodes(np.zeros(0, np.int64), np.zeros(0), np.zeros(0), np.zeros(0))
-
-
-@dataclass(frozen=True, eq=False)
-class _Ways:
-    """Rays to such places."""
-
-    pair: Ints
-    weight: Floats
-    origin_m: Floats
-    ray: Floats
-    range_m: Floats
-    open: Bools
-    "Nothing stands before the face, and it is within reach."
-
-    def __len__(self) -> int:
-        return len(self.pair)
-
-    def taken(self, at: Ints) -> _Ways:
-        """Some of them."""
-        return _Ways(*(column[at] for column in vars(self).values()))
-
-    @classmethod
-    def joined(cls, one: _Ways, other: _Ways) -> _Ways:
-        """Both."""
-        return cls(*(np.concatenate(both) for both in zip(vars(one).values(), vars(other).values(), strict=True)))
 
 
 def wanted(model: SensorModel, scene: Scene, surfaces: Surfaces) -> bool:
@@ -136,7 +94,7 @@ class BrightEdges:
             return seen, tails
         mine = np.zeros(len(bundles.axis), bool)
         mine[tails.beams] = True
-        found = SubEchoes.joined(seen.found.of_beams(~mine), echoes)
+        found = seen.found.replaced(mine, echoes)
         kept = None if seen.kept is None else Kept(seen.kept.found, seen.kept.changed | mine)
         return replace(seen, found=found, kept=kept), tails
 
@@ -169,24 +127,25 @@ class BrightEdges:
         sums = np.maximum(np.bincount(ahead.pair, ahead.weight, len(faced)), 1e-300)
         ahead = replace(ahead, weight=ahead.weight * (share / sums)[ahead.pair]).taken(lit)
         factor = window_factors(bundles.axis, model, gain)
-        bright = self._echoes(faced, ahead, factor, frames, surfaces, air)
         mine = np.zeros(len(t_s), bool)
         mine[faced.beam[ahead.pair]] = True
         others = seen.found.of_beams(mine)
         if seen.kept is not None:
             others = SubEchoes.joined(others, seen.kept.found.of_beams(mine & ~seen.kept.changed))
-        own = self._bundled(faced, bundles, seen_of, frames)
+        own = of_bundles(faced, bundles, seen_of, frames)
+        amplitude = self._amplitudes(faced, Ways.joined(ahead, own), factor, frames, surfaces, air)
         # those of the bundle's rays that are hidden are no echoes
-        others = _without(others, self._echoes(faced, own, factor, frames, surfaces, air))
-        return SubEchoes.joined(others, bright), Tails(indexes(mine), cast)
+        others = _without(others, _echoes(faced, own, amplitude[len(ahead) :]))
+        return SubEchoes.joined(others, _echoes(faced, ahead, amplitude[: len(ahead)])), Tails(indexes(mine), cast)
 
     def _towards(
         self, faced: Faced, middle: Floats, light: Floats, frames: Frames, reach_m: float
-    ) -> tuple[_Ways, Bools, int]:
+    ) -> tuple[Ways, Bools, int]:
         """Rays to faces, finer ones where something hides a part; of which faces any is seen; how many were cast."""
         outer = np.clip(np.sqrt(0.5 * np.log(np.maximum(light / UNSEEN, 1.0))), 1.0, MOST_RADII)
         outer = np.maximum(outer, faced.offset + 0.3)
-        ahead = self._open(_with_middle(_rings(faced, *ROUGH, outer), middle), faced, frames, reach_m)
+        every = np.arange(len(faced))
+        ahead = self._open(on_rings(faced, frames, *ROUGH, outer, every, middle), faced, frames, reach_m)
         cast, seen, hidden = (
             len(ahead),
             *(np.bincount(ahead.pair, k, len(faced)) > 0 for k in (ahead.open, ~ahead.open)),
@@ -194,18 +153,9 @@ class BrightEdges:
         part = seen & hidden
         if not bool(part.any()):
             return ahead, seen, cast
-        more = self._open(_rings(faced, *FINE, outer, indexes(part)), faced, frames, reach_m)
+        more = self._open(on_rings(faced, frames, *FINE, outer, indexes(part), None), faced, frames, reach_m)
         part &= np.bincount(more.pair, minlength=len(faced)) > 0  # slivers between all of these keep what they have
-        return _Ways.joined(ahead.taken(indexes(~part[ahead.pair])), more), seen, cast + len(more)
-
-    def _radius(self, bundles: Bundles) -> float:
-        """Where the outermost ray of these bundles goes, in beam radii, and a little more; infinite: not known."""
-        shape = self._model.beam
-        narrow = min(shape.half_angle_x_rad, shape.half_angle_y_rad)
-        if narrow < beams.NO_WIDTH or not len(bundles.axis):
-            return math.inf
-        along = np.minimum(bundles.direction[0] @ bundles.axis[0], 1.0).min()
-        return 1.01 * math.tan(math.acos(float(along))) / math.tan(narrow)
+        return Ways.joined(ahead.taken(indexes(~part[ahead.pair])), more), seen, cast + len(more)
 
     # ------------------------------------------------------------------ bounds
     def _radii(self, gain: float) -> Radii:
@@ -216,34 +166,8 @@ class BrightEdges:
         return Radii(floor_m, white, model.aperture_radius_m**2, UNSEEN, LEAST_RADII, MOST_RADII)
 
     # ------------------------------------------------------------------ rays
-    def _bundled(self, faced: Faced, bundles: Bundles, some: Bools, frames: Frames) -> _Ways:
-        """Rays of the beams' own bundles towards some of these faces."""
-        shape = self._model.beam
-        inner = indexes(some & (faced.offset <= self._radius(bundles)))
-        if not len(inner):
-            return self._ways(faced, _NONE, frames)
-        beam, row = np.unique(faced.beam[inner], return_inverse=True)
-        across = across_own(bundles.axis[beam], shape)
-        if shape.half_angle_x_rad >= beams.NO_WIDTH and shape.half_angle_y_rad >= beams.NO_WIDTH:
-            own = np.einsum("nmj,nij->nmi", bundles.direction[beam], across)
-            scale = np.array([math.tan(shape.half_angle_x_rad), math.tan(shape.half_angle_y_rad)])
-            place = own[:, :, :2] / np.maximum(own[:, :, 2:], 1e-9) / scale
-        else:
-            assert bundles.start_m is not None
-            place = np.einsum("nmj,nij->nmi", bundles.start_m[beam], across)[:, :, :2] / shape.exit_radius_m
-        pair, node = np.nonzero(polygons.within(faced.corner[inner], place[row]))
-        spot = place[row[pair], node]
-        return self._ways(faced, _Nodes(inner[pair], spot[:, 0], spot[:, 1], bundles.share[node]), frames)
-
-    def _ways(self, faced: Faced, nodes: _Nodes, frames: Frames) -> _Ways:
-        """Their rays in the world up to the faces' planes, whatever stands before them."""
-        range_m = faced.range_m(nodes.pair, nodes.u, nodes.v, self._model.beam)
-        origin, ray = frames.rays(faced.beam[nodes.pair], faced.across[nodes.pair], nodes.u, nodes.v)
-        return _Ways(nodes.pair, nodes.weight, origin, ray, range_m, range_m > 0.0)
-
-    def _open(self, nodes: _Nodes, faced: Faced, frames: Frames, reach_m: float) -> _Ways:
-        """The same, and whether anything does."""
-        ways = self._ways(faced, nodes, frames)
+    def _open(self, ways: Ways, faced: Faced, frames: Frames, reach_m: float) -> Ways:
+        """Rays to faces, and before which of these nothing stands."""
         if not len(ways):
             return ways
         t_s, range_m = frames.t_s[faced.beam[ways.pair]], ways.range_m
@@ -251,48 +175,22 @@ class BrightEdges:
         nearer = hits.range_m < range_m - NEARER_M - 1e-4 * range_m
         return replace(ways, open=~nearer & (range_m > 0.0) & (range_m <= reach_m))
 
-    def _echoes(
-        self, faced: Faced, ways: _Ways, factor: Floats, frames: Frames, surfaces: Surfaces, air: Medium
-    ) -> SubEchoes:
-        """Of faces at the ends of rays."""
+    def _amplitudes(
+        self, faced: Faced, ways: Ways, factor: Floats, frames: Frames, surfaces: Surfaces, air: Medium
+    ) -> Floats:
+        """(k,) of what comes back from faces at the ends of rays."""
         pair = ways.pair
-        if not len(pair):
-            return SubEchoes.none()
         beam = faced.beam[pair]
         depth = air.depth(ways.origin_m, ways.ray, ways.range_m, frames.t_s[beam])
         normal = np.einsum("kij,ki->kj", faced.across[pair], faced.normal[pair])
         cosine = np.minimum(np.abs(np.einsum("ki,ki->k", normal, ways.ray)), 1.0)
         back = surfaces.table.back(faced.material[pair], cosine, ways.range_m)
-        amplitude = ways.weight * factor[beam] * collected(ways.range_m, depth, self._model) * back
-        return SubEchoes.of(beam, ways.range_m, amplitude, None, faced.actor[pair])
+        return np.asarray(ways.weight * factor[beam] * collected(ways.range_m, depth, self._model) * back)
 
 
-def _rings(faced: Faced, step: float, count: int, outer: Floats, pairs: Ints | None = None) -> _Nodes:
-    """Nodes on rings that fall on faces, weighted by the light on their cells; from a face's nearest place outwards."""
-    pairs = np.arange(len(faced)) if pairs is None else pairs
-    if not len(pairs):
-        return _NONE
-    edge = np.arange(0.0, float(outer[pairs].max()) + step, step)
-    radius = 0.5 * (edge[1:] + edge[:-1])
-    light = np.exp(-2.0 * edge[:-1] ** 2) - np.exp(-2.0 * edge[1:] ** 2)
-    turn = 2.0 * np.pi / count * (np.arange(count) + beams.GOLDEN_ANGLE_RAD * np.arange(len(radius))[:, None])
-    u, v = (radius[:, None] * np.cos(turn)).ravel(), (radius[:, None] * np.sin(turn)).ravel()
-    ring, place = np.repeat(radius, count), np.stack([u, v], axis=1)[None]
-    # as far as the rings would go for this face alone: what it brings back does not depend on the others
-    near, far = (faced.offset[pairs] - step)[:, None], (outer[pairs] + 0.5 * step)[:, None]
-    row, node = np.nonzero((ring >= near) & (ring < far) & polygons.within(faced.corner[pairs], place))
-    return _Nodes(pairs[row], u[node], v[node], np.repeat(light / count, count)[node])
-
-
-def _with_middle(nodes: _Nodes, middle: Floats) -> _Nodes:
-    """And one in the middle of each face's light."""
-    pairs = len(middle)
-    rest = np.bincount(nodes.pair, nodes.weight, pairs)
-    weight = np.where(rest > 0.0, rest * (MIDDLE / (1.0 - MIDDLE)), 1.0)
-    return _Nodes(
-        np.concatenate([np.arange(pairs), nodes.pair]), np.concatenate([middle[:, 0], nodes.u]),
-        np.concatenate([middle[:, 1], nodes.v]), np.concatenate([weight, nodes.weight]),
-    )  # fmt: skip
+def _echoes(faced: Faced, ways: Ways, amplitude: Floats) -> SubEchoes:
+    """Of faces at the ends of rays."""
+    return SubEchoes.of(faced.beam[ways.pair], ways.range_m, amplitude, None, faced.actor[ways.pair])
 
 
 def _without(others: SubEchoes, counted: SubEchoes) -> SubEchoes:

@@ -54,7 +54,7 @@ class BroadPhase:
         reach_m = REACH_M * math.ceil(reach_m / REACH_M)
         first, last = np.floor(low_m / CELL_M), np.floor(high_m / CELL_M)
         window = math.floor(begin_s / WINDOW_S), math.floor(end_s / WINDOW_S)
-        key = (*first, *last, *window, reach_m)
+        key = (*first.tolist(), *last.tolist(), *window, reach_m)
         for known, chosen in self._kept:
             if known == key:
                 return chosen

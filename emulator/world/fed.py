@@ -175,7 +175,8 @@ class Fed(Motion):
         self._known: tuple[World, list[Track]] | None = None
         "Of the present sweep."
         self._straight: tuple[World | None, Straight | None] = (None, None)
-        self._offsets: tuple[Track | None, Vector] = (None, (0.0, 0.0, 0.0))
+        self._offsets: tuple[object, Vector] = (None, (0.0, 0.0, 0.0))
+        "The latest, and what it was made from."
 
     @property
     def still(self) -> bool:
@@ -245,7 +246,8 @@ class Fed(Motion):
             return None
         track, (begin, end) = tracks[0], tracks[0].straight_s
         rotation = self.now.first_turn(track)
-        at = track.at_m[0] + rotation @ np.array(self._offset(track))
+        offset = self._offset(track)
+        at = track.at_m[0] + rotation @ np.array(offset) if any(offset) else track.at_m[0]
         return Straight(at, velocity, float(track.t_s[0]), rotation, begin, end)
 
     def whole_track(self, times: Floats) -> Track | None:
@@ -257,14 +259,17 @@ class Fed(Motion):
 
     def _mine(self) -> list[Track]:
         if self._known is None or self._known[0] is not self.now.world:
-            mine = [track for track in self.now.of(self.name) if track.shape == self._shape or not self._shape]
+            mine = self.now.of(self.name)
+            if self._shape:
+                mine = [track for track in mine if track.shape == self._shape]
             self._known = self.now.world, mine
         return self._known[1]
 
     def _offset(self, track: Track) -> Vector:
         """From the feeder's reference point to the origin (or the mount), in the body's axes."""
-        if self._offsets[0] is not track:
-            self._offsets = track, self._offset_of(track)
+        made_from = track.reference, track.rear_m, track.size_m, self.scale if self._shape else None
+        if self._offsets[0] != made_from:
+            self._offsets = made_from, self._offset_of(track)
         return self._offsets[1]
 
     def _offset_of(self, track: Track) -> Vector:

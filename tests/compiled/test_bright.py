@@ -10,9 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from emulator.compiled.sheets import holds
 from emulator.physics import polygons
-from emulator.sensing import sheets
+from emulator.sensing import sheets, tails
 from emulator.sensing.bright import BrightEdges
+from emulator.sensing.measure import Measure
+from emulator.sensing.rays import Bundles
 from emulator.sensing.sheets import Faced, Frames
 from tests.compiled.both import both
 from tests.draws import cases
@@ -34,13 +37,18 @@ def faced(folder: Path, actors: list[dict[str, Any]], **sensor: Any) -> Faced:
     measure = build(
         folder, actors=[ego, *actors], model="sick-lms291-s05", materials=SHEET, mount={"actor": "ego"}, **sensor
     )
+    return near_beams(measure)[0]
+
+
+def near_beams(measure: Measure) -> tuple[Faced, Frames, Bundles]:
+    """Bright faces near the beams of a sweep, these, and their bundles."""
     assert isinstance(measure._bright, BrightEdges)
     sweep = plan(np.arange(-90.0, 91.0, 1.0), fire_s=np.linspace(0.0, 0.013, 181))
     t_s = 1e-9 * sweep.start_ns + sweep.fire_offset_s
     pose, bundles = measure._pose(t_s), measure._bundles.of(sweep)
     axis = np.einsum("nij,nj->ni", pose.rotation, bundles.axis)
     frames = Frames(pose, bundles.axis, axis, t_s, measure.model.beam)
-    return measure._bright._sheets.near(frames, measure._bright._radii(1.0), 90.0)
+    return measure._bright._sheets.near(frames, measure._bright._radii(1.0), 90.0), frames, bundles
 
 
 def same(one: Faced, other: Faced) -> None:
@@ -106,11 +114,54 @@ def test_the_same_places_lie_in_polygons(seed: int, edges: int, shared: bool) ->
     corner[::2] = corner[::2, ::-1]  # the other way around
     place = rng.normal(size=(1 if shared else len(corner), int(rng.integers(0, 60)), 2))
     place[:, :1] = corner[:1, :1] if len(corner) else 0.0  # a corner itself
-    one, other = both(lambda: polygons.within(corner, place))
-    np.testing.assert_array_equal(other, one)
+    one, row = polygons.within(corner, place), [0] * len(corner) if shared else range(len(corner))
+    other = [[holds(corner, k, u, v) for u, v in place[row[k]]] for k in range(len(corner))]
+    np.testing.assert_array_equal(np.reshape(other, one.shape), one)
 
 
 def test_what_both_must_know_stands_twice_alike() -> None:
     from emulator.compiled import sheets as loops
 
     assert loops.NEAR == polygons.NEAR
+
+
+@given(seed=st.integers(0, 100_000), edges=st.sampled_from([3, 6]))
+@settings(max_examples=cases(40), deadline=None)
+def test_polygons_get_the_same_light(seed: int, edges: int) -> None:
+    """Also those that have an edge in common, and those far from the axis."""
+    rng = np.random.default_rng(seed)
+    corner = rng.normal(size=(int(rng.integers(0, 30)), edges // 3, 3, 2)) * float(rng.choice([0.1, 1.0, 3.0]))
+    corner = np.sort(corner.reshape(-1, edges, 2), axis=1) if edges == 6 else corner.reshape(-1, 3, 2)
+    corner[1::2, :2] = corner[: len(corner) // 2 * 2 : 2, 1::-1]
+    for one, other in zip(*both(lambda: polygons.gaussian_share(corner)), strict=True):
+        np.testing.assert_allclose(other, one, rtol=1e-7, atol=1e-13)
+
+
+def rays_to(folder: Path, actors: list[dict[str, Any]], **sensor: Any) -> tuple[tails.Ways, ...]:
+    """Rays to what comes near, on rings with and without the middles, and of the bundles."""
+    ego = {"id": "ego", "motion": {"at_m": [0.0, 0.0, 0.0], "velocity_m_s": [8.0, 1.0, 0.0]}}
+    measure = build(folder, actors=[ego, *actors], materials=SHEET, mount={"actor": "ego"}, **sensor)
+    near, frames, bundles = near_beams(measure)
+    outer = np.maximum(1.0 + np.arange(len(near)) % 3, near.offset + 0.3)
+    every, middle = np.arange(len(near)), near.corner.mean(axis=1)
+    return (
+        tails.on_rings(near, frames, 0.35, 9, outer, every, middle),
+        tails.on_rings(near, frames, 0.08, 48, outer, every[::2], None),
+        tails.of_bundles(near, bundles, every % 5 > 0, frames),
+    )
+
+
+@pytest.mark.parametrize("physics", [{}, {"roll_deg": 20.0}, {"divergence_deg": 0.0, "exit_diameter_mm": 60.0}])
+@pytest.mark.parametrize("seed", range(4))
+def test_the_same_rays_go_to_faces(seed: int, physics: dict[str, Any], tmp_path: Path) -> None:
+    """Of beams that open, of turned ones, and of one that stays as wide as its pupil."""
+    rng, actors = np.random.default_rng(seed), []
+    for k in range(8):
+        angle, away = rng.uniform(-1.5, 1.5), rng.uniform(0.5, 30.0)
+        motion = {"at_m": [away * np.cos(angle), away * np.sin(angle), 0.0], "yaw_deg": rng.uniform(-180, 180)}
+        actors.append({"id": f"a{k}", "shape": SHAPES[k % 3], "material": "sheet", "motion": motion})
+    made = both(lambda: rays_to(tmp_path, actors, model="sick-lms291-s05", physics=physics))
+    assert all(len(one) > 10 for one in made[0])
+    for one, other in zip(*made, strict=True):
+        for name, column in vars(one).items():
+            np.testing.assert_allclose(getattr(other, name), column, rtol=1e-9, atol=1e-11, err_msg=name)

@@ -183,6 +183,27 @@ def test_joined_parts_are_as_if_all_had_come_together(seed: int) -> None:
         np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name), err_msg=name)
 
 
+@given(seed=st.integers(0, 10**6))
+@settings(max_examples=cases(40), deadline=None)
+def test_what_beams_have_is_replaced_as_if_they_had_had_nothing(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    own, others = [], []
+    for tag, part in enumerate((own, others)):
+        n = int(rng.integers(0, 40))
+        columns = rng.integers(0, 8, n), np.round(rng.uniform(0.0, 9.0, n), 1), rng.uniform(0.1, 9.0, n), rng.random(n)
+        spread = rng.random(n) if rng.random() < 0.5 else None
+        part.append(SubEchoes.of(*columns, np.full(n, tag), spread))
+    beams = rng.random(8) < 0.5
+    whole = own[0].replaced(beams, others[0].of_beams(beams))
+    wanted = SubEchoes.joined(own[0].of_beams(~beams), others[0].of_beams(beams))
+    for name in ("beam", "range_m", "amplitude", "blocked", "source"):
+        np.testing.assert_array_equal(getattr(whole, name), getattr(wanted, name), err_msg=name)
+    none = np.zeros(len(whole))
+    np.testing.assert_array_equal(
+        *(none if one.spread_m is None else one.spread_m for one in (whole, wanted)), err_msg="spread_m"
+    )
+
+
 def test_joined_planes_keep_their_spread_and_points_have_none() -> None:
     plane = SubEchoes.of(np.array([1]), np.array([5.0]), np.array([3.0]), spread_m=np.array([0.2]))
     point = SubEchoes.of(np.array([0, 2]), np.array([4.0, 6.0]), np.array([1.0, 1.0]))
