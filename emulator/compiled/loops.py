@@ -15,6 +15,7 @@ from emulator.compiled.receiving import received
 from emulator.compiled.sheets import beside, covered
 from emulator.compiled.strips import strips
 from emulator.compiled.surfaces import in_order, special, strengths
+from emulator.compiled.tracing import traced
 from emulator.compiled.waves import sampled
 
 __all__ = [
@@ -49,5 +50,6 @@ __all__ = [
     "strengths",
     "strips",
     "sums",
+    "traced",
     "unwritten",
 ]

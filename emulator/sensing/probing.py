@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from emulator.physics import beams
 from emulator.physics.arrays import Bools, Floats, Ints, indexes
+from emulator.physics.beams import beam_phase
 from emulator.physics.subechoes import interleaved
 from emulator.sensing import closed, strips
 from emulator.sensing.air import AirNow
@@ -31,6 +32,8 @@ from emulator.sensing.pruning import Pruned
 from emulator.sensing.rays import BundleCache, Rays, cast_rays, pose_at, turned
 from emulator.sensing.sheets import bright_of
 from emulator.sensing.through import Ways
+from emulator.sensing.traced import DONE, UNEVEN, Bundle, traced
+from emulator.sensing.traced import LEFT as UNTRACED
 from emulator.world.connected import pieces_of
 from emulator.world.motion import Pose
 from protocols.scan import ScanPlan
@@ -177,8 +180,10 @@ class Probing:
         kinds, made, material, actor, normal = first.kinds, first.made, first.material, first.actor, first.normal
         faces = first.faces
         what, cast = (self._caster, surfaces, air, model, gain, plan.max_range_m), first.cast
-        parts, count = [], len(self.nodes)
-        left = indexes(kinds == LEFT)
+        parts, count, step = [], len(self.nodes), OFF_PLANE_LSB * model.lsb_m
+        rest = first.around, far, reach, weight, surfaces, air, model, step
+        settled_ = kinds != LEFT
+        left = indexes(~settled_)
         if len(left):
             some = beams_ if len(left) == n else beams_.taken(left)
             rays = _probes(some)
@@ -195,21 +200,31 @@ class Probing:
             if len(chosen):
                 own = (at[chosen][:, None] + np.arange(count)).ravel()
                 parts.append((left[chosen], returned(_Picked.of(hits, own), _rays_at(rays, chosen, own), *what)))
-            chosen = indexes(sort == PANE)
-            if 0 < len(chosen) < FEWEST_PANES:
-                kinds[left[chosen]] = BUNDLE
-            elif len(chosen):
-                own = (at[chosen][:, None] + np.arange(count)).ravel()
-                ways = Ways()
-                seen = returned(_Picked.of(hits, own), _rays_at(rays, chosen, own), *what, ways)
-                first_m, panes = hits.range_m[own].reshape(-1, count), at[chosen]
-                # what a pane sends straight back as a mirror has a spread of nothing
-                light = weight[left[chosen]] * model.k_m2 / (first_m.min(axis=1) ** 2 + model.aperture_radius_m**2)
-                light *= surfaces.table.back(hits.material[panes].astype(np.int64), hits.cosine[panes])
-                good = ways.smooth(first_m, light, self._places, OFF_PLANE_LSB * model.lsb_m, model)
-                kinds[left[chosen]] = np.where(good, PANE, BUNDLE)
-                parts.append((left[chosen], replace(seen, found=seen.echoes.of_beams(good))))
+        panes, others = indexes(kinds == PANE), []
+        if len(panes) < FEWEST_PANES:
+            kinds[panes] = BUNDLE
+        else:
+            own = panes[settled_[panes]]
+            if len(own):
+                through = traced(beams_, own, Bundle(self.nodes, np.zeros(len(own)), judged=True), *rest)
+                kinds[own[through.verdict == UNEVEN]] = BUNDLE
+                others.append(through.found)
+                own = own[through.verdict == UNTRACED]
+            own = np.concatenate([panes[~settled_[panes]], own])
+            own.sort()
+            if len(own):
+                good, seen = self._looked_through(beams_.taken(own), weight[own], far, what)
+                kinds[own] = np.where(good, PANE, BUNDLE)
+                parts.append((own, replace(seen, found=seen.echoes.of_beams(good))))
         chosen = indexes(kinds == BUNDLE)  # what was put down of them as panes is replaced
+        own = chosen[settled_[chosen]]
+        if len(own):
+            edges = traced(beams_, own, Bundle(self._bundles.nodes, beam_phase(own), judged=False), *rest)
+            done = indexes(edges.verdict == DONE)
+            own = own[done]
+            made[0, own], material[own], normal[own] = edges.nearest_m[done], edges.material[done], edges.normal[done]
+            others.append(edges.found)
+            chosen, cast = np.setdiff1d(chosen, own, assume_unique=True), cast + edges.cast
         if len(chosen):
             part = cast_rays(self._bundles.part(plan, chosen), pose_at(pose, chosen), t_s[chosen])
             hits = self._caster.first_hits(part.origin_m, part.direction, part.t_s, max_range_m=far)
@@ -219,7 +234,8 @@ class Probing:
         found = strips.echoes(
             indexes(kinds == CLOSED), faces, material, actor, weight, surfaces.table, air.extinction_per_m, model
         )
-        nearest, others = made[0], [found]
+        nearest = made[0]
+        others.append(found)
         for chosen, seen in parts:
             nearest[chosen] = seen.nearest_m
             others.append(replace(seen.echoes, beam=chosen[seen.echoes.beam]))
@@ -229,6 +245,18 @@ class Probing:
         axes = Rays(pose.position_m, axis, t_s, each, np.ones(n), each, pose.position_m, axis, beams_.own_axis)
         whole = Seen(found, nearest, material, made[1], normal)
         return Pruned(axes, whole, kinds != BUNDLE, cast, closed.Shifts(none, none))
+
+    def _looked_through(self, some: Beams, weight: Floats, far: float, what: Any) -> tuple[Bools, Seen]:
+        """What probes of beams on panes see through these and in them, and of which beams they do for that."""
+        _, surfaces, _, model, _, _ = what
+        rays, ways = _probes(some), Ways()
+        hits = self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=far)
+        seen = returned(hits, rays, *what, ways)
+        first_m, axes = hits.range_m.reshape(len(weight), -1), rays.nearest_axis
+        # what a pane sends straight back as a mirror has a spread of nothing
+        light = weight * model.k_m2 / (first_m.min(axis=1) ** 2 + model.aperture_radius_m**2)
+        light *= surfaces.table.back(hits.material[axes].astype(np.int64), hits.cosine[axes])
+        return ways.smooth(first_m, light, self._places, OFF_PLANE_LSB * model.lsb_m, model), seen
 
     def _law(self) -> Floats:
         """Numbers by which a beam is judged, in the order of `compiled.narrow`."""
