@@ -12,6 +12,7 @@ import numpy as np
 from emulator.compiled.arithmetic import exp
 from emulator.compiled.casting import LONGER, LONGEST
 from emulator.compiled.jit import EMBREE, FLAG, FLAGS, FLOATS, INT, INTS, ROWS, TURNS, WORDS, compiled
+from emulator.compiled.moving import cross
 from emulator.compiled.packets import DIRECTION, GEOMETRY, TFAR, TRIANGLE, room, send
 from emulator.compiled.strips import reflected, strips_wanted
 
@@ -21,8 +22,8 @@ LEFT, DONE, UNEVEN = 0, 1, 2
 "What becomes of a beam: arrays do it; it is done; its probes do not stand for what they see through a pane."
 PLAIN, GLASS, MIRROR, REFUSED = 0, 1, 2, 3
 "Materials, by what happens to a ray on them; on the last it is left."
-X, Y, Z, AHEAD, LEFTWARD, UP, WEIGHT, LENGTH, DEPTH, AIR = range(10)
-"Columns of a ray under way: origin about the structure's, direction, and those of `paths._Front`."
+X, Y, Z, AHEAD, LEFTWARD, UP, WEIGHT, LENGTH, DEPTH, AIR, TIME = range(11)
+"Columns of a ray under way: origin about the structure's, direction, those of `paths._Front`, its instant."
 
 
 @compiled()
@@ -118,11 +119,15 @@ def _all_even(begin, end, way, branches, seen, kind, places, judge, numbers, fee
 @compiled(
     *EMBREE, ROWS, TURNS, INTS, FLOATS, ROWS, FLOATS, INT, FLOATS, FLOATS, ROWS, INTS, INT, FLAGS, WORDS, WORDS, FLAGS,
     ROWS, ROWS, INTS, ROWS, FLOATS, INT, FLAG, ROWS, FLOATS, INTS, FLOATS, ROWS, INT,
+    FLOATS, ROWS, *EMBREE, ROWS, ROWS, FLOATS, TURNS, ROWS, FLOATS, ROWS, ROWS, INTS, INTS, INTS, INTS, INTS, WORDS,
 )  # fmt: skip
 def traced(
     function, width, scene, arguments, place, frame, at, phase, nodes, share, first_node, centre, limits,
     plane, body_of, offset, closed, actor_of, material_of, solid, movers, factors, kinds_of, optics, weight, bounces,
     judged, places, judge, numbers, feet, shift, most_strips,
+    t_s, around, their_function, their_width, their_scene, their_arguments,
+    there, velocity, since, turned_by, middle, radius, half, cell, from_slot, home, their_body, part_of, parts_of,
+    part_material,
 ):  # fmt: skip
     """What becomes of the beams `at`, see `DONE`; nearest ranges; material at the axis and normal (3, .) there; beam
     and actor (2, k) and range, amplitude, blocked share (3, k) of their sub-echoes in order, those of the beams that
@@ -131,7 +136,9 @@ def traced(
     `place` : (3, n) and `frame` : (3, 3, n) axis, left and up of each beam; `phase` : of those `at`, by which their
     bundles of `nodes` : (2, m) and `share` are turned; `limits` : numbers in the order of `sensing.traced`; `optics` :
     (3, materials) index, internal transmission, specular share; `judged` : whether the probes must see smooth surfaces
-    only, by `places` : (3, m) of them; the rest as of `narrow`.
+    only, by `places` : (3, m) of them; `t_s` : (n,); `around` : (4, b) spheres that hold the moving bodies meanwhile;
+    from `their_function` on as of `moving.cross` and `casting.reported`; the rest as of `narrow`. Beams that come into
+    spheres of `movers` are left.
     """
     tan_x, tan_y, exit_m, turn, tilt, far, reach = (
         limits[0], limits[1], limits[2], limits[3], limits[4], limits[5], limits[6]
@@ -148,7 +155,14 @@ def traced(
     packet, flags, lanes = room(width)
     group = max(1, TOGETHER // m)
     most = group * m * 2**bounces
-    rays, later = np.empty((10, most)), np.empty((10, most))
+    theirs, their_at = around.copy(), there.copy()
+    for i in range(3):
+        theirs[i] -= centre[i]
+        their_at[i] -= centre[i]
+    rays, later = np.empty((11, most)), np.empty((11, most))
+    body, turned_normal = np.empty(most, np.int64), np.empty((3, most))
+    which, touched = np.empty(most, np.int64), np.empty(most, np.int64)
+    no_bend, no_place, no_turn = np.zeros(0, np.int64), np.zeros((3, 0)), np.zeros((3, 3, 0))
     tags, later_tags = np.empty((3, most), np.int64), np.empty((3, most), np.int64)  # beam, way, body it is inside of
     range_m, facing, triangle = np.empty(most), np.empty(most), np.empty(most, np.int64)
     seen, kind_of = np.empty((2, most)), np.empty((2, most), np.int64)
@@ -171,7 +185,7 @@ def traced(
                     rays[X + axis, base + p] = place[axis, i] - centre[axis] + left * x + up * y
                     rays[AHEAD + axis, base + p] = (frame[0, axis, i] + left * across + up * upward) / length
                 rays[WEIGHT, base + p], rays[LENGTH, base + p], rays[DEPTH, base + p] = weight[i] * share[p], 0.0, 0.0
-                rays[AIR, base + p] = share[p]
+                rays[AIR, base + p], rays[TIME, base + p] = share[p], t_s[i]
                 tags[0, base + p], tags[1, base + p], tags[2, base + p] = one, 0, -1
         under_way, echoes = count * m, 0
         for bounce in range(bounces + 1):
@@ -207,6 +221,25 @@ def traced(
                     if bounce == 0 and refined > far:
                         continue
                     range_m[ray], facing[ray], triangle[ray] = max(refined, 0.0), turned, face
+                    body[ray] = body_of[face]
+            limit = far if bounce == 0 else reach
+            for mover in range(theirs.shape[1]):
+                pairs = 0
+                for ray in range(under_way):
+                    if _meets(
+                        theirs[:, mover : mover + 1], rays[X, ray], rays[Y, ray], rays[Z, ray], rays[AHEAD, ray],
+                        rays[LEFTWARD, ray], rays[UP, ray], range_m[ray],
+                    ):  # fmt: skip
+                        which[pairs], touched[pairs] = mover, ray
+                        pairs += 1
+                if pairs > 0:
+                    sent, odd = cross(
+                        their_function, their_width, their_scene, their_arguments, home[mover], which[:pairs],
+                        touched[:pairs], rays[X : Z + 1], rays[AHEAD : UP + 1], rays[TIME], limit,
+                        their_at, velocity, since, turned_by, middle, radius, half, cell, from_slot, home, their_body,
+                        no_bend, no_place, no_turn, plane, suspicious, range_m, triangle, body, turned_normal, facing,
+                    )  # fmt: skip
+                    cast, wrong = cast + sent, wrong + odd
             cast += under_way
             going = 0
             for ray in range(under_way):
@@ -220,17 +253,28 @@ def traced(
                 dx, dy, dz = rays[AHEAD, ray], rays[LEFTWARD, ray], rays[UP, ray]
                 before = rays[LENGTH, ray]
                 until = min(r, far if bounce == 0 else reach - before)
+                if bounce == 0 and r > far:
+                    face = -1
                 if _meets(spheres, x, y, z, dx, dy, dz, until):
                     verdict[of] = LEFT
                     continue
                 if face < 0:
                     continue
                 inner = facing[ray] > 0.0 and closed[face]
-                if inner and (bounce == 0 or body_of[face] != tags[2, ray]):  # it may have slipped into a shell
+                if inner and (bounce == 0 or body[ray] != tags[2, ray]):  # it may have slipped into a shell
                     verdict[of] = LEFT
                     continue
-                kind, side = np.int64(material_of[face]), -1.0 if facing[ray] > 0.0 else 1.0
-                nx, ny, nz = side * plane[face, 0], side * plane[face, 1], side * plane[face, 2]
+                met, side = body[ray], -1.0 if facing[ray] > 0.0 else 1.0
+                if face < len(material_of):
+                    kind = np.int64(material_of[face])
+                    nx, ny, nz = side * plane[face, 0], side * plane[face, 1], side * plane[face, 2]
+                else:
+                    kind = np.int64(part_material[parts_of[met] + part_of[face]])
+                    nx, ny, nz = (
+                        side * turned_normal[0, ray],
+                        side * turned_normal[1, ray],
+                        side * turned_normal[2, ray],
+                    )
                 if bounce == 0:
                     nearest[of] = min(nearest[of], r)
                     if ray - one * m == first_node:
@@ -244,12 +288,11 @@ def traced(
                 cosine, depth = abs(facing[ray]), rays[DEPTH, ray] + alpha * r
                 stopped = rays[AIR, ray]
                 if kinds_of[kind] != PLAIN and bounce < bounces:
-                    body = body_of[face]
                     mirrored, through = _shares(
                         kinds_of[kind], optics[0, kind], optics[1, kind], optics[2, kind], cosine
                     )
                     i = at[of]
-                    if through > 0.0 and solid[body] and not inner:
+                    if through > 0.0 and solid[met] and not inner:
                         verdict[of] = LEFT  # it is bent
                         continue
                     if bounce == 0 and mirrored > 0.0 and _back_into_the_lens(
@@ -274,8 +317,9 @@ def traced(
                         later[WEIGHT, going], later[LENGTH, going] = rays[WEIGHT, ray] * part * part, length + step
                         later[DEPTH, going] = depth
                         later[AIR, going] = rays[AIR, ray] * part * part if passed else 0.0
+                        later[TIME, going] = rays[TIME, ray]
                         later_tags[0, going], later_tags[1, going] = one, 2 * tags[1, ray] + passed
-                        later_tags[2, going] = -1 if inner == (passed == 1) else body
+                        later_tags[2, going] = -1 if inner == (passed == 1) else met
                         going += 1
                 lost = 1.0 - 2.0 * depth * (1.0 - depth) if 2.0 * depth < clear_depth else exp(-2.0 * depth)
                 height = rays[WEIGHT, ray] * k_m2 * lost * reflected(factors, kind, cosine) / (length * length + area)
@@ -284,7 +328,7 @@ def traced(
                 elif length < full:
                     height *= (length - start) / (full - start)
                 seen[0, ray], seen[1, ray] = length, height
-                kind_of[0, ray], kind_of[1, ray] = kind, actor_of[body_of[face]]
+                kind_of[0, ray], kind_of[1, ray] = kind, actor_of[met]
                 own[0, echoes], own[1, echoes], own[2, echoes] = length, height, stopped
                 own_tag[0, echoes], own_tag[1, echoes] = one, kind_of[1, ray]
                 echoes += 1

@@ -87,9 +87,10 @@ def _traced_by_loops(
     verdict, nearest, material, normal, whole, sizes, cast, wrong = loops.traced(
         *around.how, beams_.place, beams_.frame, at, bundle.phase_rad, np.array([nodes.u, nodes.v]), nodes.share, first,
         around.centre, limits, around.plane, around.body, around.offset, around.closed, around.actor_of,
-        around.material, solid, around.movers, table.factors, np.where(table.mirrors & (kinds == GLASS), MIRROR, kinds),
+        around.material, solid, around.others, table.factors, np.where(table.mirrors & (kinds == GLASS), MIRROR, kinds),
         table.optics, weight, bounces, bundle.judged, np.array([lengths, nodes.u, nodes.v]), judge,
         np.array(strips.COUNTS), np.array(strips.FEET), strips.SHIFT, MOST_STRIPS,
+        beams_.t_s, around.crossing.spheres, *around.crossing.how, *around.crossing.columns, *around.parts,
     )  # fmt: skip
     around.counters.rays += cast
     around.counters.cast += cast
