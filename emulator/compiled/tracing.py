@@ -22,6 +22,8 @@ LEFT, DONE, UNEVEN = 0, 1, 2
 "What becomes of a beam: arrays do it; it is done; its probes do not stand for what they see through a pane."
 PLAIN, GLASS, MIRROR, REFUSED = 0, 1, 2, 3
 "Materials, by what happens to a ray on them; on the last it is left."
+PLACE_BITS, RANGE_BITS = 12, 34
+"Of numbers that sort as beam, range and place in the beam: ranges are distinguished to 2^-34 of the reach."
 X, Y, Z, AHEAD, LEFTWARD, UP, WEIGHT, LENGTH, DEPTH, AIR, TIME = range(11)
 "Columns of a ray under way: origin about the structure's, direction, those of `paths._Front`, its instant."
 
@@ -130,8 +132,9 @@ def traced(
     part_material,
 ):  # fmt: skip
     """What becomes of the beams `at`, see `DONE`; nearest ranges; material at the axis and normal (3, .) there; beam
-    and actor (2, k) and range, amplitude, blocked share (3, k) of their sub-echoes in order, those of the beams that
-    are done; how many rays were cast, how many distances were suspicious.
+    and actor (2, k) and range, amplitude, blocked share (3, k) of their sub-echoes by beam, of beams that are done, and
+    numbers (k,) that sort as these in order, whose last bits are the place in the beam; how many rays were cast, how
+    many distances were suspicious.
 
     `place` : (3, n) and `frame` : (3, 3, n) axis, left and up of each beam; `phase` : of those `at`, by which their
     bundles of `nodes` : (2, m) and `share` are turned; `limits` : numbers in the order of `sensing.traced`; `optics` :
@@ -169,6 +172,8 @@ def traced(
     own = np.empty((3, 2 * most))  # sub-echoes of a group
     own_tag = np.empty((2, 2 * most), np.int64)
     whole, sizes = np.empty((2, 2 * n * m), np.int64), np.empty((3, 2 * n * m))
+    key, scale = np.empty(2 * n * m, np.int64), (2.0**RANGE_BITS - 1.0) / reach
+    starts, filled = np.zeros(group + 1, np.int64), np.zeros(group, np.int64)
     made = cast = wrong = 0
     for begin in range(0, n, group):
         count = min(group, n - begin)
@@ -241,7 +246,7 @@ def traced(
                     )  # fmt: skip
                     cast, wrong = cast + sent, wrong + odd
             cast += under_way
-            going = 0
+            going, passing = 0, most // 2  # mirrored ones, and those through panes: each sort shares its searches
             for ray in range(under_way):
                 one = tags[0, ray]
                 of, face, r = begin + one, triangle[ray], range_m[ray]
@@ -308,19 +313,21 @@ def traced(
                         part = through if passed else mirrored
                         if not (part > 0.0 and bound * part * part > least and length < reach):
                             continue
-                        onward = 0.0 if passed else 2.0 * cosine
+                        onward, to = 2.0 * cosine, going
+                        if passed:
+                            onward, to, passing = 0.0, passing, passing + 1
+                        else:
+                            going += 1
                         tx, ty, tz = dx + onward * nx, dy + onward * ny, dz + onward * nz
-                        later[X, going], later[Y, going], later[Z, going] = (
+                        later[X, to], later[Y, to], later[Z, to] = (
                             x + r * dx + step * tx, y + r * dy + step * ty, z + r * dz + step * tz
                         )  # fmt: skip
-                        later[AHEAD, going], later[LEFTWARD, going], later[UP, going] = tx, ty, tz
-                        later[WEIGHT, going], later[LENGTH, going] = rays[WEIGHT, ray] * part * part, length + step
-                        later[DEPTH, going] = depth
-                        later[AIR, going] = rays[AIR, ray] * part * part if passed else 0.0
-                        later[TIME, going] = rays[TIME, ray]
-                        later_tags[0, going], later_tags[1, going] = one, 2 * tags[1, ray] + passed
-                        later_tags[2, going] = -1 if inner == (passed == 1) else met
-                        going += 1
+                        later[AHEAD, to], later[LEFTWARD, to], later[UP, to] = tx, ty, tz
+                        later[WEIGHT, to], later[LENGTH, to] = rays[WEIGHT, ray] * part * part, length + step
+                        later[DEPTH, to], later[TIME, to] = depth, rays[TIME, ray]
+                        later[AIR, to] = rays[AIR, ray] * part * part if passed else 0.0
+                        later_tags[0, to], later_tags[1, to] = one, 2 * tags[1, ray] + passed
+                        later_tags[2, to] = -1 if inner == (passed == 1) else met
                 lost = 1.0 - 2.0 * depth * (1.0 - depth) if 2.0 * depth < clear_depth else exp(-2.0 * depth)
                 height = rays[WEIGHT, ray] * k_m2 * lost * reflected(factors, kind, cosine) / (length * length + area)
                 if length < start:
@@ -350,25 +357,34 @@ def traced(
                     ):
                         verdict[of] = UNEVEN
                     ray = end
+            for ray in range(most // 2, passing):
+                later[:, going] = later[:, ray]
+                later_tags[:, going] = later_tags[:, ray]
+                going += 1
             if going == 0:
                 break
             rays, later, tags, later_tags, under_way = later, rays, later_tags, tags, going
-        order = np.argsort(own_tag[0, :echoes], kind="mergesort")
-        if made + echoes > whole.shape[1]:
+        if made + echoes > len(key):
             more, larger = np.empty((2, 2 * (made + echoes)), np.int64), np.empty((3, 2 * (made + echoes)))
-            more[:, :made], larger[:, :made] = whole[:, :made], sizes[:, :made]
-            whole, sizes = more, larger
-        begun = 0
-        while begun < echoes:
-            one, end = own_tag[0, order[begun]], begun
-            while end < echoes and own_tag[0, order[end]] == one:
-                end += 1
-            if verdict[begin + one] == DONE:
-                some = order[begun:end]
-                some = some[np.argsort(own[0][some], kind="mergesort")]
-                for k in some:
-                    whole[0, made], whole[1, made] = at[begin + one], own_tag[1, k]
-                    sizes[0, made], sizes[1, made], sizes[2, made] = own[0, k], own[1, k], own[2, k]
-                    made += 1
-            begun = end
-    return verdict, nearest, what, normal, whole[:, :made].copy(), sizes[:, :made].copy(), cast, wrong
+            longer = np.empty(2 * (made + echoes), np.int64)
+            more[:, :made], larger[:, :made], longer[:made] = whole[:, :made], sizes[:, :made], key[:made]
+            whole, sizes, key = more, larger, longer
+        starts[:] = 0
+        for k in range(echoes):
+            if verdict[begin + own_tag[0, k]] == DONE:
+                starts[own_tag[0, k] + 1] += 1
+        for one in range(count):
+            starts[one + 1] += starts[one]
+            filled[one] = 0
+        for k in range(echoes):
+            one = own_tag[0, k]
+            if verdict[begin + one] != DONE:
+                continue
+            to = made + starts[one] + filled[one]
+            whole[0, to], whole[1, to] = at[begin + one], own_tag[1, k]
+            sizes[0, to], sizes[1, to], sizes[2, to] = own[0, k], own[1, k], own[2, k]
+            key[to] = ((begin + one) << (RANGE_BITS + PLACE_BITS)) + (np.int64(own[0, k] * scale) << PLACE_BITS)
+            key[to] += filled[one]
+            filled[one] += 1
+        made += starts[count]
+    return verdict, nearest, what, normal, whole[:, :made], sizes[:, :made], key[:made], cast, wrong
