@@ -13,9 +13,11 @@ from emulator.compiled.arithmetic import exp
 from emulator.compiled.casting import LONGER, LONGEST
 from emulator.compiled.jit import EMBREE, FLAG, FLAGS, FLOATS, INT, INTS, ROWS, TURNS, WORDS, compiled
 from emulator.compiled.moving import cross
-from emulator.compiled.packets import DIRECTION, GEOMETRY, TFAR, TRIANGLE, room, send
+from emulator.compiled.packets import DIRECTION, GEOMETRY, TFAR, TRIANGLE, put, room, send
 from emulator.compiled.strips import reflected, strips_wanted
 
+LEAK_TURN_RAD = 1e-6
+"As of `raycast`."
 TOGETHER = 288
 "Rays whose beams are followed together, about."
 LEFT, DONE, UNEVEN = 0, 1, 2
@@ -68,6 +70,31 @@ def _meets(sphere, x, y, z, dx, dy, dz, until):
         if to_x * to_x + to_y * to_y + to_z * to_z - along * along <= radius * radius:
             return True
     return False
+
+
+@compiled()
+def _is_inside(function, scene, arguments, packet, flags, lanes, plane, closed, offset, spheres, x, y, z, dx, dy, dz,
+               until):  # fmt: skip
+    """Whether a ray meets the inside of a closed shell at rest again that is turned a little: see
+    `Caster._recast_leaks`. False also where something moves."""
+    way = np.array([dx, dy, dz])
+    least = np.argmin(np.abs(way))
+    one, other = (least + 1) % 3, (least + 2) % 3
+    length = np.sqrt(way[one] * way[one] + way[other] * way[other])
+    turned = way.copy()
+    turned[one] += LEAK_TURN_RAD * way[other] / length
+    turned[other] -= LEAK_TURN_RAD * way[one] / length
+    turned /= np.sqrt((turned * turned).sum())
+    put(packet, flags, lanes, 0, x, y, z, turned[0], turned[1], turned[2], min(until * LONGER, LONGEST))
+    send(function, scene, arguments, packet, lanes, 1)
+    face = np.int64(flags[TRIANGLE, 0])
+    if face < 0 or lanes[0] == 0:
+        return False
+    face += offset
+    facing = plane[face, 0] * turned[0] + plane[face, 1] * turned[1] + plane[face, 2] * turned[2]
+    if not (facing > 0.0 and closed[face]):
+        return False
+    return not _meets(spheres, x, y, z, turned[0], turned[1], turned[2], np.float64(packet[TFAR, 0]))
 
 
 @compiled()
@@ -267,8 +294,12 @@ def traced(
                     continue
                 inner = facing[ray] > 0.0 and closed[face]
                 if inner and (bounce == 0 or body[ray] != tags[2, ray]):  # it may have slipped into a shell
-                    verdict[of] = LEFT
-                    continue
+                    if face >= len(material_of) or not _is_inside(
+                        function, scene, arguments, packet, flags, lanes, plane, closed, offset, theirs,
+                        x, y, z, dx, dy, dz, limit - before,
+                    ):  # fmt: skip
+                        verdict[of] = LEFT
+                        continue
                 met, side = body[ray], -1.0 if facing[ray] > 0.0 else 1.0
                 if face < len(material_of):
                     kind = np.int64(material_of[face])
