@@ -333,6 +333,17 @@ class Fan:
 
 
 @dataclass(frozen=True, eq=False)
+class Crossing:
+    """The moving bodies within reach of a sweep that such a search can follow: rigid ones that move straight."""
+
+    spheres: Floats
+    "(4, b) that hold them meanwhile."
+    how: tuple[int, int, int, int]
+    columns: tuple[Floats | Longs, ...]
+    "In the order of `compiled.moving`, from `at` to `body_of`."
+
+
+@dataclass(frozen=True, eq=False)
 class Around:
     """All that a search for many rays needs which begin among resting bodies of one structure."""
 
@@ -354,6 +365,11 @@ class Around:
     "(4, b) centres and radii of spheres that hold the moving bodies within reach, as long as the rays are cast."
     suspicious: float
     counters: Counters
+    crossing: Crossing
+    others: Floats
+    "(4, .) of `movers`, those that are not in `crossing`."
+    parts: tuple[Longs, Longs, Ints]
+    "Part of each triangle, first part of each body, material of each part."
 
 
 def all_met(parts: list[Met]) -> Met | None:

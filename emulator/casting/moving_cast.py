@@ -19,7 +19,7 @@ import numpy as np
 from emulator.casting import embree
 from emulator.casting.deforming import Slices
 from emulator.casting.embree import Singles
-from emulator.casting.hits import MISS, Aim, Counters, Met, Nearest, Passing, all_met, extent, rows
+from emulator.casting.hits import MISS, Aim, Counters, Crossing, Met, Nearest, Passing, all_met, extent, rows
 from emulator.casting.structures import Layout, Movers
 from emulator.compiled.pair import OTHERWISE, array_form, by_loops
 from emulator.physics.arrays import indexes
@@ -30,6 +30,8 @@ from emulator.world.motion import Motion
 from emulator.world.placings import Placings
 from emulator.world.triangles import Floats, Ints
 
+NOWHERE = 0, 1, 0, 0
+"A search that is never asked for."
 NEARBY_M = 0.1
 "A sphere that is passed at this distance is looked at: no lens is larger."
 
@@ -192,20 +194,27 @@ class MovingCast:
         away = np.sqrt(((place - centre) ** 2).sum(axis=0))
         return centre, float((away + movers.reach + swept).max())
 
-    def spheres(self, origin: Floats, times: Floats, far: float) -> Floats:
-        """Centres and radii (4, b) of spheres that hold all that may come within reach of (3, m) at these instants."""
+    def around(self, origin: Floats, times: Floats, far: float) -> tuple[Floats, Crossing, Floats]:
+        """Centres and radii (4, b) of spheres that hold all that may come within reach of (3, m) at these instants;
+        what a pass needs that casts on them itself, and the spheres of those that it cannot cast on."""
+        nothing = Crossing(np.zeros((4, 0)), NOWHERE, _columns(self._all.chosen(np.zeros(0, np.int64))))
+        if not len(self):
+            return nothing.spheres, nothing, nothing.spheres
         begin, end = float(times.min()), float(times.max())
         movers = self._near(*extent(origin), begin, end, far + NEARBY_M)
         if not len(movers.body):
-            return np.zeros((4, 0))
-        _, place, swept, curved = _whereabouts(movers, begin, end)
+            return nothing.spheres, nothing, nothing.spheres
+        now, place, swept, curved = _whereabouts(movers, begin, end)
         if self._fed is not None and len(curved):
             near = self._looked(movers, times, curved)
             if near is None:
                 swept[curved] = np.inf
             else:
                 near[0].fill(place, swept)
-        return np.concatenate([place, (movers.reach + swept + NEARBY_M)[None]])
+        spheres = np.concatenate([place, (movers.reach + swept + NEARBY_M)[None]])
+        if not self._packets or len(self._slots) != 1 or movers.scale is not None or len(curved):
+            return spheres, nothing, spheres
+        return spheres, Crossing(spheres, self._slots[0].how, _columns(movers, now)), nothing.spheres
 
     def met(
         self,
@@ -394,6 +403,15 @@ class MovingCast:
             here = indexes(home == slots)
             number[here], span[here] = embree.run(self._slots[slots], start[here], along[here], until[here])
         return number, span
+
+
+def _columns(movers: Movers, now: Stretch | None = None) -> tuple[Floats | Longs, ...]:
+    """What `compiled.moving` wants of them."""
+    now = movers.batched.during(0.0, 0.0) if now is None else now
+    return (
+        now.at, now.velocity, now.since, now.turned, movers.centre, movers.reach, movers.half, movers.cell,
+        movers.shift, movers.structure, movers.body,
+    )  # fmt: skip
 
 
 def _as_fed(movers: Movers) -> Movers:

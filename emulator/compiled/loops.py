@@ -16,6 +16,7 @@ from emulator.compiled.sheets import beside
 from emulator.compiled.strips import strips
 from emulator.compiled.surfaces import in_order, special, strengths
 from emulator.compiled.tails import bundled, on_rings, shares
+from emulator.compiled.tracing import traced
 from emulator.compiled.waves import sampled
 
 __all__ = [
@@ -52,5 +53,6 @@ __all__ = [
     "strengths",
     "strips",
     "sums",
+    "traced",
     "unwritten",
 ]

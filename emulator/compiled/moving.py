@@ -226,12 +226,8 @@ def _put_nearer(packet, flags, lanes, used, mine, frames, turned, bent_turned, s
     return wrong
 
 
-@compiled(
-    *EMBREE, INT, INTS, INTS, ROWS, ROWS, FLOATS, FLOAT,
-    ROWS, ROWS, FLOATS, TURNS, ROWS, FLOATS, ROWS, ROWS, INTS, INTS, INTS, INTS, ROWS, TURNS, ROWS, FLOAT,
-    OUT_FLOATS, OUT_INTS, OUT_INTS, OUT_LOOSE, OUT_FLOATS,
-)  # fmt: skip
-def moving(
+@compiled()
+def cross(
     function, width, scene, arguments, structure, which, rays, origin, ray, times, far,
     at, velocity, since, turned, centre, reach, half, cell, shift, home, body_of, bent, bent_at, bent_turned,
     plane, suspicious, range_m, triangle, body, normal, facing,
@@ -288,3 +284,21 @@ def moving(
         wrong += _put_nearer(packet, flags, lanes, used, mine, frames, turned, bent_turned, shift, body_of, plane,
                              suspicious, range_m, triangle, body, normal, facing)  # fmt: skip
     return cast + used, wrong
+
+
+@compiled(
+    *EMBREE, INT, INTS, INTS, ROWS, ROWS, FLOATS, FLOAT,
+    ROWS, ROWS, FLOATS, TURNS, ROWS, FLOATS, ROWS, ROWS, INTS, INTS, INTS, INTS, ROWS, TURNS, ROWS, FLOAT,
+    OUT_FLOATS, OUT_INTS, OUT_INTS, OUT_LOOSE, OUT_FLOATS,
+)  # fmt: skip
+def moving(
+    function, width, scene, arguments, structure, which, rays, origin, ray, times, far,
+    at, velocity, since, turned, centre, reach, half, cell, shift, home, body_of, bent, bent_at, bent_turned,
+    plane, suspicious, range_m, triangle, body, normal, facing,
+):  # fmt: skip
+    """See `cross`."""
+    return cross(
+        function, width, scene, arguments, structure, which, rays, origin, ray, times, far,
+        at, velocity, since, turned, centre, reach, half, cell, shift, home, body_of, bent, bent_at, bent_turned,
+        plane, suspicious, range_m, triangle, body, normal, facing,
+    )  # fmt: skip

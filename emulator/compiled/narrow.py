@@ -17,7 +17,7 @@ from emulator.compiled.strips import reflected, strips_wanted
 
 TOGETHER = 32
 "Beams whose rays are held together."
-NOTHING, CLOSED, BUNDLE, LEFT = 0, 1, 3, 4
+NOTHING, CLOSED, BUNDLE, LEFT, PANE = 0, 1, 3, 4, 5
 "As in `probing`."
 
 
@@ -184,7 +184,7 @@ def narrow(
                 if not off <= step:
                     continue
             if treated[kind] != CLOSED:
-                kinds[i] = LEFT
+                kinds[i] = PANE if treated[kind] == PANE else LEFT
                 continue
             slope_u, slope_v = turns_u / facing_0 + above_u / above, turns_v / facing_0 + above_v / above
             slope = np.hypot(slope_u, slope_v)

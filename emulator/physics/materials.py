@@ -484,7 +484,7 @@ class SurfaceTable:
         index = np.asarray(index)
         c = np.minimum(np.abs(floats(cosine)), 1.0)
         mirrored, through = np.zeros(c.shape), np.zeros(c.shape)
-        panes, faces = self._panes.take(index), self._mirrors.take(index)
+        panes, faces = self._panes.take(index), self.mirrors.take(index)
         of: Ints | slice = slice(None) if panes.all() else indexes(panes)
         k = index[of]
         mirrored[of], through[of] = brdf.pane_shares_cos(self.refraction.take(k), c[of], self._internal.take(k))
@@ -503,7 +503,8 @@ class SurfaceTable:
         return np.array([m.model == "glass" for m in self.materials], bool)
 
     @cached_property
-    def _mirrors(self) -> Bools:
+    def mirrors(self) -> Bools:
+        """(materials,) those whose first face alone reflects."""
         return np.array([m.model == "mirror" for m in self.materials], bool)
 
     @cached_property
@@ -518,6 +519,11 @@ class SurfaceTable:
     def refraction(self) -> Floats:
         """(materials,) refractive indexes; of what is not glass nothing follows from them."""
         return self._column("index")
+
+    @cached_property
+    def optics(self) -> Floats:
+        """(3, materials) of `sent_on`: refractive index, internal transmission, specular share, NaN: by the index."""
+        return np.array([self.refraction, self._internal, self._specular])
 
     @property
     def largest(self) -> Floats:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +64,8 @@ class Settled:
     "(n, 3)"
     cast: int
     "Rays."
+    around: Any = None
+    "See `Caster.around`; None: there is no such pass."
 
 
 def _settled_by_loops(
@@ -81,7 +84,7 @@ def _settled_by_loops(
     around.counters.rays += cast
     around.counters.cast += cast
     around.counters.suspicious += wrong
-    return Settled(kinds, made, strips.Faces(rows, count), what[0], what[1], normal.T, cast)
+    return Settled(kinds, made, strips.Faces(rows, count), what[0], what[1], normal.T, cast, around)
 
 
 @by_loops(_settled_by_loops, "narrow")

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from emulator.physics import beams
 from emulator.physics.arrays import Bools, Floats, Ints, indexes
+from emulator.physics.beams import beam_phase
 from emulator.physics.subechoes import interleaved
 from emulator.sensing import closed, strips
 from emulator.sensing.air import AirNow
@@ -28,9 +29,11 @@ from emulator.sensing.model import SensorModel
 from emulator.sensing.narrow import LEFT, Beams, settled
 from emulator.sensing.paths import Seen, Surfaces, reach_of, returned, window_factors
 from emulator.sensing.pruning import Pruned
-from emulator.sensing.rays import BundleCache, Rays, cast_rays, pose_at, turned
+from emulator.sensing.rays import BundleCache, Rays, cast_rays, pose_at
 from emulator.sensing.sheets import bright_of
 from emulator.sensing.through import Ways
+from emulator.sensing.traced import DONE, UNEVEN, Bundle, traced
+from emulator.sensing.traced import LEFT as UNTRACED
 from emulator.world.connected import pieces_of
 from emulator.world.motion import Pose
 from protocols.scan import ScanPlan
@@ -157,6 +160,11 @@ class Probing:
         ])  # fmt: skip
         self._places = np.array([length, nodes.u, nodes.v])
         self._bright = _bright_spheres(scene, bright_of(dry.table))
+        resting = [_around(one, np.zeros(1)) for one in self._bright or () if one.body.motion.still]
+        self._bright_at_rest = np.column_stack([np.zeros((4, 0)), *resting])
+        self._law = self._numbers()
+        self._tilts = np.zeros(0), np.ones(0), np.zeros(0)
+        "Elevations of the latest sweep, their cosines and sines."
 
     @property
     def too_bright(self) -> bool:
@@ -173,12 +181,16 @@ class Probing:
         if gain != 1.0 or model.windscreen is not None:
             weight = window_factors(beams_.own_axis, model, gain)
         treated, spheres = _treated(surfaces, air, model), self._spheres(t_s)
-        first = settled(beams_, self._caster, far, reach, treated, surfaces.table.factors, weight, spheres, self._law())
+        first = settled(beams_, self._caster, far, reach, treated, surfaces.table.factors, weight, spheres, self._law)
         kinds, made, material, actor, normal = first.kinds, first.made, first.material, first.actor, first.normal
         faces = first.faces
         what, cast = (self._caster, surfaces, air, model, gain, plan.max_range_m), first.cast
-        parts, count = [], len(self.nodes)
+        parts, count, step = [], len(self.nodes), OFF_PLANE_LSB * model.lsb_m
+        rest = first.around, far, reach, weight, surfaces, air, model, step
         left = indexes(kinds == LEFT)
+        traceable = np.full(n, first.around is not None)
+        if first.around is not None and first.around.others.shape[1]:
+            traceable[left] = False
         if len(left):
             some = beams_ if len(left) == n else beams_.taken(left)
             rays = _probes(some)
@@ -195,21 +207,31 @@ class Probing:
             if len(chosen):
                 own = (at[chosen][:, None] + np.arange(count)).ravel()
                 parts.append((left[chosen], returned(_Picked.of(hits, own), _rays_at(rays, chosen, own), *what)))
-            chosen = indexes(sort == PANE)
-            if 0 < len(chosen) < FEWEST_PANES:
-                kinds[left[chosen]] = BUNDLE
-            elif len(chosen):
-                own = (at[chosen][:, None] + np.arange(count)).ravel()
-                ways = Ways()
-                seen = returned(_Picked.of(hits, own), _rays_at(rays, chosen, own), *what, ways)
-                first_m, panes = hits.range_m[own].reshape(-1, count), at[chosen]
-                # what a pane sends straight back as a mirror has a spread of nothing
-                light = weight[left[chosen]] * model.k_m2 / (first_m.min(axis=1) ** 2 + model.aperture_radius_m**2)
-                light *= surfaces.table.back(hits.material[panes].astype(np.int64), hits.cosine[panes])
-                good = ways.smooth(first_m, light, self._places, OFF_PLANE_LSB * model.lsb_m, model)
-                kinds[left[chosen]] = np.where(good, PANE, BUNDLE)
-                parts.append((left[chosen], replace(seen, found=seen.echoes.of_beams(good))))
+        panes, others = indexes(kinds == PANE), []
+        if len(panes) < FEWEST_PANES:
+            kinds[panes] = BUNDLE
+        else:
+            own = panes[traceable[panes]]
+            if len(own):
+                through = traced(beams_, own, Bundle(self.nodes, np.zeros(len(own)), judged=True), *rest)
+                kinds[own[through.verdict == UNEVEN]] = BUNDLE
+                others.append(through.found)
+                own = own[through.verdict == UNTRACED]
+            own = np.concatenate([panes[~traceable[panes]], own])
+            own.sort()
+            if len(own):
+                good, seen = self._looked_through(beams_.taken(own), weight[own], far, what)
+                kinds[own] = np.where(good, PANE, BUNDLE)
+                parts.append((own, replace(seen, found=seen.echoes.of_beams(good))))
         chosen = indexes(kinds == BUNDLE)  # what was put down of them as panes is replaced
+        own = chosen[traceable[chosen]]
+        if len(own):
+            edges = traced(beams_, own, Bundle(self._bundles.nodes, beam_phase(own), judged=False), *rest)
+            done = indexes(edges.verdict == DONE)
+            own = own[done]
+            made[0, own], material[own], normal[own] = edges.nearest_m[done], edges.material[done], edges.normal[done]
+            others.append(edges.found)
+            chosen, cast = np.setdiff1d(chosen, own, assume_unique=True), cast + edges.cast
         if len(chosen):
             part = cast_rays(self._bundles.part(plan, chosen), pose_at(pose, chosen), t_s[chosen])
             hits = self._caster.first_hits(part.origin_m, part.direction, part.t_s, max_range_m=far)
@@ -219,7 +241,8 @@ class Probing:
         found = strips.echoes(
             indexes(kinds == CLOSED), faces, material, actor, weight, surfaces.table, air.extinction_per_m, model
         )
-        nearest, others = made[0], [found]
+        nearest = made[0]
+        others.append(found)
         for chosen, seen in parts:
             nearest[chosen] = seen.nearest_m
             others.append(replace(seen.echoes, beam=chosen[seen.echoes.beam]))
@@ -230,7 +253,19 @@ class Probing:
         whole = Seen(found, nearest, material, made[1], normal)
         return Pruned(axes, whole, kinds != BUNDLE, cast, closed.Shifts(none, none))
 
-    def _law(self) -> Floats:
+    def _looked_through(self, some: Beams, weight: Floats, far: float, what: Any) -> tuple[Bools, Seen]:
+        """What probes of beams on panes see through these and in them, and of which beams they do for that."""
+        _, surfaces, _, model, _, _ = what
+        rays, ways = _probes(some), Ways()
+        hits = self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=far)
+        seen = returned(hits, rays, *what, ways)
+        first_m, axes = hits.range_m.reshape(len(weight), -1), rays.nearest_axis
+        # what a pane sends straight back as a mirror has a spread of nothing
+        light = weight * model.k_m2 / (first_m.min(axis=1) ** 2 + model.aperture_radius_m**2)
+        light *= surfaces.table.back(hits.material[axes].astype(np.int64), hits.cosine[axes])
+        return ways.smooth(first_m, light, self._places, OFF_PLANE_LSB * model.lsb_m, model), seen
+
+    def _numbers(self) -> Floats:
         """Numbers by which a beam is judged, in the order of `compiled.narrow`."""
         model, beam = self._model, self._model.beam
         return np.array([
@@ -242,13 +277,9 @@ class Probing:
 
     def _spheres(self, t_s: Floats) -> Floats:
         """(4, b) around bright faces during a sweep."""
-        bright = self._bright or ()
-        found, times = np.zeros((4, len(bright))), np.array([0.5 * (t_s.min() + t_s.max()), t_s.min(), t_s.max()])
-        for k, one in enumerate(bright):
-            places = one.body.motion.pose(times).to_world(one.centre_m)
-            found[:3, k] = places[0]
-            found[3, k] = one.radius_m + 2.0 * float(np.linalg.norm(places - places[0], axis=1).max())
-        return found
+        times = np.array([0.5 * (t_s.min() + t_s.max()), t_s.min(), t_s.max()])
+        moving = [_around(one, times) for one in self._bright or () if not one.body.motion.still]
+        return np.column_stack([self._bright_at_rest, *moving]) if moving else self._bright_at_rest
 
     def _looks_at(self, sphere: Floats, rays: Rays) -> Bools:
         """(n,) beams whose cone comes into that sphere."""
@@ -262,11 +293,19 @@ class Probing:
         """All beams in the world."""
         n = len(plan)
         ca, sa = np.cos(plan.azimuth_rad), np.sin(plan.azimuth_rad)
-        ce, se = np.cos(plan.elevation_rad), np.sin(plan.elevation_rad)
+        if not np.array_equal(plan.elevation_rad, self._tilts[0]):  # layers are the same in every slice
+            self._tilts = plan.elevation_rad, np.cos(plan.elevation_rad), np.sin(plan.elevation_rad)
+        _, ce, se = self._tilts
         own = np.array([[ce * ca, ce * sa, se], [-sa, ca, np.zeros(n)], [-se * ca, -se * sa, ce]])
-        frame = turned(pose.rotation, own.transpose(2, 0, 1)).transpose(1, 2, 0)
-        place = np.ascontiguousarray(pose.position_m.T)
-        return Beams(place, np.ascontiguousarray(frame), own[0].T, t_s, self._aim, self._places, self.nodes.share)
+        place, frame = np.ascontiguousarray(pose.position_m.T), np.zeros((3, 3, n))
+        rotation = pose.rotation
+        one = n > 0 and (rotation.strides[0] == 0 or bool((rotation == rotation[0]).all()))
+        for row in range(3):
+            for column in range(3):
+                weight = rotation[0, row, column] if one else rotation[:, row, column]
+                if np.any(weight):
+                    frame[:, row] += weight * own[:, column]
+        return Beams(place, frame, own[0].T, t_s, self._aim, self._places, self.nodes.share)
 
 
 def _probes(beams_: Beams) -> Rays:
@@ -411,6 +450,12 @@ def _bright_spheres(scene: Scene, bright: Bools) -> tuple[_Bright, ...] | None:
             centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
             found.append(_Bright(body, centre, float(np.linalg.norm(points - centre, axis=1).max())))
     return tuple(found)
+
+
+def _around(one: _Bright, times: Floats) -> Floats:
+    """(4,) sphere about where it is first, that holds it at all of these times."""
+    places = one.body.motion.pose(times).to_world(one.centre_m)
+    return np.append(places[0], one.radius_m + 2.0 * float(np.linalg.norm(places - places[0], axis=1).max()))
 
 
 def _rays_at(rays: Rays, at: Ints, own: Ints) -> Rays:

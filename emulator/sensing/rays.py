@@ -135,6 +135,11 @@ class BundleCache:
         "The bundles asked for last had been asked for before: what takes long to find out of them is worth it."
 
     @property
+    def nodes(self) -> beams.Bundle:
+        """Of each beam."""
+        return self._nodes
+
+    @property
     def sub_beams(self) -> int:
         """Of each beam."""
         return len(self._nodes)

@@ -1,0 +1,125 @@
+"""Narrow beams with an edge or a pane in them, in one pass where all that they meet rests and is plain or clear.
+
+Belongs here: what such a pass is given and what it gives. Not: the pass (compiled.tracing), the same for all other
+beams with arrays (paths, through), which beams need it (probing).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from emulator.compiled.pair import OTHERWISE, by_loops
+from emulator.physics import beams
+from emulator.physics.arrays import Floats, Ints
+from emulator.physics.subechoes import SubEchoes
+from emulator.sensing import strips
+from emulator.sensing.air import AirNow
+from emulator.sensing.model import SensorModel
+from emulator.sensing.narrow import Beams
+from emulator.sensing.paths import BEHIND_M, UNSEEN, Surfaces
+from emulator.sensing.through import MOST_STRIPS
+
+LEFT, DONE, UNEVEN = 0, 1, 2
+"""What becomes of a beam: it is left to arrays; it is done; its probes do not stand for what they see through a pane
+or in it."""
+PLACE_BITS, RANGE_BITS = 12, 34
+"As in `compiled.tracing`; a beam of more sub-echoes is left to arrays."
+PLAIN, GLASS, MIRROR, REFUSED = 0, 1, 2, 3
+"Materials, as in `compiled.tracing`."
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """The rays of each beam, and what is wanted of them."""
+
+    nodes: beams.Bundle
+    phase_rad: Floats
+    "(k,) by which each is turned."
+    judged: bool
+    "They are probes: they must see nothing but smooth surfaces through a pane or in it."
+
+
+@dataclass(frozen=True, eq=False)
+class Traced:
+    """What came back to k beams."""
+
+    verdict: Ints
+    "(k,)"
+    found: SubEchoes
+    "Of those that are done, by their numbers in the sweep."
+    nearest_m: Floats
+    "(k,) of these and the next two nothing holds for beams that are left."
+    material: NDArray[np.int32]
+    "(k,) at the ray nearest the axis."
+    normal: Floats
+    "(k, 3)"
+    cast: int
+    "Rays, without those that go on."
+
+
+def _traced_by_loops(
+    loops: ModuleType, beams_: Beams, at: Ints, bundle: Bundle, around: Any, far: float, reach_m: float, weight: Floats,
+    surfaces: Surfaces, air: AirNow, model: SensorModel, step_m: float,
+) -> Traced:  # fmt: skip
+    table, shape = surfaces.table, model.beam
+    bounces = model.bounces if surfaces.sends_on else 0
+    if around is None or air.uneven or len(bundle.nodes) * 2 ** (bounces + 1) > 1 << PLACE_BITS:
+        return OTHERWISE
+    refused = table.apart if surfaces.detailed is None else table.apart | surfaces.detailed
+    kinds = np.where(refused, REFUSED, np.where(surfaces.onward, GLASS, PLAIN))
+    nodes, spread = bundle.nodes, (math.tan(shape.half_angle_x_rad), math.tan(shape.half_angle_y_rad))
+    first = int(np.argmin(nodes.u**2 + nodes.v**2))
+    limits = np.array([
+        *spread, shape.exit_radius_m, math.cos(shape.roll_rad), math.sin(shape.roll_rad), far, reach_m,
+        air.extinction_per_m, model.clear_depth if model.leave_out.clear_air else 0.0, model.k_m2,
+        model.aperture_radius_m**2, model.overlap_start_m, model.overlap_full_m, surfaces.strongest,
+        UNSEEN * model.threshold if model.leave_out.second_rays else 0.0, BEHIND_M, around.suspicious, *spread,
+    ])  # fmt: skip
+    lengths = _lengths(nodes, spread, shape.roll_rad)
+    judge = np.array([step_m, float((nodes.u * nodes.u).sum()), *strips.law(model), strips.WIDE])
+    solid = np.zeros(len(around.actor_of), np.bool_) if surfaces.solid is None else surfaces.solid
+    verdict, nearest, material, normal, whole, sizes, key, cast, wrong = loops.traced(
+        *around.how, beams_.place, beams_.frame, at, bundle.phase_rad, np.array([nodes.u, nodes.v]), nodes.share, first,
+        around.centre, limits, around.plane, around.body, around.offset, around.closed, around.actor_of,
+        around.material, solid, around.others, table.factors, np.where(table.mirrors & (kinds == GLASS), MIRROR, kinds),
+        table.optics, weight, bounces, bundle.judged, np.array([lengths, nodes.u, nodes.v]), judge,
+        np.array(strips.COUNTS), np.array(strips.FEET), strips.SHIFT, MOST_STRIPS,
+        beams_.t_s, around.crossing.spheres, *around.crossing.how, *around.crossing.columns, *around.parts,
+    )  # fmt: skip
+    around.counters.rays += cast
+    around.counters.cast += cast
+    around.counters.suspicious += wrong
+    key.sort()
+    # beams are in order already: only places within each are found
+    begins = np.searchsorted(whole[0], at)[key >> (RANGE_BITS + PLACE_BITS)]
+    order = begins + (key & ((1 << PLACE_BITS) - 1))
+    found = SubEchoes(whole[0], *(column.take(order) for column in sizes), whole[1].take(order))
+    return Traced(verdict, found, nearest, material, normal.T, len(at) * len(nodes))
+
+
+@by_loops(_traced_by_loops, "traced")
+def traced(
+    beams_: Beams, at: Ints, bundle: Bundle, around: Any, far: float, reach_m: float, weight: Floats,
+    surfaces: Surfaces, air: AirNow, model: SensorModel, step_m: float,
+) -> Traced:  # fmt: skip
+    """What comes back to the beams `at`, ascending; with arrays every one is left.
+
+    `around` : see `Caster.around`; `weight` : (n,) of the light of all beams; `step_m` : a probe may be off a smooth
+    surface.
+    """
+    k = len(at)
+    nothing = np.full(k, -1, np.int32)
+    return Traced(np.full(k, LEFT), SubEchoes.none(), np.full(k, np.inf), nothing, np.zeros((k, 3)), 0)
+
+
+def _lengths(nodes: beams.Bundle, spread: tuple[float, float], roll_rad: float) -> Floats:
+    """Of rays between two planes across the axis, over that of the axis."""
+    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
+    x, y = spread[0] * nodes.u, spread[1] * nodes.v
+    return np.asarray(np.sqrt(1.0 + (cr * x - sr * y) ** 2 + (sr * x + cr * y) ** 2))
