@@ -86,6 +86,8 @@ def load(path: Path, out: Path, driver: Sequence[str] = (), points: int | None =
         plan = plan_of(found, factors, f"{source.place(('design',))}: design.{found.design.kind}")
     except ScenarioError as error:
         reported += error.lines
+    if base is not None:
+        reported += _lost(found, factors, base, source)
     if reported or base is None:
         raise ScenarioError.of(reported)
     job = Job(
@@ -120,6 +122,28 @@ def _base(found: CampaignFile, source: Source) -> Source:
     if found.expect is not None:
         values.append(("expect", thawed(found.expect), f"{source.place(('expect',))}"))
     return overrides.placed(read_source(name), values)
+
+
+def _lost(found: CampaignFile, factors: Sequence[Factor], base: Source, source: Source) -> list[str]:
+    """Keys that are given, and then given again, or with all that holds them: the first value would never be used."""
+    given = [(key, f"{source.place(('set', key))}: set.{key}") for key in found.set_]
+    given += [("expect", f"{source.place(('expect',))}: expect")] if found.expect is not None else []
+    given += [(key, one.label) for one in factors for key in dict.fromkeys(key for keys in one.keys for key in keys)]
+    reported = [
+        f"{source.place(('set', key))}: set.{key}: each case has a seed of its own; want seed beside scenario"
+        for key in found.set_
+        if key == "seed"
+    ]
+    before: list[tuple[tuple[str | int, ...], str]] = []
+    for key, label in given:
+        place = overrides.location(base.data, key)
+        reported += [
+            f"{label}: {'' if label.endswith(key) else key + ' '}replaces {where.rpartition(': ')[2]}; want one of them"
+            for other, where in before
+            if other[: len(place)] == place
+        ]
+        before.append((place, label))
+    return reported
 
 
 def _check(found: CampaignFile, source: Source, job: Job) -> tuple[str, ...]:

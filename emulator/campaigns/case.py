@@ -10,7 +10,7 @@ import math
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -25,6 +25,7 @@ from emulator.errors import EmulatorError
 from emulator.judging.expectations import Judgement, Run
 from emulator.judging.trial import Trial
 from emulator.process.clock import SystemClock
+from emulator.runtime.assembly import SameScene
 from emulator.scenario.scenario import Scenario
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -116,12 +117,18 @@ def _store(root: str) -> Store:
     return Store(Path(root))
 
 
+@cache
+def _same_scene() -> SameScene:
+    """One for each process: cases have most in common."""
+    return SameScene()
+
+
 def _once(job: Job, case: Case, loaded: Scenario, record: Path | None) -> Found:
     if job.driver:
         done = drive(loaded, job.driver, job.seconds, record, case.columns(job))
         numbers = _numbers(job.quantities, done.run, done.result)
         return Found(done.judged, done.sha256, numbers, done.warnings, done.fault)
-    trial = Trial(loaded, record=record)
+    trial = Trial(loaded, record=record, measures=_same_scene())
     try:
         verdict = trial.finish()
         assert trial.outcome is not None

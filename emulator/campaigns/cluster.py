@@ -9,6 +9,7 @@ import importlib
 import itertools
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from emulator.campaigns.case import DiskFull, blank, run_case
@@ -77,6 +78,10 @@ class Cluster:
             raise EmulatorError(
                 f"--dask {self._address}: the scheduler was lost ({error}); the same command goes on from there"
             ) from None
+
+    def begin(self, work: Callable[[Path], None], path: Path) -> Callable[[], object]:
+        """Here, by who waits for it."""
+        return partial(work, path)
 
     def close(self) -> None:
         """Leave the cluster; what waits there is withdrawn."""

@@ -11,18 +11,18 @@ import multiprocessing
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Protocol
 
 from emulator.campaigns.case import DiskFull, blank, run_case
+from emulator.campaigns.forking import context
 from emulator.campaigns.naming import Case, Job
 from emulator.campaigns.store import Row, Store
 from emulator.errors import EmulatorError
 
 GRACE_S = 10.0
 "After which a process that has not ended its own hung driver is ended itself."
-PRELOAD = ["emulator.campaigns.case", "emulator.casting.raycast"]
 AHEAD = 3
 "Cases per process that wait in the pool."
 
@@ -34,6 +34,9 @@ class Engine(Protocol):
 
     def run(self, job: Job, cases: Iterable[Case], may_record: Callable[[], bool]) -> Iterator[Row]:
         """A row for each, as they come; raises `DiskFull` when nothing can be written."""
+
+    def begin(self, work: Callable[[Path], None], path: Path) -> Callable[[], object]:
+        """Have something else done, beside what is done here where it can be; what waits for its end."""
 
     def close(self) -> None:
         """Release all processes."""
@@ -50,6 +53,10 @@ class InPlace:
         for case in cases:
             yield self._work(job, case, may_record())
 
+    def begin(self, work: Callable[[Path], None], path: Path) -> Callable[[], object]:
+        """It is done by who waits for it."""
+        return partial(work, path)
+
     def close(self) -> None:
         """Nothing to release."""
 
@@ -64,10 +71,8 @@ class Processes:
             raise EmulatorError(
                 "pebble is missing; campaigns need the extra: pip install 'lidaremu[campaign]'"
             ) from None
-        context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload(PRELOAD)
         self._jobs = jobs or len(os.sched_getaffinity(0))
-        self._pool: Any = ProcessPool(max_workers=self._jobs, context=context, initializer=_one_thread)
+        self._pool: Any = ProcessPool(max_workers=self._jobs, context=context(), initializer=_one_thread)
         self._work = work
 
     def run(self, job: Job, cases: Iterable[Case], may_record: Callable[[], bool]) -> Iterator[Row]:
@@ -83,6 +88,20 @@ class Processes:
                 return
             for future in wait(waiting, return_when=FIRST_COMPLETED).done:
                 yield _row_of(job, waiting.pop(future), future)
+
+    def begin(self, work: Callable[[Path], None], path: Path) -> Callable[[], object]:
+        """In one of the processes."""
+        from pebble import ProcessExpired
+
+        future = self._pool.schedule(work, args=(path,))
+
+        def end() -> None:
+            try:
+                future.result()
+            except ProcessExpired as error:
+                raise EmulatorError(f"{path}: its process ended with {_ending(error.exitcode)}") from None
+
+        return end
 
     def use(self, work: Work) -> None:
         """Do this for each case from here on."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,9 @@ from emulator.errors import EmulatorError
 from emulator.studies import report as form
 from emulator.studies.report import Column, Fact, Link, Picture, Report, Section, Table, Value
 
+Begin = Callable[[Callable[[Path], None], Path], Callable[[], object]]
+"Has something done, and gives what waits for its end."
+
 MOST_MAPS = 3
 MOST_CURVES = 6
 MOST_PANELS = 9
@@ -31,36 +35,49 @@ PAGES = "pages"
 
 
 def write_page(
-    campaign: Campaign, store: Store, results: Results, missing: int, outcome: Mapping[str, Any] | None, runs: int
+    campaign: Campaign,
+    store: Store,
+    results: Results,
+    missing: int,
+    outcome: Mapping[str, Any] | None,
+    runs: int,
+    begin: Begin = partial,
 ) -> Path:
-    """Write `report.html` and the pages of the cases it leads to; `runs`: of so many recordings a whole report."""
+    """Write `report.html` and the pages of the cases it leads to; `runs`: of so many recordings a whole report.
+
+    `begin`: has one of those made beside the page.
+    """
     linked: dict[str, None] = {}
+    under_way: list[Callable[[], object]] = []
 
     def link(case: int) -> str:
         name = results.names[case].decode()
-        linked[name] = None
+        if name not in linked:
+            linked[name] = None
+            if len(under_way) < runs and store.recording(name).is_dir():
+                under_way.append(begin(write_run_report, store.recording(name)))
         return f"{PAGES}/{name}.html"
 
-    made = report_of(campaign, results, missing, outcome, link)
     out = store.root
     path = out / "report.html"
     try:
+        made = report_of(campaign, results, missing, outcome, link)
         (out / PAGES).mkdir(exist_ok=True)
         for name in linked:
             row = store.row(name)
             if row is not None:
                 page = form.page(case_page(campaign, store, row))
                 store.put(out / PAGES / f"{name}.html", page)
-        reported = [name for name in linked if store.recording(name).is_dir()]
-        for name in reported[:runs]:
-            _run_report(store.recording(name))
+        for end in under_way:
+            end()
         store.put(path, form.page(made))
     except OSError as error:
         raise EmulatorError(f"{path}: cannot be written: {error.strerror}") from None
     return path
 
 
-def _run_report(folder: Path) -> None:
+def write_run_report(folder: Path) -> None:
+    """The report of a recording, where there is none yet. Raises `OSError`."""
     from emulator.run_report.gather import gather
     from emulator.run_report.page import report_of as run_report_of
 

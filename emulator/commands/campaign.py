@@ -6,8 +6,10 @@ import json
 import re
 import shlex
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -87,36 +89,57 @@ def campaign(
 
     Stopped or killed at any time, the same command does what is left.
     """
-    from emulator.campaigns.campaign import Runner, load, write_scenario
-    from emulator.campaigns.store import Store
+    from emulator.campaigns.forking import begun_early
 
-    part = _shard(shard)
-    words = _words(driver)
-    loaded = load(file, out, words, points)
-    store = Store(out.absolute())
-    if (resume or status or case) and store.manifest() is None:
-        raise EmulatorError(f"--out: {out}: no campaign was begun here; want a folder that has one")
-    if case is not None:
-        say(str(write_scenario(loaded, store, _whole_name(store, case), out / f"case-{case[:12]}.yaml")))
-        return OK
-    if status:
-        return _status(loaded, store, part, as_json)
-    store.make()
-    if slurm is not None:
-        return _write_slurm(file, out, slurm, jobs or 1, words, points, loaded)
-    if rerun:
-        store.forget_version()
-    if store.begin(loaded.job.version, str(file), loaded.job.digest) and not as_json:
-        note(f"{file}: changed since the last time: cases that are the same are not run again")
-    store.tidy()
-    engine = _engine(jobs, dask)
-    try:
-        with _shown(loaded.count) as tell:
-            runner = Runner(loaded, store, engine, part, retry, tell)
-            outcome = runner.run()
-    finally:
-        engine.close()
-    return _end(loaded, store, runner, outcome, part, report, case_reports, junitxml, as_json)
+    with begun_early(not (status or case or dask or slurm)):
+        from emulator.campaigns.campaign import Runner, load, write_scenario
+        from emulator.campaigns.store import Store
+
+        part = _shard(shard)
+        words = _words(driver)
+        loaded = load(file, out, words, points)
+        store = Store(out.absolute())
+        if (resume or status or case) and store.manifest() is None:
+            raise EmulatorError(f"--out: {out}: no campaign was begun here; want a folder that has one")
+        if case is not None:
+            say(str(write_scenario(loaded, store, _whole_name(store, case), out / f"case-{case[:12]}.yaml")))
+            return OK
+        if status:
+            return _status(loaded, store, part, as_json)
+        store.make()
+        if slurm is not None:
+            return _write_slurm(file, out, slurm, jobs or 1, words, points, loaded)
+        if rerun:
+            store.forget_version()
+        if store.begin(loaded.job.version, str(file), loaded.job.digest) and not as_json:
+            note(f"{file}: changed since the last time: cases that are the same are not run again")
+        store.tidy()
+        engine = _engine(jobs, dask)
+        try:
+            # a search imports for itself what it needs, in this thread
+            with _shown(loaded.count) as tell, _imported_beside(report and loaded.plan is not None):
+                runner = Runner(loaded, store, engine, part, retry, tell)
+                outcome = runner.run()
+            return _end(loaded, store, runner, outcome, part, report, case_reports, junitxml, as_json, engine)
+        finally:
+            engine.close()
+
+
+@contextmanager
+def _imported_beside(wanted: bool) -> Iterator[None]:
+    """What the page is drawn with, imported while the cases run elsewhere; where it is missing, that is told later."""
+
+    def work() -> None:
+        for name in ("emulator.campaigns.page", "matplotlib.backends.backend_agg", "SALib.analyze.rbd_fast"):
+            with suppress(ImportError):
+                import_module(name)
+
+    thread = Thread(target=work, daemon=True)
+    if wanted:
+        thread.start()
+    yield
+    if wanted:
+        thread.join()
 
 
 def _end(
@@ -129,6 +152,7 @@ def _end(
     case_reports: int,
     junitxml: Path | None,
     as_json: bool,
+    engine: Engine,
 ) -> int:
     from emulator.campaigns.store import BROKEN
     from emulator.campaigns.table import gather, write_junit
@@ -142,7 +166,7 @@ def _end(
         if junitxml is not None:
             write_junit(loaded, results, missing, junitxml)
         if report:
-            files += _page(loaded, store, results, missing, outcome, case_reports)
+            files += _page(loaded, store, results, missing, outcome, case_reports, engine)
     else:
         counts, files, missing = dict(runner.progress.verdicts), [], 0
     row = {
@@ -163,7 +187,9 @@ def _end(
     return FAILED if counts.get("failed") and loaded.file.design.kind not in ("boundary", "worst") else OK
 
 
-def _page(loaded: Campaign, store: Store, results: Any, missing: int, outcome: Any, runs: int) -> list[str]:
+def _page(
+    loaded: Campaign, store: Store, results: Any, missing: int, outcome: Any, runs: int, engine: Engine
+) -> list[str]:
     from emulator.studies.report import need_extra
 
     try:
@@ -173,7 +199,7 @@ def _page(loaded: Campaign, store: Store, results: Any, missing: int, outcome: A
         return []
     from emulator.campaigns.page import write_page
 
-    return [str(write_page(loaded, store, results, missing, outcome, runs))]
+    return [str(write_page(loaded, store, results, missing, outcome, runs, engine.begin))]
 
 
 def _reported(outcome: dict[str, Any] | None) -> Iterator[str]:

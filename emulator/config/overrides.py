@@ -81,6 +81,22 @@ def placed(source: Source, values: Sequence[tuple[str, Any, str]]) -> Source:
     return Source(source.path, data, places, source.faults)
 
 
+def location(data: Any, key: str) -> Loc:
+    """The place that a dotted key names, whichever way it leads through lists."""
+    found: list[str | int] = []
+    here = data
+    for part in key.replace("[", ".").replace("]", "").split("."):
+        if isinstance(here, list):
+            names = [item.get("id") if isinstance(item, dict) else None for item in here]
+            at = names.index(part) if part in names else int(part) if part.isdecimal() else -1
+            found.append(part if at < 0 else at)
+            here = here[at] if 0 <= at < len(here) else None
+        else:
+            found.append(part)
+            here = here.get(part) if isinstance(here, dict) else None
+    return tuple(found)
+
+
 def _copied(data: Any) -> Any:
     if isinstance(data, dict):
         return {key: _copied(value) for key, value in data.items()}

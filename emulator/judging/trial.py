@@ -22,7 +22,7 @@ from emulator.instrument.series import SeriesWatcher
 from emulator.instrument.summary import summary
 from emulator.judging.expectations import Judgement, Judgements, Run, understand, verdicts
 from emulator.measuring.conditions import NORMAL, Conditions
-from emulator.measuring.measuring import InPlace
+from emulator.measuring.measuring import InPlace, Measure
 from emulator.measuring.supervision import Workers
 from emulator.process.incidents import Incidents
 from emulator.recording.reader import WirePayload
@@ -101,11 +101,12 @@ class Trial:
         record: Path | None = None,
         measuring: Measuring | None = None,
         heard: Mapping[str, Sequence[WirePayload]] | None = None,
+        measures: Callable[[Scenario], Mapping[str, Measure]] = assembly.build_measures,
     ) -> None:
         """`workers`: measuring processes; 0 measures in place. The result is the same. `record`: a folder for it.
 
         `measuring`: something else that makes scans of plans. `heard`: what a sensor heard of its hosts, in place of a
-        built-in one.
+        built-in one. `measures`: builds what measures.
         """
         self._heard = heard or {}
         self.outcome: Run | None = None
@@ -115,7 +116,7 @@ class Trial:
         self.incidents = Incidents()
         sessions = assembly.new_sessions(scenario)
         names = [sensor.id for sensor in scenario.sensors]
-        build = partial(assembly.build_measures, scenario)
+        build = partial(measures, scenario)
         shared = assembly.shared_sensors(scenario)
         own_processes = workers and measuring is None
         self._workers = Workers(build, names, workers, shared=shared) if own_processes else None

@@ -146,9 +146,11 @@ def error_histograms(shown: Sequence[tuple[str, Errors]]) -> bytes:
         reach = _reach(errors.percentile_m(0.005), errors.percentile_m(0.995))
         merge = max(1, int(reach / BIN_M / 40.0))
         length = len(inner) // merge * merge
+        middle = centres[:length].reshape(-1, merge).mean(axis=1)
+        within = np.abs(middle) < reach + BIN_M * merge  # a bar takes long to draw, also where it is not seen
         axes.bar(
-            1e3 * centres[:length].reshape(-1, merge).mean(axis=1),
-            inner[:length].reshape(-1, merge).sum(axis=1),
+            1e3 * middle[within],
+            inner[:length].reshape(-1, merge).sum(axis=1)[within],
             width=1e3 * BIN_M * merge,
             color=COLOURS[number % len(COLOURS)],
         )

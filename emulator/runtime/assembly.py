@@ -44,6 +44,7 @@ MOST_STEPS = 5000
 "Of a session, until it asks for its first slice."
 
 if TYPE_CHECKING:
+    from emulator.casting.raycast import Caster
     from emulator.transports.can_sockets import CanSockets
     from emulator.world.scene import Scene
 
@@ -61,12 +62,37 @@ def build_measures(scenario: Scenario) -> Mapping[str, Measure]:
     return Measures(measures, world.warnings)
 
 
-def measures_of(scenario: Scenario, world: Scene) -> Mapping[str, Measure]:
-    """The measuring function of every sensor in that scene; a `physics:` table that cannot be is reported here."""
+class SameScene:
+    """`build_measures` for one scenario after the other: the scene is built again where it is another."""
+
+    def __init__(self) -> None:
+        self._of: tuple[object, ...] = ()
+        self._made: tuple[Scene, Caster] | None = None
+
+    def __call__(self, scenario: Scenario) -> Mapping[str, Measure]:
+        """As `build_measures`."""
+        from emulator.casting import raycast
+        from emulator.world import scene
+
+        if scenario.live is not None:  # its world is moved by one run
+            return build_measures(scenario)
+        of = scenario.source, scenario.world, scenario.actors, scenario.materials, scenario.round_s
+        if self._made is None or of != self._of:
+            world = scene.build(scenario)
+            self._of, self._made = of, (world, raycast.Caster(world))
+        world, caster = self._made
+        return Measures(measures_of(scenario, world, caster), world.warnings)
+
+
+def measures_of(scenario: Scenario, world: Scene, caster: Caster | None = None) -> Mapping[str, Measure]:
+    """The measuring function of every sensor in that scene; a `physics:` table that cannot be is reported here.
+
+    `caster`: of this scene, where there is one already; what it keeps depends on nothing else.
+    """
     from emulator.casting import raycast
     from emulator.sensing.measure import build as build_measure
 
-    caster = raycast.Caster(world)
+    caster = raycast.Caster(world) if caster is None else caster
     seeing = [sensor.id for sensor in scenario.sensors if load_spec(sensor.model).sees == "beams"]
     measures: dict[str, Measure] = {name: build_measure(scenario, world, caster, name) for name in seeing}
     return measures if len(seeing) == len(scenario.sensors) else measures | _object_measures(scenario, world, measures)

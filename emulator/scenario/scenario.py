@@ -10,6 +10,8 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -38,6 +40,8 @@ from emulator.sensors.spec import is_file
 
 MOST_ACTORS = 10_000
 MOST_SENSORS = 256
+MOST_KEPT = 1 << 16
+"Characters of an entry whose YAML is kept for the next scenario."
 
 
 class SensorConfig(DescribedTable):
@@ -321,12 +325,28 @@ def dump(scenario: Scenario) -> str:
         for key in set(entry) - change.model_fields_set:
             del entry[key]  # what a change does not name goes on
         entry.update({key: None for key in change.model_fields_set if getattr(change, key) is None})
+    entries = [_Entry(key, repr(value), value) for key, value in data.items()]
+    return "".join([(_written if len(one.text) < MOST_KEPT else _written.__wrapped__)(one) for one in entries])
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """A key of a scenario and its value."""
+
+    key: str
+    text: str
+    value: Any = field(compare=False)
+
+
+@lru_cache(maxsize=64)
+def _written(entry: _Entry) -> str:
+    """As YAML. Kept: thousands of scenarios of a campaign differ in one entry or two, and writing takes long."""
     yaml = YAML(typ="safe", pure=True)
-    yaml.default_flow_style = None
+    yaml.default_flow_style = None if isinstance(entry.value, dict | list) else False
     yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
     yaml.width = 120
     out = io.StringIO()
-    yaml.dump(data, out)
+    yaml.dump({entry.key: entry.value}, out)
     return out.getvalue()
 
 

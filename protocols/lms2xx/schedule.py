@@ -23,8 +23,9 @@ from protocols.skeleton.wanted import Wanted
 
 TURN_NS = TURN_NUMERATOR_NS // TURN_DENOMINATOR
 AHEAD_SCANS = 2
-"A plan is given out this many scan times before its scan begins (at least `AHEAD_NS`): time to measure it."
-AHEAD_NS = 40_000_000
+"A plan is given out this many scan times before its scan begins (at least `AHEAD_TURNS`): time to measure it."
+AHEAD_TURNS = 3
+"40 ms."
 MOST_A_TURN, FASTEST_BAUD = 508, 500_000
 "Listing, p. 22 and 126-129."
 
@@ -424,7 +425,8 @@ class Schedule:
         turn, mirror, given_ns = slot.given_out
         if turn != slot.next_turn or mirror is not self._mirror:
             turn, mirror = slot.next_turn, self._mirror
-            given_ns = mirror.turn_ns(turn) - max(AHEAD_SCANS * slot.scan_ns, AHEAD_NS)
+            # with a turn, as slots are: both are one thing to do
+            given_ns = mirror.turn_ns(turn - max(AHEAD_SCANS * slot.comb.turns, AHEAD_TURNS))
             slot.given_out = turn, mirror, given_ns
         return given_ns
 

@@ -61,6 +61,43 @@ def test_a_bad_campaign_is_refused_with_file_and_line(tmp_path: Path, text: str,
     assert len(error.value.lines) < 4
 
 
+FACTOR = f"factors: {{{VISIBILITY}: {{values: [50, 60]}}}}\n"
+PLACE = "{'world[0].at_m[0]': {values: [5, 6]}, 'world.0.at_m': {values: [[5, 0, 1]]}}"
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "found"),
+    [
+        (
+            f"set: {{{VISIBILITY}: 40}}\n{FACTOR}",
+            3,
+            f"factors.{VISIBILITY}: replaces set.{VISIBILITY}; want one of them",
+        ),
+        (f"set: {{{VISIBILITY}: 40}}\nfactors: {{weather.fog: {{values: [null]}}}}\n", 3, "replaces set.weather"),
+        ("set:\n  sensors[0].mode: seed\nfactors: {sensors.front.mode: {values: [seed]}}\n", 4, "sensors[0].mode"),
+        (f"factors: {PLACE}\n", 2, "factors.world.0.at_m: replaces factors.world[0].at_m[0]"),
+        (
+            f"factors:\n  a: {{keys: [{VISIBILITY}], values: [5]}}\n  b: {{keys: [{VISIBILITY}], values: [6]}}\n",
+            4,
+            f"factors.b: {VISIBILITY} replaces factors.a",
+        ),
+        (f"set:\n  seed: 5\n{FACTOR}", 3, "set.seed: each case has a seed of its own; want seed beside scenario"),
+        (f"set: {{expect: []}}\n{EXPECT}{FACTOR}", 3, "expect: replaces set.expect"),
+    ],
+)
+def test_a_value_that_another_would_replace_is_refused(tmp_path: Path, text: str, line: int, found: str) -> None:
+    with pytest.raises(ScenarioError) as error:
+        campaign(tmp_path, text + "design: grid\n", "scenario: flat_wall\n")
+    (reported,) = error.value.lines
+    assert found in reported
+    assert f"c.yaml:{line}:" in reported
+
+
+def test_a_factor_may_change_a_part_of_what_is_set(tmp_path: Path) -> None:
+    found = campaign(tmp_path, f"set: {{weather.fog: {{visibility_m: 40}}}}\n{FACTOR}design: grid\n", HEAD[:20])
+    assert [case.point for case in found.cases()] == [((50,),), ((60,),)]
+
+
 def test_a_scenario_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match=r"nowhere\.yaml"):
         campaign(tmp_path, f"factors: {{{VISIBILITY}: {{values: [5]}}}}\ndesign: grid\n", "scenario: nowhere.yaml\n")

@@ -327,3 +327,13 @@ def test_a_gate_of_millions_of_bins_is_tabulated_by_whole_arrays() -> None:
     assert events < bins / 10
     # two knots a bin and more: half a bin apart at the most, so that cubics hold
     assert np.max(np.diff(soft.knots)) < 0.5001 * soft.bin_m
+
+
+@pytest.mark.parametrize("visibility_m", [12.0, 60.0, 900.0])
+def test_the_pulse_over_one_place_is_to_the_bit_what_it_is_over_many(visibility_m: float) -> None:
+    soft = profile_of(visibility_m)
+    x = np.concatenate([soft.grid[:: 1 + len(soft.grid) // 500] + 0.01, soft.knots[:3] + PULSE.half_support_m])
+    _, real, imaginary = soft._under_pulse(x)
+    assert [soft._phase_under_pulse(one) for one in x.tolist()] == list(
+        zip(real.tolist(), imaginary.tolist(), strict=True)
+    )
