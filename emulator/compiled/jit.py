@@ -101,7 +101,7 @@ def compiled(*arguments: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def _compile(function: Callable[..., Any], arguments: tuple[Any, ...] | None = None) -> Any:
-    options = {"nogil": True, "error_model": "numpy"}
+    options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
     try:
         made = njit(arguments, cache=True, **options)(function)
         KEPT_IN.add(made._cache.cache_path)

@@ -13,6 +13,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,9 @@ from emulator.errors import EmulatorError
 Loc = tuple[str | int, ...]
 
 MAX_BYTES, MAX_VALUES, MAX_SEPARATORS, MAX_DEPTH = TEXT.bytes, TEXT.values, TEXT.separators, TEXT.depth
+
+KEPT_CHARACTERS, KEPT_TEXTS = 1 << 15, 32
+"Texts of up to this length are known again, the latest of them: a campaign loads one scenario for each case."
 
 _TAB = re.compile(r" *\t")
 _NULL = re.compile(r"(?:|~|null|Null|NULL)\Z")
@@ -118,9 +122,9 @@ def parse(text: str, path: Path, error: type[EmulatorError]) -> Source:
     """
     _judge_length(text, path, error)
     try:
-        root = _Tree(path, error).build(text)
-    except EmulatorError:
-        raise
+        root = _known_tree(text) if len(text) <= KEPT_CHARACTERS else _Tree().build(text)
+    except _Refused as exc:
+        raise error(f"{path}:{exc}") from None
     except MarkedYAMLError as exc:
         mark = exc.problem_mark or exc.context_mark
         line = mark.line + 1 if mark is not None else 1
@@ -208,16 +212,26 @@ class _Node:
     "Still being read: an alias to it would contain itself."
 
 
+class _Refused(Exception):
+    """Not plain data: line, what was found, what is wanted."""
+
+    def __str__(self) -> str:
+        line, found, want = self.args
+        return f"{line}: {found}; want {want}"
+
+
+@lru_cache(maxsize=KEPT_TEXTS)
+def _known_tree(text: str) -> _Node:
+    """Nodes are read alone once they are built; what is made of them is new each time."""
+    return _Tree().build(text)
+
+
 class _Tree:
     """Parser events to nodes, without recursion."""
 
-    def __init__(self, path: Path, error: type[EmulatorError]) -> None:
-        self._path, self._error = path, error
+    def __init__(self) -> None:
         self._anchors: dict[str, _Node] = {}
         self._count = 0
-
-    def _fail(self, line: int, found: str, want: str) -> EmulatorError:
-        return self._error(f"{self._path}:{line}: {found}; want {want}")
 
     def build(self, text: str) -> _Node:
         root: _Node | None = None
@@ -229,7 +243,7 @@ class _Tree:
             if isinstance(event, DocumentStartEvent):
                 documents += 1
                 if documents > 1:
-                    raise self._fail(line, "a second document", "one document per file")
+                    raise _Refused(line, "a second document", "one document per file")
                 continue
             if isinstance(event, MappingEndEvent | SequenceEndEvent):
                 keys.pop()
@@ -240,9 +254,9 @@ class _Tree:
             elif isinstance(event, AliasEvent):
                 found = self._anchors.get(event.anchor)
                 if found is None:
-                    raise self._fail(line, f"alias *{event.anchor} without its anchor", "an anchor before it")
+                    raise _Refused(line, f"alias *{event.anchor} without its anchor", "an anchor before it")
                 if found.open:
-                    raise self._fail(line, f"alias *{event.anchor} inside its own anchor", "data without a cycle")
+                    raise _Refused(line, f"alias *{event.anchor} inside its own anchor", "data without a cycle")
                 node = found
             elif isinstance(event, MappingStartEvent | SequenceStartEvent):
                 node = _Node(line, open=True)
@@ -261,7 +275,7 @@ class _Tree:
             if not open_nodes or open_nodes[-1].items is not None or keys[-1] is not None:  # no key
                 self._count += 1
                 if self._count > MAX_VALUES:
-                    raise self._fail(line, f"more than {MAX_VALUES} values", "a smaller file")
+                    raise _Refused(line, f"more than {MAX_VALUES} values", "a smaller file")
             if not open_nodes:
                 root = node
             elif (parent := open_nodes[-1]).items is not None:
@@ -274,7 +288,7 @@ class _Tree:
                 keys[-1] = None
             if node.open:
                 if len(open_nodes) >= MAX_DEPTH:
-                    raise self._fail(line, f"nested more than {MAX_DEPTH} deep", "a flatter file")
+                    raise _Refused(line, f"nested more than {MAX_DEPTH} deep", "a flatter file")
                 open_nodes.append(node)
                 keys.append(None)
         return root or _Node(1)

@@ -136,6 +136,24 @@ def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
     assert yaml_lines.read(tmp_path / "bom.yaml", ScenarioError).data == {"a": 1}
 
 
+def test_a_text_that_was_read_before_is_not_parsed_again_and_its_data_are_new(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = "a: &x {b: [1, 2], b: 3}\nc: *x\nonly: here"
+    first = read(text)
+    monkeypatch.setattr(yaml_lines, "_Tree", None)
+    first.data["a"]["b"].append(9)
+    again = parse(text, Path("other.yaml"), ScenarioError)
+    assert again.data == {"a": {"b": [1, 2]}, "c": {"b": [1, 2]}, "only": "here"}
+    assert again.faults == ("other.yaml:1: a.b: given twice, first in line 1; want each key only once",
+                            "other.yaml:1: c.b: given twice, first in line 1; want each key only once")  # fmt: skip
+    assert again.spot(("only",)) == (Path("other.yaml"), 3)
+
+
+def test_a_text_that_was_refused_before_is_refused_with_the_name_of_its_own_file() -> None:
+    for name in ("one.yaml", "other.yaml"):
+        with pytest.raises(ScenarioError, match=rf"^{name}:2: a second document; want one document per file"):
+            parse("a: 1\n--- b", Path(name), ScenarioError)
+
+
 @given(st.text(alphabet=st.sampled_from("ab:-{}[],&*!#'\"\n \t|>%@?~<0.1"), max_size=60))
 @settings(max_examples=cases(300), deadline=None)
 def test_any_text_is_read_or_refused(text: str) -> None:

@@ -56,8 +56,8 @@ def test_an_empty_field_and_stlms_are_those_of_recordings() -> None:
 @pytest.mark.parametrize("dialect", "AB")
 def test_every_name_is_answered_once_in_every_model_logged_in_or_not(model: str, dialect: str) -> None:
     for access in (False, True):
+        rig = Rig(model, login="challenge 2")
         for code in codes():
-            rig = ALL.setdefault((model, dialect, access), Rig(model, login="challenge 2"))
             if access:
                 rig.b("sMN SetAccessMode", "0481be23aa")
             rig.session._unsubscribe(rig.now_ns, ONE)
@@ -70,10 +70,6 @@ def test_every_name_is_answered_once_in_every_model_logged_in_or_not(model: str,
                 assert rig.session.values == before
             if code == "sMN mSCreboot" and reported[:3] == b"sAN":
                 rig.run(12 * SECOND)
-    ALL.clear()
-
-
-ALL: dict[Any, Rig] = {}
 
 
 def test_the_table_is_the_coverage_page_and_the_dispatcher() -> None:
