@@ -17,6 +17,7 @@ import shutil
 import signal
 import socket
 import subprocess
+import sys
 import tempfile
 from collections.abc import Callable
 from functools import partial
@@ -37,8 +38,12 @@ TIME_LIMIT_S = 300.0
 "For a run that begins: it may compile its loops first."
 LEAVE_S, END_S = 10.0, 20.0
 "For a run to end by itself, and at a signal."
+ENDED_S = 2.0
+"For a run that has closed the line: its exit code comes after that."
 LOOK_S = 0.02
 MOST_BYTES = 64 << 20
+MOST_SAID = 2000
+"Characters of what a run said last."
 KEPT = 2
 "Generations of output buffers: one is valid until the second next step begins."
 MASTERS_OWN = ("LD_PRELOAD", "PYTHONHOME")
@@ -56,52 +61,83 @@ class _Run:
     """The run beside the master, and the line to it."""
 
     def __init__(self, words: list[str]) -> None:
-        """`_Failed` with what the run said where it cannot begin."""
+        """`_Failed` with what the run said where it cannot begin; nothing of it is left then."""
+        self._words = words
+        self._folder: Path | None = None
+        self._files: list[Any] = []
+        self._process: subprocess.Popen[bytes] | None = None
+        self._socket: socket.socket | None = None
+        try:
+            self._begin()
+        except (OSError, ValueError) as error:
+            more = "" if self._process is None else f"; it {self._how()}: {self._said()}"
+            self._tidy()
+            raise _Failed(f"the run cannot be driven: {error}{more}") from None
+        except BaseException:
+            self._tidy()
+            raise
+
+    def _begin(self) -> None:
         self._folder = Path(tempfile.mkdtemp(prefix="lidaremu-fmu-"))
         place = self._folder / "lockstep"
-        self._out, self._err = (self._folder / "out").open("wb"), (self._folder / "err").open("wb")
-        words = [*words, "--set", f"live.feed=lockstep:unix:{place}"]
+        words = [*self._words, "--set", f"live.feed=lockstep:unix:{place}"]
         own = {name: text for name, text in os.environ.items() if name not in MASTERS_OWN}
+        out, err = self._files = [(self._folder / name).open("wb") for name in ("out", "err")]
         try:
             self._process = subprocess.Popen(
-                words, stdin=subprocess.PIPE, stdout=self._out, stderr=self._err, env=own, start_new_session=True
+                words, stdin=subprocess.PIPE, stdout=out, stderr=err, env=own, start_new_session=True
             )
         except OSError as error:
-            self._tidy()
             raise _Failed(
                 f"{words[0]}: {error.strerror}; want lidaremu installed, or its command in `lidaremu`"
             ) from None
-        self._socket: socket.socket | None = None
-        self.ready = self._ready()
+        self.ready = self._ready(self._process)
         self._socket = socket.socket(socket.AF_UNIX)
         self._socket.connect(str(place))
         self._file = self._socket.makefile("rb")
+        self._files.append(self._file)
         self.hello = self.ask({"op": "hello", "protocol": 1})[0]
 
-    def _ready(self) -> dict[str, Any]:
+    def _ready(self, process: subprocess.Popen[bytes]) -> dict[str, Any]:
         for _ in range(round(TIME_LIMIT_S / LOOK_S)):
+            has_ended = process.poll() is not None  # before the look: what it said last is there then
             row = self._event("ready")
             if row is not None:
                 return row
-            if self._process.poll() is not None:
-                said = self._said()
-                self._tidy()
-                raise _Failed(f"the run ended with exit code {self._process.returncode}: {said}")
+            if has_ended:
+                raise _Failed(f"the run {self._how()} before it was ready: {self._said()}")
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(LOOK_S)
-        self.close()
-        raise _Failed(f"the run was not ready after {TIME_LIMIT_S:g} s")
+                process.wait(LOOK_S)
+        raise _Failed(f"the run was not ready after {TIME_LIMIT_S:g} s: {self._said()}")
+
+    def _how(self) -> str:
+        """How it ended."""
+        assert self._process is not None
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(ENDED_S)
+        code = self._process.returncode
+        if code is None:
+            return "goes on, and says no more"
+        return f"ended with exit code {code}" if code >= 0 else f"was ended by {signal.Signals(-code).name}"
 
     def _event(self, name: str) -> dict[str, Any] | None:
-        for line in (self._folder / "out").read_text(encoding="utf-8", errors="replace").splitlines():
+        for line in self._text("out").splitlines():
             with contextlib.suppress(ValueError):
                 row = json.loads(line)
                 if isinstance(row, dict) and row.get("event") == name:
                     return row
         return None
 
+    def _text(self, name: str) -> str:
+        assert self._folder is not None
+        try:
+            return (self._folder / name).read_text(encoding="utf-8", errors="replace")
+        except OSError:  # somebody has cleared up there
+            return ""
+
     def _said(self) -> str:
-        return (self._folder / "err").read_text(encoding="utf-8", errors="replace").strip()[-2000:]
+        text = self._text("err").strip() or self._text("out").strip()
+        return text[-MOST_SAID:] or f"it said nothing; the command was {shlex.join(self._words)}"
 
     def ask(self, request: dict[str, object], more: bytes = b"") -> tuple[dict[str, Any], dict[str, bytes]]:
         """The answer, and the messages behind it by sensor."""
@@ -112,9 +148,9 @@ class _Run:
             answer = json.loads(line) if line else None
             messages = {name: self._exactly(size) for name, size in (answer or {}).get("osi", {}).items()}
         except (OSError, ValueError) as error:
-            raise _Failed(f"lock-step: {error}; {self._said()}") from None
+            raise _Failed(f"lock-step: {error}; the run {self._how()}: {self._said()}") from None
         if answer is None:
-            raise _Failed(f"the run has ended: {self._said()}")
+            raise _Failed(f"the run {self._how()}: {self._said()}")
         if answer.get("op") == "error":
             raise _Failed(f"lock-step: {answer.get('why')}")
         return answer, messages
@@ -127,31 +163,43 @@ class _Run:
 
     def close(self) -> dict[str, Any]:
         """End the run; its last event."""
-        if self._socket is not None:
-            with contextlib.suppress(_Failed):
-                self.ask({"op": "bye"})
-            self._file.close()
-            self._socket.close()
+        try:
+            return self._end()
+        finally:
+            self._tidy()
+
+    def _end(self) -> dict[str, Any]:
+        assert self._process is not None
         assert self._process.stdin is not None
+        with contextlib.suppress(_Failed):
+            self.ask({"op": "bye"})
         self._process.stdin.close()
-        try:
+        with contextlib.suppress(subprocess.TimeoutExpired):
             # by itself: a signal in its last steps would take the last event with it
-            self._process.wait(0.0 if self._socket is None else LEAVE_S)
-        except subprocess.TimeoutExpired:
-            self._process.send_signal(signal.SIGTERM)
+            self._process.wait(LEAVE_S)
+        self._stop(self._process)
+        return self._event("stopped") or {}
+
+    def _stop(self, process: subprocess.Popen[bytes]) -> None:
+        if process.poll() is None:
+            process.terminate()
         try:
-            self._process.wait(END_S)
+            process.wait(END_S)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        row = self._event("stopped") or {}
-        self._tidy()
-        return row
+            process.kill()
+            process.wait()
 
     def _tidy(self) -> None:
-        self._out.close()
-        self._err.close()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        """Nothing is left of it: no process, no open file, no folder."""
+        for one in (*self._files, self._socket):
+            if one is not None:
+                one.close()
+        if self._process is not None:
+            self._stop(self._process)
+            if self._process.stdin is not None:
+                self._process.stdin.close()
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
 
 
 class _Pointer:
@@ -200,6 +248,8 @@ class Lidaremu(Fmi2Slave):  # type: ignore[misc]
         self.modelName = self._config["name"]
         self.description = self._config["description"]
         self._run: _Run | None = None
+        self._reported = ""
+        "What went to standard error last."
         self._start_s = 0.0
         self._poses: dict[str, dict[str, float]] = {name: dict(pose) for name, pose in self._config["actors"].items()}
         self._set: dict[str, set[str]] = {name: set() for name in self._poses}
@@ -302,9 +352,22 @@ class Lidaremu(Fmi2Slave):  # type: ignore[misc]
         words += ["--json", "--until-eof", "--duration", str(self._config["longest_s"])]
         words += ["--record", self._given["record"]] if self._given["record"] else []
         words += ["--speed", repr(self._given["speed"])] if self._given["speed"] > 0.0 else []
-        self._run = _Run(words)
+        try:
+            self._run = _Run(words)
+        except _Failed as error:
+            self._say(str(error))
+            raise  # pythonfmu logs it as fatal
         for row in self._run.ready["sensors"]:
             self._links[row["id"]] = " ".join(row["links"])
+
+    def _say(self, why: str) -> None:
+        """To standard error, once: pythonfmu drops its log where the master has logging off, and does not tell that."""
+        if why == self._reported or sys.stderr is None:
+            return
+        self._reported = why
+        with contextlib.suppress(OSError, ValueError):
+            sys.stderr.write(f"lidaremu: FMU {self.instance_name}: {why}\n")
+            sys.stderr.flush()
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Time moves to the end of the step, where actors are as the inputs say."""
@@ -312,6 +375,7 @@ class Lidaremu(Fmi2Slave):  # type: ignore[misc]
             self._step(round((current_time + step_size - self._start_s) * 1e9))
         except (_Failed, ValueError) as error:
             self.log(str(error), Fmi2Status.error)
+            self._say(str(error))
             self._valid = False
             return False
         return True

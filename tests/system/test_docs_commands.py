@@ -1,8 +1,8 @@
 """Every command of the pages runs as it stands, in an empty folder; those that cannot have their reason here.
 
-Commands without end get a short one; those that talk to a running sensor find one; figures have few dots. All run in
-few processes, one after the other, as a reader would type them. Whether their words are understood is
-tests/docs/test_commands.py.
+Commands without end get a short one; those that talk to a running sensor find one; figures have few dots. What reads
+another's files runs with it in one process, one after the other, as a reader would type them: one of `THREADS` each.
+Whether their words are understood is tests/docs/test_commands.py.
 """
 
 from __future__ import annotations
@@ -44,6 +44,14 @@ NOT_RUN = {
 CODES = {r"visibility_m=-20": 2, r"^lidaremu test step_out.yaml --set": 1, "^lidaremu campaign .* --out detection$": 1}
 "What ends otherwise than well, as its page says."
 TALKS = re.compile(r"^lidaremu (?:look|ctl) ")
+THREADS = {
+    "campaign": r"^lidaremu campaign",
+    "demo": r"^lidaremu demo",
+    "run": r"^lidaremu run (?!velodyne)(?!.*--record)",
+    "step_out": r"step_out|one_file",
+    "record": "",
+}
+"Name and pattern: a command is of the first that fits; what reads what another has written is of the same."
 CHILD = """
 import json, sys
 from emulator.commands.cli import main
@@ -155,11 +163,18 @@ def test_commands_of_ours_alone_are_run() -> None:
     assert all(text.startswith("lidaremu ") for text in runnable())
 
 
-def test_commands_run(folder: Path) -> None:
+def thread_of(text: str) -> str:
+    return next(name for name, pattern in THREADS.items() if re.search(pattern, text))
+
+
+@pytest.mark.parametrize("thread", THREADS)
+def test_commands_run(thread: str, folder: Path) -> None:
     wanted = [text for text in runnable() if not TALKS.search(text)]
     if find_compiler(os.environ) is None:
         wanted = [text for text in wanted if "--shim" not in text]
     assert len(wanted) > 20
+    wanted = [text for text in wanted if thread_of(text) == thread]
+    assert wanted
     codes = run_all([words_of(text) for text in wanted], folder)
     assert dict(zip(wanted, codes, strict=True)) == {text: expected(text) for text in wanted}
 

@@ -61,14 +61,14 @@ def packed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @contextmanager
-def driven(path: Path, folder: Path, **strings: str) -> Iterator[SimpleNamespace]:
+def driven(path: Path, folder: Path, logging: bool = True, **strings: str) -> Iterator[SimpleNamespace]:
     about = fmpy.read_model_description(str(path))
     of = {one.name: one.valueReference for one in about.modelVariables}
     unzipped = fmpy.extract(str(path), str(folder / "unzipped"))
     slave = FMU2Slave(
         guid=about.guid, unzipDirectory=unzipped, modelIdentifier=about.coSimulation.modelIdentifier, instanceName="one"
     )
-    slave.instantiate()
+    slave.instantiate(loggingOn=logging)
     slave.setupExperiment(startTime=0.0)
     slave.enterInitializationMode()
     for name, text in strings.items():
@@ -169,9 +169,15 @@ def test_a_sensor_view_by_its_pointer_gives_the_bytes_of_its_ground_truth(packed
     assert found.sha256 == by_lockstep(tmp_path, osi=True)[0]
 
 
-def test_a_wrong_command_and_a_wrong_pose_are_errors_of_the_fmu_not_of_its_master(packed: Path, tmp_path: Path) -> None:
-    with pytest.raises(FMICallException), driven(packed, tmp_path / "one", lidaremu="/none/lidaremu"):
-        pass
+def test_a_wrong_command_and_a_wrong_pose_are_errors_of_the_fmu_not_of_its_master(
+    packed: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for name, logging in (("one", True), ("silent", False)):
+        with pytest.raises(FMICallException), driven(packed, tmp_path / name, logging, lidaremu="/none/lidaremu"):
+            pass
+        shown, errors = capfd.readouterr()
+        assert ("[FATAL]" in shown and "/none/lidaremu: No such file" in shown) == logging
+        assert "lidaremu: FMU one: /none/lidaremu: No such file or directory; want lidaremu installed" in errors
     with driven(packed, tmp_path / "two") as found:
         found.slave.setReal([found.of["car.x_m"]], [1e12])
         with pytest.raises(FMICallException):
