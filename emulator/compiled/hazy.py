@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from emulator.compiled.arithmetic import cos_sin
-from emulator.compiled.jit import FLOAT, FLOATS, INT, INTS, OUT_FLOATS, ROWS, compiled
+from emulator.compiled.jit import FLOAT, FLOATS, INT, INTS, OUT_FLOATS, ROWS, compiled, inlined
 from emulator.compiled.maxima import WAVE, terms, under_way
 from emulator.compiled.media import MEDIUM, cell_of, cubic
 
@@ -20,7 +20,7 @@ UNDER = (*MEDIUM, FLOATS, ROWS)
 "A medium, the share of the beam before each window, and running sums: see `Waveform.air`."
 
 
-@compiled()
+@inlined
 def _under_pulse(x, clear, begun, ended, head, half_m, wave_number, knots, cubics, cells, cell, sums):
     """What the medium has at a place of a window, see `Waveform.exact_at`."""
     far, far_t = cell_of(x + half_m, knots, cells, cell)
@@ -37,7 +37,7 @@ def _under_pulse(x, clear, begun, ended, head, half_m, wave_number, knots, cubic
     return max(0.5 * (a + cosine * real - sine * imaginary), 0.0)
 
 
-@compiled()
+@inlined
 def exact(x, w, wave, medium, clear, sums):
     """Value at a place of a window, see `Waveform.exact_at`."""
     bin_m, half_m, wave_number, first_bin, sub_first, sub_count, sub_range, a, real, imaginary = wave

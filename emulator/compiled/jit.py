@@ -100,8 +100,13 @@ def compiled(*arguments: Any) -> Callable[[Callable[..., Any]], Any]:
     return compiling
 
 
-def _compile(function: Callable[..., Any], arguments: tuple[Any, ...] | None = None) -> Any:
-    options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+def inlined(function: Callable[..., Any]) -> Any:
+    """Compile as a part of every loop that calls it: a call of its own hands over seven numbers for each array."""
+    return _compile(function, None, forceinline=True)
+
+
+def _compile(function: Callable[..., Any], arguments: tuple[Any, ...] | None = None, **more: bool) -> Any:
+    options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True} | more
     try:
         made = njit(arguments, cache=True, **options)(function)
         KEPT_IN.add(made._cache.cache_path)
