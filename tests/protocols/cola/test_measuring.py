@@ -493,6 +493,7 @@ def test_the_calendar_begins_in_1970_is_set_by_a_host_or_by_the_time_server() ->
     assert reported[:3] == (1970, 1, 1)
     assert rig.a_last("sMN LSPsetdatetime +2026 +2 +28 +23 +59 +59 +999999") == "sAN LSPsetdatetime 1"
     assert rig.a_last("sMN LSPsetdatetime +2026 +2 +30 0 0 0 0") == "sAN LSPsetdatetime 0"
+    assert rig.a_last("sMN LSPsetdatetime +2026 +2 +28 0 0 0 FFFFFFFF") == "sAN LSPsetdatetime 0"
     rig.forget()
     rig.run(SECOND)
     reported = read(*frames(rig.sent[-1].payload)[0]).time
