@@ -301,7 +301,7 @@ def set_date(device: ColaState, values: Values, request: Request) -> Values:
     """LSPsetdatetime: 1 taken, 0 no such date."""
     try:
         date = datetime(*values)
-    except ValueError:
+    except (ValueError, OverflowError):  # 32 bits of microseconds are more than Python takes
         return [0]
     if not EPOCH.year <= date.year < 2100:
         return [0]

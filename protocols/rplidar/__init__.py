@@ -1,7 +1,7 @@
 """Slamtec's RPLIDAR A1, A2, A3, S1, S2, S3 and C1.
 
-Reading order: `codec` (bytes), `models` (facts of each), `rotor` (the motor), `device` (states, samples,
-groups), `commands`, `session`.
+Reading order: `codec` (bytes), `models` (facts of each), `device` (states, samples, groups), `commands`,
+`session`; the motor is `skeleton.rotor`.
 `settings.read` has the keys of a scenario's `device:` table.
 """
 

@@ -463,6 +463,16 @@ def test_fields_are_written_evaluated_and_told_as_events() -> None:
     assert rig.scan().outputs == (0, 1)
 
 
+def test_a_tim_has_its_ready_output_beside_those_of_its_fields() -> None:
+    rig = Rig("sick-tim781", world=lambda plan: scan_of(plan, 3.0))
+    start(rig, ONE)
+    assert rig.scan().outputs == (0, 0b1000)
+    assert rig.a_last(RECTANGLE) == "sWA field000"
+    rig.run(SECOND)
+    rig.forget()
+    assert rig.scan().outputs == (0, 0b1001)
+
+
 def test_a_single_scan_does_not_infringe_a_field() -> None:
     def world(plan: ScanPlan) -> Scan:
         return scan_of(plan, 3.0 if plan.sweep % 20 == 0 else 10.0)
@@ -483,6 +493,7 @@ def test_the_calendar_begins_in_1970_is_set_by_a_host_or_by_the_time_server() ->
     assert reported[:3] == (1970, 1, 1)
     assert rig.a_last("sMN LSPsetdatetime +2026 +2 +28 +23 +59 +59 +999999") == "sAN LSPsetdatetime 1"
     assert rig.a_last("sMN LSPsetdatetime +2026 +2 +30 0 0 0 0") == "sAN LSPsetdatetime 0"
+    assert rig.a_last("sMN LSPsetdatetime +2026 +2 +28 0 0 0 FFFFFFFF") == "sAN LSPsetdatetime 0"
     rig.forget()
     rig.run(SECOND)
     reported = read(*frames(rig.sent[-1].payload)[0]).time
