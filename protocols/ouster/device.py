@@ -498,7 +498,7 @@ class OusterDevice(PacketSession[Slice]):
     def _measure_imu(self, at_ns: int, rate_hz: float) -> Floats:
         self._samples += 1
         ranges = self.active.get("accel_fsr", "NORMAL"), self.active.get("gyro_fsr", "NORMAL")
-        return measured(self._felt(at_ns), self.build.errors, self._samples, rate_hz, ranges)
+        return measured(self._felt, at_ns, self.build.errors, self._samples, rate_hz, ranges)
 
     def _tell_imu(self, now_ns: int) -> None:
         values = self._measure_imu(now_ns, 100.0)

@@ -476,3 +476,20 @@ def test_datagrams_of_hosts_are_ignored() -> None:
     rig.session.receive(b"\xff" * 100, rig.now_ns, LIDAR)
     rig.session.receive(b"\xff" * 10_000, rig.now_ns, LINE)
     assert rig.run(0.1)
+
+
+def test_the_imu_feels_where_it_is_when_the_mount_turns_ever_faster() -> None:
+    exact = dict.fromkeys(("accel_noise_mg_rthz", "accel_bias_mg", "gyro_noise_deg_s_rthz", "gyro_bias_deg_s"), 0.0)
+    rig = Rig(exact | {"imu_scale_share": 0.0})
+    gravity, faster = np.array((0.0, 0.0, 9.80665)), np.array((3.0, 12.0, -5.0))
+    rig.session.feel(lambda at_ns: (gravity, 1e-9 * at_ns * faster))  # about the mount, which stays where it is
+    arm_m = np.array((-2.441, -9.725, 7.533 - 38.195)) / 1000.0
+    packets = [one.payload for one in rig.run(0.3) if one.label == "imu"][5:]
+    assert len(packets) > 20
+    for number, packet in enumerate(packets, 5):
+        *stamps, x, y, z, _, _, turned = codec.IMU_LEGACY.unpack(packet)
+        rate = (0.01 * number) * faster
+        force = gravity + np.cross(rate, np.cross(rate, arm_m)) + np.cross(faster, arm_m)
+        assert stamps[0] == 10_000_000 * number
+        assert np.array((x, y, z)) * 9.80665 == pytest.approx(force, abs=4e-4)  # half a step is 0.3 mm/s^2
+        assert turned == pytest.approx(np.degrees(rate[2]), abs=4e-3)
