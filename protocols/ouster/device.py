@@ -121,7 +121,7 @@ class OusterDevice(PacketSession[Slice]):
         "Alerts of packets that did not arrive, and when the last one did not."
         self._room: tuple[Any, Any] = None, None
         "What packets are of, and where they are written."
-        self._head: tuple[Any, Any] = None, None
+        self._head: tuple[Any, codec.Head] = None, codec.Head(unit.serial, 0)
         "What headers say, and what makes them."
         self._hot_ns: dict[str, int] = {}
         "Since when it warns of what is in `impaired`."
@@ -383,7 +383,7 @@ class OusterDevice(PacketSession[Slice]):
             self._room = key, codec.Room(profile, self.unit.rows, packets, columns)
         head = self.head(start_ns)
         made = codec.encode(self._room[1], head, piece.frame % (1 << 32 if head.fusa else 1 << 16), said)
-        sent = piece.valid.reshape(packets, -1).any(axis=1).tolist() if not piece.whole else [True] * packets
+        sent: Any = piece.valid.reshape(packets, -1).any(axis=1).tolist() if not piece.whole else [True] * packets
         shows_ns, ends_ns = shown_ns[:: codec.COLUMNS].tolist(), instants(packets, packet_ns)[3]
         for packet in range(packets):
             if sent[packet]:

@@ -42,7 +42,7 @@ def returns(scan: Scan, count: int, order: str, near_m: float) -> Returns:
     """
     there = scan.range_m >= near_m
     beams, width = there.shape
-    several: Words = there.view(WIDE[width])[:, 0] > 1 if width in WIDE else there[:, 1:].any(axis=1)
+    several: Any = there.view(WIDE[width])[:, 0] > 1 if width in WIDE else there[:, 1:].any(axis=1)
     beam = several.nonzero()[0]
     room = np.zeros(len(beam))
     range_m, strength = (np.concatenate((one[:, 0], room)) for one in (scan.range_m, scan.intensity))
