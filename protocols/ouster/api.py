@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from ipaddress import ip_address
+from ipaddress import IPv4Interface, ip_address
 from typing import Any, ClassVar
 
 from protocols.ouster.config import Firmware, changed
@@ -235,8 +235,10 @@ def _put_profile(device: OusterDevice, request: Request) -> bytes:
 def _override(device: OusterDevice, request: Request) -> bytes:
     found = _json(_parts(request)[1])
     address = found.get("addr") if isinstance(found, dict) and device.firmware >= (3, 2) else found
-    if not isinstance(address, str) or not 0 < len(address) <= 43 or not address.isprintable():
-        raise Wrong("want an address with the length of its prefix")
+    try:
+        IPv4Interface(address if isinstance(address, str) and "/" in address else "")
+    except ValueError:
+        raise Wrong("want an IPv4 address with the length of its prefix, as 10.0.0.5/24", "addr") from None
     device.override = address
     return reply(found)
 
@@ -467,8 +469,8 @@ class OusterSession(OusterDevice):
         if refused.reason is DropReason.BAD_ARGUMENT:
             name, _, message = refused.detail.partition(": ")
             return _error(400, "CONFIG_INVALID", message, name)
-        method, _, path = request.code.partition(b" ")
-        others = any(code.endswith(b" " + path) for code in self.COMMANDS if not code.startswith(method + b" "))
+        path = request.code.partition(b" ")[2]
+        others = request.code not in self.COMMANDS and any(code.endswith(b" " + path) for code in self.COMMANDS)
         wrong = (405, "METHOD", "not for this resource") if others else (404, "NOT_FOUND", "no such resource")
         return answered(request.code, _error(*wrong))
 

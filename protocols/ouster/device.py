@@ -121,7 +121,7 @@ class OusterDevice(PacketSession[Slice]):
         "Alerts of packets that did not arrive, and when the last one did not."
         self._room: tuple[Any, Any] = None, None
         "What packets are of, and where they are written."
-        self._head: tuple[Any, Any] = None, None
+        self._head: tuple[Any, codec.Head] = None, codec.Head(unit.serial, 0)
         "What headers say, and what makes them."
         self._hot_ns: dict[str, int] = {}
         "Since when it warns of what is in `impaired`."
@@ -383,7 +383,7 @@ class OusterDevice(PacketSession[Slice]):
             self._room = key, codec.Room(profile, self.unit.rows, packets, columns)
         head = self.head(start_ns)
         made = codec.encode(self._room[1], head, piece.frame % (1 << 32 if head.fusa else 1 << 16), said)
-        sent = piece.valid.reshape(packets, -1).any(axis=1).tolist() if not piece.whole else [True] * packets
+        sent: Any = piece.valid.reshape(packets, -1).any(axis=1).tolist() if not piece.whole else [True] * packets
         shows_ns, ends_ns = shown_ns[:: codec.COLUMNS].tolist(), instants(packets, packet_ns)[3]
         for packet in range(packets):
             if sent[packet]:
@@ -498,7 +498,7 @@ class OusterDevice(PacketSession[Slice]):
     def _measure_imu(self, at_ns: int, rate_hz: float) -> Floats:
         self._samples += 1
         ranges = self.active.get("accel_fsr", "NORMAL"), self.active.get("gyro_fsr", "NORMAL")
-        return measured(self._felt(at_ns), self.build.errors, self._samples, rate_hz, ranges)
+        return measured(self._felt, at_ns, self.build.errors, self._samples, rate_hz, ranges)
 
     def _tell_imu(self, now_ns: int) -> None:
         values = self._measure_imu(now_ns, 100.0)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protocols.ouster.models import IMU_MM
+from protocols.ouster.models import IMU_MM, LIDAR_Z_MM
 from protocols.scan import Floats
 
 G = 9.80665
@@ -18,6 +18,10 @@ FULL_SCALE = {"NORMAL": (2.0, 250.0), "EXTENDED": (16.0, 2000.0)}
 "Accelerometer [g] and gyro [deg/s] by `accel_fsr` and `gyro_fsr`."
 STEPS = 32_768
 GYRO_STEP_EXTENDED = 1.0 / 16.4
+ARM_M = [1e-3 * IMU_MM[0], 1e-3 * IMU_MM[1], 1e-3 * (IMU_MM[2] - LIDAR_Z_MM)]
+"From the mount, which is the lidar's origin, to the unit."
+CHANGE_NS = 5_000_000
+"Over which a change of the rate is felt; as long as motion is felt over."
 Felt = Callable[[int], tuple[Floats, Floats]]
 "Specific force and rate (3,) in the sensor's frame at an instant. [m/s^2, rad/s]"
 
@@ -49,13 +53,13 @@ class Errors:
         return cls(serial, np.repeat((1e-3 * accel_mg, gyro), 3), bias, 1.0 + scale * draws[1])
 
 
-def measured(
-    felt: tuple[Floats, Floats], errors: Errors, number: int, rate_hz: float, ranges: tuple[str, str]
-) -> Floats:
+def measured(felt: Felt, at_ns: int, errors: Errors, number: int, rate_hz: float, ranges: tuple[str, str]) -> Floats:
     """(6,) acceleration in g and rate in deg/s, of measurement `number`; `ranges`: accelerometer, gyro."""
-    force, rate = felt
+    force, rate = felt(at_ns)
+    before_ns = max(0, at_ns - CHANGE_NS)
+    speeding = (rate - felt(before_ns)[1]) * (1e9 / max(1, at_ns - before_ns))
     turning = rate.tolist()
-    force = force + np.array(_cross(turning, _cross(turning, [1e-3 * mm for mm in IMU_MM])))
+    force = force + np.array(_cross(turning, _cross(turning, ARM_M))) + np.array(_cross(speeding.tolist(), ARM_M))
     noise = np.random.default_rng((errors.serial, 2, number)).standard_normal(6)
     true = np.concatenate((force / G, np.degrees(rate)))
     seen = errors.scale * true + errors.bias + errors.density * np.sqrt(0.5 * rate_hz) * noise

@@ -69,8 +69,8 @@ def imu_intrinsics() -> dict[str, Any]:
 def lidar_intrinsics(config: Values) -> dict[str, Any]:
     """From the lidar's frame to the sensor's: half a turn, and more where its column 0 is turned."""
     angle = np.radians(180.0 + config.get("lidar_frame_azimuth_offset", 0) / 1000.0)
-    c, s = round(float(np.cos(angle)), 15), round(float(np.sin(angle)), 15)
-    return {"lidar_to_sensor_transform": [c, -s, 0, 0, s, c, 0, 0, 0, 0, 1, LIDAR_Z_MM, 0, 0, 0, 1]}
+    c, s = round(float(np.cos(angle)), 15), round(float(np.sin(angle)), 15) + 0.0
+    return {"lidar_to_sensor_transform": [c, 0.0 - s, 0, 0, s, c, 0, 0, 0, 0, 1, LIDAR_Z_MM, 0, 0, 0, 1]}
 
 
 def lidar_data_format(unit: Unit, config: Values, firmware: Firmware) -> dict[str, Any]:

@@ -103,8 +103,10 @@ def time_system(device: OusterDevice, now_ns: int) -> dict[str, Any]:
         "monotonic": device.clock.shown_ns(now_ns) / SECOND_NS,
         "realtime": device.sources.utc(now_ns) / SECOND_NS,
         "tracking": {
-            "frequency": -7.0, "last_offset": 5.9e-06, "leap_status": "normal", "reference_id": "70747000",
-            "remote_host": "ptp" if device.sources.ptp else "", "rms_offset": 6e-06, "stratum": 1,
+            "frequency": -7.0, "last_offset": 5.9e-06, "leap_status": "normal",
+            "ref_time_utc": device.sources.utc(now_ns) // SECOND_NS, "reference_id": "70747000",
+            "remote_host": "ptp" if device.sources.ptp else "", "residual_frequency": 0.0, "rms_offset": 6e-06,
+            "root_delay": 1e-09, "root_dispersion": 4.5e-05, "skew": 0.0, "stratum": 1,
             "system_time_offset": -1.6e-06, "update_interval": 2.0,
         },
     }  # fmt: skip

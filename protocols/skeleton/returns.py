@@ -6,6 +6,7 @@ may stand twice (those of Velodyne and Hesai).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +19,7 @@ Words = NDArray[Any]
 "Whole numbers."
 FEW = 8
 "Beams with several echoes that are taken one by one."
-WIDE = {2: np.dtype("<u2"), 4: np.dtype("<u4"), 8: np.dtype("<u8")}
+WIDE: Mapping[int, np.dtype[Any]] = {2: np.dtype("<u2"), 4: np.dtype("<u4"), 8: np.dtype("<u8")}
 "Words of so many flags, the first one in the lowest bit."
 
 
@@ -41,7 +42,7 @@ def returns(scan: Scan, count: int, order: str, near_m: float) -> Returns:
     """
     there = scan.range_m >= near_m
     beams, width = there.shape
-    several = there.view(WIDE[width])[:, 0] > 1 if width in WIDE else there[:, 1:].any(axis=1)
+    several: Any = there.view(WIDE[width])[:, 0] > 1 if width in WIDE else there[:, 1:].any(axis=1)
     beam = several.nonzero()[0]
     room = np.zeros(len(beam))
     range_m, strength = (np.concatenate((one[:, 0], room)) for one in (scan.range_m, scan.intensity))

@@ -334,7 +334,7 @@ class SweepSession(TimedSession):
         slowed, place, start_ns, scans = self._slowed, self._goes_to(to), plan.start_ns, 1
         steady = slowed.numerator == slowed.denominator  # a product of fractions for each packet takes long
         for after_ns, payload, label, reported, link in telegrams:
-            due_ns = start_ns + (after_ns if steady else round(after_ns * slowed))
+            due_ns = start_ns + round(after_ns if steady else after_ns * slowed)
             where = to if link is None else Address(link, 0)
             yield Emission(due_ns, payload, where, sweep, None, label, reported, scans, None, False, place)
             sweep, scans = None, 0

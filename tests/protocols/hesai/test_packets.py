@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from protocols.hesai.codec import moment
 from protocols.hesai.models import MODELS
 from protocols.scan import Scan, ScanPlan
 from tests.protocols.hesai import reader
@@ -205,3 +206,29 @@ def test_hydra4_reads_the_same_points_out_of_our_packets(name: str, tmp_path: Pa
                 assert math.degrees(math.asin(z / math.hypot(x, y, z))) == pytest.approx(
                     MODELS[name].elevation_deg[ring], abs=1e-3
                 )
+
+
+@pytest.mark.parametrize("device", [{}, {"returns": "dual"}, {"high_resolution": True}, {"signature": True}])
+def test_hydra4_gives_points_of_an_ot128_the_instants_at_which_they_were_measured(
+    device: dict[str, object], tmp_path: Path
+) -> None:
+    from hydra4 import decoders
+
+    rig = Rig("hesai-ot128", {"clock_source": "ptp"} | device)
+    rig.session.source.powered_on(-4 * SECOND)  # it has followed its source long enough
+    rig.world = slope(0.0)
+    file = tmp_path / "calibration.csv"
+    file.write_bytes(rig.ok(0x05))
+    read = decoders.PandarOT128(file, 0.1, 200.0)
+    sent = clouds(rig.run(0.05))
+    plans = rig.plans
+    fired = np.concatenate([1e-9 * one.start_ns + one.fire_offset_s for one in plans])
+    elevation = np.degrees(np.concatenate([one.elevation_rad for one in plans]))
+    begins = (
+        moment(rig.session.build.utc_ns).replace(tzinfo=None).timestamp()
+    )  # a time of day without a zone, as its own
+    for one in sent[30:-30:20]:
+        for block in read(SimpleNamespace(data=one.payload)):
+            for *_, ring, _, at_s in block.points[::9]:
+                own = np.sort(fired[np.abs(elevation - MODELS["hesai-ot128"].elevation_deg[ring]) < 1e-6])
+                assert np.abs(own - (at_s - begins)).min() < 1.6e-6, "stamps are whole microseconds"

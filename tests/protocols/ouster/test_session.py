@@ -173,6 +173,11 @@ def test_requests_of_other_forms() -> None:
         head, _, body = rig.ask(f"HEAD {API}{path} HTTP/1.1\r\nHost: x\r\n\r\n".encode()).partition(b"\r\n\r\n")
         assert (int(head.split()[1]), body) == (status, b"")
     assert rig.call("GET", "zone_monitor/active/zip")[0] == 404
+    newer = Rig({"firmware": "3.2.0"})
+    newer.run(0.1)
+    for path in ("staged/zip", "live_ids"):  # two methods have rows that are refused
+        found = [newer.call(method, f"zone_monitor/{path}", "{}")[0] for method in ("GET", "POST", "PUT")]
+        assert found == [404, 404, 405]
     assert rig.call("POST", "sensor/config?reinit=perhaps", "{}")[0] == 400
     assert rig.ask(b"GET / HTTP/1.1\r\n\r\n").startswith(b"HTTP/1.1 200 OK\r\n")
     both = b"GET /api/v1/sensor/telemetry HTTP/1.1\r\nHost: x\r\n\r\n" * 2
@@ -225,8 +230,16 @@ def test_user_data_network_profile_and_alerts() -> None:
     rig.call("DELETE", "user/data")
     assert rig.get("user/data") == ""
     assert rig.get("system/network")["ipv4"]["override"] is None
+    for wrong in ('"x"', '"10.0.0.5"', '"10.0.0.5/33"', '"/24"', "7", "null", '{"gateway": "10.0.0.1"}'):
+        status, said_so = rig.call("PUT", "system/network/ipv4/override", wrong)
+        assert (status, said_so["error"]["param"]) == (400, "addr")
+    assert rig.get("system/network/ipv4/override") is None
     assert rig.call("PUT", "system/network/ipv4/override", '"10.0.0.5/24"') == (200, "10.0.0.5/24")
     assert rig.get("system/network")["ipv4"]["addr"] == "10.0.0.5/24"
+    assert rig.get("time/system")["tracking"].keys() == {
+        "frequency", "last_offset", "leap_status", "ref_time_utc", "reference_id", "remote_host", "residual_frequency",
+        "rms_offset", "root_delay", "root_dispersion", "skew", "stratum", "system_time_offset", "update_interval",
+    }  # fmt: skip
     assert rig.call("PUT", "time/ptp/profile", '"gptp"') == (200, "gptp")
     assert rig.call("PUT", "time/ptp/profile", '"x"')[0] == 400
     rig.call("POST", "sensor/config?persist=false", '{"udp_dest":"nowhere.example"}')
@@ -463,3 +476,20 @@ def test_datagrams_of_hosts_are_ignored() -> None:
     rig.session.receive(b"\xff" * 100, rig.now_ns, LIDAR)
     rig.session.receive(b"\xff" * 10_000, rig.now_ns, LINE)
     assert rig.run(0.1)
+
+
+def test_the_imu_feels_where_it_is_when_the_mount_turns_ever_faster() -> None:
+    exact = dict.fromkeys(("accel_noise_mg_rthz", "accel_bias_mg", "gyro_noise_deg_s_rthz", "gyro_bias_deg_s"), 0.0)
+    rig = Rig(exact | {"imu_scale_share": 0.0})
+    gravity, faster = np.array((0.0, 0.0, 9.80665)), np.array((3.0, 12.0, -5.0))
+    rig.session.feel(lambda at_ns: (gravity, 1e-9 * at_ns * faster))  # about the mount, which stays where it is
+    arm_m = np.array((-2.441, -9.725, 7.533 - 38.195)) / 1000.0
+    packets = [one.payload for one in rig.run(0.3) if one.label == "imu"][5:]
+    assert len(packets) > 20
+    for number, packet in enumerate(packets, 5):
+        *stamps, x, y, z, _, _, turned = codec.IMU_LEGACY.unpack(packet)
+        rate = (0.01 * number) * faster
+        force = gravity + np.cross(rate, np.cross(rate, arm_m)) + np.cross(faster, arm_m)
+        assert stamps[0] == 10_000_000 * number
+        assert np.array((x, y, z)) * 9.80665 == pytest.approx(force, abs=4e-4)  # half a step is 0.3 mm/s^2
+        assert turned == pytest.approx(np.degrees(rate[2]), abs=4e-3)
