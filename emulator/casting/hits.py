@@ -287,6 +287,8 @@ class Aim:
     "(3, m)"
     order: Longs = field(default_factory=lambda: np.zeros(0, np.int64))
     "(m,) in which packets of them are searched for; (0,): as they come."
+    lasts: bool = False
+    "They come again."
 
     def __len__(self) -> int:
         return len(self.ray[0])

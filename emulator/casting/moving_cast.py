@@ -239,10 +239,11 @@ class MovingCast:
         near = None if self._fed is None or not len(curved) else self._looked(movers, times, curved)
         if near is not None:
             near[0].fill(place, swept)
-        which, rays = may_meet(place, movers.reach + swept, box, aim.ray, far, known_m, lambda: aim.cones)
+        cones = (lambda: aim.cones) if aim.lasts else None
+        which, rays = may_meet(place, movers.reach + swept, box, aim.ray, far, known_m, cones)
         if near is not None and near[0].look(movers, which):
             near[0].fill(place, swept)
-            which, rays = may_meet(place, movers.reach + swept, box, aim.ray, far, known_m, lambda: aim.cones)
+            which, rays = may_meet(place, movers.reach + swept, box, aim.ray, far, known_m, cones)
         if not len(which):
             return None
         bent = _bent(movers, near, curved, which, rays, times)
@@ -416,8 +417,9 @@ def _columns(movers: Movers, now: Stretch | None = None) -> tuple[Floats | Longs
 
 def _as_fed(movers: Movers) -> Movers:
     """Sizes as the present sweep has them."""
-    fed = [(row, motion) for row, motion in enumerate(movers.batched.motions) if isinstance(motion, Fed)]
-    if not fed:
+    motions = enumerate(movers.batched.motions)
+    fed = [(row, motion) for row, motion in motions if isinstance(motion, Fed) and motion.may_come]
+    if not fed:  # none but those of a pool are scaled
         return movers
     scale = np.ones((3, len(movers.body)))
     for row, motion in fed:

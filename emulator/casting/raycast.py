@@ -12,6 +12,7 @@ rays begin where they enter a bounding sphere.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import cache, partial
 from types import ModuleType
 
@@ -183,7 +184,7 @@ class Caster:
         """These directions in blocks, as they are known from the last time."""
         known = next((aims for given, aims in reversed(self._aimed) if given is direction), None)
         if known is None:
-            known = tuple(_aims(direction, order))
+            known = tuple(replace(aim, lasts=True) for aim in _aims(direction, order))
             kept = [*self._aimed, (direction, known)]
             while len(kept) > FANS_KEPT or (len(kept) > 1 and sum(len(given) for given, _ in kept) > FAN_RAYS_KEPT):
                 kept.pop(0)
@@ -263,7 +264,7 @@ class Caster:
         parts, blocks = [Hits.misses(0)], []
         for begin in range(0, count, BLOCK) if len(self._table) else ():
             here = slice(begin, min(begin + BLOCK, count))
-            origin, aim = np.ascontiguousarray(origin_m[here].T), _aim(direction[here])
+            origin, aim = np.ascontiguousarray(origin_m[here].T), replace(_aim(direction[here]), lasts=True)
             found = self._resting(origin, aim, far)
             inner = self._is_inner(found)
             box = extent(origin)

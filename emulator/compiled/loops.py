@@ -8,7 +8,7 @@ from emulator.compiled.hazy import bent, lifted
 from emulator.compiled.leaves import leaves
 from emulator.compiled.maxima import edges, maxima
 from emulator.compiled.media import crossed_under, ended_under
-from emulator.compiled.moving import moving, near, pairs
+from emulator.compiled.moving import cones, moving, near, pairs
 from emulator.compiled.narrow import narrow
 from emulator.compiled.packets import Packets, library
 from emulator.compiled.receiving import received
@@ -24,6 +24,7 @@ __all__ = [
     "bent",
     "beside",
     "bundled",
+    "cones",
     "crossed",
     "crossed_under",
     "edges",

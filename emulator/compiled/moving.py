@@ -54,6 +54,27 @@ def near(place, reach, low, high, far):
     return count
 
 
+@compiled(ROWS, INT)
+def cones(ray, size):
+    """Of each `size` neighbours among rays (3, m) the middle (3, c), and the half angle, as `Cones.of` has them."""
+    m = ray.shape[1]
+    count = (m + size - 1) // size
+    axis, half = np.empty((3, count)), np.empty(count)
+    for c in range(count):
+        first, end = c * size, min(c * size + size, m)
+        more = c * size + size - end  # the last ray so many times again
+        x = y = z = 0.0
+        for k in range(first, end):
+            x, y, z = x + ray[0, k], y + ray[1, k], z + ray[2, k]
+        x, y, z = x + more * ray[0, m - 1], y + more * ray[1, m - 1], z + more * ray[2, m - 1]
+        length = max(np.sqrt(x * x + y * y + z * z), 1e-30)
+        x, y, z, least = x / length, y / length, z / length, 1.0
+        for k in range(first, end):
+            least = min(least, ray[0, k] * x + ray[1, k] * y + ray[2, k] * z)
+        axis[0, c], axis[1, c], axis[2, c], half[c] = x, y, z, np.arccos(max(least, -1.0)) + 1e-6
+    return axis, half
+
+
 @compiled(ROWS, FLOATS, FLOATS, FLOATS, FLOAT, ROWS, FLOATS, INT, FLOATS, FLOAT)
 def pairs(place, reach, low, high, far, axis, half, size, known_m, rounding):
     """Pairs of a sphere and a ray of a cone that it touches before what all of the cone's rays have met, (2, k).

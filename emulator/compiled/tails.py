@@ -91,8 +91,10 @@ def on_rings(
         rest = 0.0
         left, right, low, high = _box(corner, face)
         for ring in range(len(radius)):
-            if not (radius[ring] >= near[face] and radius[ring] < far[face]):
+            if not radius[ring] >= near[face]:
                 continue
+            if not radius[ring] < far[face]:
+                break
             for node in range(ring_u.shape[1]):
                 u, v = ring_u[ring, node], ring_v[ring, node]
                 if u < left or u > right or v < low or v > high or not holds(corner, face, u, v):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from types import ModuleType
 
 import numpy as np
@@ -72,8 +73,9 @@ def _into_world(faced: Faced, frames: Frames) -> tuple[Floats, Floats, Ints, Flo
 
 
 # ---------------------------------------------------------------- rings
-def _grid(step: float, count: int, farthest: float) -> tuple[Floats, Floats, Floats, Floats]:
-    """Rings up to so many beam radii: radius, light of each node of one; (rings, count) u and v."""
+@lru_cache(maxsize=8)
+def _grid(step: float, count: int, farthest: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """Rings up to so many beam radii: radius, light of each node; (rings, count) u and v. Not to be written to."""
     edge = np.arange(0.0, farthest + step, step)
     radius = 0.5 * (edge[1:] + edge[:-1])
     light = np.exp(-2.0 * edge[:-1] ** 2) - np.exp(-2.0 * edge[1:] ** 2)
@@ -85,7 +87,7 @@ def _on_rings_by_loops(
     loops: ModuleType, faced: Faced, frames: Frames, step: float, count: int, outer: Floats, pairs: Ints,
     middle: Floats | None,
 ) -> Ways:  # fmt: skip
-    grid = _grid(step, count, float(outer[pairs].max(initial=0.0)))
+    grid = _grid(step, count, math.ceil(outer.max(initial=0.0)))
     at = np.zeros((0, 2)) if middle is None else middle
     near, far = faced.offset - step, outer + 0.5 * step
     pair, sizes, origin, ray = loops.on_rings(
@@ -107,7 +109,7 @@ def on_rings(
     pairs : which faces
     middle : (k, 2) in beam radii; all faces then have one more ray, to the middle of their light, first. None: not
     """
-    radius, light, u, v = _grid(step, count, float(outer[pairs].max(initial=0.0)))
+    radius, light, u, v = _grid(step, count, math.ceil(outer[pairs].max(initial=0.0)))
     u, v = u.ravel(), v.ravel()
     ring, place = np.repeat(radius, count), np.stack([u, v], axis=1)[None]
     # as far as the rings would go for this face alone: what it brings back does not depend on the others

@@ -220,7 +220,7 @@ class Cones:
     def of(cls, ray: Floats) -> Cones:
         """Around the rays (3, m)."""
         count = ray.shape[1]
-        size = max(CHUNK, -(-count // MOST_CHUNKS))
+        size = _neighbours(count)
         chunks = -(-count // size)
         if chunks * size != count:
             ray = ray.take(np.minimum(np.arange(chunks * size), count - 1), axis=1)
@@ -235,6 +235,11 @@ class Cones:
         return np.maximum.reduceat(values, np.arange(0, len(values), self.size))
 
 
+def _neighbours(rays: int) -> int:
+    """How many of them a cone has."""
+    return max(CHUNK, -(-rays // MOST_CHUNKS))
+
+
 def _may_meet_by_loops(
     loops: ModuleType,
     centre: Floats,
@@ -243,17 +248,18 @@ def _may_meet_by_loops(
     ray: Floats,
     far: float,
     known_m: Floats,
-    cones: Callable[[], Cones],
+    cones: Callable[[], Cones] | None,
 ) -> tuple[Longs, Longs]:
     if len(reach) * ray.shape[1] <= DIRECT:
         return _all_pairs(len(reach), ray.shape[1])
     spheres = loops.near(centre, reach, *box, far)
     if not spheres:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    around = cones()
-    if spheres * len(around.half) > 4 * MANY:
+    size = _neighbours(ray.shape[1])
+    axis, half = loops.cones(ray, size) if cones is None else (cones().axis, cones().half)
+    if spheres * len(half) > 4 * MANY:
         return OTHERWISE
-    which, rays = loops.pairs(centre, reach, *box, far, around.axis, around.half, around.size, known_m, ROUNDING)
+    which, rays = loops.pairs(centre, reach, *box, far, axis, half, size, known_m, ROUNDING)
     return which, rays
 
 
@@ -261,7 +267,7 @@ def _all_pairs(spheres: int, rays: int) -> tuple[Longs, Longs]:
     return np.arange(spheres).repeat(rays), np.tile(np.arange(rays), spheres)
 
 
-@by_loops(_may_meet_by_loops, "near", "pairs")
+@by_loops(_may_meet_by_loops, "near", "cones", "pairs")
 def may_meet(
     centre: Floats,
     reach: Floats,
@@ -269,13 +275,13 @@ def may_meet(
     ray: Floats,
     far: float,
     known_m: Floats,
-    cones: Callable[[], Cones],
+    cones: Callable[[], Cones] | None,
 ) -> tuple[Longs, Longs]:
     """Pairs of a sphere and a ray that may meet before `known_m`; neighbouring rays are tested together, as a cone.
 
     `centre` : (3, b), `reach` : (b,), `box` : least and largest origin of the rays, each (3,), `ray` : (3, m), `far` :
-    largest range of all of them, `known_m` : (m,) of each, `cones` : those around these rays. Some of the pairs do not
-    meet; none that do is missing.
+    largest range of all of them, `known_m` : (m,) of each, `cones` : those around these rays, where they are kept.
+    Some of the pairs do not meet; none that do is missing.
     """
     count = ray.shape[1]
     if len(reach) * count <= DIRECT:
@@ -292,7 +298,7 @@ def may_meet(
     inside = away <= reach
     view = view / np.where(inside, 1.0, away)
     width = np.where(inside, np.pi, np.arcsin(np.minimum(reach / np.where(inside, 1.0, away), 1.0)))
-    around = cones()
+    around = Cones.of(ray) if cones is None else cones()
     size = around.size
     sphere, chunk = _in_cones(view, width, around.axis, around.half)
     before = indexes((away - reach).take(sphere) <= around.most(known_m).take(chunk))
