@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -441,6 +441,20 @@ def incident_teller(as_json: bool) -> Callable[[Incident], None]:
     return tell
 
 
+LATE_US = 1_000
+"Of a packet's instant, by which its send may be late."
+
+
+def lateness_of(late: Mapping[str, Any]) -> str:
+    """What is said of the lateness of a sensor's sends; `late` as of `summary`, of one send at least."""
+    text = (
+        f"lateness of {late['sends']} sends: median {late['median']:.0f} us,"
+        f" p99 {late['p99']:.0f} us, worst {late['worst']:.0f} us"
+    )
+    beyond = late["sends"] - sum(count for edge, count in late["histogram"] if 0 < edge <= LATE_US)
+    return text if 100 * beyond <= late["sends"] else f"{text}; {beyond} of them later than {LATE_US / 1000:g} ms"
+
+
 def announce_end(
     instruments: Sequence[Instrument],
     as_json: bool,
@@ -477,10 +491,7 @@ def announce_end(
             say(f"{total['id']}: {account['asked']} scans requested: {rest}")
         late = total["lateness_us"]
         if late["sends"]:
-            say(
-                f"{total['id']}: lateness of {late['sends']} sends: median {late['median']:.0f} us,"
-                f" p99 {late['p99']:.0f} us, worst {late['worst']:.0f} us"
-            )
+            say(f"{total['id']}: {lateness_of(late)}")
         for link in total["links"]:
             if link["payloads_dropped"]:
                 count = link["payloads_dropped"]

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from emulator.physics import beams
 from emulator.physics.arrays import Bools, Floats, Ints, indexes
 from emulator.physics.beams import beam_phase
-from emulator.physics.subechoes import interleaved
+from emulator.physics.subechoes import SubEchoes, interleaved
 from emulator.sensing import closed, strips
 from emulator.sensing.air import AirNow
 from emulator.sensing.contracts import FacedCaster, Hits
@@ -185,7 +185,8 @@ class Probing:
         kinds, made, material, actor, normal = first.kinds, first.made, first.material, first.actor, first.normal
         faces = first.faces
         what, cast = (self._caster, surfaces, air, model, gain, plan.max_range_m), first.cast
-        parts, count, step = [], len(self.nodes), OFF_PLANE_LSB * model.lsb_m
+        count, step = len(self.nodes), OFF_PLANE_LSB * model.lsb_m
+        others: list[SubEchoes] = []
         rest = first.around, far, reach, weight, surfaces, air, model, step
         left = indexes(kinds == LEFT)
         traceable = np.full(n, first.around is not None)
@@ -206,8 +207,10 @@ class Probing:
             chosen = indexes(sort == PROBED)
             if len(chosen):
                 own = (at[chosen][:, None] + np.arange(count)).ravel()
-                parts.append((left[chosen], returned(_Picked.of(hits, own), _rays_at(rays, chosen, own), *what)))
-        panes, others = indexes(kinds == PANE), []
+                seen = returned(_Picked.of(hits, own), _rays_at(rays, chosen, own), *what)
+                made[0, left[chosen]] = seen.nearest_m
+                others.append(_of(left[chosen], seen.echoes))
+        panes = indexes(kinds == PANE)
         if len(panes) < FEWEST_PANES:
             kinds[panes] = BUNDLE
         else:
@@ -220,9 +223,18 @@ class Probing:
             own = np.concatenate([panes[~traceable[panes]], own])
             own.sort()
             if len(own):
-                good, seen = self._looked_through(beams_.taken(own), weight[own], far, what)
+                if len(left) and bool(np.isin(own, left, assume_unique=True).all()):  # they have been cast
+                    mine = left.searchsorted(own)
+                    which = (mine[:, None] * count + np.arange(count)).ravel()
+                    met, through_rays = _Picked.of(hits, which), _rays_at(rays, mine, which)
+                else:
+                    through_rays = _probes(beams_.taken(own))
+                    origin, direction, when = through_rays.origin_m, through_rays.direction, through_rays.t_s
+                    met = self._caster.first_hits(origin, direction, when, max_range_m=far)
+                good, seen = self._looked_through(met, through_rays, weight[own], what)
                 kinds[own] = np.where(good, PANE, BUNDLE)
-                parts.append((own, replace(seen, found=seen.echoes.of_beams(good))))
+                made[0, own] = seen.nearest_m
+                others.append(_of(own, seen.echoes.of_beams(good)))
         chosen = indexes(kinds == BUNDLE)  # what was put down of them as panes is replaced
         own = chosen[traceable[chosen]]
         if len(own):
@@ -237,27 +249,22 @@ class Probing:
             hits = self._caster.first_hits(part.origin_m, part.direction, part.t_s, max_range_m=far)
             seen, cast = returned(hits, part, *what), cast + len(part.beam)
             material[chosen], normal[chosen] = seen.axis_material, seen.axis_normal
-            parts.append((chosen, seen))
+            made[0, chosen] = seen.nearest_m
+            others.append(_of(chosen, seen.echoes))
         found = strips.echoes(
             indexes(kinds == CLOSED), faces, material, actor, weight, surfaces.table, air.extinction_per_m, model
         )
-        nearest = made[0]
-        others.append(found)
-        for chosen, seen in parts:
-            nearest[chosen] = seen.nearest_m
-            others.append(replace(seen.echoes, beam=chosen[seen.echoes.beam]))
-        found = interleaved(others, n)
+        found = interleaved([*others, found], n)
         none, each = np.full(n, np.nan), np.arange(n)
         axis = beams_.frame[0].T
         axes = Rays(pose.position_m, axis, t_s, each, np.ones(n), each, pose.position_m, axis, beams_.own_axis)
-        whole = Seen(found, nearest, material, made[1], normal)
+        whole = Seen(found, made[0], material, made[1], normal)
         return Pruned(axes, whole, kinds != BUNDLE, cast, closed.Shifts(none, none))
 
-    def _looked_through(self, some: Beams, weight: Floats, far: float, what: Any) -> tuple[Bools, Seen]:
+    def _looked_through(self, hits: Hits, rays: Rays, weight: Floats, what: Any) -> tuple[Bools, Seen]:
         """What probes of beams on panes see through these and in them, and of which beams they do for that."""
         _, surfaces, _, model, _, _ = what
-        rays, ways = _probes(some), Ways()
-        hits = self._caster.first_hits(rays.origin_m, rays.direction, rays.t_s, max_range_m=far)
+        ways = Ways()
         seen = returned(hits, rays, *what, ways)
         first_m, axes = hits.range_m.reshape(len(weight), -1), rays.nearest_axis
         # what a pane sends straight back as a mirror has a spread of nothing
@@ -450,6 +457,11 @@ def _bright_spheres(scene: Scene, bright: Bools) -> tuple[_Bright, ...] | None:
             centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
             found.append(_Bright(body, centre, float(np.linalg.norm(points - centre, axis=1).max())))
     return tuple(found)
+
+
+def _of(beams_: Ints, found: SubEchoes) -> SubEchoes:
+    """Sub-echoes by the numbers of their beams in the sweep."""
+    return replace(found, beam=beams_[found.beam])
 
 
 def _around(one: _Bright, times: Floats) -> Floats:

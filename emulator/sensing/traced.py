@@ -60,7 +60,7 @@ class Traced:
     normal: Floats
     "(k, 3)"
     cast: int
-    "Rays, without those that go on."
+    "Rays of beams that are not left, without those that go on."
 
 
 def _traced_by_loops(
@@ -100,7 +100,7 @@ def _traced_by_loops(
     begins = np.searchsorted(whole[0], at)[key >> (RANGE_BITS + PLACE_BITS)]
     order = begins + (key & ((1 << PLACE_BITS) - 1))
     found = SubEchoes(whole[0], *(column.take(order) for column in sizes), whole[1].take(order))
-    return Traced(verdict, found, nearest, material, normal.T, len(at) * len(nodes))
+    return Traced(verdict, found, nearest, material, normal.T, int(np.count_nonzero(verdict)) * len(nodes))
 
 
 @by_loops(_traced_by_loops, "traced")

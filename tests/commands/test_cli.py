@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from emulator.commands.cli import CANNOT_RUN, OK, main
+from emulator.commands.cli import CANNOT_RUN, OK, lateness_of, main
 from emulator.commands.common import LINK_LOST
 from emulator.process.driver import place_of, variable_of
+from emulator.process.lateness import LatenessLog
 
 SCENARIO = """\
 schema: 1
@@ -28,6 +29,14 @@ def write(folder: Path, text: str) -> str:
     path = folder / "case.yaml"
     path.write_text(text, encoding="utf-8")
     return str(path)
+
+
+@pytest.mark.parametrize(("late", "told"), [(2, ""), (3, "; 3 of them later than 1 ms")])
+def test_the_end_of_a_run_tells_how_many_sends_were_late_if_more_than_one_in_a_hundred(late: int, told: str) -> None:
+    log = LatenessLog()
+    log.extend([50_000] * (200 - late) + [1_000_001] * (late - 1) + [2_000_000_000])
+    row = {"sends": 200, "median": 50.0, "p99": 50.0, "worst": 2e6, "histogram": log.histogram()}
+    assert lateness_of(row) == f"lateness of 200 sends: median 50 us, p99 50 us, worst 2000000 us{told}"
 
 
 def test_every_shipped_scenario_is_good(capsys: pytest.CaptureFixture[str]) -> None:
