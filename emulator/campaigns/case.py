@@ -68,6 +68,7 @@ def run_case(job: Job, case: Case, may_record: bool = True) -> Row:
         row["seconds"] = round(clock.now_ns() * 1e-9, 6)
         if not held and may_record and job.record == "failed" and not at_once:
             again = _once(job, case, loaded, aside)
+            row["warnings"] = list(again.warnings)
             if again.sha256 != found.sha256:
                 row["verdict"], row["fault"] = "error", f"run again: sha256 {again.sha256}, not {found.sha256}"
         if aside.is_dir() and (job.record == "all" or not held):
@@ -135,7 +136,8 @@ def _once(job: Job, case: Case, loaded: Scenario, record: Path | None) -> Found:
         numbers = _numbers(job.quantities, trial.outcome)
     finally:
         trial.close()
-    return Found(verdict.judgements, verdict.sha256, numbers, verdict.warnings)
+    ended = () if trial.recorder is None or not trial.recorder.failure else (f"recording: {trial.recorder.failure}",)
+    return Found(verdict.judgements, verdict.sha256, numbers, (*verdict.warnings, *ended))
 
 
 def _numbers(

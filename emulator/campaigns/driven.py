@@ -112,6 +112,8 @@ def drive(
         if daemon.lost_links:
             fault = "; ".join(filter(None, (fault, *daemon.lost_links)))
         warnings = (*judged.warnings, *([daemon.late_text] if daemon.late_text else []))
+        if recorder is not None and recorder.failure:
+            warnings = (*warnings, f"recording: {recorder.failure}")
         return Driven(run, tuple(judged), transcript.sha256(), warnings, fault, result)
 
 

@@ -45,4 +45,4 @@ def begun_early(wanted: bool) -> Iterator[None]:
 
 def _number() -> int | None:
     """Its process; multiprocessing has no public name for it."""
-    return getattr(forkserver._forkserver, "_forkserver_pid", None)  # type: ignore[attr-defined]
+    return getattr(forkserver._forkserver, "_forkserver_pid", None)

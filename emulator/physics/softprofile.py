@@ -200,7 +200,8 @@ class SoftProfile:
 
     @cached_property
     def _knots(self) -> list[float]:
-        return self.knots.tolist()
+        found: list[float] = self.knots.tolist()
+        return found
 
     @cached_property
     def top(self) -> tuple[float, float]:

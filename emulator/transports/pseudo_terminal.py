@@ -164,7 +164,7 @@ class PseudoTerminal(Link):
         if self._master < 0:
             return []
         self._look()
-        self.flush(now_ns)
+        self._let_leave(now_ns, looked=True)
         reported, self._lines_reported = self._lines_reported, []
         data = self._read(self._intake.room(now_ns)) if self._input_waits else b""
         if not data:
@@ -209,8 +209,16 @@ class PseudoTerminal(Link):
     def flush(self, now_ns: int) -> int | None:
         if self._master < 0:
             return self._flush_unplugged(now_ns) if self._pulled else None
+        self._let_leave(now_ns)
+        wakes = [self._line.next_ns(now_ns), self._intake.next_ns() if self._input_waits else None]
+        if self._watch is None and not self._open:
+            wakes.append(now_ns + POLL_NS)
+        return min((wake for wake in wakes if wake is not None), default=None)
+
+    def _let_leave(self, now_ns: int, looked: bool = False) -> None:
+        """Write what has left the line; `looked`: whether a host is there is known."""
         left = self._line.take(now_ns)
-        if left or self._kept or self._may_have_changed():
+        if not looked and (left or self._kept or self._may_have_changed()):
             self._look()
         if self._kept:
             kept, self._kept = self._kept, b""
@@ -220,10 +228,6 @@ class PseudoTerminal(Link):
             for item in left:
                 if item.ends:
                     self.stats.note_left(item.last_ns, now_ns)
-        wakes = [self._line.next_ns(now_ns), self._intake.next_ns() if self._input_waits else None]
-        if self._watch is None and not self._open:
-            wakes.append(now_ns + POLL_NS)
-        return min((wake for wake in wakes if wake is not None), default=None)
 
     def _flush_unplugged(self, now_ns: int) -> int | None:
         """The device goes on speaking, at its own speed, to nobody."""

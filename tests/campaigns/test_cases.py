@@ -13,8 +13,11 @@ from emulator.campaigns.store import Row, Store
 from emulator.commands.cli import main
 from emulator.errors import ScenarioError
 from emulator.judging.trial import run_trial
+from emulator.recording.writer import Recorder
+from emulator.runtime.assembly import SameScene
 from emulator.runtime.virtual_daemon import VirtualDaemon
 from emulator.scenario.scenario import load as load_scenario
+from emulator.world import scene
 
 VISIBILITY = "weather.fog.visibility_m"
 TEXT = """\
@@ -77,6 +80,18 @@ def test_recordings_are_kept_as_asked_for(tmp_path: Path, record: str, kept: lis
     ]
 
 
+def test_a_recording_that_could_not_be_finished_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    close = Recorder.close
+
+    def full(self: Recorder) -> None:
+        self.failure = "No space left on device"
+        close(self)
+
+    monkeypatch.setattr(Recorder, "close", full)
+    rows = rows_of(tmp_path, TEXT)
+    assert {key: row["warnings"] for key, row in rows.items()} == {8: ["recording: No space left on device"], 400: []}
+
+
 def test_recordings_end_at_their_limit_and_cases_do_not(tmp_path: Path) -> None:
     rows = rows_of(tmp_path, TEXT + "record: all\nlimits: {disk_mb: 0.001}\n")
     assert sorted(row["recording_bytes"] > 0 for row in rows.values()) == [False, True]
@@ -98,6 +113,21 @@ def test_a_case_that_cannot_run_is_an_error_and_the_rest_goes_on(
     rows = rows_of(tmp_path, TEXT)
     assert rows[8]["fault"] == "ZeroDivisionError: of ours"
     assert {key: row["verdict"] for key, row in rows.items()} == {8: "error", 400: "passed"}
+
+
+def test_the_scene_is_built_again_for_a_case_with_another_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    built: list[str] = []
+    build = scene.build
+    monkeypatch.setattr(scene, "build", lambda loaded: built.append("") or build(loaded))
+    measures = SameScene()
+    near, changes = "world.0.at_m=[7, 0, 1]", ("", "weather.fog.visibility_m=50", "seed=4", "duration_s=2")
+    counts = []
+    for words in (*changes, near, near, "", "materials.white_plaster.rho=0.3"):
+        measures(load_scenario("flat_wall", [words] if words else []))
+        counts.append(len(built))
+    assert counts == [1, 1, 1, 1, 2, 2, 3, 4]
+    fed = load_scenario("flat_wall", ["live.feed=lockstep://127.0.0.1:0"])
+    assert [len(built) for _ in (0, 1) if measures(fed)] == [5, 6], "a world that somebody moves is nobody else's"
 
 
 def test_a_quantity_that_is_a_series_is_told(tmp_path: Path) -> None:

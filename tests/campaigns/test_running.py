@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
 import sys
 import xml.etree.ElementTree as Tree
 from collections.abc import Callable
@@ -202,6 +205,69 @@ def test_table_junit_and_page_have_every_case(made: Make, tmp_path: Path) -> Non
     links = {part.partition('"')[0] for part in page.split('href="pages/')[1:]}
     assert len(links) >= 16
     assert all((store.root / "pages" / one).is_file() for one in links)
+
+
+def test_reports_of_recorded_cases_are_begun_beside_the_page_and_waited_for(made: Make) -> None:
+    campaign = made(GRID)
+    runner, store, _ = run(campaign)
+    results, _ = gather(campaign, store.rows(runner.names()), store.root)
+    for name in runner.names():
+        store.recording(name).mkdir(parents=True)
+    begun: list[Path] = []
+    ended: list[Path] = []
+
+    def begin(work: Callable[[Path], None], folder: Path) -> Callable[[], object]:
+        begun.append(folder)
+        return lambda: ended.append(folder)
+
+    write_page(campaign, store, results, 0, None, 3, begin)
+    assert len(set(begun)) == 3
+    assert ended == begun
+
+
+def test_a_process_does_something_else_and_tells_when_it_cannot(tmp_path: Path) -> None:
+    engine = Processes(1, stand_in)
+    try:
+        ends = [engine.begin(work, tmp_path / "a") for work in (Path.mkdir, Path.mkdir, _die)]
+        ends[0]()
+        assert (tmp_path / "a").is_dir()
+        with pytest.raises(FileExistsError):
+            ends[1]()
+        with pytest.raises(EmulatorError, match="its process ended with signal 9"):
+            ends[2]()
+    finally:
+        engine.close()
+
+
+def _die(path: Path) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+EARLY = """
+import os
+from emulator.campaigns import forking
+forking.PRELOAD[:] = []
+try:
+    with forking.begun_early(True):
+        number = forking._number()
+        assert os.path.exists(f"/proc/{number}")
+        raise KeyError
+except KeyError:
+    assert os.waitid(os.P_PID, number, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None, "it has ended"
+with forking.begun_early(False):
+    assert forking._number() == number
+with forking.begun_early(True):
+    process = forking.context().Process(target=len, args=("begun again",))
+    process.start()
+    process.join()
+    assert (process.exitcode, forking._number() != number) == (0, True)
+print("so it is")
+"""
+
+
+def test_what_was_begun_early_ends_with_an_error_and_is_begun_again() -> None:
+    done = subprocess.run([sys.executable, "-c", EARLY], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("so it is\n", "")
 
 
 def test_without_pyarrow_the_table_is_csv(made: Make, monkeypatch: pytest.MonkeyPatch) -> None:

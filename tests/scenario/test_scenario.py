@@ -301,6 +301,19 @@ def test_what_is_dumped_is_read_as_the_same_scenario_anywhere(name: str, tmp_pat
     assert scenario.dump(again) == scenario.dump(found)
 
 
+def test_a_dump_is_the_same_whatever_was_dumped_before() -> None:
+    texts = ["weather: {fog: {visibility_m: 50}}\n", "weather: {fog: {visibility_m: 50.0}, rain: {rate_mm_h: 2}}\n", ""]
+    found = [read(SENSOR + text) for text in texts]
+    fresh = []
+    for one in found:
+        scenario._written.cache_clear()
+        fresh.append(scenario.dump(one))
+    assert len(set(fresh)) == 3
+    assert [scenario.dump(one) for one in found * 2] == fresh * 2
+    kept = scenario._written.cache_info()
+    assert kept.misses < kept.hits, "what two have in common is written once"
+
+
 def test_every_default_is_in_the_dump() -> None:
     text = scenario.dump(
         read(SENSOR + "actors: [{id: a, shape: {cylinder: {radius_m: 1, height_m: 2}}, material: brick}]\n")

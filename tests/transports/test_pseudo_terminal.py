@@ -133,6 +133,19 @@ def test_a_host_with_inpck_reads_framing_errors_as_zero(port: Path) -> None:
         assert heard(end, 2) == b"\x00\xe6"
 
 
+def test_a_look_for_input_is_one_look(port: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with opened(f"pty:{port}") as link, host_at(port) as host:
+        host.write(b"asked")
+        looks: list[str] = []
+        look, may_have_changed = link._look, link._may_have_changed
+        monkeypatch.setattr(link, "_look", lambda: looks.append("_look") or look())
+        monkeypatch.setattr(link, "_may_have_changed", lambda: looks.append("changed") or may_have_changed())
+        link.send(b"said", 0)
+        assert take(link, 1_000_000_000) == b"asked"
+        assert looks == ["_look"]
+        assert heard(host, 4) == b"said"
+
+
 def test_a_host_that_hangs_up_hears_and_says_nothing(port: Path) -> None:
     with opened(f"pty:{port}", 9600) as link, host_at(port) as end:
         modes = termios.tcgetattr(end.fileno())

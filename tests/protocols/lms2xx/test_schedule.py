@@ -75,6 +75,23 @@ def streaming(stream: str, baud: int, telegrams: int, **device: object) -> Rig:
     return rig
 
 
+@pytest.mark.parametrize("stream", ["361 points", "401 points", "181 points"])
+def test_a_sweep_is_asked_for_at_the_instant_at_which_a_telegram_is_sent(stream: str) -> None:
+    rig = streaming(stream, 500_000, 4)
+    sent: set[int] = set()
+    asked: set[int] = set()
+    for _ in range(60):
+        due_ns = rig.session.next_deadline()
+        assert due_ns is not None
+        rig.session.advance(due_ns)
+        sent |= {one.due_ns for one in rig.session.take_emissions(due_ns) if one.sweep is not None}
+        while (plan := rig.session.next_plan()) is not None:
+            asked.add(due_ns)
+            rig.session.submit(wall()(plan))
+    assert len(sent) > 20
+    assert len(asked - sent) < 6, "before the first telegram"
+
+
 @pytest.mark.parametrize(("stream", "baud"), TABLE_HZ)
 def test_every_stream_has_the_rate_that_the_line_allows(stream: str, baud: int) -> None:
     *_, size, turns = STREAMS[stream]
