@@ -73,7 +73,7 @@ def reported_once(tell: Callable[[str], object], text: str) -> Iterator[None]:
 
 
 def compiled(*arguments: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile for arguments of these types; none: for whatever calls it, from compiled loops alone.
+    """Compile for arguments of these types; none: for whatever calls it, from compiled loops alone (else `TypeError`).
 
     Kept on disk, where that is allowed. Other threads run meanwhile. A division by zero gives what numpy gives. Arrays
     that are only read are put in rows where they are not.
@@ -106,10 +106,23 @@ def inlined(function: Callable[..., Any]) -> Any:
 
 
 def _compile(function: Callable[..., Any], arguments: tuple[Any, ...] | None = None, **more: bool) -> Any:
-    options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True} | more
+    """What nobody calls is not compiled: callers in C of all, and callers in Python of what loops alone call."""
+    inner = arguments is None
+    options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "no_cpython_wrapper": inner} | more
     try:
         made = njit(arguments, cache=True, **options)(function)
         KEPT_IN.add(made._cache.cache_path)
-        return made
     except RuntimeError:  # no folder that may be written to
-        return njit(arguments, **options)(function)
+        made = njit(arguments, **options)(function)
+    if inner:  # numba itself would call an address that is not there
+        made._insert = _nothing
+        made._compile_for_args = _refused
+    return made
+
+
+def _nothing(*_: Any, **__: Any) -> None:
+    """No compiled form is known to callers in Python."""
+
+
+def _refused(*_: Any, **__: Any) -> Any:
+    raise TypeError("a loop that compiled loops alone call; want it called by one of them, or its `py_func`")

@@ -39,7 +39,7 @@ Loc = tuple[str | int, ...]
 MAX_BYTES, MAX_VALUES, MAX_SEPARATORS, MAX_DEPTH = TEXT.bytes, TEXT.values, TEXT.separators, TEXT.depth
 
 KEPT_CHARACTERS, KEPT_TEXTS = 1 << 15, 32
-"Texts of up to this length are known again, the latest of them: a campaign loads one scenario for each case."
+"Texts of up to this length are known again, the latest of them: a rig of pytest loads its file twice for each test."
 
 _TAB = re.compile(r" *\t")
 _NULL = re.compile(r"(?:|~|null|Null|NULL)\Z")

@@ -121,6 +121,19 @@ def test_the_compiler_is_told_of_once_when_it_runs_and_never_when_loops_come_fro
     assert done.stdout == "compiled ", done.stderr
 
 
+def test_what_loops_alone_call_is_refused_to_python_compiled_or_not() -> None:
+    """No way in from Python is compiled for it: numba would jump to address 0."""
+    from emulator.compiled import jit
+
+    inner = jit.compiled()(eval("lambda k: k + 1"))
+    with pytest.raises(TypeError, match="compiled loops alone call"):
+        inner(2)
+    assert jit.compiled(jit.INT)(eval("lambda k: inner(k)", {"inner": inner}))(2) == 3
+    with pytest.raises(TypeError, match="compiled loops alone call"):
+        inner(2)
+    assert inner.py_func(2) == 3
+
+
 def test_doctor_is_told_why() -> None:
     with switch.switched(True):
         assert switch.why()[0]

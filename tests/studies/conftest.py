@@ -1,5 +1,5 @@
-"""What holds for all tests of studies: figures of few dots, references of fewer rays in whole reports, and what several
-tests ask of the same numbers is computed once."""
+"""What holds for all tests of studies: figures of few dots, references of fewer rays and times of fewer beams in whole
+reports, and what several tests ask of the same numbers is computed once."""
 
 from __future__ import annotations
 
@@ -8,7 +8,20 @@ from functools import cache
 
 import pytest
 
-from emulator.studies import accuracy_leaving, accuracy_rules, accuracy_targets, drawing, further, measured, mie
+from emulator.studies import (
+    accuracy_leaving,
+    accuracy_narrow,
+    accuracy_rules,
+    accuracy_targets,
+    drawing,
+    further,
+    measured,
+    mie,
+    ranges,
+)
+
+SHARED = ((further, "all_facts"), (measured, "facts"), (mie.Droplets, "optics"), (ranges, "table_2"))
+"Functions of values alone."
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -19,6 +32,7 @@ def _coarse() -> Iterator[None]:
         patch.setattr(accuracy_rules, "REFERENCE", 1 << 16)
         patch.setattr(accuracy_targets, "REFERENCE", {**accuracy_targets.REFERENCE, "sub_beams": 1 << 13})
         patch.setattr(accuracy_leaving, "REFERENCE_SUB_BEAMS", 1 << 10)
-        for module, name in ((further, "all_facts"), (measured, "facts"), (mie.Droplets, "optics")):
+        patch.setattr(accuracy_narrow, "TIMED", 1)
+        for module, name in SHARED:
             patch.setattr(module, name, cache(getattr(module, name)))
         yield
