@@ -76,8 +76,12 @@ while time.monotonic() < end or count <= 300:
             one.close()
         del ends[:400]
     time.sleep(0.002)
-print(count)
+for one in flooders:
+    one.close() if isinstance(one, socket.socket) else os.close(one)
+print(count, flush=True)
+sys.stdin.read()
 """
+"Those that say nothing stay until somebody closes its input."
 
 
 def port_of(url: str) -> int:
@@ -98,15 +102,19 @@ class Battle:
 
     @contextlib.contextmanager
     def attack(self, seconds: float) -> Iterator[list[int]]:
-        """Attack for so long; holds how many connections that were, once it is over."""
+        """Attack for so long, and until the daemon has met it; holds the number of connections once it is over."""
         tcp = [port_of(self.links[name][0]) for name in ("line", "top", "objects")]
         ptys = [str(self.folder / name) for name in ("line", "can")]
         reported = json.dumps((tcp, ptys, port_of(self.links["top"][1]), str(self.control), seconds))
-        with subprocess.Popen([sys.executable, "-c", ATTACK, reported], stdout=subprocess.PIPE, text=True) as process:
+        words = [sys.executable, "-c", ATTACK, reported]
+        with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
             opened: list[int] = []
             yield opened
             assert process.stdout is not None
-            opened.append(int(process.stdout.read()))
+            opened.append(int(process.stdout.readline()))
+            end = time.monotonic() + TIME_LIMIT_S
+            while not all(turned_away(self.status())) and time.monotonic() < end:  # a starved daemon is behind
+                time.sleep(0.05)
 
     def answers(self, sensor: str, seconds: float) -> bool:
         """Whether a new host on the sensor's TCP port gets the status of an LMS within that time."""
@@ -171,16 +179,10 @@ def test_an_attack_on_every_link_costs_the_others_nothing_but_time(
             got = battle.scans(host, 3.0)
             took = time.monotonic() - began
             peak = look(0.0, battle.pid)
-        whole += got + host.stop()
+            whole += got + host.stop()
         assert battle.answers("line", 30.0), "the flood is over: a newcomer is heard"
         share = (cpu_s(battle.pid) - cpu_before) / took
         after, status = look(0.0, battle.pid), battle.status()
-        end = time.monotonic() + TIME_LIMIT_S
-        while not all(turned_away(status)) and time.monotonic() < end:  # a starved daemon has met too few of them
-            with battle.attack(1.0):
-                pass
-            assert battle.answers("line", 30.0)
-            status = battle.status()
     mb = [one.rss_bytes / 1e6 for one in (before, peak, after)]
     with capsys.disabled():
         sys.stdout.write(

@@ -48,9 +48,9 @@ FLAGS = (
 )
 FEWER_PICTURES = """
 const draw = window.requestAnimationFrame
-window.requestAnimationFrame = (picture) => setTimeout(() => draw(picture), 1000)
+window.requestAnimationFrame = (picture) => setTimeout(() => draw(picture), 500)
 """
-"Without a graphics card pictures cost a whole core: a small one a second will do."
+"Without a graphics card pictures cost a whole core: two small ones a second will do."
 POINTS = "return Math.max(0, ...[...document.querySelectorAll('.view-sensor')].map(one => +one.dataset.points))"
 NOW = "const one = document.getElementById('view-time'); return one ? +one.dataset.now : -1"
 
@@ -95,7 +95,7 @@ def view(tmp_path: Path) -> Iterator[Callable[..., str]]:
     yield start
     for process in started:
         process.terminate()
-        out, _ = process.communicate(timeout=60.0)
+        out, _ = process.communicate(timeout=PATIENCE_S)
         assert (process.returncode, out) == (0, "")
 
 
