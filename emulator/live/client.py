@@ -19,7 +19,8 @@ from typing import Any
 
 from emulator.errors import LinkError
 
-TIME_LIMIT_S = 10.0
+TIME_LIMIT_S = 60.0
+"For an answer: a step may be of ten seconds, which take a busy machine longer than that."
 
 
 def encoded(

@@ -36,8 +36,8 @@ OSMP_VERSION, OSI_VERSION = "1.6.0", "3.8.0"
 MIME = "application/x-open-simulation-interface"
 TIME_LIMIT_S = 300.0
 "For a run that begins: it may compile its loops first."
-LEAVE_S, END_S = 10.0, 20.0
-"For a run to end by itself, and at a signal."
+LEAVE_S, END_S = 120.0, 20.0
+"For a run to end in order, its recording written; and for one that has to be made to."
 ENDED_S = 2.0
 "For a run that has closed the line: its exit code comes after that."
 LOOK_S = 0.02
@@ -170,12 +170,12 @@ class _Run:
 
     def _end(self) -> dict[str, Any]:
         assert self._process is not None
-        assert self._process.stdin is not None
         with contextlib.suppress(_Failed):
             self.ask({"op": "bye"})
-        self._process.stdin.close()
+        if self._process.poll() is None:
+            # not the end of its input: from there a run has ten seconds, and a busy machine needs more for a recording
+            self._process.terminate()
         with contextlib.suppress(subprocess.TimeoutExpired):
-            # by itself: a signal in its last steps would take the last event with it
             self._process.wait(LEAVE_S)
         self._stop(self._process)
         return self._event("stopped") or {}

@@ -29,7 +29,9 @@ from typing import IO, Any
 from emulator.errors import EmulatorError
 
 TIME_LIMIT_S = 10.0
-"For a daemon that has been asked to end."
+"For a daemon whose command has gone."
+STOP_S = 60.0
+"For a daemon that its command has asked to end: killed, it would not say its last event."
 FOLDER = re.compile(r"lidaremu-own-(\d+)-\w+")
 "Name of a command's folder: its process is in it."
 
@@ -84,11 +86,11 @@ class OwnDaemon:
         if self.process.poll() is None:
             self.process.terminate()
         try:
-            self.process.wait(TIME_LIMIT_S)
+            self.process.wait(STOP_S)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
-        self._reader.join(TIME_LIMIT_S)
+        self._reader.join(STOP_S)
         for end in (self.process.stdin, self.process.stdout):
             if end is not None:
                 with contextlib.suppress(OSError):

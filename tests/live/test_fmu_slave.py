@@ -7,6 +7,8 @@ import os
 import shlex
 import socket
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -79,48 +81,69 @@ def test_a_command_that_is_not_there_leaves_nothing_open(
     assert list(made.iterdir()) == []
 
 
-def test_a_run_that_ends_between_steps_is_an_error_of_the_step_with_its_exit_code(
-    tmp_path: Path, made: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+@contextmanager
+def listening(
+    monkeypatch: pytest.MonkeyPatch, made: Path, folder: Path, body: str, answers: bytes
+) -> Iterator[tuple[Lidaremu, list[socket.socket]]]:
+    """An FMU whose run is a shell that says `ready`, with the line to it; nothing is left of it at the end."""
     place = made / "lidaremu-fmu-here"
 
-    def folder(prefix: str) -> str:
+    def new_folder(prefix: str) -> str:
         place.mkdir()
         return str(place)
 
-    monkeypatch.setattr(fmu_slave.tempfile, "mkdtemp", folder)
+    ask = fmu_slave._Run.ask
+    line: list[socket.socket] = []
+
+    def answering(self: fmu_slave._Run, request: dict[str, object], more: bytes = b"") -> object:
+        if request["op"] == "hello":
+            line.append(listener.accept()[0])
+            line[0].sendall(answers)
+        if request["op"] == "step":
+            line[0].close()
+            assert self._process is not None
+            assert self._process.stdin is not None
+            self._process.stdin.close()
+        return ask(self, request, more)
+
+    monkeypatch.setattr(fmu_slave._Run, "ask", answering)
+    monkeypatch.setattr(fmu_slave.tempfile, "mkdtemp", new_folder)
     with socket.socket(socket.AF_UNIX) as listener:
-        bound = made / "listener"
-        listener.bind(str(bound))
+        listener.bind(str(made / "listener"))
         listener.listen(1)
-        link = f"ln {shlex.quote(str(bound))} {shlex.quote(str(place / 'lockstep'))}; "
-        one = slave(tmp_path, f"{link}{SPEAKS} read nothing; echo out of memory >&2; exit 7")
+        link = f"ln {shlex.quote(str(made / 'listener'))} {shlex.quote(str(place / 'lockstep'))}; "
+        one = slave(folder, link + body)
         before = descriptors()
-        answered: list[socket.socket] = []
-        ask = fmu_slave._Run.ask
-
-        def answering(self: fmu_slave._Run, request: dict[str, object], more: bytes = b"") -> object:
-            if request["op"] == "hello":
-                answered.append(listener.accept()[0])
-                answered[0].sendall(b'{"op": "hello"}\n')
-                return ask(self, request, more)
-            if request["op"] == "step":
-                answered[0].close()
-                assert self._process is not None
-                assert self._process.stdin is not None
-                self._process.stdin.close()
-            return ask(self, request, more)
-
-        monkeypatch.setattr(fmu_slave._Run, "ask", answering)
         one.exit_initialization_mode()
-        assert not one.do_step(0.0, 0.1)
-        assert not one.do_step(0.0, 0.1)
+        yield one, line
         one.terminate()
+        line[0].close()
         assert descriptors() == before
+    assert not place.exists()
+
+
+def test_a_run_that_ends_between_steps_is_an_error_of_the_step_with_its_exit_code(
+    tmp_path: Path, made: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    body = SPEAKS + "read nothing; echo out of memory >&2; exit 7"
+    with listening(monkeypatch, made, tmp_path, body, b'{"op": "hello"}\n') as (one, _):
+        assert not one.do_step(0.0, 0.1)
+        assert not one.do_step(0.0, 0.1)
     error = capsys.readouterr().err
     assert error.startswith("lidaremu: FMU one: ")
     assert "the run ended with exit code 7: out of memory" in error
-    logged = [(one.status.name, one.msg) for one in one.log_queue]
+    logged = [(found.status.name, found.msg) for found in one.log_queue]
     assert [status for status, _ in logged] == ["error", "error"]
     assert all("the run ended with exit code 7: out of memory" in text for _, text in logged)
-    assert not place.exists()
+
+
+def test_a_run_is_asked_to_end_by_a_signal_and_its_last_event_is_read(
+    tmp_path: Path, made: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The end of its input would leave it ten seconds for a recording."""
+    body = """trap 'echo "{\\"event\\": \\"stopped\\", \\"sha256\\": \\"whole\\"}"; exit 0' TERM; """
+    with listening(
+        monkeypatch, made, tmp_path, f"{body}{SPEAKS}read nothing; exit 9", b'{"op": "hello"}\n{"op": "bye"}\n'
+    ) as (one, _):
+        pass
+    assert one._sha256 == "whole"

@@ -143,3 +143,33 @@ def test_a_closed_terminal_ends_in_order_unless_it_is_to_be_outlived() -> None:
         assert signal.SIGHUP not in ending_signals()
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+class Slow(Ended):
+    """It takes 45 s to end: a busy machine, or a recording."""
+
+    ended = False
+    killed = False
+
+    def poll(self) -> int | None:  # type: ignore[override]
+        return self.returncode if self.ended else None
+
+    def terminate(self) -> None:
+        pass
+
+    def kill(self) -> None:
+        self.killed = True
+
+    def wait(self, time_limit_s: float | None = None) -> int:
+        if time_limit_s is not None and time_limit_s < 45.0:
+            raise subprocess.TimeoutExpired("run", time_limit_s)
+        self.ended = True
+        return self.returncode
+
+
+def test_a_daemon_that_is_slow_to_end_is_not_killed_before_it_has_said_its_last_event() -> None:
+    process: Any = Slow('{"event": "stopped"}\n', 0)
+    daemon = OwnDaemon(process, {}, lambda row: None)
+    daemon.stop()
+    assert not process.killed
+    assert daemon.last == {"event": "stopped"}

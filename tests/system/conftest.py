@@ -28,11 +28,14 @@ TIME_LIMIT_S = 60.0
 STANDING = ("--set", "actors.0.motion.velocity_m_s=[0, 0, 0]", "--set", "actors.1.motion.at_m=[55.8, 0, 0]")
 "Of the scenario bumper: the grey car stays 50 m ahead, whenever a host comes."
 LONGEST_TEST_S = 300
-LONGEST = ["test_commands_run", "test_view.py", "_soak_of_", "test_commands_that_talk", "_soak_on_", "test_mrpt.py",
-           "test_docs_commands.py", "test_soak.py", "test_wheel.py", "test_object_lists.py", "test_run.py",
-           "test_lost_links.py", "test_faults.py", "test_look.py", "test_compiled.py"]  # fmt: skip
+LONGEST = ["test_brake.py", "test_mrpt.py", "test_campaign.py", "test_a_scenario_stands", "test_page_and_daemon",
+           "test_view.py", "_soak_of_", "_run[record]", "test_commands_that_talk", "_run[demo]", "_run[step_out]",
+           "_run[campaign]", "_soak_on_", "test_fmu.py", "test_faults.py", "test_compiled.py", "test_lost_links.py",
+           "test_wheel.py", "test_process_faults.py", "test_object_lists.py", "test_look.py", "test_recording_run.py",
+           "test_run.py", "test_virtual_hosts.py", "test_replay_decoded.py",
+           "test_docs_commands.py", "test_soak.py"]  # fmt: skip
 "Parts of names of tests, by how long those tests or their file take; a worker has two of them at a time."
-APART = ("test_docs_commands.py", "test_soak.py", "test_brake.py", "test_mrpt_meets_a_bad_day")
+APART = ("test_docs_commands.py", "test_soak.py", "test_brake.py", "test_mrpt_meets_a_bad_day", "test_page_and_daemon")
 "Parts of names of tests that share nothing with the others of their file: any worker has them (--dist loadgroup)."
 NICENESS = {"tests": -5, "daemons": -15}
 "Whatever else the machine does, where this user may say so: what the tests judge is no other program's load."

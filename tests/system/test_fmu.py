@@ -6,7 +6,6 @@ import ctypes
 import json
 import struct
 import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +20,7 @@ from fmpy.validation import validate_fmu
 
 from emulator.live.client import Lockstep
 from emulator.recording import protowire as wire
+from tests.system.nursery import begun, ran
 
 SCENE = """
 schema: 1
@@ -54,8 +54,7 @@ def car_at(number: int) -> float:
 def packed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("fmu")
     (folder / "loop.yaml").write_text(SCENE)
-    words = [sys.executable, "-m", "emulator", "fmu", str(folder / "loop.yaml"), "--out", str(folder / "loop.fmu")]
-    made = subprocess.run(words, capture_output=True, text=True, timeout=100, check=False)
+    made = ran("fmu", "loop.yaml", "--out", "loop.fmu", cwd=folder)
     assert made.returncode == 0, made.stderr
     return folder / "loop.fmu"
 
@@ -90,10 +89,10 @@ def message_of(found: SimpleNamespace, base: str) -> bytes:
 
 def by_lockstep(folder: Path, osi: bool) -> tuple[str, int]:
     (folder / "loop.yaml").write_text(SCENE)
-    words = [sys.executable, "-m", "emulator", "run", str(folder / "loop.yaml"), "--clock", "virtual", "--no-wait"]
+    words = ["run", "loop.yaml", "--clock", "virtual", "--no-wait"]
     words += ["--set", "live.feed=lockstep://127.0.0.1:0", "--json", "--until-eof", "--duration", "1e9"]
     sent = 0
-    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=folder) as run:
+    with begun(*words, stdin=subprocess.PIPE, stderr=None, cwd=folder) as run:
         assert run.stdout is not None
         assert run.stdin is not None
         with Lockstep(json.loads(run.stdout.readline())["feed"]) as world:

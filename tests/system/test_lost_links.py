@@ -42,6 +42,7 @@ def test_the_other_sensor_goes_on(
     running = daemon("case.yaml", "--clock", clock)
     adapter.opened()
     with LmsHost(running.path("front")) as host:
+        host.set_baud(38_400)
         host.stream()
         assert len(host.scan()) == 361
         adapter.pull()
