@@ -12,6 +12,7 @@ from emulator.compiled.moving import moving, near, pairs
 from emulator.compiled.narrow import narrow
 from emulator.compiled.packets import Packets, library
 from emulator.compiled.receiving import received
+from emulator.compiled.remaining import remaining
 from emulator.compiled.sheets import beside, covered
 from emulator.compiled.strips import strips
 from emulator.compiled.surfaces import in_order, special, strengths
@@ -41,6 +42,7 @@ __all__ = [
     "ranks",
     "readings",
     "received",
+    "remaining",
     "reported",
     "resting",
     "sampled",
