@@ -12,14 +12,24 @@ import numpy as np
 
 from emulator.compiled import clusters, echoes, hazy, maxima, waves
 from emulator.compiled.clusters import cross
-from emulator.compiled.echoes import _grouped
+from emulator.compiled.echoes import grouped
 from emulator.compiled.jit import (
-    FLAG, FLAGS, FLOATS, INT, INTS, LONG_ROWS, OUT_BYTES, OUT_FLAGS, OUT_ROWS, OUT_WORD_ROWS, compiled,
+    FLAG,
+    FLAGS,
+    FLOATS,
+    INT,
+    INTS,
+    LONG_ROWS,
+    OUT_BYTES,
+    OUT_FLAGS,
+    OUT_ROWS,
+    OUT_WORD_ROWS,
+    compiled,
 )  # fmt: skip
-from emulator.compiled.maxima import _medium_at
-from emulator.compiled.media import MEDIUM, _under, cross_in_air, left_open, lifted_in_air, returned, stopped
+from emulator.compiled.maxima import medium_at
+from emulator.compiled.media import MEDIUM, cross_in_air, left_open, lifted_in_air, part_under, returned, stopped
 from emulator.compiled.normal import normals, unit
-from emulator.compiled.receiving import DAZZLED, SATURATED, _between, _columns
+from emulator.compiled.receiving import DAZZLED, SATURATED, columns_of, on_line
 
 split, sums, joined = clusters.split.made, clusters.sums.made, clusters.joined.made
 sampled, highest, edges = waves.sampled.made, maxima.maxima.made, maxima.edges.made
@@ -156,7 +166,7 @@ def _source_of(
 ):  # fmt: skip
     """`timing.sources` of one maximum."""
     head, tail = sub_first[w], sub_first[w] + sub_count[w]
-    medium, source, same = _medium_at(centre, w, step_m, first_bin, start, count, part), sub_source[head], True
+    medium, source, same = medium_at(centre, w, step_m, first_bin, start, count, part), sub_source[head], True
     for k in range(head + 1, tail):
         same = same and sub_source[k] == source
     if same and not medium > height - medium:
@@ -177,8 +187,8 @@ def _cosine_crossings(
     edged, first, bin_m, turning, ends, knots, cubics, cells, cell,
 ):  # fmt: skip
     """`Cosines.crossing`, of those with a medium under them."""
-    half_m, wave_number, threshold, doubt_m, least_share, faint, slight, until_m, exact_m, near_top, passes = (
-        law[1], law[2], law[3], law[14], law[16], law[17], law[18], law[19], law[25], law[26], int(law[27]),
+    half_m, wave_number, threshold, doubt_m, least_share, faint, exact_m, near_top, passes = (
+        law[1], law[2], law[3], law[14], law[16], law[17], law[25], law[26], int(law[27]),
     )  # fmt: skip
     begun, total, real, imaginary = running[0], running[1], running[2], running[3]
     head = 0
@@ -205,7 +215,7 @@ def _cosine_crossings(
                 )  # fmt: skip
             if valley:
                 front_m = first_m[i] - half_m
-                air = _under(front_m, start, start - 1, 0, open_, stops, edged, first, bin_m, wave_number, ends)
+                air = part_under(front_m, start, start - 1, 0, open_, stops, edged, first, bin_m, wave_number, ends)
                 above = min(max(air - level[i], 0.0), 1.0)
                 if above > 0.0:
                     root = np.sqrt(min(max(level[i] / height[i], 0.0), 1.0))
@@ -225,7 +235,7 @@ def _reported(
     """Choose among the echoes found, and write what is reported of these beams."""
     near_gate_m, far_gate_m, systematic_m, range_noise_m, blind_m = law[10], law[11], law[12], law[13], law[28]
     n, alarms = len(left), len(noise_beam)
-    order, begin = _grouped(found[0], n)
+    order, begin = grouped(found[0], n)
     most = 1
     for b in range(n):
         most = max(most, begin[b + 1] - begin[b])
@@ -257,7 +267,7 @@ def _reported(
             alarm += 1
         column_at[0] = 0 if columns else -1
         if seen > 1:
-            _columns(found_m, amplitude, clips, seen, keep, columns, blind_m, place, column_at)
+            columns_of(found_m, amplitude, clips, seen, keep, columns, blind_m, place, column_at)
         for i in range(seen):
             column = column_at[i]
             if column < 0:
@@ -415,7 +425,7 @@ def remaining(
         edged, first, bin_m, turning, ends, knots, cubics, cells, cell,
     )  # fmt: skip
     for i in range(own_at, single_at):
-        crossing[i] = _between(level[i], rise, rise_m, own_m)
+        crossing[i] = on_line(level[i], rise, rise_m, own_m)
     if len(peak):
         wanted, found = level[mixed_at:].copy(), crossing[mixed_at:].copy()
         found = edges(
@@ -427,8 +437,8 @@ def remaining(
             found = bent(
                 step_m, half_m, wave_number, hazy_, first_bin, start_w, count_w, value, part, sub_first, sub_count,
                 sub_range, series[0], series[1], series[2], edged, first, bin_m, turning, ends, knots, cubics, cells,
-                cell, clear_w, air, peak, window, begin_w, centre_w, height_w, wanted, found, faint, straight_m, exact_m,
-                golden, valley_steps,
+                cell, clear_w, air, peak, window, begin_w, centre_w, height_w, wanted, found, faint, straight_m,
+                exact_m, golden, valley_steps,
             )  # fmt: skip
         crossing[mixed_at:] = found
         for i in range(len(peak)):
