@@ -15,7 +15,7 @@ FEW = 64
 
 
 @compiled()
-def _grouped(beam, beams):
+def grouped(beam, beams):
     """Indexes by beam, as they come, and where each beam's begin, (beams + 1,)."""
     begin = np.zeros(beams + 1, np.int64)
     for k in range(len(beam)):
@@ -57,7 +57,7 @@ def ranks(beam, centre, height, beams, floor_m2, columns):
     keys, place = np.empty(count), np.empty(count, np.int64)
     for k in range(count):
         keys[k] = -height[k] if tall(centre[k], height[k], floor_m2) else 0.0
-    order, begin = _grouped(beam, beams)
+    order, begin = grouped(beam, beams)
     for b in range(beams):
         _sort(order, begin[b], begin[b + 1], keys)
         for i in range(begin[b], begin[b + 1]):

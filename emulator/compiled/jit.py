@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import boolean, float32, float64, int32, int64, njit, uint64
+from numba import boolean, float32, float64, int32, int64, njit, uint8, uint64
 from numba.core import event
 from numba.types import Array
 
@@ -29,6 +29,7 @@ _, LONG_ROWS, _ = _columns(uint64)
 OUT_FLOATS, OUT_LOOSE = float64[::1], float64[:, :]
 OUT_INTS, OUT_WORDS, OUT_FLAGS, OUT_SINGLES = int64[::1], int32[::1], boolean[::1], float32[::1]
 "Written to; loose: in rows or not."
+OUT_ROWS, OUT_WORD_ROWS, OUT_BYTES = float64[:, ::1], int32[:, ::1], uint8[::1]
 EMBREE = (INT, INT, INT, INT)
 "`Packets.how`."
 KEPT_IN: set[str] = set()
@@ -76,7 +77,7 @@ def compiled(*arguments: Any) -> Callable[[Callable[..., Any]], Any]:
     """Compile for arguments of these types; none: for whatever calls it, from compiled loops alone (else `TypeError`).
 
     Kept on disk, where that is allowed. Other threads run meanwhile. A division by zero gives what numpy gives. Arrays
-    that are only read are put in rows where they are not.
+    that are only read are put in rows where they are not. Other loops call `made` of it.
     """
     if not arguments:
         return _compile
@@ -95,6 +96,7 @@ def compiled(*arguments: Any) -> Callable[[Callable[..., Any]], Any]:
                     pass
             return made(*(np.ascontiguousarray(one) if at in read else one for at, one in enumerate(given)))
 
+        called.made = made  # type: ignore[attr-defined]
         return called
 
     return compiling

@@ -12,6 +12,7 @@ from emulator.compiled.moving import cones, moving, near, pairs
 from emulator.compiled.narrow import narrow
 from emulator.compiled.packets import Packets, library
 from emulator.compiled.receiving import received
+from emulator.compiled.remaining import remaining
 from emulator.compiled.sheets import beside
 from emulator.compiled.strips import strips
 from emulator.compiled.surfaces import in_order, special, strengths
@@ -45,6 +46,7 @@ __all__ = [
     "ranks",
     "readings",
     "received",
+    "remaining",
     "reported",
     "resting",
     "sampled",

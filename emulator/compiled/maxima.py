@@ -46,7 +46,7 @@ def terms(begun, ended, a, real, imaginary):
 
 
 @compiled()
-def _medium_at(x_m, w, bin_m, first_bin, start, count, soft):
+def medium_at(x_m, w, bin_m, first_bin, start, count, soft):
     """See `Waveform.soft_at`."""
     offset = min(max(x_m / bin_m - first_bin[w], 0.0), count[w] - 1.000001)
     whole = int(np.floor(offset))
@@ -93,7 +93,9 @@ def maxima(
         high = 0.99 * least[beam[w]]
         for j in range(start[w] + 1, start[w] + count[w] - 1):
             here = min(value[j], full_scale)
-            if here > min(value[j - 1], full_scale) and here >= min(value[j + 1], full_scale) and here >= high:
+            if not here >= high:  # most of them
+                continue
+            if here > min(value[j - 1], full_scale) and here >= min(value[j + 1], full_scale):
                 peak[found], window[found] = j, w
                 found += 1
     peak, window = _apart(peak[:found], window[:found], value, beam, rms, threshold, full_scale)
@@ -129,7 +131,7 @@ def maxima(
         top += shift
         again, over = under_way(top, w, bin_m, half_m, first_bin, sub_first, sub_count, sub_range)
         if again == begun and over == ended and abs(top - parabola) <= bin_m:
-            medium = _medium_at(top, w, bin_m, first_bin, start, count, soft)
+            medium = medium_at(top, w, bin_m, first_bin, start, count, soft)
             centre[k], height[k] = top, even + swing * np.cos(wave_number * shift) + medium
     return peak, window, centre, height, begin
 
@@ -206,7 +208,7 @@ def edges(
             turn = wave_number * (place - bin_m * first_bin[w])
             height = max(even + np.cos(turn) * x + np.sin(turn) * y, 0.0)
             if hazy:
-                height = max(height + _medium_at(place, w, bin_m, first_bin, start, count, soft), 0.0)
+                height = max(height + medium_at(place, w, bin_m, first_bin, start, count, soft), 0.0)
             if height >= wanted:
                 hi = place
                 break

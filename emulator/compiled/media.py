@@ -95,7 +95,7 @@ def ended_under(edged, first, bin_m, wave_number, ends, knots, cubics, cells, ce
 
 
 @compiled()
-def _under(x_m, last, before, begins, open_, sums, edged, first, bin_m, wave_number, ends):
+def part_under(x_m, last, before, begins, open_, sums, edged, first, bin_m, wave_number, ends):
     """See `AirUnder.at`."""
     now = last - before
     still = max(open_ - (sums[0, now] - sums[0, begins]), 0.0)
@@ -115,9 +115,9 @@ def _under(x_m, last, before, begins, open_, sums, edged, first, bin_m, wave_num
 @compiled()
 def lifted_in_air(centre, height, size, open_, sums, edged, first, bin_m, wave_number, ends):
     """Place and height of a cluster's maximum with a medium under it, and how far it shifts it: `cosines._lifted`."""
-    before = _under(centre - bin_m, size, 0, 0, open_, sums, edged, first, bin_m, wave_number, ends)
-    here = _under(centre, size, 0, 0, open_, sums, edged, first, bin_m, wave_number, ends)
-    behind = _under(centre + bin_m, size, 0, 0, open_, sums, edged, first, bin_m, wave_number, ends)
+    before = part_under(centre - bin_m, size, 0, 0, open_, sums, edged, first, bin_m, wave_number, ends)
+    here = part_under(centre, size, 0, 0, open_, sums, edged, first, bin_m, wave_number, ends)
+    behind = part_under(centre + bin_m, size, 0, 0, open_, sums, edged, first, bin_m, wave_number, ends)
     slope, curve = 0.5 * (behind - before) / bin_m, (behind - 2.0 * here + before) / (bin_m * bin_m)
     bend = 0.5 * wave_number * wave_number * height - curve
     shift = slope / bend if bend > 0.0 else 0.0
@@ -132,7 +132,7 @@ def cross_in_air(
 ):  # fmt: skip
     """The crossing of one cluster, see `crossed_under`."""
     for _ in range(passes):
-        air = _under(crossing, last, before, begins, open_, sums, edged, first, bin_m, wave_number, ends)
+        air = part_under(crossing, last, before, begins, open_, sums, edged, first, bin_m, wave_number, ends)
         was = crossing
         left = max(level - air, least * level)
         crossing, last = cross(left, start, size, first_m, begun, total, real, imaginary, half_m, wave_number)

@@ -43,7 +43,7 @@ def _own_chance(height, dark, least, full_scale, shot_factor, noisy):
 
 
 @compiled()
-def _between(x, places, values, otherwise):
+def on_line(x, places, values, otherwise):
     """Linear between places, `otherwise` behind the last."""
     if x > places[-1]:
         return otherwise
@@ -97,7 +97,7 @@ def _leads(height, least, count, full_scale, fwhm_m, lead):
 
 
 @compiled()
-def _columns(found_m, found, clipped, seen, keep, columns, blind_m, order, column):
+def columns_of(found_m, found, clipped, seen, keep, columns, blind_m, order, column):
     """The column of each echo of a beam, negative of those that are not reported: as `detection._chosen`."""
     for i in range(seen):  # by range
         at = i
@@ -351,7 +351,7 @@ def received(
                 read_m = crossing[i]
                 origin[seen] = -1
                 if size_of[i] == 0:
-                    read_m = _between(level[i], rise, rise_m, own_m)
+                    read_m = on_line(level[i], rise, rise_m, own_m)
                 else:
                     best = begin_of[i]
                     for j in range(best + 1, best + size_of[i]):  # the first of equals
@@ -374,7 +374,7 @@ def received(
                 continue
             column_at[0] = 0 if columns else -1
             if seen > 1:
-                _columns(found_m, found, clipped, seen, keep, columns, blind_m, order, column_at)
+                columns_of(found_m, found, clipped, seen, keep, columns, blind_m, order, column_at)
             for i in range(seen):
                 column = column_at[i]
                 if column < 0:

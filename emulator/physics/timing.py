@@ -21,12 +21,12 @@ from emulator.physics.softprofile import STRAIGHT_M
 from emulator.physics.subechoes import NO_SOURCE
 from emulator.physics.waveform import Waveform
 
-_EXACT_M = 1e-7
+EXACT_M = 1e-7
 "Crossings between the samples are found to this."
-_MOST_STEPS = 20
+MOST_STEPS = 20
 "Of Newton's."
-_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
-_VALLEY_STEPS = 20
+GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+VALLEY_STEPS = 20
 "Each leaves so much of two bins: to 1e-4 of them in all, where a valley is flat."
 
 
@@ -34,7 +34,7 @@ def _edges_by_loops(loops: ModuleType, wave: Waveform, found: Candidates, level:
     if wave.pulse.shape != "sin2":
         return OTHERWISE
     what = found.index, found.window, found.begin, found.centre_m, found.amplitude, level, otherwise
-    return floats(loops.edges(*wave.flat, *what, FAINT, _EXACT_M, _MOST_STEPS))
+    return floats(loops.edges(*wave.flat, *what, FAINT, EXACT_M, MOST_STEPS))
 
 
 def rising_edges(wave: Waveform, found: Candidates, level: Floats, otherwise: Floats) -> Floats:
@@ -53,7 +53,7 @@ def _bent_by_loops(loops: ModuleType, wave: Waveform, found: Candidates, level: 
     if not len(level):
         return crossing
     what = found.index, found.window, found.begin, found.centre_m, found.amplitude, level, crossing
-    limits = FAINT, STRAIGHT_M, _EXACT_M, _GOLDEN, _VALLEY_STEPS
+    limits = FAINT, STRAIGHT_M, EXACT_M, GOLDEN, VALLEY_STEPS
     return floats(loops.bent(*wave.flat, *wave.air, *what, *limits))
 
 
@@ -85,7 +85,7 @@ def _bent(wave: Waveform, found: Candidates, level: Floats, crossing: Floats) ->
         return np.sqrt(wave.exact_at(place, window[which])) - wanted[which]
 
     every = np.arange(len(some))
-    lo = np.where((x - lo < _EXACT_M) & (steps > 0), lo - wave.bin_m, lo)
+    lo = np.where((x - lo < EXACT_M) & (steps > 0), lo - wave.bin_m, lo)
     hi = np.where(found.centre_m[some] > lo, np.minimum(hi, found.centre_m[some]), hi)
     f_lo, f_hi = over(lo, every), over(hi, every)
     usable = (f_lo < 0.0) & (f_hi > 0.0)
@@ -116,8 +116,8 @@ def _out_of_valleys(wave: Waveform, found: Candidates, level: Floats, crossing: 
     middle = wave.position(deepest, window)
     first = wave.bin_m * wave.first_bin[window].astype(np.float64)
     low, high = np.maximum(middle - wave.bin_m, first), middle + wave.bin_m
-    for _ in range(_VALLEY_STEPS):  # golden section
-        one, other = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+    for _ in range(VALLEY_STEPS):  # golden section
+        one, other = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
         left = wave.exact_at(one, window) <= wave.exact_at(other, window)
         low, high = np.where(left, low, one), np.where(left, other, high)
     lowest, end = 0.5 * (low + high), found.centre_m[at]
@@ -206,10 +206,10 @@ def _between_samples(
     rise = 2.0 * np.arcsin(np.sqrt(clamped(share, 0.0, 1.0))) - np.pi
     x = origin + (np.arctan2(imaginary, real) + rise) / k
     x = clamped(x + 2.0 * np.pi / k * np.rint((middle - x) * k / (2.0 * np.pi)), lo, hi)
-    for _ in range(_MOST_STEPS):
+    for _ in range(MOST_STEPS):
         is_now, rises = value(x)
         new = clamped(np.where(rises > 0.0, x + (level - is_now) / np.where(rises > 0.0, rises, 1.0), x), lo, hi)
-        done = bool((np.abs(new - x) < _EXACT_M).all())
+        done = bool((np.abs(new - x) < EXACT_M).all())
         x = new
         if done:
             break
@@ -240,7 +240,7 @@ def _without_kinks(
 def _crossing(
     rises: Callable[[Floats, Ints], Floats], lo: Floats, hi: Floats, f_lo: Floats, f_hi: Floats, wanted: Bools
 ) -> Floats:
-    """Zeros of functions that rise from f_lo < 0 at lo to f_hi >= 0 at hi, to `_EXACT_M`.
+    """Zeros of functions that rise from f_lo < 0 at lo to f_hi >= 0 at hi, to `EXACT_M`.
 
     False position, the value at the stale end lessened as the new one reports (Anderson and Bjorck), a bisection where
     three steps have not halved the bracket; only those not there yet are evaluated. Where there is no bracket the upper
@@ -272,7 +272,7 @@ def _crossing(
         slope = np.where(moved != 0.0, (f - old) / np.where(moved != 0.0, moved, 1.0), slope)
         a, b = np.where(up, a, mid), np.where(up, mid, b)
         side = np.where(up, 1, -1)
-        more = (b - a > _EXACT_M) & (np.abs(f) > 0.1 * _EXACT_M * slope) & (fa < 0.0) & (fb > 0.0)
+        more = (b - a > EXACT_M) & (np.abs(f) > 0.1 * EXACT_M * slope) & (fa < 0.0) & (fb > 0.0)
         if not bool(more.all()):
             live, a, b, fa, fb, side = live[more], a[more], b[more], fa[more], fb[more], side[more]
             before, slope = before[more], slope[more]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emulator.physics import noise
-from emulator.physics.arrays import Bools, Floats, indexes
+from emulator.physics.arrays import Bools, Floats
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.detection import Signals, detect, signals_of
 from emulator.physics.detector import Detector, Echoes
@@ -66,20 +66,6 @@ class _Given:
     spreads: Normals | None
     "Of ranges."
     noise_echoes: NoiseEchoes | None
-
-    def of_beams(self, wanted: Bools) -> _Given:
-        """That of some of the beams (n,), numbered again."""
-        at = indexes(wanted)
-        normals, timing, spreads = (
-            None if one is None else one.of_beams(at) for one in (self.normals, self.timing, self.spreads)
-        )
-        rms, dazzled = self.noise, self.dazzled
-        echoes = self.noise_echoes
-        if echoes is not None:
-            kept = wanted[echoes[0]]
-            echoes = (wanted.cumsum() - 1)[echoes[0][kept]], echoes[1][kept], echoes[2][kept]
-        rms, dazzled = None if rms is None else rms[at], None if dazzled is None else dazzled[at]
-        return _Given(self.detector, self.soft, rms, dazzled, normals, timing, spreads, echoes)
 
 
 @lru_cache(maxsize=16)
@@ -174,7 +160,7 @@ class Receiver:
         return _Given(detector, soft, daylight.noise, daylight.dazzled, normals, timing, spreads, noise_echoes)
 
     def _readings(self, plan: ScanPlan, given: _Given, found: SubEchoes, kept: Kept | None) -> Readings:
-        """Of all beams: first the simple ones, where no earlier sweep is known."""
+        """Of all beams: where no earlier sweep is known, in one pass."""
         model, n = self._model, len(plan)
         if self._shaped is not None:
             looked = looked_at(found if kept is None else kept.whole(found), given.soft, model)
@@ -185,25 +171,14 @@ class Receiver:
             return self._read_off(plan, given, echoes)
         again, self._latest = model.leave_out.resting and found is self._latest, found
         if kept is None and not again and found.spread_m is None and model.triangulation is None:
-            left = np.zeros(n, np.bool_)
-            simple = readings(
-                lambda: looked_at(found, given.soft, model), left, given.detector, given.soft, given.noise,
-                given.dazzled, given.normals, given.spreads, given.noise_echoes, model.systematic_m,
-                model.range_noise_m,
+            made = readings(
+                lambda: looked_at(found, given.soft, model), n, given.detector, given.soft, given.noise, given.dazzled,
+                given.normals, given.spreads, given.noise_echoes, model.systematic_m, model.range_noise_m,
             )  # fmt: skip
-            if simple is not None:
-                (made, looked), rows = simple, indexes(left)
-                if len(rows):
-                    made.put(rows, self._others(plan, given.of_beams(left), _of_beams(looked, left), len(rows)))
+            if made is not None:
                 return made
         signals = self._signals(found, kept, n, given.soft, given.noise)
         return self._read_off(plan, given, self._detected(given, found, n, signals))
-
-    def _others(self, plan: ScanPlan, given: _Given, found: SubEchoes, beams: int) -> Readings:
-        """Of beams that need more, numbered again."""
-        rms = 1.0 if given.noise is None else given.noise
-        signals = signals_of(found, beams, given.detector, noisy=self._model.noise, noise=rms, soft=given.soft)
-        return self._read_off(plan, given, self._detected(given, found, beams, (signals,)))
 
     def _detected(self, given: _Given, found: SubEchoes, beams: int, signals: tuple[Signals, ...]) -> Echoes:
         return detect(
@@ -279,9 +254,3 @@ class Receiver:
             flags[given.dazzled] |= DAZZLED
         intensity = np.maximum(amplitude / (model.threshold * rms), 1.0)
         return Readings(range_m, intensity, echoes.source.astype(np.int32), flags)
-
-
-def _of_beams(found: SubEchoes, wanted: Bools) -> SubEchoes:
-    """Sub-echoes of some beams, numbered again."""
-    some = found.of_beams(wanted)
-    return replace(some, beam=(wanted.cumsum() - 1)[some.beam])

@@ -1,6 +1,6 @@
-"""Readings of beams that need no more than one short cluster, in one pass: most beams of a sweep in clear air.
+"""Readings of the beams of a sweep in two passes: those that need no more than short clusters, and those that are left.
 
-Belongs here: what such a pass is given, and what it gives. Not: the pass (compiled.receiving), other beams (receiver).
+Belongs here: what these passes are given, and what they give. Not: the passes (compiled.receiving, .remaining).
 """
 
 from __future__ import annotations
@@ -13,20 +13,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from emulator.compiled.pair import OTHERWISE, by_loops
+from emulator.physics import candidates, timing
 from emulator.physics.arrays import Bools, Floats, Ints
 from emulator.physics.constants import SPEED_OF_LIGHT_M_S
-from emulator.physics.cosines import EXACT_M, FAINT, LEAST, MOST_PASSES, NEAR_TOP, SHIFT, SHORT, SLIGHT
+from emulator.physics.cosines import (
+    EXACT_M,
+    FAINT,
+    FAINT_UNDER_STRONG,
+    LEAST,
+    MOST_PASSES,
+    NEAR_TOP,
+    SHIFT,
+    SHORT,
+    SLIGHT,
+    STRONG,
+)  # fmt: skip
 from emulator.physics.detection import SIGMAS
 from emulator.physics.detector import Detector
 from emulator.physics.random_streams import Normals
-from emulator.physics.softprofile import SoftProfile
+from emulator.physics.softprofile import MARK, STRAIGHT_M, SoftProfile
 from emulator.physics.subechoes import SubEchoes
 
-OWN_MOST = 0.8
-"Share of the threshold that a medium's own echo may have: beyond it most beams have one, and need more."
 NO_WORDS = np.zeros((0, 0), np.uint64)
 NO_FLAGS = np.zeros(0, np.bool_)
 NO_TABLE = np.zeros(1)
+CLOSER = np.array(candidates.CLOSER)
 NO_MEDIUM = (
     np.zeros((2, 1)), 0, 1.0, 1.0, np.zeros(3), np.zeros(2), np.zeros((12, 1)), np.zeros(1, np.int64), 1.0,
 )  # fmt: skip
@@ -49,33 +60,27 @@ class Readings:
     flags: NDArray[np.uint8]
     "(n,)"
 
-    def put(self, rows: Ints, some: Readings) -> None:
-        """Set those of some beams."""
-        for column, other in zip(vars(self).values(), vars(some).values(), strict=True):
-            column[rows] = other
-
 
 def _readings_by_loops(
-    loops: ModuleType, look: Look, left: Bools, detector: Detector, soft: SoftProfile | None, rms: Floats | None,
+    loops: ModuleType, look: Look, beams: int, detector: Detector, soft: SoftProfile | None, rms: Floats | None,
     dazzled: Bools | None, normals: Normals | None, spreads: Normals | None,
     noise_echoes: NoiseEchoes | None, systematic_m: float, noise_m: float,
-) -> tuple[Readings, SubEchoes] | None:  # fmt: skip
-    """On a leading edge of sin^2 pulses that follows the noise, in air of which little comes back."""
+) -> Readings | None:  # fmt: skip
+    """On a leading edge of sin^2 pulses that follows the noise."""
     pulse = detector.pulse
     if not detector.closed_form or detector.sampled or not detector.follows_noise:
         return OTHERWISE
     until_m = alone_m = -np.inf
     own_m = own = peak_m = 0.0
-    peak = -np.inf
+    peak, closes = -np.inf, True
     free, medium, rise = NO_TABLE, NO_MEDIUM, (NO_TABLE, NO_TABLE)
+    hazy = [0.0, -np.inf, 0.0, 0.0, 0.0]
     if soft is not None:
-        if soft.peak >= detector.full_scale:
-            return OTHERWISE
+        closes = soft.peak < detector.full_scale
         free, medium, until_m, peak_m = soft.free, soft.flat, soft.until_m, soft.peak_m
         if soft.shows:
             alone_m, peak, (own_m, own), rise = peak_m + 2.0 * soft.bin_m, soft.peak, soft.top, soft.rise
-            if own > OWN_MOST * detector.threshold:
-                return OTHERWISE
+        hazy = [float(soft.shows), soft.high_m, soft.end_m, min(soft.start_m, peak_m), peak_m]
     found = look()
     law = np.array([
         SHORT * pulse.half_support_m, pulse.half_support_m, pulse.wave_number, detector.threshold, detector.full_scale,
@@ -84,27 +89,38 @@ def _readings_by_loops(
         0.0 if normals is None else SIGMAS, LEAST, FAINT, SLIGHT, until_m, alone_m, peak_m, peak, own_m, own, EXACT_M,
         NEAR_TOP, MOST_PASSES, 0.5 * SPEED_OF_LIGHT_M_S * detector.recovery_s,
     ])  # fmt: skip
-    range_m, intensity, actor, flags = loops.received(
-        found.beam, found.range_m, found.amplitude, found.source, left, NO_FLAGS if dazzled is None else dazzled,
-        np.ones(1) if rms is None else rms, NO_WORDS if normals is None else normals.words,
-        NO_WORDS if spreads is None else spreads.words, detector.max_echoes,
-        *(NO_ALARMS if noise_echoes is None else noise_echoes), free, rise[1], rise[0],
-        KEEPS[detector.keep], law, found.blocked, *medium,
+    given = (
+        NO_FLAGS if dazzled is None else dazzled, np.ones(1) if rms is None else rms,
+        NO_WORDS if normals is None else normals.words, NO_WORDS if spreads is None else spreads.words,
+        detector.max_echoes, *(NO_ALARMS if noise_echoes is None else noise_echoes), free, rise[1], rise[0],
+        KEEPS[detector.keep], law,
     )  # fmt: skip
-    return Readings(range_m, intensity, actor, flags), found
+    left = np.full(beams, not closes)
+    range_m, intensity, actor, flags = loops.received(
+        found.beam, found.range_m, found.amplitude, found.source, left, *given, found.blocked, *medium
+    )
+    if bool(left.any()):
+        more = np.array([
+            *hazy, detector.bin_m, detector.resolution_m, closes, STRONG, FAINT_UNDER_STRONG, candidates.FAINT,
+            timing.EXACT_M, timing.MOST_STEPS, STRAIGHT_M, timing.GOLDEN, timing.VALLEY_STEPS, MARK,
+        ])  # fmt: skip
+        loops.remaining(
+            found.beam, found.range_m, found.amplitude, found.source, found.blocked, left, *given, more, CLOSER,
+            soft is not None, *medium, range_m, intensity, actor, flags,
+        )  # fmt: skip
+    return Readings(range_m, intensity, actor, flags)
 
 
-@by_loops(_readings_by_loops, "received")
+@by_loops(_readings_by_loops, "received", "remaining")
 def readings(
-    look: Look, left: Bools, detector: Detector, soft: SoftProfile | None, rms: Floats | None,
+    look: Look, beams: int, detector: Detector, soft: SoftProfile | None, rms: Floats | None,
     dazzled: Bools | None, normals: Normals | None, spreads: Normals | None,
     noise_echoes: NoiseEchoes | None, systematic_m: float, noise_m: float,
-) -> tuple[Readings, SubEchoes] | None:  # fmt: skip
-    """What the simple beams report, and what was looked at; None, as with arrays: every beam is left.
+) -> Readings | None:  # fmt: skip
+    """What the beams report; None, as with arrays: it is to be found step by step.
 
-    `look` : what is looked at, without spreads, asked for once if at all; `left` : (n,) beams that are to be left in
-    any case, written to; `rms` : (n,) noise over the nominal one; `normals`, `spreads` : (n, .) numbers for the noise
-    at echoes and of ranges; None: none; `noise_echoes` : false alarms; `systematic_m`, `noise_m` : what ranges are off
-    by, and the deviation of `spreads`.
+    `look` : what is looked at, without spreads, asked for once if at all; `rms` : (n,) noise over the nominal one;
+    `normals`, `spreads` : (n, .) numbers for the noise at echoes and of ranges; None: none; `noise_echoes` : false
+    alarms; `systematic_m`, `noise_m` : what ranges are off by, and the deviation of `spreads`.
     """
     return None

@@ -95,7 +95,8 @@ def test_sweeps_of_a_street_take_the_loops_of_every_step(tmp_path: Path, monkeyp
     bench_scan.hills(tmp_path / "hills.obj", 20)
     plan = bench_scan.sweep(0.5)
     with switch.switched(True):
-        for weather, resting in ((bench_scan.RAIN_AND_FOG, False), ({}, True)):
+        fog = {"fog": bench_scan.RAIN_AND_FOG["fog"]}
+        for weather, resting in ((bench_scan.RAIN_AND_FOG, False), ({}, True), (fog, True)):
             measure = bench_scan.of(bench_scan.street(tmp_path, weather, resting))[0]
             for number in range(3):
                 measure(bench_scan.at(plan, number))
