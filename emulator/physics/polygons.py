@@ -43,7 +43,8 @@ def _owens_t() -> int:
 
 def _share_by_loops(loops: ModuleType, corner: Floats) -> tuple[Floats, Floats]:
     function = _owens_t()
-    return loops.shares(function, corner) if function else OTHERWISE
+    found: tuple[Floats, Floats] = loops.shares(function, corner) if function else OTHERWISE
+    return found
 
 
 @by_loops(_share_by_loops, "shares")

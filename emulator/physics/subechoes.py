@@ -103,12 +103,13 @@ class SubEchoes:
         first = np.concatenate([kept, len(self) + np.arange(len(others))])[order]
 
         def column(one: NDArray[Number], other: NDArray[Number]) -> NDArray[Number]:
-            return np.concatenate([one, other])[first]
+            both: NDArray[Number] = np.concatenate([one, other])
+            return both.take(first)
 
         spread = None
         if self.spread_m is not None or others.spread_m is not None:
-            both = (np.zeros(len(part)) if part.spread_m is None else part.spread_m for part in (self, others))
-            spread = column(*both)
+            spreads = (np.zeros(len(part)) if part.spread_m is None else part.spread_m for part in (self, others))
+            spread = column(*spreads)
         return SubEchoes(
             column(self.beam, others.beam),
             column(self.range_m, others.range_m),
