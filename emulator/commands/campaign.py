@@ -127,7 +127,7 @@ def campaign(
 
 @contextmanager
 def _imported_beside(wanted: bool) -> Iterator[None]:
-    """What the page is drawn with, imported while cases run elsewhere; what is missing is reported later."""
+    """What the page is drawn with, imported while the cases run elsewhere; what is missing is reported later."""
 
     def work() -> None:
         for name in ("emulator.campaigns.page", "matplotlib.backends.backend_agg", "SALib.analyze.rbd_fast"):

@@ -101,12 +101,12 @@ class Trial:
         record: Path | None = None,
         measuring: Measuring | None = None,
         heard: Mapping[str, Sequence[WirePayload]] | None = None,
-        measures: Callable[[Scenario], Mapping[str, Measure]] = assembly.build_measures,
+        measures: Callable[[Scenario], Mapping[str, Measure]] | None = None,
     ) -> None:
         """`workers`: measuring processes; 0 measures in place. The result is the same. `record`: a folder for it.
 
         `measuring`: something else that makes scans of plans. `heard`: what a sensor heard of its hosts, in place of a
-        built-in one. `measures`: builds what measures.
+        built-in one. `measures`: as `build_measures`.
         """
         self._heard = heard or {}
         self.outcome: Run | None = None
@@ -116,7 +116,7 @@ class Trial:
         self.incidents = Incidents()
         sessions = assembly.new_sessions(scenario)
         names = [sensor.id for sensor in scenario.sensors]
-        build = partial(measures, scenario)
+        build = partial(measures or assembly.build_measures, scenario)
         shared = assembly.shared_sensors(scenario)
         own_processes = workers and measuring is None
         self._workers = Workers(build, names, workers, shared=shared) if own_processes else None

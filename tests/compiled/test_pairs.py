@@ -17,6 +17,7 @@ from tests.benchmarks import bench_scan, pairs
 ROOT = Path(__file__).resolve().parents[2]
 BEGIN, END = "<!-- pairs: python -m tests.benchmarks.pairs -->", "<!-- end of pairs -->"
 CHOOSERS = {
+    "emulator/campaigns/preloaded.py": "loads them before processes are forked",
     "emulator/compiled/build.py": "compiles them",
     "emulator/compiled/pair.py": "chooses",
     "emulator/compiled/switch.py": "loads",
