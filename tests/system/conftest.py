@@ -28,7 +28,7 @@ TIME_LIMIT_S = 60.0
 STANDING = ("--set", "actors.0.motion.velocity_m_s=[0, 0, 0]", "--set", "actors.1.motion.at_m=[55.8, 0, 0]")
 "Of the scenario bumper: the grey car stays 50 m ahead, whenever a host comes."
 LONGEST_TEST_S = 300
-LONGEST = ["test_brake.py", "test_mrpt.py", "test_campaign.py", "test_a_scenario_stands", "test_page_and_daemon",
+LONGEST = ["test_mrpt.py", "test_brake.py", "test_campaign.py", "test_a_scenario_stands", "test_page_and_daemon",
            "test_view.py", "_soak_of_", "_run[record]", "test_commands_that_talk", "_run[demo]", "_run[step_out]",
            "_run[campaign]", "_soak_on_", "test_fmu.py", "test_faults.py", "test_compiled.py", "test_lost_links.py",
            "test_wheel.py", "test_process_faults.py", "test_object_lists.py", "test_look.py", "test_recording_run.py",
