@@ -28,7 +28,7 @@ TIME_LIMIT_S = 60.0
 STANDING = ("--set", "actors.0.motion.velocity_m_s=[0, 0, 0]", "--set", "actors.1.motion.at_m=[55.8, 0, 0]")
 "Of the scenario bumper: the grey car stays 50 m ahead, whenever a host comes."
 LONGEST_TEST_S = 300
-LONGEST = ["test_brake.py", "test_mrpt.py", "test_campaign.py", "test_a_scenario_stands", "test_page_and_daemon",
+LONGEST = ["test_mrpt.py", "test_brake.py", "test_campaign.py", "test_a_scenario_stands", "test_page_and_daemon",
            "test_view.py", "_soak_of_", "_run[record]", "test_commands_that_talk", "_run[demo]", "_run[step_out]",
            "_run[campaign]", "_soak_on_", "test_fmu.py", "test_faults.py", "test_compiled.py", "test_lost_links.py",
            "test_wheel.py", "test_process_faults.py", "test_object_lists.py", "test_look.py", "test_recording_run.py",
@@ -45,18 +45,33 @@ with contextlib.suppress(PermissionError):
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Longest first: no core waits for the other at the end. A limit for tests that have none of their own.
-
-    Of most files, all go to one worker.
-    """
+    """Longest first: no core waits for the other at the end. A limit for tests that have none of their own."""
     ours = [item for item in items if Path(__file__).parent in item.path.parents]
     for item in ours:
         if item.get_closest_marker("timeout") is None:
             item.add_marker(pytest.mark.timeout(LONGEST_TEST_S))
-        if not any(part in item.nodeid for part in APART):
-            item.add_marker(pytest.mark.xdist_group(item.path.stem))
     if len(ours) == len(items):
         items.sort(key=lambda item: next((k for k, part in enumerate(LONGEST) if part in item.nodeid), len(LONGEST)))
+
+
+def group_of(nodeid: str) -> str:
+    """What goes to one worker: of most files, all tests."""
+    return nodeid if any(part in nodeid for part in APART) else nodeid.partition("::")[0]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """By `group_of` with `--dist loadgroup`: xdist 3.8 changes names of tests for its groups, which pytest 9 forbids.
+
+    It says nothing then: each worker had every file's daemon, browser or drivers for itself.
+    """
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByGroup(LoadScopeScheduling):  # type: ignore[misc]
+        def _split_scope(self, nodeid: str) -> str:
+            return group_of(nodeid)
+
+    return ByGroup(config, log) if config.getvalue("dist") == "loadgroup" else None
 
 
 def favoured() -> list[str]:

@@ -6,7 +6,7 @@ import signal
 import subprocess
 from pathlib import Path
 
-from tests.system.conftest import TIME_LIMIT_S
+from tests.system.conftest import TIME_LIMIT_S, pytest_xdist_make_scheduler
 from tests.system.nursery import Forked, begun, ran
 
 
@@ -32,3 +32,18 @@ def test_its_signals_are_its_own(tmp_path: Path) -> None:
             running.send_signal(number)
             assert running.wait(TIME_LIMIT_S) == code
         assert (tmp_path / "lms291").is_symlink() == (number == signal.SIGKILL)
+
+
+class Distributed:
+    """What a scheduler asks of pytest's configuration."""
+
+    def getvalue(self, name: str) -> object:
+        return {"dist": "loadgroup", "tx": ["popen", "popen"]}[name]
+
+
+def test_all_tests_of_a_file_go_to_one_worker() -> None:
+    """A fixture of a file is made once: a daemon, a browser, the drivers."""
+    scheduler = pytest_xdist_make_scheduler(Distributed(), None)
+    scope = scheduler._split_scope
+    assert scope("tests/system/test_look.py::test_a[b::c]") == scope("tests/system/test_look.py::test_d")
+    assert scope("tests/system/test_soak.py::test_a") != scope("tests/system/test_soak.py::test_b")

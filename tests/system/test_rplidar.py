@@ -46,6 +46,9 @@ while len(turns) < 3 and tries < 60:
     turn = driver.get_scan_data()
     if turn and len(turn[0]) > 50:
         turns.append([list(map(float, column)) for column in turn])
+    elif tries % 10 == 0:  # the same limit, for the answer to this command
+        driver.stop_scan()
+        driver.start_scan()
 driver.stop_scan()
 driver.disconnect()
 told = {name: str(getattr(info, name)) for name in dir(info) if not name.startswith("_")}
