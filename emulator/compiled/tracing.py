@@ -285,12 +285,11 @@ def traced(
                 dx, dy, dz = rays[AHEAD, ray], rays[LEFTWARD, ray], rays[UP, ray]
                 before = rays[LENGTH, ray]
                 until = min(r, far if bounce == 0 else reach - before)
-                if bounce == 0 and r > far:
-                    face = -1
+                beyond = bounce == 0 and r > far
                 if _meets(spheres, x, y, z, dx, dy, dz, until):
                     verdict[of] = LEFT
                     continue
-                if face < 0:
+                if face < 0 or beyond:
                     continue
                 inner = facing[ray] > 0.0 and closed[face]
                 if inner and (bounce == 0 or body[ray] != tags[2, ray]):  # it may have slipped into a shell

@@ -223,6 +223,7 @@ class Probing:
             own = np.concatenate([panes[~traceable[panes]], own])
             own.sort()
             if len(own):
+                met: Hits
                 if len(left) and bool(np.isin(own, left, assume_unique=True).all()):  # they have been cast
                     mine = left.searchsorted(own)
                     which = (mine[:, None] * count + np.arange(count)).ravel()
@@ -263,9 +264,9 @@ class Probing:
 
     def _looked_through(self, hits: Hits, rays: Rays, weight: Floats, what: Any) -> tuple[Bools, Seen]:
         """What probes of beams on panes see through these and in them, and of which beams they do for that."""
-        _, surfaces, _, model, _, _ = what
+        caster, surfaces, air, model, gain, farthest_m = what
         ways = Ways()
-        seen = returned(hits, rays, *what, ways)
+        seen = returned(hits, rays, caster, surfaces, air, model, gain, farthest_m, ways)
         first_m, axes = hits.range_m.reshape(len(weight), -1), rays.nearest_axis
         # what a pane sends straight back as a mirror has a spread of nothing
         light = weight * model.k_m2 / (first_m.min(axis=1) ** 2 + model.aperture_radius_m**2)

@@ -99,7 +99,8 @@ def _traced_by_loops(
     # beams are in order already: only places within each are found
     begins = np.searchsorted(whole[0], at)[key >> (RANGE_BITS + PLACE_BITS)]
     order = begins + (key & ((1 << PLACE_BITS) - 1))
-    found = SubEchoes(whole[0], *(column.take(order) for column in sizes), whole[1].take(order))
+    range_m, amplitude, blocked = (column.take(order) for column in sizes)
+    found = SubEchoes(whole[0], range_m, amplitude, blocked, whole[1].take(order))
     return Traced(verdict, found, nearest, material, normal.T, int(np.count_nonzero(verdict)) * len(nodes))
 
 
