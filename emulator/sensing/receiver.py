@@ -169,7 +169,7 @@ class Receiver:
                 dazzled=given.dazzled, noise_echoes=given.noise_echoes,
             )  # fmt: skip
             return self._read_off(plan, given, echoes)
-        again, self._latest = model.leave_out.resting and found is self._latest, found
+        again, self._latest = found is self._latest, found
         if kept is None and not again and found.spread_m is None and model.triangulation is None:
             made = readings(
                 lambda: looked_at(found, given.soft, model), n, given.detector, given.soft, given.noise, given.dazzled,
