@@ -99,8 +99,6 @@ class Receiver:
             far_gate_m=model.gate_m,
         )
         self._known: _Known | None = None
-        self._latest: SubEchoes | None = None
-        "What came back in the latest sweep: where the same comes again, its signals are kept."
         gate_m = max(model.gate_m - model.near_gate_m, 0.0)
         self._false_alarms = float(noise.false_alarm_rice(model.threshold, model.receiver.bandwidth_hz, gate_m))
         self._shaped: Shaped | None = None
@@ -169,8 +167,7 @@ class Receiver:
                 dazzled=given.dazzled, noise_echoes=given.noise_echoes,
             )  # fmt: skip
             return self._read_off(plan, given, echoes)
-        again, self._latest = found is self._latest, found
-        if kept is None and not again and found.spread_m is None and model.triangulation is None:
+        if kept is None and found.spread_m is None and model.triangulation is None:
             made = readings(
                 lambda: looked_at(found, given.soft, model), n, given.detector, given.soft, given.noise, given.dazzled,
                 given.normals, given.spreads, given.noise_echoes, model.systematic_m, model.range_noise_m,
