@@ -32,18 +32,18 @@ def _loops() -> Iterator[None]:
 
 @pytest.fixture
 def left(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """Share of beams that the pass left, of each sweep."""
-    found: list[float] = []
-    step: Any = receiving.readings
+    """Share of beams that the pass over short clusters left, of each sweep."""
+    shares: list[float] = []
+    loops = pytest.importorskip("emulator.compiled.loops")
+    step: Any = loops.received
 
-    def noted(*given: Any) -> Any:
-        made = step(*given)
-        if made is not None:
-            found.append(float(given[1].mean()))
+    def noted(beam: Any, range_m: Any, amplitude: Any, source: Any, some: Any, *more: Any) -> Any:
+        made = step(beam, range_m, amplitude, source, some, *more)
+        shares.append(float(np.mean(some)))
         return made
 
-    monkeypatch.setattr("emulator.sensing.receiver.readings", noted)
-    return found
+    monkeypatch.setattr(loops, "received", noted)
+    return shares
 
 
 def random_echoes(seed: int, threshold: float, pulse_m: float, short: bool = False) -> SubEchoes:
