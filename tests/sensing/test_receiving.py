@@ -82,7 +82,7 @@ def forms_of(measure: Any, found: SubEchoes, given: Any, daylight: Daylight) -> 
     pair, made = receiving.readings.pair, []  # type: ignore[attr-defined]
     soft = measure._soft.everywhere(measure.air.at(0.0), 1.0)
     for on in (False, True):
-        pair.on, measure._receiver._latest = on, None  # else what came before is known
+        pair.on = on
         try:
             made.append(measure._receiver.receive(given, found, soft, daylight))
         finally:
