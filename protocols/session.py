@@ -66,6 +66,8 @@ class Emission:
     "The telegram being sent on the line ends with the byte in transmission at `due_ns`; the payload is empty."
     place: tuple[str, int] | None = None
     "Datagrams: sent to this address and port; None: where the link says."
+    hangs_up: bool = False
+    "Streams: the device ends the connection behind these bytes."
 
     def __init__(
         self,
@@ -80,11 +82,12 @@ class Emission:
         pause: tuple[int, int] | None = None,
         cuts: bool = False,
         place: tuple[str, int] | None = None,
+        hangs_up: bool = False,
     ) -> None:
         # of each packet; what the decorator makes for a frozen class takes three times as long
         self.__dict__.update(
             due_ns=due_ns, payload=payload, address=address, sweep=sweep, line_speed=line_speed, label=label,
-            reported=reported, scans=scans, pause=pause, cuts=cuts, place=place,
+            reported=reported, scans=scans, pause=pause, cuts=cuts, place=place, hangs_up=hangs_up,
         )  # fmt: skip
 
 

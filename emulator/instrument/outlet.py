@@ -93,6 +93,8 @@ class Outlet:
                 link.send_to(emission.payload, emission.due_ns, emission.place)
             else:
                 link.send(emission.payload, emission.due_ns, peer, emission.line_speed)
+            if emission.hangs_up:
+                link.hang_up(emission.due_ns, peer)
             if link.stats.payloads_dropped == refused:
                 self._observers.left(index, peer, emission)
                 taken = True

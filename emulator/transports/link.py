@@ -121,6 +121,9 @@ class Link(ABC):
         """Address and port that datagrams are sent to; None: it has none."""
         return None
 
+    def hang_up(self, due_ns: int, peer: int | None = None) -> None:
+        """End a connection (None: all) behind what was queued for it; links without connections know of none."""
+
     def cut(self, now_ns: int) -> None:
         """End what is leaving on a line with the byte that is on its way."""
 

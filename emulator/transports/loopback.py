@@ -147,6 +147,8 @@ class LoopLink(Link):
         self._input: deque[_Input] = deque()
         self._addressed: deque[int | None] = deque()
         "For whom each payload on the line is."
+        self._leaving: list[tuple[int, int | None]] = []
+        "When the device ends a connection, and whose."
         self._pulled = self._refusals = 0
         "How often the plug was pulled, and hosts are refused, not undone yet."
         self._orphans: dict[LoopHost, bool] = {}
@@ -273,6 +275,11 @@ class LoopLink(Link):
         else:
             self.stats.payloads_dropped += 1
 
+    def hang_up(self, due_ns: int, peer: int | None = None) -> None:
+        if self.kind is LinkKind.STREAM:
+            self._flushed_ns = -1
+            self._leaving.append((due_ns, peer))
+
     def cut(self, now_ns: int) -> None:
         if self.kind is LinkKind.SERIAL:
             self._flushed_ns = -1
@@ -302,6 +309,11 @@ class LoopLink(Link):
                 self.stats.bytes_lost += len(left.data)
             if left.ends:
                 self.stats.note_left(left.last_ns, now_ns)
+        for due_ns, peer in [one for one in self._leaving if one[0] <= now_ns and one[1] not in self._addressed]:
+            self._leaving.remove((due_ns, peer))
+            for host in [host for host in self._hosts.values() if peer in (None, host.peer)]:
+                host.connected = False
+                self.leave(host, now_ns)
         self._line_ns = self._line.next_ns(now_ns, self.wakes_whole)
         self._flushed_ns = now_ns
 

@@ -63,6 +63,8 @@ class Host:
     "Since when more of it has waited than was read; None: it has been read to the end."
     half_closed_ns: int | None = None
     "When its sending half was closed, or when it was sent to last after that."
+    leaves: bool = False
+    "The device ends the connection when nothing waits for it any more."
     broken: bool = False
     skipping: bool = False
     "The payload being sent in pieces is not for this host: it reads too slowly."
@@ -163,7 +165,7 @@ class Hosts:
 
     def send(self, host: Host, data: bytes, now_ns: int) -> None:
         """Send now what the kernel takes; the rest waits its turn. Errors are noticed by the next `poll`."""
-        if host.broken:
+        if host.broken or host.leaves:
             return
         if host.waiting:
             host.waiting += data  # the kernel says when it takes more
@@ -174,6 +176,15 @@ class Hosts:
             host.unread_since_ns = now_ns
             self._slow.add(host.number)
         self._watch(host)
+
+    def hang_up(self, host: Host, now_ns: int) -> None:
+        """End the connection behind what waits for it; what the host sends from now on is not read."""
+        host.leaves = True
+        if not host.waiting and not host.broken:
+            with contextlib.suppress(OSError):  # it has gone: `poll` reports that
+                host.connection.shutdown(socket.SHUT_WR)
+            host.half_closed_ns = now_ns
+            self._watch(host)
 
     def takes(self, host: Host) -> bool:
         """Whether another payload may wait for it."""
@@ -324,6 +335,8 @@ class Hosts:
         if not host.waiting:
             host.unread_since_ns = None
             self._slow.discard(host.number)
+            if host.leaves:
+                self.hang_up(host, now_ns)
         self._watch(host)
 
     def _hand_over(self, host: Host, data: bytes | bytearray, now_ns: int) -> int:

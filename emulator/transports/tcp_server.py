@@ -97,11 +97,19 @@ class TcpStream(_TcpLink):
         self._queue.append((due_ns, payload, peer))
         self._queued += len(payload)
 
+    def hang_up(self, due_ns: int, peer: int | None = None) -> None:
+        self._queue.append((due_ns, b"", peer))
+
     def flush(self, now_ns: int) -> int | None:
         while self._queue and self._queue[0][0] <= now_ns:
             due_ns, payload, peer = self._queue.popleft()
             self._queued -= len(payload)
             hosts = self._hosts.present() if peer is None else [self._hosts.find(peer)]
+            if not payload:
+                for host in hosts:
+                    if host is not None:
+                        self._hosts.hang_up(host, now_ns)
+                continue
             given = [self._give(host, payload, now_ns) for host in hosts if host is not None]
             if given and not any(given):
                 self.on_given_up(payload)

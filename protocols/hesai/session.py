@@ -119,6 +119,12 @@ class HesaiSession(HesaiDevice):
         asked = http.read(request)
         return asked.code, asked.query
 
+    def _ends(self, request: bytes) -> bool:
+        return request.startswith(GET) and http.read(request).last
+
+    def _last(self, reply: bytes) -> bytes:
+        return http.last(reply)
+
     def _carry_out(self, request: Request, size: int, host: Host) -> None:
         if self.error_code and len(request.code) == 2:
             self._events.drop(request.now_ns, DropReason.REFUSED, "fault", size)

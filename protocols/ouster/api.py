@@ -16,6 +16,7 @@ from protocols.ouster.device import OusterDevice
 from protocols.ouster.metadata import image
 from protocols.ouster.reports import TIMES, network, telemetry, time_sensor
 from protocols.session import Address, Announcement, DropReason, Emission, LinkKind
+from protocols.skeleton import http
 from protocols.skeleton.http import LONGEST, HttpRequests, answered, fields_of, page, read
 from protocols.skeleton.receiving import Fault
 from protocols.skeleton.requests import Answer, Command, Host, Refused, Request
@@ -435,7 +436,9 @@ class OusterSession(OusterDevice):
         """Requests come on connections; while the device boots, the web server answers each piece with 503."""
         super().receive(data, now_ns, address)
         if not self._running and data.startswith(METHODS) and self._connections.kind(address) is LinkKind.STREAM:
-            self._outbox.send(Emission(now_ns + self.REPLY_NS, answered(data, STARTING), address, label="503"))
+            leaves, reply = b"\nconnection: close" in data.lower(), answered(data, STARTING)
+            said = self._last(reply) if leaves else reply
+            self._outbox.send(Emission(now_ns + self.REPLY_NS, said, address, label="503", hangs_up=leaves))
 
     def _parse(self, request: bytes) -> tuple[bytes, bytes]:
         if not request.startswith(METHODS):
@@ -444,6 +447,12 @@ class OusterSession(OusterDevice):
         asked = read(request)
         self.called = _called(asked.host)
         return asked.code.rstrip(b"/") if len(asked.code) > 5 else asked.code, asked.query + b"\0" + asked.body
+
+    def _ends(self, request: bytes) -> bool:
+        return request.startswith(METHODS) and read(request).last
+
+    def _last(self, reply: bytes) -> bytes:
+        return http.last(reply)
 
     def _carry_out(self, request: Request, size: int, host: Host) -> None:
         first, last = SPANS.get(request.code, ((0, 0), NEWEST))

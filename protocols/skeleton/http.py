@@ -35,6 +35,8 @@ class Asked:
     "Whom it calls; empty: it does not say."
     size: int
     "Bytes of it in the stream."
+    last: bool
+    "The connection ends with the reply."
 
 
 def first_of(held: bytes) -> Asked | None:
@@ -57,7 +59,8 @@ def first_of(held: bytes) -> Asked | None:
         body += part.data
     path, _, query = request.target.partition(b"?")
     host = dict(request.headers)[b"host"].decode("latin-1")
-    return Asked(request.method + b" " + path, query, body, host, len(held) - len(reader.trailing_data[0]))
+    last = reader.their_state is h11.MUST_CLOSE
+    return Asked(request.method + b" " + path, query, body, host, len(held) - len(reader.trailing_data[0]), last)
 
 
 class NoRequest(Fault):
@@ -110,6 +113,13 @@ def page(status: int, body: bytes = b"", kind: str = "text/html", fields: Iterab
 def answered(method: bytes, reply: bytes) -> bytes:
     """The reply to a request of this method or code; that to HEAD ends with its head (RFC 9110, 9.3.2)."""
     return reply[: reply.index(END) + len(END)] if method.startswith(b"HEAD ") else reply
+
+
+def last(reply: bytes) -> bytes:
+    """That reply, when the connection ends with it."""
+    head, end, body = reply.partition(END)
+    lines = [line for line in head.split(b"\r\n") if not line.lower().startswith(b"connection:")]
+    return b"\r\n".join([*lines, b"Connection: close"]) + end + body
 
 
 def fields_of(text: bytes, most: int = 32) -> dict[str, str]:

@@ -84,6 +84,8 @@ class Host:
     address: Address | None = None
     due_ns: deque[int] = field(default_factory=deque)
     "Due times of its queued replies."
+    leaves: bool = False
+    "The connection ends with the reply to what it asks now."
 
     def deadline(self) -> int | None:
         """When the inter-byte time-out ends."""
@@ -123,6 +125,14 @@ class RequestSession(SweepSession):
     @abstractmethod
     def _reply(self, request: Request, payload: bytes) -> bytes:
         """The reply's bytes on the wire."""
+
+    def _ends(self, request: bytes) -> bool:
+        """Whether the connection ends with the reply to it."""
+        return False
+
+    def _last(self, reply: bytes) -> bytes:
+        """That reply, when the connection ends with it."""
+        return reply
 
     def _not_now(self, request: Request) -> Refused | None:
         """Why the device refuses a request, known or not, in its present state."""
@@ -181,6 +191,7 @@ class RequestSession(SweepSession):
             self._take(item, host, now_ns)
 
     def _take(self, item: bytes | Fault, host: Host, now_ns: int) -> None:
+        host.leaves = not isinstance(item, Fault) and self._ends(item)
         if isinstance(item, Fault):
             self._events.drop(now_ns, item.reason, item.detail, item.count)
             if (said := self._complaint(item)) is not None:
@@ -225,6 +236,9 @@ class RequestSession(SweepSession):
     def _say(self, data: bytes, label: str, host: Host, now_ns: int, line_speed: int | None = None) -> int:
         """Queue a reply; its due time."""
         due_ns = now_ns + self.REPLY_NS
+        data = self._last(data) if host.leaves else data
         host.due_ns.append(due_ns)
-        self._outbox.send(Emission(due_ns, data, host.address, line_speed=line_speed, label=label))
+        self._outbox.send(
+            Emission(due_ns, data, host.address, line_speed=line_speed, label=label, hangs_up=host.leaves)
+        )
         return due_ns

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from protocols.session import DropReason, LinkKind
+from protocols.skeleton import http
 from protocols.skeleton.http import LONGEST, HttpRequests, fields_of, page, read
 from protocols.skeleton.receiving import Fault
 from protocols.skeleton.requests import Answer, Command, Refused, Request
@@ -144,6 +145,12 @@ class VelodyneSession(VelodyneDevice):
     def _parse(self, request: bytes) -> tuple[bytes, bytes]:
         asked = read(request)
         return asked.code, asked.body
+
+    def _ends(self, request: bytes) -> bool:
+        return read(request).last
+
+    def _last(self, reply: bytes) -> bytes:
+        return http.last(reply)
 
     def _reply(self, request: Request, payload: bytes) -> bytes:
         return payload

@@ -116,6 +116,42 @@ def test_a_host_that_closed_its_sending_half_still_gets_its_reply() -> None:
         assert host.recv(100) == b""
 
 
+def test_a_connection_that_the_device_ends_ends_behind_what_waits_for_it() -> None:
+    data = bytes(range(256)) * 2048
+    with opened() as link, host_of(link, receive_buffer=4096) as host, host_of(link) as other:
+        events = events_of(link)
+        while len(events) < 2:
+            events += events_of(link)
+        link.send(data, 0, peer=1)
+        link.hang_up(0, peer=1)
+        link.flush(0)
+        link.send(b"for both", 1)
+        assert link.held()  # the kernel has not taken all of it
+        found = b""
+        while more := host.recv(65_536):
+            found += more
+            link.receive(0)
+        assert found == data
+        link.flush(1)
+        assert other.recv(100) == b"for both"
+        link.receive(0)
+        assert select.select(link.filenos(), [], [], 0)[0] == []  # nothing spins
+        host.close()
+        assert until_closed(link) == [Received(1, closed=True)]
+
+
+def test_a_host_that_stays_when_the_device_has_ended_its_connection_is_left_behind() -> None:
+    with opened() as link, host_of(link) as host:
+        events_of(link)
+        link.send(b"reply", 0, peer=1)
+        link.hang_up(0, peer=1)
+        assert link.flush(0) == LINGER_NS
+        assert (host.recv(100), host.recv(100)) == (b"reply", b"")
+        host.sendall(b"more")
+        assert link.receive(LINGER_NS - 1) == []
+        assert link.receive(LINGER_NS) == [Received(1, closed=True)]
+
+
 def test_a_host_that_has_gone_is_noticed_by_the_stream_sent_to_it() -> None:
     with opened() as link, host_of(link) as host:
         events_of(link)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocols.session import DropReason
-from protocols.skeleton.http import LONGEST, HttpRequests, NoRequest, page, read
+from protocols.skeleton.http import LONGEST, HttpRequests, NoRequest, last, page, read
 from protocols.skeleton.receiving import Fault
 
 GET = b"GET /a?b=1&c HTTP/1.1\r\n\r\n"
@@ -20,6 +20,28 @@ def asked(item: bytes | Fault) -> tuple[bytes, bytes, bytes, str]:
     found = read(item)
     assert found.size == len(item)
     return found.code, found.query, found.body, found.host
+
+
+@pytest.mark.parametrize(
+    ("version", "fields", "ends"),
+    [
+        (b"1.1", b"", False),
+        (b"1.1", b"Connection: keep-alive\r\n", False),
+        (b"1.1", b"Connection: close\r\n", True),
+        (b"1.1", b"cOnnection: Close\r\n", True),
+        (b"1.0", b"", True),
+    ],
+)
+def test_a_connection_ends_with_the_reply_where_its_client_says_so(version: bytes, fields: bytes, ends: bool) -> None:
+    assert read(b"GET /a HTTP/" + version + b"\r\n" + fields + b"\r\n").last == ends
+
+
+def test_the_last_reply_says_that_it_is_the_last() -> None:
+    assert last(page(204)) == b"HTTP/1.1 204 No Content\r\nConnection: close\r\n\r\n"
+    said = last(page(200, b"a\r\n\r\nconnection: b", fields=[("Connection", "keep-alive")]))
+    assert said.count(b"Connection: close\r\n") == 1
+    assert b"keep-alive" not in said
+    assert said.endswith(b"\r\n\r\na\r\n\r\nconnection: b")
 
 
 @pytest.mark.parametrize("cut", [1, 2, 3, 7, 64, 10_000])
