@@ -44,6 +44,8 @@ LOOK_S = 0.02
 MOST_BYTES = 64 << 20
 MOST_SAID = 2000
 "Characters of what a run said last."
+LONGEST_PATH = 107
+"Of a Unix socket, in bytes."
 KEPT = 2
 "Generations of output buffers: one is valid until the second next step begins."
 MASTERS_OWN = ("LD_PRELOAD", "PYTHONHOME")
@@ -78,7 +80,9 @@ class _Run:
             raise
 
     def _begin(self) -> None:
-        self._folder = Path(tempfile.mkdtemp(prefix="lidaremu-fmu-"))
+        prefix = "lidaremu-fmu-"
+        room = LONGEST_PATH - len(os.fsencode(tempfile.gettempdir())) > len(f"{prefix}????????/lockstep/")
+        self._folder = Path(tempfile.mkdtemp(prefix=prefix, dir=None if room else "/tmp"))
         place = self._folder / "lockstep"
         words = [*self._words, "--set", f"live.feed=lockstep:unix:{place}"]
         own = {name: text for name, text in os.environ.items() if name not in MASTERS_OWN}
@@ -366,7 +370,8 @@ class Lidaremu(Fmi2Slave):  # type: ignore[misc]
             return
         self._reported = why
         with contextlib.suppress(OSError, ValueError):
-            sys.stderr.write(f"lidaremu: FMU {self.instance_name}: {why}\n")
+            text = "".join(one if one.isprintable() or one == "\n" else ascii(one)[1:-1] for one in why)
+            sys.stderr.write(f"lidaremu: FMU {self.instance_name}: {text}\n")
             sys.stderr.flush()
 
     def do_step(self, current_time: float, step_size: float) -> bool:

@@ -35,7 +35,8 @@ class Pose:
         with np.errstate(under="ignore"):
             point = np.asarray(point_m)
             if len(self.rotation) and point.ndim == 2 and not self.rotation.strides[0]:  # turned the same at all times
-                turn, made = self.rotation[0], self.position_m.T.copy()
+                n = np.broadcast_shapes(point[:, 0].shape, self.position_m[:, 0].shape)
+                turn, made = self.rotation[0], np.broadcast_to(self.position_m.T, (3, *n)).copy()
                 for row, into in zip(turn, made, strict=True):
                     into += row[0] * point[:, 0] + row[1] * point[:, 1] + row[2] * point[:, 2]
                 return np.asarray(made.T)

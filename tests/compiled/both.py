@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,17 @@ def both(make: Callable[[], Made]) -> tuple[Made, Made]:
     with switch.switched(True):
         assert switch.kernels() is not None  # else arrays would be compared with themselves
         return arrays, make()
+
+
+def called(loop: Any) -> Callable[..., Any]:
+    """A loop that loops alone call, called from Python."""
+    import numba
+
+    @numba.njit  # type: ignore[untyped-decorator]
+    def call(*given):  # type: ignore[no-untyped-def]
+        return loop(*given)
+
+    return call  # type: ignore[no-any-return]
 
 
 def differing(one: Scan, other: Scan) -> np.ndarray:

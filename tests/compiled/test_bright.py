@@ -17,7 +17,7 @@ from emulator.sensing.bright import BrightEdges
 from emulator.sensing.measure import Measure
 from emulator.sensing.rays import Bundles
 from emulator.sensing.sheets import Faced, Frames
-from tests.compiled.both import both
+from tests.compiled.both import both, called
 from tests.draws import cases
 from tests.sensing.rig import build, plan
 
@@ -115,7 +115,8 @@ def test_the_same_places_lie_in_polygons(seed: int, edges: int, shared: bool) ->
     place = rng.normal(size=(1 if shared else len(corner), int(rng.integers(0, 60)), 2))
     place[:, :1] = corner[:1, :1] if len(corner) else 0.0  # a corner itself
     one, row = polygons.within(corner, place), [0] * len(corner) if shared else range(len(corner))
-    other = [[holds(corner, k, u, v) for u, v in place[row[k]]] for k in range(len(corner))]
+    inside = called(holds)
+    other = [[inside(corner, k, u, v) for u, v in place[row[k]]] for k in range(len(corner))]
     np.testing.assert_array_equal(np.reshape(other, one.shape), one)
 
 

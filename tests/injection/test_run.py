@@ -139,7 +139,7 @@ def test_every_scan_is_on_account(do: str) -> None:
     lost = stats.scans_dropped[f"fault {do}"]
     assert lost > 10
     clean = Bench("line").until(4.0).instrument.stats
-    assert clean.scans_measured - clean.scans_sent in (0, 1, 2), "measured ahead"
+    assert clean.scans_measured - clean.scans_sent in (0, 1, 2, 3), "two measured ahead, and one on its way"
     assert stats.scans_sent + stats.scans_dropped.total() == clean.scans_sent
     assert stats.scans_measured == clean.scans_measured
     assert lost == stats.scans_dropped.total()

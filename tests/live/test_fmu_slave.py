@@ -24,11 +24,11 @@ SPEAKS = """echo '{"event": "ready", "sensors": []}'; """
 
 
 @pytest.fixture
-def made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Where runs of an FMU put their folders."""
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
-    (tmp_path / "temporary").mkdir()
-    return tmp_path / "temporary"
+    with tempfile.TemporaryDirectory() as short:
+        monkeypatch.setattr(tempfile, "tempdir", short)
+        yield Path(short)
 
 
 def slave(folder: Path, command: str) -> Lidaremu:
@@ -36,6 +36,17 @@ def slave(folder: Path, command: str) -> Lidaremu:
     config |= {"sensors": ["eye"], "actors": {"car": {}}, "longest_s": 1.0}
     (folder / CONFIG).write_text(json.dumps(config), encoding="utf-8")
     return Lidaremu(instance_name="one", resources=str(folder))
+
+
+def test_a_temporary_folder_too_long_for_a_socket_is_not_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    far = tmp_path / ("a" * 100)
+    far.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(far))
+    with pytest.raises(RuntimeError, match="No such file"):  # nobody listens, but it could be asked
+        slave(tmp_path, SPEAKS + "exit 2").exit_initialization_mode()
+    assert "too long" not in capsys.readouterr().err
 
 
 def descriptors() -> set[str]:
@@ -88,7 +99,7 @@ def listening(
     """An FMU whose run is a shell that says `ready`, with the line to it; nothing is left of it at the end."""
     place = made / "lidaremu-fmu-here"
 
-    def new_folder(prefix: str) -> str:
+    def new_folder(prefix: str, dir: str | None) -> str:  # noqa: A002
         place.mkdir()
         return str(place)
 

@@ -29,6 +29,7 @@ PRINTS = {
     "emulator/commands/common.py": "complain through sanitizing.put; a bar of Rich on raw(stderr)",
     "emulator/output/lines.py": "say, note through sanitizing.put",
     "emulator/commands/study.py": "a bar of Rich on raw(stderr)",
+    "emulator/live/fmu_slave.py": "imports nothing of the project: why a run ended, with what is not printable shown",
     "emulator/looking/screen.py": "pages of Rich on raw(stdout)",
     "emulator/commands/cli.py": "gives up standard output when its reader has gone",
     "emulator/compiled/switch.py": "imports nothing of the project: a fixed line and a library's, guarded",

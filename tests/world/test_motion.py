@@ -120,6 +120,16 @@ def test_a_pose_within_a_pose_is_carried_along() -> None:
 # ---------------------------------------------------------------- many at once
 
 
+@pytest.mark.parametrize(("poses", "points"), [(1, 5), (5, 5), (5, 1), (1, 0), (3, 3)])
+def test_one_pose_takes_many_points_and_many_poses_one(poses: int, points: int) -> None:
+    rng = np.random.default_rng(poses)
+    place, point, turn = rng.normal(size=(poses, 3)), rng.normal(size=(points, 3)), rotation_matrix(30.0, 20.0, 10.0)
+    fixed = Pose(place, np.broadcast_to(turn, (poses, 3, 3))).to_world(point)
+    each = Pose(place, np.broadcast_to(turn, (poses, 3, 3)).copy()).to_world(point)
+    assert fixed.shape == each.shape == (points if poses == 1 else poses, 3)
+    np.testing.assert_allclose(fixed, each, atol=1e-15)
+
+
 def motions() -> list[Motion]:
     return [
         Steady((1.0, 2.0, 3.0), 30.0, velocity_m_s=(1.0, 0.0, 2.0)),

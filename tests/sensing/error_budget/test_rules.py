@@ -18,7 +18,19 @@ from emulator.physics.softtarget import fog_shape
 from emulator.physics.subechoes import SubEchoes
 from emulator.scenario import scenario
 from emulator.scenario.weather import WeatherConfig
-from emulator.sensing import closed, daylight, faint, measure, particles, paths, probing, pruning, receiver, soft
+from emulator.sensing import (
+    closed,
+    daylight,
+    faint,
+    measure,
+    particles,
+    paths,
+    probing,
+    pruning,
+    receiver,
+    receiving,
+    soft,
+)
 from emulator.sensing.measure import Measure
 from emulator.sensing.measure import build as build_measure
 from emulator.sensing.model import SensorModel
@@ -108,7 +120,7 @@ CASES: dict[str, tuple[Scene, str, WeatherConfig | None, dict[str, object], Wron
         (SensorModel, "unseen_under", lambda self, a: 1e9 * a))),
     "particles": (POLE, LMS, RAIN, {"floor_reflectance": "off"}, wrongly((particles, "RARE", 1e9))),
     "waveform": (FENCE, LMS, None, {"walk_table": True, "system_constant_m2": 2e4, "weather_echoes": False}, wrongly(
-        (cosines, "SHORT", 3.0))),
+        (cosines, "SHORT", 3.0), (receiving, "SHORT", 3.0))),
     "second_rays": (BEHIND_GLASS, PAPER, None, {"echoes": "last"}, wrongly((paths, "UNSEEN", 1e9))),
     "faint": (MIXED, PAPER, None, {"weather_echoes": False}, wrongly(
         (faint, "ALONE", 1.0), (faint, "WORTH", 0.0), (faint, "most_dropped", lambda model: 1e9))),
