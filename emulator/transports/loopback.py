@@ -148,7 +148,7 @@ class LoopLink(Link):
         self._addressed: deque[int | None] = deque()
         "For whom each payload on the line is."
         self._leaving: list[tuple[int, int | None]] = []
-        "When the device ends a connection, and whose."
+        "Connections that the device ends: behind how many payloads from now on, and whose."
         self._pulled = self._refusals = 0
         "How often the plug was pulled, and hosts are refused, not undone yet."
         self._orphans: dict[LoopHost, bool] = {}
@@ -277,8 +277,8 @@ class LoopLink(Link):
 
     def hang_up(self, due_ns: int, peer: int | None = None) -> None:
         if self.kind is LinkKind.STREAM:
-            self._flushed_ns = -1
-            self._leaving.append((due_ns, peer))
+            self._leaving.append((len(self._addressed), peer))
+            self._end_leaving(0)
 
     def cut(self, now_ns: int) -> None:
         if self.kind is LinkKind.SERIAL:
@@ -309,13 +309,19 @@ class LoopLink(Link):
                 self.stats.bytes_lost += len(left.data)
             if left.ends:
                 self.stats.note_left(left.last_ns, now_ns)
-        for due_ns, peer in [one for one in self._leaving if one[0] <= now_ns and one[1] not in self._addressed]:
-            self._leaving.remove((due_ns, peer))
-            for host in [host for host in self._hosts.values() if peer in (None, host.peer)]:
-                host.connected = False
-                self.leave(host, now_ns)
+                if self._leaving:
+                    self._end_leaving(1)
         self._line_ns = self._line.next_ns(now_ns, self.wakes_whole)
         self._flushed_ns = now_ns
+
+    def _end_leaving(self, left: int) -> None:
+        """So many payloads have left."""
+        self._leaving = [(count - left, peer) for count, peer in self._leaving]
+        for _, peer in [one for one in self._leaving if one[0] <= 0]:
+            for host in [host for host in self._hosts.values() if peer in (None, host.peer)]:
+                host.connected = False
+                self.leave(host, self._now_ns)
+        self._leaving = [one for one in self._leaving if one[0] > 0]
 
     @property
     def speed(self) -> int | None:
@@ -329,6 +335,7 @@ class LoopLink(Link):
     def clear(self) -> int:
         self._flushed_ns = -1
         self._addressed.clear()
+        self._leaving.clear()
         return self._line.clear()
 
     def close(self) -> None:

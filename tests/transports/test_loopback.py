@@ -91,3 +91,16 @@ def test_a_name_in_use_is_refused_and_free_again_after_close() -> None:
         open_link("loop:front", loops=loops)
     link.close()
     open_link("loop:front", loops=loops)
+
+
+def test_a_device_ends_one_connection_behind_what_was_queued_for_it() -> None:
+    loops = Loops()
+    link = open_link("loop:web", serial_line=False, loops=loops)
+    one, other = loops["web"].connect(), loops["web"].connect()
+    link.receive(0)
+    link.send(b"reply", 5 * MS, 1)
+    link.hang_up(5 * MS, 1)
+    link.send(b"both", 6 * MS)
+    assert (link.receive(4 * MS), one.connected) == ([], True)
+    assert link.receive(10 * MS) == [Received(1, closed=True)]
+    assert (one.read(), other.read(), one.connected, other.connected) == (b"reply", b"both", False, True)

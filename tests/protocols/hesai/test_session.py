@@ -636,3 +636,18 @@ def test_the_start_of_the_makers_sdk_is_answered_within_three_seconds_and_in_sta
     assert not clouds(rig.run(9.8))
     sent = clouds(rig.run(0.5))
     assert reader.decode(sent[0].payload).rpm == MODELS[name].rpm[-1]
+
+
+@pytest.mark.parametrize(
+    ("request_", "ends"),
+    [
+        (b"GET /pandar.cgi?action=get&object=workmode HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n", True),
+        (b"GET /pandar.cgi?action=get&object=workmode HTTP/1.1\r\nHost: x\r\n\r\n", False),
+        (frame(0x42), False),
+    ],
+)
+def test_a_connection_ends_with_the_reply_where_its_client_says_so(request_: bytes, ends: bool) -> None:
+    rig = Rig()
+    rig.session.receive(request_, rig.now_ns, PTC)
+    (sent,) = (one for one in rig.run(0.02) if one.address == PTC)
+    assert (sent.hangs_up, b"\r\nConnection: close\r\n" in sent.payload) == (ends, ends)

@@ -493,3 +493,14 @@ def test_the_imu_feels_where_it_is_when_the_mount_turns_ever_faster() -> None:
         assert stamps[0] == 10_000_000 * number
         assert np.array((x, y, z)) * 9.80665 == pytest.approx(force, abs=4e-4)  # half a step is 0.3 mm/s^2
         assert turned == pytest.approx(np.degrees(rate[2]), abs=4e-3)
+
+
+@pytest.mark.parametrize("boot_s", [0.0, 9.0])
+@pytest.mark.parametrize(("fields", "ends"), [("", False), ("Connection: close\r\n", True)])
+def test_a_connection_ends_with_the_reply_where_its_client_says_so(boot_s: float, fields: str, ends: bool) -> None:
+    rig = Rig({"boot_s": boot_s})
+    for path in ("sensor/metadata/sensor_info", "nothing"):
+        rig.session.receive(f"GET {API}{path} HTTP/1.1\r\nHost: x\r\n{fields}\r\n".encode(), rig.now_ns, WEB)
+        (sent,) = (one for one in rig.run(0.002) if one.address == WEB)
+        assert sent.hangs_up == ends
+        assert (b"\r\nConnection: close\r\n" in sent.payload, b"keep-alive" in sent.payload) == (ends, not ends)

@@ -368,3 +368,11 @@ def test_a_motor_that_is_wrong_or_stands() -> None:
     rig.run(0.3)
     assert firings(rig.run(0.2)).distance.all()
     assert not rig.session.impair(rig.now_ns, "window", 0.5)
+
+
+@pytest.mark.parametrize(("fields", "ends"), [("", False), ("Connection: close\r\n", True)])
+def test_a_connection_ends_with_the_reply_where_its_client_says_so(fields: str, ends: bool) -> None:
+    rig = Rig()
+    rig.session.receive(f"GET /cgi/status.json HTTP/1.1\r\n{fields}\r\n".encode(), rig.now_ns, WEB)
+    (sent,) = (one for one in rig.run(0.002) if one.address == WEB)
+    assert (sent.hangs_up, b"\r\nConnection: close\r\n" in sent.payload) == (ends, ends)
