@@ -7,9 +7,10 @@ Amplitudes are in units of the receiver's nominal rms noise: signal current at t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,18 +107,7 @@ class SubEchoes:
             both: NDArray[Number] = np.concatenate([one, other])
             return both.take(first)
 
-        spread = None
-        if self.spread_m is not None or others.spread_m is not None:
-            spreads = (np.zeros(len(part)) if part.spread_m is None else part.spread_m for part in (self, others))
-            spread = column(*spreads)
-        return SubEchoes(
-            column(self.beam, others.beam),
-            column(self.range_m, others.range_m),
-            column(self.amplitude, others.amplitude),
-            column(self.blocked, others.blocked),
-            column(self.source, others.source),
-            spread,
-        )
+        return _of_columns(self, others, column)
 
     @classmethod
     def joined(cls, *parts: SubEchoes) -> SubEchoes:
@@ -146,6 +136,11 @@ def _merged(one: SubEchoes, other: SubEchoes) -> SubEchoes:
         both[own], both[place] = first, second
         return both
 
+    return _of_columns(one, other, column)
+
+
+def _of_columns(one: SubEchoes, other: SubEchoes, column: Callable[[Any, Any], Any]) -> SubEchoes:
+    """Made of both, a column at a time."""
     spread = None
     if one.spread_m is not None or other.spread_m is not None:
         spread = column(*(np.zeros(len(part)) if part.spread_m is None else part.spread_m for part in (one, other)))

@@ -86,10 +86,11 @@ class PtcRequests(FrameSplitter):
         return frame
 
 
-class HesaiSession(HesaiDevice):
+class HesaiSession(http.HttpSession, HesaiDevice):
     """With its requests."""
 
     COMMANDS: ClassVar[Mapping[bytes, Command]] = COMMANDS
+    WEB = (GET,)
     restart_hangs_up = True
     error_code = 0
     "Answered to every command of PTC; 0: none."
@@ -118,12 +119,6 @@ class HesaiSession(HesaiDevice):
             return f"{request[2]:02X}".encode(), request[HEAD_BYTES:]
         asked = http.read(request)
         return asked.code, asked.query
-
-    def _ends(self, request: bytes) -> bool:
-        return request.startswith(GET) and http.read(request).last
-
-    def _last(self, reply: bytes) -> bytes:
-        return http.last(reply)
 
     def _carry_out(self, request: Request, size: int, host: Host) -> None:
         if self.error_code and len(request.code) == 2:

@@ -413,10 +413,11 @@ def _called(host: str) -> str:
         return ""
 
 
-class OusterSession(OusterDevice):
+class OusterSession(http.HttpSession, OusterDevice):
     """With its interfaces."""
 
     COMMANDS: ClassVar[Mapping[bytes, Command]] = COMMANDS
+    WEB = METHODS
     restart_hangs_up = True
 
     @property
@@ -447,12 +448,6 @@ class OusterSession(OusterDevice):
         asked = read(request)
         self.called = _called(asked.host)
         return asked.code.rstrip(b"/") if len(asked.code) > 5 else asked.code, asked.query + b"\0" + asked.body
-
-    def _ends(self, request: bytes) -> bool:
-        return request.startswith(METHODS) and read(request).last
-
-    def _last(self, reply: bytes) -> bytes:
-        return http.last(reply)
 
     def _carry_out(self, request: Request, size: int, host: Host) -> None:
         first, last = SPANS.get(request.code, ((0, 0), NEWEST))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from http import HTTPStatus
+from typing import ClassVar
 from urllib.parse import parse_qsl
 
 import h11
@@ -16,6 +17,7 @@ import h11
 from protocols.receive_buffer import ReceiveBuffer
 from protocols.session import DropReason
 from protocols.skeleton.receiving import Fault, Splitter
+from protocols.skeleton.requests import RequestSession
 
 LONGEST = 8192
 "Of a request, with its body."
@@ -120,6 +122,19 @@ def last(reply: bytes) -> bytes:
     head, end, body = reply.partition(END)
     lines = [line for line in head.split(b"\r\n") if not line.lower().startswith(b"connection:")]
     return b"\r\n".join([*lines, b"Connection: close"]) + end + body
+
+
+class HttpSession(RequestSession):
+    """A device of which requests may come by HTTP: a connection ends where its client says so."""
+
+    WEB: ClassVar[tuple[bytes, ...]] = (b"",)
+    "How requests of HTTP begin, where a device has others too."
+
+    def _ends(self, request: bytes) -> bool:
+        return request.startswith(self.WEB) and read(request).last
+
+    def _last(self, reply: bytes) -> bytes:
+        return last(reply)
 
 
 def fields_of(text: bytes, most: int = 32) -> dict[str, str]:

@@ -133,7 +133,7 @@ COMMANDS: Mapping[bytes, Command] = {
 }
 
 
-class VelodyneSession(VelodyneDevice):
+class VelodyneSession(http.HttpSession, VelodyneDevice):
     """With its web interface."""
 
     COMMANDS: ClassVar[Mapping[bytes, Command]] = COMMANDS
@@ -145,12 +145,6 @@ class VelodyneSession(VelodyneDevice):
     def _parse(self, request: bytes) -> tuple[bytes, bytes]:
         asked = read(request)
         return asked.code, asked.body
-
-    def _ends(self, request: bytes) -> bool:
-        return read(request).last
-
-    def _last(self, reply: bytes) -> bytes:
-        return http.last(reply)
 
     def _reply(self, request: Request, payload: bytes) -> bytes:
         return payload
