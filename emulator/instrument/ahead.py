@@ -79,21 +79,24 @@ class Ahead:
         ask_ns: Callable[[ScanPlan], int],
         conditions: Callable[[ScanPlan], Conditions],
         may_wait: bool,
+        may_queue: Callable[[ScanPlan], bool] = lambda plan: True,
     ) -> int | None:
         """Begin what processes are free for, behind the sweep that is asked for; when the next one may be begun.
 
         `may_wait`: in virtual time sweeps may be begun before their instant, as nothing that holds then is known later.
+        `may_queue`: not one that is asked for as late as it can be, in a world that somebody else moves.
         """
         while len(self._early) < MOST_EARLY and self._several.spare(self._sensor):
             last = self._early[-1][0] if self._early else asked
             plan = session.plan_after(last)
             if plan is None or plan.start_ns <= last.start_ns:
                 return None
-            if plan.start_ns < now_ns and not self._several.spare(self._sensor, behind=False):
-                return None  # it is late already: it waits for a process, not behind another sweep
             begin_ns = ask_ns(plan)
             if begin_ns > now_ns and not (may_wait and self._several.in_virtual_time):
                 return begin_ns
+            if plan.start_ns < now_ns or not may_queue(plan):  # it waits for a process, not behind another sweep
+                if not self._several.spare(self._sensor, behind=False):
+                    return None
             held = conditions(plan)
             self._early.append((plan, held))
             session.begun(plan)

@@ -443,7 +443,12 @@ class Instrument:
         if self._ahead is None:
             return None
         held = partial(self._conditions_of, now_ns=now_ns)
-        return self._ahead.begin(self.session, asked, now_ns, self._ask_ns, held, may_wait=self.feed is None)
+        may_wait = self.feed is None
+        return self._ahead.begin(self.session, asked, now_ns, self._ask_ns, held, may_wait, self._may_queue)
+
+    def _may_queue(self, plan: ScanPlan) -> bool:
+        """Whether all is known that its beams need: nothing newer comes while it waits for a process."""
+        return self.feed is None or self._ask_ns(plan) <= plan.start_ns - self._look_ahead_ns
 
     def _ask_ns(self, plan: ScanPlan) -> int:
         """When that sweep is asked for."""

@@ -126,7 +126,9 @@ class Home:
         "Sensor -> the sweep that was measured last: a successor is tried with it."
         self.owed: deque[Sweep | Question] = deque()
         self.in_hand: Sweep | Question | None = None
-        "The first of those owed that has been handed over; one at a time, so that a slow sweep is known by its sensor."
+        "The first of those owed that has been handed over: what the process works at, and is judged by."
+        self.behind: Sweep | None = None
+        "A short sweep that waits in its pipe behind the one in hand: the process goes on without the sender."
         self.since_ns = 0
         "Running time at which its state, or the work in hand, began."
         self.ready_ns = 0
@@ -149,3 +151,12 @@ class Home:
     def name(self) -> str:
         """As reported in incidents."""
         return f"worker {self.number}"
+
+    def holds(self, work: Sweep | Question) -> bool:
+        """Whether its process has that, in hand or in the pipe: nobody can take it back."""
+        return work is self.in_hand or work is self.behind
+
+    @property
+    def waiting(self) -> int:
+        """How much of what it owes no process has yet."""
+        return len(self.owed) - (self.in_hand is not None) - (self.behind is not None)

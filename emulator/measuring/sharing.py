@@ -22,6 +22,11 @@ LENT_NS = 20_000_000
 "A process with sensors of its own is lent to others for sweeps as short as that: an LMS2xx, the tightest, waits 40 ms."
 AWAY_NS = 100_000_000
 "The same while the process of the other sensor is gone, or stands still."
+QUEUED_NS = 20_000_000
+"""Sweeps as short as that wait in pipes: of them the way to the sender and back is a large share, and what is in a pipe
+is not held up for long, as no other process can take it."""
+BEHIND = 2
+"Short sweeps of a sensor that are begun behind one in hand: one waits in the pipe, one takes its place after it."
 AGAIN_NS = 50_000_000
 AGAIN_TIMES = 4
 "After so long, and so many times as long as the longest of the last, a sweep is also given to a process that is free."
@@ -70,17 +75,20 @@ class Shared:
 
     def spare(self, sensor: str, homes: Sequence[Home], behind: bool) -> int:
         """How many more of its sweeps would be begun at once; `behind`: or right behind one of its own."""
-        if sensor not in self.sensors or len(homes) < 2:
+        if sensor not in self.sensors:
             return 0
-        busy = [home.in_hand for home in homes if home.in_hand is not None]
+        busy = [one for home in homes for one in (home.in_hand, home.behind) if one is not None]
         usual_ns = self._usual_ns(sensor, homes)
         free = sum(
             home.state == "ready" and home.in_hand is None and self._is_lent(home, sensor, usual_ns, homes)
             for home in homes
         )
         if behind and all(isinstance(one, Sweep) and one.sensor == sensor for one in busy):
-            free += len(busy)  # while a result is on its way, its process has the next
-        return max(0, free - sum(len(home.owed) for home in homes) + len(busy))
+            # while a result is on its way its process has the next; of long sweeps one process has none ahead: it loses
+            # little, and what comes late is another sweep by then
+            most = BEHIND if 0 < usual_ns <= QUEUED_NS else min(1, len(homes) - 1)
+            free += sum(max(0, most - (home.behind is not None)) for home in homes if home.in_hand is not None)
+        return max(0, free - sum(home.waiting for home in homes))
 
     def parts(self, work: Sweep, homes: Sequence[Home]) -> list[Sweep]:
         """A sweep as it is owed: in as many parts as processes would begin one at once, if it is wanted at once.
@@ -107,16 +115,43 @@ class Shared:
         """One of its sweeps could not."""
         self._whole[sensor] = WHOLE_FOR
 
-    def next_of(self, home: Home, homes: Sequence[Home], pauses: Callable[[str], bool]) -> Sweep | Question | None:
+    def next_of(
+        self,
+        home: Home,
+        homes: Sequence[Home],
+        pauses: Callable[[str], bool],
+        fits: Callable[[Sweep | Question], bool] = lambda work: True,
+    ) -> Sweep | Question | None:
         """What a process that is free does next; it is among what its home owes then."""
         for work, owner in self._candidates(home, homes):
-            if isinstance(work, Sweep) and pauses(work.sensor):
+            if (isinstance(work, Sweep) and pauses(work.sensor)) or not fits(work):
                 continue
             if owner is not home:
                 owner.owed.remove(work)
                 home.owed.append(work)
             return work
         return None
+
+    def next_behind(self, home: Home, homes: Sequence[Home], pauses: Callable[[str], bool]) -> Sweep | None:
+        """What waits in the pipe of a process behind the sweep in its hands, as `next_of`: nothing where either may
+        take long, nor before a question; of other processes' sweeps only where it has none of its own."""
+
+        def is_short(sensor: str) -> bool:
+            return not home.pace[sensor].fresh and 0 < home.pace[sensor].usual_ns <= QUEUED_NS
+
+        def fits(work: Sweep | Question) -> bool:
+            if isinstance(work, Question) or (home.sensors and work.sensor not in home.sensors):
+                return False
+            return is_short(work.sensor)
+
+        first = home.in_hand
+        if not isinstance(first, Sweep) or _is_stuck(home) or not is_short(first.sensor):
+            return None
+        if not any(one.waiting for one in homes) or any(isinstance(one, Question) for one in home.owed):
+            return None
+        work = self.next_of(home, homes, pauses, fits)
+        assert not isinstance(work, Question)
+        return work
 
     def _candidates(self, home: Home, homes: Sequence[Home]) -> Iterator[tuple[Sweep | Question, Home]]:
         busy = [one for one in homes if one is not home and (one.in_hand is not None or one.state != "ready")]
@@ -133,7 +168,7 @@ class Shared:
             found: list[tuple[Sweep | Question, Home]] = []
             for owner in owners:
                 for work in owner.owed:
-                    if work is owner.in_hand or (isinstance(work, Sweep) and work.ahead) != ahead:
+                    if owner.holds(work) or (isinstance(work, Sweep) and work.ahead) != ahead:
                         continue
                     if owner is home or self._may_move(work, home, homes):
                         found.append((work, owner))
@@ -167,21 +202,34 @@ class Shared:
 
     # what stands still
 
-    def again(self, home: Home, homes: Sequence[Home], now_ns: int) -> Sweep | None:
-        """The sweep in the hands of a process that takes too long, once more for another that is free."""
+    def again(self, home: Home, homes: Sequence[Home], now_ns: int) -> list[Sweep]:
+        """What a process has that takes too long, once more for others: the sweep in hand if one of them is free, and
+        then the one that waits behind it."""
+        found = []
         work = home.in_hand
-        if not isinstance(work, Sweep) or work.given_up or work.sensor not in self.sensors:
-            return None
+        if isinstance(work, Sweep) and not work.given_up and work.sensor in self.sensors:
+            if self._takes_too_long(home, work, homes, now_ns):
+                found.append(self._second(work))
+        if home.behind is not None and not home.behind.given_up and home.behind.sensor in self.sensors:
+            if _is_stuck(home) and any(one.state == "ready" and not _is_stuck(one) for one in homes):
+                found.append(self._second(home.behind))
+        return found
+
+    def _takes_too_long(self, home: Home, work: Sweep, homes: Sequence[Home], now_ns: int) -> bool:
         pace = home.pace[work.sensor]
         most_ns = time_limits.IDLE_NS if pace.fresh else max(AGAIN_NS, AGAIN_TIMES * pace.longest_ns)
         if now_ns - home.since_ns <= most_ns:
-            return None
-        work.again = work.given_up = True
+            return False
+        work.again = work.given_up = True  # the process counts as away while it is looked who may take it
         usual_ns = self._usual_ns(work.sensor, homes)
         free = [one for one in homes if one.state == "ready" and one.in_hand is None]
-        if not any(self._is_lent(one, work.sensor, usual_ns, homes) for one in free):
-            work.again = work.given_up = False
-            return None
+        found = any(self._is_lent(one, work.sensor, usual_ns, homes) for one in free)
+        work.again = work.given_up = found
+        return found
+
+    def _second(self, work: Sweep) -> Sweep:
+        """The same sweep for another process; what comes of the first is thrown away."""
+        work.again = work.given_up = True
         second = Sweep(work.sensor, work.plan, work.conditions, work.tries, ahead=work.ahead, asked_as=work.asked_as)
         second.part, second.divided = work.part, work.divided
         if work.ahead:

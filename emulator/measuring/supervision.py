@@ -131,14 +131,20 @@ class Workers:
     def _owe(self, work: Sweep) -> None:
         home = self._home[work.sensor]
         home.owed.append(work)
-        self._hand_over(home)
-        if work.sensor in self._shared.sensors and home.in_hand is not work:
+        self._begin(home)
+        if home.in_hand is work:
+            return
+        if work.sensor in self._shared.sensors:
             self._spread()
+        else:
+            self._queue(home)
 
     def _spread(self) -> None:
-        """Processes that are free take what waits for others."""
+        """Processes that are free take what waits for others; what nobody begins at once waits in pipes."""
         for home in self._homes:
-            self._hand_over(home)
+            self._begin(home)
+        for home in self._homes:
+            self._queue(home)
 
     @property
     def in_virtual_time(self) -> bool:
@@ -174,7 +180,7 @@ class Workers:
 
     def _throw_away(self, work: Sweep) -> None:
         for home in self._homes:
-            if home.in_hand is work:
+            if home.holds(work):
                 work.given_up = True
             elif work in home.owed:
                 home.owed.remove(work)
@@ -245,10 +251,11 @@ class Workers:
         for home in self._homes:
             self._check(home, now_ns)
             if self._run_clock is not None:
-                if (again := self._shared.again(home, self._homes, now_ns)) is not None:
+                for again in self._shared.again(home, self._homes, now_ns):
                     self._owe(again)
                 self._give_up_late(home, now_ns, self._run_clock.now_ns())
-            self._hand_over(home)
+            self._begin(home)
+        self._spread()
         if self._upgrade is not None and not self._upgrade.is_over:
             self._upgrade.check(self._homes, now_ns)
         fresh, self._fresh = self._fresh, set()
@@ -399,7 +406,11 @@ class Workers:
 
     def _finished(self, home: Home, work: Sweep | Question, word: str, result: Any) -> None:
         home.owed.remove(work)
-        home.in_hand = None
+        took_ns = self._ran.ns - home.since_ns
+        home.in_hand, home.behind = home.behind, None
+        if home.in_hand is not None:  # it has begun when this one was done
+            home.since_ns = self._ran.ns
+            home.stillness = Stillness(home.since_ns)
         if isinstance(work, Handover):
             self._replace(home, result)
         elif isinstance(work, Question):
@@ -407,7 +418,7 @@ class Workers:
         else:
             home.measured += 1
             home.latest[work.sensor] = self._shared.latest[work.sensor] = work
-            home.pace[work.sensor].add(self._ran.ns - home.since_ns)
+            home.pace[work.sensor].add(took_ns)
             self._blame.pop(work.sensor, None)
             if self._run_clock is None:
                 home.failures = 0
@@ -429,7 +440,7 @@ class Workers:
                 return
             for home in self._homes:  # it is settled: nothing more of it is measured
                 for other in [one for one in home.owed if isinstance(one, Sweep) and one.divided is work.divided]:
-                    if other is home.in_hand:
+                    if home.holds(other):
                         other.given_up = True
                     else:
                         home.owed.remove(other)
@@ -450,6 +461,11 @@ class Workers:
         self._fresh.add(work.sensor)
 
     def _hand_over(self, home: Home) -> None:
+        """What its process begins now, and what waits in the pipe behind it."""
+        self._begin(home)
+        self._queue(home)
+
+    def _begin(self, home: Home) -> None:
         if home.state != "ready" or home.in_hand is not None or home.pipe is None:
             return
         work = self._shared.next_of(home, self._homes, self._pauses)
@@ -463,6 +479,18 @@ class Workers:
         home.in_hand = work
         home.since_ns = self._ran.pass_to(self._clock.now_ns())
         home.stillness = Stillness(home.since_ns)
+        self._put(home, work)
+
+    def _queue(self, home: Home) -> None:
+        """One more into the pipe, so that the process goes on while the sender has other things to do."""
+        if home.state != "ready" or home.behind is not None or home.pipe is None or home.pipe.is_full:
+            return
+        home.behind = self._shared.next_behind(home, self._homes, self._pauses)
+        if home.behind is not None:
+            self._put(home, home.behind)
+
+    def _put(self, home: Home, work: Sweep | Question) -> None:
+        assert home.pipe is not None
         home.pipe.put(work.as_sent())
         if home.pipe.is_full:
             self._mind_room(home)
@@ -510,6 +538,9 @@ class Workers:
     def _ended(self, home: Home, why: str) -> None:
         """It is gone, or has to go: a new one is started, at once or after a pause."""
         was_ready, work = home.was_ready, home.in_hand
+        if home.behind is not None and home.behind.given_up:
+            home.owed.remove(home.behind)
+        home.behind = None  # it had not begun: whoever comes next gets it
         self._let_go(home)
         if home.handle is not None:
             home.handle.kill()
@@ -577,9 +608,9 @@ class Workers:
         for work in list(home.owed):
             if isinstance(work, Question) or work.given_up or work.end_ns >= run_ns or work not in home.owed:
                 continue
-            if not held and (work is home.in_hand or not self._pauses(work.sensor)):
+            if not held and (home.holds(work) or not self._pauses(work.sensor)):
                 continue
-            if work is home.in_hand:
+            if home.holds(work):
                 work.given_up = True  # what comes of it is thrown away
             else:
                 home.owed.remove(work)

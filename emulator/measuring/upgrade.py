@@ -176,7 +176,7 @@ class Upgrade:
     def _drop(self, homes: Sequence[Home]) -> None:
         for home in homes:
             if home.successor is not None:
-                home.owed = deque(work for work in home.owed if work is home.in_hand or not isinstance(work, Handover))
+                home.owed = deque(work for work in home.owed if home.holds(work) or not isinstance(work, Handover))
                 self._discard(home.successor)
                 home.successor = None
 

@@ -58,22 +58,18 @@ class Pace:
         self._took_ns: deque[int] = deque(maxlen=LATEST_KEPT)
         self.fresh = True
         "None has been measured in the present process."
+        self.longest_ns = 0
+        "Of the last ones; 0 before there were any."
+        self.usual_ns = 0
+        "The median of the last ones; 0 before there were any."
 
     def add(self, took_ns: int) -> None:
-        """One more has been measured."""
-        if not self.fresh:  # the first says nothing of the others
+        """One more has been measured; 0: it came together with the one before, and says nothing."""
+        if took_ns and not self.fresh:  # nor does the first say anything of the others
             self._took_ns.append(took_ns)
+            ascending = sorted(self._took_ns)
+            self.longest_ns, self.usual_ns = ascending[-1], ascending[len(ascending) // 2]
         self.fresh = False
-
-    @property
-    def longest_ns(self) -> int:
-        """Of the last ones; 0 before there were any."""
-        return max(self._took_ns, default=0)
-
-    @property
-    def usual_ns(self) -> int:
-        """The median of the last ones; 0 before there were any."""
-        return sorted(self._took_ns)[len(self._took_ns) // 2] if self._took_ns else 0
 
     @property
     def deadline_ns(self) -> int:
