@@ -426,8 +426,10 @@ class Workers:
                 if work.divided is None or not work.divided.is_over:
                     self.failures.append(f"{work.sensor}: sweep {work.plan.sweep}: {result}")
                 result = Scan.empty(work.plan)
-            elif work.divided is not None and isinstance(result, Scan):
-                self._shared.undivided(work.sensor)
+            elif isinstance(result, Scan):
+                result = replace(result, plan=work.plan)
+                if work.divided is not None:
+                    self._shared.undivided(work.sensor)
             if not work.given_up:
                 self._deliver(work, result)
         self._hand_over(home)

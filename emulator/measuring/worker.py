@@ -14,8 +14,11 @@ import os
 import signal
 import socket
 from collections.abc import Mapping
+from dataclasses import replace
 from multiprocessing.reduction import ForkingPickler  # as multiprocessing's own pipes: between our own processes alone
 from typing import Any, Protocol
+
+import numpy as np
 
 from emulator.compiled import switch
 from emulator.errors import EmulatorError
@@ -30,6 +33,7 @@ from emulator.measuring.measuring import (
     states,
     warnings_of,
 )
+from protocols.scan import Scan, ScanPlan
 
 PR_SET_PDEATHSIG = 1
 "linux/prctl.h."
@@ -38,7 +42,15 @@ NICENESS = 5
 ARRAYS, LOOPS = "arrays", "loops"
 "Form of a sweep's steps in a process, as reported when it is ready."
 LENGTH_BYTES = 8
+PICKLE = 5
+"Protocol with the fewest copies of arrays."
+SENT_BYTES = 1 << 20
+"Room asked for in a worker's pipe: a process that has done a sweep goes on to the next before the sender has read it."
 READ_AT_ONCE = 1 << 20
+
+
+NO_PLAN = ScanPlan(-1, -1, 0, np.zeros(0), np.zeros(0), np.zeros(0))
+"Stands for the plan of a scan on its way."
 
 
 class Handle(Protocol):
@@ -75,7 +87,8 @@ class Pipe:
 
     def put(self, message: object) -> None:
         """Send it, as far as there is room now; `flush` sends the rest."""
-        self._out = memoryview(bytes(self._out) + _encoded(message))
+        encoded = _encoded(message)
+        self._out = memoryview(bytes(self._out) + encoded if self._out else encoded)
         self.flush()
 
     def flush(self) -> None:
@@ -100,7 +113,8 @@ class Pipe:
             end = LENGTH_BYTES + int.from_bytes(self._in[:LENGTH_BYTES], "big")
             if len(self._in) < end:
                 break
-            found.append(ForkingPickler.loads(bytes(self._in[LENGTH_BYTES:end])))
+            with memoryview(self._in)[LENGTH_BYTES:end] as message:
+                found.append(ForkingPickler.loads(message))
             del self._in[:end]
         if ended and not found:
             raise EOFError
@@ -112,8 +126,8 @@ class Pipe:
 
 
 def _encoded(message: object) -> bytes:
-    data = ForkingPickler.dumps(message)
-    return len(data).to_bytes(LENGTH_BYTES, "big") + bytes(data)
+    data = ForkingPickler.dumps(message, protocol=PICKLE)
+    return b"".join((len(data).to_bytes(LENGTH_BYTES, "big"), data))
 
 
 class WorkerEnd:
@@ -121,6 +135,8 @@ class WorkerEnd:
 
     def __init__(self, end: socket.socket) -> None:
         end.setblocking(True)
+        with contextlib.suppress(OSError):
+            end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SENT_BYTES)
         self._end = end
 
     def send(self, *message: object) -> None:
@@ -222,6 +238,8 @@ def _measure(
             scan: object = measured(measure, plan, conditions)
         else:
             scan = part_measured(measure, plan, conditions, *part)
+        if isinstance(scan, Scan):  # who has asked has the plan
+            scan = replace(scan, plan=NO_PLAN)
         for text in reported.new(warnings_of({sensor: measures[sensor]})):
             pipe.send("warning", sensor, text)
         pipe.send("scan", sensor, scan)

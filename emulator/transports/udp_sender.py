@@ -212,6 +212,8 @@ class UdpSender(Link):
         return self._earliest(self._queue[0][0] if self._queue else None)
 
     def _earliest(self, wake_ns: int | None) -> int | None:
+        if self._in is None:  # nothing is heard
+            return wake_ns
         return min((wake for wake in (wake_ns, self._intake.next_ns()) if wake is not None), default=None)
 
     def _send(self, payload: bytes, peer: int | tuple[str, int] | None, due_ns: int, now_ns: int) -> None:

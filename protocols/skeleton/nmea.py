@@ -6,10 +6,12 @@ Belongs here: their text. Not: when they come, and what a device makes of them (
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
+from functools import lru_cache
 
 from protocols.checksums import xor8
 
 
+@lru_cache(maxsize=4)
 def gprmc(utc_ns: int, latitude_deg: float, longitude_deg: float, valid: bool = True) -> bytes:
     """A $GPRMC sentence with CR LF for a time since 1970, of a receiver at rest."""
     when, state = _moment(utc_ns), "A" if valid else "V"
@@ -17,6 +19,7 @@ def gprmc(utc_ns: int, latitude_deg: float, longitude_deg: float, valid: bool = 
     return _sentence(f"GPRMC,{when:%H%M%S}.00,{state},{place},0.000,0.0,{when:%d%m%y},0.0,E,{'A' if valid else 'N'}")
 
 
+@lru_cache(maxsize=4)
 def gpgga(utc_ns: int, latitude_deg: float, longitude_deg: float, valid: bool = True) -> bytes:
     """A $GPGGA sentence with CR LF likewise, of a receiver 10 m above the sea that hears eight satellites."""
     place = _place(latitude_deg, longitude_deg)

@@ -121,15 +121,12 @@ def returns(scan: Scan, mode: Mode) -> tuple[Floats, Floats]:
 
 def _best(range_m: Floats, strength: Floats | None, without: Words | None) -> Words:
     """Which echo of each beam is the strongest (the last one: no `strength`), or the first where there is none."""
-    found, best = np.zeros(len(range_m), np.int64), np.full(len(range_m), -1.0)
-    for echo in range(range_m.shape[1]):
-        one = np.full(len(range_m), float(echo)) if strength is None else strength[:, echo]
-        value = np.where(np.isnan(one), 0.0, one)
-        better = ~np.isnan(range_m[:, echo]) & (value > best)
-        if without is not None:
-            better &= without != echo
-        found[better], best[better] = echo, value[better]
-    return found
+    echoes = np.arange(range_m.shape[1])
+    value = np.broadcast_to(echoes, range_m.shape) if strength is None else np.where(np.isnan(strength), 0.0, strength)
+    none = np.isnan(range_m)
+    if without is not None:
+        none |= without[:, None] == echoes
+    return np.where(none, -1.0, value).argmax(axis=1)
 
 
 def distances(range_m: Floats, unit_mm: int) -> Words:

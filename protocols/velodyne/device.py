@@ -182,7 +182,7 @@ class VelodyneDevice(PacketSession[Slice]):
         model, settings = self.model, self._used
         start_ns, length_ns = self._raster.at(number), round(self._raster.period_ns)
         self._hold_phase(start_ns + length_ns)
-        offset_ns = np.arange(0, length_ns, model.cycle_ns)[:, None] + np.asarray(model.laser_ns)
+        offset_ns = model.fired_ns(length_ns)
         turns = self.motor.turns(start_ns + offset_ns)
         heads = np.rint(codec.TURN_CDEG * turns[:, 0]).astype(np.int64) % codec.TURN_CDEG
         first, last = settings.fov

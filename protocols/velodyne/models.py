@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protocols.scan import Floats
 from protocols.velodyne import tables
@@ -63,8 +65,25 @@ class Model:
 
         head_turns (n, lasers): where the head is when each laser fires, in turns clockwise from straight ahead.
         """
-        azimuth = np.radians(np.asarray(self.offset_deg)) - 2.0 * np.pi * head_turns
-        return azimuth, np.broadcast_to(np.radians(np.asarray(self.elevation_deg)), azimuth.shape)
+        offset, elevation = self._angles
+        azimuth = offset - 2.0 * np.pi * head_turns
+        return azimuth, np.broadcast_to(elevation, azimuth.shape)
+
+    @cached_property
+    def _angles(self) -> tuple[Floats, Floats]:
+        """(lasers,) azimuth offset and elevation. [rad]"""
+        return np.radians(np.asarray(self.offset_deg)), np.radians(np.asarray(self.elevation_deg))
+
+    def fired_ns(self, length_ns: int) -> NDArray[np.int64]:
+        """(F, lasers) instants of all firings that begin within such a time; not to be written to."""
+        return _fired_ns(length_ns, self.cycle_ns, self.laser_ns)
+
+
+@lru_cache(maxsize=64)
+def _fired_ns(length_ns: int, cycle_ns: int, laser_ns: tuple[int, ...]) -> NDArray[np.int64]:
+    found = np.arange(0, length_ns, cycle_ns)[:, None] + np.asarray(laser_ns)
+    found.flags.writeable = False
+    return found
 
 
 _N = np.arange(128)
