@@ -1,8 +1,8 @@
-"""Narrow beams on what rests: their probes cast, and what becomes of each beam, in one pass.
+"""Narrow beams: their probes cast on what rests and on what moves straight, and what becomes of each beam, in one pass.
 
 Belongs here: what `probing._judged` does with arrays, of beams that meet nothing, or one smooth surface, or several.
-All others are left: those that may meet a moving body, insides of shells, surfaces that need their rays. Not: the
-search (packets).
+All others are left: those that may meet a body that turns or is fed, insides of shells, surfaces that need their rays.
+Not: the search (packets), rays on what moves (moving).
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -12,6 +12,7 @@ import numpy as np
 
 from emulator.compiled.casting import LONGER, LONGEST
 from emulator.compiled.jit import EMBREE, FLAGS, FLOAT, FLOATS, INT, INTS, ROWS, TURNS, WORDS, compiled
+from emulator.compiled.moving import cross
 from emulator.compiled.packets import DIRECTION, GEOMETRY, TFAR, TRIANGLE, room, send
 from emulator.compiled.strips import reflected, strips_wanted
 
@@ -52,19 +53,24 @@ def _off(range_m, base, places, share, above, above_u, above_v, facing, turns_u,
 @compiled(
     *EMBREE, ROWS, TURNS, INTS, ROWS, ROWS, FLOATS, FLOATS, FLOAT, FLOAT, FLOAT, ROWS, INTS, INT, FLAGS, WORDS, WORDS,
     INTS, ROWS, FLOATS, ROWS, ROWS, FLOATS, INTS, FLOATS, ROWS,
+    FLOATS, ROWS, *EMBREE, ROWS, ROWS, FLOATS, TURNS, ROWS, FLOATS, ROWS, ROWS, INTS, INTS, INTS, INTS, INTS, WORDS,
 )  # fmt: skip
 def narrow(
     function, width, scene, arguments, place, frame, order, aim, places, share, centre, far, reach, suspicious,
     plane, body_of, offset, closed, actor_of, material_of, treated, factors, weight, movers, bright, law, numbers, feet,
     shift,
+    t_s, around, their_function, their_width, their_scene, their_arguments,
+    there, velocity, since, turned_by, middle, radius, half, cell, from_slot, home, their_body, part_of, parts_of,
+    part_material,
 ):  # fmt: skip
     """What becomes of n beams: kinds (n,), nearest ranges and those along the axis (2, n), rows (7, n) and counts (n,)
     of their faces, see `strips.Faces`, material and actor at the axis (2, n), normals (3, n) there, how many rays were
-    cast, how many distances were suspicious.
+    cast, how many of these were searched for in moving bodies, how many distances were suspicious.
 
     `place` : (3, n) and `frame` : (3, 3, n) axis, left and up of each beam; `order` : (n,) in which they are done;
     `aim` : (5, k) and `places` : (3, k) of the probes; `movers`, `bright` : (4, .) spheres; `law` : numbers as of
-    `Probing`; `numbers`, `feet`, `shift` : of strips; the rest as in `Around`.
+    `Probing`; `numbers`, `feet`, `shift` : of strips; from `t_s` on as of `tracing.traced`; the rest as in `Around`.
+    Beams that come into spheres of `movers` are left.
     """
     n, k = place.shape[1], aim.shape[1]
     spread, pupil, square, step, k_m2, area = law[0], law[1], law[2], law[3], law[4], law[5]
@@ -76,8 +82,14 @@ def narrow(
     packet, flags, lanes = room(width)
     most = TOGETHER * k
     origin, way = np.empty((3, most)), np.empty((3, most))
-    range_m, facing, triangle = np.empty(most), np.empty(most), np.empty(most, np.int64)
-    cast = wrong = 0
+    range_m, facing, triangle, body = np.empty(most), np.empty(most), np.empty(most, np.int64), np.empty(most, np.int64)
+    rests, they = len(material_of), around.shape[1]
+    their_at, turned_normal, times = there.copy(), np.empty((3, most)), np.empty(most)
+    which, touched = np.empty(most, np.int64), np.empty(most, np.int64)
+    no_bend, no_place, no_turn = np.zeros(0, np.int64), np.zeros((3, 0)), np.zeros((3, 3, 0))
+    for axis in range(3):
+        their_at[axis] -= centre[axis]
+    cast = crossed = wrong = 0
     for begin in range(0, n, TOGETHER):
         count = min(TOGETHER, n - begin)
         rays = count * k
@@ -119,10 +131,35 @@ def narrow(
                 if not abs(refined - distance) <= suspicious * (1.0 + distance):
                     refined = np.float64(distance)
                     wrong += 1
-                range_m[ray], facing[ray], triangle[ray] = max(refined, 0.0), turned, at
+                range_m[ray], facing[ray], triangle[ray], body[ray] = max(refined, 0.0), turned, at, body_of[at]
                 if refined > far:
                     range_m[ray], facing[ray], triangle[ray] = np.inf, 0.0, -1
         cast += rays
+        for mover in range(they):
+            pairs = 0
+            for one in range(count):
+                i, base, farthest = order[begin + one], one * k, -1.0
+                for p in range(k):
+                    farthest = max(farthest, range_m[base + p])
+                if _touched(
+                    place[0, i], place[1, i], place[2, i], frame[0, 0, i], frame[0, 1, i], frame[0, 2, i],
+                    around[:, mover : mover + 1], spread, pupil, farthest,
+                ):  # fmt: skip
+                    for p in range(k):
+                        which[pairs], touched[pairs], times[base + p] = mover, base + p, t_s[i]
+                        pairs += 1
+            if pairs > 0:
+                sent, odd = cross(
+                    their_function, their_width, their_scene, their_arguments, home[mover], which[:pairs],
+                    touched[:pairs], origin, way, times, far,
+                    their_at, velocity, since, turned_by, middle, radius, half, cell, from_slot, home, their_body,
+                    no_bend, no_place, no_turn, plane, suspicious, range_m, triangle, body, turned_normal, facing,
+                )  # fmt: skip
+                crossed, wrong = crossed + sent, wrong + odd
+                for pair in range(pairs):
+                    ray = touched[pair]
+                    if range_m[ray] > far:
+                        range_m[ray], facing[ray], triangle[ray] = np.inf, 0.0, -1
         for one in range(count):
             i, base = order[begin + one], one * k
             ox, oy, oz = place[0, i], place[1, i], place[2, i]
@@ -131,8 +168,10 @@ def narrow(
             what[0, i] = what[1, i] = -1
             if at >= 0:
                 side = -1.0 if facing[base] > 0.0 else 1.0
-                normal[0, i], normal[1, i], normal[2, i] = side * plane[at, 0], side * plane[at, 1], side * plane[at, 2]
-                what[0, i], what[1, i] = material_of[at], actor_of[body_of[at]]
+                for axis in range(3):
+                    normal[axis, i] = side * (plane[at, axis] if at < rests else turned_normal[axis, base])
+                what[0, i] = material_of[at] if at < rests else part_material[parts_of[body[base]] + part_of[at]]
+                what[1, i] = actor_of[body[base]]
             nearest, farthest, met, inner, same = np.inf, -1.0, 0, False, True
             for p in range(k):
                 at, r = triangle[base + p], range_m[base + p]
@@ -143,7 +182,8 @@ def narrow(
                 nearest = min(nearest, r)
                 met += r <= reach
                 inner |= facing[base + p] > 0.0 and closed[at]
-                same = same and material_of[at] == what[0, i] and actor_of[body_of[at]] == what[1, i]
+                own = material_of[at] if at < rests else part_material[parts_of[body[base + p]] + part_of[at]]
+                same = same and own == what[0, i] and actor_of[body[base + p]] == what[1, i]
             made[0, i], made[1, i] = nearest if met else np.inf, range_m[base]
             if inner or _touched(ox, oy, oz, ax, ay, az, movers, spread, pupil, farthest):
                 kinds[i] = LEFT
@@ -206,4 +246,4 @@ def narrow(
             kinds[i] = CLOSED
             rows[0, i], rows[1, i], rows[2, i], rows[3, i] = length * above, length * leans, facing_0, turns
             rows[4, i], rows[5, i], rows[6, i] = bias, cosine, bends
-    return kinds, made, rows, count_of, what, normal, cast, wrong
+    return kinds, made, rows, count_of, what, normal, cast, crossed, wrong

@@ -25,7 +25,7 @@ LEFT, DONE, UNEVEN = 0, 1, 2
 PLAIN, GLASS, MIRROR, REFUSED = 0, 1, 2, 3
 "Materials, by what happens to a ray on them; on the last it is left."
 PLACE_BITS, RANGE_BITS = 12, 34
-"Of numbers that sort as beam, range and place in the beam: ranges are distinguished to 2^-34 of the reach."
+"Of numbers that sort as range and place in the beam: ranges are distinguished to 2^-34 of the reach."
 X, Y, Z, AHEAD, LEFTWARD, UP, WEIGHT, LENGTH, DEPTH, AIR, TIME = range(11)
 "Columns of a ray under way: origin about the structure's, direction, those of `paths._Front`, its instant."
 
@@ -70,6 +70,24 @@ def _meets(sphere, x, y, z, dx, dy, dz, until):
         if to_x * to_x + to_y * to_y + to_z * to_z - along * along <= radius * radius:
             return True
     return False
+
+
+@compiled()
+def _meeting(sphere, rays, range_m, count, square, which):
+    """Numbers of those of the first `count` rays that come into one sphere before their ends, and how many they are."""
+    cx, cy, cz, radius = sphere[0], sphere[1], sphere[2], sphere[3]
+    x, y, z, dx, dy, dz = rays[X], rays[Y], rays[Z], rays[AHEAD], rays[LEFTWARD], rays[UP]
+    limit = radius * radius
+    for i in range(count):
+        to_x, to_y, to_z = cx - x[i], cy - y[i], cz - z[i]
+        along = to_x * dx[i] + to_y * dy[i] + to_z * dz[i]
+        off = to_x * to_x + to_y * to_y + to_z * to_z - along * along
+        square[i] = off if along > -radius and along - radius <= range_m[i] else np.inf
+    found = 0
+    for i in range(count):
+        which[found] = i
+        found += square[i] <= limit
+    return found
 
 
 @compiled()
@@ -159,9 +177,8 @@ def traced(
     part_material,
 ):  # fmt: skip
     """What becomes of the beams `at`, see `DONE`; nearest ranges; material at the axis and normal (3, .) there; beam
-    and actor (2, k) and range, amplitude, blocked share (3, k) of their sub-echoes by beam, of beams that are done, and
-    numbers (k,) that sort as these in order, whose last bits are the place in the beam; how many rays were cast, how
-    many distances were suspicious.
+    and actor (2, k) and range, amplitude, blocked share (3, k) of their sub-echoes by beam and range, of beams that are
+    done; how many rays were cast, how many distances were suspicious.
 
     `place` : (3, n) and `frame` : (3, 3, n) axis, left and up of each beam; `phase` : of those `at`, by which their
     bundles of `nodes` : (2, m) and `share` are turned; `limits` : numbers in the order of `sensing.traced`; `optics` :
@@ -192,6 +209,7 @@ def traced(
     rays, later = np.empty((11, most)), np.empty((11, most))
     body, turned_normal = np.empty(most, np.int64), np.empty((3, most))
     which, touched = np.empty(most, np.int64), np.empty(most, np.int64)
+    squares, some_left = np.empty(most), spheres.shape[1] > 0
     no_bend, no_place, no_turn = np.zeros(0, np.int64), np.zeros((3, 0)), np.zeros((3, 3, 0))
     tags, later_tags = np.empty((3, most), np.int64), np.empty((3, most), np.int64)  # beam, way, body it is inside of
     range_m, facing, triangle = np.empty(most), np.empty(most), np.empty(most, np.int64)
@@ -199,7 +217,7 @@ def traced(
     own = np.empty((3, 2 * most))  # sub-echoes of a group
     own_tag = np.empty((2, 2 * most), np.int64)
     whole, sizes = np.empty((2, 2 * n * m), np.int64), np.empty((3, 2 * n * m))
-    key, scale = np.empty(2 * n * m, np.int64), (2.0**RANGE_BITS - 1.0) / reach
+    key, place_of, scale = np.empty(2 * most, np.int64), np.empty(2 * most, np.int64), (2.0**RANGE_BITS - 1.0) / reach
     starts, filled = np.zeros(group + 1, np.int64), np.zeros(group, np.int64)
     made = cast = wrong = 0
     for begin in range(0, n, group):
@@ -224,10 +242,11 @@ def traced(
             for first in range(0, under_way, width):
                 used = min(width, under_way - first)
                 for axis in range(3):
+                    to, by, here, forth = packet[axis], packet[DIRECTION + axis], rays[X + axis], rays[AHEAD + axis]
                     for lane in range(used):
-                        packet[axis, lane] = rays[X + axis, first + lane]
+                        to[lane] = here[first + lane]
                     for lane in range(used):
-                        packet[DIRECTION + axis, lane] = rays[AHEAD + axis, first + lane]
+                        by[lane] = forth[first + lane]
                 for lane in range(used):
                     longest = far if bounce == 0 else reach - rays[LENGTH, first + lane]
                     packet[TFAR, lane] = min(longest * LONGER, LONGEST)
@@ -256,15 +275,9 @@ def traced(
                     body[ray] = body_of[face]
             limit = far if bounce == 0 else reach
             for mover in range(theirs.shape[1]):
-                pairs = 0
-                for ray in range(under_way):
-                    if _meets(
-                        theirs[:, mover : mover + 1], rays[X, ray], rays[Y, ray], rays[Z, ray], rays[AHEAD, ray],
-                        rays[LEFTWARD, ray], rays[UP, ray], range_m[ray],
-                    ):  # fmt: skip
-                        which[pairs], touched[pairs] = mover, ray
-                        pairs += 1
+                pairs = _meeting(theirs[:, mover], rays, range_m, under_way, squares, touched)
                 if pairs > 0:
+                    which[:pairs] = mover
                     sent, odd = cross(
                         their_function, their_width, their_scene, their_arguments, home[mover], which[:pairs],
                         touched[:pairs], rays[X : Z + 1], rays[AHEAD : UP + 1], rays[TIME], limit,
@@ -286,7 +299,7 @@ def traced(
                 before = rays[LENGTH, ray]
                 until = min(r, far if bounce == 0 else reach - before)
                 beyond = bounce == 0 and r > far
-                if _meets(spheres, x, y, z, dx, dy, dz, until):
+                if some_left and _meets(spheres, x, y, z, dx, dy, dz, until):
                     verdict[of] = LEFT
                     continue
                 if face < 0 or beyond:
@@ -388,17 +401,18 @@ def traced(
                         verdict[of] = UNEVEN
                     ray = end
             for ray in range(most // 2, passing):
-                later[:, going] = later[:, ray]
-                later_tags[:, going] = later_tags[:, ray]
+                for row in range(11):  # a column as a whole would be copied into memory of its own first
+                    later[row, going] = later[row, ray]
+                for row in range(3):
+                    later_tags[row, going] = later_tags[row, ray]
                 going += 1
             if going == 0:
                 break
             rays, later, tags, later_tags, under_way = later, rays, later_tags, tags, going
-        if made + echoes > len(key):
+        if made + echoes > whole.shape[1]:
             more, larger = np.empty((2, 2 * (made + echoes)), np.int64), np.empty((3, 2 * (made + echoes)))
-            longer = np.empty(2 * (made + echoes), np.int64)
-            more[:, :made], larger[:, :made], longer[:made] = whole[:, :made], sizes[:, :made], key[:made]
-            whole, sizes, key = more, larger, longer
+            more[:, :made], larger[:, :made] = whole[:, :made], sizes[:, :made]
+            whole, sizes = more, larger
         starts[:] = 0
         for k in range(echoes):
             if verdict[begin + own_tag[0, k]] == DONE:
@@ -408,13 +422,16 @@ def traced(
             filled[one] = 0
         for k in range(echoes):
             one = own_tag[0, k]
-            if verdict[begin + one] != DONE:
-                continue
-            to = made + starts[one] + filled[one]
-            whole[0, to], whole[1, to] = at[begin + one], own_tag[1, k]
-            sizes[0, to], sizes[1, to], sizes[2, to] = own[0, k], own[1, k], own[2, k]
-            key[to] = ((begin + one) << (RANGE_BITS + PLACE_BITS)) + (np.int64(own[0, k] * scale) << PLACE_BITS)
-            key[to] += filled[one]
-            filled[one] += 1
+            if verdict[begin + one] == DONE:
+                key[starts[one] + filled[one]] = (np.int64(own[0, k] * scale) << PLACE_BITS) + filled[one]
+                place_of[starts[one] + filled[one]] = k
+                filled[one] += 1
+        for one in range(count):
+            first, last = starts[one], starts[one + 1]
+            key[first:last].sort()
+            for to in range(first, last):
+                k = place_of[first + (key[to] & ((1 << PLACE_BITS) - 1))]
+                whole[0, made + to], whole[1, made + to] = at[begin + one], own_tag[1, k]
+                sizes[0, made + to], sizes[1, made + to], sizes[2, made + to] = own[0, k], own[1, k], own[2, k]
         made += starts[count]
-    return verdict, nearest, what, normal, whole[:, :made], sizes[:, :made], key[:made], cast, wrong
+    return verdict, nearest, what, normal, whole[:, :made], sizes[:, :made], cast, wrong

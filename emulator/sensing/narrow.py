@@ -76,13 +76,14 @@ def _settled_by_loops(
     if around is None:
         return OTHERWISE
     order = np.argsort(np.round(beams.own_axis[:, 2], 6), kind="stable")  # neighbours share a search
-    kinds, made, rows, count, what, normal, cast, wrong = loops.narrow(
+    kinds, made, rows, count, what, normal, cast, crossed, wrong = loops.narrow(
         *around.how, beams.place, beams.frame, order, beams.aim, beams.places, beams.share, around.centre, far,
         reach_m, around.suspicious, around.plane, around.body, around.offset, around.closed, around.actor_of,
-        around.material, treated, factors, weight, around.movers, bright, law, NUMBERS, FEET, strips.SHIFT,
+        around.material, treated, factors, weight, around.others, bright, law, NUMBERS, FEET, strips.SHIFT,
+        beams.t_s, around.crossing.spheres, *around.crossing.how, *around.crossing.columns, *around.parts,
     )  # fmt: skip
     around.counters.rays += cast
-    around.counters.cast += cast
+    around.counters.cast += cast + crossed
     around.counters.suspicious += wrong
     return Settled(kinds, made, strips.Faces(rows, count), what[0], what[1], normal.T, cast, around)
 

@@ -35,7 +35,7 @@ from emulator.sensing.through import Ways
 from emulator.sensing.traced import DONE, UNEVEN, Bundle, traced
 from emulator.sensing.traced import LEFT as UNTRACED
 from emulator.world.connected import pieces_of
-from emulator.world.motion import Pose
+from emulator.world.motion import Motion, Pose
 from protocols.scan import ScanPlan
 
 if TYPE_CHECKING:
@@ -160,8 +160,10 @@ class Probing:
         ])  # fmt: skip
         self._places = np.array([length, nodes.u, nodes.v])
         self._bright = _bright_spheres(scene, bright_of(dry.table))
-        resting = [_around(one, np.zeros(1)) for one in self._bright or () if one.body.motion.still]
-        self._bright_at_rest = np.column_stack([np.zeros((4, 0)), *resting])
+        every = _by_motion(self._bright or ())
+        resting = [_around(*one, np.zeros(1)) for one in every if one[0].still]
+        self._bright_at_rest = np.concatenate([np.zeros((4, 0)), *resting], axis=1)
+        self._bright_moving = [one for one in every if not one[0].still]
         self._law = self._numbers()
         self._tilts = np.zeros(0), np.ones(0), np.zeros(0)
         "Elevations of the latest sweep, their cosines and sines."
@@ -240,11 +242,12 @@ class Probing:
         own = chosen[traceable[chosen]]
         if len(own):
             edges = traced(beams_, own, Bundle(self._bundles.nodes, beam_phase(own), judged=False), *rest)
-            done = indexes(edges.verdict == DONE)
-            own = own[done]
+            done = edges.verdict == DONE
+            own, left_ = own[done], own[~done]
             made[0, own], material[own], normal[own] = edges.nearest_m[done], edges.material[done], edges.normal[done]
             others.append(edges.found)
-            chosen, cast = np.setdiff1d(chosen, own, assume_unique=True), cast + edges.cast
+            chosen, cast = np.concatenate([chosen[~traceable[chosen]], left_]), cast + edges.cast
+            chosen.sort()
         if len(chosen):
             part = cast_rays(self._bundles.part(plan, chosen), pose_at(pose, chosen), t_s[chosen])
             hits = self._caster.first_hits(part.origin_m, part.direction, part.t_s, max_range_m=far)
@@ -285,9 +288,12 @@ class Probing:
 
     def _spheres(self, t_s: Floats) -> Floats:
         """(4, b) around bright faces during a sweep."""
-        times = np.array([0.5 * (t_s.min() + t_s.max()), t_s.min(), t_s.max()])
-        moving = [_around(one, times) for one in self._bright or () if not one.body.motion.still]
-        return np.column_stack([self._bright_at_rest, *moving]) if moving else self._bright_at_rest
+        if not self._bright_moving:
+            return self._bright_at_rest
+        begin, end = t_s.min(), t_s.max()
+        times = np.array([0.5 * (begin + end), begin, end])
+        moving = [_around(motion, centre, radius, times) for motion, centre, radius in self._bright_moving]
+        return np.concatenate([self._bright_at_rest, *moving], axis=1)
 
     def _looks_at(self, sphere: Floats, rays: Rays) -> Bools:
         """(n,) beams whose cone comes into that sphere."""
@@ -304,14 +310,21 @@ class Probing:
         if not np.array_equal(plan.elevation_rad, self._tilts[0]):  # layers are the same in every slice
             self._tilts = plan.elevation_rad, np.cos(plan.elevation_rad), np.sin(plan.elevation_rad)
         _, ce, se = self._tilts
-        own = np.array([[ce * ca, ce * sa, se], [-sa, ca, np.zeros(n)], [-se * ca, -se * sa, ce]])
-        place, frame = np.ascontiguousarray(pose.position_m.T), np.zeros((3, 3, n))
-        rotation = pose.rotation
+        own, frame = np.zeros((3, 3, n)), np.zeros((3, 3, n))
+        np.multiply(ce, ca, out=own[0, 0])
+        np.multiply(ce, sa, out=own[0, 1])
+        np.negative(sa, out=own[1, 0])
+        np.multiply(-se, ca, out=own[2, 0])
+        np.multiply(-se, sa, out=own[2, 1])
+        own[0, 2], own[1, 1], own[2, 2] = se, ca, ce
+        place, rotation = np.ascontiguousarray(pose.position_m.T), pose.rotation
         one = n > 0 and (rotation.strides[0] == 0 or bool((rotation == rotation[0]).all()))
         for row in range(3):
             for column in range(3):
                 weight = rotation[0, row, column] if one else rotation[:, row, column]
-                if np.any(weight):
+                if one and weight == 1.0:
+                    frame[:, row] += own[:, column]
+                elif np.any(weight):
                     frame[:, row] += weight * own[:, column]
         return Beams(place, frame, own[0].T, t_s, self._aim, self._places, self.nodes.share)
 
@@ -465,10 +478,23 @@ def _of(beams_: Ints, found: SubEchoes) -> SubEchoes:
     return replace(found, beam=beams_[found.beam])
 
 
-def _around(one: _Bright, times: Floats) -> Floats:
-    """(4,) sphere about where it is first, that holds it at all of these times."""
-    places = one.body.motion.pose(times).to_world(one.centre_m)
-    return np.append(places[0], one.radius_m + 2.0 * float(np.linalg.norm(places - places[0], axis=1).max()))
+def _by_motion(bright: tuple[_Bright, ...]) -> list[tuple[Motion, Floats, Floats]]:
+    """Centres (p, 3) and radii (p,) of the pieces of each body, which move together."""
+    bodies = {id(one.body): one.body for one in bright}
+    found = []
+    for number, body in bodies.items():
+        own = [one for one in bright if id(one.body) == number]
+        found.append((body.motion, np.array([one.centre_m for one in own]), np.array([one.radius_m for one in own])))
+    return found
+
+
+def _around(motion: Motion, centre_m: Floats, radius_m: Floats, times: Floats) -> Floats:
+    """(4, p) spheres about where pieces of a body are first, that hold these at all of these times."""
+    pose = motion.pose(times)
+    places = np.einsum("tij,pj->pti", pose.rotation, centre_m) + pose.position_m
+    moved = places - places[:, :1]
+    far = np.sqrt((moved * moved).sum(axis=2).max(axis=1))
+    return np.concatenate([places[:, 0].T, (radius_m + 2.0 * far)[None]])
 
 
 def _rays_at(rays: Rays, at: Ints, own: Ints) -> Rays:

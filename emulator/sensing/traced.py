@@ -28,7 +28,7 @@ from emulator.sensing.through import MOST_STRIPS
 LEFT, DONE, UNEVEN = 0, 1, 2
 """What becomes of a beam: it is left to arrays; it is done; its probes do not stand for what they see through a pane
 or in it."""
-PLACE_BITS, RANGE_BITS = 12, 34
+PLACE_BITS = 12
 "As in `compiled.tracing`; a beam of more sub-echoes is left to arrays."
 PLAIN, GLASS, MIRROR, REFUSED = 0, 1, 2, 3
 "Materials, as in `compiled.tracing`."
@@ -84,7 +84,7 @@ def _traced_by_loops(
     lengths = _lengths(nodes, spread, shape.roll_rad)
     judge = np.array([step_m, float((nodes.u * nodes.u).sum()), *strips.law(model), strips.WIDE])
     solid = np.zeros(len(around.actor_of), np.bool_) if surfaces.solid is None else surfaces.solid
-    verdict, nearest, material, normal, whole, sizes, key, cast, wrong = loops.traced(
+    verdict, nearest, material, normal, whole, sizes, cast, wrong = loops.traced(
         *around.how, beams_.place, beams_.frame, at, bundle.phase_rad, np.array([nodes.u, nodes.v]), nodes.share, first,
         around.centre, limits, around.plane, around.body, around.offset, around.closed, around.actor_of,
         around.material, solid, around.others, table.factors, np.where(table.mirrors & (kinds == GLASS), MIRROR, kinds),
@@ -95,12 +95,7 @@ def _traced_by_loops(
     around.counters.rays += cast
     around.counters.cast += cast
     around.counters.suspicious += wrong
-    key.sort()
-    # beams are in order already: only places within each are found
-    begins = np.searchsorted(whole[0], at)[key >> (RANGE_BITS + PLACE_BITS)]
-    order = begins + (key & ((1 << PLACE_BITS) - 1))
-    range_m, amplitude, blocked = (column.take(order) for column in sizes)
-    found = SubEchoes(whole[0], range_m, amplitude, blocked, whole[1].take(order))
+    found = SubEchoes(whole[0], sizes[0], sizes[1], sizes[2], whole[1])
     return Traced(verdict, found, nearest, material, normal.T, int(np.count_nonzero(verdict)) * len(nodes))
 
 
