@@ -12,13 +12,14 @@ from bisect import bisect_right
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 
 import numpy as np
 
 from emulator.live.ages import Ages
 from emulator.live.rotations import Floats, Quaternion, Vector
 from emulator.live.samples import ActorSample, BadSample, Update, checked
-from emulator.live.tracks import BLEND_S, Between, Track, World
+from emulator.live.tracks import BLEND_S, Between, Columns, Track, World
 
 MOST_KEPT = 10_000
 "Samples of one actor; the oldest go, first those that no sweep can want."
@@ -42,7 +43,7 @@ MOST_EVENTS = 1000
 MOST_TOLD = 20
 "Of one sort are reported; more are counted, so that a flood of one hides no other."
 AT, TURNED, VELOCITY, SPIN = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
-JUMP, RETURNS = 13, 14
+JUMP, RETURNS, WIDTH = 13, 14, 15
 "Columns of what is kept of a sample; NaN where the feeder gave none."
 
 
@@ -403,45 +404,78 @@ class Book:
 
     def _track(self, known: _Known, begin_s: float = -np.inf, end_s: float = np.inf) -> Track | None:
         """What is needed from `begin_s` to `end_s`; None: it is not there then."""
-        times, rules, one = known.t_s, self.rules, known.first
-        vanish = rules.silent_after_s if rules.silent_then == "remove" and not one.static else np.inf
-        if begin_s >= min(known.gone_s, times[-1] + vanish) or (end_s < times[0] and not known.forgot):
+        span = self._span(known, begin_s, end_s)
+        return None if span is None else self._tracks([(known, *span)])[0][0]
+
+    def _span(self, known: _Known, begin_s: float, end_s: float) -> tuple[int, int] | None:
+        """The first of the samples of one that are needed then, and the one behind the last; None: it is not there."""
+        times = known.t_s
+        if begin_s >= min(known.gone_s, times[-1] + self._vanish_s(known)):
+            return None
+        if end_s < times[0] and not known.forgot:
             return None
         first = max(0, bisect_right(times, begin_s) - 2)
         if known.returned_s > begin_s - BLEND_S:
             first = max(0, bisect_right(times, begin_s - BLEND_S) - 2)
-        until = min(len(times), bisect_right(times, end_s) + 1)
-        rows = np.array(known.rows[first:until])
-        return Track(
-            np.array(times[first:until]),
-            rows[:, AT],
-            rows[:, TURNED],
-            rows[:, VELOCITY],
-            rows[:, SPIN],
-            rows[:, JUMP] > 0.0,
-            rows[:, RETURNS] > 0.0,
-            not known.forgot and first == 0,
-            known.gone_s,
-            rules.between,
-            rules.silent_after_s,
-            vanish if until == len(times) else np.inf,
-            one.reference,
-            one.rear_m,
-            one.size_m,
-            known.shape,
-            one.class_ or "",
-        )
+        return first, min(len(times), bisect_right(times, end_s) + 1)
+
+    def _vanish_s(self, known: _Known) -> float:
+        """So long after its newest sample it is not there."""
+        removed = self.rules.silent_then == "remove" and not known.first.static
+        return self.rules.silent_after_s if removed else math.inf
+
+    def _tracks(self, wanted: Sequence[tuple[_Known, int, int]]) -> tuple[list[Track], Columns]:
+        """Of so many samples of each, and the columns of all of them, of which they are parts."""
+        times = [t_s for known, first, until in wanted for t_s in known.t_s[first:until]]
+        rows = [row for known, first, until in wanted for row in known.rows[first:until]]
+        table = np.fromiter(chain.from_iterable(rows), np.float64, len(rows) * WIDTH).reshape(-1, WIDTH)
+        t_s, jump, returns = np.array(times), table[:, JUMP] > 0.0, table[:, RETURNS] > 0.0
+        at, turned, velocity, spin = table[:, AT], table[:, TURNED], table[:, VELOCITY], table[:, SPIN]
+        rules, end, tracks = self.rules, 0, []
+        for known, first, until in wanted:
+            mine = slice(end, end := end + until - first)
+            one = known.first
+            tracks.append(
+                Track(
+                    t_s[mine],
+                    at[mine],
+                    turned[mine],
+                    velocity[mine],
+                    spin[mine],
+                    jump[mine],
+                    returns[mine],
+                    not known.forgot and first == 0,
+                    known.gone_s,
+                    rules.between,
+                    rules.silent_after_s,
+                    self._vanish_s(known) if until == len(known.t_s) else np.inf,
+                    one.reference,
+                    one.rear_m,
+                    one.size_m,
+                    known.shape,
+                    one.class_ or "",
+                )
+            )
+        return tracks, (t_s, at, turned, velocity, spin, jump, returns)
 
     def world(self, begin_s: float, end_s: float, only: str | None = None) -> World:
         """Everything that beams from `begin_s` to `end_s` need; or of one actor alone."""
-        tracks, gone = [], []
+        names: list[str] = []
+        there: list[tuple[_Known, int, int]] = []
+        gone = []
         wanted = self._known if only is None else {only: self._known[only]} if only in self._known else {}
         for name, lives in wanted.items():
-            found = [track for known in lives if (track := self._track(known, begin_s, end_s)) is not None]
-            tracks += [(name, track) for track in found]
-            if not found and lives[0].t_s[0] <= begin_s:
+            before = len(names)
+            for known in lives:
+                if (span := self._span(known, begin_s, end_s)) is not None:
+                    names.append(name)
+                    there.append((known, *span))
+            if len(names) == before and lives[0].t_s[0] <= begin_s:
                 gone.append(name)
-        return World(tuple(tracks), frozenset(gone))
+        tracks, columns = self._tracks(there)
+        world = World(tuple(zip(names, tracks, strict=True)), frozenset(gone))
+        vars(world)["columns"] = columns  # where cached_property keeps them
+        return world
 
     def asked(self, beams_s: Floats, delay_s: float = 0.0) -> None:
         """A sweep with beams at these instants uses what is known by now."""

@@ -53,6 +53,9 @@ def update_of(data: object) -> Update:
     unknown = [str(key)[:60] for key in data if key not in USED]
     samples = []
     for number, entry in enumerate(actors):
+        if (plain := _plain(entry)) is not None:
+            samples.append(plain)
+            continue
         samples.append(_actor(entry, f"actors.{number}"))
         if not ACTOR_USED.issuperset(entry):
             unknown += [f"actors.{str(key)[:60]}" for key in entry if key not in ACTOR_USED]
@@ -68,10 +71,8 @@ def update_of(data: object) -> Update:
     )
 
 
-PLAIN = frozenset(
-    ("id", "at_m", "yaw_deg", "pitch_deg", "roll_deg", "quaternion_xyzw", "velocity_m_s", "reference", *UNUSED)
-)
-"Keys of an actor that has nothing but a place and a velocity."
+PLAIN = frozenset(("id", "at_m", "yaw_deg", "velocity_m_s", "reference"))
+"Keys of an actor that has nothing but a place, a heading and a velocity."
 
 
 def _time(data: Mapping[str, Any]) -> int | None:
@@ -130,6 +131,27 @@ def _vector(entry: Mapping[str, Any], key: str, where: str, least: int = 3) -> V
     return (x, y, z)
 
 
+def _plain(entry: object) -> ActorSample | None:
+    """What `_actor` makes of by far the most; None: there is more to it, or something is wrong with it."""
+    if type(entry) is not dict or not PLAIN.issuperset(entry):
+        return None
+    id_, at_m, velocity, yaw = entry.get("id"), entry.get("at_m"), entry.get("velocity_m_s"), entry.get("yaw_deg")
+    reference = entry.get("reference", "box_centre")
+    if type(id_) is not str or type(at_m) is not list or type(velocity) is not list or type(yaw) is not float:
+        return None
+    if len(at_m) != 3 or len(velocity) != 3 or not -1e6 <= yaw <= 1e6 or type(reference) is not str:
+        return None
+    x, y, z = at_m
+    u, v, w = velocity
+    if not type(x) is type(y) is type(z) is type(u) is type(v) is type(w) is float or reference not in REFERENCES:
+        return None
+    if not (abs(x) + abs(y) + abs(z) <= 1e300 and abs(u) + abs(v) + abs(w) <= 1e300):
+        return None
+    half = math.radians(yaw) / 2.0
+    # `from_angles` of a heading alone
+    return ActorSample(id_, (x, y, z), (math.cos(half), 0.0, 0.0, math.sin(half)), (u, v, w), reference=reference)
+
+
 def _actor(entry: object, where: str) -> ActorSample:
     if not isinstance(entry, Mapping):
         raise BadSample(f"{where}: {type(entry).__name__}; want an object")
@@ -143,8 +165,6 @@ def _actor(entry: object, where: str) -> ActorSample:
     if reference not in REFERENCES:
         raise BadSample(f"{where}.reference: {reference!r:.60}; want one of {', '.join(REFERENCES)}")
     quaternion, velocity = _orientation(entry, where), _vector(entry, "velocity_m_s", where)
-    if PLAIN.issuperset(entry):  # by far the most
-        return ActorSample(id_, at_m, quaternion, velocity, reference=reference)
     spin = _vector(entry, "angular_velocity_deg_s", where)
     if spin is None and entry.get("turn_rate_deg_s") is not None:
         spin = (0.0, 0.0, _number(entry["turn_rate_deg_s"], f"{where}.turn_rate_deg_s"))

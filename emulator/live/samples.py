@@ -27,9 +27,9 @@ class BadSample(ValueError):
     """An update that is not used, and why: `key: found; want allowed`."""
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class ActorSample:
-    """One actor at the instant of its update."""
+    """One actor at the instant of its update; nobody changes one: frozen, it takes three times as long to make."""
 
     id: str
     at_m: Vector

@@ -44,9 +44,12 @@ class Nature:
     straight_m_s: Floats | None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Track:
-    """Samples of one actor, ascending in time: k of them, of which n instants are asked."""
+    """Samples of one actor, ascending in time: k of them, of which n instants are asked.
+
+    Nobody changes one; frozen, it takes three times as long to make, and each sweep has one of each actor.
+    """
 
     t_s: Floats
     "(k,) in the run's time."
@@ -178,44 +181,60 @@ class Track:
         return fastest
 
 
+Columns = tuple[NDArray[Any], ...]
 COLUMNS = ("t_s", "at_m", "quaternion", "velocity_m_s", "spin_rad_s", "jump", "returns")
 
 
-def look_at(tracks: Sequence[Track]) -> None:
-    """Find out at once what kind of motion each of them is."""
+def look_at(tracks: Sequence[Track], columns: Columns | None = None) -> None:
+    """Find out at once what kind of motion each of them is; `columns`: those of `columns_of`, where they are known."""
     fresh = [track for track in tracks if "nature" not in vars(track)]
-    for track, nature in zip(fresh, _natures(fresh) if fresh else (), strict=True):
+    if not fresh:
+        return
+    for track, nature in zip(fresh, _natures(fresh, columns if len(fresh) == len(tracks) else None), strict=True):
         vars(track)["nature"] = nature  # where cached_property keeps it
 
 
-def _natures(tracks: Sequence[Track]) -> list[Nature]:
-    t_s, at, quaternion, velocity, spin, jump, returns = (
-        np.concatenate([getattr(track, name) for track in tracks]) for name in COLUMNS
-    )
+def columns_of(tracks: Sequence[Track]) -> Columns:
+    """All their samples, one after the other, by `COLUMNS`."""
+    return tuple(np.concatenate([getattr(track, name) for track in tracks]) for name in COLUMNS)
+
+
+def _natures(tracks: Sequence[Track], columns: Columns | None = None) -> list[Nature]:
+    t_s, at, quaternion, velocity, spin, jump, returns = columns_of(tracks) if columns is None else columns
     sizes = np.array([len(track.t_s) for track in tracks])
     ends = np.cumsum(sizes)
     firsts = ends - sizes
-    first = firsts.repeat(sizes)
+    first = np.arange(len(sizes)).repeat(sizes)
+    began = firsts[first]
 
-    def any_of(rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        return np.logical_or.reduceat(rows if rows.ndim == 1 else rows.any(axis=1), firsts)
-
-    back, unknown = any_of(returns), np.isnan(velocity)
-    turns = any_of(np.abs(spin) > 0.0) | any_of(quaternion != quaternion[first])  # NaN is not
-    rests = ~turns & ~any_of(np.abs(velocity) > 0.0) & ~any_of(at != at[first])
-    some, all_ = any_of(unknown), ~any_of(~unknown)
-    since, span = t_s - t_s[first], (t_s[ends - 1] - t_s[firsts])[:, None]
+    # one table of what may be so of any sample, by columns: to ask for each of them takes longer
+    unknown, from_at = np.isnan(velocity), at[began]
+    facts = np.concatenate(
+        [
+            returns[:, None], np.abs(spin) > 0.0, quaternion != quaternion[began], np.abs(velocity) > 0.0,
+            at != from_at, unknown, ~unknown,
+        ],
+        axis=1,
+    )  # fmt: skip
+    # of a comparison NaN is not
+    back, turns, moves, some, known = np.logical_or.reduceat(
+        np.logical_or.reduceat(facts, firsts, axis=0), (0, 1, 8, 14, 17), axis=1
+    ).T
+    rests, all_ = ~turns & ~moves, ~known
+    since, span = t_s - t_s[began], (t_s[ends - 1] - t_s[firsts])[:, None]
     mean = (at[ends - 1] - at[firsts]) / np.where(span > 0.0, span, 1.0)
     even = np.where(some[:, None], mean, velocity[firsts])
-    off = np.abs(at - (at[first] + since[:, None] * even.repeat(sizes, axis=0))).max(axis=1)
-    other = np.abs(velocity - even.repeat(sizes, axis=0)).max(axis=1) * span[:, 0].repeat(sizes)
-    wrong = (off > STRAIGHT_M) | (other > STRAIGHT_M) | (jump & (np.arange(len(t_s)) != first))
-    straight = ~any_of(wrong) & (~some | all_ & (sizes > 1)) & ~turns
-    straight &= np.array([track.between == "interpolate" for track in tracks])
+    steady = even[first]
+    off = np.abs(at - (from_at + since[:, None] * steady))
+    other = np.abs(velocity - steady) * span[first]
+    wrong = ((off > STRAIGHT_M) | (other > STRAIGHT_M)).any(axis=1)
+    wrong |= jump & (np.arange(len(t_s)) != began)
+    straight = ~np.logical_or.reduceat(wrong, firsts) & (~some | all_ & (sizes > 1)) & ~turns
+    still = np.zeros(3)
     return [
-        Nature(b, t, r, np.zeros(3) if r and not b else even[k] if s and not b else None)
-        for k, (b, t, r, s) in enumerate(
-            zip(back.tolist(), turns.tolist(), rests.tolist(), straight.tolist(), strict=True)
+        Nature(b, t, r, still if r and not b else v if s and not b and one.between == "interpolate" else None)
+        for one, v, b, t, r, s in zip(
+            tracks, even, back.tolist(), turns.tolist(), rests.tolist(), straight.tolist(), strict=True
         )
     ]
 
@@ -310,11 +329,15 @@ class World:
         return World(tuple(moved), self.gone)
 
     @cached_property
+    def columns(self) -> Columns:
+        """All samples of at least one track, one after the other, by `COLUMNS`."""
+        return columns_of([track for _, track in self.tracks])
+
+    @cached_property
     def _packed(self) -> tuple[Floats, list[tuple[Any, ...]], frozenset[str]]:
         """As it goes to other processes: all samples in one array, made once for all of them."""
-        tracks = [track for _, track in self.tracks]
-        columns = [np.concatenate([getattr(track, name) for track in tracks]) for name in COLUMNS if tracks]
-        samples = np.concatenate([np.atleast_2d(one.T) for one in columns]) if tracks else np.zeros((0, 0))
+        columns = self.columns if self.tracks else ()
+        samples = np.concatenate([np.atleast_2d(one.T) for one in columns]) if columns else np.zeros((0, 0))
         rest = [(name, len(track.t_s), *(getattr(track, word) for word in _REST)) for name, track in self.tracks]
         return samples, rest, self.gone
 
@@ -326,13 +349,19 @@ _REST = tuple(one.name for one in fields(Track) if one.name not in COLUMNS)
 
 
 def _unpacked(samples: Floats, rest: Sequence[tuple[Any, ...]], gone: frozenset[str]) -> World:
-    tracks, begin = [], 0
+    if not rest:
+        return World((), gone)
+    t_s, jump, returns = samples[0], samples[14] > 0.0, samples[15] > 0.0
+    at, turned, velocity, spin = samples[1:4].T, samples[4:8].T, samples[8:11].T, samples[11:14].T
+    columns = t_s, at, turned, velocity, spin, jump, returns
+    tracks, end = [], 0
     for name, count, *words in rest:
-        mine = samples[:, begin : begin + count]
-        begin += count
-        known = mine[0], mine[1:4].T, mine[4:8].T, mine[8:11].T, mine[11:14].T, mine[14] > 0.0, mine[15] > 0.0
+        mine = slice(end, end := end + count)
+        known = t_s[mine], at[mine], turned[mine], velocity[mine], spin[mine], jump[mine], returns[mine]
         tracks.append((name, Track(*known, *words)))
-    return World(tuple(tracks), gone)
+    world = World(tuple(tracks), gone)
+    vars(world)["columns"] = columns  # where cached_property keeps them
+    return world
 
 
 NOTHING = World()

@@ -53,7 +53,7 @@ class FedNow:
         """Find out at once what kind of motions these are."""
         if self._turns is None:
             tracks = [track for _, track in self.world.tracks]
-            look_at(tracks)
+            look_at(tracks, self.world.columns if tracks else None)
             first = matrix_of(np.array([track.quaternion[0] for track in tracks]).reshape(-1, 4))
             self._turns = {id(track): matrix for track, matrix in zip(tracks, first, strict=True)}
 
