@@ -110,7 +110,7 @@ def directions(model: Model, turns: Floats, block_turns: Floats) -> tuple[Floats
 
 
 def origins(model: Model, turns: Floats) -> Floats | None:
-    """(F, L, 3) where beams begin, ISO 8855: it turns with the head; None: on the axis. [m]"""
+    """(shape of turns, 3) where beams begin, ISO 8855: it turns with the head; None: on the axis. [m]"""
     if not any(model.centre_m):
         return None
     right, ahead = model.centre_m

@@ -62,23 +62,24 @@ class Slices:
         block_ns, turns = self._triggered(number, block_ns, period_ns, used, rotor)
         angle = np.rint(codec.FINE * codec.TURN_CDEG * turns).astype(np.int64) % (codec.FINE * codec.TURN_CDEG)
         states = model.states(number * count + np.arange(count), used.high)
-        laser_ns = model.instants(used.high)[states]
         sees = _seen(model, used, angle)
-        fires = sees[:, None] & ~np.isnan(laser_ns)
-        fire_ns = block_ns[:, None] + np.rint(np.nan_to_num(laser_ns)).astype(np.int64)
-        at_turns = rotor.turns(fire_ns)
-        azimuth, elevation = calibration.directions(model, at_turns, turns[:, None])
-        origin = calibration.origins(model, at_turns)
+        laser_ns = model.instants(used.high)[states[sees]]
+        fired = ~np.isnan(laser_ns)
+        fires = np.zeros((count, model.lasers), np.bool_)
+        fires[sees] = fired
+        fire_ns = block_ns[sees, None] + np.rint(np.nan_to_num(laser_ns)).astype(np.int64)
+        at_turns = rotor.turns(fire_ns) if fire_ns.size else np.zeros(fire_ns.shape)
+        azimuth, elevation = calibration.directions(model, at_turns, turns[sees, None])
         sweep = Sweep(
-            azimuth[fires],
-            elevation[fires],
-            np.asarray(1e-9 * (fire_ns[fires] - start_ns), np.float64),
+            azimuth[fired],
+            elevation[fired],
+            np.asarray(1e-9 * (fire_ns[fired] - start_ns), np.float64),
             1e-9 * (int(raster.period_ns) + 2 * lead_ns),
             max_range_m=0xFFFF * model.unit_mm / 1000.0,
             max_echoes=MOST_ECHOES,
             wants_intensity=True,
             turn=rotor.turn(start_ns),
-            origin_m=None if origin is None else origin[fires],
+            origin_m=calibration.origins(model, at_turns[fired]),
         )
         shape = packets, -1
         return Slice(

@@ -127,14 +127,16 @@ def test_a_flood_of_commands_on_a_bus_does_not_pile_up_replies() -> None:
     assert busy
 
 
-SLOW = {"can-ars408", "can-ldmrs", "can-esr", "scenario", "ld-udp"}
+CASES = dict.fromkeys(("can-ars408", "can-ldmrs", "can-esr", "scenario", "ld-udp"), 12)
+CASES |= dict.fromkeys(("ldrobot", "velodyne", "ydlidar-x4", "ydlidar-g4"), 25)
+"Of parsers that play a whole device: each case takes as long as many of others."
 
 
 @pytest.mark.parametrize("parser", PARSERS, ids=lambda parser: parser.name)
 def test_a_parser_bears_anything(parser: Parser) -> None:
     """The short one of CI; `lidaremu study fuzz` is the long one."""
     run = parser.make()
-    for data in islice(cases(parser, 3), 12 if parser.name in SLOW else 100):
+    for data in islice(cases(parser, 3), CASES.get(parser.name, 100)):
         assert attempt(run, data) is None, data
 
 

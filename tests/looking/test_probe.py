@@ -9,7 +9,7 @@ import pytest
 
 from emulator.commands.cli import main
 from emulator.errors import LinkError
-from emulator.hosts import ld, ldrobot, lms2xx, scip, ydlidar
+from emulator.hosts import cola, ld, ldrobot, lms2xx, packets, rplidar, scip, ydlidar
 from emulator.hosts.lines import Line
 from emulator.looking import probe as probing
 from emulator.process.clock import ManualClock
@@ -54,7 +54,7 @@ class Answering(Line):
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> ManualClock:
     made = ManualClock()
-    for module in (lms2xx, ld, scip, ldrobot, ydlidar):
+    for module in (cola, ld, ldrobot, lms2xx, packets, rplidar, scip, ydlidar):
         monkeypatch.setattr(module, "SystemClock", lambda: made)
     return made
 

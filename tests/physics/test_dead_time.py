@@ -72,7 +72,7 @@ def test_the_chain_over_bins_tends_to_both_laws(rate: float, dead: float) -> Non
 def test_drawn_counts_have_the_mean_and_the_spread_of_photons_drawn_one_at_a_time(
     paralysable: bool, trap: tuple[float, float]
 ) -> None:
-    rate, dead, gate, beams = 0.03, 12.5, 1000, 1500
+    rate, dead, gate, beams = 0.03, 12.5, 500, 1500
     chain = DeadTime(dead, paralysable, 1, *trap)
     drawn = chain.histogram(np.full((beams, gate), rate), 1, np.random.default_rng(1)).sum(axis=1)
     mean = float(chain.histogram(np.full((1, gate), rate), 1, None).sum())

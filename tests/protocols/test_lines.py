@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 from protocols import FAMILIES, lines
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _counted_once() -> Iterator[None]:
+    """Most tests ask for the table of the same files."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("lines_of", "code_of"):
+            patch.setattr(lines, name, cache(getattr(lines, name)))
+        yield
 
 
 def test_the_page_is_what_the_command_writes() -> None:

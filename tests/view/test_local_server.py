@@ -24,7 +24,8 @@ def free_port() -> int:
 
 
 @pytest.fixture
-def server() -> Iterator[LocalServer]:
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[LocalServer]:
+    monkeypatch.setattr(local_server, "OPEN_S", 1.0)  # the rest of a request without an end is waited for
     made = open_server("127.0.0.1", free_port(), TOKEN, "test")
     yield made
     made.stop()
@@ -80,7 +81,7 @@ def test_the_lock_holds_for_pages_and_for_sockets(server: LocalServer) -> None:
     ids=["post", "head", "old", "tls", "long", "many headers", "empty"],
 )
 def test_garbage_is_hung_up_and_the_page_stays(
-    server: LocalServer, garbage: bytes, monkeypatch: pytest.MonkeyPatch
+    server: LocalServer, garbage: bytes
 ) -> None:
     port = server.get_port()
     try:

@@ -6,8 +6,11 @@ import csv
 import hashlib
 import io
 import struct
+import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cached_property
 
 
 @dataclass
@@ -36,33 +39,28 @@ class Packet:
     sequence: int
     shutdown: int
     azimuths: list[float]
-    points: list[Point]
+    listed: Callable[[], list[Point]]
     safety: bytes = b""
     state_word: int = 0
     operation: int = 0
     imu: tuple[int, ...] = ()
+
+    @cached_property
+    def points(self) -> list[Point]:
+        """All returns, block by block."""
+        return self.listed()
 
     def state(self, block: int) -> int:
         """Azimuth state of a block."""
         return self.state_word >> (14 - 2 * block) & 3 if block < 2 else 0
 
 
-def _entry(byte: int) -> int:
-    value = byte << 24
-    for _ in range(8):
-        value = (value << 1 ^ 0x04C11DB7 if value & 0x80000000 else value << 1) & 0xFFFFFFFF
-    return value
-
-
-TABLE = [_entry(byte) for byte in range(256)]
+MIRRORED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 
 def crc(data: bytes) -> int:
-    """CRC-32/MPEG-2, byte by byte."""
-    value = 0xFFFFFFFF
-    for byte in data:
-        value = (value << 8 ^ TABLE[value >> 24 ^ byte]) & 0xFFFFFFFF
-    return value
+    """CRC-32/MPEG-2: zlib's with the bits of every byte, and of the result, the other way round, and not inverted."""
+    return int(f"{~zlib.crc32(data.translate(MIRRORED)) & 0xFFFFFFFF:032b}"[::-1], 2)
 
 
 def _u(data: bytes, at: int, size: int) -> int:
@@ -115,7 +113,7 @@ def decode(data: bytes) -> Packet:
     t0 = _date(data[utc : utc + 6], base) + 1e-6 * _u(data, us, 4)
     head = 4 if model == "pandar40p" else 3 if model == "at128" else 2
     step = head + lasers * each
-    azimuths, points = [], []
+    azimuths, offsets = [], []
     for b in range(blocks):
         begin = at + b * step
         if model == "pandar40p":
@@ -125,7 +123,7 @@ def decode(data: bytes) -> Packet:
             azimuth = (_u(data, begin, 2) + (data[begin + 2] / 256 if model == "at128" else 0)) / 100
         azimuths.append(azimuth)
         later = (blocks - 1 - b) // echoes
-        offset = {
+        offsets.append({
             "xt32": 5.632e-6 - period * later,
             "xt32m2x": 5.632e-6 - period * later,
             "qt64": 25.71e-6 + period * (b // echoes),
@@ -133,11 +131,18 @@ def decode(data: bytes) -> Packet:
             "ot128": -period * later,
             "at128": -9.249e-6 - period * (1 + later),
             "pandar40p": -28.58e-6 - period * later,
-        }[model]
-        for c in range(lasers):
-            distance, reflectivity = struct.unpack_from("<HB", data, begin + head + c * each)
-            if distance:
-                points.append(Point(b, c, azimuth, distance * unit / 1000, reflectivity, t0 + offset))
+        }[model])  # fmt: skip
+
+    def listed() -> list[Point]:
+        points = []
+        for b in range(blocks):
+            begin = at + b * step + head
+            words = struct.iter_unpack("<HB" + (each - 3) * "x", data[begin : begin + lasers * each])
+            for c, (distance, reflectivity) in enumerate(words):
+                if distance:
+                    points.append(Point(b, c, azimuths[b], distance * unit / 1000, reflectivity, t0 + offsets[b]))
+        return points
+
     found = Packet(
         model,
         data[mode],
@@ -147,7 +152,7 @@ def decode(data: bytes) -> Packet:
         _u(data, sequence, 4),
         0 if hot is None else data[hot],
         azimuths,
-        points,
+        listed,
     )
     if model in ("ot128", "pandar128e3x"):
         assert _u(data, 784, 4) == crc(data[12:784])

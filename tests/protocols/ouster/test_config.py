@@ -80,7 +80,7 @@ def written(rig: Rig, name: str, value: Any) -> bool:
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_each_value_of_each_parameter(version: str) -> None:
-    rig = Rig({"firmware": version})
+    rig = Rig({"firmware": version, "config": {"azimuth_window": [0, 20_000]}})
     active = dict(rig.session.active)
     for name in defaults(rig.session.firmware):
         if name not in VALUES:

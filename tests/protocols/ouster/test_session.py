@@ -202,7 +202,7 @@ def test_requests_of_other_forms() -> None:
     [(LIDAR, True, "15"), (IMU, True, "18"), (LIDAR, False, "17"), (IMU, False, "1A")],
 )
 def test_packets_that_do_not_arrive_are_an_alert_until_they_do(link: Address, refused: bool, number: str) -> None:
-    rig = Rig()
+    rig = Rig({"config": {"azimuth_window": [0, 45_000]}})
     rig.run(0.1)
     assert rig.session.minds_delivery
     for _ in range(3):
